@@ -30,13 +30,13 @@ def assess(
     against
         Folder of the reference run.
     force_limit_n
-        Force that should not be passed, in newtons; default 1.25 times the reference's peak.
+        Force that should not be exceeded, in newtons; default 1.25 times the reference's peak.
     deviation_limit_mm
-        Distance from the reference's path that should not be passed.
+        Distance from the reference's path that should not be exceeded.
     overshoot_limit_mm
-        How far below the reference's deepest point the tip may go.
+        Largest allowed distance of the tip below the reference's deepest point.
     out
-        Folder that takes the picture and the figures; without it they are only printed.
+        Folder for the picture and the figures; without it they are only printed.
     overwrite
         Replace the assessment that the folder already holds.
     """

@@ -19,7 +19,7 @@ __all__ = ["calibrate"]
 
 
 TRIALS, NUMBERS = 120, 24
-"""Comparisons, and forces that are given a number, in a session that states no others."""
+"""Default numbers of comparisons, and of forces with a magnitude, in a session."""
 
 
 def calibrate(
@@ -34,29 +34,32 @@ def calibrate(
     seed: Annotated[int, Parameter(converter=whole)] = 0,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Find a person's threshold and exponent for force in an adaptive session, or a population's
-    from many sessions.
+    """Estimate a person's force threshold and exponent in an adaptive session.
 
-    Every trial is on disk before the next: after an interruption the same command goes on where it
+    With --population, a population's values are estimated from many sessions. Every trial is
+    written to disk before the next one: after an interruption the same command continues where it
     stopped.
 
     Parameters
     ----------
     observer
-        simulated:SEED, or simulated:GROUP:SEED with novice, intermediate or expert: who answers.
+        Simulated person who answers: simulated:SEED, or simulated:GROUP:SEED with novice,
+        intermediate or expert.
     ask
-        Put the trials to a person: forces on the device, answers from the keyboard.
+        Run the trials with a person: forces on the device, answers from the keyboard.
     population
         Folder of sessions' logs (*.trials.jsonl) to which the hierarchy of observers is fitted.
     out
-        File to write; default observer.json, or population.json. Trials and picture lie beside it.
+        File to write; default observer.json, or population.json. Trials and picture are written
+        next to it.
     device
-        What plays forces to a person, default mouse: mouse (bars stand for forces), or simulated:
-        touch, omni, six-dof, haply, forcedimension, sigma-7, openhaptics, network, recorded.
+        Device that plays forces to a person, default mouse: mouse (bars stand for forces), or
+        simulated: touch, omni, six-dof, haply, forcedimension, sigma-7, openhaptics, network,
+        recorded.
     trials
         Comparisons of two forces; default 120.
     numbers
-        Forces that are given a number; default 24.
+        Forces that the person rates with a number; default 24.
     seed
         Seed of the session's order, and of the population's draws.
     overwrite
@@ -108,7 +111,7 @@ def calibrate(
 def _session(
     target: Path, name: str, plan: "Plan", answer: "Answer", *, live: bool, overwrite: bool
 ) -> None:
-    """A session from where its log stands to its files."""
+    """Run a session from the end of its log, and write its files."""
     from meshes.base.whole_file import whole_file
     from tissue.evaluation.calibration.answers import begin
     from tissue.evaluation.calibration.posterior_view import draw_session
@@ -121,7 +124,7 @@ def _session(
         problems.print(f"going on at trial {log.session.trial + 1} of {log.path}")
     _ask_all(log, answer, live=live)
     session = log.session
-    # Both take their places together: where either of them lies, the session is over.
+    # Both files are put in place together: if either exists, the session is complete.
     with whole_file(target.with_suffix(".png")) as drawn:
         draw_session(session, drawn)
         write_observer(session.observer(name), target, overwrite=overwrite)
@@ -138,7 +141,7 @@ def _show(line: str) -> None:
 
 
 def _ask_all(log: "TrialLog", answer: "Answer", *, live: bool) -> None:
-    """Ask what is left; a stop prints how to go on."""
+    """Ask the remaining questions; on a stop, print how to continue."""
     from rich.live import Live
 
     from tissue.evaluation.calibration.answers import StoppedError

@@ -10,11 +10,14 @@ from tissue.cli.terminal import console, left_out, progress, whole
 __all__ = ["chart"]
 
 TRIALS = 30
-"""Unseen runs of each scene on which predictors are charted."""
+"""Default number of unseen runs of each scene for charts of predictors."""
 TASKS = ("palpation", "wall", "milling")
 """Scenes of the tasks T1 to T3."""
 MOST_WORKERS = 4
-"""Processes that make a chart ready; each may take some gigabytes for the factor of an organ."""
+"""Largest number of processes that prepare a chart.
+
+Each may take some gigabytes for the factor of an organ.
+"""
 
 
 def chart(
@@ -25,15 +28,14 @@ def chart(
     observer: Path | None = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Measure and draw speed against accuracy: of scenes, or of predictors; or what an observer
-    feels.
+    """Measure and draw speed against accuracy of scenes or predictors, or perception.
 
     Parameters
     ----------
     what
-        Names of built-in scenes, default all: what every setting costs and how far its force is
-        off. `prediction`, and scenes after it (default palpation, wall and milling): errors of all
-        predictors on runs they have not seen. `perception`: intensity, threshold and mapping.
+        Names of built-in scenes, default all: cost and force error of every setting. `prediction`,
+        and scenes after it (default palpation, wall and milling): errors of all predictors on
+        unseen runs. `perception`: intensity, threshold and mapping.
     out
         Folder to write; default charts, charts/prediction or charts/perception.
     quick
@@ -41,7 +43,7 @@ def chart(
     trials
         Unseen runs of each scene, for predictors; default 30.
     observer
-        Observer file that is drawn beside the population.
+        Observer file to draw next to the population.
     overwrite
         Replace the charts that the folder already holds.
     """
@@ -73,7 +75,7 @@ def chart(
 
 
 def _scenes(names: list[str], folder: Path, *, quick: bool, overwrite: bool) -> None:
-    """`tissue chart [SCENE ...]`."""
+    """Run `tissue chart [SCENE ...]`."""
     import os
 
     from tissue.evaluation.charts.scenes import chart_lines, chart_scenes, notes_before
@@ -91,7 +93,7 @@ def _scenes(names: list[str], folder: Path, *, quick: bool, overwrite: bool) -> 
 
 
 def _prediction(scenes: list[str], folder: Path, *, trials: int, overwrite: bool) -> None:
-    """`tissue chart prediction`."""
+    """Run `tissue chart prediction`."""
     from tissue.evaluation.charts.prediction import chart_prediction, comparison_lines, predictable
     from tissue.scene.load import load_scene
 
@@ -105,7 +107,7 @@ def _prediction(scenes: list[str], folder: Path, *, trials: int, overwrite: bool
 
 
 def _perception(folder: Path, observer: Path | None, *, overwrite: bool) -> None:
-    """`tissue chart perception`."""
+    """Run `tissue chart perception`."""
     from tissue.evaluation.charts.perception import perception_charts
 
     drawn = perception_charts(folder, observer, overwrite=overwrite)

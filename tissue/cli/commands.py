@@ -1,4 +1,4 @@
-"""The commands of ``tissue``, one a file."""
+"""Commands of ``tissue``, one per file."""
 
 from tissue.cli.assess import assess
 from tissue.cli.calibrate import calibrate
@@ -37,4 +37,4 @@ COMMANDS = (
     study,
     schema,
 )
-"""In the order in which help lists them."""
+"""Commands in the order in which help lists them."""

@@ -21,11 +21,11 @@ def compare(
     Parameters
     ----------
     folders
-        Folders of two runs or more, that `tissue run` wrote.
+        Folders of two or more runs that `tissue run` wrote.
     out
-        Folder that takes the picture and the table; without it they are only printed.
+        Folder for the picture and the table; without it they are only printed.
     over
-        What the picture shows forces over: time, or depth of the tool's tip from its first contact.
+        Abscissa of the picture: time, or depth of the tool's tip from its first contact.
     overwrite
         Replace the comparison that the folder already holds.
     """

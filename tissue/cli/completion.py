@@ -14,7 +14,7 @@ SHELLS: dict[str, Shell] = {"bash": "bash", "zsh": "zsh", "fish": "fish"}
 
 
 def completion_command(app: App) -> Callable[..., None]:
-    """The command that installs the completion of an application in the shell of the user."""
+    """Return the command that installs shell completion for an application."""
 
     def install_completion(*, shell: str | None = None) -> None:
         """Install the completion of commands and options in a shell.
@@ -22,7 +22,7 @@ def completion_command(app: App) -> Callable[..., None]:
         Parameters
         ----------
         shell
-            bash, zsh or fish; without it the one in use.
+            bash, zsh or fish; default the shell in use.
         """
         from cyclopts.completion.detect import ShellDetectionError, detect_shell
 

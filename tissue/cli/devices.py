@@ -23,23 +23,23 @@ def devices(
     out: Path | None = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """List the haptic devices that are found and their limits, or test one of them.
+    """List the haptic devices found and their limits, or test one device.
 
-    The test measures how often and how evenly a device gives samples and its latency, with no
-    force, and then pushes the hand by 0.5 N if that is confirmed. Not for clinical use.
+    The test measures the rate, the regularity and the latency of a device's samples without force.
+    It then pushes the hand by 0.5 N if that is confirmed. Not for clinical use.
 
     Parameters
     ----------
     test
         Name of the device to test, such as haply or network.
     address
-        Where it is, as a scene's hardware.address states it; without it the usual place.
+        Address, as in a scene's hardware.address; default the usual one.
     seconds
-        How long to measure, 2 without it.
+        Duration of the measurement, in seconds; default 2.
     yes
         Push without asking.
     out
-        TOML file for the measured rate and latency, which a scene takes by its key materials.
+        TOML file for the measured rate and latency, which a scene uses by its key materials.
     overwrite
         Replace the file.
     """
@@ -154,7 +154,7 @@ def _lines(measured: "SelfTest") -> list[str]:
 
 
 def _confirmed(push: str) -> bool:
-    """Whether a person who holds the device wants to be pushed."""
+    """Return whether the person who holds the device confirms the push."""
     console.print(
         f"Hold the handle loosely; the device will push with at most {push}. Type push and "
         "Enter to feel it:"

@@ -28,16 +28,16 @@ def fit(
     Parameters
     ----------
     scene
-        Name of a scene or a TOML file: what was cut or pressed, and by which tool.
+        Name of a scene or a TOML file, with the tissue and the tool of the log.
     measured
-        Log of poses and forces: .csv, .parquet, .h5, .mat or .npz, a run's own trace among them.
+        Log of poses and forces: .csv, .parquet, .h5, .mat or .npz, also a run's own trace.
     out
         Folder to write; default fits/NAME.
     free
-        Constants to find, between commas: cutting.trabecular, cutting.edge, or full names; default
-        the usual ones.
+        Constants to find, separated by commas: cutting.trabecular, cutting.edge, or full names;
+        default the usual ones.
     column
-        NAME=COLUMN[:UNIT], where the log has another name or unit, such as force_x_N=-Fx:mN; may be
+        NAME=COLUMN[:UNIT], if the log has another name or unit, such as force_x_N=-Fx:mN; may be
         repeated.
     set_
         KEY=VALUE, replaces an entry of the scene; may be repeated.

@@ -34,7 +34,7 @@ def import_(
     max_memory_GB: Annotated[float | None, Parameter(name="--max-memory-GB")] = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Make a scene of a person's own CT.
+    """Make a scene from your own CT.
 
     Parameters
     ----------
@@ -52,9 +52,9 @@ def import_(
     crop
         X0,Y0,Z0,X1,Y1,Z1: box to keep, in mm.
     threshold
-        Value above which a voxel is bone; default suggested from the histogram.
+        Value above which a voxel is bone; default a suggestion from the histogram.
     series
-        Number of the series, of a folder that holds several.
+        Number of the series in a folder that holds several.
     spacing_mm
         Distance between voxels of files that do not state it.
     density
@@ -63,13 +63,13 @@ def import_(
         glenoid, femoral-head, humeral-head, vertebra[:left], tooth[:lesion], X,Y,Z in mm, or
         .mrk.json; default by the region's name.
     normal
-        X,Y,Z: outward direction at a site that is a point; default that of the surface.
+        X,Y,Z: outward direction at a site that is a point; default the surface normal.
     coordinates
         Frame of crop, site, normal and path.
     path
         Toolpath: CSV, .mrk.json curve or G-code, in mm.
     feed_mm_s
-        Speed where the path states none; default 2.
+        Speed if the path states none; default 2.
     keep_clear
         Label that the tool must not touch; may be repeated.
     like
@@ -118,7 +118,7 @@ def import_(
 
 
 def _part(text: str) -> tuple[str, float]:
-    """Name and modulus of a part."""
+    """Parse name and modulus of a part."""
     from meshes.base.errors import InputError
 
     name, _, modulus = text.rpartition("=")
@@ -134,7 +134,7 @@ def _three(numbers: list[float]) -> tuple[float, float, float]:
 
 
 def _numbers(name: str, text: str, count: int, form: str) -> list[float]:
-    """Numbers between commas."""
+    """Parse numbers separated by commas."""
     from meshes.base.errors import InputError  # brings NumPy, which help does without
 
     try:

@@ -30,15 +30,14 @@ from tissue.system.stopping import Terminated, terminated_as_exception
 __all__ = ["app", "has_working_folder", "leave_pipe", "main", "open_streams"]
 
 PIPE_CLOSED = 141
-"""Exit code of a command whose reader has ended: 128 and the number of SIGPIPE."""
+"""Exit code of a command whose reader has ended: 128 plus the number of SIGPIPE."""
 
 
 def open_streams() -> None:
-    """Replace standard streams that are closed, and print characters that a stream cannot encode by
-    their codes.
+    """Replace closed standard streams, and escape characters that a stream cannot encode.
 
-    A descriptor that is closed would be given to the next file that is opened, and libraries that
-    print to it would write into that file.
+    A closed descriptor would be assigned to the next opened file, and libraries that print to it
+    would write into that file.
     """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
@@ -57,7 +56,7 @@ def open_streams() -> None:
 
 
 def has_working_folder() -> bool:
-    """Return whether the working directory is there."""
+    """Return whether the working directory exists."""
     try:
         os.getcwd()
     except FileNotFoundError:
@@ -66,14 +65,14 @@ def has_working_folder() -> bool:
 
 
 def leave_pipe() -> NoReturn:
-    """End a command whose output nobody reads any more."""
+    """End a command whose output has no reader any more."""
     nothing = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nothing, 1)  # what is still buffered goes nowhere
+    os.dup2(nothing, 1)  # discards buffered output
     sys.exit(PIPE_CLOSED)
 
 
 def _default(value: object) -> str | None:
-    """What help shows as a default: nothing where nothing is given, or of a switch that is off."""
+    """Return the default that help shows; None without a default or for a switch that is off."""
     return None if value is None or value is False or value == () else str(value)
 
 
@@ -89,14 +88,15 @@ for command in COMMANDS:
 app.command(completion_command(app), name="--install-completion")
 
 BAD_INPUT = 2
-"""Exit code for anything a person can mend by other input."""
+"""Exit code for errors that the user can fix by other input."""
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG)
 
 
 def main() -> NoReturn:
-    """Run the command: bad input becomes one sentence and exit code 2, Ctrl-C ends with 130,
-    SIGTERM with 143.
+    """Run the command and exit.
+
+    Bad input prints one sentence and exits with code 2. Ctrl-C exits with 130, SIGTERM with 143.
     """
     open_streams()
     if not has_working_folder():
@@ -157,14 +157,12 @@ def main() -> NoReturn:
 
 @contextmanager
 def _plain_warnings() -> Iterator[None]:
-    """Show a warning of a part that an installed package offers as a line, without where it was
-    raised.
-    """
+    """Show warnings of installed packages' parts as one line, without the code location."""
     with warnings.catch_warnings():
         others = warnings.showwarning
 
         def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-            # whose modules help does without
+            # compared by name, since help does not import their modules
             if category.__name__ not in ("PluginWarning", "OldSceneWarning"):
                 return others(message, category, *where, **more)
             from rich.markup import escape
@@ -176,7 +174,7 @@ def _plain_warnings() -> Iterator[None]:
 
 
 def _print_offered() -> None:
-    """Names that installed packages add to those of a command's help."""
+    """Print names that installed packages add to those in a command's help."""
     from tissue.scene.plugins import offered_names
 
     if offered := offered_names():
@@ -193,9 +191,7 @@ def _has_written() -> bool:
 
 
 def _place(file: object) -> tuple[str, str]:
-    """What a file that could not be written belongs to, and how another place for that is
-    chosen.
-    """
+    """Return the kind of a file that could not be written, and how to choose another location."""
     from meshes.base.cache import cache_folder
 
     warp = sys.modules.get("warp")
@@ -218,7 +214,7 @@ def _refuse(sentence: str, *, code: int = BAD_INPUT) -> NoReturn:
 
 
 def _usage(error: CycloptsError) -> str:
-    """One sentence for a command line that cannot be read."""
+    """Return one sentence for a command line that cannot be parsed."""
     from tissue.scene.named_parts import nearest
 
     command = " ".join(["tissue", *(error.command_chain or ())])

@@ -17,7 +17,7 @@ def report(
     out: Path | None = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Write a run as one HTML file to hand over, which needs no network.
+    """Write a run as one HTML file to share, which needs no network.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ def report(
     out
         HTML file to write; default report.html in the folder.
     overwrite
-        Replace the file where it is there.
+        Replace an existing file.
     """
     from tissue.show.report.report import write_report
 

@@ -21,7 +21,7 @@ __all__ = ["print_summary", "run"]
 
 
 def print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s: float) -> None:
-    """The table a person reads after a run."""
+    """Print the summary of a run as a table."""
     from rich.table import Table
 
     table = Table(
@@ -69,7 +69,7 @@ def print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s: 
 
 
 def _scheduling_rows(summary: "Summary") -> Iterator[tuple[str, str]]:
-    """How late the machine itself was, and what was chosen for launches and background work."""
+    """Yield rows on gaps of the machine, and on scheduling of launches and background work."""
     if (gaps := summary.get("machine_gaps")) is not None:
         met = (
             f"{gaps['count']} in {gaps['spun_s']:.2g} s, longest {1e-3 * gaps['longest_us']:.2g} ms"
@@ -88,7 +88,7 @@ def _pair(figures: dict[str, float], unit: str) -> str:
 
 
 def _ends(figures: dict[str, dict[str, float]], unit: str) -> str:
-    """Ends of the 90 % intervals of the peak and of the mean."""
+    """Return the ends of the 90 % intervals of the peak and of the mean."""
     peak, mean = (
         f"{figures[name]['p05']:.3g}–{figures[name]['p95']:.3g}"
         for name in ("peak", "mean_in_contact")
@@ -109,15 +109,15 @@ class SceneOptions:
     Attributes
     ----------
     seed
-        Seed of every random draw: of a run with a device, and of the samples of a band.
+        Seed of every random draw, in a run with a device and in the samples of a band.
     duration_s
         Simulated time in seconds; a run of the whole motion is longer by the hand's reaction time,
         under 1 s.
     set_
         KEY=VALUE, replaces an entry of the scene, such as voxels.spacing_mm=0.2; may be repeated.
     fidelity
-        force_error=0.03 or tick_ms=0.7: take the cheapest settings of this machine that meet it;
-        may be repeated.
+        force_error=0.03 or tick_ms=0.7: use the cheapest settings on this machine that meet it; may
+        be repeated.
     """
 
     seed: Whole = None
@@ -142,7 +142,7 @@ class EngineOptions:
     overwrite
         Replace the run that the folder already holds.
     allow_unstable
-        Run a device whose coupling is unstable, too.
+        Run a device even if its coupling is unstable.
     """
 
     compute: str = "cpu"
@@ -162,11 +162,11 @@ class FileOptions:
     out
         Output folder (default: runs/NAME).
     format_
-        Further formats besides CSV: parquet, npz, mat, h5 of the trace, or recording, HDF5 in
+        Additional formats: parquet, npz, mat or h5 for the trace, or recording, HDF5 in
         volumetric_drilling's layout; may be repeated.
     pictures
-        Format of the pictures: png, svg or pdf. In svg and pdf lines and text are vectors, and 3D
-        views are images of 400 pixels an inch.
+        Format of the pictures: png, svg or pdf. In svg and pdf, lines and text are vectors, and 3D
+        views are images with 400 pixels per inch.
     no_pictures
         Draw no pictures.
     """
@@ -180,7 +180,7 @@ class FileOptions:
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class BandOptions:
-    """Options of a band; the fields but the first are arguments of `Run.band`.
+    """Options of a band; all fields but the first are arguments of `Run.band`.
 
     Attributes
     ----------
@@ -188,12 +188,12 @@ class BandOptions:
         Samples of the constants in their ranges, such as 200: forces, torques and figures with 50
         and 90 % bands.
     workers
-        Processes that run the samples of a band in parallel, if each sample is a run of its own.
+        Processes that run the samples of a band in parallel, if each sample is a separate run.
     scheduler
         tcp://HOST:PORT or tls://HOST:PORT: run the samples of a band on the workers of that Dask
         scheduler instead.
     each_run
-        Run every sample of a band instead of reweighing the loads, so that temperature and stress
+        Run every sample of a band instead of reweighting the loads, so that temperature and stress
         have bands too.
     """
 
@@ -206,21 +206,19 @@ class BandOptions:
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class LiveOptions:
-    """Options of a run against the wall clock.
+    """Options of a run in real time.
 
     Attributes
     ----------
     live
-        Run against the wall clock, in a window with mouse and keys as device, or without a display
-        scripted.
+        Run in real time, in a window with mouse and keys as device, or scripted without a display.
     web
-        With --live: in a browser on this machine, at an address that is printed, instead of a
-        window.
+        With --live: use a browser on this machine instead of a window; the address is printed.
     slicer
         With --live: publish the run for 3D Slicer and other programs on this machine by
         OpenIGTLink.
     slicer_port
-        With --slicer: port to publish at; default 18944.
+        With --slicer: port of the link; default 18944.
     slicer_drives
         With --slicer: the transform tissue-target of 3D Slicer moves the tool, and no window opens.
     ros2
@@ -265,7 +263,7 @@ def run(
     by_hand = live.web or live.slicer_drives
     loaded = _load(scene, overrides, live=live.live, by_hand=by_hand)
     seed = scene_options.seed
-    # else it seeds the band alone
+    # otherwise the seed is used for the band only
     if seed is not None and (band.band is None or loaded.device is not None):
         loaded = _load(scene, overrides | {"seed": seed}, live=live.live, by_hand=by_hand)
     _refuse_unused(loaded, engine)
@@ -274,7 +272,7 @@ def run(
     RunFolder.check(folder, overwrite=engine.overwrite)
     started = perf_counter()
     with _naming_stop(folder):
-        # A bar of a live run would take the interpreter from the ticks.
+        # In a live run a progress bar would take the interpreter from the ticks.
         with nullcontext(silent) if live.live else progress() as report:
             report("starting Warp", 0.0)
             from tissue.objects.simulate import simulate
@@ -320,8 +318,9 @@ def _overrides(options: SceneOptions) -> dict[str, Any]:
 
 
 def _load(scene: str, overrides: dict[str, Any], *, live: bool, by_hand: bool) -> "Scene":
-    """Load the scene; a live run is moved by a page or 3D Slicer, or by a window where there is
-    a display.
+    """Load the scene.
+
+    A live run is moved by a page or 3D Slicer, or by a window where there is a display.
     """
     from tissue.scene.load import load_scene
     from tissue.system.offscreen import await_display
@@ -398,9 +397,7 @@ def _check_band(scene: "Scene", options: BandOptions, *, live: bool) -> None:
 
 @contextmanager
 def _naming_stop(folder: Path) -> Iterator[None]:
-    """Add to Ctrl-C or SIGTERM that nothing was written, if the folder is as it was before the
-    run.
-    """
+    """Add to Ctrl-C or SIGTERM a note that nothing was written, if the folder is unchanged."""
     before = _written(folder)
     try:
         yield

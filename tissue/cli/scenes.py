@@ -8,7 +8,7 @@ __all__ = ["scenes"]
 
 
 def scenes(name: str | None = None, /) -> None:
-    """List the scenes that have a name, or print one as TOML, ready to copy and edit.
+    """List the named scenes, or print one as TOML, ready to copy and edit.
 
     Parameters
     ----------
@@ -27,6 +27,6 @@ def scenes(name: str | None = None, /) -> None:
     for each in scene_names():
         try:
             description = load_scene(each).description
-        except InputError as error:  # of a package, or a file that is gone: the others are listed
+        except InputError as error:  # from a package, or a missing file: list the other scenes
             description = f"cannot be used: {error}"
         console.print(f"[bold]{each:<12}[/bold] {escape(description)}", markup=True)

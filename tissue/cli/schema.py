@@ -14,14 +14,14 @@ __all__ = ["schema"]
 def schema(
     *, out: Path | None = None, overwrite: Annotated[bool, Parameter(negative="")] = False
 ) -> None:
-    """Print the JSON schema of scenes, by which an editor completes and checks their keys.
+    """Print the JSON schema of scenes, which editors use to complete and check keys.
 
     Parameters
     ----------
     out
-        File to write it to instead.
+        File to write instead of printing.
     overwrite
-        Replace that file if it is there.
+        Replace an existing file.
     """
     from meshes.base.errors import InputError
     from meshes.base.whole_file import whole_file

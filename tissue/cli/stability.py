@@ -19,12 +19,11 @@ def stability(
     only: Annotated[tuple[str, ...], Parameter(negative="")] = (),
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Report the stability of a scene's device and operator; without a scene, show where every
-    method fails.
+    """Report the stability of a scene's device and operator, or make the stability atlas.
 
-    With a scene: whether its coupling is stable, and a map of stiffness against damping and delay.
-    Without one: the atlas, one page for every method, taken past its region of failure, in two
-    minutes or so.
+    With a scene, the command reports whether its coupling is stable, and a map of stiffness against
+    damping and delay. Without one, it makes the atlas, which has one page for every method and
+    shows where it fails. The atlas takes about two minutes.
 
     Parameters
     ----------
@@ -33,8 +32,8 @@ def stability(
     set_
         KEY=VALUE, replaces an entry of the scene, such as device=six-dof; may be repeated.
     out
-        Folder that takes picture and data of a scene's map, which is otherwise only printed; or the
-        atlas, default atlas.
+        Folder for picture and data of a scene's map, which is otherwise only printed; or folder of
+        the atlas, default atlas.
     only
         Page of the atlas to make, such as wall_map, and no other; may be repeated.
     overwrite
@@ -75,7 +74,7 @@ def stability(
 
 
 def _atlas(folder: Path, only: tuple[str, ...], *, overwrite: bool) -> None:
-    """Make the atlas and report what every page shows."""
+    """Make the atlas and report the result of every page."""
     with progress() as report:
         report("loading methods", 0.0)
         from tissue.evaluation.atlas.atlas import chosen_pages, write_atlas

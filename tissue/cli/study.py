@@ -34,7 +34,7 @@ def run(
     retry: Annotated[bool, Parameter(negative="")] = False,
     only: str | None = None,
 ) -> None:
-    """Run a study, or go on with one: every trial is on disk as soon as it is done.
+    """Run or continue a study; every trial is written to disk as soon as it is done.
 
     The plan (measures, tests, exclusions, seeds, power) is registered in plan.toml before the first
     trial.
@@ -42,7 +42,7 @@ def run(
     Parameters
     ----------
     trials
-        Trials for each task and group; a study that is there may be given more.
+        Trials for each task and group; an existing study may be extended.
     tasks
         Some of T1 (palpation), T2 (wall), T3 (milling), needle, reaming, drilling; default all.
     methods
@@ -52,7 +52,7 @@ def run(
     sensitivity
         Also repeat a few trials with one parameter changed, and against the finest model.
     seed
-        Seed of everything.
+        Seed of all random draws.
     workers
         Processes; default one a core.
     scheduler
@@ -60,9 +60,9 @@ def run(
     out
         Folder of the study; default studies/paper.
     retry
-        Run trials that failed again.
+        Run failed trials again.
     only
-        Name of one trial, such as T1-novice-0007: run that alone and print what came of it.
+        Name of one trial, such as T1-novice-0007: run only this trial and print its result.
     """
     from tissue.evaluation.study.folder import StudyFolder
     from tissue.evaluation.study.plan import TrialKey
@@ -95,7 +95,7 @@ def run(
     with progress() as bar:
 
         def report(doing: str, share: float) -> None:
-            """Move the bar, and print what is more than progress."""
+            """Move the bar, and print messages other than progress."""
             bar(doing, share)
             if " left" not in doing:
                 problems.print(doing)
@@ -128,13 +128,14 @@ def register_plan(
     seed: Annotated[int, Parameter(converter=whole)] = 0,
     out: Path | None = None,
 ) -> None:
-    """Register a study without running it: write plan.toml, which `tissue study run` of the same
-    options keeps to.
+    """Register a study without running it: write its plan.toml.
+
+    `tissue study run` with the same options then follows this plan.
 
     Parameters
     ----------
     trials, tasks, methods, groups, sensitivity, seed
-        As in `tissue study run`.
+        As for `tissue study run`.
     out
         Folder of the study; default studies/paper.
     """
@@ -153,7 +154,7 @@ def register_plan(
 def _planned(
     trials: int, tasks: Names, methods: Names, groups: Names, sensitivity: bool, seed: int
 ) -> "Plan":
-    """The plan of a command's options; names may be divided by commas."""
+    """Return the plan of a command's options; names may be separated by commas."""
     from tissue.evaluation.study.plan import Plan
 
     chosen = {"tasks": tasks, "methods": methods, "groups": groups}
@@ -171,13 +172,15 @@ def _planned(
 
 @study.command
 def report(folder: Path, /) -> None:
-    """Write tables, figures and what they mean, beside the paper's figures, into a study's folder.
+    """Write tables, figures and their interpretation into a study's folder.
+
+    The paper's figures are shown for comparison.
 
     Parameters
     ----------
     folder
-        Folder that `tissue study run` wrote; a study that is not done yet is reported as far as it
-        is.
+        Folder that `tissue study run` wrote; an unfinished study is reported up to its present
+        state.
     """
     with progress() as report:
         from tissue.evaluation.study.report import write_report

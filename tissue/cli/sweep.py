@@ -25,7 +25,7 @@ def sweep(
     overwrite: Annotated[bool, Parameter(negative="")] = False,
     allow_unstable: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Run a scene at all combinations of values; runs that are there and finished are kept.
+    """Run a scene at all combinations of values; existing finished runs are kept.
 
     Parameters
     ----------
@@ -37,7 +37,8 @@ def sweep(
     out
         Folder to write; default sweeps/NAME.
     workers
-        Processes; default one a core. One by itself gives each run all cores, as `tissue run` does.
+        Processes; default one a core. A single process gives each run all cores, as `tissue run`
+        does.
     compute
         Device for the kernels: cpu or cuda:0.
     cores
@@ -45,9 +46,9 @@ def sweep(
     pictures
         Draw the pictures of each run.
     overwrite
-        Run those again that are there.
+        Run existing runs again.
     allow_unstable
-        Run a device whose coupling is unstable, too.
+        Run a device even if its coupling is unstable.
     """
     from rich.table import Table
 

@@ -1,4 +1,4 @@
-"""What every command shares: where it prints, its progress bar, and whole numbers."""
+"""Terminal output shared by all commands: consoles, progress bar, and whole numbers."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -17,16 +17,17 @@ __all__ = ["console", "left_out", "problems", "progress", "whole"]
 
 
 QUIET_S = 30.0
-"""Time between two lines about progress where there is no terminal for a bar [s]."""
+"""Time between two lines of progress without a terminal for a bar [s]."""
 
 
 class _Terminal(Console):
-    """Prints text as it is: no markup unless asked for, no line broken, control characters by
-    their codes.
+    """Console that prints text unchanged.
+
+    It uses no markup unless requested, breaks no line, and prints control characters as codes.
     """
 
     def print(self, *objects: Any, **options: Any) -> None:
-        """As `Console.print`."""
+        """Print objects as `Console.print`."""
         if all(isinstance(each, str) for each in objects):
             objects = tuple(map(visible, objects))
             options = {"soft_wrap": True, "highlight": False} | options
@@ -38,7 +39,7 @@ problems = _Terminal(stderr=True, emoji=False, markup=False)
 
 
 def whole(_: object, tokens: Sequence[Token]) -> int:
-    """A whole number from the command line, which would otherwise be rounded to one."""
+    """Parse a whole number from the command line, which would otherwise be rounded."""
     try:
         return whole_number_in(tokens[0].value)
     except ValueError:
@@ -46,12 +47,12 @@ def whole(_: object, tokens: Sequence[Token]) -> int:
 
 
 def left_out(where: str, remedy: str, **flags: object) -> None:
-    """Refuse options that were given and have no effect ``where`` that is so.
+    """Refuse given options that have no effect in the situation ``where``.
 
     Raises
     ------
     InputError
-        Names the option and the remedy.
+        If an option is given; the message names the option and the remedy.
     """
     from meshes.base.errors import InputError  # brings NumPy, which help does without
 
@@ -63,11 +64,11 @@ def left_out(where: str, remedy: str, **flags: object) -> None:
 
 @contextmanager
 def progress() -> Iterator[Progress]:
-    """Show a progress bar, or where there is no terminal print a line now and then.
+    """Show a progress bar, or print a line at intervals without a terminal.
 
     Yields
     ------
-    A function that is called with what is being done and with the share that is done.
+    Function that is called with the present work and its completed share.
     """
     if problems.is_terminal:
         with terminal_bar(problems) as report:

@@ -21,15 +21,16 @@ def train(
     cores: Annotated[int | None, Parameter(converter=whole)] = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Train what predicts a scene's force, on runs by hands of all groups, and validate it on runs
-    held out.
+    """Train a predictor of a scene's force and validate it on held-out runs.
+
+    The training runs are by hands of all groups.
 
     Parameters
     ----------
     scene
         Name of a built-in scene or a TOML file.
     trials
-        Runs, six or more; one in four validates.
+        Number of runs, six or more; one in four is used for validation.
     out
         File to write; default SCENE.npz.
     set_

@@ -25,7 +25,7 @@ def view(
     web: Annotated[bool, Parameter(negative="")] = False,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Show a run in a window, or an imported bone, on which a click puts the site.
+    """Show a run in a window, or an imported bone, on which a click sets the site.
 
     Parameters
     ----------
@@ -36,18 +36,18 @@ def view(
     movie
         Write a movie to this .mp4 or .gif file instead of opening a window.
     hide
-        Layer or part that is switched off at first; may be repeated.
+        Layer or part that is hidden at first; may be repeated.
     field
         Field that is shown at first, for example von_mises_MPa.
     scale
-        How many times its size the displacement is drawn at first.
+        Factor of the drawn displacement at first.
     time_s
-        Moment that is shown at first, in seconds; default that of the greatest force.
+        Moment that is shown at first, in seconds; default the moment of the largest force.
     clean
-        With --screenshot: what was simulated alone on a transparent ground, without text, scales,
+        With --screenshot: draw only the tissue on a transparent background, without text, scales,
         tool and arrows.
     web
-        In a browser on this machine, at an address that is printed, in place of a window.
+        Use a browser on this machine in place of a window; the address is printed.
     overwrite
         Replace the file of the screenshot or movie.
     """

@@ -1,9 +1,10 @@
-"""Gymnasium environments in which contact force matters: milling a pocket, drilling a tooth,
-palpating for a nodule.
+"""Gymnasium environments in which contact force matters: milling, drilling and palpation.
 
-Once this module is imported, `gymnasium.make` knows ``tissue/Milling-v0``, ``tissue/Drilling-v0``
-and ``tissue/Palpation-v0``; ``gymnasium.make("tissue.environments:tissue/Milling-v0")`` imports it,
-too. Gymnasium reads no entry points since version 1.0.
+The tasks are milling a pocket, drilling a tooth, and palpating for a nodule.
+
+Once this module is imported, `gymnasium.make` accepts ``tissue/Milling-v0``, ``tissue/Drilling-v0``
+and ``tissue/Palpation-v0``; ``gymnasium.make("tissue.environments:tissue/Milling-v0")`` also
+imports it. Gymnasium reads no entry points since version 1.0.
 """
 
 from importlib import import_module
@@ -20,11 +21,11 @@ __all__ = ["IDS", "Drilling", "Milling", "Palpation", "register_environments"]
 
 NAMES = ("Drilling", "Milling", "Palpation")
 IDS = {f"tissue/{name}-v0": f"tissue.environments.{name.lower()}:{name}" for name in NAMES}
-"""Class of each environment by its name in gymnasium; imported when the first is made."""
+"""Class of each environment by its name in gymnasium; it is imported at first use."""
 
 
 def register_environments() -> None:
-    """Register the environments with gymnasium, once.
+    """Register the environments with gymnasium if they are not registered yet.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Drilling through the enamel of a molar into the dentin, and stopping there."""
+"""Environment for drilling through the enamel of a molar and stopping in the dentin."""
 
 from functools import cached_property
 from os import PathLike
@@ -22,53 +22,58 @@ __all__ = ["Drilling"]
 
 REGION_M = np.array([[-2.0e-3, -2.0e-3, -4.0e-3], [2.0e-3, 2.0e-3, 1.2e-3]])
 SPACING_M = 5e-5
-"""Edge of a voxel: a twentieth of the bur."""
+"""Edge of a voxel [m]: a twentieth of the bur."""
 BUR_MM, FLUTES, SPIN_RPM = 1.0, 6, 400_000.0
 HAND_KG = 0.1
-"""Mass that moves with the bur: a handpiece of 0.06 to 0.1 kg (from memory of makers' data) and
-some of the hand.
+"""Mass that moves with the bur [kg]: a handpiece and part of the hand.
+
+A handpiece has 0.06 to 0.1 kg (from memory of makers' data).
 """
 TOP_SPEED_M_S = 1e-2
 START_M, CEILING_M = 5e-4, 8e-4
-"""Gap between tip and tooth where an episode starts, and where the bur counts as withdrawn."""
+"""Gap between tip and tooth at the start, and at which the bur counts as withdrawn [m]."""
 INTO_DENTIN_M = 5e-4
-"""Wanted depth beyond the junction of enamel and dentin: about that of a cavity's base, 0.2 to
-0.5 mm (from memory).
+"""Wanted depth beyond the junction of enamel and dentin [m].
+
+It is about the depth of a cavity's base, 0.2 to 0.5 mm (from memory).
 """
 TOO_DEEP_M = 1e-3
-"""Beyond the wanted depth by this the episode is lost; the pulp lies 3 mm below the junction."""
+"""Distance beyond the wanted depth at which the episode is lost [m].
+
+The pulp lies 3 mm below the junction.
+"""
 
 
 class Drilling(ContactEnvironment):
     """Drill through the enamel of a molar, stop 0.5 mm into the dentin, and withdraw.
 
-    A round bur of 1 mm at 400,000 a minute goes straight down. Nothing observed shows where the
-    enamel ends: it is felt as less resistance. An episode draws the place on the occlusal surface
-    and the densities of enamel and dentin, which change how hard they are to cut.
+    A round bur of 1 mm at 400,000 revolutions a minute moves straight down. No observation shows
+    where the enamel ends; only the resistance decreases. An episode draws the position on the
+    occlusal surface and the densities of enamel and dentin, which change the cutting forces.
 
-    **Action**, 1 number in [-1, 1]: thrust of the hand along the bur, of 3 N, down where positive.
-    What the bur does follows from the balance of thrust, cutting force, 0.1 kg and a damping that
-    lets 3 N move it at 10 mm/s in air.
+    **Action**, 1 number in [-1, 1]: thrust of the hand along the bur, scaled by 3 N, positive
+    downwards. The motion of the bur follows from the balance of thrust, cutting force, inertia of
+    0.1 kg and damping. In air the damping limits the bur to 10 mm/s under 3 N.
 
-    **Observation**, see `entries`: depth of the tip below the surface at that place, greatest depth
-    so far, velocity downwards, force and torque on the bur, volume removed, time left.
+    **Observation**, see `entries`: depth of the tip below the surface at that position, largest
+    depth so far, velocity downwards, force and torque on the bur, volume removed, time left.
 
     **Reward**, see `ContactEnvironment`, with the potential::
 
         P = min(deepest, d) / d - max(0, deepest - d) / 1 mm
 
-    of the greatest depth so far and the wanted one d, from the surface to 0.5 mm below the junction
-    on the bur's axis; ``reward_terms`` holds its parts as ``progress`` and ``overdepth``. No policy
-    scores above 1; doing nothing scores
-    -0.1. An episode ends when the bur, having cut, is 0.8 mm above the surface again, or is 1 mm
-    too deep; it is truncated after 5 s. Force costs from 2 N on. Heat is not modelled.
+    Here ``deepest`` is the largest depth so far, and d is the wanted depth, from the surface to 0.5
+    mm below the junction on the bur's axis. ``reward_terms`` holds its parts as ``progress`` and
+    ``overdepth``. No policy scores above 1; doing nothing scores -0.1. An episode ends when the bur
+    has cut and is 0.8 mm above the surface again, or when it is 1 mm too deep. It is truncated
+    after 5 s. Force above 2 N reduces the reward. Heat is not modelled.
 
     Parameters
     ----------
     materials
         File of constants in place of the cited ones, as `tissue fit` writes it.
     options
-        As of `ContactEnvironment`.
+        As for `ContactEnvironment`.
     """
 
     entries = (
@@ -107,7 +112,7 @@ class Drilling(ContactEnvironment):
 
     @cached_property
     def bone(self) -> RestorableBone:
-        """The same under the bur; made at the first reset."""
+        """Restorable bone of the volume under the bur; made at the first reset."""
         bur = ball_burr(diameter_mm=BUR_MM, flutes=FLUTES, spin_rpm=SPIN_RPM)
         return RestorableBone(
             self.volume, bur, shell_spacing_m=SPACING_M, materials=self._materials
@@ -115,7 +120,7 @@ class Drilling(ContactEnvironment):
 
     @property
     def model(self) -> BoneModel:
-        """The crown under the bur."""
+        """Model of the crown under the bur."""
         return self.bone.model
 
     def _prepare(self) -> None:
@@ -128,7 +133,7 @@ class Drilling(ContactEnvironment):
         self._speed = self._deepest_m = 0.0
 
     def begin(self, motion: ToolMotion) -> None:
-        """Put the tip over its drawn place."""
+        """Put the tip above its drawn position."""
         motion.tip_m[:2] = self._place_m
         motion.tip_m[2] = self.surface_m + START_M
         motion.heading[0] = (0.0, 0.0, -1.0)
@@ -136,7 +141,10 @@ class Drilling(ContactEnvironment):
         motion.pressed = 0.0
 
     def _heights(self, place_m: Array) -> tuple[float, float]:
-        """Heights of the surface and of the end of the enamel over a place [m], in whole voxels."""
+        """Return heights of the surface and the enamel's end at a position [m].
+
+        They are in whole voxels.
+        """
         volume = self.volume
         i, j = np.floor((place_m - volume.origin_m[:2]) / volume.spacing_m).astype(int)
         held = volume.fraction[i, j] > 127
@@ -147,7 +155,7 @@ class Drilling(ContactEnvironment):
         return float(heights[0]), float(heights[1])
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
-        """Move the bur to its first guess of the tick, by the force at the end of the last tick."""
+        """Move the bur to the tick's first guess, from the force at the end of the last tick."""
         self._thrust = self.thrust_N * float(self._command[0])
         self._before = self._speed
         self._top_m = float(motion.tip_m[2])
@@ -163,7 +171,7 @@ class Drilling(ContactEnvironment):
         self._set_speed(response, motion)
 
     def correct(self, response: Response, motion: ToolMotion) -> bool:
-        """Search down to the pose where the bone's force balances the thrust."""
+        """Search downwards for the pose at which the bone's force balances the thrust."""
         if not self._searches:
             return False
         balanced = max(self._balanced(response, motion, down=True), 0.0)
@@ -175,7 +183,7 @@ class Drilling(ContactEnvironment):
         return False
 
     def _set_speed(self, response: Response, motion: ToolMotion) -> None:
-        """Set the speed of the cut, and how far the bone answers the thrust of a bur that rests."""
+        """Set the cutting speed, and the share of the thrust that the bone bears at rest."""
         edge = max(float(response.edge[2]), 0.0)
         motion.speed_m_s = abs(self._speed)
         rests = self._speed == 0.0 and self._thrust > 0.0 and edge > 0.0
@@ -183,8 +191,9 @@ class Drilling(ContactEnvironment):
         motion.heading[0, 2] = 1.0 if self._speed < 0.0 else -1.0
 
     def _felt(self, response: Response) -> Array:
-        """Return the loads in the cut bone, on a bur that goes down: the next tick starts from
-        them.
+        """Return the loads in the cut bone on a bur that moves down.
+
+        The next tick starts from these loads.
         """
         motion = self.tool
         motion.heading[0, 2] = -1.0
@@ -194,7 +203,7 @@ class Drilling(ContactEnvironment):
         return self.stepper.response.wrench
 
     def _balanced(self, response: Response, motion: ToolMotion, *, down: bool) -> float:
-        """Return the speed that balances thrust, inertia, damping and a force of the bone [m/s]."""
+        """Return the speed that balances thrust, inertia, damping and the bone's force [m/s]."""
         edge = max(float(response.edge[2]), 0.0)
         drag = max(float(response.resistance[2]), 0.0)
         before = self._before

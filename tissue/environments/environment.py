@@ -20,26 +20,26 @@ from tissue.simulation.loop import Stepper
 __all__ = ["FORCE_WEIGHT", "TIME_WEIGHT", "ContactEnvironment", "Entry"]
 
 FORCE_WEIGHT = 1.0
-"""What a whole episode at twice the limit of force costs."""
+"""Penalty for a whole episode at twice the force limit."""
 TIME_WEIGHT = 0.1
-"""What a whole episode's time costs: the score of doing nothing is its negative."""
+"""Penalty for the time of a whole episode; doing nothing scores its negative."""
 FRAMES_PER_S = 50
 
 
 @dataclass(frozen=True)
 class Entry:
-    """Numbers of an observation.
+    """Group of numbers in an observation.
 
     Attributes
     ----------
     name
-        What they are.
+        Name of the quantity.
     scale
-        What is 1 in the observation, in `unit`; beyond that it is clipped.
+        Value that becomes 1 in the observation, in `unit`; larger values are clipped.
     unit
         Unit of the scale.
     count
-        How many they are.
+        Count of the numbers.
     """
 
     name: str
@@ -49,14 +49,15 @@ class Entry:
 
 
 class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
-    """A tool that a policy leads against tissue: the environment is the motion of its tool.
+    """Environment in which a policy moves a tool against tissue; it is the tool's motion.
 
     A step is `ticks` ticks of 1 ms under one action, whose entries lie in [-1, 1]. The observation
-    is the numbers of `entries`, each over its scale and clipped to [-1, 1], loads being means over
-    the step. The reward of a step is::
+    consists of the numbers of `entries`, each divided by its scale and clipped to [-1, 1]. Loads
+    are means over the step. The reward of a step is::
 
-        P(after) - P(before) - 1.0 / M * sum over its ticks of max(0, F / limit - 1) - 0.1 * ticks /
-        M
+        P(after) - P(before)
+            - 1.0 / M * sum over its ticks of max(0, F / limit - 1)
+            - 0.1 * ticks / M
 
     with the potential P of the task, the size F of the contact force and the M ticks of a whole
     episode. ``info`` holds its parts in ``reward_terms``, the episode's random draws in ``drawn``,
@@ -68,19 +69,20 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
     ticks
         Ticks of 1 ms in a step, 1 to 200.
     duration_s
-        Time after which an episode is truncated [s]; None: that of the task.
+        Time after which an episode is truncated [s]; None for the task's default.
     force_limit_N
-        Contact force from which on force costs [N]; None: that of the task.
+        Contact force above which force reduces the reward [N]; None for the task's default.
     render_mode
-        None, or ``rgb_array``: `render` gives a picture.
+        None, or ``rgb_array``, for which `render` returns a picture.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": FRAMES_PER_S}  # noqa: RUF012
     entries: ClassVar[tuple[Entry, ...]]
     action_count: ClassVar[int]
     ranges: ClassVar[Mapping[str, tuple[float, float]]]
-    """Limits of the quantities that an episode draws uniformly; `reset(options={...})` fixes any
-    of them.
+    """Limits of the quantities that an episode draws uniformly.
+
+    `reset(options={...})` fixes any of them.
     """
     usual_duration_s: ClassVar[float]
     usual_force_limit_N: ClassVar[float]
@@ -122,18 +124,18 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
 
     @cached_property
     def stepper(self) -> Stepper:
-        """Motion and tissue, tick by tick; made at the first reset."""
+        """Stepper of motion and tissue; made at the first reset."""
         return Stepper(self, self.model, balances=self.balances)
 
     @property
     def tool(self) -> ToolMotion:
-        """Pose of the tool as the tissue has it."""
+        """Pose of the tool at the tissue."""
         return self.stepper.tool
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode; `options` fixes what would be drawn, by the names of `ranges`.
+        """Begin an episode; `options` fixes quantities by the names of `ranges`.
 
         Raises
         ------
@@ -160,7 +162,7 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
         return self._observe(), {"drawn": dict(self.drawn), "score": 0.0, **self._facts()}
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Move on for `ticks` ticks."""
+        """Advance by `ticks` ticks."""
         if not self.drawn:
             raise InputError("step", "follow reset", "no episode", "call reset first")
         command = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
@@ -194,7 +196,7 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
 
     @property
     def time_left(self) -> float:
-        """Share of the episode's time that is left."""
+        """Remaining share of the episode's time."""
         return 1.0 - self._done_steps / self._steps
 
     @property
@@ -203,7 +205,7 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
         return self._loads[:3].copy()
 
     def named(self, observation: Any) -> dict[str, Array]:
-        """The numbers of an observation by name, in the units of `entries`."""
+        """Return the numbers of an observation by name, in the units of `entries`."""
         state = observation["state"] if isinstance(observation, dict) else observation
         values = np.asarray(state, dtype=np.float64) * self._scales
         places = np.cumsum([e.count for e in self.entries])
@@ -213,12 +215,12 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
         }
 
     def _scaled(self, *values: ArrayLike) -> NDArray[np.float32]:
-        """The numbers of `entries` as an observation."""
+        """Return the numbers of `entries` as an observation."""
         whole = np.concatenate([np.atleast_1d(each) for each in values])
         return np.clip(whole / self._scales, -1.0, 1.0).astype(np.float32)
 
     def render(self) -> NDArray[np.uint8] | None:
-        """A picture, shape (height, width, 3); None without a render mode."""
+        """Return a picture, shape (height, width, 3); None without a render mode."""
         if self.render_mode is None:
             return None
         if not self.drawn:
@@ -228,11 +230,11 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
     @property
     @abstractmethod
     def model(self) -> TissueModel:
-        """The tissue."""
+        """Model of the tissue."""
 
     @abstractmethod
     def _prepare(self) -> None:
-        """Restore the tissue and take what the episode has drawn."""
+        """Restore the tissue and apply the values drawn for the episode."""
 
     def _tick(self, command: Array) -> Array:
         """Advance by a tick; return force [N] and torque [N m] on the tool, shape (6,)."""
@@ -241,12 +243,12 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
         return self._felt(self.stepper.response)
 
     def _felt(self, response: Response) -> Array:
-        """Return the loads on the tool in a tick, by the tissue's answer."""
+        """Return the loads on the tool in a tick, from the tissue's response."""
         return response.wrench
 
     @abstractmethod
     def _potential(self) -> dict[str, float]:
-        """Return the summands of the potential, 0 at the start of an episode."""
+        """Return the summands of the potential, which is 0 at the start of an episode."""
 
     @abstractmethod
     def _is_over(self) -> bool:
@@ -254,11 +256,11 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
 
     @abstractmethod
     def _observe(self) -> Any:
-        """Return the observation of a policy."""
+        """Return the observation for a policy."""
 
     @abstractmethod
     def _facts(self) -> dict[str, Any]:
-        """Return further entries of ``info``."""
+        """Return additional entries of ``info``."""
 
     @abstractmethod
     def _draw(self) -> NDArray[np.uint8]:

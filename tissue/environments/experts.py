@@ -1,5 +1,6 @@
-"""Scripted policies that do what each task asks, from observations alone: what a learned one is
-compared with.
+"""Scripted policies for the environments, as baselines for learned policies.
+
+They use observations alone.
 """
 
 from typing import Any
@@ -16,11 +17,11 @@ __all__ = ["DrillingExpert", "MillingExpert", "PalpationExpert", "expert_of"]
 TRACK_MM, LAYER_MM, ABOVE_MM = 0.7, 0.27, 0.3
 REACHED_MM = 0.03
 SOFTER = 0.5
-"""Share of the enamel's resistance below which the bur has left it."""
+"""Share of the enamel's resistance below which the bur counts as beyond the enamel."""
 
 
 class MillingExpert:
-    """Tracks to and fro over the pocket, layer by layer, slower where the force nears its limit."""
+    """Policy that mills the pocket in tracks, layer by layer, slower near the force limit."""
 
     def __init__(self, env: Milling) -> None:
         self._env = env
@@ -36,7 +37,7 @@ class MillingExpert:
         self._speed = env.top_speed_mm_s
 
     def __call__(self, observation: Any) -> Array:
-        """The next action."""
+        """Return the next action."""
         env = self._env
         seen = self._env.named(observation)
         share = float(np.linalg.norm(seen["force"])) / env.force_limit_N
@@ -53,8 +54,9 @@ class MillingExpert:
 
 
 class DrillingExpert:
-    """Pushes at the limit through enamel, gently once resistance halves, 0.5 mm on from there,
-    and out again.
+    """Policy that drills through enamel at the force limit, then 0.5 mm further, and withdraws.
+
+    It pushes gently once the resistance has halved.
     """
 
     def __init__(self, env: Drilling) -> None:
@@ -64,7 +66,7 @@ class DrillingExpert:
         self._out = False
 
     def __call__(self, observation: Any) -> Array:
-        """The next action."""
+        """Return the next action."""
         env = self._env
         seen = self._env.named(observation)
         depth = float(seen["depth"][0])
@@ -84,8 +86,9 @@ class DrillingExpert:
 
 
 class PalpationExpert:
-    """Slides round in a circle, then out and across at its hardest place, and lifts where it is
-    hardest.
+    """Policy that slides in a circle, then out and across at its stiffest point, and lifts.
+
+    It lifts where the tissue is stiffest.
     """
 
     def __init__(self, env: Palpation) -> None:
@@ -96,7 +99,7 @@ class PalpationExpert:
         self._height_mm = -2.0
 
     def __call__(self, observation: Any) -> Array:
-        """The next action."""
+        """Return the next action."""
         seen = self._env.named(observation)
         tip = seen["tip"]
         force = float(np.linalg.norm(seen["force"]))
@@ -122,7 +125,7 @@ class PalpationExpert:
         return np.array([*aside, rise])
 
     def _next_stage(self) -> None:
-        """Plan what follows from what was felt since the last stage."""
+        """Plan the next stage from the forces felt since the last stage."""
         self._stage += 1
         hardest = self._hardest_place() if self._stage > 1 else np.zeros(2)
         if self._stage == 1:
@@ -139,15 +142,19 @@ class PalpationExpert:
         self._felt = [] if self._stage < 4 else self._felt
 
     def _hardest_place(self) -> Array:
-        """Mean of the places felt, by how much harder than most they are."""
+        """Return the mean of the touched points, weighted by their excess stiffness.
+
+        The excess is relative to the third quartile of the stiffness.
+        """
         felt = np.array(self._felt)
         weight = np.clip(felt[:, 2] - np.quantile(felt[:, 2], 0.75), 0.0, None) ** 2 + 1e-12
         return np.asarray((weight[:, None] * felt[:, :2]).sum(axis=0) / weight.sum())
 
 
 def expert_of(env: Any) -> MillingExpert | DrillingExpert | PalpationExpert:
-    """Return a new expert for an episode of an environment, wrapped or not: call it with each
-    observation.
+    """Return a new expert for an episode of an environment, wrapped or not.
+
+    Call it with each observation.
     """
     bare = env.unwrapped
     if isinstance(bare, Milling):

@@ -1,4 +1,4 @@
-"""Milling a pocket out of cortical bone with a ball burr."""
+"""Environment for milling a pocket out of cortical bone with a ball burr."""
 
 from functools import cached_property
 from os import PathLike
@@ -21,53 +21,61 @@ __all__ = ["Milling"]
 LAYERS = ("target", "tolerance", "spared")
 BLOCK_MM = (13.2, 10.8, 3.6)
 SPACING_MM = 0.2
-"""Edge of a voxel: a twentieth of the burr. Forces are within 2 % of those at 0.1 mm on the
-paths that were tried.
+"""Edge of a voxel [mm]: a twentieth of the burr.
+
+On the tested paths, forces differ by at most 2 % from the forces with 0.1 mm.
 """
 BURR_MM, FLUTES, SPIN_RPM = 4.0, 6, 20_000.0
 TOLERANCE_MM = 0.25
-"""Distance on both sides of the pocket's wall that counts neither as target nor as overcut: more
-than half a voxel and the scallops between tracks 0.7 mm apart."""
+"""Distance from the pocket's wall that counts neither as target nor as overcut [mm].
+
+It applies to both sides. It is more than half a voxel and the scallops between tracks 0.7 mm apart.
+"""
 PATCH_MM = 0.6
-"""Distance of the patch's points: with 9 of them a fifth more than the burr."""
+"""Distance between the points of the patch [mm].
+
+Nine points span a fifth more than the burr.
+"""
 DONE = 0.99
 
 
 class Milling(ContactEnvironment):
-    """Mill a pocket out of cortical bone: all of it, nothing else, without pushing hard.
+    """Mill a complete pocket out of cortical bone with low force and without overcut.
 
-    A ball burr of 4 mm turns at 20,000 a minute over a block whose top lies at z = 0. The pocket is
-    what it sweeps where its tip goes over a rectangle of 4 x 2 mm, 0.8 mm deep; 0.25 mm on both
-    sides of its wall count as neither. The hand is stiff: the tool goes where it is led. An episode
-    draws the bone's density and where the tool starts.
+    A ball burr of 4 mm turns at 20,000 revolutions a minute above a block whose top lies at z = 0.
+    The pocket is the volume swept by the burr while its tip covers a rectangle of 4 x 2 mm, 0.8 mm
+    deep. A margin of 0.25 mm on both sides of its wall counts neither as target nor as overcut. The
+    hand is stiff: the tool follows its command exactly. An episode draws the bone's density and the
+    start of the tool.
 
-    **Action**, 3 numbers in [-1, 1]: velocity of the tip along x, y and z, of 10 mm/s. A virtual
-    fixture keeps the tip within 2.75, 1.75 mm of the middle along x, y and from 2 mm over the bone
-    to 1.1 mm deep.
+    **Action**, 3 numbers in [-1, 1]: velocity of the tip along x, y and z, scaled by 10 mm/s. A
+    virtual fixture keeps the tip within 2.75 mm of the middle along x and 1.75 mm along y. It also
+    keeps the tip between 2 mm above the bone and 1.1 mm deep.
 
-    **Observation**, see `entries`: the tip from the middle of the pocket's mouth, its velocity,
-    force and torque on the tool, from the tip to the nearest voxel of the target that is left,
-    share of the target that is gone, overcut as a share of the target, time left. With
-    ``patch=True`` a dictionary of that as ``state`` and of the share of bone at 9 x 9 x 9 points
-    0.6 mm apart around the burr's centre as ``patch``.
+    **Observation**, see `entries`: position of the tip from the middle of the pocket's mouth, its
+    velocity, force and torque on the tool, vector from the tip to the nearest remaining voxel of
+    the target, removed share of the target, overcut as a share of the target, time left. With
+    ``patch=True`` the observation is a dictionary. Its entry ``state`` holds these numbers. Its
+    entry ``patch`` holds the share of bone at 9 x 9 x 9 points 0.6 mm apart around the burr's
+    centre.
 
     **Reward**, see `ContactEnvironment`, with the potential::
 
-        P = (volume removed of the target - volume removed beyond the tolerance) / volume of the
-        target
+        P = (volume removed of the target - volume removed beyond the tolerance)
+            / volume of the target
 
     in ``reward_terms`` as ``progress`` and ``overcut``. No policy scores above 1; doing nothing
-    scores -0.1. An episode ends when 99 % of the target are gone and is truncated after 12 s. Force
-    costs from 20 N on.
+    scores -0.1. An episode ends when 99 % of the target are removed, and is truncated after 12 s.
+    Force above 20 N reduces the reward.
 
     Parameters
     ----------
     patch
-        Whether observations hold what is left around the burr.
+        Whether observations include the bone left around the burr.
     materials
         File of constants in place of the cited ones, as `tissue fit` writes it.
     options
-        As of `ContactEnvironment`.
+        As for `ContactEnvironment`.
     """
 
     entries = (
@@ -90,7 +98,7 @@ class Milling(ContactEnvironment):
     usual_duration_s = 12.0
     usual_force_limit_N = 20.0
     pocket_mm = (4.0, 2.0, 0.8)
-    """Sides of the rectangle that the tip goes over, and its depth [mm]."""
+    """Sides of the rectangle that the tip covers, and its depth [mm]."""
     top_speed_mm_s = 10.0
     reach_mm = np.array([[-2.75, -1.75, -1.1], [2.75, 1.75, 2.0]])
 
@@ -106,7 +114,7 @@ class Milling(ContactEnvironment):
 
     @cached_property
     def bone(self) -> RestorableBone:
-        """The block; made at the first reset."""
+        """Restorable bone of the block; made at the first reset."""
         burr = ball_burr(diameter_mm=BURR_MM, flutes=FLUTES, spin_rpm=SPIN_RPM)
         block = _block(self.pocket_mm)
         return RestorableBone(
@@ -123,19 +131,19 @@ class Milling(ContactEnvironment):
 
     @property
     def tip_mm(self) -> Array:
-        """The burr's tip [mm], shape (3,)."""
+        """Position of the burr's tip [mm], shape (3,)."""
         return 1e3 * self.tool.tip_m
 
     @property
     def model(self) -> BoneModel:
-        """The block under the burr."""
+        """Model of the block under the burr."""
         return self.bone.model
 
     def _prepare(self) -> None:
         self.bone.restore(dict.fromkeys(LAYERS, self.drawn["density_kg_m3"]))
 
     def begin(self, motion: ToolMotion) -> None:
-        """Put the tip at its drawn place."""
+        """Put the tip at its drawn position."""
         motion.tip_m[:] = [1e-3 * self.drawn[f"start_{axis}_mm"] for axis in "xyz"]
         motion.heading[0] = (0.0, 0.0, -1.0)
         motion.speed_m_s = 0.0
@@ -151,7 +159,10 @@ class Milling(ContactEnvironment):
             motion.heading[0] = moved / length
 
     def _shares(self) -> tuple[float, float]:
-        """Removed of the target and beyond the tolerance, over the target's volume."""
+        """Return shares removed from the target and beyond the tolerance.
+
+        Both are relative to the target's volume.
+        """
         removed = self.bone.model.removed_m3
         return 1e9 * float(removed[0]) / self._target_mm3, 1e9 * float(
             removed[2]
@@ -193,7 +204,7 @@ class Milling(ContactEnvironment):
 
 
 def _block(pocket_mm: tuple[float, float, float]) -> VoxelVolume:
-    """The block with its layers: the pocket, what lies near its wall, and the rest."""
+    """Return the block with its layers: the pocket, the margin at its wall, and the rest."""
     counts = np.round(np.array(BLOCK_MM) / SPACING_MM).astype(int)
     origin = np.array([-0.5, -0.5, -1.0]) * SPACING_MM * counts
     x, y, z = (

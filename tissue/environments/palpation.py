@@ -1,4 +1,4 @@
-"""Palpating a slab of soft tissue for a stiff nodule under its surface."""
+"""Environment for palpating a slab of soft tissue for a stiff nodule under its surface."""
 
 from functools import cached_property
 from typing import Any
@@ -19,33 +19,36 @@ __all__ = ["Palpation"]
 SIZE_M, EDGE_M = (0.1, 0.1, 0.028), 4e-3
 NODULE_RADIUS_M, NODULE_DEPTH_M = 8e-3, 13e-3
 MODULUS_KPA, NODULE_TIMES = 5.0, 20.0
-"""Young's modulus that is solved for, with forces scaled to the episode's, and how much stiffer
-the nodule is.
+"""Young's modulus used in the solution [kPa], and stiffness ratio of the nodule to the tissue.
+
+Forces are scaled to the episode's modulus.
 """
 POISSON_RATIO = 0.45
-"""Lower than soft tissue's 0.49, at which linear tetrahedra lock."""
+"""Poisson's ratio, lower than soft tissue's 0.49, at which linear tetrahedra lock."""
 BALL_RADIUS_M = 8e-3
 REACH_M = 22e-3
-"""How far from its start the fingertip goes aside."""
+"""Largest lateral distance of the fingertip from its start [m]."""
 LOWEST_M, START_M, CEILING_M = -3e-3, 1e-3, 3e-3
-"""Heights of the tip: the deepest, where linear elasticity is within 5 % of a hyperelastic force,
-that at the start, and that at which the fingertip counts as lifted."""
+"""Heights of the tip: deepest, at the start, and at which it counts as lifted [m].
+
+At the deepest height linear elasticity is within 5 % of a hyperelastic force.
+"""
 NEAR_M = 10e-3
 TOP_SPEED_M_S = np.array([60e-3, 60e-3, 30e-3])
 
 
 class Palpation(ContactEnvironment):
-    """Find a stiff nodule under the surface of soft tissue: press, slide, and lift where it lies.
+    """Find a stiff nodule under soft tissue: press, slide, and lift above the nodule.
 
-    A fingertip, a ball of 16 mm, goes over a slab of linear-elastic tissue, friction 0.1, in which
-    a nodule of 16 mm, 20 times as stiff, lies 5 mm under the surface, 10 to 18 mm from where the
-    tip starts. An episode draws the tissue's modulus, to which all forces are proportional,
-    distance and bearing of the nodule, and how the slab is turned. The frame's origin lies at the
+    A fingertip, a ball of 16 mm, moves over a slab of linear-elastic tissue with friction 0.1. A
+    nodule of 16 mm, 20 times as stiff, lies 5 mm under the surface, 10 to 18 mm from the start of
+    the tip. An episode draws the tissue's modulus, distance and bearing of the nodule, and the
+    rotation of the slab. All forces are proportional to the modulus. The frame's origin lies at the
     start, on the surface.
 
-    **Action**, 3 numbers in [-1, 1]: velocity of the tip along x and y, of 60 mm/s, and z, of 30
-    mm/s. The tip stays within 22 mm of the start aside, and from 3 mm over the surface to 3 mm
-    deep.
+    **Action**, 3 numbers in [-1, 1]: velocity of the tip, scaled by 60 mm/s along x and y, and by
+    30 mm/s along z. The tip stays within a lateral distance of 22 mm from the start, and between 3
+    mm above the surface and 3 mm deep.
 
     **Observation**, see `entries`: tip and its velocity, force and torque on the tip, time left.
 
@@ -53,15 +56,15 @@ class Palpation(ContactEnvironment):
 
         P = max(0, 1 - d / 10 mm)
 
-    of the distance d aside between tip and nodule, ``progress`` in ``reward_terms``: 0 at the
-    start. No policy scores above 1; doing nothing scores -0.1. An episode ends when the tip, having
-    touched, is 3 mm above the surface, and is truncated after 6 s; where the tip is then is the
-    guess. Force costs from 0.4 N on.
+    Here d is the lateral distance between tip and nodule. The potential is 0 at the start, and
+    ``progress`` in ``reward_terms``. No policy scores above 1; doing nothing scores -0.1. An
+    episode ends when the tip has touched and is 3 mm above the surface, and is truncated after 6 s.
+    The position of the tip at the end is the guess. Force above 0.4 N reduces the reward.
 
     Parameters
     ----------
     options
-        As of `ContactEnvironment`.
+        As for `ContactEnvironment`.
     """
 
     entries = (
@@ -94,7 +97,10 @@ class Palpation(ContactEnvironment):
 
     @cached_property
     def organ(self) -> LiverModel:
-        """The slab under the fingertip; made at the first reset, its compliance kept on disk."""
+        """Model of the slab under the fingertip; made at the first reset.
+
+        Its compliance is kept on disk.
+        """
         mesh = slab(
             size_m=SIZE_M,
             spacing_m=EDGE_M,
@@ -118,7 +124,7 @@ class Palpation(ContactEnvironment):
 
     @property
     def model(self) -> LiverModel:
-        """The slab."""
+        """Model of the slab."""
         return self.organ
 
     def _prepare(self) -> None:
@@ -135,7 +141,7 @@ class Palpation(ContactEnvironment):
         self.path = []
 
     def begin(self, motion: ToolMotion) -> None:
-        """Bring the tool to the tip, in the frame of the slab, whose middle holds the nodule."""
+        """Bring the tool to the tip, in the frame of the slab, with the nodule in its middle."""
         away = np.array([*(self.tip_m[:2] - self.nodule_m), self.tip_m[2]])
         np.dot(self._turn, away, out=motion.tip_m)
 
@@ -158,7 +164,7 @@ class Palpation(ContactEnvironment):
 
     @property
     def error_mm(self) -> float:
-        """Distance aside between the tip and the nodule [mm]."""
+        """Lateral distance between the tip and the nodule [mm]."""
         return 1e3 * float(np.hypot(*(self.tip_m[:2] - self.nodule_m)))
 
     def _potential(self) -> dict[str, float]:

@@ -1,6 +1,4 @@
-"""Stills of the environments: a section through what is left under the tool, or what a fingertip
-has felt.
-"""
+"""Pictures of the environments: a section through the bone under the tool, or felt forces."""
 
 from typing import TYPE_CHECKING
 
@@ -44,7 +42,7 @@ def _pixels(figure: Figure) -> NDArray[np.uint8]:
 def _section(
     panel: Axes, bone: RestorableBone, across: int, at_m: float, colours: tuple[str, ...]
 ) -> None:
-    """Layers of what is left in the plane across an axis [m]."""
+    """Draw the layers of the remaining bone in the plane across an axis [m]."""
     volume = bone.model.store.volume
     assert volume is not None
     place = int(
@@ -65,8 +63,9 @@ def _section(
 
 
 def milling_picture(env: "Milling") -> NDArray[np.uint8]:
-    """Sections along x under the burr and through the pocket at half its depth, the target in
-    orange.
+    """Draw sections under the burr along x, and through the pocket at half its depth.
+
+    The target is orange.
     """
     figure, (side, top) = _canvas(env, 2)
     tip = env.tip_mm
@@ -80,7 +79,7 @@ def milling_picture(env: "Milling") -> NDArray[np.uint8]:
 
 
 def drilling_picture(env: "Drilling") -> NDArray[np.uint8]:
-    """Section along x under the bur, with the wanted depth."""
+    """Draw a section along x under the bur, with the wanted depth."""
     figure, (side,) = _canvas(env, 1)
     tip = 1e3 * env.tool.tip_m
     radius = 1e3 * env.bone.model.cutter.profile.radius_m
@@ -99,7 +98,7 @@ def drilling_picture(env: "Drilling") -> NDArray[np.uint8]:
 
 
 def palpation_picture(env: "Palpation") -> NDArray[np.uint8]:
-    """Path of the fingertip by the force that it felt, and where the nodule lies."""
+    """Draw the fingertip's path, coloured by its force, and the position of the nodule."""
     figure, (top,) = _canvas(env, 1)
     x, y, _, force = np.array(env.path).T
     shown = top.scatter(x, y, c=force, s=12, cmap="viridis")

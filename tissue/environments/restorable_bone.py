@@ -1,4 +1,4 @@
-"""Voxels that a cutter cuts in many episodes: made once, brought back by copying."""
+"""Voxels that a cutter cuts in many episodes: made once, restored by copying."""
 
 from collections.abc import Mapping
 from os import PathLike
@@ -18,12 +18,12 @@ from tissue.simulation.builders.own_constants import given_note
 __all__ = ["PATCH_POINTS", "RestorableBone"]
 
 PATCH_POINTS = 9
-"""Points along each side of a patch of what is left."""
+"""Number of points along each side of a patch."""
 LAYER_BITS = 255
 
 
 class RestorableBone:
-    """Voxels under one cutter, which `restore` makes uncut.
+    """Voxels under one cutter that `restore` resets to the uncut state.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class RestorableBone:
     shell_spacing_m
         Distance between the cutter's elements [m].
     materials
-        File of constants in place of the cited ones; None takes those.
+        File of constants in place of the cited ones; None for the cited ones.
 
     Attributes
     ----------
@@ -54,8 +54,8 @@ class RestorableBone:
         layers = volume.layer_names
         used = used_of_cutting(given, layers, bone="bone", stated={}, has_reference_density=False)
         given_note(given, used, layers=layers, by="environment")
-        # A material is named for layers that have none of their own; one core, as environments run
-        # beside each other.
+        # The material applies to layers without their own coefficients. Environments run in
+        # parallel, so each uses one core.
         bone = VoxelBone(volume, given.coefficients(layers, {}, bone="bone"))
         self.model = bone.model(cutter, shell_spacing_m=shell_spacing_m, cores=1)
         self._uncut = self.model.carver.state()
@@ -63,7 +63,7 @@ class RestorableBone:
         self._layer = self._material & LAYER_BITS
 
     def restore(self, density_kg_m3: Mapping[str, float]) -> None:
-        """Bring back all that was cut, and give some layers another density [kg/m3]."""
+        """Restore the uncut bone, and set another density of some layers [kg/m3]."""
         store = self.model.store
         self.model.carver.restore(self._uncut)
         self.model.removed_steps[:] = 0
@@ -74,12 +74,13 @@ class RestorableBone:
         np.copyto(self._material, density << 16 | self._layer)
 
     def removed_mm3(self, layer: str) -> float:
-        """Volume taken from a layer so far [mm3]."""
+        """Return the volume removed from a layer so far [mm3]."""
         return 1e9 * float(self.model.removed_m3[self.model.layer_names.index(layer)])
 
     def voxels(self, layer: str) -> tuple[NDArray[np.intp], Array]:
-        """Full voxels of a layer before any cut: places in the flat array of stored voxels, and
-        centres [m].
+        """Return full voxels of a layer before any cut.
+
+        They are indices into the flat array of stored voxels, and centres [m].
         """
         store = self.model.store
         full = self._uncut.remaining.numpy() == np.iinfo(np.uint16).max
@@ -88,13 +89,14 @@ class RestorableBone:
         return np.flatnonzero(chosen), store.grid.origin_m + store.grid.spacing_m * (places + 0.5)
 
     def left(self, at: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Which voxels are at least half there, by their places in the flat array."""
+        """Return whether voxels are at least half full, by their indices in the flat array."""
         stored = self.model.store.remaining.numpy().reshape(-1)
         return np.asarray(stored[at] > np.iinfo(np.uint16).max // 2)
 
     def patch(self, centre_m: Array, spacing_m: float) -> NDArray[np.float32]:
-        """Share of bone at points around a place, shape (9, 9, 9), 0 none to 1 full, axes along
-        x, y and z.
+        """Return the share of bone at points around a centre, shape (9, 9, 9), from 0 to 1.
+
+        The axes are along x, y and z.
         """
         side = spacing_m * (np.arange(PATCH_POINTS) - PATCH_POINTS // 2)
         points = np.stack(np.meshgrid(side, side, side, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -1,3 +1,4 @@
-"""What `import tissue` offers: objects that one holds, runs them and shows them. Nothing below
-imports it.
+"""Objects of `import tissue`, which users create, run and show.
+
+No lower layer imports this package.
 """

@@ -1,5 +1,6 @@
-"""A trainee's run held against a reference of the same scene, as `tissue assess` does:
-`tissue.assess`.
+"""Assessment of a trainee's run against a reference run of the same scene: `tissue.assess`.
+
+The command `tissue assess` does the same.
 """
 
 from contextlib import suppress
@@ -18,7 +19,7 @@ __all__ = ["Assessment", "assess"]
 
 
 class Assessment(engine.Assessment):
-    """A trainee's run beside the reference; ``print`` shows what a person reads."""
+    """Comparison of a trainee's run with the reference; ``print`` shows a readable report."""
 
     def __str__(self) -> str:
         return "\n".join(engine.assessment_lines(self))
@@ -42,25 +43,25 @@ def assess(
     deviation_limit_mm: float = 1.0,
     overshoot_limit_mm: float = 0.5,
 ) -> Assessment:
-    """Hold one run against another of the same scene, aligned by place, so that a pause is no
-    error.
+    """Compare a trainee's run with a reference run of the same scene.
+
+    The runs are aligned by position, so a pause is no error.
 
     Parameters
     ----------
     trainee, reference
         Runs, or folders of runs.
     force_limit_N
-        Force on the tool that should not be passed [N]; 1.25 times the reference's peak where it is
-        not given.
+        Force on the tool that should not be exceeded [N]; default 1.25 times the reference's peak.
     deviation_limit_mm
-        Distance from the reference's path that should not be passed [mm].
+        Distance from the reference's path that should not be exceeded [mm].
     overshoot_limit_mm
-        How far below the reference's deepest point the tip may go [mm].
+        Largest allowed distance of the tip below the reference's deepest point [mm].
 
     Raises
     ------
     InputError
-        If the runs are of two tasks (another anatomy, tool or material), hold no trace, or never
+        If the runs are of two tasks (different anatomy, tool or material), have no trace, or never
         touch.
     """
     found = engine.assess(
@@ -75,7 +76,7 @@ def assess(
 
 @dataclass(frozen=True)
 class _Held:
-    """A run as it is assessed."""
+    """Run with the attributes that an assessment reads."""
 
     path: Path | None
     summary: Summary
@@ -87,6 +88,6 @@ class _Held:
 def _held(run: Run | str | Path) -> _Held:
     run = run if isinstance(run, Run) else open_run(run)
     scene = None
-    with suppress(InputError):  # a run whose scene.toml is gone can be assessed all the same
+    with suppress(InputError):  # a run without scene.toml can be assessed too
         scene = run.scene
     return _Held(run.path, run.summary, run.trace, run.status == "complete", scene)

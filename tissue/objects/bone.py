@@ -1,4 +1,4 @@
-"""Bone that one holds: made of a file, a block, an array or an image, cut by tools, shown."""
+"""Bone object: made from a file, a block, an array or an image, cut by tools, and shown."""
 
 from dataclasses import replace
 from os import PathLike
@@ -29,13 +29,14 @@ __all__ = ["Bone"]
 
 
 class Bone:
-    """Bone in the frame of its file or array [mm]; `from_file`, `block`, `from_array` and
-    `from_image` make one.
+    """Bone in the frame of its file or array [mm].
+
+    `from_file`, `block`, `from_array` and `from_image` make one.
 
     Attributes
     ----------
     notes
-        What was found in a file or assumed of it, by what it is about.
+        Notes on findings and assumptions about a file, by subject.
     spacing_mm
         Edge of a voxel [mm].
     """
@@ -63,7 +64,7 @@ class Bone:
         trabecular_density_kg_m3: float = 350.0,
         **options: Unpack[BoneOptions],
     ) -> "Bone":
-        """Bone in a closed surface: a cortical shell of even thickness over trabecular bone.
+        """Make bone in a closed surface: a cortical shell of even thickness over trabecular bone.
 
         Parameters
         ----------
@@ -74,7 +75,7 @@ class Bone:
         scale_mm
             Millimetres per unit of the file; without it the unit is guessed and noted.
         cortical_thickness_mm
-            Thickness of the shell [mm], 0 (none) to 10; a surface does not hold it.
+            Thickness of the shell [mm], 0 (none) to 10; a surface does not contain it.
         cortical_density_kg_m3, trabecular_density_kg_m3
             Apparent densities [kg/m3], 50 to 2500.
         options
@@ -107,7 +108,7 @@ class Bone:
         spacing_mm: float = 0.1,
         **options: Unpack[BoneOptions],
     ) -> "Bone":
-        """A block of one density, its top face at z = 0 with the origin at its middle.
+        """Make a block of one density, its top face at z = 0 with the origin at its middle.
 
         Parameters
         ----------
@@ -116,7 +117,7 @@ class Bone:
         density_kg_m3
             Apparent density, 100 to 2500 kg/m3; 1800 is cortical bone.
         spacing_mm, options
-            As of `from_file`.
+            As for `from_file`.
         """
         require_known(options, maker="Bone.block")
         anatomy = cortical_block(size_mm=size_mm, density_kg_m3=density_kg_m3)
@@ -134,7 +135,7 @@ class Bone:
         layer_names: tuple[str, ...] = ("bone",),
         **options: Unpack[BoneOptions],
     ) -> "Bone":
-        """Bone of an array of densities, 0 where there is none.
+        """Make bone from an array of densities, with 0 where there is no bone.
 
         Parameters
         ----------
@@ -148,10 +149,10 @@ class Bone:
         layer
             Number of each voxel's layer, same shape; default all 0.
         layer_names
-            Name of each layer; enamel, dentin, caries, pulp and ligament are cut as such, others as
-            `material`.
+            Name of each layer; enamel, dentin, caries, pulp and ligament are cut with their own
+            coefficients, other layers with the coefficients of `material`.
         options
-            As of `from_file`.
+            As for `from_file`.
 
         Raises
         ------
@@ -180,8 +181,9 @@ class Bone:
         max_memory_GB: float | None = None,
         **options: Unpack[BoneOptions],
     ) -> "Bone":
-        """Bone of an image volume: what lies above a grey value, of one density, in the patient's
-        frame (LPS, mm).
+        """Make bone of one density from an image volume, where its grey value exceeds a threshold.
+
+        The frame is the patient's frame (LPS, mm).
 
         Parameters
         ----------
@@ -192,18 +194,18 @@ class Bone:
         density_kg_m3
             Apparent density of the bone, 50 to 20000 kg/m3.
         spacing_mm
-            Edge of a voxel [mm] to resample to; default the finest of the file's. Of TIFF slices,
-            their own.
+            Edge of a voxel [mm] to resample to; default the finest spacing of the file. For TIFF
+            slices it is the spacing of their voxels.
         max_memory_GB
             Memory that the image may take [GB]; default half of the free memory.
         options
-            As of `from_file`.
+            As for `from_file`.
 
         Raises
         ------
         InputError
-            If the file cannot be used, nothing lies above the threshold, or it would not fit
-            memory.
+            If the file cannot be used, nothing lies above the threshold, or the bone would not fit
+            in memory.
         """
         require_known(options, maker="Bone.from_image")
         with memory_limit(max_memory_GB):
@@ -223,31 +225,29 @@ class Bone:
         tolerance: float = 0.01,
         keep_clear: Structures | None = None,
     ) -> Cut:
-        """Move a turning tool through poses: remove what it sweeps, and compute the force at every
-        pose.
+        """Move a turning tool through poses; remove the swept bone and compute the forces.
 
-        The bone keeps the cut, and the same tool that begins where it ended continues the cut.
-        Between poses the tool moves straight. Its velocity at a pose is the difference to the pose
-        before, so force and torque at the first pose are 0; what lies inside the tool there is
-        removed.
+        The bone keeps the cut. The same tool continues the cut if it begins where it ended. Between
+        poses the tool moves straight. Its velocity at a pose is the difference to the pose before,
+        so force and torque at the first pose are 0; bone inside the tool at that pose is removed.
 
-        A warning is issued, and noted in `Cut.notes` and `Cut.events`, where the feed per tooth
-        exceeds 0.1 mm, and where a smooth part of the tool, such as a peg, is pushed into bone.
+        A warning is issued if the feed per tooth exceeds 0.1 mm, or if a smooth part of the tool,
+        such as a peg, is pushed into bone. The warning is also in `Cut.notes` and `Cut.events`.
 
         Parameters
         ----------
         tool
-            A cutter of `tissue.cutters`.
+            Cutter of `tissue.cutters`.
         poses, times_s
             Tips [mm], shape (n, 3); tips and quaternions (x, y, z, w), shape (n, 7); or matrices
             from the tool's frame to the bone's [mm], shape (n, 4, 4), with z from tip to shank; and
             increasing times [s], shape (n,).
         axis
-            Direction from tip to shank where poses are tips alone; default z.
+            Direction from tip to shank if the poses are tips only; default z.
         depth_mm, tolerance
             Smallest depth of cut that matters [mm], 0.001 to 100, and the relative error of its
-            force, 0.001 to 0.1. They decide how many elements the tool's surface has. Voxels should
-            be finer than the depth.
+            force, 0.001 to 0.1. They set the number of elements of the tool's surface. Voxels
+            should be finer than the depth.
         keep_clear
             Closed surfaces that the tool must not touch, by name: files or pyvista surfaces in the
             frame of the bone [mm]. The trace has ``distance_NAME_mm`` of each, and a breach is an
@@ -275,11 +275,11 @@ class Bone:
         )
 
     def require_cutter(self, tool: object) -> None:
-        """Refuse what cannot cut this bone."""
+        """Refuse an object that cannot cut this bone."""
         require_cutter(tool, spacing_mm=self.spacing_mm)
 
     def uncut(self) -> "Bone":
-        """The same bone before any cut."""
+        """Return the bone before any cut."""
         return Bone(self._source, **self._options)
 
     @property
@@ -294,20 +294,18 @@ class Bone:
 
     @property
     def removed(self) -> "Removed":
-        """What tools have taken away so far."""
+        """Bone that tools have removed so far."""
         return Removed(self.voxel_bone)
 
     def surface(self) -> "pyvista.PolyData":
-        """The bone's surface as it is now [mm], with the cell array ``layer``."""
+        """Return the bone's present surface [mm], with the cell array ``layer``."""
         from tissue.objects.bone_surface import bone_surface
 
         outer = self._source.outer
         return bone_surface(self.voxel_bone, outer() if outer is not None else None)
 
     def plot(self, **options: Any) -> Any:
-        """Show the bone as it is now, by layer; `options` are those of
-        ``pyvista.PolyData.plot``.
-        """
+        """Show the present bone by layer; `options` are options of ``pyvista.PolyData.plot``."""
         from tissue.objects.bone_surface import plot_surface
 
         return plot_surface(self.surface(), self.layer_names, **options)

@@ -1,4 +1,4 @@
-"""What a bone is cut as: cited coefficients, a caller's own, and those of a person's file."""
+"""Cutting coefficients of a bone: cited ones, a caller's own, and ones from a file."""
 
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
@@ -20,11 +20,11 @@ BOUNDS = {
     "_exponent": (0.0, 5.0),
     "_kg_m3": (50.0, 20000.0),
 }
-"""Range of a cutting coefficient by the end of its name, as of a scene's keys."""
+"""Range of a cutting coefficient, by the end of its name, as for a scene's keys."""
 
 
 class BoneOptions(TypedDict, total=False):
-    """Options that every bone takes; `tissue.Bone.from_file` states what they are."""
+    """Options that every bone takes; see `tissue.Bone.from_file`."""
 
     material: str
     cutting: Mapping[str, float] | None
@@ -32,7 +32,7 @@ class BoneOptions(TypedDict, total=False):
 
 
 def require_known(options: Mapping[str, object], *, maker: str) -> None:
-    """Refuse an argument that no bone has, as Python does where arguments are listed."""
+    """Refuse an argument that no bone takes, as Python does for a listed signature."""
     known = list(BoneOptions.__annotations__)
     for name in options:
         if name not in known:
@@ -70,13 +70,14 @@ def _require_coefficients(cutting: object) -> Mapping[str, float]:
 def cut_as(
     options: BoneOptions, layers: Sequence[str], density_kg_m3: float | None
 ) -> tuple[tuple[CuttingCoefficients, ...], dict[str, str]]:
-    """Coefficients of layers and a note on a file of constants; `density_kg_m3` where all of the
-    bone has one.
+    """Return the coefficients of layers, and a note on a file of constants.
+
+    `density_kg_m3` is the density of a bone with one density, else None.
 
     Raises
     ------
     InputError
-        If the file cannot be used, or holds nothing that counts in this bone.
+        If the file cannot be used, or holds no constant that affects this bone.
     """
     given = Materials.of(options.get("materials"))
     changes = _require_coefficients(options.get("cutting"))

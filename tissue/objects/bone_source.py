@@ -1,4 +1,4 @@
-"""What a bone is made of: voxels, a surface to show, and what was found or assumed."""
+"""Source of a bone: its voxels, a surface to show, and notes."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -19,25 +19,28 @@ if TYPE_CHECKING:
 __all__ = ["BoneSource", "anatomy_source", "image_source", "surface_source"]
 
 SHOWN_VOXELS = 4e6
-"""Voxels from which the surface of a bone that is a formula is drawn before it is cut."""
+"""Largest number of voxels for drawing the surface of a bone given by a formula.
+
+The surface is drawn before the bone is cut.
+"""
 KEY = "anatomy."
-"""What readers put before the names of a scene's keys."""
+"""Prefix that readers add to the keys of a scene."""
 
 
 @dataclass(frozen=True)
 class BoneSource:
-    """What a bone is made of, as often as it is wanted uncut.
+    """Source that makes an uncut bone any number of times.
 
     Attributes
     ----------
     voxels
-        Makes its voxels, or bricks that are made where a tool first reaches.
+        Function that makes its voxels, or bricks that are made where a tool first reaches.
     outer
-        Makes its surface before any cut [mm]; None where all voxels are made.
+        Function that makes its surface before any cut [mm]; None where all voxels are made.
     notes
-        What was found or assumed, by what it is about.
+        Notes on findings and assumptions, by subject.
     density_kg_m3
-        Its density where all of it has one.
+        Density of a bone with one density, else None.
     """
 
     voxels: Callable[[], VoxelVolume | BricksOnDemand]
@@ -49,13 +52,14 @@ class BoneSource:
 def anatomy_source(
     anatomy: Anatomy, *, spacing_mm: float, outer: "Callable[[], pyvista.PolyData] | None" = None
 ) -> BoneSource:
-    """An anatomy in its own frame, its voxels made where a tool reaches; `outer` as of
-    `BoneSource`.
+    """Return an anatomy in its own frame, with voxels made where a tool reaches.
+
+    `outer` is as for `BoneSource`.
     """
     spacing_m = 1e-3 * require_range("spacing_mm", spacing_mm, 1e-3, 5.0, "use about 0.1")
 
     def drawn() -> "pyvista.PolyData":
-        """The surface of coarse voxels."""
+        """Return the surface of coarse voxels."""
         from meshes.voxels.voxelise import voxelise
         from tissue.simulation.bone_surface import bone_surface
 
@@ -77,7 +81,7 @@ def surface_source(
     cortical_density_kg_m3: float,
     trabecular_density_kg_m3: float,
 ) -> BoneSource:
-    """A closed surface in a file, see `tissue.objects.bone.Bone.from_file`."""
+    """Read a closed surface from a file, see `tissue.objects.bone.Bone.from_file`."""
     from meshes.surfaces.bone_surface import surface_anatomy
     from meshes.surfaces.site import Site
     from meshes.surfaces.surface import read_surface
@@ -100,7 +104,7 @@ def surface_source(
     )
 
     def outer() -> "pyvista.PolyData":
-        """The triangles of the file."""
+        """Return the triangles of the file."""
         import pyvista
 
         return pyvista.PolyData.from_regular_faces(
@@ -113,9 +117,9 @@ def surface_source(
 def image_source(
     path: Path, *, threshold: float, density_kg_m3: float, spacing_mm: float | None
 ) -> BoneSource:
-    """An image volume, see `tissue.objects.bone.Bone.from_image`.
+    """Read an image volume, see `tissue.objects.bone.Bone.from_image`.
 
-    TIFF slices state no spacing: `spacing_mm` is then that of their voxels.
+    TIFF slices state no spacing: `spacing_mm` is then the spacing of their voxels.
     """
     from meshes.images.bone_image import image_volume
     from meshes.images.reading import read_image

@@ -1,4 +1,4 @@
-"""The surface of a bone that tools have cut, and of what they took away, as pyvista shows them."""
+"""Surfaces of a cut bone and of the removed bone, for pyvista."""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -18,15 +18,19 @@ if TYPE_CHECKING:
 __all__ = ["Removed", "bone_surface", "plot_surface", "removed_surface"]
 
 MERGED, SEAM = 1e-3, 3.0
-"""Points of two parts that are one, and loops that belong together, by their distance in voxels."""
+"""Largest distances [voxels] of points that are merged, and of loops that are joined.
+
+Both are between two parts of a surface.
+"""
 NEAR, AGREE = 0.5, 0.8
-"""Farthest voxels from a file's surface, and least cosine between normals, at which a cut bone
-is shaded like it.
+"""Largest distance [voxels] and smallest cosine of normals for shading like a file's surface.
+
+A cut bone is shaded like its file where both limits hold.
 """
 
 
 def bone_surface(bone: VoxelBone, outer: "pyvista.PolyData | None") -> "pyvista.PolyData":
-    """The bone's surface as it is now [mm], with the cell array ``layer``.
+    """Return the bone's present surface [mm], with the cell array ``layer``.
 
     Parameters
     ----------
@@ -68,7 +72,7 @@ def bone_surface(bone: VoxelBone, outer: "pyvista.PolyData | None") -> "pyvista.
 def _joined(
     outer: "pyvista.PolyData", parts: "list[pyvista.PolyData]", spacing_mm: float
 ) -> "pyvista.PolyData":
-    """A file's surface and the contours of the parts that were cut as one closed surface."""
+    """Join a file's surface and the contours of the cut parts into one closed surface."""
     import pyvista
 
     cut = parts[0].append_polydata(*parts[1:]) if parts[1:] else parts[0]
@@ -93,8 +97,9 @@ def _joined(
 
 
 def _moved(surface: "pyvista.PolyData", by_m: NDArray[np.float64]) -> "pyvista.PolyData":
-    """A surface with its points moved, in double precision: far from the origin single precision
-    would not do.
+    """Return a surface with its points moved, in double precision.
+
+    Far from the origin single precision would not suffice.
     """
     moved = surface.copy()
     moved.points = np.asarray(surface.points, dtype=np.float64) + 1e3 * by_m
@@ -102,13 +107,14 @@ def _moved(surface: "pyvista.PolyData", by_m: NDArray[np.float64]) -> "pyvista.P
 
 
 def _at_origin(volume: VoxelVolume) -> VoxelVolume:
-    """A volume whose first corner is the origin."""
+    """Return a volume whose first corner is the origin."""
     return replace(volume, origin_m=np.zeros(3))
 
 
 def removed_surface(bone: VoxelBone) -> "pyvista.PolyData":
-    """Surface of what tools have taken away [mm], empty where nothing was; with the cell array
-    ``layer``.
+    """Return the surface of the removed bone [mm], with the cell array ``layer``.
+
+    It is empty before the first cut.
     """
     import pyvista
 
@@ -128,7 +134,7 @@ def removed_surface(bone: VoxelBone) -> "pyvista.PolyData":
 
 
 def plot_surface(surface: "pyvista.PolyData", layer_names: tuple[str, ...], **options: Any) -> Any:
-    """Show a surface coloured by layer, as ``surface.plot`` does; `options` are pyvista's.
+    """Show a surface coloured by layer; `options` are passed to pyvista's ``surface.plot``.
 
     Raises
     ------
@@ -162,9 +168,7 @@ def plot_surface(surface: "pyvista.PolyData", layer_names: tuple[str, ...], **op
 def _shaded(
     surface: "pyvista.PolyData", *, like: "pyvista.PolyData | None" = None, within_mm: float = 0.0
 ) -> "pyvista.PolyData":
-    """A surface of voxels, shaded by its shape and not by their steps, and where it is as it was
-    like the file's.
-    """
+    """Shade a surface of voxels smoothly, and like the file's surface where it is unchanged."""
     import pyvista
 
     if not surface.n_cells:
@@ -183,8 +187,9 @@ def _shaded(
 
 
 def _contour(volume: VoxelVolume, fraction: NDArray[np.uint8]) -> "pyvista.PolyData":
-    """Surface where voxels are half full, between their centres, in mm; open where the voxels
-    end.
+    """Return the surface at half-full voxels, between their centres [mm].
+
+    It is open where the voxels end.
     """
     import pyvista
     from vtkmodules.vtkFiltersCore import vtkFlyingEdges3D
@@ -206,7 +211,7 @@ def _contour(volume: VoxelVolume, fraction: NDArray[np.uint8]) -> "pyvista.PolyD
 def _padded(
     whole: tuple[VoxelVolume, NDArray[np.uint8]], *, removed: bool = False
 ) -> tuple[VoxelVolume, NDArray[np.uint8]]:
-    """A volume with a layer of air around it, and what is left of it or was removed from it."""
+    """Return a volume with a layer of air around it, and its remaining or removed bone."""
     volume, left = whole
     shown = volume.fraction - left if removed else left
     padded = VoxelVolume(
@@ -221,7 +226,7 @@ def _padded(
 
 
 def _without(outer: "pyvista.PolyData", volume: VoxelVolume) -> "pyvista.PolyData":
-    """A surface outside the box of a volume's voxel centres [mm]."""
+    """Return the part of a surface outside the box of a volume's voxel centres [mm]."""
     if not outer.n_cells:
         return outer
     low = 1e3 * (volume.origin_m + 0.5 * volume.spacing_m)
@@ -231,30 +236,31 @@ def _without(outer: "pyvista.PolyData", volume: VoxelVolume) -> "pyvista.PolyDat
 
 
 class Removed:
-    """What tools have taken away from a bone, as it is when it is asked."""
+    """Bone that tools have removed, as it is at the time of the call."""
 
     def __init__(self, bone: VoxelBone) -> None:
         self._bone = bone
 
     @property
     def by_layer_mm3(self) -> dict[str, float]:
-        """Volume taken from each layer [mm3]."""
+        """Volume removed from each layer [mm3]."""
         volumes = 1e9 * self._bone.removed_m3
         return dict(zip(self._bone.store.grid.layer_names, volumes.tolist(), strict=True))
 
     @property
     def volume_mm3(self) -> float:
-        """Volume taken from all layers [mm3]."""
+        """Volume removed from all layers [mm3]."""
         return sum(self.by_layer_mm3.values())
 
     def surface(self) -> "pyvista.PolyData":
-        """Surface of what was taken away [mm], with the cell array ``layer``; empty before the
-        first cut.
+        """Return the surface of the removed bone [mm], with the cell array ``layer``.
+
+        It is empty before the first cut.
         """
         return removed_surface(self._bone)
 
     def plot(self, **options: Any) -> Any:
-        """Show what was taken away, by layer; `options` are those of ``pyvista.PolyData.plot``."""
+        """Show the removed bone by layer; `options` are options of ``pyvista.PolyData.plot``."""
         return plot_surface(self.surface(), self._bone.store.grid.layer_names, **options)
 
     def __repr__(self) -> str:

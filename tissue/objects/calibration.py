@@ -1,6 +1,4 @@
-"""Calibration of people who feel forces, and simulated people of known truth:
-`tissue.calibration`.
-"""
+"""Calibration of force perception, and simulated observers: `tissue.calibration`."""
 
 from pathlib import Path
 
@@ -42,22 +40,22 @@ __all__ = [
 
 
 def people(group: str, count: int, *, seed: int = 0) -> SimulatedObservers:
-    """Return the simulated people of a group (novice, intermediate, expert), drawn from cited
-    spreads.
+    """Return simulated observers of a group, drawn from cited spreads.
+
+    The groups are novice, intermediate and expert.
     """
     return draw_observers(group, count, np.random.default_rng(seed))
 
 
 def alike(count: int, **truth: float) -> SimulatedObservers:
-    """Return simulated people who are all alike: those of the reference, and what is given
-    otherwise.
+    """Return identical simulated observers: the reference observer with given changes.
 
     Parameters
     ----------
     count
-        How many.
+        Number of observers.
     truth
-        Attributes of `SimulatedObservers`: ``kappa=0.07, beta=1.7``.
+        Changed attributes of `SimulatedObservers`: ``kappa=0.07, beta=1.7``.
 
     Raises
     ------
@@ -84,22 +82,22 @@ def run(
     plan: Plan | None = None,
     trials: int | None = None,
 ) -> Session:
-    """Run a session as `tissue calibrate` does, from where its log ends.
+    """Run a session as `tissue calibrate` does, starting at the end of its log.
 
     Parameters
     ----------
     answer
-        Called with what is asked, a `Comparison` or a `Magnitude`, and the trial's number;
-        ``simulated_answers(people, seed)`` is one, and a function that plays both forces to a
-        person is another.
+        Called with the question, a `Comparison` or a `Magnitude`, and the trial's number.
+        ``simulated_answers(people, seed)`` returns such a function; another one may play both
+        forces to a person.
     log
-        File that takes every answer before the next is asked.
+        File that receives every answer before the next question.
     name
-        Who answers.
+        Name of the person who answers.
     plan
-        What is asked; default 120 comparisons and 24 numbers.
+        Plan of the questions; default 120 comparisons and 24 numbers.
     trials
-        Trials after which the session stops, to be gone on with later; default at its end.
+        Trials after which the session stops and can be continued later; default at its end.
 
     Raises
     ------
@@ -117,9 +115,7 @@ def run(
 
 
 def estimated_webers(crowd: SimulatedObservers, *, trials: int = 120, seed: int = 0) -> Array:
-    """Estimate the Weber fraction of many people by a session of comparisons with each, shape
-    (n,).
-    """
+    """Estimate the Weber fractions of observers by a session of comparisons, shape (n,)."""
     rng = np.random.default_rng(seed)
     found = AdaptiveThreshold(observers=len(crowd))
     for _ in range(trials):
@@ -136,20 +132,21 @@ def share_right(
     seed: int,
     calibrated_by: int | None = None,
 ) -> Array:
-    """Return the share of 100 comparisons of two forces [N] in which each names the greater one,
-    shape (n,).
+    """Return each observer's share of correct answers in 100 comparisons, shape (n,).
+
+    An answer is correct if it names the larger of the two forces.
 
     Parameters
     ----------
     crowd
-        Who feels; equal seeds give them the same noise.
+        Observers; equal seeds give them the same noise.
     first_N, second_N
-        The two forces at the device, which has 3.3 N.
+        The two forces at the device [N], whose limit is 3.3 N.
     seed
-        Of the noise, and of the numbers of a calibration.
+        Seed of the noise, and of the numbers of a calibration.
     calibrated_by
-        Numbers given by each person, by which the force is scaled for them; 0 for a scale by their
-        true exponent, None for the force as it is.
+        Number of magnitudes given by each person, from which the force is scaled for the person. 0
+        scales by the true exponent; None leaves the force unscaled.
     """
     commands = None
     if calibrated_by is not None:
@@ -160,7 +157,8 @@ def share_right(
 
 
 def change_percent(before: Array, after: Array, *, seed: int = 0) -> Effect:
-    """Change of the mean of paired shares, each of shape (n,) [%]: ``value``, and 95 % of it in
-    ``low`` to ``high``.
+    """Compute the change of the mean of paired shares [%], each of shape (n,).
+
+    The result has the estimate as ``value`` and its 95 % interval as ``low`` to ``high``.
     """
     return gain_of(before, after, np.random.default_rng(seed))

@@ -1,6 +1,4 @@
-"""Several runs beside each other: what differs in their scenes, their figures, and their forces
-in one picture.
-"""
+"""Comparison of several runs: differences of their scenes and figures, and plotted forces."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -28,29 +26,30 @@ FILES = ("compare.csv", "compare.png")
 KIND = "comparison"
 """Kind of output in the marker of the folder."""
 LONGEST_VALUE = 60
-"""Letters of a scene's entry that a line shows."""
+"""Largest number of characters of a scene's entry in a line."""
 OUTSIDE = {"tissue": "version of tissue", "compute": "compute device", "machine": "machine"}
-"""What of a summary changes a run, or its ticks, beside the scene."""
+"""Entries of a summary, other than the scene, that affect a run or its ticks."""
 
 
 class Comparison:
-    """Runs beside each other; the first is what the others are held against.
+    """Comparison of runs; the first run is the reference for the others.
 
     Parameters
     ----------
     runs
-        The runs by name, two at least.
+        At least two runs, by name.
 
     Attributes
     ----------
     runs
         The runs by name.
     figures
-        By run, its figures: peak and mean force, removed volume and so on, the unit in each name.
+        Figures of each run: peak and mean force, removed volume and so on, with the unit in each
+        name.
     scene_differences
-        Keys of the scenes that differ, with the value that each run has; None where it has none.
+        Keys of the scenes that differ, with the value of each run; None for a missing value.
     notes
-        What else makes them hard to compare, a sentence each.
+        Other obstacles to the comparison, a sentence each.
     """
 
     def __init__(self, runs: Mapping[str, Run]) -> None:
@@ -62,8 +61,10 @@ class Comparison:
         self.notes = list(_notes(self.runs))
 
     def rows(self) -> tuple[list[str], list[tuple[str, list[float | None]]]]:
-        """Titles, and for each figure the first run's value, then each other one's, its
-        difference and share of it.
+        """Return titles, and for each figure the values of all runs.
+
+        The first run's value comes first. Each other run adds its value, the difference from the
+        first, and the ratio of the difference to the first.
         """
         first, *others = self.runs
         titles = [
@@ -86,8 +87,9 @@ class Comparison:
         return titles, found
 
     def texts(self) -> tuple[list[str], list[list[str]]]:
-        """Titles and rows of a table to read: each figure, and of other runs how far it is from
-        the first one's.
+        """Return titles and rows of a readable table of figures.
+
+        Values of other runs are followed by their relative difference from the first run.
         """
         _, rows = self.rows()
         found = []
@@ -99,8 +101,9 @@ class Comparison:
         return ["figure", *self.runs], found
 
     def to_pandas(self) -> "pandas.DataFrame":
-        """Return the table of `rows`, a row for each figure; the scenes' differences are in its
-        ``attrs``.
+        """Return the table of `rows` as a DataFrame, with one row per figure.
+
+        The differences of the scenes are in its ``attrs``.
 
         Raises
         ------
@@ -118,8 +121,9 @@ class Comparison:
         return table.rename_axis(index="figure")
 
     def plot(self, over: Over = "time") -> "NDArray[np.object_]":
-        """Draw the size of force and torque of all runs, and how far the forces are from the first
-        one's.
+        """Draw the size of force and torque of all runs, and the difference of their forces.
+
+        The difference is from the first run's force.
 
         Parameters
         ----------
@@ -133,7 +137,7 @@ class Comparison:
         Raises
         ------
         InputError
-            If a run never touches, so that it has no depth.
+            If a run never touches, and so has no depth.
         """
         from tissue.objects.plots import overlay
 
@@ -197,14 +201,14 @@ def compare(*runs: Run | str | Path, names: Sequence[str] | None = None) -> Comp
     Parameters
     ----------
     runs
-        Runs, or folders of runs, two at least.
+        At least two runs, or folders of runs.
     names
-        What they are called; without it after their folders, or their scenes.
+        Names of the runs; default the names of their folders, or of their scenes.
 
     Raises
     ------
     InputError
-        If there are fewer than two, a folder holds no run, or not every run has a name of its own.
+        If there are fewer than two runs, a folder holds no run, or the names are not distinct.
     """
     held = [each if isinstance(each, Run) else open_run(each) for each in runs]
     called = _names(held) if names is None else [*names]
@@ -216,8 +220,9 @@ def compare(*runs: Run | str | Path, names: Sequence[str] | None = None) -> Comp
 
 
 def entries_of(scene: Scene) -> dict[str, object]:
-    """Return the entries of a scene by dotted key, defaults included, without its name and
-    description.
+    """Return the entries of a scene by dotted key, with defaults.
+
+    Name and description are left out.
     """
     import tomllib
 
@@ -229,7 +234,7 @@ def entries_of(scene: Scene) -> dict[str, object]:
 
 
 def _number(value: float | None) -> str:
-    """Return a number of a table; nothing where there is none."""
+    """Return a number of a table as text; empty for None."""
     return "" if value is None else f"{value:.4g}"
 
 
@@ -243,7 +248,7 @@ def _differences(scenes: list[Scene]) -> dict[str, tuple[object, ...]]:
 
 
 def _notes(runs: Mapping[str, Run]) -> Iterator[str]:
-    """Yield notes on runs that were cut short, and on differences outside of their scenes."""
+    """Yield notes on incomplete runs, and on differences other than the scenes."""
     for name, run in runs.items():
         if run.status != "complete":
             yield f"{name} did not come to its end: it is {run.status}"
@@ -276,7 +281,7 @@ def _notes(runs: Mapping[str, Run]) -> Iterator[str]:
 
 
 def _names(runs: list[Run]) -> list[str]:
-    """Return the names of runs by their folders or scenes; those that are equal are numbered."""
+    """Return the names of runs by their folders or scenes; equal names are numbered."""
     plain = [run.scene.name if run.path is None else run.path.resolve().name for run in runs]
     count = Counter(plain)
     seen = Counter[str]()

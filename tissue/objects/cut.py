@@ -1,4 +1,4 @@
-"""What a tool met on a path through bone: force, torque and removed volume at every pose."""
+"""Result of a cut through bone: force, torque and removed volume at every pose."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,20 +24,20 @@ __all__ = ["Cut", "saved_table"]
 
 
 class Cut:
-    """Force, torque and removed volume at every pose of a cut; forces act on the tool, torques
-    about its tip.
+    """Force, torque and removed volume at every pose of a cut.
+
+    Forces act on the tool, torques about its tip.
 
     Attributes
     ----------
     trace
-        All columns by name, a row a pose: ``cut.trace["force_z_N"]``.
+        All columns by name, one row per pose: ``cut.trace["force_z_N"]``.
     notes
-        What was found, by what it is about.
+        Notes on findings, by subject.
     pose_us
-        What each pose took to compute [µs], shape (n,).
+        Computing time of each pose [µs], shape (n,).
     events
-        What has happened, such as a breach of a structure to keep clear of: time [s] and a sentence
-        each.
+        Events, such as a breach of a structure to keep clear of: time [s] and a sentence each.
     """
 
     def __init__(
@@ -57,15 +57,16 @@ class Cut:
 
     @classmethod
     def of(cls, loop: Loop, times_s: Array, *, removed_before_m3: Array) -> "Cut":
-        """What a loop over given poses has recorded, at their times [s], without what was
-        removed before.
+        """Return the record of a loop over given poses, at their times [s].
+
+        The volume removed before the loop is left out.
         """
         layout = TraceLayout.of(loop.parts.tissue.layer_names)
         names = [name for name in loop.trace.columns if not name.startswith("model_")]
         places = [loop.trace.columns.index(name) for name in names]
         rows = loop.trace.rows.copy()
         rows[:, layout.time] = times_s
-        # a slow cut is spread over ticks
+        # The removal of a slow cut is spread over ticks.
         rows[-1, layout.removed_by_layer] = 1e9 * loop.parts.tissue.removed_m3
         rows[:, layout.removed_by_layer] -= 1e9 * removed_before_m3
         rows[:, layout.removed] = rows[:, layout.removed_by_layer].sum(axis=1)
@@ -91,7 +92,7 @@ class Cut:
 
     @property
     def force_N(self) -> Array:
-        """Force on the tool [N], shape (n, 3); at the first pose the tool rests: 0."""
+        """Force on the tool [N], shape (n, 3); it is 0 at the first pose, where the tool rests."""
         return self.trace.vectors("force", "N")
 
     @property
@@ -110,8 +111,9 @@ class Cut:
         return np.asarray(self.trace["removed_mm3"])
 
     def distance_mm(self, name: str) -> Array:
-        """Distance of the tool from a structure to keep clear of [mm], negative where they overlap,
-        shape (n,).
+        """Return the distance of the tool from a structure to keep clear of [mm], shape (n,).
+
+        It is negative where they overlap.
 
         Raises
         ------
@@ -127,34 +129,37 @@ class Cut:
 
     @property
     def layer(self) -> NDArray[np.str_]:
-        """Layer in which most of the tool's engaged area lies, "none" without contact, shape
-        (n,).
-        """
+        """Layer with the largest engaged area of the tool, shape (n,); "none" without contact."""
         return np.asarray(self.trace["layer"])
 
     def to_pandas(self) -> "pandas.DataFrame":
-        """All columns as a table, a row a pose; see `tissue.objects.trace.Trace.to_pandas`."""
+        """Return all columns as a table, one row per pose.
+
+        See `tissue.objects.trace.Trace.to_pandas`.
+        """
         return self.trace.to_pandas()
 
     def to_xarray(self) -> "xarray.Dataset":
-        """All columns over the time; see `tissue.objects.trace.Trace.to_xarray`."""
+        """Return all columns over time; see `tissue.objects.trace.Trace.to_xarray`."""
         return self.trace.to_xarray()
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
-        """Write all columns to a file, its kind by the suffix: .csv, .mat (MATLAB), .npz, .parquet
-        or .h5.
+        """Write all columns to a file in the format of its suffix.
+
+        The suffixes are .csv, .mat (MATLAB), .npz, .parquet and .h5.
 
         Raises
         ------
         InputError
-            If the suffix is none of these, its writer is not installed, or the file is there and
-            `overwrite` is not given.
+            If the suffix is none of these, its writer is not installed, or the file exists and
+            `overwrite` is not set.
         """
         return saved_table(self.trace, path, overwrite=overwrite)
 
     def plot(self, *, over: "Figure | None" = None, label: str | None = None) -> "Figure":
-        """Force and torque over time, a panel each: their components and size, or with a label
-        their size alone.
+        """Draw force and torque over time in one panel each.
+
+        Without a label the panels show components and size, with a label only the size.
 
         Parameters
         ----------
@@ -199,13 +204,13 @@ class Cut:
 
 
 def saved_table(trace: Table, path: str | Path, *, overwrite: bool) -> Path:
-    """Write columns to a file, its kind by the suffix, and return its path.
+    """Write columns to a file in the format of its suffix, and return its path.
 
     Raises
     ------
     InputError
-        If the suffix is unknown, its writer is not installed, or the file is there and `overwrite`
-        is not given.
+        If the suffix is unknown, its writer is not installed, or the file exists and `overwrite` is
+        not set.
     """
     path = Path(path)
     if path.exists() and not overwrite:

@@ -1,4 +1,4 @@
-"""Lead a tool through poses in bone, and report what the bone cannot answer."""
+"""Motion of a tool through poses in bone, with warnings outside the valid range."""
 
 import warnings
 from collections.abc import Sequence
@@ -72,7 +72,7 @@ def warn_of(sentences: Sequence[str]) -> None:
 
 
 def require_cutter(tool: object, *, spacing_mm: float) -> None:
-    """Refuse a tool that cannot cut bone of such voxels [mm]."""
+    """Refuse a tool that cannot cut bone with voxels of this size [mm]."""
     if not isinstance(tool, Cutter):
         raise InputError(
             "tool", "be a cutter", type(tool).__name__, "make one by tissue.cutters.ball_burr"

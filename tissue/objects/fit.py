@@ -1,4 +1,4 @@
-"""Constants fitted to one's own measured force: `tissue.fit`."""
+"""Fit of constants to a measured force: `tissue.fit`."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,12 +18,12 @@ __all__ = ["Fit", "fit"]
 
 
 class Fit:
-    """What a log determines of a scene's constants.
+    """Constants of a scene as determined by a log.
 
     Attributes
     ----------
     fitted
-        Everything that was found.
+        Complete result of the fit.
     """
 
     def __init__(self, fitted: SceneFit) -> None:
@@ -31,11 +31,15 @@ class Fit:
 
     @property
     def verdicts(self) -> list[str]:
-        """What the log determines, what it does not, and what to measure next, in sentences."""
+        """Sentences on determined and undetermined constants, and on the next measurement."""
         return verdicts(self.fitted)
 
     def to_pandas(self) -> "pandas.DataFrame":
-        """A row a constant: cited range, 5, 50 and 95 % after the log, and what became of it."""
+        """Return a table with a row per constant.
+
+        It has the cited range, the 5, 50 and 95 % quantiles given the log, and the state of the
+        constant.
+        """
         import pandas
 
         rows = [
@@ -55,12 +59,12 @@ class Fit:
         return pandas.DataFrame(rows).set_index("constant")
 
     def save(self, folder: str | Path, *, overwrite: bool = False) -> Path:
-        """Write ``fitted.toml`` for scenes, a report, pictures and numbers; gives the folder.
+        """Write ``fitted.toml`` for scenes, a report, pictures and numbers; return the folder.
 
         Raises
         ------
         InputError
-            If the folder holds another fit and `overwrite` is not given.
+            If the folder holds another fit and `overwrite` is not set.
         """
         write_fit(self.fitted, Path(folder), overwrite=overwrite)
         return Path(folder)
@@ -88,26 +92,26 @@ def fit(
     Parameters
     ----------
     scene
-        What was cut or pressed, and by which tool. The log's poses, in the scene's frame, stand for
-        its motion.
+        Scene with the tissue and the tool of the log. The log's poses, in the scene's frame,
+        replace its motion.
     measured
         CSV, Parquet, HDF5, .mat or .npz file; a run's own trace needs no columns.
     free
         Constants to find, such as ``cutting.trabecular`` or ``cutting.edge``; by default the usual
         ones.
     columns
-        Columns of other names or units: ``{"force_x_N": "-Fx:mN"}``.
+        Columns with other names or units: ``{"force_x_N": "-Fx:mN"}``.
     cores
         Processor cores to use; default all.
     max_memory_GB
         Memory that the log may take [GB]; default half of the free memory.
     progress
-        Whether a bar is shown, or what is called with what is being done.
+        Whether to show a progress bar, or a function called with the present work.
 
     Raises
     ------
     InputError
-        If the log cannot be read, the tool never cuts along it, or it determines nothing.
+        If the log cannot be read, the tool never cuts along it, or it determines no constant.
     """
     maps = (
         [f"{name}={column}" for name, column in columns.items()]

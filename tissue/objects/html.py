@@ -53,14 +53,14 @@ def curve(values: Sequence[float], *, title: str, width: int = 320, height: int 
 
 
 def folded(title: str, inner: str, *, is_open: bool = False) -> str:
-    """Return HTML under a title that opens and closes it."""
+    """Return HTML under a title that expands and collapses it."""
     return (
         f"<details{' open' if is_open else ''}><summary>{escape(title)}</summary>{inner}</details>"
     )
 
 
 def scrolled(inner: str) -> str:
-    """Return HTML that scrolls sideways where it is wider than the page."""
+    """Return HTML that scrolls horizontally if it is wider than the page."""
     return f'<div style="overflow-x: auto">{inner}</div>'
 
 
@@ -74,11 +74,11 @@ def _cells(row: Sequence[object], name: str, side: str) -> str:
 
 
 CURVE_POINTS = 300
-"""Points of the small curve of the force."""
+"""Largest number of points of the small force curve."""
 
 
 def run_line(summary: Summary) -> list[str]:
-    """Return the most important figures, in a few words each."""
+    """Return the most important figures of a run, in a few words each."""
     name = str(summary.get("scene"))
     if summary["status"] != "complete":
         return [name, str(summary["status"])]
@@ -92,7 +92,7 @@ def run_line(summary: Summary) -> list[str]:
 
 
 def run_rows(summary: Summary) -> list[tuple[str, str]]:
-    """Return figures and their values in words, or the status of an incomplete run."""
+    """Return figures and their values as text, or the status of an incomplete run."""
     if summary["status"] != "complete":
         problem = summary.get("problem")
         return [

@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 __all__ = ["Structures", "clearance_of", "refuse_structures"]
 
 Structures = Mapping[str, Union[str, PathLike[str], "pyvista.PolyData"]]
-"""Closed surface of each structure by name: a file or a pyvista surface, in millimetres in the
-frame of the bone.
+"""Closed surface of each structure by name, in millimetres in the frame of the bone.
+
+It is a file or a pyvista surface.
 """
 
 
@@ -40,12 +41,13 @@ def clearance_of(
     Parameters
     ----------
     box_m, times_s
-        As of `tissue.models.keep_clear.KeepClear`.
+        As for `tissue.models.keep_clear.KeepClear`.
 
     Raises
     ------
     InputError
-        If a name has other than small letters, digits and underscores, or a surface cannot be used.
+        If a name has characters other than small letters, digits and underscores, or a surface
+        cannot be used.
     """
     if not structures:
         return None
@@ -75,7 +77,7 @@ def clearance_of(
 
 
 def refuse_structures(structures: Structures | None) -> None:
-    """Refuse structures where the tool presses an organ, in which nothing is cut."""
+    """Refuse structures for a tool that presses an organ, since nothing is cut there."""
     if structures:
         raise InputError(
             "keep_clear", "be left out for an organ", "structures", "use it with a cutter in bone"

@@ -1,4 +1,4 @@
-"""A person's device in the loop with bone or an organ: step by step, or for some seconds."""
+"""Loop of a user's device with bone or an organ: tick by tick, or for some seconds."""
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
@@ -57,25 +57,26 @@ if TYPE_CHECKING:
 __all__ = ["Loop"]
 
 LONGEST_S = 3600.0
-"""Longest loop for which rows are laid out [s]."""
+"""Longest duration of a loop for which rows are allocated [s]."""
 
 
 class Loop:
-    """The loop of a haptic device, a tool and a tissue, in ticks of 1 ms.
+    """Loop of a haptic device, a tool and a tissue, in ticks of 1 ms.
 
-    In every tick the device is read, the tool follows it on a spring, the tissue answers, and the
-    force is commanded after prediction, low-pass and the device's limits. The spring is judged for
-    stability before the first tick.
+    In every tick the device is read, the tool follows it through a spring, and the tissue responds.
+    The force is commanded after prediction, low-pass and the device's limits. The spring is judged
+    for stability before the first tick.
 
-    Use it as ``with Loop(...) as loop: row = loop.step()``, or ``loop.run(10.0)``, which holds the
-    device itself: its last command is zero, whatever ends the block or the run.
+    Use it as ``with Loop(...) as loop: row = loop.step()``, or ``loop.run(10.0)``, which opens and
+    closes the device itself. The last command to the device is zero, whatever ends the block or the
+    run.
 
     Attributes
     ----------
     notes
-        What was chosen and found, by what it is about.
+        Notes on choices and findings, by subject.
     ticks
-        Ticks that have run.
+        Number of ticks that have run.
     """
 
     def __init__(
@@ -107,46 +108,46 @@ class Loop:
         Parameters
         ----------
         tissue
-            What the tool meets.
+            Bone or organ that the tool meets.
         tool
-            A cutter for bone, default a ball burr of 4 mm with 6 flutes at 20,000 turns a minute; a
-            pressing tool for an organ, default a ball of 10 mm.
+            Cutter for bone, default a ball burr of 4 mm with 6 flutes at 20,000 revolutions a
+            minute; pressing tool for an organ, default a ball of 10 mm.
         device
-            An object with ``read(time_s)``, which gives a `tissue.Sample` in metres or None, and
-            ``command(force_N, torque_Nm)``; entered and left where it is a context manager.
+            Object with ``read(time_s)``, which returns a `tissue.Sample` in metres or None, and
+            ``command(force_N, torque_Nm)``. A context manager is entered and exited.
         limits
             Name of a known device, `tissue.DeviceParameters`, or a mapping of these numbers.
         start_mm
-            Where the tip is when the device is at its own origin [mm]; default 2 mm above the
-            middle of what is met.
+            Position of the tip when the device is at its own origin [mm]; default 2 mm above the
+            middle of the tissue.
         axis
-            Direction of the tool from tip to shank; the device's axes are those of the tissue.
+            Direction of the tool from tip to shank; the device's axes are the axes of the tissue.
         reach_mm
-            Distance around the tool to which bone is made ready, or from the start to which an
-            organ may be touched [mm]. More bone is made when half of the distance is used up, in a
-            tick that takes longer.
+            Distance around the tool within which bone is prepared, or from the start within which
+            an organ may be touched [mm]. More bone is made when half of the distance is used up;
+            that tick takes longer.
         predictor, predictor_file
             Prediction of the force over the latency: a name, or an object with ``observe`` and
-            ``predict``; and the file that `tissue train` wrote, for a name that is trained.
+            ``predict``. A trained predictor also needs the file that `tissue train` wrote.
         hand
             Hand for which stability is judged: novice, intermediate or expert.
         materials
             File of constants of device and hand, as `tissue fit` writes it.
         renderer
-            Law by which the device plays what the tool meets: proxy, penalty or passivity.
+            Law by which the device plays the contact force: proxy, penalty or passivity.
         stiffness_N_m
             Stiffness of the coupling at the device; default half the critical one in that hand.
         force_scale, motion_scale
-            Newtons at the device for each at the tool, by default 1 on an organ and on bone what
-            brings the force in a slot a quarter of the cutter deep within the device's range;
-            metres at the tool for each at the device.
+            Newtons at the device for each newton at the tool, and metres at the tool for each metre
+            at the device. The default force scale is 1 for an organ. For bone it brings the force
+            in a slot a quarter of the cutter's diameter deep within the device's range.
         delay_ms, low_pass_ms
             Latency added before the device, in whole ticks, and time constant of the low-pass
-            before it [ms].
+            before the device [ms].
         allow_unstable
-            Run a coupling that is judged unstable, too.
+            Whether to run a coupling that is judged unstable.
         longest_s, keep_clear
-            Time for which rows are laid out [s]; structures that a cutter must not touch, as of
+            Time for which rows are allocated [s]; structures that a cutter must not touch, as for
             `tissue.Bone.cut`.
 
         Raises
@@ -239,7 +240,7 @@ class Loop:
 
     @property
     def ticks(self) -> int:
-        """Ticks that have run."""
+        """Number of ticks that have run."""
         return self._loop.ticks
 
     def __enter__(self) -> Self:
@@ -256,12 +257,13 @@ class Loop:
         self._closing.__exit__(kind, error, trace)
 
     def step(self) -> TickRow:
-        """Run a tick; its row of the trace by column, the same object in every tick.
+        """Run a tick; return its row of the trace by column, the same object in every tick.
 
         Raises
         ------
         InputError
-            If the device is not held, or all rows are full; as `DeviceError`, if the device fails.
+            If the device is not held, or all rows are full. If the device fails, the error is a
+            `DeviceError`.
         """
         if not self._motion.held.entered:
             raise InputError(
@@ -289,19 +291,18 @@ class Loop:
         real_time: bool = False,
         on_tick: Callable[[int, TickRow], object] | None = None,
     ) -> Self:
-        """Run for some seconds of simulated time, hold the device for as long, and return the loop.
+        """Run for some seconds of simulated time while holding the device; return the loop.
 
         Parameters
         ----------
         seconds
             Duration [s].
         real_time
-            Whether a tick waits until it is due on the wall clock, as a real device needs it. Ticks
-            then run in a second thread, a sample more than 1.5 ms late is not used, and a device
-            without a command for 50 ms gets zero force.
+            Whether a tick waits until it is due on the wall clock, as needed for a real device.
+            Ticks then run in a second thread. A sample more than 1.5 ms late is not used, and a
+            device without a command for 50 ms receives zero force.
         on_tick
-            Called after every tick with its number and its row; the run ends where it returns
-            False.
+            Called after every tick with its number and its row; the run ends if it returns False.
         """
         count = round(require_range("seconds", seconds, TICK_S, LONGEST_S, "use 10") / TICK_S)
         clock = WallClock(TICK_S) if real_time else None
@@ -327,27 +328,28 @@ class Loop:
 
     @property
     def trace(self) -> Trace:
-        """The ticks so far, a row each: ``loop.trace["device_force_z_N"]``."""
+        """Trace of the ticks so far, one row each: ``loop.trace["device_force_z_N"]``."""
         whole = self._loop.trace
         return Trace(Table(whole.columns, whole.rows[: self.ticks], whole.layer_names))
 
     @property
     def events(self) -> list[tuple[float, str]]:
-        """What has happened: time [s] and a sentence each."""
+        """Events: time [s] and a sentence each."""
         return sorted(self._loop.events + self._motion.happened(), key=lambda event: event[0])
 
     @property
     def tick_us(self) -> Any:
-        """What each tick took [µs], shape (n,)."""
+        """Duration of each tick [µs], shape (n,)."""
         return self._loop.timing["tick_us"][: self.ticks]
 
     def to_pandas(self) -> "pandas.DataFrame":
-        """The ticks so far as a table, a row each."""
+        """Return the ticks so far as a table, one row each."""
         return self.trace.to_pandas()
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
-        """Write the ticks so far to a file, its kind by the suffix: .csv, .mat, .npz, .parquet
-        or .h5.
+        """Write the ticks so far to a file in the format of its suffix.
+
+        The suffixes are .csv, .mat, .npz, .parquet and .h5.
         """
         return saved_table(self.trace, path, overwrite=overwrite)
 

@@ -1,6 +1,4 @@
-"""What a tool on a device meets: bone that is made around it, or the part of an organ that it
-can touch.
-"""
+"""Tissue of a tool on a device: bone made around the tool, or a touchable part of an organ."""
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -51,28 +49,27 @@ __all__ = [
 ]
 
 KeepsReady = Callable[[Array], None]
-"""Called with the tip [m] before a tick: makes what the tool is about to reach."""
+"""Function called with the tip [m] before a tick; it makes the bone within reach."""
 CLEARANCE_MM = 2.0
-"""How far above the surface a tool begins where no place is given [mm]."""
+"""Default height of the tool above the surface at the start [mm]."""
 SLOT_VOXELS, SLOT_M_S = 10, 2e-3
-"""Voxels across a cutter, and its feed [m/s], where the force that it usually meets is
-estimated.
-"""
+"""Voxels across a cutter, and its feed [m/s], for the estimate of its usual force."""
 ACROSS = 7
-"""Places across the reach at which an organ is looked for."""
+"""Number of points across the reach at which contact with an organ is searched for."""
 
 
 def bone_met(
     bone: Bone, tool: Cutter, start_m: Array, axis: Array, *, reach_m: float
 ) -> tuple[TissueModel, KeepsReady]:
-    """Bone under a cutter, made as far as `reach_m` around it; goes on to be made where the tool
-    goes.
+    """Return bone under a cutter, and a function that makes more bone as the tool moves.
+
+    At first the bone is made as far as `reach_m` around the cutter.
     """
     held = bone.voxel_bone
     made_at = start_m.copy()
 
     def boxes(tip_m: Array) -> tuple[Array, Array]:
-        """Around a tip."""
+        """Return the boxes around a tip."""
         spacing_m = held.store.grid.spacing_m
         return tool_boxes(tool, tip_m[None], axis[None], spacing_m=spacing_m, around_m=reach_m)
 
@@ -80,7 +77,7 @@ def bone_met(
     model = held.model(tool)
 
     def keep_ready(tip_m: Array) -> None:
-        """Make more once half of the reach is used up; such a tick is late."""
+        """Make more bone once half of the reach is used up; such a tick takes longer."""
         moved = tip_m - made_at
         if moved.dot(moved) > (0.5 * reach_m) ** 2:
             made_at[:] = tip_m
@@ -91,8 +88,9 @@ def bone_met(
 
 
 def usual_force_N(bone: Bone, tool: Cutter) -> float:
-    """Force of a cutter in a slot a quarter of its diameter deep at 2 mm/s in the bone's first
-    layer [N].
+    """Compute the force of a cutter in a typical slot in the bone's first layer [N].
+
+    The slot is a quarter of the cutter's diameter deep, at a feed of 2 mm/s.
     """
     width_m = 2.0 * tool.profile.radius_m
     spacing_m = width_m / SLOT_VOXELS
@@ -120,7 +118,7 @@ def usual_force_N(bone: Bone, tool: Cutter) -> float:
 def organ_met(
     organ: Organ, tool: PressingTool, start_m: Array, axis: Array, *, reach_m: float
 ) -> tuple[TissueModel, KeepsReady]:
-    """An organ under a tool that presses, as far as `reach_m` around and below where it starts."""
+    """Return an organ under a pressing tool, within `reach_m` around and below its start."""
     turn = frame_along((float(axis[0]), float(axis[1]), float(axis[2])))
     across = np.linspace(-reach_m, reach_m, ACROSS)
     x, y, z = (
@@ -134,7 +132,7 @@ def organ_met(
 
 
 def start_above(tissue: Bone | Organ, axis: Array) -> Array:
-    """Place of a tip above the middle of a bone or an organ, seen along the tool's axis [mm].
+    """Return a tip above the middle of a bone or an organ, along the tool's axis [mm].
 
     Raises
     ------
@@ -173,7 +171,7 @@ def require_device(device: object) -> None:
 
 
 def require_match(tissue: object, tool: object) -> None:
-    """Refuse a tool that cannot meet what it is given with."""
+    """Refuse a tool that does not match its tissue."""
     if not isinstance(tissue, Bone | Organ):
         raise InputError(
             "tissue", "be a Bone or an Organ", type(tissue).__name__, "make one of these"
@@ -186,9 +184,7 @@ def require_match(tissue: object, tool: object) -> None:
 
 @dataclass(frozen=True)
 class LoopOptions:
-    """Arguments of a loop that lie between its device and its tool; see
-    `tissue.objects.loop.Loop`.
-    """
+    """Arguments of a loop for the part between device and tool; see `tissue.objects.loop.Loop`."""
 
     limits: str | DeviceParameters | Mapping[str, float]
     hand: str
@@ -202,7 +198,7 @@ class LoopOptions:
 
 
 def settings_of(device: Device, options: LoopOptions) -> LoopSettings:
-    """Return what lies between a device and a tool, from a caller's arguments."""
+    """Return the settings between a device and a tool, from a caller's arguments."""
     limits = options.limits
     predictor = options.predictor
     numbers = device_parameters(limits, options.materials) if isinstance(limits, str) else limits
@@ -235,7 +231,7 @@ def settings_of(device: Device, options: LoopOptions) -> LoopSettings:
             f"{predictor!r}",
             "name one, or drop it",
         )
-    RENDERERS[options.renderer]  # refused here, by the argument's own name
+    RENDERERS[options.renderer]  # refuse an unknown renderer under the argument's name
 
     limit_N = numbers.force_limit_N
     made: Callable[[], Predictor | None] = no_predictor
@@ -268,12 +264,12 @@ def settings_of(device: Device, options: LoopOptions) -> LoopSettings:
 def device_note(
     given: Materials, tissue: Bone | Organ, *, limits: object, hand: str
 ) -> dict[str, str]:
-    """Note which constants of a device that is named and of the hand come from a file.
+    """Return a note on the constants of a named device and of the hand that come from a file.
 
     Raises
     ------
     InputError
-        If none of the file is one of these.
+        If the file has none of these constants.
     """
     layers = tissue.layer_names if isinstance(tissue, Bone) else ()
     used = used_of_device(given, limits if isinstance(limits, str) else None, hand)
@@ -283,9 +279,7 @@ def device_note(
 
 @contextmanager
 def own_names() -> Iterator[None]:
-    """Let refusals name arguments, where those of a scene name its keys and the command's
-    options.
-    """
+    """Make refusals name arguments instead of a scene's keys or the command's options."""
     try:
         yield
     except InputError as error:

@@ -1,4 +1,4 @@
-"""The cited constants of materials as a person looks them up."""
+"""Cited constants of materials for users."""
 
 from typing import TYPE_CHECKING
 
@@ -20,13 +20,14 @@ TITLES = ("constant", "value", "lowest", "highest", "confidence", "source")
 
 
 class Material(dict[str, Constant]):
-    """Constants of a material by their names with units:
-    ``tissue.material("enamel")["modulus_GPa"].value``.
+    """Constants of a material by their names with units.
+
+    An example is ``tissue.material("enamel")["modulus_GPa"].value``.
 
     Parameters
     ----------
     name
-        Its name.
+        Name of the material.
     """
 
     def __init__(self, name: str) -> None:
@@ -37,7 +38,7 @@ class Material(dict[str, Constant]):
                 self.update(constants(table, name))
 
     def to_pandas(self) -> "pandas.DataFrame":
-        """Value, range, confidence and source of each constant.
+        """Return value, range, confidence and source of each constant as a table.
 
         Raises
         ------
@@ -72,7 +73,7 @@ class Material(dict[str, Constant]):
 
 
 def material(name: str) -> Material:
-    """Cited constants of a material.
+    """Return the cited constants of a material.
 
     Parameters
     ----------
@@ -96,5 +97,5 @@ def material(name: str) -> Material:
 
 
 def material_names() -> list[str]:
-    """Names of the materials whose constants are cited, registered ones included."""
+    """Return the names of materials with cited constants, including registered ones."""
     return list(dict.fromkeys(name for table in TABLES for name in listed(table)))

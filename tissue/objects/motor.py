@@ -1,4 +1,4 @@
-"""Forces of a run by a hand where the motor acts, beside the ideal ones: `tissue.motor_forces`."""
+"""Forces of a run by a hand at the motor, with ideal forces: `tissue.motor_forces`."""
 
 from tissue.objects.run import Run
 from tissue.simulation.reference_force import MotorForces, ideal_force_N
@@ -8,26 +8,25 @@ __all__ = ["MotorForces", "motor_forces"]
 
 
 def motor_forces(run: Run) -> MotorForces:
-    """Compute the force that a device played, and that without latency, encoder steps and filters
-    [N].
+    """Compute the force that a device played, and the ideal force [N].
 
-    The ideal force is that of a prompt loop on the very motion of the run: the scene is simulated
-    once more.
+    The ideal force has no latency, encoder steps and filters, on the motion of the run. For it the
+    scene is simulated again.
 
     Parameters
     ----------
     run
-        A run by a hand, simulated here.
+        Run by a hand that was simulated in this process.
 
     Returns
     -------
     Mean forces over every tick but the last, each of shape (n - 1, 3): ``played``,
-    ``ideal``, ``nearest`` (the ideal one by what the encoders read) and ``sent`` (within the
+    ``ideal``, ``nearest`` (the ideal force from the encoder positions) and ``sent`` (within the
     device's range).
 
     Raises
     ------
     InputError
-        If the run had no device, or was read back from a folder.
+        If the run had no device, or was read from a folder.
     """
     return forces_of(run, ideal_force_N(run))

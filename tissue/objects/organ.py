@@ -1,6 +1,4 @@
-"""A soft organ in the hand: from tetrahedra, a surface or a shape, pressed at any number of
-places.
-"""
+"""Soft organ object: made from tetrahedra, a surface or a shape, and pressed by tools."""
 
 from __future__ import annotations
 
@@ -26,53 +24,55 @@ if TYPE_CHECKING:
 __all__ = ["Organ"]
 
 SPEED_MM_S = 10.0
-"""Speed of a press where none is given [mm/s]."""
+"""Default speed of a press [mm/s]."""
 
 
 class Organ(OrganMakers):
-    """A soft organ that may be pressed; `from_tetrahedra`, `from_surface`, `from_labels`, `block`
-    and `liver` make one.
+    """Soft organ that may be pressed.
 
-    Linear elastic, in the frame of its mesh, lengths in millimetres. Its stiffness is factorised at
-    the first press, for all that follow.
+    `from_tetrahedra`, `from_surface`, `from_labels`, `block` and `liver` make one.
+
+    It is linear elastic, in the frame of its mesh, with lengths in millimetres. Its stiffness is
+    factorised once, at the first press.
     """
 
     def __init__(self, made: MadeOrgan) -> None:
         super().__init__(made)
         self.notes = made.notes
-        """What was found and assumed, by what it is about."""
+        """Notes on findings and assumptions, by subject."""
         self.moduli_kPa = made.material.moduli_kPa(made.mesh.part_names)
         """Young's modulus of each part by its name [kPa]."""
 
     def refined(self, *, edge_mm: float, near_mm: ArrayLike | None = None) -> Organ:
-        """The same organ with shorter edges where a tool goes; a press wants a quarter of the
-        tool's diameter.
+        """Return the organ with shorter edges near the tool.
+
+        A press needs edges of a quarter of the tool's diameter.
 
         Parameters
         ----------
         edge_mm
-            Longest edge there [mm]; edges grow by half the distance from there.
+            Longest edge near the tool [mm]; edges grow by half the distance from there.
         near_mm
-            Places [mm], shape (k, 3) or (3,), each moved to the nearest point of the surface;
-            without them all of it. Presses at these places are quick from the second on; elsewhere
-            each takes some seconds more.
+            Points [mm], shape (k, 3) or (3,), each moved to the nearest point of the surface;
+            default the whole surface. Presses at these points are fast from the second one on.
+            Presses elsewhere take some seconds longer each.
         """
         return Organ(self._made.refined(edge_mm, near_mm))
 
     @cached_property
     def mesh(self) -> pyvista.UnstructuredGrid:
-        """The tetrahedra [mm], with ``part`` over the cells and ``held`` over the points."""
+        """Tetrahedra [mm], with ``part`` over the cells and ``held`` over the points."""
         grid = grid_of(self._made.mesh)
         grid.point_data["held"] = np.isin(np.arange(grid.n_points), self._made.held)
         return grid
 
     def surface(self) -> pyvista.PolyData:
-        """The organ's surface [mm]."""
+        """Return the organ's surface [mm]."""
         return self.mesh.extract_surface(algorithm="dataset_surface")
 
     @property
     def soft(self) -> SoftOrgan:
-        """The organ as it is solved."""
+        """Organ ready to be solved."""
         return self._made.soft
 
     def press(
@@ -86,27 +86,27 @@ class Organ(OrganMakers):
         hold_s: float = 0.0,
         progress: Progress = silent,
     ) -> Press:
-        """Press a tool into the organ at rest, step by step from where it first touches.
+        """Press a tool into the organ at rest, step by step from its first contact.
 
         Parameters
         ----------
         tool
             `tissue.ball`, `tissue.flat_punch` or `tissue.probe_from_file`.
         depth_mm
-            How far it goes on from its first touch [mm].
+            Depth of the press from the first contact [mm].
         at_mm
-            Place [mm]; the nearest point of the surface is taken, and refused where it is far.
+            Point [mm]; the nearest point of the surface is used, and refused if it is far away.
         along
-            Direction that the tool comes along; without it straight into the surface.
+            Direction of the tool's motion; default straight into the surface.
         speed_mm_s, hold_s
-            Speed [mm/s] and time that it stays [s], of an organ with `relaxation` alone.
+            Speed [mm/s] and holding time [s], only for an organ with `relaxation`.
         progress
-            Called with what is being done and the share of it that is done (0 to 1).
+            Called with the present work and its completed share (0 to 1).
 
         Raises
         ------
         InputError
-            If the place is far from the surface, cannot move, or the tool has no free path to it.
+            If the point is far from the surface or cannot move, or the tool has no free path to it.
         """
         from tissue.simulation.builders.organ_press import press_at
 
@@ -132,8 +132,9 @@ class Organ(OrganMakers):
         )
 
     def plot(self, **options: Any) -> Any:
-        """Show the parts, cut open, and what is held; `options` are those of
-        ``pyvista.Plotter.show``.
+        """Show the parts, cut open, and the supports.
+
+        `options` are options of ``pyvista.Plotter.show``.
         """
         from tissue.objects.organ_picture import plot_organ
 

@@ -1,5 +1,6 @@
-"""How a soft organ is made: of tetrahedra, a surface, the labels of a segmentation, a block or
-the built-in liver.
+"""Constructors of a soft organ: tetrahedra, a surface, labels, a block or the liver.
+
+The labels come from a segmentation; the liver is built in.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ __all__ = ["OrganMakers"]
 
 
 class OrganMakers:
-    """Ways to make an organ, the class methods of `tissue.Organ`."""
+    """Constructors of an organ, as class methods of `tissue.Organ`."""
 
     def __init__(self, made: MadeOrgan) -> None:
         self._made = made
@@ -47,14 +48,14 @@ class OrganMakers:
         density_kg_m3: float | None = None,
         relaxation: Sequence[tuple[float, float]] = (),
     ) -> Self:
-        """An organ of tetrahedra.
+        """Make an organ of tetrahedra.
 
         Parameters
         ----------
         mesh
             pyvista UnstructuredGrid, a mesh of meshio, points and cells as a pair of arrays, or a
-            file (.vtu .vtk .msh .mesh). Its parts are an array over the cells named ``part`` (or as
-            meshers name them), of numbers or names.
+            file (.vtu .vtk .msh .mesh). Its parts are a cell array of numbers or names, called
+            ``part`` or by a mesher's usual name.
         modulus_kPa, poisson_ratio
             Young's modulus [kPa] and Poisson's ratio.
         parts
@@ -62,25 +63,26 @@ class OrganMakers:
         part_names
             Names of numbered parts.
         scale_mm
-            Millimetres per unit of the mesh; without it the mesh is in millimetres, and refused
-            where its size is not.
+            Millimetres per unit of the mesh. Without it the mesh must be in millimetres, and is
+            refused if its size contradicts that.
         held
-            What does not move: a side of the surface, which is what faces ``bottom`` (-z), ``top``,
-            ``-x``, ``+x`` and so on within 60 degrees; the name of a part; a mask of the mesh's
-            points, or their numbers.
+            Points that do not move: a side of the surface, the name of a part, a mask of the mesh's
+            points, or their numbers. A side is ``bottom`` (-z), ``top``, ``-x``, ``+x`` and so on;
+            it holds the faces within 60 degrees of that direction.
         held_below_mm
-            Instead, the surface below this height z [mm].
+            Height z below which the surface is held instead [mm].
         order
-            Order of the tetrahedra; linear ones are quicker and lock near incompressibility.
+            Order of the tetrahedra; linear ones are faster, but lock near incompressibility.
         friction
             Coulomb's coefficient between tool and organ.
         capsule
             Thickness [um] and Young's modulus [kPa] of a membrane on the whole surface.
         density_kg_m3
-            With it the organ lies in its own weight, along -z, before it is touched.
+            Density [kg/m3]; where it is given, gravity along -z acts on the organ before it is
+            touched.
         relaxation
-            Pairs of the share of the modulus that relaxes and its time [s]; `modulus_kPa` is that
-            of the first instant.
+            Pairs of a share of the modulus that relaxes and its relaxation time [s]; `modulus_kPa`
+            is the instantaneous modulus.
 
         Raises
         ------
@@ -117,7 +119,7 @@ class OrganMakers:
         progress: Progress = silent,
         **options: Unpack[OrganOptions],
     ) -> Self:
-        """An organ inside a closed surface, filled with tetrahedra once and kept on disk.
+        """Make an organ inside a closed surface, filled with tetrahedra once and kept on disk.
 
         Parameters
         ----------
@@ -125,20 +127,20 @@ class OrganMakers:
             Surface of pyvista or trimesh, vertices and triangles as a pair of arrays, or a file
             (.stl .obj .ply .vtk).
         modulus_kPa, poisson_ratio, parts, scale_mm, options
-            As of `from_tetrahedra`.
+            As for `from_tetrahedra`.
         edge_mm
-            Edge of the tetrahedra [mm]; without it a fourteenth of the longest side.
+            Edge of the tetrahedra [mm]; default a fourteenth of the longest side.
         inclusions
-            Closed surfaces of what lies inside, by name: each is a part, whose modulus `parts`
+            Closed surfaces inside the organ, by name. Each becomes a part, whose modulus `parts`
             gives.
         progress
-            Called with what is being done.
+            Called with the present work.
 
         Raises
         ------
         InputError
-            If a surface is not closed or not in millimetres, or an inclusion sticks out or meets
-            another.
+            If a surface is not closed or not in millimetres, or an inclusion sticks out or overlaps
+            another one.
         """
         from tissue.simulation.builders.organ_filled import of_surface
         from tissue.simulation.builders.organ_made import require_known
@@ -176,29 +178,31 @@ class OrganMakers:
         progress: Progress = silent,
         **options: Unpack[OrganOptions],
     ) -> Self:
-        """An organ of a segmentation, with what lies in it or on it, such as a tumour or a vessel,
-        as parts.
+        """Make an organ from a segmentation.
 
-        Its surface is that of the labels without the steps of their voxels, its volume theirs. It
-        lies in the frame of the image: LPS, x to the patient's left, y to the back, z to the head.
+        Structures in it or on it, such as a tumour or a vessel, become parts.
+
+        Its surface follows the labels without the steps of their voxels, and keeps their volume.
+        The organ lies in the frame of the image: LPS, x to the patient's left, y to the back, z to
+        the head.
 
         Parameters
         ----------
         labels
-            Label image (.seg.nrrd .nrrd .nii.gz), a folder of masks, or labels that were read.
+            Label image (.seg.nrrd .nrrd .nii.gz), a folder of masks, or labels already read.
         organ
             Name or number of the organ's label.
         modulus_kPa, poisson_ratio, options
-            As of `from_tetrahedra`.
+            As for `from_tetrahedra`.
         parts
-            Young's moduli of further labels, by name or number [kPa]: each becomes a part.
+            Young's moduli of additional labels, by name or number [kPa]. Each label becomes a part.
         names
-            What names the labels of a file that does not: ``totalsegmentator``, ``verse``, or a
-            TOML file.
+            Names of the labels for a file without names: ``totalsegmentator``, ``verse``, or a TOML
+            file.
         edge_mm
-            Edge of the tetrahedra [mm]; without it a fourteenth of the longest side.
+            Edge of the tetrahedra [mm]; default a fourteenth of the longest side.
         progress
-            Called with what is being done.
+            Called with the present work.
 
         Raises
         ------
@@ -231,16 +235,18 @@ class OrganMakers:
         edge_mm: float | None = None,
         **options: Unpack[OrganOptions],
     ) -> Self:
-        """A block of tissue: the origin at the middle of its top face, z up, bonded to the ground.
+        """Make a block of tissue bonded to the ground, with z up.
+
+        The origin is at the middle of its top face.
 
         Parameters
         ----------
         size_mm
             Sides along x, y and z [mm].
         modulus_kPa, poisson_ratio, options
-            As of `from_tetrahedra`.
+            As for `from_tetrahedra`.
         edge_mm
-            Edges at the top face [mm], which grow downwards; without it a fourteenth of the longest
+            Edges at the top face [mm], which grow downwards; default a fourteenth of the longest
             side.
         """
         from meshes.organs.liver import slab
@@ -267,13 +273,14 @@ class OrganMakers:
         edge_mm: float = 20.0,
         **options: Unpack[OrganOptions],
     ) -> Self:
-        """The procedural liver of the scenes: the origin on top of the right lobe, z to the head, x
-        to the left.
+        """Make the procedural liver of the scenes.
+
+        The origin is on top of the right lobe, with z to the head and x to the left.
 
         Parameters
         ----------
         modulus_kPa, poisson_ratio, options
-            As of `from_tetrahedra`; the defaults are the cited values, 5.4 kPa and 0.49.
+            As for `from_tetrahedra`; the defaults are the cited values, 5.4 kPa and 0.49.
         materials
             File of constants in place of the cited ones, as `tissue fit` writes it.
         edge_mm
@@ -282,7 +289,7 @@ class OrganMakers:
         Raises
         ------
         InputError
-            If the file cannot be used, or holds neither modulus nor Poisson's ratio of liver.
+            If the file cannot be used, or holds neither modulus nor Poisson's ratio of the liver.
         """
         from meshes.organs.liver import liver
         from tissue.simulation.builders.organ_made import made_of

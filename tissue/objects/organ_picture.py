@@ -1,4 +1,4 @@
-"""Pictures of an organ in the hand: its parts and supports, and how a press has moved it."""
+"""Pictures of an organ: its parts and supports, and its displacement by a press."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TOOL = (0.45, 0.48, 0.52)
 TISSUE = (0.93, 0.78, 0.72)
 HELD = (0.35, 0.45, 0.6)
 COLOURS = "YlOrRd"
-"""Light where little has moved."""
+"""Colour map that is light where the displacement is small."""
 MATTE: Any = {
     "show_edges": True,
     "edge_opacity": 0.2,
@@ -33,18 +33,17 @@ MATTE: Any = {
 
 @quiet_without_display()
 def plot_press(press: Press, *, scalars: str = "displacement_mm", **options: Any) -> Any:
-    """Show the organ as it was pressed, cut open at the tool, with the outline of its parts, and
-    the tool.
+    """Show the pressed organ, cut open at the tool, with the outline of its parts and the tool.
 
     Parameters
     ----------
     press
         The press.
     scalars
-        Field of its mesh that gives the colour; of a vector the length.
+        Field of its mesh for the colour; for a vector its length.
     options
-        Those of ``pyvista.Plotter.show``; ``off_screen``, ``notebook`` and ``window_size`` are the
-        plotter's.
+        Options of ``pyvista.Plotter.show``; ``off_screen``, ``notebook`` and ``window_size`` are
+        passed to the plotter.
 
     Raises
     ------
@@ -104,14 +103,15 @@ def plot_press(press: Press, *, scalars: str = "displacement_mm", **options: Any
 
 @quiet_without_display()
 def plot_organ(organ: Organ, **options: Any) -> Any:
-    """Show the outside of an organ through which its parts are seen, and what is held.
+    """Show an organ with a translucent outside, its parts and its supports.
 
     Parameters
     ----------
     organ
         The organ.
     options
-        Those of ``pyvista.Plotter.show``; ``off_screen`` and ``notebook`` are the plotter's.
+        Options of ``pyvista.Plotter.show``; ``off_screen`` and ``notebook`` are passed to the
+        plotter.
     """
     from tissue.show.figures.figure import OTHER_LAYERS
 
@@ -134,7 +134,7 @@ def plot_organ(organ: Organ, **options: Any) -> Any:
 
 
 def _across(along: Any) -> Any:
-    """Return a direction at right angles to a press, as close to -y as possible."""
+    """Return a direction perpendicular to a press, as close to -y as possible."""
     first = np.array([0.0, -1.0, 0.0]) if abs(along[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
     first = first - (first @ along) * along
     return first / np.linalg.norm(first)
@@ -149,7 +149,7 @@ def _shaded(body: pyvista.DataSet) -> pyvista.PolyData:
 
 
 def _plotter(options: dict[str, Any]) -> pyvista.Plotter:
-    """Return a plotter on white, and remove its own options from those given."""
+    """Return a plotter on white, and remove the plotter's options from those given."""
     import pyvista
 
     mine = {

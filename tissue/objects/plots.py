@@ -137,20 +137,22 @@ def finish(panels: "NDArray[np.object_]", wanted: dict[str, list[str]], title: s
 
 
 MOST_NAMED = 12
-"""Curves that a legend names."""
+"""Largest number of curves that a legend names."""
 LONG = 28
-"""Letters of a name of which only two stand in a line."""
+"""Number of letters of a name above which a line of the legend holds only two names."""
 
 
 @styled
 def overlay(traces: "Mapping[str, Table]", *, over: str = "time") -> NDArray[np.object_]:
-    """Draw the size of force and torque of all, and of the first one's force minus each other's at
-    the same place.
+    """Draw the size of force and torque of all traces, and the difference of their forces.
+
+    The difference is between the first trace's force and another trace's force at the same
+    position.
 
     Parameters
     ----------
     traces
-        By name.
+        Traces by name.
     over
         ``time``, or ``depth`` from the first contact in the first descent.
 
@@ -214,7 +216,7 @@ def _place(trace: "Table", over: str, name: str) -> tuple[slice, NDArray[np.floa
 def _at(
     places: NDArray[np.float64], known: NDArray[np.float64], vectors: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Interpolate vectors between known places, shape (places, 3)."""
+    """Interpolate vectors between known positions, shape (places, 3)."""
     return np.column_stack([np.interp(places, known, vectors[:, c]) for c in range(3)])
 
 
@@ -309,9 +311,7 @@ def draw_figures(sweep: "Sweep", names: list[str] | None) -> NDArray[np.object_]
 
 
 def _lines(sweep: "Sweep") -> dict[str, list[tuple[float | str, dict[str, float]]]]:
-    """Return by value of the second key the sorted values of the first, with the figures of
-    their runs.
-    """
+    """Return sorted values of the first key with figures, by value of the second key."""
     first, *second = sweep.keys
     found: dict[str, list[tuple[float | str, dict[str, float]]]] = {}
     for each in sweep.finished:

@@ -1,4 +1,4 @@
-"""Poses of a tool as people give them, and a path as poses."""
+"""Poses of a tool in the forms that users give, and a path as poses."""
 
 from typing import cast
 
@@ -15,15 +15,14 @@ __all__ = ["feed_along", "poses_of", "times_of"]
 
 
 def feed_along(points_mm: ArrayLike, feed_mm_s: float) -> tuple[Array, Array]:
-    """Tips on straight lines between points at a given feed, one every millisecond, and their
-    times.
+    """Return tips along straight lines at a given feed, one every millisecond, and their times.
 
     Parameters
     ----------
     points_mm
         Corners of the path [mm], shape (k, 3), at least two that differ.
     feed_mm_s
-        Speed along it [mm/s].
+        Speed along the path [mm/s].
 
     Returns
     -------
@@ -62,7 +61,7 @@ def feed_along(points_mm: ArrayLike, feed_mm_s: float) -> tuple[Array, Array]:
 
 
 def poses_of(poses: ArrayLike, axis: ArrayLike | None) -> tuple[Array, Rotation]:
-    """Tips [m], shape (n, 3), and orientations of poses.
+    """Return the tips [m], shape (n, 3), and orientations of poses.
 
     Parameters
     ----------
@@ -70,12 +69,12 @@ def poses_of(poses: ArrayLike, axis: ArrayLike | None) -> tuple[Array, Rotation]
         Tips [mm], shape (n, 3); tips and quaternions (x, y, z, w), shape (n, 7); or matrices, shape
         (n, 4, 4).
     axis
-        Direction from tip to shank for poses without a turn of their own; default z.
+        Direction from tip to shank for poses without an orientation; default z.
 
     Raises
     ------
     InputError
-        If they have another shape, are not finite, or hold no rotation.
+        If the poses have another shape, are not finite, or hold no rotation.
     """
     shape = np.shape(poses)
     if len(shape) not in (2, 3) or shape[1:] not in ((3,), (7,), (4, 4)):
@@ -110,12 +109,13 @@ def poses_of(poses: ArrayLike, axis: ArrayLike | None) -> tuple[Array, Rotation]
 
 
 def times_of(times_s: ArrayLike, count: int) -> Array:
-    """Times [s] of so many poses, shape (n,).
+    """Check the times of `count` poses and return them [s], shape (n,).
 
     Raises
     ------
     InputError
-        If there are fewer than two, another number than of poses, or they do not increase.
+        If there are fewer than two times, their number differs from the number of poses, or they do
+        not increase.
     """
     times = np.asarray(times_s, dtype=np.float64)
     if times.shape != (count,) or count < 2:
@@ -137,7 +137,7 @@ def times_of(times_s: ArrayLike, count: int) -> Array:
 
 
 def _rows(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """Finite numbers, a row each."""
+    """Return finite numbers as an array, one row each."""
     try:
         rows = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):

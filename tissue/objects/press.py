@@ -1,4 +1,4 @@
-"""What a press gave: force over depth, and the organ as it was at the end."""
+"""Result of a press: force over depth, and the organ at the end."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ if TYPE_CHECKING:
 __all__ = ["Press", "html_table"]
 
 SLOPE_SHARE = 0.1
-"""Share of the depth, at its end, over which the stiffness is taken."""
+"""Share of the depth, at its end, over which the stiffness is computed."""
 
 
 @dataclass(frozen=True, eq=False)
 class Press:
-    """A press of a tool on an organ; `Organ.press` gives it. Forces are those on the tool, in the
-    mesh's frame.
+    """Press of a tool on an organ, made by `Organ.press`.
+
+    Forces act on the tool, in the mesh's frame.
 
     Attributes
     ----------
     tool
-        What pressed.
+        Tool that pressed.
     at_mm, along
-        Point of the surface that it was led to [mm] and the unit direction that it came along,
-        shapes (3,).
+        Target point of the surface [mm] and unit direction of the tool's motion, shape (3,) each.
     notes
-        What was found and assumed, by what it is about: read `linear` before a force of a deep
-        press is used.
+        Notes on findings and assumptions, by subject. Read `linear` before using the force of a
+        deep press.
     """
 
     tool: PressingTool
@@ -54,12 +54,12 @@ class Press:
 
     @property
     def depth_mm(self) -> Array:
-        """How far the tool has gone on from its first touch, at every step [mm], shape (n,)."""
+        """Depth of the tool from its first contact at every step [mm], shape (n,)."""
         return 1e3 * self._curve.depth_m
 
     @property
     def time_s(self) -> Array:
-        """Time since the first touch, at every step [s], shape (n,)."""
+        """Time since the first contact at every step [s], shape (n,)."""
         return self._curve.time_s
 
     @property
@@ -79,7 +79,7 @@ class Press:
 
     @property
     def force_magnitude_N(self) -> float:
-        """Size of that force [N]."""
+        """Size of the force at the end [N]."""
         return float(np.linalg.norm(self.force_N))
 
     @property
@@ -89,7 +89,7 @@ class Press:
 
     @property
     def tip_mm(self) -> Array:
-        """Where the tool's tip is at the end [mm], shape (3,)."""
+        """Position of the tool's tip at the end [mm], shape (3,)."""
         return 1e3 * self._curve.tip_m
 
     @property
@@ -104,11 +104,11 @@ class Press:
 
     @cached_property
     def mesh(self) -> pyvista.UnstructuredGrid:
-        """The organ at rest with its fields at the end of the press, in the mesh's frame [mm].
+        """Organ at rest with its fields at the end of the press, in the mesh's frame [mm].
 
-        Over the points ``displacement_mm`` and ``reaction_N``, over the cells ``von_mises_kPa``,
-        ``principal_stress_kPa``, ``strain_percent`` and ``part``, which counts into the field
-        ``part_names``.
+        The point arrays are ``displacement_mm`` and ``reaction_N``. The cell arrays are
+        ``von_mises_kPa``, ``principal_stress_kPa``, ``strain_percent`` and ``part``, which is an
+        index into the field ``part_names``.
         """
         grid = grid_of(self._mesh)
         for name, values in self._curve.frame.points.items():
@@ -118,12 +118,12 @@ class Press:
         return grid
 
     def plot(self, **options: Any) -> Any:
-        """Show the organ as it was pressed, coloured by how far it moved, and the tool.
+        """Show the pressed organ, coloured by its displacement, and the tool.
 
         Parameters
         ----------
         options
-            ``scalars``, another field of `mesh`, and those of ``pyvista.Plotter.show``, such as
+            ``scalars``, another field of `mesh`, and options of ``pyvista.Plotter.show``, such as
             ``screenshot``.
         """
         from tissue.objects.organ_picture import plot_press
@@ -131,7 +131,9 @@ class Press:
         return plot_press(self, **options)
 
     def to_pandas(self) -> pd.DataFrame:
-        """A row for each step: depth, force and contact area, with units in the names.
+        """Return a table with a row per step: depth, force and contact area.
+
+        Units are in the names.
 
         Raises
         ------
@@ -157,7 +159,7 @@ class Press:
 
     @property
     def tool_mesh(self) -> pyvista.PolyData:
-        """The tool where it is at the end of the press [mm]."""
+        """Tool at the end of the press [mm]."""
         place = np.eye(4)
         place[:3, :3] = self._curve.rotation
         place[:3, 3] = self.tip_mm
@@ -188,7 +190,7 @@ class Press:
 
 
 def html_table(title: str, rows: Mapping[str, str]) -> str:
-    """Names and values as a table of a notebook."""
+    """Return names and values as a table for a notebook."""
     lines = "".join(
         f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in rows.items()
     )

@@ -1,4 +1,4 @@
-"""A progress bar where a person looks: in a notebook or in a terminal."""
+"""Progress bar in a notebook or in a terminal."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,8 +16,9 @@ if TYPE_CHECKING:
 __all__ = ["Bar", "reporting", "terminal_bar"]
 
 Bar = Progress | bool | None
-"""What a call takes as ``progress``: what is called, or whether a bar is shown; without either
-one in a notebook.
+"""Argument ``progress`` of a call: a function, or whether to show a bar.
+
+The default None shows a bar in a notebook only.
 """
 EVERY_S = 0.2
 """Time between two updates of a notebook's bar [s]."""
@@ -25,7 +26,7 @@ EVERY_S = 0.2
 
 @contextmanager
 def reporting(wanted: Bar) -> Iterator[Progress]:
-    """What a call reports to: what it was given, a bar, or nobody."""
+    """Yield the function that a call reports progress to: the given one, a bar, or a no-op."""
     if callable(wanted):
         yield wanted
     elif in_notebook() and wanted is not False:
@@ -42,7 +43,7 @@ def reporting(wanted: Bar) -> Iterator[Progress]:
 
 @contextmanager
 def terminal_bar(console: "Console") -> Iterator[Progress]:
-    """A bar that goes when it is done; nothing where the console is no terminal."""
+    """Yield the report function of a temporary bar; it does nothing without a terminal."""
     from rich import progress as bars
 
     if not console.is_terminal:  # older versions of rich end even a disabled bar with an empty line
@@ -57,8 +58,9 @@ def terminal_bar(console: "Console") -> Iterator[Progress]:
 
 @contextmanager
 def _notebook_bar() -> Iterator[Progress]:
-    """A bar of plain HTML, which needs no widgets, in the output of the cell that runs; it goes
-    when it is done.
+    """Yield the report function of a temporary bar of plain HTML in the output of a cell.
+
+    The bar needs no widgets.
     """
     from IPython import display
 

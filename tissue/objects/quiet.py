@@ -1,4 +1,4 @@
-"""VTK without its warning that there is no display, where a picture is drawn without one."""
+"""Suppression of VTK's warning about a missing display."""
 
 import os
 from collections.abc import Iterator
@@ -9,8 +9,9 @@ __all__ = ["quiet_without_display"]
 
 @contextmanager
 def quiet_without_display() -> Iterator[None]:
-    """Let VTK write errors only where no display is named: it warns of that, and then draws
-    without one.
+    """Restrict VTK's output to errors if no display is set.
+
+    VTK warns about a missing display, and then draws without one.
     """
     if os.environ.get("DISPLAY"):
         yield

@@ -1,4 +1,4 @@
-"""`tissue.register`: parts of one's own, by the names that a scene gives them."""
+"""Registration of user-defined parts by the names that scenes use: `tissue.register`."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -39,13 +39,14 @@ MARKER = "*"
 
 
 class register:
-    """Make a part known by a name: scenes, messages, the schema, charts and the judge of stability
-    then know it.
+    """Registration of parts by name.
 
-    A function that takes what makes a part, or without it is a decorator of that. Each refuses, in
-    one sentence, a name that is taken, and what lacks a method that a run calls. What is registered
-    is known in this process; an installed package offers parts to all by entry points, in groups
-    such as ``tissue.predictors``.
+    Scenes, messages, the schema, charts and the stability check then accept the name.
+
+    Each function takes the class or function that makes a part, or without it returns a decorator
+    for one. A name that is taken is refused in one sentence, and so is a part without a method that
+    a run calls. A registered part is available in this process. An installed package offers parts
+    to all processes by entry points, in groups such as ``tissue.predictors``.
     """
 
     @staticmethod
@@ -57,11 +58,11 @@ class register:
         name
             Value of ``tool.kind``.
         profile
-            Returns a `tissue.cutters.profile.Profile` from ``diameter_m`` and what `keys` add, in
-            metres and radians: ``length_m`` of ``length_mm``, ``point_angle_rad`` of
+            Returns a `tissue.cutters.profile.Profile` from ``diameter_m`` and the sizes of `keys`,
+            in metres and radians: ``length_m`` for ``length_mm``, ``point_angle_rad`` for
             ``point_angle_deg``.
         keys
-            Those of the tool's keys that shape it beside its diameter.
+            Keys of the tool that define its shape in addition to its diameter.
         """
 
         def entry(part: Any) -> CutterEntry:
@@ -72,34 +73,37 @@ class register:
 
     @staticmethod
     def probe(name: str, make: F | None = None, *, keys: tuple[str, ...] = ("diameter_mm",)) -> Any:
-        """Register a smooth tool that presses: ``make(tool)`` returns the `ProbeShape` of a
-        scene's tool.
+        """Register a smooth tool that presses.
+
+        ``make(tool)`` returns the `ProbeShape` of a scene's tool.
         """
 
         return _added("probe", name, make, PROBES, lambda part: ProbeEntry(part, tuple(keys)))
 
     @staticmethod
     def needle(name: str, make: F | None = None) -> Any:
-        """Register a needle: ``make(walls=...)`` returns its `NeedleTissue`, ``walls`` are the
-        scene's membranes.
+        """Register a needle.
+
+        ``make(walls=...)`` returns its `NeedleTissue`; ``walls`` are the scene's membranes.
         """
 
         return _added("needle", name, make, NEEDLES)
 
     @staticmethod
     def motion(name: str, parameters: "type[Part]", make: F | None = None) -> Any:
-        """Register a motion of the tool: ``make(parameters, step_s)`` returns a
-        `tissue.motion.motion.Motion`.
+        """Register a motion of the tool.
+
+        ``make(parameters, step_s)`` returns a `tissue.motion.motion.Motion`.
 
         Parameters
         ----------
         name
             Value of ``motion.kind``.
         parameters
-            What a scene states of it: a subclass of `tissue.scene.anatomy.Part` whose ``kind`` is
-            the name.
+            Parameters of the motion in a scene: a subclass of `tissue.scene.anatomy.Part` whose
+            ``kind`` is the name.
         make
-            Makes one of that, for ticks of so many seconds.
+            Makes a motion from these parameters, for ticks of `step_s` seconds.
         """
 
         def entry(part: Any) -> MotionEntry:
@@ -126,21 +130,22 @@ class register:
         pictures: Mapping[str, Callable[..., None]] | None = None,
         faces: Callable[..., Any] | None = None,
     ) -> Any:
-        """Register a tissue: ``build(scene, motion, *, step_s, compute, cores, report)`` returns
-        the parts of a run.
+        """Register a tissue.
+
+        ``build(scene, motion, *, step_s, compute, cores, report)`` returns the parts of a run.
 
         Parameters
         ----------
         name
             Value of ``anatomy.kind``.
         parameters
-            What a scene states of it: a subclass of `tissue.scene.anatomy.Part` whose ``kind`` is
-            the name.
+            Parameters of the tissue in a scene: a subclass of `tissue.scene.anatomy.Part` whose
+            ``kind`` is the name.
         build
             Returns `tissue.simulation.builders.parts.Parts`, with a
             `tissue.models.tissue_model.TissueModel`.
         tool
-            The part that describes the tools that it meets: ``Tool``, ``Probe`` or ``Needle`` of
+            Class of the tools that the tissue meets: ``Tool``, ``Probe`` or ``Needle`` of
             `tissue.scene.tool`.
         force_N, pictures, faces
             See `tissue.scene.registry.AnatomyEntry`.
@@ -158,27 +163,26 @@ class register:
         numbers: "Mapping[str, float] | DeviceParameters",
         make: Callable[[tuple[float, float, float]], object] | None = None,
     ) -> Callable[[F], F]:
-        """Register a haptic device: the numbers of its stability check, and a function that opens
-        the real one.
+        """Register a haptic device: its parameters, and a function that opens the real device.
 
         Parameters
         ----------
         name
             Value of ``device``.
         numbers
-            Those of `tissue.haptics.device.device.DeviceParameters` in SI, at least ``mass_kg`` and
-            ``damping_N_s_m``.
+            Values of `tissue.haptics.device.device.DeviceParameters` in SI for the stability check,
+            at least ``mass_kg`` and ``damping_N_s_m``.
         make
-            Opens the device that `tissue.simulate` and ``tissue run`` then hold: called with the
-            place [m] where the tool starts in the scene, it returns a
+            Opens the device that `tissue.simulate` and ``tissue run`` then hold. It is called with
+            the position [m] at which the tool starts in the scene, and returns a
             `tissue.haptics.device.device.Device`. Without it, and where charts, studies and
-            training run many trials, a simulated device of these numbers is held by the scene's
-            hand.
+            training run many trials, the scene's hand holds a simulated device with these
+            parameters.
 
         Returns
         -------
         Callable
-            A decorator of the class that is `make`.
+            Decorator for the class that is `make`.
         """
         from tissue.haptics.device.device import DeviceParameters
 
@@ -198,8 +202,9 @@ class register:
 
     @staticmethod
     def hand(name: str, numbers: Mapping[str, float], *, like: str = "expert") -> None:
-        """Register a hand: numbers of `HandParameters` in SI; the others are those of a known
-        hand.
+        """Register a hand by values of `HandParameters` in SI.
+
+        The other values are taken from a known hand.
         """
         from tissue.haptics.hand.hand import HandParameters
 
@@ -208,10 +213,10 @@ class register:
 
     @staticmethod
     def renderer(name: str, make: F | None = None) -> Any:
-        """Register a rendering law with `render` and `pause`: ``make(loop)`` takes a `WallLoop`.
+        """Register a rendering law with `render` and `pause`; ``make(loop)`` takes a `WallLoop`.
 
-        The loop is judged with ``loop.stiffness_N_m``; a law that is stiffer than that is not seen
-        by the judge.
+        The stability check uses ``loop.stiffness_N_m``. It does not detect a law that is stiffer
+        than that.
         """
 
         return _added("renderer", name, make, RENDERERS, methods=("render", "pause"))
@@ -225,23 +230,22 @@ class register:
         colour: str = COLOUR,
         marker: str = MARKER,
     ) -> Any:
-        """Register a predictor of the force: a class with `observe` and `predict`, see
-        `tissue.prediction.outside`.
+        """Register a predictor of the force: a class with `observe` and `predict`.
 
-        It runs under the guard, which holds the last force where holding would miss less, and is
-        judged with the loop.
+        See `tissue.prediction.outside`. The predictor runs under the guard, which holds the last
+        force where holding has the smaller error. The stability check includes the predictor.
 
         Parameters
         ----------
         name
             Value of ``prediction``.
         make
-            Called with nothing, or with what ``tissue train`` wrote for the scene,
-            `tissue.prediction.trained.Trained`.
+            Called without arguments, or with the `tissue.prediction.trained.Trained` that ``tissue
+            train`` wrote for the scene.
         trained
-            Whether it is given that.
+            Whether `make` takes a `Trained`.
         colour, marker
-            Its own in charts, as matplotlib has them.
+            Colour and marker in charts, in matplotlib's notation.
         """
 
         def entry(part: Any) -> PredictorEntry:
@@ -256,21 +260,20 @@ class register:
 
     @staticmethod
     def perception(name: str, make: F | None = None) -> Any:
-        """Register a map: ``make(argument, *, rng, force_limit_N, tick_s, friction_N)`` returns a
-        `Perception`.
+        """Register a perception, which maps forces for a person.
 
-        A name such as ``share:NUMBER`` stands for all texts with something behind the colon, which
-        is the argument.
+        ``make(argument, *, rng, force_limit_N, tick_s, friction_N)`` returns a `Perception`. A name
+        such as ``share:NUMBER`` stands for all texts with an argument after the colon.
         """
 
         return _added("perception", name, make, PERCEPTIONS, methods=("step", "pause"))
 
     @staticmethod
     def offered(kind: str, name: str, load: Callable[[], Any]) -> None:
-        """Register what an entry point of an installed package names, unless importing it does, as
-        a decorator would.
+        """Register the part that an entry point of an installed package names.
 
-        A name that a call has registered stays with that.
+        If importing the part already registers it, as a decorator does, nothing is added. A name
+        that a call has registered keeps its part.
 
         Raises
         ------
@@ -293,18 +296,18 @@ class register:
 
     @staticmethod
     def material(file: str | Path) -> tuple[str, ...]:
-        """Register the materials of a TOML file: ``[cutting.NAME.CONSTANT]`` for cutting,
-        ``[soft...]`` for organs.
+        """Register the materials of a TOML file and return their names.
 
-        Each constant has value, range, source and confidence, as in `tissue/materials`. Returns the
-        names.
+        The tables are ``[cutting.NAME.CONSTANT]`` for cutting and ``[soft...]`` for organs. Each
+        constant has value, range, source and confidence, as in `tissue/materials`.
         """
         return check.add_materials(Path(file))
 
     @staticmethod
     def scene(file: str | Path) -> str:
-        """Register the scene of a TOML file by its name, for `load_scene`, ``tissue scenes`` and
-        ``tissue run``.
+        """Register the scene of a TOML file by its name.
+
+        The name is available to `load_scene`, ``tissue scenes`` and ``tissue run``.
         """
         path = Path(file).resolve()
         name = check.scene_name(path)
@@ -325,9 +328,7 @@ def _added(
     entry: Callable[[Any], Any] = _same,
     methods: tuple[str, ...] = (),
 ) -> Any:
-    """Check a part and add its entry to a table; return a decorator that does so where no part
-    is given.
-    """
+    """Check a part and add its entry to a table; without a part, return a decorator."""
 
     def add(each: Any) -> Any:
         check.name(kind, name, argument=kind == "perception")

@@ -1,4 +1,4 @@
-"""Checks of a part from outside before it is registered."""
+"""Checks of a user-defined part before it is registered."""
 
 import inspect
 import re
@@ -32,11 +32,11 @@ NAME = "[a-z0-9][a-z0-9_-]*"
 SOFT = ("modulus_kPa", "poisson_ratio", "density_kg_m3")
 """Constants that every soft material has."""
 CAPSULE = "_capsule"
-"""Ends the name of what lies on an organ, which no organ is made of."""
+"""End of the name of a capsule, which lies on an organ and is no organ's material."""
 
 
 def name(kind: str, given: object, *, argument: bool = False) -> None:
-    """Refuse a name that is no name, or is taken."""
+    """Refuse a name that is invalid or taken."""
     pattern = f"{NAME}(:[A-Z]+)?" if argument else NAME
     if not isinstance(given, str) or not re.fullmatch(pattern, given):
         raise InputError(
@@ -53,7 +53,7 @@ def name(kind: str, given: object, *, argument: bool = False) -> None:
 
 
 def callable_part(kind: str, given: str, part: object, methods: Sequence[str] = ()) -> None:
-    """Refuse what makes no part: it can be called, and a class has the methods."""
+    """Refuse a part that is not callable, or a class without the required methods."""
     if not callable(part):
         raise InputError(
             f"{kind} {given}", "be a class or a function", shown(part), "give what makes one"
@@ -91,7 +91,7 @@ def profile(given: str, part: Any, keys: Sequence[str]) -> None:
 
 
 def parameters(kind: str, given: str, part: object) -> None:
-    """Refuse what a scene cannot state: a subclass of `Part` whose kind is the name."""
+    """Refuse parameters that are no subclass of `Part` whose kind is the name."""
     from tissue.scene.anatomy import Part
     from tissue.scene.choices import kinds_of
 
@@ -113,9 +113,7 @@ def parameters(kind: str, given: str, part: object) -> None:
 
 
 def numbers_of(kind: Any, numbers: Any, *, needed: Sequence[str] = ()) -> dict[str, float]:
-    """Return the numbers of an instance of a class of parameters, or of a mapping that the class
-    takes.
-    """
+    """Return the values of a class of parameters, from an instance or a checked mapping."""
     if isinstance(numbers, kind):
         return asdict(numbers)
     if not isinstance(numbers, Mapping):
@@ -145,7 +143,7 @@ def numbers_of(kind: Any, numbers: Any, *, needed: Sequence[str] = ()) -> dict[s
 
 
 def looks(colour: str, marker: str) -> None:
-    """Refuse what matplotlib cannot draw."""
+    """Refuse a colour or a marker that matplotlib cannot draw."""
     from matplotlib.colors import is_color_like
     from matplotlib.markers import MarkerStyle
 
@@ -162,7 +160,7 @@ def looks(colour: str, marker: str) -> None:
 
 
 def scene_name(path: Path) -> str:
-    """Return the name that a scene's file holds, where none has it."""
+    """Return the name in a scene's file; refuse a name that is taken."""
     from tissue.scene.load import library_names
 
     found = _table(path, "scene").get("name")
@@ -179,7 +177,7 @@ def scene_name(path: Path) -> str:
 
 
 def add_materials(path: Path) -> tuple[str, ...]:
-    """Add the materials of a file, all or none."""
+    """Add the materials of a file: all of them, or none if one is refused."""
     found = _table(path, "material")
     if not found or any(table not in ("cutting", "soft") for table in found):
         raise InputError(

@@ -1,4 +1,4 @@
-"""A run as one HTML file to hand over."""
+"""Report of a run as one HTML file to share."""
 
 from pathlib import Path
 
@@ -16,19 +16,20 @@ def report(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> Path:
-    """Write a run as one HTML file that needs no network: figures, forces, the bone or organ in 3D
-    over time.
+    """Write a run as one HTML file that needs no network.
+
+    It shows figures, forces, and the bone or organ in 3D over time.
 
     Parameters
     ----------
     run
-        A run, or the folder that it was saved to.
+        Run, or the folder that it was saved to.
     out
-        HTML file to write; without it ``report.html`` in the run's folder.
+        HTML file to write; default ``report.html`` in the run's folder.
     overwrite
-        Replace the file where it is there.
+        Replace an existing file.
     progress
-        Called with what is being done.
+        Called with the present work.
 
     Returns
     -------
@@ -37,8 +38,8 @@ def report(
     Raises
     ------
     InputError
-        If a run that was not saved is given no ``out``, the folder holds no run or damaged files,
-        or the file is there.
+        If ``out`` is missing for a run that was not saved, the folder holds no run or damaged
+        files, or the file exists.
     """
     from tissue.show.report.report import NAME, write_report
 

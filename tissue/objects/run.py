@@ -1,4 +1,4 @@
-"""A run with its plots, 3D view and bands: `tissue.Run`."""
+"""Run with its plots, 3D view and bands: `tissue.Run`."""
 
 from collections.abc import Iterable
 from contextlib import suppress
@@ -31,7 +31,7 @@ __all__ = ["Run", "open_run"]
 
 
 class Run(engine.Run):
-    """A run, as `tissue.simulate` returns it and `Run.load` reads it back.
+    """Run, as returned by `tissue.simulate` or read by `Run.load`.
 
     Parameters
     ----------
@@ -54,20 +54,19 @@ class Run(engine.Run):
 
     @cached_property
     def trace(self) -> Trace:
-        """One row a tick, columns by name: ``run.trace["force_z_N"]``."""
+        """Trace with one row a tick, columns by name: ``run.trace["force_z_N"]``."""
         return Trace(super().trace)
 
     @cached_property
     def timing(self) -> Trace:
-        """Duration of each tick and of its stages [µs], columns by name:
-        ``run.timing["tick_us"]``.
-        """
+        """Duration of each tick and its stages [µs], by name: ``run.timing["tick_us"]``."""
         return Trace(super().timing)
 
     @property
     def summary(self) -> Summary:
-        """Figures of the run, as in ``summary.json``: volumes by layer, forces, cost of the
-        ticks, the band.
+        """Figures of the run, as in ``summary.json``.
+
+        They include volumes by layer, forces, cost of the ticks and the band.
         """
         return super().summary | ({} if self._band is None else {"band": self._band.summary})
 
@@ -75,22 +74,23 @@ class Run(engine.Run):
         """Return the tissue as a pyvista data set, in the scene's frame in mm.
 
         Voxels: an image with the cell arrays start and remaining (255 = full), layer,
-        density_kg_m3. Those that are less than half full are hidden by the cell array
-        ``vtkGhostType``, so that ``run.dataset().plot()`` shows the bone. Elements: the mesh of the
-        last frame with its fields.
+        density_kg_m3. Voxels that are less than half full are hidden by the cell array
+        ``vtkGhostType``, so ``run.dataset().plot()`` shows the bone. Elements: the mesh of the last
+        frame with its fields.
 
         Raises
         ------
         InputError
-            If the tissue has neither.
+            If the tissue has neither voxels nor elements.
         """
         from tissue.objects.show import with_empty_hidden
 
         return with_empty_hidden(super().dataset())
 
     def surface(self) -> "pyvista.PolyData":
-        """Return the surface of the carved bone [mm]: point array ``removed_depth_mm``, cell array
-        ``layer``.
+        """Return the surface of the carved bone [mm].
+
+        It has the point array ``removed_depth_mm`` and the cell array ``layer``.
 
         Raises
         ------
@@ -120,15 +120,16 @@ class Run(engine.Run):
         return path
 
     def _save_band(self, path: Path | None, pictures: bool | str) -> None:
-        """Write the band into a folder of the run, if there are both."""
+        """Write the band into a folder of the run, if both exist."""
         if self._band is not None and path is not None:
             from tissue.fitting.bands.band_files import save_band
 
             save_band(self._band, path, kind=picture_format(pictures))
 
     def _folder(self) -> Path:
-        """Return a folder with this run's files: its own, or a temporary one if that holds
-        another run by now.
+        """Return a folder with this run's files.
+
+        It is the run's own folder, or a temporary one if that holds another run by now.
         """
         if self._saved is not None:
             return self._saved.path
@@ -142,16 +143,15 @@ class Run(engine.Run):
     def plot(
         self, columns: Iterable[str] | None = None, *, ax: "Axes | None" = None
     ) -> "NDArray[np.object_]":
-        """Plot columns of the trace over time, by default force and torque on the tool, with the
-        run's events.
+        """Plot columns of the trace over time, with the run's events.
 
         Parameters
         ----------
         columns
-            Columns of numbers, such as ``["removed_mm3", "contact_mm2"]``; those of one unit share
-            a panel.
+            Columns of numbers, such as ``["removed_mm3", "contact_mm2"]``; default force and torque
+            on the tool. Columns of one unit share a panel.
         ax
-            Axes of matplotlib to draw on, for columns of one unit; without it a new figure is made.
+            Axes of matplotlib to draw on, for columns of one unit; default axes in a new figure.
 
         Returns
         -------
@@ -181,24 +181,24 @@ class Run(engine.Run):
         Parameters
         ----------
         time_s
-            The moment [s]; without it that of the greatest force.
+            Moment to show [s]; default the moment of the largest force.
         field
-            Field in place of the bone, ``von_mises_MPa`` for one.
+            Field in place of the bone, such as ``von_mises_MPa``.
         hide
-            Layers that are left out.
+            Layers to leave out.
         scale
-            How many times its size the displacement is drawn.
+            Factor of the drawn displacement.
         interactive
-            Whether it can be turned by the mouse: in a notebook where the extra ``notebook`` is
-            installed, in a script in a window, as `tissue view` opens it, where there is a display.
-            Without it, it is so where it can be.
+            Whether the view can be rotated with the mouse. In a notebook this needs the extra
+            ``notebook``; in a script it needs a display for a window, as `tissue view` opens it.
+            The default is an interactive view wherever it is possible.
         screenshot
             PNG file to write; an existing one is replaced.
 
         Returns
         -------
-        A still picture, which a notebook shows, with its pixels as ``array``; in a notebook
-        that can, what is turned by the mouse; None of a window, after it was closed.
+        A still picture, which a notebook shows, with its pixels as ``array``. An interactive view
+        in a notebook. None for a window, after it was closed.
 
         Raises
         ------
@@ -230,31 +230,30 @@ class Run(engine.Run):
         Parameters
         ----------
         samples
-            Samples of the constants, rounded up to a power of two; None reads the band that was
-            computed before.
+            Samples of the constants, rounded up to a power of two; None reads an existing band.
         seed
-            Seed of the samples; default that of the scene.
+            Seed of the samples; default the seed of the scene.
         workers
             Processes that run samples in parallel, if each sample is a run, as for a needle. A
-            script that asks for several must begin below ``if __name__ == "__main__":``.
+            script that uses several must begin below ``if __name__ == "__main__":``.
         scheduler
             Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``, whose workers
             run samples instead.
         each_run
-            Run every sample where reweighing the loads would do, so that temperature and stress
-            have bands too.
+            Run every sample even where reweighting the loads would suffice, so that temperature and
+            stress have bands too.
         compute, cores, progress
             As for `tissue.simulate`.
         pictures
-            Whether pictures are drawn, or their format, png, svg or pdf; a run that lies in a
-            folder has its band written there, another one where it is saved.
+            Whether pictures are drawn, or their format, png, svg or pdf. The band of a saved run is
+            written into its folder; the band of another run is written when the run is saved.
 
         Raises
         ------
         InputError
-            If there is no band to read, or none can be made: no constant has a range, the number of
-            samples is none of 16 to 65536, more than a tenth of them fail, or the run was stopped
-            early.
+            If there is no band to read, or no band can be made: no constant has a range, the number
+            of samples is not from 16 to 65536, more than a tenth of the samples fail, or the run
+            was stopped early.
         """
         if samples is None:
             if self._band is None:
@@ -287,16 +286,18 @@ class Run(engine.Run):
         return made
 
     def to_pandas(self) -> "pandas.DataFrame":
-        """Return the trace, a row a tick, with the scene's name in ``attrs``; see
-        `Trace.to_pandas`.
+        """Return the trace as a table, one row a tick, with the scene's name in ``attrs``.
+
+        See `Trace.to_pandas`.
         """
         table = self.trace.to_pandas()
         table.attrs["scene"] = self.scene.name
         return table
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Return the trace over ``time_s``, with the scene's name in ``attrs``; see
-        `Trace.to_xarray`.
+        """Return the trace over ``time_s``, with the scene's name in ``attrs``.
+
+        See `Trace.to_xarray`.
         """
         return self.trace.to_xarray().assign_attrs(scene=self.scene.name)
 
@@ -309,11 +310,11 @@ class Run(engine.Run):
 
     def _repr_html_(self) -> str:
         size = np.zeros(0)
-        with suppress(InputError):  # of a run that was stopped early there may be no trace
+        with suppress(InputError):  # a run that was stopped early may have no trace
             size = np.linalg.norm(self.trace.vectors("model_force", "N"), axis=1)
         return run_html(self.summary, self.events, size)
 
 
 def open_run(path: str | Path) -> Run:
-    """Read a run back from its folder; the same as `Run.load`."""
+    """Read a run from its folder, as `Run.load`."""
     return Run.load(path)

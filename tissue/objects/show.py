@@ -1,4 +1,4 @@
-"""A run in 3D: a window in a script, an interactive view in a notebook, or a still picture."""
+"""Run in 3D: a window in a script, an interactive view in a notebook, or a still picture."""
 
 import sys
 import warnings
@@ -19,13 +19,14 @@ from tissue.system.offscreen import display_problem
 __all__ = ["Picture", "in_notebook", "is_interactive", "show_folder", "with_empty_hidden"]
 
 BACKENDS = ("trame_pyvista", "pyvista.trame.jupyter")
-"""Modules by which pyvista 0.49 and older ones let a notebook turn a picture by the mouse: the
-extra ``notebook``.
+"""Modules of pyvista for interactive views in a notebook: the extra ``notebook``.
+
+The first is used by pyvista 0.49, the second by older versions.
 """
 
 
 def in_notebook() -> bool:
-    """Return whether a Jupyter kernel runs this."""
+    """Return whether a Jupyter kernel runs this code."""
     module = sys.modules.get("IPython")
     shell: Any = module.get_ipython() if module is not None else None
     return shell is not None and hasattr(shell, "kernel")
@@ -45,11 +46,11 @@ def is_interactive() -> bool:
 
 
 WIDE_PX = 800
-"""Widest that a notebook shows a picture [px]."""
+"""Largest width of a picture in a notebook [px]."""
 
 
 class Picture:
-    """A still picture: a notebook shows it, ``array`` has its pixels, `save` writes it.
+    """Still picture: a notebook shows it, ``array`` has its pixels, `save` writes it.
 
     Parameters
     ----------
@@ -68,7 +69,7 @@ class Picture:
         return np.rint(255.0 * imread(BytesIO(self._png), format="png")[..., :3]).astype(np.uint8)
 
     def save(self, path: str | Path) -> Path:
-        """Write a PNG file; one that is there is replaced."""
+        """Write a PNG file; an existing file is replaced."""
         with whole_file(Path(path)) as temporary:
             temporary.write_bytes(self._png)
         return Path(path)
@@ -82,14 +83,16 @@ class Picture:
 
 
 GHOSTS, HIDDEN = "vtkGhostType", 32
-"""Cell array by which VTK leaves cells out, and its bit for hidden ones
-(vtkDataSetAttributes::HIDDENCELL).
+"""Cell array by which VTK hides cells, and its bit for hidden ones.
+
+The bit is vtkDataSetAttributes::HIDDENCELL.
 """
 
 
 def with_empty_hidden(data: Any) -> Any:
-    """Hide voxels that are less than half full from filters and pictures. A mesh is returned
-    unchanged.
+    """Hide voxels that are less than half full from filters and pictures.
+
+    A mesh is returned unchanged.
     """
     if "remaining" in data.cell_data:
         empty = np.asarray(data.cell_data["remaining"]) < HALF
@@ -101,8 +104,9 @@ def with_empty_hidden(data: Any) -> Any:
 def show_folder(
     folder: Path, chosen: dict[str, Any], *, interactive: bool | None, screenshot: Path | None
 ) -> Any:
-    """Show the run of a folder, with the moment and so on that were chosen; see
-    `tissue.objects.run.Run.show`.
+    """Show the run of a folder with the chosen moment, field, layers and scale.
+
+    See `tissue.objects.run.Run.show`.
     """
     from tissue.show.viewer.view import view
 
@@ -127,7 +131,7 @@ def show_folder(
         )
     with TemporaryDirectory(prefix="tissue-") as place:
         file = screenshot or Path(place) / "shown.png"
-        # It draws in a process of its own, and therefore also checks whether this machine can draw.
+        # `view` draws in a separate process, which also checks whether this machine can draw.
         view(folder, screenshot=file, overwrite=True, **chosen)
         still = Picture(file.read_bytes())
     return _turned(folder, chosen) if interactive else still

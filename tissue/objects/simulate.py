@@ -1,4 +1,4 @@
-"""Simulate a scene: `tissue.simulate`, which `tissue run` calls too."""
+"""Simulation of a scene: `tissue.simulate`, which `tissue run` calls too."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -37,7 +37,7 @@ def simulate(
     observer: RunObserver | None = None,
     live: LiveSettings | None = None,
 ) -> Run:
-    """Simulate a scene, with the settings that meet its demand on fidelity.
+    """Simulate a scene with the settings that meet its fidelity requirement.
 
     Parameters
     ----------
@@ -48,36 +48,36 @@ def simulate(
     cores
         Processor cores to use; default all. The trace does not depend on it.
     out
-        Folder that takes the trace while the run goes on, so that a killed run leaves what it had;
-        without it the run stays in memory until `Run.save`.
+        Folder that receives the trace during the run, so a killed run keeps its rows. Without it
+        the run stays in memory until `Run.save`.
     overwrite
         Replace a run that ``out`` already holds.
     progress
         Whether to show a bar, or a function called with the present work and its share; default a
         bar in a notebook.
     allow_unstable
-        Run a device whose coupling is judged unstable, too.
+        Whether to run a device even if its coupling is judged unstable.
     max_memory_GB
         Memory that a file of the scene may take [GB]; default half of the free memory.
     device
-        Device that is used instead of the one that the scene names, within the limits of that one;
+        Device to use instead of the scene's device, within the limits of the scene's device;
         default a simulated device or a registered real one. See
         `tissue.simulation.simulate.simulate`.
     on_tick
         Called after every tick of 1 ms with its number and its row of the trace, a mapping from
-        column to value; the run ends where it returns False. Its duration adds to the time between
-        two ticks.
+        column to value; the run ends if it returns False. Its duration adds to the time between two
+        ticks.
     observer
         Observer of the ticks instead of `on_tick`; see `tissue.simulation.observer.RunObserver`.
     live
-        Run against the wall clock, in a window, a browser or by a device, with these settings.
+        Settings of a run in real time, in a window, in a browser or with a device.
 
     Raises
     ------
     InputError
-        If a key has no effect in the scene or it cannot be built, the tool never touches, a
-        device's coupling is unstable, or ``out`` holds another run; as `DeviceError`, if the device
-        fails.
+        If a key has no effect in the scene, the scene cannot be built, the tool never touches, a
+        device's coupling is unstable, or ``out`` holds another run. If the device fails, the error
+        is a `DeviceError`.
     """
     if on_tick is not None and observer is not None:
         raise InputError(

@@ -1,6 +1,4 @@
-"""Whether a wall is stable on a haptic device: known before it runs, shown by running it:
-`tissue.stability`.
-"""
+"""Stability of a wall on a haptic device, predicted and simulated: `tissue.stability`."""
 
 from dataclasses import dataclass
 
@@ -29,18 +27,19 @@ __all__ = [
 def wall_loop(
     device: str | DeviceParameters, stiffness_N_m: float, *, hand: str | None = None
 ) -> WallLoop:
-    """The loop that holds a device against a rigid wall; ``dataclasses.replace`` changes its tick,
-    delay and so on.
+    """Return the loop that holds a device against a rigid wall.
+
+    ``dataclasses.replace`` changes its tick, delay and so on.
 
     Parameters
     ----------
     device
-        A known device by its name, or the numbers of one.
+        Name of a known device, or the parameters of a device.
     stiffness_N_m
         Stiffness of the wall [N/m].
     hand
-        Whose hand holds it: novice, intermediate, expert or one that was registered; None for
-        nobody's.
+        Hand that holds the device: novice, intermediate, expert or a registered one; None for no
+        hand.
 
     Raises
     ------
@@ -52,13 +51,14 @@ def wall_loop(
 
 
 def growth(loop: WallLoop, *, seconds: float = 4.0) -> float:
-    """How much larger a push has become, between 45 and 85 % of a run of the loop: above 1 it
-    grows, below it fades.
+    """Compute the growth of a perturbation between 45 and 85 % of a run of the loop.
+
+    Above 1 the perturbation grows, below 1 it decays.
 
     Parameters
     ----------
     loop
-        As `wall_loop` gives it; it runs as on a device, sample by sample.
+        Loop from `wall_loop`; it runs as on a device, sample by sample.
     seconds
         Length of the run [s].
     """
@@ -68,13 +68,13 @@ def growth(loop: WallLoop, *, seconds: float = 4.0) -> float:
 
 @dataclass(frozen=True)
 class Knock(WallRun):
-    """What a hand met on the wall z = 0, tick by tick.
+    """Record of a hand on the wall z = 0, tick by tick.
 
     Attributes
     ----------
     given_J
-        Energy that the motors gave to the hand in all, lag included [J]; negative where they took
-        some.
+        Total energy from the motors to the hand, lag included [J]; negative if the motors absorbed
+        energy.
     """
 
     given_J: float
@@ -83,17 +83,17 @@ class Knock(WallRun):
 def knock(
     device: str | DeviceParameters, stiffness_N_m: float, *, hand: str = "expert", renderer: str
 ) -> Knock:
-    """A hand moves a device onto a wall, holds it 5 mm deep and is jerked off it after 0.8 s, by 2
-    N for 20 ms.
+    """Simulate a hand that holds a device on a wall and is jerked off it.
 
-    The hand has neither noise nor tremor, so that what moves after the jerk is the loop's own.
+    The hand holds the device 5 mm deep. After 0.8 s a force of 2 N pulls it off the wall for 20 ms.
+    The hand has neither noise nor tremor, so any motion after the jerk comes from the loop.
 
     Parameters
     ----------
     device, stiffness_N_m, hand
-        As of `wall_loop`.
+        As for `wall_loop`.
     renderer
-        Law by which the wall is played: penalty, passivity, proxy or one that was registered.
+        Law by which the wall is played: penalty, passivity, proxy or a registered one.
 
     Raises
     ------

@@ -1,5 +1,6 @@
-"""Methods of rendering force compared over many simulated trials, as `tissue study run` does:
-`tissue.study`.
+"""Comparison of force rendering methods over many simulated trials: `tissue.study`.
+
+The command `tissue study run` does the same.
 """
 
 from pathlib import Path
@@ -14,15 +15,16 @@ __all__ = ["Plan", "StudyFolder", "Trial", "register", "run", "trial"]
 
 
 def register(plan: Plan, out: str | Path) -> StudyFolder:
-    """Register a plan before its first trial: ``plan.toml`` with measures, tests, exclusions, seeds
-    and power.
+    """Register a plan before its first trial.
 
-    `run` does so too where it was not done; a plan that was edited since is refused.
+    ``plan.toml`` holds measures, tests, exclusions, seeds and power.
+
+    `run` registers the plan if this was not done. A plan that was edited since is refused.
 
     Parameters
     ----------
     plan
-        What is to be run.
+        Plan of the study.
     out
         Folder of the study.
 
@@ -44,46 +46,47 @@ def run(
     retry: bool = False,
     progress: Progress | None = None,
 ) -> StudyFolder:
-    """Run the trials of a plan that its folder does not hold yet; ``.table("T2")`` of what is
-    returned has the figures.
+    """Run the trials of a plan that its folder does not hold yet.
 
-    A script calls it under ``if __name__ == "__main__":``, for its worker processes import the
-    script.
+    ``.table("T2")`` of the result has the figures.
+
+    Call it under ``if __name__ == "__main__":`` in a script, because its worker processes import
+    the script.
 
     Parameters
     ----------
     plan
-        What to run.
+        Plan of the study.
     out
-        Folder of the study; one that holds a part of it is gone on with.
+        Folder of the study; a study that is partly done is continued.
     workers
-        Processes; default one a core. The figures do not depend on it.
+        Number of processes; default one a core. The figures do not depend on it.
     retry
-        Run trials that failed again.
+        Whether to run failed trials again.
     progress
-        Called with how far it is.
+        Called with the present work and its completed share.
 
     Raises
     ------
     InputError
-        If the folder holds another study, or workers are lost again and again.
+        If the folder holds another study, or workers are lost repeatedly.
     """
     return run_study(plan, Path(out), workers=workers, retry=retry, report=progress or silent)
 
 
 def trial(plan: Plan, name: str) -> Trial:
-    """Run one trial of a plan alone; its figures are those of the study to the last bit.
+    """Run one trial of a plan; its figures equal the study's to the last bit.
 
     Parameters
     ----------
     plan
-        The study's.
+        Plan of the study.
     name
         Name of the trial: task, group and number, such as ``T2-expert-0001``.
 
     Raises
     ------
     InputError
-        If there can be no such trial.
+        If the plan can have no such trial.
     """
     return run_trial(plan, TrialKey.named(name))

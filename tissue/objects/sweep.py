@@ -1,4 +1,4 @@
-"""A scene run at all combinations of some values: `tissue.sweep`."""
+"""Sweep: a scene run at all combinations of some values: `tissue.sweep`."""
 
 import csv
 import json
@@ -33,13 +33,19 @@ __all__ = ["parse_values", "planned", "sweep"]
 
 RECORD = "sweep.json"
 FILES = ("sweep.csv", "sweep.png", "compare.png")
-"""Files of a sweep besides its record and its runs."""
+"""Files of a sweep in addition to its record and its runs."""
 FORMAT = 1
 """Version of the record."""
 LONGEST_NAME = 24
-"""Most letters of a value in the name of a folder; longer values, and lists, are numbered."""
+"""Largest number of letters of a value in a folder name.
+
+Longer values, and lists, are numbered.
+"""
 MOST_RUNS = 10_000
-"""Most runs of a sweep: three hours at a second each, and their scenes are checked in a minute."""
+"""Largest number of runs of a sweep.
+
+They take three hours at a second each, and their scenes are checked in a minute.
+"""
 LOST = "the process that ran it was lost: run the sweep again to go on"
 
 
@@ -56,11 +62,11 @@ def sweep(
     allow_unstable: bool = False,
     progress: Bar = None,
 ) -> Sweep:
-    """Run a scene at all combinations of values; each run has a folder of its own.
+    """Run a scene at all combinations of values, each run in its own folder.
 
     Finished runs in the folder are kept. The same call therefore continues a sweep that was
     stopped, and a call with more values adds their runs. A combination that cannot be run is listed
-    and stops no other run.
+    and does not stop the other runs.
 
     Parameters
     ----------
@@ -70,12 +76,12 @@ def sweep(
         Values by dotted key: ``{"motion.feed_mm_s": [2.0, 4.0], "tool.spin_rpm": [800, 1200,
         1600]}``.
     out
-        Folder that takes the runs, and ``sweep.csv``, ``sweep.png`` and ``compare.png``.
+        Folder for the runs, and ``sweep.csv``, ``sweep.png`` and ``compare.png``.
     workers
         Number of parallel processes, each with one core unless ``cores`` states more; ticks then
-        take longer. A script that asks for several must begin below ``if __name__ == "__main__":``;
-        they know the parts of installed packages, and those that the script registers above that
-        line.
+        take longer. A script that uses several must begin below ``if __name__ == "__main__":``. The
+        processes have the parts of installed packages, and the parts that the script registers
+        above that line.
     compute, cores, allow_unstable
         As for `tissue.simulate`.
     pictures
@@ -89,7 +95,7 @@ def sweep(
     ------
     InputError
         If no combination makes a scene, the folder holds runs of other scenes under the same names,
-        or several processes are asked for with a part that they do not know.
+        or several processes are requested with a part that they do not have.
     """
     out = Path(out)
     workers = int(require_range("workers", workers, 1, 4096, "use one a core"))
@@ -117,7 +123,7 @@ def sweep(
 def planned(
     scene: Scene | str | Path, changes: Mapping[str, Iterable[object]], out: Path
 ) -> list[SweptRun]:
-    """Return the runs of all combinations of values, the last key's changing first.
+    """Return the runs of all combinations of values; the last key varies fastest.
 
     Raises
     ------
@@ -155,13 +161,14 @@ def planned(
 
 
 def parse_values(texts: Sequence[str]) -> dict[str, list[object]]:
-    """Parse values by key from ``key=value,value``; a comma within brackets or quotes belongs to a
-    value.
+    """Parse values by key from ``key=value,value``.
+
+    A comma within brackets or quotes belongs to a value.
 
     Raises
     ------
     InputError
-        If there is no ``=``, a value is empty, or a key comes twice.
+        If there is no ``=``, a value is empty, or a key is repeated.
     """
     found: dict[str, list[object]] = {}
     for text in texts:
@@ -188,7 +195,7 @@ def parse_values(texts: Sequence[str]) -> dict[str, list[object]]:
 
 
 def _listed(key: str, values: Iterable[object]) -> list[object]:
-    """Return the values of a key as plain Python values, also those of NumPy arrays."""
+    """Return the values of a key as plain Python values, also from NumPy arrays."""
     found: list[object] = []
     if isinstance(values, Iterable) and not isinstance(values, str | Mapping):
         found = list(islice(values, MOST_RUNS + 1))
@@ -198,8 +205,9 @@ def _listed(key: str, values: Iterable[object]) -> list[object]:
 
 
 def _words(key: str, values: Sequence[object], swept: Mapping[str, object]) -> list[str]:
-    """Return the parts of folder names for the values of a key: its last word if that is unique,
-    and the value.
+    """Return parts of folder names for the values of a key.
+
+    A part has the last word of the key, if that is unique, and the value.
     """
     last = key.rpartition(".")[2]
     short = last if sum(other.rpartition(".")[2] == last for other in swept) == 1 else key
@@ -217,8 +225,9 @@ def _words(key: str, values: Sequence[object], swept: Mapping[str, object]) -> l
 
 
 def _begin(out: Path, runs: list[SweptRun], *, overwrite: bool) -> list[tuple[SweptRun, bool]]:
-    """Record the scenes by folder; return the runs that are left, and whether they may replace a
-    run of this sweep.
+    """Record the scenes by folder; return the remaining runs.
+
+    Each is returned with whether it may replace a run of this sweep.
 
     Raises
     ------
@@ -270,8 +279,9 @@ def _read(path: Path) -> dict[str, str]:
 def _results(
     run: "partial[str]", left: list[tuple[SweptRun, bool]], *, workers: int, report: Progress
 ) -> Iterator[tuple[str, str]]:
-    """Run the runs that are left; yield the name and the problem, or an empty one, of each run
-    that ends.
+    """Run the remaining runs; yield name and problem of each run that ends.
+
+    The problem is empty for a run without an error.
     """
     total = len(left)
     if workers <= 1:
@@ -300,7 +310,7 @@ def _results(
 
 
 def _share(report: Progress, name: str, number: int, total: int, doing: str, share: float) -> None:
-    """Report the progress of one run as that of all."""
+    """Report the progress of one run as progress of the sweep."""
     report(f"run {number + 1} of {total}, {name}: {doing}", (number + share) / total)
 
 

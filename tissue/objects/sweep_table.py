@@ -1,4 +1,4 @@
-"""The runs of a sweep as a table, as plots and as a comparison."""
+"""Table, plots and comparison of the runs of a sweep."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -57,25 +57,26 @@ class SweptRun:
 
     @cached_property
     def note(self) -> str:
-        """Reason why the run did not finish its path; empty if it did, or for a run with a
-        problem.
+        """Reason why the run did not finish its path; else empty.
+
+        It is also empty for a run with a problem.
         """
         return "" if self.problem else path_note(read_summary(self.path))
 
     def open(self) -> Run:
-        """Read the run back."""
+        """Read the run from its folder."""
         return Run.load(self.path)
 
 
 class Sweep:
-    """A scene at all combinations of some values.
+    """Results of a scene at all combinations of some values.
 
     Attributes
     ----------
     keys
         Keys that were swept.
     runs
-        All runs, with those that have a problem.
+        All runs, including runs with a problem.
     """
 
     def __init__(self, keys: list[str], runs: list[SweptRun]) -> None:
@@ -103,8 +104,9 @@ class Sweep:
         return list(dict.fromkeys(name for each in self.runs for name in each.figures))
 
     def rows(self) -> tuple[list[str], list[list[object]]]:
-        """Return titles and rows: the values, the figures, the problem, the folder and the note
-        of each run.
+        """Return titles and rows of a table with one row per run.
+
+        A row has the values, the figures, the problem, the folder and the note of the run.
         """
         names = self.figure_names
         rows = []
@@ -139,7 +141,7 @@ class Sweep:
         Parameters
         ----------
         figures
-            Some of `figure_names`; default those that differ among the runs.
+            Some of `figure_names`; default the figures that differ among the runs.
 
         Returns
         -------

@@ -11,7 +11,7 @@ __all__ = ["write_table"]
 
 
 def write_table(path: Path, titles: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Write rows with all digits; what is None stays empty."""
+    """Write rows with all digits; None becomes an empty cell."""
     text = StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(titles)

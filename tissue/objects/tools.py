@@ -1,4 +1,4 @@
-"""Tools that press, each a small object: the shapes that a scene's `tool.kind` names."""
+"""Tools that press, as objects: the shapes that a scene's `tool.kind` names."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 __all__ = ["PressingTool", "ball", "flat_punch", "probe_from_file"]
 
 SIZES_MM = (0.5, 100.0)
-"""Diameters that a scene's probe may have [mm]."""
+"""Range of the diameter of a scene's probe [mm]."""
 
 
 @dataclass(frozen=True, eq=False)
 class PressingTool:
-    """A rigid tool that presses; `ball`, `flat_punch` and `probe_from_file` make one."""
+    """Rigid tool that presses; `ball`, `flat_punch` and `probe_from_file` make one."""
 
     probe: Probe
     name: str
@@ -33,7 +33,7 @@ class PressingTool:
 
     @cached_property
     def shape(self) -> ProbeShape:
-        """What the contact asks of it."""
+        """Shape of the tool for contact."""
         from tissue.simulation.builders.probe import probe_of
 
         keys = {f"tool.{key}": key for key in ("file", "scale_mm", "diameter_mm")}
@@ -42,7 +42,7 @@ class PressingTool:
 
     @property
     def surface(self) -> pyvista.PolyData:
-        """Its surface in its own frame [mm]: the tip at the origin, z from the tip to the shank."""
+        """Surface in the tool's frame [mm]: the tip at the origin, z from the tip to the shank."""
         from tissue.show.figures.tool_mesh import tool_surface
 
         drawn = tool_surface(self.probe)
@@ -51,7 +51,7 @@ class PressingTool:
 
 
 def ball(*, diameter_mm: float) -> PressingTool:
-    """A rigid ball.
+    """Return a rigid ball.
 
     >>> import tissue
     >>> tissue.ball(diameter_mm=12)
@@ -61,8 +61,9 @@ def ball(*, diameter_mm: float) -> PressingTool:
 
 
 def flat_punch(*, diameter_mm: float) -> PressingTool:
-    """The flat end of a rigid cylinder, its edge rounded by a tenth of its radius, by 0.5 mm at
-    most.
+    """Return the flat end of a rigid cylinder with a rounded edge.
+
+    The edge radius is a tenth of the cylinder's radius, at most 0.5 mm.
 
     >>> import tissue
     >>> tissue.flat_punch(diameter_mm=8)
@@ -72,8 +73,9 @@ def flat_punch(*, diameter_mm: float) -> PressingTool:
 
 
 def probe_from_file(file: str | Path, *, scale_mm: float = 1.0) -> PressingTool:
-    """A rigid tool of any shape: a closed surface whose origin is the tip and whose z axis runs to
-    the shank.
+    """Read a rigid tool of any shape from a closed surface.
+
+    Its origin is the tip, and its z axis runs to the shank.
 
     Parameters
     ----------

@@ -1,6 +1,4 @@
-"""The trace and the timing as a notebook holds them: columns by name, also as pandas, xarray and
-HTML.
-"""
+"""Trace and timing for notebooks: columns by name, also as pandas, xarray and HTML."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -43,22 +41,21 @@ UNITS = {
     "Hz": "Hz",
     "percent": "%",
 }
-"""Units that end a column's name, the longer ones first, and how they are written."""
+"""Units that end a column's name, longer ones first, and their notation."""
 SHOWN_ROWS = 5
-"""First and last rows that a notebook shows."""
+"""Number of first and of last rows that a notebook shows."""
 
 
 class Trace(dict[str, NDArray[Any]], Table):
-    """Columns by name over the ticks, one row a tick: ``run.trace["force_z_N"]``; the unit ends the
-    name.
+    """Columns by name over the ticks, one row a tick: ``run.trace["force_z_N"]``.
 
-    It is a ``dict``, so that ``pandas.DataFrame(run.trace)`` is the table. The column ``layer``
-    holds names.
+    The unit ends a column's name. A trace is a ``dict``, so ``pandas.DataFrame(run.trace)`` is the
+    table. The column ``layer`` holds names.
 
     Parameters
     ----------
     table
-        The engine's table.
+        Table of the engine.
 
     Attributes
     ----------
@@ -75,10 +72,10 @@ class Trace(dict[str, NDArray[Any]], Table):
         dict.__init__(self, {name: table[name] for name in table.columns})
 
     def __missing__(self, name: str) -> NDArray[Any]:
-        return Table.__getitem__(self, name)  # raises, and lists the known ones
+        return Table.__getitem__(self, name)  # raises an error that lists the known columns
 
     def to_pandas(self) -> "pandas.DataFrame":
-        """The table, a row a tick, layers as categories; units stay in the columns' names.
+        """Return a table with one row a tick, layers as categories, and units in the names.
 
         Raises
         ------
@@ -94,8 +91,9 @@ class Trace(dict[str, NDArray[Any]], Table):
         return pandas.DataFrame(columns).rename_axis(index="tick")
 
     def to_xarray(self) -> "xarray.Dataset":
-        """A variable for each column over the dimension ``time_s``; each has its unit as the
-        attribute ``units``.
+        """Return a data set with a variable for each column over the dimension ``time_s``.
+
+        Each variable has its unit as the attribute ``units``.
 
         Raises
         ------
@@ -139,25 +137,29 @@ class Trace(dict[str, NDArray[Any]], Table):
 
 
 def unit_of(column: str) -> str:
-    """Unit of a column by the end of its name, ``mm/s`` of ``velocity_x_mm_s``; empty where it
-    has none.
+    """Return the unit of a column by the end of its name; empty without one.
+
+    For ``velocity_x_mm_s`` it is ``mm/s``.
     """
     return next((shown for unit, shown in UNITS.items() if column.endswith(f"_{unit}")), "")
 
 
 def label_of(column: str) -> str:
-    """A column's name in words, without its unit: ``model force z`` of ``model_force_z_N``."""
+    """Return a column's name in words, without its unit.
+
+    For ``model_force_z_N`` it is ``model force z``.
+    """
     unit = next((unit for unit in UNITS if column.endswith(f"_{unit}")), "")
     return column.removesuffix(f"_{unit}" if unit else "").replace("_", " ")
 
 
 def needed(name: str, *, extra: str) -> Any:
-    """A module that an extra installs.
+    """Import and return a module that an extra installs.
 
     Raises
     ------
     InputError
-        If it is not installed; the message holds the line that installs it.
+        If it is not installed; the message shows the command that installs it.
     """
     from importlib import import_module
 

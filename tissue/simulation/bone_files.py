@@ -1,4 +1,4 @@
-"""The carved bone of a run as files: voxels as .vti and .nrrd, its surface as .vtp and .stl."""
+"""Files of a run's carved bone: voxels as .vti and .nrrd, surface as .vtp and .stl."""
 
 import gzip
 from dataclasses import replace
@@ -33,18 +33,20 @@ if TYPE_CHECKING:
 __all__ = ["carved_surface", "read_voxels", "saved_voxels", "voxel_image", "write_bone"]
 
 UNIT_NAMES = {1.0: "mm", 10.0: "cm", 1000.0: "m"}
-"""Units of a file by their length [mm], as NRRD names them."""
+"""Names that NRRD uses for length units, by their length [mm]."""
 
 
 def voxel_image(volume: VoxelVolume, remaining: NDArray[np.uint8]) -> "pyvista.ImageData":
-    """Voxels [mm] with the cell arrays start and remaining (255 = full), layer and density_kg_m3.
+    """Return the voxels as an image [mm].
+
+    The cell arrays are ``start`` and ``remaining`` (255 = full), ``layer`` and ``density_kg_m3``.
 
     Parameters
     ----------
     volume
         The bone before the first cut.
     remaining
-        What is left in every voxel, 255 = full, shape of the volume.
+        Bone left in every voxel, 255 = full, shape of the volume.
     """
     import pyvista
 
@@ -65,13 +67,14 @@ def voxel_image(volume: VoxelVolume, remaining: NDArray[np.uint8]) -> "pyvista.I
 def read_voxels(
     file: Path, placement: Placement | None = None
 ) -> tuple[VoxelVolume, NDArray[np.uint8]]:
-    """Read the voxels of a run's ``bone.vti`` in the scene's frame: before the first cut, and the
-    bone left at the end.
+    """Read the voxels of a run's ``bone.vti`` in the scene's frame.
+
+    Returns the volume before the first cut and the bone left at the end.
 
     Raises
     ------
     InputError
-        If the file is not one that a run wrote.
+        If the file was not written by a run.
     """
     import pyvista
 
@@ -95,8 +98,10 @@ def read_voxels(
 def saved_voxels(
     saved: SavedRun,
 ) -> tuple[VoxelVolume, NDArray[np.uint8], NDArray[np.float64] | None]:
-    """Read a run's voxels before the first cut, the bone left at the end, and the poses of the tool
-    that cut.
+    """Read a run's voxels and the tool poses that cut them.
+
+    Returns the volume before the first cut, the bone left at the end, and the poses (None without
+    the file of poses).
 
     Raises
     ------
@@ -119,8 +124,9 @@ def saved_voxels(
 
 
 def carved_surface(run: CarvedRun) -> "pyvista.PolyData":
-    """Surface of the bone after the run [mm]: point array ``removed_depth_mm``, cell array
-    ``layer``, normals.
+    """Return the surface of the bone after the run [mm].
+
+    It has the point array ``removed_depth_mm``, the cell array ``layer``, and normals.
     """
     depth = depth_map(run)
     surface = with_layers(bone_surface(run.volume, run.remaining), run.volume)
@@ -134,9 +140,9 @@ def write_bone(run: "Run", out: Path) -> None:
     = full), ``layer`` (uint8, an index into the field ``layer_names``) and ``density_kg_m3``
     (uint16); ParaView opens it. ``bone.nrrd`` holds ``remaining`` for 3D Slicer, which reads no
     .vti. ``bone.stl`` and ``bone.vtp`` hold the carved surface in mm, the latter with
-    ``removed_depth_mm`` and ``layer``. A bone that was cut away altogether has no ``bone.stl``.
+    ``removed_depth_mm`` and ``layer``. No ``bone.stl`` is written when all of the bone was removed.
 
-    Bone from a file is written in the frame and unit of that file, so that it overlays it.
+    Bone from a file is written in the frame and unit of that file, so the files overlay it.
     """
     if run.parts.volume is None:
         return
@@ -161,8 +167,9 @@ def write_bone(run: "Run", out: Path) -> None:
 
 
 def _write_nrrd(run: "Run", path: Path) -> None:
-    """Write ``remaining`` as a compressed NRRD image; its axes are those of the surface files in
-    3D Slicer (LPS).
+    """Write ``remaining`` as a compressed NRRD image.
+
+    Its axes are the ones that 3D Slicer uses for the surface files (LPS).
     """
     volume = run.volume
     placement = run.parts.placement

@@ -1,4 +1,4 @@
-"""The bone's surface, taken from its voxels, with what the tool did to it."""
+"""Bone surface extracted from voxels, with the layer and removed depth."""
 
 from typing import TYPE_CHECKING
 
@@ -20,20 +20,22 @@ __all__ = [
 ]
 
 INWARD_VOXELS = 0.75
-"""How far under the surface its layer is read: inside the voxel that lies behind it."""
+"""Depth under the surface at which the layer is read [voxels].
+
+It lies inside the voxel behind the surface.
+"""
 
 
 def bone_surface(volume: VoxelVolume, fraction: NDArray[np.uint8]) -> "pyvista.PolyData":
-    """Closed surface where voxels are half full, between their centres (flying edges), in mm with
-    outward normals.
+    """Return the closed surface at half-full voxels [mm], with outward normals (flying edges).
 
-    Bone that reaches the edge of the voxels is closed there, so that faces appear where the region
-    was cut out.
+    The surface is interpolated between voxel centres. Bone that reaches the edge of the voxels is
+    closed there, so faces appear where the region was cut out.
 
     Parameters
     ----------
     volume
-        Gives the place and size of the voxels.
+        Gives the position and size of the voxels.
     fraction
         Bone in every voxel, 255 = full, uint8, shape (nx, ny, nz).
     """
@@ -59,8 +61,9 @@ def bone_surface(volume: VoxelVolume, fraction: NDArray[np.uint8]) -> "pyvista.P
 
 
 def with_layers(surface: "pyvista.PolyData", volume: VoxelVolume) -> "pyvista.PolyData":
-    """Add the layer under every triangle as the cell array ``layer`` and the names as the field
-    ``layer_names``.
+    """Add the layer under every triangle as the cell array ``layer``.
+
+    The layer names are stored as the field ``layer_names``.
     """
     triangles = surface.regular_faces
     points = surface.points
@@ -75,7 +78,7 @@ def with_layers(surface: "pyvista.PolyData", volume: VoxelVolume) -> "pyvista.Po
 
 
 def triangle_means(values: ArrayLike, triangles: ArrayLike) -> NDArray[np.floating]:
-    """Means over the three points of every triangle, shape (triangles, 3)."""
+    """Return the means over the three points of every triangle, shape (triangles, 3)."""
     first, second, third = np.asarray(triangles).T
     values = np.asarray(values)
     return np.asarray((values[first] + values[second] + values[third]) / values.dtype.type(3.0))
@@ -89,10 +92,10 @@ def with_depth(
     depth_mm: NDArray[np.float64],
     axis: int,
 ) -> "pyvista.PolyData":
-    """Add the point array ``removed_depth_mm``: the bone taken from the column through a point that
-    the tool laid bare.
+    """Add the point array ``removed_depth_mm``.
 
-    It is 0 on the bone's own surface and on faces where the region was cut out.
+    At a point that the tool exposed, it is the depth of bone removed from the column through that
+    point. It is 0 on the bone's original surface and on faces where the region was cut out.
 
     Parameters
     ----------
@@ -108,8 +111,8 @@ def with_depth(
     from scipy.ndimage import map_coordinates
 
     at = _voxels(surface.points, volume).T
-    # On an uncut surface nothing is missing; on a cut one half a voxel is, where the surface runs
-    # through it.
+    # On an uncut surface nothing is missing. On a cut surface, which runs through half-full voxels,
+    # half a voxel is missing.
     missing = map_coordinates(
         volume.fraction - remaining, at, order=1, mode="nearest", output=np.float32
     )
@@ -120,10 +123,10 @@ def with_depth(
 
 
 def smooth_normals(surface: "pyvista.PolyData", *, passes: int = 16) -> NDArray[np.float32]:
-    """Unit normals averaged over neighbours, so that a picture shows the bone and not its voxels,
-    shape (n, 3).
+    """Return unit normals averaged over neighbours, shape (n, 3).
 
-    Neighbours count by how far they agree; across an edge they do not count.
+    A picture then shows the bone rather than its voxels. Neighbours are weighted by how well their
+    normals agree; across an edge they are ignored.
     """
     from scipy.sparse import csr_array
 
@@ -146,7 +149,7 @@ def cut_out(
     volume: VoxelVolume,
     reach_m: tuple[NDArray[np.float64], NDArray[np.float64]],
 ) -> NDArray[np.bool_]:
-    """Which triangles close the bone where it goes on beyond the voxels, shape (triangles,).
+    """Return the triangles that close bone continuing beyond the voxels, shape (triangles,).
 
     Parameters
     ----------
@@ -155,8 +158,8 @@ def cut_out(
     volume
         The voxels.
     reach_m
-        Lowest and highest corner of the region that was asked for; where the voxels end short of
-        it, the bone ends.
+        Lowest and highest corner of the requested region. Where the voxels end before it, the bone
+        itself ends.
     """
     cut = np.zeros(surface.n_cells, dtype=bool)
     near = 0.25 * volume.spacing_m
@@ -168,7 +171,7 @@ def cut_out(
 
 
 def _voxels(points_mm: NDArray[np.floating], volume: VoxelVolume) -> NDArray[np.float64]:
-    """Positions in voxels, centres at whole numbers, shape (n, 3)."""
+    """Return positions in voxels, with centres at whole numbers, shape (n, 3)."""
     return (
         np.asarray(points_mm, dtype=np.float64) * 1e-3 - volume.origin_m
     ) / volume.spacing_m - 0.5

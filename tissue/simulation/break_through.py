@@ -1,4 +1,4 @@
-"""Where a tool came out of bone again ahead of it, and how far it plunged from there."""
+"""Break-throughs: points where the tool left the bone ahead of it, and the plunge from there."""
 
 from dataclasses import dataclass, replace
 
@@ -12,22 +12,23 @@ from tissue.simulation.trace import Table
 __all__ = ["BreakThrough", "break_throughs"]
 
 FORWARD = 0.5
-"""Least part of a tick's travel that must lead ahead along the tool's axis: a tool that leaves
-aside breaks nothing.
+"""Smallest share of a tick's travel along the tool's axis that counts as forward.
+
+A tool that leaves the bone sideways breaks nothing.
 """
 
 
 @dataclass(frozen=True)
 class BreakThrough:
-    """The tip left the bone ahead of it.
+    """Break-through of the tool's tip.
 
     Attributes
     ----------
     time_s
-        When it first did so in this hole.
+        Time of the first break-through in this hole.
     plunge_mm
-        How far it went on from there along its axis, until the end or until it met bone again; the
-        largest of all passes through the hole.
+        Distance travelled along the axis after the break-through, until the run ended or the tool
+        met bone again. It is the largest of all passes through the hole.
     """
 
     time_s: float
@@ -35,12 +36,11 @@ class BreakThrough:
 
 
 def break_throughs(volume: VoxelVolume, trace: Table, *, radius_m: float) -> list[BreakThrough]:
-    """Where the tip of a tool passed from the inside of the bone, as it was before any cut, to its
-    outside ahead.
+    """Return where the tool's tip passed from inside the uncut bone to the outside ahead.
 
-    The surface is where interpolated voxels are half full; its place along a tick is interpolated
-    too. One hole is one break-through: where the tool has been before, within its radius of its
-    axis and behind its tip, the bone is open.
+    The surface is where interpolated voxels are half full. Its position within a tick is
+    interpolated too. Each hole counts as one break-through. Bone counts as open wherever the tool
+    has been before, within its radius of the axis and behind its tip.
 
     Parameters
     ----------
@@ -91,8 +91,9 @@ def break_throughs(volume: VoxelVolume, trace: Table, *, radius_m: float) -> lis
 
 
 def _was_there(point_mm: Array, tips_mm: Array, axes: Array, *, radius_mm: float) -> bool:
-    """Return whether a point lies within a tool's radius of its axis and behind its tip at one
-    of some poses.
+    """Return whether a point lies in the space swept by a tool at one of some poses.
+
+    That space lies within the tool's radius of its axis and behind its tip.
     """
     away = point_mm - tips_mm
     along = np.einsum("ij,ij->i", away, axes)

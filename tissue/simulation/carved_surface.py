@@ -1,5 +1,6 @@
-"""The surface of a bone that a tool carves: what never changes is taken once, what changes at
-every moment anew.
+"""Surface of a bone that a tool carves.
+
+The part that never changes is extracted once; the changing part is extracted at every moment.
 """
 
 from typing import TYPE_CHECKING
@@ -17,11 +18,14 @@ __all__ = ["Box", "CarvedSurface", "block_means", "changed_box", "coarse_volume"
 
 Box = tuple[NDArray[np.intp], NDArray[np.intp]]
 MARGIN = 2
-"""Voxels around those that change, so that normals at their edge are those of the whole bone."""
+"""Margin around the voxels that change [voxels].
+
+With it, normals at their edge equal the normals of the whole bone.
+"""
 
 
 class CarvedSurface:
-    """Surface of a bone of which only a box of voxels changes.
+    """Surface of a bone in which only a box of voxels changes.
 
     Parameters
     ----------
@@ -59,8 +63,10 @@ class CarvedSurface:
         self._high_mm = origin + spacing * (high + 0.5)
 
     def rest(self) -> "pyvista.PolyData":
-        """What no cut changes [mm]: cell array ``layer``, point arrays ``Normals`` and
-        ``removed_depth_mm``, all 0.
+        """Return the surface that no cut changes [mm].
+
+        It has the cell array ``layer`` and the point arrays ``Normals`` and ``removed_depth_mm``,
+        which is 0 everywhere.
         """
         surface = bone_surface(self._whole, self._whole.fraction)
         if not surface.n_cells:
@@ -70,7 +76,10 @@ class CarvedSurface:
         return _chosen(surface, ~self._inside(surface))
 
     def of(self, fraction: NDArray[np.uint8]) -> "pyvista.PolyData":
-        """What changes [mm], with arrays as of `rest`, for the bone left in `part`, 255 = full."""
+        """Return the surface that cuts change [mm], for the bone left in `part` (255 = full).
+
+        Its arrays are as for `rest`.
+        """
         left = np.ascontiguousarray(fraction)
         surface = bone_surface(self._cut, left)
         if not surface.n_cells:
@@ -82,15 +91,19 @@ class CarvedSurface:
         return _chosen(surface, self._inside(surface))
 
     def _inside(self, surface: "pyvista.PolyData") -> NDArray[np.bool_]:
-        """Which triangles lie between centres of voxels of which one at least changes, shape
-        (triangles,).
+        """Return the triangles of the changing surface, shape (triangles,).
+
+        They lie between centres of voxels of which at least one changes.
         """
         middle = triangle_means(surface.points, surface.regular_faces)
         return np.asarray(((middle > self._low_mm) & (middle < self._high_mm)).all(axis=1))
 
 
 def changed_box(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> Box | None:
-    """First and one after the last voxel that differ, shape (3,) each; None where none does."""
+    """Return the box of voxels that differ; None where all are equal.
+
+    It holds the first voxel and one after the last, shape (3,) each.
+    """
     differ = before != after
     columns = differ.any(axis=2)
     ends = [
@@ -103,8 +116,9 @@ def changed_box(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> Box | No
 
 
 def coarse_volume(volume: VoxelVolume, block: int) -> VoxelVolume:
-    """The bone in voxels of ``block`` times the edge; each has the layer and density at its
-    middle.
+    """Return the bone in voxels of ``block`` times the edge.
+
+    Each voxel has the layer and density at its middle.
     """
     if block == 1:
         return volume
@@ -120,7 +134,7 @@ def coarse_volume(volume: VoxelVolume, block: int) -> VoxelVolume:
 
 
 def block_means(fraction: NDArray[np.uint8], block: int) -> NDArray[np.uint8]:
-    """Means over blocks of voxels, beyond the edge of which there is nothing."""
+    """Return means over blocks of voxels; beyond the edge the fraction is zero."""
     if block == 1:
         return fraction
     nx, ny, nz = (-(-n // block) for n in fraction.shape)
@@ -131,7 +145,7 @@ def block_means(fraction: NDArray[np.uint8], block: int) -> NDArray[np.uint8]:
 
 
 def _chosen(surface: "pyvista.PolyData", chosen: NDArray[np.bool_]) -> "pyvista.PolyData":
-    """Some triangles of a surface with their points and arrays."""
+    """Return selected triangles of a surface with their points and arrays."""
     import pyvista
 
     faces = surface.regular_faces[chosen]

@@ -1,4 +1,4 @@
-"""The carving over time as files that ParaView plays."""
+"""Files of the carving over time for ParaView."""
 
 from math import ceil, sqrt
 from pathlib import Path
@@ -23,16 +23,17 @@ if TYPE_CHECKING:
 __all__ = ["carving_ticks", "write_carving"]
 
 MOST_FRAMES = 40
-"""Moments in a file of the carving, the end included."""
+"""Largest number of moments in a file of the carving, the end included."""
 MOST_TRIANGLES = 40_000
-"""Triangles of one moment; a cut that has more is drawn in blocks of voxels."""
+"""Largest number of triangles of one moment; a larger cut is drawn in blocks of voxels."""
 STEPS_S = (0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 25.0, 50.0, 100.0)
-"""Times between two moments [s]."""
+"""Possible intervals between two moments [s]."""
 
 
 def carving_ticks(run: "Run") -> list[int]:
-    """Ticks at the end of which the bone is written: those of the fields where there are any,
-    and the last one.
+    """Return the ticks at the end of which the bone is written.
+
+    They are the ticks of the fields, if there are any, and the last tick.
     """
     last = len(run.trace.rows) - 1
     fields = run.parts.fields
@@ -51,12 +52,13 @@ def carving_ticks(run: "Run") -> list[int]:
 
 
 def write_carving(run: "Run", out: Path, *, report: Progress = silent) -> None:
-    """Write the bone over time of a run that cut; nothing of one that did not.
+    """Write the bone over time of a run that cut; a run that did not cut writes nothing.
 
-    ``carving.pvd`` names two surfaces for each time [s]: what is cut, ``carving/frame_0000.vtp``
-    and so on, and the rest of the bone, ``carving/rest.vtp``; both in mm, or in the frame and unit
-    of the anatomy's file, with ``layer`` and ``removed_depth_mm``. A cut of many triangles is in
-    blocks of voxels. ``carving/poses.npz`` holds what the bone at any other tick can be had from.
+    ``carving.pvd`` names two surfaces for each time [s]. The cut part is in
+    ``carving/frame_0000.vtp`` and so on, the rest of the bone in ``carving/rest.vtp``. Both are in
+    mm, or in the frame and unit of the anatomy's file, with ``layer`` and ``removed_depth_mm``. A
+    cut of many triangles is written in blocks of voxels. ``carving/poses.npz`` holds the poses from
+    which the bone at any other tick can be computed.
     """
     box = None if run.poses is None else changed_box(run.volume.fraction, run.remaining)
     if run.poses is None or box is None:

@@ -1,4 +1,4 @@
-"""How deep a run cut, seen along the tool's axis."""
+"""Depth of a run's cut, measured along the tool's axis."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -12,11 +12,11 @@ from tissue.simulation.trace import Table
 __all__ = ["HALF", "CarvedRun", "DepthMap", "depth_map", "facing", "tool_axes"]
 
 HALF = (FULL + 1) // 2
-"""A voxel with at least this much in it counts as bone."""
+"""Smallest filling of a voxel that counts as bone (255 = full)."""
 
 
 class CarvedRun(Protocol):
-    """A run of a tool through voxels, simulated just now or read back."""
+    """Run of a tool through voxels, either just simulated or read back."""
 
     @property
     def volume(self) -> VoxelVolume:
@@ -30,18 +30,19 @@ class CarvedRun(Protocol):
 
     @property
     def trace(self) -> Table:
-        """One row a tick."""
+        """Trace with one row a tick."""
         ...
 
 
 @dataclass(frozen=True)
 class DepthMap:
-    """Columns of voxels along the world axis that lies closest to the tool's.
+    """Columns of voxels along the world axis closest to the tool's axis.
 
     Attributes
     ----------
     axis, outward
-        That axis, 0 to 2, and the side that the tool comes from, +1 or -1.
+        World axis closest to the tool's axis, 0 to 2, and the side that the tool comes from, +1 or
+        -1.
     across
         The two other axes: first and second index of the arrays.
     extent_mm
@@ -68,7 +69,7 @@ class DepthMap:
 
 
 def depth_map(run: CarvedRun) -> DepthMap:
-    """Removed depth, face and newly exposed layers of a run."""
+    """Return removed depth, face and newly exposed layers of a run."""
     from scipy.ndimage import binary_opening
 
     volume = run.volume
@@ -81,8 +82,8 @@ def depth_map(run: CarvedRun) -> DepthMap:
     removed = (volume.fraction - remaining).sum(axis=axis, dtype=np.int64)
     bone, _, before = _face(volume.fraction, volume.layer, axis, outward)
     left, at, after = _face(remaining, volume.layer, axis, outward)
-    # Single columns at the edge of a hole change their layer as their last voxel goes; they are no
-    # exposed bone.
+    # Single columns at the edge of a hole change their layer when their last voxel is removed. They
+    # are not exposed bone.
     exposed = [
         (name, binary_opening(left & (after == index) & (before != index), np.ones((3, 3))))
         for index, name in enumerate(volume.layer_names)
@@ -101,7 +102,10 @@ def depth_map(run: CarvedRun) -> DepthMap:
 
 
 def tool_axes(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Directions of the tool's axis, third column of the rotations (x, y, z, w), shape (n, 3)."""
+    """Return directions of the tool's axis, shape (n, 3).
+
+    They are the third columns of the rotations (x, y, z, w).
+    """
     x, y, z, w = quaternions.T
     return np.column_stack(
         [2.0 * (x * z + y * w), 2.0 * (y * z - x * w), 1.0 - 2.0 * (x * x + y * y)]
@@ -109,7 +113,7 @@ def tool_axes(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def facing(trace: Table) -> tuple[int, int]:
-    """The world axis closest to the tool's while it cut, and its sign."""
+    """Return the world axis closest to the tool's axis while it cut, and its sign."""
     rows = trace["contact_mm2"] > 0.0
     quaternions = np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"])
     mean = tool_axes(quaternions[rows] if rows.any() else quaternions).mean(axis=0)
@@ -120,11 +124,10 @@ def facing(trace: Table) -> tuple[int, int]:
 def _face(
     fraction: NDArray[np.uint8], layer: NDArray[np.uint8], axis: int, outward: int
 ) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.uint8]]:
-    """Whether a column holds bone, how many voxels its face lies above the far end, and the layer
-    that shows there.
+    """Return the face of each column: whether it holds bone, its height, and its layer.
 
-    The face lies in the first voxel from outside that is half full, or in the one above, as far as
-    they are filled.
+    The height counts voxels above the far end. The face lies in the first voxel from outside that
+    is half full, or in the one above, depending on their filling.
     """
     seen = np.flip(fraction, axis) if outward > 0 else fraction
     first = np.argmax(seen >= HALF, axis=axis)

@@ -1,15 +1,15 @@
-"""The geometry of one run, from which the loads for other cutting coefficients follow without
-running again.
+"""Geometry of one run, from which loads for other cutting coefficients follow.
 
-The force on a cutter is linear in the coefficients of each layer, and the bone that it meets does
-not depend on them where the tool goes a given path. So one run finds the loads of a unit of each
+No further run is needed.
+
+The force on a cutter is linear in the coefficients of each layer. On a given path of the tool, the
+engaged bone does not depend on the coefficients. So one run finds the loads of a unit of each
 coefficient at every tick, and::
 
-    loads = sum over layers and nodes of density of strength (K_tc, K_rc, K_ac, K_te, K_re, K_ae) .
-    unit loads
+    loads = sum over layers and density nodes of
+            strength * (K_tc, K_rc, K_ac, K_te, K_re, K_ae) . unit loads
 
-is what a run with those coefficients would have recorded as ``model_force`` and ``model_torque``,
-within 1e-6.
+equals ``model_force`` and ``model_torque`` of a run with those coefficients, within 1e-6.
 """
 
 from dataclasses import dataclass, replace
@@ -46,53 +46,54 @@ SENSITIVITIES = (
     "density_exponent",
     "density_factor",
 )
-"""What `LoadRecord.jacobian` differentiates by, for each layer."""
+"""Variables of each layer for the derivatives of `LoadRecord.jacobian`."""
 MOST_BYTES = 1_000_000_000
-"""Memory of a record [B]: 60 s of every tick in two layers whose density varies, an hour in one
-where it does not.
+"""Largest size of a record [bytes].
+
+It holds 60 s of every tick in two layers with varying density, or an hour in one layer with
+constant density.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class LayerLoads:
-    """Unit loads of a layer that was met, shape (nodes, 6, n, 6), and the densities of the
-    nodes.
-    """
+    """Unit loads of an engaged layer, shape (nodes, 6, n, 6), and the densities of the nodes."""
 
     nodes: DensityNodes
     unit: Array
 
     def per_coefficient(self, strengths: Array) -> Array:
-        """Loads of a unit of each coefficient for weights of the nodes, shape (k, nodes): (k, 6,
-        n, 6).
+        """Return loads of a unit of each coefficient, shape (k, 6, n, 6).
+
+        The weights of the nodes have shape (k, nodes).
         """
         return np.asarray(np.tensordot(strengths, self.unit, 1))
 
 
 @dataclass(frozen=True, eq=False)
 class LoadRecord:
-    """The geometry of one run.
+    """Geometry of one run.
 
     Attributes
     ----------
     scene
-        What was run.
+        Scene of the run.
     times_s
         Times of the recorded ticks, shape (n,).
     layer_names
-        All layers of the bone, those that the tool did not meet included.
+        All layers of the bone, including layers that the tool did not engage.
     layers
-        Unit loads by the place of their layer in `layer_names`, of those that were met.
+        Unit loads of the engaged layers, by the index of the layer in `layer_names`.
     engaged_m2
-        Area of the tool that meets each layer, shape (n, layers).
+        Engaged area of the tool in each layer [m2], shape (n, layers).
     trace
-        The recorded ticks of the run's trace, its loads 0.
+        Recorded ticks of the run's trace, with loads of 0.
     cutter_passing_Hz
-        Rate at which the cutter's edges pass.
+        Rate at which the cutter's edges pass [Hz].
     every
-        Ticks between two that were recorded.
+        Ticks between two recorded ticks.
     notes
-        What was assumed or found as the scene was built, by what it is about.
+        Notes on assumptions and findings while the scene was built, by subject.
     """
 
     scene: Scene
@@ -108,14 +109,14 @@ class LoadRecord:
     def loads(
         self, coefficients: tuple[CuttingCoefficients, ...], density_factors: Array | None = None
     ) -> Array:
-        """Force [N] and torque about the tip [N m] on the tool in the world, shape (n, 6).
+        """Return force [N] and torque about the tip [N m] on the tool in the world, shape (n, 6).
 
         Parameters
         ----------
         coefficients
-            Of each layer, in the order of `layer_names`.
+            Coefficients of each layer, in the order of `layer_names`.
         density_factors
-            What the density of each layer is multiplied by, shape (layers,); None for 1.
+            Factors of the density of each layer, shape (layers,); None for 1.
         """
         loads = np.zeros((len(self.times_s), 6))
         for at, weights in self.weights(coefficients, density_factors).items():
@@ -126,8 +127,9 @@ class LoadRecord:
     def weights(
         self, coefficients: tuple[CuttingCoefficients, ...], density_factors: Array | None = None
     ) -> dict[int, Array]:
-        """What the unit loads of each layer are multiplied by, shape (nodes * 6,); arguments as
-        `loads`.
+        """Return factors of each layer's unit loads, shape (nodes * 6,).
+
+        Arguments are as for `loads`.
         """
         found = {}
         for at, layer in self.layers.items():
@@ -139,8 +141,9 @@ class LoadRecord:
     def jacobian(
         self, coefficients: tuple[CuttingCoefficients, ...], density_factors: Array | None = None
     ) -> Array:
-        """Derivatives of the loads by `SENSITIVITIES` of each layer, shape (n, 6, layers, 8);
-        arguments as `loads`.
+        """Return derivatives of the loads by each layer's `SENSITIVITIES`, shape (n, 6, layers, 8).
+
+        Arguments are as for `loads`.
         """
         found = np.zeros((len(self.times_s), 6, len(self.layer_names), COEFFICIENTS + 2))
         for at, layer in self.layers.items():
@@ -158,8 +161,7 @@ class LoadRecord:
         return found
 
     def commanded(self, loads: Array) -> Array:
-        """What a run commands of such loads, low-pass and vibration as the scene has them, shape
-        (n, 6).
+        """Return the commanded loads with the scene's low-pass and vibration, shape (n, 6).
 
         Raises
         ------
@@ -189,7 +191,7 @@ def _strengths(layer: LayerLoads, coefficients: CuttingCoefficients, factor: flo
 
 
 def _values(coefficients: CuttingCoefficients) -> Array:
-    """The six coefficients in SI."""
+    """Return the six coefficients in SI units."""
     return np.array(
         [
             getattr(coefficients, name)
@@ -199,8 +201,9 @@ def _values(coefficients: CuttingCoefficients) -> Array:
 
 
 def why_not_linear(scene: Scene) -> str:
-    """Why the loads of a scene do not follow from one run for other coefficients, in words;
-    empty where they do.
+    """Return the reason for which a scene's loads are not linear in coefficients; else "".
+
+    With linear loads, one run gives the loads for other coefficients.
     """
     if not isinstance(scene.anatomy, CutAnatomy) or not isinstance(scene.tool, Tool):
         return (
@@ -231,26 +234,27 @@ def record_loads(
     cores: int | None = None,
     progress: Progress | None = None,
 ) -> LoadRecord:
-    """Run a scene's geometry once: it is carved at every tick as in a run, without stress, heat and
-    keep clear.
+    """Run a scene's geometry once and record its unit loads.
+
+    The bone is carved at every tick as in a run, without stress, heat and keep clear.
 
     Parameters
     ----------
     scene
         A bone or tooth that a cutter mills on a given path.
     motion
-        Moves the tool in place of the scene's motion, for as long as it lasts; it may not depend on
-        the force.
+        Motion of the tool in place of the scene's motion, for its whole duration. It must not
+        depend on the force.
     every
-        Ticks between two whose loads are recorded.
+        Ticks between two recorded ticks.
     compute, cores, progress
-        As `tissue.simulation.simulate.simulate` has them.
+        As for `tissue.simulation.simulate.simulate`.
 
     Raises
     ------
     InputError
-        If the loads are not linear, see `why_not_linear`, the record would not fit `MOST_BYTES`, or
-        as `simulate`.
+        If the loads are not linear, see `why_not_linear`, the record would not fit in `MOST_BYTES`,
+        or as for `simulate`.
     """
     report = progress or silent
     if motion is not None:
@@ -286,8 +290,9 @@ def record_loads(
 def _recorded(
     loop: Loop, bone: EngagedBone, every: int, report: Progress
 ) -> tuple[list[Array], Array]:
-    """Unit loads of each layer, shape (nodes, 6, n, 6), and areas engaged of every so many ticks
-    of a loop.
+    """Record unit loads and engaged areas of a loop.
+
+    One tick in `every` is recorded. The unit loads of each layer have shape (nodes, 6, n, 6).
     """
     ticks = len(loop.trace.rows)
     count = -(-ticks // every)

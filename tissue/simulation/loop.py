@@ -1,6 +1,4 @@
-"""The tick of 1 ms: motion, removal, force, output and record, one after another with the trace
-that they leave.
-"""
+"""Tick of 1 ms: motion, removal, force, output and record, with the trace."""
 
 import gc
 import sys
@@ -34,7 +32,7 @@ __all__ = ["Loop", "PoseLog", "Stepper", "Tick", "undisturbed"]
 
 
 class PoseLog:
-    """Poses that a tool was brought to, in memory that is allocated before the first tick.
+    """Log of a tool's poses, in memory that is allocated before the first tick.
 
     Parameters
     ----------
@@ -57,36 +55,34 @@ class PoseLog:
 
     @property
     def poses(self) -> NDArray[np.float64]:
-        """Poses so far, shape (n, 13): tick, tip [m], axis, heading of the tip and of the pose."""
+        """Poses so far, shape (n, 13): tick, tip [m], axis, headings of tip and pose."""
         return self._rows[: self._count]
 
 
 class Stepper:
-    """Motion of a tool and answer of a tissue, one tick of 1 ms after another, without output and
-    record.
+    """Motion of a tool and response of a tissue in ticks of 1 ms, without output and record.
 
     Runs, live runs, prompt references and environments all go through `step`. The cutting force
-    depends on the bone as it was before the present pass, so that it is the same before and after
-    the cut.
+    depends on the bone before the present pass, so it is the same before and after the cut.
 
     Parameters
     ----------
     motion
-        Moves the tool.
+        Motion of the tool.
     tissue
-        Is cut or pressed by the tool.
+        Tissue that is cut or pressed by the tool.
     balances
-        Whether the pose is searched at which the force balances the thrust. Poses are tried before
-        the bone there is cut, because a pose that is not kept must remove nothing.
+        Whether to search the pose at which the force balances the thrust. Poses are tried before
+        the bone there is cut, because a rejected pose must remove nothing.
     log
-        Takes the poses of a tool that cuts.
+        Log of the poses of a tool that cuts.
 
     Attributes
     ----------
     tool
         Present pose of the tool.
     response
-        Answer of the tissue at that pose.
+        Response of the tissue at that pose.
     moved_s, searched_s, removed_s
         Times at which the parts of the tick ended: motion, search, removal [s].
     """
@@ -110,7 +106,7 @@ class Stepper:
         self.moved_s = self.searched_s = self.removed_s = 0.0
 
     def place(self, *, resume: bool = False) -> Response:
-        """Put the tool at the start of the motion, before the first tick; return the answer there.
+        """Put the tool at the start of the motion before the first tick; return the response there.
 
         With `resume` the tissue continues from a loop that ended there.
         """
@@ -126,8 +122,9 @@ class Stepper:
             self._waits.wait_for_background(index * TICK_S)
 
     def step(self, index: int) -> None:
-        """Move the tool and evaluate the tissue; between the ticks of a slow model only the
-        motion goes on.
+        """Move the tool and evaluate the tissue.
+
+        Between the ticks of a slow model only the motion advances.
         """
         motion = self._motion
         tissue = self._tissue
@@ -153,7 +150,7 @@ class Stepper:
         self.response = response
 
     def start_background(self, index: int) -> None:
-        """Start the background work that follows from a tick."""
+        """Start the background work that follows a tick."""
         if self._starts is not None:
             self._starts.start_background(index * TICK_S, self.tool)
 
@@ -167,7 +164,10 @@ class Stepper:
 
 
 class Tick:
-    """One tick: step, output, record. Everything it needs is allocated here, once."""
+    """Callable that runs one tick: step, output, record.
+
+    All memory that it needs is allocated once, when it is made.
+    """
 
     def __init__(
         self, parts: Parts, output: Output, layout: TraceLayout, trace: Table, timing: Table
@@ -204,7 +204,7 @@ class Tick:
         return self._log.poses if self._log is not None else None
 
     def place(self, *, resume: bool = False) -> None:
-        """Put the tool at the start of the motion; the cost of that belongs to no tick."""
+        """Put the tool at the start of the motion; its cost is not part of any tick."""
         response = self.stepper.place(resume=resume)
         if self._clear is not None:
             self._clear.measure(self.stepper.tool, placed=True)
@@ -264,7 +264,7 @@ class Tick:
 
 
 SWITCH_S = 5e-5
-"""How long a background thread may keep the interpreter from the ticks [s]."""
+"""Longest time for which a background thread may keep the interpreter from the ticks [s]."""
 
 
 @contextmanager
@@ -283,29 +283,29 @@ def undisturbed() -> Iterator[None]:
 
 
 class Loop:
-    """The loop of a run: motion, removal, force, output and record, one tick of 1 ms after another.
+    """Loop of a run: motion, removal, force, output and record in ticks of 1 ms.
 
     Parameters
     ----------
     parts
-        What moves the tool, and what it meets.
+        Motion of the tool, tissue and further parts of the run.
     ticks
-        Ticks for which memory is laid out now.
+        Number of ticks for which memory is allocated now.
     output
-        What is made of the model's force before it is commanded.
+        Processing of the model's force before it is commanded.
     timing_columns
-        Columns of the timing beside those of the tick itself.
+        Columns of the timing in addition to the columns of the tick.
 
     Attributes
     ----------
     parts
-        The same.
+        As given.
     trace, timing
-        One row a tick; those of ticks to come are 0.
+        One row a tick; rows of future ticks are 0.
     events
-        What the tissue has reported: time [s] and a sentence each.
+        Events that the tissue has reported: time [s] and a sentence each.
     ticks
-        Ticks that have run.
+        Number of ticks that have run.
     """
 
     def __init__(
@@ -329,15 +329,15 @@ class Loop:
         self._tick = Tick(parts, output, layout, self.trace, self.timing)
 
     def place(self, *, resume: bool = False) -> None:
-        """Put the tool where the motion starts, before the first tick; what that costs belongs to
-        none.
+        """Put the tool at the start of the motion before the first tick.
 
-        With `resume` the tissue goes on from a loop that ended there.
+        Its cost is not part of any tick. With `resume` the tissue continues from a loop that ended
+        there.
         """
         self._tick.place(resume=resume)
 
     def wait(self) -> None:
-        """Wait for work in the background whose result is due at the next tick."""
+        """Wait for background work whose result is due at the next tick."""
         self._tick.stepper.wait(self.ticks)
 
     def step(self) -> int:
@@ -349,14 +349,14 @@ class Loop:
         return row
 
     def finish(self) -> None:
-        """Complete what was spread over ticks; the tables end with the last tick."""
+        """Complete work that was spread over ticks; the tables end with the last tick."""
         self.trace.rows = self.trace.rows[: self.ticks]
         self.timing.rows = self.timing.rows[: self.ticks]
         if isinstance(self.parts.tissue, Finishes):
             self.parts.tissue.finish()
 
     def close(self) -> None:
-        """Take what the tissue has reported since the last tick."""
+        """Collect the events that the tissue has reported since the last tick."""
         if self._clear is not None:
             self._clear.finish()
         self._take_notices(self.ticks * TICK_S)

@@ -1,5 +1,6 @@
-"""Observers of a run: called on every tick, between two ticks. They must not change the result
-of the run.
+"""Observers of a run, called at every tick.
+
+They are called between ticks and must not change the result of the run.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -19,7 +20,7 @@ class RunObserver:
     """Base class of observers; each method does nothing until it is overridden."""
 
     timing_columns: tuple[str, ...] = ()
-    """Columns that the observer adds to the table of timing; it fills the last entries of a row."""
+    """Columns that the observer adds to the timing table; it fills the last entries of a row."""
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
         """Prepare for a run of `parts` with the columns of its trace."""
@@ -28,24 +29,25 @@ class RunObserver:
         """Wait until a tick may begin."""
 
     def on_tick(self, index: int, row: Array, times: Array) -> bool:
-        """Take a tick's rows of trace and timing; return whether the run goes on."""
+        """Read a tick's rows of trace and timing; return whether the run continues."""
         return True
 
     def on_event(self, time_s: float, what: str) -> None:
-        """Take an event in the tick in which the tissue reports it: time [s] and a sentence."""
+        """Handle an event in the tick in which the tissue reports it: time [s] and a sentence."""
 
     def on_end(self) -> list[tuple[float, str]]:
-        """Release what the observer holds, also after an error; return its events, time [s] and
-        a sentence each.
+        """Release resources, also after an error, and return the observer's events.
+
+        An event is a time [s] and a sentence.
         """
         return []
 
 
 class Observers(RunObserver):
-    """Several observers as one, called in their order.
+    """Several observers combined into one, called in order.
 
-    `on_begin` goes through them backwards: a live run takes over Ctrl-C in the first observer, when
-    all others run.
+    `on_begin` calls them in reverse order: the first observer of a live run takes over Ctrl-C after
+    all other observers have begun.
     """
 
     def __init__(self, *observers: RunObserver) -> None:
@@ -63,7 +65,7 @@ class Observers(RunObserver):
             each.before_tick(index)
 
     def on_tick(self, index: int, row: Array, times: Array) -> bool:
-        """Show all observers the tick; return whether all of them let the run go on."""
+        """Pass the tick to all observers; return whether all of them let the run continue."""
         goes_on = True
         for each in self._all:
             goes_on = each.on_tick(index, row, times) and goes_on
@@ -91,9 +93,9 @@ def _ended(observers: Sequence[RunObserver]) -> list[tuple[float, str]]:
 
 
 class TickRow(Mapping[str, float]):
-    """A tick's row of the trace by its columns, such as ``row["model_force_z_N"]``.
+    """Row of the trace for one tick, by its columns, such as ``row["model_force_z_N"]``.
 
-    It is the same object in every tick and shows the present one; ``dict(row)`` keeps it.
+    It is the same object in every tick and shows the present tick. ``dict(row)`` keeps its values.
     """
 
     def __init__(self, columns: tuple[str, ...]) -> None:
@@ -111,8 +113,9 @@ class TickRow(Mapping[str, float]):
 
 
 class OnTick(RunObserver):
-    """Calls a function with the number and the row of every tick; the run ends when it returns
-    False.
+    """Observer that calls a function with the number and row of every tick.
+
+    The run ends when the function returns False.
     """
 
     def __init__(self, function: Callable[[int, TickRow], Any]) -> None:
@@ -120,7 +123,7 @@ class OnTick(RunObserver):
         self._row = TickRow(())
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
-        """Take the names of the columns."""
+        """Store the names of the columns."""
         self._row = TickRow(columns)
 
     def on_tick(self, index: int, row: Array, times: Array) -> bool:

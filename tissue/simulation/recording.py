@@ -1,6 +1,4 @@
-"""A run as a recording that other programs read: HDF5 in the layout of volumetric_drilling's
-recorder.
-"""
+"""Recording of a run for other programs: HDF5 in the layout of volumetric_drilling's recorder."""
 
 from collections.abc import Iterable
 from io import BytesIO
@@ -26,9 +24,7 @@ __all__ = ["Recorded", "write_formats", "write_recording"]
 
 Array = NDArray[np.float64]
 DRILL, ANATOMY = "mastoidectomy_drill", "anatomy_object_name"
-"""Objects by the names that the recorder has by default, so that scripts for its files find
-them.
-"""
+"""Objects by the default names of the recorder, so that scripts for its files find them."""
 DENSEST_KG_M3 = 2000.0
 """Density of bone that is drawn white [kg/m3]."""
 ABOUT = (
@@ -50,7 +46,7 @@ ABOUT_VOXELS = (
 
 
 class Recorded(Protocol):
-    """What is asked of a run: one just simulated, or one in its folder."""
+    """Run to be recorded, either just simulated or read from its folder."""
 
     @property
     def scene(self) -> Scene: ...
@@ -65,12 +61,12 @@ class Recorded(Protocol):
     def volume(self) -> VoxelVolume: ...
 
     def replay(self) -> "CarvingReplay":
-        """The carving once more."""
+        """Return a replay of the carving."""
         ...
 
 
 def write_formats(run: Recorded, folder: Path, formats: Iterable[str]) -> None:
-    """Write a run's further formats into a folder."""
+    """Write additional formats of a run into a folder."""
     for kind in formats:
         if kind == RECORDING:
             write_recording(run, folder / "recording.hdf5")
@@ -79,10 +75,10 @@ def write_formats(run: Recorded, folder: Path, formats: Iterable[str]) -> None:
 
 
 def write_recording(run: Recorded, path: Path) -> None:
-    """Write a run in the layout of volumetric_drilling's recorder, its note on data of version 3.
+    """Write a run in the layout of volumetric_drilling's recorder, with its data note version 3.
 
-    What a run does not have is left out, as the recorder leaves out what it did not hear: images
-    and camera, and of a tool that cuts nothing the voxels and the burr.
+    Data that a run does not have are left out, as the recorder leaves out topics that it did not
+    receive. These are images and camera, and for a tool that cuts nothing the voxels and the burr.
     """
     import h5py
 
@@ -105,7 +101,7 @@ def write_recording(run: Recorded, path: Path) -> None:
 
 
 def _write_poses(file: Any, run: Recorded) -> None:
-    """Poses of drill and anatomy, forces, and the size of the burr at the start."""
+    """Write poses of drill and anatomy, forces, and the size of the burr at the start."""
     trace = run.trace
     tool = run.scene.tool
     times = trace["time_s"]
@@ -136,7 +132,7 @@ def _write_poses(file: Any, run: Recorded) -> None:
 
 
 def _write_voxels(file: Any, run: Recorded) -> None:
-    """Voxels in the order in which they fell below half, grouped by tick."""
+    """Write voxels in the order in which they fell below half, grouped by tick."""
     volume = run.volume
     file["metadata_v3/voxel_volume"] = 1e9 * volume.voxel_volume_m3
     file["metadata_v3/voxel_volume"].attrs["units"] = "mm^3, millimeters cubed"
@@ -158,6 +154,6 @@ def _write_voxels(file: Any, run: Recorded) -> None:
 
 
 def _store(file: Any, group: str, times: Array, **values: Array) -> None:
-    """Write samples and their times, float64 in gzip as the recorder does."""
+    """Write samples and their times as float64 in gzip, as the recorder does."""
     for name, samples in {"time_stamp": times, **values}.items():
         file.create_dataset(f"{group}/{name}", data=samples, compression="gzip")

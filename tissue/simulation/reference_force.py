@@ -1,9 +1,9 @@
-"""The force that a device would play if nothing were late, coarse or filtered: what runs by a hand
-are held against.
+"""Reference force of a device: without latency, filter or coarse model.
 
-Errors are scored at the motor: what is played is taken through transport, hold and amplifier, and
-held against the ideal force at the same time. Beside an error stands the least one, that of a
-perfect force through the same encoder steps, low-pass and amplifier.
+Runs by a hand are compared with it. Errors are measured at the motor: the played force passes
+through transport, hold and amplifier, and is compared with the ideal force at the same time. Each
+error is reported with its lower bound, the error of a perfect force through the same encoder steps,
+low-pass and amplifier.
 """
 
 from collections.abc import Mapping
@@ -49,11 +49,11 @@ PROMPT: dict[str, object] = {
     "coupling.delay_ms": 0,
     "coupling.model_ms": 1,
 }
-"""What makes a loop prompt."""
+"""Settings of a loop without latency, filter, prediction and perception."""
 
 
 class SimulatedRun(Protocol):
-    """What is asked of a run."""
+    """Run with a scene, a trace and parts."""
 
     @property
     def scene(self) -> Scene: ...
@@ -64,12 +64,12 @@ class SimulatedRun(Protocol):
 
 
 def ideal_scene(scene: Scene, finest: Mapping[str, object] | None = None) -> Scene:
-    """The same scene, prompt, with the same stiffness of the coupling and the finest model.
+    """Return a scene without latency, with the same coupling stiffness and the finest model.
 
     Parameters
     ----------
     scene
-        A scene with a device.
+        Scene with a device.
     finest
         Settings of the converged model by dotted key, such as ``{"voxels.spacing_mm": 0.05}``.
 
@@ -92,13 +92,13 @@ def ideal_scene(scene: Scene, finest: Mapping[str, object] | None = None) -> Sce
 def ideal_force_N(
     run: SimulatedRun, finest: Mapping[str, object] | None = None, *, cores: int | None = None
 ) -> Array:
-    """Force on the device that a prompt loop with the finest model gives on the very motion of a
-    run [N], shape (n, 3).
+    """Compute the force of the ideal loop on the motion of a run [N], shape (n, 3).
 
-    The motion is the device's, so that a hand's reaction to another force is no part of the
-    difference: its true one where the trace has it, which only a simulated device knows, and else
-    what its encoders read. Tissue that is cut differs by what the coarse model has cut otherwise,
-    as it does in a run.
+    The ideal loop has no latency and the finest model; see `ideal_scene`. The motion is the
+    device's motion, so the reaction of a hand to another force is not part of the difference. It is
+    the true motion where the trace has it, which only a simulated device provides, and otherwise
+    the motion that the encoders read. Cut tissue differs where the coarse model has cut
+    differently, as it does in a run.
 
     Raises
     ------
@@ -125,12 +125,11 @@ def ideal_force_N(
 
 
 def rendered_force_N(parts: Parts, ticks: int) -> Array:
-    """Return the force of the renderer in each tick, before prediction, filter and delay [N], shape
-    (ticks, 3).
+    """Compute the renderer's force in each tick [N], shape (ticks, 3).
 
-    It is bit for bit the columns ``raw_force`` of a run of the same parts, at about half the cost:
-    the known motion of the device does not depend on the played force, so that nothing is
-    predicted, filtered, limited, played or recorded.
+    It is the force before prediction, filter and delay. It is bit for bit the columns ``raw_force``
+    of a run of the same parts, at about half the cost. The known motion of the device does not
+    depend on the played force, so nothing is predicted, filtered, limited, played or recorded.
 
     Parameters
     ----------
@@ -158,11 +157,10 @@ def rendered_force_N(parts: Parts, ticks: int) -> Array:
 
 
 def stretch_force_N(run: SimulatedRun) -> Array:
-    """The prompt force of a run itself: the stretch of the coupling's spring from tick to tick [N],
-    shape (n, 3).
+    """Compute the force of the coupling's spring in each tick of a run [N], shape (n, 3).
 
-    It is formed from the positions that the encoders read, and by the run's own model: what a
-    predictor is shown, where that model answers every tick.
+    It is the force of the run without latency, computed from the encoder positions and the run's
+    own model. A predictor receives this force if that model answers every tick.
 
     Raises
     ------
@@ -178,24 +176,25 @@ def stretch_force_N(run: SimulatedRun) -> Array:
 
 
 def played_force_N(trace: Table) -> Array:
-    """Force on the device before its range is applied [N], shape (n, 3)."""
+    """Return the force on the device before its range is applied [N], shape (n, 3)."""
     return trace.vectors("filtered_force", "N")
 
 
 class MotorForces(NamedTuple):
-    """Forces at the motor, their mean over every tick but the last [N], each of shape (n - 1, 3).
+    """Forces at the motor, averaged over every tick but the last [N], shape (n - 1, 3) each.
 
     Attributes
     ----------
     played
         The force of the run, before the device's range is applied.
     ideal
-        The prompt one at the device's position.
+        The force without latency at the device's position.
     nearest
-        The prompt one of the run's encoder steps, foreseen by the delay of its path: its error is
-        the least one of a force that follows these steps. One that smooths them may have less.
+        The force without latency from the run's encoder steps, predicted by the delay of its path.
+        Its error is the lower bound for a force that follows these steps. A force that smooths them
+        may have a smaller error.
     sent
-        The force that the device was given, within its range and scaled for a person.
+        The force that the device received, within its range and scaled for a person.
     """
 
     played: Array
@@ -205,7 +204,7 @@ class MotorForces(NamedTuple):
 
 
 def motor_forces(run: SimulatedRun, ideal_N: Array) -> MotorForces:
-    """Forces of a run where the motor acts, `ideal_N` being those of `ideal_force_N`.
+    """Compute the forces of a run at the motor; `ideal_N` comes from `ideal_force_N`.
 
     Raises
     ------

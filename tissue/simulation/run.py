@@ -1,4 +1,4 @@
-"""A run: simulated just now, or read back from its folder, with one interface."""
+"""Run, either just simulated or read from its folder, with one interface."""
 
 import os
 import platform
@@ -35,15 +35,15 @@ if TYPE_CHECKING:
 __all__ = ["DEADLINE_US", "Run"]
 
 DEADLINE_US = 1000.0
-"""A tick that takes longer misses its deadline [us]."""
+"""Duration of a tick above which it misses its deadline [us]."""
 Part = TypeVar("Part")
 
 
 class Run:
-    """A run, simulated just now or read back by `load`.
+    """Run, either just simulated or read from its folder by `load`.
 
-    Parts of a run that was read back are read when they are used first. A part that the folder does
-    not hold raises `InputError`.
+    Parts of a run from a folder are read at their first use. A part that the folder does not hold
+    raises `InputError`.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ class Run:
     break_throughs: Sequence[BreakThrough] = ()
     draw: "Callable[[Run, Path, str], list[str]] | None" = None
     begun: RunFolder | None = None
-    """Folder that took the rows while the run went on, until it is saved there."""
+    """Folder that received the rows during the run, until the run is saved there."""
     _saved: SavedRun | None = None
     _compute = "cpu"
 
@@ -102,7 +102,7 @@ class Run:
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read a run back from its folder.
+        """Read a run from its folder.
 
         Parameters
         ----------
@@ -126,14 +126,12 @@ class Run:
 
     @cached_property
     def trace(self) -> Table:
-        """One row a tick, columns by name: ``run.trace["force_z_N"]``."""
+        """Trace with one row a tick, columns by name: ``run.trace["force_z_N"]``."""
         return self._required(self._files.trace, "trace.csv")
 
     @cached_property
     def timing(self) -> Table:
-        """Duration of each tick and of its stages [µs], columns by name:
-        ``run.timing["tick_us"]``.
-        """
+        """Duration of each tick and its stages [µs], by name: ``run.timing["tick_us"]``."""
         file = self._files.path / "timing.csv"
         return self._required(read_table(file, ()) if file.is_file() else None, file.name)
 
@@ -158,12 +156,12 @@ class Run:
 
     @property
     def status(self) -> str:
-        """``complete``, ``failed``, ``interrupted`` or ``running``."""
+        """Status of the run: ``complete``, ``failed``, ``interrupted`` or ``running``."""
         return str(self.summary["status"])
 
     @property
     def problem(self) -> str:
-        """Cause of a failed or interrupted run; empty where there is none or it is not known."""
+        """Cause of a failed or interrupted run; empty for other runs or an unknown cause."""
         return str(self.summary.get("problem", ""))
 
     @property
@@ -198,8 +196,9 @@ class Run:
         return found
 
     def replay(self) -> "CarvingReplay":
-        """Carve the bone once more, for the bone at any tick; raises `InputError` if nothing was
-        cut.
+        """Return a replay of the carving, which gives the bone at any tick.
+
+        It raises `InputError` if nothing was cut.
         """
         import warp
 
@@ -217,8 +216,9 @@ class Run:
 
     @property
     def summary(self) -> Summary:
-        """Figures of the run, as in ``summary.json``: volumes, forces, tick cost, deadlines,
-        scheduling, notes.
+        """Values of the run, as in ``summary.json``.
+
+        They include volumes, forces, tick cost, deadlines, scheduling and notes.
         """
         if self._saved is not None:
             return self._saved.summary | {"status": self._saved.status}
@@ -307,9 +307,7 @@ class Run:
         return voxel_image(self.volume, self.remaining)
 
     def discard(self, why: str) -> None:
-        """Release a run that is not to be saved; its begun folder holds it as an interrupted
-        one.
-        """
+        """Release a run that will not be saved; its begun folder is marked as interrupted."""
         if self.begun is not None:
             self.begun.interrupt(why)
 
@@ -322,19 +320,20 @@ class Run:
         overwrite: bool = False,
         progress: Progress | None = None,
     ) -> Path:
-        """Write the run's folder; see docs/files.md for its files. A run that was read back is
-        copied.
+        """Write the run's folder; see docs/files.md for its files.
+
+        A run that was read from a folder is copied.
 
         Parameters
         ----------
         out
             Folder to write.
         formats
-            Further formats: parquet, npz, mat or h5 of the trace; recording, the run in
+            Additional formats: parquet, npz, mat or h5 for the trace; recording for the run in
             volumetric_drilling's layout.
         pictures
-            Whether the folder holds pictures, or their format, png, svg or pdf; a copy has those of
-            its original.
+            Whether the folder holds pictures, or their format, png, svg or pdf; a copy has the
+            pictures of its original.
         overwrite
             Replace a run that the folder already holds.
         progress
@@ -380,7 +379,7 @@ class Run:
         overwrite: bool,
         report: Progress,
     ) -> None:
-        """Write the folder of a simulated run, or complete the one that was begun."""
+        """Write the folder of a simulated run, or complete the folder that was begun."""
         from tissue.simulation.bone_files import write_bone
         from tissue.simulation.carving_series import write_carving
         from tissue.simulation.recording import write_formats
@@ -425,7 +424,7 @@ class Run:
         return saved_voxels(self._files)
 
     def _required(self, part: Part | None, name: str) -> Part:
-        """Return a part of the folder that must be there."""
+        """Return a part of the folder; raise an error if it is missing."""
         if part is None:
             raise InputError(
                 "run", f"hold {name}", f"{self._files.path} without it", "run the scene again"
@@ -434,7 +433,7 @@ class Run:
 
 
 def _spread(values: NDArray[np.float64]) -> dict[str, Any]:
-    """Median, 99th percentile and maximum."""
+    """Return median, 99th percentile and maximum."""
     return {
         "median": float(np.median(values)),
         "p99": float(np.percentile(values, 99)),

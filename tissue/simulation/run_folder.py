@@ -1,4 +1,4 @@
-"""The folder a run lives in: made ready, filled while the run goes on, read back."""
+"""Folder of a run: preparation, writing during the run, and reading."""
 
 import json
 import re
@@ -76,7 +76,7 @@ PICTURES = (
     "section",
     "wall",
 )
-"""Names of pictures that runs of any scene may have; a kind of anatomy may add others."""
+"""Names of pictures that runs of any scene may have; an anatomy may add others."""
 
 
 def run_file_names() -> tuple[str, ...]:
@@ -87,7 +87,7 @@ def run_file_names() -> tuple[str, ...]:
 
 
 def named_as_run_files(path: Path) -> set[str]:
-    """Return the names of plain files in a folder that are names of a run's files."""
+    """Return the names of a folder's plain files that are names of a run's files."""
     found = {
         each.relative_to(path).as_posix() for name in run_file_names() for each in path.glob(name)
     }
@@ -100,7 +100,7 @@ def picture_format(pictures: bool | str) -> str | None:
     Raises
     ------
     InputError
-        If it is none of `PICTURE_FORMATS`.
+        If the format is not one of `PICTURE_FORMATS`.
     """
     if isinstance(pictures, bool):
         return PICTURE_FORMATS[0] if pictures else None
@@ -112,29 +112,28 @@ def picture_format(pictures: bool | str) -> str | None:
 
 
 KEPT_SCENE = re.compile(r'format = \d+\ntissue = "[^"\n]*"\n')
-"""Begin of the scene that a run keeps."""
+"""Beginning of the scene file that a run keeps."""
 
 
 class RunFolder:
-    """A folder that takes a run while it goes on, held against other processes until the run has
-    ended.
+    """Folder that a run is written to, locked against other processes until the run has ended.
 
-    A folder that holds a run is kept unless asked to overwrite it. Only files that the folder's
-    marker lists are replaced or removed, and a folder that holds other files of the same names is
-    refused. Nothing in it changes before `begin`. A folder without a marker counts as a run of
-    version 0.2 if its files are those of a run by their content.
+    A folder that holds a run is kept unless `overwrite` is set. Only files that the folder's marker
+    lists are replaced or removed, and a folder that holds other files of the same names is refused.
+    Nothing in it changes before `begin`. A folder without a marker counts as a run of version 0.2
+    if the content of its files shows a run.
 
     Parameters
     ----------
     path
         The folder.
     overwrite
-        Replace a run that it holds.
+        Replace a run that the folder already holds.
 
     Raises
     ------
     InputError
-        If it holds another run or files of other origin, or another process writes to it.
+        If the folder holds another run or files of other origin, or another process writes to it.
     """
 
     def __init__(self, path: Path, *, overwrite: bool) -> None:
@@ -148,11 +147,11 @@ class RunFolder:
 
     @staticmethod
     def check(path: Path, *, overwrite: bool) -> None:
-        """Refuse a folder that cannot take a run."""
+        """Refuse a folder that a run cannot be written to."""
         require_folder(path, "run", run_file_names(), overwrite=overwrite, adopted=_adopted(path))
 
     def begin(self, scene: Scene, placement: Placement | None = None) -> None:
-        """Take away what is replaced, and mark the folder as that of a run which goes on."""
+        """Remove replaced files, and mark the folder as the folder of a running run."""
         self._owned.begin()
         placed = {} if placement is None else {"placement": placement.to_record()}
         written = {
@@ -167,11 +166,11 @@ class RunFolder:
 
     @contextmanager
     def ending(self) -> Iterator[None]:
-        """Write to the summary what ended a block before its end, and let go of the folder then."""
+        """Write the cause to the summary and release the folder if the block ends early."""
         try:
             yield
         except BaseException as error:
-            # such as a full disk: the run is then reported as one whose process is gone
+            # On an error such as a full disk the run is reported as one without a process.
             with suppress(OSError):
                 self.close_tables()
                 self._stopped(error)
@@ -179,7 +178,7 @@ class RunFolder:
             raise
 
     def _stopped(self, error: BaseException) -> None:
-        """Mark a run that was begun as interrupted or failed."""
+        """Mark a run that has begun as interrupted or failed."""
         if not self._summary:
             return
         if isinstance(error, KeyboardInterrupt):
@@ -201,7 +200,7 @@ class RunFolder:
         ]
 
     def flush(self, row_count: int, *, force: bool = False) -> None:
-        """Bring the rows so far to disk if it is time."""
+        """Write the rows so far to disk if the last flush was long enough ago."""
         for writer in self._writers:
             writer.flush(row_count, force=force)
 
@@ -212,26 +211,26 @@ class RunFolder:
         self._writers = []
 
     def interrupt(self, problem: str) -> None:
-        """Mark a run that nobody wants to end as interrupted, and let go of the folder."""
+        """Mark a discarded run as interrupted, and release the folder."""
         self.close_tables()
         summary = {name: value for name, value in self._summary.items() if name != "process"}
         self._write_summary(summary | {"status": "interrupted", "problem": problem})
         self._owned.release()
 
     def complete(self, summary: Summary) -> None:
-        """Write the summary of a run whose files are all there, and let go of the folder."""
+        """Write the summary of a run whose files are complete, and release the folder."""
         self._write_summary(summary)
         self._owned.release()
 
     def _write_summary(self, summary: Summary) -> None:
-        """Write ``summary.json`` at once: it is either the old one or the new one."""
+        """Write ``summary.json`` atomically: it is either the old file or the new one."""
         self._summary = summary
         with whole_file(self.path / "summary.json") as temporary:
             temporary.write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
 
 
 class SavedRun:
-    """A run read back from its folder.
+    """Files of a run, read from its folder.
 
     Attributes
     ----------
@@ -240,10 +239,10 @@ class SavedRun:
     summary
         Contents of ``summary.json``.
     status
-        ``complete``, ``failed``, ``interrupted`` or ``running``; a run whose process is gone was
-        interrupted.
+        ``complete``, ``failed``, ``interrupted`` or ``running``; a run whose process no longer
+        exists was interrupted.
     problem
-        What ended a run that failed or was interrupted, empty where that is not known.
+        Cause of a failed or interrupted run; empty where it is not known.
     scene
         The scene, None where its file is missing.
     trace
@@ -252,8 +251,8 @@ class SavedRun:
     Raises
     ------
     InputError
-        If the folder holds no run, one of another version, or a damaged summary, scene or trace; a
-        trace of a complete run that is shorter or longer than the run was is damaged.
+        If the folder holds no run, a run of another version, or a damaged summary, scene or trace.
+        The trace of a complete run is damaged if its length differs from the run's duration.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -280,13 +279,14 @@ class SavedRun:
 
     @property
     def complete(self) -> bool:
-        """Whether the run came to its end."""
+        """True if the run is complete."""
         return self.status == "complete"
 
 
 def saved_placement(path: Path) -> Placement | None:
-    """Where the frame of a run's scene lies in that of its bone and field files; None where they
-    are the same.
+    """Return the pose of a run's scene frame in the frame of its bone and field files.
+
+    None is returned where both frames are the same.
 
     Raises
     ------
@@ -303,8 +303,9 @@ def saved_placement(path: Path) -> Placement | None:
 
 
 def _remark(placement: Placement | None) -> str:
-    """Where the scene lies in the anatomy's file, as comments of TOML that pin the site where
-    they are copied.
+    """Return the scene's pose in the anatomy's file as comments of TOML.
+
+    Copied into a scene, they fix the site there.
     """
     if placement is None:
         return ""
@@ -325,21 +326,20 @@ def _remark(placement: Placement | None) -> str:
 
 @contextmanager
 def added_to_run(path: Path) -> Iterator[None]:
-    """Hold the folder of a run that has ended while the block adds files to it or replaces its
-    own.
-    """
+    """Lock the folder of a finished run while the block adds or replaces files of the run."""
     with _held(OwnedFolder(path, "run", (), shared=run_file_names(), adopted=_adopted(path))):
         yield
 
 
 def copy_run(saved: SavedRun, out: Path, *, pictures: bool, overwrite: bool) -> None:
-    """Copy the files of a run that has ended into another folder; into its own folder nothing is
-    copied.
+    """Copy the files of a finished run into another folder.
+
+    Nothing is copied into the run's own folder.
 
     Raises
     ------
     InputError
-        If the run goes on, or the folder holds another run.
+        If the run is still running, or the folder holds another run.
     """
     if out.exists() and out.samefile(saved.path):
         return
@@ -369,8 +369,9 @@ def _held(folder: OwnedFolder) -> Iterator[None]:
 
 
 def files_of_run(path: Path) -> list[str]:
-    """Names of the files that a run wrote into its folder; of a run without marker, those with
-    names of its files.
+    """Return the names of the files that a run wrote into its folder.
+
+    For a run without a marker, they are the files with names of a run's files.
     """
     there = listed_files(path).get("run")
     names = named_as_run_files(path) if there is None else there
@@ -378,8 +379,9 @@ def files_of_run(path: Path) -> list[str]:
 
 
 def _adopted(path: Path) -> set[str]:
-    """Files of a run that version 0.2 wrote, without a marker; none where the folder is no such
-    run by its content.
+    """Return the files of a run that version 0.2 wrote without a marker.
+
+    The set is empty if the content of the folder shows no such run.
     """
     if "run" in listed_files(path):
         return set()
@@ -399,6 +401,9 @@ def _adopted(path: Path) -> set[str]:
 
 
 def _status_of(summary: Summary) -> str:
-    """Status of a run: that of its summary, but one that goes on has to have its process."""
+    """Return the status of a run from its summary.
+
+    A run that is marked as running but has no process was interrupted.
+    """
     status = str(summary.get("status", "interrupted"))
     return status if status != "running" or is_alive(summary.get("process")) else "interrupted"

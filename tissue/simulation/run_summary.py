@@ -1,4 +1,4 @@
-"""The summary of a run read back: its version, and the entries that other code relies on."""
+"""Summary of a saved run: its version, and the entries that other code uses."""
 
 from collections.abc import Mapping
 from math import isfinite
@@ -13,7 +13,7 @@ from meshes.base.text_tables import read_json
 __all__ = ["FORMAT", "Summary", "read_summary", "summary_of"]
 
 Summary = dict[str, Any]
-"""What ``summary.json`` holds, see docs/files.md."""
+"""Contents of ``summary.json``, see docs/files.md."""
 FORMAT = 1
 """Version of the run folder."""
 STATUS = ("running", "complete", "interrupted", "failed")
@@ -21,12 +21,12 @@ AGAIN = "run the scene again"
 
 
 def summary_of(folder: Path) -> Summary:
-    """The summary of a folder as it is; empty where there is none or it is no table."""
+    """Return the summary of a folder unchecked; empty if it is missing or no table."""
     return _table_of(folder) or {}
 
 
 def read_summary(folder: Path) -> Summary:
-    """The summary of a run, its version and entries checked.
+    """Read the summary of a run, and check its version and entries.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def read_summary(folder: Path) -> Summary:
 
 
 def _table_of(folder: Path) -> Summary | None:
-    """The summary of a folder as it is; None where there is none or it is no table."""
+    """Return the summary of a folder unchecked; None if it is missing or no table."""
     try:
         held = read_json(require_regular(folder / "summary.json").read_text("utf-8"))
     except (OSError, ValueError):

@@ -1,6 +1,4 @@
-"""Fields of a saved run: their names and units, their range over the whole run, and the mesh at
-any moment.
-"""
+"""Fields of a saved run: names, units, ranges over the run, and the mesh at any moment."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -30,11 +28,11 @@ __all__ = [
 ]
 
 PEAK = 99.8
-"""Percentile of a cell field that ends its scale: single cells at the tool lie above it."""
+"""Percentile of a cell field at the end of its scale; single cells at the tool lie above it."""
 SPAN = 1e-3
-"""Lowest stress of a logarithmic scale, as a share of its highest."""
+"""Ratio of lowest to highest stress of a logarithmic scale."""
 FAINT = 5.0
-"""Percentile of the greatest stress at one time that may begin the scale."""
+"""Percentile at which the scale may begin, for the frame with the largest stress."""
 UNITS = {
     **{unit: unit for unit in ("mm", "m", "Pa", "kPa", "MPa", "mN", "N", "J", "mJ", "K")},
     "um": "µm",
@@ -44,15 +42,16 @@ UNITS = {
     "C": "°C",
     "degC": "°C",
 }
-"""Units that end a field's name, and how they are written."""
+"""Units that end a field's name, and their notation."""
 IN_MM = {"um": 1e-3, "mm": 1.0, "m": 1e3}
 DISPLACEMENT = "displacement_"
 STRESS = "von_mises_"
 
 
 def field_label(name: str) -> tuple[str, str]:
-    """Words and unit of a field: ``("von Mises", "kPa")`` of ``von_mises_kPa``; no unit is
-    empty.
+    """Return words and unit of a field: ``("von Mises", "kPa")`` for ``von_mises_kPa``.
+
+    The unit is empty for a field without one.
     """
     words, _, unit = name.rpartition("_")
     if unit not in UNITS:
@@ -62,8 +61,9 @@ def field_label(name: str) -> tuple[str, str]:
 
 
 def field_names(folder: Path) -> list[str]:
-    """Names of the fields that a run's folder holds, see `SavedFields.names`; empty for a run
-    without any.
+    """Return the names of the fields in a run's folder; empty for a run without fields.
+
+    See `SavedFields.names`.
     """
     if not (folder / "fields.pvd").is_file():
         return []
@@ -72,12 +72,12 @@ def field_names(folder: Path) -> list[str]:
 
 
 def frames_of(folder: Path) -> list[tuple[float, str]]:
-    """Times [s] and files of the frames that ``fields.pvd`` names, in the order of time.
+    """Read times [s] and files of the frames that ``fields.pvd`` names, in the order of time.
 
     Raises
     ------
     InputError
-        If it cannot be read, or its times do not rise.
+        If it cannot be read, or its times do not increase.
     """
     from xml.etree import ElementTree
 
@@ -106,13 +106,14 @@ def frames_of(folder: Path) -> list[tuple[float, str]]:
 
 
 def require_whole(saved: SavedRun) -> None:
-    """Check that the bone and the frames of a run are not damaged, because VTK could end this
-    process on such files.
+    """Check that the bone and the frames of a run are not damaged.
+
+    VTK could end this process on damaged files.
 
     Raises
     ------
     InputError
-        If a file is damaged or lacks what it should hold; the message names it.
+        If a file is damaged or incomplete; the message names the file.
     """
     wanted = {"bone.vti": ["remaining", "layer", "density_kg_m3"]} if saved.complete else {}
     if (saved.path / "fields.pvd").is_file():
@@ -134,15 +135,16 @@ class SavedFields:
     Parameters
     ----------
     folder
-        A run's folder.
+        Folder of a run.
 
     Attributes
     ----------
     times_s
-        Times of the frames [s], rising.
+        Times of the frames [s], in increasing order.
     names
-        Fields that can be shown, one number or one vector a cell or node; von Mises stress comes
-        first, then the other cell fields, then the nodes'. Of a vector its magnitude is shown.
+        Fields that can be shown, with one number or one vector per cell or node. Von Mises stress
+        comes first, then the other cell fields, then the node fields. For a vector its magnitude is
+        shown.
     layer_names
         Layers or parts that cells belong to.
     displacement
@@ -153,7 +155,7 @@ class SavedFields:
     Raises
     ------
     InputError
-        As `frames_of`, or if a file that it names is missing.
+        As for `frames_of`, or if a named file is missing.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -189,8 +191,9 @@ class SavedFields:
 
     @property
     def frames(self) -> list[Any]:
-        """Meshes of all frames in their reference configuration [mm], in the scene's frame, read
-        when needed.
+        """Meshes of all frames in their reference configuration [mm], in the scene's frame.
+
+        They are read when needed.
         """
         if not self._frames:
             import pyvista
@@ -207,10 +210,10 @@ class SavedFields:
         return float(self.frames[0].length) if self.frames else 0.0
 
     def at(self, time_s: float) -> "tuple[pyvista.UnstructuredGrid, float]":
-        """Mesh at a moment, and the time that its values belong to [s].
+        """Return the mesh at a moment, and the time that its values belong to [s].
 
-        Between two frames of the same mesh the values are interpolated linearly. Where cells went
-        in between, it is the earlier frame.
+        Values are interpolated linearly between two frames of the same mesh. If cells were removed
+        between the frames, the earlier frame is returned.
         """
         frames = self.frames
         times = self.times_s
@@ -233,7 +236,7 @@ class SavedFields:
         return mesh, float(time_s)
 
     def moved_mm(self, mesh: "pyvista.DataSet") -> NDArray[np.float32]:
-        """Displacement of a mesh's nodes [mm], shape (nodes, 3); zero without the field."""
+        """Return the displacement of the nodes [mm], shape (nodes, 3); zero without the field."""
         if self.displacement is None or self.displacement not in mesh.point_data:
             return np.zeros((mesh.n_points, 3), dtype=np.float32)
         moved: NDArray[np.float32] = np.float32(self.unit_mm) * np.asarray(
@@ -242,7 +245,7 @@ class SavedFields:
         return moved
 
     def greatest_mm(self) -> float:
-        """Greatest displacement over the whole run [mm]."""
+        """Return the largest displacement over the whole run [mm]."""
         return max(
             (
                 float(np.linalg.norm(self.moved_mm(one), axis=1).max(initial=0.0))
@@ -252,7 +255,7 @@ class SavedFields:
         )
 
     def limits(self, name: str) -> tuple[float, float]:
-        """Ends of a field's scale, the same over the whole run; see `field_limits`."""
+        """Return the ends of a field's scale over the whole run; see `field_limits`."""
         if name not in self._limits:
             values = [
                 one for frame in self.frames if (one := field_values(frame, name)) is not None
@@ -262,11 +265,10 @@ class SavedFields:
 
 
 def field_limits(name: str, values: Sequence[NDArray[np.float32]]) -> tuple[float, float]:
-    """Ends of a field's scale over arrays of its values; symmetric about 0 where they have two
-    signs.
+    """Return the ends of a field's scale over arrays of its values.
 
-    It begins above 0 for von Mises stress, which falls by decades away from a tool: its scale is
-    logarithmic.
+    The scale is symmetric about 0 if the values have both signs. For von Mises stress it begins
+    above 0 and is logarithmic, because this stress falls by decades with the distance from a tool.
     """
     values = [one[np.isfinite(one)] for one in values]
     values = [one for one in values if one.size]
@@ -282,7 +284,7 @@ def field_limits(name: str, values: Sequence[NDArray[np.float32]]) -> tuple[floa
 
 
 def field_values(mesh: "pyvista.DataSet", name: str) -> NDArray[np.float32] | None:
-    """A field's numbers, of a vector its magnitude; None where the mesh has no such field."""
+    """Return a field's values, or magnitudes of vectors; None if the mesh lacks the field."""
     data = mesh.cell_data if name in mesh.cell_data else mesh.point_data
     if name not in data:
         return None

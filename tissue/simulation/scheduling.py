@@ -1,6 +1,4 @@
-"""What was chosen for a run's launches and background work, and how late the machine itself was
-around its ticks.
-"""
+"""Scheduling of a run's launches and background work, and gaps of the machine around its ticks."""
 
 from typing import Any
 
@@ -12,28 +10,28 @@ from tissue.system.machine_gaps import LEAST_GAP_S, MachineGaps, spin
 __all__ = ["Scheduling", "spin_time_s"]
 
 SPUN_S, SPUN_SHARE = 0.3, 0.1
-"""How long the clock is looked at before the ticks, and after them [s]; at most this share of
-what is simulated.
+"""Time for which the clock is polled before and after the ticks [s], and its largest share.
+
+The share is relative to the simulated time.
 """
 
 
 def spin_time_s(simulated_s: float) -> float:
-    """How long to look at the clock before and after the ticks of a run [s]."""
+    """Return the time to poll the clock before and after the ticks of a run [s]."""
     return min(SPUN_S, SPUN_SHARE * simulated_s)
 
 
 class Scheduling:
-    """The choices of one run, taken just before its ticks begin.
+    """Scheduling choices of one run, made just before its ticks begin.
 
     Parameters
     ----------
     tissue
-        What is simulated.
+        Tissue that is simulated.
     cores
-        Processor cores the run was given; None for all.
+        Processor cores available to the run; None for all.
     spin_s
-        How long to look at the clock now, and once more when the ticks have ended [s]; 0 not at
-        all.
+        Time to poll the clock now, and again after the ticks have ended [s]; 0 to skip this.
     """
 
     def __init__(self, tissue: TissueModel, *, cores: int | None, spin_s: float) -> None:
@@ -44,28 +42,28 @@ class Scheduling:
         self._before = self._after = launch_counts()
 
     def end(self) -> None:
-        """The ticks have ended."""
+        """Record the launch counts at the end of the ticks."""
         self._after = launch_counts()
 
     def look_again(self) -> None:
-        """Look at the clock once more; what worked beside the ticks has ended."""
+        """Poll the clock again, after background work has ended."""
         if self._spin_s > 0.0:
             self.gaps += spin(self._spin_s)
 
     @property
     def launches(self) -> LaunchCounts:
-        """Large launches of the ticks, and how many were split."""
+        """Number of large launches in the ticks, and of multi-threaded ones among them."""
         before = self._before
         after = self._after
         return LaunchCounts(after.large - before.large, after.split - before.split)
 
     def summary(self, *, ticks_s: float) -> dict[str, Any]:
-        """Entries of the run's summary.
+        """Return entries of the run's summary.
 
         Parameters
         ----------
         ticks_s
-            Time in which a gap of the machine made a tick late [s].
+            Time in which a gap of the machine can delay a tick [s].
         """
         launches = self.launches
         chosen = {

@@ -1,4 +1,4 @@
-"""Fields over time as files that ParaView plays."""
+"""Files of fields over time for ParaView."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,14 +15,14 @@ if TYPE_CHECKING:
 __all__ = ["frame_mesh", "write_fields"]
 
 CELL_TYPES = {4: 10, 8: 12}
-"""VTK's number of a cell, tetrahedron or hexahedron, by its count of nodes."""
+"""VTK's number of a cell type, tetrahedron or hexahedron, by its count of nodes."""
 
 
 def frame_mesh(series: FieldSeries, frame: Frame) -> "pyvista.UnstructuredGrid":
-    """Mesh of one frame in mm, without the cells that are gone, nor nodes that no other cell has.
+    """Return the mesh of one frame [mm], without removed cells and unused nodes.
 
-    Cell array ``layer`` counts into the field ``layer_names``; the other arrays have the names of
-    the frame's fields.
+    The cell array ``layer`` is an index into the field ``layer_names``. The other arrays have the
+    names of the frame's fields.
     """
     import pyvista
 
@@ -49,10 +49,11 @@ def frame_mesh(series: FieldSeries, frame: Frame) -> "pyvista.UnstructuredGrid":
 
 
 def write_fields(series: FieldSeries, folder: Path, placement: Placement | None = None) -> None:
-    """Write ``fields.pvd`` with times in seconds, and a mesh for each frame:
-    ``fields/frame_0000.vtu`` and so on.
+    """Write ``fields.pvd`` with times in seconds, and a mesh for each frame.
 
-    With a placement they lie in the frame and unit of the anatomy's file.
+    The meshes are ``fields/frame_0000.vtu`` and so on.
+
+    With a placement the meshes have the frame and unit of the anatomy's file.
     """
     from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 

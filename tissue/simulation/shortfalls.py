@@ -1,6 +1,4 @@
-"""What a run did not do of what it was for: a path that it left early, bone or a lesion that it
-removed nothing of.
-"""
+"""Shortfalls of a run: an unfinished path, and bone or a lesion that was not removed."""
 
 import numpy as np
 
@@ -15,15 +13,16 @@ from tissue.simulation.trace import Table
 __all__ = ["shortfalls"]
 
 MOSTLY = 0.5
-"""A tooth's caries within reach is missed where a run removes less than this share of it."""
+"""Share of a tooth's caries within reach below which the removal counts as missed."""
 TOLERANCE_MM = 0.05
-"""How far short of its depth a thrust may stay unsaid [mm]."""
+"""Tolerance for the depth of a thrust, below which a shortfall is not noted [mm]."""
 
 
 def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> dict[str, str]:
-    """Notes on what a finished run did not reach or remove, by what they are about.
+    """Return notes on targets that a finished run did not reach or remove, by subject.
 
-    A run of ``path_s`` [s] as asked for that is shorter than its scripted motion is reported so.
+    ``path_s`` is the requested duration [s]. A run that is shorter than its scripted motion is
+    noted.
     """
     found = {}
     wanted_s = parts.motion.duration_s - parts.motion.after_s
@@ -65,15 +64,17 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
 
 
 def _has_lesion(anatomy: Tooth, parts: Parts) -> bool:
-    """Whether the tooth has a lesion, within the tool's reach or not."""
+    """Return whether the tooth has a lesion, within the tool's reach or not."""
     if isinstance(anatomy, MolarAnatomy):
         return anatomy.caries_depth_mm > 0.0
     return "caries" in anatomy.layer_files or "lesion" in parts.notes
 
 
 def _missed_caries(parts: Parts) -> str:
-    """What a tool left of the caries, where that is all or, within the reach in a tooth from
-    files, most of it.
+    """Return a note on caries that the tool left; empty if the removal is sufficient.
+
+    It is noted if none was removed or, in a tooth from files, if most of the caries within reach is
+    left.
     """
     removed_m3 = dict(zip(parts.tissue.layer_names, parts.tissue.removed_m3, strict=True)).get(
         "caries", 0.0
@@ -89,7 +90,7 @@ def _missed_caries(parts: Parts) -> str:
 
 
 def _to_the_lesion(anatomy: Tooth, parts: Parts) -> str:
-    """Where the caries lies, if known, and how to bring the tool to it."""
+    """Return text on the extent of the caries, if known, and how to bring the tool to it."""
     at = parts.notes.get("lesion")
     aimed = getattr(anatomy, "site", "") == "caries" or parts.placement is None
     how = (

@@ -1,4 +1,7 @@
-"""Run a scene: the only place where motion, tissue, output and trace meet."""
+"""Simulation of a scene: combines motion, tissue, output and trace.
+
+It is the only module that combines them.
+"""
 
 import gc
 from contextlib import nullcontext, suppress
@@ -33,11 +36,11 @@ from tissue.simulation.trace import Table
 __all__ = ["TICK_S", "RunObserver", "RunSettings", "simulate", "tick_count"]
 
 MOST_CORES = 4096
-"""Most processor cores that may be asked for; more is taken for a slip."""
+"""Largest accepted number of processor cores; a larger one is taken for a typing error."""
 
 
 class RunSettings(TypedDict, total=False):
-    """Settings of `simulate` that do not change what is simulated."""
+    """Settings of `simulate` that do not change the simulation's result."""
 
     compute: str
     cores: int | None
@@ -49,18 +52,18 @@ class RunSettings(TypedDict, total=False):
 
 @runtime_checkable
 class MovedByDevice(Protocol):
-    """A motion whose tool is moved by a device, which feels a force that may be predicted."""
+    """Motion of a tool moved by a device, which plays a force that may be predicted."""
 
     device: Device | SafeDevice
     held: SafeDevice
-    """The device as the run holds it while the ticks run, and leaves it without force."""
+    """Device that is held during the ticks and released without force at their end."""
     after_s: float
-    """How much later than the motion's path it ends [s]."""
+    """Delay of the end of the run after the motion's path [s]."""
     predictor: Predictor | None
     lead_ticks: float
     """Ticks by which the force is predicted."""
     model_ticks: int
-    """Ticks for which one answer of the tissue holds."""
+    """Ticks for which one response of the tissue is held."""
 
 
 def simulate(
@@ -80,35 +83,35 @@ def simulate(
     Parameters
     ----------
     scene
-        What to simulate.
+        Scene to simulate.
     compute
         Warp device, ``cpu`` or ``cuda:0``.
     cores
         Processor cores to use; default all. The trace does not depend on it.
     out
-        Folder that takes the trace while the run goes on, so that a killed run leaves what it had;
-        without it the run stays in memory until :meth:`tissue.simulation.run.Run.save`.
+        Folder that receives the trace during the run, so a killed run keeps its rows. Without it
+        the run stays in memory until :meth:`tissue.simulation.run.Run.save`.
     overwrite
         Replace a run that ``out`` already holds.
     progress
-        Called with what is being done.
+        Called with the present work.
     allow_unstable
-        Run a device whose coupling is judged unstable, too.
+        Whether to run a device even if its coupling is judged unstable.
     device
-        Device to read and to play instead of the simulated one in a simulated hand; the scene names
-        the one by whose limits it is judged. The run opens and closes one that is a context
-        manager; give it without ``with``, or for several runs as ``with SafeDevice(device) as
-        held``. Its ticks run in a second thread, and whatever ends them its last command is zero;
-        see `tissue.haptics.device.safe_device.SafeDevice`.
+        Device to read and command instead of the simulated device in a simulated hand. The scene
+        names the device whose limits are used to judge it. The run opens and closes a device that
+        is a context manager. Give it without ``with``, or for several runs as ``with
+        SafeDevice(device) as held``. Its ticks run in a second thread. Its last command is zero,
+        whatever ends the ticks; see `tissue.haptics.device.safe_device.SafeDevice`.
     observer
-        Goes along with the ticks.
+        Observer called on every tick.
 
     Raises
     ------
     InputError
-        If a key has no effect in the scene or it cannot be built, the tool never touches, a
-        device's coupling is unstable, or ``out`` holds another run; as `DeviceError`, if the given
-        device fails.
+        If a key has no effect in the scene, the scene cannot be built, the tool never touches, a
+        device's coupling is unstable, or ``out`` holds another run. If the given device fails, the
+        error is a `DeviceError`.
     """
     report = progress or silent
     if cores is not None and not 1 <= cores <= MOST_CORES:
@@ -186,10 +189,10 @@ def _run_ticks(
     report: Progress,
     observer: RunObserver | None,
 ) -> Scheduling:
-    """Run all ticks of a loop with their observer, and report progress about ten times a second."""
+    """Run all ticks of a loop with their observer; report progress about ten times a second."""
     trace = loop.trace
     timing = loop.timing
-    # many rows at once would delay a tick that follows the wall clock
+    # flushing many rows at once would delay a tick in real time
     each_row = observer is not None
     observer = observer or RunObserver()
     motion = loop.parts.motion
@@ -239,8 +242,9 @@ def _run_ticks(
 
 
 def _prediction_note(trace: Table, motion: MovedByDevice) -> dict[str, str]:
-    """Return the error of the predicted forces as a note; no note without contact or for a
-    slower model.
+    """Return the error of the predicted forces as a note.
+
+    There is no note without contact or for a slower model.
     """
     predicted = trace.vectors("predicted_force", "N")
     raw = trace.vectors("raw_force", "N")
@@ -263,7 +267,10 @@ def _prediction_note(trace: Table, motion: MovedByDevice) -> dict[str, str]:
 
 
 def tick_count(scene: Scene, motion: Motion) -> int:
-    """Ticks of a run; one that is to see the whole motion waits for a hand that is late."""
+    """Return the number of ticks of a run.
+
+    A run of the whole motion includes additional time for the delay of a hand.
+    """
     seconds = scene.duration_s or motion.duration_s
     if seconds > LONGEST_S:
         raise InputError(

@@ -1,4 +1,4 @@
-"""The trace: its columns, one row a tick, append-only, flushed to disk while the run goes on."""
+"""Trace of a run: its columns, one row a tick, append-only, written to disk during the run."""
 
 import csv
 from collections.abc import Iterable, Iterator, Mapping
@@ -24,19 +24,24 @@ __all__ = [
 ]
 
 FLUSH_EVERY_S = 0.1
-"""A killed run loses at most this much wall time, plus a tick."""
+"""Longest time between two flushes [s].
+
+A killed run loses at most this much wall time, plus a tick.
+"""
 NO_LAYER = "none"
 LEAST_LOAD = 1e-12
-"""Forces [N] and torques [N m] of a trace below it are written as 0: what a filter leaves of a
-contact that is over.
+"""Forces [N] and torques [N m] below which a trace holds 0.
+
+A filter leaves such small values after the end of a contact.
 """
 TIMING_COLUMNS = ("tick_us", "motion_us", "remove_us", "force_us", "record_us", "catch_up_us")
 
 
 @dataclass(eq=False)
 class Table(Mapping[str, NDArray[Any]]):
-    """Columns by name over rows that are only appended. The column ``layer`` holds names, all
-    others numbers.
+    """Table of columns by name, whose rows are only appended.
+
+    The column ``layer`` holds names, all other columns hold numbers.
 
     Parameters
     ----------
@@ -53,7 +58,7 @@ class Table(Mapping[str, NDArray[Any]]):
     layer_names: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """One column, shape (rows,)."""
+        """Return one column, shape (rows,)."""
         if name not in self.columns:
             raise KeyError(f"{name!r} is not a column; known: {', '.join(self.columns)}")
         values = self.rows[:, self.columns.index(name)]
@@ -68,11 +73,11 @@ class Table(Mapping[str, NDArray[Any]]):
         return len(self.columns)
 
     def vectors(self, name: str, unit: str) -> NDArray[np.float64]:
-        """Columns ``name_x_unit``, ``name_y_unit``, ``name_z_unit``, shape (rows, 3)."""
+        """Return columns ``name_x_unit``, ``name_y_unit``, ``name_z_unit``, shape (rows, 3)."""
         return np.column_stack([self[f"{name}_{c}_{unit}"] for c in "xyz"])
 
     def lines(self, first: int, last: int) -> str:
-        """Rows as CSV text; numbers print so that reading them back gives the same bits."""
+        """Return rows as CSV text; reading the numbers back gives the same bits."""
         text = []
         names = [*map(_cells, ([name] for name in self.layer_names)), NO_LAYER]
         for row in self.rows[first:last].tolist():
@@ -85,21 +90,21 @@ class Table(Mapping[str, NDArray[Any]]):
 
 
 def _cells(cells: Iterable[str]) -> str:
-    """A line of CSV without its end, quoted where it has to be."""
+    """Return a line of CSV without its end, quoted where necessary."""
     line = StringIO()
     csv.writer(line, lineterminator="").writerow(cells)
     return line.getvalue()
 
 
 class TraceWriter:
-    """Appends the rows of one table to a CSV file while they are made.
+    """Writer that appends the rows of a table to a CSV file during the run.
 
     Parameters
     ----------
     path
         File to write.
     table
-        The table whose rows fill up during the run.
+        Table whose rows are filled during the run.
     """
 
     def __init__(self, path: Path, table: Table) -> None:
@@ -112,7 +117,7 @@ class TraceWriter:
         self._write(_cells(table.columns) + "\n")
 
     def flush(self, row_count: int, *, force: bool = False) -> None:
-        """Bring the first ``row_count`` rows to disk if the last flush was a while ago."""
+        """Write the first ``row_count`` rows to disk if the last flush was long enough ago."""
         now = perf_counter()
         if force or now - self._flushed_at > FLUSH_EVERY_S:
             text = self._table.lines(self._written, row_count)
@@ -122,7 +127,7 @@ class TraceWriter:
             self._write(text)
 
     def _write(self, text: str) -> None:
-        """Bring text to disk; an error names the file, which the system's own does not."""
+        """Write text to disk; an error names the file, which the system's error does not."""
         try:
             self._file.write(text)
             self._file.flush()
@@ -137,20 +142,20 @@ class TraceWriter:
 
 @dataclass(frozen=True)
 class TraceLayout:
-    """Where each quantity lies in a row of the trace; the fields are in the order of the columns.
+    """Positions of the quantities in a row of the trace; fields are in the order of the columns.
 
     Attributes
     ----------
     columns
         Names of all columns; each carries its unit.
     time, removal_rate, removed, contact, layer
-        Place of one column.
+        Index of one column.
     tip, quaternion, velocity, spin
         Pose of the tool and its rates.
     commanded, wrench
         Force, then torque, as played and as the model gave them.
     removed_by_layer, measures
-        One column a layer, and what the tissue and the motion measure.
+        One column per layer, and the measures of the tissue and the motion.
     """
 
     columns: tuple[str, ...]
@@ -170,7 +175,7 @@ class TraceLayout:
 
     @classmethod
     def of(cls, layer_names: tuple[str, ...], measure_names: tuple[str, ...] = ()) -> "TraceLayout":
-        """Layout for these layers and measures."""
+        """Return the layout for these layers and measures."""
         groups: dict[str, str | tuple[str, ...]] = {
             "time": "time_s",
             "tip": tuple(f"tool_{c}_mm" for c in "xyz"),
@@ -199,7 +204,7 @@ class TraceLayout:
 
 
 def load_columns(columns: tuple[str, ...]) -> NDArray[np.intp]:
-    """Places of the forces and torques among the columns of a trace."""
+    """Return indices of the forces and torques among the columns of a trace."""
     return np.array(
         [place for place, name in enumerate(columns) if name.endswith(("_N", "_Nm"))], dtype=np.intp
     )

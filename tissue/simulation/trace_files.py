@@ -1,5 +1,6 @@
-"""The trace as files: written in further formats, each by an existing writer, and read back from
-CSV.
+"""Files of the trace: written in additional formats, and read from CSV.
+
+Each format has an existing writer.
 """
 
 import csv
@@ -31,16 +32,17 @@ Columns = dict[str, NDArray[np.generic]]
 RECORDING = "recording"
 """Format in which other programs read a run, see `tissue.simulation.recording`."""
 WRITERS = {"parquet": ("pyarrow", "parquet"), "h5": ("h5py", "h5"), RECORDING: ("h5py", "h5")}
-"""What writes a format, and the extra that installs it."""
+"""Package that writes a format, and the extra that installs it."""
 
 
 def check_format(kind: str) -> None:
-    """Refuse an unknown format, or one whose writer is not installed, before anything is run.
+    """Refuse an unknown format, or a format whose writer is not installed.
 
     Raises
     ------
     InputError
-        Names the known formats, or the extra to install.
+        If the format cannot be written; the message names the known formats, or the extra to
+        install.
     """
     if kind not in (*FORMATS, RECORDING):
         known = ", ".join((*FORMATS, RECORDING))
@@ -64,7 +66,7 @@ def write_trace(trace: Table, folder: Path, kind: str) -> Path:
 
 
 def write_table(table: Table, path: Path) -> None:
-    """Write columns to a file whose suffix names the format, ``.csv`` among them.
+    """Write columns to a file in the format of its suffix, such as ``.csv``.
 
     Raises
     ------
@@ -132,13 +134,14 @@ FORMATS: dict[str, Callable[[Columns, Path], None]] = {
 
 
 def read_table(path: Path, layer_names: tuple[str, ...]) -> Table:
-    """Read a CSV written by :class:`TraceWriter`; a last line cut short by a killed run is left
-    out.
+    """Read a CSV file written by :class:`TraceWriter`.
+
+    An incomplete last line of a killed run is left out.
 
     Raises
     ------
     InputError
-        If the file is no such table, naming the line.
+        If the file is no such table; the message names the line.
     """
     again = "fix that line or run the scene again"
     require_regular(path)
@@ -180,12 +183,12 @@ def read_table(path: Path, layer_names: tuple[str, ...]) -> Table:
 
 
 def read_trace(path: Path, layer_names: tuple[str, ...]) -> Table:
-    """Read the trace of a run, with all the columns that every run has and finite numbers in them.
+    """Read the trace of a run; check that its standard columns exist and hold finite numbers.
 
     Raises
     ------
     InputError
-        As `read_table`, or if a column is missing, a number not finite, or the time does not
+        As for `read_table`, or if a column is missing, a number is not finite, or the time does not
         increase.
     """
     table = read_table(path, layer_names)

@@ -1,8 +1,8 @@
-"""Data of VTK moved between the scene's frame and that of the anatomy's file, and written to files.
+"""Transformation of VTK data between the frames of scene and anatomy file, and VTK writers.
 
-Coordinates take the file's unit; quantities with a unit in their name keep it. Arrays of three
-numbers a point are vectors and turn along; arrays of cells are not (principal stresses are three
-numbers, and no vector). A full disk is an error where files are written.
+Coordinates take the file's unit; quantities with a unit in their name keep it. Point arrays of
+three numbers are vectors and are rotated. Cell arrays are not (principal stresses are three
+numbers, but no vector). A full disk raises an error when files are written.
 """
 
 from collections.abc import Iterable
@@ -34,7 +34,7 @@ __all__ = [
 
 
 def mesh_in_file(mesh: Mesh, placement: Placement | None) -> Mesh:
-    """A mesh of the scene [mm] in the file's frame and unit; itself where there is no file."""
+    """Return a mesh of the scene [mm] in the file's frame and unit; unchanged without a file."""
     return (
         mesh
         if placement is None
@@ -43,8 +43,9 @@ def mesh_in_file(mesh: Mesh, placement: Placement | None) -> Mesh:
 
 
 def mesh_in_scene(mesh: Any, placement: Placement | None) -> Any:
-    """A mesh in the file's frame and unit as the scene has it [mm]; itself where there is no
-    file.
+    """Return a mesh in the file's frame and unit in the scene's frame [mm].
+
+    It is unchanged without a file.
     """
     return (
         mesh
@@ -54,8 +55,9 @@ def mesh_in_scene(mesh: Any, placement: Placement | None) -> Any:
 
 
 def image_in_file(image: "pyvista.ImageData", placement: Placement | None) -> "pyvista.ImageData":
-    """Voxels of the scene [mm] in the file's frame and unit, with a direction matrix; themselves
-    without a file.
+    """Return voxels of the scene [mm] in the file's frame and unit, with a direction matrix.
+
+    They are unchanged without a file.
     """
     if placement is None:
         return image
@@ -67,7 +69,10 @@ def image_in_file(image: "pyvista.ImageData", placement: Placement | None) -> "p
 
 
 def image_in_scene(image: Any, placement: Placement | None) -> "pyvista.ImageData":
-    """Voxels in the file's frame and unit as the scene has them [mm]; themselves without a file."""
+    """Return voxels in the file's frame and unit in the scene's frame [mm].
+
+    They are unchanged without a file.
+    """
     if placement is None:
         return image
     moved: pyvista.ImageData = image.copy(deep=False)
@@ -88,7 +93,7 @@ def write_vtk_xml(writer: "vtkXMLWriter", data: "pyvista.DataSet", path: Path) -
 
 
 def write_vtk(writer: "vtkXMLWriter | vtkSTLWriter", data: "pyvista.DataSet", path: Path) -> None:
-    """Let a VTK writer write, and turn its silent failure into the system's error."""
+    """Write a file with a VTK writer, and raise an error where it fails silently."""
     from vtkmodules.vtkCommonCore import vtkCommand, vtkObject
 
     with whole_file(path) as temporary:
@@ -98,7 +103,7 @@ def write_vtk(writer: "vtkXMLWriter | vtkSTLWriter", data: "pyvista.DataSet", pa
         failures: list[int] = []
         writer.AddObserver(vtkCommand.ErrorEvent, lambda *_: failures.append(writer.GetErrorCode()))
         shown = vtkObject.GetGlobalWarningDisplay()
-        # VTK would print its own account of what is raised below
+        # otherwise VTK would also print the error that is raised below
         vtkObject.SetGlobalWarningDisplay(0)
         try:
             written = writer.Write()
@@ -108,13 +113,13 @@ def write_vtk(writer: "vtkXMLWriter | vtkSTLWriter", data: "pyvista.DataSet", pa
             import errno
             import os
 
-            # VTK reports a full disk as an error of its own; it is the only one left once the file
-            # could be opened.
+            # VTK reports a full disk by its own error code. Once the file was opened, a full disk
+            # is the only cause left.
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
 
 
 def write_collection(entries: Iterable[tuple[float, int, str]], path: Path) -> None:
-    """Write a .pvd file, which ParaView plays: time [s], part and file of each mesh."""
+    """Write a .pvd file for ParaView: time [s], part and file of each mesh."""
     lines = [
         f'    <DataSet timestep="{time!r}" part="{part}" file="{file}"/>\n'
         for time, part, file in entries
@@ -133,7 +138,7 @@ def _points(mesh: "pyvista.PointSet") -> NDArray[np.float64]:
 
 
 def _moved(mesh: Mesh, points: NDArray[np.float64], turn: NDArray[np.float64]) -> Mesh:
-    """A copy of a mesh at other points, its vectors turned (rows times `turn`)."""
+    """Return a copy of a mesh at other points, with its vectors rotated (rows times `turn`)."""
     import pyvista
 
     moved = mesh.copy(deep=False)

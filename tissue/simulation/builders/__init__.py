@@ -1,1 +1,1 @@
-"""Names of a scene become objects."""
+"""Builders that turn the names in a scene into objects."""

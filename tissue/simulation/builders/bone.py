@@ -1,5 +1,6 @@
-"""Bone or a tooth that cutters meet: its voxels, made at once or where a tool first reaches, and
-its materials.
+"""Bone or tooth for cutters: its materials and voxels.
+
+The voxels are made at once or where a tool first reaches.
 """
 
 from collections.abc import Iterator
@@ -23,26 +24,29 @@ __all__ = ["VoxelBone", "element_spacing_m", "tool_boxes"]
 Pose = tuple[Array, Array]
 """Tip [m], shape (3,), and rotation from tool to world, shape (3, 3)."""
 STRIDE_M = 1e-3
-"""Distance of the poses between two given ones at which the bone is made ready."""
+"""Largest distance between poses at which the bone is made ready [m].
+
+Poses are inserted between two given ones that are further apart.
+"""
 SAME = 1e-9
-"""How far apart poses may be that are the same [m]."""
+"""Largest difference between poses that count as equal [m]."""
 SCATTER = 0.7
-"""Largest relative error of the force of N elements in bone, times N ** 0.75: balls of 3 to 8 mm in
-slots 0.1 to 0.3 mm deep, upright and tilted by up to 60 degrees, against quadrature gave 0.57; with
-the margin 0.9 % where 1 % is asked.
+"""Largest relative error of the force of N elements in bone, times N ** 0.75.
+
+The comparison with quadrature gave 0.57, for balls of 3 to 8 mm in slots 0.1 to 0.3 mm deep,
+upright and tilted by up to 60 degrees. With the margin the error is 0.9 % where 1 % is requested.
 """
 MARGIN_VOXELS = 4
 """Voxels around a tool that its carving and its force read."""
 
 
 class VoxelBone:
-    """Voxels with their materials, which several tools may cut one after the other.
+    """Voxels with their materials, which several tools may cut in turn.
 
     Parameters
     ----------
     voxels
-        A volume, of which all bricks are made now, or bricks that are made where a tool first
-        reaches.
+        A volume, whose bricks are all made now, or bricks that are made where a tool first reaches.
     coefficients
         Cutting coefficients of each layer, in their order.
     compute
@@ -55,7 +59,7 @@ class VoxelBone:
     coefficients
         Cutting coefficients of each layer.
     left_at
-        Pose at which the last tool ended that `under` gave: tip [m] and rotation.
+        Final pose of the last tool returned by `under`: tip [m] and rotation.
     """
 
     def __init__(
@@ -78,13 +82,14 @@ class VoxelBone:
         self.left_at: Pose | None = None
 
     def reach(self, boxes: Boxes) -> bool:
-        """Make the bricks that boxes touch, corners [m]; whether models have to record their
-        launches again.
+        """Make the bricks that boxes touch, given their corners [m].
+
+        Returns whether models have to record their launches again.
         """
         return self.on_demand is not None and self.on_demand.make(boxes)
 
     def has(self, low_m: Array, high_m: Array) -> bool:
-        """Whether the bricks that a box touches are made, corners [m]."""
+        """Return whether the bricks that a box touches are made, given its corners [m]."""
         return self.on_demand is None or self.on_demand.has(low_m, high_m)
 
     @property
@@ -101,15 +106,17 @@ class VoxelBone:
 
     @property
     def whole(self) -> tuple[VoxelVolume, NDArray[np.uint8]]:
-        """A volume before any cut and what is left of it, 255 = full; only of bone whose voxels
-        are all made.
+        """Volume before any cut and the bone that is left of it (255 = full).
+
+        It is available only when all voxels of the bone are made.
         """
         assert self.store.volume is not None
         return self.store.volume, self.store.fraction()
 
     def cut_parts(self) -> Iterator[tuple[VoxelVolume, NDArray[np.uint8]]]:
-        """Parts that tools have cut, before any cut and now, of bone that is made where they
-        reach.
+        """Yield the parts that tools have cut, before any cut and now.
+
+        It is available only for bone that is made where tools reach.
         """
         assert self.on_demand is not None
         return self.on_demand.cut_parts()
@@ -123,7 +130,7 @@ class VoxelBone:
     def under(
         self, cutter: Cutter, boxes: Boxes, start: Pose, *, shell_spacing_m: float | None = None
     ) -> tuple[BoneModel, bool]:
-        """The bone under a cutter that reaches boxes, and whether it goes on where it ended."""
+        """Return the bone under a cutter in boxes, and whether it continues from its last pose."""
         grown = self.reach(boxes)
         last = self._last
         if (
@@ -150,7 +157,10 @@ class VoxelBone:
         shell_spacing_m: float | None = None,
         cores: int | None = None,
     ) -> BoneModel:
-        """The bone under a cutter; what was cut before belongs to older cuts."""
+        """Return the bone under a cutter.
+
+        Earlier removal is booked as older cuts.
+        """
         store = self.store
         if self._was_cut:
             wp.copy(store.older, store.swept)
@@ -167,9 +177,7 @@ class VoxelBone:
 
 
 def _between(tips_m: Array, axes: Array, *, most_m: float) -> tuple[Array, Array]:
-    """Poses with more between them, on straight lines, where they are further apart than
-    `most_m` [m].
-    """
+    """Insert poses on straight lines where poses are further apart than `most_m` [m]."""
     steps = np.linalg.norm(np.diff(tips_m, axis=0), axis=1)
     if not (steps > most_m).any():
         return tips_m, axes
@@ -184,8 +192,9 @@ def _between(tips_m: Array, axes: Array, *, most_m: float) -> tuple[Array, Array
 def tool_boxes(
     cutter: Cutter, tips_m: Array, axes: Array, *, spacing_m: float, around_m: float = 0.0
 ) -> Boxes:
-    """Boxes that a cutter reads and carves at poses and on straight lines between them: corners
-    [m], shape (n, 3) both.
+    """Return boxes that a cutter reads and carves: corners [m], shape (n, 3) both.
+
+    They cover the poses and the straight lines between them.
 
     Parameters
     ----------
@@ -194,7 +203,7 @@ def tool_boxes(
     spacing_m
         Edge of a voxel [m].
     around_m
-        What is wanted beyond that [m].
+        Additional margin around each box [m].
     """
     tips_m, axes = _between(tips_m, axes, most_m=STRIDE_M)
     low, high = cutter.profile.height_range_m
@@ -205,11 +214,14 @@ def tool_boxes(
 
 
 MOST_ELEMENTS = 1_000_000
-"""Most elements of a cutter: about 1 GB, and a tenth of a second for each pose on one core."""
+"""Largest number of elements of a cutter.
+
+They take about 1 GB, and a tenth of a second for each pose on one core.
+"""
 
 
 def element_spacing_m(cutter: Cutter, *, depth_m: float, tolerance: float) -> float:
-    """Distance of a cutter's elements at which they give the force of a cut within a tolerance [m].
+    """Return the element distance at which a cutter's force meets a tolerance [m].
 
     Parameters
     ----------
@@ -224,7 +236,7 @@ def element_spacing_m(cutter: Cutter, *, depth_m: float, tolerance: float) -> fl
         If the cutter would have more than `MOST_ELEMENTS` elements.
     """
     wanted = (SCATTER / tolerance) ** (4.0 / 3.0)
-    # half of a ball's cap
+    # a ball's cap engages with half of its area
     engaged_m2 = np.pi * cutter.profile.radius_m * min(depth_m, cutter.profile.radius_m)
     spacing_m = float(np.sqrt(engaged_m2 / wanted))
     count = cutter.cutting_area_m2 / spacing_m**2

@@ -1,5 +1,6 @@
-"""The bone in a file: a surface placed at its site, an image as it is, a tooth in a label
-volume.
+"""Bone read from a file: a surface, an image, or a tooth in a label volume.
+
+A surface is placed at its site; an image is used as it is.
 """
 
 from dataclasses import replace
@@ -39,7 +40,7 @@ Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 def bone_from_file(parameters: Placed, notes: dict[str, str]) -> Anatomy:
-    """The bone in a surface or image, placed at its site."""
+    """Return the bone in a surface or image, placed at its site."""
     from meshes.images.reading import read_image
     from meshes.images.threshold_surface import image_cuts, image_triangles
     from meshes.surfaces.bone_surface import surface_anatomy
@@ -80,7 +81,7 @@ def bone_from_file(parameters: Placed, notes: dict[str, str]) -> Anatomy:
 
 
 def _filled(parameters: Bone, surface: "Surface", site: "Site") -> Anatomy:
-    """A bone whose inside is known: by the density of a CT, or by a surface around its core."""
+    """Return a bone whose interior is known from CT density or a surface around its core."""
     from meshes.ct.bone_inside import cored_anatomy, imaged_anatomy, stated_law
     from meshes.images.reading import read_image
     from meshes.surfaces.surface import read_surface
@@ -105,7 +106,7 @@ def _filled(parameters: Bone, surface: "Surface", site: "Site") -> Anatomy:
 
 
 def whole_image(parameters: BlockImage, *, spacing_mm: float, notes: dict[str, str]) -> VoxelVolume:
-    """Bone from an image volume as it is, the top of its block at z = 0."""
+    """Return the bone of an image volume as it is, with the top of its block at z = 0."""
     from meshes.images.bone_image import image_volume
     from meshes.images.reading import read_image
 
@@ -130,7 +131,7 @@ def labelled_tooth(
     notes: dict[str, str],
     report: Progress,
 ) -> VoxelVolume:
-    """A tooth from a label volume, or the part of it in a box of the site's frame [m]."""
+    """Read a tooth from a label volume, or the part of it in a box of the site's frame [m]."""
     remarks: list[str] = []
     file = Path(parameters.file)
     stamp = file.stat() if is_file(file) else None
@@ -152,7 +153,7 @@ def labelled_tooth(
 
 
 def box_text(corners: Corners, *, between: bool = False) -> str:
-    """A box in words: where it reaches from and to, or what lies between its corners [mm]."""
+    """Return text for a box: its extent, or the region between its corners [mm]."""
     low, high = (
         "(" + ", ".join(f"{1e3 * value:.4g}" for value in corner) + ")" for corner in corners
     )
@@ -160,8 +161,9 @@ def box_text(corners: Corners, *, between: bool = False) -> str:
 
 
 def _site(parameters: Placed, surface: "Surface") -> "Site":
-    """The site on a bone surface: where the scene puts it, else the glenoid that it searches
-    for.
+    """Return the site on a bone surface.
+
+    The scene gives it; a glenoid without a given normal is searched for.
     """
     from meshes.surfaces.landmarks import find_glenoid
     from meshes.surfaces.site import place_site
@@ -186,7 +188,7 @@ def _site(parameters: Placed, surface: "Surface") -> "Site":
 
 
 def _threshold(parameters: ImageAnatomy) -> float:
-    """Grey value of an image above which a voxel is bone."""
+    """Return the grey value of an image above which a voxel is bone."""
     from meshes.images.reading import require_image_name
 
     if parameters.threshold is None:
@@ -204,8 +206,9 @@ def _threshold(parameters: ImageAnatomy) -> float:
 def _read_tooth(
     file: Path, spacing_mm: float | None, over_lesion: bool, stamp: tuple[int, int] | None
 ) -> label_volume.LabelledTooth:
-    """The tooth of a label volume, kept for the next who asks: for the tool and for the stress
-    the same is read.
+    """Read the tooth of a label volume and keep it for the next call.
+
+    The tool and the stress model read the same tooth.
     """
     from meshes.ct.labels import header_names
     from meshes.images.reading import read_image
@@ -218,8 +221,9 @@ def _read_tooth(
 
 
 def _lesion(tooth: label_volume.LabelledTooth) -> str | None:
-    """Where the caries of a whole tooth lies in the frame of its site, so that a motion can be
-    aimed at it.
+    """Return text for the extent of a whole tooth's caries in the frame of its site.
+
+    It helps to aim a motion at the caries. None is returned for a tooth without caries.
     """
     placed = tooth.placed
     at = np.argwhere(placed.layer == TOOTH_LAYERS.index("caries"))

@@ -1,4 +1,4 @@
-"""Build what a cutter meets: bone or a tooth, as voxels."""
+"""Build the bone or tooth that a cutter meets, as voxels."""
 
 from math import pi, radians
 from typing import TYPE_CHECKING
@@ -38,12 +38,13 @@ if TYPE_CHECKING:
 __all__ = ["cutter_of", "milled", "milled_voxels", "milling_of"]
 
 HEAT_CELL = 0.25
-"""Edge of the cells of the temperature where the bur can go, relative to those of the stress: 0.125
-mm by default. The rise of the pulp in the molar scene is 0.614, 0.731 and 0.749 K with cells of
-0.25, 0.125 and 0.083 mm.
+"""Edge of the temperature cells within the bur's reach, relative to the edge of the stress cells.
+
+By default the temperature cells are 0.125 mm. The rise of the pulp in the molar scene is 0.614,
+0.731 and 0.749 K with cells of 0.25, 0.125 and 0.083 mm.
 """
 SI = {"mm": ("m", 1e-3), "deg": ("rad", radians(1.0))}
-"""Units of a scene's tool: their SI unit and its share."""
+"""SI units and conversion factors of the units in a scene's tool."""
 
 
 def milled(
@@ -55,7 +56,7 @@ def milled(
     cores: int | None,
     report: Progress,
 ) -> Parts:
-    """Parts of a scene in which a cutter meets voxels.
+    """Return the parts of a scene in which a cutter meets voxels.
 
     Raises
     ------
@@ -107,8 +108,9 @@ def _clear(
     notes: dict[str, str],
     report: Progress,
 ) -> "KeepClear | None":
-    """What measures the distance from structures to keep clear of; None where the scene names
-    none.
+    """Return the distance measurement for structures to keep clear of.
+
+    None is returned where the scene names no structure.
     """
     if scene.keep_clear is None:
         return None
@@ -126,7 +128,7 @@ def _clear(
 
 
 def milled_voxels(scene: Scene) -> VoxelVolume:
-    """The voxels of such a scene before the first cut; raises as `milled`."""
+    """Return the voxels of a milling scene before the first cut; raises as `milled`."""
     assert isinstance(scene.tool, Tool)
     return volume_of(
         scene, cutter_of(scene.tool), motion_of(scene, step_s=TICK_S), notes={}, report=silent
@@ -134,8 +136,9 @@ def milled_voxels(scene: Scene) -> VoxelVolume:
 
 
 def cutter_of(tool: Tool) -> Cutter:
-    """The cutter that a scene's tool describes, in SI; a spin above 0 is clockwise as seen from
-    the shank.
+    """Return the cutter that a scene's tool describes, in SI.
+
+    A spin above 0 is clockwise as seen from the shank.
     """
     sizes = {}
     entry = CUTTERS[tool.kind]
@@ -148,7 +151,7 @@ def cutter_of(tool: Tool) -> Cutter:
 
 
 def _require_chips(scene: Scene, cutter: Cutter) -> None:
-    """Refuse a given feed at which a tooth would take a chip thicker than the tool's radius."""
+    """Refuse a stated feed at which a tooth's chip would be thicker than the tool's radius."""
     if scene.device is not None or not isinstance(scene.motion, PathMotion):
         return
     chip_mm = scene.motion.feed_mm_s * cutter.chip_per_speed_s
@@ -214,7 +217,7 @@ def _probe(
     notes: dict[str, str],
     report: Progress,
 ) -> Parts:
-    """Parts of a scene whose tool does not turn: a hand feels the rigid bone with it."""
+    """Return the parts of a scene whose tool does not turn: a hand feels rigid bone with it."""
     from tissue.haptics.hand_motion import HandMotion
     from tissue.haptics.proxy.probing_tool import ProbedBone, ProbingTool
     from tissue.haptics.proxy.tool_shell import ToolShell
@@ -259,7 +262,7 @@ def _bone(
     cores: int | None,
     report: Progress,
 ) -> TissueModel:
-    """The bone model; loading it compiles its kernels where their cache is cold."""
+    """Return the bone model; loading it compiles its kernels where their cache is cold."""
     report("compiling kernels (the first time on a machine)", 0.0)
     spacing_mm = scene.tool.shell_spacing_mm if isinstance(scene.tool, Tool) else None
     spacing_m = None if spacing_mm is None else spacing_mm * 1e-3
@@ -280,8 +283,9 @@ def milling_of(
     compute: str = "cpu",
     cores: int | None = None,
 ) -> "BoneModel":
-    """A cutter in voxels of a scene's materials; `shell_spacing_m` is the distance of the
-    cutter's elements [m].
+    """Return a cutter in voxels of a scene's materials.
+
+    `shell_spacing_m` is the distance of the cutter's elements [m].
     """
     from tissue.simulation.builders.bone import VoxelBone
 
@@ -298,7 +302,7 @@ def milling_of(
 def _tooth(
     scene: Scene, milling: "BoneModel", motion: Motion, *, compute: str, report: Progress
 ) -> TissueModel:
-    """The tooth around the milled voxels, with its stress where the scene asks for it."""
+    """Return the tooth around the milled voxels, with its stress where the scene requests it."""
     from tissue.models.tooth import stress_process
     from tissue.models.tooth.cutting_heat import CuttingHeat
     from tissue.models.tooth.model import ToothModel
@@ -320,7 +324,7 @@ def _tooth(
             contact_m=milling.cutter.profile.radius_m,
             constants=scene.constants,
             device=compute,
-            cores=1,  # the ticks want a core of their own
+            cores=1,  # the ticks need their own core
         )
     heat = None
     if scene.heat:

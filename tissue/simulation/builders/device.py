@@ -1,4 +1,4 @@
-"""The real device that a scene names, where what was registered opens one."""
+"""Real device that a scene names, if it is registered and can be opened."""
 
 from meshes.base.errors import InputError
 from tissue.haptics.device.device import Device, DeviceParameters
@@ -12,18 +12,19 @@ __all__ = ["opened_device", "opens_device", "require_stated_rate"]
 
 
 def opens_device(scene: Scene) -> bool:
-    """Whether a scene names a device whose real one can be opened."""
+    """Return whether a scene names a real device that can be opened."""
     return scene.device is not None and DEVICES[scene.held.kind].is_real
 
 
 def opened_device(scene: Scene) -> Device | None:
-    """A new device: of its adapter, or as `tissue.register.device` was given it; None for one that
-    is simulated.
+    """Open a new device, by its adapter or as registered with `tissue.register.device`.
+
+    Returns None for a simulated device.
 
     Raises
     ------
     InputError
-        If what was made is no device.
+        If the object made has no `read` or `command` method.
     """
     if not opens_device(scene):
         return None
@@ -52,11 +53,10 @@ def opened_device(scene: Scene) -> Device | None:
 def require_stated_rate(
     device: Device | SafeDevice, limits: DeviceParameters, *, remedy: str
 ) -> None:
-    """Refuse a device that states fewer samples a second than the constants by which its loop is
-    judged.
+    """Refuse a device slower than the constants used to judge its loop.
 
-    A device states its rate by ``limits`` or ``parameters``; a device without either is taken at
-    the constants' rate.
+    A device states its rate [samples per second] in ``limits`` or ``parameters``. A device without
+    either is assumed to have the constants' rate.
 
     Raises
     ------

@@ -1,5 +1,6 @@
-"""Hang a tool on a device: the loop judged, its laws chosen, all that lies between sample and
-force.
+"""Motion of a tool coupled to a device.
+
+The module judges the loop, chooses its laws and builds the path from sample to force.
 """
 
 from collections.abc import Callable
@@ -28,8 +29,9 @@ from tissue.simulation.builders.loop_settings import LoopSettings
 __all__ = ["device_motion"]
 
 DAMPING_S = 0.01
-"""Damper over spring of a tool that cuts [s]: in a pen grip 4 N s/m over 250 to 350 N/m, 11 to
-16 ms.
+"""Ratio of damper to spring for a tool that cuts [s].
+
+In a pen grip, 4 N s/m over 250 to 350 N/m gives 11 to 16 ms.
 """
 
 
@@ -47,35 +49,35 @@ def device_motion(
     step_s: float,
     allow_unstable: bool,
 ) -> tuple[HandMotion, list[str]]:
-    """A tool on a device as what moves it, and what was chosen and found of that.
+    """Return the motion of a tool on a device, and notes on the choices made.
 
     Forces are scaled by f and lengths by m, so a stiffness K at the tool is felt as m f K, and
-    torques by f / m: work at the device is f / m of that at the tool. The coupling's stiffness is
-    that at the device, which is what is judged, whatever the scales.
+    torques by f / m: work at the device is f / m times the work at the tool. The coupling's
+    stiffness is the stiffness at the device, which is judged, whatever the scales.
 
     Parameters
     ----------
     settings
-        What lies between device and tool.
+        Settings of the loop between device and tool.
     scripted
         Gives start, orientation, region and duration.
     device
-        Makes the device from the tool that hangs on it and the coupling's stiffness [N/m].
+        Makes the device from the tool coupled to it and the coupling's stiffness [N/m].
     force_scale, scale_note
-        Newtons at the device for each newton at the tool, and from what they were chosen.
+        Newtons at the device for each newton at the tool, and a note on how the scale was chosen.
     stray_m
-        How far the tool may leave the scripted motion [m].
+        Largest distance of the tool from the scripted motion [m].
     after_s
-        How much longer a hand takes than that [s].
+        Additional time that a hand takes [s].
     device_origin_m
-        Where the tool is when the device is at its origin [m]; without it both start at the same
-        place.
+        Tool position when the device is at its origin [m]. Without it both start at the same
+        position.
     rng
-        Generator of the noise in the sense of the person for whom the force is scaled.
+        Generator of the perceptual noise of the person for whom the force is scaled.
     step_s
         Length of a tick [s].
     allow_unstable
-        Whether an unstable coupling is let through.
+        Whether an unstable coupling is accepted.
 
     Raises
     ------
@@ -86,10 +88,10 @@ def device_motion(
     chosen = settings.coupling
     scale = settings.coupling.motion_scale
     judged, turning = judged_loops(settings, step_s=step_s, allow_unstable=allow_unstable)
-    # As energy is booked: from a sample to the force that answers it, without a balance that is
-    # found late.
+    # For the energy balance: from a sample to the force that answers it, without the delay of a
+    # balance that is found a tick later.
     loop = replace(judged.loop, delay_s=limits.transport_delay_s + 1e-3 * chosen.delay_ms)
-    # for what runs in every tick, however seldom the device is sampled
+    # for parts that run in every tick, whatever the device's sample rate
     in_ticks = replace(loop, tick_s=TICK_S)
     spring = judged.loop.stiffness_N_m / (scale * force_scale)
     turn = HeldTurn(turning.loop.stiffness_N_m * scale / force_scale if turning else inf)
@@ -140,7 +142,7 @@ def device_motion(
 
 
 def _tool(settings: LoopSettings, spring_N_m: float, start_m: Array, turn: HeldTurn) -> HeldTool:
-    """The law of a tool that hangs on a spring."""
+    """Return the law of a tool coupled to a device by a spring."""
     if settings.contact == "cuts":
         return CuttingTool(spring_N_m, start_m, turn, damping_N_s_m=DAMPING_S * spring_N_m)
     return (ProbingTool if settings.contact == "touches" else PressingTool)(
@@ -149,8 +151,9 @@ def _tool(settings: LoopSettings, spring_N_m: float, start_m: Array, turn: HeldT
 
 
 def _played(settings: LoopSettings, person: Perception | None) -> PlayedForce:
-    """What is made of a force before the device: for a person, and of a cutter's teeth and
-    events at the tool.
+    """Return the processing of a force before the device.
+
+    It covers perception, and the vibration of a cutter's teeth and event cues at the tool.
     """
     limits = settings.limits
     limit_N = limits.force_limit_N

@@ -1,6 +1,4 @@
-"""The force that a scene's tool meets on its scripted motion, found cheaply, and the scale that
-it asks of a device.
-"""
+"""Cheap estimate of the force along a scene's script, and the force scale chosen from it."""
 
 from functools import lru_cache
 from math import floor, log10, sqrt
@@ -24,29 +22,36 @@ from tissue.simulation.builders.pierced_tissue import pierced_tissue
 __all__ = ["chosen_scale", "cut", "fitted_scale", "pierced", "pressed"]
 
 POSES, FINE_POSES = 250, 3000
-"""Poses of the scripted motion at which the force is asked for: of a cutter, and of a needle, which
-breaks through in tenths of a millimetre."""
+"""Numbers of poses of the scripted motion at which the force is evaluated.
+
+The first is for a cutter. The second is for a needle, which breaks through within tenths of a
+millimetre.
+"""
 ACROSS = 8.0
-"""Voxels across a cutter: up to 32 of them the largest force of the built-in scenes changes by
-less than 4 %.
+"""Voxels across a cutter.
+
+Up to 32 voxels the largest force of the built-in scenes changes by less than 4 %.
 """
 ELEMENTS = 1500
-"""Elements of a cutter."""
+"""Number of elements of a cutter."""
 MOST = 0.35
-"""Largest force of the script over the device's limit: half of the share that is played without
-compression, so that a hand may press twice as hard."""
+"""Upper bound of the script's largest scaled force, as a ratio to the device's force limit.
+
+It is half of the share that is played without compression, so a hand may press twice as hard.
+"""
 LEAST = 4.0
-"""Largest force of the script over the device's friction, where its limit allows for that;
-assumed.
+"""Lower bound of the script's largest scaled force, over the device's friction; assumed.
+
+It applies where the device's limit allows it.
 """
 
 
 def chosen_scale(scene: Scene) -> tuple[float, str]:
-    """Newtons at the device for each one at the tool, and from what they were chosen.
+    """Return the force scale (newtons at the device per newton at the tool) and a note on it.
 
-    Forces pass as they are where that lies between what friction hides and what the limit leaves,
-    else by one factor to the nearer of both, with two digits; and as they are without a device, or
-    where no force is known beforehand.
+    The scale is 1 where the script's largest force lies between the bound set by friction and the
+    bound set by the device's limit. Otherwise one factor of two digits brings the force to the
+    nearer bound. The scale is also 1 without a device, or where no force is known before the run.
 
     Raises
     ------
@@ -71,8 +76,9 @@ def chosen_scale(scene: Scene) -> tuple[float, str]:
 
 
 def fitted_scale(force_N: float, limits: DeviceParameters) -> float:
-    """The scale, of two digits, that brings a force [N] between a device's friction and its
-    limit.
+    """Return the two-digit scale that brings a force [N] between friction and force limit.
+
+    Both are properties of the device.
     """
     low = LEAST * limits.friction_N / force_N
     high = MOST * limits.force_limit_N / force_N
@@ -95,8 +101,9 @@ def _file_stamps(scene: Scene) -> list[tuple[str, int, int]]:
 
 @lru_cache(maxsize=64)
 def _met(table: str, _inputs: tuple[object, ...]) -> float:
-    """Largest force on the scripted motion [N] by what the scene's own constants hold; 0 where
-    it is not known.
+    """Return the largest force on the scripted motion [N], with the scene's own constants.
+
+    It is 0 where the force is not known.
     """
     scene = Scene.read_back(table)
     kind = scene.anatomy.kind
@@ -113,8 +120,9 @@ def _unknown(scene: Scene) -> float:
 
 
 def cut(scene: Scene) -> float:
-    """Largest force of a cutter along the script in coarse voxels [N], or the thrust of a tool
-    that is pushed.
+    """Return a cutter's largest force along the script in coarse voxels [N].
+
+    For a tool that is pushed, it is the thrust.
     """
     from tissue.simulation.builders.cutting import cutter_of, milling_of
     from tissue.simulation.builders.voxels import volume_of
@@ -135,10 +143,11 @@ def cut(scene: Scene) -> float:
 
 
 def pressed(scene: Scene) -> float:
-    """Force of a probe that presses a half space as deep as the script goes below the origin [N].
+    """Return the force of a probe on a half space at the script's depth below the origin [N].
 
-    Hertz's for a ball and Boussinesq's for the flat end of a cylinder, of the stiffest tissue on
-    the script without a nodule; 0 for a probe of another shape.
+    It uses Hertz's law for a ball and Boussinesq's for the flat end of a cylinder. The modulus is
+    the one of the stiffest tissue on the script, without a nodule. A probe of another shape gives
+    0.
     """
     organ = scene.organ
     tool = scene.tool
@@ -155,7 +164,7 @@ def pressed(scene: Scene) -> float:
 
 
 def pierced(scene: Scene) -> float:
-    """Largest force of a needle on the scripted motion [N]."""
+    """Return the largest force of a needle on the scripted motion [N]."""
     from tissue.models.needle.model import NeedleModel
 
     assert isinstance(scene.tool, Needle) and isinstance(scene.anatomy, LayersAnatomy)
@@ -167,7 +176,7 @@ def pierced(scene: Scene) -> float:
 
 
 def _largest(motion: Motion, tissue: TissueModel, poses: int) -> float:
-    """Largest force of a tissue at poses of a motion, alike far apart in time [N]."""
+    """Return a tissue's largest force at poses of a motion evenly spaced in time [N]."""
     tool = ToolMotion()
     response = Response.empty(len(tissue.layer_names))
     most = 0.0

@@ -1,4 +1,4 @@
-"""Put a scene's motion into a hand on a device."""
+"""Motion of a scene made by a simulated hand on a device."""
 
 from collections.abc import Callable
 from math import ceil
@@ -30,13 +30,13 @@ __all__ = ["hand_motion"]
 
 Array = NDArray[np.float64]
 STRAY_M = 2e-3
-"""How far from the scripted path an organ's surface may be met [m]."""
+"""Largest distance of an organ's surface from the scripted path [m]."""
 
 
 def hand_motion(
     scene: Scene, scripted: Motion, *, step_s: float, allow_unstable: bool
 ) -> tuple[HandMotion, str]:
-    """The scene's motion as its hand makes it on its device, and what was chosen and found of that.
+    """Return the scene's motion made by its hand on its device, and notes on the choices made.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def hand_motion(
     rng, feeling = np.random.default_rng(scene.seed).spawn(2)
 
     def device(tool: HeldTool, stiffness_N_m: float) -> SimulatedDevice:
-        """The device in the scene's hand, which makes the scripted motion."""
+        """Return the device in the scene's hand, which makes the scripted motion."""
         path, push = _aims(scene, scripted, tool, limits, person, stiffness_N_m, step_s=step_s)
         turn = _turn(scripted, step_s=step_s) if isinstance(scene.motion, ReplayMotion) else None
         at_device: Path = lambda time_s: start + (path(time_s) - start) / scale  # noqa: E731
@@ -85,7 +85,7 @@ def hand_motion(
 
 
 def _stray_m(scene: Scene) -> float:
-    """How far around the scripted motion tissue is made ready for the tool [m]."""
+    """Return the distance around the scripted motion within which tissue is prepared [m]."""
     if scene.held.coupling.roam_mm is not None:
         return 1e-3 * scene.held.coupling.roam_mm
     return (
@@ -94,8 +94,9 @@ def _stray_m(scene: Scene) -> float:
 
 
 def _require_workspace(scene: Scene, scripted: Motion, limits: DeviceParameters) -> None:
-    """Refuse a motion that leaves the device's workspace, whose box may lie along the axes as it
-    fits.
+    """Refuse a motion that leaves the device's workspace.
+
+    The sides of the workspace box may be assigned to any axes of the motion.
     """
     workspace = limits.workspace_m
     extent = np.sort(np.ptp(scripted.sweep_m(), axis=0))
@@ -124,7 +125,7 @@ def _aims(
     *,
     step_s: float,
 ) -> tuple[Path, Callable[[float], Array] | None]:
-    """Where the hand aims, and what it pushes with besides."""
+    """Return the path that the hand aims at, and the additional push of the hand (or None)."""
     corners = scripted.sweep_m()
     scale = scene.held.coupling.motion_scale
     furthest = scale * limits.force_limit_N * (1.0 / stiffness_N_m + 1.0 / person.stiffness_N_m)
@@ -138,21 +139,27 @@ def _aims(
         *_timed(scripted, recorded=isinstance(scene.motion, ReplayMotion), step_s=step_s)
     )
     if isinstance(scene.anatomy, WallAnatomy) or isinstance(tool, ProbingTool):
-        return path, None  # no force brings a tool to where a wall or a bone is
+        return path, None  # no force moves a tool into a wall or a bone
     return CompensatedPath(
         path, tool, person.submovement_s - 0.5 * person.correction_s, furthest
     ), None
 
 
 def _turn(scripted: Motion, *, step_s: float) -> Callable[[float], Array]:
-    """Turns of a recorded motion from its first orientation, as unit quaternions over time [s]."""
+    """Return turns of a recorded motion from its first orientation.
+
+    They are unit quaternions over time [s].
+    """
     turns = scripted.rotations()
     quaternions = np.array([quaternion_of(turn @ turns[0].T) for turn in turns])
     return lambda time_s: quaternions[min(round(time_s / step_s), len(quaternions) - 1)]
 
 
 def _timed(scripted: Motion, *, recorded: bool, step_s: float) -> tuple[Array, Array]:
-    """Times [s] and points [m] of a recorded motion, a point a tick, or of a path at its feed."""
+    """Return times [s] and points [m] of a motion.
+
+    A recorded motion has one point per tick; a path is followed at its feed.
+    """
     corners_m = scripted.sweep_m()
     if recorded:
         return step_s * np.arange(len(corners_m), dtype=np.float64), corners_m

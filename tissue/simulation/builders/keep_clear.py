@@ -1,6 +1,4 @@
-"""Build the measurement of a tool's distance from structures: surfaces from files, or shapes of
-the anatomy.
-"""
+"""Measurement of a tool's distance from structures: surfaces of files, or anatomy shapes."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -27,9 +25,9 @@ from tissue.simulation.builders.voxels import swept_box
 __all__ = ["distance_from", "keep_clear", "slack_note", "structure_of_file"]
 
 MARGIN_M = 10e-3
-"""Beyond the motion that a scene states: a hand may leave it."""
+"""Margin beyond the scripted motion, since a hand may leave it [m]."""
 POINTS_ACROSS = 12.0
-"""Points of the tool's surface over its radius, for pictures."""
+"""Number of points of the tool's surface over its radius, for pictures."""
 
 
 def keep_clear(
@@ -49,12 +47,12 @@ def keep_clear(
     shapes
         Structures that the anatomy knows, in the frame of the scene, by name.
     placement
-        Where the scene lies in the frame of the anatomy's file; None where both are one.
+        Pose of the scene in the frame of the anatomy's file; None where both frames are the same.
 
     Raises
     ------
     InputError
-        If the anatomy knows no such structure, or a file cannot be used.
+        If the anatomy has no such structure, or a file cannot be used.
     """
     points = body_points(cutter.profile, spacing_m=cutter.profile.radius_m / POINTS_ACROSS)
     low, high = swept_box(points, motion, MARGIN_M)
@@ -84,24 +82,24 @@ def keep_clear(
 
 
 def slack_note(structure: Structure) -> str:
-    """State how exact distances from a structure are."""
+    """Return a note on the accuracy of the distances from a structure."""
     below_mm = 1e3 * (structure.slack_m + float(TOLERANCE_M))
     return f"its distance is in the trace, exact or up to {below_mm:.2g} mm too small"
 
 
 def structure_of_file(file: Path, *, scale_mm: float) -> tuple[Structure, str]:
-    """Read a closed surface with all its pieces; returns what was repaired, too."""
+    """Read a closed surface with all its pieces; also return the repairs made."""
     surface = read_surface(file, scale_mm=scale_mm, cut_off=True, every_piece=True)
     return Structure(surface.vertices_m, surface.faces), " ".join(surface.report.repairs)
 
 
 def distance_from(structure: Structure) -> Distance:
-    """Signed distance from a structure anywhere, for pictures."""
+    """Return a function for the signed distance from a structure anywhere, for pictures."""
     return lambda points: triangle_distance(structure.vertices_m, structure.faces, points)
 
 
 def _of_file(name: str, file: str, placement: Placement | None) -> tuple[Structure, str]:
-    """Structure in a file, in the frame of the scene, and what was repaired."""
+    """Read a structure from a file, in the scene's frame; also return the repairs made."""
     unit = 1.0 if placement is None else placement.unit_mm
     with names_of_caller(dict.fromkeys(FILE_WORDS, f"keep_clear.files.{name}")):
         structure, repairs = structure_of_file(Path(file), scale_mm=unit)

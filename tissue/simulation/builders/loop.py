@@ -1,4 +1,4 @@
-"""The loops of a device, for its positions and for its turns, judged before it runs."""
+"""Loops of a device for its positions and its turns, judged before the run."""
 
 from dataclasses import dataclass, replace
 from math import ceil, isfinite
@@ -33,35 +33,39 @@ __all__ = [
 ]
 
 SHARE = 0.5
-"""Share of the critical stiffness that is chosen where none is given: that in the hand at hand.
-Half of the one without a hand would be a seventh to a ninth of it; a device that is let go on a
-wall leaves it in some hundredths of a second at either, see tests/stability/test_wall_laws.py."""
+"""Ratio of the chosen stiffness to the critical stiffness in the scene's hand.
+
+It is used where no stiffness is given. Half of the critical stiffness without a hand would be a
+seventh to a ninth of it. At either stiffness a device that is released on a wall leaves it
+within some hundredths of a second, see tests/stability/test_wall_laws.py.
+"""
 
 REST_SHARE = 0.3
-"""Share of the device's greatest force at which a predictor is linearised."""
+"""Share of the device's largest force at which a predictor is linearised."""
 
 USUAL_N_M = 1000.0
-"""Stiffness about which a predictor is linearised where neither scene nor device states one: of
-a desktop device.
+"""Stiffness about which a predictor is linearised, typical of a desktop device [N/m].
+
+It is used where neither scene nor device states a stiffness.
 """
 
 
 @dataclass(frozen=True)
 class JudgedLoop:
-    """A loop with the delay that is really there, and what is known of it.
+    """Loop with its total delay, and the verdict on its stability.
 
     Attributes
     ----------
     loop
-        With the stiffness that was given or chosen; for turns in N m/rad and so on.
+        Loop with the given or chosen stiffness. Turns use N m/rad and so on.
     verdict
-        In the hand.
+        Stability verdict for the loop in the hand.
     unit
-        Of the stiffness.
+        Unit of the stiffness.
     alone
-        Critical stiffness of a device that was let go.
+        Critical stiffness of a device without a hand.
     saves
-        What else than a hand stops its ringing.
+        Mechanisms other than a hand that stop its ringing, as text.
     """
 
     loop: WallLoop
@@ -71,7 +75,7 @@ class JudgedLoop:
     saves: str
 
     def sentence(self) -> str:
-        """What was chosen, and what is known of it."""
+        """Return a sentence on the chosen stiffness and its stability."""
         note = self.verdict.sentence(self.loop.stiffness_N_m).replace("N/m", self.unit)
         if self.verdict.stable and self.loop.stiffness_N_m >= self.alone:
             note += (
@@ -85,7 +89,7 @@ class JudgedLoop:
 def judged_loops(
     settings: LoopSettings, *, step_s: float, allow_unstable: bool
 ) -> tuple[JudgedLoop, JudgedLoop | None]:
-    """The loops of a device's positions and, with a device that plays torque, of its turns.
+    """Return the loop of a device's positions and, if it plays torque, the loop of its turns.
 
     Raises
     ------
@@ -123,7 +127,7 @@ def judged_loops(
 
 
 def _judged(loop: WallLoop, hand: tuple[float, float, float], steepest: float) -> Verdict:
-    """The verdict on a loop whose force is made steeper by so much before it is played."""
+    """Return the verdict on a loop whose force slope is multiplied by ``steepest``."""
     verdict = judge(loop.with_stiffness(steepest * loop.stiffness_N_m), [hand])
     critical = verdict.critical_N_m / steepest
     nearest = loop.stiffness_N_m if verdict.stable else nearest_stable_N_m(critical)
@@ -137,14 +141,15 @@ def _steepest(settings: LoopSettings) -> float:
 
 
 def judged_loop(settings: LoopSettings, *, step_s: float) -> WallLoop:
-    """The loop by which a coupling is judged, with all the delay that is really there.
+    """Return the loop used to judge a coupling, with its total delay.
 
     A tool that cuts or only touches bone, or presses a tissue that knows its stiffness, answers in
-    the tick of the sample; on another organ its balance is found a tick later. Of a guarded
-    predictor and of what it hands over to, the one counts that bears less stiffness. What is played
-    of a cutter's teeth counts as far as it goes with the force.
+    the tick of the sample; on another organ its balance is found a tick later. For a guarded
+    predictor, the predictor or its fallback is used, whichever has the lower critical stiffness.
+    The played vibration of a cutter's teeth counts in proportion to the force.
 
-    A slow device holds each force until its next sample, so its loop is judged at its own rate.
+    A slow device holds each force until its next sample, so its loop is judged at the device's
+    rate.
 
     Raises
     ------
@@ -178,29 +183,33 @@ def judged_loop(settings: LoopSettings, *, step_s: float) -> WallLoop:
 
 
 def lead_ticks(settings: LoopSettings) -> float:
-    """How far ahead the force is asked for: what its path to the motor delays it."""
+    """Return the prediction horizon: the delay of a force on its path to the motor [ticks]."""
     return motor_lag_ticks(motor_path(settings))
 
 
 def motor_path(settings: LoopSettings) -> WallLoop:
-    """The path of a force to the motor: low-pass, latency, transport, hold and amplifier."""
+    """Return the path of a force to the motor.
+
+    It consists of low-pass, latency, transport, hold and amplifier.
+    """
     path = replace(device_path(settings.limits), filter_s=1e-3 * settings.low_pass_ms)
     return _delayed(settings, path, 0.0)
 
 
 def device_path(limits: DeviceParameters) -> WallLoop:
-    """Return the path of a force through the device to its motor, in ticks: transport, hold and
-    amplifier.
+    """Return the path of a force through the device to its motor, in ticks.
 
-    A slow device holds each force longer than a tick, half of that time in the mean.
+    It consists of transport, hold and amplifier. A slow device holds each force longer than a tick;
+    half of that additional time is the mean delay.
     """
     loop = sampled(limits).loop(1.0)
     return replace(loop, tick_s=TICK_S, delay_s=loop.delay_s + 0.5 * (loop.tick_s - TICK_S))
 
 
 def _forecasts(settings: LoopSettings) -> list[Forecast | None]:
-    """The predictor about a contact at rest, under a share of the device's force, and what it
-    hands over to.
+    """Return linear forecasts of the predictor and of its fallback.
+
+    They are linearised about a contact at rest, under a share of the device's force.
     """
     predictor = settings.predictor()
     chosen = settings.coupling
@@ -227,7 +236,10 @@ def _forecasts(settings: LoopSettings) -> list[Forecast | None]:
 
 
 def _turning_loop(settings: LoopSettings, *, step_s: float) -> WallLoop:
-    """The same for turns: but for a tool that only touches, their balance is found a tick later."""
+    """Return the loop used to judge the coupling of turns.
+
+    The balance of turns is found a tick later, except for a tool that only touches.
+    """
     limits = settings.limits
     chosen = settings.coupling
     loop = limits.turning_loop(
@@ -247,8 +259,9 @@ def _chosen(
     limit: float,
     steepest: float = 1.0,
 ) -> WallLoop:
-    """The loop with the stiffness that is given, or else half of the critical one in that hand,
-    at most the limit.
+    """Return the loop with the given stiffness, or with half of the critical one in that hand.
+
+    A chosen stiffness is at most the limit.
     """
     if given is None:
         critical = critical_stiffness_N_m(in_hands(loop, [hand])[0])
@@ -257,7 +270,7 @@ def _chosen(
 
 
 def _delayed(settings: LoopSettings, loop: WallLoop, extra_s: float) -> WallLoop:
-    """The loop with the coupling's latency and some more [s]."""
+    """Return the loop with the coupling's latency and an additional delay [s]."""
     return replace(loop, delay_s=loop.delay_s + 1e-3 * settings.coupling.delay_ms + extra_s)
 
 
@@ -276,7 +289,7 @@ def _too_slow(settings: LoopSettings, what: str, remedy: str) -> InputError:
 
 
 def _refusal(settings: LoopSettings, verdict: Verdict, stiffness: float, key: str) -> str:
-    """One sentence for an unstable coupling."""
+    """Return an error message of one sentence for an unstable coupling."""
     if verdict.critical_N_m == 0.0:
         damping = settings.coupling.damping_N_s_m
         return (
@@ -294,5 +307,5 @@ def _refusal(settings: LoopSettings, verdict: Verdict, stiffness: float, key: st
 
 
 def person_of(hand: str) -> str:
-    """A person of a group, in words."""
+    """Return text for a person of an expertise group."""
     return f"a{'n' * (hand[0] in 'aeiou')} {hand}"

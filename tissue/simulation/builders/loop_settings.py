@@ -1,4 +1,4 @@
-"""What a loop with a device is judged and built by, whether a scene states it or a caller does."""
+"""Settings used to judge and build a loop with a device, from a scene or a caller."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -21,45 +21,46 @@ if TYPE_CHECKING:
 __all__ = ["Contact", "LoopSettings", "loop_settings", "no_predictor", "sampled"]
 
 Contact = Literal["cuts", "touches", "presses", "wall"]
-"""What a tool does to what it meets: cut it, touch it as a rigid thing, press it soft, or press
-the test wall.
+"""Kind of contact of a tool.
+
+A tool cuts, touches a rigid object, presses soft tissue, or presses the test wall.
 """
 
 
 def no_predictor() -> None:
-    """The present force is played."""
+    """Return no predictor: the present force is played."""
 
 
 def no_perception(rng: np.random.Generator) -> None:
-    """Newtons stay newtons."""
+    """Return no perception: the force is not scaled for a person."""
 
 
 @dataclass(frozen=True)
 class LoopSettings:
-    """A device in a hand, and what lies between it and a tool.
+    """Settings of the loop of a device, a hand and a tool.
 
     Attributes
     ----------
     device, limits
-        The device's name in messages, and its numbers.
+        Name of the device in messages, and its parameters.
     hand, person
-        The hand's name in messages, and its numbers.
+        Name of the hand in messages, and its parameters.
     coupling
         Stiffness, scales, latency, rate of the model.
     renderer
-        Name of the law by which the device plays what the tool meets.
+        Name of the law by which the device plays the contact force.
     low_pass_ms
         Time constant of the low-pass before the device.
     contact
-        What the tool does.
+        Kind of contact of the tool.
     teeth_Hz, vibration_share
         Rate at which a cutter's edges pass, 0 for none, and the amplitude of their vibration over
         the force.
     predictor
         Makes a new predictor of the force; None where the present force is played.
     perception
-        Makes the person for whom the force is scaled, with a generator of its noise; None where
-        newtons stay newtons.
+        Makes the person for whom the force is scaled, with a generator of its noise; None where the
+        force is not scaled.
     cue_N
         Amplitude of the event cues [N]; 0 for none.
     """
@@ -80,7 +81,7 @@ class LoopSettings:
 
     @property
     def late(self) -> bool:
-        """Whether the tissue's balance is found a tick after the sample: only of soft organs."""
+        """True if the tissue's balance is found a tick after the sample; only for soft organs."""
         return self.contact == "presses"
 
     @property
@@ -90,7 +91,7 @@ class LoopSettings:
 
     @property
     def is_slow(self) -> bool:
-        """Whether the device gives fewer samples than there are ticks."""
+        """True if the device gives fewer samples than there are ticks."""
         return self.sample_s > TICK_S * (1.0 + 1e-6)
 
     def vibration(self, step_s: float) -> Vibration | None:
@@ -106,7 +107,7 @@ def sampled(limits: DeviceParameters) -> DeviceParameters:
 
 
 def loop_settings(scene: Scene) -> LoopSettings:
-    """What a scene states of its device, of the hand and of what lies between them and the tool."""
+    """Return the settings that a scene states for its device, its hand and their coupling."""
     held = scene.held
     tool = scene.tool
     limits = sampled(device_parameters(held.kind, scene.constants))
@@ -128,7 +129,7 @@ def loop_settings(scene: Scene) -> LoopSettings:
         )
 
     def perception(rng: np.random.Generator) -> "Perception | None":
-        """The person whom the scene names."""
+        """Return the model of the person whom the scene names."""
         if held.perception == "none":
             return None
         from tissue.simulation.builders.perception import perception

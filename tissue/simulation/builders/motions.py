@@ -17,7 +17,7 @@ from tissue.scene.tool import PathMotion, ReplayMotion, ThrustMotion
 __all__ = ["motion_of", "path", "plays_record", "recorded_file", "replay", "thrust"]
 
 RECORDED = "recorded"
-"""Device whose motion is known from its file."""
+"""Device that plays a motion recorded in a file."""
 
 
 def plays_record(scene: Scene) -> bool:
@@ -33,8 +33,9 @@ def plays_record(scene: Scene) -> bool:
 
 
 def recorded_file(scene: Scene) -> str:
-    """Return the file of the poses that move the tool, by a replay or a recorded device; empty
-    for other motions.
+    """Return the file of the poses that move the tool; empty for other motions.
+
+    The file comes from a replay or a recorded device.
     """
     if plays_record(scene):
         return scene.held.hardware.address
@@ -42,9 +43,9 @@ def recorded_file(scene: Scene) -> str:
 
 
 def motion_of(scene: Scene, *, step_s: float) -> Motion:
-    """Return the motion that a scene describes; with a recorded device the motion of its record.
+    """Return the motion of a scene, or of the record with a recorded device.
 
-    So the tool starts where it was recorded, and the tissue is made ready along the record.
+    The tool then starts where it was recorded, and the tissue is prepared along the record.
     """
     if plays_record(scene):
         with names_of_caller({"motion.file": "hardware.address"}):
@@ -54,14 +55,14 @@ def motion_of(scene: Scene, *, step_s: float) -> Motion:
 
 
 def path(motion: PathMotion, step_s: float) -> FollowPath:
-    """Straight lines at a given feed."""
+    """Return a motion along straight lines at a given feed."""
     return FollowPath(
         np.array(motion.points_mm) * 1e-3, feed_m_s=motion.feed_mm_s * 1e-3, axis=motion.axis
     )
 
 
 def thrust(motion: ThrustMotion, step_s: float) -> PushAlongAxis:
-    """A push down the axis."""
+    """Return a push along the axis."""
     return PushAlongAxis(
         np.array(motion.start_mm) * 1e-3,
         axis=motion.axis,
@@ -73,7 +74,7 @@ def thrust(motion: ThrustMotion, step_s: float) -> PushAlongAxis:
 
 
 def replay(motion: ReplayMotion, step_s: float) -> ReplayPoses:
-    """Recorded poses."""
+    """Return the motion of recorded poses."""
     return read_replay(Path(motion.file), step_s=step_s)
 
 
@@ -82,4 +83,4 @@ MAKERS: dict[str, Callable[[Any, float], Motion]] = {
     "thrust": thrust,
     "replay": replay,
 }
-"""What makes the built-in motions."""
+"""Functions that make the built-in motions."""

@@ -1,6 +1,4 @@
-"""The soft organ a scene asks for: its mesh at the site, what holds it, and what its cells are
-made of.
-"""
+"""Soft organ of a scene: its mesh at the site, its supports and its materials."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -58,14 +56,14 @@ KEYS = {
     "unit_mm": "anatomy.scale_mm",
     "support": "anatomy.held",
 }
-"""Keys of a scene by what functions of meshes call them."""
+"""Keys of a scene, by the names that mesh functions use for them."""
 LOCKING_RATIO = 0.45
 """Poisson's ratio above which a run notes that linear tetrahedra lock."""
 
 
 @dataclass(frozen=True, eq=False)
 class HeldMesh:
-    """An organ at its site, the tool coming down from +z to the origin.
+    """Organ at its site, with the tool coming down from +z to the origin.
 
     Attributes
     ----------
@@ -74,9 +72,9 @@ class HeldMesh:
     held
         Nodes that do not move, in rising order.
     notes
-        What was found and assumed, by what it is about.
+        Notes on findings and assumptions, by subject.
     placement
-        Where the scene's frame lies in that of the organ's file; None without one.
+        Pose of the scene's frame in the frame of the organ's file; None without a file.
     """
 
     mesh: TetMesh
@@ -88,7 +86,7 @@ class HeldMesh:
 def held_mesh(
     anatomy: SoftAnatomy, *, path_m: NDArray[np.float64], touch_edge_m: float, report: Progress
 ) -> HeldMesh:
-    """Mesh of a scene's organ, procedural or from its file, made fine where the tool goes.
+    """Mesh a scene's organ, procedural or from a file, and refine it along the tool's path.
 
     Parameters
     ----------
@@ -99,13 +97,13 @@ def held_mesh(
     touch_edge_m
         Longest edge on it [m].
     report
-        Called with what is being done.
+        Called with the current stage.
 
     Raises
     ------
     InputError
-        If a file cannot be used, a nodule does not fit, or what should hold the organ touches
-        nothing.
+        If a file cannot be used, a nodule does not fit, or the support of the organ touches no
+        node.
     """
 
     def fine(mesh: TetMesh, onto: Move | None = None) -> TetMesh:
@@ -142,8 +140,10 @@ def held_mesh(
 def elasticity_of(
     mesh: TetMesh, anatomy: SoftAnatomy, organ: Organ, constants: Materials = Materials.cited
 ) -> tuple[NDArray[np.float64], str]:
-    """Lame constants of the cells [Pa], shape (m, 2), or with fibres stiffness matrices, (m, 6,
-    6), and a note.
+    """Return the elasticity of the cells [Pa] and a note.
+
+    The elasticity holds Lame constants, shape (m, 2), or with fibres stiffness matrices, shape (m,
+    6, 6).
     """
     cited = constants.constants("soft", organ.material)
     modulus = cited["modulus_kPa"]
@@ -177,7 +177,9 @@ def elasticity_of(
 
 
 def _fibrous(poisson_ratio: float, along: float) -> NDArray[np.float64]:
-    """Stiffness matrix of tissue with fibres along axis 3, of 1 kPa across them [Pa], shape (6, 6).
+    """Return the stiffness of tissue with fibres along axis 3 [Pa], shape (6, 6).
+
+    Young's modulus across the fibres is 1 kPa.
 
     Raises
     ------
@@ -202,12 +204,12 @@ def _fibrous(poisson_ratio: float, along: float) -> NDArray[np.float64]:
 
 
 def _moduli_kPa(mesh: TetMesh, anatomy: SoftAnatomy, organ: Organ) -> dict[int, float]:
-    """Young's moduli of parts that differ, by their numbers in the mesh [kPa].
+    """Return Young's moduli of parts that differ, by their numbers in the mesh [kPa].
 
     Raises
     ------
     InputError
-        If the mesh has no part of a name, or one is named twice.
+        If the mesh has no part of that name, or a part is named twice.
     """
     from_file = isinstance(anatomy, LiverFile)
     names = mesh.part_names
@@ -252,7 +254,7 @@ def _nodule(anatomy: WithNodule) -> Nodule | None:
 
 
 def _away(points_m: NDArray[np.float64], path_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distance of points from the path of the tip [m], shape (n,)."""
+    """Return the distances of points from the path of the tip [m], shape (n,)."""
     nearest = np.full(len(points_m), np.inf)
     for start, end in pairwise(path_m):
         along = end - start
@@ -266,7 +268,7 @@ def _away(points_m: NDArray[np.float64], path_m: NDArray[np.float64]) -> NDArray
 def _from_file(
     anatomy: LiverFile, fine: Callable[[TetMesh, Move | None], TetMesh], report: Progress
 ) -> HeldMesh:
-    """Mesh of a file, turned and moved to its site."""
+    """Read the mesh of a file and move and rotate it to its site."""
     found = read_tets(
         anatomy.file, unit_mm=anatomy.scale_mm, edge_m=1e-3 * anatomy.edge_mm, report=report
     )
@@ -315,7 +317,7 @@ def _from_file(
 
 
 def _held(anatomy: Held, mesh: TetMesh) -> NDArray[np.int64]:
-    """Nodes that the scene's support holds."""
+    """Return the nodes that the scene's support holds."""
     if anatomy.held == "plane":
         height = 1e-3 * anatomy.held_below_mm
         return nodes_behind_plane(mesh, point_m=(0.0, 0.0, height), normal=(0.0, 0.0, 1.0))

@@ -1,6 +1,4 @@
-"""An organ filled with tetrahedra here: of a surface and what lies in it, or of the labels of an
-image.
-"""
+"""Organ filled with tetrahedra, from a surface with inclusions or from an image's labels."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,8 +15,9 @@ from tissue.simulation.builders.organ_made import MadeOrgan, made_of, material_o
 __all__ = ["of_labels", "of_surface"]
 
 ENVELOPE = 0.1
-"""How far inclusions may reach beyond what they lie in, over the edge: as far as the mesher
-moves a surface.
+"""Largest overlap of inclusions beyond their surroundings, over the edge length.
+
+The mesher moves a surface by up to this distance.
 """
 
 
@@ -31,13 +30,13 @@ def of_surface(
     scale_mm: float | None,
     report: Progress,
 ) -> MadeOrgan:
-    """An organ inside a closed surface, what lies in the inclusions being parts.
+    """Return an organ inside a closed surface, with its inclusions as parts.
 
     Raises
     ------
     InputError
-        If a surface is not closed or not in millimetres, an inclusion sticks out, meets another or
-        has no modulus.
+        If a surface is not closed or not in millimetres, or an inclusion sticks out, overlaps
+        another one or has no modulus.
     """
     from meshes.tets.tetrahedralise import FILL_EDGES, tetrahedralise
 
@@ -46,7 +45,7 @@ def of_surface(
         raise InputError(
             "parts", "give a modulus of every inclusion", f"none of {without[0]}", "add it in kPa"
         )
-    # what cannot be is refused before minutes of meshing
+    # refuse invalid materials before meshing, which takes minutes
     material_of(stated, ("body", *inclusions))
     outer = surface_of("surface", surface, scale_mm)
     usual = max(outer.report.size_mm) / FILL_EDGES
@@ -76,12 +75,12 @@ def of_labels(
     edge_mm: float | None,
     report: Progress,
 ) -> MadeOrgan:
-    """An organ of a label image, its parts those that have a modulus.
+    """Return an organ of a label image; its parts are the labels that have a modulus.
 
     Raises
     ------
     InputError
-        If there is no such label, a part lies elsewhere, or a value is out of its range.
+        If there is no such label, a part does not lie at the organ, or a value is out of its range.
     """
     from meshes.ct.labels import Labels, read_labels
     from meshes.organs.from_labels import labelled_organ
@@ -102,9 +101,7 @@ def of_labels(
 
 
 def _require_apart(outer: Surface, inclusions: Mapping[str, Surface], off_m: float) -> None:
-    """Refuse inclusions that stick out of the organ, or into each other, by more than a distance
-    [m].
-    """
+    """Refuse inclusions that overlap each other or stick out of the organ by over `off_m` [m]."""
     for name, each in inclusions.items():
         key = f"inclusions[{name!r}]"
         out = triangle_distance(outer.vertices_m, outer.faces, each.vertices_m)

@@ -1,6 +1,4 @@
-"""An organ that a caller describes: what its cells are made of, what lies in it, and how fine
-its mesh is.
-"""
+"""Organ that a caller describes: its materials, surface and mesh refinement."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -26,12 +24,15 @@ if TYPE_CHECKING:
 __all__ = ["SoftMaterial", "refined", "surface_of"]
 
 FINE_EDGES = 1.0
-"""Edges around a place within which they do not grow: the radius of a tool of four edges."""
+"""Distance from a point, in edges, within which edges do not grow.
+
+It is the radius of a tool of four edges.
+"""
 
 
 @dataclass(frozen=True)
 class SoftMaterial:
-    """What an organ is made of, and how it is solved.
+    """Material of an organ, and options of its solution.
 
     Attributes
     ----------
@@ -46,11 +47,11 @@ class SoftMaterial:
     friction
         Coulomb's coefficient between tool and organ.
     capsule
-        Thickness [um] and Young's modulus [kPa] of a membrane on the surface; None for none.
+        Thickness [um] and Young's modulus [kPa] of a membrane on the surface; None for no membrane.
     density_kg_m3
-        With it the organ lies in its own weight.
+        Density [kg/m3]; where it is given, gravity acts on the organ.
     relaxation
-        Pairs of the share of the modulus that relaxes and its time [s].
+        Pairs of a share of the modulus that relaxes and its relaxation time [s].
 
     Raises
     ------
@@ -101,12 +102,12 @@ class SoftMaterial:
             require_positive("density_kg_m3", self.density_kg_m3, "soft tissue has about 1060")
 
     def moduli_kPa(self, part_names: Sequence[str]) -> dict[str, float]:
-        """Young's modulus of each part of a mesh by its name [kPa].
+        """Return Young's modulus of each part of a mesh by its name [kPa].
 
         Raises
         ------
         InputError
-            If the mesh has no part of a name.
+            If the mesh has no part of that name.
         """
         found = dict.fromkeys(part_names, self.modulus_kPa)
         given = set[str]()
@@ -123,12 +124,12 @@ class SoftMaterial:
         return found
 
     def elasticity(self, mesh: TetMesh) -> NDArray[np.float64]:
-        """Lame constants of the cells [Pa], shape (m, 2)."""
+        """Return Lame constants of the cells [Pa], shape (m, 2)."""
         moduli = np.array(list(self.moduli_kPa(mesh.part_names).values()))
         return lame(1e3 * moduli[mesh.part], self.poisson_ratio)
 
     def organ(self, mesh: TetMesh, held: NDArray[np.int64]) -> "SoftOrgan":
-        """The organ at rest, of a mesh whose nodes `held` do not move."""
+        """Return the organ at rest on a mesh whose nodes `held` do not move."""
         from tissue.materials.prony import Prony
         from tissue.models.organ.soft_organ import Membrane, SoftOrgan
 
@@ -154,13 +155,12 @@ class SoftMaterial:
 
 
 def surface_of(name: str, given: object, scale_mm: float | None) -> Surface:
-    """A closed surface of whatever holds it: a file, a surface of pyvista or trimesh, vertices and
-    triangles.
+    """Return a closed surface from a file, a pyvista or trimesh surface, or vertices and triangles.
 
     Raises
     ------
     InputError
-        If it is none, of another unit by its size, or encloses no solid.
+        If it is no surface, its size points to another unit, or it encloses no solid.
     """
     source = name
     if isinstance(given, str | Path):
@@ -175,7 +175,7 @@ def surface_of(name: str, given: object, scale_mm: float | None) -> Surface:
 
 
 def _triangles(name: str, given: Any) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Vertices and triangles of a surface in memory."""
+    """Return vertices and triangles of a surface in memory."""
     if hasattr(given, "is_all_triangles"):  # pyvista
         whole = given.triangulate()
         return np.asarray(whole.points, dtype=np.float64), np.asarray(
@@ -198,8 +198,9 @@ def _triangles(name: str, given: Any) -> tuple[NDArray[np.float64], NDArray[np.i
 def refined(
     mesh: TetMesh, surface: Surface | None, *, edge_m: float, near_m: NDArray[np.float64] | None
 ) -> TetMesh:
-    """The mesh with edges of at most a length [m] near some points, shape (k, 3), or else on the
-    whole surface.
+    """Refine a mesh to edges of at most a length [m] near points, or on the whole surface.
+
+    The points have shape (k, 3).
     """
     from scipy.spatial import cKDTree
 

@@ -1,6 +1,4 @@
-"""What holds an organ that a caller describes: a side of its surface, a height, a part, or
-points.
-"""
+"""Supports of an organ that a caller describes: a side, a height, a part, or points."""
 
 from collections.abc import Callable
 from typing import Any
@@ -25,11 +23,11 @@ SIDES = {
     "-z": (0.0, 0.0, -1.0),
     "+z": (0.0, 0.0, 1.0),
 }
-"""Sides of the surface that may be held, by the direction that they face."""
+"""Outward directions of the sides of the surface that may be held, by name."""
 COINCIDE = 1e-6
-"""Distance at which a node is one that was named, over the mesh's size."""
+"""Distance within which a node coincides with a named point, over the mesh's size."""
 Hold = Callable[[TetMesh], Nodes]
-"""What is held of a mesh: its nodes."""
+"""Function that returns the held nodes of a mesh."""
 
 
 def hold_of(
@@ -38,17 +36,17 @@ def hold_of(
     mesh: TetMesh,
     points_mm: NDArray[np.float64],
 ) -> tuple[Hold, str]:
-    """What is held, and a note on it.
+    """Return a function that finds the held nodes of a mesh, and a note on them.
 
     Parameters
     ----------
     held
-        A side of the surface (``bottom``, ``top``, ``-x`` to ``+z``: what faces there within 60
-        degrees), the name of a part, or points: a mask, shape (n,), or their numbers.
+        A side of the surface (``bottom``, ``top``, ``-x`` to ``+z``: faces within 60 degrees of
+        that direction), the name of a part, or points: a mask, shape (n,), or their numbers.
     held_below_mm
-        With it, instead, the surface below this height [mm].
+        Height below which the surface is held instead [mm].
     mesh, points_mm
-        The mesh, and the points that masks and numbers are of [mm], shape (n, 3).
+        The mesh, and the points that masks and numbers refer to [mm], shape (n, 3).
 
     Raises
     ------
@@ -97,7 +95,7 @@ def hold_of(
 
 
 def _named(held: NDArray[Any], mesh: TetMesh, points_mm: NDArray[np.float64]) -> Nodes:
-    """Nodes of a mesh that a mask or numbers of the caller's points name."""
+    """Return the mesh nodes selected by a mask or by numbers of the caller's points."""
     count = len(points_mm)
     if held.dtype == np.bool_ and held.shape == (count,):
         held = np.flatnonzero(held)
@@ -123,7 +121,7 @@ def _named(held: NDArray[Any], mesh: TetMesh, points_mm: NDArray[np.float64]) ->
 def _distance_m(
     points_m: NDArray[np.float64], others_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Distance of each of the others from the nearest of the points [m]."""
+    """Return the distance of each of `others_m` from the nearest of `points_m` [m]."""
     from scipy.spatial import cKDTree
 
     return np.asarray(cKDTree(points_m).query(others_m)[0], dtype=np.float64)

@@ -1,5 +1,6 @@
-"""The hyperelastic law that a scene asks for, with the small strains of the linear one, and the
-mesh for it.
+"""Hyperelastic law of a scene's organ, and the mesh on which it is solved.
+
+At small strains it equals the linear law.
 """
 
 from typing import TYPE_CHECKING
@@ -22,28 +23,30 @@ if TYPE_CHECKING:
 __all__ = ["coarser_mesh", "hindrance", "law_of", "organ_law"]
 
 NOT_WITH = ("capsule", "gravity", "viscous", "fibre_direction")
-"""Keys of an organ that a hyperelastic law cannot have yet."""
+"""Keys of an organ that a hyperelastic law does not support yet."""
 SHAPE = {"mooney-rivlin": "second_share", "yeoh": "square_ratio", "ogden": "exponent"}
-"""What each law needs beside the modulus and Poisson's ratio; none is cited for an organ."""
+"""Key that each law needs in addition to the modulus and Poisson's ratio.
+
+None of these values is cited for an organ.
+"""
 
 
 def hindrance(organ: Organ) -> str | None:
-    """Name of the first entry of an organ that no hyperelastic law can have yet; None where
-    there is none.
-    """
+    """Return the first key of an organ that no hyperelastic law supports yet; None without one."""
     if organ.path != "condensed":
         return "path"
     return next((name for name in NOT_WITH if getattr(organ, name)), None)
 
 
 def law_of(organ: Organ, lame_Pa: Array) -> tuple[Hyperelastic, Array] | None:
-    """The law of the first cell, and what its moduli are multiplied by in each, shape (m,); None
-    for the linear one.
+    """Return the law of the first cell, and factors of its moduli in each cell, shape (m,).
+
+    None is returned for the linear law.
 
     Parameters
     ----------
     organ
-        What the scene states.
+        Organ parameters of the scene.
     lame_Pa
         Lame constants of small strains [Pa], shape (m, 2), in one proportion, as `elasticity_of`
         gives them.
@@ -51,7 +54,8 @@ def law_of(organ: Organ, lame_Pa: Array) -> tuple[Hyperelastic, Array] | None:
     Raises
     ------
     InputError
-        If the scene asks for what the law cannot have, or does not state what the law needs.
+        If the scene requests something that the law does not support, or does not state a parameter
+        that the law needs.
     """
     if organ.law == "linear":
         return None
@@ -73,15 +77,15 @@ def law_of(organ: Organ, lame_Pa: Array) -> tuple[Hyperelastic, Array] | None:
 def coarser_mesh(
     scene: Scene, *, path_m: Array, touch_edge_m: float, ratio: float, report: Progress
 ) -> HeldMesh:
-    """The mesh of a scene's organ with edges longer by a ratio; other arguments as of `held_mesh`.
+    """Mesh a scene's organ with edges longer by a ratio; other arguments as for `held_mesh`.
 
-    A nodule asks for cells as short as the scene's, and tetrahedra from a file keep theirs away
+    A nodule needs cells as short as the scene's. Tetrahedra from a file are not made coarser away
     from the tool.
     """
     anatomy = scene.anatomy
     assert isinstance(anatomy, SoftAnatomy)
     edge_mm = anatomy.edge_mm * (1.0 if anatomy.nodule_mm else ratio)
-    # Not as if it had been set: tetrahedra from a file have edges of their own.
+    # The key must not count as set: tetrahedra from a file have their own edges.
     given = anatomy.model_fields_set - {"edge_mm"}
     coarse = type(anatomy).model_construct(given, **(dict(anatomy) | {"edge_mm": edge_mm}))
     return held_mesh(coarse, path_m=path_m, touch_edge_m=ratio * touch_edge_m, report=report)
@@ -96,7 +100,7 @@ def organ_law(
     compute: str,
     report: Progress,
 ) -> "OrganLaw | None":
-    """The law of a scene's organ and the mesh on which it is solved; None for the linear one.
+    """Return the law of a scene's organ and its mesh; None for the linear law.
 
     Parameters
     ----------
@@ -105,14 +109,14 @@ def organ_law(
     lame_Pa
         Lame constants of the cells of the organ's mesh [Pa], shape (m, 2).
     path_m, touch_edge_m, report
-        As of `held_mesh`.
+        As for `held_mesh`.
     compute
         Warp device name.
 
     Raises
     ------
     InputError
-        As of `law_of`, or if a real device would wait for the law.
+        As for `law_of`, or if a real device would wait for the law.
     """
     from tissue.models.organ.law import OrganLaw
     from tissue.models.organ.soft_organ import SoftOrgan

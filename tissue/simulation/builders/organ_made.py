@@ -1,4 +1,4 @@
-"""An organ as it was made: its mesh, what it is made of and what holds it."""
+"""Organ with its mesh, material and supports."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 __all__ = ["MadeOrgan", "OrganOptions", "made_of", "material_of", "of_tetrahedra", "require_known"]
 
 TOUCHED_EDGES = 3.0
-"""Edges around a place that a tool of four edges is expected to touch."""
+"""Radius around a point, in edges, that a tool of four edges is expected to touch."""
 
 
 class OrganOptions(TypedDict, total=False):
-    """Options that every organ takes; `tissue.Organ.from_tetrahedra` states what they are."""
+    """Options that every organ takes; see `tissue.Organ.from_tetrahedra`."""
 
     held: str | ArrayLike
     held_below_mm: float | None
@@ -40,21 +40,21 @@ class OrganOptions(TypedDict, total=False):
 
 @dataclass(frozen=True, eq=False)
 class MadeOrgan:
-    """An organ as it was made.
+    """Organ with its mesh, material and supports.
 
     Attributes
     ----------
     mesh, material
-        Tetrahedra [m], and what they are made of.
+        Tetrahedra [m], and their material.
     hold
-        What is held of a mesh.
+        Function that returns the held nodes of a mesh.
     notes
-        What was found and assumed, by what it is about.
+        Notes on findings and assumptions, by subject.
     surface
-        The surface that the mesh stands for; None of tetrahedra that were given.
+        Surface that the mesh represents; None for given tetrahedra.
     near
-        Where it will be pressed: points [m], shape (k, 3), and the distance around them [m]; None
-        where unknown.
+        Region that will be pressed: points [m], shape (k, 3), and the distance around them [m].
+        None where unknown.
     """
 
     mesh: TetMesh
@@ -71,7 +71,7 @@ class MadeOrgan:
 
     @cached_property
     def soft(self) -> "SoftOrgan":
-        """The organ at rest, as it is solved."""
+        """Organ at rest, ready to be solved."""
         organ = self.material.organ(self.mesh, self.held)
         if self.near is not None:
             organ.expect(*self.near)
@@ -79,7 +79,7 @@ class MadeOrgan:
 
     @property
     def facts(self) -> dict[str, str]:
-        """Size, mesh and moduli in words."""
+        """Size, mesh and moduli as text."""
         mesh = self.mesh
         material = self.material
         moduli = material.moduli_kPa(mesh.part_names).items()
@@ -94,13 +94,14 @@ class MadeOrgan:
         }
 
     def refined(self, edge_mm: float, near_mm: ArrayLike | None) -> "MadeOrgan":
-        """The same organ with shorter edges where the surface is nearest to some points, shape (k,
-        3), or on all of it.
+        """Return the organ with shorter edges near some points, or on the whole surface.
+
+        The points `near_mm` have shape (k, 3); each stands for the nearest point of the surface.
 
         Raises
         ------
         InputError
-            If the edge is not positive, or the points are none.
+            If the edge is not positive, or the points do not have shape (k, 3).
         """
         edge = require_positive("edge_mm", edge_mm, "use a quarter of the tool's diameter")
         near = None
@@ -127,23 +128,24 @@ def made_of(
     points_mm: NDArray[np.float64] | None = None,
     surface: Surface | None = None,
 ) -> MadeOrgan:
-    """An organ of a mesh.
+    """Return an organ of a mesh.
 
     Parameters
     ----------
     mesh, notes
-        Tetrahedra [m], and what is known of them; what is held is added.
+        Tetrahedra [m], and notes on them; a note on the supports is added.
     stated
-        Fields of `SoftMaterial`, ``held`` and ``held_below_mm``; None is as if it were not there.
+        Fields of `SoftMaterial`, ``held`` and ``held_below_mm``; an entry of None counts as not
+        stated.
     points_mm
-        Points that ``held`` numbers [mm]; None: the mesh's nodes.
+        Points that ``held`` refers to [mm]; None for the mesh's nodes.
     surface
-        The surface that the mesh stands for.
+        Surface that the mesh represents.
 
     Raises
     ------
     InputError
-        If a value is out of its range, the mesh lacks a part, or what should be held is not there.
+        If a value is out of its range, the mesh lacks a part, or the support is not found.
     TypeError
         If something else is stated.
     """
@@ -166,14 +168,17 @@ def of_tetrahedra(
     scale_mm: float | None,
     part_names: Mapping[int, str] | None,
 ) -> MadeOrgan:
-    """An organ of tetrahedra; arguments as of `meshes.tets.files.given_tets` and `made_of`."""
+    """Return an organ of tetrahedra.
+
+    Arguments are as for `meshes.tets.files.given_tets` and `made_of`.
+    """
     given = given_tets(mesh, scale_mm=scale_mm, part_names=part_names)
     notes = {"mesh": " ".join(given.sentences)} if given.sentences else {}
     return made_of(given.mesh, notes, stated, points_mm=given.points_mm)
 
 
 def require_known(stated: Iterable[str]) -> None:
-    """Refuse an argument that no organ has, as Python does where arguments are listed."""
+    """Refuse an argument that no organ takes, as Python does for a listed signature."""
     known = {field.name for field in fields(SoftMaterial)} | set(OrganOptions.__annotations__)
     unknown = [name for name in stated if name not in known]
     if unknown:
@@ -185,7 +190,7 @@ def require_known(stated: Iterable[str]) -> None:
 
 
 def material_of(stated: dict[str, Any], part_names: Sequence[str]) -> SoftMaterial:
-    """Material of an organ of these parts; refusals as of `made_of`."""
+    """Return the material of an organ of these parts; raises as `made_of`."""
     require_known(stated)
     of_material = {field.name for field in fields(SoftMaterial)}
     material = SoftMaterial(

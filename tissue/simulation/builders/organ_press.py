@@ -1,6 +1,4 @@
-"""A press as a caller states it: a place near the surface, a depth, and a direction into the
-organ.
-"""
+"""Press stated by a caller: a point near the surface, a depth, and a direction."""
 
 from dataclasses import dataclass
 
@@ -19,37 +17,39 @@ from tissue.motion.motion import frame_along
 __all__ = ["StatedPress", "press_at"]
 
 FAR = 0.1
-"""Distance of a place from the surface above which it is refused, over the organ's longest side."""
+"""Largest accepted distance of a point from the surface, over the organ's longest side."""
 NEAR_M = 1e-4
-"""Distance below which a place counts as on the surface [m]."""
+"""Distance below which a point counts as on the surface [m]."""
 TOOL_EDGES = 4.0
-"""Edges across a tool with which scenes press."""
+"""Number of edges across a tool in scenes."""
 FALLS = 0.05
-"""Share of the force by which it may fall with depth, for single steps of the contact."""
+"""Share by which the force may fall with depth, to allow for single steps of the contact."""
 LONG = 1.25
-"""Edges over these that are noted: a press is 4 % off where they are twice as long, 0.1 % where
-they are not longer.
+"""Ratio of edge length to wanted length above which the edges are noted.
+
+The error of a press is 4 % where edges are twice as long as wanted, and 0.1 % where they are not
+longer.
 """
 WORDS = {
     "point_m": "at_mm",
     "motion": "at_mm",
     "touch_edge_m": "edges of the mesh",
 }
-"""What the press calls things, and what the caller does."""
+"""Names of the caller's arguments, by the names that the press uses."""
 
 
 @dataclass(frozen=True, eq=False)
 class StatedPress:
-    """A press and what it was taken to be.
+    """Press with the surface point and direction that were used.
 
     Attributes
     ----------
     curve
-        Force over depth and the organ at the end.
+        Force over depth, and the organ at the end.
     point_m, along
-        Point of the surface [m] and the direction that the tool came along, shapes (3,).
+        Point of the surface [m] and direction of the tool's motion, shape (3,) each.
     notes
-        What was found and assumed, by what it is about.
+        Notes on findings and assumptions, by subject.
     """
 
     curve: PressCurve
@@ -69,24 +69,24 @@ def press_at(
     hold_s: float,
     report: Progress = silent,
 ) -> StatedPress:
-    """Press a tool on the surface's point nearest to a place [m].
+    """Press a tool on the surface point nearest to a given point [m].
 
     Parameters
     ----------
     organ, probe
         The organ, and the tool.
     at_m
-        The place [m], shape (3,).
+        The given point [m], shape (3,).
     along
-        Direction that the tool comes along, shape (3,); None: into the organ, against the mean
-        normal under the tool.
+        Direction of the tool's motion, shape (3,). None is into the organ, against the mean normal
+        under the tool.
     depth_m, speed_m_s, hold_s, report
         As for `tissue.models.organ.press.press`.
 
     Raises
     ------
     InputError
-        If the place is far from the surface, the direction leads out of the organ, or the tool has
+        If the point is far from the surface, the direction leads out of the organ, or the tool has
         no free path.
     """
     size = float(np.ptp(organ.mesh.nodes_m, axis=0).max())
@@ -125,8 +125,9 @@ def press_at(
 
 
 def _require_growing(curve: PressCurve, *, relaxes: bool) -> None:
-    """Refuse a press whose force falls with depth: the surface has gone round the tool, which
-    the linear law cannot.
+    """Refuse a press whose force falls with depth.
+
+    The surface has then wrapped around the tool, which the linear law does not model.
     """
     size = np.linalg.norm(curve.force_N, axis=1)
     falls = np.flatnonzero(size < (1.0 - FALLS) * np.maximum.accumulate(size))
@@ -149,7 +150,7 @@ def _require_growing(curve: PressCurve, *, relaxes: bool) -> None:
 def _resolution(
     organ: SoftOrgan, probe: ProbeShape, point_m: NDArray[np.float64]
 ) -> dict[str, str]:
-    """A note where edges under the tool are long for it."""
+    """Return a note if the edges under the tool are too long for it."""
     corners = organ.mesh.nodes_m[organ.mesh.surface]
     near = np.linalg.norm(corners.mean(axis=1) - point_m, axis=1)
     radius = probe.size_m[0]
@@ -166,7 +167,7 @@ def _resolution(
 
 
 def _linear(probe: ProbeShape, depth_m: float) -> dict[str, str]:
-    """How deep the linear law holds, which is known of balls."""
+    """Return a note on the depth to which the linear law holds; it is known only for balls."""
     if not isinstance(probe, SphereProbe):
         return {"linear": "from which depth the linear law is off is known of balls alone"}
     limits = [(1e3 * share * probe.radius_m, error) for share, error in LINEAR_ERROR]

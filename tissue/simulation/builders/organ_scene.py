@@ -1,4 +1,4 @@
-"""Build what a probe presses or a needle pierces: soft organs, and a stiff wall."""
+"""Build the tissue that a probe presses or a needle pierces: soft organs and a stiff wall."""
 
 from functools import partial
 from math import inf
@@ -31,17 +31,19 @@ if TYPE_CHECKING:
 __all__ = ["pierced", "pressed", "wall"]
 
 KEPT = 0.01
-"""Edges of the mesh by which a corner of the path that is left out may lie beside it: a log has
-one each tick.
+"""Largest distance of an omitted path corner from the remaining path, in edges of the mesh.
+
+A log has one corner each tick.
 """
 HAND_M = 0.01
-"""How far from the planned track a hand's entry is still shown on it [m]: an eighth of its
-block.
+"""Largest distance of a hand's entry from the planned track at which it is drawn there [m].
+
+It is an eighth of the track's block.
 """
 
 
 _meshes: Kept[HeldMesh] = Kept(2)
-"""Of procedural organs, by their parameters and the tool's path."""
+"""Meshes of procedural organs, by their parameters and the tool's path."""
 
 
 def pierced(
@@ -53,7 +55,7 @@ def pierced(
     cores: int | None,
     report: Progress,
 ) -> Parts:
-    """Parts of a scene in which a needle meets layers of tissue.
+    """Return the parts of a scene in which a needle meets layers of tissue.
 
     Raises
     ------
@@ -100,7 +102,7 @@ def pressed(
     cores: int | None,
     report: Progress,
 ) -> Parts:
-    """Parts of a scene in which a probe presses a meshed organ.
+    """Return the parts of a scene in which a probe presses a meshed organ.
 
     Raises
     ------
@@ -187,16 +189,14 @@ def wall(
     cores: int | None,
     report: Progress,
 ) -> Parts:
-    """Parts of a scene in which a ball is pushed against a wall."""
+    """Return the parts of a scene in which a ball is pushed against a wall."""
     assert isinstance(scene.anatomy, WallAnatomy) and isinstance(scene.tool, Probe)
     radius_m = 0.5e-3 * scene.tool.size_mm
     return Parts(motion, WallModel(1e3 * scene.anatomy.stiffness_kN_m, radius_m=radius_m))
 
 
 def _capsule_of(organ: Organ, notes: dict[str, str], constants: Materials) -> "Membrane | None":
-    """The capsule of the organ's material, where the scene asks for one; it is added to the
-    notes.
-    """
+    """Return the capsule of the organ's material and add a note, if the scene requests one."""
     if not organ.capsule:
         return None
     from tissue.models.organ.soft_organ import Membrane
@@ -212,9 +212,7 @@ def _capsule_of(organ: Organ, notes: dict[str, str], constants: Materials) -> "M
 
 
 def _density_of(organ: Organ, constants: Materials) -> float | None:
-    """The density of the organ's material [kg/m3]; None where it does not hang in its own
-    weight.
-    """
+    """Return the density of the organ's material [kg/m3]; None without gravity."""
     return (
         constants.constants("soft", organ.material)["density_kg_m3"].value
         if organ.gravity
@@ -223,7 +221,7 @@ def _density_of(organ: Organ, constants: Materials) -> float | None:
 
 
 def _prony_of(organ: Organ, notes: dict[str, str], constants: Materials) -> "Prony | None":
-    """The relaxation of the organ's material, where the scene asks for it.
+    """Return the relaxation of the organ's material, if the scene requests it.
 
     Raises
     ------

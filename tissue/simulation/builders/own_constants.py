@@ -1,5 +1,6 @@
-"""What a scene's own file of constants does in it: every entry must have an effect, or be named
-in the run's notes.
+"""Effects of a scene's own file of constants.
+
+Every entry must have an effect, or is named in the run's notes.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,18 +20,19 @@ from tissue.scene.used_constants import Used, used_constants
 __all__ = ["given_note", "note_own_constants", "soft_constants"]
 
 LAYERS = (*GLENOID_LAYERS, *VERTEBRA_LAYERS, *TOOTH_LAYERS)
-"""Layers of anatomies that are built in; a file may hold constants of one that a scene does not
-have.
+"""Layers of the built-in anatomies.
+
+A file may hold constants of a layer that a scene does not have.
 """
 
 
 def note_own_constants(scene: Scene, layers: Sequence[str], notes: dict[str, str]) -> None:
-    """Note which constants a scene takes from its file, and which of the file it does not use.
+    """Note which constants of its file a scene uses, and which it does not use.
 
     Raises
     ------
     InputError
-        If none has an effect, the scene states one of them itself, or a layer is none.
+        If no constant has an effect, the scene itself states one of them, or a layer is unknown.
     """
     notes |= given_note(scene.constants, used_constants(scene, layers), layers=layers, by="scene")
 
@@ -38,13 +40,14 @@ def note_own_constants(scene: Scene, layers: Sequence[str], notes: dict[str, str
 def given_note(
     given: Materials, rests_on: Sequence[Used], *, layers: Sequence[str], by: str
 ) -> dict[str, str]:
-    """The note ``materials`` of what `by` names, which rests on these constants; none where all are
-    cited.
+    """Return the note ``materials`` on the given constants that `by` uses.
+
+    The note is empty where all constants are cited.
 
     Raises
     ------
     InputError
-        As of `note_own_constants`.
+        As for `note_own_constants`.
     """
     if not given.given:
         return {}
@@ -95,13 +98,14 @@ def soft_constants(
     material: str,
     stated: Mapping[str, float | None],
 ) -> tuple[dict[str, float], dict[str, str]]:
-    """Constants of an organ's material by the names of `stated`, what is stated first, and the note
-    on their file.
+    """Return constants of an organ's material by name, and the note on their file.
+
+    The names are the keys of `stated`; a stated value takes precedence.
 
     Raises
     ------
     InputError
-        As of `note_own_constants`.
+        As for `note_own_constants`.
     """
     given = Materials.of(materials)
     known = given.constants("soft", material)

@@ -1,4 +1,4 @@
-"""What a run is made of."""
+"""Parts of a run: motion, tissue, cutter, voxels and notes."""
 
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -16,29 +16,28 @@ from tissue.scene.scene import Scene
 __all__ = ["FILE_WORDS", "Parts", "TissueBuilder"]
 
 FILE_WORDS = ("file", "surface", "vertices", "faces", "triangles", "cells", "nodes", "labels")
-"""What functions that read a file of anatomy or of a tool call it or what it holds."""
+"""Argument names of the functions that read files of anatomy or tools."""
 
 
 @dataclass
 class Parts:
-    """What a run is made of.
+    """Parts of a run.
 
     Attributes
     ----------
     motion, tissue
-        What moves the tool, and what it meets.
+        Motion of the tool, and the tissue that it meets.
     cutter, volume
-        The cutter and the voxels it mills; None where the tool does not cut.
+        The cutter and the voxels that it cuts; None where the tool does not cut.
     placement
-        Where the scene's frame lies in that of the file that the anatomy came from; None where it
-        came from none.
+        Pose of the scene's frame in the frame of the anatomy's file; None without a file.
     notes
-        What was assumed or found, by what it is about.
+        Notes on assumptions and findings, by subject.
     events
-        What the run reports from its start on: time [s] and a sentence each.
+        Events reported from the start of the run: time [s] and a sentence each.
     keep_clear
         Measures the tool's distance from structures that it must not touch; None where the scene
-        names none.
+        names no structure.
     """
 
     motion: Motion
@@ -57,12 +56,12 @@ class Parts:
 
     @property
     def placement_record(self) -> dict[str, dict[str, list[float]]]:
-        """The placement as an entry of a run's summary; nothing where there is none."""
+        """Placement as an entry of a run's summary; empty without a placement."""
         return {} if self.placement is None else {"placement": self.placement.to_record()}
 
 
 class TissueBuilder(Protocol):
-    """Makes the parts of a run from a scene whose anatomy is of one kind."""
+    """Function that makes the parts of a run from a scene with one kind of anatomy."""
 
     def __call__(
         self,
@@ -74,7 +73,8 @@ class TissueBuilder(Protocol):
         cores: int | None,
         report: Progress,
     ) -> Parts:
-        """Parts of a scene in which a motion moves the tool, ticks of `step_s` [s] long,
-        computed on a device.
+        """Return the parts of a scene in which a motion moves the tool.
+
+        Ticks are `step_s` [s] long; `compute` names the device that computes.
         """
         ...

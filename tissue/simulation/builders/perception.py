@@ -1,4 +1,4 @@
-"""The perception that a scene names."""
+"""Perception that a scene names."""
 
 from math import inf
 from pathlib import Path
@@ -22,8 +22,9 @@ from tissue.scene.registry import PERCEPTIONS
 __all__ = ["CAUTION", "of_observer", "of_population", "perception", "perception_for"]
 
 CAUTION = 0.1
-"""Quantile of what is known of the threshold that bounds the deadband: nine in ten have a
-greater one.
+"""Quantile of the threshold's distribution that bounds the deadband.
+
+Nine in ten observers have a larger threshold.
 """
 
 
@@ -35,21 +36,22 @@ def perception(
     tick_s: float,
     friction_N: float = inf,
 ) -> Perception | None:
-    """Perception by its name in `PERCEPTIONS`; None for ``none``.
+    """Return a perception by its name in `PERCEPTIONS`; None for ``none``.
 
     Parameters
     ----------
     choice
         The name.
     rng
-        Random generator of the noise in the observer's sense.
+        Random generator of the observer's sensory noise.
     force_limit_N
-        Greatest force of the device [N].
+        Largest force of the device [N].
     tick_s
         Time between two steps [s].
     friction_N
-        Coulomb friction of the device [N]. The deadband is no wider, so that at every instant
-        friction takes what the held force gives; infinite where the threshold alone shall bound it.
+        Coulomb friction of the device [N]. The deadband is no wider than this, so at every instant
+        friction dissipates the energy that the held force supplies. Use infinity to bound the
+        deadband by the threshold alone.
 
     Raises
     ------
@@ -73,7 +75,7 @@ def of_population(
     tick_s: float,
     friction_N: float,
 ) -> PerceivedForce:
-    """Perception of an observer of whom no more is known than that it is one of the population."""
+    """Return the perception of an unknown observer from the population."""
     return perception_for(
         population_observer(),
         rng=rng,
@@ -91,7 +93,7 @@ def of_observer(
     tick_s: float,
     friction_N: float,
 ) -> PerceivedForce:
-    """Perception of the observer in a file, as `tissue calibrate` writes it."""
+    """Return the perception of the observer in a file written by `tissue calibrate`."""
     return perception_for(
         read_observer(Path(argument)),
         rng=rng,
@@ -109,7 +111,7 @@ def perception_for(
     tick_s: float,
     friction_N: float = inf,
 ) -> PerceivedForce:
-    """Perception of an observer on a device; see `perception`."""
+    """Return the perception of an observer on a device; see `perception`."""
     device = ForceRange(limit_N=force_limit_N)
     knee_N = device.knee_share * device.limit_N
     reference = reference_observer()

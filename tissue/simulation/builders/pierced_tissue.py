@@ -1,4 +1,4 @@
-"""What a scene's needle meets, from the constants of the scene."""
+"""Tissue that a scene's needle pierces, from the constants of the scene."""
 
 from typing import TYPE_CHECKING
 
@@ -13,7 +13,7 @@ __all__ = ["pierced_tissue"]
 
 
 def pierced_tissue(scene: Scene) -> "NeedleTissue":
-    """The organ as a scene's needle feels it; a needle from outside states its own numbers."""
+    """Return the tissue of a scene's needle; a registered needle states its own values."""
     from tissue.models.needle.parameters import needle_tissue, vessel_wall
 
     anatomy = scene.anatomy

@@ -1,4 +1,4 @@
-"""A predictor by its name."""
+"""Predictors by name."""
 
 from collections.abc import Callable
 from functools import cache
@@ -28,27 +28,29 @@ __all__ = [
 ]
 
 FALLBACKS = ("hold", "linear", "kalman", "dmdc", "look-ahead")
-"""Predictors without a lifted operator, of which training chooses what a lifted one hands over
-to.
+"""Predictors without a lifted operator.
+
+Training chooses the fallback of a lifted predictor among them.
 """
 
 
 def maker_of(
     kind: str, *, scene_name: str, file: str, force_limit_N: float
 ) -> Callable[[], Predictor]:
-    """Return what makes new predictors for a scene's device; a trained one is read once, by the
-    first.
+    """Return a function that makes new predictors for a scene's device.
+
+    A trained predictor is read from its file once, by the first call.
 
     Parameters
     ----------
     kind
         One of `PREDICTORS`.
     scene_name
-        Name of the scene, which the file must be of.
+        Name of the scene, for which the file must be trained.
     file
-        What `tissue train` has written; empty for the scene's own.
+        File written by `tissue train`; empty for the file shipped for the scene.
     force_limit_N
-        Largest force of the device: no predictor goes further than this from the present force.
+        Largest force of the device. No prediction differs from the present force by more than this.
 
     Raises
     ------
@@ -66,12 +68,12 @@ def maker_of(
 
 
 def trained_predictor(kind: str, trained: Trained | None, *, force_limit_N: float) -> Predictor:
-    """A predictor by its name in `PREDICTORS`, guarded, with what was trained for it.
+    """Return a guarded predictor by its name in `PREDICTORS`, with its trained parameters.
 
     Raises
     ------
     InputError
-        If there is none of that kind, or nothing was trained for one that needs it.
+        If there is no predictor of that kind, or it needs training and `trained` is None.
     """
     entry = PREDICTORS[kind]
     if entry.trained and trained is None:
@@ -83,51 +85,52 @@ def trained_predictor(kind: str, trained: Trained | None, *, force_limit_N: floa
 
 
 def hold(trained: Trained | None, force_limit_N: float) -> Predictor:
-    """The last force stays."""
+    """Return a predictor that holds the last force."""
     return Hold()
 
 
 def linear(trained: Trained | None, force_limit_N: float) -> Predictor:
-    """The force goes on along its line."""
+    """Return a predictor that extrapolates the force linearly."""
     return Guarded(Linear(), Hold(), reach_N=force_limit_N)
 
 
 def kalman(trained: Trained | None, force_limit_N: float) -> Predictor:
-    """The force goes on as a Kalman filter estimates it."""
+    """Return a predictor that extrapolates the force with a Kalman filter."""
     return Guarded(Kalman(), Hold(), reach_N=force_limit_N)
 
 
 def dmdc(trained: Trained | None, force_limit_N: float) -> Predictor:
-    """Linear dynamic mode decomposition with control."""
+    """Return a predictor by linear dynamic mode decomposition with control."""
     assert trained is not None
     return Guarded(LinearControl(trained.control), Hold(), reach_N=force_limit_N)
 
 
 def look_ahead(trained: Trained | None, force_limit_N: float) -> Predictor:
-    """The tissue's own law at the end of a filtered path."""
+    """Return a predictor that evaluates the tissue's own law at the end of a filtered path."""
     return Guarded(LookAhead(FilteredPath()), Hold(), reach_N=force_limit_N)
 
 
 def koopman(trained: Trained | None, force_limit_N: float) -> Predictor:
-    """The lifted predictor, which hands over to the best one without an operator."""
+    """Return the lifted predictor; its fallback is the best predictor without an operator."""
     assert trained is not None
     return _with_fallback("koopman", Koopman(_path(trained)), trained, force_limit_N)
 
 
 def koopman_look_ahead(trained: Trained | None, force_limit_N: float) -> Predictor:
-    """The tissue's own law at the end of the path that the lifted operator foresees."""
+    """Return a predictor by the tissue's own law at the end of the lifted operator's path."""
     assert trained is not None
     return _with_fallback("koopman-look-ahead", LookAhead(_path(trained)), trained, force_limit_N)
 
 
 def _path(trained: Trained) -> OperatorPath:
-    """The operator's path, with the range of its training."""
+    """Return the operator's path, with the range of its training."""
     return OperatorPath(trained.operator, growth=trained.growth)
 
 
 def _with_fallback(kind: str, lifted: Judged, trained: Trained, force_limit_N: float) -> Predictor:
-    """A lifted predictor, and what is asked where it is not trusted; throughout, if validation
-    found it no gain.
+    """Return a lifted predictor guarded by its fallback.
+
+    The fallback is used throughout if validation found no gain by the lifted predictor.
     """
     fallback = trained_predictor(trained.fallback, trained, force_limit_N=force_limit_N)
     return fallback if trained.loses(kind) else Guarded(lifted, fallback, reach_N=force_limit_N)

@@ -1,4 +1,4 @@
-"""The probe that a scene's tool describes, and where it goes along its motion."""
+"""Probe that a scene's tool describes, and its poses along the motion."""
 
 from pathlib import Path
 
@@ -25,22 +25,22 @@ __all__ = [
 ]
 
 POSES_TRIED = 200
-"""Poses along a motion at which the organ is looked for."""
+"""Number of poses along a motion at which contact with the organ is searched for."""
 
 
 def sphere(tool: Probe) -> SphereProbe:
-    """A ball."""
+    """Return a ball."""
     return SphereProbe(0.5e-3 * tool.size_mm)
 
 
 def cylinder(tool: Probe) -> CylinderProbe:
-    """The flat end of a cylinder, its edge rounded."""
+    """Return the flat end of a cylinder with a rounded edge."""
     radius = 0.5e-3 * tool.size_mm
     return CylinderProbe(radius, min(0.1 * radius, 5e-4))
 
 
 def shell(tool: Probe) -> ShellProbe:
-    """A closed surface from a file.
+    """Read a closed surface from a file.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def shell(tool: Probe) -> ShellProbe:
 
 
 def shell_note(tool: Probe, probe: ShellProbe) -> str:
-    """The unit in which a probe's file was taken, and the size that gives."""
+    """Return a note on the unit assumed for a probe's file, and the resulting size."""
     sides = " x ".join(f"{1e3 * side:.3g}" for side in np.ptp(probe.points_m, axis=0))
     return f"{Path(tool.file_name).name} taken at {tool.scale:g} mm per unit: {sides} mm"
 
@@ -84,16 +84,17 @@ def probe_of(tool: Probe) -> ProbeShape:
 def poses_along(
     motion: Motion, within_m: float = 0.0
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Poses along a motion at which the organ is looked for: tips [m], shape (p, 3), and turns,
-    shape (p, 3, 3).
+    """Return poses along a motion at which contact with the organ is searched for.
+
+    They are tips [m], shape (p, 3), and turns, shape (p, 3, 3).
 
     Parameters
     ----------
     motion
-        Where the tool goes.
+        Motion of the tool.
     within_m
-        How far a corner of its track that is left out may lie from the rest [m]; a log has one each
-        tick.
+        Largest distance of an omitted corner of the track from the remaining track [m]. A log has
+        one corner each tick.
     """
     corners = motion.sweep_m()
     turns = motion.rotations()
@@ -106,8 +107,9 @@ def poses_along(
 
 
 def require_outside(mesh: TetMesh, motion: Motion) -> None:
-    """Refuse a tool whose tip starts inside the organ; a probe that only overlaps it is refused
-    by the contact.
+    """Refuse a tool whose tip starts inside the organ.
+
+    The contact refuses a probe that only overlaps the organ.
     """
     tip = motion.sweep_m()[0]
     corners = mesh.nodes_m[mesh.cells]

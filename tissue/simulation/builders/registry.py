@@ -1,4 +1,4 @@
-"""Build what a scene names: its motion and its tissue, by the tables of `tissue.scene.registry`."""
+"""Build a scene's motion and tissue by the tables of `tissue.scene.registry`."""
 
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress
@@ -45,7 +45,7 @@ def build(
 
 
 def builder_of(kind: str) -> TissueBuilder:
-    """Return what builds the parts of a run in a tissue, by the kind of its anatomy."""
+    """Return the function that builds the parts of a run, by the kind of its anatomy."""
     from tissue.simulation.builders import cutting, organ_scene
 
     outside: TissueBuilder | None = ANATOMIES[kind].build
@@ -60,7 +60,7 @@ def builder_of(kind: str) -> TissueBuilder:
 
 
 def _require_device(compute: str) -> None:
-    """Refuse a device that is not there; the processor always is."""
+    """Refuse a compute device that does not exist; the processor always exists."""
     if compute == "cpu":
         return
     import warp as wp

@@ -15,14 +15,15 @@ from tissue.motion.replay import RECORDINGS
 __all__ = ["w_first_notice"]
 
 MUCH_MORE = 2.0
-"""Ratio of the volumes inside the bone from which the other order of the quaternion is named."""
+"""Ratio of the volumes inside the bone above which the other quaternion order is suggested."""
 
 
 def w_first_notice(volume: VoxelVolume, cutter: Cutter, motion: Motion, file: str) -> str | None:
-    """Return a sentence if the tool starts inside the bone and would hardly do so with w as the
-    first column.
+    """Return a sentence if the start pose suggests that w is the first column; else None.
 
-    A quaternion has unit length in either order, so only the place of the tool shows the order.
+    The tool then starts inside the bone, and would hardly do so with the other order.
+
+    A quaternion has unit length in either order, so only the position of the tool shows the order.
 
     Parameters
     ----------

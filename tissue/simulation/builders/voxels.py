@@ -1,6 +1,4 @@
-"""The voxels that a tool can reach of the bone that a scene asks for, and whether it meets them
-on its path.
-"""
+"""Voxels of a scene's bone that a tool can reach, and checks of its path through them."""
 
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
@@ -60,26 +58,29 @@ __all__ = [
 ]
 
 POSES_TRIED = 300
-"""Poses along a motion at which contact is looked for."""
+"""Number of poses along a motion at which contact is searched for."""
 DENSE_BYTES_PER_VOXEL = 18
-"""Peak memory of a voxel of the region while bricks are made and results written, measured on
-the glenoid.
+"""Peak memory per voxel of the region [bytes], measured on the glenoid.
+
+It is reached while bricks are made and results written.
 """
 BRICK = 8
-"""The region is cut at whole bricks of the world's lattice, so that a voxel lies at the same place
-in any region; where a tool only grazes voxels, float32 coordinates from another origin still decide
-otherwise in single ticks.
+"""Edge of a brick [voxels].
+
+The region is cut at whole bricks of the world's lattice, so a voxel lies at the same position in
+any region. Where a tool only grazes voxels, float32 coordinates from another origin can still
+change the result in single ticks.
 """
 
 
 MOST_KEPT = 1e7
-"""Voxels above which a volume is made anew for each run rather than kept: 60 MB."""
+"""Number of voxels above which a volume is made anew for each run rather than kept: 60 MB."""
 _volumes: Kept[VoxelVolume] = Kept(2)
-"""Of procedural bone, which follows from its parameters, by them, the region and the guide hole."""
+"""Volumes of procedural bone, by its parameters, the region and the guide hole."""
 
 
 def whole_tooth(scene: Scene, *, spacing_m: float, report: Progress = silent) -> VoxelVolume:
-    """The whole tooth that a scene describes, in coarser voxels, undrilled."""
+    """Return the whole tooth that a scene describes, in coarser voxels and undrilled."""
     parameters = scene.bone
     with _named(parameters):
         if isinstance(parameters, MolarLabels):
@@ -90,7 +91,7 @@ def whole_tooth(scene: Scene, *, spacing_m: float, report: Progress = silent) ->
 def volume_of(
     scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, str], report: Progress
 ) -> VoxelVolume:
-    """Voxels of the bone that the tool can reach, with the guide hole drilled."""
+    """Return voxels of the bone that the tool can reach, with the guide hole drilled."""
     spacing = scene.voxels.spacing_mm * 1e-3
     parameters = scene.bone
     region = reach(cutter, motion, scene.voxels.margin_mm * 1e-3)
@@ -133,20 +134,22 @@ def volume_of(
 
 
 def is_procedural(parameters: CutAnatomy) -> bool:
-    """Whether an anatomy comes from no file, and is known as a function of position."""
+    """Return whether an anatomy is procedural: a function of position, not from a file."""
     return type(parameters) in PROCEDURAL
 
 
 def structures(scene: Scene) -> Mapping[str, sdf.Shape]:
-    """Structures of a scene's anatomy that a tool may be kept clear of, by name; none of one
-    from files.
+    """Return structures of a scene's anatomy to keep a tool clear of, by name.
+
+    An anatomy from files has no such structures.
     """
     return _anatomy(scene.bone, {}).structures if is_procedural(scene.bone) else {}
 
 
 def solid_of(scene: Scene, motion: Motion) -> tuple[Anatomy, sdf.Shape | None]:
-    """The anatomy that a scene cuts, and the guide hole drilled out of it before the run, as
-    functions of position.
+    """Return the anatomy that a scene cuts, and its guide hole, as functions of position.
+
+    The guide hole is drilled before the run.
 
     Raises
     ------
@@ -170,9 +173,9 @@ PROCEDURAL: dict[type[CutAnatomy], Callable[..., Anatomy]] = {
     VertebraAnatomy: lumbar_vertebra,
     BlockAnatomy: cortical_block,
 }
-"""What makes an anatomy of the keys of its table."""
+"""Functions that make an anatomy from the keys of its table."""
 NO_SHAPE = {"kind", "guide_hole_diameter_mm", "guide_hole_depth_mm"}
-"""Keys of an anatomy that do not shape it."""
+"""Keys of an anatomy that do not affect its shape."""
 
 
 def _anatomy(parameters: CutAnatomy, notes: dict[str, str]) -> Anatomy:
@@ -193,8 +196,9 @@ def _anatomy(parameters: CutAnatomy, notes: dict[str, str]) -> Anatomy:
 
 
 def _named(parameters: CutAnatomy) -> AbstractContextManager[None]:
-    """Let a refusal name the scene's key: geometry knows its arguments, not where a scene gives
-    them.
+    """Make a refusal name the scene's key.
+
+    Geometry functions know their arguments, not the key in which a scene gives them.
     """
     keys = {name: f"anatomy.{name}" for name in type(parameters).model_fields}
     names = dict.fromkeys(FILE_WORDS, "anatomy.file") | keys
@@ -209,12 +213,15 @@ def _named(parameters: CutAnatomy) -> AbstractContextManager[None]:
 
 
 def reach(cutter: Cutter, motion: Motion, margin: float) -> Corners:
-    """Box around all that the cutting surface can reach, and a margin [m]."""
+    """Return a box around everything that the cutting surface can reach, with a margin [m]."""
     return swept_box(cutter.shell(spacing_m=cutter.profile.radius_m / 8.0).points_m, motion, margin)
 
 
 def swept_box(shell: NDArray[np.float64], motion: Motion, margin: float) -> Corners:
-    """Box around all that points of the tool [m], shape (n, 3), can reach, and a margin [m]."""
+    """Return a box around the reach of the tool's points, with a margin [m].
+
+    The points [m] have shape (n, 3).
+    """
     tips = motion.sweep_m()
     rotations = motion.rotations()
     starts = np.arange(0, len(tips), max(len(tips) // 500, 1))
@@ -272,7 +279,7 @@ def require_outside(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None
 
 
 def require_whole(anatomy: Anatomy, region: Corners, *, is_image: bool) -> None:
-    """Refuse bone that the edge of its scan cuts off where the tool goes."""
+    """Refuse bone that is cut off by the edge of its scan within the tool's reach."""
     how = "with a hole"
     remedy = "close it in a mesh editor"
     if is_image:
@@ -297,7 +304,10 @@ def require_whole(anatomy: Anatomy, region: Corners, *, is_image: bool) -> None:
 
 
 def _on_one_side(points: NDArray[np.float64], region: Corners) -> bool:
-    """Whether a box lies all on one side of a cap, whose own box is wide where a cut is oblique."""
+    """Return whether a box lies completely on one side of a cap.
+
+    The box of a cap itself is too wide where the cut is oblique.
+    """
     normal = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][-1]
     corners = np.array(np.meshgrid(*np.array(region).T)).reshape(3, -1).T
     cap = points @ normal
@@ -306,8 +316,9 @@ def _on_one_side(points: NDArray[np.float64], region: Corners) -> bool:
 
 
 def _guide_hole(scene: Scene, motion: Motion) -> sdf.Shape | None:
-    """The hole that guides the peg: along the tool's first axis, from above the face to its
-    depth.
+    """Return the hole that guides the peg; None without one.
+
+    It runs along the tool's first axis, from above the face to its depth.
     """
     diameter, depth = (1e-3 * size for size in scene.bone.guide_hole_mm)
     if diameter == 0.0 or depth == 0.0:
@@ -319,8 +330,9 @@ def _guide_hole(scene: Scene, motion: Motion) -> sdf.Shape | None:
 
 
 def _covered(region: Corners, bone: Corners, spacing: float) -> Corners:
-    """Box of whole bricks [m] around the part of the bone, and of the air next to it, that lies
-    in a region.
+    """Return a box of whole bricks [m] around the bone in a region.
+
+    It includes the air next to the bone.
     """
     brick = BRICK * spacing
     around = AROUND_VOXELS * spacing
@@ -330,7 +342,7 @@ def _covered(region: Corners, bone: Corners, spacing: float) -> Corners:
 
 
 def _require_memory(region: Corners, bone: Corners, spacing: float) -> None:
-    """Refuse a grid that would not fit the memory that is free now."""
+    """Refuse a grid that does not fit in the memory that is free now."""
     import psutil
 
     def needed(size: float) -> float:

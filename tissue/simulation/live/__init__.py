@@ -1,1 +1,1 @@
-"""A run against the wall clock."""
+"""Live runs in real time."""

@@ -1,6 +1,4 @@
-"""Ticks against the wall clock: when each tick is due, how late it began, and the priority of
-its thread.
-"""
+"""Real-time pacing of ticks: due times, lateness, and the priority of their thread."""
 
 from collections.abc import Callable
 from time import perf_counter, sleep
@@ -16,33 +14,37 @@ from tissue.system.tick_priority import TickPriority
 __all__ = ["BEHIND_S", "LOOK_TICKS", "Paced", "Prioritised", "WallClock"]
 
 LOOK_TICKS = 200
-"""Ticks between two looks at the load of the ticks and at the processes of a live run."""
+"""Ticks between two checks of the ticks' load and of a live run's processes."""
 FULL = 0.9
-"""Share of the time that ticks may take at a raised priority. Linux stops a real-time thread that
-takes 95 % of a second for the rest of it."""
+"""Largest share of the time that ticks may take at a raised priority.
+
+Linux stops a real-time thread that takes 95 % of a second for the rest of that second.
+"""
 BEHIND = (
     "the ticks were {:.3g} s behind the wall clock in all, which skipped it: the device was "
     "played later than that"
 )
 
 BEHIND_S = 0.01
-"""How late a tick may begin before what is lost is given up [s]: ten ticks can be made up
-without being felt.
+"""Largest lateness of a tick before the lost time is given up [s].
+
+Ten ticks can be caught up without being felt.
 """
 SPIN_S = 1.5e-4
-"""How long before a tick is due sleeping ends and looking at the clock begins [s]: a sleep ends
-up to 0.1 ms late.
+"""Time before a tick is due at which sleeping ends and polling the clock begins [s].
+
+A sleep ends up to 0.1 ms late.
 """
 
 
 class WallClock:
-    """The wall clock as a run follows it.
+    """Wall clock that paces a run.
 
-    Tick i is due i ticks after the start, whatever the ticks before it took, so that nothing
-    drifts. A tick that comes too late is made at once, and those after it until the run is on time
-    again. A run that is more than ``behind_s`` late gives up what it has lost: its schedule is
-    moved by the lateness, which is counted. Simulated time is so never stretched and no tick is
-    left out; what was skipped on the wall is known to the microsecond.
+    Tick i is due i ticks after the start, whatever time the ticks before it took, so nothing
+    drifts. A late tick runs at once, and so do the ticks after it until the run is on time again. A
+    run that is more than ``behind_s`` late gives up the lost time: its schedule moves by the
+    lateness, which is counted. Simulated time is therefore never stretched, and no tick is left
+    out. The time skipped on the wall clock is known to the microsecond.
 
     Parameters
     ----------
@@ -56,9 +58,9 @@ class WallClock:
     Attributes
     ----------
     late_s
-        How late the present tick began [s].
+        Lateness at the beginning of the present tick [s].
     skipped_s
-        What its lateness moved the schedule by [s], 0 for most ticks.
+        Time by which its lateness moved the schedule [s], 0 for most ticks.
     """
 
     def __init__(
@@ -94,13 +96,13 @@ class WallClock:
             self.skipped_s = self.late_s
 
     def hold(self, seconds: float) -> None:
-        """Move the schedule by a pause of the run, which is no lateness."""
+        """Move the schedule by a pause of the run, which does not count as lateness."""
         if self._start is not None:
             self._start += seconds
 
 
 class Paced(RunObserver):
-    """Starts each tick when it is due, for a run that a real device moves."""
+    """Observer that starts each tick when it is due, for a run moved by a real device."""
 
     def __init__(self, clock: WallClock | None = None) -> None:
         self._clock = clock or WallClock(TICK_S)
@@ -112,20 +114,20 @@ class Paced(RunObserver):
         self._skipped_s += self._clock.skipped_s
 
     def on_end(self) -> list[tuple[float, str]]:
-        """Return by how much the wall clock was missed."""
+        """Return an event with the time by which the wall clock was missed."""
         return [(0.0, BEHIND.format(self._skipped_s))] if self._skipped_s > 0.0 else []
 
 
 class Prioritised(RunObserver):
-    """Raises the priority of the thread of the ticks, and restores it at the end.
+    """Observer that raises the priority of the ticks' thread and restores it at the end.
 
-    It is restored earlier if the ticks would leave no time to others: the system would then stop
-    them for longer than ordinary priority delays them.
+    It is restored earlier if the ticks leave no time to other threads. The system would then stop
+    the ticks for longer than ordinary priority delays them.
 
     Attributes
     ----------
     note
-        Priority of the ticks, in words.
+        Priority of the ticks, as text.
     """
 
     def __init__(self, priority: TickPriority | None = None) -> None:
@@ -135,13 +137,13 @@ class Prioritised(RunObserver):
         self._restored: list[tuple[float, str]] = []
 
     def before_tick(self, index: int) -> None:
-        """Raise the priority before the first tick: the ticks may have a thread of their own."""
+        """Raise the priority before the first tick, since ticks may run in their own thread."""
         if index == 0:
             self._priority.begin()
             self.note = self._priority.granted
 
     def on_tick(self, index: int, row: NDArray[np.float64], times: NDArray[np.float64]) -> bool:
-        """Look at the load of the ticks now and then."""
+        """Check the load of the ticks at intervals."""
         self._busy_us += times[0]
         if index % LOOK_TICKS == LOOK_TICKS - 1:
             if self._busy_us > FULL * 1e6 * LOOK_TICKS * TICK_S and not self._restored:

@@ -1,5 +1,6 @@
-"""Processes that publish a live run: begun with it, watched by its ticks, ended with it; the one
-for ROS 2.
+"""Processes that publish a live run, and the process for ROS 2.
+
+A process begins with its run, is checked by the ticks and ends with the run.
 """
 
 from abc import ABC, abstractmethod
@@ -20,44 +21,46 @@ from tissue.simulation.observer import RunObserver
 __all__ = ["Publisher", "PublishingProcess", "Ros2Process", "Ros2Publisher", "require_ros2"]
 
 NO_CLOCK = (0.0, 0.0, 0.0, 0.0)
-"""Clock that is sent to ROS 2, which shows none."""
+"""Clock that is sent to ROS 2, which does not show it."""
 ROS2_PACKAGES = ("rclpy", "geometry_msgs")
 Array = NDArray[np.float64]
 Box = Callable[[Parts], tuple[Array, Array]]
-"""Gives the corners of the box about the path [m]."""
+"""Function that returns the corners of the box around the path [m]."""
 
 
 class PublishingProcess(WindowProcess, ABC):
-    """A process that is shown a run and publishes it."""
+    """Process that receives a run and publishes it."""
 
     @abstractmethod
     def note(self) -> str:
-        """Return what was published, in half a sentence."""
+        """Return text on what was published, as half a sentence."""
 
 
 Process = TypeVar("Process", bound=PublishingProcess)
 
 
 class Publisher(RunObserver, ABC, Generic[Process]):
-    """Publishes a live run; the ticks never wait for its process, and go on without it.
+    """Observer that publishes a live run.
+
+    The ticks never wait for its process, and continue if it ends.
 
     Parameters
     ----------
     scene
         Scene of the run.
     box
-        Gives the corners of the box about the path [m].
+        Returns the corners of the box around the path [m].
 
     Attributes
     ----------
     note
-        What was published, once the run has ended.
+        Text on what was published, once the run has ended.
     """
 
     what = ""
     """Name of the process in the event of its end."""
     ends_run = False
-    """Whether the run ends with its process."""
+    """True if the run ends with its process."""
 
     def __init__(self, scene: Scene, box: Box) -> None:
         self.note = ""
@@ -74,14 +77,14 @@ class Publisher(RunObserver, ABC, Generic[Process]):
 
     @abstractmethod
     def _show(self, process: Process, index: int, row: Array, times: Array) -> None:
-        """Show the process a tick."""
+        """Send a tick to the process."""
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
         """Begin to publish."""
         self._process = self._begun(parts, columns, *self._box(parts))
 
     def on_tick(self, index: int, row: Array, times: Array) -> bool:
-        """Publish the tick; return whether the run goes on."""
+        """Publish the tick; return whether the run continues."""
         if self._process is None:
             return True
         self._show(self._process, index, row, times)
@@ -106,7 +109,7 @@ class Publisher(RunObserver, ABC, Generic[Process]):
 
 
 class Ros2Process(PublishingProcess):
-    """Process that publishes a run on topics of ROS 2 by the names of CRTK, as the ticks see it."""
+    """Process that publishes a run on topics of ROS 2 by the names of CRTK."""
 
     module = "tissue.links.ros2"
     place = "must publish the run for ROS 2"
@@ -114,12 +117,12 @@ class Ros2Process(PublishingProcess):
     shows_tissue = False
 
     def note(self) -> str:
-        """Return what was published, in half a sentence."""
+        """Return text on what was published, as half a sentence."""
         return f"published {int(self.frames)} times as {self.address}"
 
 
 class Ros2Publisher(Publisher[Ros2Process]):
-    """Publishes a live run on topics of ROS 2."""
+    """Observer that publishes a live run on topics of ROS 2."""
 
     what = "publishing for ROS 2"
 
@@ -133,12 +136,12 @@ class Ros2Publisher(Publisher[Ros2Process]):
 
 
 def require_ros2() -> None:
-    """Check that the Python packages of ROS 2 are there.
+    """Check that the Python packages of ROS 2 are installed.
 
     Raises
     ------
     InputError
-        Names the missing package and how to get it.
+        If a package is missing; the message names it and how to install it.
     """
     missing = [name for name in ROS2_PACKAGES if find_spec(name) is None]
     if missing:

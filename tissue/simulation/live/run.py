@@ -1,4 +1,4 @@
-"""A run against the wall clock, with the mouse as device where a window can open."""
+"""Run in real time, with the mouse as device where a window can open."""
 
 import os
 import signal
@@ -34,18 +34,22 @@ from tissue.system.offscreen import await_display, display_problem
 __all__ = ["LiveObserver", "LiveSettings", "live", "reach_m", "start_m"]
 
 LONGEST_S = 600.0
-"""How long a run by the mouse lasts without a duration [s]; its trace is held in memory."""
+"""Duration of a run by the mouse if none is given [s]; its trace is held in memory."""
 ROAM_MM, ROAM_ON_WALL_MM = 8.0, 40.0
-"""Distance from the scripted path to which the pointer may take the tool [mm]; a wall has no
-edge.
+"""Largest distance of the tool from the scripted path under the pointer [mm].
+
+The second value is for a wall, which has no edge.
 """
 ABOVE_M, BELOW_M = 0.02, 0.01
-"""Distance to which the pointer may draw a tool back from the path and press a probe beyond it [m].
-A cutting tool is pressed as far as there is bone beyond the reach of the script."""
+"""Distances above and below the path within the pointer's reach [m].
+
+The first bounds how far a tool is drawn back, the second how far a probe is pressed beyond the
+path. A cutting tool is pressed as far as there is bone beyond the reach of the script.
+"""
 LOOK_S = 0.01
-"""Time between two looks while the run waits [s]."""
+"""Time between two checks while the run waits [s]."""
 STALLED_S, HELD_S = 3.0, 60.0
-"""How long a window may draw nothing before the run waits for it, and how long it waits [s]."""
+"""Time without a picture after which the run waits for its window, and longest wait [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +80,7 @@ class LiveSettings:
 
     @property
     def by_slicer(self) -> bool:
-        """Whether a client of 3D Slicer moves the tool."""
+        """True if a client of 3D Slicer moves the tool."""
         return self.slicer is not None and self.slicer.drives
 
     def mover(self, scene: Scene) -> tuple[bool, str]:
@@ -113,7 +117,7 @@ class LiveSettings:
         return False, f"no window, for {problem}: {script}"
 
     def check(self, scene: Scene) -> None:
-        """Check that everything the settings ask for is there.
+        """Check that everything the settings request is available.
 
         Raises
         ------
@@ -141,16 +145,15 @@ class LiveSettings:
 
 
 def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSettings]) -> Run:
-    """Simulate a scene against the wall clock, in a window with the mouse as device or, without a
-    display, scripted.
+    """Simulate a scene in real time, with the mouse as device or, without a display, scripted.
 
     A registered device with a factory for the real one is used without a window. Otherwise the tool
     is coupled to the mouse as to the scene's device, by the same spring, and the forces that the
     device would play are in the trace and shown; in a scene without a device a mouse acts as a
     touch. A tick misses its deadline if it is not done within 1 ms of its due time. See `WallClock`
-    for ticks that fall behind. The ticks have a raised priority as far as the system grants it; the
-    note ``priority`` states it. Ctrl-C or closing the window ends the run, which is then a run like
-    any other.
+    for ticks that fall behind. The ticks have a raised priority as far as the system grants it; see
+    the note ``priority``. Ctrl-C or closing the window ends the run, which is then a run like any
+    other.
 
     Parameters
     ----------
@@ -159,13 +162,14 @@ def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSe
     how
         Settings of the live run.
     settings
-        As of `tissue.simulation.simulate.simulate`; a mouse cannot be unstable, because it feels
-        nothing. If a window opens, ``cores`` leaves one core to it by default.
+        As for `tissue.simulation.simulate.simulate`. A mouse cannot be unstable, because it feels
+        nothing. If a window opens, ``cores`` leaves one core for it by default.
 
     Raises
     ------
     InputError
-        As `tissue.simulate` and `LiveSettings.check`, or if a window or page does not open in time.
+        As for `tissue.simulate` and `LiveSettings.check`, or if a window or page does not open in
+        time.
     """
     how = how or LiveSettings()
     how.check(scene)
@@ -225,8 +229,9 @@ def start_m(scene: Scene) -> tuple[float, float, float]:
 
 
 def reach_m(scene: Scene, parts: Parts) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the corners of the box in which the pointer may move the tool [m]: around the
-    scripted path.
+    """Return the corners of the box around the scripted path for the pointer [m].
+
+    The pointer may move the tool within this box.
     """
     path = parts.motion.sweep_m()
     axis = parts.motion.rotations()[0][:, 2]
@@ -236,23 +241,23 @@ def reach_m(scene: Scene, parts: Parts) -> tuple[NDArray[np.float64], NDArray[np
 
 
 class LiveObserver(RunObserver):
-    """Paces a live run, shows it in its window, and ends it on request.
+    """Observer that paces a live run, shows it in its window, and ends it on request.
 
     Parameters
     ----------
     scene
-        What is run.
+        Scene of the run.
     mouse
-        The device that the window's pointer moves; None for no window.
+        Device that the window's pointer moves; None for no window.
     clock
-        The clock that paces it.
+        Clock that paces the run.
     page
-        Page that shows it in place of a window on the display, and outlives it.
+        Page that shows the run in place of a window on the display, and outlives the run.
 
     Attributes
     ----------
     reset
-        Whether the user asked for the same scene once more from its start.
+        Whether the user requested to run the scene again from its start.
     """
 
     timing_columns = ("late_us", "skipped_us")
@@ -277,7 +282,7 @@ class LiveObserver(RunObserver):
         self._scale = scene.motion_scale
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
-        """Open the window; from here on Ctrl-C ends the run after its tick."""
+        """Open the window; from now on Ctrl-C ends the run after its tick."""
         if self._mouse is not None:
             self._start = parts.motion.sweep_m()[0]
             low, high = reach_m(self._scene, parts)
@@ -287,8 +292,9 @@ class LiveObserver(RunObserver):
             self._handler = signal.signal(signal.SIGINT, self._stop)
 
     def before_tick(self, index: int) -> None:
-        """Wait until a tick is due, while it is paused and for a window that hangs; take what
-        the pointer wants.
+        """Wait until a tick is due, then apply the position that the pointer requests.
+
+        It also waits while the run is paused and while its window hangs.
         """
         if self._window is not None:
             if self._window.paused:
@@ -303,7 +309,7 @@ class LiveObserver(RunObserver):
                 self._mouse.push((x, y, z))
 
     def on_tick(self, index: int, row: NDArray[np.float64], times: NDArray[np.float64]) -> bool:
-        """Write lateness into a tick's row of timing and show the tick; whether the run goes on."""
+        """Record a tick's lateness and show the tick; return whether the run continues."""
         late = 1e6 * self._clock.late_s
         skipped = 1e6 * self._clock.skipped_s
         times[-2:] = late, skipped
@@ -334,7 +340,7 @@ class LiveObserver(RunObserver):
         return not (self._stopped or self._window.closed or self.reset)
 
     def _pause(self, window: WindowProcess, index: int) -> None:
-        """Let the run wait as long as a person wants."""
+        """Wait until the user ends the pause."""
         began = perf_counter()
         while (
             window.paused
@@ -349,7 +355,7 @@ class LiveObserver(RunObserver):
             self._events.append((index * TICK_S, f"the run was paused for {now - began:.1f} s"))
 
     def _hold(self, window: WindowProcess, index: int) -> None:
-        """Let the run wait while its window draws nothing: nobody could see or move the tool."""
+        """Wait while the window draws nothing, since nobody could see or move the tool."""
         began = now = perf_counter()
         if window.frames != self._frames:
             self._frames = window.frames
@@ -380,7 +386,7 @@ class LiveObserver(RunObserver):
             )
 
     def on_end(self) -> list[tuple[float, str]]:
-        """Close the window and leave Ctrl-C as it was; what has happened, as `Motion.happened`."""
+        """Close the window, restore Ctrl-C and return the events, as `Motion.happened`."""
         if self._handler is not None:
             signal.signal(signal.SIGINT, self._handler)
             self._handler = None

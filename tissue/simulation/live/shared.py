@@ -1,5 +1,4 @@
-"""Arrays that two processes see at once, in a file that stays in memory if the system supports
-that.
+"""Arrays shared by two processes, in a file that stays in memory where the system supports it.
 
 The ticks update the arrays of a tissue at a cost of some microseconds a tick, and a window draws
 them.
@@ -32,36 +31,40 @@ __all__ = [
 
 AnyArray = NDArray[Any]
 Layout = dict[str, tuple[str, tuple[int, ...]]]
-"""Type and shape of each array by its name."""
+"""Type and shape of each array, by its name."""
 MEMORY = Path("/dev/shm")
-"""Files that never reach a disk, on Linux; elsewhere the system's folder for what is temporary
-serves.
+"""Folder on Linux whose files never reach a disk.
+
+On other systems the folder for temporary files is used.
 """
 TRIES = 20
-"""How often a read is tried again."""
+"""Number of attempts to read an array."""
 ALIGNED = 64
-"""Bytes to which every array is aligned: a line of the cache."""
+"""Alignment of every array [bytes]: one cache line."""
 TURN_TICKS = 200
 """Ticks in which every brick of a bone is copied once."""
 MOVED_TICKS = 33
 """Ticks between two pictures of an organ's surface."""
 MOST_SHOWN = 600_000
-"""Voxels from which the window shows blocks of four by four by four instead of two by two by
-two.
+"""Number of voxels above which the window shows larger blocks.
+
+The blocks then have four by four by four voxels instead of two by two by two.
 """
 
 
 class SharedArrays:
-    """Named arrays in one mapped file; both sides write and read them as NumPy arrays, without a
-    call to the system.
+    """Named arrays in one mapped file, used as NumPy arrays by two processes.
 
-    What must be read whole goes through `write` and `read`: the reader tries again while a write is
-    running. There is one writer for each array.
+    Reading and writing them needs no system call.
+
+    Values that must be read as a whole use `write` and `read`: the reader tries again while a write
+    is running. Each array has one writer.
 
     Parameters
     ----------
     folder
-        Where the file lies; the side that makes it gives ``layout``, the other finds it there.
+        Folder of the file. The side that makes the file gives ``layout``; the other side finds it
+        there.
     layout
         The arrays to make, all zero.
     """
@@ -91,11 +94,13 @@ class SharedArrays:
         return name in self._arrays
 
     def __getitem__(self, name: str) -> AnyArray:
-        """The array itself."""
+        """Return the array itself."""
         return self._arrays[name]
 
     def write(self, name: str, values: AnyArray) -> None:
-        """Write an array whose name with ``_turn`` is its counter, odd while the write is
+        """Write an array as a whole.
+
+        The array named with the suffix ``_turn`` is its counter, which is odd while a write is
         running.
         """
         turn = self._arrays[f"{name}_turn"]
@@ -104,8 +109,9 @@ class SharedArrays:
         turn[0] += 1
 
     def read(self, name: str) -> tuple[int, NDArray[Any]] | None:
-        """The number of an array's writes and a whole copy of it; None where a writer was busy,
-        or died.
+        """Return the number of an array's writes and a whole copy of the array.
+
+        None is returned if a writer was busy or died.
         """
         turn = self._arrays[f"{name}_turn"]
         values = self._arrays[name]
@@ -118,8 +124,9 @@ class SharedArrays:
 
 
 class SharedTissue:
-    """Shared arrays of a tissue; of a tissue that its scene and the trace describe, such as a wall,
-    there are none.
+    """Shared arrays of a tissue.
+
+    A tissue that its scene and the trace describe, such as a wall, has no shared arrays.
 
     Attributes
     ----------
@@ -137,12 +144,13 @@ class SharedTissue:
         self.start = {}
 
     def publish(self, arrays: "SharedArrays", index: int) -> None:
-        """Update the arrays at the end of a tick, a part at a time."""
+        """Update a part of the arrays at the end of each tick."""
 
 
 class BoneShared(SharedTissue):
-    """The bricks of a bone, copied a slice a tick, so that every brick is at most `TURN_TICKS`
-    ticks old.
+    """Bricks of a bone, copied one slice per tick.
+
+    Every brick is at most `TURN_TICKS` ticks old.
 
     Parameters
     ----------
@@ -153,7 +161,7 @@ class BoneShared(SharedTissue):
     """
 
     def __init__(self, milling: "BoneModel", volume: VoxelVolume) -> None:
-        from kernels.bricks import BRICK  # with Warp, which a process that only reads does without
+        from kernels.bricks import BRICK  # imports Warp, which a reading process does not need
 
         store = milling.store
         self._remaining = store.remaining
@@ -179,7 +187,7 @@ class BoneShared(SharedTissue):
         }
 
     def publish(self, arrays: SharedArrays, index: int) -> None:
-        """Copy the next slice; at first all of them."""
+        """Copy the next slice; at tick 0 copy all slices."""
         first = 0
         last = self._count
         if index > 0:
@@ -195,12 +203,12 @@ class BoneShared(SharedTissue):
 
 
 class OrganShared(SharedTissue):
-    """The surface of a soft organ that can be touched, as far as it has moved.
+    """Displacement of the touchable surface of a soft organ.
 
     Parameters
     ----------
     organ
-        The organ; it holds `fields` and `displacement_m`.
+        Organ with the attributes `fields` and `displacement_m`.
     """
 
     def __init__(self, organ: Any) -> None:
@@ -217,7 +225,7 @@ class OrganShared(SharedTissue):
         }
 
     def publish(self, arrays: SharedArrays, index: int) -> None:
-        """Write the displacement where it is time."""
+        """Write the displacement every `MOVED_TICKS` ticks."""
         if index % MOVED_TICKS == 0:
             arrays.write("moved", self._organ.displacement_m()[: len(arrays["moved"])])
 

@@ -1,5 +1,6 @@
-"""A live run for 3D Slicer: a process beside the ticks that publishes it by OpenIGTLink and
-takes a tool's pose.
+"""Live run for 3D Slicer: a process publishes it by OpenIGTLink and reads a tool's pose.
+
+The process runs alongside the ticks.
 """
 
 import socket
@@ -26,18 +27,18 @@ PORT = 18944
 """Port of OpenIGTLink."""
 LOCAL = "127.0.0.1"
 EVENTS, EVENT_BYTES = 64, 256
-"""How many events are kept until they are sent, and how long each may be."""
+"""Number of events kept until they are sent, and longest event [bytes]."""
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
 class SlicerLink:
-    """How a live run is linked with 3D Slicer.
+    """Link of a live run with 3D Slicer.
 
     Attributes
     ----------
     port
-        Port of this machine at which it is published; 0 for a free one.
+        Port of this machine at which the run is published; 0 for a free one.
     drives
         Whether the transform ``tissue-target`` of a client moves the tool.
     opened
@@ -50,14 +51,13 @@ class SlicerLink:
 
 
 def require_link(link: SlicerLink, scene: Scene, *, web: bool) -> None:
-    """Refuse a port that cannot be listened on and a second mover of the tool, before anything is
-    built.
+    """Refuse an unusable port, or a second mover of the tool, before anything is built.
 
     Raises
     ------
     InputError
-        If the port is none or another program has it, or a page or a real device moves the tool
-        that this is to move.
+        If the port does not exist or another program uses it, or a page or a real device moves the
+        tool that the link is to move.
     """
     mover = "--web" if web else scene.held.kind if opens_device(scene) else None
     if link.drives and mover is not None:
@@ -80,15 +80,16 @@ def require_link(link: SlicerLink, scene: Scene, *, web: bool) -> None:
 
 
 class SlicerProcess(PublishingProcess):
-    """What publishes a run, as the ticks see it: rows and events out, the wanted pose of the tool
-    in.
+    """Process that publishes a run and receives the requested pose of the tool.
+
+    The ticks send rows and events to it.
 
     Parameters
     ----------
     scene, parts, columns, low_m, high_m
-        As of a `WindowProcess`.
+        As for `WindowProcess`.
     link
-        How it is linked.
+        Settings of the link.
     """
 
     module = "tissue.links.slicer_process"
@@ -136,8 +137,9 @@ class SlicerProcess(PublishingProcess):
         )
 
     def target(self) -> tuple[Triple, Quaternion] | None:
-        """Where a client wants the tool [m], and how it is turned from its first orientation, if
-        that is new.
+        """Return the tool position [m] and turn that a client requests; None if it is not new.
+
+        The turn is relative to the first orientation of the tool.
         """
         if int(self._target_turn[0]) == self._taken or (read := self.arrays.read("target")) is None:
             return None
@@ -155,7 +157,7 @@ class SlicerProcess(PublishingProcess):
         self._events_count[0] += 1
 
     def note(self) -> str:
-        """What was sent to how many clients so far, in half a sentence."""
+        """Return text on the messages sent and the clients so far, as half a sentence."""
         sent, clients, refused, ignored = self.arrays["counts"].tolist()
         words = [
             f"published at {self.address} by OpenIGTLink: {sent} messages to {clients} clients"
@@ -168,14 +170,14 @@ class SlicerProcess(PublishingProcess):
 
 
 class SlicerPublisher(Publisher[SlicerProcess]):
-    """Publishes a live run for 3D Slicer, a client of which may move the tool.
+    """Observer that publishes a live run for 3D Slicer, whose client may move the tool.
 
-    The last columns of timing are the delay of a tick and the skipped time [µs].
+    The last columns of the timing are the delay of a tick and the skipped time [µs].
 
     Parameters
     ----------
     scene, box
-        As of `Publisher`.
+        As for `Publisher`.
     link
         Port, and whether a client drives the tool.
     mouse
@@ -205,13 +207,13 @@ class SlicerPublisher(Publisher[SlicerProcess]):
         )
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
-        """Begin to publish, and report the address."""
+        """Begin to publish and report the address."""
         super().on_begin(parts, columns)
         if self._link.opened is not None and self._process is not None:
             self._link.opened(self._process.address)
 
     def before_tick(self, index: int) -> None:
-        """Take the pose that a client wants for the tool."""
+        """Apply the tool pose that a client requests."""
         if self._mouse is None or self._process is None:
             return
         wanted = self._process.target()

@@ -1,6 +1,4 @@
-"""Surfaces of a tissue that is simulated, in another process, from the arrays that the ticks
-share.
-"""
+"""Surfaces of a tissue simulated in another process, from the arrays that its ticks share."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
@@ -25,25 +23,25 @@ FADES_MM = 20.0
 
 
 def tissue_surface(start: Start, arrays: SharedArrays) -> "BoneSurface | OrganSurface | None":
-    """The surface of a tissue that is shared; None for one that its scene describes."""
+    """Return the surface of a shared tissue; None for a tissue that its scene describes."""
     kind = BoneSurface if "remaining" in arrays else OrganSurface if "moved" in arrays else None
     return None if kind is None else kind(start, arrays)
 
 
 class BoneSurface:
-    """The surface of a bone in blocks of some voxels, from the bricks that the ticks carve.
+    """Surface of a bone in blocks of voxels, from the bricks that the ticks carve.
 
     Parameters
     ----------
     start, arrays
-        As `tissue.simulation.live.shared.BoneShared` shares them.
+        Values shared by `tissue.simulation.live.shared.BoneShared`.
 
     Attributes
     ----------
     surface
-        The surface [mm], with normals; without any cell where no bone is left.
+        The surface [mm], with normals; it has no cells if no bone is left.
     volume
-        The blocks; how full they are follows the bone.
+        The blocks; their filling follows the bone.
     """
 
     def __init__(self, start: Start, arrays: SharedArrays) -> None:
@@ -63,7 +61,7 @@ class BoneSurface:
         self.surface: pyvista.PolyData = bone_surface(self.volume, self._fraction)
 
     def update(self) -> bool:
-        """Bring the surface up to date; whether a brick has lost something."""
+        """Update the surface; return whether any brick has changed."""
         now = self._remaining.copy()
         rows = np.flatnonzero((now != self._seen).any(axis=1))
         if not rows.size:
@@ -74,7 +72,7 @@ class BoneSurface:
         return True
 
     def _fill(self, rows: NDArray[np.intp]) -> None:
-        """Bring the blocks of some bricks up to date."""
+        """Update the blocks of some bricks."""
         block = self._block
         count = BRICK // self._block
         bricks = self._seen[rows].reshape(-1, 4, 4, 4, 2, 2, 2).transpose(0, 1, 4, 2, 5, 3, 6)
@@ -86,19 +84,21 @@ class BoneSurface:
 
 
 class OrganSurface:
-    """The surface of a soft organ, displaced where that is known, and less and less beyond.
+    """Surface of a soft organ, displaced where its displacement is known.
+
+    The displacement fades with the distance from there.
 
     Parameters
     ----------
     start, arrays
-        As `tissue.simulation.live.shared.OrganShared` shares them.
+        Values shared by `tissue.simulation.live.shared.OrganShared`.
 
     Attributes
     ----------
     surface
         The surface [mm]; its points move.
     touchable_mm
-        Points of it that can be touched, at rest [mm], shape (n, 3).
+        Touchable points of the surface, at rest [mm], shape (n, 3).
     """
 
     def __init__(self, start: Start, arrays: SharedArrays) -> None:
@@ -113,7 +113,7 @@ class OrganSurface:
         ids = np.asarray(self.surface.point_data["vtkOriginalPointIds"])
         place = np.full(len(nodes), -1)
         place[start["touchable"]] = np.arange(len(start["touchable"]))
-        self._row = place[ids]  # of each shown point among the touchable nodes, -1 for none
+        self._row = place[ids]  # index of each shown point among the touchable nodes, -1 for others
         self._rest = np.array(self.surface.points, dtype=np.float64)
         self.surface.clear_data()
         self._known: NDArray[np.bool_] | None = None
@@ -122,7 +122,7 @@ class OrganSurface:
         self.touchable_mm: Array = self._rest[self._row >= 0]
 
     def update(self) -> bool:
-        """Bring the surface up to date; whether it has moved."""
+        """Update the surface; return whether it has moved."""
         message = self._arrays.read("moved")
         if message is None or message[0] == self._turn:
             return False
@@ -137,9 +137,7 @@ class OrganSurface:
         return True
 
     def _spread(self, known: NDArray[np.bool_]) -> None:
-        """Of every point the nearest one that is known, and what share of its displacement it
-        takes.
-        """
+        """Find each point's nearest known point and its share of that point's displacement."""
         from scipy.spatial import cKDTree
 
         self._known = known

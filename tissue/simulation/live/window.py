@@ -1,6 +1,4 @@
-"""The window of a live run, in a process of its own, as the ticks see it: rows out, the pointer
-in.
-"""
+"""Window of a live run in its own process, as the ticks see it: rows out, pointer in."""
 
 import json
 import os
@@ -32,49 +30,50 @@ from tissue.system.offscreen import REMEDY, drawing_environments
 __all__ = ["CLOCK", "LOADS", "Page", "PageProcess", "WindowProcess", "require_web"]
 
 MODULE = "tissue.show.viewer.live.live_window"
-"""What is run in the other process; it lies above and is named, not imported."""
+"""Module run in the other process; it is named, not imported, since it lies in a higher layer."""
 CLOCK = ("tick_us", "late_us", "missed", "skipped_ms")
-"""What a window receives of the clock."""
+"""Values of the clock that a window receives."""
 LOAD = ("time_s", *(f"model_force_{c}_N" for c in "xyz"))
 """Columns that a window plots."""
 ROW_TICKS = 8
 """Ticks between two rows that a window receives."""
 LOADS = 1024
-"""Rows of time and force that are kept for a window that plots them: 8 s."""
+"""Number of rows of time and force kept for a window that plots them: 8 s."""
 COLOURS = re.compile(r"\x1b\[[0-9;]*m")
-"""Colours of a terminal in what a process prints."""
+"""Pattern of terminal colours in the output of a process."""
 CLOSES_S = 10.0
-"""How long a window may take to close [s]."""
+"""Longest time for a window to close [s]."""
 OPENS_S = 120.0
-"""How long a window may take to open [s]."""
+"""Longest time for a window to open [s]."""
 FOLDER = "tissue-live-"
 
 
 class WindowProcess:
-    """A window that shows a run while it goes on, and reports where the pointer wants the tool.
+    """Window that shows a running run and reports the tool position requested by the pointer.
 
-    The ticks never wait for it: both sides map the same memory. Nothing of it is interrupted by
-    Ctrl-C, and it ends by itself when the ticks do.
+    The ticks never wait for it: both sides map the same memory. Ctrl-C does not interrupt the
+    window, and it ends by itself when the ticks end.
 
     Parameters
     ----------
     scene, parts
-        What is run.
+        Scene and parts of the run.
     columns
         Names of the trace's columns.
     low_m, high_m
         Corners of the box in which the pointer may move the tool [m].
     environment
-        What its process has in its environment beside what this one has.
+        Additional environment variables of its process.
     more_layout, more_start
-        Further arrays that both sides see, and further ones that its process needs to begin with.
+        Additional arrays that both sides share, and additional arrays that its process needs at the
+        start.
 
     Attributes
     ----------
     arrays
-        What both sides see.
+        Arrays that both sides share.
     address
-        Where it is to be seen, as it reports itself; empty for a window on the display.
+        Address that its process reports; empty for a window on the display.
 
     Raises
     ------
@@ -86,7 +85,7 @@ class WindowProcess:
     place = "must open its window where there is a display"
     remedy = "fix the display, or unset DISPLAY to run without a window"
     shows_tissue = True
-    """Whether its process is sent the tissue as it changes."""
+    """True if its process receives the tissue as it changes."""
 
     def __init__(
         self,
@@ -130,7 +129,7 @@ class WindowProcess:
         self._reset = 0
         (self._folder / "scene.json").write_text(
             scene.model_dump_json(exclude_unset=True), "utf-8"
-        )  # as it is, changed for the mouse
+        )  # the scene with the changes for the mouse
         (self._folder / "columns.json").write_text(json.dumps([*columns, *CLOCK]), "utf-8")
         turn = parts.motion.rotations()[0]
         box = {
@@ -165,31 +164,31 @@ class WindowProcess:
             self._child.kill()
             self.end()
             raise InputError(f"--live {self.place}, but {last[:200]}: {self.remedy}")
-        # both sides have it open: nothing is left behind by a kill
+        # Both sides have the files open, so a kill leaves no files behind.
         shutil.rmtree(self._folder, ignore_errors=True)
 
     @property
     def frames(self) -> int:
-        """How many pictures it has drawn."""
+        """Number of pictures that it has drawn."""
         return int(self._drawn[0])
 
     @property
     def closed(self) -> bool:
-        """Whether a person has closed it."""
+        """True if the user has closed it."""
         return bool(self._closed[0])
 
     @property
     def paused(self) -> bool:
-        """Whether a person has paused the run."""
+        """True if the user has paused the run."""
         return bool(self._held[0])
 
     @property
     def reset(self) -> bool:
-        """Whether a person wants the run from its start again."""
+        """True if the user requests the run from its start again."""
         return int(self._resets[0]) != self._reset
 
     def begin_again(self, parts: Parts) -> None:
-        """Show another run of the same scene from its start."""
+        """Show another run of the scene from its start."""
         self._shared = shared_tissue(parts)
         self._shared.publish(self.arrays, 0)
         self._reset = int(self._resets[0])
@@ -197,11 +196,11 @@ class WindowProcess:
         self.arrays["runs"][0] += 1
 
     def failed(self) -> str | None:
-        """What its process printed last if that has ended though nobody closed it, else None."""
+        """Return the last output of a process that ended without being closed, else None."""
         return self._last_words() if self._child.poll() is not None and not self.closed else None
 
     def pointed_m(self) -> tuple[float, float, float] | None:
-        """Where the pointer wants the tool [m], if that is new."""
+        """Return the tool position that the pointer requests [m]; None if it is not new."""
         if int(self._turn[0]) == self._seen or (pointed := self.arrays.read("pointer")) is None:
             return None
         turn, (x, y, z) = pointed
@@ -221,7 +220,7 @@ class WindowProcess:
         self._shared.publish(self.arrays, index)
 
     def end(self) -> None:
-        """Close it."""
+        """Close the window."""
         self.arrays["ended"][0] = 1
         try:
             self._child.communicate(timeout=CLOSES_S)
@@ -239,7 +238,7 @@ class WindowProcess:
 
 
 class PageProcess(WindowProcess):
-    """A window in a browser: its process draws off screen and serves a page."""
+    """Window in a browser: its process draws off screen and serves a page."""
 
     module = "tissue.show.viewer.web.live_page"
     place = "must serve its page"
@@ -247,7 +246,7 @@ class PageProcess(WindowProcess):
 
 
 class Page:
-    """The page of a live run; its process starts with the first run that is shown.
+    """Page of a live run; its process starts with the first run that is shown.
 
     Parameters
     ----------
@@ -268,7 +267,7 @@ class Page:
         low_m: NDArray[np.float64],
         high_m: NDArray[np.float64],
     ) -> PageProcess:
-        """Show a run from its start; arguments as of `WindowProcess`.
+        """Show a run from its start; arguments as for `WindowProcess`.
 
         Raises
         ------
@@ -294,14 +293,14 @@ class Page:
         )
 
     def close(self) -> None:
-        """End it."""
+        """End the process of the page."""
         if self._process is not None:
             self._process.end()
             self._process = None
 
 
 def require_web() -> None:
-    """Refuse a page where the server for it is not installed.
+    """Refuse a page if the server for it is not installed.
 
     Raises
     ------
@@ -315,8 +314,9 @@ def require_web() -> None:
 
 
 def _new_folder() -> Path:
-    """A folder for what both processes see; those of processes that were killed before they
-    could go are taken away.
+    """Make a folder for the values that both processes share.
+
+    Folders left by killed processes are removed.
     """
     import psutil
 
