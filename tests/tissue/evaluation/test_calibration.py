@@ -149,7 +149,7 @@ def test_a_log_that_is_no_text_is_refused_without_the_words_of_a_decoder(tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("fix", "message"),
+    ("damaged", "message"),
     [
         (lambda lines: change(lines, 3, answer=3), "answer must be 1 or 2, got 3"),
         (lambda lines: change(lines, 3, answer="one"), "answer must be a number, got 'one'"),
@@ -191,8 +191,8 @@ def test_a_log_that_is_no_text_is_refused_without_the_words_of_a_decoder(tmp_pat
         "table",
     ],
 )
-def test_a_log_that_cannot_be_gone_on_with_is_refused_and_kept(log, mend, message):
-    log.write_text("\n".join(mend(log.read_text().splitlines())) + "\n")
+def test_a_log_that_cannot_be_gone_on_with_is_refused_and_kept(log, damaged, message):
+    log.write_text("\n".join(damaged(log.read_text().splitlines())) + "\n")
     before = log.read_bytes()
     with pytest.raises(InputError) as refused:
         TrialLog(log, "somebody", SHORT)
