@@ -30,8 +30,7 @@ from prediction_scores import FORCE_LIMIT_N, KNOWN, RECORDED_MS, Kept, scores
 
 from meshes.base.errors import InputError
 from tissue.evaluation.training.recording import Recorder, Recording, trial
-from tissue.prediction.contact import Contact, SeesContact
-from tissue.prediction.predictor import Predictor
+from tissue.prediction.predictor import Contact, Predictor, SeesContact
 from tissue.prediction.trained import Trained, shipped_file
 from tissue.scene.load import changed, load_scene
 from tissue.scene.registry import PREDICTORS

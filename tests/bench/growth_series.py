@@ -247,8 +247,7 @@ def observables(quick: bool) -> Series:
     from peers.works import contacts
 
     from tissue.prediction.edmd.dictionary import Delays
-    from tissue.prediction.edmd.edmd import Edmd
-    from tissue.prediction.edmd.episodes import Episode
+    from tissue.prediction.edmd.edmd import Edmd, Episode
 
     episodes = [Episode(contacts(seed), None, 1e-3) for seed in range(2)]
     run = episodes[0].states

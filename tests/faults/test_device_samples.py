@@ -11,11 +11,9 @@ from device_doubles import Recording
 
 from tissue import load_scene, simulate
 from tissue.haptics.device.device import ComputedDevice, DeviceError, Sample, device_parameters
-from tissue.haptics.device.roughness import Roughness
-from tissue.haptics.device.sample_guard import GuardLimits, SampleGuard
+from tissue.haptics.device.sample_guard import GuardLimits, Roughness, SampleGuard
 from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.hand.hand import Hand, hand_parameters
-from tissue.haptics.hand.minimum_jerk import waypoints
+from tissue.haptics.hand.hand import Hand, hand_parameters, waypoints
 from tissue.haptics.loop.filters import SlewLimit
 from tissue.haptics.renderer import renderer
 from tissue.haptics.rigid_wall import press_wall

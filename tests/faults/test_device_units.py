@@ -8,8 +8,7 @@ import pytest
 
 import tissue
 from tissue import Sample, load_scene
-from tissue.haptics.device.device import ComputedDevice, DeviceError, DeviceParameters
-from tissue.haptics.device.reach import Reach
+from tissue.haptics.device.device import ComputedDevice, DeviceError, DeviceParameters, Reach
 from tissue.haptics.device.recorded import MouseDevice
 from tissue.haptics.device.sample_guard import SampleGuard
 from tissue.haptics.real.adapter import HardwareSample

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from network_client import HELLO, POSE, packet, pose, read
 
-from tissue.haptics.real.network_protocol import Kind, PacketError, packed, unpacked
-from tissue.haptics.real.network_session import NetworkSession
+from tissue.haptics.real.network_session import Kind, NetworkSession, PacketError, packed, unpacked
 
 ROUNDS = 40
 KINDS = ("bits", "cut", "longer", "noise", "header", "repeat", "swap", "none")

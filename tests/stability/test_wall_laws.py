@@ -11,9 +11,14 @@ import pytest
 
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.hand.hand import Hand, hand_parameters
-from tissue.haptics.hand.minimum_jerk import waypoints
-from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands
+from tissue.haptics.hand.hand import Hand, hand_parameters, waypoints
+from tissue.haptics.loop.critical_stiffness import (
+    critical_stiffness_N_m,
+    delay_bound_N_m,
+    in_hands,
+    pade_bound_N_m,
+    passive_bound_N_m,
+)
 from tissue.haptics.loop.filters import (
     DelayLine,
     LowPass,
@@ -21,11 +26,9 @@ from tissue.haptics.loop.filters import (
     low_pass_gain,
     relaxation_bound,
 )
-from tissue.haptics.loop.passivity import PassivityControl
 from tissue.haptics.loop.sampled_loop import WallLoop, spectral_radius
-from tissue.haptics.loop.stability_bounds import delay_bound_N_m, pade_bound_N_m, passive_bound_N_m
 from tissue.haptics.loop.stability_map import growth_while_running
-from tissue.haptics.renderer import ProxyRenderer, renderer
+from tissue.haptics.renderer import PassivityControl, ProxyRenderer, renderer
 
 TICK = 1e-3
 

@@ -12,20 +12,17 @@ import pytest
 from tissue import InputError
 from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.hand.hand import HandAction, hand_parameters
-from tissue.haptics.hand.minimum_jerk import waypoints
+from tissue.haptics.hand.hand import HandAction, hand_parameters, waypoints
 from tissue.haptics.loop.critical_stiffness import (
     critical_stiffness_N_m,
+    delay_bound_N_m,
     in_hands,
     judge,
+    passive_bound_N_m,
+    quantised_bound_N_m,
     require_stable,
 )
 from tissue.haptics.loop.sampled_loop import WallLoop, loop_matrix, spectral_radius
-from tissue.haptics.loop.stability_bounds import (
-    delay_bound_N_m,
-    passive_bound_N_m,
-    quantised_bound_N_m,
-)
 from tissue.haptics.loop.stability_map import measured_critical_N_m, stability_map
 from tissue.scene.registry import DEVICES, HANDS
 

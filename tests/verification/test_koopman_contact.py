@@ -9,8 +9,7 @@ from koopman_systems import contact, record
 
 from tissue import InputError
 from tissue.prediction.edmd.dictionary import Delays, GapProducts, Polynomials
-from tissue.prediction.edmd.edmd import Edmd, horizon_errors
-from tissue.prediction.edmd.episodes import Episode
+from tissue.prediction.edmd.edmd import Edmd, Episode, horizon_errors
 from tissue.prediction.edmd.lifted import cap_spectrum, spectral_radius
 
 STEP_S = 1e-3

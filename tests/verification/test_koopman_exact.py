@@ -18,8 +18,7 @@ from koopman_systems import (
 from scipy.linalg import expm
 
 from tissue.prediction.edmd.dictionary import Delays, Identity, Polynomials, ThinPlates
-from tissue.prediction.edmd.edmd import Edmd
-from tissue.prediction.edmd.episodes import Episode
+from tissue.prediction.edmd.edmd import Edmd, Episode
 
 CLOSED = Polynomials(2, columns=(0,))
 """x1, x2 and x1²: closed under the slow manifold's flow."""

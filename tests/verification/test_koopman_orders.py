@@ -19,8 +19,7 @@ from koopman_systems import (
 )
 
 from tissue.prediction.edmd.dictionary import Gaussians, Identity, Polynomials
-from tissue.prediction.edmd.edmd import Edmd, horizon_errors
-from tissue.prediction.edmd.episodes import Episode
+from tissue.prediction.edmd.edmd import Edmd, Episode, horizon_errors
 
 PRINTED_ORDER = 2.0
 """Order that the paper's Theorem 1 claims for every dictionary."""

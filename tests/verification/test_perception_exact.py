@@ -9,7 +9,9 @@ import pytest
 from tissue import InputError
 from tissue.perception.estimate import LocalLevel
 from tissue.perception.laws import (
+    ForceMap,
     Intensity,
+    LogTable,
     Weber,
     correct_of_d_prime,
     intensity_of,
@@ -17,7 +19,6 @@ from tissue.perception.laws import (
     weber,
     weber_of,
 )
-from tissue.perception.mapping import ForceMap, LogTable
 from tissue.perception.observer import Observer, population, population_observer, reference_observer
 from tissue.perception.perceived import Sense
 

@@ -13,8 +13,7 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from tissue.haptics.proxy.proxy import Proxy, ProxyOutcome
-from tissue.haptics.proxy.tool_shell import ToolShell
-from tissue.haptics.proxy.voxmap import Ball, Box, ContactField, HalfSpace
+from tissue.haptics.proxy.voxmap import Ball, Box, ContactField, HalfSpace, ToolShell
 from tissue.haptics.renderer import ProxyRenderer
 from tissue.motion.quaternion import turn_between
 

@@ -9,22 +9,20 @@ import numpy as np
 from meshes.base.arrays import Array
 from tissue.haptics import hand_measures as at
 from tissue.haptics.device.device import Device, DeviceParameters, KnowsTruth, Sample
-from tissue.haptics.device.new_samples import NewSamples, guard_of
 from tissue.haptics.device.safe_device import SafeDevice
+from tissue.haptics.device.sample_guard import NewSamples, guard_of
 from tissue.haptics.loop.filters import ConstantAcceleration, DelayLine, ForceRange, LowPass
-from tissue.haptics.loop.passivity import PassivityObserver
 from tissue.haptics.loop.sampled_loop import WallLoop
 from tissue.haptics.played_force import PlayedForce
+from tissue.haptics.proxy.cutting_tool import CuttingTool
 from tissue.haptics.proxy.held_tool import HeldTool
-from tissue.haptics.renderer import PassivityRenderer, Renderer, TurningRenderer
-from tissue.haptics.seen_contact import seen_contact
+from tissue.haptics.renderer import PassivityObserver, PassivityRenderer, Renderer, TurningRenderer
 from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 from tissue.motion.motion import Motion, matrix_of
 from tissue.motion.quaternion import Quaternion
-from tissue.prediction.contact import SeesContact
-from tissue.prediction.predictor import Predictor
+from tissue.prediction.predictor import Contact, Predictor, SeesContact
 
-__all__ = ["HandMotion", "Rendering", "Script"]
+__all__ = ["HandMotion", "Rendering", "Script", "seen_contact"]
 
 SMOOTH_S, SMOOTH_SAMPLES = 0.01, 5
 """Shortest time [s] and smallest number of samples used to estimate the speed of a free tool.
@@ -403,3 +401,35 @@ class HandMotion(Motion):
             motion.heading[0] = heading / size
         motion.speed_m_s = sqrt(velocity.dot(velocity))
         motion.push[:] = self.tool.push
+
+
+def seen_contact(
+    tool: HeldTool, stiffness_N_m: float, scale: float, shift_m: Array, response: Response
+) -> Contact:
+    """Convert the contact at the tool to the contact at the device.
+
+    Lengths at the device are lengths at the tool divided by m. Forces at the device are f times the
+    forces at the tool, with f = ``stiffness_N_m`` / (m · tool stiffness).
+
+    Parameters
+    ----------
+    tool
+        Tool coupled to the device by a spring.
+    stiffness_N_m
+        Stiffness of the coupling at the device [N/m]. It is m f times the stiffness at the tool.
+    scale, shift_m
+        Scale m and shift [m], shape (3,): a device at x has the tool at m x + shift.
+    response
+        Tissue response to the tool.
+    """
+    felt = stiffness_N_m / (scale * tool.stiffness_N_m)
+    known = response.stiffness_N_m
+    return Contact(
+        stiffness_N_m,
+        (tool.tip_m - shift_m) / scale,
+        felt * response.wrench[:3],
+        None if known is None else (scale * felt) * known,
+        response.gap_m / scale,
+        response.normal,
+        isinstance(tool, CuttingTool),
+    )

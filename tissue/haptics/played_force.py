@@ -5,11 +5,10 @@ import numpy as np
 from meshes.base.arrays import Array
 from tissue.haptics import hand_measures as at
 from tissue.haptics.device.device import DeviceParameters
-from tissue.haptics.loop.cues import Cues
 from tissue.haptics.loop.filters import ForceRange
-from tissue.haptics.loop.vibration import PlayedVibration
+from tissue.haptics.loop.vibration import Cues, PlayedVibration
 from tissue.models.tissue_model import Response
-from tissue.perception.perception import Perception
+from tissue.perception.perceived import Perception
 
 __all__ = ["PlayedForce"]
 

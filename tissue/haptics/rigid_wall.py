@@ -6,12 +6,10 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from tissue.haptics.device.device import Device, DeviceParameters
-from tissue.haptics.device.safe_device import SafeDevice
+from tissue.haptics.device.safe_device import SafeDevice, run_held
 from tissue.haptics.device.sample_guard import SampleGuard
 from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.device.supervision import run_held
-from tissue.haptics.hand.hand import Hand, HandParameters
-from tissue.haptics.hand.minimum_jerk import waypoints
+from tissue.haptics.hand.hand import Hand, HandParameters, waypoints
 from tissue.haptics.renderer import Renderer, renderer
 from tissue.models.tissue_model import TICK_S
 

@@ -4,12 +4,12 @@ Quaternions are (x, y, z, w).
 """
 
 from dataclasses import dataclass
-from math import sqrt
+from math import inf, sqrt
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.models.tissue_model import Response, ToolMotion
 from tissue.motion.quaternion import OFF_UNIT
@@ -19,13 +19,13 @@ __all__ = [
     "FeedLimit",
     "FollowPath",
     "Motion",
+    "StaysAt",
     "first_off_unit",
     "frame_along",
     "matrix_of",
     "quaternion_of",
 ]
 
-Array = NDArray[np.float64]
 LONGEST_S = 3600.0
 """Longest motion of a run [s]."""
 
@@ -232,3 +232,37 @@ class FollowPath(Motion):
             self._feed * (time_s - self._begins_s[self._leg])
         )
         motion.speed_m_s = self._feed
+
+
+class StaysAt(Motion):
+    """Motion of a tool at rest.
+
+    Parameters
+    ----------
+    start_m
+        Position of the tip [m].
+    axis
+        Direction from tip to shank.
+    """
+
+    duration_s = inf
+
+    def __init__(self, start_m: Array, axis: tuple[float, float, float]) -> None:
+        self._start = np.array(start_m, dtype=np.float64)
+        self._rotation = frame_along(axis)
+
+    def sweep_m(self) -> Array:
+        """Return the only position [m]."""
+        return self._start[None]
+
+    def rotations(self) -> Array:
+        """Return the only orientation."""
+        return self._rotation[None]
+
+    def begin(self, motion: ToolMotion) -> None:
+        """Write the pose."""
+        motion.tip_m[:] = self._start
+        motion.rotation[:] = self._rotation
+
+    def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
+        """Leave the tool at rest."""

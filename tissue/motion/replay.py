@@ -1,23 +1,224 @@
 """Recorded motion: replay of a table of poses or of a recording of volumetric_drilling."""
 
 import csv
+from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, is_file, names_of_caller
+from meshes.base.file_limits import require_memory, require_regular
 from meshes.base.text_numbers import number_in, require_distinct_columns
 from meshes.paths.replay_table import POSE_COLUMNS
 from tissue.models.tissue_model import Response, ToolMotion
-from tissue.motion.drilling_recording import read_drilling
 from tissue.motion.motion import LONGEST_S, Motion, first_off_unit
 
-__all__ = ["GivenPoses", "ReplayPoses", "read_replay"]
+__all__ = [
+    "EVENTS",
+    "POSES",
+    "SHAFT_TO_X",
+    "DrillingRecording",
+    "GivenPoses",
+    "ReplayPoses",
+    "read_drilling",
+    "read_replay",
+]
 
-Array = NDArray[np.float64]
+POSES = "physics_data/continuous_data/high_frequency_poses"
+"""HDF5 group that contains one group of poses for each object."""
+EVENTS = "physics_data/intermittent_data"
+"""HDF5 group of intermittent events: removed voxels, burr changes and forces."""
+OLD_POSES = "high_frequency_poses"
+"""Group of the poses in files of the older layout, whose event groups also lie at the root."""
+SHAFT_TO_X = Rotation.from_quat([0.5, 0.5, 0.5, 0.5])
+"""Rotation from our tool frame to the recorded drill frame.
+
+The axis from tip to shank is z in our frame and x in the recorded frame.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class DrillingRecording:
+    """Content of a recording, in our tool's frame and with times that start at the first pose.
+
+    Attributes
+    ----------
+    times_s
+        Increasing times of the poses [s] from 0, shape (n,).
+    tips_m
+        Tips of the tool in the recording's world [m], shape (n, 3).
+    quaternions
+        Orientations (x, y, z, w), the tool's z axis from tip to shank, shape (n, 4).
+    load_times_s
+        Times of the loads on the clock of the poses [s], shape (m,); None without recorded loads.
+    loads
+        Forces on the tool in the world [N], shape (m, 3). With torques [N m] that are not a copy of
+        the forces, shape (m, 6).
+    notes
+        Findings and assumptions, one sentence each.
+    """
+
+    times_s: Array
+    tips_m: Array
+    quaternions: Array
+    load_times_s: Array | None
+    loads: Array | None
+    notes: tuple[str, ...]
+
+
+def read_drilling(path: Path, *, what: str) -> DrillingRecording:
+    """Read a recording of volumetric_drilling in the present or the older layout.
+
+    The recorded pose is at the centre of the burr, with x towards the shank. It is moved to the tip
+    by half the burr size if the file contains the size. Otherwise the recorded point is used as the
+    tip. The recorder sometimes receives a pose twice or out of order. Samples are therefore sorted,
+    and the first sample of each time is kept. The recorder's plugin rotates forces into the camera
+    axes. If the file contains one camera, forces are rotated back into the world.
+
+    Parameters
+    ----------
+    path
+        HDF5 file.
+    what
+        Name of the file in errors, such as ``motion.file``.
+
+    Raises
+    ------
+    InputError
+        If h5py is not installed, or the file is not a complete recording of this kind.
+    """
+    try:
+        import h5py
+    except ImportError:
+        raise InputError(
+            what, "have what reads it installed", "no h5py", "pip install 'tissue-sim[h5]'"
+        ) from None
+    require_regular(path)
+    try:
+        with h5py.File(path, "r") as file:
+            return _read(file, _Where(path, what))
+    except (InputError, MemoryError):
+        raise
+    except Exception as problem:  # h5py raises a dozen kinds for a damaged file
+        raise InputError(
+            what,
+            "be a whole HDF5 file",
+            f"{path} ({' '.join(str(problem).split())})",
+            "export it again",
+        ) from None
+
+
+@dataclass(frozen=True)
+class _Where:
+    """File and its name in errors."""
+
+    path: Path
+    what: str
+
+    def error(self, requirement: str, got: str, remedy: str) -> InputError:
+        return InputError(self.what, requirement, f"{got} in {self.path}", remedy)
+
+
+def _read(file: Any, where: _Where) -> DrillingRecording:
+    old = POSES not in file and OLD_POSES in file
+    poses, events = (OLD_POSES, "") if old else (POSES, EVENTS + "/")
+    if poses not in file:
+        raise where.error(
+            "be a recording of volumetric_drilling", f"no {POSES}", "give a CSV such as trace.csv"
+        )
+    names = list(file[poses])
+    drills = [name for name in names if "drill" in name]
+    if len(drills) != 1:
+        raise where.error(
+            "hold the poses of one drill", ", ".join(names) or "no object", "leave one with drill"
+        )
+    notes = ["a recording of volumetric_drilling, in its world"]
+    times, pose = _samples(file, f"{poses}/{drills[0]}", "pose", 7, where)
+    if len(times) < 2:
+        raise where.error("hold at least two poses", f"{len(times)}", "record more")
+    turns = _turns(pose, f"{poses}/{drills[0]}", where) * SHAFT_TO_X
+    tips = pose[:, :3]
+    if f"{events}burr_change" in file:
+        _, sizes = _samples(file, f"{events}burr_change", "burr_size", 1, where)
+        if len(np.unique(sizes)) != 1 or sizes[0, 0] <= 0.0:
+            raise where.error(
+                "keep one burr",
+                f"sizes {sorted(set(sizes[:, 0].tolist()))} mm",
+                "cut it where it changes",
+            )
+        tips = tips - turns.apply([0.0, 0.0, 0.5e-3 * sizes[0, 0]])
+    else:
+        notes.append("no size of the burr: the recorded point of the drill counts as its tip")
+    start = float(times[0])
+    load_times = None
+    loads = None
+    if f"{events}drill_force_feedback" in file:
+        load_times, loads = _samples(file, f"{events}drill_force_feedback", "wrench", 6, where)
+        cameras = [name for name in names if "camera" in name]
+        if len(cameras) == 1:
+            shown, seen = _samples(file, f"{poses}/{cameras[0]}", "pose", 7, where)
+            nearest = np.clip(np.searchsorted(shown, load_times), 0, len(shown) - 1)
+            camera = _turns(seen, f"{poses}/{cameras[0]}", where)[nearest]
+            loads = np.hstack([camera.apply(loads[:, :3]), camera.apply(loads[:, 3:])])
+            notes.append("forces turned from the camera's axes to the world's")
+        if len(loads) and loads.any() and np.array_equal(loads[:, :3], loads[:, 3:]):
+            loads = loads[:, :3]
+            notes.append(
+                "torques left out: they are a copy of the forces, as the recorded program "
+                "sends them"
+            )
+        load_times = load_times - start
+    return DrillingRecording(times - start, tips, turns.as_quat(), load_times, loads, tuple(notes))
+
+
+def _samples(file: Any, group: str, name: str, width: int, where: _Where) -> tuple[Array, Array]:
+    """Return increasing times [s], shape (n,), and the values at these times, shape (n, width)."""
+    times, values = (_numbers(file, f"{group}/{each}", where) for each in ("time_stamp", name))
+    values = values[:, None] if values.ndim == 1 and width == 1 else values
+    if times.ndim != 1 or values.shape != (len(times), width):
+        raise where.error(
+            f"hold {width} values of {group}/{name} at each time_stamp",
+            f"shapes {values.shape} and {times.shape}",
+            "record it again",
+        )
+    if not (np.isfinite(times).all() and np.isfinite(values).all()):
+        raise where.error("hold finite numbers", f"others for {group}", "cut them out")
+    order = np.unique(times, return_index=True)[1]
+    return times[order], values[order]
+
+
+def _numbers(file: Any, name: str, where: _Where) -> Array:
+    import h5py
+
+    found = file.get(name)
+    if not isinstance(found, h5py.Dataset) or found.dtype.kind not in "fiu":
+        raise where.error(f"hold numbers as {name}", "none", "record it again")
+    require_memory(
+        max(found.dtype.itemsize, 8) * found.size,
+        where.path.name,
+        f"{found.size:.3g} numbers as {name}",
+    )
+    return np.asarray(found[()], dtype=np.float64)
+
+
+def _turns(pose: Array, name: str, where: _Where) -> Rotation:
+    """Return the orientations of poses of shape (n, 7)."""
+    if len(pose) == 0:
+        raise where.error("hold poses", f"none for {name}", "record it again")
+    if (wrong := first_off_unit(pose[:, 3:])) is not None:
+        length = float(np.linalg.norm(pose[wrong, 3:]))
+        raise where.error(
+            "hold unit quaternions",
+            f"one of length {length:.4g} for {name}",
+            "use 0, 0, 0, 1 for none",
+        )
+    return Rotation.from_quat(pose[:, 3:])
+
+
 RECORDINGS = (".hdf5", ".h5")
 """File name suffixes of HDF5 recordings."""
 

@@ -8,8 +8,8 @@ from math import sqrt
 import numpy as np
 
 from meshes.base.arrays import Array
-from tissue.prediction.contact import Contact
 from tissue.prediction.paths import OperatorPath
+from tissue.prediction.predictor import Contact
 
 __all__ = ["Koopman"]
 

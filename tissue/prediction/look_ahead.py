@@ -9,8 +9,8 @@ import numpy as np
 from scipy.linalg.lapack import dgesv
 
 from meshes.base.arrays import Array
-from tissue.prediction.contact import Contact
 from tissue.prediction.paths import Path
+from tissue.prediction.predictor import Contact
 
 __all__ = ["ContactSlope", "LookAhead"]
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tissue import load_scene, simulate
-from tissue.haptics.loop.cues import CUE_HZ, Cues, TouchEvents
+from tissue.haptics.loop.vibration import CUE_HZ, Cues, TouchEvents
 from tissue.models.tissue_model import Response
 
 TICK = 1e-3

@@ -11,12 +11,10 @@ import pytest
 
 from tissue import InputError
 from tissue.haptics.device.device import DeviceParameters, Sample, device_parameters
-from tissue.haptics.device.faulty import FaultyDevice
-from tissue.haptics.device.recorded import MouseDevice, RecordedDevice
-from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.device.recorded import FaultyDevice, MouseDevice, RecordedDevice
+from tissue.haptics.device.simulated import Plant, SimulatedDevice
 from tissue.haptics.hand.hand import Grip, Hand, HandAction, hand_parameters
 from tissue.haptics.loop.filters import ForceRange
-from tissue.haptics.loop.plant import Plant
 from tissue.materials.constants import constants
 from tissue.motion.quaternion import conjugate, exponential, logarithm, product
 from tissue.scene.registry import DEVICES

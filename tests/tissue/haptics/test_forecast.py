@@ -21,8 +21,7 @@ from tissue.haptics.loop.forecast import Forecast, forecast_of
 from tissue.haptics.loop.sampled_loop import plant_step
 from tissue.haptics.loop.stability_map import measured_critical_N_m
 from tissue.prediction.baselines import LinearControl
-from tissue.prediction.contact import Contact
-from tissue.prediction.predictor import Hold
+from tissue.prediction.predictor import Contact, Hold
 from tissue.simulation.builders.prediction import maker_of
 
 TICK = 1e-3

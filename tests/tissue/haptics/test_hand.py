@@ -11,8 +11,7 @@ import pytest
 from tissue import InputError
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.hand.hand import Hand, hand_parameters
-from tissue.haptics.hand.minimum_jerk import Aim, minimum_jerk, waypoints
+from tissue.haptics.hand.hand import Aim, Hand, hand_parameters, minimum_jerk, waypoints
 from tissue.materials.constants import constants
 from tissue.scene.registry import HANDS
 

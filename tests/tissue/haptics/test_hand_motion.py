@@ -8,8 +8,7 @@ from quiet_press import LIMITS, PERSON, check_ripple, quiet_press
 from meshes.base.progress import silent
 from tissue import InputError, load_scene
 from tissue.haptics import hand_measures as at
-from tissue.haptics.device.faulty import Fault, FaultyDevice
-from tissue.haptics.device.recorded import RecordedDevice
+from tissue.haptics.device.recorded import Fault, FaultyDevice, RecordedDevice
 from tissue.haptics.hand_measures import MEASURES, PERCEIVED, PREDICTED
 from tissue.haptics.loop.critical_stiffness import judge
 from tissue.models.tissue_model import FreeSpace, Response, ToolMotion

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from tissue.haptics.hand.pushing import CompensatedPath, Thrust
 from tissue.haptics.proxy.cutting_tool import CuttingTool
-from tissue.haptics.proxy.guidance import CompensatedPath, Thrust
 from tissue.haptics.proxy.held_tool import PressingTool
 from tissue.models.tissue_model import Response, ToolMotion
 from tissue.models.wall import WallModel

@@ -9,9 +9,9 @@ from meshes.base.errors import InputError
 from meshes.voxels.volume import FULL, VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr, cylinder
-from tissue.haptics.proxy.held_turn import FURTHEST_RAD, HeldTurn
+from tissue.haptics.proxy.held_tool import FURTHEST_RAD, HeldTurn
 from tissue.haptics.proxy.probing_tool import ProbedBone, ProbingTool
-from tissue.haptics.proxy.tool_shell import ToolShell
+from tissue.haptics.proxy.voxmap import ToolShell
 from tissue.models.tissue_model import Response, ToolMotion
 from tissue.motion.motion import frame_along
 from tissue.motion.quaternion import conjugate, exponential, logarithm, product

@@ -12,11 +12,10 @@ from hand_runs import played_N, run_of
 from tissue import InputError, load_scene, simulate
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.hand.hand import Hand, hand_parameters
-from tissue.haptics.hand.minimum_jerk import waypoints
+from tissue.haptics.hand.hand import Hand, hand_parameters, waypoints
 from tissue.haptics.loop.critical_stiffness import judge
 from tissue.haptics.loop.filters import LowPass
-from tissue.haptics.proxy.held_turn import HeldTurn
+from tissue.haptics.proxy.held_tool import HeldTurn
 from tissue.motion.quaternion import conjugate, exponential, logarithm, product
 from tissue.simulation.builders.loop import judged_loop
 from tissue.simulation.builders.loop_settings import loop_settings

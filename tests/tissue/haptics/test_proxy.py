@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from meshes.base.errors import InputError
 from tissue.haptics.proxy.proxy import Proxy, ProxyOutcome
-from tissue.haptics.proxy.tool_shell import ToolShell
-from tissue.haptics.proxy.voxmap import Ball, Box, ContactField, HalfSpace
+from tissue.haptics.proxy.voxmap import Ball, Box, ContactField, HalfSpace, ToolShell
 from tissue.motion.quaternion import turn_between
 
 SOLID_TOLERANCE_M = 2.5e-5

@@ -10,8 +10,7 @@ from proxy_scenes import BURR, SPACING, bumpy_store, surface_of, volume_of, wand
 from meshes.base.errors import InputError
 from meshes.shapes.plane_cube import cube_fraction
 from tissue.haptics.proxy.proxy import Proxy, ProxyOutcome
-from tissue.haptics.proxy.tool_shell import ToolShell
-from tissue.haptics.proxy.voxmap import ContactField
+from tissue.haptics.proxy.voxmap import ContactField, ToolShell
 from tissue.models.bone.bricks import BrickStore
 
 VOXEL_TOLERANCE_M = 0.05 * SPACING

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from tissue.prediction.baselines import Linear
-from tissue.prediction.contact import Contact
 from tissue.prediction.koopman import RELEASED, Koopman
 from tissue.prediction.look_ahead import RIGID, LookAhead
+from tissue.prediction.predictor import Contact
 
 SPRING = 400.0
 """Stiffness of the coupling [N/m]."""

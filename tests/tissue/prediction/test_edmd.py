@@ -14,8 +14,7 @@ from tissue.prediction.edmd.dictionary import (
     Polynomials,
     ThinPlates,
 )
-from tissue.prediction.edmd.edmd import Edmd, horizon_errors, regress, triangle
-from tissue.prediction.edmd.episodes import Episode, window
+from tissue.prediction.edmd.edmd import Edmd, Episode, horizon_errors, regress, triangle, window
 from tissue.prediction.edmd.predictor_file import from_plain, to_plain
 
 CENTRES = ((0.1, -0.2), (0.5, 0.4), (-0.7, 0.0))

@@ -6,8 +6,7 @@ from koopman_systems import duffing, record
 
 from tissue import InputError
 from tissue.prediction.edmd.dictionary import Delays, Gaussians, Identity, Polynomials
-from tissue.prediction.edmd.edmd import Edmd, horizon_errors
-from tissue.prediction.edmd.episodes import Episode
+from tissue.prediction.edmd.edmd import Edmd, Episode, horizon_errors
 from tissue.prediction.edmd.predictor_file import from_plain
 
 CENTRES = ((0.1, -0.2), (0.5, 0.4), (-0.7, 0.0))

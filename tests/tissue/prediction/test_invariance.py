@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tissue.prediction.contact import CONTACT_WIDTH, Contact
+from tissue.prediction.predictor import CONTACT_WIDTH, Contact
 from tissue.prediction.trained import Trained, shipped_file
 from tissue.simulation.builders.prediction import trained_predictor
 

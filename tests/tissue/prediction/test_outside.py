@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tissue import InputError
-from tissue.prediction.outside import GuardedMaker, Outside
+from tissue.prediction.guard import GuardedMaker, Outside
 
 
 class Line:

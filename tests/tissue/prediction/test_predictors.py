@@ -9,12 +9,11 @@ from tissue import InputError, load_scene
 from tissue.evaluation.training.recording import Recording
 from tissue.evaluation.training.train import fit, forecast_errors, with_fallback
 from tissue.prediction.baselines import Kalman, Linear, LinearControl, kalman_gains
-from tissue.prediction.contact import Contact, SeesContact
 from tissue.prediction.edmd.dictionary import Identity
 from tissue.prediction.edmd.edmd import Edmd
 from tissue.prediction.guard import Guarded
 from tissue.prediction.paths import OperatorPath
-from tissue.prediction.predictor import Hold
+from tissue.prediction.predictor import Contact, Hold, SeesContact
 from tissue.prediction.trained import Trained
 from tissue.scene.registry import PREDICTORS
 from tissue.simulation.builders.prediction import maker_of, trained_predictor

@@ -30,8 +30,7 @@ from tissue.evaluation.atlas.page import (
 from tissue.evaluation.training.recording import Recording
 from tissue.evaluation.training.train import fit, forecast
 from tissue.prediction.edmd.dictionary import Delays, GapProducts
-from tissue.prediction.edmd.edmd import Edmd
-from tissue.prediction.edmd.episodes import Episode, window
+from tissue.prediction.edmd.edmd import Edmd, Episode, window
 from tissue.prediction.edmd.predictor_file import read_predictor
 from tissue.prediction.guard import Guarded
 from tissue.prediction.predictor import Hold, Predictor

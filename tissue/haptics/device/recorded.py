@@ -1,16 +1,22 @@
 """Devices without force output: recorded motion, and a mouse in a window."""
 
-from math import exp
+from collections import deque
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from math import exp, nan
+from types import TracebackType
+from typing import Literal, Self
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
-from tissue.haptics.device.device import ComputedDevice, Sample
+from tissue.haptics.device.device import ComputedDevice, Device, Sample
 from tissue.motion.quaternion import Quaternion, Triple, exponential, product, turn_between, unit
 
-__all__ = ["MouseDevice", "RecordedDevice"]
+__all__ = ["Fault", "FaultKind", "FaultyDevice", "MouseDevice", "RecordedDevice"]
 
 NOT_TURNED: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
@@ -165,3 +171,73 @@ class MouseDevice(ComputedDevice):
         rate = 1.0 / self._response
         slope = speed + rate * away
         return fade * (away + slope * step_s), fade * (slope - rate * (away + slope * step_s))
+
+
+FaultKind = Literal["dropped", "late", "duplicated", "non-finite", "wild"]
+WILD_M = 1e9
+LATE_READS = 5
+"""Delay of a late sample [reads]."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Fault of the samples between two times [s]."""
+
+    kind: FaultKind
+    start_s: float
+    end_s: float
+
+
+class FaultyDevice:
+    """Device with faulty samples at given times.
+
+    Samples are dropped, late, repeated, non-finite or wild (1e9 m).
+    """
+
+    def __init__(self, device: Device, faults: Sequence[Fault]) -> None:
+        self._device = device
+        self._faults = tuple(faults)
+        self._past: deque[Sample | None] = deque(maxlen=LATE_READS + 1)
+        self._returned: Sample | None = None
+
+    @property
+    def in_process(self) -> bool:
+        """True if the device only computes."""
+        return bool(getattr(self._device, "in_process", False))
+
+    def __enter__(self) -> Self:
+        if isinstance(self._device, AbstractContextManager):
+            self._device.__enter__()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if isinstance(self._device, AbstractContextManager):
+            self._device.__exit__(kind, error, trace)
+
+    def read(self, time_s: float) -> Sample | None:
+        """Return a sample, modified by the fault at this time."""
+        sample = self._device.read(time_s)
+        self._past.append(sample)
+        kind = next(
+            (fault.kind for fault in self._faults if fault.start_s <= time_s < fault.end_s), None
+        )
+        if kind == "dropped":
+            return None
+        if kind == "duplicated":
+            return self._returned
+        if kind == "late":
+            return self._past[0]
+        if sample is not None and kind is not None:
+            wrong = nan if kind == "non-finite" else WILD_M
+            sample = sample._replace(position_m=(wrong, *sample.position_m[1:]))
+        self._returned = sample
+        return sample
+
+    def command(self, force_N: Array, torque_Nm: Array) -> None:
+        """Pass the command to the device."""
+        self._device.command(force_N, torque_Nm)

@@ -4,18 +4,112 @@ A sample is valid if a hand could have made it.
 """
 
 from dataclasses import dataclass, fields
-from math import dist, isfinite, nan, sqrt
+from math import ceil, dist, isfinite, nan, sqrt
 
 import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import require_positive
-from tissue.haptics.device.device import DeviceError, Sample
-from tissue.haptics.device.reach import Reach
-from tissue.haptics.device.roughness import Roughness
+from tissue.haptics.device.device import (
+    Device,
+    DeviceError,
+    DeviceParameters,
+    Reach,
+    Sample,
+    reach_of,
+)
+from tissue.models.tissue_model import TICK_S
 from tissue.motion.quaternion import Quaternion, is_nearly_unit, turn_between, unit
 
-__all__ = ["GuardLimits", "SampleGuard"]
+__all__ = ["GuardLimits", "NewSamples", "Roughness", "SampleGuard", "guard_of"]
+
+MEMORY = 8.0
+"""Number of new samples over which roughness is averaged."""
+STALE = 0.25
+"""Weight of a sample that only repeats the last one."""
+ROUGH, SMOOTH = 0.5, 0.05
+"""Share of rough samples above which a signal is noise, and below which it is valid again."""
+SHORTEST_S = 2e-3
+"""Shortest span of three samples [s]: encoder steps and clock jitter disturb shorter ones."""
+
+Place = tuple[float, float, float, float, float]
+"""Time [s] and up to four coordinates."""
+
+
+class Roughness:
+    """Detector of noise in a sequence of samples, from the implied acceleration.
+
+    The middle one of three samples deviates from the straight line between its neighbours. For
+    steps of T at the acceleration a, the deviation is at most a T^2 / 2. A sample is rough if it
+    deviates more than the limit allows. The signal becomes noise when more than half of its last
+    samples (exponential mean over 8 samples) are rough. It is valid again when fewer than a
+    twentieth are rough. One jump, a lost sample, an encoder step or a blow is rough for two samples
+    at most. White noise is detected from a standard deviation of about a quarter of the limit times
+    (1 ms)^2 per axis.
+
+    Parameters
+    ----------
+    limit
+        Largest acceleration, in the unit of the samples over s^2.
+
+    Attributes
+    ----------
+    noisy
+        True if the signal is noise.
+    share
+        Share of rough samples among the last ones.
+    """
+
+    def __init__(self, limit: float) -> None:
+        self._limit = limit / 8.0
+        self.noisy = False
+        self.share = 0.0
+        self._first: Place | None = None
+        self._middle: Place | None = None
+
+    def observe(self, time_s: float, x: float, y: float, z: float, w: float = 0.0) -> bool:
+        """Process a sample with its time [s], and return whether the signal is noise."""
+        first = self._first
+        middle = self._middle
+        if (
+            middle is not None
+            and x == middle[1]
+            and y == middle[2]
+            and z == middle[3]
+            and w == middle[4]
+        ):
+            if self.share > 0.0:
+                self._count(False, STALE / MEMORY)
+            return self.noisy
+        self._first = middle
+        self._middle = (time_s, x, y, z, w)
+        if first is None or middle is None:
+            return False
+        start, ax, ay, az, aw = first
+        between, bx, by, bz, bw = middle
+        span = time_s - start
+        part = (between - start) / span if span > 0.0 else 0.5
+        dx = bx - ax - part * (x - ax)
+        dy = by - ay - part * (y - ay)
+        dz = bz - az - part * (z - az)
+        dw = bw - aw - part * (w - aw)
+        square = dx * dx + dy * dy + dz * dz + dw * dw
+        span = span if span > SHORTEST_S else SHORTEST_S
+        allowed = self._limit * span * span
+        rough = square > allowed * allowed
+        if rough or self.share > 0.0:
+            self._count(rough, 1.0 / MEMORY)
+        return self.noisy
+
+    def _count(self, rough: bool, weight: float) -> None:
+        self.share += weight * (rough - self.share)
+        if self.share > ROUGH:
+            self.noisy = True
+        elif self.share < SMOOTH:
+            self.noisy = False
+            if self.share < 1e-6:
+                self.share = 0.0
+
 
 NO_TORQUE = np.zeros(3)
 MOST_EVENTS = 200
@@ -279,3 +373,55 @@ def _capped(vector: Array, limit: float) -> Array:
     """Return a vector shortened to a limit."""
     size = sqrt(vector.dot(vector))
     return vector * (limit / size) if size > limit else np.array(vector)
+
+
+ROUNDING = 1e-9
+"""Tolerance for equal times [s], and for a number of ticks."""
+OLDEST = 2.5
+"""Age at which a sample counts as missing, relative to the time between two samples."""
+
+
+class NewSamples:
+    """Detector for the ticks in which a device has a new sample.
+
+    A device with its own clock dates its samples. Other devices repeat the last pose with the time
+    of the tick. A changed pose is then new, and so is a pose that has stayed for the length of a
+    sample.
+
+    Parameters
+    ----------
+    sample_s
+        Time between two samples [s]. With a sample in every tick, each sample is new.
+    """
+
+    def __init__(self, sample_s: float) -> None:
+        self._ticks = ceil(sample_s / TICK_S - ROUNDING)
+        self._waited = 0
+        self._last = Sample(nan, (nan, nan, nan))
+
+    def is_new(self, sample: Sample, time_s: float) -> bool:
+        """Return whether the sample of the tick at a time [s] differs from the previous one."""
+        if self._ticks <= 1:
+            return True
+        last = self._last
+        self._last = sample
+        self._waited += 1
+        if sample.time_s == last.time_s:
+            return False
+        is_dated = abs(sample.time_s - time_s) > ROUNDING
+        has_changed = sample.position_m != last.position_m or sample.quaternion != last.quaternion
+        if not (is_dated or has_changed or self._waited >= self._ticks):
+            return False
+        self._waited = 0
+        return True
+
+
+def guard_of(device: Device, limits: DeviceParameters, *, sample_s: float) -> SampleGuard:
+    """Return the guard of a device with ``sample_s`` between two samples [s]."""
+    guard = SampleGuard(
+        GuardLimits(oldest_s=OLDEST * sample_s),
+        force_limit_N=limits.force_limit_N,
+        torque_limit_Nm=limits.torque_limit_Nm,
+    )
+    guard.reach = reach_of(device, limits)
+    return guard

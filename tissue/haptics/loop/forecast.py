@@ -11,7 +11,7 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.kept import Kept
-from tissue.prediction.contact import Contact, SeesContact
+from tissue.prediction.predictor import Contact, SeesContact
 
 if TYPE_CHECKING:
     from tissue.prediction.predictor import Predictor

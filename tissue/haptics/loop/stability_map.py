@@ -7,7 +7,14 @@ from math import inf
 import numpy as np
 
 from meshes.base.arrays import Array
-from tissue.haptics.loop.critical_stiffness import Verdict, critical_stiffness_N_m, judge
+from tissue.haptics.loop.critical_stiffness import (
+    Verdict,
+    critical_stiffness_N_m,
+    delay_bound_N_m,
+    judge,
+    pade_bound_N_m,
+    passive_bound_N_m,
+)
 from tissue.haptics.loop.filters import low_pass_gain
 from tissue.haptics.loop.sampled_loop import (
     ForecastMemory,
@@ -16,7 +23,6 @@ from tissue.haptics.loop.sampled_loop import (
     plant_step,
     spectral_radius,
 )
-from tissue.haptics.loop.stability_bounds import delay_bound_N_m, pade_bound_N_m, passive_bound_N_m
 from tissue.haptics.loop.vibration import ENVELOPE_S
 
 __all__ = [

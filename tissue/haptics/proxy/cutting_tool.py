@@ -6,8 +6,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import require_range
-from tissue.haptics.proxy.held_tool import FADE, HeldTool
-from tissue.haptics.proxy.held_turn import HeldTurn
+from tissue.haptics.proxy.held_tool import FADE, HeldTool, HeldTurn
 from tissue.models.tissue_model import Response
 from tissue.motion.quaternion import Quaternion
 

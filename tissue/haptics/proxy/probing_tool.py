@@ -8,11 +8,9 @@ from kernels.bricks import FULL
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.voxels.volume import VoxelVolume
-from tissue.haptics.proxy.held_tool import HeldTool
-from tissue.haptics.proxy.held_turn import HeldTurn
+from tissue.haptics.proxy.held_tool import HeldTool, HeldTurn
 from tissue.haptics.proxy.proxy import Proxy, ProxyOutcome
-from tissue.haptics.proxy.tool_shell import ToolShell
-from tissue.haptics.proxy.voxmap import ContactField
+from tissue.haptics.proxy.voxmap import ContactField, ToolShell
 from tissue.models.bone.bricks import BrickStore
 from tissue.models.tissue_model import FreeSpace, Response, ToolMotion
 from tissue.motion.quaternion import Quaternion

@@ -35,8 +35,7 @@ from kernels.proxy_descent import DescentSettings
 from kernels.proxy_forces import MEMBERS
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
-from tissue.haptics.proxy.tool_shell import ToolShell
-from tissue.haptics.proxy.voxmap import ContactField
+from tissue.haptics.proxy.voxmap import ContactField, ToolShell
 
 __all__ = ["Proxy", "ProxyOutcome", "ProxyResult"]
 

@@ -16,9 +16,10 @@ from scipy.ndimage import distance_transform_edt
 
 from kernels.voxmap import BALL, BOX, CELL, HALF_SPACE, SURFACE, Field, field_distance
 from meshes.base.arrays import Array
+from tissue.cutters.cutter import Cutter
 from tissue.models.bone.bricks import BrickStore
 
-__all__ = ["Ball", "Box", "ContactField", "HalfSpace", "Solid"]
+__all__ = ["Ball", "Box", "ContactField", "HalfSpace", "Solid", "ToolShell"]
 
 FELT_VOXELS = 0.5 * sqrt(3.0)
 """Largest distance from a voxel at which its trilinear fraction is not zero [voxel]."""
@@ -164,3 +165,44 @@ def _clearance(holds: NDArray[np.bool_], spacing_m: float) -> NDArray[np.float32
         return np.full(counts, NOWHERE_M, dtype=np.float32)
     cells = distance_transform_edt(~full) - sqrt(3.0)
     return np.maximum(spacing_m * (CELL * cells - FELT_VOXELS), 0.0).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class ToolShell:
+    """Surface points of a tool in its own frame: origin at the tip, z from tip to shank.
+
+    Attributes
+    ----------
+    points_m
+        Positions [m], shape (n, 3).
+    normals
+        Outward unit normals, shape (n, 3); zero where a point has no normal.
+    radius_m
+        Radius of a ball around every point [m]. A tool of several balls is exact on solids. Voxels
+        are tested only against points.
+    """
+
+    points_m: Array
+    normals: Array
+    radius_m: float = 0.0
+
+    @classmethod
+    def ball(
+        cls, radius_m: float = 0.0, *, centre_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    ) -> "ToolShell":
+        """Return one exact ball of ``radius_m`` [m].
+
+        With radius 0, it is the point of the classical god-object.
+        """
+        return cls(np.array([centre_m], dtype=np.float64), np.zeros((1, 3)), radius_m)
+
+    @classmethod
+    def of_cutter(cls, cutter: Cutter, *, point_count: int = 700) -> "ToolShell":
+        """Return about ``point_count`` points over the cutting surface of a cutter."""
+        shell = cutter.shell(spacing_m=(cutter.cutting_area_m2 / point_count) ** 0.5)
+        return cls(shell.points_m, shell.normals)
+
+    @property
+    def reach_m(self) -> float:
+        """Largest distance of the surface from the tool's origin [m]."""
+        return float(np.linalg.norm(self.points_m, axis=1).max()) + self.radius_m

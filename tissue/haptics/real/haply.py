@@ -4,19 +4,360 @@ The device plays force in three degrees of freedom. Its handle provides orientat
 for clinical use. Tested with a stand-in that uses the documented protocol, not with the device.
 """
 
+import socket
+import threading
+from contextlib import ExitStack, suppress
+from time import perf_counter, sleep
 from types import TracebackType
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from tissue.haptics.device.device import DeviceParameters, device_parameters
+from tissue.haptics.device.device import DeviceError, DeviceParameters, device_parameters
 from tissue.haptics.real.adapter import FoundDevice, HardwareSample
-from tissue.haptics.real.haply_link import HaplyLink
-from tissue.haptics.real.haply_service import problem_of
+from tissue.haptics.real.haply_frames import (
+    ServiceState,
+    StateOrder,
+    asked_version,
+    force_frame,
+    opening_frame,
+    problem_of,
+    service_address,
+    spelling_of,
+)
 from tissue.motion.quaternion import Triple
 from tissue.scene.hardware import Hardware
+from tissue.system.timeout import returned_within
 
-__all__ = ["HaplyAdapter"]
+if TYPE_CHECKING:
+    from websockets.sync.client import ClientConnection
+
+__all__ = ["HaplyAdapter", "HaplyLink"]
+
+PERIOD_S = 1e-3
+"""Longest time between an answer and the next frame [s]."""
+ANSWER_S = 0.02
+"""Longest time for an answer [s]."""
+LOST_S = 0.5
+"""Silence after which late answers count as lost [s]."""
+PATIENCE_S = 0.01
+"""Interval at which the thread checks whether it must end [s]."""
+HOLD_S = 0.03
+"""Longest time for which a force is sent again without a new command of the loop [s]."""
+GIVE_UP_S = 3.0
+"""Longest time for which a run continues without a sample [s]."""
+AGAIN_S = 2.5
+"""Longest time for attempts to reconnect to the service [s]."""
+MOST_EVENTS = 100
+"""Largest number of stored events."""
+MOST_BEHIND = 20
+"""Largest number of frames read at once, if a service sends more than requested."""
+OPEN_S = 2.0
+"""Longest time for the service to open and to send its first frame [s]."""
+NO_FORCE: Triple = (0.0, 0.0, 0.0)
+START_IT = "start the Inverse Service (it runs while Haply Hub is open), or set hardware.address"
+
+
+class HaplyLink:
+    """Session with the service.
+
+    Parameters
+    ----------
+    address
+        Address of the service, with the id of the device after a #. Empty for the default address
+        and the first device.
+
+    Attributes
+    ----------
+    url
+        Address of the service.
+    state
+        State of the devices, as stated by the service.
+    version
+        Major and minor version of the service; None if not stated.
+    events
+        Events so far, as sentences.
+    releases
+        Number of times that the force was removed here. A new force must then begin at zero.
+    """
+
+    def __init__(self, address: str = "") -> None:
+        self.url, self._host, self._port, device_id = service_address(address)
+        self._device_id = device_id
+        self.state = ServiceState(device_id)
+        self.version: tuple[int, int] | None = None
+        self.events: list[str] = []
+        self.releases = 0
+        self._was_off = True
+        self._spelling = "vector"
+        self._socket: ClientConnection | None = None
+        self._stack = ExitStack()
+        self._sample: HardwareSample | None = None
+        self._sampled_s = self._asked_s = 0.0
+        self._force = NO_FORCE
+        self._pushed_s = 0.0
+        self._problem = ""
+        self._order = StateOrder()
+        self._wake = threading.Event()
+        self._ended = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._sending = threading.Lock()  # no frame may follow the zero of the end
+
+    @property
+    def version_text(self) -> str:
+        """Version of the service as a text."""
+        return "of unknown version" if self.version is None else "{}.{}".format(*self.version)
+
+    def open(self) -> None:
+        """Connect to the service and receive its first frame.
+
+        Raises
+        ------
+        InputError
+            If the library is missing or the service does not answer.
+        """
+        try:
+            from websockets.exceptions import WebSocketException
+            from websockets.sync.client import connect
+        except ModuleNotFoundError:
+            raise InputError(
+                "websockets",
+                "be installed for device = haply",
+                "none",
+                "pip install 'tissue-sim[haply]'",
+            ) from None
+        self.state = ServiceState(self._device_id)
+        try:
+            self._socket = self._stack.enter_context(
+                connect(
+                    self.url,
+                    compression=None,
+                    proxy=None,
+                    open_timeout=OPEN_S,
+                    close_timeout=0.1,
+                    ping_interval=None,
+                )
+            )
+            first = self._socket.recv(timeout=OPEN_S)
+        except (OSError, WebSocketException) as error:
+            self._disconnect()
+            words = " ".join(str(error).split()) or type(error).__name__
+            raise InputError("haply", f"be reached at {self.url}", words, START_IT) from None
+        self.state.take(first)
+        self.version = asked_version(self._host, self._port)
+        self._spelling = spelling_of(self.version, has_session=b"session_id" in _bytes(first))
+
+    def start(self) -> None:
+        """Start to exchange frames, without force, and wait for the first sample.
+
+        Raises
+        ------
+        InputError
+            If the device cannot be used in its present state.
+        """
+        if problem := problem_of(self.state):
+            self._disconnect()
+            raise InputError(problem)
+        if self.state.status("in_use") is True:
+            self._log(
+                "another program uses the device: the service adds the forces of both, close "
+                "the other"
+            )
+        self._sample = None
+        self._sampled_s = perf_counter()
+        self._thread = threading.Thread(target=self._run, daemon=True, name="haply")
+        self._thread.start()
+        until = perf_counter() + OPEN_S
+        while self._sample is None and not self._problem and perf_counter() < until:
+            sleep(PERIOD_S)  # the state in the first frame may be old by now
+
+    def newest(self) -> HardwareSample | None:
+        """Return the newest sample; None if there is no new one since the last call.
+
+        Raises
+        ------
+        DeviceError
+            If the service or the device is permanently lost.
+        """
+        sample = self._sample
+        self._sample = None
+        if self._problem:
+            raise DeviceError(self._problem)
+        if (
+            sample is None
+            and perf_counter() - self._sampled_s > GIVE_UP_S
+            and not self._ended.is_set()
+        ):
+            raise DeviceError(
+                "haply",
+                "answer",
+                f"no state of {self.state.device_id} for {GIVE_UP_S:g} s",
+                "check the device's cable and power, and restart the Inverse Service",
+            )
+        return sample
+
+    def play(self, force_N: Triple) -> None:
+        """Set the force to send from now on."""
+        self._force = force_N
+        self._pushed_s = perf_counter()
+        self._wake.set()
+
+    def end(self) -> None:
+        """Send zero as the last force and disconnect.
+
+        It may be called repeatedly and from any thread.
+        """
+        self._force = NO_FORCE
+        self._ended.set()
+        self._wake.set()
+        if self._thread is not None and self._thread is not threading.current_thread():
+            self._thread.join(0.15)
+        zero = force_frame(self.state.device_id, NO_FORCE, self._spelling)
+        is_read = self._thread is None
+        if self._thread is not None and self._sending.acquire(timeout=0.05):
+            # On a busy machine, the thread may not have sent it. A service that no longer reads
+            # would block it.
+            is_read = returned_within(0.1, lambda: self._open_socket.send(zero))
+            self._sending.release()
+        self._disconnect(cut=not is_read)
+
+    def _run(self) -> None:
+        """Exchange frames until the end, and reconnect to a restarted service."""
+        from websockets.exceptions import WebSocketException
+
+        goes_on = True
+        while goes_on and not self._ended.is_set():
+            try:
+                self._exchange()
+            except (OSError, WebSocketException) as error:
+                goes_on = not self._ended.is_set() and self._reached_again(
+                    " ".join(str(error).split())
+                )
+            except Exception as error:
+                # the loop must not wait for a thread that has ended
+                self._problem = (
+                    f"haply must send frames as documented, got {type(error).__name__} "
+                    f"({error}): report it"
+                )
+                goes_on = False
+        with suppress(OSError, WebSocketException):
+            self._send(NO_FORCE)
+        self._disconnect()
+
+    def _exchange(self) -> None:
+        """Exchange frames one by one."""
+        self._asked_s = perf_counter()
+        self._open_socket.send(opening_frame(self.state.device_id, self._spelling))
+        while not self._ended.is_set():
+            if not self._receive(ANSWER_S) and not self._ended.is_set():
+                self._await_answers()
+            self._wake.wait(PERIOD_S)
+            self._wake.clear()
+            is_old = perf_counter() - self._pushed_s > HOLD_S
+            is_off = is_old or self._order.is_wrong or bool(self._problem) or self._ended.is_set()
+            self.releases += is_off and not self._was_off
+            self._was_off = is_off
+            self._send(NO_FORCE if is_off else self._force)
+
+    def _send(self, force_N: Triple) -> None:
+        self._asked_s = perf_counter()
+        with self._sending:
+            sent = NO_FORCE if self._ended.is_set() else force_N
+            self._open_socket.send(force_frame(self.state.device_id, sent, self._spelling))
+
+    def _receive(self, seconds: float) -> bool:
+        """Receive the answer and all frames behind it, and return whether it came in time."""
+        link = self._open_socket
+        answered = False
+        with suppress(TimeoutError):
+            for _ in range(MOST_BEHIND):
+                self._take(link.recv(timeout=0 if answered else seconds))
+                answered = True
+        return answered
+
+    def _take(self, text: str | bytes) -> None:
+        """Merge a frame, and store its new sample."""
+        if not self.state.take(text):
+            return
+        if problem := problem_of(self.state):
+            self._force = NO_FORCE
+            self._problem = problem
+        elif (sample := self.state.sample()) is not None:
+            was_wrong = self._order.is_wrong
+            now = perf_counter()
+            if not self._order.observe(sample, now):
+                # this thread may have been suspended before it received the answer
+                if now - self._asked_s < ANSWER_S:
+                    self._sample = sample
+                    self._sampled_s = now
+            elif not was_wrong:
+                self._log("states of the service come in a wrong order: the force is taken off")
+
+    def _await_answers(self) -> None:
+        """Remove the force, and wait for the late answers, which are not used as samples."""
+        self._force = NO_FORCE
+        self._sample = None
+        self.releases += 1
+        self._log(
+            f"the service did not answer within {1e3 * ANSWER_S:g} ms: the force is taken off"
+        )
+        self._send(NO_FORCE)
+        link = self._open_socket
+        missing = 2
+        until = perf_counter() + LOST_S
+        while missing > 0 and perf_counter() < until and not self._ended.is_set():
+            with suppress(TimeoutError):
+                self.state.take(link.recv(timeout=PATIENCE_S))
+                missing = missing - 1
+                until = perf_counter() + LOST_S
+
+    def _reached_again(self, why: str) -> bool:
+        """Reconnect to a restarted service, and return whether it answers in time."""
+        self._force = NO_FORCE
+        self._sample = None
+        self.releases += 1
+        self._log("the service closed the connection: the force is zero until it is back")
+        until = perf_counter() + AGAIN_S
+        while perf_counter() < until and not self._ended.wait(0.05):
+            self._disconnect()
+            with suppress(InputError):
+                self.open()
+                if not problem_of(self.state):
+                    self._sampled_s = perf_counter()
+                    return True
+        self._problem = problem_of(self.state) if self.state.device_ids else ""
+        self._problem = (
+            self._problem or f"haply must keep its connection, got {why or 'it closed'}: {START_IT}"
+        )
+        return False
+
+    @property
+    def _open_socket(self) -> "ClientConnection":
+        """Connection, if no other thread has ended it."""
+        if self._socket is None:
+            raise OSError("the session was ended")
+        return self._socket
+
+    def _log(self, what: str) -> None:
+        if len(self.events) < MOST_EVENTS:
+            self.events.append(what)
+
+    def _disconnect(self, *, cut: bool = False) -> None:
+        """Close the connection, and cut it first if the service no longer reads a pending frame."""
+        stack = self._stack
+        link = self._socket
+        self._stack = ExitStack()
+        self._socket = None
+        if cut and link is not None:
+            with suppress(OSError):
+                link.socket.shutdown(socket.SHUT_RDWR)
+        with suppress(OSError):
+            stack.close()
+
+
+def _bytes(text: str | bytes) -> bytes:
+    return text.encode() if isinstance(text, str) else text
+
 
 NAME = "haply"
 

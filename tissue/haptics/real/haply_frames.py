@@ -9,13 +9,29 @@ of it. Quaternions are w, x, y, z by name.
 import json
 import re
 from collections.abc import Mapping
+from contextlib import suppress
+from http.client import HTTPConnection, HTTPException
+from math import exp, hypot
 from typing import Any
+from urllib.parse import urlsplit
 
+from meshes.base.errors import InputError
 from meshes.base.text_tables import read_json
 from tissue.haptics.real.adapter import HardwareSample
 from tissue.motion.quaternion import Quaternion, Triple
+from tissue.system.timeout import returned_within
 
-__all__ = ["ServiceState", "force_frame", "opening_frame", "spelling_of", "version_in"]
+__all__ = [
+    "ServiceState",
+    "StateOrder",
+    "asked_version",
+    "force_frame",
+    "opening_frame",
+    "problem_of",
+    "service_address",
+    "spelling_of",
+    "version_in",
+]
 
 GRIPS = ("wireless_verse_grip", "verse_grip", "custom_verse_grip")
 """Handles with orientation and buttons, in search order."""
@@ -215,3 +231,144 @@ def _buttons(state: Mapping[str, Any]) -> int:
         else [state.get("button", False)]
     )
     return sum(1 << place for place, each in enumerate(held) if each is True)
+
+
+USUAL = "ws://localhost:10001"
+ANSWER_S, STATED_S = 0.5, 2.0
+"""Longest silence of the service before it states its version, and longest total time [s]."""
+LONGEST = 65_536
+"""Largest number of bytes read from a version answer."""
+
+
+def service_address(address: str) -> tuple[str, str, int, str]:
+    """Return URL, host, port and device id of ``hardware.address``.
+
+    Raises
+    ------
+    InputError
+        If the address is invalid.
+    """
+    parts = urlsplit(address or USUAL)
+    try:
+        host = parts.hostname
+        port = parts.port
+    except ValueError:
+        host = port = None
+    if parts.scheme != "ws" or not host or not port or parts.path not in ("", "/"):
+        raise InputError(
+            "hardware.address",
+            "be ws://HOST:PORT, with #DEVICE for one of several",
+            address,
+            f"use {USUAL}",
+        )
+    return f"ws://{parts.netloc}", host, port, parts.fragment
+
+
+def problem_of(state: ServiceState) -> str:
+    """Return the reason that the device cannot be used, in one sentence; empty if it can."""
+    name = state.device_id
+    ids = state.device_ids
+    if not ids:
+        return (
+            "haply must list an Inverse3, got none: plug it in, switch it on, and look for it in "
+            "Haply Hub"
+        )
+    if name not in ids:
+        return (
+            f"hardware.address must name one of the devices {', '.join(ids)} behind #, got "
+            f"{name}: use #{ids[0]}"
+        )
+    for entry, must, remedy in (
+        ("calibrated", "be calibrated", "calibrate it as Haply Hub shows, and start again"),
+        ("power_supply", "have power", "connect its power supply"),
+        ("ready", "be ready", "wait until its light shows that it is, and start again"),
+    ):
+        if state.status(entry) is False:
+            return f"haply must {must}, got {entry} = false of {name}: {remedy}"
+    return ""
+
+
+def asked_version(host: str, port: int) -> tuple[int, int] | None:
+    """Return the service's version from HTTP at the same port; None without a timely answer."""
+    found: list[tuple[int, int]] = []
+    returned_within(STATED_S, lambda: found.extend(_versions(host, port)))
+    return found[0] if found else None
+
+
+def _versions(host: str, port: int) -> list[tuple[int, int]]:
+    """Return the versions stated at the usual paths, at most one."""
+    for path in ("/version", "/3.1/version"):
+        with suppress(OSError, HTTPException):
+            connection = HTTPConnection(host, port, timeout=ANSWER_S)
+            try:
+                connection.request("GET", path)
+                answer = connection.getresponse()
+                if answer.status == 200 and (found := version_in(answer.read(LONGEST))) is not None:
+                    return [found]
+            finally:
+                connection.close()
+    return []
+
+
+MEMORY_S, LONGEST_S = 0.024, 0.005
+"""Averaging time of contradictions, and longest time for which one state counts [s].
+
+With this averaging time, a velocity may lag 6 ms behind a blow.
+"""
+WRONG, RIGHT = 0.25, 0.05
+"""Share of contradictions above which the order is wrong, and below which it is right again."""
+LEAST_M, LEAST_M_S = 2e-4, 0.05
+"""Smallest step [m] and speed [m/s] that are judged.
+
+Below them, a wrong order has no perceptible effect.
+"""
+AGAINST = -0.5
+"""Cosine of the angle between step and velocity below which they contradict each other."""
+
+
+class StateOrder:
+    """Comparison of the steps between states with the velocities of the states.
+
+    A state that is older than the previous one steps back against the velocity of both. In a random
+    order, about half of the states do. A share of a quarter is reached within 17 ms.
+
+    Attributes
+    ----------
+    is_wrong
+        True if recent states came in a wrong order.
+    """
+
+    def __init__(self) -> None:
+        self.is_wrong = False
+        self._share = self._came_s = 0.0
+        self._last: HardwareSample | None = None
+
+    def observe(self, sample: HardwareSample, time_s: float) -> bool:
+        """Process a state that came at a time [s], and return whether the order is wrong."""
+        last = self._last
+        elapsed = min(time_s - self._came_s, LONGEST_S)
+        self._last = sample
+        self._came_s = time_s
+        if last is None:
+            return False
+        (x, y, z) = sample.position_m
+        (a, b, c) = last.position_m
+        step = x - a, y - b, z - c
+        speed = [
+            0.5 * (one + other)
+            for one, other in zip(sample.velocity_m_s, last.velocity_m_s, strict=True)
+        ]
+        length = hypot(*step)
+        fast = hypot(*speed)
+        against = length > LEAST_M and fast > LEAST_M_S
+        against = (
+            against
+            and step[0] * speed[0] + step[1] * speed[1] + step[2] * speed[2]
+            < AGAINST * length * fast
+        )
+        self._share += (1.0 - exp(-elapsed / MEMORY_S)) * (against - self._share)
+        if self._share > WRONG:
+            self.is_wrong = True
+        elif self._share < RIGHT:
+            self.is_wrong = False
+        return self.is_wrong

@@ -10,10 +10,11 @@ from tissue.haptics.real.haply_frames import (
     ServiceState,
     force_frame,
     opening_frame,
+    problem_of,
+    service_address,
     spelling_of,
     version_in,
 )
-from tissue.haptics.real.haply_service import problem_of, service_address
 
 FIRST = {
     "session_id": 7,

@@ -12,15 +12,16 @@ import pytest
 from network_client import BYE, HEARTBEAT, HELLO, POSE, REFUSED, WRENCH, packet, pose, read
 
 from tissue.haptics.real.adapter import HardwareSample
-from tissue.haptics.real.network_protocol import (
+from tissue.haptics.real.network_session import (
+    SILENCE_S,
     Kind,
+    NetworkSession,
     Packet,
     PacketError,
     is_newer,
     packed,
     unpacked,
 )
-from tissue.haptics.real.network_session import SILENCE_S, NetworkSession
 
 PAGE = Path(__file__).resolve().parents[4] / "docs/guide/network_device.md"
 LAST = 2**32 - 1

@@ -5,7 +5,7 @@ import pytest
 
 from meshes.base.errors import InputError
 from meshes.paths.replay_table import POSE_COLUMNS
-from tissue.haptics.real.recorded import RecordedAdapter
+from tissue.haptics.real.adapter import RecordedAdapter
 from tissue.objects.simulate import simulate
 from tissue.scene.hardware import Hardware
 from tissue.scene.load import load_scene

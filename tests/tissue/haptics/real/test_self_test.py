@@ -13,8 +13,7 @@ from meshes.base.errors import InputError
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m
 from tissue.haptics.real.adapter import HardwareSample
-from tissue.haptics.real.measured_file import write_measured
-from tissue.haptics.real.self_test import BUMP_N, BUMP_S, SelfTest, bump, self_test
+from tissue.haptics.real.self_test import BUMP_N, BUMP_S, SelfTest, bump, self_test, write_measured
 from tissue.materials.scene_constants import Materials
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.load import load_scene

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tissue.haptics.real.adapter import HardwareSample
-from tissue.haptics.real.state_order import StateOrder
+from tissue.haptics.real.haply_frames import StateOrder
 
 TICK = 1e-3
 
