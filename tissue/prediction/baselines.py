@@ -11,8 +11,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
-from tissue.prediction.edmd.lifted import Operator
-from tissue.prediction.predictor import AffineMap, interpolated
+from tissue.prediction.operator import Operator
 
 __all__ = ["Kalman", "Linear", "LinearControl", "kalman_gains"]
 
@@ -157,9 +156,7 @@ class LinearControl:
         self._offset = operator.offset
         self._step = operator.step_s
         self._known = np.zeros(9)
-        self._maps: list[AffineMap] = [(np.eye(3, 9), np.zeros(3))]
-        self._lead = 0.0
-        self._at_lead = self._maps[0]
+        self._maps = [(np.eye(3, 9), np.zeros(3))]
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
         """Update with the device and the force.
@@ -181,18 +178,13 @@ class LinearControl:
         Between two powers the force is interpolated linearly.
         """
         whole = int(ticks)
+        now = self._after(whole)
         if ticks == whole:
-            matrix, offset = self._map(whole)
-        else:
-            if ticks != self._lead:
-                self._lead = ticks
-                self._at_lead = interpolated(self._map(whole), self._map(whole + 1), ticks - whole)
-            matrix, offset = self._at_lead
-        predicted: Array = matrix.dot(self._known)
-        return predicted + offset
+            return now
+        return now + (ticks - whole) * (self._after(whole + 1) - now)
 
-    def _map(self, ticks: int) -> AffineMap:
-        """Return the map from the known values to the force after a number of ticks."""
+    def _after(self, ticks: int) -> Array:
+        """Return the force after a number of ticks."""
         while len(self._maps) <= ticks:
             matrix, offset = self._maps[-1]
             # Position enters at its value after the elapsed ticks: x + k T v.
@@ -201,7 +193,9 @@ class LinearControl:
             onward = self._A @ matrix
             onward[:, 3:] += acting
             self._maps.append((onward, self._A @ offset + self._offset))
-        return self._maps[ticks]
+        matrix, offset = self._maps[ticks]
+        force: Array = matrix.dot(self._known)
+        return force + offset
 
     def pause(self) -> None:
         """Treat the next sample as the last one."""

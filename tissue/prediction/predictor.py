@@ -10,16 +10,11 @@ from meshes.base.arrays import Array
 
 __all__ = [
     "CONTACT_WIDTH",
-    "AffineMap",
     "Contact",
     "Hold",
     "Predictor",
     "SeesContact",
-    "interpolated",
 ]
-
-AffineMap = tuple[Array, Array]
-"""Matrix M and offset c of a map M x + c."""
 
 
 class Predictor(Protocol):
@@ -76,13 +71,6 @@ class Hold:
 
     def pause(self) -> None:
         """Do nothing: the hold does not depend on the ticks between forces."""
-
-
-def interpolated(before: AffineMap, after: AffineMap, share: float) -> AffineMap:
-    """Return the linear interpolation of two maps, exact at the shares 0 and 1."""
-    return (1.0 - share) * before[0] + share * after[0], (1.0 - share) * before[1] + share * after[
-        1
-    ]
 
 
 CONTACT_WIDTH = 21

@@ -4,15 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from koopman_systems import predict
 
 from tissue import InputError, load_scene
 from tissue.evaluation.training.recording import Recording
 from tissue.evaluation.training.train import fit, forecast_errors, with_fallback
 from tissue.prediction.baselines import Kalman, Linear, LinearControl, kalman_gains
-from tissue.prediction.edmd.dictionary import Identity
-from tissue.prediction.edmd.edmd import Edmd
+from tissue.prediction.edmd import Edmd
 from tissue.prediction.guard import Guarded
-from tissue.prediction.paths import OperatorPath
+from tissue.prediction.koopman import OperatorPath
+from tissue.prediction.operator import Identity
 from tissue.prediction.predictor import Contact, Hold, SeesContact
 from tissue.prediction.trained import Trained
 from tissue.scene.registry import PREDICTORS
@@ -224,7 +225,7 @@ def test_the_loop_predicts_as_the_operator_does(trained):
     for row in range(200):
         path.observe(run.position_m[row], run.force_N[row] / STIFFNESS_N_M)
     for axis, episode in enumerate(run.episodes()):
-        states = trained.operator.predict(episode.states[200 - lags - 1 : 200], None, 30)
+        states = predict(trained.operator, episode.states[200 - lags - 1 : 200], None, 30)
         for ticks in (1, 4, 9, 18, 30):
             moved, stretch = path.displacement_m(ticks)[axis], path.stretch_m(ticks)[axis]
             assert moved == pytest.approx(states[:ticks, 0].sum(), rel=1e-9, abs=1e-14)

@@ -13,8 +13,7 @@ from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand.hand import Hand, hand_parameters, waypoints
 from tissue.haptics.renderer import renderer
 from tissue.haptics.rigid_wall import WallRun, press_wall
-from tissue.prediction.koopman import Koopman
-from tissue.prediction.paths import OperatorPath
+from tissue.prediction.koopman import Koopman, OperatorPath
 from tissue.prediction.predictor import Contact
 from tissue.prediction.trained import Trained
 
