@@ -8,46 +8,18 @@ from math import sqrt
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
 from tissue.materials.constants import constants
 
-__all__ = [
-    "AssumptionResult",
-    "LocalLevel",
-    "log_posterior",
-    "map_estimate_errors",
-    "map_force_N",
-    "recursive_estimate_errors",
-    "require_prior_fits",
-]
+__all__ = ["LocalLevel", "log_posterior", "map_force_N"]
 
-Level = TypeVar("Level", float, NDArray[np.float64])
+Level = TypeVar("Level", float, Array)
 
 MOST_STEPS = 200
 """Number of steps after which bisection alone has shrunk a bracket to rounding."""
-FAR = 6.0
-"""Number of standard deviations beyond which a prior excludes an observation."""
-MEDIAN_N = 1.0
-LOG_SPREAD = 1.0
-NOISE_N = 0.3
-"""Test case of single observations.
-
-The forces have the prior of ``perception.toml``; an observation scatters as at 4 N.
-"""
-WANDER = 1e-4
-NOISE = 1.0
-TICKS = 2000
-"""Test case of the recursion: variances of level and observation, and number of ticks."""
-TAIL = 3.0
-"""Degrees of freedom of Student's t for heavy tails, scaled to the variance of the Gaussian."""
-FATIGUE = 0.1
-"""Relative increase of the felt force after long pressing.
-
-From memory of the literature (Jones and Hunter 1983).
-"""
 
 
 def log_posterior(
@@ -131,32 +103,6 @@ def map_force_N(
     return np.asarray(np.exp(best).reshape(shape))
 
 
-def require_prior_fits(
-    seen_N: float, noise_N: float, *, median_N: float, log_spread: float
-) -> None:
-    """Check that the prior does not exclude the observation.
-
-    It does if the observation lies beyond six standard deviations of both laws.
-
-    Raises
-    ------
-    InputError
-        If the observation is that far from every force within six spreads of the prior's median.
-    """
-    require_positive("noise_N", noise_N, "use the standard deviation of an observation")
-    require_positive("median_N", median_N, "use 1")
-    require_positive("log_spread", log_spread, "use 1")
-    low = median_N * np.exp(-FAR * log_spread)
-    high = median_N * np.exp(FAR * log_spread)
-    if not low - FAR * noise_N <= seen_N <= high + FAR * noise_N:
-        raise InputError(
-            "seen_N",
-            f"be possible under the prior of {median_N:g} N with log spread {log_spread:g}",
-            f"{seen_N} with noise {noise_N:g} N",
-            "widen the prior or check the unit",
-        )
-
-
 def _root(low: Array, high: Array, y: Array, r: Array, m: Array, s: Array) -> Array:
     """Return the zero of the slope within brackets on which it falls.
 
@@ -216,106 +162,3 @@ class LocalLevel:
     def steady_variance(self) -> float:
         """Variance after many observations."""
         return 0.5 * (sqrt(self.wander**2 + 4.0 * self.wander * self.noise) - self.wander)
-
-
-@dataclass(frozen=True, kw_only=True)
-class AssumptionResult:
-    """An assumption and the error that it causes.
-
-    Attributes
-    ----------
-    assumed
-        Assumption, or the truth that differs from it.
-    error
-        Root mean square error: of one observation in units of its noise, of the recursion in units
-        of the right filter's standard deviation.
-    held
-        Share of true levels within 1.96 standard deviations of the recursion; NaN for one
-        observation.
-    """
-
-    assumed: str
-    error: float
-    held: float = float("nan")
-
-
-def map_estimate_errors(rng: np.random.Generator, *, count: int = 20_000) -> list[AssumptionResult]:
-    """Return the errors of the estimate from one observation of each force, by assumption.
-
-    `count` is the number of forces.
-    """
-    truth = MEDIAN_N * np.exp(LOG_SPREAD * rng.standard_normal(count))
-    gaussian = NOISE_N * rng.standard_normal(count)
-    tails = NOISE_N * _heavy(rng, count)
-    seen = truth + gaussian
-    # Observation, and factors on the assumed median, spread and noise.
-    cases = {
-        "right prior and noise": (seen, 1.0, 1.0, 1.0),
-        "prior's median / 3": (seen, 1.0 / 3.0, 1.0, 1.0),
-        "prior's median x 3": (seen, 3.0, 1.0, 1.0),
-        "prior's spread / 2": (seen, 1.0, 0.5, 1.0),
-        "prior's spread x 2": (seen, 1.0, 2.0, 1.0),
-        "noise / 2": (seen, 1.0, 1.0, 0.5),
-        "noise x 2": (seen, 1.0, 1.0, 2.0),
-        "truth has heavy tails": (truth + tails, 1.0, 1.0, 1.0),
-        "truth fatigues by 10 %": ((1.0 + FATIGUE) * truth + gaussian, 1.0, 1.0, 1.0),
-    }
-    estimates = {"the look itself": seen}
-    for assumed, (look, median, spread, noise) in cases.items():
-        estimates[assumed] = map_force_N(
-            look, noise * NOISE_N, median_N=median * MEDIAN_N, log_spread=spread * LOG_SPREAD
-        )
-    return [
-        AssumptionResult(
-            assumed=assumed, error=float(np.sqrt(np.mean((estimate - truth) ** 2))) / NOISE_N
-        )
-        for assumed, estimate in estimates.items()
-    ]
-
-
-def recursive_estimate_errors(
-    rng: np.random.Generator, *, runs: int = 200
-) -> list[AssumptionResult]:
-    """Return the errors of the recursive estimate of a wandering level, by assumption.
-
-    `runs` is the number of runs.
-    """
-    right = LocalLevel(wander=WANDER, noise=NOISE)
-    level = 5.0 + np.cumsum(np.sqrt(WANDER) * rng.standard_normal((TICKS, runs)), axis=0)
-    gaussian = rng.standard_normal((TICKS, runs))
-    tails = _heavy(rng, (TICKS, runs))
-    fatigue = FATIGUE * np.linspace(0.0, 1.0, TICKS)[:, None]
-    cases = [
-        ("right variances", right, level + gaussian),
-        ("wander / 10", LocalLevel(wander=0.1 * WANDER, noise=NOISE), level + gaussian),
-        ("wander x 10", LocalLevel(wander=10.0 * WANDER, noise=NOISE), level + gaussian),
-        ("noise / 10", LocalLevel(wander=WANDER, noise=0.1 * NOISE), level + gaussian),
-        ("truth has heavy tails", right, level + tails),
-        ("truth fatigues by 10 %", right, (1.0 + fatigue) * level + gaussian),
-    ]
-    return [
-        _followed(assumed, law, level, seen, right.steady_variance) for assumed, law, seen in cases
-    ]
-
-
-def _followed(
-    assumed: str, law: LocalLevel, level: Array, seen: Array, best: float
-) -> AssumptionResult:
-    """Filter runs, and return the errors over their second half."""
-    estimate = seen[0]
-    variance = law.noise
-    off = []
-    held = []
-    for tick in range(1, len(level)):
-        estimate, variance = law.step(estimate, variance, seen[tick])
-        if tick >= len(level) // 2:
-            off.append((estimate - level[tick]) ** 2)
-            held.append(off[-1] < 1.96**2 * variance)
-    return AssumptionResult(
-        assumed=assumed, error=float(np.sqrt(np.mean(off) / best)), held=float(np.mean(held))
-    )
-
-
-def _heavy(rng: np.random.Generator, shape: int | tuple[int, ...]) -> Array:
-    """Draw from Student's t with unit variance."""
-    return np.asarray(rng.standard_t(TAIL, shape) / np.sqrt(TAIL / (TAIL - 2.0)))

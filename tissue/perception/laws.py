@@ -13,12 +13,10 @@ from scipy.special import ndtr, ndtri
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_range
-from tissue.materials.constants import constants
 from tissue.perception.observer import Observer
 
 __all__ = [
     "D_PRIME_75",
-    "QUANTITIES",
     "ForceMap",
     "Intensity",
     "LogTable",
@@ -26,15 +24,12 @@ __all__ = [
     "correct_of_d_prime",
     "intensity_of",
     "two_interval",
-    "weber",
     "weber_of",
     "with_lapse",
 ]
 
 D_PRIME_75 = 0.9538725524089894
 """Distance d' of two intervals for 75 % right answers: sqrt(2) Phi^-1(0.75)."""
-QUANTITIES = {"force": "offset_N", "torque": "offset_Nm", "stiffness": "offset_N_m"}
-"""Quantities with known thresholds, and the name and unit of their low-level term."""
 
 
 def with_lapse(share: ArrayLike, lapse: ArrayLike) -> Array:
@@ -145,13 +140,9 @@ class Intensity:
         Raises
         ------
         InputError
-            If an intensity is negative, or below the smallest expected intensity of any force.
+            If an intensity is below the smallest expected intensity of any force.
         """
         wanted = np.asarray(intensity, dtype=float)
-        if not (wanted >= 0.0).all():
-            raise InputError(
-                "intensity", "be at least 0", f"{intensity!r}", "intensities are sizes"
-            )
         a = self.log_alpha + 0.5 * self.variances[0]
         b = self.beta + self.variances[1]
         c = self.variances[2]
@@ -215,37 +206,8 @@ class Weber:
         require_range("offset", self.offset, 1e-6, 1e6, "use 0.2 for force in N")
 
     def threshold(self, level: ArrayLike) -> Array:
-        """Return the smallest change that is felt at levels of any shape, in their unit.
-
-        Raises
-        ------
-        InputError
-            If a level is negative or no number: levels are sizes.
-        """
-        levels = np.asarray(level, dtype=float)
-        if not (levels >= 0.0).all():
-            raise InputError(
-                "level", "be a size of at least 0", f"{level!r}", "give the length of the vector"
-            )
-        return self.kappa * (levels + self.offset)
-
-
-def weber(quantity: str) -> Weber:
-    """Return the population's median threshold of a quantity, from ``perception.toml``.
-
-    The quantities are force [N], torque [N m] and stiffness [N/m].
-
-    Raises
-    ------
-    InputError
-        If the quantity is not one of these.
-    """
-    if quantity not in QUANTITIES:
-        raise InputError(
-            "quantity", f"be one of {', '.join(QUANTITIES)}", quantity, "choose one of these"
-        )
-    known = constants("perception", quantity)
-    return Weber(kappa=known["kappa"].value, offset=known[QUANTITIES[quantity]].value)
+        """Return the smallest change that is felt at sizes of any shape, in their unit."""
+        return self.kappa * (np.asarray(level, dtype=float) + self.offset)
 
 
 def weber_of(observer: Observer, *, quantile: float = 0.5) -> Weber:
@@ -283,10 +245,6 @@ class LogTable:
     """
 
     def __init__(self, forces_N: Array, values: Array) -> None:
-        if not (np.isfinite(values).all() and (values > 0.0).all()):
-            raise InputError(
-                "values", "be positive and finite", "one that is not", "narrow the range of forces"
-            )
         self._first = float(forces_N[0])
         self._last = float(forces_N[-1])
         self._start = log(self._first)

@@ -7,7 +7,6 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from tissue.perception.estimate import LocalLevel
 from tissue.perception.laws import D_PRIME_75, ForceMap, Weber
 
 __all__ = ["Deadband", "PerceivedForce", "Perception", "PerceptionMaker", "Sense", "held_back"]
@@ -181,11 +180,6 @@ class Sense:
         self._rng = rng
         self._drawn = list[float]()
         self._level = self.force_N = 0.0
-
-    def at(self, force_N: float) -> LocalLevel:
-        """Return the filter of this sense at a force [N]."""
-        noise = (self._noise_ratio * self._kappa * (force_N + self._offset)) ** 2
-        return LocalLevel(wander=self.gain**2 * noise / (1.0 - self.gain), noise=noise)
 
     def step(self, force_N: float) -> float:
         """Observe a force [N] once and return the new estimate."""

@@ -169,7 +169,7 @@ def test_none_is_none_and_unknown_names_are_refused():
     ):
         built("expert")
     with pytest.raises(
-        InputError, match=r"observer must be a file that can be read, got nowhere.json"
+        InputError, match=r"observer must be a file of an observer, got nowhere.json"
     ):
         built("observer:nowhere.json")
 
