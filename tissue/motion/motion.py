@@ -4,7 +4,7 @@ Quaternions are (x, y, z, w).
 """
 
 from dataclasses import dataclass
-from math import inf, sqrt
+from math import inf
 from typing import Protocol
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.models.tissue_model import Response, ToolMotion
-from tissue.motion.quaternion import OFF_UNIT
+from tissue.motion.quaternion import OFF_UNIT, of_matrix
 
 __all__ = [
     "LONGEST_S",
@@ -148,22 +148,8 @@ def matrix_of(quaternion: Array) -> Array:
 
 
 def quaternion_of(rotation: Array) -> Array:
-    """Return the unit quaternion with w >= 0 of a rotation matrix, shape (3, 3).
-
-    The largest of the four components is computed first, which avoids division by a small number
-    (Shepperd 1978, J. Guid. Control 1:223).
-    """
-    (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
-    squares = (1.0 + a - e - i, 1.0 - a + e - i, 1.0 - a - e + i, 1.0 + a + e + i)
-    largest = squares.index(max(squares))
-    rows = (
-        (squares[0], b + d, c + g, h - f),
-        (b + d, squares[1], f + h, c - g),
-        (c + g, f + h, squares[2], d - b),
-        (h - f, c - g, d - b, squares[3]),
-    )
-    quaternion = np.array(rows[largest]) / (2.0 * sqrt(squares[largest]))
-    return quaternion if quaternion[3] >= 0.0 else -quaternion
+    """Return the unit quaternion with w >= 0 of a rotation matrix, shape (4,)."""
+    return np.array(of_matrix(rotation.tolist()))
 
 
 class FollowPath(Motion):

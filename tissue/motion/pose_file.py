@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.file_limits import read_npz
 from meshes.base.whole_file import whole_file
@@ -18,7 +18,7 @@ FORMAT = 1
 """Version of the file of poses."""
 
 
-def write_poses(path: Path, poses: NDArray[np.float64], volume: VoxelVolume) -> None:
+def write_poses(path: Path, poses: Array, volume: VoxelVolume) -> None:
     """Write poses, and origin and spacing of the voxels that they cut, to a .npz file."""
     with whole_file(path) as temporary, temporary.open("wb") as file:
         arrays = {
@@ -29,7 +29,7 @@ def write_poses(path: Path, poses: NDArray[np.float64], volume: VoxelVolume) -> 
         np.savez_compressed(file, format=np.array(FORMAT), **arrays)  # type: ignore[arg-type]
 
 
-def read_poses(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+def read_poses(path: Path) -> tuple[Array, Array, float]:
     """Read poses, the origin of the voxels [m], shape (3,), and their spacing [m].
 
     The file was written by `write_poses`.
@@ -45,35 +45,28 @@ def read_poses(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], fl
         poses = np.asarray(held["poses"], dtype=np.float64)
         origin = np.asarray(held["origin_m"], dtype=np.float64)
         spacing = float(held["spacing_m"])
+        is_whole = (
+            poses.shape[1:] == (COLUMNS,)
+            and origin.shape == (3,)
+            and np.isfinite([*poses.ravel(), *origin, spacing]).all()
+            and (np.diff(poses[:, 0]) >= 0.0).all()
+        )
     except InputError:
         raise
     except Exception:  # NumPy and zipfile raise a dozen kinds for a damaged archive
-        raise InputError(
-            "poses", "be a whole file that a run wrote", path, "run the scene again"
-        ) from None
-    if version != FORMAT:
-        raise InputError(
-            "poses", f"be of format {FORMAT}", f"{version} in {path}", "run the scene again"
-        )
-    whole = poses.ndim == 2 and poses.shape[1] == COLUMNS and np.isfinite(poses).all()
-    if (
-        not whole
-        or (np.diff(poses[:, 0]) < 0).any()
-        or origin.shape != (3,)
-        or not np.isfinite([*origin, spacing]).all()
-    ):
+        is_whole = False
+        version = FORMAT
+    if version != FORMAT or not is_whole:
         raise InputError(
             "poses",
-            f"hold {COLUMNS} finite columns in the order of ticks",
+            f"be a whole file of format {FORMAT} that a run wrote",
             path,
             "run the scene again",
         )
     return poses, origin, spacing
 
 
-def poses_of_trace(
-    tips_m: NDArray[np.float64], axes: NDArray[np.float64], velocities: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def poses_of_trace(tips_m: Array, axes: Array, velocities: Array) -> Array:
     """Build the poses of a run from its trace, where the file of poses is missing.
 
     The shape of the bone is then accurate to the distance that a tool moves between two cuts.

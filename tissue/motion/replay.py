@@ -2,7 +2,7 @@
 
 import csv
 from dataclasses import dataclass
-from math import isfinite
+from math import isfinite, nan
 from pathlib import Path
 from typing import Any
 
@@ -70,14 +70,35 @@ class DrillingRecording:
     notes: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class _File:
+    """File and its name in errors."""
+
+    path: Path
+    what: str
+
+    def error(self, requirement: str, got: object, remedy: str) -> InputError:
+        return InputError(self.what, requirement, f"{got} in {self.path}", remedy)
+
+    def require_unit(self, quaternions: Array) -> None:
+        """Check the length of quaternions (x, y, z, w), shape (n, 4)."""
+        if (wrong := first_off_unit(quaternions)) is not None:
+            length = float(np.linalg.norm(quaternions[wrong]))
+            raise self.error(
+                "hold unit quaternions",
+                f"one of length {length:.4g} for pose {wrong + 1}",
+                "use 0, 0, 0, 1 for no rotation",
+            )
+
+
 def read_drilling(path: Path, *, what: str) -> DrillingRecording:
     """Read a recording of volumetric_drilling in the present or the older layout.
 
     The recorded pose is at the centre of the burr, with x towards the shank. It is moved to the tip
     by half the burr size if the file contains the size. Otherwise the recorded point is used as the
     tip. The recorder sometimes receives a pose twice or out of order. Samples are therefore sorted,
-    and the first sample of each time is kept. The recorder's plugin rotates forces into the camera
-    axes. If the file contains one camera, forces are rotated back into the world.
+    and the first sample of each time is kept. If the file contains one camera, forces are rotated
+    from its axes back into the world.
 
     Parameters
     ----------
@@ -100,7 +121,7 @@ def read_drilling(path: Path, *, what: str) -> DrillingRecording:
     require_regular(path)
     try:
         with h5py.File(path, "r") as file:
-            return _read(file, _Where(path, what))
+            return _drilling(file, _File(path, what))
     except (InputError, MemoryError):
         raise
     except Exception as problem:  # h5py raises a dozen kinds for a damaged file
@@ -112,18 +133,8 @@ def read_drilling(path: Path, *, what: str) -> DrillingRecording:
         ) from None
 
 
-@dataclass(frozen=True)
-class _Where:
-    """File and its name in errors."""
-
-    path: Path
-    what: str
-
-    def error(self, requirement: str, got: str, remedy: str) -> InputError:
-        return InputError(self.what, requirement, f"{got} in {self.path}", remedy)
-
-
-def _read(file: Any, where: _Where) -> DrillingRecording:
+def _drilling(file: Any, where: _File) -> DrillingRecording:
+    """Return the content of an open recording."""
     old = POSES not in file and OLD_POSES in file
     poses, events = (OLD_POSES, "") if old else (POSES, EVENTS + "/")
     if poses not in file:
@@ -139,8 +150,9 @@ def _read(file: Any, where: _Where) -> DrillingRecording:
     notes = ["a recording of volumetric_drilling, in its world"]
     times, pose = _samples(file, f"{poses}/{drills[0]}", "pose", 7, where)
     if len(times) < 2:
-        raise where.error("hold at least two poses", f"{len(times)}", "record more")
-    turns = _turns(pose, f"{poses}/{drills[0]}", where) * SHAFT_TO_X
+        raise where.error("hold at least two poses", len(times), "record more")
+    where.require_unit(pose[:, 3:])
+    turns = Rotation.from_quat(pose[:, 3:]) * SHAFT_TO_X
     tips = pose[:, :3]
     if f"{events}burr_change" in file:
         _, sizes = _samples(file, f"{events}burr_change", "burr_size", 1, where)
@@ -160,9 +172,14 @@ def _read(file: Any, where: _Where) -> DrillingRecording:
         load_times, loads = _samples(file, f"{events}drill_force_feedback", "wrench", 6, where)
         cameras = [name for name in names if "camera" in name]
         if len(cameras) == 1:
+            # volumetric_drilling.cpp, commit 001d332: the plugin publishes R^T F, with the
+            # orientation R of its main camera, as the force and again as the torque.
             shown, seen = _samples(file, f"{poses}/{cameras[0]}", "pose", 7, where)
+            if len(shown) == 0:
+                raise where.error("hold poses", f"none for {cameras[0]}", "record it again")
+            where.require_unit(seen[:, 3:])
             nearest = np.clip(np.searchsorted(shown, load_times), 0, len(shown) - 1)
-            camera = _turns(seen, f"{poses}/{cameras[0]}", where)[nearest]
+            camera = Rotation.from_quat(seen[nearest, 3:])
             loads = np.hstack([camera.apply(loads[:, :3]), camera.apply(loads[:, 3:])])
             notes.append("forces turned from the camera's axes to the world's")
         if len(loads) and loads.any() and np.array_equal(loads[:, :3], loads[:, 3:]):
@@ -175,9 +192,19 @@ def _read(file: Any, where: _Where) -> DrillingRecording:
     return DrillingRecording(times - start, tips, turns.as_quat(), load_times, loads, tuple(notes))
 
 
-def _samples(file: Any, group: str, name: str, width: int, where: _Where) -> tuple[Array, Array]:
+def _samples(file: Any, group: str, name: str, width: int, where: _File) -> tuple[Array, Array]:
     """Return increasing times [s], shape (n,), and the values at these times, shape (n, width)."""
-    times, values = (_numbers(file, f"{group}/{each}", where) for each in ("time_stamp", name))
+    import h5py
+
+    found = []
+    for each in (f"{group}/time_stamp", f"{group}/{name}"):
+        dataset = file.get(each)
+        if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind not in "fiu":
+            raise where.error(f"hold numbers as {each}", "none", "record it again")
+        size = max(dataset.dtype.itemsize, 8) * dataset.size
+        require_memory(size, where.path.name, f"{dataset.size:.3g} numbers as {each}")
+        found.append(np.asarray(dataset[()], dtype=np.float64))
+    times, values = found
     values = values[:, None] if values.ndim == 1 and width == 1 else values
     if times.ndim != 1 or values.shape != (len(times), width):
         raise where.error(
@@ -189,34 +216,6 @@ def _samples(file: Any, group: str, name: str, width: int, where: _Where) -> tup
         raise where.error("hold finite numbers", f"others for {group}", "cut them out")
     order = np.unique(times, return_index=True)[1]
     return times[order], values[order]
-
-
-def _numbers(file: Any, name: str, where: _Where) -> Array:
-    import h5py
-
-    found = file.get(name)
-    if not isinstance(found, h5py.Dataset) or found.dtype.kind not in "fiu":
-        raise where.error(f"hold numbers as {name}", "none", "record it again")
-    require_memory(
-        max(found.dtype.itemsize, 8) * found.size,
-        where.path.name,
-        f"{found.size:.3g} numbers as {name}",
-    )
-    return np.asarray(found[()], dtype=np.float64)
-
-
-def _turns(pose: Array, name: str, where: _Where) -> Rotation:
-    """Return the orientations of poses of shape (n, 7)."""
-    if len(pose) == 0:
-        raise where.error("hold poses", f"none for {name}", "record it again")
-    if (wrong := first_off_unit(pose[:, 3:])) is not None:
-        length = float(np.linalg.norm(pose[wrong, 3:]))
-        raise where.error(
-            "hold unit quaternions",
-            f"one of length {length:.4g} for {name}",
-            "use 0, 0, 0, 1 for none",
-        )
-    return Rotation.from_quat(pose[:, 3:])
 
 
 RECORDINGS = (".hdf5", ".h5")
@@ -340,85 +339,63 @@ def read_replay(path: Path, *, step_s: float) -> ReplayPoses:
         If the file is missing, lacks a column, holds values that are not finite, or its times do
         not increase.
     """
+    where = _File(path, "motion.file")
     if not is_file(path):
         raise InputError(
-            "motion.file",
+            where.what,
             "be an existing file of poses",
             path,
             "give a CSV such as a run's trace.csv",
         )
     if path.suffix.lower() in RECORDINGS:
-        held = read_drilling(path, what="motion.file")
-        _require_short(float(held.times_s[-1]), path)
-        with names_of_caller({"poses": "motion.file"}):
-            return ReplayPoses(held.times_s, held.tips_m, held.quaternions, step_s=step_s)
+        held = read_drilling(path, what=where.what)
+        poses = np.column_stack([held.times_s, held.tips_m, held.quaternions])
+    else:
+        poses = _table(where)
+    lasts_s = float(poses[-1, 0] - poses[0, 0])
+    if lasts_s > LONGEST_S:
+        raise where.error(f"last at most {LONGEST_S:g} s", f"{lasts_s:g}", "cut it")
+    with names_of_caller({"poses": where.what}):
+        return ReplayPoses(poses[:, 0], poses[:, 1:4], poses[:, 4:], step_s=step_s)
+
+
+def _table(where: _File) -> Array:
+    """Return times [s], tips [m] and quaternions of a CSV table, shape (n, 8)."""
+    columns = ("time_s", *POSE_COLUMNS)
+    rows = []
     try:
-        with path.open(newline="", encoding="utf-8") as file:
+        with where.path.open(newline="", encoding="utf-8") as file:
             reader = csv.DictReader(file)
             names = reader.fieldnames or []
-            require_distinct_columns(names, "motion.file", path)
-            missing = [name for name in ("time_s", *POSE_COLUMNS) if name not in names]
-            rows = [] if missing else [_pose(row, reader.line_num, path) for row in reader]
+            require_distinct_columns(names, where.what, where.path)
+            if missing := [name for name in columns if name not in names]:
+                raise where.error(f"have the columns {', '.join(missing)}", "none", "add them")
+            for row in reader:
+                rows.append([_number(row, name, reader.line_num, where) for name in columns])
     except (UnicodeDecodeError, csv.Error):
-        raise InputError(
-            "motion.file", "be a CSV table", f"other data in {path}", "export it as text"
-        ) from None
-    if missing:
-        raise InputError(
-            "motion.file",
-            f"have the columns {', '.join(missing)}",
-            f"{path} without them",
-            "add them",
-        )
+        raise where.error("be a CSV table", "other data", "export it as text") from None
     if len(rows) < 2:
-        raise InputError(
-            "motion.file", "hold at least two poses", f"{len(rows)} in {path}", "record more"
-        )
+        raise where.error("hold at least two poses", len(rows), "record more")
     poses = np.array(rows)
     back = np.flatnonzero(np.diff(poses[:, 0]) <= 0.0)
     if back.size:
         before, after = poses[back[0] : back[0] + 2, 0]
-        raise InputError(
-            "motion.file",
-            "have increasing time_s",
-            f"{after:g} after {before:g} in {path}",
-            "sort its rows",
+        raise where.error("have increasing time_s", f"{after:g} after {before:g}", "sort its rows")
+    where.require_unit(poses[:, 4:])
+    poses[:, 1:4] *= 1e-3
+    return poses
+
+
+def _number(row: dict[str, str], name: str, line: int, where: _File) -> float:
+    """Return the number of a row in a column."""
+    try:
+        value = number_in(row[name])
+    except (TypeError, ValueError):
+        value = nan
+    if not isfinite(value):
+        raise where.error(
+            "hold finite numbers",
+            f"{row[name] or 'nothing'} for {name} in line {line}",
+            "fix that line",
         )
-    _require_short(poses[-1, 0] - poses[0, 0], path)
-    if (wrong := first_off_unit(poses[:, 4:])) is not None:
-        length = float(np.linalg.norm(poses[wrong, 4:]))
-        raise InputError(
-            "motion.file",
-            "hold unit quaternions",
-            f"one of length {length:.4g} at {poses[wrong, 0]:g} s in {path}",
-            "give tool_qx, tool_qy, tool_qz and tool_qw of a rotation, and 0, 0, 0, 1 for none",
-        )
-    with names_of_caller({"poses": "motion.file"}):
-        return ReplayPoses(poses[:, 0], poses[:, 1:4] * 1e-3, poses[:, 4:], step_s=step_s)
-
-
-def _require_short(lasts_s: float, path: Path) -> None:
-    """Check that the motion is not longer than `LONGEST_S`."""
-    if lasts_s > LONGEST_S:
-        raise InputError(
-            "motion.file", f"last at most {LONGEST_S:g} s", f"{lasts_s:g} in {path}", "cut it"
-        )
-
-
-def _pose(row: dict[str, str], line: int, path: Path) -> list[float]:
-    """Return time and pose of one row."""
-    values = []
-    for name in ("time_s", *POSE_COLUMNS):
-        try:
-            value = number_in(row[name])
-        except (TypeError, ValueError):
-            value = float("nan")
-        if not isfinite(value):
-            raise InputError(
-                "motion.file",
-                "hold finite numbers",
-                f"{row[name] or 'nothing'} for {name} in line {line} of {path}",
-                "fix that line",
-            )
-        values.append(value)
-    return values
+    return value
