@@ -4,7 +4,9 @@ from collections.abc import Sequence
 from math import atan2, cos, inf, sin, sqrt
 
 __all__ = [
+    "NOTHING",
     "OFF_UNIT",
+    "UPRIGHT",
     "Quaternion",
     "Triple",
     "conjugate",
@@ -20,6 +22,9 @@ __all__ = [
 Quaternion = tuple[float, float, float, float]
 Triple = tuple[float, float, float]
 """Three components of a vector."""
+NOTHING: Triple = (0.0, 0.0, 0.0)
+UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
+"""Vector of zeros, and quaternion without a rotation."""
 OFF_UNIT = 0.02
 """Tolerance of the squared length of a quaternion around one, for a rounded rotation."""
 

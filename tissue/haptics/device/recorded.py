@@ -14,11 +14,18 @@ from scipy.spatial.transform import Rotation, Slerp
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
 from tissue.haptics.device.device import ComputedDevice, Device, Sample
-from tissue.motion.quaternion import Quaternion, Triple, exponential, product, turn_between, unit
+from tissue.motion.quaternion import (
+    NOTHING,
+    UPRIGHT,
+    Quaternion,
+    Triple,
+    exponential,
+    product,
+    turn_between,
+    unit,
+)
 
 __all__ = ["Fault", "FaultKind", "FaultyDevice", "MouseDevice", "RecordedDevice"]
-
-NOT_TURNED: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
 
 class RecordedDevice(ComputedDevice):
@@ -68,7 +75,7 @@ class RecordedDevice(ComputedDevice):
         if not (np.diff(times) > 0.0).all():
             raise InputError("times_s", "increase", times_s, "sort them")
         turned = (
-            np.tile((0.0, 0.0, 0.0, 1.0), (len(times), 1))
+            np.tile(UPRIGHT, (len(times), 1))
             if quaternions is None
             else np.array(quaternions, float)
         )
@@ -124,13 +131,13 @@ class MouseDevice(ComputedDevice):
     bounds_itself = True
     """No reach is applied, because the pointer of a mouse is not bounded by an arm."""
 
-    def __init__(self, position_m: Triple = (0.0, 0.0, 0.0), *, response_s: float = 0.03) -> None:
+    def __init__(self, position_m: Triple = NOTHING, *, response_s: float = 0.03) -> None:
         self._response = require_positive("response_s", response_s, "use 0.03")
         self._target = position_m
-        self._turned = NOT_TURNED
+        self._turned = UPRIGHT
         self._sample = Sample(0.0, position_m)
 
-    def push(self, position_m: Triple, quaternion: Quaternion = NOT_TURNED) -> None:
+    def push(self, position_m: Triple, quaternion: Quaternion = UPRIGHT) -> None:
         """Set the position [m] and orientation of the pointer.
 
         A window's thread may call it.

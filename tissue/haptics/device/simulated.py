@@ -11,6 +11,8 @@ from tissue.haptics.device.device import ComputedDevice, DeviceParameters, Sampl
 from tissue.haptics.hand.hand import Grip, HandAction, HoldingHand
 from tissue.haptics.loop.sampled_loop import plant_step
 from tissue.motion.quaternion import (
+    NOTHING,
+    UPRIGHT,
     Quaternion,
     Triple,
     exponential,
@@ -61,11 +63,11 @@ class Plant:
         self._damping = require_range("damping_N_s_m", damping_N_s_m, 0.0, 1e6, "use 0 for none")
         self._friction = require_range("friction_N", friction_N, 0.0, 1e6, "use 0 for none")
         self._amplifier = amplifier_Hz
-        self.position: Triple = (0.0, 0.0, 0.0)
-        self.velocity: Triple = (0.0, 0.0, 0.0)
-        self.motor_force: Triple = (0.0, 0.0, 0.0)
+        self.position: Triple = NOTHING
+        self.velocity: Triple = NOTHING
+        self.motor_force: Triple = NOTHING
         self.motor_work_J = 0.0
-        self._hand: Triple = (0.0, 0.0, 0.0)
+        self._hand: Triple = NOTHING
 
     def hold(self, *, stiffness_N_m: float, damping_N_s_m: float, mass_kg: float) -> None:
         """Attach the plant to a linear hand, or release it with zeros.
@@ -136,9 +138,6 @@ class Plant:
         self.motor_work_J = work
 
 
-NOTHING: Triple = (0.0, 0.0, 0.0)
-
-
 class SimulatedDevice(ComputedDevice):
     """Device with known physics in a simulated hand.
 
@@ -197,7 +196,7 @@ class SimulatedDevice(ComputedDevice):
             amplifier_Hz=parameters.amplifier_Hz,
         )
         self.translation.position = position_m
-        self.orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
+        self.orientation: Quaternion = UPRIGHT
         self.hand_force_N: Triple = NOTHING
         self.saturated_ticks = self.refused_commands = 0
         step = self._step = 1.0 / parameters.rate_Hz

@@ -12,7 +12,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
 from tissue.materials.scene_constants import Materials
 from tissue.models.tissue_model import TICK_S
-from tissue.motion.quaternion import Quaternion, Triple
+from tissue.motion.quaternion import NOTHING, UPRIGHT, Quaternion, Triple
 from tissue.scene.registry import HANDS
 
 __all__ = [
@@ -161,8 +161,6 @@ class Aim:
 
 BLOCK = 500
 """Number of ticks whose random numbers are drawn at once."""
-NOTHING: Triple = (0.0, 0.0, 0.0)
-UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
 
 class Grip(NamedTuple):

@@ -9,11 +9,10 @@ from scipy.linalg.lapack import dgesv
 from meshes.base.arrays import Array
 from meshes.base.errors import require_positive
 from tissue.models.tissue_model import Response
-from tissue.motion.quaternion import Quaternion, exponential, product, turn_between
+from tissue.motion.quaternion import UPRIGHT, Quaternion, exponential, product, turn_between
 
-__all__ = ["FADE", "UPRIGHT", "HeldTool", "HeldTurn", "PressingTool"]
+__all__ = ["FADE", "HeldTool", "HeldTurn", "PressingTool"]
 
-UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
 LEAST_RAD = 1e-5
 """Smallest rotation for an estimate of the tissue stiffness [rad]; a tool of 20 mm moves 0.2 um."""
 FURTHEST_RAD = 2.5

@@ -13,12 +13,10 @@ from contextlib import suppress
 from http.client import HTTPConnection, HTTPException
 from math import exp, hypot
 from typing import Any
-from urllib.parse import urlsplit
 
-from meshes.base.errors import InputError
 from meshes.base.text_tables import read_json
-from tissue.haptics.real.adapter import HardwareSample
-from tissue.motion.quaternion import Quaternion, Triple
+from tissue.haptics.real.adapter import HardwareSample, checked_url
+from tissue.motion.quaternion import NOTHING, UPRIGHT, Triple
 from tissue.system.timeout import returned_within
 
 __all__ = [
@@ -41,6 +39,26 @@ MOST = 1e6
 """Bound on valid numbers: a number of this size or more is not a value of a device."""
 PROFILE = "tissue:simulation"
 """Name of the session in the vendor's window."""
+
+USUAL = "ws://localhost:10001"
+ANSWER_S, STATED_S = 0.5, 2.0
+"""Longest silence of the service before it states its version, and longest total time [s]."""
+LONGEST = 65_536
+"""Largest number of bytes read from a version answer."""
+MEMORY_S, LONGEST_S = 0.024, 0.005
+"""Averaging time of contradictions, and longest time for which one state counts [s].
+
+With this averaging time, a velocity may lag 6 ms behind a blow.
+"""
+WRONG, RIGHT = 0.25, 0.05
+"""Share of contradictions above which the order is wrong, and below which it is right again."""
+LEAST_M, LEAST_M_S = 2e-4, 0.05
+"""Smallest step [m] and speed [m/s] that are judged.
+
+Below them, a wrong order has no perceptible effect.
+"""
+AGAINST = -0.5
+"""Cosine of the angle between step and velocity below which they contradict each other."""
 
 
 class ServiceState:
@@ -98,21 +116,19 @@ class ServiceState:
         It is None if a number is missing or invalid.
         """
         state = _part(self.device, "state")
-        grip = self._grip()
-        held = _part(grip, "state")
-        position = _triple(state.get("cursor_position"))
-        velocity = _triple(state.get("cursor_velocity"))
-        if position is None:
+        grips = [each for group in GRIPS for each in self._known.get(group, {}).values()]
+        held = _part(grips[0] if grips else {}, "state")
+        position = _numbers(state.get("cursor_position"), "xyz")
+        velocity = _numbers(state.get("cursor_velocity"), "xyz")
+        turned = _numbers(held.get("orientation"), "xyzw")
+        if not position:
             return None
-        turned = _quaternion(held.get("orientation"))
-        return HardwareSample(position, velocity or (0.0, 0.0, 0.0), turned, buttons=_buttons(held))
-
-    def _grip(self) -> dict[str, Any]:
-        """Return the first listed handle; empty without one."""
-        for group in GRIPS:
-            for grip in self._known.get(group, {}).values():
-                return grip
-        return {}
+        return HardwareSample(
+            (position[0], position[1], position[2]),
+            (velocity[0], velocity[1], velocity[2]) if velocity else NOTHING,
+            (turned[0], turned[1], turned[2], turned[3]) if turned else UPRIGHT,
+            buttons=_buttons(held),
+        )
 
     def model(self) -> str:
         """Return type, id, firmware and handedness of the device as a text, as far as stated."""
@@ -131,9 +147,8 @@ def spelling_of(version: tuple[int, int] | None, *, has_session: bool) -> str:
 
     The version decides. If it is unknown, the presence of a session decides.
     """
-    return (
-        "vector" if (version >= VECTOR_SINCE if version is not None else has_session) else "values"
-    )
+    is_new = has_session if version is None else version >= VECTOR_SINCE
+    return "vector" if is_new else "values"
 
 
 def version_in(text: str | bytes) -> tuple[int, int] | None:
@@ -165,79 +180,8 @@ def force_frame(device_id: str, force_N: Triple, spelling: str) -> str:
 
 def opening_frame(device_id: str, spelling: str) -> str:
     """Return the first frame to send: the name of the session, and zero force."""
-    frame = read_json(force_frame(device_id, (0.0, 0.0, 0.0), spelling))
+    frame = read_json(force_frame(device_id, NOTHING, spelling))
     return json.dumps({"session": {"configure": {"profile": {"name": PROFILE}}}} | frame)
-
-
-def _listed(group: object) -> list[dict[str, Any]]:
-    """Return the entries of a group that have the structure of a device."""
-    devices = group if isinstance(group, list) else []
-    return [
-        each
-        for each in devices
-        if isinstance(each, dict) and isinstance(each.get("device_id"), str)
-    ]
-
-
-def _merge(known: dict[str, Any], news: Mapping[str, Any]) -> None:
-    """Merge new entries into known ones, entry by entry."""
-    for name, value in news.items():
-        if isinstance(value, dict) and isinstance(known.get(name), dict):
-            _merge(known[name], value)
-        else:
-            known[name] = value
-
-
-def _part(whole: object, name: str) -> dict[str, Any]:
-    """Return a table within a table; empty without one."""
-    part = whole.get(name) if isinstance(whole, Mapping) else None
-    return part if isinstance(part, dict) else {}
-
-
-def _numbers(table: object, names: str) -> list[float] | None:
-    """Return finite numbers of a table by name; None if one is missing or invalid."""
-    found = [table.get(name) for name in names] if isinstance(table, dict) else [None]
-    if not all(
-        isinstance(each, int | float) and not isinstance(each, bool) and abs(each) < MOST
-        for each in found
-    ):
-        return None
-    return [float(each) for each in found]  # type: ignore[arg-type]
-
-
-def _triple(table: object) -> Triple | None:
-    numbers = _numbers(table, "xyz")
-    return None if numbers is None else (numbers[0], numbers[1], numbers[2])
-
-
-def _quaternion(table: object) -> Quaternion:
-    numbers = _numbers(table, "xyzw")
-    return (
-        (0.0, 0.0, 0.0, 1.0)
-        if numbers is None
-        else (numbers[0], numbers[1], numbers[2], numbers[3])
-    )
-
-
-def _buttons(state: Mapping[str, Any]) -> int:
-    """Return the buttons with bit i for the i-th button by name.
-
-    A handle with a single button calls it ``button``.
-    """
-    buttons = state.get("buttons")
-    held = (
-        [buttons[name] for name in sorted(buttons)]
-        if isinstance(buttons, dict)
-        else [state.get("button", False)]
-    )
-    return sum(1 << place for place, each in enumerate(held) if each is True)
-
-
-USUAL = "ws://localhost:10001"
-ANSWER_S, STATED_S = 0.5, 2.0
-"""Longest silence of the service before it states its version, and longest total time [s]."""
-LONGEST = 65_536
-"""Largest number of bytes read from a version answer."""
 
 
 def service_address(address: str) -> tuple[str, str, int, str]:
@@ -248,19 +192,8 @@ def service_address(address: str) -> tuple[str, str, int, str]:
     InputError
         If the address is invalid.
     """
-    parts = urlsplit(address or USUAL)
-    try:
-        host = parts.hostname
-        port = parts.port
-    except ValueError:
-        host = port = None
-    if parts.scheme != "ws" or not host or not port or parts.path not in ("", "/"):
-        raise InputError(
-            "hardware.address",
-            "be ws://HOST:PORT, with #DEVICE for one of several",
-            address,
-            f"use {USUAL}",
-        )
+    meant = "ws://HOST:PORT, with #DEVICE for one of several"
+    parts, host, port = checked_url(address or USUAL, ("ws",), meant, USUAL)
     return f"ws://{parts.netloc}", host, port, parts.fragment
 
 
@@ -291,39 +224,71 @@ def problem_of(state: ServiceState) -> str:
 def asked_version(host: str, port: int) -> tuple[int, int] | None:
     """Return the service's version from HTTP at the same port; None without a timely answer."""
     found: list[tuple[int, int]] = []
-    returned_within(STATED_S, lambda: found.extend(_versions(host, port)))
+
+    def ask() -> None:
+        for path in ("/version", "/3.1/version"):
+            with suppress(OSError, HTTPException):
+                connection = HTTPConnection(host, port, timeout=ANSWER_S)
+                try:
+                    connection.request("GET", path)
+                    answer = connection.getresponse()
+                    version = version_in(answer.read(LONGEST)) if answer.status == 200 else None
+                finally:
+                    connection.close()
+                if version is not None:
+                    found.append(version)
+                    return
+
+    returned_within(STATED_S, ask)
     return found[0] if found else None
 
 
-def _versions(host: str, port: int) -> list[tuple[int, int]]:
-    """Return the versions stated at the usual paths, at most one."""
-    for path in ("/version", "/3.1/version"):
-        with suppress(OSError, HTTPException):
-            connection = HTTPConnection(host, port, timeout=ANSWER_S)
-            try:
-                connection.request("GET", path)
-                answer = connection.getresponse()
-                if answer.status == 200 and (found := version_in(answer.read(LONGEST))) is not None:
-                    return [found]
-            finally:
-                connection.close()
-    return []
+def _listed(group: object) -> list[dict[str, Any]]:
+    """Return the entries of a group that have the structure of a device."""
+    devices = group if isinstance(group, list) else []
+    return [
+        each
+        for each in devices
+        if isinstance(each, dict) and isinstance(each.get("device_id"), str)
+    ]
 
 
-MEMORY_S, LONGEST_S = 0.024, 0.005
-"""Averaging time of contradictions, and longest time for which one state counts [s].
+def _merge(known: dict[str, Any], news: Mapping[str, Any]) -> None:
+    """Merge new entries into known ones, entry by entry."""
+    for name, value in news.items():
+        if isinstance(value, dict) and isinstance(known.get(name), dict):
+            _merge(known[name], value)
+        else:
+            known[name] = value
 
-With this averaging time, a velocity may lag 6 ms behind a blow.
-"""
-WRONG, RIGHT = 0.25, 0.05
-"""Share of contradictions above which the order is wrong, and below which it is right again."""
-LEAST_M, LEAST_M_S = 2e-4, 0.05
-"""Smallest step [m] and speed [m/s] that are judged.
 
-Below them, a wrong order has no perceptible effect.
-"""
-AGAINST = -0.5
-"""Cosine of the angle between step and velocity below which they contradict each other."""
+def _part(whole: object, name: str) -> dict[str, Any]:
+    """Return a table within a table; empty without one."""
+    part = whole.get(name) if isinstance(whole, Mapping) else None
+    return part if isinstance(part, dict) else {}
+
+
+def _numbers(table: object, names: str) -> list[float]:
+    """Return finite numbers of a table by name; empty if one is missing or invalid."""
+    found = [table.get(name) for name in names] if isinstance(table, dict) else [None]
+    numbers = [
+        float(each)
+        for each in found
+        if isinstance(each, int | float) and not isinstance(each, bool) and abs(each) < MOST
+    ]
+    return numbers if len(numbers) == len(names) else []
+
+
+def _buttons(state: Mapping[str, Any]) -> int:
+    """Return the buttons with bit i for the i-th button by name.
+
+    A handle with a single button calls it ``button``.
+    """
+    buttons = state.get("buttons")
+    if not isinstance(buttons, dict):
+        return int(state.get("button") is True)
+    held = [buttons[name] for name in sorted(buttons)]
+    return sum(1 << place for place, each in enumerate(held) if each is True)
 
 
 class StateOrder:
@@ -360,12 +325,9 @@ class StateOrder:
         ]
         length = hypot(*step)
         fast = hypot(*speed)
-        against = length > LEAST_M and fast > LEAST_M_S
-        against = (
-            against
-            and step[0] * speed[0] + step[1] * speed[1] + step[2] * speed[2]
-            < AGAINST * length * fast
-        )
+        along = step[0] * speed[0] + step[1] * speed[1] + step[2] * speed[2]
+        is_judged = length > LEAST_M and fast > LEAST_M_S
+        against = is_judged and along < AGAINST * length * fast
         self._share += (1.0 - exp(-elapsed / MEMORY_S)) * (against - self._share)
         if self._share > WRONG:
             self.is_wrong = True

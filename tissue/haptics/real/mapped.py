@@ -13,6 +13,8 @@ from tissue.haptics.device.device import DeviceParameters, Sample, reach_of
 from tissue.haptics.real.adapter import HardwareAdapter, HardwareSample
 from tissue.motion.motion import matrix_of
 from tissue.motion.quaternion import (
+    NOTHING,
+    UPRIGHT,
     Quaternion,
     Triple,
     conjugate,
@@ -24,8 +26,6 @@ from tissue.motion.quaternion import (
 from tissue.scene.hardware import Hardware
 
 __all__ = ["MappedDevice", "Workspace"]
-
-NO_TURN: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
 
 class Workspace:
@@ -65,10 +65,10 @@ class Workspace:
         """Make the next pose the first one."""
         self.is_placed = False
         self._clutched = False
-        self._shift: Triple = (0.0, 0.0, 0.0)
-        self._pose: tuple[Triple, Quaternion] = (self._start, NO_TURN)
-        self._from = NO_TURN
-        self._onto = NO_TURN
+        self._shift: Triple = NOTHING
+        self._pose: tuple[Triple, Quaternion] = (self._start, UPRIGHT)
+        self._from = UPRIGHT
+        self._onto = UPRIGHT
 
     def turned(self, vector: Triple) -> Triple:
         """Return a vector in the device's axes in the world's axes."""
@@ -120,7 +120,6 @@ class Workspace:
         return product(product(self._turn, length_one), conjugate(self._turn))
 
 
-STILL: Triple = (0.0, 0.0, 0.0)
 MOST_EVENTS = 100
 """Largest number of stored events."""
 
@@ -139,9 +138,7 @@ class MappedDevice:
     Parameters
     ----------
     adapter
-        Device in its own frame. It may have ``releases``, the number of times that it has removed
-        the force by itself, after which the ramp restarts. It may have ``happened()``, which
-        returns its events as sentences.
+        Device in its own frame. The ramp restarts after each of its ``releases``.
     hardware
         Placement of the workspace in the scene, and limits.
     start_m
@@ -170,7 +167,7 @@ class MappedDevice:
         adapter: HardwareAdapter,
         hardware: Hardware | None = None,
         *,
-        start_m: Triple = (0.0, 0.0, 0.0),
+        start_m: Triple = NOTHING,
         now: Callable[[], float] = perf_counter,
     ) -> None:
         self._adapter = adapter
@@ -197,7 +194,7 @@ class MappedDevice:
     def __enter__(self) -> Self:
         self._adapter.__enter__()
         self._newest = None
-        self._releases = getattr(self._adapter, "releases", 0)
+        self._releases = self._adapter.releases
         self._noted = 0
         self._begin(0.0)
         return self
@@ -233,7 +230,7 @@ class MappedDevice:
         self._time = time_s
         now = self._now()
         sample = self._adapter.poll()
-        if (releases := getattr(self._adapter, "releases", 0)) != self._releases:
+        if (releases := self._adapter.releases) != self._releases:
             self._releases = releases
             self.share = 0.0
             self._note()
@@ -255,12 +252,13 @@ class MappedDevice:
         newest = self._newest
         clutched = _held(newest.buttons, self._settings.clutch_button, otherwise=False)
         wanted = not clutched and _held(newest.buttons, self._settings.force_button, otherwise=True)
-        self.share = self._ramped(elapsed) if wanted else 0.0
+        step = elapsed / self._ramp if self._ramp > 0.0 else 1.0
+        self.share = min(self.share + step, 1.0) if wanted else 0.0
         position, quaternion = self._space.pose(
             newest.position_m, newest.quaternion, clutched=clutched
         )
         if clutched:
-            return Sample(time_s, position, STILL, quaternion, STILL)
+            return Sample(time_s, position, NOTHING, quaternion, NOTHING)
         velocity = self._space.turned(newest.velocity_m_s)
         spin = self._space.turned(newest.spin_rad_s)
         return Sample(time_s, position, velocity, quaternion, spin)
@@ -287,13 +285,9 @@ class MappedDevice:
         if self._reach is not None:
             self._reach.restart()
 
-    def _ramped(self, elapsed_s: float) -> float:
-        """Return the share after ``elapsed_s`` more."""
-        return min(self.share + elapsed_s / self._ramp, 1.0) if self._ramp > 0.0 else 1.0
-
     def _note(self) -> None:
         """Store the new events of the adapter."""
-        found: tuple[str, ...] = getattr(self._adapter, "happened", tuple)()
+        found = self._adapter.happened()
         for what in found[self._noted :]:
             self._log(what)
         self._noted = len(found)

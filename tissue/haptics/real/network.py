@@ -10,22 +10,19 @@ from collections import deque
 from collections.abc import Hashable
 from contextlib import suppress
 from time import perf_counter, sleep
-from types import TracebackType
-from typing import TYPE_CHECKING, Protocol, Self
-from urllib.parse import urlsplit
+from typing import TYPE_CHECKING
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from tissue.haptics.device.device import DeviceParameters, device_parameters
-from tissue.haptics.real.adapter import FoundDevice, HardwareSample
+from tissue.haptics.real.adapter import FoundDevice, HardwareAdapter, HardwareSample, checked_url
 from tissue.haptics.real.network_session import NO_WRENCH, NetworkSession
 
 if TYPE_CHECKING:
-    from websockets.asyncio.server import Server, ServerConnection
+    from websockets.asyncio.server import ServerConnection
 
     from tissue.scene.hardware import Hardware
 
-__all__ = ["USUAL", "NetworkAdapter", "Transport", "UdpTransport", "WebTransport"]
+__all__ = ["USUAL", "NetworkAdapter", "UdpTransport", "WebTransport"]
 
 USUAL = "udp://127.0.0.1:24930"
 """Default address at which a device is awaited."""
@@ -34,22 +31,24 @@ MOST_READS = 256
 LONGEST_PACKET = 1024
 LOOK_S = 0.6
 """Longest time for which a search waits for a device [s]; a device asks ten times a second."""
+OPEN_S = 5.0
+"""Longest time for the thread to start listening, and to end [s]."""
+LONGEST_MESSAGE = 4096
+CLOSE_S = 0.2
+"""Longest time of each step of a close [s].
 
+The steps: the device receives its last packets, ends its connection, and is cut off. Together
+they take less than the second after which a run gives up a device that does not close.
+"""
+SEND_S = 0.25
+"""Longest time for which a device may receive no packets before its connection is ended [s]."""
+HANDSHAKE_S = 2.0
+"""Longest time for a connection to become a WebSocket [s]."""
+MOST_WAITING = 2
+"""Largest number of packets that wait for the thread; a further wrench replaces the oldest.
 
-class Transport(Protocol):
-    """Transport of packets: opened at once, read and written without waiting."""
-
-    address: str
-    """Address of the listener."""
-
-    def read(self) -> None:
-        """Pass all received packets to the session."""
-
-    def send(self, peer: Hashable, data: bytes) -> None:
-        """Send a packet to the device; a packet that cannot be sent is dropped."""
-
-    def close(self) -> None:
-        """Stop listening."""
+Zero and goodbye can wait together.
+"""
 
 
 class UdpTransport:
@@ -62,29 +61,29 @@ class UdpTransport:
     session
         Receiver of the packets.
 
+    Attributes
+    ----------
+    port
+        Port of the listener.
+
     Raises
     ------
-    InputError
+    OSError
         If the address cannot be used.
     """
 
     def __init__(self, host: str, port: int, session: NetworkSession) -> None:
         self._session = session
         self._closed = False
-        try:
-            (family, kind, *_, place), *_ = socket.getaddrinfo(
-                host.strip("[]"), port, type=socket.SOCK_DGRAM
-            )
-            self._socket = socket.socket(family, kind)
-        except OSError as error:
-            raise _cannot_listen(f"udp://{host}:{port}", error) from None
+        (family, kind, *_, place), *_ = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
+        self._socket = socket.socket(family, kind)
         try:
             self._socket.bind(place)
-        except OSError as error:
+        except OSError:
             self._socket.close()
-            raise _cannot_listen(f"udp://{host}:{port}", error) from None
+            raise
         self._socket.setblocking(False)
-        self.address = f"udp://{host}:{self._socket.getsockname()[1]}"
+        self.port: int = self._socket.getsockname()[1]
 
     def read(self) -> None:
         """Pass all received packets to the session."""
@@ -116,185 +115,6 @@ class UdpTransport:
         self._socket.close()
 
 
-class NetworkAdapter:
-    """User's device that sends its pose and receives a wrench.
-
-    Parameters
-    ----------
-    hardware
-        Its ``address`` is ``udp://HOST:PORT`` or ``ws://HOST:PORT``, on which this program listens;
-        empty for `USUAL`.
-
-    Attributes
-    ----------
-    session
-        Connected device, and number of dropped packets by reason.
-
-    Raises
-    ------
-    InputError
-        If the address is invalid.
-    """
-
-    def __init__(self, hardware: "Hardware | None" = None) -> None:
-        self._scheme, self._host, self._port = _parsed(
-            (hardware.address if hardware else "") or USUAL
-        )
-        self.limits: DeviceParameters = device_parameters("network")
-        self.session = NetworkSession()
-        self._transport: Transport | None = None
-
-    @staticmethod
-    def find(address: str = "") -> list[FoundDevice]:
-        """Return the device that asks to be used within `LOOK_S`, or the reason for none."""
-        from tissue.scene.hardware import Hardware
-
-        try:
-            with NetworkAdapter(Hardware(address=address)) as adapter:
-                until = perf_counter() + LOOK_S
-                while adapter.session.peer is None and perf_counter() < until:
-                    adapter.poll()
-                    sleep(0.01)
-                peer = adapter.session.peer
-                dropped = adapter.happened()
-                place = adapter.address
-        except ValueError as error:  # invalid address, used port or missing package
-            return [FoundDevice(name="network", problem=str(error))]
-        if peer is not None:
-            detail = f"listens at {place}"
-            limits = device_parameters("network")
-            return [FoundDevice(name="network", where=str(peer), detail=detail, limits=limits)]
-        got = "".join(dropped) or "none"
-        problem = (
-            f"a device must send packets to {place}, got {got} in {LOOK_S:g} s: start its program"
-        )
-        return [FoundDevice(name="network", problem=problem)]
-
-    @property
-    def address(self) -> str:
-        """Address of the listener, with the port that replaced 0."""
-        return (
-            self._transport.address
-            if self._transport
-            else f"{self._scheme}://{self._host}:{self._port}"
-        )
-
-    @property
-    def round_trip_s(self) -> float:
-        """Time from a wrench to the first packet of the device that has seen it [s]; nan before."""
-        return self.session.round_trip_s
-
-    def happened(self) -> list[str]:
-        """Return the dropped and lost packets so far, in one sentence or none."""
-        good = ("poses", "heartbeats", "hellos")
-        found = [
-            f"{count} as {what}"
-            for what, count in self.session.counts.items()
-            if count and what not in good
-        ]
-        return [f"packets that were not used: {', '.join(found)}"] if found else []
-
-    def __enter__(self) -> Self:
-        if self._scheme == "ws":
-            self._transport = WebTransport(self._host, self._port, self.session)
-        else:
-            self._transport = UdpTransport(self._host, self._port, self.session)
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
-
-    def poll(self) -> HardwareSample | None:
-        """Return the newest pose; None if there is no new one since the last call."""
-        if (transport := self._transport) is None:
-            return None
-        transport.read()
-        return self.session.take()
-
-    def push(self, force_N: Array, torque_Nm: Array) -> None:
-        """Send a force and a torque; the device plays them until the next packet, or for 50 ms."""
-        (fx, fy, fz) = force_N.tolist()
-        (tx, ty, tz) = torque_Nm.tolist()
-        transport = self._transport
-        sending = self.session.wrench(((fx, fy, fz), (tx, ty, tz)))
-        # after a close, the number of the packet would be old
-        if transport is not None and sending is not None:
-            transport.send(*sending)
-
-    def close(self) -> None:
-        """Send zero and goodbye, and stop listening."""
-        transport = self._transport
-        self._transport = None
-        if transport is None:
-            return
-        for sending in (self.session.wrench(NO_WRENCH), self.session.bye()):
-            if sending is not None:
-                transport.send(*sending)
-        transport.close()
-
-
-def _parsed(address: str) -> tuple[str, str, int]:
-    """Return scheme, host and port of an address."""
-    try:
-        parts = urlsplit(address)
-        host = parts.hostname
-        port = parts.port
-    except ValueError:
-        parts = None
-        host = None
-        port = None
-    if (
-        parts is None
-        or parts.scheme not in ("udp", "ws")
-        or not host
-        or port is None
-        or parts.path.strip("/")
-    ):
-        raise InputError(
-            "hardware.address",
-            "be udp://HOST:PORT or ws://HOST:PORT where a device is awaited",
-            address,
-            f"use {USUAL}",
-        )
-    return parts.scheme, f"[{host}]" if ":" in host else host, port
-
-
-def _cannot_listen(address: str, error: OSError) -> InputError:
-    """Return the error of an address that cannot be listened on."""
-    why = (error.strerror or str(error)).lower()
-    return InputError(
-        "hardware.address",
-        "be free on this machine",
-        f"{address} ({why})",
-        "end the program that uses it, or use another port",
-    )
-
-
-OPEN_S = 5.0
-"""Longest time for the thread to start listening, and to end [s]."""
-LONGEST_MESSAGE = 4096
-CLOSE_S = 0.2
-"""Longest time of each step of a close [s].
-
-The steps: the device receives its last packets, ends its connection, and is cut off. Together
-they take less than the second after which a run gives up a device that does not close.
-"""
-SEND_S = 0.25
-"""Longest time for which a device may receive no packets before its connection is ended [s]."""
-HANDSHAKE_S = 2.0
-"""Longest time for a connection to become a WebSocket [s]."""
-MOST_WAITING = 2
-"""Largest number of packets that wait for the thread; a further wrench replaces the oldest.
-
-Zero and goodbye can wait together.
-"""
-
-
 class WebTransport:
     """Packets as messages; the newest wrenches are sent, and older waiting ones are dropped.
 
@@ -308,10 +128,15 @@ class WebTransport:
     session
         Receiver of the packets, called from the thread.
 
+    Attributes
+    ----------
+    port
+        Port of the listener.
+
     Raises
     ------
-    InputError
-        If the address cannot be used, or websockets is not installed.
+    OSError
+        If the address cannot be used. `InputError` if websockets is not installed.
     """
 
     def __init__(self, host: str, port: int, session: NetworkSession) -> None:
@@ -331,7 +156,7 @@ class WebTransport:
         self._lines: dict[ServerConnection, asyncio.BaseTransport] = {}
         self._ready = threading.Event()
         self._failed = list[OSError]()
-        self.address = f"ws://{host}:{port}"
+        self.port = port
         self._loop = asyncio.new_event_loop()
         self._stop = asyncio.Event()
         self._news = asyncio.Event()
@@ -341,13 +166,7 @@ class WebTransport:
         self._thread.start()
         self._ready.wait(OPEN_S)
         if self._failed:
-            why = (self._failed[0].strerror or str(self._failed[0])).lower()
-            raise InputError(
-                "hardware.address",
-                "be free on this machine",
-                f"{self.address} ({why})",
-                "end the program that uses it, or use another port",
-            )
+            raise self._failed[0]
 
     def read(self) -> None:
         """Do nothing: the thread passes packets to the session."""
@@ -397,7 +216,7 @@ class WebTransport:
 
         server = await serve(
             self._talk,
-            host.strip("[]"),
+            host,
             port,
             create_connection=Line,
             open_timeout=HANDSHAKE_S,
@@ -407,7 +226,8 @@ class WebTransport:
             ping_interval=None,
             close_timeout=CLOSE_S,
         )
-        self._listening(server, host)
+        self.port = next(iter(server.sockets)).getsockname()[1]
+        self._ready.set()
         sending = asyncio.ensure_future(self._send_news())
         await self._stop.wait()
         sending.cancel()
@@ -422,10 +242,6 @@ class WebTransport:
         for line in list(lines.values()):
             _abort(line)
         await _ended_within(CLOSE_S)
-
-    def _listening(self, server: "Server", host: str) -> None:
-        self.address = f"ws://{host}:{next(iter(server.sockets)).getsockname()[1]}"
-        self._ready.set()
 
     async def _talk(self, connection: "ServerConnection") -> None:
         """Receive the messages of one connection until it ends."""
@@ -477,3 +293,119 @@ async def _ended_within(seconds: float) -> None:
     others = asyncio.all_tasks() - {asyncio.current_task()}
     if others:
         await asyncio.wait(others, timeout=seconds)
+
+
+class NetworkAdapter(HardwareAdapter):
+    """User's device that sends its pose and receives a wrench.
+
+    Parameters
+    ----------
+    hardware
+        Its ``address`` is ``udp://HOST:PORT`` or ``ws://HOST:PORT``, on which this program listens;
+        empty for `USUAL`.
+
+    Attributes
+    ----------
+    session
+        Connected device, and number of dropped packets by reason.
+
+    Raises
+    ------
+    InputError
+        If the address is invalid.
+    """
+
+    name = "network"
+
+    def __init__(self, hardware: "Hardware | None" = None) -> None:
+        super().__init__(hardware)
+        meant = "udp://HOST:PORT or ws://HOST:PORT where a device is awaited"
+        parts, host, self._port = checked_url(self._given or USUAL, ("udp", "ws"), meant, USUAL)
+        self._scheme = parts.scheme
+        self._host = f"[{host}]" if ":" in host else host
+        self.session = NetworkSession()
+        self._transport: UdpTransport | WebTransport | None = None
+
+    @classmethod
+    def find(cls, address: str = "") -> list[FoundDevice]:
+        """Return the device that asks to be used within `LOOK_S`, or the reason for none."""
+        from tissue.scene.hardware import Hardware
+
+        try:
+            with cls(Hardware(address=address)) as adapter:
+                until = perf_counter() + LOOK_S
+                while adapter.session.peer is None and perf_counter() < until:
+                    adapter.poll()
+                    sleep(0.01)
+                peer = adapter.session.peer
+                dropped = adapter.happened()
+                place = adapter.address
+        except ValueError as error:  # invalid address, used port or missing package
+            return cls.missing(error)
+        if peer is not None:
+            return [cls.found(str(peer), f"listens at {place}")]
+        got = "".join(dropped) or "none"
+        return cls.missing(
+            f"a device must send packets to {place}, got {got} in {LOOK_S:g} s: start its program"
+        )
+
+    @property
+    def address(self) -> str:
+        """Address of the listener, with the port that replaced 0."""
+        port = self._transport.port if self._transport else self._port
+        return f"{self._scheme}://{self._host}:{port}"
+
+    @property
+    def round_trip_s(self) -> float:
+        """Time from a wrench to the first packet of the device that has seen it [s]; nan before."""
+        return self.session.round_trip_s
+
+    def happened(self) -> list[str]:
+        """Return the dropped and lost packets so far, in one sentence or none."""
+        good = ("poses", "heartbeats", "hellos")
+        found = [
+            f"{count} as {what}"
+            for what, count in self.session.counts.items()
+            if count and what not in good
+        ]
+        return [f"packets that were not used: {', '.join(found)}"] if found else []
+
+    def open(self) -> None:
+        """Listen for a device."""
+        kind = WebTransport if self._scheme == "ws" else UdpTransport
+        try:
+            self._transport = kind(self._host.strip("[]"), self._port, self.session)
+        except OSError as error:
+            why = (error.strerror or str(error)).lower()
+            raise InputError(
+                "hardware.address",
+                "be free on this machine",
+                f"{self.address} ({why})",
+                "end the program that uses it, or use another port",
+            ) from None
+
+    def poll(self) -> HardwareSample | None:
+        """Return the newest pose; None if there is no new one since the last call."""
+        if (transport := self._transport) is None:
+            return None
+        transport.read()
+        return self.session.take()
+
+    def push(self, force_N: Array, torque_Nm: Array) -> None:
+        """Send a force and a torque; the device plays them until the next packet, or for 50 ms."""
+        transport = self._transport
+        sending = self.session.wrench((*force_N.tolist(), *torque_Nm.tolist()))
+        # after a close, the number of the packet would be old
+        if transport is not None and sending is not None:
+            transport.send(*sending)
+
+    def close(self) -> None:
+        """Send zero and goodbye, and stop listening."""
+        transport = self._transport
+        self._transport = None
+        if transport is None:
+            return
+        for sending in (self.session.wrench(NO_WRENCH), self.session.bye()):
+            if sending is not None:
+                transport.send(*sending)
+        transport.close()

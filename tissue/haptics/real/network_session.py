@@ -5,13 +5,13 @@ import threading
 import zlib
 from collections import Counter
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass
 from enum import IntEnum
 from math import isfinite, isnan, nan
 from time import perf_counter
+from typing import NamedTuple
 
 from tissue.haptics.real.adapter import HardwareSample
-from tissue.motion.quaternion import Triple, is_nearly_unit
+from tissue.motion.quaternion import is_nearly_unit
 
 __all__ = [
     "MAGIC",
@@ -39,8 +39,6 @@ POSE = struct.Struct("<13dII")
 """Position [m], quaternion (x, y, z, w), velocity [m/s], spin [rad/s], buttons, four zero bytes."""
 WRENCH = struct.Struct("<6d")
 """Force [N] and torque [N m]."""
-LONGEST_REASON = 400
-"""Largest length of the sentence in a refusal [bytes]."""
 HALF, WHOLE = 1 << 31, 1 << 32
 """Half of the number of sequence numbers, and their number."""
 
@@ -62,26 +60,19 @@ class Kind(IntEnum):
     """The device is refused, with a sentence."""
 
 
-LENGTHS = {
-    Kind.HELLO: 0,
-    Kind.POSE: POSE.size,
-    Kind.WRENCH: WRENCH.size,
-    Kind.HEARTBEAT: 0,
-    Kind.BYE: 0,
-}
-"""Bytes of the payload; the sentence of a refusal has any length."""
-Wrench = tuple[Triple, Triple]
+LENGTHS = {Kind.HELLO: 0, Kind.POSE: POSE.size, Kind.HEARTBEAT: 0, Kind.BYE: 0}
+"""Bytes of the payload of the packets that a device sends."""
+Wrench = tuple[float, float, float, float, float, float]
 """Force [N] and torque [N m] on the hand, in the device's frame."""
-NO_WRENCH: Wrench = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+NO_WRENCH: Wrench = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class PacketError(Exception):
     """Error of an unusable packet; its text is the name under which it is counted."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Packet:
-    """Packet of the protocol.
+class Packet(NamedTuple):
+    """Packet of a device.
 
     Attributes
     ----------
@@ -93,39 +84,25 @@ class Packet:
         Sequence number of the newest packet that the sender has received; 0 before the first.
     time_s
         Clock of the sender, with any start [s].
-    sample, wrench, reason
-        Content of a pose, a wrench or a refusal.
+    sample
+        Sample of a pose; None for other packets.
     """
 
     kind: Kind
     sequence: int
-    echo: int = 0
-    time_s: float = 0.0
-    sample: HardwareSample | None = None
-    wrench: Wrench = NO_WRENCH
-    reason: str = ""
+    echo: int
+    time_s: float
+    sample: HardwareSample | None
 
 
-def packed(packet: Packet) -> bytes:
+def packed(kind: Kind, sequence: int, *, echo: int, time_s: float, payload: bytes) -> bytes:
     """Return a packet as bytes."""
-    payload = b""
-    if packet.kind is Kind.POSE and packet.sample is not None:
-        at = packet.sample
-        payload = POSE.pack(
-            *at.position_m, *at.quaternion, *at.velocity_m_s, *at.spin_rad_s, at.buttons, 0
-        )
-    elif packet.kind is Kind.WRENCH:
-        payload = WRENCH.pack(*packet.wrench[0], *packet.wrench[1])
-    elif packet.kind is Kind.REFUSED:
-        payload = packet.reason.encode("utf-8")[:LONGEST_REASON]
-    head = HEADER.pack(
-        MAGIC, VERSION, packet.kind, len(payload), packet.sequence, packet.echo, packet.time_s
-    )
+    head = HEADER.pack(MAGIC, VERSION, kind, len(payload), sequence, echo, time_s)
     return head + payload + CHECKSUM.pack(zlib.crc32(head + payload))
 
 
 def unpacked(data: bytes) -> Packet:
-    """Return a validated packet from bytes.
+    """Return a validated packet of a device from bytes.
 
     Raises
     ------
@@ -137,57 +114,34 @@ def unpacked(data: bytes) -> Packet:
         raise PacketError("foreign")
     if len(data) < HEADER.size + CHECKSUM.size:
         raise PacketError("length")
-    _, version, number, length, sequence, echo, time_s = HEADER.unpack_from(data)
+    _, version, kind, length, sequence, echo, time_s = HEADER.unpack_from(data)
     if version != VERSION:
         raise PacketError("version")
-    if len(data) != HEADER.size + length + CHECKSUM.size:
+    end = HEADER.size + length
+    if len(data) != end + CHECKSUM.size:
         raise PacketError("length")
-    if CHECKSUM.unpack_from(data, HEADER.size + length)[0] != zlib.crc32(
-        data[: HEADER.size + length]
-    ):
+    if CHECKSUM.unpack_from(data, end)[0] != zlib.crc32(data[:end]):
         raise PacketError("checksum")
-    try:
-        kind = Kind(number)
-    except ValueError:
-        raise PacketError("kind") from None
-    if length != LENGTHS.get(kind, length) or (kind is Kind.REFUSED and length > LONGEST_REASON):
+    if kind not in LENGTHS:
+        raise PacketError("kind")
+    if length != LENGTHS[kind]:
         raise PacketError("length")
-    if not isfinite(time_s):
+    sample = None
+    total = time_s
+    if kind == Kind.POSE:
+        x, y, z, qx, qy, qz, qw, vx, vy, vz, wx, wy, wz, buttons, _ = POSE.unpack(
+            data[HEADER.size : end]
+        )
+        total += x + y + z + vx + vy + vz + wx + wy + wz
+        sample = HardwareSample((x, y, z), (vx, vy, vz), (qx, qy, qz, qw), (wx, wy, wz), buttons)
+    if not isfinite(total) or (sample is not None and not is_nearly_unit(sample.quaternion)):
         raise PacketError("number")
-    payload = data[HEADER.size : HEADER.size + length]
-    sample = _sample(payload) if kind is Kind.POSE else None
-    wrench = _wrench(payload) if kind is Kind.WRENCH else NO_WRENCH
-    reason = payload.decode("utf-8", "replace") if kind is Kind.REFUSED else ""
-    return Packet(
-        kind=kind,
-        sequence=sequence,
-        echo=echo,
-        time_s=time_s,
-        sample=sample,
-        wrench=wrench,
-        reason=reason,
-    )
+    return Packet(Kind(kind), sequence, echo, time_s, sample)
 
 
 def is_newer(sequence: int, before: int) -> bool:
     """Return whether a sequence number follows another, including a restart from 0 in between."""
     return 0 < (sequence - before) % WHOLE < HALF
-
-
-def _sample(payload: bytes) -> HardwareSample:
-    """Return the sample of a pose; a quaternion of nearly unit length is not changed."""
-    x, y, z, qx, qy, qz, qw, vx, vy, vz, wx, wy, wz, buttons, _ = POSE.unpack(payload)
-    total = x + y + z + vx + vy + vz + wx + wy + wz
-    if not isfinite(total) or not is_nearly_unit((qx, qy, qz, qw)):
-        raise PacketError("number")
-    return HardwareSample((x, y, z), (vx, vy, vz), (qx, qy, qz, qw), (wx, wy, wz), buttons)
-
-
-def _wrench(payload: bytes) -> Wrench:
-    fx, fy, fz, tx, ty, tz = WRENCH.unpack(payload)
-    if not isfinite(fx + fy + fz + tx + ty + tz):
-        raise PacketError("number")
-    return (fx, fy, fz), (tx, ty, tz)
 
 
 SILENCE_S = 0.5
@@ -263,7 +217,7 @@ class NetworkSession:
             self._forget_silent()
             if self.peer is None:
                 return None
-            return self.peer, self._packet(Kind.WRENCH, wrench)
+            return self.peer, self._packet(Kind.WRENCH, WRENCH.pack(*wrench))
 
     def bye(self) -> tuple[Hashable, bytes] | None:
         """Return the receiver and the last packet, and free the device; None without a device."""
@@ -293,24 +247,23 @@ class NetworkSession:
             return None
         if lost := (packet.sequence - self._seen) % WHOLE - 1:
             self.counts["lost"] += lost
-        self._seen, self._heard = packet.sequence, self._clock()
+        self._seen = packet.sequence
+        self._heard = self._clock()
         self._measure(packet.echo)
         if packet.kind is Kind.POSE:
             self.counts["poses"] += 1
             self._newest = packet.sample
         elif packet.kind is Kind.HEARTBEAT:
             self.counts["heartbeats"] += 1
-        elif packet.kind is Kind.BYE:
-            self._forget()
         else:
-            self.counts["kind"] += 1
+            self._forget()
         return None
 
     def _hello(self, packet: Packet, sender: Hashable) -> bytes:
         """Accept a device, or the same device after a restart; refuse any other."""
         if self.peer is not None and sender != self.peer:
             self.counts["refused"] += 1
-            return packed(Packet(kind=Kind.REFUSED, sequence=0, echo=packet.sequence, reason=BUSY))
+            return packed(Kind.REFUSED, 0, echo=packet.sequence, time_s=0.0, payload=BUSY.encode())
         if self.peer is None or (packet.sequence, packet.time_s) != self._greeting:
             self.counts["hellos"] += 1
             self.peer = sender
@@ -322,13 +275,11 @@ class NetworkSession:
         self._heard = self._clock()
         return self._packet(Kind.HELLO)
 
-    def _packet(self, kind: Kind, wrench: Wrench = NO_WRENCH) -> bytes:
+    def _packet(self, kind: Kind, payload: bytes = b"") -> bytes:
         now = self._clock()
         self._sent = (self._sent + 1) % WHOLE
         self._sent_at[self._sent % KEPT] = now if kind is Kind.WRENCH else nan
-        return packed(
-            Packet(kind=kind, sequence=self._sent, echo=self._seen, time_s=now, wrench=wrench)
-        )
+        return packed(kind, self._sent, echo=self._seen, time_s=now, payload=payload)
 
     def _measure(self, echo: int) -> None:
         """Record the round trip if a packet is the first to show one of our wrenches."""

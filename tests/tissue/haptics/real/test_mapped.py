@@ -11,7 +11,7 @@ import pytest
 from tissue import InputError, load_scene
 from tissue.haptics.device.device import DeviceParameters, StatesPlayed
 from tissue.haptics.device.safe_device import SafeDevice
-from tissue.haptics.real.adapter import HardwareSample
+from tissue.haptics.real.adapter import HardwareAdapter, HardwareSample
 from tissue.haptics.real.mapped import MappedDevice
 from tissue.motion.motion import matrix_of
 from tissue.motion.quaternion import exponential
@@ -23,7 +23,7 @@ LIMITS = DeviceParameters(mass_kg=0.1, damping_N_s_m=0.5, force_limit_N=8.0, tor
 TURNS = [(0.0, 0.0, 0.0), (90.0, 0.0, 0.0), (0.0, 0.0, -90.0), (20.0, -35.0, 140.0)]
 
 
-class Double:
+class Double(HardwareAdapter):
     """An adapter whose samples a test gives, and which records what is pushed."""
 
     def __init__(self):
@@ -36,6 +36,9 @@ class Double:
 
     def __exit__(self, kind, error, trace):
         self.left += 1
+
+    def open(self):
+        pass
 
     def poll(self):
         sample, self.sample = self.sample, None
