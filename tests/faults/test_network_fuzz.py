@@ -113,7 +113,7 @@ def test_any_bytes_of_any_sender_leave_the_session_usable(seed):
         session.take()
         if (
             rng.integers(3) == 0
-            and (sending := session.wrench(((1.0, 0.0, 0.0), (0.0, 0.0, 0.0)))) is not None
+            and (sending := session.wrench((1.0, 0.0, 0.0, 0.0, 0.0, 0.0))) is not None
         ):
             assert sending[0] == session.peer
     session.bye()

@@ -11,7 +11,7 @@ from math import floor, inf, log10, pi
 import numpy as np
 from scipy.optimize import brentq
 
-from meshes.base.errors import InputError, require_positive, require_range
+from meshes.base.errors import require_positive, require_range
 from tissue.haptics.loop.filters import low_pass_gain
 from tissue.haptics.loop.sampled_loop import WallLoop, largest_eigenvalue, spectral_radius
 
@@ -25,7 +25,6 @@ __all__ = [
     "pade_bound_N_m",
     "passive_bound_N_m",
     "quantised_bound_N_m",
-    "require_stable",
 ]
 
 SOFTEST_N_M, STIFFEST_N_M = 1e-2, 1e8
@@ -163,35 +162,6 @@ def judge(loop: WallLoop, hands: Sequence[tuple[float, float, float]] | None = N
     return Verdict(stable, margin, critical, nearest, max(spectral_radius(each) for each in loops))
 
 
-def require_stable(
-    loop: WallLoop, hands: Sequence[tuple[float, float, float]] | None = None
-) -> Verdict:
-    """Judge a loop and refuse an unstable one.
-
-    Raises
-    ------
-    InputError
-        If the wall is unstable in one of the hands. The message contains the margin and the nearest
-        stable stiffness.
-    """
-    verdict = judge(loop, hands)
-    if verdict.stable:
-        return verdict
-    if verdict.critical_N_m == 0.0:
-        raise InputError(
-            "wall_damping_N_s_m",
-            "leave some stiffness stable",
-            f"{loop.wall_damping_N_s_m:g}",
-            "lower it, or the delay, or the filter",
-        )
-    raise InputError(
-        "stiffness_N_m",
-        f"be below {verdict.critical_N_m:.4g} to be stable",
-        f"{loop.stiffness_N_m:g} (margin {100.0 * verdict.margin:.1f} %)",
-        f"use {verdict.nearest_N_m:g}",
-    )
-
-
 def _beyond(stiffness_N_m: float, loop: WallLoop) -> float:
     """Return the largest eigenvalue minus the limit of stability; no mode grows below zero."""
     return largest_eigenvalue(loop.with_stiffness(stiffness_N_m)) - (1.0 - ON_THE_CIRCLE)
@@ -251,17 +221,14 @@ def quantised_bound_N_m(loop: WallLoop, *, friction_N: float, encoder_m: float) 
     )
 
 
-def pade_bound_N_m(loop: WallLoop, *, hold: bool = True) -> float:
+def pade_bound_N_m(loop: WallLoop) -> float:
     """Return the critical stiffness with a first-order Padé approximation of the delay [N/m].
 
-    Hold and delay are combined into one delay t, approximated as (1 - t s / 2) / (1 + t s / 2). The
-    bound follows from Routh's criterion for the third-order polynomial. With ``hold`` the delay is
-    t_d + T / 2, without it t_d alone, as in a continuous model of the loop. The result is infinite
-    if the delay is zero. Hand stiffness is ignored.
+    Hold and delay are combined into one delay t = t_d + T / 2, approximated as (1 - t s / 2) / (1 +
+    t s / 2). The bound follows from Routh's criterion for the third-order polynomial. Hand
+    stiffness is ignored.
     """
-    delay = loop.delay_s + (0.5 * loop.tick_s * loop.model_ticks if hold else 0.0)
-    if delay == 0.0:
-        return inf
+    delay = loop.delay_s + 0.5 * loop.tick_s * loop.model_ticks
     mass = loop.mass_kg + loop.hand_mass_kg
     damping = loop.damping_N_s_m + loop.hand_damping_N_s_m
     cubic = 0.5 * mass * delay

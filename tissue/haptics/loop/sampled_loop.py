@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from threadpoolctl import ThreadpoolController
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, require_positive, require_range
+from meshes.base.errors import require_positive, require_range
 from tissue.haptics.loop.filters import constant_acceleration_map, low_pass_gain
 from tissue.haptics.loop.forecast import Forecast
 from tissue.haptics.loop.vibration import ENVELOPE_S, Vibration
@@ -94,37 +94,20 @@ class WallLoop:
     def __post_init__(self) -> None:
         require_positive("mass_kg", self.mass_kg, "give the device's apparent mass, such as 0.045")
         require_positive("tick_s", self.tick_s, "use 1e-3 for 1 kHz")
-        for name in (
-            "damping_N_s_m",
-            "stiffness_N_m",
-            "hand_stiffness_N_m",
-            "hand_damping_N_s_m",
-            "hand_mass_kg",
+        longest_s = MOST_TICKS * self.tick_s
+        for name, low, high in (
+            ("damping_N_s_m", 0.0, 1e9),
+            ("stiffness_N_m", 0.0, 1e9),
+            ("hand_stiffness_N_m", 0.0, 1e9),
+            ("hand_damping_N_s_m", 0.0, 1e9),
+            ("hand_mass_kg", 0.0, 1e9),
+            ("wall_damping_N_s_m", -1e9, 1e9),
+            ("model_ticks", 1, MOST_TICKS),
+            ("delay_s", 0.0, longest_s),
+            ("amplifier_Hz", 1e-9, inf),
         ):
-            require_range(name, getattr(self, name), 0.0, 1e9, "use 0 for none")
-        require_range("wall_damping_N_s_m", self.wall_damping_N_s_m, -1e9, 1e9, "use 0 for none")
-        require_range(
-            "model_ticks",
-            self.model_ticks,
-            1,
-            MOST_TICKS,
-            "use 1 for a model that answers every tick",
-        )
-        require_range(
-            "delay_s",
-            self.delay_s,
-            0.0,
-            MOST_TICKS * self.tick_s,
-            f"use at most {MOST_TICKS} ticks",
-        )
+            require_range(name, getattr(self, name), low, high, "see `WallLoop`")
         low_pass_gain(self.filter_s, self.tick_s)
-        if not self.amplifier_Hz > 0.0:
-            raise InputError(
-                "amplifier_Hz",
-                "be positive",
-                self.amplifier_Hz,
-                "use inf for an amplifier without lag",
-            )
 
     @property
     def vibration_factors(self) -> Array:
