@@ -284,7 +284,7 @@ class SampleGuard:
             self._turned = (-x, -y, -z, -w)  # the same orientation, with the sign of the last one
         else:
             self._turned = turned
-        noisy = self._places.observe(sample.time_s, sample.position_m)
+        noisy = self._places.observe(sample.time_s, tuple(sample.position_m))
         if self._turns.observe(sample.time_s, self._turned) or noisy:
             return "noise that no hand makes"
         if max(map(abs, sample.velocity_m_s)) > limits.fastest_m_s:
