@@ -1,13 +1,14 @@
 """Hand that pushes with an increasing force and stops when it notices that the tissue yields."""
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import inf, sqrt
 
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import require_positive, require_range
+from meshes.base.errors import require_positive
 from tissue.haptics.hand.hand import Hand, HandAction, HandParameters, Path, minimum_jerk
 from tissue.haptics.proxy.held_tool import HeldTool
 from tissue.models.tissue_model import TICK_S
@@ -37,20 +38,14 @@ class FeltDrop:
         Weber fraction, and its term F0 for low forces [N].
     integration_s
         Averaging time of the force [s].
-    step_s
-        Time between two forces [s].
     """
 
     kappa: float
     offset_N: float
     integration_s: float
-    step_s: float = TICK_S
 
     def __post_init__(self) -> None:
-        require_range("kappa", self.kappa, 0.0, 1.0, "use 0.07")
-        require_range("offset_N", self.offset_N, 0.0, 10.0, "use 0.2")
-        require_positive("integration_s", self.integration_s, "use 0.1")
-        self._last = deque([0.0] * max(round(self.integration_s / self.step_s), 1))
+        self._last = deque([0.0] * max(round(self.integration_s / TICK_S), 1))
         self._sum = self._greatest = 0.0
 
     def feel(self, force_N: float) -> bool:
@@ -99,8 +94,6 @@ class PushingHand:
         Averaging time of the motion [s].
     rng
         Random generator of this hand.
-    step_s
-        Time between two calls [s].
 
     Attributes
     ----------
@@ -122,23 +115,21 @@ class PushingHand:
         felt: FeltDrop | None,
         integration_s: float,
         rng: np.random.Generator,
-        step_s: float = TICK_S,
     ) -> None:
         self._person = parameters
-        self._step = step_s
         self._felt = felt
         self._gain = require_positive("rate_N_s", rate_N_s, "use 1") / (
             parameters.stiffness_N_m * (1.0 + parameters.reflex_share)
         )
         self._start: list[float] = np.asarray(start_m).tolist()
         self._line: list[float] = np.asarray(direction).tolist()
-        self._window = max(round(integration_s / step_s), 1)
-        self._past = deque([0.0] * (round(parameters.reaction_s / step_s) + self._window + 1))
+        self._window = max(round(integration_s / TICK_S), 1)
+        self._past = deque([0.0] * (round(parameters.reaction_s / TICK_S) + self._window + 1))
         self.aim_m = self._speed = 0.0
         self._left: tuple[float, float] | None = None
         self.felt_N = self.advance_m = 0.0
         self.noticed_s = self.stop_s = self.eased_s = inf
-        self._hand = Hand(parameters, self, rng=rng, step_s=step_s)
+        self._hand = Hand(parameters, self, rng=rng)
 
     def see(self, time_s: float) -> None:
         """Make the hand stop a reaction time after a visible event, unless it already does."""
@@ -165,31 +156,31 @@ class PushingHand:
     def act(self, time_s: float, position_m: Triple) -> HandAction:
         """Return the action of the hand with the device at ``position_m`` [m]."""
         before = self.advance_m
-        (i, j, k) = self._line
-        (x, y, z) = self._start
-        self.advance_m = (position_m[0] - x) * i + (position_m[1] - y) * j + (position_m[2] - z) * k
+        moved = [at - start for at, start in zip(position_m, self._start, strict=True)]
+        self.advance_m = self._along(moved)
         self._past.append(self.advance_m)
         self._past.popleft()
-        self.aim_m += self._step * self._speed
+        self.aim_m += TICK_S * self._speed
         self._lead(time_s)
         action = self._hand.act(time_s, position_m)
         grip = action.grip
-        (a, b, c) = action.aim_m
-        (u, v, w) = action.aim_velocity_m_s
-        (f, g, h) = action.push_N
-        off = (a * i + b * j + c * k) - (x * i + y * j + z * k) - self.advance_m
-        slips = (u * i + v * j + w * k) - (self.advance_m - before) / self._step
+        off = self._along(action.aim_m) - self._along(self._start) - self.advance_m
+        slips = self._along(action.aim_velocity_m_s) - (self.advance_m - before) / TICK_S
         self.felt_N = (
-            grip.stiffness_N_m * off + grip.damping_N_s_m * slips + (f * i + g * j + h * k)
+            grip.stiffness_N_m * off + grip.damping_N_s_m * slips + self._along(action.push_N)
         )
         if self._felt is not None and self._felt.feel(self.felt_N):
             self.see(time_s)
         return action
 
+    def _along(self, vector: Sequence[float]) -> float:
+        """Return the component of a vector along the push."""
+        return sum(a * i for a, i in zip(vector, self._line, strict=True))
+
     def _lead(self, time_s: float) -> None:
         """Update the speed of the aim."""
         if time_s < self.stop_s:
-            follows = (self._past[self._window] - self._past[0]) / (self._window * self._step)
+            follows = (self._past[self._window] - self._past[0]) / (self._window * TICK_S)
             self._speed = (EASED if time_s >= self.eased_s else 1.0) * (follows + self._gain)
             return
         if self._left is None:
@@ -306,13 +297,10 @@ class Thrust:
     def path(self, time_s: float) -> Array:
         """Return the aim at a time [s]: the position of the device that holds the tool."""
         share = self.share
+        aim: Array = self.start_m + share * self.path_m
         if time_s <= 0.0 or share == 1.0:
-            return self.start_m + share * self.path_m
-        return (
-            self.start_m
-            + share * self.path_m
-            + self.stretch_m * self.path_m / sqrt(self.path_m @ self.path_m)
-        )
+            return aim
+        return aim + self.stretch_m * self.path_m / sqrt(self.path_m @ self.path_m)
 
     def push(self, time_s: float) -> Array:
         """Return the intended force at a time [N]."""
