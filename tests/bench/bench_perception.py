@@ -12,11 +12,10 @@ import argparse
 from time import perf_counter
 
 import numpy as np
-from estimate_errors import map_estimate_errors, recursive_estimate_errors
 from harness import Cost, cost_of, machine, table
+from perceived_estimates import map_estimate_errors, map_force_N, recursive_estimate_errors
 
 import tissue
-from tissue.perception.estimate import map_force_N
 from tissue.perception.laws import weber_of
 from tissue.perception.observer import Observer, population_observer
 from tissue.perception.perceived import held_back
