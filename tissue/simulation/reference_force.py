@@ -110,7 +110,6 @@ def ideal_force_N(
         trace["time_s"],
         1e-3 * trace.vectors("device_true" if TRUE[0] in trace else "device", "mm"),
         np.column_stack([trace[f"device_q{c}"] for c in "xyzw"]),
-        rate_Hz=1.0 / TICK_S,
     )
     scene = ideal_scene(run.scene, finest).model_copy(
         update={"duration_s": len(trace.rows) * TICK_S}

@@ -270,21 +270,12 @@ def test_a_record_is_replayed_and_ends():
     ) and at.spin_rad_s == pytest.approx((0.0, 0.0, 2.0))
     assert device.read(0.2).velocity_m_s == pytest.approx((0.0, 0.2, 0.0))
     assert device.read(0.301) is None and device.read(-0.01) is None
-    for wrong in (
-        ([0.0, 0.0, 1.0], RECORD[1]),
-        (RECORD[0], np.full((3, 3), np.nan)),
-        (RECORD[0], np.zeros((2, 3))),
-    ):
-        with pytest.raises(InputError):
-            RecordedDevice(*wrong)
-    with pytest.raises(InputError, match="quaternions must be finite and not zero"):
-        RecordedDevice(*RECORD, np.zeros((3, 4)))
 
 
 def test_a_mouse_is_followed_smoothly_and_alike_at_any_rate():
     found = []
     for step in (1e-3, 7e-3):
-        mouse = MouseDevice(response_s=0.03)
+        mouse = MouseDevice()
         mouse.push((0.02, -0.01, 0.0))
         for tick in range(1, round(0.07 / step) + 1):
             sample = mouse.read(tick * step)
@@ -302,7 +293,7 @@ def test_a_mouse_turns_as_smoothly_as_it_goes_and_by_the_shorter_side():
         (wanted, 7e-3),
         (tuple(-part for part in wanted), 1e-3),
     ):
-        mouse = MouseDevice(response_s=0.03)
+        mouse = MouseDevice()
         mouse.push((0.0, 0.0, 0.0), quaternion)
         for tick in range(1, round(0.07 / step) + 1):
             sample = mouse.read(tick * step)

@@ -8,7 +8,6 @@ would end on the far side of a thin wall.
 """
 
 from dataclasses import dataclass
-from enum import Enum
 from math import isfinite
 
 import numpy as np
@@ -24,9 +23,7 @@ from kernels.proxy import (
     PRESSING,
     REPORT,
     ROTATION,
-    SOLVES,
     STATE,
-    STEPS,
     TRAVEL,
     advance_proxy,
 )
@@ -34,10 +31,10 @@ from kernels.proxy_contacts import VOXEL_PLANES, Contacts, Shell
 from kernels.proxy_descent import DescentSettings
 from kernels.proxy_forces import MEMBERS
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, require_positive, require_range
+from meshes.base.errors import InputError
 from tissue.haptics.proxy.voxmap import ContactField, ToolShell
 
-__all__ = ["Proxy", "ProxyOutcome", "ProxyResult"]
+__all__ = ["Proxy", "ProxyResult"]
 
 STEP_M = 2.5e-4
 """Longest step near solids [m]."""
@@ -48,23 +45,14 @@ TOLERANCE_M, TOLERANCE_VOXELS = 1e-12, 1e-3
 
 The first value covers rounding near exact solids. The second is a thousandth voxel near voxels.
 """
+STEP_LIMIT, SOLVE_LIMIT = 64, 150
+"""Largest number of steps and of active-set solves in a tick; the rest is done in the next tick."""
 _POSITION = slice(POSITION, POSITION + 3)
 _ROTATION = slice(ROTATION, ROTATION + 4)
 _FORCE = slice(FORCE, FORCE + 3)
 _MOMENT = slice(MOMENT, MOMENT + 3)
 _CENTRE = slice(CENTRE, CENTRE + 3)
 _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
-
-
-class ProxyOutcome(Enum):
-    """Outcome of a tick; the value contains the remedy."""
-
-    FREE = "the proxy is where the device is: nothing to do"
-    CONTACT = "the proxy rests against something: render the coupling's force"
-    BEHIND = (
-        "the steps ran out before the proxy settled: it goes on in the next tick, or allow more "
-        "steps"
-    )
 
 
 @dataclass
@@ -77,8 +65,8 @@ class ProxyResult:
         Position of the tool's origin [m], shape (3,).
     quaternion
         Rotation from tool to world (x, y, z, w), shape (4,).
-    outcome
-        Outcome of the tick.
+    settled
+        False if the steps of a tick ran out. The proxy then goes on in the next tick.
     contacts
         Number of pressing contacts.
     push_m, push_moment_m2
@@ -88,8 +76,6 @@ class ProxyResult:
     arm_m
         Vector from the tool's origin to the centre of pressure, in the world's axes [m], shape
         (3,).
-    steps, solves
-        Number of descent steps and of active-set solves in the tick.
     """
 
     position_m: Array
@@ -97,10 +83,8 @@ class ProxyResult:
     push_m: Array
     push_moment_m2: Array
     arm_m: Array
-    outcome: ProxyOutcome = ProxyOutcome.FREE
+    settled: bool = True
     contacts: int = 0
-    steps: int = 0
-    solves: int = 0
 
 
 class Proxy:
@@ -117,13 +101,6 @@ class Proxy:
         degrees of freedom, in which the tool keeps its initial orientation.
     friction
         Coulomb's coefficient.
-    step_limit, solve_limit
-        Largest number of steps and solves in a tick. The rest is done in the next tick.
-
-    Raises
-    ------
-    InputError
-        If a number is out of range, or a shell of balls is used with voxels.
     """
 
     def __init__(
@@ -133,27 +110,11 @@ class Proxy:
         *,
         lever_m: float | None = None,
         friction: float = 0.0,
-        step_limit: int = 64,
-        solve_limit: int = 150,
     ) -> None:
-        require_range(
-            "friction", friction, 0.0, 10.0, "use 0 for none, about 0.3 for bone on steel"
-        )
-        compliance = (
-            0.0
-            if lever_m is None
-            else require_positive("lever_m", lever_m, "use about 0.02 (20 mm)") ** -2
-        )
+        compliance = 0.0 if lever_m is None else lever_m**-2
         step = STEP_M
         tolerance = TOLERANCE_M
         if field.spacing_m > 0.0:
-            if shell.radius_m > 0.0:
-                raise InputError(
-                    "radius_m of the shell",
-                    "be 0 on voxels",
-                    f"{shell.radius_m:g}",
-                    "give points with normals",
-                )
             step = STEP_VOXELS * field.spacing_m
             tolerance = TOLERANCE_VOXELS * field.spacing_m
         device = field.device
@@ -166,8 +127,8 @@ class Proxy:
         settings = DescentSettings()
         numbers = map(wp.float64, (compliance, friction, step, tolerance))
         settings.compliance, settings.friction, settings.step, settings.tolerance = numbers
-        settings.step_limit = step_limit
-        settings.solve_limit = solve_limit
+        settings.step_limit = STEP_LIMIT
+        settings.solve_limit = SOLVE_LIMIT
         self._goal = Mirror(TRAVEL, dtype=wp.float64, device=device)
         self._state = Mirror(STATE, dtype=wp.float64, device=device)
         self._report = Mirror(REPORT, dtype=wp.float64, device=device)
@@ -253,12 +214,7 @@ class Proxy:
         result.push_moment_m2[:] = report[_MOMENT]
         result.arm_m[:] = report[_CENTRE]
         result.contacts = int(report[PRESSING])
-        result.steps = int(report[STEPS])
-        result.solves = int(report[SOLVES])
-        if report[CONVERGED] == 0.0:
-            result.outcome = ProxyOutcome.BEHIND
-        else:
-            result.outcome = ProxyOutcome.CONTACT if result.contacts else ProxyOutcome.FREE
+        result.settled = bool(report[CONVERGED] != 0.0)
 
 
 def _contacts(points: int, field: ContactField, *, device: str) -> Contacts:

@@ -244,7 +244,7 @@ def _samples(path: Path) -> list[HardwareSample]:
     tips = motion.sweep_m()
     turns = Rotation.from_matrix(motion.rotations()).as_quat()
     times = TICK_S * np.arange(len(tips), dtype=np.float64)
-    played = RecordedDevice(times, tips, turns, rate_Hz=1.0 / TICK_S)
+    played = RecordedDevice(times, tips, turns)
     return [HardwareSample(*sample[1:]) for sample in map(played.read, times.tolist()) if sample]
 
 
