@@ -8,7 +8,6 @@ from typing import Protocol
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import require_positive, require_range
 from tissue.haptics.loop.sampled_loop import WallLoop
 from tissue.motion.quaternion import Quaternion, turn_between
 from tissue.scene.registry import RENDERERS
@@ -64,7 +63,6 @@ class PassivityObserver:
     """
 
     def __init__(self, *, delay_ticks: float = 0.0) -> None:
-        require_range("delay_ticks", delay_ticks, 0.0, 400.0, "use 0 for none")
         whole = int(delay_ticks + 1e-9)
         self._delay = max(delay_ticks - whole, 0.0)
         self.energy_J = 0.0
@@ -139,9 +137,7 @@ class PassivityControl:
     def __init__(
         self, damping_limit_N_s_m: float, *, delay_ticks: float = 0.0, mass_kg: float = inf
     ) -> None:
-        self._limit = require_positive(
-            "damping_limit_N_s_m", damping_limit_N_s_m, "use a half of m / T"
-        )
+        self._limit = damping_limit_N_s_m
         self._mass = mass_kg
         self.observer = PassivityObserver(delay_ticks=delay_ticks)
         self.damping_N_s_m = self.dissipated_J = 0.0
@@ -214,12 +210,8 @@ class SpringDamper:
     """Stiffness and damping between a device and its proxy, without internal state."""
 
     def __init__(self, stiffness_N_m: float, damping_N_s_m: float = 0.0) -> None:
-        self.stiffness_N_m = require_positive(
-            "stiffness_N_m", stiffness_N_m, "use what the device can hold, about 500"
-        )
-        self.damping_N_s_m = require_range(
-            "damping_N_s_m", damping_N_s_m, 0.0, 1e6, "use 0 for none"
-        )
+        self.stiffness_N_m = stiffness_N_m
+        self.damping_N_s_m = damping_N_s_m
 
     def pause(self) -> None:
         """Do nothing, because the law has no internal state."""
@@ -373,10 +365,6 @@ def renderer(kind: str, loop: WallLoop) -> Renderer:
     InputError
         If the name is unknown.
     """
-    built_in: dict[str, Callable[[WallLoop], Renderer]] = {
-        "penalty": penalty,
-        "passivity": passivity,
-        "proxy": proxy,
-    }
+    built_in = {"penalty": penalty, "passivity": passivity, "proxy": proxy}
     make: Callable[[WallLoop], Renderer] = RENDERERS[kind] or built_in[kind]
     return make(loop)

@@ -344,7 +344,7 @@ def test_unusable_devices_are_refused():
         device_parameters("falcon")
     with pytest.raises(InputError, match="mass_kg must be positive"):
         DeviceParameters(mass_kg=0.0, damping_N_s_m=0.1)
-    with pytest.raises(InputError, match="amplifier_Hz must be positive"):
+    with pytest.raises(InputError, match="amplifier_Hz must be"):
         DeviceParameters(mass_kg=0.1, damping_N_s_m=0.1, amplifier_Hz=float("nan"))
 
 

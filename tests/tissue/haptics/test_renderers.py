@@ -142,5 +142,3 @@ def test_unknown_renderers_are_refused():
         InputError, match="renderer must be one of penalty, passivity, proxy, got springy"
     ):
         renderer("springy", WALL)
-    with pytest.raises(InputError, match="stiffness_N_m must be positive"):
-        renderer("proxy", device_parameters("omni").loop(0.0))

@@ -11,7 +11,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
 from tissue.haptics.loop.sampled_loop import WallLoop
 from tissue.materials.scene_constants import Materials
-from tissue.motion.quaternion import Quaternion, Triple
+from tissue.motion.quaternion import NOTHING, UPRIGHT, Quaternion, Triple
 from tissue.scene.registry import DEVICES
 
 __all__ = [
@@ -33,9 +33,9 @@ class Sample(NamedTuple):
 
     time_s: float
     position_m: Triple
-    velocity_m_s: Triple = (0.0, 0.0, 0.0)
-    quaternion: Quaternion = (0.0, 0.0, 0.0, 1.0)
-    spin_rad_s: Triple = (0.0, 0.0, 0.0)
+    velocity_m_s: Triple = NOTHING
+    quaternion: Quaternion = UPRIGHT
+    spin_rad_s: Triple = NOTHING
 
 
 class DeviceError(InputError):
@@ -177,25 +177,23 @@ class DeviceParameters:
     def __post_init__(self) -> None:
         for name in ("mass_kg", "force_limit_N", "inertia_kg_m2"):
             require_positive(name, getattr(self, name), "see devices.toml for what is usual")
-        require_range("rate_Hz", self.rate_Hz, 10.0, 1e5, "use 1000")
-        for name in (
-            "damping_N_s_m",
-            "friction_N",
-            "encoder_step_m",
-            "damping_Nm_s_rad",
-            "friction_Nm",
-            "encoder_step_rad",
-            "torque_limit_Nm",
+        for name, low, high in (
+            ("rate_Hz", 10.0, 1e5),
+            ("transport_delay_s", 0.0, 0.2),
+            ("damping_N_s_m", 0.0, 1e4),
+            ("friction_N", 0.0, 1e4),
+            ("encoder_step_m", 0.0, 1e4),
+            ("damping_Nm_s_rad", 0.0, 1e4),
+            ("friction_Nm", 0.0, 1e4),
+            ("encoder_step_rad", 0.0, 1e4),
+            ("torque_limit_Nm", 0.0, 1e4),
+            ("amplifier_Hz", 1e-9, inf),
+            ("force_slew_N_ms", 1e-9, inf),
+            ("torque_slew_Nm_ms", 1e-9, inf),
         ):
-            require_range(name, getattr(self, name), 0.0, 1e4, "use 0 for none")
-        require_range("transport_delay_s", self.transport_delay_s, 0.0, 0.2, "use 0 for none")
-        for name, none in (
-            ("amplifier_Hz", "one without lag"),
-            ("force_slew_N_ms", "no limit"),
-            ("torque_slew_Nm_ms", "no limit"),
-        ):
-            if not getattr(self, name) > 0.0:
-                raise InputError(name, "be positive", getattr(self, name), f"use inf for {none}")
+            require_range(
+                name, getattr(self, name), low, high, "see devices.toml for what is usual"
+            )
 
     def loop(
         self,
@@ -308,16 +306,12 @@ class Reach:
             return
         stated = "no workspace is stated"
         if isfinite(self._edges_m[-1]):
-            stated = (
-                "its workspace is "
-                f"{' x '.join(f'{1e3 * edge:.3g}' for edge in self._edges_m[::-1])} mm"
-            )
+            box = " x ".join(f"{1e3 * edge:.3g}" for edge in self._edges_m[::-1])
+            stated = f"its workspace is {box} mm"
         raise DeviceError(
             f"the device reports a position {1e3 * away_m:.4g} mm from its first one, but "
-            f"{stated}. If it reports "
-            "millimetres, give metres; if it does reach so far, state workspace_width_m, "
-            "workspace_height_m and "
-            "workspace_depth_m in its constants"
+            f"{stated}. If it reports millimetres, give metres; if it does reach so far, state "
+            "workspace_width_m, workspace_height_m and workspace_depth_m in its constants"
         )
 
 

@@ -210,29 +210,21 @@ def write_measured(path: Path, name: str, test: SelfTest) -> None:
     duration of the calls if the device does not report one.
     """
     most = 1.0 / TICK_S
-    rate, low = (
-        min(max(each, SLOWEST_HZ), most) for each in (test.rate_Hz, 1.0 / test.interval_99_s)
-    )
+    rate = min(max(test.rate_Hz, SLOWEST_HZ), most)
+    low = min(max(1.0 / test.interval_99_s, SLOWEST_HZ), most)
     rate = most if rate >= EVERY_TICK * most else rate
     delay = min(test.delay_s, LONGEST_S)
     high = min(max(test.delay_99_s, test.delay_s), LONGEST_S)
-    by = (
-        f"measured by tissue devices --test {name} for {test.seconds:g} s on "
-        f"{date.today().isoformat()}"
-    )
-    entries = (
+    today = date.today().isoformat()
+    by = f"measured by tissue devices --test {name} for {test.seconds:g} s on {today}"
+    text = '# Constants of a device: use them in a scene by  materials = "FILE"\n'
+    for key, value, least, largest, what in (
         ("rate_Hz", rate, min(low, rate), rate, f"{test.samples} samples"),
         ("transport_delay_s", delay, 0.0, high, "median and 99 %"),
-    )
-    text = "".join(
-        f"[devices.{name}.{key}]\nvalue = {value:.6g}\nrange = [{least:.6g}, {largest:.6g}]\n"
-        f'source = "{by}, {what}"\nconfidence = "M"\n\n'
-        for key, value, least, largest, what in entries
-    )
-    with whole_file(path) as temporary:
-        temporary.write_text(
-            '# Constants of a device: use them in a scene by  materials = "FILE"\n'
-            + text.rstrip()
-            + "\n",
-            "utf-8",
+    ):
+        text += (
+            f"[devices.{name}.{key}]\nvalue = {value:.6g}\nrange = [{least:.6g}, {largest:.6g}]\n"
+            f'source = "{by}, {what}"\nconfidence = "M"\n'
         )
+    with whole_file(path) as temporary:
+        temporary.write_text(text, "utf-8")
