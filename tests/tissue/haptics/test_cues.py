@@ -61,17 +61,6 @@ def test_it_fits_the_device():
     assert np.abs(steps).max() <= 0.1 + 1e-12
 
 
-def test_it_waits_for_a_force_and_ends_without_samples():
-    cues, response = Cues(0.3, limit_N=3.3, slew_N=10.0, tick_s=TICK), Response.empty(2)
-    response.engaged_m2[:] = SOFT
-    still = [cues.step(np.zeros(3), response) for _ in range(5)]
-    assert not np.any(still)
-    first = [cues.step(np.array([0.0, 0.0, 0.1]), response) for _ in range(5)]
-    assert np.any(first)
-    cues.pause()
-    assert not cues.step(np.array([0.0, 0.0, 0.1]), response).any()
-
-
 @pytest.mark.parametrize(("name", "count"), [("needle", 4), ("wall", 1)])
 def test_a_run_plays_one_for_each_event(name, count):
     """A run plays one cue for each event.

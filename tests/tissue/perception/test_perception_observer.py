@@ -6,14 +6,11 @@ import numpy as np
 import pytest
 
 from tissue import InputError
-from tissue.materials.constants import constants
 from tissue.perception.laws import Weber
 from tissue.perception.observer import (
     PARAMETERS,
     Observer,
-    population_observer,
     read_observer,
-    reference_observer,
     write_observer,
 )
 from tissue.perception.perceived import Deadband, held_back
@@ -99,19 +96,6 @@ def test_a_bad_file_is_refused_in_one_sentence(tmp_path, change, named):
     with pytest.raises(InputError, match=named) as caught:
         read_observer(path)
     assert "\n" not in str(caught.value)
-
-
-def test_constants_are_cited_and_in_their_ranges():
-    for table in ("force", "torque", "stiffness", "exponent"):
-        for name, entry in constants("perception", table).items():
-            assert (
-                entry.low <= entry.value <= entry.high
-                and entry.source
-                and entry.confidence in "HML"
-            ), name
-    assert constants("perception", "exponent")["finger_span"].value == 1.3
-    assert reference_observer().beta == population_observer().beta == 1.7
-    assert not reference_observer().covariance.any()
 
 
 def test_a_deadband_plays_the_wanted_vector_itself_and_nothing_of_noise():

@@ -166,14 +166,6 @@ def test_units_and_offsets_do_not_matter(shift):
     assert predicted == pytest.approx(predict(one, start, push, 20), abs=1e-8)
 
 
-def test_episodes_are_not_glued_together():
-    """The last sample of one is not followed by the first of the next."""
-    episodes = swings(np.random.default_rng(6), driven=False)
-    found, turned = Edmd(Delays(1)).fit(episodes), Edmd(Delays(1)).fit(episodes[::-1])
-    assert np.abs(turned.A - found.A).max() < 1e-6
-    assert found.statistics.samples == 10 * (120 - 2)
-
-
 def test_a_fit_does_not_grow_unless_it_is_asked_for():
     """Data that double every 14 steps: eigenvalues up to 1 by default, and 1.05 without a cap."""
     states = (
