@@ -12,8 +12,7 @@ import pytest
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from tissue.haptics.proxy.proxy import Proxy
-from tissue.haptics.proxy.voxmap import Ball, Box, ContactField, HalfSpace, ToolShell
+from tissue.haptics.proxy.proxy import Ball, Box, ContactField, HalfSpace, Proxy, ToolShell
 from tissue.haptics.renderer import ProxyRenderer
 from tissue.motion.quaternion import turn_between
 

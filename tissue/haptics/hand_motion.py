@@ -13,7 +13,7 @@ from tissue.haptics.device.safe_device import SafeDevice
 from tissue.haptics.device.sample_guard import NewSamples, guard_of
 from tissue.haptics.loop.filters import ConstantAcceleration, DelayLine, ForceRange, LowPass
 from tissue.haptics.loop.sampled_loop import WallLoop
-from tissue.haptics.played_force import PlayedForce
+from tissue.haptics.loop.vibration import PlayedForce
 from tissue.haptics.proxy.cutting_tool import CuttingTool
 from tissue.haptics.proxy.held_tool import HeldTool
 from tissue.haptics.renderer import PassivityObserver, PassivityRenderer, Renderer, TurningRenderer
@@ -148,7 +148,7 @@ class HandMotion(Motion):
         loop = rendering.loop
         predictor = rendering.predictor
         self._limits = limits
-        self._played = rendering.played or PlayedForce(limits)
+        self._played = rendering.played or PlayedForce(limits.force_limit_N)
         self._sample_s = loop.tick_s
         self._margin = rendering.margin
         self.predictor = predictor

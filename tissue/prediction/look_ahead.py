@@ -10,9 +10,7 @@ import numpy as np
 from scipy.linalg.lapack import dgesv
 
 from meshes.base.arrays import Array
-from meshes.base.errors import require_positive
-from tissue.prediction.baselines import kalman_gains
-from tissue.prediction.predictor import Contact
+from tissue.prediction.predictor import Contact, kalman_gains
 
 __all__ = ["ContactSlope", "FilteredPath", "LookAhead", "Path"]
 
@@ -77,10 +75,8 @@ class FilteredPath:
 
     trusted = True
 
-    def __init__(self, jerkiness: float = JERKINESS) -> None:
-        self._gains = kalman_gains(
-            1, require_positive("jerkiness", jerkiness, f"use {JERKINESS:g}")
-        )[:, None]
+    def __init__(self) -> None:
+        self._gains = kalman_gains(1, JERKINESS)[:, None]
         self._onward = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
         self._state: Array | None = None
         self._position, self._stretch = np.zeros((2, 3))

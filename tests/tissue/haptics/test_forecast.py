@@ -17,8 +17,7 @@ from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_ha
 from tissue.haptics.loop.filters import low_pass_gain
 from tissue.haptics.loop.forecast import Forecast, forecast_of
 from tissue.haptics.loop.sampled_loop import plant_step
-from tissue.prediction.baselines import LinearControl
-from tissue.prediction.predictor import Contact, Hold
+from tissue.prediction.predictor import Contact, Hold, LinearControl
 from tissue.simulation.builders.prediction import maker_of
 
 TICK = 1e-3

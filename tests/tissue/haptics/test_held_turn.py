@@ -11,7 +11,7 @@ from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr
 from tissue.haptics.proxy.held_tool import FURTHEST_RAD, HeldTurn
 from tissue.haptics.proxy.probing_tool import ProbedBone, ProbingTool
-from tissue.haptics.proxy.voxmap import ToolShell
+from tissue.haptics.proxy.proxy import ToolShell
 from tissue.models.tissue_model import Response, ToolMotion
 from tissue.motion.motion import frame_along
 from tissue.motion.quaternion import conjugate, exponential, logarithm, product

@@ -15,8 +15,7 @@ from tissue.haptics.hand_measures import PLAYED_FORCE, RAW_FORCE
 from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands, judge
 from tissue.haptics.loop.sampled_loop import spectral_radius
 from tissue.haptics.loop.stability_map import growth_while_running
-from tissue.haptics.loop.vibration import ENVELOPE_S, PlayedVibration, Vibration
-from tissue.haptics.played_force import PlayedForce
+from tissue.haptics.loop.vibration import ENVELOPE_S, PlayedForce, PlayedVibration, Vibration
 from tissue.models.wall import WallModel
 
 SHARE = 0.2
@@ -63,7 +62,7 @@ def test_only_the_device_s_force_holds_it():
         if share:
             passing = Vibration(1000.0, share=share, step_s=STEP_S)
             teeth = PlayedVibration(passing, limit_N=3.3, step_s=STEP_S)
-            motion._played = PlayedForce(device_parameters("touch"), vibration=teeth)
+            motion._played = PlayedForce(device_parameters("touch").force_limit_N, vibration=teeth)
         motion.device = RecordedDevice(
             np.array([0.0, 0.2, 1.5]), np.array([[0, 0, 0.02], [0, 0, -2e-3], [0, 0, -2e-3]])
         )

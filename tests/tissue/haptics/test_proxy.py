@@ -9,8 +9,7 @@ from proxy_scenes import BURR, bumpy_store, surface_of, wander
 from scipy.spatial.transform import Rotation
 
 from meshes.base.errors import InputError
-from tissue.haptics.proxy.proxy import Proxy
-from tissue.haptics.proxy.voxmap import Ball, Box, ContactField, HalfSpace, ToolShell
+from tissue.haptics.proxy.proxy import Ball, Box, ContactField, HalfSpace, Proxy, ToolShell
 from tissue.motion.quaternion import turn_between
 
 SOLID_TOLERANCE_M = 2.5e-5

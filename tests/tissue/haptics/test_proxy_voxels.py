@@ -8,8 +8,7 @@ import pytest
 from proxy_scenes import BURR, SPACING, bumpy_store, surface_of, volume_of, wander
 
 from meshes.shapes.plane_cube import cube_fraction
-from tissue.haptics.proxy.proxy import Proxy
-from tissue.haptics.proxy.voxmap import ContactField, ToolShell
+from tissue.haptics.proxy.proxy import ContactField, Proxy, ToolShell
 from tissue.models.bone.bricks import BrickStore
 
 VOXEL_TOLERANCE_M = 0.05 * SPACING

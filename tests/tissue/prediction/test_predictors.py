@@ -8,12 +8,19 @@ from koopman_systems import predict
 
 from tissue.evaluation.training.recording import Recording
 from tissue.evaluation.training.train import fit, forecast_errors, with_fallback
-from tissue.prediction.baselines import Kalman, Linear, LinearControl, kalman_gains
 from tissue.prediction.edmd import Edmd
 from tissue.prediction.guard import Guarded
 from tissue.prediction.koopman import OperatorPath
 from tissue.prediction.operator import Identity
-from tissue.prediction.predictor import Contact, Hold, SeesContact
+from tissue.prediction.predictor import (
+    Contact,
+    Hold,
+    Kalman,
+    Linear,
+    LinearControl,
+    SeesContact,
+    kalman_gains,
+)
 from tissue.scene.registry import PREDICTORS
 from tissue.simulation.builders.prediction import trained_predictor
 

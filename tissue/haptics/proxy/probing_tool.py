@@ -9,8 +9,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.voxels.volume import VoxelVolume
 from tissue.haptics.proxy.held_tool import HeldTool, HeldTurn
-from tissue.haptics.proxy.proxy import Proxy
-from tissue.haptics.proxy.voxmap import ContactField, ToolShell
+from tissue.haptics.proxy.proxy import ContactField, Proxy, ToolShell
 from tissue.models.bone.bricks import BrickStore
 from tissue.models.tissue_model import FreeSpace, Response, ToolMotion
 from tissue.motion.quaternion import Quaternion
