@@ -29,7 +29,8 @@ __all__ = [
 
 SPEED_TICKS = 3
 """Number of ticks over which the speed is averaged."""
-RELEASE_M_S, RELEASE_RAD_S = (0.03, 0.1), (1.2, 4.0)
+RELEASE_M_S = (0.03, 0.1)
+RELEASE_RAD_S = (1.2, 4.0)
 """Outward speeds at which the removal of an unpaid force begins and is complete [m/s], [rad/s].
 
 They are far above the speeds of encoder steps and of a hand that rests on a wall. The rotational

@@ -15,7 +15,10 @@ from tissue.models.tissue_model import TICK_S
 
 __all__ = ["WallRun", "knock", "press_wall"]
 
-DEPTH_M, JERK_N, JERK_S, LASTS_S = 5e-3, 2.0, (0.8, 0.82), 1.3
+DEPTH_M = 5e-3
+JERK_N = 2.0
+JERK_S = (0.8, 0.82)
+LASTS_S = 1.3
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,8 @@ It is the lead for 4 ms of latency, which is 6.11 ticks on a touch with its path
 FORMAT = "tissue predictor"
 VERSION = 3
 """Version of the file. Files of version 2 hold further arrays, which are not read."""
-ROUNDED, EXACT = ("A", "B"), ("offset", "middle", "scale")
+ROUNDED = ("A", "B")
+EXACT = ("offset", "middle", "scale")
 """Arrays of an operator that a file holds in single and in double precision."""
 KINDS: dict[object, Callable[..., Dictionary]] = {
     kind.__name__: kind for kind in (Identity, Polynomials, GapProducts, Delays)
@@ -203,7 +204,9 @@ def _operator(name: str, plain: Mapping[str, Any], arrays: Mapping[str, Any]) ->
         if each.shape != shapes.get(key, (count,)):
             raise DamagedFileError(f"{name}.{key} has shape {each.shape}")
     operator = Operator(
-        dictionary=from_plain(plain["dictionary"]), step_s=float(plain["step_s"]), **given
+        from_plain(plain["dictionary"]),
+        *(given[key] for key in (*ROUNDED, *EXACT)),
+        step_s=float(plain["step_s"]),
     )
     if not operator.state_size:
         raise DamagedFileError(f"{name} has {count} observables")

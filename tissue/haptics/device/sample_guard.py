@@ -34,7 +34,8 @@ MEMORY = 8.0
 """Number of new samples over which roughness is averaged."""
 STALE = 0.25
 """Weight of a sample that only repeats the last one."""
-ROUGH, SMOOTH = 0.5, 0.05
+ROUGH = 0.5
+SMOOTH = 0.05
 """Share of rough samples above which a signal is noise, and below which it is valid again."""
 SHORTEST_S = 2e-3
 """Shortest span of three samples [s]: encoder steps and clock jitter disturb shorter ones."""

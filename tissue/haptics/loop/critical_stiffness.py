@@ -27,9 +27,11 @@ __all__ = [
     "quantised_bound_N_m",
 ]
 
-SOFTEST_N_M, STIFFEST_N_M = 1e-2, 1e8
+SOFTEST_N_M = 1e-2
+STIFFEST_N_M = 1e8
 """Search range of the critical stiffness [N/m]."""
-STEPS, NARROW_STEPS = 4, 24
+STEPS = 4
+NARROW_STEPS = 24
 """Search steps per decade, and smaller steps where a narrow window of instability may exist.
 
 A window may exist where the loop rings at half the frequency of its vibration. Over 5-60 Hz and

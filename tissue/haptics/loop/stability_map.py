@@ -33,7 +33,8 @@ __all__ = [
     "stability_map",
 ]
 
-SOFTEST_N_M, STIFFEST_N_M = 0.1, 1e6
+SOFTEST_N_M = 0.1
+STIFFEST_N_M = 1e6
 BISECTIONS = 15
 """Number of bisections of seven decades: resolution 0.05 %."""
 
@@ -175,7 +176,7 @@ def stability_map(chosen: WallLoop, *, rows: int = 60, columns: int = 25) -> Sta
     charts = []
     for along, highest in (("wall_damping_N_s_m", most), ("delay_s", 8.0 * chosen.tick_s)):
         values = np.linspace(0.0, highest, columns)
-        loops = [replace(chosen, **{along: value}) for value in values.tolist()]  # type: ignore[arg-type]
+        loops = [replace(chosen, **{along: value}) for value in values.tolist()]
         exact = np.array([critical_stiffness_N_m(each) for each in loops])
         found = np.append(exact[(exact > 0.0) & (exact < inf)], chosen.stiffness_N_m or 100.0)
         stiffnesses = np.geomspace(0.05 * found.min(), 3.0 * found.max(), rows)

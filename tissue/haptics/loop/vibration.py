@@ -267,14 +267,9 @@ class PlayedForce:
         self._vibration = vibration
         self._cues = cues
         self._range = ForceRange(limit_N=force_limit_N)
-        perceived = at.PERCEIVED if perception is not None else ()
-        shaken = at.VIBRATION if vibration is not None else ()
-        cued = at.CUE if cues is not None else ()
-        self.names = (*perceived, *shaken, *cued)
+        parts = ((perception, at.PERCEIVED), (vibration, at.VIBRATION), (cues, at.CUE))
+        self.names = tuple(name for part, names in parts if part is not None for name in names)
         self.measures = np.zeros(len(self.names))
-        self._perceived = slice(0, len(perceived))
-        self._shaken = slice(self._perceived.stop, self._perceived.stop + len(shaken))
-        self._cued = slice(self._shaken.stop, self._shaken.stop + len(cued))
 
     def step(self, force_N: Array, response: Response) -> tuple[Array, bool]:
         """Return the force to play [N], shape (3,), and whether the device's range compressed it.
@@ -284,11 +279,11 @@ class PlayedForce:
         InputError
             If the force is not finite.
         """
-        row = self.measures
+        measures: list[float] = []
         wanted = force_N
         if (person := self._person) is not None:
             wanted = person.step(wanted)
-            row[self._perceived] = (
+            measures += (
                 person.estimated_N,
                 person.perceived,
                 person.perceived_spread,
@@ -296,12 +291,14 @@ class PlayedForce:
             )
         wanted, compressed = self._range.play(wanted)
         if self._vibration is not None:
-            row[self._shaken] = shaken = self._vibration.step(wanted)
+            shaken = self._vibration.step(wanted)
+            measures += shaken.tolist()
             wanted = wanted + shaken
         if self._cues is not None:
             cue = self._cues.step(wanted, response)
-            row[self._cued] = cue
+            measures += cue.tolist()
             wanted = wanted + cue
+        self.measures[:] = measures
         return wanted, compressed
 
     def pause(self) -> None:
@@ -309,4 +306,4 @@ class PlayedForce:
         for part in (self._person, self._vibration, self._cues):
             if part is not None:
                 part.pause()
-        self.measures[self._shaken.start :] = 0.0
+        self.measures[len(at.PERCEIVED) * (self._person is not None) :] = 0.0

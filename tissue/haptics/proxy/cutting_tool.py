@@ -12,7 +12,8 @@ from tissue.motion.quaternion import Quaternion
 
 __all__ = ["CuttingTool"]
 
-LEAST_N, LEAST_N_s_m = 1e-3, 1.0
+LEAST_N = 1e-3
+LEAST_N_s_m = 1.0
 """Force [N] and resistance [N s/m] below which both count as zero."""
 LEAST_M = 2e-7
 """Motion per tick below which a tool counts as resting [m].

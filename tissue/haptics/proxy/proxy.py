@@ -231,12 +231,14 @@ STEP_M = 2.5e-4
 """Longest step near solids [m]."""
 STEP_VOXELS = 0.5
 """Longest step near voxels [voxel]."""
-TOLERANCE_M, TOLERANCE_VOXELS = 1e-12, 1e-3
+TOLERANCE_M = 1e-12
+TOLERANCE_VOXELS = 1e-3
 """Step below which the proxy has settled [m], [voxel].
 
 The first value covers rounding near exact solids. The second is a thousandth voxel near voxels.
 """
-STEP_LIMIT, SOLVE_LIMIT = 64, 150
+STEP_LIMIT = 64
+SOLVE_LIMIT = 150
 """Largest number of steps and of active-set solves in a tick; the rest is done in the next tick."""
 _POSITION = slice(POSITION, POSITION + 3)
 _ROTATION = slice(ROTATION, ROTATION + 4)

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 __all__ = ["ForceDimensionAdapter", "SigmaAdapter"]
 
-FAILED, UNCHANGED = -1, 1
+FAILED = -1
+UNCHANGED = 1
 """Return values of a call: error, and no new data so soon after the last call (TIMEGUARD)."""
 MOST_FAILURES = 100
 """Number of consecutive failed calls after which the device counts as lost."""

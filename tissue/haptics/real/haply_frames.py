@@ -41,18 +41,22 @@ PROFILE = "tissue:simulation"
 """Name of the session in the vendor's window."""
 
 USUAL = "ws://localhost:10001"
-ANSWER_S, STATED_S = 0.5, 2.0
+ANSWER_S = 0.5
+STATED_S = 2.0
 """Longest silence of the service before it states its version, and longest total time [s]."""
 LONGEST = 65_536
 """Largest number of bytes read from a version answer."""
-MEMORY_S, LONGEST_S = 0.024, 0.005
+MEMORY_S = 0.024
+LONGEST_S = 0.005
 """Averaging time of contradictions, and longest time for which one state counts [s].
 
 With this averaging time, a velocity may lag 6 ms behind a blow.
 """
-WRONG, RIGHT = 0.25, 0.05
+WRONG = 0.25
+RIGHT = 0.05
 """Share of contradictions above which the order is wrong, and below which it is right again."""
-LEAST_M, LEAST_M_S = 2e-4, 0.05
+LEAST_M = 2e-4
+LEAST_M_S = 0.05
 """Smallest step [m] and speed [m/s] that are judged.
 
 Below them, a wrong order has no perceptible effect.

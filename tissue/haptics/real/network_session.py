@@ -39,7 +39,8 @@ POSE = struct.Struct("<13dII")
 """Position [m], quaternion (x, y, z, w), velocity [m/s], spin [rad/s], buttons, four zero bytes."""
 WRENCH = struct.Struct("<6d")
 """Force [N] and torque [N m]."""
-HALF, WHOLE = 1 << 31, 1 << 32
+HALF = 1 << 31
+WHOLE = 1 << 32
 """Half of the number of sequence numbers, and their number."""
 
 

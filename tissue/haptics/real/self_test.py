@@ -18,7 +18,8 @@ from tissue.models.tissue_model import TICK_S
 
 __all__ = ["BUMP_N", "BUMP_S", "Bump", "SelfTest", "bump", "self_test", "write_measured"]
 
-BUMP_N, BUMP_S = 0.5, 0.3
+BUMP_N = 0.5
+BUMP_S = 0.3
 """Largest force of the push [N] and its duration [s]."""
 FEWEST = 20
 """Smallest number of samples for a result."""
@@ -198,7 +199,8 @@ def _middle_and_99(
 
 EVERY_TICK = 0.95
 """Share of ticks with a new sample above which the device counts as running at our rate."""
-SLOWEST_HZ, LONGEST_S = 10.0, 0.2
+SLOWEST_HZ = 10.0
+LONGEST_S = 0.2
 """Smallest rate and longest delay that `tissue.haptics.device.device.DeviceParameters` accepts."""
 
 
