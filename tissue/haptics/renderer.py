@@ -366,6 +366,10 @@ def renderer(kind: str, loop: WallLoop) -> Renderer:
     InputError
         If the name is unknown.
     """
-    built_in = {"penalty": penalty, "passivity": passivity, "proxy": proxy}
+    built_in: dict[str, Callable[[WallLoop], Renderer]] = {
+        "penalty": penalty,
+        "passivity": passivity,
+        "proxy": proxy,
+    }
     make: Callable[[WallLoop], Renderer] = RENDERERS[kind] or built_in[kind]
     return make(loop)

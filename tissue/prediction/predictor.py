@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, require_positive
 from tissue.prediction.operator import Operator
 
 __all__ = [
@@ -169,7 +169,8 @@ class Linear:
     residual_N = 0.0
     is_primary = trusted = True
 
-    def __init__(self) -> None:
+    def __init__(self, window: int = WINDOW) -> None:
+        self._window = int(require_positive("window", window, f"use {WINDOW} ticks"))
         self._clock = 0
         self._seen: deque[tuple[int, Array]] = deque([(0, np.zeros(3))])
         self._slope = np.zeros(3)
@@ -183,10 +184,10 @@ class Linear:
         missed = force_N - self.predict(0)
         self.residual_N = sqrt(missed.dot(missed))
         seen.append((self._clock, force_N.copy()))
-        while len(seen) > 2 and self._clock - seen[1][0] >= WINDOW:
+        while len(seen) > 2 and self._clock - seen[1][0] >= self._window:
             seen.popleft()
         since, first = seen[0]
-        self._slope = (force_N - first) / max(self._clock - since, WINDOW)
+        self._slope = (force_N - first) / max(self._clock - since, self._window)
 
     def predict(self, ticks: float) -> Array:
         """Return the force on the line."""
@@ -228,7 +229,8 @@ class Kalman:
     residual_N = 0.0
     is_primary = trusted = True
 
-    def __init__(self) -> None:
+    def __init__(self, jerkiness: float = JERKINESS) -> None:
+        self._jerkiness = require_positive("jerkiness", jerkiness, f"use {JERKINESS:g}")
         self._onward = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
         self._state = np.zeros((3, 3))
         self._since = 0
@@ -241,7 +243,7 @@ class Kalman:
         if force_N is not None:
             missed = force_N - state[0]
             self.residual_N = sqrt(missed.dot(missed))
-            state += kalman_gains(self._since, JERKINESS)[:, None] * missed
+            state += kalman_gains(self._since, self._jerkiness)[:, None] * missed
             self._since = 0
             self._force = force_N.copy()
 

@@ -204,8 +204,12 @@ def _operator(name: str, plain: Mapping[str, Any], arrays: Mapping[str, Any]) ->
         if each.shape != shapes.get(key, (count,)):
             raise DamagedFileError(f"{name}.{key} has shape {each.shape}")
     operator = Operator(
-        from_plain(plain["dictionary"]),
-        *(given[key] for key in (*ROUNDED, *EXACT)),
+        dictionary=from_plain(plain["dictionary"]),
+        A=given["A"],
+        B=given["B"],
+        offset=given["offset"],
+        middle=given["middle"],
+        scale=given["scale"],
         step_s=float(plain["step_s"]),
     )
     if not operator.state_size:

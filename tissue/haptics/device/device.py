@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, replace
 from math import dist, inf, isfinite
-from types import TracebackType
 from typing import NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
@@ -107,12 +106,7 @@ class ComputedDevice:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self.command(np.zeros(3), np.zeros(3))
 
     def command(self, force_N: Array, torque_Nm: Array) -> None:

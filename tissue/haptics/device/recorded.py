@@ -2,10 +2,9 @@
 
 from collections import deque
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from math import exp, nan
-from types import TracebackType
 from typing import Literal, Self
 
 import numpy as np
@@ -161,6 +160,7 @@ class FaultyDevice:
     def __init__(self, device: Device, faults: Sequence[Fault]) -> None:
         self._device = device
         self._faults = tuple(faults)
+        self._stack = ExitStack()
         self._past: deque[Sample | None] = deque(maxlen=LATE_READS + 1)
         self._returned: Sample | None = None
 
@@ -171,17 +171,11 @@ class FaultyDevice:
 
     def __enter__(self) -> Self:
         if isinstance(self._device, AbstractContextManager):
-            self._device.__enter__()
+            self._stack.enter_context(self._device)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if isinstance(self._device, AbstractContextManager):
-            self._device.__exit__(kind, error, trace)
+    def __exit__(self, *raised: object) -> None:
+        self._stack.close()
 
     def read(self, time_s: float) -> Sample | None:
         """Return a sample, modified by the fault at this time."""

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from math import isfinite, radians, sqrt
 from time import perf_counter
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -199,16 +198,11 @@ class MappedDevice:
         self._begin(0.0)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         try:
             self.command(np.zeros(3), np.zeros(3))
         finally:
-            self._adapter.__exit__(kind, error, trace)
+            self._adapter.__exit__(*raised)
 
     def close(self) -> None:
         """Remove all force from the device by other means than a command."""
