@@ -12,7 +12,7 @@ import pytest
 from tissue import InputError
 from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.hand.hand import HandAction, hand_parameters, waypoints
+from tissue.haptics.hand.hand import HandAction, hand_parameters
 from tissue.haptics.loop.critical_stiffness import (
     critical_stiffness_N_m,
     delay_bound_N_m,
@@ -229,5 +229,3 @@ def test_unusable_loops_are_refused():
     ):
         with pytest.raises(InputError, match=f"{word} must be"):
             wall(**{name: value})
-    with pytest.raises(InputError, match="times_s must increase"):
-        waypoints([0.0, 0.0], np.zeros((2, 3)))

@@ -7,7 +7,6 @@ from math import ceil, inf, isfinite, sqrt
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import require_positive, require_range
 from tissue.haptics.device.device import ComputedDevice, DeviceParameters, Sample
 from tissue.haptics.hand.hand import Grip, HandAction, HoldingHand
 from tissue.haptics.loop.sampled_loop import plant_step
@@ -60,9 +59,9 @@ class Plant:
         friction_N: float = 0.0,
         amplifier_Hz: float = inf,
     ) -> None:
-        self._mass = require_positive("mass_kg", mass_kg, "give the device's apparent mass")
-        self._damping = require_range("damping_N_s_m", damping_N_s_m, 0.0, 1e6, "use 0 for none")
-        self._friction = require_range("friction_N", friction_N, 0.0, 1e6, "use 0 for none")
+        self._mass = mass_kg
+        self._damping = damping_N_s_m
+        self._friction = friction_N
         self._amplifier = amplifier_Hz
         self.position = self.velocity = self.motor_force = NOTHING
         self.motor_work_J = 0.0

@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, require_positive, require_range
+from meshes.base.errors import require_positive, require_range
 from tissue.materials.scene_constants import Materials
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.quaternion import NOTHING, UPRIGHT, Quaternion, Triple
@@ -53,21 +53,11 @@ def waypoints(times_s: Array, points_m: Array) -> Path:
     """Return a path through points [m], shape (n, 3), at increasing times [s].
 
     It is straight between the points and at rest outside.
-
-    Raises
-    ------
-    InputError
-        If the times do not increase or the points do not match them.
     """
-    times = np.array(times_s, dtype=float)
-    points = np.array(points_m, dtype=float)
-    if times.ndim != 1 or points.shape != (len(times), 3) or not np.isfinite(points).all():
-        raise InputError(
-            "points_m", f"be finite with shape ({times.size}, 3)", points.shape, "give one per time"
-        )
-    if not (np.diff(times) > 0.0).all():
-        raise InputError("times_s", "increase", times_s, "sort them")
-    return lambda time_s: np.array([np.interp(time_s, times, points[:, axis]) for axis in range(3)])
+    points = np.asarray(points_m, dtype=float)
+    return lambda time_s: np.array(
+        [np.interp(time_s, times_s, points[:, axis]) for axis in range(3)]
+    )
 
 
 @runtime_checkable
@@ -113,10 +103,10 @@ class Aim:
     ) -> None:
         self._path = path
         self._rng = rng
-        self._reaction = require_range("reaction_s", reaction_s, 0.0, 10.0, "use 0.2")
-        self._duration = require_positive("submovement_s", submovement_s, "use 0.4")
-        self._interval = require_positive("correction_s", correction_s, "use 0.2")
-        self._noise = require_range("endpoint_noise", endpoint_noise, 0.0, 1.0, "use 0.05")
+        self._reaction = reaction_s
+        self._duration = submovement_s
+        self._interval = correction_s
+        self._noise = endpoint_noise
         self._rest = [float(value) for value in path(0.0)]
         self._moves: list[tuple[float, list[float], list[float]]] = []
         self._next = self._reaction
@@ -239,8 +229,8 @@ class HandParameters:
             require_range(
                 entry.name, getattr(self, entry.name), 0.0, 1e5, "see hands.toml for what is usual"
             )
-        require_positive("force_noise_s", self.force_noise_s, "use 0.05")
-        require_positive("tremor_width_Hz", self.tremor_width_Hz, "use 2")
+        for name in ("submovement_s", "correction_s", "force_noise_s", "tremor_width_Hz"):
+            require_positive(name, getattr(self, name), "see hands.toml for what is usual")
 
     @property
     def grip(self) -> Grip:
@@ -308,7 +298,6 @@ class Hand:
         turn: Callable[[float], Array] | None = None,
         let_go_s: float = inf,
     ) -> None:
-        require_positive("step_s", step_s, "use 1e-3 for 1 kHz")
         self.parameters = parameters
         self._rng = rng
         self._push = push

@@ -8,7 +8,6 @@ from math import inf, sqrt
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import require_positive
 from tissue.haptics.hand.hand import Hand, HandAction, HandParameters, Path, minimum_jerk
 from tissue.haptics.proxy.held_tool import HeldTool
 from tissue.models.tissue_model import TICK_S
@@ -118,9 +117,7 @@ class PushingHand:
     ) -> None:
         self._person = parameters
         self._felt = felt
-        self._gain = require_positive("rate_N_s", rate_N_s, "use 1") / (
-            parameters.stiffness_N_m * (1.0 + parameters.reflex_share)
-        )
+        self._gain = rate_N_s / (parameters.stiffness_N_m * (1.0 + parameters.reflex_share))
         self._start: list[float] = np.asarray(start_m).tolist()
         self._line: list[float] = np.asarray(direction).tolist()
         self._window = max(round(integration_s / TICK_S), 1)

@@ -5,7 +5,6 @@ from math import sqrt
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import require_range
 from tissue.haptics.proxy.held_tool import FADE, HeldTool, HeldTurn
 from tissue.models.tissue_model import Response
 from tissue.motion.quaternion import Quaternion
@@ -127,9 +126,7 @@ class CuttingTool(HeldTool):
         damping_N_s_m: float = 0.0,
     ) -> None:
         super().__init__(stiffness_N_m, tip_m, turn)
-        self._damping = require_range(
-            "damping_N_s_m", damping_N_s_m, 0.0, 1e6, "use a hundredth of the stiffness"
-        )
+        self._damping = damping_N_s_m
         self._speed_m_s = np.zeros(3)
         self._again = False
         self._moved_m = np.zeros(3)

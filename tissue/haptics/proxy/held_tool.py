@@ -7,7 +7,6 @@ import numpy as np
 from scipy.linalg.lapack import dgesv
 
 from meshes.base.arrays import Array
-from meshes.base.errors import require_positive
 from tissue.models.tissue_model import Response
 from tissue.motion.quaternion import UPRIGHT, Quaternion, exponential, product, turn_between
 
@@ -36,8 +35,6 @@ class HeldTurn:
     """
 
     def __init__(self, stiffness_Nm_rad: float = inf) -> None:
-        if stiffness_Nm_rad < inf:
-            require_positive("stiffness_Nm_rad", stiffness_Nm_rad, "use 0.3")
         self.stiffness_Nm_rad = stiffness_Nm_rad
         self.quaternion: Quaternion = UPRIGHT
         self._learnt = 0.0
@@ -113,9 +110,7 @@ class HeldTool(ABC):
 
     def __init__(self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None) -> None:
         self._turn = turn or HeldTurn()
-        self.stiffness_N_m = require_positive(
-            "stiffness_N_m", stiffness_N_m, "use 1e3 on an organ, 1e4 on bone"
-        )
+        self.stiffness_N_m = stiffness_N_m
         self.tip_m = np.array(tip_m, dtype=float)
         self.driven = False
         self.heading = np.zeros(3)
