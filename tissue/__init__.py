@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from tissue import cutters
     from tissue.ct.importing import Imported, import_ct
     from tissue.haptics.device.device import DeviceParameters, Sample
-    from tissue.haptics.real.search import devices
+    from tissue.haptics.real.adapter import devices
     from tissue.objects import calibration, stability, study
     from tissue.objects.assess import Assessment, assess
     from tissue.objects.bone import Bone
@@ -97,7 +97,7 @@ _HOMES = {
     "assess": "tissue.objects.assess",
     "ball": "tissue.objects.tools",
     "compare": "tissue.objects.comparison",
-    "devices": "tissue.haptics.real.search",
+    "devices": "tissue.haptics.real.adapter",
     "feed_along": "tissue.objects.poses",
     "fit": "tissue.objects.fit",
     "flat_punch": "tissue.objects.tools",

@@ -29,7 +29,7 @@ from tissue.evaluation.calibration.observers import (
 from tissue.haptics.loop.filters import ForceRange
 from tissue.materials.constants import constants
 from tissue.perception.adaptive import AdaptiveThreshold, ThresholdPrior, comparisons
-from tissue.perception.laws import D_PRIME_75, two_interval, weber
+from tissue.perception.laws import D_PRIME_75, two_interval
 from tissue.scene.registry import GROUPS
 from tissue.simulation.trace import Table
 
@@ -281,11 +281,11 @@ def scenes() -> None:
             rng = np.random.default_rng([1, GROUPS.index(group)])
             people = draw_observers(group, PEOPLE, rng)
             if "torque" in name:
-                turning, usual = weber("torque"), weber("force")
+                turning, usual = (constants("perception", each) for each in ("torque", "force"))
                 people = replace(
                     people,
-                    kappa=people.kappa * turning.kappa / usual.kappa,
-                    offset_N=np.full(PEOPLE, turning.offset),
+                    kappa=people.kappa * turning["kappa"].value / usual["kappa"].value,
+                    offset_N=np.full(PEOPLE, turning["offset_Nm"].value),
                 )
                 right = share_right(people, one, two, seed=1, limits=ForceRange(limit_N=1e3))
                 result = ("no map of torque", "")

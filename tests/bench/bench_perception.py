@@ -13,10 +13,10 @@ from time import perf_counter
 
 import numpy as np
 from harness import Cost, cost_of, machine, table
+from perceived_estimates import map_estimate_errors, map_force_N, recursive_estimate_errors
 
 import tissue
-from tissue.perception.estimate import map_estimate_errors, map_force_N, recursive_estimate_errors
-from tissue.perception.laws import weber
+from tissue.perception.laws import weber_of
 from tissue.perception.observer import Observer, population_observer
 from tissue.perception.perceived import held_back
 from tissue.simulation.builders.perception import perception_for
@@ -58,7 +58,7 @@ def ticks(count: int) -> list[tuple[str, ...]]:
 
 def traces(quick: bool) -> list[tuple[str, ...]]:
     """Return a table row for each recorded scene: effect of the deadband on its forces."""
-    law, rows = weber("force"), []
+    law, rows = weber_of(population_observer()), []
     for name, changes in list(RECORDED.items())[: 2 if quick else None]:
         run = tissue.simulate(
             tissue.load_scene(name, {"device": "touch", "hand": "novice", "seed": 3, **changes})

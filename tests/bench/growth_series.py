@@ -246,9 +246,8 @@ def observables(quick: bool) -> Series:
     """Delays of a predictor of position and force."""
     from peers.works import contacts
 
-    from tissue.prediction.edmd.dictionary import Delays
-    from tissue.prediction.edmd.edmd import Edmd
-    from tissue.prediction.edmd.episodes import Episode
+    from tissue.prediction.edmd import Edmd, Episode
+    from tissue.prediction.operator import Delays
 
     episodes = [Episode(contacts(seed), None, 1e-3) for seed in range(2)]
     run = episodes[0].states

@@ -16,7 +16,7 @@ from device_doubles import PRESSED_S, Computed, Managed, Recording, block
 from tissue import InputError, load_scene, simulate
 from tissue.haptics.device import safe_device
 from tissue.haptics.device.device import DeviceError, device_parameters
-from tissue.haptics.device.faulty import FaultyDevice
+from tissue.haptics.device.recorded import FaultyDevice
 from tissue.haptics.device.safe_device import RAMP_S, SafeDevice
 from tissue.haptics.hand_motion import HandMotion
 from tissue.models.tissue_model import TICK_S

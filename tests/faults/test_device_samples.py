@@ -11,11 +11,9 @@ from device_doubles import Recording
 
 from tissue import load_scene, simulate
 from tissue.haptics.device.device import ComputedDevice, DeviceError, Sample, device_parameters
-from tissue.haptics.device.roughness import Roughness
-from tissue.haptics.device.sample_guard import GuardLimits, SampleGuard
+from tissue.haptics.device.sample_guard import GuardLimits, Roughness, SampleGuard
 from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.hand.hand import Hand, hand_parameters
-from tissue.haptics.hand.minimum_jerk import waypoints
+from tissue.haptics.hand.hand import Hand, hand_parameters, waypoints
 from tissue.haptics.loop.filters import SlewLimit
 from tissue.haptics.renderer import renderer
 from tissue.haptics.rigid_wall import press_wall
@@ -90,11 +88,11 @@ def test_roughness_by_its_closed_form():
     for share, noisy in ((0.99, False), (1.01, True)):
         course = Roughness(2000.0)
         for tick in range(100):
-            course.observe(tick * TICK, 0.5 * share * 2000.0 * (tick * TICK) ** 2, 0.0, 0.0)
+            course.observe(tick * TICK, (0.5 * share * 2000.0 * (tick * TICK) ** 2, 0.0, 0.0))
         assert course.noisy == noisy
     course = Roughness(2000.0)
     for tick in range(100):  # one leap of a metre
-        course.observe(tick * TICK, float(tick == 50), 0.0, 0.0)
+        course.observe(tick * TICK, (float(tick == 50), 0.0, 0.0))
         assert not course.noisy
 
 

@@ -8,11 +8,10 @@ import pytest
 
 import tissue
 from tissue import Sample, load_scene
-from tissue.haptics.device.device import ComputedDevice, DeviceError, DeviceParameters
-from tissue.haptics.device.reach import Reach
+from tissue.haptics.device.device import ComputedDevice, DeviceError, DeviceParameters, Reach
 from tissue.haptics.device.recorded import MouseDevice
 from tissue.haptics.device.sample_guard import SampleGuard
-from tissue.haptics.real.adapter import HardwareSample
+from tissue.haptics.real.adapter import HardwareAdapter, HardwareSample
 from tissue.haptics.real.mapped import MappedDevice
 from tissue.haptics.real.self_test import self_test
 from tissue.scene.hardware import Hardware
@@ -46,7 +45,7 @@ class Goes(ComputedDevice):
         self.forces.append(force_N.copy())
 
 
-class Adapter:
+class Adapter(HardwareAdapter):
     """An adapter on a path in a unit of its own; every poll has a new sample."""
 
     limits = LIMITS
@@ -54,11 +53,8 @@ class Adapter:
     def __init__(self, path, quaternion=(0.0, 0.0, 0.0, 1.0)):
         self.path, self.quaternion, self.pushed, self.polls = path, quaternion, [], 0
 
-    def __enter__(self):
-        return self
-
-    def __exit__(self, kind, error, trace):
-        self.close()
+    def open(self):
+        pass
 
     def poll(self):
         self.polls += 1

@@ -255,10 +255,8 @@ def test_a_run_whose_service_vanishes_at_its_end_is_finished(full):
     original = HaplyAdapter.__enter__
 
     def noted(adapter):
-        found.append(adapter._link)
-        opened = original(adapter)
-        found[:] = [adapter._link]
-        return opened
+        found[:] = [adapter]
+        return original(adapter)
 
     HaplyAdapter.__enter__ = noted
     try:
@@ -287,7 +285,7 @@ def test_closing_a_connection_that_nobody_reads_is_quick():
     service = Service()
     adapter = HaplyAdapter(Hardware(address=service.url)).__enter__()
     service.silent.set()
-    fill(adapter._link)
+    fill(adapter)
     began = time.perf_counter()
     adapter.close()
     assert time.perf_counter() - began < CLOSES_S

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from network_client import HELLO, POSE, packet, pose, read
 
-from tissue.haptics.real.network_protocol import Kind, PacketError, packed, unpacked
-from tissue.haptics.real.network_session import NetworkSession
+from tissue.haptics.real.network_session import Kind, NetworkSession, PacketError, packed, unpacked
 
 ROUNDS = 40
 KINDS = ("bits", "cut", "longer", "noise", "header", "repeat", "swap", "none")
@@ -114,7 +113,7 @@ def test_any_bytes_of_any_sender_leave_the_session_usable(seed):
         session.take()
         if (
             rng.integers(3) == 0
-            and (sending := session.wrench(((1.0, 0.0, 0.0), (0.0, 0.0, 0.0)))) is not None
+            and (sending := session.wrench((1.0, 0.0, 0.0, 0.0, 0.0, 0.0))) is not None
         ):
             assert sending[0] == session.peer
     session.bye()

@@ -15,9 +15,7 @@ from kernels.proxy import (
     STEPS,
     TRAVEL,
 )
-from tissue.haptics.proxy.proxy import Proxy
-from tissue.haptics.proxy.tool_shell import ToolShell
-from tissue.haptics.proxy.voxmap import ContactField, HalfSpace
+from tissue.haptics.proxy.proxy import ContactField, HalfSpace, Proxy, ToolShell
 
 EXACT_M = 1e-11
 """Tolerance [m] of the proxy next to solids, times the ten steps that a tick takes."""

@@ -11,9 +11,7 @@ from scipy.spatial.transform import Rotation
 from kernels.proxy_contacts import Contacts, Shell, collect, keep_plane
 from kernels.voxmap import SURFACE, Field
 from meshes.voxels.volume import VoxelVolume
-from tissue.haptics.proxy.proxy import Proxy
-from tissue.haptics.proxy.tool_shell import ToolShell
-from tissue.haptics.proxy.voxmap import Ball, Box, ContactField, HalfSpace
+from tissue.haptics.proxy.proxy import Ball, Box, ContactField, HalfSpace, Proxy, ToolShell
 from tissue.models.bone.bricks import BrickStore
 
 ROUNDING_M = 1e-15

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from kernels.voxmap import SURFACE
 from meshes.shapes import sdf
 from meshes.voxels.volume import VoxelVolume
-from tissue.haptics.proxy.voxmap import Ball, Box, ContactField, HalfSpace
+from tissue.haptics.proxy.proxy import Ball, Box, ContactField, HalfSpace
 from tissue.models.bone.bricks import BrickStore
 
 SPACING, ORIGIN = 1e-4, np.array([-1e-3, 2e-3, 0.5e-3])

@@ -9,17 +9,15 @@ import numpy as np
 import pytest
 
 from tissue.haptics.device.device import device_parameters
-from tissue.haptics.device.faulty import Fault, FaultyDevice
+from tissue.haptics.device.recorded import Fault, FaultyDevice
 from tissue.haptics.device.sample_guard import SampleGuard
 from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.hand.hand import Hand, HandAction, hand_parameters
-from tissue.haptics.hand.minimum_jerk import waypoints
+from tissue.haptics.hand.hand import Hand, HandAction, hand_parameters, waypoints
 from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands
 from tissue.haptics.loop.sampled_loop import spectral_radius
 from tissue.haptics.renderer import ProxyRenderer
 from tissue.haptics.rigid_wall import press_wall
-from tissue.perception.laws import Intensity, intensity_of, weber_of
-from tissue.perception.mapping import ForceMap
+from tissue.perception.laws import ForceMap, Intensity, intensity_of, weber_of
 from tissue.perception.observer import population_observer, reference_observer
 from tissue.perception.perceived import held_back
 from tissue.simulation.builders.perception import CAUTION, perception_for

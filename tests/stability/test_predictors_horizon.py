@@ -8,11 +8,9 @@ import pytest
 from tissue import load_scene, simulate
 from tissue.evaluation.training.recording import Recorder, trial
 from tissue.evaluation.training.train import forecast, forecast_errors
-from tissue.prediction.baselines import Linear
-from tissue.prediction.contact import Contact
 from tissue.prediction.guard import Guarded
-from tissue.prediction.koopman import Koopman
-from tissue.prediction.paths import OperatorPath
+from tissue.prediction.koopman import Koopman, OperatorPath
+from tissue.prediction.predictor import Contact, Linear
 from tissue.prediction.trained import Trained, shipped_file
 from tissue.simulation.builders.prediction import trained_predictor
 

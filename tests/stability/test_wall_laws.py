@@ -4,28 +4,28 @@ The numbers E3, E4, E9, E10 and E11 refer to the project's list of errors in a p
 framework.
 """
 
-from math import inf, pi, sin, sqrt
+from math import pi, sqrt
 
 import numpy as np
 import pytest
 
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.hand.hand import Hand, hand_parameters
-from tissue.haptics.hand.minimum_jerk import waypoints
-from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands
-from tissue.haptics.loop.filters import (
-    DelayLine,
-    LowPass,
-    cutoff_Hz,
-    low_pass_gain,
-    relaxation_bound,
+from tissue.haptics.hand.hand import Hand, hand_parameters, waypoints
+from tissue.haptics.loop.critical_stiffness import (
+    critical_stiffness_N_m,
+    delay_bound_N_m,
+    in_hands,
+    pade_bound_N_m,
+    passive_bound_N_m,
 )
-from tissue.haptics.loop.passivity import PassivityControl
+from tissue.haptics.loop.filters import (
+    LowPass,
+    low_pass_gain,
+)
 from tissue.haptics.loop.sampled_loop import WallLoop, spectral_radius
-from tissue.haptics.loop.stability_bounds import delay_bound_N_m, pade_bound_N_m, passive_bound_N_m
 from tissue.haptics.loop.stability_map import growth_while_running
-from tissue.haptics.renderer import ProxyRenderer, renderer
+from tissue.haptics.renderer import PassivityControl, ProxyRenderer, renderer
 
 TICK = 1e-3
 
@@ -36,17 +36,17 @@ def amplitude(time_constant_s, frequency_Hz):
     It is run at 2000 steps a period.
     """
     step = 5e-4 / frequency_Hz
-    low_pass = LowPass(time_constant_s, step_s=step, size=1)
+    low_pass = LowPass(time_constant_s, step_s=step)
     times = step * np.arange(round(8.0 * time_constant_s / step) + 2000)
-    found = [low_pass.step(np.array([np.sin(2 * pi * frequency_Hz * t)]))[0] for t in times]
+    found = [low_pass.step(np.full(3, np.sin(2 * pi * frequency_Hz * t)))[0] for t in times]
     return np.abs(found[-2000:]).max()
 
 
 def test_e3_the_filter_parameter_is_a_time_and_no_frequency():
     """At its true cutoff 1 / (2 pi a) the amplitude is 1 / sqrt 2; at "a Hz" nothing is cut."""
     time_constant = 5e-3
-    assert amplitude(time_constant, cutoff_Hz(time_constant)) == pytest.approx(sqrt(0.5), rel=2e-3)
-    assert cutoff_Hz(time_constant) == pytest.approx(31.831, rel=1e-4)
+    cutoff_Hz = 1.0 / (2.0 * pi * time_constant)
+    assert amplitude(time_constant, cutoff_Hz) == pytest.approx(sqrt(0.5), rel=2e-3)
     printed = 1.0 / sqrt(1.0 + (1.0 / time_constant) ** 2)  # of 1 Hz, were the cutoff 0.005 Hz
     assert printed < 0.01
     assert amplitude(time_constant, 1.0) > 0.999
@@ -87,7 +87,6 @@ def test_e4_pade_promises_stiffness_that_runs_away(loop):
     """
     exact, promised = critical_stiffness_N_m(loop), pade_bound_N_m(loop)
     assert promised > 1.05 * exact
-    assert pade_bound_N_m(loop, hold=False) > promised
     # w t is no longer small
     assert sqrt(promised / loop.mass_kg) * (loop.delay_s + 0.5 * TICK) > 0.5
     grown = growth_while_running([loop, loop], np.array([0.98 * promised, 0.98 * exact]))
@@ -98,8 +97,6 @@ def test_e4_pade_is_good_where_the_delay_is_short():
     loop = WallLoop(mass_kg=0.05, damping_N_s_m=0.1, delay_s=4e-3, stiffness_N_m=1.0)
     assert pade_bound_N_m(loop) == pytest.approx(critical_stiffness_N_m(loop), rel=1e-3)
     assert delay_bound_N_m(loop) == pytest.approx(critical_stiffness_N_m(loop), rel=2e-3)
-    assert pade_bound_N_m(loop, hold=False) > 1.1 * critical_stiffness_N_m(loop)
-    assert pade_bound_N_m(WallLoop(mass_kg=1, damping_N_s_m=1, stiffness_N_m=1), hold=False) == inf
 
 
 def energy_from_a_cycle(law):
@@ -151,35 +148,6 @@ def test_e10_positive_gains_at_1_khz_are_not_enough(rate_Hz):
     ours = stiff.with_stiffness(passive_bound_N_m(stiff))
     hands = [(0.0, 0.0, 0.0), (3000.0, 0.0, 0.0), (300.0, 4.0, 0.1), (1e5, 0.01, 2.0)]
     assert all(spectral_radius(each) < 1.0 for each in in_hands(ours, hands))
-
-
-@pytest.mark.parametrize("delay", [0, 1, 2, 5, 20])
-def test_e11_relaxation_settles_up_to_the_bound_and_not_to_1_or_2(delay):
-    """Relaxation settles up to the bound and not to 1 or 2.
-
-    F <- F + a (F_wanted - F delayed) is run 2 % below and above the bound; the printed 0 < a < 1
-    fails with delay.
-    """
-
-    def left(gain):
-        force, line = np.zeros(1), DelayLine(delay, size=1)
-        worst = 0.0
-        for tick in range(4000 * (delay + 1)):
-            force = force + gain * (1.0 - line.step(force))
-            if tick > 3800 * (delay + 1):
-                worst = max(worst, abs(float(force[0]) - 1.0))
-            if abs(force[0]) > 1e6:
-                return inf
-        return worst
-
-    bound = relaxation_bound(delay)
-    assert bound == pytest.approx(2.0 * sin(pi / (2 * (2 * delay + 1))))
-    assert left(0.98 * bound) < 1e-6
-    assert left(1.02 * bound) > 1e3
-    if delay == 0:
-        assert left(1.9) < 1e-6  # also beyond the printed 1
-    if delay >= 2:
-        assert left(0.9) == inf  # printed as stable
 
 
 def test_a_controller_without_bound_would_itself_ring():

@@ -8,11 +8,10 @@ import pytest
 
 from tissue import InputError
 from tissue.haptics.device.device import Sample, device_parameters
-from tissue.haptics.device.faulty import Fault, FaultyDevice
+from tissue.haptics.device.recorded import Fault, FaultyDevice
 from tissue.haptics.device.sample_guard import GuardLimits, SampleGuard
 from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.hand.hand import Hand, hand_parameters
-from tissue.haptics.hand.minimum_jerk import waypoints
+from tissue.haptics.hand.hand import Hand, hand_parameters, waypoints
 from tissue.haptics.renderer import renderer
 from tissue.haptics.rigid_wall import press_wall
 from tissue.scene.registry import RENDERERS

@@ -9,10 +9,8 @@ from wall_limits import wall_limits
 
 from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.hand.hand import Hand, hand_parameters
-from tissue.haptics.hand.minimum_jerk import waypoints
-from tissue.haptics.loop.passivity import PassivityControl, PassivityObserver
-from tissue.haptics.renderer import renderer
+from tissue.haptics.hand.hand import Hand, hand_parameters, waypoints
+from tissue.haptics.renderer import PassivityControl, PassivityObserver, renderer
 from tissue.haptics.rigid_wall import knock, press_wall
 
 STIFFNESS, SPEED, TICK, SAMPLES = 1000.0, 0.1, 1e-3, 100

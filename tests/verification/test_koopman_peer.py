@@ -5,9 +5,8 @@ import warnings
 import numpy as np
 import pytest
 
-from tissue.prediction.edmd.dictionary import Delays, Identity, Polynomials
-from tissue.prediction.edmd.edmd import Edmd
-from tissue.prediction.edmd.episodes import Episode
+from tissue.prediction.edmd import Edmd, Episode
+from tissue.prediction.operator import Delays, Identity, Polynomials
 
 # pykoop takes seconds to import; test_koopman_exact holds the same operators
 pytestmark = pytest.mark.slow

@@ -5,8 +5,7 @@ Each figure has a bound, so that a change is noticed.
 
 import numpy as np
 import pytest
-
-from tissue.perception.estimate import (
+from perceived_estimates import (
     FATIGUE,
     LOG_SPREAD,
     MEDIAN_N,

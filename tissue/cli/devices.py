@@ -63,7 +63,7 @@ def devices(
 
 
 def _list() -> None:
-    from tissue.haptics.real.search import devices as found_devices
+    from tissue.haptics.real.adapter import devices as found_devices
 
     with problems.status("looking for devices"):
         found = found_devices()
@@ -96,9 +96,8 @@ def _test(
     name: str, address: str, seconds: float, out: Path | None, *, yes: bool, overwrite: bool
 ) -> None:
     from meshes.base.errors import InputError
-    from tissue.haptics.real.measured_file import write_measured
-    from tissue.haptics.real.search import adapter_class
-    from tissue.haptics.real.self_test import BUMP_N, BUMP_S, bump, self_test
+    from tissue.haptics.real.adapter import adapter_class
+    from tissue.haptics.real.self_test import BUMP_N, BUMP_S, bump, self_test, write_measured
     from tissue.scene.hardware import Hardware
     from tissue.scene.named_parts import unknown_name
     from tissue.scene.registry import DEVICES

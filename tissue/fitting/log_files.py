@@ -16,7 +16,7 @@ from meshes.base.file_limits import read_npz, require_memory
 from meshes.base.isolated_parser import Answer, parse_isolated
 from tissue.fitting.columns import ColumnMap, Quantity
 from tissue.fitting.log_text import read_text
-from tissue.motion.drilling_recording import read_drilling
+from tissue.motion.replay import read_drilling
 
 __all__ = ["LogColumns", "mat_columns", "parquet_columns", "read_columns"]
 

@@ -67,8 +67,15 @@ For devices that know their true position. The force is the motor force after la
 amplifier, minus the friction of the device and the force that accelerates its own mass.
 """
 
-POSITION, QUATERNION = slice(0, 3), slice(3, 7)
-PLAYED_FORCE, PLAYED_TORQUE, FILTERED_FORCE = slice(7, 10), slice(10, 13), slice(13, 16)
-SATURATED, ENERGY, MARGIN = 16, 17, 18
+POSITION = slice(0, 3)
+QUATERNION = slice(3, 7)
+PLAYED_FORCE = slice(7, 10)
+PLAYED_TORQUE = slice(10, 13)
+FILTERED_FORCE = slice(13, 16)
+SATURATED = 16
+ENERGY = 17
+MARGIN = 18
 RAW_FORCE = slice(19, 22)
-PREDICTED_FORCE, RESIDUAL, PREDICTED_BY = slice(22, 25), 25, 26
+PREDICTED_FORCE = slice(22, 25)
+RESIDUAL = 25
+PREDICTED_BY = 26

@@ -1,7 +1,6 @@
 """Motion of a tool held on a haptic device: one device sample in and one force out per tick."""
 
 from dataclasses import dataclass
-from functools import partial
 from math import pi, sqrt
 
 import numpy as np
@@ -9,24 +8,23 @@ import numpy as np
 from meshes.base.arrays import Array
 from tissue.haptics import hand_measures as at
 from tissue.haptics.device.device import Device, DeviceParameters, KnowsTruth, Sample
-from tissue.haptics.device.new_samples import NewSamples, guard_of
 from tissue.haptics.device.safe_device import SafeDevice
+from tissue.haptics.device.sample_guard import NewSamples, guard_of
 from tissue.haptics.loop.filters import ConstantAcceleration, DelayLine, ForceRange, LowPass
-from tissue.haptics.loop.passivity import PassivityObserver
 from tissue.haptics.loop.sampled_loop import WallLoop
-from tissue.haptics.played_force import PlayedForce
+from tissue.haptics.loop.vibration import PlayedForce
+from tissue.haptics.proxy.cutting_tool import CuttingTool
 from tissue.haptics.proxy.held_tool import HeldTool
-from tissue.haptics.renderer import PassivityRenderer, Renderer, TurningRenderer
-from tissue.haptics.seen_contact import seen_contact
+from tissue.haptics.renderer import PassivityObserver, PassivityRenderer, Renderer, TurningRenderer
 from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 from tissue.motion.motion import Motion, matrix_of
-from tissue.motion.quaternion import Quaternion
-from tissue.prediction.contact import SeesContact
-from tissue.prediction.predictor import Predictor
+from tissue.motion.quaternion import UPRIGHT, Quaternion
+from tissue.prediction.predictor import Contact, Predictor, SeesContact
 
 __all__ = ["HandMotion", "Rendering", "Script"]
 
-SMOOTH_S, SMOOTH_SAMPLES = 0.01, 5
+SMOOTH_S = 0.01
+SMOOTH_SAMPLES = 5
 """Shortest time [s] and smallest number of samples used to estimate the speed of a free tool.
 
 Speeds are averaged because encoder positions change in steps.
@@ -150,7 +148,7 @@ class HandMotion(Motion):
         loop = rendering.loop
         predictor = rendering.predictor
         self._limits = limits
-        self._played = rendering.played or PlayedForce(limits)
+        self._played = rendering.played or PlayedForce(limits.force_limit_N)
         self._sample_s = loop.tick_s
         self._margin = rendering.margin
         self.predictor = predictor
@@ -176,7 +174,7 @@ class HandMotion(Motion):
         self._shift = (
             (1.0 - self._scale) * script.motion.sweep_m()[0] if origin_m is None else origin_m
         )
-        self.contact = partial(seen_contact, tool, loop.stiffness_N_m, self._scale, self._shift)
+        self._coupling_N_m = loop.stiffness_N_m
         self._low_pass = LowPass(loop.filter_s, step_s=TICK_S)
         self._delay = DelayLine(rendering.delay_ticks)
         # One filter for device and tool: the difference stays zero while both move together.
@@ -221,7 +219,7 @@ class HandMotion(Motion):
         self._truth = self.held.device if isinstance(self.held.device, KnowsTruth) else None
         self.measure_names += (at.TRUE + at.HAND_FORCE) * (self._truth is not None)
         self.measures = np.zeros(len(self.measure_names))
-        self.measures[at.QUATERNION] = (0.0, 0.0, 0.0, 1.0)
+        self.measures[at.QUATERNION] = UPRIGHT
         self.measures[at.MARGIN] = self._margin
 
     def sweep_m(self) -> Array:
@@ -342,6 +340,27 @@ class HandMotion(Motion):
         row[at.PLAYED_TORQUE] = turning
         row[at.SATURATED] = compressed
         row[at.ENERGY] = self.observer.energy_J
+
+    def contact(self, response: Response) -> Contact:
+        """Convert the contact at the tool to the contact at the device.
+
+        Lengths at the device are lengths at the tool divided by the scale m of the motion. Forces
+        at the device are f times the forces at the tool, with f = coupling stiffness / (m · tool
+        stiffness).
+        """
+        tool = self.tool
+        scale = self._scale
+        felt = self._coupling_N_m / (scale * tool.stiffness_N_m)
+        known = response.stiffness_N_m
+        return Contact(
+            self._coupling_N_m,
+            (tool.tip_m - self._shift) / scale,
+            felt * response.wrench[:3],
+            None if known is None else (scale * felt) * known,
+            response.gap_m / scale,
+            response.normal,
+            isinstance(tool, CuttingTool),
+        )
 
     def raw_force_N(self) -> Array:
         """Return the rendered force of a tick without playing it, shape (3,).

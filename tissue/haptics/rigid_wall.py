@@ -6,18 +6,19 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from tissue.haptics.device.device import Device, DeviceParameters
-from tissue.haptics.device.safe_device import SafeDevice
+from tissue.haptics.device.safe_device import SafeDevice, run_held
 from tissue.haptics.device.sample_guard import SampleGuard
 from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.device.supervision import run_held
-from tissue.haptics.hand.hand import Hand, HandParameters
-from tissue.haptics.hand.minimum_jerk import waypoints
+from tissue.haptics.hand.hand import Hand, HandParameters, waypoints
 from tissue.haptics.renderer import Renderer, renderer
 from tissue.models.tissue_model import TICK_S
 
 __all__ = ["WallRun", "knock", "press_wall"]
 
-DEPTH_M, JERK_N, JERK_S, LASTS_S = 5e-3, 2.0, (0.8, 0.82), 1.3
+DEPTH_M = 5e-3
+JERK_N = 2.0
+JERK_S = (0.8, 0.82)
+LASTS_S = 1.3
 
 
 @dataclass(frozen=True)

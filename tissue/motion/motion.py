@@ -4,28 +4,28 @@ Quaternions are (x, y, z, w).
 """
 
 from dataclasses import dataclass
-from math import sqrt
+from math import inf
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.models.tissue_model import Response, ToolMotion
-from tissue.motion.quaternion import OFF_UNIT
+from tissue.motion.quaternion import OFF_UNIT, of_matrix
 
 __all__ = [
     "LONGEST_S",
     "FeedLimit",
     "FollowPath",
     "Motion",
+    "StaysAt",
     "first_off_unit",
     "frame_along",
     "matrix_of",
     "quaternion_of",
 ]
 
-Array = NDArray[np.float64]
 LONGEST_S = 3600.0
 """Longest motion of a run [s]."""
 
@@ -148,22 +148,8 @@ def matrix_of(quaternion: Array) -> Array:
 
 
 def quaternion_of(rotation: Array) -> Array:
-    """Return the unit quaternion with w >= 0 of a rotation matrix, shape (3, 3).
-
-    The largest of the four components is computed first, which avoids division by a small number
-    (Shepperd 1978, J. Guid. Control 1:223).
-    """
-    (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
-    squares = (1.0 + a - e - i, 1.0 - a + e - i, 1.0 - a - e + i, 1.0 + a + e + i)
-    largest = squares.index(max(squares))
-    rows = (
-        (squares[0], b + d, c + g, h - f),
-        (b + d, squares[1], f + h, c - g),
-        (c + g, f + h, squares[2], d - b),
-        (h - f, c - g, d - b, squares[3]),
-    )
-    quaternion = np.array(rows[largest]) / (2.0 * sqrt(squares[largest]))
-    return quaternion if quaternion[3] >= 0.0 else -quaternion
+    """Return the unit quaternion with w >= 0 of a rotation matrix, shape (4,)."""
+    return np.array(of_matrix(rotation.tolist()))
 
 
 class FollowPath(Motion):
@@ -232,3 +218,37 @@ class FollowPath(Motion):
             self._feed * (time_s - self._begins_s[self._leg])
         )
         motion.speed_m_s = self._feed
+
+
+class StaysAt(Motion):
+    """Motion of a tool at rest.
+
+    Parameters
+    ----------
+    start_m
+        Position of the tip [m].
+    axis
+        Direction from tip to shank.
+    """
+
+    duration_s = inf
+
+    def __init__(self, start_m: Array, axis: tuple[float, float, float]) -> None:
+        self._start = np.array(start_m, dtype=np.float64)
+        self._rotation = frame_along(axis)
+
+    def sweep_m(self) -> Array:
+        """Return the only position [m]."""
+        return self._start[None]
+
+    def rotations(self) -> Array:
+        """Return the only orientation."""
+        return self._rotation[None]
+
+    def begin(self, motion: ToolMotion) -> None:
+        """Write the pose."""
+        motion.tip_m[:] = self._start
+        motion.rotation[:] = self._rotation
+
+    def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
+        """Leave the tool at rest."""

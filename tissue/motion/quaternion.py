@@ -4,7 +4,9 @@ from collections.abc import Sequence
 from math import atan2, cos, inf, sin, sqrt
 
 __all__ = [
+    "NOTHING",
     "OFF_UNIT",
+    "UPRIGHT",
     "Quaternion",
     "Triple",
     "conjugate",
@@ -20,6 +22,9 @@ __all__ = [
 Quaternion = tuple[float, float, float, float]
 Triple = tuple[float, float, float]
 """Three components of a vector."""
+NOTHING: Triple = (0.0, 0.0, 0.0)
+UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
+"""Vector of zeros, and quaternion without a rotation."""
 OFF_UNIT = 0.02
 """Tolerance of the squared length of a quaternion around one, for a rounded rotation."""
 
@@ -86,20 +91,22 @@ def turn_between(start: Quaternion, goal: Quaternion) -> Triple:
 
 
 def of_matrix(rows: Sequence[Sequence[float]]) -> Quaternion:
-    """Return the unit quaternion of a rotation matrix, given by its rows.
+    """Return the unit quaternion with w >= 0 of a rotation matrix, given by its rows.
 
-    The largest of the four components is computed first.
+    The largest of the four components is computed first, which avoids division by a small number
+    (Shepperd 1978, J. Guid. Control 1:223).
     """
     (a, b, c), (d, e, f), (g, h, i) = rows
-    trace = a + e + i
-    if trace >= max(a, e, i):
-        size = 2.0 * sqrt(max(1.0 + trace, 0.0))
-        return (h - f) / size, (c - g) / size, (d - b) / size, 0.25 * size
-    if a >= max(e, i):
-        size = 2.0 * sqrt(max(1.0 + a - e - i, 0.0))
-        return 0.25 * size, (b + d) / size, (c + g) / size, (h - f) / size
-    if e >= i:
-        size = 2.0 * sqrt(max(1.0 + e - a - i, 0.0))
-        return (b + d) / size, 0.25 * size, (f + h) / size, (c - g) / size
-    size = 2.0 * sqrt(max(1.0 + i - a - e, 0.0))
-    return (c + g) / size, (f + h) / size, 0.25 * size, (d - b) / size
+    squares = (1.0 + a - e - i, 1.0 - a + e - i, 1.0 - a - e + i, 1.0 + a + e + i)
+    largest = squares.index(max(squares))
+    quadruples = (
+        (squares[0], b + d, c + g, h - f),
+        (b + d, squares[1], f + h, c - g),
+        (c + g, f + h, squares[2], d - b),
+        (h - f, c - g, d - b, squares[3]),
+    )
+    x, y, z, w = quadruples[largest]
+    size = 2.0 * sqrt(squares[largest])
+    if w < 0.0:
+        size = -size
+    return x / size, y / size, z / size, w / size

@@ -1,23 +1,229 @@
 """Recorded motion: replay of a table of poses or of a recording of volumetric_drilling."""
 
 import csv
-from math import isfinite
+from dataclasses import dataclass
+from math import isfinite, nan
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, is_file, names_of_caller
+from meshes.base.file_limits import read_npz, require_memory, require_regular
 from meshes.base.text_numbers import number_in, require_distinct_columns
+from meshes.base.whole_file import whole_file
 from meshes.paths.replay_table import POSE_COLUMNS
+from meshes.voxels.volume import VoxelVolume
 from tissue.models.tissue_model import Response, ToolMotion
-from tissue.motion.drilling_recording import read_drilling
 from tissue.motion.motion import LONGEST_S, Motion, first_off_unit
 
-__all__ = ["GivenPoses", "ReplayPoses", "read_replay"]
+__all__ = [
+    "COLUMNS",
+    "EVENTS",
+    "POSES",
+    "SHAFT_TO_X",
+    "DrillingRecording",
+    "GivenPoses",
+    "ReplayPoses",
+    "poses_of_trace",
+    "read_drilling",
+    "read_poses",
+    "read_replay",
+    "write_poses",
+]
 
-Array = NDArray[np.float64]
+POSES = "physics_data/continuous_data/high_frequency_poses"
+"""HDF5 group that contains one group of poses for each object."""
+EVENTS = "physics_data/intermittent_data"
+"""HDF5 group of intermittent events: removed voxels, burr changes and forces."""
+OLD_POSES = "high_frequency_poses"
+"""Group of the poses in files of the older layout, whose event groups also lie at the root."""
+SHAFT_TO_X = Rotation.from_quat([0.5, 0.5, 0.5, 0.5])
+"""Rotation from our tool frame to the recorded drill frame.
+
+The axis from tip to shank is z in our frame and x in the recorded frame.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class DrillingRecording:
+    """Content of a recording, in our tool's frame and with times that start at the first pose.
+
+    Attributes
+    ----------
+    times_s
+        Increasing times of the poses [s] from 0, shape (n,).
+    tips_m
+        Tips of the tool in the recording's world [m], shape (n, 3).
+    quaternions
+        Orientations (x, y, z, w), the tool's z axis from tip to shank, shape (n, 4).
+    load_times_s
+        Times of the loads on the clock of the poses [s], shape (m,); None without recorded loads.
+    loads
+        Forces on the tool in the world [N], shape (m, 3). With torques [N m] that are not a copy of
+        the forces, shape (m, 6).
+    notes
+        Findings and assumptions, one sentence each.
+    """
+
+    times_s: Array
+    tips_m: Array
+    quaternions: Array
+    load_times_s: Array | None
+    loads: Array | None
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _File:
+    """File and its name in errors."""
+
+    path: Path
+    what: str
+
+    def error(self, requirement: str, got: object, remedy: str) -> InputError:
+        return InputError(self.what, requirement, f"{got} in {self.path}", remedy)
+
+    def require_unit(self, quaternions: Array) -> None:
+        """Check the length of quaternions (x, y, z, w), shape (n, 4)."""
+        if (wrong := first_off_unit(quaternions)) is not None:
+            length = float(np.linalg.norm(quaternions[wrong]))
+            raise self.error(
+                "hold unit quaternions",
+                f"one of length {length:.4g} for pose {wrong + 1}",
+                "use 0, 0, 0, 1 for no rotation",
+            )
+
+
+def read_drilling(path: Path, *, what: str) -> DrillingRecording:
+    """Read a recording of volumetric_drilling in the present or the older layout.
+
+    The recorded pose is at the centre of the burr, with x towards the shank. It is moved to the tip
+    by half the burr size if the file contains the size. Otherwise the recorded point is used as the
+    tip. The recorder sometimes receives a pose twice or out of order. Samples are therefore sorted,
+    and the first sample of each time is kept. If the file contains one camera, forces are rotated
+    from its axes back into the world.
+
+    Parameters
+    ----------
+    path
+        HDF5 file.
+    what
+        Name of the file in errors, such as ``motion.file``.
+
+    Raises
+    ------
+    InputError
+        If h5py is not installed, or the file is not a complete recording of this kind.
+    """
+    try:
+        import h5py
+    except ImportError:
+        raise InputError(
+            what, "have what reads it installed", "no h5py", "pip install 'tissue-sim[h5]'"
+        ) from None
+    require_regular(path)
+    try:
+        with h5py.File(path, "r") as file:
+            return _drilling(file, _File(path, what))
+    except (InputError, MemoryError):
+        raise
+    except Exception as problem:  # h5py raises a dozen kinds for a damaged file
+        raise InputError(
+            what,
+            "be a whole HDF5 file",
+            f"{path} ({' '.join(str(problem).split())})",
+            "export it again",
+        ) from None
+
+
+def _drilling(file: Any, where: _File) -> DrillingRecording:
+    """Return the content of an open recording."""
+    old = POSES not in file and OLD_POSES in file
+    poses, events = (OLD_POSES, "") if old else (POSES, EVENTS + "/")
+    if poses not in file:
+        raise where.error(
+            "be a recording of volumetric_drilling", f"no {POSES}", "give a CSV such as trace.csv"
+        )
+    names = list(file[poses])
+    drills = [name for name in names if "drill" in name]
+    if len(drills) != 1:
+        raise where.error(
+            "hold the poses of one drill", ", ".join(names) or "no object", "leave one with drill"
+        )
+    notes = ["a recording of volumetric_drilling, in its world"]
+    times, pose = _samples(file, f"{poses}/{drills[0]}", "pose", 7, where)
+    if len(times) < 2:
+        raise where.error("hold at least two poses", len(times), "record more")
+    where.require_unit(pose[:, 3:])
+    turns = Rotation.from_quat(pose[:, 3:]) * SHAFT_TO_X
+    tips = pose[:, :3]
+    if f"{events}burr_change" in file:
+        _, sizes = _samples(file, f"{events}burr_change", "burr_size", 1, where)
+        if len(np.unique(sizes)) != 1 or sizes[0, 0] <= 0.0:
+            raise where.error(
+                "keep one burr",
+                f"sizes {sorted(set(sizes[:, 0].tolist()))} mm",
+                "cut it where it changes",
+            )
+        tips = tips - turns.apply([0.0, 0.0, 0.5e-3 * sizes[0, 0]])
+    else:
+        notes.append("no size of the burr: the recorded point of the drill counts as its tip")
+    start = float(times[0])
+    load_times = None
+    loads = None
+    if f"{events}drill_force_feedback" in file:
+        load_times, loads = _samples(file, f"{events}drill_force_feedback", "wrench", 6, where)
+        cameras = [name for name in names if "camera" in name]
+        if len(cameras) == 1:
+            # volumetric_drilling.cpp, commit 001d332: the plugin publishes R^T F, with the
+            # orientation R of its main camera, as the force and again as the torque.
+            shown, seen = _samples(file, f"{poses}/{cameras[0]}", "pose", 7, where)
+            if len(shown) == 0:
+                raise where.error("hold poses", f"none for {cameras[0]}", "record it again")
+            where.require_unit(seen[:, 3:])
+            nearest = np.clip(np.searchsorted(shown, load_times), 0, len(shown) - 1)
+            camera = Rotation.from_quat(seen[nearest, 3:])
+            loads = np.hstack([camera.apply(loads[:, :3]), camera.apply(loads[:, 3:])])
+            notes.append("forces turned from the camera's axes to the world's")
+        if len(loads) and loads.any() and np.array_equal(loads[:, :3], loads[:, 3:]):
+            loads = loads[:, :3]
+            notes.append(
+                "torques left out: they are a copy of the forces, as the recorded program "
+                "sends them"
+            )
+        load_times = load_times - start
+    return DrillingRecording(times - start, tips, turns.as_quat(), load_times, loads, tuple(notes))
+
+
+def _samples(file: Any, group: str, name: str, width: int, where: _File) -> tuple[Array, Array]:
+    """Return increasing times [s], shape (n,), and the values at these times, shape (n, width)."""
+    import h5py
+
+    found = []
+    for each in (f"{group}/time_stamp", f"{group}/{name}"):
+        dataset = file.get(each)
+        if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind not in "fiu":
+            raise where.error(f"hold numbers as {each}", "none", "record it again")
+        size = max(dataset.dtype.itemsize, 8) * dataset.size
+        require_memory(size, where.path.name, f"{dataset.size:.3g} numbers as {each}")
+        found.append(np.asarray(dataset[()], dtype=np.float64))
+    times, values = found
+    values = values[:, None] if values.ndim == 1 and width == 1 else values
+    if times.ndim != 1 or values.shape != (len(times), width):
+        raise where.error(
+            f"hold {width} values of {group}/{name} at each time_stamp",
+            f"shapes {values.shape} and {times.shape}",
+            "record it again",
+        )
+    if not (np.isfinite(times).all() and np.isfinite(values).all()):
+        raise where.error("hold finite numbers", f"others for {group}", "cut them out")
+    order = np.unique(times, return_index=True)[1]
+    return times[order], values[order]
+
+
 RECORDINGS = (".hdf5", ".h5")
 """File name suffixes of HDF5 recordings."""
 
@@ -139,85 +345,137 @@ def read_replay(path: Path, *, step_s: float) -> ReplayPoses:
         If the file is missing, lacks a column, holds values that are not finite, or its times do
         not increase.
     """
+    where = _File(path, "motion.file")
     if not is_file(path):
         raise InputError(
-            "motion.file",
+            where.what,
             "be an existing file of poses",
             path,
             "give a CSV such as a run's trace.csv",
         )
     if path.suffix.lower() in RECORDINGS:
-        held = read_drilling(path, what="motion.file")
-        _require_short(float(held.times_s[-1]), path)
-        with names_of_caller({"poses": "motion.file"}):
-            return ReplayPoses(held.times_s, held.tips_m, held.quaternions, step_s=step_s)
+        held = read_drilling(path, what=where.what)
+        poses = np.column_stack([held.times_s, held.tips_m, held.quaternions])
+    else:
+        poses = _table(where)
+    lasts_s = float(poses[-1, 0] - poses[0, 0])
+    if lasts_s > LONGEST_S:
+        raise where.error(f"last at most {LONGEST_S:g} s", f"{lasts_s:g}", "cut it")
+    with names_of_caller({"poses": where.what}):
+        return ReplayPoses(poses[:, 0], poses[:, 1:4], poses[:, 4:], step_s=step_s)
+
+
+def _table(where: _File) -> Array:
+    """Return times [s], tips [m] and quaternions of a CSV table, shape (n, 8)."""
+    columns = ("time_s", *POSE_COLUMNS)
+    rows = []
     try:
-        with path.open(newline="", encoding="utf-8") as file:
+        with where.path.open(newline="", encoding="utf-8") as file:
             reader = csv.DictReader(file)
             names = reader.fieldnames or []
-            require_distinct_columns(names, "motion.file", path)
-            missing = [name for name in ("time_s", *POSE_COLUMNS) if name not in names]
-            rows = [] if missing else [_pose(row, reader.line_num, path) for row in reader]
+            require_distinct_columns(names, where.what, where.path)
+            if missing := [name for name in columns if name not in names]:
+                raise where.error(f"have the columns {', '.join(missing)}", "none", "add them")
+            for row in reader:
+                rows.append([_number(row, name, reader.line_num, where) for name in columns])
     except (UnicodeDecodeError, csv.Error):
-        raise InputError(
-            "motion.file", "be a CSV table", f"other data in {path}", "export it as text"
-        ) from None
-    if missing:
-        raise InputError(
-            "motion.file",
-            f"have the columns {', '.join(missing)}",
-            f"{path} without them",
-            "add them",
-        )
+        raise where.error("be a CSV table", "other data", "export it as text") from None
     if len(rows) < 2:
-        raise InputError(
-            "motion.file", "hold at least two poses", f"{len(rows)} in {path}", "record more"
-        )
+        raise where.error("hold at least two poses", len(rows), "record more")
     poses = np.array(rows)
     back = np.flatnonzero(np.diff(poses[:, 0]) <= 0.0)
     if back.size:
         before, after = poses[back[0] : back[0] + 2, 0]
-        raise InputError(
-            "motion.file",
-            "have increasing time_s",
-            f"{after:g} after {before:g} in {path}",
-            "sort its rows",
+        raise where.error("have increasing time_s", f"{after:g} after {before:g}", "sort its rows")
+    where.require_unit(poses[:, 4:])
+    poses[:, 1:4] *= 1e-3
+    return poses
+
+
+def _number(row: dict[str, str], name: str, line: int, where: _File) -> float:
+    """Return the number of a row in a column."""
+    try:
+        value = number_in(row[name])
+    except (TypeError, ValueError):
+        value = nan
+    if not isfinite(value):
+        raise where.error(
+            "hold finite numbers",
+            f"{row[name] or 'nothing'} for {name} in line {line}",
+            "fix that line",
         )
-    _require_short(poses[-1, 0] - poses[0, 0], path)
-    if (wrong := first_off_unit(poses[:, 4:])) is not None:
-        length = float(np.linalg.norm(poses[wrong, 4:]))
-        raise InputError(
-            "motion.file",
-            "hold unit quaternions",
-            f"one of length {length:.4g} at {poses[wrong, 0]:g} s in {path}",
-            "give tool_qx, tool_qy, tool_qz and tool_qw of a rotation, and 0, 0, 0, 1 for none",
+    return value
+
+
+COLUMNS = 13
+"""Columns of a pose: tick, tip [m], axis, and rate of the pose over speed (linear, angular)."""
+FORMAT = 1
+"""Version of the file of poses."""
+
+
+def write_poses(path: Path, poses: Array, volume: VoxelVolume) -> None:
+    """Write poses, and origin and spacing of the voxels that they cut, to a .npz file."""
+    with whole_file(path) as temporary, temporary.open("wb") as file:
+        arrays = {
+            "poses": poses,
+            "origin_m": volume.origin_m,
+            "spacing_m": np.array(volume.spacing_m),
+        }
+        np.savez_compressed(file, format=np.array(FORMAT), **arrays)  # type: ignore[arg-type]
+
+
+def read_poses(path: Path) -> tuple[Array, Array, float]:
+    """Read poses, the origin of the voxels [m], shape (3,), and their spacing [m].
+
+    The file was written by `write_poses`.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged or of another version.
+    """
+    try:
+        held = read_npz(path)
+        version = int(held["format"])
+        poses = np.asarray(held["poses"], dtype=np.float64)
+        origin = np.asarray(held["origin_m"], dtype=np.float64)
+        spacing = float(held["spacing_m"])
+        is_whole = (
+            poses.shape[1:] == (COLUMNS,)
+            and origin.shape == (3,)
+            and np.isfinite([*poses.ravel(), *origin, spacing]).all()
+            and (np.diff(poses[:, 0]) >= 0.0).all()
         )
-    with names_of_caller({"poses": "motion.file"}):
-        return ReplayPoses(poses[:, 0], poses[:, 1:4] * 1e-3, poses[:, 4:], step_s=step_s)
-
-
-def _require_short(lasts_s: float, path: Path) -> None:
-    """Check that the motion is not longer than `LONGEST_S`."""
-    if lasts_s > LONGEST_S:
+    except InputError:
+        raise
+    except Exception:  # NumPy and zipfile raise a dozen kinds for a damaged archive
+        is_whole = False
+        version = FORMAT
+    if version != FORMAT or not is_whole:
         raise InputError(
-            "motion.file", f"last at most {LONGEST_S:g} s", f"{lasts_s:g} in {path}", "cut it"
+            "poses",
+            f"be a whole file of format {FORMAT} that a run wrote",
+            path,
+            "run the scene again",
         )
+    return poses, origin, spacing
 
 
-def _pose(row: dict[str, str], line: int, path: Path) -> list[float]:
-    """Return time and pose of one row."""
-    values = []
-    for name in ("time_s", *POSE_COLUMNS):
-        try:
-            value = number_in(row[name])
-        except (TypeError, ValueError):
-            value = float("nan")
-        if not isfinite(value):
-            raise InputError(
-                "motion.file",
-                "hold finite numbers",
-                f"{row[name] or 'nothing'} for {name} in line {line} of {path}",
-                "fix that line",
-            )
-        values.append(value)
-    return values
+def poses_of_trace(tips_m: Array, axes: Array, velocities: Array) -> Array:
+    """Build the poses of a run from its trace, where the file of poses is missing.
+
+    The shape of the bone is then accurate to the distance that a tool moves between two cuts.
+
+    Parameters
+    ----------
+    tips_m, axes
+        Tip [m] and axis of the tool at every tick, shape (n, 3).
+    velocities
+        Velocity of the tip [m/s] and angular velocity [rad/s], shape (n, 6).
+    """
+    speed = np.linalg.norm(velocities[:, :3], axis=1, keepdims=True)
+    heading = np.divide(velocities, speed, out=np.zeros_like(velocities), where=speed > 0.0)
+    poses = np.column_stack([np.arange(len(tips_m)), tips_m, axes, heading])
+    return (
+        np.vstack([np.append(-1.0, poses[0, 1:]), poses]) if len(poses) else np.zeros((0, COLUMNS))
+    )

@@ -19,11 +19,11 @@ from meshes.base.errors import (
 )
 from tissue.cutters import Cutter, ball_burr
 from tissue.haptics.device.device import Device, DeviceParameters
-from tissue.haptics.device.supervision import run_held
+from tissue.haptics.device.safe_device import run_held
 from tissue.materials.scene_constants import Materials
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import TICK_S
-from tissue.motion.stays import StaysAt
+from tissue.motion.motion import StaysAt
 from tissue.objects import loop_parts
 from tissue.objects.bone import Bone
 from tissue.objects.cut import saved_table
@@ -42,7 +42,7 @@ from tissue.objects.organ import Organ
 from tissue.objects.simulate import TickRow
 from tissue.objects.tools import PressingTool, ball
 from tissue.objects.trace import Trace
-from tissue.prediction.outside import Observes
+from tissue.prediction.guard import Observes
 from tissue.scene.scene import Output
 from tissue.simulation import loop as engine
 from tissue.simulation.builders.device_motion import device_motion

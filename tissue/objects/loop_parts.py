@@ -21,7 +21,7 @@ from tissue.motion.motion import frame_along
 from tissue.objects.bone import Bone
 from tissue.objects.organ import Organ
 from tissue.objects.tools import PressingTool
-from tissue.prediction.outside import GuardedMaker, Observes
+from tissue.prediction.guard import GuardedMaker, Observes
 from tissue.prediction.predictor import Predictor
 from tissue.scene.coupling import Coupling
 from tissue.scene.messages import sentence

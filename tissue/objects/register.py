@@ -232,7 +232,7 @@ class register:
     ) -> Any:
         """Register a predictor of the force: a class with `observe` and `predict`.
 
-        See `tissue.prediction.outside`. The predictor runs under the guard, which holds the last
+        See `tissue.prediction.guard`. The predictor runs under the guard, which holds the last
         force where holding has the smaller error. The stability check includes the predictor.
 
         Parameters
@@ -249,7 +249,7 @@ class register:
         """
 
         def entry(part: Any) -> PredictorEntry:
-            from tissue.prediction.outside import GuardedMaker
+            from tissue.prediction.guard import GuardedMaker
 
             check.looks(colour, marker)
             return PredictorEntry(

@@ -1,5 +1,5 @@
 """Force on a human scale: intensity, threshold, estimate and command for an observer."""
 
-from tissue.perception.perception import Perception
+from tissue.perception.perceived import Perception
 
 __all__ = ["Perception"]

@@ -99,27 +99,20 @@ class Observer:
             raise InputError(
                 "mean and covariance", "be finite", "one that is not", "calibrate again"
             )
-        for name, (low, high) in BOUNDS.items():
-            require_range(
-                name,
-                float(_from(name, mean[PARAMETERS.index(name)])),
-                low,
-                high,
-                "calibrate again, forces in N",
-            )
+        for index, (name, (low, high)) in enumerate(BOUNDS.items()):
+            median = float(_from(name, mean[index]))
+            require_range(name, median, low, high, "calibrate again, forces in N")
         scale = max(float(np.abs(covariance).max()), 1e-300)
-        if np.abs(covariance - covariance.T).max() > 1e-9 * scale:
-            raise InputError("covariance", "be symmetric", "one that is not", "calibrate again")
-        if np.linalg.eigvalsh(covariance).min() < -1e-9 * scale:
-            raise InputError("covariance", "have no negative eigenvalue", "one", "calibrate again")
+        is_symmetric = np.abs(covariance - covariance.T).max() <= 1e-9 * scale
+        if not is_symmetric or np.linalg.eigvalsh(covariance).min() < -1e-9 * scale:
+            raise InputError(
+                "covariance",
+                "be symmetric, without negative eigenvalues",
+                "another",
+                "calibrate again",
+            )
         widest = float(np.sqrt(np.diag(covariance).clip(0.0)).max())
-        require_range(
-            "standard deviation",
-            widest,
-            0.0,
-            WIDEST,
-            "ask more trials, or start from a narrower prior",
-        )
+        require_range("standard deviation", widest, 0.0, WIDEST, "ask more trials")
         require_range("trials", self.trials, 0, 1e9, "count them")
         mean.flags.writeable = covariance.flags.writeable = False
         object.__setattr__(self, "mean", mean)
@@ -138,17 +131,8 @@ class Observer:
 
         The medians of all `PARAMETERS` are needed.
         """
-        spreads = []
-        for parameter in PARAMETERS:
-            require_range(
-                parameter,
-                medians[parameter],
-                *BOUNDS[parameter],
-                "see perception.toml for what is usual",
-            )
-            width = (spread or {}).get(parameter, 0.0)
-            spreads.append(require_range(f"spread of {parameter}", width, 0.0, WIDEST, "use 0.2"))
         mean = np.array([TO_COORDINATE[parameter](medians[parameter]) for parameter in PARAMETERS])
+        spreads = [(spread or {}).get(parameter, 0.0) for parameter in PARAMETERS]
         return cls(name=name, mean=mean, covariance=np.diag(np.square(spreads)), trials=trials)
 
     @classmethod
@@ -206,7 +190,7 @@ def write_observer(observer: Observer, path: Path, *, overwrite: bool = False) -
     Raises
     ------
     InputError
-        If the file exists and may not be replaced, or its folder is not writable.
+        If the file exists and may not be replaced.
     """
     require_new_file(path, overwrite=overwrite)
     stored = {
@@ -219,16 +203,8 @@ def write_observer(observer: Observer, path: Path, *, overwrite: bool = False) -
         "mean": observer.mean.tolist(),
         "covariance": observer.covariance.tolist(),
     }
-    try:
-        with whole_file(path) as temporary:
-            temporary.write_text(json.dumps(stored, indent=1) + "\n", "utf-8")
-    except OSError as problem:
-        raise InputError(
-            "out",
-            "be a file that can be written",
-            f"{path} ({problem.strerror})",
-            "choose another folder",
-        ) from problem
+    with whole_file(path) as temporary:
+        temporary.write_text(json.dumps(stored, indent=1) + "\n", "utf-8")
 
 
 def read_observer(path: Path) -> Observer:
@@ -243,36 +219,25 @@ def read_observer(path: Path) -> Observer:
     require_regular(path)
     try:
         stored = read_json(path.read_text("utf-8"))
-    except OSError as problem:
+        if stored["format"] != FORMAT:
+            raise ValueError("another format")
+    except (OSError, ValueError, TypeError, KeyError) as problem:
         raise InputError(
-            "observer", "be a file that can be read", f"{path} ({problem.strerror})", calibrate
+            "observer", "be a file of an observer", f"{path} ({problem})", calibrate
         ) from problem
-    except ValueError as problem:
-        raise InputError("observer", "be a JSON file", path, calibrate) from problem
-    if not isinstance(stored, dict) or stored.get("format") != FORMAT:
-        raise InputError(
-            "observer", "be a file of an observer", f"{path}, which is something else", calibrate
-        )
     require_version(
         "observer", stored, VERSION, key="version", where=path, remedy="calibrate again"
     )
     try:
-        name = str(stored["name"])
-        trials = int(stored["trials"])
-        mean = np.array(stored["mean"], dtype=float)
-        covariance = np.array(stored["covariance"], dtype=float)
         if stored["coordinates"] != list(COORDINATES):
             raise ValueError("other coordinates")
+        return Observer(
+            name=str(stored["name"]),
+            mean=np.array(stored["mean"], dtype=float),
+            covariance=np.array(stored["covariance"], dtype=float),
+            trials=int(stored["trials"]),
+        )
     except (KeyError, TypeError, ValueError, OverflowError) as problem:
-        raise InputError(
-            "observer",
-            "hold name, trials, coordinates, mean and covariance",
-            f"{path} without",
-            calibrate,
-        ) from problem
-    try:
-        return Observer(name=name, mean=mean, covariance=covariance, trials=trials)
-    except InputError as problem:
         raise InputError(f"observer {path}: {problem}") from problem
 
 

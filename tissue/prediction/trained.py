@@ -1,16 +1,31 @@
-"""Trained predictors of a scene in a file: operators, their range and the fallback outside it."""
+"""Trained predictors of a scene, and their file: arrays and one line of JSON, without any code."""
 
-from dataclasses import dataclass, field, replace
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
+from zipfile import is_zipfile
 
 import numpy as np
 
-from meshes.base.errors import InputError
-from tissue.prediction.edmd.lifted import Operator
-from tissue.prediction.edmd.predictor_file import read_predictor, write_predictor
+from meshes.base.arrays import Array
+from meshes.base.errors import DamagedFileError, InputError
+from meshes.base.file_limits import read_npz
+from meshes.base.file_version import package_version, require_version
+from meshes.base.text_tables import read_json
+from meshes.base.whole_file import whole_file
+from tissue.prediction.operator import (
+    Delays,
+    Dictionary,
+    GapProducts,
+    Identity,
+    Operator,
+    Polynomials,
+)
+from tissue.system.outputs import require_new_file
 
-__all__ = ["VALIDATED_AT", "Trained", "is_trained", "shipped_file"]
+__all__ = ["VALIDATED_AT", "Trained", "from_plain", "is_trained", "shipped_file", "to_plain"]
 
 SHIPPED = Path(__file__).parent / "trained"
 """Folder of the predictors that ship with the engine, one file a scene."""
@@ -20,6 +35,15 @@ VALIDATED_AT = 6
 It is the lead for 4 ms of latency, which is 6.11 ticks on a touch with its path to the motor, see
 `tissue.simulation.builders.loop.lead_ticks`.
 """
+FORMAT = "tissue predictor"
+VERSION = 3
+"""Version of the file. Files of version 2 hold further arrays, which are not read."""
+ROUNDED = ("A", "B")
+EXACT = ("offset", "middle", "scale")
+"""Arrays of an operator that a file holds in single and in double precision."""
+KINDS: dict[object, Callable[..., Dictionary]] = {
+    kind.__name__: kind for kind in (Identity, Polynomials, GapProducts, Delays)
+}
 
 
 @dataclass(frozen=True)
@@ -32,7 +56,7 @@ class Trained:
         Name of the scene.
     operator
         Operator of the lifted predictors, on displacement and stretch of an axis [m], see
-        `tissue.prediction.paths`.
+        `tissue.prediction.koopman`.
     control
         Operator of linear dynamic mode decomposition; states are the force, inputs position and
         velocity of the device.
@@ -55,60 +79,89 @@ class Trained:
     def loses(self, kind: str) -> bool:
         """Return True if the zero-order hold had a smaller error than a predictor in validation.
 
-        The errors are compared at a loop's usual lead.
+        The errors are compared at the validated horizon nearest to a loop's usual lead.
         """
         if "validation" not in self.facts:
             return False
         errors = self.facts["validation"]["errors"]
-        horizons = self.facts["validation"]["horizons_ms"]
-        at = horizons.index(VALIDATED_AT)
+        horizons = np.array(self.facts["validation"]["horizons_ms"])
+        at = int(np.abs(horizons - VALIDATED_AT).argmin())
         return bool(errors[kind][at] > errors["hold"][at])
 
-    def write(self, path: Path, *, overwrite: bool = False) -> Path:
-        """Write the predictors to a file.
+    def write(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write the predictors to a file, which appears completely or not at all.
 
-        Operators are written in single precision and without moments, which keeps the file small.
+        The matrices are written in single precision, which keeps the file small.
 
         Raises
         ------
         InputError
             If the file exists and may not be written over, or its folder is missing.
         """
-        operators = {"lifted": _rounded(self.operator), "control": _rounded(self.control)}
-        header = {"growth": self.growth, "fallback": self.fallback, "facts": self.facts}
-        return write_predictor(
-            path, operators, scene=self.scene, header=header, overwrite=overwrite
-        )
+        path = Path(path)
+        require_new_file(path, overwrite=overwrite)
+        if not path.parent.is_dir():
+            raise InputError("file", "lie in a folder that exists", path, f"create {path.parent}")
+        stored: dict[str, Any] = {}
+        described = {}
+        for name, operator in (("lifted", self.operator), ("control", self.control)):
+            described[name] = {
+                "dictionary": to_plain(operator.dictionary),
+                "step_s": operator.step_s,
+            }
+            for key in ROUNDED:
+                stored[f"{name}.{key}"] = getattr(operator, key).astype(np.float32).astype(float)
+            for key in EXACT:
+                stored[f"{name}.{key}"] = getattr(operator, key)
+        whole = {
+            "format": FORMAT,
+            "version": VERSION,
+            "tissue": package_version(),
+            "scene": self.scene,
+            "operators": described,
+            "header": {"growth": self.growth, "fallback": self.fallback, "facts": self.facts},
+        }
+        line = np.array(json.dumps(whole, allow_nan=False))
+        with whole_file(path) as temporary, temporary.open("wb") as file:
+            np.savez_compressed(file, allow_pickle=False, json=line, **stored)
+        return path
 
     @classmethod
-    def read(cls, path: Path, *, scene: str | None = None) -> "Trained":
-        """Read the trained predictors of a scene.
+    def read(cls, path: str | Path, *, scene: str | None = None) -> "Trained":
+        """Read the trained predictors of a scene; no code in the file is run.
 
         Raises
         ------
         InputError
-            If the file is missing, damaged, or of another version or scene.
+            If the file is missing, damaged, of another version, or of another scene than the given
+            one.
         """
-        stored = read_predictor(path, scene=scene)
+        path = Path(path)
+        what = "predictor file"
+        if not path.is_file():
+            raise InputError(what, "be an existing file", path, "train it with 'tissue train'")
+        again = f"train it again with 'tissue train {scene or 'SCENE'}'"
+        if not is_zipfile(path):  # NumPy would read it as a pickle
+            raise InputError(what, "be whole and one that 'tissue train' wrote", path, again)
         try:
-            lifted = stored.operators["lifted"]
-            control = stored.operators["control"]
-            header = stored.header
-            return cls(
-                stored.scene,
-                lifted,
-                control,
-                float(header["growth"]),
-                header["fallback"],
-                header["facts"],
+            held = read_npz(path)
+            whole = read_json(str(held.pop("json")))
+            if not isinstance(whole, dict) or whole.get("format") != FORMAT:
+                raise InputError(what, "be one that 'tissue train' wrote", path, again)
+            require_version(what, whole, VERSION, key="version", where=path, remedy=again)
+            if scene is not None and whole["scene"] != scene:
+                raise InputError(what, f"be of scene {scene}", f"{whole['scene']} in {path}", again)
+            lifted, control = (
+                _operator(name, whole["operators"][name], held) for name in ("lifted", "control")
             )
-        except (KeyError, TypeError) as problem:
-            raise InputError(
-                "predictor file",
-                "hold what a loop needs",
-                f"{path} without {problem}",
-                f"train it again with 'tissue train {stored.scene}'",
-            ) from None
+            header = whole["header"]
+            growth = float(header["growth"])
+            return cls(whole["scene"], lifted, control, growth, header["fallback"], header["facts"])
+        except InputError:
+            raise
+        except Exception as problem:  # a damaged archive raises many kinds of errors
+            found = problem if isinstance(problem, DamagedFileError) else "it is damaged"
+            raise InputError(what, "be whole", f"{path} ({found})", again) from problem
 
 
 def shipped_file(scene: str) -> Path:
@@ -139,9 +192,64 @@ def is_trained(scene: str, file: str = "") -> bool:
     return bool(file) or (SHIPPED / f"{scene}.npz").is_file()
 
 
-def _rounded(operator: Operator) -> Operator:
-    """Return the operator in single precision, without the moments that only `Online` needs."""
-    short = {
-        name: getattr(operator, name).astype(np.float32).astype(np.float64) for name in ("A", "B")
-    }
-    return replace(operator, **short, moments=np.zeros((0, 0)))
+def _operator(name: str, plain: Mapping[str, Any], arrays: Mapping[str, Any]) -> Operator:
+    """Return one operator of a file after checking its shapes and numbers."""
+    given: dict[str, Array] = {key: arrays[f"{name}.{key}"] for key in (*ROUNDED, *EXACT)}
+    count = len(given["offset"])
+    inputs = given["B"].shape[-1]
+    shapes = {"A": (count, count), "B": (count, inputs), "middle": (count,), "scale": (count,)}
+    for key, each in given.items():
+        if each.dtype != np.float64 or not np.isfinite(each).all():
+            raise DamagedFileError(f"{name}.{key} is not finite")
+        if each.shape != shapes.get(key, (count,)):
+            raise DamagedFileError(f"{name}.{key} has shape {each.shape}")
+    operator = Operator(
+        dictionary=from_plain(plain["dictionary"]),
+        A=given["A"],
+        B=given["B"],
+        offset=given["offset"],
+        middle=given["middle"],
+        scale=given["scale"],
+        step_s=float(plain["step_s"]),
+    )
+    if not operator.state_size:
+        raise DamagedFileError(f"{name} has {count} observables")
+    return operator
+
+
+def to_plain(dictionary: Dictionary) -> dict[str, object]:
+    """Return the dictionary as names, numbers and lists, for a file."""
+    plain: dict[str, object] = {"kind": type(dictionary).__name__}
+    for entry in fields(dictionary):  # type: ignore[arg-type]
+        value = getattr(dictionary, entry.name)
+        plain[entry.name] = to_plain(value) if isinstance(value, Dictionary) else value
+    return plain
+
+
+def from_plain(plain: Mapping[str, object]) -> Dictionary:
+    """Return the dictionary that `to_plain` described.
+
+    Raises
+    ------
+    InputError
+        If the kind or one of its fields is unknown, or a value cannot be used.
+    """
+    given = {name: _frozen(value) for name, value in plain.items()}
+    kind = given.pop("kind", None)
+    if kind not in KINDS:
+        raise InputError(
+            "kind", f"be one of {', '.join(map(str, KINDS))}", kind, "train the predictor again"
+        )
+    try:
+        return KINDS[kind](**given)
+    except TypeError as problem:
+        raise InputError(
+            kind, "have the fields of this version", problem, "train it again"
+        ) from None
+
+
+def _frozen(value: object) -> object:
+    """Convert lists to tuples, and descriptions to dictionaries of observables."""
+    if isinstance(value, Mapping):
+        return from_plain(value)
+    return tuple(_frozen(each) for each in value) if isinstance(value, list) else value

@@ -12,7 +12,7 @@ from meshes.base.errors import InputError
 from meshes.base.placement import Placement
 from meshes.base.whole_file import whole_file
 from meshes.voxels.volume import VoxelVolume
-from tissue.motion.pose_file import read_poses
+from tissue.motion.replay import read_poses
 from tissue.simulation.bone_surface import bone_surface, with_depth, with_layers
 from tissue.simulation.depth_map import CarvedRun, depth_map
 from tissue.simulation.run_folder import SavedRun, saved_placement

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from meshes.base.placement import Placement
 from meshes.base.progress import Progress, silent
 from tissue.models.tissue_model import TICK_S
-from tissue.motion.pose_file import write_poses
+from tissue.motion.replay import write_poses
 from tissue.simulation.carved_surface import CarvedSurface, block_means, changed_box, coarse_volume
 from tissue.simulation.depth_map import facing
 from tissue.simulation.vtk_files import mesh_in_file, write_collection, write_vtk_xml

@@ -23,7 +23,7 @@ from tissue.models.tissue_model import (
     WaitsForBackground,
 )
 from tissue.motion.motion import Motion, quaternion_of
-from tissue.motion.pose_file import COLUMNS
+from tissue.motion.replay import COLUMNS
 from tissue.scene.scene import Output
 from tissue.simulation.builders.parts import Parts
 from tissue.simulation.trace import LEAST_LOAD, TIMING_COLUMNS, Table, TraceLayout, load_columns

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from meshes.base.whole_file import whole_file
 from meshes.voxels.volume import FULL, VoxelVolume
-from tissue.motion.drilling_recording import EVENTS, POSES, SHAFT_TO_X
+from tissue.motion.replay import EVENTS, POSES, SHAFT_TO_X
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.trace import Table

@@ -17,7 +17,7 @@ from meshes.base.progress import silent
 from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.hand_measures import TRUE, VIBRATION
 from tissue.haptics.hand_motion import HandMotion
-from tissue.haptics.loop.motor_path import force_later_N, mean_over_ticks_N, motor_force_N
+from tissue.haptics.loop.sampled_loop import force_later_N, mean_over_ticks_N, motor_force_N
 from tissue.models.tissue_model import Finishes
 from tissue.scene.load import changed
 from tissue.scene.scene import Scene
@@ -110,7 +110,6 @@ def ideal_force_N(
         trace["time_s"],
         1e-3 * trace.vectors("device_true" if TRUE[0] in trace else "device", "mm"),
         np.column_stack([trace[f"device_q{c}"] for c in "xyzw"]),
-        rate_Hz=1.0 / TICK_S,
     )
     scene = ideal_scene(run.scene, finest).model_copy(
         update={"duration_s": len(trace.rows) * TICK_S}

@@ -15,9 +15,8 @@ import numpy as np
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from tissue.haptics.device.device import Device, device_parameters
-from tissue.haptics.device.safe_device import SafeDevice
-from tissue.haptics.device.supervision import run_held
-from tissue.haptics.loop.motor_path import force_later_N
+from tissue.haptics.device.safe_device import SafeDevice, run_held
+from tissue.haptics.loop.sampled_loop import force_later_N
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.motion import LONGEST_S, Motion
 from tissue.prediction.predictor import Predictor

@@ -138,9 +138,8 @@ def soft() -> None:
 
 def prediction() -> None:
     """Measure the work of pykoop."""
-    from tissue.prediction.edmd.dictionary import Delays
-    from tissue.prediction.edmd.edmd import Edmd
-    from tissue.prediction.edmd.episodes import Episode
+    from tissue.prediction.edmd import Edmd, Episode
+    from tissue.prediction.operator import Delays
 
     episodes = [Episode(contacts(seed), None, STEP_S) for seed in range(10)]
     unseen, made = contacts(100), {}

@@ -10,7 +10,7 @@ from tissue import load_scene, simulate
 from tissue.evaluation.statistics.metrics import force_error
 from tissue.evaluation.training.recording import Recorder, trial
 from tissue.evaluation.training.train import validated, with_fallback
-from tissue.prediction.edmd.lifted import Operator
+from tissue.prediction.operator import Operator
 from tissue.prediction.trained import VALIDATED_AT, Trained, shipped_file
 from tissue.scene.registry import PREDICTORS
 from tissue.simulation.builders.force_met import chosen_scale

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tissue import load_scene, simulate
-from tissue.haptics.loop.cues import CUE_HZ, Cues, TouchEvents
+from tissue.haptics.loop.vibration import CUE_HZ, Cues, TouchEvents
 from tissue.models.tissue_model import Response
 
 TICK = 1e-3
@@ -59,17 +59,6 @@ def test_it_fits_the_device():
     assert np.abs(played(force=(0.0, 0.0, 3.2))[:, 2]).max() <= 0.1 + 1e-12  # 3.2 of 3.3 N are used
     steps = np.diff(played(amplitude_N=1.0, slew_N=0.2)[:, 2])
     assert np.abs(steps).max() <= 0.1 + 1e-12
-
-
-def test_it_waits_for_a_force_and_ends_without_samples():
-    cues, response = Cues(0.3, limit_N=3.3, slew_N=10.0, tick_s=TICK), Response.empty(2)
-    response.engaged_m2[:] = SOFT
-    still = [cues.step(np.zeros(3), response) for _ in range(5)]
-    assert not np.any(still)
-    first = [cues.step(np.array([0.0, 0.0, 0.1]), response) for _ in range(5)]
-    assert np.any(first)
-    cues.pause()
-    assert not cues.step(np.array([0.0, 0.0, 0.1]), response).any()
 
 
 @pytest.mark.parametrize(("name", "count"), [("needle", 4), ("wall", 1)])

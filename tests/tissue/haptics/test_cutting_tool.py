@@ -43,26 +43,6 @@ def against(edge_N, drag_N_s_m):
     return law
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("drag_N_s_m", [0.0, 30.0, 3e3, 1e5])
-@pytest.mark.parametrize("velocity_m_s", [(3e-3, 0, -4e-3), (1e-3, -2e-3, 2e-3)])
-def test_a_tool_trails_its_device_by_edge_and_resistance_as_vectors(drag_N_s_m, velocity_m_s):
-    """A tool trails its device by edge force and resistance as vectors.
-
-    E and C are constant and a device moves at V in any direction: the tool reaches V and k
-    (x_device - x) = E + C |V|.
-    """
-    speed = np.linalg.norm(velocity_m_s)
-    direction = np.asarray(velocity_m_s) / speed
-    edge, across = 5.0 * direction, np.cross(direction, (0.0, 0.0, 1.0))
-    edge, drag = edge + 9.0 * across, drag_N_s_m * (direction + 0.3 * across)
-    tip, pull, _ = lead(
-        CuttingTool(max(1e4, drag_N_s_m), np.zeros(3)), fixed(edge, drag), ramp(velocity_m_s, 20.0)
-    )
-    np.testing.assert_allclose(pull[-1], edge + speed * drag, rtol=2e-2, atol=0.1)
-    np.testing.assert_allclose((tip[-1] - tip[-501]) / 0.5, velocity_m_s, atol=0.02 * speed)
-
-
 @pytest.mark.parametrize("drag_N_s_m", [0.0, 3e3, 1e5])
 def test_an_oblique_pull_turns_the_tool_into_its_direction(drag_N_s_m):
     """An oblique pull turns the tool into its direction.
@@ -81,20 +61,6 @@ def test_an_oblique_pull_turns_the_tool_into_its_direction(drag_N_s_m):
         pull[-1], (6.0 + 5e-3 * drag_N_s_m) * np.array([0.5, 0.866, 0.0]), rtol=1e-2, atol=0.1
     )
     np.testing.assert_allclose(pull[-1], cut[-1], rtol=1e-2, atol=0.1)
-
-
-@pytest.mark.parametrize("damping_N_s_m", [0.0, 100.0])
-def test_a_damper_to_the_device_adds_no_force_at_its_pace(damping_N_s_m):
-    """A damper to the device adds no force at its pace.
-
-    The edge force acts across the motion, like that of a spinning burr: k (x_device - x) = E + C
-    |V| with the damper or without.
-    """
-    edge, drag = np.array([1.0, -3.0, -4.0]), np.array([50.0, 0.0, -20.0])
-    tool = CuttingTool(1e4, np.zeros(3), damping_N_s_m=damping_N_s_m)
-    tip, pull, _ = lead(tool, fixed(edge, drag), ramp((5e-3, 0.0, 0.0), 8.0))
-    np.testing.assert_allclose(pull[-1], edge + 5e-3 * drag, rtol=1e-2, atol=0.05)
-    np.testing.assert_allclose((tip[-1] - tip[-501]) / 0.5, (5e-3, 0.0, 0.0), atol=1e-4)
 
 
 @pytest.mark.parametrize("stiffness_N_m", [1e2, 1e4, 1e6])
@@ -179,19 +145,6 @@ def test_a_spinning_ball_is_held_across_its_path_without_chatter():
     )
     assert np.linalg.norm(cut[late], axis=1).max() < 3.0 * np.linalg.norm(pull[late], axis=1).mean()
     assert np.abs(np.diff(pull[late], axis=0)).max() < 2.0 * 1e4 * step
-
-
-def test_what_is_straight_back_is_free_within_the_tick():
-    tool = CuttingTool(1e4, np.zeros(3))
-
-    def face(tip_m, heading, speed_m_s):
-        return fixed((0.0, 0.0, -8.0 * (heading[2] < 0.0)), np.zeros(3))(tip_m, heading, speed_m_s)
-
-    tip, pull, _ = lead(
-        tool, face, np.concatenate([ramp((0.0, 0.0, -5e-3), 0.3), [[0.0, 0.0, 1e-3]]])
-    )
-    assert pull[-2][2] == pytest.approx(-8.0, rel=0.01)
-    np.testing.assert_allclose(tip[-1], [0.0, 0.0, 1e-3], atol=1e-12)
 
 
 def test_along_the_heading_spring_edge_and_resistance_balance_in_every_step():

@@ -10,11 +10,8 @@ import tissue
 from tissue import InputError, Sample, load_scene
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.loop.motor_path import motor_lag_ticks
 from tissue.models.tissue_model import FreeSpace
 from tissue.models.wall import WallModel
-from tissue.simulation.builders.loop import judged_loop, motor_path
-from tissue.simulation.builders.loop_settings import loop_settings
 
 RATES_HZ = [500, 1000, 2000]
 SLEW_N_MS = 0.2
@@ -118,45 +115,6 @@ def test_the_force_rises_by_no_more_than_the_stated_newtons_a_second(at_rate, ra
     assert slope_N_s == pytest.approx(200.0, rel=1e-6)
 
 
-@pytest.mark.parametrize("rate_Hz", RATES_HZ)
-def test_the_low_pass_has_its_time_constant_in_seconds(at_rate, rate_Hz):
-    """The low-pass has its time constant in seconds.
-
-    The raw force is held while the device rests in the wall, and 1 - exp(-t / tau) of it is reached
-    after t.
-    """
-    tau_s = 0.02
-    motion = held(**at_rate(rate_Hz, output__low_pass_ms=1e3 * tau_s))
-    motion.device = Sampled(lambda time_s: 1e-3 if time_s < 0.05 else -2e-3, rate_Hz, dated=True)
-    _, measures, _ = meet(motion, WallModel(1e9, radius_m=5e-3), 0.12)
-    filtered = measures[:, 15]
-    first = int(np.flatnonzero(filtered)[0])
-    ticks = np.arange(len(filtered) - first)
-    expected = 100.0 * 2e-3 * (1.0 - np.exp(-(ticks + 1) * STEP_S / tau_s))
-    np.testing.assert_allclose(filtered[first:], expected, rtol=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("rate_Hz", "hold_s"), [(250, 4e-3), (500, 2e-3), (1000, 1e-3), (2000, 1e-3)]
-)
-def test_a_loop_is_judged_by_the_time_for_which_the_device_holds_a_force(at_rate, rate_Hz, hold_s):
-    changes = {
-        name.replace("__", "."): value
-        for name, value in at_rate(rate_Hz, coupling__model_ms=4).items()
-    }
-    loop = judged_loop(loop_settings(load_scene("wall", changes)), step_s=STEP_S)
-    assert loop.tick_s == pytest.approx(hold_s)
-    assert loop.model_ticks * loop.tick_s == pytest.approx(4e-3)
-
-
-def test_a_slow_simulated_device_keeps_its_force(at_rate):
-    """Samples of 200 Hz are up to 4 ms old, and none of them counts as missing."""
-    motion = held(**at_rate(200, coupling__stiffness_N_m=60.0))
-    _, measures, _ = meet(motion, WallModel(1e4, radius_m=5e-3), 1.0)
-    assert np.abs(measures[:, 9]).max() > 0.05
-    assert not [what for _, what in motion.happened() if "sample" in what]
-
-
 def test_what_needs_a_sample_in_every_tick_is_refused_for_a_slow_device(at_rate):
     for changes, words in (
         ({"renderer": "passivity"}, "renderer = passivity needs 1000"),
@@ -180,22 +138,3 @@ def test_a_device_that_states_a_slower_rate_than_its_constants_is_refused():
     ):
         tissue.Loop(bone, device=SimulatedDevice(limits))
     assert tissue.Loop(bone, device=SimulatedDevice(limits), limits=limits).run(0.02).ticks == 20
-
-
-@pytest.mark.parametrize(
-    ("rate_Hz", "later_ms"), [(250, 1.5), (500, 0.5), (1000, 0.0), (2000, 0.0)]
-)
-def test_a_slow_device_holds_a_force_longer_on_its_path_to_the_motor(at_rate, rate_Hz, later_ms):
-    """In the mean by half of what its hold lasts longer than a tick, at any low-pass."""
-    changes = {
-        name.replace("__", "."): value
-        for name, value in at_rate(rate_Hz, output__low_pass_ms=3.0).items()
-    }
-    usual = motor_lag_ticks(
-        motor_path(
-            loop_settings(load_scene("wall", {"device": "touch", "output.low_pass_ms": 3.0}))
-        )
-    )
-    assert motor_lag_ticks(motor_path(loop_settings(load_scene("wall", changes)))) == pytest.approx(
-        usual + later_ms
-    )

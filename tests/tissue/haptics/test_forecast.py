@@ -11,18 +11,13 @@ import numpy as np
 import pytest
 
 from meshes.base.errors import InputError
-from meshes.base.kept import Kept
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.hand.hand import hand_parameters
-from tissue.haptics.loop import forecast
 from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands
 from tissue.haptics.loop.filters import low_pass_gain
 from tissue.haptics.loop.forecast import Forecast, forecast_of
 from tissue.haptics.loop.sampled_loop import plant_step
-from tissue.haptics.loop.stability_map import measured_critical_N_m
-from tissue.prediction.baselines import LinearControl
-from tissue.prediction.contact import Contact
-from tissue.prediction.predictor import Hold
+from tissue.prediction.predictor import Contact, Hold, LinearControl
 from tissue.simulation.builders.prediction import maker_of
 
 TICK = 1e-3
@@ -171,14 +166,6 @@ def test_a_probed_predictor_has_the_taps_of_its_closed_form():
     )
 
 
-@pytest.mark.slow
-def test_running_the_linear_loop_agrees_with_its_eigenvalues():
-    loops = [loop_with("linear", delay_ticks=ticks, lead=4)[0] for ticks in (0, 2, 5)]
-    shared = [replace(each, forecast=loops[0].forecast) for each in loops]
-    exact = [critical_stiffness_N_m(each) for each in shared]
-    np.testing.assert_allclose(measured_critical_N_m(shared, ticks=3000), exact, rtol=0.02)
-
-
 def test_what_cannot_be_judged_is_refused():
     class Sum(Hold):
         def observe(self, position_m, velocity_m_s, force_N):
@@ -186,37 +173,3 @@ def test_what_cannot_be_judged_is_refused():
 
     with pytest.raises(InputError, match="predictor must forget a change within 512 ticks"):
         forecast_of(Sum(), lead_ticks=0, stiffness_N_m=400.0)
-
-
-def test_a_predictor_with_the_same_contents_is_linearised_once():
-    loops = [loop_with("control")[0] for _ in range(2)]
-    assert loops[0].forecast is loops[1].forecast
-    given = {"lead_ticks": 3.0, "stiffness_N_m": 400.0}
-    first = forecast.forecast_of(Hold(), **given)
-    assert forecast.forecast_of(Hold(), **given) is first
-    assert forecast.forecast_of(Hold(), **(given | {"stiffness_N_m": 401.0})) is not first
-
-
-def test_a_predictor_that_cannot_be_compared_is_linearised_each_time():
-    class Closure(Hold):
-        """Holds what cannot be pickled."""
-
-    given = {"lead_ticks": 3.0, "stiffness_N_m": 400.0}
-    first, second = (forecast.forecast_of(Closure(), **given) for _ in range(2))
-    assert first is not second and first == second == forecast.forecast_of(Hold(), **given)
-
-
-def test_a_loop_with_another_copy_of_the_same_predictor_is_not_judged_again(monkeypatch):
-    from tissue.haptics.loop.critical_stiffness import _critical_N_m
-
-    monkeypatch.setattr(forecast, "_forecasts", Kept(0))
-    one, other = (loop_with("control")[0] for _ in range(2))
-    assert (
-        one.forecast is not other.forecast
-        and one.forecast == other.forecast
-        and hash(one) == hash(other)
-    )
-    _critical_N_m.cache_clear()
-    assert critical_stiffness_N_m(one) == critical_stiffness_N_m(other)
-    assert _critical_N_m.cache_info().misses == 1
-    assert one.forecast != replace(one.forecast, gain=0.5) and one.forecast != 1.0

@@ -4,7 +4,6 @@ It follows the device's own balance, at rest, behind friction, and in a run.
 """
 
 import numpy as np
-import pytest
 
 from tissue import load_scene, simulate
 from tissue.haptics.device.device import DeviceParameters, device_parameters
@@ -26,20 +25,6 @@ class Moving:
         return HandAction(aim_m=aim, aim_velocity_m_s=self.speed, push_N=self.push, grip=GRIP)
 
 
-def felt(device, force_N, ticks, first=1):
-    """Return force [N] at the hand and velocity after each tick under a constant command.
-
-    The shape is (ticks, 3).
-    """
-    forces, velocities = [], []
-    device.command(np.array(force_N), np.zeros(3))
-    for tick in range(first, first + ticks):
-        device.read(tick * TICK)
-        forces.append(device.hand_force_N)
-        velocities.append(device.translation.velocity)
-    return np.array(forces), np.array(velocities)
-
-
 def test_in_motion_it_is_the_motors_less_what_the_device_takes():
     """Momentum of the device alone, which the force is not formed from."""
     mass, damping, motor = 0.045, 0.35, np.array([0.8, -0.3, 0.1])
@@ -59,30 +44,6 @@ def test_in_motion_it_is_the_motors_less_what_the_device_takes():
     balance = played - damping * went - mass * change
     lag = np.abs(np.array(forces) - balance).max(axis=1)
     assert lag[2:].max() < 2e-4 and min(lag[0], lag[1]) < 2e-4
-
-
-def test_at_rest_all_of_the_motors_force_reaches_the_hand():
-    device = SimulatedDevice(DeviceParameters(mass_kg=0.045, damping_N_s_m=0.35), Moving())
-    forces, _ = felt(device, [0.0, 0.0, 1.2], 1500)
-    assert forces[-1] == pytest.approx([0.0, 0.0, 1.2], abs=1e-9)
-
-
-@pytest.mark.parametrize("force", [0.1, 0.2, 0.6])
-def test_friction_keeps_a_weak_force_from_a_resting_hand(force):
-    friction = 0.26
-    device = SimulatedDevice(
-        DeviceParameters(mass_kg=0.045, damping_N_s_m=0.35, friction_N=friction), Moving()
-    )
-    forces, velocities = felt(device, [0.0, 0.0, force], 1500)
-    assert velocities[-1] == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
-    reached = forces[-1, 2]
-    if force < friction:
-        assert reached == pytest.approx(0.0, abs=1e-12)
-    else:  # it came to rest somewhere within the friction about what the motor gives
-        assert (
-            force - friction - 1e-9 < reached < force + friction + 1e-9
-            and reached != pytest.approx(force)
-        )
 
 
 def test_a_run_records_it_and_a_push_against_a_wall_is_felt():

@@ -5,17 +5,13 @@ import pytest
 from hand_steps import STEP_S, held, meet
 from quiet_press import LIMITS, PERSON, check_ripple, quiet_press
 
-from meshes.base.progress import silent
-from tissue import InputError, load_scene
 from tissue.haptics import hand_measures as at
-from tissue.haptics.device.faulty import Fault, FaultyDevice
 from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.hand_measures import MEASURES, PERCEIVED, PREDICTED
 from tissue.haptics.loop.critical_stiffness import judge
 from tissue.models.tissue_model import FreeSpace, Response, ToolMotion
 from tissue.models.wall import WallModel
 from tissue.motion.quaternion import logarithm
-from tissue.simulation.builders.registry import build
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -47,20 +43,6 @@ def test_the_whole_loop_is_stable_up_to_the_stiffness_that_is_judged(share, sett
     check_ripple(measures, settles=settles)
 
 
-def test_samples_that_are_no_numbers_end_in_no_force():
-    motion = held()
-    motion.device = FaultyDevice(motion.device, [Fault("non-finite", 0.7, 5.0)])
-    tips, measures, forces = meet(motion, WallModel(1e4, radius_m=5e-3), 1.0)
-    assert np.isfinite(tips).all() and np.isfinite(forces).all()
-    played = np.linalg.norm(measures[:, 7:10], axis=1)
-    assert played[699] > 0.3 and not played[725:].any()
-    assert (np.diff(played[699:725]) <= 1e-12).all()
-    assert (tips[725:] == tips[700]).all()
-    assert [what for _, what in motion.happened()] == [
-        "a sample that is not finite: the force fades"
-    ]
-
-
 def test_a_delay_holds_the_force_back_by_whole_ticks():
     tips, measures, _ = meet(
         held(coupling__delay_ms=7, output__low_pass_ms=0.0), WallModel(1e4, radius_m=5e-3), 0.8
@@ -68,19 +50,6 @@ def test_a_delay_holds_the_force_back_by_whole_ticks():
     stretch, filtered = 1e3 * tips[:, 2] - measures[:, 2], measures[:, 15]
     touched, answered = np.flatnonzero(stretch > 0.0)[0], np.flatnonzero(filtered)[0]
     assert answered == touched + 7
-
-
-def test_a_wall_is_for_a_ball_outside_it():
-    with pytest.raises(InputError, match=r"tool\.kind must be sphere-probe for a wall"):
-        load_scene("wall", {"tool.kind": "cylinder-probe"})
-    scene = load_scene("wall", {"device": "none", "motion.points_mm": [[0, 0, -1], [0, 0, 5]]})
-    parts = build(scene, step_s=STEP_S, compute="cpu", cores=None, report=silent)
-    tool = ToolMotion()
-    parts.motion.begin(tool)
-    with pytest.raises(
-        InputError, match="motion must start outside the wall, got a ball 1 mm inside"
-    ):
-        parts.tissue.place(tool)
 
 
 @pytest.mark.parametrize("speed_m_s", [0.1, 0.2, 0.5])

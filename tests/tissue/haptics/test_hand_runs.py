@@ -5,34 +5,18 @@ import pytest
 from hand_runs import played_N, run_of
 from hand_steps import STEP_S
 
-from tissue import InputError, load_scene, simulate
+from tissue import load_scene, simulate
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.hand.hand import hand_parameters
-from tissue.haptics.hand_measures import MEASURES
 from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.builders.loop import judged_loop
 from tissue.simulation.builders.loop_settings import loop_settings
-
-COARSE_LIVER = {"organ.order": 1, "anatomy.edge_mm": 30.0, "anatomy.touch_edge_mm": 8.0}
 
 
 @pytest.fixture(scope="module")
 def on_the_wall():
     return run_of("wall")
-
-
-def test_on_the_wall_spring_and_wall_balance(on_the_wall):
-    """k_c (z_tool - z_device) = k_w depth, from the first tick of a contact on."""
-    trace, stiffness = (
-        on_the_wall.trace,
-        judged_loop(loop_settings(on_the_wall.scene), step_s=STEP_S).stiffness_N_m,
-    )
-    settled = trace["depth_mm"] > 0.0
-    assert settled.sum() > 500
-    force, stretch = trace["model_force_z_N"], 1e-3 * (trace["tool_z_mm"] - trace["device_z_mm"])
-    np.testing.assert_allclose(force[settled], 1e4 * -1e-3 * trace["tool_z_mm"][settled], rtol=1e-9)
-    np.testing.assert_allclose(force[settled], stiffness * stretch[settled], rtol=1e-6, atol=1e-9)
 
 
 def test_on_the_wall_the_played_force_settles_and_is_bounded(on_the_wall):
@@ -45,24 +29,6 @@ def test_on_the_wall_the_played_force_settles_and_is_bounded(on_the_wall):
     assert force.max() <= device_parameters("touch").force_limit_N
     assert trace["passivity_J"].min() > -1e-3
     assert not force[trace["time_s"] > 1.9].any()
-
-
-def test_a_scene_without_a_device_has_no_trace_of_one():
-    plain = run_of("wall", device="none", duration_s=0.3)
-    assert not set(MEASURES) & set(plain.trace.columns)
-    with pytest.raises(
-        InputError,
-        match=r"device must be given for hand = novice, .* coupling\.delay_ms = 5",
-    ):
-        run_of(
-            "wall",
-            device="none",
-            duration_s=0.3,
-            hand="novice",
-            renderer="penalty",
-            coupling__delay_ms=5,
-        )
-    assert plain.trace["model_force_z_N"][250] == pytest.approx(1e4 * 5e-3, rel=1e-9)
 
 
 def test_the_same_seed_gives_the_same_run_and_another_hand_or_seed_another(on_the_wall):
@@ -82,37 +48,6 @@ def test_every_device_and_renderer_stays_within_its_limits(device, law):
     assert 0.0 < played_N(run).max() <= limits.force_limit_N
     assert np.abs(run.trace.vectors("device_torque", "Nm")).max() <= limits.torque_limit_Nm
     assert run.trace["margin"][0] > 0.5
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "changes", [{}, {"motion__kind": "thrust", "motion__thrust_N": 60.0}], ids=["path", "thrust"]
-)
-def test_a_hand_reams_a_glenoid_within_the_device_s_range(changes):
-    run = run_of("glenoid", device="touch", voxels__spacing_mm=0.4, duration_s=4.0, **changes)
-    assert run.summary["removed_mm3"]["subchondral"] > 10.0
-    force, model = played_N(run), np.linalg.norm(run.trace.vectors("model_force", "N"), axis=1)
-    assert 0.3 < force.max() <= device_parameters("touch").force_limit_N
-    # What the device plays is the tissue's force by the scene's scale.
-    late = run.trace["time_s"] > 3.5
-    np.testing.assert_allclose(
-        force[late].mean(), chosen_scale(run.scene)[0] * model[late].mean(), rtol=0.1
-    )
-
-
-def test_a_hand_presses_a_liver():
-    run = run_of(
-        "liver-press",
-        device="touch",
-        duration_s=1.6,
-        **{k.replace(".", "__"): v for k, v in COARSE_LIVER.items()},
-    )
-    trace = run.trace
-    late = (trace["time_s"] > 0.9) & (trace["time_s"] < 1.4)
-    force = trace["device_force_z_N"][late]
-    assert 0.2 < force.mean() < 1.5
-    scaled = chosen_scale(run.scene)[0] * trace["model_force_z_N"][late]
-    np.testing.assert_allclose(force, scaled, atol=0.05 * force.mean())
 
 
 @pytest.mark.parametrize("delay_ms", [0, 4])
@@ -199,26 +134,6 @@ def test_a_tool_that_does_not_turn_feels_the_bone_and_cuts_nothing(device):
     assert 0.2 < played_N(run).max() <= limits.force_limit_N
 
 
-@pytest.mark.slow
-def test_what_a_controller_adds_is_not_extrapolated():
-    """The addition of a controller is not extrapolated.
-
-    Its one-tick pulses passed through a predictor were spikes of 0.9 N; now only a released force
-    remains.
-    """
-    late = {"coupling__delay_ms": 4, "prediction": "koopman"}
-    supervised, bare = (
-        run_of("wall", renderer="passivity", **late),
-        run_of("wall", renderer="proxy", **late),
-    )
-    steps = [
-        np.abs(np.diff(run.trace.vectors("device_force", "N"), axis=0)).max()
-        for run in (supervised, bare)
-    ]
-    assert steps[0] < 0.2 and steps[1] < 0.1
-    assert "6.11 ms ahead" in bare.parts.notes["prediction"]
-
-
 def test_the_wall_s_hand_comes_as_deep_as_its_springs_let_it(on_the_wall):
     """The hand on the wall comes as deep as its springs allow.
 
@@ -234,41 +149,6 @@ def test_the_wall_s_hand_comes_as_deep_as_its_springs_let_it(on_the_wall):
     assert -trace["device_z_mm"][late].mean() == pytest.approx(
         5.0 * grip / (grip + coupled), abs=0.4
     )
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "changes"),
-    [
-        ("glenoid", {"voxels__spacing_mm": 0.4, "duration_s": 3.5}),
-        (
-            "liver-press",
-            {
-                **{k.replace(".", "__"): v for k, v in COARSE_LIVER.items()},
-                "motion__axis": [0.3, 0, 1],
-            },
-        ),
-    ],
-)
-def test_a_device_that_plays_torque_is_given_that_of_its_spring(name, changes):
-    """A device that plays torque gets the torque of its spring.
-
-    The spring of rotation balances the tissue's torque, which is played by the scene's scale:
-    within 10 % late in the run.
-    """
-    run = run_of(name, device="six-dof", **{"duration_s": 1.2, **changes})
-    trace, scale = run.trace, chosen_scale(run.scene)[0]
-    late = slice(-300, None)
-    played = trace.vectors("device_torque", "Nm")[late].mean(axis=0)
-    tissue = scale * trace.vectors("model_torque", "Nm")[late].mean(axis=0)
-    assert np.linalg.norm(tissue) > 2e-4
-    np.testing.assert_allclose(played, tissue, atol=0.1 * np.linalg.norm(tissue))
-    turned = (
-        trace["device_qz"] - trace["tool_qz"]
-        if name == "glenoid"
-        else trace["device_qy"] - trace["tool_qy"]
-    )
-    assert np.abs(turned[late]).max() > 1e-4
 
 
 @pytest.mark.slow

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
+from tissue.haptics.hand.pushing import CompensatedPath, Thrust
 from tissue.haptics.proxy.cutting_tool import CuttingTool
-from tissue.haptics.proxy.guidance import CompensatedPath, Thrust
 from tissue.haptics.proxy.held_tool import PressingTool
-from tissue.models.tissue_model import Response, ToolMotion
-from tissue.models.wall import WallModel
+from tissue.models.tissue_model import Response
 
 STEP_S = 1e-3
 DOWN = np.array([0.0, 0.0, -1.0])
@@ -80,15 +79,3 @@ def test_a_thrust_pushes_until_the_path_is_done():
     tool.tip_m[:] = 2e-3 * DOWN
     assert not thrust.push(1.0).any()
     np.testing.assert_allclose(thrust.path(1.0), 2e-3 * DOWN)
-
-
-def test_a_tilted_ball_feels_the_wall_at_its_lowest_point():
-    wall, tool = WallModel(1e4, radius_m=5e-3), ToolMotion()
-    c, s = np.cos(0.3), np.sin(0.3)
-    tool.rotation[:] = [[c, 0, s], [0, 1, 0], [-s, 0, c]]
-    centre = np.array([1e-3, 2e-3, 4.9e-3])
-    tool.tip_m[:] = centre - 5e-3 * tool.rotation[:, 2]
-    response = wall.respond(tool)
-    np.testing.assert_allclose(response.wrench[:3], [0, 0, 1e4 * 1e-4], rtol=1e-9)
-    arm = centre - np.array([0, 0, 5e-3]) - tool.tip_m
-    np.testing.assert_allclose(response.wrench[3:], np.cross(arm, response.wrench[:3]), atol=1e-15)

@@ -8,10 +8,10 @@ import pytest
 from meshes.base.errors import InputError
 from meshes.voxels.volume import FULL, VoxelVolume
 from tissue.cutters.cutter import Cutter
-from tissue.cutters.profile import ball_burr, cylinder
-from tissue.haptics.proxy.held_turn import FURTHEST_RAD, HeldTurn
+from tissue.cutters.profile import ball_burr
+from tissue.haptics.proxy.held_tool import FURTHEST_RAD, HeldTurn
 from tissue.haptics.proxy.probing_tool import ProbedBone, ProbingTool
-from tissue.haptics.proxy.tool_shell import ToolShell
+from tissue.haptics.proxy.proxy import ToolShell
 from tissue.models.tissue_model import Response, ToolMotion
 from tissue.motion.motion import frame_along
 from tissue.motion.quaternion import conjugate, exponential, logarithm, product
@@ -143,44 +143,6 @@ def test_a_stopped_tool_sticks_inside_the_cone_and_slides_beyond_it():
     response = press(held, bone, motion, down((0.4e-3, 0, -2e-3), (4e-3, 0, -2e-3)))
     assert motion.tip_m[0] > 2e-3
     np.testing.assert_allclose(-response.wrench[0] / response.wrench[2], 0.3, rtol=0.15)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("spring_Nm_rad", "turned_rad"),
-    [(0.1, 0.1), (0.5, 8.0 * 3e-3 / 0.5)],
-    ids=["flat", "on its rim"],
-)
-def test_a_flat_tool_that_is_tilted_on_bone_is_turned_back_by_its_spring(spring_Nm_rad, turned_rad):
-    """A flat tool that is tilted on bone is turned back by its spring.
-
-    8 N on the rim of a cylinder 6 mm wide turn it by F r / k_r, until it lies flat, by the whole
-    tilt of 0.1.
-    """
-    held, bone, motion = probe(
-        cylinder(diameter_m=6e-3, length_m=4e-3),
-        start=(0, 0, 1.5e-3),
-        turn=HeldTurn(spring_Nm_rad),
-        friction=0.0,
-    )
-    device = exponential((0.1, 0.0, 0.0))
-    for share in np.linspace(0.0, 1.0, 60):
-        press(held, bone, motion, [(0, 0, 1.5e-3)], exponential((0.1 * share, 0.0, 0.0)))
-    response = press(held, bone, motion, down((0, 0, 1.5e-3), (0, 0, -4e-3), 200), device)
-    turned = apart(held.quaternion, device)
-    np.testing.assert_allclose(response.wrench[3:], spring_Nm_rad * turned, atol=1e-3)
-    # half a voxel across the face
-    assert -turned[0] == pytest.approx(turned_rad, abs=0.5 * SPACING / 6e-3)
-    assert response.wrench[2] == pytest.approx(8.0, rel=0.05)
-
-
-def test_a_device_without_torque_imposes_its_turn():
-    held, bone, motion = probe(cylinder(diameter_m=6e-3, length_m=4e-3), start=(0, 0, 2e-3))
-    for share in np.linspace(0.0, 1.0, 60):
-        press(held, bone, motion, [(0, 0, 2e-3)], exponential((0.2 * share, 0.0, 0.0)))
-    press(held, bone, motion, down((0, 0, 2e-3), (0, 0, -3e-3), 200), exponential((0.2, 0.0, 0.0)))
-    assert np.linalg.norm(apart(held.quaternion, exponential((0.2, 0.0, 0.0)))) < 1e-3
-    assert motion.tip_m[2] == pytest.approx(3e-3 * np.sin(0.2), abs=SPACING)
 
 
 def test_a_tool_inside_the_bone_is_refused():

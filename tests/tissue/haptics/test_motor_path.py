@@ -11,14 +11,14 @@ import pytest
 
 from tissue.evaluation.statistics.metrics import excess_error, force_error, latency_ms
 from tissue.haptics.device.device import device_parameters
+from tissue.haptics.device.simulated import Plant
 from tissue.haptics.loop.filters import DelayLine, LowPass
-from tissue.haptics.loop.motor_path import (
+from tissue.haptics.loop.sampled_loop import (
     force_later_N,
     mean_over_ticks_N,
     motor_force_N,
     motor_lag_ticks,
 )
-from tissue.haptics.loop.plant import Plant
 
 TICK = 1e-3
 TOUCH = device_parameters("touch")

@@ -7,11 +7,8 @@ import numpy as np
 import pytest
 from proxy_scenes import BURR, SPACING, bumpy_store, surface_of, volume_of, wander
 
-from meshes.base.errors import InputError
 from meshes.shapes.plane_cube import cube_fraction
-from tissue.haptics.proxy.proxy import Proxy, ProxyOutcome
-from tissue.haptics.proxy.tool_shell import ToolShell
-from tissue.haptics.proxy.voxmap import ContactField
+from tissue.haptics.proxy.proxy import ContactField, Proxy, ToolShell
 from tissue.models.bone.bricks import BrickStore
 
 VOXEL_TOLERANCE_M = 0.05 * SPACING
@@ -48,7 +45,7 @@ def test_never_inside_voxels_and_pushed_out_of_them(seed, lever):
     for position, turn in wander(seed + 10, ticks=1200, low=2e-3, high=6.5e-3, start=start):
         result = proxy.advance(position, turn)
         assert field.distance(surface_of(sunk, result))[0].min() >= -VOXEL_TOLERANCE_M
-        if result.outcome is ProxyOutcome.CONTACT:
+        if result.settled and result.contacts:
             settled += 1
             if seed == 0:
                 assert result.push_m @ (result.position_m - position) > 0.0
@@ -76,7 +73,7 @@ def push_through(normal, offset, shell, speed_m_s, random):
         result = proxy.advance(device)
         lowest = min(lowest, ((surface_of(shell, result) - centre) @ normal).min())
     around = np.abs(result.position_m - centre).max() >= 26 * SPACING
-    return lowest, around or result.outcome is ProxyOutcome.CONTACT
+    return lowest, around or (result.settled and result.contacts)
 
 
 @pytest.mark.parametrize("speed_m_s", [0.05, 0.5, 2.0])
@@ -95,39 +92,6 @@ def test_no_path_through_a_wall_one_voxel_thick(speed_m_s):
                 normal, (0.0, 0.5, 0.25)[number % 3], shell, speed_m_s, random
             )
             assert lowest > -SPACING and stopped
-
-
-@pytest.mark.slow
-def test_no_path_through_many_walls():
-    """The proxy passes none of forty walls at 2 m/s."""
-    random = np.random.default_rng(8)
-    for normal in random.normal(size=(40, 3)):
-        for shell in (ToolShell.ball(), BURR):
-            lowest, stopped = push_through(normal, random.uniform(-0.5, 0.5), shell, 2.0, random)
-            assert lowest > -SPACING and stopped
-
-
-@pytest.mark.slow
-def test_burr_rests_on_a_plane_of_voxels_within_half_a_voxel():
-    """A burr rests on a plane of voxels within half a voxel.
-
-    Planes are at random angles; case 23 asks for sqrt(3)/2 voxel, the level's own error is -0.02 to
-    0.27.
-    """
-    random = np.random.default_rng(9)
-    radius, errors = 1e-3, []
-    for normal in [np.eye(3)[2], *random.normal(size=(12, 3))]:
-        normal = normal / np.linalg.norm(normal)
-        offset = random.uniform(-0.5, 0.5)
-        field = ContactField(store=slab_store(tuple(normal), offset - 8.0, 16.0))
-        plane = np.full(3, 32 * SPACING) + offset * SPACING * normal
-        proxy = Proxy(ToolShell(BURR.points_m - radius * np.eye(3)[2], BURR.normals), field)
-        proxy.place(plane + 2.0 * radius * normal)
-        for share in np.linspace(0.0, 1.0, 100):
-            result = proxy.advance(plane + (2.0 - 1.5 * share) * radius * normal)
-        errors.append(((result.position_m - plane) @ normal - radius) / SPACING)
-    assert min(errors) > -0.15
-    assert max(errors) < 0.3
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.3])
@@ -179,27 +143,3 @@ def test_removed_bone_lets_the_proxy_in_at_once():
     for _ in range(5):
         result = proxy.advance(device)
     assert result.position_m[2] == pytest.approx(16.25 * SPACING, abs=2e-3 * SPACING)
-
-
-def test_inner_corner_of_voxels():
-    """Two walls of voxels: the proxy rests in the corner within half a voxel and does not swing."""
-    fraction = np.zeros((40, 40, 40), np.uint8)
-    fraction[:20], fraction[:, :, :20] = 255, 255
-    proxy = Proxy(
-        ToolShell.ball(),
-        ContactField(store=BrickStore.from_volume(volume_of(fraction), device="cpu")),
-    )
-    proxy.place(np.array([6e-3, 4e-3, 6e-3]))
-    rest = []
-    for share in np.linspace(0.0, 1.0, 400):
-        result = proxy.advance(np.array([6e-3, 4e-3, 6e-3]) - share * np.array([5e-3, 0.0, 4.5e-3]))
-    for _ in range(20):
-        result = proxy.advance(np.array([1e-3, 4e-3, 1.5e-3]))
-        rest.append(result.position_m.copy())
-    assert result.position_m == pytest.approx([20 * SPACING, 4e-3, 20 * SPACING], abs=0.5 * SPACING)
-    assert np.ptp(rest, axis=0).max() < 1e-2 * SPACING
-
-
-def test_a_shell_of_balls_on_voxels_is_refused():
-    with pytest.raises(InputError, match="radius_m"):
-        Proxy(ToolShell.ball(1e-3), ContactField(store=bumpy_store(0)))

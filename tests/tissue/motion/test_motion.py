@@ -66,16 +66,6 @@ def test_a_path_meets_its_corners_exactly_at_its_feed():
     np.testing.assert_allclose(np.linalg.norm(np.diff(tips, axis=0), axis=1)[:90], 1e-4, atol=1e-15)
 
 
-def test_the_length_of_a_random_path_sets_its_duration():
-    corners = np.random.default_rng(1).normal(size=(30, 3)) * 1e-2
-    length = np.linalg.norm(np.diff(corners, axis=0), axis=1).sum()
-    motion = FollowPath(corners, feed_m_s=0.02, axis=(1.0, 2.0, 3.0))
-    assert motion.duration_s == pytest.approx(length / 0.02, rel=1e-12)
-    tips, _, headings, speeds = ticks(motion, int(motion.duration_s / STEP_S) + 2)
-    np.testing.assert_allclose(tips[-1], corners[-1], atol=ROUNDING)
-    np.testing.assert_allclose(np.linalg.norm(headings[speeds > 0, 0], axis=1), 1.0, atol=ROUNDING)
-
-
 def push(**changes):
     settings = {
         "axis": Z,
@@ -164,27 +154,6 @@ def test_a_table_of_constant_rotation_turns_at_that_rate():
         headings[1:, 1] * speeds[1:, None], np.broadcast_to(rate * axis, (1000, 3)), atol=1e-8
     )
     assert speeds[0] == 0.0
-
-
-def test_a_table_that_only_turns_has_a_speed_too():
-    turns = Rotation.from_rotvec([[0, 0, 0], [0, 0, 1.0]])
-    motion = ReplayPoses(np.array([0.0, 1.0]), np.zeros((2, 3)), turns.as_quat(), step_s=STEP_S)
-    _, _, headings, speeds = ticks(motion, 1100)
-    np.testing.assert_allclose(
-        headings[1:1000, 1] * speeds[1:1000, None],
-        np.broadcast_to((0, 0, 1.0), (999, 3)),
-        atol=1e-8,
-    )
-    assert (speeds[1001:] == 0.0).all()
-
-
-def test_the_shorter_rotation_is_taken_for_either_sign_of_a_quaternion():
-    quaternions = Rotation.from_rotvec([[0, 0, 0], [0.2, 0, 0], [0.4, 0, 0]]).as_quat()
-    quaternions[1] *= -1.0
-    motion = ReplayPoses(np.array([0.0, 0.1, 0.2]), np.zeros((3, 3)), quaternions, step_s=STEP_S)
-    _, rotations, _, _ = ticks(motion, 201)
-    angles = Rotation.from_matrix(rotations).as_rotvec()[:, 0]
-    np.testing.assert_allclose(angles, 2.0 * STEP_S * np.arange(201), atol=1e-9)
 
 
 def test_a_table_reads_in_its_units_whatever_the_order_of_columns_and_the_first_time(tmp_path):

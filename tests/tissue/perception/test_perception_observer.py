@@ -6,14 +6,11 @@ import numpy as np
 import pytest
 
 from tissue import InputError
-from tissue.materials.constants import constants
-from tissue.perception.laws import Weber, weber
+from tissue.perception.laws import Weber
 from tissue.perception.observer import (
     PARAMETERS,
     Observer,
-    population_observer,
     read_observer,
-    reference_observer,
     write_observer,
 )
 from tissue.perception.perceived import Deadband, held_back
@@ -74,86 +71,31 @@ def spoil(**changed):
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "named"),
     [
-        (lambda message: "{", "observer must be a JSON file"),
-        (
-            lambda message: "[1, 2]",
-            "observer must be a file of an observer, got .*, which is something else",
-        ),
-        (lambda message: '{"format": "tissue run"}', "observer must be a file of an observer"),
-        (
-            spoil(version=2),
-            (
-                "observer must be of format 1 or older, got 2, written by tissue .*: read it "
-                "with that version"
-            ),
-        ),
-        (
-            spoil(mean="unknown"),
-            "observer must hold name, trials, coordinates, mean and covariance",
-        ),
-        (
-            spoil(mean=[0.0] * 5),
-            r"mean and covariance must have shapes \(6,\) and \(6, 6\), got \(5,\)",
-        ),
-        (
-            spoil(mean=[0.0, 1.7, float("nan"), -1.6, -3.9, -1.6]),
-            "mean and covariance must be finite",
-        ),
+        (lambda message: "{", "file of an observer"),
+        (lambda message: "[1, 2]", "file of an observer"),
+        (lambda message: '{"format": "tissue run"}', "file of an observer"),
+        (spoil(version=2), "format 1 or older, got 2"),
+        (spoil(mean="unknown"), "observer .*ada.json"),
+        (spoil(coordinates=["ln alpha"]), "other coordinates"),
+        (spoil(mean=[0.0] * 5), r"mean and covariance must have shapes .* got \(5,\)"),
+        (spoil(mean=[0.0, 1.7, float("nan"), -1.6, -3.9, -1.6]), "mean and covariance .* finite"),
         (spoil(mean=[0.0, 17.0, -2.7, -1.6, -3.9, -1.6]), r"beta must be in \[0.05, 5\], got 17"),
-        (spoil(mean=[0.0, 1.7, 5.0, -1.6, -3.9, -1.6]), r"kappa must be in \[0.001, 1\]"),
         (spoil(mean=[0.0, 1.7, -2.7, 8.0, -3.9, -1.6]), r"offset_N must be in"),
-        (spoil(covariance=(-np.eye(6)).tolist()), "covariance must have no negative eigenvalue"),
-        (spoil(covariance=np.triu(np.ones((6, 6))).tolist()), "covariance must be symmetric"),
-        (
-            spoil(covariance=(400.0 * np.eye(6)).tolist()),
-            r"standard deviation must be in \[0, 10\], got 20",
-        ),
+        (spoil(covariance=(-np.eye(6)).tolist()), "covariance must be"),
+        (spoil(covariance=np.triu(np.ones((6, 6))).tolist()), "covariance must be"),
+        (spoil(covariance=(400.0 * np.eye(6)).tolist()), r"standard deviation .* got 20"),
         (spoil(trials=-3), "trials must be in"),
     ],
 )
-def test_a_bad_file_is_refused_in_one_sentence(tmp_path, change, message):
+def test_a_bad_file_is_refused_in_one_sentence(tmp_path, change, named):
     path = tmp_path / "ada.json"
     write_observer(observer(), path)
     path.write_text(change(json.loads(path.read_text("utf-8"))), "utf-8")
-    with pytest.raises(InputError, match=message) as caught:
+    with pytest.raises(InputError, match=named) as caught:
         read_observer(path)
     assert "\n" not in str(caught.value)
-
-
-def test_impossible_people_are_refused():
-    for wrong, message in (
-        ({"kappa": -0.07}, "kappa must be in"),
-        ({"beta": float("nan")}, "beta must be in"),
-        ({"lapse": 0.7}, "lapse must be in"),
-    ):
-        with pytest.raises(InputError, match=message):
-            observer(**wrong)
-
-
-def test_constants_are_cited_and_in_their_ranges():
-    for table in ("force", "torque", "stiffness", "exponent"):
-        for name, entry in constants("perception", table).items():
-            assert (
-                entry.low <= entry.value <= entry.high
-                and entry.source
-                and entry.confidence in "HML"
-            ), name
-    assert constants("perception", "exponent")["finger_span"].value == 1.3
-    assert reference_observer().beta == population_observer().beta == 1.7
-    assert not reference_observer().covariance.any()
-
-
-def test_thresholds_refuse_what_is_no_size():
-    with pytest.raises(
-        InputError, match="quantity must be one of force, torque, stiffness, got heat"
-    ):
-        weber("heat")
-    with pytest.raises(InputError, match="level must be a size of at least 0, got -1"):
-        weber("force").threshold(-1.0)
-    with pytest.raises(InputError, match="kappa must be in"):
-        Weber(kappa=-0.07, offset=0.2)
 
 
 def test_a_deadband_plays_the_wanted_vector_itself_and_nothing_of_noise():

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import tissue
-from tissue.perception.laws import weber
-from tissue.perception.observer import Observer, write_observer
+from tissue.perception.laws import weber_of
+from tissue.perception.observer import Observer, population_observer, write_observer
 from tissue.perception.perceived import held_back
 
 
@@ -18,10 +18,10 @@ def by_hand(scene, **changes):
     ("scene", "changes", "least_saved"),
     [
         ("wall", {"duration_s": 1.2}, 0.9),
-        ("milling", {"duration_s": 3.0}, 0.9),
+        ("milling", {"duration_s": 1.5}, 0.9),
         pytest.param(
             "molar",
-            {"voxels.spacing_mm": 0.1, "stress": None, "duration_s": 2.0, "hand": "novice"},
+            {"voxels.spacing_mm": 0.1, "stress": None, "duration_s": 1.2, "hand": "novice"},
             0.85,
             marks=pytest.mark.slow,
         ),
@@ -33,7 +33,10 @@ def test_one_sample_in_ten_is_enough(scene, changes, least_saved):
     The error is below the threshold at every tick, there is no bias, and this share of the samples
     in contact is not needed.
     """
-    law, forces = weber("force"), by_hand(scene, **changes).vectors("filtered_force", "N")
+    law, forces = (
+        weber_of(population_observer()),
+        by_hand(scene, **changes).vectors("filtered_force", "N"),
+    )
     played, changed = held_back(forces, law)
     assert (
         np.linalg.norm(played - forces, axis=1)

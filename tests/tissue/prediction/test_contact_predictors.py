@@ -6,10 +6,9 @@ Lines through forces are tested, too.
 import numpy as np
 import pytest
 
-from tissue.prediction.baselines import Linear
-from tissue.prediction.contact import Contact
 from tissue.prediction.koopman import RELEASED, Koopman
 from tissue.prediction.look_ahead import RIGID, LookAhead
+from tissue.prediction.predictor import Contact
 
 SPRING = 400.0
 """Stiffness of the coupling [N/m]."""
@@ -199,18 +198,3 @@ def test_a_tool_that_cuts_is_stretched_as_its_path_foresees():
     assert predictor.residual_N == pytest.approx(
         np.linalg.norm(force - SPRING * np.array([0.0, 1e-4, 2e-4]))
     )
-
-
-@pytest.mark.parametrize(("window", "every"), [(4, 10), (30, 10), (4, 1)])
-def test_a_line_through_forces_that_come_every_few_ticks(window, every):
-    """A line passes through forces that come every few ticks.
-
-    It rises by 2 mN a tick, whether the window holds several forces or is shorter than the time
-    between two.
-    """
-    line, zero = Linear(window), np.zeros(3)
-    for tick in range(201):
-        line.observe(zero, zero, np.full(3, 2e-3 * tick) if tick % every == 0 else None)
-    assert line.predict(5.0) == pytest.approx(np.full(3, 2e-3 * 205.0), abs=1e-12)
-    line.observe(zero, zero, None)
-    assert line.predict(5.0) == pytest.approx(np.full(3, 2e-3 * 206.0), abs=1e-12)

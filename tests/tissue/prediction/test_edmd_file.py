@@ -1,55 +1,48 @@
-"""Predictor files: what is written comes back bit by bit, and nothing else is accepted."""
+"""Predictor files: what is written comes back, and nothing else is accepted."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from koopman_systems import duffing, record
 
 from tissue import InputError
-from tissue.prediction.edmd.dictionary import Delays, GapProducts, Gaussians
-from tissue.prediction.edmd.edmd import Edmd
-from tissue.prediction.edmd.lifted import LiftedMap
-from tissue.prediction.edmd.predictor_file import read_predictor, write_predictor
+from tissue.prediction.edmd import Edmd
+from tissue.prediction.operator import Delays, GapProducts
+from tissue.prediction.trained import SHIPPED, Trained, shipped_file
 
 RNG = np.random.default_rng(0)
 EPISODES = record(duffing, RNG.uniform(-1.0, 1.0, (4, 2)), RNG.normal(size=(4, 80)), 0.02)
-FREE = Edmd(Delays(2, Gaussians(((0.1, 0.2),), columns=(0, 1))), ridge=1e-8).fit(EPISODES)
-CLOSED = Edmd(GapProducts((-1.0,), columns=(1,)), ridge=1e-8).fit(EPISODES)
-HEADER = {
-    "horizons_ms": [1, 4, 10],
-    "gain": [[0.1, 0.0]],
-    "error": 1 / 3,
-    "columns": ["x_m", "force_N"],
-}
+TRAINED = Trained(
+    "wall",
+    Edmd(Delays(2, GapProducts((-1.0,), columns=(1,))), ridge=1e-8).fit(EPISODES),
+    Edmd(GapProducts((-1.0,), columns=(1,)), ridge=1e-8).fit(EPISODES),
+    growth=1 / 3,
+    facts={"horizons_ms": [1, 4, 10], "columns": ["x_m", "force_N"]},
+)
 
 
-def written(folder, **changed):
-    given = {"scene": "wall", "header": HEADER, "arrays": {"residual gain": np.eye(3)}} | changed
-    return write_predictor(folder / "wall.npz", {"free": FREE, "closed": CLOSED}, **given)
+def written(folder):
+    return TRAINED.write(folder / "wall.npz")
 
 
 def test_what_is_written_comes_back(tmp_path):
-    found = read_predictor(written(tmp_path), scene="wall")
-    assert (found.scene, found.header, list(found.operators)) == (
-        "wall",
-        HEADER,
-        ["free", "closed"],
-    )
-    assert np.array_equal(found.arrays["residual gain"], np.eye(3))
-    for name, operator in (("free", FREE), ("closed", CLOSED)):
-        read = found.operators[name]
+    found = Trained.read(written(tmp_path), scene="wall")
+    assert (found.growth, found.fallback, found.facts) == (1 / 3, "hold", TRAINED.facts)
+    for name in ("operator", "control"):
+        read, operator = getattr(found, name), getattr(TRAINED, name)
         assert read.dictionary == operator.dictionary and read.step_s == operator.step_s
-        for field in LiftedMap.__dataclass_fields__:
-            if field not in ("dictionary", "statistics"):
-                assert np.array_equal(getattr(read, field), getattr(operator, field)), field
-        assert read.statistics.samples == operator.statistics.samples
-        assert np.array_equal(read.statistics.residual_rms, operator.statistics.residual_rms)
-    predicted = found.operators["free"].predict(EPISODES[0].states[:3], EPISODES[0].inputs[2:8], 6)
-    assert np.array_equal(
-        predicted, FREE.predict(EPISODES[0].states[:3], EPISODES[0].inputs[2:8], 6)
-    )
+        for key in ("offset", "middle", "scale"):
+            assert np.array_equal(getattr(read, key), getattr(operator, key)), key
+        for key in ("A", "B"):
+            assert getattr(read, key) == pytest.approx(getattr(operator, key), rel=1e-7), key
     assert [each.name for each in tmp_path.iterdir()] == ["wall.npz"]
+
+
+@pytest.mark.parametrize("scene", sorted(each.stem for each in SHIPPED.glob("*.npz")))
+def test_the_shipped_predictors_are_read(scene):
+    assert Trained.read(shipped_file(scene), scene=scene).operator.state_size == 2
 
 
 def test_nothing_is_written_over_silently(tmp_path):
@@ -58,13 +51,10 @@ def test_nothing_is_written_over_silently(tmp_path):
     with pytest.raises(InputError, match="out must not exist yet"):
         written(tmp_path)
     assert path.read_bytes() == before
-    assert read_predictor(written(tmp_path, scene="liver", overwrite=True)).scene == "liver"
-
-
-def test_a_folder_that_is_missing_is_refused(tmp_path):
+    replace(TRAINED, scene="liver").write(path, overwrite=True)
+    assert Trained.read(path).scene == "liver"
     with pytest.raises(InputError, match="folder that exists"):
         written(tmp_path / "nowhere")
-    assert not list(tmp_path.iterdir())
 
 
 def again(path, **changed):
@@ -85,30 +75,21 @@ def again(path, **changed):
 @pytest.mark.parametrize(
     ("changed", "sentence"),
     [
-        (
-            {"version": 3},
-            (
-                "predictor file must be of format 2 or older, got 3, written by tissue .*: read "
-                "it with that version"
-            ),
-        ),
-        (
-            {"scene": "liver"},
-            "predictor file must be of scene wall, got liver in .*: train it again",
-        ),
-        ({"format": "other"}, "predictor file must be one that 'tissue train' wrote"),
-        ({"free__A": np.zeros((2, 2))}, "must be whole, got .* instead of"),
-        ({"free__A": np.full_like(FREE.A, np.nan)}, "must be whole, got .*not finite"),
-        ({"closed__B": np.array([object()])}, "must be whole"),
+        ({"version": 4}, "must be of format 3 or older, got 4"),
+        ({"scene": "liver"}, "must be of scene wall, got liver"),
+        ({"format": "other"}, "must be one that 'tissue train' wrote"),
+        ({"lifted__A": np.zeros((2, 2))}, "must be whole, got .* shape"),
+        ({"lifted__A": np.full_like(TRAINED.operator.A, np.nan)}, "must be whole, .*not finite"),
+        ({"control__B": np.array([object()])}, "must be whole"),
         ({"operators": {"other": {}}}, "must be whole"),
         ({"operators": 3}, "must be whole"),
+        ({"header": {}}, "must be whole"),
     ],
-    ids=["version", "scene", "format", "shape", "not finite", "pickled", "missing", "no operators"],
 )
-def test_another_file_is_refused_with_the_remedy(tmp_path, changed, sentence):
+def test_another_file_is_refused(tmp_path, changed, sentence):
     path = again(written(tmp_path), **changed)
-    with pytest.raises(InputError, match=sentence):
-        read_predictor(path, scene="wall")
+    with pytest.raises(InputError, match=f"predictor file {sentence}"):
+        Trained.read(path, scene="wall")
 
 
 @pytest.mark.parametrize(
@@ -116,32 +97,23 @@ def test_another_file_is_refused_with_the_remedy(tmp_path, changed, sentence):
 )
 def test_a_damaged_file_is_refused(tmp_path, content):
     path = tmp_path / "wall.npz"
-    with pytest.raises(
-        InputError,
-        match=r"predictor file must be an existing file, got .*: train it with 'tissue train'",
-    ):
-        read_predictor(path)
+    with pytest.raises(InputError, match="predictor file must be an existing file"):
+        Trained.read(path)
     path.write_bytes(content)
     with pytest.raises(InputError, match="predictor file must be whole"):
-        read_predictor(path)
+        Trained.read(path)
 
 
-def test_a_file_cut_anywhere_is_refused(tmp_path):
+def test_a_file_cut_or_changed_anywhere_is_refused(tmp_path):
     path = written(tmp_path)
     whole = path.read_bytes()
     for length in np.linspace(1, len(whole) - 1, 25).astype(int):
         path.write_bytes(whole[:length])
         with pytest.raises(InputError, match="predictor file must be whole"):
-            read_predictor(path)
-
-
-def test_a_refusal_holds_no_text_of_the_archive_reader(tmp_path):
-    path = written(tmp_path)
-    content = bytearray(path.read_bytes())
+            Trained.read(path)
+    content = bytearray(whole)
     for at in range(40, len(content), 97):
         content[at] ^= 255
     path.write_bytes(content)
-    with pytest.raises(
-        InputError, match=r"must be whole, got [^()]* \(it is damaged\): train it again"
-    ):
-        read_predictor(path)
+    with pytest.raises(InputError, match=r"must be whole, got [^()]* \(it is damaged\)"):
+        Trained.read(path)

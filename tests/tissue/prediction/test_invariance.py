@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tissue.prediction.contact import CONTACT_WIDTH, Contact
+from tissue.prediction.predictor import CONTACT_WIDTH, Contact
 from tissue.prediction.trained import Trained, shipped_file
 from tissue.simulation.builders.prediction import trained_predictor
 
 KINDS = ("look-ahead", "koopman", "koopman-look-ahead")
 SPRING_N_M, TICKS, LEAD = 400.0, 600, 6.11
-PLACES, FORCES, NORMAL, GAP, STIFFNESS = slice(1, 4), slice(4, 7), slice(17, 20), 16, slice(7, 16)
+PLACES, FORCES, NORMAL, STIFFNESS = slice(1, 4), slice(4, 7), slice(17, 20), slice(7, 16)
 
 
 @pytest.fixture(scope="module")
@@ -107,47 +107,3 @@ def test_a_contact_comes_back_from_its_row(motion):
     row = motion[2][300]
     assert row.shape == (CONTACT_WIDTH,)
     np.testing.assert_array_equal(Contact.of_row(row).row(), row)
-
-
-@pytest.mark.parametrize("kind", ["look-ahead", "koopman-look-ahead"])
-def test_a_tool_that_cuts_is_foreseen_by_its_path(kind, trained, motion):
-    """A tool that cuts is predicted by its path.
-
-    No law pushes back: the prediction is the last force, or the result of the operator, like
-    `koopman`.
-    """
-    device, force, contact = motion
-    cutting = contact.copy()
-    cutting[:, -1] = 1.0
-    found = predicted(kind, trained, device, force, cutting)
-    touching = force.any(axis=1)
-    wanted = (
-        force if kind == "look-ahead" else predicted("koopman", trained, device, force, contact)
-    )
-    same = touching & (np.einsum("ij,ij->i", found, force) > 0.0)
-    assert same.sum() > 200
-    np.testing.assert_allclose(found[same], wanted[same], atol=1e-9)
-
-
-def test_the_law_at_a_foreseen_place_is_exact(trained):
-    """The law at a predicted place is exact.
-
-    A device moves steadily into a face of 900 N/m on a coupling of 400: the force is that of both
-    springs in series.
-    """
-    predictor = trained_predictor("look-ahead", trained, force_limit_N=3.3).inner
-    series, stiffness = 900.0 * 400.0 / 1300.0, np.diag([0.0, 0.0, 900.0])
-    for tick in range(2000):
-        z = 0.02 - 1.2e-5 * tick
-        tip = z if z > 0.0 else z * 400.0 / 1300.0
-        push = np.array([0.0, 0.0, max(-900.0 * tip, 0.0)])
-        up = np.array([0.0, 0.0, 1.0])
-        law = stiffness if z < 0.0 else np.zeros((3, 3))
-        predictor.meet(Contact(400.0, np.array([0.0, 0.0, tip]), push, law, max(z, 0.0), up))
-        predictor.observe(
-            np.array([0.0, 0.0, z]), np.zeros(3), np.array([0.0, 0.0, 400.0 * (tip - z)])
-        )
-        if tick > 1700 or (z < 0.0 and tick % 50 == 0):
-            assert predictor.predict(6.0)[2] == pytest.approx(series * (1.2e-5 * 6.0 - z), abs=1e-6)
-        elif z > 1e-4:
-            assert not predictor.predict(6.0).any()

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from tissue import InputError
-from tissue.prediction.outside import GuardedMaker, Outside
+from tissue.prediction.guard import GuardedMaker, Outside
 
 
 class Line:
@@ -54,8 +53,3 @@ def test_one_with_both_methods_is_guarded_by_holding_the_force():
     for _ in range(40):
         guarded.observe(zero, zero, np.ones(3))
     assert guarded.predict(2.0) == pytest.approx(np.ones(3))
-
-
-def test_what_is_missing_is_named():
-    with pytest.raises(InputError, match="predict"):
-        GuardedMaker("half", lambda: type("Half", (), {"observe": print})())(None, 3.0)

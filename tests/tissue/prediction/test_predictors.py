@@ -4,20 +4,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from koopman_systems import predict
 
-from tissue import InputError, load_scene
 from tissue.evaluation.training.recording import Recording
 from tissue.evaluation.training.train import fit, forecast_errors, with_fallback
-from tissue.prediction.baselines import Kalman, Linear, LinearControl, kalman_gains
-from tissue.prediction.contact import Contact, SeesContact
-from tissue.prediction.edmd.dictionary import Identity
-from tissue.prediction.edmd.edmd import Edmd
+from tissue.prediction.edmd import Edmd
 from tissue.prediction.guard import Guarded
-from tissue.prediction.paths import OperatorPath
-from tissue.prediction.predictor import Hold
-from tissue.prediction.trained import Trained
+from tissue.prediction.koopman import OperatorPath
+from tissue.prediction.operator import Identity
+from tissue.prediction.predictor import (
+    Contact,
+    Hold,
+    Kalman,
+    Linear,
+    LinearControl,
+    SeesContact,
+    kalman_gains,
+)
 from tissue.scene.registry import PREDICTORS
-from tissue.simulation.builders.prediction import maker_of, trained_predictor
+from tissue.simulation.builders.prediction import trained_predictor
 
 STIFFNESS_N_M = 400.0
 ENCODER_M = 5.5e-5
@@ -127,26 +132,6 @@ def test_a_parabola_goes_on_in_the_filter_alone():
     assert abs(feed(Linear(), 1e-6 * times**2).predict(8)[2] - predicted) > 1e-5
 
 
-@pytest.mark.parametrize("predictor", [Linear(), Kalman()], ids=["line", "parabola"])
-def test_a_line_goes_on_between_ticks(predictor):
-    assert feed(predictor, 2e-3 * np.arange(400)).predict(6.11)[2] == pytest.approx(
-        2e-3 * 405.11, abs=1e-9
-    )
-
-
-def test_powers_are_joined_by_straight_lines_between_ticks(trained):
-    loop, run = made("dmdc", trained).inner, spring_run(62)
-    path = OperatorPath(trained.operator, growth=trained.growth)
-    for row in range(150, 400):
-        loop.observe(run.position_m[row], run.velocity_m_s[row], run.force_N[row])
-        path.observe(run.position_m[row], run.force_N[row] / STIFFNESS_N_M)
-        if row % 10 == 0:
-            for ask in (loop.predict, path.displacement_m, path.stretch_m):
-                for whole, share in ((0, 0.5), (4, 0.25), (9, 0.875), (18, 0.11), (29, 0.5)):
-                    expected = (1.0 - share) * ask(whole) + share * ask(whole + 1)
-                    np.testing.assert_allclose(ask(whole + share), expected, rtol=1e-9, atol=1e-12)
-
-
 def test_kalman_gains_are_those_that_the_recursion_settles_to():
     for ticks in (1, 10):
         onward = np.array([[1, ticks, ticks**2 / 2], [0, 1, ticks], [0, 0, 1.0]])
@@ -208,16 +193,6 @@ def test_predictions_are_finite_whatever_comes(kind, trained):
             assert np.isfinite(predictor.predict(ticks)).all()
 
 
-@pytest.mark.parametrize("kind", PREDICTORS)
-def test_after_a_pause_rates_begin_anew(kind, trained):
-    predictor = feed(made(kind, trained), 1e-3 * np.arange(200))
-    predictor.pause()
-    predictor.observe(np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 0.5]))
-    # What is left is the filter's share of the jump; a line or window across the pause would
-    # predict 0.5 + 10 * 0.03.
-    assert abs(predictor.predict(1)[2] - 0.5) < 0.2
-
-
 def test_the_loop_predicts_as_the_operator_does(trained):
     """Sums and powers by one matrix are h steps of the operator, axis by axis."""
     run, lags = spring_run(60), trained.operator.dictionary.lags
@@ -225,7 +200,7 @@ def test_the_loop_predicts_as_the_operator_does(trained):
     for row in range(200):
         path.observe(run.position_m[row], run.force_N[row] / STIFFNESS_N_M)
     for axis, episode in enumerate(run.episodes()):
-        states = trained.operator.predict(episode.states[200 - lags - 1 : 200], None, 30)
+        states = predict(trained.operator, episode.states[200 - lags - 1 : 200], None, 30)
         for ticks in (1, 4, 9, 18, 30):
             moved, stretch = path.displacement_m(ticks)[axis], path.stretch_m(ticks)[axis]
             assert moved == pytest.approx(states[:ticks, 0].sum(), rel=1e-9, abs=1e-14)
@@ -320,54 +295,3 @@ def test_who_lost_against_holding_in_validation_is_not_asked(kind, loses, traine
     }
     checked = replace(trained, facts={"validation": {"horizons_ms": [1, 6], "errors": errors}})
     assert isinstance(made(kind, checked).instead, Hold if loses else Guarded)
-
-
-def test_a_file_gives_the_same_predictor(trained, tmp_path):
-    path = trained.write(tmp_path / "spring.npz")
-    again, run = Trained.read(path, scene="spring"), spring_run(70)
-    first, second = made("koopman", trained), made("koopman", again)
-    for row in range(300):
-        for each in (first, second):
-            show(each, run, row)
-    # Matrices are kept in single precision: 1e-7 of states whose weights cancel to a hundredth.
-    np.testing.assert_allclose(second.predict(6), first.predict(6), atol=1e-4)
-    assert again.facts == trained.facts
-    with pytest.raises(
-        InputError, match=r"out must not exist yet, got .*spring.npz: pass --overwrite"
-    ):
-        trained.write(path)
-    trained.write(path, overwrite=True)
-
-
-def test_what_cannot_be_used_is_refused(trained, tmp_path):
-    path = str(trained.write(tmp_path / "spring.npz"))
-    options = {"force_limit_N": LIMIT_N}
-    with pytest.raises(
-        InputError,
-        match=r"must be of scene wall, got spring in .*: train it again with 'tissue train wa",
-    ):
-        maker_of("koopman", scene_name="wall", file=path, **options)()
-    with pytest.raises(
-        InputError, match=r"must be an existing file, got nowhere.npz: train it with"
-    ):
-        maker_of("dmdc", scene_name="wall", file="nowhere.npz", **options)()
-    with pytest.raises(
-        InputError, match=r"prediction must be one of hold, linear, .*, got arima: choose"
-    ):
-        maker_of("arima", scene_name="wall", file="", **options)()
-    with pytest.raises(InputError, match="trained must be given for dmdc, got nothing: pass"):
-        trained_predictor("dmdc", None, force_limit_N=LIMIT_N)
-    with pytest.raises(
-        InputError,
-        match=r"coupling.predictor_file must be given for a scene other than caries, .*wall",
-    ):
-        maker_of("koopman", scene_name="mine", file="", **options)()
-    with pytest.raises(InputError, match="device must be given for prediction = koopman"):
-        load_scene("palpation", {"prediction": "koopman"})
-    still = [replace(spring_run(1), force_N=np.zeros((1200, 3)))]
-    with pytest.raises(InputError, match="trials must leave at least 3 to learn from, got 1"):
-        fit("spring", still)
-    with pytest.raises(
-        InputError, match="scene must have a tool that touches, got no force in any trial"
-    ):
-        fit("spring", still * 3)

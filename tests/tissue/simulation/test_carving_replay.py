@@ -6,7 +6,7 @@ import pytest
 from meshes.base.errors import InputError
 from meshes.voxels.volume import VoxelVolume
 from tissue import load_scene, simulate
-from tissue.motion.pose_file import poses_of_trace, read_poses, write_poses
+from tissue.motion.replay import poses_of_trace, read_poses, write_poses
 from tissue.simulation.depth_map import tool_axes
 from tissue.simulation.run import Run
 

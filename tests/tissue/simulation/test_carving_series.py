@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tissue import load_scene, simulate
-from tissue.motion.pose_file import read_poses
+from tissue.motion.replay import read_poses
 from tissue.simulation.bone_files import carved_surface
 from tissue.simulation.carved_surface import CarvedSurface, block_means, changed_box, coarse_volume
 from tissue.simulation.carving_series import MOST_FRAMES, carving_ticks, write_carving

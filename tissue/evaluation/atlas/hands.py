@@ -7,16 +7,14 @@ import numpy as np
 from meshes.base.arrays import Array
 from tissue.evaluation.training.recording import Recording
 from tissue.haptics.device.device import Device, Sample, device_parameters
-from tissue.haptics.device.faulty import Fault, FaultyDevice
+from tissue.haptics.device.recorded import Fault, FaultyDevice
 from tissue.haptics.device.sample_guard import SampleGuard
 from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.hand.hand import Hand, hand_parameters
-from tissue.haptics.hand.minimum_jerk import waypoints
+from tissue.haptics.hand.hand import Hand, hand_parameters, waypoints
 from tissue.haptics.renderer import renderer
 from tissue.haptics.rigid_wall import WallRun, press_wall
-from tissue.prediction.contact import Contact
-from tissue.prediction.koopman import Koopman
-from tissue.prediction.paths import OperatorPath
+from tissue.prediction.koopman import Koopman, OperatorPath
+from tissue.prediction.predictor import Contact
 from tissue.prediction.trained import Trained
 
 __all__ = [

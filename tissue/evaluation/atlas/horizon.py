@@ -17,10 +17,8 @@ from tissue.evaluation.atlas.page import (
     shown,
 )
 from tissue.evaluation.training.train import fit, forecast
-from tissue.prediction.baselines import Kalman, Linear
-from tissue.prediction.contact import Contact
 from tissue.prediction.guard import Guarded
-from tissue.prediction.predictor import Hold, Predictor
+from tissue.prediction.predictor import Contact, Hold, Kalman, Linear, Predictor
 from tissue.scene.registry import PREDICTORS
 
 __all__ = ["PAGE"]

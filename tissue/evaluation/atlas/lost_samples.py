@@ -23,7 +23,7 @@ from tissue.evaluation.atlas.page import (
     refused,
     shown,
 )
-from tissue.haptics.device.faulty import Fault, FaultKind
+from tissue.haptics.device.recorded import Fault, FaultKind
 from tissue.haptics.device.sample_guard import GuardLimits
 
 __all__ = ["PAGE"]

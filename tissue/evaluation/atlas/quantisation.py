@@ -27,8 +27,7 @@ from tissue.evaluation.atlas.page import (
 from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand.hand import HandAction, hand_parameters
-from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m
-from tissue.haptics.loop.stability_bounds import quantised_bound_N_m
+from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, quantised_bound_N_m
 from tissue.haptics.rigid_wall import knock
 from tissue.scene.load import load_scene
 from tissue.simulation.simulate import simulate

@@ -26,9 +26,7 @@ from tissue.evaluation.atlas.page import (
 )
 from tissue.haptics.device.device import DeviceParameters
 from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.proxy.proxy import Proxy
-from tissue.haptics.proxy.tool_shell import ToolShell
-from tissue.haptics.proxy.voxmap import Box, ContactField
+from tissue.haptics.proxy.proxy import Box, ContactField, Proxy, ToolShell
 from tissue.models.bone.bricks import BrickStore
 
 __all__ = ["PAGE"]

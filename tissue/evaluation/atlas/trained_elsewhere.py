@@ -29,11 +29,9 @@ from tissue.evaluation.atlas.page import (
 )
 from tissue.evaluation.training.recording import Recording
 from tissue.evaluation.training.train import fit, forecast
-from tissue.prediction.edmd.dictionary import Delays, GapProducts
-from tissue.prediction.edmd.edmd import Edmd
-from tissue.prediction.edmd.episodes import Episode, window
-from tissue.prediction.edmd.predictor_file import read_predictor
+from tissue.prediction.edmd import Edmd, Episode, window
 from tissue.prediction.guard import Guarded
+from tissue.prediction.operator import Delays, GapProducts
 from tissue.prediction.predictor import Hold, Predictor
 from tissue.prediction.trained import Trained
 from tissue.simulation.builders.prediction import maker_of
@@ -138,7 +136,7 @@ def ask() -> list[Answer]:
             )(),
         )
         path.write_bytes(path.read_bytes()[:200])
-        files = [other, refused("a truncated file", lambda: read_predictor(path))]
+        files = [other, refused("a truncated file", lambda: Trained.read(path))]
     recording = tapped(HOME_N_M, seed=9, seconds=1.0)
     wild = replace(
         recording, position_m=recording.position_m + np.cumsum(np.full((1000, 3), 1e-2), axis=0)

@@ -27,10 +27,15 @@ from tissue.evaluation.atlas.page import (
 )
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.hand.hand import hand_parameters
-from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands
+from tissue.haptics.loop.critical_stiffness import (
+    critical_stiffness_N_m,
+    delay_bound_N_m,
+    in_hands,
+    pade_bound_N_m,
+    passive_bound_N_m,
+)
 from tissue.haptics.loop.filters import ForceRange
 from tissue.haptics.loop.sampled_loop import WallLoop
-from tissue.haptics.loop.stability_bounds import delay_bound_N_m, pade_bound_N_m, passive_bound_N_m
 from tissue.haptics.loop.stability_map import measured_critical_N_m
 from tissue.scene.load import load_scene
 from tissue.simulation.simulate import simulate

@@ -24,8 +24,7 @@ from tissue.evaluation.statistics.hypothesis_test import Effect
 from tissue.haptics.loop.filters import ForceRange
 from tissue.materials.constants import constants
 from tissue.perception.adaptive import MAGNITUDE_FORCES_N, fit_magnitudes
-from tissue.perception.laws import D_PRIME_75, Intensity, intensity_of
-from tissue.perception.mapping import ForceMap
+from tissue.perception.laws import D_PRIME_75, ForceMap, Intensity, intensity_of
 from tissue.perception.observer import population, reference_observer
 
 __all__ = [

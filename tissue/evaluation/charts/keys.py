@@ -14,7 +14,7 @@ from typing import Any
 
 from tissue.evaluation.charts.settings import Setting
 from tissue.materials.constants import constants
-from tissue.prediction.outside import GuardedMaker
+from tissue.prediction.guard import GuardedMaker
 from tissue.scene.load import changed
 from tissue.scene.registry import TABLES
 from tissue.scene.scene import Scene

@@ -18,8 +18,7 @@ from tissue.evaluation.charts.pictures import draw_scene, draw_tasks
 from tissue.evaluation.training.recording import Recorder, Recording, trial
 from tissue.evaluation.training.train import HORIZONS, MOST_TRIALS, fit, forecast_errors
 from tissue.haptics.device.device import device_parameters
-from tissue.prediction.contact import Contact, SeesContact
-from tissue.prediction.predictor import Predictor
+from tissue.prediction.predictor import Contact, Predictor, SeesContact
 from tissue.prediction.trained import Trained, is_trained, shipped_file
 from tissue.scene.registry import PREDICTORS
 from tissue.scene.scene import Scene

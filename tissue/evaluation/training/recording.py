@@ -12,8 +12,8 @@ from tissue.haptics.hand_measures import TRUE
 from tissue.haptics.hand_motion import HandMotion
 from tissue.haptics.loop.filters import VELOCITY_MEMORY, ConstantAcceleration
 from tissue.models.tissue_model import Response, TissueModel, ToolMotion, WaitsForBackground
-from tissue.prediction.contact import CONTACT_WIDTH
-from tissue.prediction.edmd.episodes import Episode
+from tissue.prediction.edmd import Episode
+from tissue.prediction.predictor import CONTACT_WIDTH
 from tissue.scene.coupling import WallAnatomy
 from tissue.scene.load import changed
 from tissue.scene.registry import GROUPS

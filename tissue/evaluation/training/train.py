@@ -15,13 +15,10 @@ from meshes.base.progress import Progress, silent
 from tissue.evaluation.statistics.metrics import force_error
 from tissue.evaluation.training.recording import Recorder, Recording, trial
 from tissue.haptics.device.device import device_parameters
-from tissue.haptics.loop.motor_path import force_later_N
-from tissue.prediction.contact import Contact, SeesContact
-from tissue.prediction.edmd.dictionary import Delays, Identity
-from tissue.prediction.edmd.edmd import Edmd
-from tissue.prediction.edmd.episodes import window
-from tissue.prediction.edmd.lifted import Operator
-from tissue.prediction.predictor import Predictor
+from tissue.haptics.loop.sampled_loop import force_later_N
+from tissue.prediction.edmd import Edmd, window
+from tissue.prediction.operator import Delays, Identity, Operator
+from tissue.prediction.predictor import Contact, Predictor, SeesContact
 from tissue.prediction.trained import VALIDATED_AT, Trained
 from tissue.scene.registry import PREDICTORS
 from tissue.scene.scene import Scene

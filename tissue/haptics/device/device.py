@@ -1,8 +1,7 @@
 """Interface of haptic devices, and published parameters of some devices."""
 
 from dataclasses import dataclass, replace
-from math import inf
-from types import TracebackType
+from math import dist, inf, isfinite
 from typing import NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
@@ -11,7 +10,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
 from tissue.haptics.loop.sampled_loop import WallLoop
 from tissue.materials.scene_constants import Materials
-from tissue.motion.quaternion import Quaternion, Triple
+from tissue.motion.quaternion import NOTHING, UPRIGHT, Quaternion, Triple
 from tissue.scene.registry import DEVICES
 
 __all__ = [
@@ -20,9 +19,11 @@ __all__ = [
     "DeviceError",
     "DeviceParameters",
     "KnowsTruth",
+    "Reach",
     "Sample",
     "StatesPlayed",
     "device_parameters",
+    "reach_of",
 ]
 
 
@@ -31,9 +32,9 @@ class Sample(NamedTuple):
 
     time_s: float
     position_m: Triple
-    velocity_m_s: Triple = (0.0, 0.0, 0.0)
-    quaternion: Quaternion = (0.0, 0.0, 0.0, 1.0)
-    spin_rad_s: Triple = (0.0, 0.0, 0.0)
+    velocity_m_s: Triple = NOTHING
+    quaternion: Quaternion = UPRIGHT
+    spin_rad_s: Triple = NOTHING
 
 
 class DeviceError(InputError):
@@ -105,12 +106,7 @@ class ComputedDevice:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self.command(np.zeros(3), np.zeros(3))
 
     def command(self, force_N: Array, torque_Nm: Array) -> None:
@@ -175,25 +171,23 @@ class DeviceParameters:
     def __post_init__(self) -> None:
         for name in ("mass_kg", "force_limit_N", "inertia_kg_m2"):
             require_positive(name, getattr(self, name), "see devices.toml for what is usual")
-        require_range("rate_Hz", self.rate_Hz, 10.0, 1e5, "use 1000")
-        for name in (
-            "damping_N_s_m",
-            "friction_N",
-            "encoder_step_m",
-            "damping_Nm_s_rad",
-            "friction_Nm",
-            "encoder_step_rad",
-            "torque_limit_Nm",
+        for name, low, high in (
+            ("rate_Hz", 10.0, 1e5),
+            ("transport_delay_s", 0.0, 0.2),
+            ("damping_N_s_m", 0.0, 1e4),
+            ("friction_N", 0.0, 1e4),
+            ("encoder_step_m", 0.0, 1e4),
+            ("damping_Nm_s_rad", 0.0, 1e4),
+            ("friction_Nm", 0.0, 1e4),
+            ("encoder_step_rad", 0.0, 1e4),
+            ("torque_limit_Nm", 0.0, 1e4),
+            ("amplifier_Hz", 1e-9, inf),
+            ("force_slew_N_ms", 1e-9, inf),
+            ("torque_slew_Nm_ms", 1e-9, inf),
         ):
-            require_range(name, getattr(self, name), 0.0, 1e4, "use 0 for none")
-        require_range("transport_delay_s", self.transport_delay_s, 0.0, 0.2, "use 0 for none")
-        for name, none in (
-            ("amplifier_Hz", "one without lag"),
-            ("force_slew_N_ms", "no limit"),
-            ("torque_slew_Nm_ms", "no limit"),
-        ):
-            if not getattr(self, name) > 0.0:
-                raise InputError(name, "be positive", getattr(self, name), f"use inf for {none}")
+            require_range(
+                name, getattr(self, name), low, high, "see devices.toml for what is usual"
+            )
 
     def loop(
         self,
@@ -247,3 +241,74 @@ def device_parameters(name: str, constants: Materials = Materials.cited) -> Devi
         If the name is unknown.
     """
     return DeviceParameters(**constants.numbers("devices", DEVICES[name].numbers, name))
+
+
+FURTHER = 3.0
+"""Reach of an arm relative to the diagonal of its stated workspace.
+
+The Touch has a stated workspace of 160 x 120 x 70 mm, and its arm moves in 431 x 348 x 165 mm.
+Positions in millimetres exceed this reach after 0.6 mm.
+"""
+UNSTATED_M = 3.0
+"""Reach of a device without a stated workspace [m]."""
+MOST_WRONG = 20
+"""Number of consecutive samples beyond the reach that counts as an error of the device."""
+
+
+class Reach:
+    """Check that a device stays within the reach of its arm.
+
+    Parameters
+    ----------
+    limits
+        Device parameters with the workspace.
+
+    Attributes
+    ----------
+    limit_m
+        Largest distance from the first position [m].
+    """
+
+    def __init__(self, limits: DeviceParameters) -> None:
+        self._edges_m = limits.workspace_m
+        diagonal_m = float(np.linalg.norm(self._edges_m))
+        self.limit_m = FURTHER * diagonal_m if isfinite(diagonal_m) else UNSTATED_M
+        self._first: Triple | None = None
+        self._wrong = 0
+
+    def restart(self) -> None:
+        """Use the next position as the first one."""
+        self._first = None
+        self._wrong = 0
+
+    def require(self, position_m: Triple, *, samples: int = MOST_WRONG) -> None:
+        """Check a position [m], and refuse a device that stays beyond its reach.
+
+        ``samples`` is the number of consecutive positions beyond the reach at which it is refused.
+
+        Raises
+        ------
+        DeviceError
+            If the device is out of its reach.
+        """
+        if not isfinite(sum(position_m)):
+            return
+        first = self._first = self._first or position_m
+        away_m = dist(position_m, first)
+        self._wrong = self._wrong + 1 if away_m > self.limit_m else 0
+        if self._wrong < samples:
+            return
+        stated = "no workspace is stated"
+        if isfinite(self._edges_m[-1]):
+            box = " x ".join(f"{1e3 * edge:.3g}" for edge in self._edges_m[::-1])
+            stated = f"its workspace is {box} mm"
+        raise DeviceError(
+            f"the device reports a position {1e3 * away_m:.4g} mm from its first one, but "
+            f"{stated}. If it reports millimetres, give metres; if it does reach so far, state "
+            "workspace_width_m, workspace_height_m and workspace_depth_m in its constants"
+        )
+
+
+def reach_of(device: object, limits: DeviceParameters) -> Reach | None:
+    """Return the reach of a device; None if it bounds its positions itself or has no arm."""
+    return None if getattr(device, "bounds_itself", False) else Reach(limits)

@@ -4,24 +4,112 @@ A sample is valid if a hand could have made it.
 """
 
 from dataclasses import dataclass, fields
-from math import dist, isfinite, nan, sqrt
+from math import ceil, dist, hypot, isfinite, nan, sqrt
 
 import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import require_positive
-from tissue.haptics.device.device import DeviceError, Sample
-from tissue.haptics.device.reach import Reach
-from tissue.haptics.device.roughness import Roughness
-from tissue.motion.quaternion import Quaternion, is_nearly_unit, turn_between, unit
+from tissue.haptics.device.device import (
+    Device,
+    DeviceError,
+    DeviceParameters,
+    Reach,
+    Sample,
+    reach_of,
+)
+from tissue.models.tissue_model import TICK_S
+from tissue.motion.quaternion import (
+    NOTHING,
+    UPRIGHT,
+    Quaternion,
+    is_nearly_unit,
+    turn_between,
+    unit,
+)
 
-__all__ = ["GuardLimits", "SampleGuard"]
+__all__ = ["GuardLimits", "NewSamples", "Roughness", "SampleGuard", "guard_of"]
 
-NO_TORQUE = np.zeros(3)
+MEMORY = 8.0
+"""Number of new samples over which roughness is averaged."""
+STALE = 0.25
+"""Weight of a sample that only repeats the last one."""
+ROUGH = 0.5
+SMOOTH = 0.05
+"""Share of rough samples above which a signal is noise, and below which it is valid again."""
+SHORTEST_S = 2e-3
+"""Shortest span of three samples [s]: encoder steps and clock jitter disturb shorter ones."""
+
+
+class Roughness:
+    """Detector of noise in a sequence of samples, from the implied acceleration.
+
+    The middle one of three samples deviates from the straight line between its neighbours. For
+    steps of T at the acceleration a, the deviation is at most a T^2 / 2. A sample is rough if it
+    deviates more than the limit allows. The signal becomes noise when more than half of its last
+    samples (exponential mean over 8 samples) are rough. It is valid again when fewer than a
+    twentieth are rough. One jump, a lost sample, an encoder step or a blow is rough for two samples
+    at most. White noise is detected from a standard deviation of about a quarter of the limit times
+    (1 ms)^2 per axis.
+
+    Parameters
+    ----------
+    limit
+        Largest acceleration, in the unit of the samples over s^2.
+
+    Attributes
+    ----------
+    noisy
+        True if the signal is noise.
+    share
+        Share of rough samples among the last ones.
+    """
+
+    def __init__(self, limit: float) -> None:
+        self._limit = limit / 8.0
+        self.noisy = False
+        self.share = 0.0
+        self._first: tuple[float, tuple[float, ...]] | None = None
+        self._middle: tuple[float, tuple[float, ...]] | None = None
+
+    def observe(self, time_s: float, place: tuple[float, ...]) -> bool:
+        """Process a sample with its time [s], and return whether the signal is noise."""
+        first = self._first
+        middle = self._middle
+        if middle is not None and place == middle[1]:
+            if self.share > 0.0:
+                self._count(False, STALE / MEMORY)
+            return self.noisy
+        self._first = middle
+        self._middle = (time_s, place)
+        if first is None or middle is None:
+            return False
+        span = time_s - first[0]
+        part = (middle[0] - first[0]) / span if span > 0.0 else 0.5
+        square = 0.0
+        for start, between, end in zip(first[1], middle[1], place, strict=True):
+            off = between - start - part * (end - start)
+            square += off * off
+        allowed = self._limit * max(span, SHORTEST_S) ** 2
+        rough = square > allowed * allowed
+        if rough or self.share > 0.0:
+            self._count(rough, 1.0 / MEMORY)
+        return self.noisy
+
+    def _count(self, rough: bool, weight: float) -> None:
+        self.share += weight * (rough - self.share)
+        if self.share > ROUGH:
+            self.noisy = True
+        elif self.share < SMOOTH:
+            self.noisy = False
+            if self.share < 1e-6:
+                self.share = 0.0
+
+
 MOST_EVENTS = 200
 """Largest number of listed changes between valid and invalid samples."""
-PARTS, LENGTHS = ("position_m", "velocity_m_s", "quaternion", "spin_rad_s"), [3, 3, 4, 3]
-"""Vectors of a sample, and their lengths."""
+SHAPES: tuple[tuple[int, ...], ...] = ((), (3,), (3,), (4,), (3,))
+"""Shapes of the parts of a sample."""
 PLAIN = {float, int, np.float64}
 """Types of numbers that are accepted unchanged; bool is excluded."""
 HALF_TURN = 1e-3
@@ -117,7 +205,7 @@ class SampleGuard:
         self._step = 0.0
         self._places = Roughness(self._limits.roughest_m_s2)
         self._turns = Roughness(0.5 * self._limits.roughest_rad_s2)
-        self._turned: Quaternion = (0.0, 0.0, 0.0, 1.0)
+        self._turned: Quaternion = UPRIGHT
 
     def validate_sample(self, sample: Sample | None, time_s: float) -> Sample | None:
         """Return the sample, with a unit quaternion, if a hand can have made it; else None.
@@ -128,17 +216,15 @@ class SampleGuard:
             If it is not a `Sample`, a part of it has the wrong number of numbers, or the device
             leaves its reach.
         """
-        total: float | None = nan
-        if sample is not None and (total := _total(sample)) is None:
-            sample = _repaired(sample)
+        turned = None
+        if sample is not None:
             total = _total(sample)
+            if total is None:
+                sample = _repaired(sample)
+                total = sum(map(sum, sample[1:]), sample.time_s)
+            turned = unit(sample.quaternion) if isfinite(total) else None
         self._step = 0.0 if self._clock is None else max(time_s - self._clock, 0.0)
         self._clock = time_s
-        turned = (
-            unit(sample.quaternion)
-            if sample is not None and total is not None and isfinite(total)
-            else None
-        )
         fault = self._fault_of(sample, turned, time_s)
         if fault != self._fault:
             self._log(time_s, f"{fault}: the force fades" if fault else "samples are good again")
@@ -161,14 +247,13 @@ class SampleGuard:
         None or a non-finite wrench counts as a fault of this tick.
         """
         change = self._step / self._limits.fade_s
-        torque = NO_TORQUE if torque_Nm is None else torque_Nm
+        torque = np.zeros(3) if torque_Nm is None else torque_Nm
         if force_N is not None and not isfinite(sum(force_N.tolist()) + sum(torque.tolist())):
             self._log(self._clock or 0.0, "the force is not finite: it fades")
             force_N = None
         if force_N is not None and not self._fault:
             self.share = min(self.share + change, 1.0)
-            turning = torque if torque is NO_TORQUE else _capped(torque, self._caps[1])
-            self._wrench = _capped(force_N, self._caps[0]), turning
+            self._wrench = _capped(force_N, self._caps[0]), _capped(torque, self._caps[1])
         else:
             self.share = max(self.share - change, 0.0)
         return self.share * self._wrench[0], self.share * self._wrench[1]
@@ -185,7 +270,7 @@ class SampleGuard:
         good = self._good
         if sample is None:
             return "no sample"
-        if turned is None and not isfinite(_total(sample) or 0.0):
+        if turned is None and not isfinite(sum(map(sum, sample[1:]), sample.time_s)):
             return "a sample that is not finite"
         if turned is None or not is_nearly_unit(sample.quaternion):
             return "a quaternion that is not of unit length"
@@ -195,37 +280,28 @@ class SampleGuard:
             return "a sample of the future"
         if good is not None and sample.time_s < good.time_s:
             return "a sample from before the last one"
-        x, y, z, w = turned
-        if turned != self._turned:
-            a, b, c, d = self._turned
-            if a * x + b * y + c * z + d * w < 0.0:
-                x = -x
-                y = -y
-                z = -z
-                w = -w
-            self._turned = x, y, z, w
-        noisy = self._places.observe(sample.time_s, *sample.position_m)
-        if self._turns.observe(sample.time_s, x, y, z, w) or noisy:
+        if sum(one * other for one, other in zip(turned, self._turned, strict=True)) < 0.0:
+            x, y, z, w = turned
+            self._turned = (-x, -y, -z, -w)  # the same orientation, with the sign of the last one
+        else:
+            self._turned = turned
+        noisy = self._places.observe(sample.time_s, tuple(sample.position_m))
+        if self._turns.observe(sample.time_s, self._turned) or noisy:
             return "noise that no hand makes"
         if max(map(abs, sample.velocity_m_s)) > limits.fastest_m_s:
             return "a speed that no hand has"
         if max(map(abs, sample.spin_rad_s)) > limits.fastest_rad_s:
             return "a spin that no hand has"
         if good is None:
-            return (
-                "" if max(map(abs, sample.position_m)) < 10.0 else "a position that no hand reaches"
-            )
+            is_near = max(map(abs, sample.position_m)) < 10.0
+            return "" if is_near else "a position that no hand reaches"
         elapsed = max(sample.time_s - good.time_s, 0.0) + limits.oldest_s
         if dist(sample.position_m, good.position_m) > limits.fastest_m_s * elapsed:
             return "a jump that no hand makes"
-        if turned == good.quaternion:
-            return ""
-        i, j, k = turn_between(good.quaternion, turned)
-        return (
-            "a turn that no hand makes"
-            if i * i + j * j + k * k > (limits.fastest_rad_s * elapsed) ** 2
-            else ""
-        )
+        turn = NOTHING if turned == good.quaternion else turn_between(good.quaternion, turned)
+        if hypot(*turn) > limits.fastest_rad_s * elapsed:
+            return "a turn that no hand makes"
+        return ""
 
 
 def _total(sample: Sample) -> float | None:
@@ -250,32 +326,81 @@ def _total(sample: Sample) -> float | None:
 
 
 def _repaired(sample: Sample) -> Sample:
-    """Return the sample with every vector as a tuple of floats, for example from an array."""
-    vectors = [_numbers(*each) for each in zip(PARTS, sample[1:], LENGTHS, strict=True)]
-    return Sample(_numbers("time_s", sample.time_s, 1)[0], *vectors)  # type: ignore[arg-type]
+    """Return the sample with every vector as a tuple of floats, for example from an array.
 
-
-def _numbers(part: str, given: object, count: int) -> tuple[float, ...]:
-    """Return a number or a vector as a tuple of floats; text and bool such as "1" or True raise."""
-    try:
-        numbers = np.asarray(given)
-        parts: list[object] = [given] if count == 1 else list(given)  # type: ignore[call-overload]
-    except (TypeError, ValueError):
-        numbers = np.zeros(0)
-        parts = []
-    is_wrong = numbers.dtype.kind not in "iuf" or any(
-        isinstance(each, (bool, np.bool_)) for each in parts
-    )
-    if is_wrong or numbers.shape != ((count,) if count > 1 else ()):
-        got = " ".join(repr(given).split())[:60]
-        wanted = f"{count} numbers" if count > 1 else "a number"
-        raise DeviceError(
-            "device.read", f"return a Sample whose {part} is {wanted}", got, "fix its read"
-        )
-    return tuple(map(float, numbers.reshape(count)))
+    Text and bool such as "1" or True raise.
+    """
+    parts: list[object] = []
+    for name, given, shape in zip(Sample._fields, sample, SHAPES, strict=True):
+        try:
+            numbers = np.asarray(given)
+            is_right = numbers.shape == shape and numbers.dtype.kind in "iuf"
+            listed = given if isinstance(given, list | tuple) else ()
+        except (TypeError, ValueError):
+            is_right = False
+        if not is_right or any(isinstance(each, bool | np.bool_) for each in listed):
+            got = " ".join(repr(given).split())[:60]
+            wanted = f"{shape[0]} numbers" if shape else "a number"
+            raise DeviceError(
+                "device.read", f"return a Sample whose {name} is {wanted}", got, "fix its read"
+            )
+        parts.append(tuple(numbers.astype(float).tolist()) if shape else float(numbers))
+    return Sample(*parts)  # type: ignore[arg-type]
 
 
 def _capped(vector: Array, limit: float) -> Array:
     """Return a vector shortened to a limit."""
     size = sqrt(vector.dot(vector))
     return vector * (limit / size) if size > limit else np.array(vector)
+
+
+ROUNDING = 1e-9
+"""Tolerance for equal times [s], and for a number of ticks."""
+OLDEST = 2.5
+"""Age at which a sample counts as missing, relative to the time between two samples."""
+
+
+class NewSamples:
+    """Detector for the ticks in which a device has a new sample.
+
+    A device with its own clock dates its samples. Other devices repeat the last pose with the time
+    of the tick. A changed pose is then new, and so is a pose that has stayed for the length of a
+    sample.
+
+    Parameters
+    ----------
+    sample_s
+        Time between two samples [s]. With a sample in every tick, each sample is new.
+    """
+
+    def __init__(self, sample_s: float) -> None:
+        self._ticks = ceil(sample_s / TICK_S - ROUNDING)
+        self._waited = 0
+        self._last = Sample(nan, (nan, nan, nan))
+
+    def is_new(self, sample: Sample, time_s: float) -> bool:
+        """Return whether the sample of the tick at a time [s] differs from the previous one."""
+        if self._ticks <= 1:
+            return True
+        last = self._last
+        self._last = sample
+        self._waited += 1
+        if sample.time_s == last.time_s:
+            return False
+        is_dated = abs(sample.time_s - time_s) > ROUNDING
+        has_changed = sample.position_m != last.position_m or sample.quaternion != last.quaternion
+        if not (is_dated or has_changed or self._waited >= self._ticks):
+            return False
+        self._waited = 0
+        return True
+
+
+def guard_of(device: Device, limits: DeviceParameters, *, sample_s: float) -> SampleGuard:
+    """Return the guard of a device with ``sample_s`` between two samples [s]."""
+    guard = SampleGuard(
+        GuardLimits(oldest_s=OLDEST * sample_s),
+        force_limit_N=limits.force_limit_N,
+        torque_limit_Nm=limits.torque_limit_Nm,
+    )
+    guard.reach = reach_of(device, limits)
+    return guard

@@ -1,15 +1,18 @@
 """Device simulated between its ticks, together with the hand that holds it."""
 
 from collections import deque
-from math import ceil, isfinite, sqrt
+from collections.abc import Iterable
+from math import ceil, inf, isfinite, sqrt
 
 import numpy as np
 
 from meshes.base.arrays import Array
 from tissue.haptics.device.device import ComputedDevice, DeviceParameters, Sample
 from tissue.haptics.hand.hand import Grip, HandAction, HoldingHand
-from tissue.haptics.loop.plant import Plant
+from tissue.haptics.loop.sampled_loop import plant_step
 from tissue.motion.quaternion import (
+    NOTHING,
+    UPRIGHT,
     Quaternion,
     Triple,
     exponential,
@@ -18,9 +21,101 @@ from tissue.motion.quaternion import (
     turn_between,
 )
 
-__all__ = ["SimulatedDevice"]
+__all__ = ["Plant", "SimulatedDevice"]
 
-NOTHING: Triple = (0.0, 0.0, 0.0)
+
+class Plant:
+    """Mass with viscous and Coulomb friction behind an amplifier, held by a spring and a damper.
+
+    The axes x, y and z have equal parameters. Between changes of its inputs, the linear part is
+    stepped with the matrix exponential. Coulomb friction is one force against the velocity vector,
+    of at most ``friction_N``. It is computed implicitly: acting over the substep, it either stops
+    the mass or has its full magnitude against the velocity that the mass would have without it. A
+    mass at rest stays exactly at its position until the other forces exceed the friction.
+
+    For a rotation, the units are rotation vector [rad], kg m2, N m s/rad and N m. The code uses
+    plain floats, which for three axes are several times faster than arrays.
+
+    Parameters
+    ----------
+    mass_kg, damping_N_s_m, friction_N
+        Apparent mass [kg], viscous friction [N s/m] and Coulomb friction [N] of the device.
+    amplifier_Hz
+        Bandwidth of the amplifier [Hz]; infinite for no lag.
+
+    Attributes
+    ----------
+    position, velocity, motor_force
+        State of the three axes [m], [m/s], [N].
+    motor_work_J
+        Work that the motors have done on the mass so far [J].
+    """
+
+    def __init__(
+        self,
+        *,
+        mass_kg: float,
+        damping_N_s_m: float,
+        friction_N: float = 0.0,
+        amplifier_Hz: float = inf,
+    ) -> None:
+        self._mass = mass_kg
+        self._damping = damping_N_s_m
+        self._friction = friction_N
+        self._amplifier = amplifier_Hz
+        self.position = self.velocity = self.motor_force = NOTHING
+        self.motor_work_J = 0.0
+        self._hand: Triple = NOTHING
+
+    def hold(self, *, stiffness_N_m: float, damping_N_s_m: float, mass_kg: float) -> None:
+        """Attach the plant to a linear hand, or release it with zeros.
+
+        The aim of the hand enters as an external force.
+        """
+        self._hand = (stiffness_N_m, damping_N_s_m, mass_kg)
+
+    def advance(
+        self, step_s: float, *, command: Triple, external: Triple, substeps: int = 1
+    ) -> None:
+        """Advance one step with both forces held [N]; friction is computed in every substep."""
+        if self._amplifier == inf:
+            self.motor_force = command
+        stiffness, damping, mass = self._hand
+        (xx, xv, xf, xu, xw), (vx, vv, vf, vu, vw), (_, _, ff, fu, _) = plant_step(
+            self._mass + mass,
+            self._damping + damping,
+            stiffness,
+            self._amplifier,
+            step_s / substeps,
+        )
+        stop = self._friction * vw
+        position = self.position
+        velocity = self.velocity
+        motor = self.motor_force
+        for _ in range(substeps):
+            before = position
+            resting = not any(velocity)
+            axes = list(zip(position, velocity, motor, command, external, strict=True))
+            position = _triple(xx * x + xv * v + xf * f + xu * u + xw * w for x, v, f, u, w in axes)
+            velocity = _triple(vx * x + vv * v + vf * f + vu * u + vw * w for x, v, f, u, w in axes)
+            if stop > 0.0:
+                speed = sqrt(sum(v * v for v in velocity))
+                share = 1.0 if speed <= stop else stop / speed
+                ratio = share * xw / vw
+                position = _triple(x - ratio * v for x, v in zip(position, velocity, strict=True))
+                velocity = _triple((1.0 - share) * v for v in velocity)
+                if share == 1.0 and resting:
+                    # static friction follows a motor force that changes within the substep
+                    position = before
+            driven = motor
+            motor = _triple(ff * f + fu * u for f, u in zip(motor, command, strict=True))
+            self.motor_work_J += 0.5 * sum(
+                (f + g) * (x - a)
+                for f, g, x, a in zip(driven, motor, position, before, strict=True)
+            )
+        self.position = position
+        self.velocity = velocity
+        self.motor_force = motor
 
 
 class SimulatedDevice(ComputedDevice):
@@ -81,7 +176,7 @@ class SimulatedDevice(ComputedDevice):
             amplifier_Hz=parameters.amplifier_Hz,
         )
         self.translation.position = position_m
-        self.orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
+        self.orientation: Quaternion = UPRIGHT
         self.hand_force_N: Triple = NOTHING
         self.saturated_ticks = self.refused_commands = 0
         step = self._step = 1.0 / parameters.rate_Hz
@@ -151,80 +246,60 @@ class SimulatedDevice(ComputedDevice):
         # Scalar arithmetic on three numbers is faster than vectors.
         stiffness = self._grip.stiffness_N_m
         damping = self._grip.damping_N_s_m
-        (ax, ay, az) = action.aim_m
-        (u, v, w) = action.aim_velocity_m_s
-        (fx, fy, fz) = action.push_N
-        x, y, z = external = (
-            stiffness * ax + damping * u + fx,
-            stiffness * ay + damping * v + fy,
-            stiffness * az + damping * w + fz,
-        )
+        aims = list(zip(action.aim_m, action.aim_velocity_m_s, action.push_N, strict=True))
+        external = _triple(stiffness * a + damping * u + f for a, u, f in aims)
         turned = NOTHING
         if self.six_dof:
             turned = turn_between(action.aim_quaternion, self.orientation)
             self.rotation.position = turned
         time = at
-        where = self.translation.position
-        went = self.translation.velocity
+        moves = self.translation
+        where = moves.position
+        went = moves.velocity
         for length, back, fine in self._spans:
             force, torque = self._commands[-1 - back]
             # The aim moves within the tick; the mean pull of the spring is second-order accurate
             # at its middle.
             midpoint = stiffness * (time - at + 0.5 * length)
-            pull = x + midpoint * u, y + midpoint * v, z + midpoint * w
-            self.translation.advance(length, command=force, external=pull, substeps=fine)
+            pull = _triple(
+                e + midpoint * u for e, u in zip(external, action.aim_velocity_m_s, strict=True)
+            )
+            moves.advance(length, command=force, external=pull, substeps=fine)
             if self.six_dof:
                 self.rotation.advance(length, command=torque, external=NOTHING, substeps=fine)
             time += length
-        self._feel(external, action.aim_velocity_m_s, where, went)
+        # The force on the hand follows from the momentum of the mass that moves with the hand, and
+        # from its spring and damper.
+        rate = self.parameters.rate_Hz
+        half = 0.5 * self._step
+        mass = self._grip.mass_kg
+        self.hand_force_N = _triple(
+            rate * (damping * (x - a) + mass * (v - b))
+            - (e + stiffness * (half * u - 0.5 * (a + x)))
+            for x, v, a, b, e, u in zip(
+                moves.position,
+                moves.velocity,
+                where,
+                went,
+                external,
+                action.aim_velocity_m_s,
+                strict=True,
+            )
+        )
         if self.six_dof:
-            (a, b, c) = self.rotation.position
-            (x, y, z) = turned
-            self.orientation = product(exponential((a - x, b - y, c - z)), self.orientation)
+            turn = _difference(self.rotation.position, turned)
+            self.orientation = product(exponential(turn), self.orientation)
         elif stiffness > 0.0:
             self.orientation = action.aim_quaternion
         self._tick += 1
         before = self._sample
-        rate = self.parameters.rate_Hz
         position = self._read_position()
         orientation = self._read_orientation()
-        (x, y, z) = position
-        (a, b, c) = before.position_m
         spin = NOTHING
         if orientation != before.quaternion:
-            spin = _times(rate, turn_between(before.quaternion, orientation))
-        velocity = rate * (x - a), rate * (y - b), rate * (z - c)
+            spin = _triple(rate * w for w in turn_between(before.quaternion, orientation))
+        velocity = _triple(rate * v for v in _difference(position, before.position_m))
         self._sample = Sample(self._tick * self._step, position, velocity, orientation, spin)
-
-    def _feel(
-        self, external: Triple, aim_velocity_m_s: Triple, where: Triple, went: Triple
-    ) -> None:
-        """Compute the force on the hand in this tick.
-
-        It follows from the momentum of the mass that moves with the hand, and from its spring and
-        damper.
-        """
-        grip = self._grip
-        moves = self.translation
-        rate = self.parameters.rate_Hz
-        half = 0.5 * self._step
-        (i, j, k) = moves.position
-        (u, v, w) = moves.velocity
-        spring = grip.stiffness_N_m
-        damper = grip.damping_N_s_m
-        mass = grip.mass_kg
-        (ex, ey, ez) = external
-        (ax, ay, az) = aim_velocity_m_s
-        (x, y, z) = where
-        (p, q, r) = went
-        self.hand_force_N = (
-            rate * (damper * (i - x) + mass * (u - p))
-            - (ex + spring * (half * ax - 0.5 * (x + i))),
-            rate * (damper * (j - y) + mass * (v - q))
-            - (ey + spring * (half * ay - 0.5 * (y + j))),
-            rate * (damper * (k - z) + mass * (w - r))
-            - (ez + spring * (half * az - 0.5 * (z + k))),
-        )
 
     def _hold(self, grip: Grip) -> None:
         """Attach the device to a grip, or release it."""
@@ -249,16 +324,15 @@ class SimulatedDevice(ComputedDevice):
         return exponential(_stepped(logarithm(self.orientation), self.parameters.encoder_step_rad))
 
 
-def _times(factor: float, vector: Triple) -> Triple:
-    return factor * vector[0], factor * vector[1], factor * vector[2]
+def _triple(numbers: Iterable[float]) -> Triple:
+    x, y, z = numbers
+    return x, y, z
+
+
+def _difference(end: Triple, start: Triple) -> Triple:
+    return end[0] - start[0], end[1] - start[1], end[2] - start[2]
 
 
 def _stepped(vector: Triple, step: float) -> Triple:
     """Return the nearest point of a grid."""
-    if step == 0.0:
-        return vector
-    return (
-        step * round(vector[0] / step),
-        step * round(vector[1] / step),
-        step * round(vector[2] / step),
-    )
+    return vector if step == 0.0 else _triple(step * round(x / step) for x in vector)

@@ -4,25 +4,150 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from math import exp, inf, pi, sqrt
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import require_positive, require_range
-from tissue.haptics.hand.minimum_jerk import Aim, Aiming, Path
 from tissue.materials.scene_constants import Materials
 from tissue.models.tissue_model import TICK_S
-from tissue.motion.quaternion import Quaternion, Triple
+from tissue.motion.quaternion import NOTHING, UPRIGHT, Quaternion, Triple
 from tissue.scene.registry import HANDS
 
-__all__ = ["Grip", "Hand", "HandAction", "HandParameters", "HoldingHand", "hand_parameters"]
+__all__ = [
+    "Aim",
+    "Aiming",
+    "Grip",
+    "Hand",
+    "HandAction",
+    "HandParameters",
+    "HoldingHand",
+    "Path",
+    "hand_parameters",
+    "minimum_jerk",
+    "waypoints",
+]
+
+Path = Callable[[float], Array]
+"""Function from time [s] to position [m], shape (3,)."""
+
+
+def minimum_jerk(share: float) -> tuple[float, float]:
+    """Return position and speed of a minimum-jerk movement (Flash and Hogan, 1985).
+
+    The position at a share s of the duration, from 0 to 1, is 10 s^3 - 15 s^4 + 6 s^5. The speed is
+    its derivative with respect to s. The movement is at rest before 0 and after 1.
+    """
+    if share <= 0.0:
+        return 0.0, 0.0
+    if share >= 1.0:
+        return 1.0, 0.0
+    square = share * share
+    return square * share * (10.0 + share * (6.0 * share - 15.0)), 30.0 * square * (
+        1.0 - share
+    ) ** 2
+
+
+def waypoints(times_s: Array, points_m: Array) -> Path:
+    """Return a path through points [m], shape (n, 3), at increasing times [s].
+
+    It is straight between the points and at rest outside.
+    """
+    points = np.asarray(points_m, dtype=float)
+    return lambda time_s: np.array(
+        [np.interp(time_s, times_s, points[:, axis]) for axis in range(3)]
+    )
+
+
+@runtime_checkable
+class Aiming(Protocol):
+    """Interface of a model that moves the aim of a hand."""
+
+    def at(self, time_s: float) -> tuple[Triple, Triple]:
+        """Return position [m] and velocity [m/s] of the aim; times must not decrease."""
+        ...
+
+
+class Aim:
+    """Movement of the aim along a path that is known in advance.
+
+    Every ``correction_s``, a submovement of ``submovement_s`` begins. Its target is the path
+    position half a correction before it ends. The next one has begun by then, so that a steady
+    movement neither leads nor lags. Submovements add up (Flash and Henis, 1991), so that the
+    acceleration of the aim is continuous. The muscles miss the target by a share of the distance
+    (signal-dependent noise, Harris and Wolpert, 1998). An error is seen and corrected after a
+    reaction time. The first submovement begins a reaction time after the start.
+
+    Parameters
+    ----------
+    path
+        Target position over time.
+    reaction_s, submovement_s, correction_s
+        Times [s].
+    endpoint_noise
+        Standard deviation of the error per distance, for each axis.
+    rng
+        Random generator of this hand.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        reaction_s: float,
+        submovement_s: float,
+        correction_s: float,
+        endpoint_noise: float,
+        rng: np.random.Generator,
+    ) -> None:
+        self._path = path
+        self._rng = rng
+        self._reaction = reaction_s
+        self._duration = submovement_s
+        self._interval = correction_s
+        self._noise = endpoint_noise
+        self._rest = [float(value) for value in path(0.0)]
+        self._moves: list[tuple[float, list[float], list[float]]] = []
+        self._next = self._reaction
+
+    def at(self, time_s: float) -> tuple[Triple, Triple]:
+        """Return position [m] and velocity [m/s] of the aim; times must not decrease."""
+        if time_s >= self._next:
+            self._begin(time_s)
+        place = list(self._rest)
+        velocity = [0.0, 0.0, 0.0]
+        for start, move, _ in self._moves:
+            share, speed = minimum_jerk((time_s - start) / self._duration)
+            speed /= self._duration
+            for axis, distance in enumerate(move):
+                place[axis] += share * distance
+                velocity[axis] += speed * distance
+        x, y, z = place
+        u, v, w = velocity
+        return (x, y, z), (u, v, w)
+
+    def _begin(self, time_s: float) -> None:
+        """Begin the next submovement, and remove submovements that have ended and been seen."""
+        self._next += self._interval
+        memory = time_s - max(self._duration, self._reaction)
+        while self._moves and self._moves[0][0] <= memory:
+            self._rest = [a + b for a, b in zip(self._rest, self._moves.pop(0)[1], strict=True)]
+        seen = list(self._rest)
+        for start, move, missed in self._moves:
+            unseen = start > time_s - self._reaction
+            seen = [
+                a + b - (c if unseen else 0.0) for a, b, c in zip(seen, move, missed, strict=True)
+            ]
+        arrival = time_s + self._duration - 0.5 * self._interval
+        wanted = [float(a) - b for a, b in zip(self._path(arrival), seen, strict=True)]
+        size = sqrt(sum(a * a for a in wanted))
+        missed = [self._noise * size * float(each) for each in self._rng.standard_normal(3)]
+        self._moves.append((time_s, [a + b for a, b in zip(wanted, missed, strict=True)], missed))
 
 
 BLOCK = 500
 """Number of ticks whose random numbers are drawn at once."""
-NOTHING: Triple = (0.0, 0.0, 0.0)
-UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
 
 class Grip(NamedTuple):
@@ -104,8 +229,8 @@ class HandParameters:
             require_range(
                 entry.name, getattr(self, entry.name), 0.0, 1e5, "see hands.toml for what is usual"
             )
-        require_positive("force_noise_s", self.force_noise_s, "use 0.05")
-        require_positive("tremor_width_Hz", self.tremor_width_Hz, "use 2")
+        for name in ("submovement_s", "correction_s", "force_noise_s", "tremor_width_Hz"):
+            require_positive(name, getattr(self, name), "see hands.toml for what is usual")
 
     @property
     def grip(self) -> Grip:
@@ -173,7 +298,6 @@ class Hand:
         turn: Callable[[float], Array] | None = None,
         let_go_s: float = inf,
     ) -> None:
-        require_positive("step_s", step_s, "use 1e-3 for 1 kHz")
         self.parameters = parameters
         self._rng = rng
         self._push = push
@@ -208,39 +332,30 @@ class Hand:
         """Return the action of the hand with the device at ``position_m`` [m]."""
         if time_s >= self._let_go:
             return HandAction()
-        (x, y, z), (u, v, w) = self._aim.at(time_s)
+        place, velocity = self._aim.at(time_s)
         if not self._drawn:
             self._drawn = self._rng.standard_normal((BLOCK, 9)).tolist()
         drawn = self._drawn.pop()
-        s, t, q = self._tremor = [
+        self._tremor = [
             self._turning * value + self._shaken * complex(drawn[3 + a], drawn[6 + a])
             for a, value in enumerate(self._tremor)
         ]
         spin = self._speed_per_tremor
-        aim = (x + s.real, y + t.real, z + q.real)
-        velocity = (u - spin * s.imag, v - spin * t.imag, w - spin * q.imag)
-        off = (aim[0] - position_m[0], aim[1] - position_m[1], aim[2] - position_m[2])
+        x, y, z = (x + s.real for x, s in zip(place, self._tremor, strict=True))
+        u, v, w = (u - spin * s.imag for u, s in zip(velocity, self._tremor, strict=True))
+        off = (x - position_m[0], y - position_m[1], z - position_m[2])
         self._pending.append(off)
         felt = self._pending.popleft()
         stiffness = self.parameters.stiffness_N_m
         reflex = self.parameters.reflex_share * stiffness
-        px, py, pz = (0.0, 0.0, 0.0) if self._push is None else self._push(time_s)
-        fx = float(px) + reflex * felt[0]
-        fy = float(py) + reflex * felt[1]
-        fz = float(pz) + reflex * felt[2]
-        exerted = sqrt(
-            (fx + stiffness * off[0]) ** 2
-            + (fy + stiffness * off[1]) ** 2
-            + (fz + stiffness * off[2]) ** 2
-        )
-        a, b, c = self._noise = [
-            self._keep * n + self._fresh * drawn[k] for k, n in enumerate(self._noise)
-        ]
+        pushed = NOTHING if self._push is None else self._push(time_s)
+        force = [float(p) + reflex * f for p, f in zip(pushed, felt, strict=True)]
+        exerted = sqrt(sum((f + stiffness * o) ** 2 for f, o in zip(force, off, strict=True)))
+        self._noise = [self._keep * n + self._fresh * drawn[k] for k, n in enumerate(self._noise)]
         noise = self.parameters.force_noise * exerted
+        fx, fy, fz = (f + noise * n for f, n in zip(force, self._noise, strict=True))
         turned = UPRIGHT
         if self._turn is not None:
             i, j, k, r = self._turn(time_s)
             turned = float(i), float(j), float(k), float(r)
-        return HandAction(
-            aim, velocity, (fx + noise * a, fy + noise * b, fz + noise * c), turned, self._grip
-        )
+        return HandAction((x, y, z), (u, v, w), (fx, fy, fz), turned, self._grip)

@@ -1,19 +1,19 @@
 """Hand that pushes with an increasing force and stops when it notices that the tissue yields."""
 
 from collections import deque
-from dataclasses import dataclass
-from math import inf
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from math import inf, sqrt
 
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import require_positive, require_range
-from tissue.haptics.hand.hand import Hand, HandAction, HandParameters
-from tissue.haptics.hand.minimum_jerk import minimum_jerk
+from tissue.haptics.hand.hand import Hand, HandAction, HandParameters, Path, minimum_jerk
+from tissue.haptics.proxy.held_tool import HeldTool
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.quaternion import Triple
 
-__all__ = ["FeltDrop", "PushingHand"]
+__all__ = ["CompensatedPath", "FeltDrop", "PushingHand", "Thrust"]
 
 THRESHOLDS = 2.0
 """Drop of the felt force on which a participant acts, in discrimination thresholds; assumed.
@@ -37,20 +37,14 @@ class FeltDrop:
         Weber fraction, and its term F0 for low forces [N].
     integration_s
         Averaging time of the force [s].
-    step_s
-        Time between two forces [s].
     """
 
     kappa: float
     offset_N: float
     integration_s: float
-    step_s: float = TICK_S
 
     def __post_init__(self) -> None:
-        require_range("kappa", self.kappa, 0.0, 1.0, "use 0.07")
-        require_range("offset_N", self.offset_N, 0.0, 10.0, "use 0.2")
-        require_positive("integration_s", self.integration_s, "use 0.1")
-        self._last = deque([0.0] * max(round(self.integration_s / self.step_s), 1))
+        self._last = deque([0.0] * max(round(self.integration_s / TICK_S), 1))
         self._sum = self._greatest = 0.0
 
     def feel(self, force_N: float) -> bool:
@@ -99,8 +93,6 @@ class PushingHand:
         Averaging time of the motion [s].
     rng
         Random generator of this hand.
-    step_s
-        Time between two calls [s].
 
     Attributes
     ----------
@@ -122,23 +114,19 @@ class PushingHand:
         felt: FeltDrop | None,
         integration_s: float,
         rng: np.random.Generator,
-        step_s: float = TICK_S,
     ) -> None:
         self._person = parameters
-        self._step = step_s
         self._felt = felt
-        self._gain = require_positive("rate_N_s", rate_N_s, "use 1") / (
-            parameters.stiffness_N_m * (1.0 + parameters.reflex_share)
-        )
+        self._gain = rate_N_s / (parameters.stiffness_N_m * (1.0 + parameters.reflex_share))
         self._start: list[float] = np.asarray(start_m).tolist()
         self._line: list[float] = np.asarray(direction).tolist()
-        self._window = max(round(integration_s / step_s), 1)
-        self._past = deque([0.0] * (round(parameters.reaction_s / step_s) + self._window + 1))
+        self._window = max(round(integration_s / TICK_S), 1)
+        self._past = deque([0.0] * (round(parameters.reaction_s / TICK_S) + self._window + 1))
         self.aim_m = self._speed = 0.0
         self._left: tuple[float, float] | None = None
         self.felt_N = self.advance_m = 0.0
         self.noticed_s = self.stop_s = self.eased_s = inf
-        self._hand = Hand(parameters, self, rng=rng, step_s=step_s)
+        self._hand = Hand(parameters, self, rng=rng)
 
     def see(self, time_s: float) -> None:
         """Make the hand stop a reaction time after a visible event, unless it already does."""
@@ -165,31 +153,31 @@ class PushingHand:
     def act(self, time_s: float, position_m: Triple) -> HandAction:
         """Return the action of the hand with the device at ``position_m`` [m]."""
         before = self.advance_m
-        (i, j, k) = self._line
-        (x, y, z) = self._start
-        self.advance_m = (position_m[0] - x) * i + (position_m[1] - y) * j + (position_m[2] - z) * k
+        moved = [at - start for at, start in zip(position_m, self._start, strict=True)]
+        self.advance_m = self._along(moved)
         self._past.append(self.advance_m)
         self._past.popleft()
-        self.aim_m += self._step * self._speed
+        self.aim_m += TICK_S * self._speed
         self._lead(time_s)
         action = self._hand.act(time_s, position_m)
         grip = action.grip
-        (a, b, c) = action.aim_m
-        (u, v, w) = action.aim_velocity_m_s
-        (f, g, h) = action.push_N
-        off = (a * i + b * j + c * k) - (x * i + y * j + z * k) - self.advance_m
-        slips = (u * i + v * j + w * k) - (self.advance_m - before) / self._step
+        off = self._along(action.aim_m) - self._along(self._start) - self.advance_m
+        slips = self._along(action.aim_velocity_m_s) - (self.advance_m - before) / TICK_S
         self.felt_N = (
-            grip.stiffness_N_m * off + grip.damping_N_s_m * slips + (f * i + g * j + h * k)
+            grip.stiffness_N_m * off + grip.damping_N_s_m * slips + self._along(action.push_N)
         )
         if self._felt is not None and self._felt.feel(self.felt_N):
             self.see(time_s)
         return action
 
+    def _along(self, vector: Sequence[float]) -> float:
+        """Return the component of a vector along the push."""
+        return sum(a * i for a, i in zip(vector, self._line, strict=True))
+
     def _lead(self, time_s: float) -> None:
         """Update the speed of the aim."""
         if time_s < self.stop_s:
-            follows = (self._past[self._window] - self._past[0]) / (self._window * self._step)
+            follows = (self._past[self._window] - self._past[0]) / (self._window * TICK_S)
             self._speed = (EASED if time_s >= self.eased_s else 1.0) * (follows + self._gain)
             return
         if self._left is None:
@@ -198,3 +186,122 @@ class PushingHand:
         there, back = self._left
         self.aim_m = there + share * (back - there)
         self._speed = speed * (back - there) / self._person.submovement_s
+
+
+SHARE = 0.35
+"""Share of the visible error that each correction adds, for a tool that follows the hand; assumed.
+
+At 0.5, milling overshoots: the tool is pushed aside as far as it should press.
+"""
+LEAST_YIELD = 0.6
+"""Smallest ratio of tool motion to hand motion that an operator assumes; assumed.
+
+Among values from 1 to 0.2, reaming is nearly finished (0.2 mm are missing instead of 0.5) before
+milling overshoots.
+"""
+
+
+@dataclass
+class CompensatedPath:
+    """Path on which the tool, not the hand, reaches its target.
+
+    A hand that moved only to the target would stop where spring and resistance balance. At every
+    correction, this hand moves farther by a share of the visible error of the tool. The share
+    increases if the tool has made less of its last motions.
+
+    Attributes
+    ----------
+    path
+        Target position of the tool.
+    tool
+        Held tool, with its present position.
+    lead_s
+        Time by which an aim requests its path in advance [s].
+    furthest_m
+        Largest distance by which the hand moves beyond the path [m].
+    """
+
+    path: Path
+    tool: HeldTool
+    lead_s: float
+    furthest_m: float
+    beyond_m: Array = field(default_factory=lambda: np.zeros(3))
+    _aims_m: list[Array] = field(default_factory=list)
+    _tip_m: Array = field(default_factory=lambda: np.zeros(3))
+    _yields: float = 1.0
+
+    def __call__(self, time_s: float) -> Array:
+        """Return the aim at a time [s]; each call is a correction."""
+        if time_s > self.lead_s:
+            self._learn()
+            self.beyond_m += (
+                SHARE / self._yields * (self.path(time_s - self.lead_s) - self.tool.tip_m)
+            )
+            size = sqrt(self.beyond_m @ self.beyond_m)
+            self.beyond_m *= min(self.furthest_m / size, 1.0) if size > 0.0 else 1.0
+        aim = self.path(time_s) + self.beyond_m
+        self._aims_m = [*self._aims_m[-2:], aim]
+        self._tip_m = self.tool.tip_m.copy()
+        return aim
+
+    def _learn(self) -> None:
+        """Update the ratio of tool motion to hand motion.
+
+        The hand motion was aimed at two corrections ago.
+        """
+        if len(self._aims_m) == 3:
+            went = self.tool.tip_m - self._tip_m
+            aimed = self._aims_m[1] - self._aims_m[0]
+            square = float(aimed @ aimed)
+            if square > 0.0:
+                self._yields += 0.5 * (
+                    min(max(float(went @ aimed) / square, LEAST_YIELD), 1.0) - self._yields
+                )
+
+
+@dataclass
+class Thrust:
+    """Push of given size along a line until the tool has completed its path.
+
+    The hand follows the tool.
+
+    Attributes
+    ----------
+    start_m, path_m
+        Start position and path vector of the tool [m], shape (3,).
+    tool
+        Held tool, with its present position.
+    push_N
+        Push at the device [N].
+    stretch_m
+        Lead of the device over the tool under this push [m].
+    """
+
+    start_m: Array
+    path_m: Array
+    tool: HeldTool
+    push_N: float
+    stretch_m: float
+
+    @property
+    def share(self) -> float:
+        """Share of the path that the tool has completed, 0 to 1."""
+        gone = float((self.tool.tip_m - self.start_m) @ self.path_m) / float(
+            self.path_m @ self.path_m
+        )
+        return min(max(gone, 0.0), 1.0)
+
+    def path(self, time_s: float) -> Array:
+        """Return the aim at a time [s]: the position of the device that holds the tool."""
+        share = self.share
+        aim: Array = self.start_m + share * self.path_m
+        if time_s <= 0.0 or share == 1.0:
+            return aim
+        return aim + self.stretch_m * self.path_m / sqrt(self.path_m @ self.path_m)
+
+    def push(self, time_s: float) -> Array:
+        """Return the intended force at a time [N]."""
+        if self.share == 1.0:
+            return np.zeros(3)
+        force: Array = self.push_N * self.path_m / sqrt(self.path_m @ self.path_m)
+        return force

@@ -2,7 +2,7 @@
 
 from collections import deque
 from dataclasses import dataclass
-from math import exp, expm1, inf, pi, sin, sqrt
+from math import exp, expm1, inf, sqrt
 
 import numpy as np
 
@@ -17,9 +17,7 @@ __all__ = [
     "LowPass",
     "SlewLimit",
     "constant_acceleration_map",
-    "cutoff_Hz",
     "low_pass_gain",
-    "relaxation_bound",
 ]
 
 VELOCITY_MEMORY = 0.85
@@ -35,7 +33,7 @@ def low_pass_gain(time_constant_s: float, step_s: float) -> float:
     """Return the step gain of 1 / (1 + a s): 1 - exp(-T / a), and 1 without a filter (a = 0).
 
     It is the share of the gap that the filter closes in a step. The time constant is in seconds.
-    The amplitude falls to 1 / sqrt(2) at the frequency `cutoff_Hz`.
+    The amplitude falls to 1 / sqrt(2) at the frequency 1 / (2 pi a).
     """
     require_range(
         "time_constant_s", time_constant_s, 0.0, 10.0, "use 0 for no filter, or 1e-3 for 159 Hz"
@@ -44,33 +42,18 @@ def low_pass_gain(time_constant_s: float, step_s: float) -> float:
     return -expm1(-step_s / time_constant_s) if time_constant_s > 0.0 else 1.0
 
 
-def cutoff_Hz(time_constant_s: float) -> float:
-    """Return the frequency [Hz] at which 1 / (1 + a s) has lost half of its power: 1 / (2 pi a)."""
-    return 1.0 / (2.0 * pi * time_constant_s) if time_constant_s > 0.0 else inf
-
-
-def relaxation_bound(delay_samples: int) -> float:
-    """Return the gain below which F <- F + gain (F_wanted - F) settles with a delayed F.
-
-    For F delayed by d samples, the bound is 2 sin(pi / (2 (2 d + 1))). Without delay it is 2, with
-    one sample 1, and for large d it decreases as 1 / d (Levin and May, 1976).
-    """
-    require_range("delay_samples", delay_samples, 0, 1e6, "count whole samples")
-    return 2.0 * sin(pi / (2.0 * (2 * delay_samples + 1)))
-
-
 class LowPass:
     """First-order low-pass of a vector: y += (1 - exp(-T / a)) (u - y).
 
     The step is exact for an input that is held over it.
     """
 
-    def __init__(self, time_constant_s: float, *, step_s: float, size: int = 3) -> None:
+    def __init__(self, time_constant_s: float, *, step_s: float) -> None:
         self.gain = low_pass_gain(time_constant_s, step_s)
-        self.value: Array = np.zeros(size)
+        self.value: Array = np.zeros(3)
 
     def step(self, target: Array) -> Array:
-        """Advance one step towards the target, and return a copy of the value, shape (size,)."""
+        """Advance one step towards the target, and return a copy of the value, shape (3,)."""
         self.value += self.gain * (target - self.value)
         return self.value.copy()
 
@@ -83,7 +66,6 @@ def constant_acceleration_map(memory: float) -> tuple[Array, Array]:
     `memory` to the power of its age. It is an alpha-beta-gamma filter with all three poles at the
     memory, without delay for a constant acceleration.
     """
-    require_range("memory", memory, 0.0, 0.99, "use 0.85")
     fresh = 1.0 - memory
     gains = np.array([1.0 - memory**3, 1.5 * fresh**2 * (1.0 + memory), fresh**3])
     onward = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
@@ -103,7 +85,7 @@ class ConstantAcceleration:
 
     def __init__(self, memory: float, *, step_s: float) -> None:
         self._map, self._gains = constant_acceleration_map(memory)
-        self._rate = 1.0 / require_positive("step_s", step_s, "use 1e-3 for 1 kHz")
+        self._rate = 1.0 / step_s
         self._state: Array | None = None
 
     def step(self, position: Array) -> Array:
@@ -129,13 +111,12 @@ class DelayLine:
     The output is zero until the first value has passed.
     """
 
-    def __init__(self, samples: int, *, size: int = 3) -> None:
-        require_range("samples", samples, 0, 1e6, "count whole samples")
-        self._queue = deque([np.zeros(size)] * int(samples))
+    def __init__(self, samples: int) -> None:
+        self._queue = deque([np.zeros(3)] * samples)
 
     def step(self, value: Array) -> Array:
         """Append a value, and return the delayed one."""
-        self._queue.append(np.array(value, dtype=float))
+        self._queue.append(value.copy())
         return self._queue.popleft()
 
 

@@ -1,6 +1,7 @@
 """Linear map of a predictor near a contact at rest, used in the stability analysis of the loop."""
 
 import pickle
+from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,7 +12,7 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.kept import Kept
-from tissue.prediction.contact import Contact, SeesContact
+from tissue.prediction.predictor import Contact, SeesContact
 
 if TYPE_CHECKING:
     from tissue.prediction.predictor import Predictor
@@ -71,6 +72,8 @@ class Forecast:
 
 _forecasts: Kept["Forecast"] = Kept(64)
 """Cache for the methods of a study in tens of trials."""
+OUT = np.array([0.0, 0.0, 1.0])
+"""Direction out of the tissue during a probe."""
 
 
 def forecast_of(
@@ -80,7 +83,6 @@ def forecast_of(
     stiffness_N_m: float,
     model_ticks: int = 1,
     depth_m: float = 1e-3,
-    axis: Array | None = None,
     gain: float = 1.0,
 ) -> Forecast:
     """Linearise a predictor about a contact at rest, by small changes of its inputs.
@@ -98,8 +100,6 @@ def forecast_of(
         Stiffness and depth of the contact. The force is their product.
     model_ticks
         Ticks between two observed forces.
-    axis
-        Unit direction out of the tissue, shape (3,); default z.
     gain
         See `Forecast`.
 
@@ -108,95 +108,60 @@ def forecast_of(
     InputError
         If the response to a change does not decay: the predictor is not a stable filter there.
     """
-    out = np.array([0.0, 0.0, 1.0]) if axis is None else np.asarray(axis, dtype=np.float64)
+    probe = _Probe(lead_ticks, stiffness_N_m, model_ticks, depth_m)
     try:
         contents = pickle.dumps(predictor)
-    except (
-        TypeError,
-        AttributeError,
-        pickle.PicklingError,
-    ):  # a user's predictor that cannot be compared with another one
-        return _linearised(predictor, lead_ticks, stiffness_N_m, model_ticks, depth_m, out, gain)
-    key = contents, lead_ticks, stiffness_N_m, model_ticks, depth_m, out.tobytes(), gain
-    return _forecasts.of(
-        key,
-        lambda: _linearised(predictor, lead_ticks, stiffness_N_m, model_ticks, depth_m, out, gain),
-    )
+    except (TypeError, AttributeError, pickle.PicklingError):
+        # a user's predictor that cannot be compared with another one
+        return probe.forecast(predictor, gain)
+    return _forecasts.of((contents, probe, gain), lambda: probe.forecast(predictor, gain))
 
 
-def _linearised(
-    predictor: "Predictor",
-    lead_ticks: float,
-    stiffness_N_m: float,
-    model_ticks: int,
-    depth_m: float,
-    out: Array,
-    gain: float,
-) -> Forecast:
-    """Compute the forecast, without the cache."""
-    still = -depth_m * out
-    rest = np.zeros(3)
-    force = stiffness_N_m * depth_m * out
-    settled = deepcopy(predictor)
-    contact = None
-    if isinstance(settled, SeesContact):
-        contact = Contact(
-            stiffness_N_m, rest, force, RIGID * stiffness_N_m * np.outer(out, out), normal=out
+@dataclass(frozen=True)
+class _Probe:
+    """Contact at rest that is shown to a predictor; see `forecast_of`."""
+
+    lead_ticks: float
+    stiffness_N_m: float
+    model_ticks: int
+    depth_m: float
+
+    def forecast(self, predictor: "Predictor", gain: float) -> Forecast:
+        """Compute the forecast, without the cache."""
+        settled = deepcopy(predictor)
+        count = self.model_ticks
+        seen = (-self.depth_m * OUT, np.zeros(3), self.stiffness_N_m * self.depth_m * OUT)
+        for tick in range(-(-SETTLING // count) * count):
+            self._show(settled, seen, tick)
+        taps = np.zeros((count, LONGEST + 1, 3))
+        quiet = self._answers(deepcopy(settled), seen, seen, 0)
+        for phase in range(count):
+            for channel in range(3 if phase == 0 else 2):
+                changed = [each.copy() for each in seen]
+                changed[channel] += PROBES[channel] * OUT
+                answers = self._answers(deepcopy(settled), seen, changed, phase)
+                moved = (answers - quiet)[phase : phase + LONGEST + 1]
+                taps[phase, :, channel] = moved / PROBES[channel]
+        sees = isinstance(settled, SeesContact)
+        return Forecast(
+            taps=_faded(taps), gain=gain, stiffness_N_m=self.stiffness_N_m if sees else None
         )
-    ticks = -(-SETTLING // model_ticks) * model_ticks
-    for tick in range(ticks):
-        if contact is not None:
-            settled.meet(contact)  # type: ignore[attr-defined]
-        settled.observe(still, rest, force if tick % model_ticks == 0 else None)
-        settled.predict(lead_ticks)
-    taps = np.zeros((model_ticks, LONGEST + 1, 3))
-    seen = still, rest, force
-    quiet = _answers(deepcopy(settled), contact, seen, rest, None, 0, lead_ticks, model_ticks, out)
-    for phase in range(model_ticks):
-        for channel in range(3 if phase == 0 else 2):
-            change = PROBES[channel] * out
-            changed = _answers(
-                deepcopy(settled),
-                contact,
-                seen,
-                change,
-                channel,
-                phase,
-                lead_ticks,
-                model_ticks,
-                out,
-            )
-            taps[phase, :, channel] = (changed - quiet)[phase : phase + LONGEST + 1] / PROBES[
-                channel
-            ]
-    return Forecast(
-        taps=_faded(taps), gain=gain, stiffness_N_m=None if contact is None else stiffness_N_m
-    )
 
+    def _show(self, predictor: "Predictor", seen: Sequence[Array], tick: int) -> Array:
+        """Show a tick to a predictor, and return its force along the axis."""
+        if isinstance(predictor, SeesContact):
+            force = self.stiffness_N_m * self.depth_m * OUT
+            rigid = RIGID * self.stiffness_N_m * np.outer(OUT, OUT)
+            predictor.meet(Contact(self.stiffness_N_m, np.zeros(3), force, rigid, normal=OUT))
+        predictor.observe(seen[0], seen[1], seen[2] if tick % self.model_ticks == 0 else None)
+        return predictor.predict(self.lead_ticks) @ OUT
 
-def _answers(
-    predictor: "Predictor",
-    contact: Contact | None,
-    seen: tuple[Array, Array, Array],
-    change: Array,
-    channel: int | None,
-    at: int,
-    lead_ticks: float,
-    model_ticks: int,
-    out: Array,
-) -> Array:
-    """Return the predicted forces along the axis after a change of one input in one tick [N]."""
-    forces = np.zeros(LONGEST + 1 + model_ticks)
-    for tick in range(len(forces)):
-        shown = [
-            array + change if tick == at and index == channel else array
-            for index, array in enumerate(seen)
-        ]
-        if contact is not None:
-            predictor.meet(contact)  # type: ignore[attr-defined]
-        predictor.observe(shown[0], shown[1], shown[2] if tick % model_ticks == 0 else None)
-        forces[tick] = float(predictor.predict(lead_ticks) @ out)
-    return forces
+    def _answers(
+        self, predictor: "Predictor", seen: Sequence[Array], changed: Sequence[Array], at: int
+    ) -> Array:
+        """Return the predicted forces along the axis after other inputs in one tick [N]."""
+        ticks = range(LONGEST + 1 + self.model_ticks)
+        return np.array([self._show(predictor, changed if n == at else seen, n) for n in ticks])
 
 
 def _faded(taps: Array) -> Array:

@@ -7,7 +7,14 @@ from math import inf
 import numpy as np
 
 from meshes.base.arrays import Array
-from tissue.haptics.loop.critical_stiffness import Verdict, critical_stiffness_N_m, judge
+from tissue.haptics.loop.critical_stiffness import (
+    Verdict,
+    critical_stiffness_N_m,
+    delay_bound_N_m,
+    judge,
+    pade_bound_N_m,
+    passive_bound_N_m,
+)
 from tissue.haptics.loop.filters import low_pass_gain
 from tissue.haptics.loop.sampled_loop import (
     ForecastMemory,
@@ -16,7 +23,6 @@ from tissue.haptics.loop.sampled_loop import (
     plant_step,
     spectral_radius,
 )
-from tissue.haptics.loop.stability_bounds import delay_bound_N_m, pade_bound_N_m, passive_bound_N_m
 from tissue.haptics.loop.vibration import ENVELOPE_S
 
 __all__ = [
@@ -27,7 +33,8 @@ __all__ = [
     "stability_map",
 ]
 
-SOFTEST_N_M, STIFFEST_N_M = 0.1, 1e6
+SOFTEST_N_M = 0.1
+STIFFEST_N_M = 1e6
 BISECTIONS = 15
 """Number of bisections of seven decades: resolution 0.05 %."""
 
@@ -84,28 +91,23 @@ def growth_while_running(
     first = loops[0]
     tick = first.tick_s
     count = len(loops)
-    whole = [int(each.delay_s / tick + 1e-9) for each in loops]
-    delay = [max(each.delay_s - n * tick, 0.0) for each, n in zip(loops, whole, strict=True)]
+    of = lambda name: np.array([getattr(each, name) for each in loops])  # noqa: E731
+    delay = of("delay_s")
+    whole = (delay / tick + 1e-9).astype(int)
+    part = np.maximum(delay - whole * tick, 0.0)
+    mass = of("mass_kg") + of("hand_mass_kg")
+    held = of("hand_stiffness_N_m")
+    damped = of("damping_N_s_m") + of("hand_damping_N_s_m")
     steps = []
-    for part in (delay, [tick - each for each in delay]):
-        rows = [
-            plant_step(
-                e.mass_kg + e.hand_mass_kg,
-                e.damping_N_s_m + e.hand_damping_N_s_m,
-                e.hand_stiffness_N_m,
-                e.amplifier_Hz,
-                max(length, 1e-12),
-            )
-            for e, length in zip(loops, part, strict=True)
-        ]
-        steps.append(np.moveaxis(np.array(rows)[:, :, :4], 0, -1))
-    length = max(whole) + 2
-    back = np.array(whole)
+    for behind, lengths in ((whole + 1, part), (whole, tick - part)):
+        given = (mass, damped, held, of("amplifier_Hz"), np.maximum(lengths, 1e-12))
+        rows = [plant_step(*each) for each in zip(*(each.tolist() for each in given), strict=True)]
+        steps.append((np.moveaxis(np.array(rows)[:, :, :4], 0, -1), behind))
+    length = int(whole.max()) + 2
     columns = np.arange(count)
     queue = np.zeros((length, count))
-    mass = np.array([each.mass_kg + each.hand_mass_kg for each in loops])
-    spring = stiffnesses_N_m + np.array([each.hand_stiffness_N_m for each in loops])
-    damping = np.array([each.wall_damping_N_s_m for each in loops])
+    spring = stiffnesses_N_m + held
+    damping = of("wall_damping_N_s_m")
     gain = np.array([low_pass_gain(each.filter_s, tick) for each in loops])
     places, ages = (0, 0) if first.forecast is None else first.forecast.memory
     filtering = first.velocity_memory is not None
@@ -114,7 +116,7 @@ def growth_while_running(
     velocity = SampledVelocity(first, np.zeros((3 * filtering, count)))
     plant = np.zeros((4, count))
     plant[1] = 1e-3
-    before, force, filtered, envelope = (np.zeros(count) for _ in range(4))
+    before, force, filtered, envelope = np.zeros((4, count))
     follows = low_pass_gain(ENVELOPE_S, tick)
     share = np.arange(ticks) / ticks
     windows = [
@@ -125,17 +127,17 @@ def growth_while_running(
     with np.errstate(over="ignore", invalid="ignore"):
         for n in range(ticks):
             speed = velocity.step(plant[0])
-            if n % first.model_ticks == 0:
+            phase = n % first.model_ticks
+            if phase == 0:
                 moved = (plant[0] - before) / (tick * first.model_ticks)
                 force = -stiffnesses_N_m * plant[0] - damping * (moved if speed is None else speed)
                 before = plant[0].copy()
-            predicted = seen.predict(plant[0].copy(), speed, force, n % first.model_ticks)
+            predicted = seen.predict(plant[0].copy(), speed, force, phase)
             filtered = filtered + gain * (predicted - filtered)
             envelope = envelope + follows * (filtered - envelope)
-            queue[n % length] = (
-                filtered + (first.vibration.factor(n) if first.vibration else 0.0) * envelope
-            )
-            for matrix, behind in zip(steps, (back + 1, back), strict=True):
+            shaken = first.vibration.factor(n) if first.vibration else 0.0
+            queue[n % length] = filtered + shaken * envelope
+            for matrix, behind in steps:
                 plant[3] = queue[(n - behind) % length, columns]
                 plant[:3] = np.einsum("ijn,jn->in", matrix, plant)
             energy = mass * plant[1] ** 2 + spring * plant[0] ** 2
@@ -162,58 +164,33 @@ def measured_critical_N_m(loops: Sequence[WallLoop], *, ticks: int = 4000) -> Ar
     return np.where(hopeless, 0.0, np.sqrt(low * high))
 
 
-def stability_map(
-    chosen: WallLoop,
-    *,
-    dampings_N_s_m: Array | None = None,
-    delays_s: Array | None = None,
-    rows: int = 60,
-    ticks: int = 4000,
-) -> StabilityMap:
+def stability_map(chosen: WallLoop, *, rows: int = 60, columns: int = 25) -> StabilityMap:
     """Compute stability charts over wall damping and over delay, around a chosen loop.
 
-    By default, the damping ranges from zero to the value that stops the mass within a step and the
-    delay, which is well above the best one. The delay ranges to eight ticks. The rows of the chart
-    range from a twentieth of the lowest to three times the highest critical stiffness.
+    The damping ranges from zero to the value that stops the mass within a step and the delay, which
+    is well above the best one. The delay ranges to eight ticks. The rows of the chart range from a
+    twentieth of the lowest to three times the highest critical stiffness.
     """
-    most = (chosen.mass_kg + chosen.hand_mass_kg) / (
-        chosen.tick_s * chosen.model_ticks + chosen.delay_s
-    )
-    dampings = np.linspace(0.0, most, 25) if dampings_N_s_m is None else np.asarray(dampings_N_s_m)
-    delays = np.linspace(0.0, 8.0 * chosen.tick_s, 25) if delays_s is None else np.asarray(delays_s)
-    return StabilityMap(
-        chosen,
-        judge(chosen),
-        _chart(
-            "wall_damping_N_s_m",
-            [replace(chosen, wall_damping_N_s_m=float(b)) for b in dampings],
-            rows,
-            ticks,
-        ),
-        _chart("delay_s", [replace(chosen, delay_s=float(d)) for d in delays], rows, ticks),
-    )
-
-
-def _chart(along: str, loops: list[WallLoop], rows: int, ticks: int) -> StabilityChart:
-    """Return one chart, over loops that differ in one field."""
-    exact = np.array([critical_stiffness_N_m(each) for each in loops])
-    found = np.append(exact[(exact > 0.0) & (exact < inf)], loops[0].stiffness_N_m or 100.0)
-    stiffnesses = np.geomspace(0.05 * found.min(), 3.0 * found.max(), rows)
-    return StabilityChart(
-        along,
-        np.array([getattr(each, along) for each in loops]),
-        measured_critical_N_m(loops, ticks=ticks),
-        exact,
-        {
+    step_s = chosen.tick_s * chosen.model_ticks + chosen.delay_s
+    most = (chosen.mass_kg + chosen.hand_mass_kg) / step_s
+    charts = []
+    for along, highest in (("wall_damping_N_s_m", most), ("delay_s", 8.0 * chosen.tick_s)):
+        values = np.linspace(0.0, highest, columns)
+        loops = [replace(chosen, **{along: value}) for value in values.tolist()]
+        exact = np.array([critical_stiffness_N_m(each) for each in loops])
+        found = np.append(exact[(exact > 0.0) & (exact < inf)], chosen.stiffness_N_m or 100.0)
+        stiffnesses = np.geomspace(0.05 * found.min(), 3.0 * found.max(), rows)
+        lines = {
             "passive": np.array([passive_bound_N_m(each) for each in loops]),
             "first order in delay": np.array([delay_bound_N_m(each) for each in loops]),
             "Pade": np.array([pade_bound_N_m(each) for each in loops]),
-        },
-        stiffnesses,
-        np.array(
-            [
-                [spectral_radius(each.with_stiffness(k)) for each in loops]
-                for k in stiffnesses.tolist()
-            ]
-        ),
-    )
+        }
+        growth = [
+            [spectral_radius(each.with_stiffness(stiffness)) for each in loops]
+            for stiffness in stiffnesses.tolist()
+        ]
+        measured = measured_critical_N_m(loops)
+        charts.append(
+            StabilityChart(along, values, measured, exact, lines, stiffnesses, np.array(growth))
+        )
+    return StabilityMap(chosen, judge(chosen), *charts)

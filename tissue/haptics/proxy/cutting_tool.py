@@ -5,15 +5,14 @@ from math import sqrt
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import require_range
-from tissue.haptics.proxy.held_tool import FADE, HeldTool
-from tissue.haptics.proxy.held_turn import HeldTurn
+from tissue.haptics.proxy.held_tool import FADE, HeldTool, HeldTurn
 from tissue.models.tissue_model import Response
 from tissue.motion.quaternion import Quaternion
 
 __all__ = ["CuttingTool"]
 
-LEAST_N, LEAST_N_s_m = 1e-3, 1.0
+LEAST_N = 1e-3
+LEAST_N_s_m = 1.0
 """Force [N] and resistance [N s/m] below which both count as zero."""
 LEAST_M = 2e-7
 """Motion per tick below which a tool counts as resting [m].
@@ -127,9 +126,7 @@ class CuttingTool(HeldTool):
         damping_N_s_m: float = 0.0,
     ) -> None:
         super().__init__(stiffness_N_m, tip_m, turn)
-        self._damping = require_range(
-            "damping_N_s_m", damping_N_s_m, 0.0, 1e6, "use a hundredth of the stiffness"
-        )
+        self._damping = damping_N_s_m
         self._speed_m_s = np.zeros(3)
         self._again = False
         self._moved_m = np.zeros(3)

@@ -1,20 +1,81 @@
 """Quasi-static force balance of a tool coupled to a haptic device by a spring."""
 
 from abc import ABC, abstractmethod
+from math import inf, sqrt
 
 import numpy as np
 from scipy.linalg.lapack import dgesv
 
 from meshes.base.arrays import Array
-from meshes.base.errors import require_positive
-from tissue.haptics.proxy.held_turn import HeldTurn
 from tissue.models.tissue_model import Response
-from tissue.motion.quaternion import Quaternion
+from tissue.motion.quaternion import UPRIGHT, Quaternion, exponential, product, turn_between
 
-__all__ = ["FADE", "HeldTool", "PressingTool"]
+__all__ = ["FADE", "HeldTool", "HeldTurn", "PressingTool"]
+
+LEAST_RAD = 1e-5
+"""Smallest rotation for an estimate of the tissue stiffness [rad]; a tool of 20 mm moves 0.2 um."""
+FURTHEST_RAD = 2.5
+"""Largest rotation of the spring [rad]: at pi it would pull to either side."""
+
+
+class HeldTurn:
+    """Rotation of the tool from its first orientation, as a unit quaternion.
+
+    Spring and tissue balance, k theta + T = 0. Here theta is the rotation vector from tool to
+    device, and T the torque on the tool about its tip. One Newton step per tick uses the torque of
+    the last tick. An isotropic stiffness of the tissue is estimated from the change of torque along
+    the last rotations of the tool. A larger value is used at once, a smaller one gradually. Without
+    a torque, the tool has the orientation of the device.
+
+    Parameters
+    ----------
+    stiffness_Nm_rad
+        Stiffness of the spring, in the tissue's newton metres [N m/rad]; infinite for a tool that
+        turns with its device.
+    """
+
+    def __init__(self, stiffness_Nm_rad: float = inf) -> None:
+        self.stiffness_Nm_rad = stiffness_Nm_rad
+        self.quaternion: Quaternion = UPRIGHT
+        self._learnt = 0.0
+        self._before = UPRIGHT
+        self._torque = np.zeros(3)
+
+    def follow(self, device: Quaternion, torque_Nm: Array) -> Quaternion:
+        """Take a Newton step of the balance, and return the rotation of the tool.
+
+        ``torque_Nm`` is the torque on the tool [N m], shape (3,).
+        """
+        spring = self.stiffness_Nm_rad
+        if spring == inf or not any(torque_Nm.tolist()):
+            self.quaternion = device
+            return device
+        self._learn(torque_Nm)
+        difference = np.array(turn_between(self.quaternion, device))
+        turn = (spring * difference + torque_Nm) / (spring + self._learnt)
+        if float((turn - difference).dot(torque_Nm)) <= 0.0:
+            self.quaternion = device
+            return device
+        x, y, z = turn - difference
+        size = sqrt(x * x + y * y + z * z)
+        share = min(FURTHEST_RAD / size, 1.0)
+        self.quaternion = product(exponential((share * x, share * y, share * z)), device)
+        return self.quaternion
+
+    def _learn(self, torque_Nm: Array) -> None:
+        """Update the estimated stiffness from the last rotation."""
+        turned = np.array(turn_between(self._before, self.quaternion))
+        square = float(turned.dot(turned))
+        if square > LEAST_RAD**2:
+            self._learnt = max(
+                -float(turned.dot(torque_Nm - self._torque)) / square, FADE * self._learnt
+            )
+            self._before = self.quaternion
+            self._torque = np.array(torque_Nm)
+
 
 FADE = 0.8
-"""Factor per tick by which a remembered resistance decays."""
+"""Factor per tick by which a remembered resistance or stiffness decays."""
 LEAST_M = 2e-6
 """Smallest displacement for an estimate of the tissue stiffness [m]."""
 
@@ -49,9 +110,7 @@ class HeldTool(ABC):
 
     def __init__(self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None) -> None:
         self._turn = turn or HeldTurn()
-        self.stiffness_N_m = require_positive(
-            "stiffness_N_m", stiffness_N_m, "use 1e3 on an organ, 1e4 on bone"
-        )
+        self.stiffness_N_m = stiffness_N_m
         self.tip_m = np.array(tip_m, dtype=float)
         self.driven = False
         self.heading = np.zeros(3)

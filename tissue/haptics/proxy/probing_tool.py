@@ -8,11 +8,8 @@ from kernels.bricks import FULL
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.voxels.volume import VoxelVolume
-from tissue.haptics.proxy.held_tool import HeldTool
-from tissue.haptics.proxy.held_turn import HeldTurn
-from tissue.haptics.proxy.proxy import Proxy, ProxyOutcome
-from tissue.haptics.proxy.tool_shell import ToolShell
-from tissue.haptics.proxy.voxmap import ContactField
+from tissue.haptics.proxy.held_tool import HeldTool, HeldTurn
+from tissue.haptics.proxy.proxy import ContactField, Proxy, ToolShell
 from tissue.models.bone.bricks import BrickStore
 from tissue.models.tissue_model import FreeSpace, Response, ToolMotion
 from tissue.motion.quaternion import Quaternion
@@ -39,16 +36,8 @@ class ProbingTool(HeldTool):
     may carve.
     """
 
-    def __init__(
-        self,
-        stiffness_N_m: float,
-        tip_m: Array,
-        turn: HeldTurn | None = None,
-        *,
-        friction: float = FRICTION,
-    ) -> None:
+    def __init__(self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None) -> None:
         super().__init__(stiffness_N_m, tip_m, turn)
-        self.friction = friction
         stiffness_Nm_rad = self._turn.stiffness_Nm_rad
         self.lever_m = (
             RIGID_LEVER_M if stiffness_Nm_rad == inf else sqrt(stiffness_Nm_rad / stiffness_N_m)
@@ -65,7 +54,7 @@ class ProbingTool(HeldTool):
         InputError
             If the tool would lie in a solid.
         """
-        self.proxy = Proxy(shell, field, lever_m=self.lever_m, friction=self.friction)
+        self.proxy = Proxy(shell, field, lever_m=self.lever_m, friction=FRICTION)
         self.proxy.place(self.tip_m, np.array(self.quaternion))
         return self.proxy
 
@@ -156,7 +145,7 @@ class ProbedBone(FreeSpace):
         response.wrench[:3] = stiffness * result.push_m
         response.wrench[3:] = stiffness * result.push_moment_m2
         response.edge[:] = response.wrench
-        response.measures[:] = result.contacts, result.outcome is ProxyOutcome.BEHIND
+        response.measures[:] = result.contacts, not result.settled
         response.engaged_m2[:] = 0.0
         if result.contacts:
             response.engaged_m2[self._layer_under(motion.tip_m + result.arm_m, result.push_m)] = (

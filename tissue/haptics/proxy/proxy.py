@@ -7,12 +7,13 @@ contacts. It is reached by local descent from the last proxy. A search for the n
 would end on the far side of a thin wall.
 """
 
-from dataclasses import dataclass
-from enum import Enum
-from math import isfinite
+from dataclasses import dataclass, field
+from math import ceil, isfinite, sqrt
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
 from kernels.mirror import Mirror
 from kernels.proxy import (
@@ -24,48 +25,227 @@ from kernels.proxy import (
     PRESSING,
     REPORT,
     ROTATION,
-    SOLVES,
     STATE,
-    STEPS,
     TRAVEL,
     advance_proxy,
 )
 from kernels.proxy_contacts import VOXEL_PLANES, Contacts, Shell
 from kernels.proxy_descent import DescentSettings
 from kernels.proxy_forces import MEMBERS
+from kernels.voxmap import BALL, BOX, CELL, HALF_SPACE, SURFACE, Field, field_distance
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, require_positive, require_range
-from tissue.haptics.proxy.tool_shell import ToolShell
-from tissue.haptics.proxy.voxmap import ContactField
+from meshes.base.errors import InputError
+from tissue.cutters.cutter import Cutter
+from tissue.models.bone.bricks import BrickStore
 
-__all__ = ["Proxy", "ProxyOutcome", "ProxyResult"]
+__all__ = ["Ball", "Box", "ContactField", "HalfSpace", "Proxy", "ProxyResult", "Solid", "ToolShell"]
+
+FELT_VOXELS = 0.5 * sqrt(3.0)
+"""Largest distance from a voxel at which its trilinear fraction is not zero [voxel]."""
+NOWHERE_M = 1e30
+
+
+@dataclass(frozen=True, eq=False)
+class HalfSpace:
+    """Half-space behind a plane.
+
+    Attributes
+    ----------
+    point_m
+        Point of the plane [m], shape (3,).
+    normal
+        Outward direction, shape (3,), of any length except 0.
+    """
+
+    point_m: Array
+    normal: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """Box.
+
+    Attributes
+    ----------
+    centre_m
+        Centre of the box [m], shape (3,).
+    size_m
+        Edge lengths [m], shape (3,).
+    rotation
+        Rotation from box to world, shape (3, 3).
+    """
+
+    centre_m: Array
+    size_m: Array
+    rotation: Array = field(default_factory=lambda: np.eye(3))
+
+
+@dataclass(frozen=True, eq=False)
+class Ball:
+    """Ball with centre ``centre_m`` [m], shape (3,), and radius ``radius_m`` [m]."""
+
+    centre_m: Array
+    radius_m: float
+
+
+Solid = HalfSpace | Box | Ball
+
+
+class ContactField:
+    """Solids, and optionally the bone in a store, as arrays for the proxy kernels.
+
+    Parameters
+    ----------
+    *solids
+        Exact convex solids. A concave object consists of several solids: an inner corner is two
+        half-spaces.
+    store
+        Bone that may be carved during contact. Its surface is where the trilinear fraction is 1/4,
+        about a quarter of a voxel outside the true surface. A tool with normals corrects for this
+        offset; see :mod:`kernels.voxmap`.
+    device
+        Warp device name; the device of a store takes precedence.
+    """
+
+    def __init__(
+        self, *solids: Solid, store: BrickStore | None = None, device: str = "cpu"
+    ) -> None:
+        self.device = str(store.remaining.device) if store is not None else device
+        self.spacing_m = store.grid.spacing_m if store is not None else 0.0
+        self.sink_m = (0.5 - SURFACE) * self.spacing_m
+        """Offset of shell points into the tool [m]."""
+        self.solid_count = len(solids)
+        arrays = Field()
+        kinds, centres, turns, sizes = (
+            zip(*map(_solid, solids), strict=True) if solids else ((), (), (), ())
+        )
+        arrays.kind = wp.array(kinds, dtype=wp.int32, device=self.device)
+        arrays.centre = wp.array(np.reshape(centres, (-1, 3)), dtype=wp.vec3d, device=self.device)
+        arrays.turn = wp.array(np.reshape(turns, (-1, 3, 3)), dtype=wp.mat33d, device=self.device)
+        arrays.size = wp.array(np.reshape(sizes, (-1, 3)), dtype=wp.vec3d, device=self.device)
+        arrays.spacing = wp.float64(self.spacing_m)
+        if store is not None:
+            arrays.voxels_per_m = wp.float64(1.0 / self.spacing_m)
+            arrays.brick_of = store.brick_of
+            arrays.remaining = store.remaining
+            arrays.origin = wp.vec3d(*store.grid.origin_m.tolist())
+            clearance = _clearance(store.fraction() > 0, self.spacing_m)
+            arrays.clearance = wp.array(clearance, dtype=wp.float32, device=self.device)
+        self.arrays = arrays
+
+    def distance(self, points_m: Array) -> tuple[Array, Array]:
+        """Return distances to the nearest solid [m] and outward directions at points.
+
+        The shapes are (n,) for distances, and (n, 3) for directions and points. The distances are
+        exact for solids. For voxels, the distance to the contact surface is first-order accurate
+        within half a voxel of it. Farther away, it is a lower bound and the direction is (0, 0, 0).
+        """
+        points = np.ascontiguousarray(points_m, dtype=np.float64)
+        distance = wp.zeros(len(points), dtype=wp.float64, device=self.device)
+        normal = wp.zeros(len(points), dtype=wp.vec3d, device=self.device)
+        at: wp.array[object] = wp.array(points, dtype=wp.vec3d, device=self.device)
+        wp.launch(
+            field_distance,
+            dim=len(points),
+            inputs=[at, self.arrays],
+            outputs=[distance, normal],
+            device=self.device,
+        )
+        return distance.numpy(), normal.numpy()
+
+
+def _solid(solid: Solid) -> tuple[int, Array, Array, Array]:
+    """Return kind, centre, rotation and size of a solid for the kernels."""
+    match solid:
+        case HalfSpace():
+            z = np.asarray(solid.normal, dtype=np.float64) / np.linalg.norm(solid.normal)
+            helper = np.eye(3)[int(np.argmin(np.abs(z)))]
+            x = helper - z * (helper @ z)
+            x /= np.linalg.norm(x)
+            return HALF_SPACE, solid.point_m, np.column_stack([x, np.cross(z, x), z]), np.zeros(3)
+        case Box():
+            return BOX, solid.centre_m, solid.rotation, 0.5 * np.asarray(solid.size_m)
+        case Ball():
+            return BALL, solid.centre_m, np.eye(3), np.full(3, solid.radius_m)
+
+
+def _clearance(holds: NDArray[np.bool_], spacing_m: float) -> NDArray[np.float32]:
+    """Return a lower bound of the distance from cells of voxels to the contact range of bone [m].
+
+    The bound holds anywhere in each cell.
+    """
+    counts = [ceil(n / CELL) for n in holds.shape]
+    padded = np.pad(
+        holds, [(0, CELL * count - n) for count, n in zip(counts, holds.shape, strict=True)]
+    )
+    x, y, z = counts
+    full = padded.reshape(x, CELL, y, CELL, z, CELL).any(axis=(1, 3, 5))
+    if not full.any():
+        return np.full(counts, NOWHERE_M, dtype=np.float32)
+    cells = distance_transform_edt(~full) - sqrt(3.0)
+    return np.maximum(spacing_m * (CELL * cells - FELT_VOXELS), 0.0).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class ToolShell:
+    """Surface points of a tool in its own frame: origin at the tip, z from tip to shank.
+
+    Attributes
+    ----------
+    points_m
+        Positions [m], shape (n, 3).
+    normals
+        Outward unit normals, shape (n, 3); zero where a point has no normal.
+    radius_m
+        Radius of a ball around every point [m]. A tool of several balls is exact on solids. Voxels
+        are tested only against points.
+    """
+
+    points_m: Array
+    normals: Array
+    radius_m: float = 0.0
+
+    @classmethod
+    def ball(
+        cls, radius_m: float = 0.0, *, centre_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    ) -> "ToolShell":
+        """Return one exact ball of ``radius_m`` [m].
+
+        With radius 0, it is the point of the classical god-object.
+        """
+        return cls(np.array([centre_m], dtype=np.float64), np.zeros((1, 3)), radius_m)
+
+    @classmethod
+    def of_cutter(cls, cutter: Cutter, *, point_count: int = 700) -> "ToolShell":
+        """Return about ``point_count`` points over the cutting surface of a cutter."""
+        shell = cutter.shell(spacing_m=(cutter.cutting_area_m2 / point_count) ** 0.5)
+        return cls(shell.points_m, shell.normals)
+
+    @property
+    def reach_m(self) -> float:
+        """Largest distance of the surface from the tool's origin [m]."""
+        return float(np.linalg.norm(self.points_m, axis=1).max()) + self.radius_m
+
 
 STEP_M = 2.5e-4
 """Longest step near solids [m]."""
 STEP_VOXELS = 0.5
 """Longest step near voxels [voxel]."""
-TOLERANCE_M, TOLERANCE_VOXELS = 1e-12, 1e-3
+TOLERANCE_M = 1e-12
+TOLERANCE_VOXELS = 1e-3
 """Step below which the proxy has settled [m], [voxel].
 
 The first value covers rounding near exact solids. The second is a thousandth voxel near voxels.
 """
+STEP_LIMIT = 64
+SOLVE_LIMIT = 150
+"""Largest number of steps and of active-set solves in a tick; the rest is done in the next tick."""
 _POSITION = slice(POSITION, POSITION + 3)
 _ROTATION = slice(ROTATION, ROTATION + 4)
 _FORCE = slice(FORCE, FORCE + 3)
 _MOMENT = slice(MOMENT, MOMENT + 3)
 _CENTRE = slice(CENTRE, CENTRE + 3)
 _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
-
-
-class ProxyOutcome(Enum):
-    """Outcome of a tick; the value contains the remedy."""
-
-    FREE = "the proxy is where the device is: nothing to do"
-    CONTACT = "the proxy rests against something: render the coupling's force"
-    BEHIND = (
-        "the steps ran out before the proxy settled: it goes on in the next tick, or allow more "
-        "steps"
-    )
 
 
 @dataclass
@@ -78,8 +258,8 @@ class ProxyResult:
         Position of the tool's origin [m], shape (3,).
     quaternion
         Rotation from tool to world (x, y, z, w), shape (4,).
-    outcome
-        Outcome of the tick.
+    settled
+        False if the steps of a tick ran out. The proxy then goes on in the next tick.
     contacts
         Number of pressing contacts.
     push_m, push_moment_m2
@@ -89,8 +269,6 @@ class ProxyResult:
     arm_m
         Vector from the tool's origin to the centre of pressure, in the world's axes [m], shape
         (3,).
-    steps, solves
-        Number of descent steps and of active-set solves in the tick.
     """
 
     position_m: Array
@@ -98,10 +276,8 @@ class ProxyResult:
     push_m: Array
     push_moment_m2: Array
     arm_m: Array
-    outcome: ProxyOutcome = ProxyOutcome.FREE
+    settled: bool = True
     contacts: int = 0
-    steps: int = 0
-    solves: int = 0
 
 
 class Proxy:
@@ -118,13 +294,6 @@ class Proxy:
         degrees of freedom, in which the tool keeps its initial orientation.
     friction
         Coulomb's coefficient.
-    step_limit, solve_limit
-        Largest number of steps and solves in a tick. The rest is done in the next tick.
-
-    Raises
-    ------
-    InputError
-        If a number is out of range, or a shell of balls is used with voxels.
     """
 
     def __init__(
@@ -134,27 +303,11 @@ class Proxy:
         *,
         lever_m: float | None = None,
         friction: float = 0.0,
-        step_limit: int = 64,
-        solve_limit: int = 150,
     ) -> None:
-        require_range(
-            "friction", friction, 0.0, 10.0, "use 0 for none, about 0.3 for bone on steel"
-        )
-        compliance = (
-            0.0
-            if lever_m is None
-            else require_positive("lever_m", lever_m, "use about 0.02 (20 mm)") ** -2
-        )
+        compliance = 0.0 if lever_m is None else lever_m**-2
         step = STEP_M
         tolerance = TOLERANCE_M
         if field.spacing_m > 0.0:
-            if shell.radius_m > 0.0:
-                raise InputError(
-                    "radius_m of the shell",
-                    "be 0 on voxels",
-                    f"{shell.radius_m:g}",
-                    "give points with normals",
-                )
             step = STEP_VOXELS * field.spacing_m
             tolerance = TOLERANCE_VOXELS * field.spacing_m
         device = field.device
@@ -167,8 +320,8 @@ class Proxy:
         settings = DescentSettings()
         numbers = map(wp.float64, (compliance, friction, step, tolerance))
         settings.compliance, settings.friction, settings.step, settings.tolerance = numbers
-        settings.step_limit = step_limit
-        settings.solve_limit = solve_limit
+        settings.step_limit = STEP_LIMIT
+        settings.solve_limit = SOLVE_LIMIT
         self._goal = Mirror(TRAVEL, dtype=wp.float64, device=device)
         self._state = Mirror(STATE, dtype=wp.float64, device=device)
         self._report = Mirror(REPORT, dtype=wp.float64, device=device)
@@ -254,12 +407,7 @@ class Proxy:
         result.push_moment_m2[:] = report[_MOMENT]
         result.arm_m[:] = report[_CENTRE]
         result.contacts = int(report[PRESSING])
-        result.steps = int(report[STEPS])
-        result.solves = int(report[SOLVES])
-        if report[CONVERGED] == 0.0:
-            result.outcome = ProxyOutcome.BEHIND
-        else:
-            result.outcome = ProxyOutcome.CONTACT if result.contacts else ProxyOutcome.FREE
+        result.settled = bool(report[CONVERGED] != 0.0)
 
 
 def _contacts(points: int, field: ContactField, *, device: str) -> Contacts:

@@ -1,14 +1,45 @@
-"""Interface of adapters for real haptic devices, and results of a device search."""
+"""Adapters of real haptic devices: their base, a recorded motion as a device, and their search."""
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from types import TracebackType
-from typing import NamedTuple, Protocol, Self
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, Self
+from urllib.parse import SplitResult, urlsplit
+
+import numpy as np
 
 from meshes.base.arrays import Array
-from tissue.haptics.device.device import DeviceParameters
-from tissue.motion.quaternion import Quaternion, Triple
+from meshes.base.errors import InputError, names_of_caller
+from tissue.haptics.device.device import DeviceParameters, device_parameters
+from tissue.haptics.device.recorded import RecordedDevice
+from tissue.models.tissue_model import TICK_S
+from tissue.motion.quaternion import UPRIGHT, Quaternion, Triple
+from tissue.motion.replay import read_replay
+from tissue.scene.registry import DEVICES
 
-__all__ = ["FoundDevice", "HardwareAdapter", "HardwareSample"]
+if TYPE_CHECKING:
+    from tissue.scene.hardware import Hardware
+
+__all__ = [
+    "FoundDevice",
+    "HardwareAdapter",
+    "HardwareSample",
+    "RecordedAdapter",
+    "adapter_class",
+    "checked_url",
+    "devices",
+]
+
+ADAPTERS = {
+    "haply": ("haply", "HaplyAdapter"),
+    "forcedimension": ("forcedimension", "ForceDimensionAdapter"),
+    "sigma-7": ("forcedimension", "SigmaAdapter"),
+    "openhaptics": ("openhaptics", "OpenHapticsAdapter"),
+    "network": ("network", "NetworkAdapter"),
+    "recorded": ("adapter", "RecordedAdapter"),
+}
+"""Module of this package and class that opens a real device, by the device's name."""
 
 
 class HardwareSample(NamedTuple):
@@ -16,43 +47,10 @@ class HardwareSample(NamedTuple):
 
     position_m: Triple
     velocity_m_s: Triple = (0.0, 0.0, 0.0)
-    quaternion: Quaternion = (0.0, 0.0, 0.0, 1.0)
+    quaternion: Quaternion = UPRIGHT
     spin_rad_s: Triple = (0.0, 0.0, 0.0)
     buttons: int = 0
     """Bit i is set while button i is held."""
-
-
-class HardwareAdapter(Protocol):
-    """Real device in its own frame; a `MappedDevice` turns it into a `Device`.
-
-    Entering the adapter opens the device. Leaving it removes all force and closes the device.
-    ``close`` removes all force by other means than ``push`` and may be called from another thread.
-
-    Attributes
-    ----------
-    limits
-        Limits of the device, used to judge the loop and to limit forces.
-    """
-
-    limits: DeviceParameters
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None: ...
-
-    def poll(self) -> HardwareSample | None:
-        """Return the newest sample; None if there is no new one since the last call."""
-
-    def push(self, force_N: Array, torque_Nm: Array) -> None:
-        """Play a force and a torque on the hand, in the device's frame, until the next call."""
-
-    def close(self) -> None:
-        """Remove all force from the device."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,3 +76,209 @@ class FoundDevice:
     detail: str = ""
     limits: DeviceParameters | None = None
     problem: str = ""
+
+
+class HardwareAdapter(ABC):
+    """Real device in its own frame; a `MappedDevice` turns it into a `Device`.
+
+    Entering the adapter opens the device. Leaving it removes all force and closes the device.
+    ``close`` removes all force by other means than ``push`` and may be called repeatedly and from
+    another thread.
+
+    Parameters
+    ----------
+    hardware
+        Its ``address`` selects the device; empty for the usual one.
+
+    Attributes
+    ----------
+    limits
+        Limits of the device, used to judge the loop and to limit forces.
+    releases
+        Number of times that the adapter has removed the force by itself. The force must then begin
+        at zero.
+    """
+
+    name: ClassVar[str]
+    """Value of a scene's key ``device``."""
+    limits: DeviceParameters
+    releases: int = 0
+
+    def __init__(self, hardware: "Hardware | None" = None) -> None:
+        self._given = hardware.address if hardware else ""
+        self.limits = device_parameters(self.name)
+
+    def __enter__(self) -> Self:
+        try:
+            self.open()
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self.close()
+
+    @abstractmethod
+    def open(self) -> None:
+        """Open the device without force."""
+
+    @abstractmethod
+    def poll(self) -> HardwareSample | None:
+        """Return the newest sample; None if there is no new one since the last call.
+
+        Raises
+        ------
+        DeviceError
+            If the device is permanently lost.
+        """
+
+    @abstractmethod
+    def push(self, force_N: Array, torque_Nm: Array) -> None:
+        """Play a force and a torque on the hand, in the device's frame, until the next call."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Remove all force from the device and close it."""
+
+    def happened(self) -> list[str]:
+        """Return the events so far, as sentences."""
+        return []
+
+    @classmethod
+    def find(cls, address: str = "") -> list[FoundDevice]:
+        """Return the connected devices of this kind, or the reason for none."""
+        return []
+
+    @classmethod
+    def found(cls, where: str, detail: str, problem: str = "") -> FoundDevice:
+        """Return a device that a search has found."""
+        limits = device_parameters(cls.name)
+        return FoundDevice(
+            name=cls.name, where=where, detail=detail, limits=limits, problem=problem
+        )
+
+    @classmethod
+    def missing(cls, problem: object, where: str = "") -> list[FoundDevice]:
+        """Return the reason that a search has found no device."""
+        return [FoundDevice(name=cls.name, where=where, problem=str(problem))]
+
+
+class RecordedAdapter(HardwareAdapter):
+    """Poses of a file, one for each call of `poll`; after the last one, the force fades.
+
+    A run plays the poses at their recorded positions: its tool starts at the first pose. Unlike
+    ``motion.kind = "replay"``, which moves the tool itself, the poses move the device. Coupling,
+    prediction and commanded force are those for a hand with this motion.
+
+    Parameters
+    ----------
+    hardware
+        Its ``address`` is a file as for ``motion.file``, such as a run's trace.csv.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, or does not contain poses.
+    """
+
+    name = "recorded"
+    bounds_itself = True
+    """No reach is applied, because a file has no arm that bounds its positions."""
+
+    def __init__(self, hardware: "Hardware | None" = None) -> None:
+        super().__init__(hardware)
+        if not self._given:
+            raise InputError(
+                "hardware.address",
+                "be a file of poses with device = recorded",
+                "nothing",
+                "use a run's trace.csv",
+            )
+        self._samples = _samples(Path(self._given))
+        self._next = 0
+
+    @classmethod
+    def find(cls, address: str = "") -> list[FoundDevice]:
+        """Return the file as a device, or the reason for none."""
+        from tissue.scene.hardware import Hardware
+
+        try:
+            adapter = cls(Hardware(address=address))
+        except InputError as error:
+            return cls.missing(error)
+        lasts = TICK_S * (len(adapter._samples) - 1)
+        return [cls.found(address, f"{lasts:g} s of poses")]
+
+    def open(self) -> None:
+        """Begin at the first pose."""
+        self._next = 0
+
+    def poll(self) -> HardwareSample | None:
+        """Return the pose of the next tick; None after the last one."""
+        if self._next >= len(self._samples):
+            return None
+        self._next += 1
+        return self._samples[self._next - 1]
+
+    def push(self, force_N: Array, torque_Nm: Array) -> None:
+        """Ignore a force and a torque."""
+
+    def close(self) -> None:
+        """End the recording."""
+        self._next = len(self._samples)
+
+
+def _samples(path: Path) -> list[HardwareSample]:
+    """Return the poses of a file at every tick, with their rates of change."""
+    from scipy.spatial.transform import Rotation
+
+    with names_of_caller({"motion.file": "hardware.address"}):
+        motion = read_replay(path, step_s=TICK_S)
+    tips = motion.sweep_m()
+    turns = Rotation.from_matrix(motion.rotations()).as_quat()
+    times = TICK_S * np.arange(len(tips), dtype=np.float64)
+    played = RecordedDevice(times, tips, turns)
+    return [HardwareSample(*sample[1:]) for sample in map(played.read, times.tolist()) if sample]
+
+
+def checked_url(
+    address: str, schemes: tuple[str, ...], meant: str, usual: str
+) -> tuple[SplitResult, str, int]:
+    """Return the parts of ``hardware.address`` as a URL, with its host and port.
+
+    Raises
+    ------
+    InputError
+        If it has another scheme, no host, no port, or a path.
+    """
+    try:
+        parts = urlsplit(address)
+        host = parts.hostname
+        port = parts.port
+    except ValueError:
+        host = port = None
+    if host and port is not None and parts.scheme in schemes and not parts.path.strip("/"):
+        return parts, host, port
+    raise InputError("hardware.address", f"be {meant}", address, f"use {usual}")
+
+
+def adapter_class(name: str) -> type[HardwareAdapter]:
+    """Return the class of the adapter that opens a device, called with the scene's `Hardware`."""
+    module, attribute = ADAPTERS[name]
+    found: type[HardwareAdapter] = getattr(
+        import_module(f"tissue.haptics.real.{module}"), attribute
+    )
+    return found
+
+
+def devices() -> list[FoundDevice]:
+    """Return the real devices of this machine, and the reason for each kind without one.
+
+    A search takes seconds: it opens each device for a moment and waits for one on the network.
+    """
+    found: list[FoundDevice] = []
+    for name in DEVICES:
+        if DEVICES[name].has_adapter:
+            found += adapter_class(name).find()
+    return found

@@ -7,37 +7,34 @@ Matrices contain the axes of the handle as columns. x points to the hand, y to i
 
 from collections import Counter
 from contextlib import suppress
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from tissue.haptics.device.device import DeviceError, DeviceParameters, device_parameters
-from tissue.haptics.real.adapter import FoundDevice, HardwareSample
-from tissue.motion.quaternion import of_matrix
+from tissue.haptics.device.device import DeviceError
+from tissue.haptics.real.adapter import FoundDevice, HardwareAdapter, HardwareSample
+from tissue.motion.quaternion import NOTHING, UPRIGHT, of_matrix
 
 if TYPE_CHECKING:
     from tissue.scene.hardware import Hardware
 
 __all__ = ["ForceDimensionAdapter", "SigmaAdapter"]
 
-FAILED, UNCHANGED = -1, 1
+FAILED = -1
+UNCHANGED = 1
 """Return values of a call: error, and no new data so soon after the last call (TIMEGUARD)."""
 MOST_FAILURES = 100
 """Number of consecutive failed calls after which the device counts as lost."""
-FIRST = -1
 MISSING = (
     "must be installed for a device of Force Dimension, got none: pip install "
     "'tissue-sim[forcedimension]' with Python "
     "3.11 or 3.12, and the SDK of forcedimension.com"
 )
-
-
 _OPEN: Counter[int] = Counter()
 """Number of adapters of this process that have a device open, by the library's number."""
 
 
-class ForceDimensionAdapter:
+class ForceDimensionAdapter(HardwareAdapter):
     """Device of Force Dimension whose wrist, if any, has no motors, such as the omega.6.
 
     Each call queries the device by USB and returns within a fraction of a millisecond. The calls
@@ -59,18 +56,16 @@ class ForceDimensionAdapter:
     """True if the wrist has motors."""
 
     def __init__(self, hardware: "Hardware | None" = None) -> None:
-        address = hardware.address if hardware else ""
-        if address and not (address.isascii() and address.isdigit()):
+        super().__init__(hardware)
+        if self._given and not (self._given.isascii() and self._given.isdigit()):
             raise InputError(
                 "hardware.address",
                 "be a serial number",
-                address,
+                self._given,
                 "leave it out for the first device",
             )
-        self._serial = int(address) if address else FIRST
-        self.limits: DeviceParameters = device_parameters(self.name)
         self._dhd: Any = None
-        self._id = FIRST
+        self._id = FAILED
         self._has_wrist = False
         self._failures = 0
         self._position = [0.0] * 3
@@ -87,13 +82,11 @@ class ForceDimensionAdapter:
         try:
             dhd = _library()
         except InputError as error:
-            return [] if cls.has_motors else [FoundDevice(name=cls.name, problem=str(error))]
+            return [] if cls.has_motors else cls.missing(error)
         found = []
         for index in range(max(dhd.getDeviceCount(), 0)):
             if (number := dhd.openID(index)) == FAILED:
-                found.append(
-                    FoundDevice(name=cls.name, where=f"device {index}", problem=_refused(dhd))
-                )
+                found += cls.missing(_refused(dhd), f"device {index}")
                 continue
             try:
                 if bool(dhd.hasActiveWrist(number)) != cls.has_motors:
@@ -104,68 +97,38 @@ class ForceDimensionAdapter:
                 if not _OPEN[number]:  # closing would end the run of an adapter that uses it
                     dhd.close(number)
             if address in ("", serial):
-                found.append(
-                    FoundDevice(
-                        name=cls.name,
-                        where=serial,
-                        detail=model,
-                        limits=device_parameters(cls.name),
-                    )
-                )
+                found.append(cls.found(serial, model))
         if not found and not cls.has_motors:
-            found = [
-                FoundDevice(
-                    name=cls.name,
-                    problem="a device must be connected, got none: check power and cable",
-                )
-            ]
+            return cls.missing("a device must be connected, got none: check power and cable")
         return found
 
-    def __enter__(self) -> Self:
+    def open(self) -> None:
+        """Open the device, limit its force, and switch its motors on."""
         dhd = _library()
-        number = dhd.open() if self._serial == FIRST else dhd.openSerial(self._serial)
+        number = dhd.openSerial(int(self._given)) if self._given else dhd.open()
         if number == FAILED:
             raise InputError(_refused(dhd))
         self._dhd = dhd
         self._id = number
         self._failures = 0
         _OPEN[number] += 1
-        try:
-            if bool(dhd.hasActiveWrist(number)) != self.has_motors:
-                other = "forcedimension" if self.has_motors else "sigma-7"
-                raise InputError(
-                    "device",
-                    f"be {other} for this hardware",
-                    f"{self.name} for {dhd.getSystemName(number)}",
-                    f"set device = {other}",
-                )
-            self._has_wrist = bool(dhd.hasWrist(number))
-            failed = dhd.setMaxForce(self.limits.force_limit_N, number) == FAILED
-            if self.has_motors:
-                failed |= dhd.setMaxTorque(self.limits.torque_limit_Nm, number) == FAILED
-            if failed or dhd.enableForce(True, number) == FAILED:
-                raise InputError(_refused(dhd))
-        except BaseException:
-            self.close()
-            raise
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
+        if bool(dhd.hasActiveWrist(number)) != self.has_motors:
+            other = "forcedimension" if self.has_motors else "sigma-7"
+            raise InputError(
+                "device",
+                f"be {other} for this hardware",
+                f"{self.name} for {dhd.getSystemName(number)}",
+                f"set device = {other}",
+            )
+        self._has_wrist = bool(dhd.hasWrist(number))
+        answers = [dhd.setMaxForce(self.limits.force_limit_N, number)]
+        if self.has_motors:
+            answers.append(dhd.setMaxTorque(self.limits.torque_limit_Nm, number))
+        if FAILED in answers or dhd.enableForce(True, number) == FAILED:
+            raise InputError(_refused(dhd))
 
     def poll(self) -> HardwareSample | None:
-        """Return the newest pose; None if the device was not queried again, or did not answer.
-
-        Raises
-        ------
-        DeviceError
-            If it has not answered for too long.
-        """
+        """Return the newest pose; None if the device was not queried again, or did not answer."""
         dhd = self._dhd
         number = self._id
         if self._has_wrist:
@@ -184,21 +147,15 @@ class ForceDimensionAdapter:
         (wx, wy, wz) = self._spin
         return HardwareSample(
             (x, y, z),
-            (vx, vy, vz) if moves else (0.0, 0.0, 0.0),
-            of_matrix(self._matrix) if self._has_wrist else (0.0, 0.0, 0.0, 1.0),
-            (wx, wy, wz) if turns else (0.0, 0.0, 0.0),
+            (vx, vy, vz) if moves else NOTHING,
+            of_matrix(self._matrix) if self._has_wrist else UPRIGHT,
+            (wx, wy, wz) if turns else NOTHING,
             dhd.getButtonMask(number) & 0xFFFFFFFF,
         )
 
     def push(self, force_N: Array, torque_Nm: Array) -> None:
-        """Play a force and, with motors in the wrist, a torque, until the next call.
-
-        Raises
-        ------
-        DeviceError
-            If the device has not accepted a force for too long.
-        """
-        torque = torque_Nm.tolist() if self.has_motors else (0.0, 0.0, 0.0)
+        """Play a force and, with motors in the wrist, a torque, until the next call."""
+        torque = torque_Nm.tolist() if self.has_motors else NOTHING
         self._count(self._dhd.setForceAndTorque(force_N.tolist(), torque, self._id))
 
     def close(self) -> None:
@@ -208,7 +165,7 @@ class ForceDimensionAdapter:
         if dhd is None:
             return
         _OPEN[self._id] -= 1
-        calls = [lambda: dhd.setForceAndTorque((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), self._id)]
+        calls = [lambda: dhd.setForceAndTorque(NOTHING, NOTHING, self._id)]
         if not _OPEN[self._id]:
             calls += [lambda: dhd.enableForce(False, self._id), lambda: dhd.close(self._id)]
         for call in calls:
@@ -216,6 +173,7 @@ class ForceDimensionAdapter:
                 call()
 
     def _count(self, answer: int) -> None:
+        """Count consecutive failed calls, and give up a device that does not answer."""
         self._failures = self._failures + 1 if answer == FAILED else 0
         if self._failures >= MOST_FAILURES:
             raise DeviceError(_refused(self._dhd))
@@ -237,11 +195,8 @@ def _library() -> Any:
         from forcedimension_core import dhd
     except Exception as error:
         # ImportError without the vendor's library, other errors for a damaged one
-        what = (
-            "forcedimension-core"
-            if isinstance(error, ModuleNotFoundError)
-            else "the SDK of forcedimension.com"
-        )
+        is_missing = isinstance(error, ModuleNotFoundError)
+        what = "forcedimension-core" if is_missing else "the SDK of forcedimension.com"
         raise InputError(f"{what} {MISSING}") from None
     return dhd
 

@@ -2,111 +2,367 @@
 
 The device plays force in three degrees of freedom. Its handle provides orientation and buttons. Not
 for clinical use. Tested with a stand-in that uses the documented protocol, not with the device.
+
+A thread sends the newest force and receives the newest state. The service answers every frame with
+one state, and plays a force while it is sent again. At most one frame therefore waits for its
+answer. The answer belongs to the previous force, and a sample is no older than its exchange. Frames
+do not identify the request that they answer. After a late answer, zero is sent. The thread then
+sends nothing more until all pending answers have arrived or are given up.
 """
 
-from types import TracebackType
-from typing import Self
+import socket
+import threading
+from contextlib import ExitStack, suppress
+from time import perf_counter, sleep
+from typing import TYPE_CHECKING
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from tissue.haptics.device.device import DeviceParameters, device_parameters
-from tissue.haptics.real.adapter import FoundDevice, HardwareSample
-from tissue.haptics.real.haply_link import HaplyLink
-from tissue.haptics.real.haply_service import problem_of
-from tissue.motion.quaternion import Triple
+from tissue.haptics.device.device import DeviceError
+from tissue.haptics.real.adapter import FoundDevice, HardwareAdapter, HardwareSample
+from tissue.haptics.real.haply_frames import (
+    ServiceState,
+    StateOrder,
+    asked_version,
+    force_frame,
+    opening_frame,
+    problem_of,
+    service_address,
+    spelling_of,
+)
+from tissue.motion.quaternion import NOTHING, Triple
 from tissue.scene.hardware import Hardware
+from tissue.system.timeout import returned_within
+
+if TYPE_CHECKING:
+    from websockets.sync.client import ClientConnection
 
 __all__ = ["HaplyAdapter"]
 
-NAME = "haply"
+PERIOD_S = 1e-3
+"""Longest time between an answer and the next frame [s]."""
+ANSWER_S = 0.02
+"""Longest time for an answer [s]."""
+LOST_S = 0.5
+"""Silence after which late answers count as lost [s]."""
+PATIENCE_S = 0.01
+"""Interval at which the thread checks whether it must end [s]."""
+HOLD_S = 0.03
+"""Longest time for which a force is sent again without a new command of the loop [s]."""
+GIVE_UP_S = 3.0
+"""Longest time for which a run continues without a sample [s]."""
+AGAIN_S = 2.5
+"""Longest time for attempts to reconnect to the service [s]."""
+MOST_EVENTS = 100
+"""Largest number of stored events."""
+MOST_BEHIND = 20
+"""Largest number of frames read at once, if a service sends more than requested."""
+OPEN_S = 2.0
+"""Longest time for the service to open and to send its first frame [s]."""
+START_IT = "start the Inverse Service (it runs while Haply Hub is open), or set hardware.address"
 
 
-class HaplyAdapter:
+class HaplyAdapter(HardwareAdapter):
     """Inverse3 in its own frame: x to the right, y forward, z up.
 
-    `poll` and `push` only exchange numbers with the thread of a `HaplyLink`, so that they never
-    wait. Torque is not played. However the block ends, the last force sent to the service is zero.
+    `poll` and `push` only exchange numbers with a thread, so that they never wait. Torque is not
+    played. However the block ends, the last force sent to the service is zero.
 
     Parameters
     ----------
     hardware
         Its ``address`` is the address of the service, ``ws://HOST:PORT``, with ``#DEVICE`` for one
         of several devices.
+
+    Attributes
+    ----------
+    url
+        Address of the service.
+    state
+        State of the devices, as stated by the service.
     """
 
+    name = "haply"
+
     def __init__(self, hardware: Hardware | None = None) -> None:
-        self._address = "" if hardware is None else hardware.address
-        self._link = HaplyLink(self._address)
-        self.limits: DeviceParameters = device_parameters(NAME)
+        super().__init__(hardware)
+        self.url, self._host, self._port, self._device_id = service_address(self._given)
+        self._begin()
 
-    def __enter__(self) -> Self:
-        self._link = HaplyLink(self._address)
-        self._link.open()
-        self._link.start()
-        return self
+    def _begin(self) -> None:
+        """Reset the session."""
+        self.state = ServiceState(self._device_id)
+        self.releases = 0
+        self._version: tuple[int, int] | None = None
+        self._events: list[str] = []
+        self._was_off = True
+        self._spelling = "vector"
+        self._socket: ClientConnection | None = None
+        self._stack = ExitStack()
+        self._sample: HardwareSample | None = None
+        self._sampled_s = self._asked_s = 0.0
+        self._force = NOTHING
+        self._pushed_s = 0.0
+        self._problem = ""
+        self._order = StateOrder()
+        self._wake = threading.Event()
+        self._ended = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._sending = threading.Lock()  # no frame may follow the zero of the end
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._link.end()
+    @classmethod
+    def find(cls, address: str = "") -> list[FoundDevice]:
+        """Return the devices of a service, or the reason for none."""
+        try:
+            adapter = cls(Hardware(address=address))
+            adapter._connect()
+        except InputError as error:
+            return cls.missing(error, address)
+        try:
+            state = adapter.state
+            version = adapter._version
+            stated = "of unknown version" if version is None else "{}.{}".format(*version)
+            found = []
+            if not state.device_ids:
+                return cls.missing(problem_of(state), adapter.url)
+            for device_id in state.device_ids:
+                state.device_id = device_id
+                busy = ", used by another program" if state.status("in_use") is True else ""
+                detail = f"{state.model()}, service {stated}{busy}"
+                found.append(cls.found(f"{adapter.url}#{device_id}", detail, problem_of(state)))
+            return found
+        finally:
+            adapter.close()
 
-    def poll(self) -> HardwareSample | None:
-        """Return the newest sample; None if there is no new one since the last call.
+    def open(self) -> None:
+        """Start to exchange frames, without force, and wait for the first sample.
 
         Raises
         ------
-        DeviceError
-            If the service or the device is permanently lost.
+        InputError
+            If the service does not answer, or the device cannot be used in its present state.
         """
-        return self._link.newest()
+        self._begin()
+        self._connect()
+        if problem := problem_of(self.state):
+            raise InputError(problem)
+        if self.state.status("in_use") is True:
+            self._log(
+                "another program uses the device: the service adds the forces of both, close "
+                "the other"
+            )
+        self._sampled_s = perf_counter()
+        self._thread = threading.Thread(target=self._run, daemon=True, name="haply")
+        self._thread.start()
+        until = perf_counter() + OPEN_S
+        while self._sample is None and not self._problem and perf_counter() < until:
+            sleep(PERIOD_S)  # the state in the first frame may be old by now
+
+    def poll(self) -> HardwareSample | None:
+        """Return the newest sample; None if there is no new one since the last call."""
+        sample = self._sample
+        self._sample = None
+        if self._problem:
+            raise DeviceError(self._problem)
+        is_silent = perf_counter() - self._sampled_s > GIVE_UP_S
+        if sample is None and is_silent and not self._ended.is_set():
+            raise DeviceError(
+                self.name,
+                "answer",
+                f"no state of {self.state.device_id} for {GIVE_UP_S:g} s",
+                "check the device's cable and power, and restart the Inverse Service",
+            )
+        return sample
 
     def push(self, force_N: Array, torque_Nm: Array) -> None:
         """Send a force now, and again every millisecond while it is renewed."""
         x, y, z = force_N.tolist()
-        force: Triple = (x, y, z)
-        self._link.play(force)
+        self._force = (x, y, z)
+        self._pushed_s = perf_counter()
+        self._wake.set()
 
     def close(self) -> None:
-        """Send zero and disconnect from the service, which drops a force that is not sent again."""
-        self._link.end()
+        """Send zero as the last force and disconnect from the service."""
+        self._force = NOTHING
+        self._ended.set()
+        self._wake.set()
+        if self._thread is not None and self._thread is not threading.current_thread():
+            self._thread.join(0.15)
+        zero = force_frame(self.state.device_id, NOTHING, self._spelling)
+        is_read = self._thread is None
+        if self._thread is not None and self._sending.acquire(timeout=0.05):
+            # On a busy machine, the thread may not have sent it. A service that no longer reads
+            # would block it.
+            is_read = returned_within(0.1, lambda: self._open_socket.send(zero))
+            self._sending.release()
+        self._disconnect(cut=not is_read)
+
+    def happened(self) -> list[str]:
+        """Return the events of the exchange with the service so far, as sentences."""
+        return self._events
+
+    def _connect(self) -> None:
+        """Connect to the service and receive its first frame."""
+        try:
+            from websockets.exceptions import WebSocketException
+            from websockets.sync.client import connect
+        except ModuleNotFoundError:
+            raise InputError(
+                "websockets",
+                "be installed for device = haply",
+                "none",
+                "pip install 'tissue-sim[haply]'",
+            ) from None
+        self.state = ServiceState(self._device_id)
+        try:
+            self._socket = self._stack.enter_context(
+                connect(
+                    self.url,
+                    compression=None,
+                    proxy=None,
+                    open_timeout=OPEN_S,
+                    close_timeout=0.1,
+                    ping_interval=None,
+                )
+            )
+            first = self._socket.recv(timeout=OPEN_S)
+        except (OSError, WebSocketException) as error:
+            self._disconnect()
+            words = " ".join(str(error).split()) or type(error).__name__
+            raise InputError(self.name, f"be reached at {self.url}", words, START_IT) from None
+        self.state.take(first)
+        self._version = asked_version(self._host, self._port)
+        text = first.encode() if isinstance(first, str) else first
+        self._spelling = spelling_of(self._version, has_session=b"session_id" in text)
+
+    def _run(self) -> None:
+        """Exchange frames until the end, and reconnect to a restarted service."""
+        from websockets.exceptions import WebSocketException
+
+        goes_on = True
+        while goes_on and not self._ended.is_set():
+            try:
+                self._exchange()
+            except (OSError, WebSocketException) as error:
+                why = " ".join(str(error).split())
+                goes_on = not self._ended.is_set() and self._reached_again(why)
+            except Exception as error:
+                # the loop must not wait for a thread that has ended
+                self._problem = (
+                    f"haply must send frames as documented, got {type(error).__name__} "
+                    f"({error}): report it"
+                )
+                goes_on = False
+        with suppress(OSError, WebSocketException):
+            self._send(NOTHING)
+        self._disconnect()
+
+    def _exchange(self) -> None:
+        """Exchange frames one by one."""
+        self._asked_s = perf_counter()
+        self._open_socket.send(opening_frame(self.state.device_id, self._spelling))
+        while not self._ended.is_set():
+            if not self._receive(ANSWER_S) and not self._ended.is_set():
+                self._await_answers()
+            self._wake.wait(PERIOD_S)
+            self._wake.clear()
+            is_old = perf_counter() - self._pushed_s > HOLD_S
+            is_off = is_old or self._order.is_wrong or bool(self._problem) or self._ended.is_set()
+            self.releases += is_off and not self._was_off
+            self._was_off = is_off
+            self._send(NOTHING if is_off else self._force)
+
+    def _send(self, force_N: Triple) -> None:
+        self._asked_s = perf_counter()
+        with self._sending:
+            sent = NOTHING if self._ended.is_set() else force_N
+            self._open_socket.send(force_frame(self.state.device_id, sent, self._spelling))
+
+    def _receive(self, seconds: float) -> bool:
+        """Receive the answer and all frames behind it, and return whether it came in time."""
+        link = self._open_socket
+        answered = False
+        with suppress(TimeoutError):
+            for _ in range(MOST_BEHIND):
+                self._take(link.recv(timeout=0 if answered else seconds))
+                answered = True
+        return answered
+
+    def _take(self, text: str | bytes) -> None:
+        """Merge a frame, and store its new sample."""
+        if not self.state.take(text):
+            return
+        if problem := problem_of(self.state):
+            self._force = NOTHING
+            self._problem = problem
+        elif (sample := self.state.sample()) is not None:
+            was_wrong = self._order.is_wrong
+            now = perf_counter()
+            if not self._order.observe(sample, now):
+                # this thread may have been suspended before it received the answer
+                if now - self._asked_s < ANSWER_S:
+                    self._sample = sample
+                    self._sampled_s = now
+            elif not was_wrong:
+                self._log("states of the service come in a wrong order: the force is taken off")
+
+    def _release(self, why: str) -> None:
+        """Remove the force, and discard a sample that may be old."""
+        self._force = NOTHING
+        self._sample = None
+        self.releases += 1
+        self._log(why)
+
+    def _await_answers(self) -> None:
+        """Remove the force, and wait for the late answers, which are not used as samples."""
+        self._release(
+            f"the service did not answer within {1e3 * ANSWER_S:g} ms: the force is taken off"
+        )
+        self._send(NOTHING)
+        link = self._open_socket
+        missing = 2
+        until = perf_counter() + LOST_S
+        while missing > 0 and perf_counter() < until and not self._ended.is_set():
+            with suppress(TimeoutError):
+                self.state.take(link.recv(timeout=PATIENCE_S))
+                missing = missing - 1
+                until = perf_counter() + LOST_S
+
+    def _reached_again(self, why: str) -> bool:
+        """Reconnect to a restarted service, and return whether it answers in time."""
+        self._release("the service closed the connection: the force is zero until it is back")
+        until = perf_counter() + AGAIN_S
+        while perf_counter() < until and not self._ended.wait(0.05):
+            self._disconnect()
+            with suppress(InputError):
+                self._connect()
+                if not problem_of(self.state):
+                    self._sampled_s = perf_counter()
+                    return True
+        problem = problem_of(self.state) if self.state.device_ids else ""
+        lost = f"haply must keep its connection, got {why or 'it closed'}: {START_IT}"
+        self._problem = problem or lost
+        return False
 
     @property
-    def releases(self) -> int:
-        """Number of times that the link has removed the force by itself."""
-        return self._link.releases
+    def _open_socket(self) -> "ClientConnection":
+        """Connection, if no other thread has ended it."""
+        if self._socket is None:
+            raise OSError("the session was ended")
+        return self._socket
 
-    def happened(self) -> tuple[str, ...]:
-        """Return the events of the exchange with the service so far, as sentences."""
-        return tuple(self._link.events)
+    def _log(self, what: str) -> None:
+        if len(self._events) < MOST_EVENTS:
+            self._events.append(what)
 
-    @staticmethod
-    def find(address: str = "") -> list[FoundDevice]:
-        """Return the devices of a service, or the reason for none."""
-        try:
-            link = HaplyLink(address)
-            link.open()
-        except InputError as error:
-            return [FoundDevice(name=NAME, where=address, problem=str(error))]
-        try:
-            state = link.state
-            found = []
-            if not state.device_ids:
-                return [FoundDevice(name=NAME, where=link.url, problem=problem_of(state))]
-            for device_id in state.device_ids:
-                state.device_id = device_id
-                busy = ", used by another program" if state.status("in_use") is True else ""
-                found.append(
-                    FoundDevice(
-                        name=NAME,
-                        where=f"{link.url}#{device_id}",
-                        detail=f"{state.model()}, service {link.version_text}{busy}",
-                        limits=device_parameters(NAME),
-                        problem=problem_of(state),
-                    )
-                )
-            return found
-        finally:
-            link.end()
+    def _disconnect(self, *, cut: bool = False) -> None:
+        """Close the connection, and cut it first if the service no longer reads a pending frame."""
+        stack = self._stack
+        link = self._socket
+        self._stack = ExitStack()
+        self._socket = None
+        if cut and link is not None:
+            with suppress(OSError):
+                link.socket.shutdown(socket.SHUT_RDWR)
+        with suppress(OSError):
+            stack.close()

@@ -9,13 +9,27 @@ of it. Quaternions are w, x, y, z by name.
 import json
 import re
 from collections.abc import Mapping
+from contextlib import suppress
+from http.client import HTTPConnection, HTTPException
+from math import exp, hypot
 from typing import Any
 
 from meshes.base.text_tables import read_json
-from tissue.haptics.real.adapter import HardwareSample
-from tissue.motion.quaternion import Quaternion, Triple
+from tissue.haptics.real.adapter import HardwareSample, checked_url
+from tissue.motion.quaternion import NOTHING, UPRIGHT, Triple
+from tissue.system.timeout import returned_within
 
-__all__ = ["ServiceState", "force_frame", "opening_frame", "spelling_of", "version_in"]
+__all__ = [
+    "ServiceState",
+    "StateOrder",
+    "asked_version",
+    "force_frame",
+    "opening_frame",
+    "problem_of",
+    "service_address",
+    "spelling_of",
+    "version_in",
+]
 
 GRIPS = ("wireless_verse_grip", "verse_grip", "custom_verse_grip")
 """Handles with orientation and buttons, in search order."""
@@ -25,6 +39,30 @@ MOST = 1e6
 """Bound on valid numbers: a number of this size or more is not a value of a device."""
 PROFILE = "tissue:simulation"
 """Name of the session in the vendor's window."""
+
+USUAL = "ws://localhost:10001"
+ANSWER_S = 0.5
+STATED_S = 2.0
+"""Longest silence of the service before it states its version, and longest total time [s]."""
+LONGEST = 65_536
+"""Largest number of bytes read from a version answer."""
+MEMORY_S = 0.024
+LONGEST_S = 0.005
+"""Averaging time of contradictions, and longest time for which one state counts [s].
+
+With this averaging time, a velocity may lag 6 ms behind a blow.
+"""
+WRONG = 0.25
+RIGHT = 0.05
+"""Share of contradictions above which the order is wrong, and below which it is right again."""
+LEAST_M = 2e-4
+LEAST_M_S = 0.05
+"""Smallest step [m] and speed [m/s] that are judged.
+
+Below them, a wrong order has no perceptible effect.
+"""
+AGAINST = -0.5
+"""Cosine of the angle between step and velocity below which they contradict each other."""
 
 
 class ServiceState:
@@ -82,21 +120,19 @@ class ServiceState:
         It is None if a number is missing or invalid.
         """
         state = _part(self.device, "state")
-        grip = self._grip()
-        held = _part(grip, "state")
-        position = _triple(state.get("cursor_position"))
-        velocity = _triple(state.get("cursor_velocity"))
-        if position is None:
+        grips = [each for group in GRIPS for each in self._known.get(group, {}).values()]
+        held = _part(grips[0] if grips else {}, "state")
+        position = _numbers(state.get("cursor_position"), "xyz")
+        velocity = _numbers(state.get("cursor_velocity"), "xyz")
+        turned = _numbers(held.get("orientation"), "xyzw")
+        if not position:
             return None
-        turned = _quaternion(held.get("orientation"))
-        return HardwareSample(position, velocity or (0.0, 0.0, 0.0), turned, buttons=_buttons(held))
-
-    def _grip(self) -> dict[str, Any]:
-        """Return the first listed handle; empty without one."""
-        for group in GRIPS:
-            for grip in self._known.get(group, {}).values():
-                return grip
-        return {}
+        return HardwareSample(
+            (position[0], position[1], position[2]),
+            (velocity[0], velocity[1], velocity[2]) if velocity else NOTHING,
+            (turned[0], turned[1], turned[2], turned[3]) if turned else UPRIGHT,
+            buttons=_buttons(held),
+        )
 
     def model(self) -> str:
         """Return type, id, firmware and handedness of the device as a text, as far as stated."""
@@ -115,9 +151,8 @@ def spelling_of(version: tuple[int, int] | None, *, has_session: bool) -> str:
 
     The version decides. If it is unknown, the presence of a session decides.
     """
-    return (
-        "vector" if (version >= VECTOR_SINCE if version is not None else has_session) else "values"
-    )
+    is_new = has_session if version is None else version >= VECTOR_SINCE
+    return "vector" if is_new else "values"
 
 
 def version_in(text: str | bytes) -> tuple[int, int] | None:
@@ -149,8 +184,67 @@ def force_frame(device_id: str, force_N: Triple, spelling: str) -> str:
 
 def opening_frame(device_id: str, spelling: str) -> str:
     """Return the first frame to send: the name of the session, and zero force."""
-    frame = read_json(force_frame(device_id, (0.0, 0.0, 0.0), spelling))
+    frame = read_json(force_frame(device_id, NOTHING, spelling))
     return json.dumps({"session": {"configure": {"profile": {"name": PROFILE}}}} | frame)
+
+
+def service_address(address: str) -> tuple[str, str, int, str]:
+    """Return URL, host, port and device id of ``hardware.address``.
+
+    Raises
+    ------
+    InputError
+        If the address is invalid.
+    """
+    meant = "ws://HOST:PORT, with #DEVICE for one of several"
+    parts, host, port = checked_url(address or USUAL, ("ws",), meant, USUAL)
+    return f"ws://{parts.netloc}", host, port, parts.fragment
+
+
+def problem_of(state: ServiceState) -> str:
+    """Return the reason that the device cannot be used, in one sentence; empty if it can."""
+    name = state.device_id
+    ids = state.device_ids
+    if not ids:
+        return (
+            "haply must list an Inverse3, got none: plug it in, switch it on, and look for it in "
+            "Haply Hub"
+        )
+    if name not in ids:
+        return (
+            f"hardware.address must name one of the devices {', '.join(ids)} behind #, got "
+            f"{name}: use #{ids[0]}"
+        )
+    for entry, must, remedy in (
+        ("calibrated", "be calibrated", "calibrate it as Haply Hub shows, and start again"),
+        ("power_supply", "have power", "connect its power supply"),
+        ("ready", "be ready", "wait until its light shows that it is, and start again"),
+    ):
+        if state.status(entry) is False:
+            return f"haply must {must}, got {entry} = false of {name}: {remedy}"
+    return ""
+
+
+def asked_version(host: str, port: int) -> tuple[int, int] | None:
+    """Return the service's version from HTTP at the same port; None without a timely answer."""
+    found: list[tuple[int, int]] = []
+
+    def ask() -> None:
+        for path in ("/version", "/3.1/version"):
+            with suppress(OSError, HTTPException):
+                connection = HTTPConnection(host, port, timeout=ANSWER_S)
+                try:
+                    connection.request("GET", path)
+                    answer = connection.getresponse()
+                    version = version_in(answer.read(LONGEST)) if answer.status == 200 else None
+                finally:
+                    connection.close()
+                if version is not None:
+                    found.append(version)
+                    return
+
+    returned_within(STATED_S, ask)
+    return found[0] if found else None
 
 
 def _listed(group: object) -> list[dict[str, Any]]:
@@ -178,29 +272,15 @@ def _part(whole: object, name: str) -> dict[str, Any]:
     return part if isinstance(part, dict) else {}
 
 
-def _numbers(table: object, names: str) -> list[float] | None:
-    """Return finite numbers of a table by name; None if one is missing or invalid."""
+def _numbers(table: object, names: str) -> list[float]:
+    """Return finite numbers of a table by name; empty if one is missing or invalid."""
     found = [table.get(name) for name in names] if isinstance(table, dict) else [None]
-    if not all(
-        isinstance(each, int | float) and not isinstance(each, bool) and abs(each) < MOST
+    numbers = [
+        float(each)
         for each in found
-    ):
-        return None
-    return [float(each) for each in found]  # type: ignore[arg-type]
-
-
-def _triple(table: object) -> Triple | None:
-    numbers = _numbers(table, "xyz")
-    return None if numbers is None else (numbers[0], numbers[1], numbers[2])
-
-
-def _quaternion(table: object) -> Quaternion:
-    numbers = _numbers(table, "xyzw")
-    return (
-        (0.0, 0.0, 0.0, 1.0)
-        if numbers is None
-        else (numbers[0], numbers[1], numbers[2], numbers[3])
-    )
+        if isinstance(each, int | float) and not isinstance(each, bool) and abs(each) < MOST
+    ]
+    return numbers if len(numbers) == len(names) else []
 
 
 def _buttons(state: Mapping[str, Any]) -> int:
@@ -209,9 +289,52 @@ def _buttons(state: Mapping[str, Any]) -> int:
     A handle with a single button calls it ``button``.
     """
     buttons = state.get("buttons")
-    held = (
-        [buttons[name] for name in sorted(buttons)]
-        if isinstance(buttons, dict)
-        else [state.get("button", False)]
-    )
+    if not isinstance(buttons, dict):
+        return int(state.get("button") is True)
+    held = [buttons[name] for name in sorted(buttons)]
     return sum(1 << place for place, each in enumerate(held) if each is True)
+
+
+class StateOrder:
+    """Comparison of the steps between states with the velocities of the states.
+
+    A state that is older than the previous one steps back against the velocity of both. In a random
+    order, about half of the states do. A share of a quarter is reached within 17 ms.
+
+    Attributes
+    ----------
+    is_wrong
+        True if recent states came in a wrong order.
+    """
+
+    def __init__(self) -> None:
+        self.is_wrong = False
+        self._share = self._came_s = 0.0
+        self._last: HardwareSample | None = None
+
+    def observe(self, sample: HardwareSample, time_s: float) -> bool:
+        """Process a state that came at a time [s], and return whether the order is wrong."""
+        last = self._last
+        elapsed = min(time_s - self._came_s, LONGEST_S)
+        self._last = sample
+        self._came_s = time_s
+        if last is None:
+            return False
+        (x, y, z) = sample.position_m
+        (a, b, c) = last.position_m
+        step = x - a, y - b, z - c
+        speed = [
+            0.5 * (one + other)
+            for one, other in zip(sample.velocity_m_s, last.velocity_m_s, strict=True)
+        ]
+        length = hypot(*step)
+        fast = hypot(*speed)
+        along = step[0] * speed[0] + step[1] * speed[1] + step[2] * speed[2]
+        is_judged = length > LEAST_M and fast > LEAST_M_S
+        against = is_judged and along < AGAINST * length * fast
+        self._share += (1.0 - exp(-elapsed / MEMORY_S)) * (against - self._share)
+        if self._share > WRONG:
+            self.is_wrong = True
+        elif self._share < RIGHT:
+            self.is_wrong = False
+        return self.is_wrong

@@ -1,24 +1,124 @@
 """Real device in the scene's frame, with limits, fading and removal of its force."""
 
 from collections.abc import Callable
-from math import sqrt
+from math import isfinite, radians, sqrt
 from time import perf_counter
-from types import TracebackType
 from typing import Self
 
 import numpy as np
 
 from meshes.base.arrays import Array
-from tissue.haptics.device.device import DeviceParameters, Sample
-from tissue.haptics.device.reach import reach_of
+from tissue.haptics.device.device import DeviceParameters, Sample, reach_of
 from tissue.haptics.real.adapter import HardwareAdapter, HardwareSample
-from tissue.haptics.real.workspace import Workspace
-from tissue.motion.quaternion import Triple
+from tissue.motion.motion import matrix_of
+from tissue.motion.quaternion import (
+    NOTHING,
+    UPRIGHT,
+    Quaternion,
+    Triple,
+    conjugate,
+    exponential,
+    is_nearly_unit,
+    product,
+    unit,
+)
 from tissue.scene.hardware import Hardware
 
-__all__ = ["MappedDevice"]
+__all__ = ["MappedDevice", "Workspace"]
 
-STILL: Triple = (0.0, 0.0, 0.0)
+
+class Workspace:
+    """Mapping of device poses into the scene, and of forces back into the device axes.
+
+    Positions become ``R x + d``. The rotation R is constant, and d places the first pose at the
+    start of the tool. While the clutch is held, the pose in the scene stays. When it is released, d
+    and the reference orientation are updated, so that the pose continues without a jump. As R is a
+    rotation, force times velocity is the same power in both frames.
+
+    Parameters
+    ----------
+    turn_deg
+        Rotation of the device's axes into the world's, about the world's x, then y, then z
+        [degrees].
+    start_m
+        Position of the first pose in the scene [m].
+
+    Attributes
+    ----------
+    is_placed
+        True after the first pose.
+    """
+
+    def __init__(self, turn_deg: Triple, start_m: Triple) -> None:
+        x, y, z = map(radians, turn_deg)
+        self._turn = product(
+            exponential((0.0, 0.0, z)),
+            product(exponential((0.0, y, 0.0)), exponential((x, 0.0, 0.0))),
+        )
+        self._matrix = matrix_of(np.array(self._turn))
+        self._rows: list[list[float]] = self._matrix.tolist()
+        self._start = start_m
+        self.forget()
+
+    def forget(self) -> None:
+        """Make the next pose the first one."""
+        self.is_placed = False
+        self._clutched = False
+        self._shift: Triple = NOTHING
+        self._pose: tuple[Triple, Quaternion] = (self._start, UPRIGHT)
+        self._from = UPRIGHT
+        self._onto = UPRIGHT
+
+    def turned(self, vector: Triple) -> Triple:
+        """Return a vector in the device's axes in the world's axes."""
+        a, b, c = vector
+        x, y, z = self._rows
+        return (
+            x[0] * a + x[1] * b + x[2] * c,
+            y[0] * a + y[1] * b + y[2] * c,
+            z[0] * a + z[1] * b + z[2] * c,
+        )
+
+    def at_device(self, vector: Array) -> Array:
+        """Return a vector in the world's axes in the device's axes, shape (3,)."""
+        return vector @ self._matrix
+
+    def pose(
+        self, position_m: Triple, quaternion: Quaternion, *, clutched: bool
+    ) -> tuple[Triple, Quaternion]:
+        """Return position [m] and orientation in the scene for a device pose.
+
+        The orientation in the scene starts without a rotation.
+        """
+        if clutched and self.is_placed:
+            self._clutched = True
+            return self._pose
+        x, y, z = self.turned(position_m)
+        turned = self._in_world(quaternion)
+        usable = isfinite(x + y + z) and is_nearly_unit(turned)
+        if usable and (self._clutched or not self.is_placed):
+            (a, b, c), onto = self._pose
+            self._shift = (a - x, b - y, c - z)
+            self._onto = onto
+            self._from = conjugate(turned)
+            self.is_placed = True
+            self._clutched = clutched
+        a, b, c = self._shift
+        pose = (x + a, y + b, z + c), product(product(turned, self._from), self._onto)
+        if usable:
+            self._pose = pose
+        return pose
+
+    def _in_world(self, quaternion: Quaternion) -> Quaternion:
+        """Return an orientation of the device in the world's axes.
+
+        A quaternion that is far from unit length keeps its length, so that the loop's guard refuses
+        it.
+        """
+        length_one = (unit(quaternion) if is_nearly_unit(quaternion) else None) or quaternion
+        return product(product(self._turn, length_one), conjugate(self._turn))
+
+
 MOST_EVENTS = 100
 """Largest number of stored events."""
 
@@ -37,9 +137,7 @@ class MappedDevice:
     Parameters
     ----------
     adapter
-        Device in its own frame. It may have ``releases``, the number of times that it has removed
-        the force by itself, after which the ramp restarts. It may have ``happened()``, which
-        returns its events as sentences.
+        Device in its own frame. The ramp restarts after each of its ``releases``.
     hardware
         Placement of the workspace in the scene, and limits.
     start_m
@@ -68,7 +166,7 @@ class MappedDevice:
         adapter: HardwareAdapter,
         hardware: Hardware | None = None,
         *,
-        start_m: Triple = (0.0, 0.0, 0.0),
+        start_m: Triple = NOTHING,
         now: Callable[[], float] = perf_counter,
     ) -> None:
         self._adapter = adapter
@@ -95,21 +193,16 @@ class MappedDevice:
     def __enter__(self) -> Self:
         self._adapter.__enter__()
         self._newest = None
-        self._releases = getattr(self._adapter, "releases", 0)
+        self._releases = self._adapter.releases
         self._noted = 0
         self._begin(0.0)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         try:
             self.command(np.zeros(3), np.zeros(3))
         finally:
-            self._adapter.__exit__(kind, error, trace)
+            self._adapter.__exit__(*raised)
 
     def close(self) -> None:
         """Remove all force from the device by other means than a command."""
@@ -131,7 +224,7 @@ class MappedDevice:
         self._time = time_s
         now = self._now()
         sample = self._adapter.poll()
-        if (releases := getattr(self._adapter, "releases", 0)) != self._releases:
+        if (releases := self._adapter.releases) != self._releases:
             self._releases = releases
             self.share = 0.0
             self._note()
@@ -153,12 +246,13 @@ class MappedDevice:
         newest = self._newest
         clutched = _held(newest.buttons, self._settings.clutch_button, otherwise=False)
         wanted = not clutched and _held(newest.buttons, self._settings.force_button, otherwise=True)
-        self.share = self._ramped(elapsed) if wanted else 0.0
+        step = elapsed / self._ramp if self._ramp > 0.0 else 1.0
+        self.share = min(self.share + step, 1.0) if wanted else 0.0
         position, quaternion = self._space.pose(
             newest.position_m, newest.quaternion, clutched=clutched
         )
         if clutched:
-            return Sample(time_s, position, STILL, quaternion, STILL)
+            return Sample(time_s, position, NOTHING, quaternion, NOTHING)
         velocity = self._space.turned(newest.velocity_m_s)
         spin = self._space.turned(newest.spin_rad_s)
         return Sample(time_s, position, velocity, quaternion, spin)
@@ -185,13 +279,9 @@ class MappedDevice:
         if self._reach is not None:
             self._reach.restart()
 
-    def _ramped(self, elapsed_s: float) -> float:
-        """Return the share after ``elapsed_s`` more."""
-        return min(self.share + elapsed_s / self._ramp, 1.0) if self._ramp > 0.0 else 1.0
-
     def _note(self) -> None:
         """Store the new events of the adapter."""
-        found: tuple[str, ...] = getattr(self._adapter, "happened", tuple)()
+        found = self._adapter.happened()
         for what in found[self._noted :]:
             self._log(what)
         self._noted = len(found)

@@ -1,27 +1,28 @@
 """Adapter for a user's device over UDP or a WebSocket.
 
-The packets are defined in `tissue.haptics.real.network_protocol`.
+The packets are defined in `tissue.haptics.real.network_session`.
 """
 
+import asyncio
 import socket
+import threading
+from collections import deque
 from collections.abc import Hashable
 from contextlib import suppress
 from time import perf_counter, sleep
-from types import TracebackType
-from typing import TYPE_CHECKING, Protocol, Self
-from urllib.parse import urlsplit
+from typing import TYPE_CHECKING
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from tissue.haptics.device.device import DeviceParameters, device_parameters
-from tissue.haptics.real.adapter import FoundDevice, HardwareSample
-from tissue.haptics.real.network_protocol import NO_WRENCH
-from tissue.haptics.real.network_session import NetworkSession
+from tissue.haptics.real.adapter import FoundDevice, HardwareAdapter, HardwareSample, checked_url
+from tissue.haptics.real.network_session import NO_WRENCH, NetworkSession
 
 if TYPE_CHECKING:
+    from websockets.asyncio.server import ServerConnection
+
     from tissue.scene.hardware import Hardware
 
-__all__ = ["USUAL", "NetworkAdapter", "Transport", "UdpTransport"]
+__all__ = ["USUAL", "NetworkAdapter", "UdpTransport", "WebTransport"]
 
 USUAL = "udp://127.0.0.1:24930"
 """Default address at which a device is awaited."""
@@ -30,22 +31,24 @@ MOST_READS = 256
 LONGEST_PACKET = 1024
 LOOK_S = 0.6
 """Longest time for which a search waits for a device [s]; a device asks ten times a second."""
+OPEN_S = 5.0
+"""Longest time for the thread to start listening, and to end [s]."""
+LONGEST_MESSAGE = 4096
+CLOSE_S = 0.2
+"""Longest time of each step of a close [s].
 
+The steps: the device receives its last packets, ends its connection, and is cut off. Together
+they take less than the second after which a run gives up a device that does not close.
+"""
+SEND_S = 0.25
+"""Longest time for which a device may receive no packets before its connection is ended [s]."""
+HANDSHAKE_S = 2.0
+"""Longest time for a connection to become a WebSocket [s]."""
+MOST_WAITING = 2
+"""Largest number of packets that wait for the thread; a further wrench replaces the oldest.
 
-class Transport(Protocol):
-    """Transport of packets: opened at once, read and written without waiting."""
-
-    address: str
-    """Address of the listener."""
-
-    def read(self) -> None:
-        """Pass all received packets to the session."""
-
-    def send(self, peer: Hashable, data: bytes) -> None:
-        """Send a packet to the device; a packet that cannot be sent is dropped."""
-
-    def close(self) -> None:
-        """Stop listening."""
+Zero and goodbye can wait together.
+"""
 
 
 class UdpTransport:
@@ -58,29 +61,29 @@ class UdpTransport:
     session
         Receiver of the packets.
 
+    Attributes
+    ----------
+    port
+        Port of the listener.
+
     Raises
     ------
-    InputError
+    OSError
         If the address cannot be used.
     """
 
     def __init__(self, host: str, port: int, session: NetworkSession) -> None:
         self._session = session
         self._closed = False
-        try:
-            (family, kind, *_, place), *_ = socket.getaddrinfo(
-                host.strip("[]"), port, type=socket.SOCK_DGRAM
-            )
-            self._socket = socket.socket(family, kind)
-        except OSError as error:
-            raise _cannot_listen(f"udp://{host}:{port}", error) from None
+        (family, kind, *_, place), *_ = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
+        self._socket = socket.socket(family, kind)
         try:
             self._socket.bind(place)
-        except OSError as error:
+        except OSError:
             self._socket.close()
-            raise _cannot_listen(f"udp://{host}:{port}", error) from None
+            raise
         self._socket.setblocking(False)
-        self.address = f"udp://{host}:{self._socket.getsockname()[1]}"
+        self.port: int = self._socket.getsockname()[1]
 
     def read(self) -> None:
         """Pass all received packets to the session."""
@@ -112,7 +115,187 @@ class UdpTransport:
         self._socket.close()
 
 
-class NetworkAdapter:
+class WebTransport:
+    """Packets as messages; the newest wrenches are sent, and older waiting ones are dropped.
+
+    Connections with an ``Origin``, as sent by every browser, are refused, because a web page must
+    not move a tool.
+
+    Parameters
+    ----------
+    host, port
+        Address to listen on; port 0 for any free port.
+    session
+        Receiver of the packets, called from the thread.
+
+    Attributes
+    ----------
+    port
+        Port of the listener.
+
+    Raises
+    ------
+    OSError
+        If the address cannot be used. `InputError` if websockets is not installed.
+    """
+
+    def __init__(self, host: str, port: int, session: NetworkSession) -> None:
+        try:
+            import websockets.asyncio.server  # noqa: F401
+        except ImportError:
+            raise InputError(
+                "websockets",
+                "be installed for a device at ws://",
+                "none",
+                "pip install 'tissue-sim[network]', or use udp://",
+            ) from None
+        self._session = session
+        self._waiting = deque[tuple[Hashable, bytes]](maxlen=MOST_WAITING)
+        self._connections: dict[Hashable, ServerConnection] = {}
+        # also connections that are not WebSockets yet
+        self._lines: dict[ServerConnection, asyncio.BaseTransport] = {}
+        self._ready = threading.Event()
+        self._failed = list[OSError]()
+        self.port = port
+        self._loop = asyncio.new_event_loop()
+        self._stop = asyncio.Event()
+        self._news = asyncio.Event()
+        self._thread = threading.Thread(
+            target=self._run, args=(host, port), daemon=True, name="network device"
+        )
+        self._thread.start()
+        self._ready.wait(OPEN_S)
+        if self._failed:
+            raise self._failed[0]
+
+    def read(self) -> None:
+        """Do nothing: the thread passes packets to the session."""
+
+    def send(self, peer: Hashable, data: bytes) -> None:
+        """Queue a packet for the thread, in place of an older one that waits."""
+        self._waiting.append((peer, data))
+        with suppress(RuntimeError):  # the thread has ended
+            self._loop.call_soon_threadsafe(self._news.set)
+
+    def close(self) -> None:
+        """Send waiting packets and stop listening."""
+        with suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(self._stop.set)
+        if threading.current_thread() is not self._thread:
+            self._thread.join(OPEN_S)
+
+    def _run(self, host: str, port: int) -> None:
+        try:
+            self._loop.run_until_complete(self._serve(host, port))
+        except OSError as error:
+            self._failed.append(error)
+        finally:
+            self._ready.set()
+            self._loop.close()
+
+    async def _serve(self, host: str, port: int) -> None:
+        from websockets.asyncio.server import ServerConnection, serve
+
+        lines = self._lines
+
+        class Line(ServerConnection):
+            """Connection that is known from its first byte.
+
+            It can therefore be ended before it is a WebSocket.
+            """
+
+            def connection_made(self, transport: asyncio.BaseTransport) -> None:
+                """Store the connection."""
+                super().connection_made(transport)
+                lines[self] = transport
+
+            def connection_lost(self, exc: Exception | None) -> None:
+                """Remove the connection."""
+                lines.pop(self, None)
+                super().connection_lost(exc)
+
+        server = await serve(
+            self._talk,
+            host,
+            port,
+            create_connection=Line,
+            open_timeout=HANDSHAKE_S,
+            origins=[None],
+            max_size=LONGEST_MESSAGE,
+            compression=None,
+            ping_interval=None,
+            close_timeout=CLOSE_S,
+        )
+        self.port = next(iter(server.sockets)).getsockname()[1]
+        self._ready.set()
+        sending = asyncio.ensure_future(self._send_news())
+        await self._stop.wait()
+        sending.cancel()
+        with suppress(TimeoutError):  # a device that no longer reads
+            async with asyncio.timeout(CLOSE_S):
+                await self._send_waiting()
+        for connection, line in list(lines.items()):
+            if connection not in self._connections.values():
+                _abort(line)
+        server.close()
+        await _ended_within(CLOSE_S)
+        for line in list(lines.values()):
+            _abort(line)
+        await _ended_within(CLOSE_S)
+
+    async def _talk(self, connection: "ServerConnection") -> None:
+        """Receive the messages of one connection until it ends."""
+        from websockets.exceptions import ConnectionClosed
+
+        self._connections[connection.id] = connection
+        try:
+            async for message in connection:
+                reply = self._session.receive(
+                    message if isinstance(message, bytes) else b"", connection.id
+                )
+                if reply is not None:
+                    await connection.send(reply)
+        except ConnectionClosed:
+            pass
+        finally:
+            del self._connections[connection.id]
+            self._session.leave(connection.id)
+
+    async def _send_news(self) -> None:
+        while True:
+            await self._news.wait()
+            self._news.clear()
+            await self._send_waiting()
+
+    async def _send_waiting(self) -> None:
+        from websockets.exceptions import ConnectionClosed
+
+        while self._waiting:
+            peer, data = self._waiting.popleft()
+            if (connection := self._connections.get(peer)) is not None:
+                try:
+                    async with asyncio.timeout(SEND_S):
+                        await connection.send(data)
+                except TimeoutError:  # the device no longer reads, and others must not wait
+                    _abort(connection.transport)
+                except ConnectionClosed:
+                    pass
+
+
+def _abort(line: asyncio.BaseTransport) -> None:
+    """End a connection at once, even with unsent data."""
+    if isinstance(line, asyncio.WriteTransport):
+        line.abort()
+
+
+async def _ended_within(seconds: float) -> None:
+    """Wait until all other tasks of the thread have ended, for at most some seconds."""
+    others = asyncio.all_tasks() - {asyncio.current_task()}
+    if others:
+        await asyncio.wait(others, timeout=seconds)
+
+
+class NetworkAdapter(HardwareAdapter):
     """User's device that sends its pose and receives a wrench.
 
     Parameters
@@ -132,21 +315,24 @@ class NetworkAdapter:
         If the address is invalid.
     """
 
-    def __init__(self, hardware: "Hardware | None" = None) -> None:
-        self._scheme, self._host, self._port = _parsed(
-            (hardware.address if hardware else "") or USUAL
-        )
-        self.limits: DeviceParameters = device_parameters("network")
-        self.session = NetworkSession()
-        self._transport: Transport | None = None
+    name = "network"
 
-    @staticmethod
-    def find(address: str = "") -> list[FoundDevice]:
+    def __init__(self, hardware: "Hardware | None" = None) -> None:
+        super().__init__(hardware)
+        meant = "udp://HOST:PORT or ws://HOST:PORT where a device is awaited"
+        parts, host, self._port = checked_url(self._given or USUAL, ("udp", "ws"), meant, USUAL)
+        self._scheme = parts.scheme
+        self._host = f"[{host}]" if ":" in host else host
+        self.session = NetworkSession()
+        self._transport: UdpTransport | WebTransport | None = None
+
+    @classmethod
+    def find(cls, address: str = "") -> list[FoundDevice]:
         """Return the device that asks to be used within `LOOK_S`, or the reason for none."""
         from tissue.scene.hardware import Hardware
 
         try:
-            with NetworkAdapter(Hardware(address=address)) as adapter:
+            with cls(Hardware(address=address)) as adapter:
                 until = perf_counter() + LOOK_S
                 while adapter.session.peer is None and perf_counter() < until:
                     adapter.poll()
@@ -155,25 +341,19 @@ class NetworkAdapter:
                 dropped = adapter.happened()
                 place = adapter.address
         except ValueError as error:  # invalid address, used port or missing package
-            return [FoundDevice(name="network", problem=str(error))]
+            return cls.missing(error)
         if peer is not None:
-            detail = f"listens at {place}"
-            limits = device_parameters("network")
-            return [FoundDevice(name="network", where=str(peer), detail=detail, limits=limits)]
+            return [cls.found(str(peer), f"listens at {place}")]
         got = "".join(dropped) or "none"
-        problem = (
+        return cls.missing(
             f"a device must send packets to {place}, got {got} in {LOOK_S:g} s: start its program"
         )
-        return [FoundDevice(name="network", problem=problem)]
 
     @property
     def address(self) -> str:
         """Address of the listener, with the port that replaced 0."""
-        return (
-            self._transport.address
-            if self._transport
-            else f"{self._scheme}://{self._host}:{self._port}"
-        )
+        port = self._transport.port if self._transport else self._port
+        return f"{self._scheme}://{self._host}:{port}"
 
     @property
     def round_trip_s(self) -> float:
@@ -190,22 +370,19 @@ class NetworkAdapter:
         ]
         return [f"packets that were not used: {', '.join(found)}"] if found else []
 
-    def __enter__(self) -> Self:
-        if self._scheme == "ws":
-            from tissue.haptics.real.network_web import WebTransport
-
-            self._transport = WebTransport(self._host, self._port, self.session)
-        else:
-            self._transport = UdpTransport(self._host, self._port, self.session)
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
+    def open(self) -> None:
+        """Listen for a device."""
+        kind = WebTransport if self._scheme == "ws" else UdpTransport
+        try:
+            self._transport = kind(self._host.strip("[]"), self._port, self.session)
+        except OSError as error:
+            why = (error.strerror or str(error)).lower()
+            raise InputError(
+                "hardware.address",
+                "be free on this machine",
+                f"{self.address} ({why})",
+                "end the program that uses it, or use another port",
+            ) from None
 
     def poll(self) -> HardwareSample | None:
         """Return the newest pose; None if there is no new one since the last call."""
@@ -216,10 +393,8 @@ class NetworkAdapter:
 
     def push(self, force_N: Array, torque_Nm: Array) -> None:
         """Send a force and a torque; the device plays them until the next packet, or for 50 ms."""
-        (fx, fy, fz) = force_N.tolist()
-        (tx, ty, tz) = torque_Nm.tolist()
         transport = self._transport
-        sending = self.session.wrench(((fx, fy, fz), (tx, ty, tz)))
+        sending = self.session.wrench((*force_N.tolist(), *torque_Nm.tolist()))
         # after a close, the number of the packet would be old
         if transport is not None and sending is not None:
             transport.send(*sending)
@@ -234,40 +409,3 @@ class NetworkAdapter:
             if sending is not None:
                 transport.send(*sending)
         transport.close()
-
-
-def _parsed(address: str) -> tuple[str, str, int]:
-    """Return scheme, host and port of an address."""
-    try:
-        parts = urlsplit(address)
-        host = parts.hostname
-        port = parts.port
-    except ValueError:
-        parts = None
-        host = None
-        port = None
-    if (
-        parts is None
-        or parts.scheme not in ("udp", "ws")
-        or not host
-        or port is None
-        or parts.path.strip("/")
-    ):
-        raise InputError(
-            "hardware.address",
-            "be udp://HOST:PORT or ws://HOST:PORT where a device is awaited",
-            address,
-            f"use {USUAL}",
-        )
-    return parts.scheme, f"[{host}]" if ":" in host else host, port
-
-
-def _cannot_listen(address: str, error: OSError) -> InputError:
-    """Return the error of an address that cannot be listened on."""
-    why = (error.strerror or str(error)).lower()
-    return InputError(
-        "hardware.address",
-        "be free on this machine",
-        f"{address} ({why})",
-        "end the program that uses it, or use another port",
-    )

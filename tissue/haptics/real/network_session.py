@@ -1,25 +1,149 @@
 """Session with one network device: identity, new samples, and counts of dropped packets."""
 
+import struct
 import threading
+import zlib
 from collections import Counter
 from collections.abc import Callable, Hashable
-from math import isnan, nan
+from enum import IntEnum
+from math import isfinite, isnan, nan
 from time import perf_counter
+from typing import NamedTuple
 
 from tissue.haptics.real.adapter import HardwareSample
-from tissue.haptics.real.network_protocol import (
-    NO_WRENCH,
-    WHOLE,
-    Kind,
-    Packet,
-    PacketError,
-    Wrench,
-    is_newer,
-    packed,
-    unpacked,
-)
+from tissue.motion.quaternion import is_nearly_unit
 
-__all__ = ["SILENCE_S", "NetworkSession"]
+__all__ = [
+    "MAGIC",
+    "NO_WRENCH",
+    "SILENCE_S",
+    "VERSION",
+    "WHOLE",
+    "Kind",
+    "NetworkSession",
+    "Packet",
+    "PacketError",
+    "Wrench",
+    "is_newer",
+    "packed",
+    "unpacked",
+]
+
+MAGIC = b"TDEV"
+"""First four bytes of every packet."""
+VERSION = 1
+HEADER = struct.Struct("<4sBBHIId")
+"""Magic, version, kind, bytes of the payload, sequence number, echo, sender's time [s]."""
+CHECKSUM = struct.Struct("<I")
+POSE = struct.Struct("<13dII")
+"""Position [m], quaternion (x, y, z, w), velocity [m/s], spin [rad/s], buttons, four zero bytes."""
+WRENCH = struct.Struct("<6d")
+"""Force [N] and torque [N m]."""
+HALF = 1 << 31
+WHOLE = 1 << 32
+"""Half of the number of sequence numbers, and their number."""
+
+
+class Kind(IntEnum):
+    """Kind of a packet."""
+
+    HELLO = 1
+    """The device asks to be used, or has been accepted."""
+    POSE = 2
+    """Pose of the device."""
+    WRENCH = 3
+    """Force and torque to play."""
+    HEARTBEAT = 4
+    """The sender is active and has nothing else to send."""
+    BYE = 5
+    """The sender ends."""
+    REFUSED = 6
+    """The device is refused, with a sentence."""
+
+
+LENGTHS = {Kind.HELLO: 0, Kind.POSE: POSE.size, Kind.HEARTBEAT: 0, Kind.BYE: 0}
+"""Bytes of the payload of the packets that a device sends."""
+Wrench = tuple[float, float, float, float, float, float]
+"""Force [N] and torque [N m] on the hand, in the device's frame."""
+NO_WRENCH: Wrench = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class PacketError(Exception):
+    """Error of an unusable packet; its text is the name under which it is counted."""
+
+
+class Packet(NamedTuple):
+    """Packet of a device.
+
+    Attributes
+    ----------
+    kind
+        Kind of the packet.
+    sequence
+        Number of the packet among the packets of its sender, from 1; 0 follows 4294967295.
+    echo
+        Sequence number of the newest packet that the sender has received; 0 before the first.
+    time_s
+        Clock of the sender, with any start [s].
+    sample
+        Sample of a pose; None for other packets.
+    """
+
+    kind: Kind
+    sequence: int
+    echo: int
+    time_s: float
+    sample: HardwareSample | None
+
+
+def packed(kind: Kind, sequence: int, *, echo: int, time_s: float, payload: bytes) -> bytes:
+    """Return a packet as bytes."""
+    head = HEADER.pack(MAGIC, VERSION, kind, len(payload), sequence, echo, time_s)
+    return head + payload + CHECKSUM.pack(zlib.crc32(head + payload))
+
+
+def unpacked(data: bytes) -> Packet:
+    """Return a validated packet of a device from bytes.
+
+    Raises
+    ------
+    PacketError
+        With the name under which it is counted: ``foreign``, ``version``, ``length``, ``checksum``,
+        ``kind`` or ``number``.
+    """
+    if data[:4] != MAGIC:
+        raise PacketError("foreign")
+    if len(data) < HEADER.size + CHECKSUM.size:
+        raise PacketError("length")
+    _, version, kind, length, sequence, echo, time_s = HEADER.unpack_from(data)
+    if version != VERSION:
+        raise PacketError("version")
+    end = HEADER.size + length
+    if len(data) != end + CHECKSUM.size:
+        raise PacketError("length")
+    if CHECKSUM.unpack_from(data, end)[0] != zlib.crc32(data[:end]):
+        raise PacketError("checksum")
+    if kind not in LENGTHS:
+        raise PacketError("kind")
+    if length != LENGTHS[kind]:
+        raise PacketError("length")
+    sample = None
+    total = time_s
+    if kind == Kind.POSE:
+        x, y, z, qx, qy, qz, qw, vx, vy, vz, wx, wy, wz, buttons, _ = POSE.unpack(
+            data[HEADER.size : end]
+        )
+        total += x + y + z + vx + vy + vz + wx + wy + wz
+        sample = HardwareSample((x, y, z), (vx, vy, vz), (qx, qy, qz, qw), (wx, wy, wz), buttons)
+    if not isfinite(total) or (sample is not None and not is_nearly_unit(sample.quaternion)):
+        raise PacketError("number")
+    return Packet(Kind(kind), sequence, echo, time_s, sample)
+
+
+def is_newer(sequence: int, before: int) -> bool:
+    """Return whether a sequence number follows another, including a restart from 0 in between."""
+    return 0 < (sequence - before) % WHOLE < HALF
+
 
 SILENCE_S = 0.5
 """Silence after which a device is given up and another one may connect [s]."""
@@ -94,7 +218,7 @@ class NetworkSession:
             self._forget_silent()
             if self.peer is None:
                 return None
-            return self.peer, self._packet(Kind.WRENCH, wrench)
+            return self.peer, self._packet(Kind.WRENCH, WRENCH.pack(*wrench))
 
     def bye(self) -> tuple[Hashable, bytes] | None:
         """Return the receiver and the last packet, and free the device; None without a device."""
@@ -124,24 +248,23 @@ class NetworkSession:
             return None
         if lost := (packet.sequence - self._seen) % WHOLE - 1:
             self.counts["lost"] += lost
-        self._seen, self._heard = packet.sequence, self._clock()
+        self._seen = packet.sequence
+        self._heard = self._clock()
         self._measure(packet.echo)
         if packet.kind is Kind.POSE:
             self.counts["poses"] += 1
             self._newest = packet.sample
         elif packet.kind is Kind.HEARTBEAT:
             self.counts["heartbeats"] += 1
-        elif packet.kind is Kind.BYE:
-            self._forget()
         else:
-            self.counts["kind"] += 1
+            self._forget()
         return None
 
     def _hello(self, packet: Packet, sender: Hashable) -> bytes:
         """Accept a device, or the same device after a restart; refuse any other."""
         if self.peer is not None and sender != self.peer:
             self.counts["refused"] += 1
-            return packed(Packet(kind=Kind.REFUSED, sequence=0, echo=packet.sequence, reason=BUSY))
+            return packed(Kind.REFUSED, 0, echo=packet.sequence, time_s=0.0, payload=BUSY.encode())
         if self.peer is None or (packet.sequence, packet.time_s) != self._greeting:
             self.counts["hellos"] += 1
             self.peer = sender
@@ -153,13 +276,11 @@ class NetworkSession:
         self._heard = self._clock()
         return self._packet(Kind.HELLO)
 
-    def _packet(self, kind: Kind, wrench: Wrench = NO_WRENCH) -> bytes:
+    def _packet(self, kind: Kind, payload: bytes = b"") -> bytes:
         now = self._clock()
         self._sent = (self._sent + 1) % WHOLE
         self._sent_at[self._sent % KEPT] = now if kind is Kind.WRENCH else nan
-        return packed(
-            Packet(kind=kind, sequence=self._sent, echo=self._seen, time_s=now, wrench=wrench)
-        )
+        return packed(kind, self._sent, echo=self._seen, time_s=now, payload=payload)
 
     def _measure(self, echo: int) -> None:
         """Record the round trip if a packet is the first to show one of our wrenches."""

@@ -17,14 +17,14 @@ from collections import deque
 from contextlib import redirect_stdout, suppress
 from io import StringIO
 from time import perf_counter, sleep
-from types import ModuleType, TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from tissue.haptics.device.device import DeviceError, DeviceParameters, device_parameters
-from tissue.haptics.real.adapter import FoundDevice, HardwareSample
-from tissue.motion.quaternion import Triple, of_matrix, turn_between
+from tissue.haptics.device.device import DeviceError
+from tissue.haptics.real.adapter import FoundDevice, HardwareAdapter, HardwareSample
+from tissue.motion.quaternion import of_matrix, turn_between
 
 if TYPE_CHECKING:
     from tissue.scene.hardware import Hardware
@@ -48,15 +48,12 @@ MISSING = (
     "and OpenHaptics with the "
     "device's driver from 3dsystems.com"
 )
-NO_DEVICE = "check cable, power and the vendor's setup, by which it has that name"
-
-
 _OPEN: dict[int, str] = {}
 """Names of the devices that this process has open, by the library's number."""
 _OPENING = threading.Lock()
 
 
-class OpenHapticsAdapter:
+class OpenHapticsAdapter(HardwareAdapter):
     """Touch, Touch X or Omni: pose in six degrees of freedom, force in three.
 
     Parameters
@@ -65,9 +62,10 @@ class OpenHapticsAdapter:
         Its ``address`` is the name of the device in the vendor's setup; empty for a single device.
     """
 
+    name = "openhaptics"
+
     def __init__(self, hardware: "Hardware | None" = None) -> None:
-        self._name = (hardware.address if hardware else "") or USUAL
-        self.limits: DeviceParameters = device_parameters("openhaptics")
+        super().__init__(hardware)
         self._hd: Any = None
         self._id = 0
         self._callback: object = None  # must be kept: the library does not hold a reference
@@ -79,85 +77,47 @@ class OpenHapticsAdapter:
         self._ended = True
         self._rests = threading.Event()
 
-    @staticmethod
-    def find(address: str = "") -> list[FoundDevice]:
+    @classmethod
+    def find(cls, address: str = "") -> list[FoundDevice]:
         """Return the device of that name, or the reason for none; it is opened for a moment."""
         name = address or USUAL
+        if name in _OPEN.values():  # opening and closing it again would end the run that uses it
+            return [cls.found(name, "in use by this program")]
         try:
             hd = _library()[0]
+            with redirect_stdout(StringIO()):
+                number = _opened(hd, name)
+                try:
+                    return [cls.found(name, f"{hd.get_vendor()} {hd.get_model()}")]
+                finally:
+                    hd.close_device(number)
         except InputError as error:
-            return [FoundDevice(name="openhaptics", problem=str(error))]
-        if name in _OPEN.values():  # opening and closing it again would end the run that uses it
-            detail = "in use by this program"
-            return [
-                FoundDevice(
-                    name="openhaptics",
-                    where=name,
-                    detail=detail,
-                    limits=device_parameters("openhaptics"),
-                )
-            ]
-        with redirect_stdout(StringIO()):
-            number = hd.init_device(name)
-            if number in NONE:
-                problem = f"a device named {name} must be connected, got none: {NO_DEVICE}"
-                return [FoundDevice(name="openhaptics", problem=problem)]
-            try:
-                detail = f"{hd.get_vendor()} {hd.get_model()}"
-            finally:
-                hd.close_device(number)
-        return [
-            FoundDevice(
-                name="openhaptics",
-                where=name,
-                detail=detail,
-                limits=device_parameters("openhaptics"),
-            )
-        ]
+            return cls.missing(error)
 
-    def __enter__(self) -> Self:
+    def open(self) -> None:
+        """Open the device, and schedule its function in the vendor's thread."""
         hd, scheduling = _library()
+        name = self._given or USUAL
         self._sample = None
         self._taken = None
         self._problem = ""
         self._past.clear()
         with redirect_stdout(StringIO()):  # the package prints progress
-            number = hd.init_device(self._name)
-            if number in NONE:
-                raise InputError(f"a device named {self._name}", "be connected", "none", NO_DEVICE)
+            number = _opened(hd, name)
             self._hd = hd
             self._id = number
             self._ended = False
             with _OPENING:
                 is_first = not _OPEN
-                _OPEN[number] = self._name
+                _OPEN[number] = name
             self._callback = scheduling.hd_callback(self._serve)
-            try:
-                hd.enable_force()
-                if is_first:
-                    hd.start_scheduler()
-                scheduling.hdAsyncSheduler(self._callback)
-            except BaseException:
-                self.close()
-                raise
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
+            hd.enable_force()
+            if is_first:
+                hd.start_scheduler()
+            scheduling.hdAsyncSheduler(self._callback)
 
     def poll(self) -> HardwareSample | None:
-        """Return the newest pose of the vendor's thread; None if it has not changed.
-
-        Raises
-        ------
-        DeviceError
-            If the vendor's thread has failed.
-        """
+        """Return the newest pose of the vendor's thread; None if it has not changed."""
         if self._problem:
             raise DeviceError(self._problem)
         sample = self._sample
@@ -207,7 +167,11 @@ class OpenHapticsAdapter:
             now = perf_counter()
             if hd is None:
                 return
-            self._make_current(hd)
+            # The package opens a frame of the current device, which may be another one.
+            current = hd.get_current_device()
+            if current != self._id:
+                hd.end_frame(current)
+                hd.begin_frame(self._id)
             self._sample = self._read(hd.get_transform(), hd.get_buttons(), now)
             (force, pushed) = self._force
             ended = self._ended
@@ -221,17 +185,8 @@ class OpenHapticsAdapter:
                 "and driver"
             )
 
-    def _make_current(self, hd: Any) -> None:
-        """Replace the open frame of another device by a frame of this device.
-
-        The package opens a frame of the current device.
-        """
-        current = hd.get_current_device()
-        if current != self._id:
-            hd.end_frame(current)
-            hd.begin_frame(self._id)
-
     def _read(self, transform: Any, buttons: int, now: float) -> HardwareSample:
+        """Return a sample with velocities over the last calls."""
         x, y, z = (1e-3 * transform[3][axis] for axis in range(3))
         rows = [[transform[axis][row] for axis in range(3)] for row in range(3)]
         sample = HardwareSample((x, y, z), quaternion=of_matrix(rows), buttons=buttons)
@@ -239,28 +194,35 @@ class OpenHapticsAdapter:
         self._past.append((now, sample))
         if now <= before:
             return sample
-        share = 1.0 / (now - before)
+        rate = 1.0 / (now - before)
         ax, ay, az = oldest.position_m
-        velocity: Triple = (share * (x - ax), share * (y - ay), share * (z - az))
         wx, wy, wz = turn_between(oldest.quaternion, sample.quaternion)
         return sample._replace(
-            velocity_m_s=velocity, spin_rad_s=(share * wx, share * wy, share * wz)
+            velocity_m_s=(rate * (x - ax), rate * (y - ay), rate * (z - az)),
+            spin_rad_s=(rate * wx, rate * wy, rate * wz),
         )
+
+
+def _opened(hd: Any, name: str) -> int:
+    """Return the number of a device that was opened by its name."""
+    number: int | None = hd.init_device(name)
+    if number is None or number in NONE:
+        raise InputError(
+            f"a device named {name}",
+            "be connected",
+            "none",
+            "check cable, power and the vendor's setup, by which it has that name",
+        )
+    return number
 
 
 def _library() -> tuple[ModuleType, ModuleType]:
     """Return the modules of the package for device access and for scheduling."""
     try:
         from pyOpenHaptics import hd, hd_callback
-    except (
-        ImportError,
-        OSError,
-        NameError,
-    ) as error:  # OSError without the vendor's library, NameError on macOS, which has no library
-        what = (
-            "pyOpenHaptics"
-            if isinstance(error, ModuleNotFoundError)
-            else "OpenHaptics of 3dsystems.com"
-        )
+    except (ImportError, OSError, NameError) as error:
+        # OSError without the vendor's library, NameError on macOS, which has no library
+        is_missing = isinstance(error, ModuleNotFoundError)
+        what = "pyOpenHaptics" if is_missing else "OpenHaptics of 3dsystems.com"
         raise InputError(f"{what} {MISSING}") from None
     return hd, hd_callback

@@ -3,19 +3,23 @@
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from datetime import date
 from math import isfinite, nan, pi, sin, sqrt
+from pathlib import Path
 from time import perf_counter, sleep
 
 import numpy as np
 
 from meshes.base.errors import InputError, require_range
-from tissue.haptics.device.reach import Reach
+from meshes.base.whole_file import whole_file
+from tissue.haptics.device.device import Reach
 from tissue.haptics.real.adapter import HardwareAdapter
 from tissue.models.tissue_model import TICK_S
 
-__all__ = ["BUMP_N", "BUMP_S", "Bump", "SelfTest", "bump", "self_test"]
+__all__ = ["BUMP_N", "BUMP_S", "Bump", "SelfTest", "bump", "self_test", "write_measured"]
 
-BUMP_N, BUMP_S = 0.5, 0.3
+BUMP_N = 0.5
+BUMP_S = 0.3
 """Largest force of the push [N] and its duration [s]."""
 FEWEST = 20
 """Smallest number of samples for a result."""
@@ -191,3 +195,38 @@ def _middle_and_99(
 ) -> tuple[float, float]:
     middle, most = np.percentile(values, [50.0, 99.0])
     return float(middle), float(most)
+
+
+EVERY_TICK = 0.95
+"""Share of ticks with a new sample above which the device counts as running at our rate."""
+SLOWEST_HZ = 10.0
+LONGEST_S = 0.2
+"""Smallest rate and longest delay that `tissue.haptics.device.device.DeviceParameters` accepts."""
+
+
+def write_measured(path: Path, name: str, test: SelfTest) -> None:
+    """Write the rate and latency of a device as constants with their ranges.
+
+    The rate is the mean rate. It is the tick rate if nearly every tick has a sample. The low end of
+    its range is the rate that 99 % of the intervals reach. The latency is the round trip, or the
+    duration of the calls if the device does not report one.
+    """
+    most = 1.0 / TICK_S
+    rate = min(max(test.rate_Hz, SLOWEST_HZ), most)
+    low = min(max(1.0 / test.interval_99_s, SLOWEST_HZ), most)
+    rate = most if rate >= EVERY_TICK * most else rate
+    delay = min(test.delay_s, LONGEST_S)
+    high = min(max(test.delay_99_s, test.delay_s), LONGEST_S)
+    today = date.today().isoformat()
+    by = f"measured by tissue devices --test {name} for {test.seconds:g} s on {today}"
+    text = '# Constants of a device: use them in a scene by  materials = "FILE"\n'
+    for key, value, least, largest, what in (
+        ("rate_Hz", rate, min(low, rate), rate, f"{test.samples} samples"),
+        ("transport_delay_s", delay, 0.0, high, "median and 99 %"),
+    ):
+        text += (
+            f"[devices.{name}.{key}]\nvalue = {value:.6g}\nrange = [{least:.6g}, {largest:.6g}]\n"
+            f'source = "{by}, {what}"\nconfidence = "M"\n'
+        )
+    with whole_file(path) as temporary:
+        temporary.write_text(text, "utf-8")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 from meshes.voxels.volume import VoxelVolume
-from tissue.motion.pose_file import poses_of_trace, read_poses
+from tissue.motion.replay import poses_of_trace, read_poses
 from tissue.scene.anatomy import CutAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool

@@ -220,7 +220,7 @@ def _probe(
     """Return the parts of a scene whose tool does not turn: a hand feels rigid bone with it."""
     from tissue.haptics.hand_motion import HandMotion
     from tissue.haptics.proxy.probing_tool import ProbedBone, ProbingTool
-    from tissue.haptics.proxy.tool_shell import ToolShell
+    from tissue.haptics.proxy.proxy import ToolShell
 
     if not (isinstance(motion, HandMotion) and isinstance(motion.tool, ProbingTool)):
         raise InputError(

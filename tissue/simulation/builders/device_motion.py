@@ -12,17 +12,14 @@ import numpy as np
 from meshes.base.arrays import Array
 from tissue.haptics.device.device import Device
 from tissue.haptics.hand_motion import HandMotion, Rendering, Script
-from tissue.haptics.loop.cues import Cues
-from tissue.haptics.loop.vibration import PlayedVibration
-from tissue.haptics.played_force import PlayedForce
+from tissue.haptics.loop.vibration import Cues, PlayedForce, PlayedVibration
 from tissue.haptics.proxy.cutting_tool import CuttingTool
-from tissue.haptics.proxy.held_tool import HeldTool, PressingTool
-from tissue.haptics.proxy.held_turn import HeldTurn
+from tissue.haptics.proxy.held_tool import HeldTool, HeldTurn, PressingTool
 from tissue.haptics.proxy.probing_tool import ProbingTool
 from tissue.haptics.renderer import TurningRenderer, renderer
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.motion import Motion
-from tissue.perception.perception import Perception
+from tissue.perception.perceived import Perception
 from tissue.simulation.builders.loop import judged_loops, lead_ticks
 from tissue.simulation.builders.loop_settings import LoopSettings
 
@@ -169,4 +166,4 @@ def _played(settings: LoopSettings, person: Perception | None) -> PlayedForce:
         if settings.cue_N > 0.0
         else None
     )
-    return PlayedForce(limits, perception=person, vibration=vibration, cues=cues)
+    return PlayedForce(limits.force_limit_N, perception=person, vibration=vibration, cues=cues)

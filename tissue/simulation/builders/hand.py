@@ -10,10 +10,9 @@ from meshes.base.errors import InputError
 from meshes.shapes.polyline import arc_length
 from tissue.haptics.device.device import DeviceParameters
 from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.hand.hand import Hand, HandParameters
-from tissue.haptics.hand.minimum_jerk import Path, waypoints
+from tissue.haptics.hand.hand import Hand, HandParameters, Path, waypoints
+from tissue.haptics.hand.pushing import CompensatedPath, Thrust
 from tissue.haptics.hand_motion import HandMotion
-from tissue.haptics.proxy.guidance import CompensatedPath, Thrust
 from tissue.haptics.proxy.held_tool import HeldTool
 from tissue.haptics.proxy.probing_tool import ProbingTool
 from tissue.motion.motion import Motion, quaternion_of

@@ -16,8 +16,7 @@ from tissue.haptics.loop.critical_stiffness import (
 )
 from tissue.haptics.loop.filters import VELOCITY_MEMORY
 from tissue.haptics.loop.forecast import Forecast, forecast_of
-from tissue.haptics.loop.motor_path import motor_lag_ticks
-from tissue.haptics.loop.sampled_loop import WallLoop
+from tissue.haptics.loop.sampled_loop import WallLoop, motor_lag_ticks
 from tissue.models.tissue_model import TICK_S
 from tissue.prediction.guard import Guarded
 from tissue.simulation.builders.loop_settings import LoopSettings, sampled

@@ -16,7 +16,7 @@ from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 
 if TYPE_CHECKING:
-    from tissue.perception.perception import Perception
+    from tissue.perception.perceived import Perception
 
 __all__ = ["Contact", "LoopSettings", "loop_settings", "no_predictor", "sampled"]
 

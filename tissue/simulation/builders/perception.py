@@ -7,16 +7,14 @@ import numpy as np
 
 from tissue.haptics.loop.filters import ForceRange
 from tissue.materials.constants import constants
-from tissue.perception.laws import intensity_of, weber_of
-from tissue.perception.mapping import ForceMap
+from tissue.perception.laws import ForceMap, intensity_of, weber_of
 from tissue.perception.observer import (
     Observer,
     population_observer,
     read_observer,
     reference_observer,
 )
-from tissue.perception.perceived import Deadband, PerceivedForce, Sense
-from tissue.perception.perception import Perception
+from tissue.perception.perceived import Deadband, PerceivedForce, Perception, Sense
 from tissue.scene.registry import PERCEPTIONS
 
 __all__ = ["CAUTION", "of_observer", "of_population", "perception", "perception_for"]

@@ -5,12 +5,10 @@ from functools import cache
 from pathlib import Path
 
 from meshes.base.errors import InputError
-from tissue.prediction.baselines import Kalman, Linear, LinearControl
 from tissue.prediction.guard import Guarded, Judged
-from tissue.prediction.koopman import Koopman
-from tissue.prediction.look_ahead import LookAhead
-from tissue.prediction.paths import FilteredPath, OperatorPath
-from tissue.prediction.predictor import Hold, Predictor
+from tissue.prediction.koopman import Koopman, OperatorPath
+from tissue.prediction.look_ahead import FilteredPath, LookAhead
+from tissue.prediction.predictor import Hold, Kalman, Linear, LinearControl, Predictor
 from tissue.prediction.trained import Trained, shipped_file
 from tissue.scene.registry import PREDICTORS
 

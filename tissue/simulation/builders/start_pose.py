@@ -8,9 +8,8 @@ from scipy.spatial.transform import Rotation
 from meshes.base.arrays import Array
 from meshes.voxels.volume import FULL, VoxelVolume
 from tissue.cutters.cutter import Cutter
-from tissue.motion.drilling_recording import SHAFT_TO_X
 from tissue.motion.motion import Motion
-from tissue.motion.replay import RECORDINGS
+from tissue.motion.replay import RECORDINGS, SHAFT_TO_X
 
 __all__ = ["w_first_notice"]
 

@@ -10,10 +10,10 @@ from tissue.haptics.real.haply_frames import (
     ServiceState,
     force_frame,
     opening_frame,
-    spelling_of,
+    problem_of,
+    service_address,
     version_in,
 )
-from tissue.haptics.real.haply_service import problem_of, service_address
 
 FIRST = {
     "session_id": 7,
@@ -151,33 +151,6 @@ def test_the_version_of_a_service(answer, version):
     assert version_in(answer) == version
 
 
-def test_the_spelling_follows_the_version_and_without_one_the_session():
-    assert [
-        spelling_of(each, has_session=True) for each in ((3, 1), (3, 4), (3, 5), (3, 10), (4, 0))
-    ] == [
-        "values",
-        "values",
-        "vector",
-        "vector",
-        "vector",
-    ]
-    assert (
-        spelling_of(None, has_session=True) == "vector"
-        and spelling_of(None, has_session=False) == "values"
-    )
-
-
-@pytest.mark.parametrize(
-    ("address", "parts"),
-    [
-        ("", ("ws://localhost:10001", "localhost", 10001, "")),
-        ("ws://127.0.0.1:9/#049D", ("ws://127.0.0.1:9", "127.0.0.1", 9, "049D")),
-    ],
-)
-def test_addresses(address, parts):
-    assert service_address(address) == parts
-
-
 @pytest.mark.parametrize(
     "address", ["localhost:10001", "http://x:1", "ws://x", "ws://x:99999", "ws://x:1/path", "049D"]
 )
@@ -220,39 +193,3 @@ def test_no_text_of_a_service_raises():
                 abs(each) < 1e6 for each in (*sample.position_m, *sample.quaternion)
             )
             assert isinstance(problem_of(state), str) and isinstance(state.model(), str)
-
-
-def changed(**status):
-    device = FIRST["inverse3"][0]
-    return {"inverse3": [device | {"status": device["status"] | status}]}
-
-
-@pytest.mark.parametrize(
-    ("frame", "sentence"),
-    [
-        (
-            changed(calibrated=False),
-            "haply must be calibrated, got calibrated = false of 049D: calibrate it as",
-        ),
-        (
-            changed(power_supply=False),
-            "haply must have power, got power_supply = false of 049D: connect its power",
-        ),
-        (
-            changed(ready=False),
-            "haply must be ready, got ready = false of 049D: wait until its light",
-        ),
-        ({"inverse3": []}, "haply must list an Inverse3, got none: plug it in"),
-        ({}, "haply must list an Inverse3, got none: plug it in"),
-    ],
-)
-def test_why_a_device_cannot_be_used(frame, sentence):
-    problem = problem_of(state_after(frame))
-    assert problem.startswith(sentence) and "\n" not in problem
-
-
-def test_a_device_of_another_name_is_refused_with_those_that_there_are():
-    assert problem_of(state_after(FIRST)) == ""
-    assert problem_of(state_after(FIRST, device_id="A14")) == (
-        "hardware.address must name one of the devices 049D behind #, got A14: use #049D"
-    )

@@ -5,12 +5,10 @@ import time
 import numpy as np
 import pytest
 from haply_service import DEVICE, HaplyService
-from websockets.sync.client import connect
 
 from tissue import InputError
 from tissue.haptics.device.device import DeviceError
 from tissue.haptics.real.haply import HaplyAdapter
-from tissue.haptics.real.haply_frames import force_frame
 from tissue.scene.hardware import Hardware
 
 PATIENCE_S = 20.0
@@ -51,28 +49,6 @@ def test_a_force_arrives_in_the_spelling_of_the_services_version(version):
         sent = service.received[-1]["inverse3"][0]["commands"]["set_cursor_force"]
         assert list(sent) == ["vector" if version == "3.5.0" else "values"]
     wait_for(lambda _: service.last_N() == (0.0, 0.0, 0.0))
-
-
-def test_the_first_frame_names_the_session_and_holds_no_force_and_no_other_names_it(service):
-    with adapter_of(service) as adapter:
-        wait_for(lambda samples: len(samples) > 5, adapter, (1.0, 0.0, 0.0))
-        frames = list(service.received)
-    assert frames[0]["session"]["configure"]["profile"]["name"] == "tissue:simulation"
-    assert frames[0]["inverse3"][0]["commands"]["set_cursor_force"]["vector"] == {
-        "x": 0.0,
-        "y": 0.0,
-        "z": 0.0,
-    }
-    assert not any("session" in frame for frame in frames[1:])
-
-
-def test_one_state_for_each_frame_and_every_sample_is_a_new_one(service):
-    service.arm.aim = lambda time_s: (0.01 * time_s, 0.0, 0.0)
-    with adapter_of(service) as adapter:
-        samples = wait_for(lambda samples: len(samples) > 50, adapter, (0.0, 0.0, 0.0))
-        assert adapter.poll() is None or adapter.poll() is None
-    assert len({sample.position_m for sample in samples}) == len(samples)
-    assert len(service.commands) >= len(samples)
 
 
 @pytest.mark.parametrize("version", ["3.5.0", "3.1.2"])
@@ -127,20 +103,6 @@ def test_a_device_that_loses_its_calibration_ends_the_run_without_force(service)
     assert service.last_N() == (0.0, 0.0, 0.0)
 
 
-def test_another_program_on_the_device_is_reported_and_its_force_adds(service):
-    service.status["in_use"] = True
-    assert "used by another program" in HaplyAdapter.find(service.url)[0].detail
-    with adapter_of(service) as adapter, connect(service.url, proxy=None) as other:
-        assert any("another program uses the device" in what for what in adapter.happened())
-
-        def both_push(_):
-            other.send(force_frame(DEVICE, (0.0, 2.0, 0.0), "vector"))
-            other.recv()
-            return service.force_N() == [1.0, 2.0, 0.0]
-
-        wait_for(both_push, adapter, (1.0, 0.0, 0.0))
-
-
 def test_a_restart_of_the_service_is_survived_without_force_until_the_loop_pushes_again(service):
     with adapter_of(service) as adapter:
         wait_for(
@@ -161,15 +123,6 @@ def test_a_restart_of_the_service_is_survived_without_force_until_the_loop_pushe
         wait_for(lambda _: service.last_N() == (1.0, 0.0, 0.0), adapter, (1.0, 0.0, 0.0))
     wait_for(lambda _: not service.is_open)
     assert service.last_N() == (0.0, 0.0, 0.0)
-
-
-@pytest.mark.slow
-def test_a_service_that_stays_away_ends_the_run_with_one_sentence(service):
-    lost = r"haply must keep its connection, got .*: start the Inverse Service"
-    with pytest.raises(DeviceError, match=lost), adapter_of(service) as adapter:
-        wait_for(len, adapter)
-        service.stop()
-        wait_for(lambda _: False, adapter, (1.0, 0.0, 0.0))
 
 
 @pytest.mark.parametrize("fault", [{"late_s": 0.06}, {"dropped": 1.0}, {"broken": "{"}], ids=str)
@@ -219,37 +172,6 @@ def test_late_answers_are_never_taken_for_new_samples(service):
             time.sleep(1e-3)
 
 
-def test_what_is_taken_off_is_counted(service):
-    with adapter_of(service) as adapter:
-        wait_for(
-            lambda _: service.commands and service.last_N() == (1.0, 0.0, 0.0),
-            adapter,
-            (1.0, 0.0, 0.0),
-        )
-        before = adapter.releases
-        wait_for(lambda _: service.last_N() == (0.0, 0.0, 0.0))  # it was not pushed again
-        assert adapter.releases > before
-
-
-def test_a_service_that_sends_more_than_it_is_asked_for_gives_its_newest_state(service):
-    service.repeated = 3
-    service.arm.aim = lambda time_s: (0.01 * time_s, 0.0, 0.0)
-    with adapter_of(service) as adapter:
-        samples = wait_for(lambda samples: len(samples) > 50, adapter, (0.0, 0.0, 0.0))
-    assert np.median(np.diff([sample.position_m[0] for sample in samples])) > 0.0
-
-
-def test_the_second_device_is_taken_by_its_name(service):
-    service.devices = (DEVICE, "A14")
-    assert [each.where for each in HaplyAdapter.find(service.url)] == [
-        f"{service.url}#{DEVICE}",
-        f"{service.url}#A14",
-    ]
-    with adapter_of(service, "#A14") as adapter:
-        wait_for(lambda samples: len(samples) > 2, adapter, (0.0, 0.0, 0.0))
-        assert service.received[-1]["inverse3"][0]["device_id"] == "A14"
-
-
 def test_what_is_found_where_no_service_is():
     with HaplyService() as service:
         url = service.url
@@ -262,16 +184,6 @@ def test_what_is_found_where_no_service_is():
     assert none.limits is None and none.problem.startswith(f"haply must be reached at {url}, got ")
     assert "start the Inverse Service" in none.problem
     assert "hardware.address must be ws://" in HaplyAdapter.find("usb")[0].problem
-
-
-def test_the_library_is_named_where_it_is_missing(service, monkeypatch):
-    import sys
-
-    monkeypatch.setitem(sys.modules, "websockets.sync.client", None)
-    with pytest.raises(
-        InputError, match=r"websockets must be installed .*: pip install 'tissue-sim\[haply\]'"
-    ):
-        adapter_of(service).__enter__()
 
 
 def test_closing_ends_with_zero_from_any_thread_and_twice(service):

@@ -8,22 +8,21 @@ from math import cos, radians, sin
 import numpy as np
 import pytest
 
-from tissue import InputError, load_scene
+from tissue import InputError
 from tissue.haptics.device.device import DeviceParameters, StatesPlayed
 from tissue.haptics.device.safe_device import SafeDevice
-from tissue.haptics.real.adapter import HardwareSample
+from tissue.haptics.real.adapter import HardwareAdapter, HardwareSample
 from tissue.haptics.real.mapped import MappedDevice
 from tissue.motion.motion import matrix_of
 from tissue.motion.quaternion import exponential
 from tissue.scene.hardware import Hardware
-from tissue.simulation.builders.device import opened_device
 
 TICK = 1e-3
 LIMITS = DeviceParameters(mass_kg=0.1, damping_N_s_m=0.5, force_limit_N=8.0, torque_limit_Nm=0.2)
 TURNS = [(0.0, 0.0, 0.0), (90.0, 0.0, 0.0), (0.0, 0.0, -90.0), (20.0, -35.0, 140.0)]
 
 
-class Double:
+class Double(HardwareAdapter):
     """An adapter whose samples a test gives, and which records what is pushed."""
 
     def __init__(self):
@@ -36,6 +35,9 @@ class Double:
 
     def __exit__(self, kind, error, trace):
         self.left += 1
+
+    def open(self):
+        pass
 
     def poll(self):
         sample, self.sample = self.sample, None
@@ -102,19 +104,6 @@ def test_positions_are_turned_about_the_first_one_which_is_the_tools_start(turn_
         [each.position_m for each in read], start + (places - places[0]) @ turn.T, atol=1e-15
     )
     np.testing.assert_allclose([each.velocity_m_s for each in read], speeds @ turn.T, atol=1e-14)
-
-
-def test_the_axes_of_the_usual_turns():
-    """A device turned by 90 degrees about z: its x is the world's y."""
-    device, adapter, clock = mapped(turn_deg=(0.0, 0.0, 90.0))
-    read, _ = run(
-        device, adapter, clock, [HardwareSample((0.0, 0.0, 0.0)), HardwareSample((0.01, 0.0, 0.0))]
-    )
-    np.testing.assert_allclose(read[1].position_m, (0.0, 0.01, 0.0), atol=1e-16)
-    device.command(np.array([0.0, 2.0, 0.0]), np.array([0.0, 0.1, 0.0]))
-    force, torque = adapter.pushed[-1]
-    np.testing.assert_allclose(force, (2.0, 0.0, 0.0), atol=1e-15)
-    np.testing.assert_allclose(torque, (0.1, 0.0, 0.0), atol=1e-16)
 
 
 @pytest.mark.parametrize("turn_deg", TURNS)
@@ -248,12 +237,6 @@ def test_a_force_that_the_adapter_took_off_comes_on_from_zero():
     assert device.happened() == [(pytest.approx(0.03), "late")] == device.happened()
 
 
-def test_nothing_is_read_or_played_before_the_first_sample():
-    device, adapter, clock = mapped()
-    read, played = run(device, adapter, clock, [None] * 50)
-    assert read == [None] * 50 and not played.any() and device.happened() == []
-
-
 def test_a_sample_that_is_not_finite_places_nothing():
     device, adapter, clock = mapped((0.0, 0.0, 0.02))
     nan = float("nan")
@@ -261,14 +244,6 @@ def test_a_sample_that_is_not_finite_places_nothing():
         device, adapter, clock, [HardwareSample((nan, 0.0, 0.0)), HardwareSample((0.3, 0.0, 0.0))]
     )
     assert read[1].position_m == pytest.approx((0.0, 0.0, 0.02))
-
-
-def test_another_run_of_a_held_device_starts_where_its_tool_does():
-    device, adapter, clock = mapped((0.0, 0.0, 0.02), ramp_ms=100.0)
-    run(device, adapter, clock, [HardwareSample((0.001 * tick, 0.0, 0.0)) for tick in range(200)])
-    assert device.share == 1.0
-    adapter.sample = HardwareSample((0.5, 0.0, 0.0))
-    assert device.read(0.0).position_m == pytest.approx((0.0, 0.0, 0.02)) and device.share == 0.0
 
 
 def test_a_safe_device_holds_it_and_states_what_was_played():
@@ -296,24 +271,3 @@ def test_an_adapter_that_fails_is_left(where):
         held.read(0.0)
         held.play(np.ones(3), np.zeros(3))
     assert adapter.left or adapter.closed
-
-
-def test_keys_of_a_real_device_are_refused_where_none_is_opened(tmp_path):
-    for name in ("touch", "none"):
-        with pytest.raises(InputError, match=r"hardware\.force_cap_N"):
-            load_scene("wall", {"device": name, "hardware.force_cap_N": 2.0})
-    scene = load_scene("wall", {"device": "haply", "hardware.force_cap_N": 2.0})
-    assert scene.held.hardware.force_cap_N == 2.0
-    assert (
-        isinstance(opened_device(scene), MappedDevice) and opened_device(load_scene("wall")) is None
-    )
-
-
-def test_buttons_of_two_meanings_are_refused():
-    with pytest.raises(
-        InputError,
-        match=r"hardware\.clutch_button must not be hardware\.force_button, got 1 for both",
-    ):
-        load_scene(
-            "wall", {"device": "haply", "hardware.clutch_button": 1, "hardware.force_button": 1}
-        )

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from network_client import BYE, HEARTBEAT, HELLO, REFUSED, WRENCH, UdpClient, packet, pose, read
+from network_client import BYE, HEARTBEAT, HELLO, WRENCH, UdpClient, packet, pose, read
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
@@ -23,9 +23,7 @@ from meshes.base.errors import InputError
 from tissue.haptics.device.safe_device import SafeDevice
 from tissue.haptics.real.mapped import MappedDevice
 from tissue.haptics.real.network import NetworkAdapter
-from tissue.objects.simulate import simulate
 from tissue.scene.hardware import Hardware
-from tissue.scene.load import load_scene
 
 PAGE = Path(__file__).resolve().parents[4] / "docs/guide/network_device.md"
 ANY_PORT = {scheme: Hardware(address=f"{scheme}://127.0.0.1:0") for scheme in ("udp", "ws")}
@@ -114,43 +112,6 @@ def test_close_may_come_from_another_thread_while_the_loop_polls():
             pass
 
 
-def test_a_second_device_hears_why_it_is_refused():
-    with (
-        NetworkAdapter(ANY_PORT["udp"]) as adapter,
-        UdpClient(adapter.address) as client,
-        UdpClient(adapter.address) as other,
-    ):
-        greeted(adapter, client)
-        other.next(HELLO)
-        polled(adapter, lambda _: adapter.session.counts["refused"])
-        kind, _, _, reason = other.receive()
-        assert kind == REFUSED and reason.startswith(b"one device must be used at a time")
-        assert adapter.happened() == ["packets that were not used: 1 as refused"]
-
-
-def test_what_is_longer_than_any_packet_or_empty_is_dropped():
-    with NetworkAdapter(ANY_PORT["udp"]) as adapter, UdpClient(adapter.address) as client:
-        greeted(adapter, client)
-        for data in (b"", b"TDEV" + bytes(9000), pose(2) + bytes(2000)):
-            client.send(data)
-        client.pose(1.0, 2.0, 3.0)
-        assert polled(adapter).position_m == (1.0, 2.0, 3.0)
-        assert (
-            adapter.session.counts["foreign"] == 1
-            and adapter.session.counts["length"] + adapter.session.counts["version"] == 2
-        )
-
-
-def test_a_full_line_of_poses_takes_no_more_than_its_share_of_a_poll(monkeypatch):
-    monkeypatch.setattr("tissue.haptics.real.network.MOST_READS", 5)
-    with NetworkAdapter(ANY_PORT["udp"]) as adapter, UdpClient(adapter.address) as client:
-        greeted(adapter, client)
-        for place in range(12):
-            client.pose(float(place), 0.0, 0.0)
-        polled(adapter, lambda _: adapter.session.counts["poses"] == 12)
-        assert adapter.session.counts["lost"] == 0
-
-
 @pytest.mark.parametrize(
     "address",
     [
@@ -190,63 +151,6 @@ def test_a_port_that_is_taken_is_refused(scheme):
         ):
             NetworkAdapter(Hardware(address=address)).__enter__()
         assert "must be free" in NetworkAdapter.find(address)[0].problem
-
-
-def test_a_host_that_is_none_is_refused():
-    with pytest.raises(InputError, match=r"hardware\.address must be free on this machine"):
-        NetworkAdapter(Hardware(address="udp://no.such.host.invalid:7")).__enter__()
-
-
-@pytest.mark.parametrize("scheme", ["udp", "ws"])
-def test_the_loopback_of_ipv6_is_taken_too(scheme):
-    try:
-        with socket.socket(socket.AF_INET6, socket.SOCK_DGRAM) as there:
-            there.bind(("::1", 0))
-    except OSError:
-        pytest.skip("this machine has no IPv6")
-    with NetworkAdapter(Hardware(address=f"{scheme}://[::1]:0")) as adapter:
-        assert re.fullmatch(rf"{scheme}://\[::1\]:[1-9]\d*", adapter.address)
-        port = int(adapter.address.rpartition(":")[2])
-        if scheme == "ws":
-            with opened(adapter) as line:
-                line.send(packet(HELLO, 1))
-                assert received(line)[0] == HELLO
-        else:
-            with socket.socket(socket.AF_INET6, socket.SOCK_DGRAM) as line:
-                line.settimeout(10.0)
-                line.sendto(packet(HELLO, 1), ("::1", port))
-                polled(adapter, lambda _: adapter.session.peer is not None)
-                assert read(line.recv(2048))[0] == HELLO
-
-
-def test_it_listens_to_this_machine_alone_unless_it_is_asked_to():
-    assert NetworkAdapter().address == "udp://127.0.0.1:24930"
-
-
-@pytest.mark.parametrize("asks", [True, False])
-def test_a_search_waits_for_a_device(asks):
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("127.0.0.1", 0))
-        address = f"udp://127.0.0.1:{free.getsockname()[1]}"
-    found = []
-    searching = threading.Thread(target=lambda: found.extend(NetworkAdapter.find(address)))
-    with UdpClient(address) as client:
-        searching.start()
-        while asks and searching.is_alive():
-            client.next(HELLO)
-            time.sleep(0.05)
-        searching.join()
-    if asks:
-        assert (
-            found[0].problem == ""
-            and found[0].detail == f"listens at {address}"
-            and found[0].limits.force_limit_N == 3.0
-        )
-    else:
-        assert (
-            found[0].problem
-            == f"a device must send packets to {address}, got none in 0.6 s: start its program"
-        )
 
 
 def opened(adapter, **options):
@@ -289,35 +193,6 @@ def test_the_same_packets_pass_in_a_websocket():
         assert wrench(received(line)[3]) == (0.0,) * 6 and received(line)[0] == BYE
 
 
-def test_a_websocket_that_ends_makes_a_place_for_another():
-    with (
-        NetworkAdapter(ANY_PORT["ws"]) as adapter,
-        opened(adapter) as first,
-        opened(adapter) as second,
-    ):
-        for line, kind in ((first, HELLO), (second, REFUSED)):
-            line.send(packet(HELLO, 1))
-            assert received(line)[0] == kind
-        first.close()
-        polled(adapter, lambda _: adapter.session.peer is None)
-        second.send(packet(HELLO, 2))
-        assert received(second)[0] == HELLO
-
-
-def test_wrenches_that_a_websocket_does_not_take_do_not_pile_up():
-    """Wrenches that a WebSocket does not read do not pile up.
-
-    The loop continues at once, and the queue is bounded, whatever the other side reads.
-    """
-    with NetworkAdapter(ANY_PORT["ws"]) as adapter, opened(adapter, close_timeout=0.1) as line:
-        line.send(packet(HELLO, 1))
-        assert received(line)[0] == HELLO
-        for _ in range(5000):
-            adapter.push(FORCE, TORQUE)
-        assert len(adapter._transport._waiting) <= 2
-        assert received(line)[0] == WRENCH
-
-
 def test_a_websocket_that_is_not_read_does_not_keep_a_run_from_ending():
     """Its buffers are full; the thread ends none the less."""
     with NetworkAdapter(ANY_PORT["ws"]) as adapter:
@@ -348,16 +223,6 @@ def test_a_page_in_a_browser_is_refused():
         opened(adapter, origin="http://localhost:8000"),
     ):
         pass
-
-
-def test_without_websockets_udp_is_named(monkeypatch):
-    for name in ("websockets", "websockets.asyncio.server"):
-        monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(
-        InputError,
-        match=r"websockets must be installed .* pip install 'tissue-sim\[network\]', or use udp",
-    ):
-        NetworkAdapter(ANY_PORT["ws"]).__enter__()
 
 
 class Feeder:
@@ -509,44 +374,3 @@ def test_the_client_of_the_page_moves_the_device_and_feels_a_force(tmp_path):
     assert counts["hellos"] == 1 and not any(
         counts[name] for name in ("checksum", "length", "number", "late", "kind")
     )
-
-
-@pytest.mark.slow
-def test_the_client_of_the_page_holds_the_tool_of_a_run(tmp_path):
-    """The client of the page holds the tool of a whole run.
-
-    It touches the wall, the force reaches it, and the run ends the connection.
-    """
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    child = client_of_the_page(tmp_path, port, 1e4)
-    try:
-        overrides = {
-            "device": "network",
-            "hardware.address": f"udp://127.0.0.1:{port}",
-            "duration_s": 3.0,
-        }
-        overrides["coupling.motion_scale"] = 3.0  # 30 mm down, from 20 mm above the wall
-        run = simulate(load_scene("wall", overrides))
-        assert run.trace["device_force_z_N"].max() > 0.05
-        assert np.ptp(run.trace["tool_z_mm"]) > 15.0
-    finally:
-        child.kill()
-        child.communicate()
-
-
-def test_the_client_of_the_page_ends_at_a_refusal(tmp_path):
-    with NetworkAdapter(ANY_PORT["udp"]) as adapter, UdpClient(adapter.address) as client:
-        greeted(adapter, client)
-        child = client_of_the_page(tmp_path, adapter.address.rpartition(":")[2], 600)
-        try:
-            while child.poll() is None:
-                client.next(HEARTBEAT)
-                adapter.poll()
-                time.sleep(1e-2)
-        finally:
-            child.kill()
-        assert (
-            "one device must be used at a time" in child.communicate()[1] and child.returncode == 1
-        )

@@ -12,32 +12,28 @@ import pytest
 from network_client import BYE, HEARTBEAT, HELLO, POSE, REFUSED, WRENCH, packet, pose, read
 
 from tissue.haptics.real.adapter import HardwareSample
-from tissue.haptics.real.network_protocol import (
+from tissue.haptics.real.network_session import (
+    SILENCE_S,
     Kind,
+    NetworkSession,
     Packet,
-    PacketError,
     is_newer,
     packed,
     unpacked,
 )
-from tissue.haptics.real.network_session import SILENCE_S, NetworkSession
 
 PAGE = Path(__file__).resolve().parents[4] / "docs/guide/network_device.md"
 LAST = 2**32 - 1
-PUSH = ((1.0, 2.0, 3.0), (0.1, 0.2, 0.3))
+PUSH = (1.0, 2.0, 3.0, 0.1, 0.2, 0.3)
 SAMPLE = HardwareSample(
     (0.01, -0.02, 0.03), (0.1, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 1
 )
 SHOWN = {
-    "hello": Packet(kind=Kind.HELLO, sequence=1),
-    "pose": Packet(kind=Kind.POSE, sequence=2, echo=7, time_s=0.5, sample=SAMPLE),
-    "wrench": Packet(
-        kind=Kind.WRENCH,
-        sequence=9,
-        echo=2,
-        time_s=12.25,
-        wrench=((0.0, 0.0, 1.5), (0.0, 0.0, 0.0)),
+    "hello": packed(Kind.HELLO, 1, echo=0, time_s=0.0, payload=b""),
+    "wrench": packed(
+        Kind.WRENCH, 9, echo=2, time_s=12.25, payload=struct.pack("<6d", 0, 0, 1.5, 0, 0, 0)
     ),
+    "pose": pose(2, SAMPLE.position_m, velocity=(0.1, 0.0, 0.0), buttons=1, echo=7, time_s=0.5),
 }
 
 
@@ -61,25 +57,15 @@ def connected(number=1, clock=None):
 @pytest.mark.parametrize("name", SHOWN)
 def test_the_bytes_of_the_page_are_those_of_the_code(name):
     text = re.search(rf"^{name}\n((?:[0-9a-f ]+\n)+)", PAGE.read_text("utf-8"), re.MULTILINE)[1]
-    data = bytes.fromhex(text.replace("\n", " "))
-    assert packed(SHOWN[name]) == data and unpacked(data) == SHOWN[name]
+    assert bytes.fromhex(text.replace("\n", " ")) == SHOWN[name]
 
 
-def test_the_clients_bytes_are_those_of_the_code():
-    """The client of the tests is written from the page."""
-    assert pose(
-        2, SAMPLE.position_m, velocity=(0.1, 0.0, 0.0), buttons=1, echo=7, time_s=0.5
-    ) == packed(SHOWN["pose"])
-    assert packet(HELLO, 1) == packed(SHOWN["hello"])
+def test_a_pose_is_read_and_the_client_of_the_tests_writes_what_the_code_does():
+    found = unpacked(SHOWN["pose"])
+    assert found == Packet(Kind.POSE, 2, echo=7, time_s=0.5, sample=SAMPLE)
+    assert packet(HELLO, 1) == SHOWN["hello"]
     payload = struct.pack("<6d", 0.0, 0.0, 1.5, 0.0, 0.0, 0.0)
-    assert packet(WRENCH, 9, payload, echo=2, time_s=12.25) == packed(SHOWN["wrench"])
-
-
-def test_a_reason_is_a_sentence_of_400_bytes_at_most():
-    found = unpacked(packed(Packet(kind=Kind.REFUSED, sequence=0, reason="ü" * 300)))
-    assert found.reason == "ü" * 200
-    with pytest.raises(PacketError, match="length"):
-        unpacked(packet(REFUSED, 0, b"x" * 401))
+    assert packet(WRENCH, 9, payload, echo=2, time_s=12.25) == SHOWN["wrench"]
 
 
 @pytest.mark.parametrize(
@@ -109,7 +95,6 @@ def test_a_reason_is_a_sentence_of_400_bytes_at_most():
         ("number", pose(5, quaternion=(0.0, 0.0, 0.0, 1.02))),
         ("number", pose(5, quaternion=(math.nan, 0.0, 0.0, 1.0))),
         ("number", pose(5, time_s=math.nan)),
-        ("number", packet(WRENCH, 5, struct.pack("<6d", *[math.nan] * 6))),
     ],
 )
 def test_what_cannot_be_used_is_counted_and_dropped(name, data):
@@ -117,9 +102,7 @@ def test_what_cannot_be_used_is_counted_and_dropped(name, data):
     session.receive(pose(2, (1.0, 0.0, 0.0)), "me")
     before = session.counts.copy()
     assert session.receive(data, "me") is None
-    assert session.counts - before == {name: 1} | (
-        {"lost": 2} if name == "kind" and len(data) > 28 else {}
-    )
+    assert session.counts - before == {name: 1}
     assert session.take().position_m == (1.0, 0.0, 0.0) and session.peer == "me"
 
 
@@ -130,13 +113,6 @@ def test_late_and_repeated_poses_are_dropped_and_lost_ones_counted():
         sample = session.take()
         assert (sample is not None) is taken and (not taken or sample.position_m[0] == number)
     assert session.counts == {"hellos": 1, "poses": 3, "lost": 2, "late": 2, "repeated": 1}
-
-
-def test_numbers_go_on_over_their_end():
-    session = connected(LAST - 2)
-    for number in (LAST - 1, LAST, 0, 1, LAST, 2):
-        session.receive(pose(number, (1.0, 0.0, 0.0)), "me")
-    assert session.counts == {"hellos": 1, "poses": 5, "late": 1}
 
 
 @pytest.mark.parametrize(
@@ -163,15 +139,6 @@ def test_our_numbers_go_on_over_their_end_and_the_round_trip_with_them():
     clock.now += 0.004
     session.receive(packet(HEARTBEAT, 2, echo=numbers[-1]), "me")
     assert numbers == [LAST, 0, 1] and session.round_trip_s == pytest.approx(0.004)
-
-
-def test_a_wrench_goes_to_the_device_with_what_was_seen_of_it():
-    session = connected(3)
-    session.receive(pose(4), "me")
-    peer, data = session.wrench(PUSH)
-    kind, number, echo, payload = read(data)
-    assert (peer, kind, number, echo) == ("me", WRENCH, 2, 4)
-    assert struct.unpack("<6d", payload) == (*PUSH[0], *PUSH[1])
 
 
 def test_the_round_trip_is_from_a_wrench_to_the_first_packet_that_shows_it():
@@ -216,16 +183,6 @@ def test_a_silent_device_is_given_up_and_another_taken():
     assert session.take() is not None and session.counts["silences"] == 1
 
 
-def test_heartbeats_keep_a_device_that_has_no_pose():
-    clock = Clock()
-    session = connected(clock=clock)
-    for number in range(2, 12):
-        clock.now += 0.4 * SILENCE_S
-        session.receive(packet(HEARTBEAT, number), "me")
-        assert session.take() is None
-    assert session.peer == "me" and session.counts["heartbeats"] == 10
-
-
 def test_a_device_that_starts_again_is_taken_again():
     """Its numbers begin anew; a hello that came twice does not let old poses pass as new ones."""
     session = connected()
@@ -251,19 +208,3 @@ def test_a_device_that_ends_makes_a_place(end):
         session.leave("me")
     assert session.peer is None and session.take() is None and session.wrench(PUSH) is None
     assert read(session.receive(packet(HELLO, 1), "other"))[0] == HELLO
-
-
-def test_our_bye_ends_with_the_device():
-    session = connected()
-    peer, data = session.bye()
-    assert peer == "me" and read(data)[0] == BYE and session.peer is None and session.bye() is None
-
-
-def test_nothing_is_sent_before_a_device_asked():
-    session = NetworkSession(Clock())
-    assert (
-        session.receive(pose(1), "me") is None
-        and session.wrench(PUSH) is None
-        and session.take() is None
-    )
-    assert session.counts == {"stranger": 1}

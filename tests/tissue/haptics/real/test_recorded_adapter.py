@@ -5,11 +5,10 @@ import pytest
 
 from meshes.base.errors import InputError
 from meshes.paths.replay_table import POSE_COLUMNS
-from tissue.haptics.real.recorded import RecordedAdapter
+from tissue.haptics.real.adapter import RecordedAdapter
 from tissue.objects.simulate import simulate
 from tissue.scene.hardware import Hardware
 from tissue.scene.load import load_scene
-from tissue.simulation.builders.motions import motion_of
 
 
 def table(path, times, heights_mm, quaternion=(0.0, 0.0, 0.0, 1.0)):
@@ -62,17 +61,6 @@ def test_a_file_that_is_no_record_is_refused(tmp_path, content, sentence):
     assert found.limits is None and found.problem.startswith("hardware.address must")
 
 
-def test_a_record_needs_its_file(tmp_path):
-    with pytest.raises(
-        InputError,
-        match=r"hardware\.address must be a file of poses with device = recorded, got nothing",
-    ):
-        RecordedAdapter()
-    hardware = table(tmp_path / "poses.csv", (0.0, 1.5), (0.0, 1.0))
-    (found,) = RecordedAdapter.find(hardware.address)
-    assert (found.detail, found.problem) == ("1.5 s of poses", "")
-
-
 def test_a_run_by_a_record_meets_the_wall_where_the_record_goes(tmp_path):
     """A run by a record touches the wall where the record does.
 
@@ -118,12 +106,3 @@ def test_a_run_by_a_record_starts_at_its_pose_and_turn(tmp_path, scale):
     np.testing.assert_allclose(tool[-1], (1.0, 2.0, 15.0 - 1.99 * scale), atol=1e-3)
     found = np.array([run.trace[f"tool_q{axis}"][-1] for axis in "xyzw"])
     assert abs(found @ turn) == pytest.approx(1.0, abs=1e-9)
-
-
-def test_a_scene_whose_record_is_gone_has_the_motion_of_the_scene(tmp_path):
-    """So a saved run is viewed without its record, and only to run it again is refused."""
-    keys = {"device": "recorded", "hardware.address": str(tmp_path / "gone.csv")}
-    scene = load_scene("wall", keys)
-    assert motion_of(scene, step_s=1e-3).sweep_m()[0] == pytest.approx((0.0, 0.0, 0.02))
-    with pytest.raises(InputError, match=r"hardware\.address must be an existing file of poses"):
-        simulate(scene)

@@ -3,12 +3,8 @@
 The stand-ins have the functions of their packages.
 """
 
-import ast
-import inspect
 import threading
 import time
-from importlib.util import find_spec
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,52 +16,9 @@ from tissue.haptics.device.device import DeviceError
 from tissue.haptics.real import openhaptics
 from tissue.haptics.real.forcedimension import MOST_FAILURES, ForceDimensionAdapter, SigmaAdapter
 from tissue.haptics.real.openhaptics import HELD_S, OpenHapticsAdapter
-from tissue.motion.quaternion import of_matrix
 from tissue.scene.hardware import Hardware
 
-FORCE, TORQUE, NOTHING = np.array([1.0, -2.0, 3.0]), np.array([0.01, 0.02, -0.03]), np.zeros(3)
-
-
-def signatures(path):
-    """Arguments of the functions of a file, by name, without what they are annotated with."""
-    tree = ast.parse(path.read_text("utf-8"))
-    return {
-        node.name: [each.arg for each in node.args.args]
-        for node in tree.body
-        if isinstance(node, ast.FunctionDef)
-    }
-
-
-@pytest.mark.parametrize(
-    ("package", "file", "stand_in"),
-    [
-        ("forcedimension_core", "dhd/__init__.py", lambda: ForceDimension().module()),
-        ("pyOpenHaptics", "hd.py", lambda: OpenHaptics().modules()[0]),
-        ("pyOpenHaptics", "hd_callback.py", lambda: OpenHaptics().modules()[1]),
-    ],
-)
-def test_a_stand_in_has_the_arguments_of_the_package(package, file, stand_in):
-    spec = find_spec(package)
-    if spec is None:
-        pytest.skip(f"{package} is not installed; its source was read for the stand-in")
-    theirs = signatures(Path(spec.origin).parent / file)
-    ours = {
-        name: list(inspect.signature(each).parameters)
-        for name, each in vars(stand_in()).items()
-        if callable(each)
-    }
-    assert ours and ours == {name: theirs[name] for name in ours}
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_the_quaternion_of_a_matrix(seed):
-    rotation = (
-        Rotation.random(random_state=seed)
-        if seed > 3
-        else Rotation.from_rotvec(np.eye(4, 3)[seed] * np.pi)
-    )
-    found = np.array(of_matrix(rotation.as_matrix().tolist()))
-    assert abs(np.dot(found, rotation.as_quat())) == pytest.approx(1.0, abs=1e-12)
+FORCE, TORQUE = np.array([1.0, -2.0, 3.0]), np.array([0.01, 0.02, -0.03])
 
 
 def test_a_device_of_force_dimension_is_read_and_pushed(monkeypatch):
@@ -88,24 +41,6 @@ def test_a_device_of_force_dimension_is_read_and_pushed(monkeypatch):
         "close",
     ]
     assert device.limits == {"force": 12.0} and not device.enabled
-
-
-def test_a_sigma_plays_torque_and_has_its_limit(monkeypatch):
-    device = ForceDimension(name="sigma.7", has_motors=True).install(monkeypatch)
-    with SigmaAdapter(Hardware(address="7")) as adapter:
-        adapter.push(FORCE, TORQUE)
-    assert device.wrenches[0] == (*FORCE, *TORQUE) and device.limits == {
-        "force": 12.0,
-        "torque": 0.2,
-    }
-    assert device.calls[0] == "openSerial"
-
-
-def test_a_device_without_a_wrist_is_not_asked_for_one(monkeypatch):
-    ForceDimension(has_wrist=False).install(monkeypatch)
-    with ForceDimensionAdapter() as adapter:
-        sample = adapter.poll()
-    assert sample.quaternion == (0.0, 0.0, 0.0, 1.0) and sample.spin_rad_s == (0.0, 0.0, 0.0)
 
 
 def test_what_is_not_new_is_no_sample_and_no_velocity_is_rest(monkeypatch):
@@ -321,21 +256,6 @@ def test_a_touch_that_is_not_there_is_refused(monkeypatch, number):
     assert "a device named left must be connected" in OpenHapticsAdapter.find("left")[0].problem
 
 
-def test_a_scheduler_that_does_not_start_leaves_the_device_closed(monkeypatch):
-    device = OpenHaptics().install(monkeypatch)
-    monkeypatch.setattr("pyOpenHaptics.hd.start_scheduler", lambda: 1 / 0)
-    with pytest.raises(ZeroDivisionError), OpenHapticsAdapter():
-        pass
-    assert device.calls[-2:] == ["stop", "close 0"]
-
-
-def test_found_touch(monkeypatch):
-    device = OpenHaptics(number=3).install(monkeypatch)
-    (found,) = OpenHapticsAdapter.find()
-    assert (found.where, found.detail, found.problem) == ("Default Device", "3D Systems Touch", "")
-    assert device.calls == ["init Default Device", "close 3"]
-
-
 @pytest.mark.parametrize(
     ("adapter", "package", "sentence"),
     [
@@ -360,54 +280,3 @@ def test_a_package_that_is_missing_is_named_with_how_to_get_it(
     (found,) = adapter.find()
     assert found.limits is None and found.problem.count(": ") >= 1
     assert SigmaAdapter.find() == [] or package != "forcedimension_core"
-
-
-@pytest.mark.parametrize(
-    ("adapter", "package", "what"),
-    [
-        (ForceDimensionAdapter, "forcedimension_core", "the SDK of forcedimension.com"),
-        (OpenHapticsAdapter, "pyOpenHaptics", "OpenHaptics of 3dsystems.com"),
-    ],
-)
-@pytest.mark.parametrize("error", [ImportError, OSError, NameError])
-def test_a_vendors_library_that_is_missing_is_named(
-    monkeypatch, tmp_path, adapter, package, what, error
-):
-    """The package is there and cannot load what the vendor gives."""
-    without(monkeypatch, package)
-    monkeypatch.delitem(__import__("sys").modules, package)
-    (tmp_path / package).mkdir()
-    (tmp_path / package / "__init__.py").write_text(f"raise {error.__name__}('no library')\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(InputError, match=f"{what} must be installed"), adapter():
-        pass
-
-
-def test_the_vendors_thread_and_the_loop_share_whole_samples(monkeypatch):
-    """The vendor's thread and the loop share whole samples.
-
-    A device moves along one line while both threads run: no sample mixes two of them.
-    """
-    device = OpenHaptics().install(monkeypatch)
-    with OpenHapticsAdapter() as adapter:
-        ends = threading.Event()
-
-        def serve():
-            for count in range(3000):
-                device.position_mm = np.full(3, float(count))
-                device.callback(None)
-            ends.set()
-
-        worker = threading.Thread(target=serve)
-        worker.start()
-        seen = 0
-        while not ends.is_set():
-            sample = adapter.poll()
-            if sample is not None:
-                x, y, z = sample.position_m
-                assert x == y == z
-                seen += 1
-            adapter.push(FORCE, NOTHING)
-            time.sleep(0)
-        worker.join()
-    assert seen > 1 and {*device.forces} <= {tuple(FORCE), (0.0, 0.0, 0.0)}

@@ -8,7 +8,7 @@ import pytest
 from recording_plotter import RecordingPlotter
 
 from tissue import InputError, load_scene, simulate
-from tissue.motion.pose_file import write_poses
+from tissue.motion.replay import write_poses
 from tissue.show.viewer.bone import BoneShown
 from tissue.show.viewer.controls import LayerKeys
 from tissue.show.viewer.saved_surfaces import bone_of

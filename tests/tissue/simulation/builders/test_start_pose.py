@@ -13,7 +13,7 @@ from meshes.base.progress import silent
 from meshes.paths.replay_table import POSE_COLUMNS
 from tissue import load_scene
 from tissue.models.tissue_model import ToolMotion
-from tissue.motion.drilling_recording import POSES
+from tissue.motion.replay import POSES
 from tissue.simulation.builders.registry import build
 
 TILTED = Rotation.from_euler("y", 30.0, degrees=True)

@@ -1,1 +1,0 @@
-"""Extended dynamic mode decomposition: dictionaries, regression, validation, stored predictors."""
