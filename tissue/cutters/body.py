@@ -5,9 +5,8 @@ from itertools import pairwise
 from math import ceil, cos, pi
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.arrays import Array, lattice
+from meshes.base.arrays import Array, Int32s, lattice
 from tissue.cutters.cutter import spiral
 from tissue.cutters.profile import Arc, Line, Piece, Profile
 
@@ -71,10 +70,10 @@ class OutlineTable:
         1 where a part is convex, shape (parts,).
     """
 
-    kind: NDArray[np.int32]
+    kind: Int32s
     shape: Array
-    first: NDArray[np.int32]
-    convex: NDArray[np.int32]
+    first: Int32s
+    convex: Int32s
 
 
 def outline_table(profile: Profile) -> OutlineTable:

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Int32s, Ints
 from tissue.cutters.body import convex_parts
 from tissue.cutters.profile import Piece, Profile
 
@@ -48,7 +47,7 @@ class MedialAxis:
 
     starts_m: Array
     ends_m: Array
-    across: NDArray[np.int32]
+    across: Int32s
 
 
 def medial_axis(profile: Profile) -> MedialAxis:
@@ -155,7 +154,7 @@ def _deviation(balls: Array, starts: Array, ends: Array) -> Array:
     return np.asarray(np.linalg.norm(balls - starts - share[:, None] * along, axis=1))
 
 
-def _merged(balls: Array) -> NDArray[np.intp]:
+def _merged(balls: Array) -> Ints:
     """Return the samples that represent a polyline (Douglas and Peucker 1973)."""
     kept = {0, len(balls) - 1}
     spans = [(0, len(balls) - 1)]

@@ -5,9 +5,8 @@ from os import PathLike
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Bytes, Singles
 from meshes.tooth.molar import molar
 from meshes.voxels.volume import VoxelVolume
 from meshes.voxels.voxelise import voxelise
@@ -236,7 +235,7 @@ class Drilling(ContactEnvironment):
         withdrawn = self._deepest_m > 0.0 and self.depth_m <= -CEILING_M + 1e-9
         return withdrawn or self._deepest_m - self.wanted_m >= TOO_DEEP_M
 
-    def _observe(self) -> NDArray[np.float32]:
+    def _observe(self) -> Singles:
         depths = 1e3 * self.depth_m, 1e3 * self._deepest_m
         loads = self._loads[:3], 1e3 * self._loads[3:]
         removed = 1e9 * float(self.bone.model.removed_m3.sum())
@@ -253,7 +252,7 @@ class Drilling(ContactEnvironment):
             "removed_mm3": removed,
         }
 
-    def _draw(self) -> NDArray[np.uint8]:
+    def _draw(self) -> Bytes:
         from tissue.environments.pictures import drilling_picture
 
         return drilling_picture(self)

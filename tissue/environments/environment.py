@@ -9,9 +9,9 @@ from typing import Any, ClassVar
 import gymnasium
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Bytes, Singles
 from meshes.base.errors import InputError, require_positive, require_range
 from tissue.models.tissue_model import TICK_S, Response, TissueModel, ToolMotion
 from tissue.motion.motion import Motion
@@ -48,7 +48,7 @@ class Entry:
     count: int = 1
 
 
-class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
+class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
     """Environment in which a policy moves a tool against tissue; it is the tool's motion.
 
     A step is `ticks` ticks of 1 ms under one action, whose entries lie in [-1, 1]. The observation
@@ -214,12 +214,12 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
             for entry, end in zip(self.entries, places.tolist(), strict=True)
         }
 
-    def _scaled(self, *values: ArrayLike) -> NDArray[np.float32]:
+    def _scaled(self, *values: ArrayLike) -> Singles:
         """Return the numbers of `entries` as an observation."""
         whole = np.concatenate([np.atleast_1d(each) for each in values])
         return np.clip(whole / self._scales, -1.0, 1.0).astype(np.float32)
 
-    def render(self) -> NDArray[np.uint8] | None:
+    def render(self) -> Bytes | None:
         """Return a picture, shape (height, width, 3); None without a render mode."""
         if self.render_mode is None:
             return None
@@ -263,5 +263,5 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
         """Return additional entries of ``info``."""
 
     @abstractmethod
-    def _draw(self) -> NDArray[np.uint8]:
+    def _draw(self) -> Bytes:
         """Return a picture of the present state."""

@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Bytes, Ints
 from meshes.voxels.volume import VoxelVolume, density_volume
 from tissue.cutters import ball_burr
 from tissue.environments.environment import ContactEnvironment, Entry
@@ -122,7 +121,7 @@ class Milling(ContactEnvironment):
         )
 
     @cached_property
-    def _target(self) -> tuple[NDArray[np.intp], Array]:
+    def _target(self) -> tuple[Ints, Array]:
         return self.bone.voxels("target")
 
     @cached_property
@@ -197,7 +196,7 @@ class Milling(ContactEnvironment):
         volumes = {"removed_mm3": share * self._target_mm3, "overcut_mm3": over * self._target_mm3}
         return {"removed_share": share, **volumes, "tip_mm": self.tip_mm}
 
-    def _draw(self) -> NDArray[np.uint8]:
+    def _draw(self) -> Bytes:
         from tissue.environments.pictures import milling_picture
 
         return milling_picture(self)

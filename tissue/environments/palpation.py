@@ -4,9 +4,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Bytes, Singles
 from meshes.organs.liver import Nodule, slab, slab_base
 from tissue.environments.environment import ContactEnvironment, Entry
 from tissue.models.organ.model import LiverModel
@@ -173,7 +172,7 @@ class Palpation(ContactEnvironment):
     def _is_over(self) -> bool:
         return self._touched and self.tip_m[2] >= CEILING_M
 
-    def _observe(self) -> NDArray[np.float32]:
+    def _observe(self) -> Singles:
         self.path.append((*(1e3 * self.tip_m).tolist(), float(self._loads[2])))
         loads = self._loads[:3], 1e3 * self._loads[3:]
         return self._scaled(1e3 * self.tip_m, 1e3 * self._velocity_m_s, *loads, self.time_left)
@@ -185,7 +184,7 @@ class Palpation(ContactEnvironment):
             "error_mm": self.error_mm,
         }
 
-    def _draw(self) -> NDArray[np.uint8]:
+    def _draw(self) -> Bytes:
         from tissue.environments.pictures import palpation_picture
 
         return palpation_picture(self)

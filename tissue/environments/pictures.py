@@ -8,8 +8,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Bytes
 from tissue.environments.environment import ContactEnvironment
 from tissue.environments.restorable_bone import RestorableBone
 
@@ -33,7 +33,7 @@ def _canvas(env: ContactEnvironment, panels: int) -> tuple[Figure, list[Axes]]:
     return figure, list(np.atleast_1d(figure.subplots(1, panels)))
 
 
-def _pixels(figure: Figure) -> NDArray[np.uint8]:
+def _pixels(figure: Figure) -> Bytes:
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     return np.array(canvas.buffer_rgba(), dtype=np.uint8)[..., :3]
@@ -62,7 +62,7 @@ def _section(
     panel.set_ylabel(f"{'xyz'[second]} / mm")
 
 
-def milling_picture(env: "Milling") -> NDArray[np.uint8]:
+def milling_picture(env: "Milling") -> Bytes:
     """Draw sections under the burr along x, and through the pocket at half its depth.
 
     The target is orange.
@@ -78,7 +78,7 @@ def milling_picture(env: "Milling") -> NDArray[np.uint8]:
     return _pixels(figure)
 
 
-def drilling_picture(env: "Drilling") -> NDArray[np.uint8]:
+def drilling_picture(env: "Drilling") -> Bytes:
     """Draw a section along x under the bur, with the wanted depth."""
     figure, (side,) = _canvas(env, 1)
     tip = 1e3 * env.tool.tip_m
@@ -97,7 +97,7 @@ def drilling_picture(env: "Drilling") -> NDArray[np.uint8]:
     return _pixels(figure)
 
 
-def palpation_picture(env: "Palpation") -> NDArray[np.uint8]:
+def palpation_picture(env: "Palpation") -> Bytes:
     """Draw the fingertip's path, coloured by its force, and the position of the nodule."""
     figure, (top,) = _canvas(env, 1)
     x, y, _, force = np.array(env.path).T

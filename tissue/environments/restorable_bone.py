@@ -4,9 +4,8 @@ from collections.abc import Mapping
 from os import PathLike
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Flags, Ints, Singles
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.materials.scene_constants import Materials
@@ -77,7 +76,7 @@ class RestorableBone:
         """Return the volume removed from a layer so far [mm3]."""
         return 1e9 * float(self.model.removed_m3[self.model.layer_names.index(layer)])
 
-    def voxels(self, layer: str) -> tuple[NDArray[np.intp], Array]:
+    def voxels(self, layer: str) -> tuple[Ints, Array]:
         """Return full voxels of a layer before any cut.
 
         They are indices into the flat array of stored voxels, and centres [m].
@@ -88,12 +87,12 @@ class RestorableBone:
         places, _ = voxels_of(store.places, np.arange(len(chosen)), chosen.astype(np.int64))
         return np.flatnonzero(chosen), store.grid.origin_m + store.grid.spacing_m * (places + 0.5)
 
-    def left(self, at: NDArray[np.intp]) -> NDArray[np.bool_]:
+    def left(self, at: Ints) -> Flags:
         """Return whether voxels are at least half full, by their indices in the flat array."""
         stored = self.model.store.remaining.numpy().reshape(-1)
         return np.asarray(stored[at] > np.iinfo(np.uint16).max // 2)
 
-    def patch(self, centre_m: Array, spacing_m: float) -> NDArray[np.float32]:
+    def patch(self, centre_m: Array, spacing_m: float) -> Singles:
         """Return the share of bone at points around a centre, shape (9, 9, 9), from 0 to 1.
 
         The axes are along x, y and z.

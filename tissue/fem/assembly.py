@@ -9,7 +9,7 @@ from scipy.sparse import bsr_array
 
 from kernels.launcher import SplitLaunch
 from kernels.tetrahedra import pair_stiffness, pair_stiffness_isotropic
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Int32s
 from tissue.fem.pattern import local_pairs
 from tissue.fem.shapes import EDGES, gradient_products
 from tissue.fem.space import Space
@@ -71,7 +71,7 @@ def assemble(space: Space, elasticity: ArrayLike) -> bsr_array:
 
 
 @cache
-def pair_tables(order: int) -> tuple[NDArray[np.int32], Array]:
+def pair_tables(order: int) -> tuple[Int32s, Array]:
     """Return the corners of the shape functions of each pair in a cell, and their weights.
 
     Both arrays have shape (p, 4).

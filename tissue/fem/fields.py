@@ -2,10 +2,7 @@
 
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
-from meshes.base.arrays import Array, Ints
+from meshes.base.arrays import Array, Bytes, Ints, Singles
 
 __all__ = ["FieldSeries", "Frame", "StressState"]
 
@@ -26,8 +23,8 @@ class Frame:
     """
 
     time_s: float
-    points: dict[str, NDArray[np.float32]]
-    cells: dict[str, NDArray[np.float32]]
+    points: dict[str, Singles]
+    cells: dict[str, Singles]
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +50,7 @@ class FieldSeries:
 
     nodes_m: Array
     cells: Ints
-    layer: NDArray[np.uint8]
+    layer: Bytes
     layer_names: tuple[str, ...]
     frames: list[Frame] = field(default_factory=list)
     node_sets: dict[str, Ints] = field(default_factory=dict)

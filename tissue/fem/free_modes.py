@@ -1,9 +1,8 @@
 """Rigid motions of a body, and the names of the motions that its supports leave free."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Flags
 
 __all__ = ["free_modes", "rigid_modes"]
 
@@ -24,7 +23,7 @@ def rigid_modes(nodes_m: Array, about_m: Array) -> Array:
     return modes
 
 
-def free_modes(nodes_m: Array, held: NDArray[np.bool_]) -> list[str]:
+def free_modes(nodes_m: Array, held: Flags) -> list[str]:
     """Return the names of the rigid motions that move no held component.
 
     The list is empty if the body is supported.

@@ -17,10 +17,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import bsr_array
 
-from meshes.base.arrays import Array, Ints
+from meshes.base.arrays import Array, Flags, Ints
 from meshes.base.errors import InputError, require_positive
 from tissue.fem.conjugate_gradients import Solution, SolverOutcome, conjugate_gradients
 from tissue.fem.hyperelastic import NonlinearBody
@@ -177,7 +176,7 @@ class NewtonSolver:
     def __init__(
         self,
         body: NonlinearBody,
-        held: NDArray[np.bool_],
+        held: Flags,
         *,
         tolerance: float = 1e-8,
         step_limit: int = 60,

@@ -8,14 +8,11 @@ mirror image gets a place, not a sum.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from meshes.base.arrays import Ints
+from meshes.base.arrays import Int32s, Ints
 
 __all__ = ["Pattern", "grouped", "local_pairs"]
-
-Integers = NDArray[np.int32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,12 +36,12 @@ class Pattern:
         Block of its transpose, shape (p,); equal to `place` on the diagonal.
     """
 
-    row_start: Integers
-    column: Integers
-    pair_start: Integers
-    contribution: Integers
-    place: Integers
-    mirror: Integers
+    row_start: Int32s
+    column: Int32s
+    pair_start: Int32s
+    contribution: Int32s
+    place: Int32s
+    mirror: Int32s
 
     @classmethod
     def of(cls, cell_nodes: Ints, node_count: int) -> "Pattern":
@@ -90,7 +87,7 @@ def local_pairs(nodes_a_cell: int) -> Ints:
     return np.stack(np.triu_indices(nodes_a_cell), axis=1)
 
 
-def grouped(first: Integers, second: Integers, count: int) -> tuple[Integers, Ints]:
+def grouped(first: Int32s, second: Int32s, count: int) -> tuple[Int32s, Ints]:
     """Return the stable order that sorts pairs of numbers, and the start of each pair.
 
     The numbers are below `count`. The starts have shape (p + 1,).
@@ -106,7 +103,7 @@ def grouped(first: Integers, second: Integers, count: int) -> tuple[Integers, In
     return order, np.flatnonzero(new)
 
 
-def _sorted_by(key: Integers, order: Integers, count: int) -> Integers:
+def _sorted_by(key: Int32s, order: Int32s, count: int) -> Int32s:
     """Return `order` sorted stably by keys below `count`, in time linear in both."""
     row = csr_array(
         (order, key[order], np.array([0, len(order)], dtype=np.int32)), shape=(1, count)

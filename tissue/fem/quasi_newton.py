@@ -15,10 +15,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import bsr_array, csr_array, diags_array, kron
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Flags
 from tissue.fem.hyperelastic import NonlinearBody
 from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.multifrontal import NotPositiveDefiniteError
@@ -151,7 +150,7 @@ class QuasiNewton:
     def __init__(
         self,
         body: NonlinearBody,
-        fixed: NDArray[np.bool_],
+        fixed: Flags,
         at_rest: DirectSolver,
         factorise: Callable[[bsr_array], DirectSolver],
     ) -> None:

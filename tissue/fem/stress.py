@@ -2,11 +2,11 @@
 
 import numpy as np
 import warp as wp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from kernels import tet_stress
 from kernels.launcher import SplitLaunch
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Int32s
 from meshes.base.errors import InputError
 from tissue.fem.fields import StressState
 from tissue.fem.shapes import gradient_slopes
@@ -41,8 +41,8 @@ def group_stress(
     space: Space,
     displacement_m: Array,
     elasticity: ArrayLike,
-    start: NDArray[np.int32],
-    member: NDArray[np.int32],
+    start: Int32s,
+    member: Int32s,
     places: Array,
 ) -> StressState:
     """Return the mean stress of groups of cells at points in them, weighted by the cells' volumes.

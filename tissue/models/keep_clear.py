@@ -10,14 +10,13 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror
 from kernels.structure_depth import CELL_COLUMNS, CELLS, MedialAxis
 from kernels.structure_distance import NODES, TRIANGLES, Tree, distance_to_structure
 from kernels.tool_distance import Outline
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Floats, Ints
 from meshes.surfaces.box_tree import BoxTree, box_tree, cut_long
 from tissue.cutters.body import outline_table
 from tissue.cutters.medial import MEDIAL_TOLERANCE_M, medial_axis
@@ -26,7 +25,7 @@ from tissue.models.tissue_model import TICK_S, ToolMotion
 
 __all__ = ["Distance", "KeepClear", "Structure"]
 
-Distance = Callable[[NDArray[np.float64]], NDArray[np.floating]]
+Distance = Callable[[Array], Floats]
 """Function from points [m], shape (n, 3), to signed distances [m], shape (n,), negative inside."""
 DEVICE = "cpu"
 """Device of the search: one thread on the CPU, for any device of the tissue."""
@@ -48,7 +47,7 @@ class Structure:
     """
 
     vertices_m: Array
-    faces: NDArray[np.int64]
+    faces: Ints
     slack_m: float = 0.0
 
 

@@ -5,9 +5,8 @@ from math import inf
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Bytes
 from tissue.fem.fields import FieldSeries
 
 __all__ = [
@@ -212,7 +211,7 @@ class HasHeat(Protocol):
 class HasVoxels(Protocol):
     """Tissue of voxels that a tool removes."""
 
-    def remaining(self) -> NDArray[np.uint8]:
+    def remaining(self) -> Bytes:
         """Return the remaining tissue in every voxel, 255 = full, shape of the voxel volume."""
 
 

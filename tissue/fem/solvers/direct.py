@@ -13,12 +13,11 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.sparse import csc_array, csr_array
 from scipy.sparse.linalg import splu
 
-from meshes.base.arrays import Array, Ints
+from meshes.base.arrays import Array, Flags, Ints
 from meshes.base.errors import InputError
 from tissue.fem.conjugate_gradients import Solution, SolverOutcome
 from tissue.fem.solvers.held_body import HeldBody, pointwise_graph
@@ -119,7 +118,7 @@ def dissected(nodes_m: Array, graph: csr_array, *, leaf: int = LEAF) -> list[Int
     return last_first[::-1]
 
 
-def _touches(graph: csr_array, nodes: Ints, marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _touches(graph: csr_array, nodes: Ints, marked: Flags) -> Flags:
     """Return a mask of the nodes that have a marked neighbour."""
     rows = graph[nodes]
     return np.asarray(rows @ marked.astype(np.int32) > 0)

@@ -5,11 +5,10 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import bsr_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
-from meshes.base.arrays import Array, Ints
+from meshes.base.arrays import Array, Flags, Ints
 from meshes.base.errors import InputError
 from tissue.fem.free_modes import free_modes
 
@@ -56,7 +55,7 @@ class HeldBody:
 
     stiffness: bsr_array
     nodes_m: Array
-    fixed: NDArray[np.bool_]
+    fixed: Flags
 
     def __post_init__(self) -> None:
         count = len(self.nodes_m)
@@ -114,7 +113,7 @@ class HeldBody:
         )
 
     @cached_property
-    def carrying(self) -> NDArray[np.bool_]:
+    def carrying(self) -> Flags:
         """Nodes that a cell uses, shape (n,)."""
         return np.asarray(self.stiffness.diagonal().reshape(-1, 3).any(axis=1))
 
@@ -154,7 +153,7 @@ class HeldBody:
         return displacement
 
 
-def held_nodes(held: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def held_nodes(held: Flags) -> Flags:
     """Return the mask of held components, shape (n, 3), for a mask of held nodes, (n,)."""
     return np.repeat(held[:, None], 3, axis=1)
 

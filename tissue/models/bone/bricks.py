@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from kernels.bone_lookup import BEYOND, SURFACE_STEPS
 from kernels.bricks import BRICK, BRICK_VOXELS, FULL
 from kernels.sampling import sample
+from meshes.base.arrays import Array, Bytes, Flags, Ints, Singles
 from meshes.voxels.distances import OUTSIDE, near_the_surface
 from meshes.voxels.volume import VoxelVolume
 
@@ -39,7 +40,7 @@ class BrickGrid:
         Name of each layer.
     """
 
-    origin_m: NDArray[np.float64]
+    origin_m: Array
     spacing_m: float
     counts: tuple[int, ...]
     layer_names: tuple[str, ...]
@@ -94,7 +95,7 @@ class BrickStore:
         self.grid = grid
         self.volume: VoxelVolume | None = None
         self.start_steps = np.zeros(len(grid.layer_names), dtype=np.int64)
-        self.places: NDArray[np.int64] = np.zeros((0, 3), dtype=np.int64)
+        self.places: Ints = np.zeros((0, 3), dtype=np.int64)
         self.brick_of: Any = wp.full(grid.counts, -1, dtype=wp.int32, device=device)
         self._device = device
         self.remaining: Any = wp.empty((0, BRICK_VOXELS), dtype=wp.uint16, device=device)
@@ -132,7 +133,7 @@ class BrickStore:
         counts = tuple(-(-n // BRICK) for n in volume.shape)
         surface, layer, density, boundary = near_the_surface(volume)
         near = _blocked(OUTSIDE - surface, counts)
-        holds: NDArray[np.bool_] = np.asarray(
+        holds: Flags = np.asarray(
             _blocked(volume.fraction, counts).any(axis=(1, 3, 5)) | near.any(axis=(1, 3, 5))
         )
         inner = tuple(slice(margin, n - margin) for n in counts)
@@ -205,7 +206,7 @@ class BrickStore:
             )
         return grows
 
-    def take_touched(self) -> tuple[NDArray[np.intp], NDArray[np.uint16]]:
+    def take_touched(self) -> tuple[Ints, NDArray[np.uint16]]:
         """Return rows and a copy of the content of bricks that lost material since the last call.
 
         The cost is proportional to the number of these bricks, so that a tick can afford it.
@@ -217,7 +218,7 @@ class BrickStore:
             self.touched.zero_()
         return rows, self.remaining.numpy()[rows]
 
-    def sample(self, points_m: NDArray[np.float64]) -> NDArray[np.float32]:
+    def sample(self, points_m: Array) -> Singles:
         """Return the filled fraction at points [m], shape (n, 3), trilinear between voxel centres.
 
         It is 0 where nothing is stored.
@@ -230,7 +231,7 @@ class BrickStore:
         wp.launch(sample, dim=len(voxels), inputs=inputs, outputs=[found], device=device)
         return np.asarray(found.numpy())
 
-    def write_fraction(self, fraction: NDArray[np.uint8], rows: NDArray[np.intp]) -> None:
+    def write_fraction(self, fraction: Bytes, rows: Ints) -> None:
         """Write the remaining fraction of some bricks into an array, 255 = full.
 
         The array has the volume's shape.
@@ -240,7 +241,7 @@ class BrickStore:
             part = fraction[x : x + BRICK, y : y + BRICK, z : z + BRICK]
             part[:] = brick[: part.shape[0], : part.shape[1], : part.shape[2]]
 
-    def fraction(self) -> NDArray[np.uint8]:
+    def fraction(self) -> Bytes:
         """Return the remaining fraction of every voxel of the grid, 255 = full.
 
         For a volume it has the volume's shape.
@@ -252,7 +253,7 @@ class BrickStore:
             else np.ascontiguousarray(whole[tuple(map(slice, self.volume.shape))])
         )
 
-    def part(self, first: tuple[int, ...], last: tuple[int, ...]) -> NDArray[np.uint8]:
+    def part(self, first: tuple[int, ...], last: tuple[int, ...]) -> Bytes:
         """Return the remaining fraction of the voxels of some bricks, 255 = full.
 
         It is 0 where no brick is stored.
@@ -269,7 +270,7 @@ class BrickStore:
         dense[held] = _bricks(_nearest(self.remaining.numpy()[brick_of[held]]))
         return np.ascontiguousarray(dense.transpose(0, 3, 1, 4, 2, 5).reshape(nx, ny, nz))
 
-    def steps_by_layer(self) -> NDArray[np.int64]:
+    def steps_by_layer(self) -> Ints:
         """Return the stored steps that remain in each layer, shape (layers,)."""
         count = len(self.places)
         remaining = self.remaining.numpy()[:count]
@@ -279,9 +280,7 @@ class BrickStore:
         )
 
 
-def voxels_of(
-    places: NDArray[np.int64], rows: NDArray[np.intp], steps: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def voxels_of(places: Ints, rows: Ints, steps: Ints) -> tuple[Ints, Ints]:
     """Return the indices and values of the voxels whose value is not 0.
 
     ``steps`` holds the values, shape (rows, 512). The indices have shape (n, 3). ``places`` are the
@@ -295,14 +294,14 @@ def voxels_of(
     return BRICK * places[rows[row]] + inside, steps[row, column]
 
 
-def _nearest(remaining: NDArray[np.uint16]) -> NDArray[np.uint8]:
+def _nearest(remaining: NDArray[np.uint16]) -> Bytes:
     """Return stored steps as 8-bit fractions."""
     return ((remaining.astype(np.uint32) + np.uint32(STEPS // 2)) // np.uint32(STEPS)).astype(
         np.uint8
     )
 
 
-def _filled_up(surface: NDArray[np.uint8], counts: tuple[int, ...]) -> NDArray[np.uint8]:
+def _filled_up(surface: Bytes, counts: tuple[int, ...]) -> Bytes:
     """Return the stored surface distance padded to whole bricks.
 
     The padding of each face lies one voxel farther out, and is outside in any case.

@@ -6,10 +6,9 @@ A whole tibia at 0.1 mm would have 2e9 voxels.
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kernels.bricks import BRICK
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Bytes, Flags, Ints
 from meshes.base.errors import InputError
 from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.sdf import Shape
@@ -139,7 +138,7 @@ class BricksOnDemand:
         high = np.floor(high_m / patch_m - self._first / PATCH).astype(np.int64) + 1
         return bool(self._made[low[0] : high[0], low[1] : high[1], low[2] : high[2]].all())
 
-    def cut_parts(self) -> Iterator[tuple[VoxelVolume, NDArray[np.uint8]]]:
+    def cut_parts(self) -> Iterator[tuple[VoxelVolume, Bytes]]:
         """Yield the parts that tools have cut: bone before any cut, and its remainder, 255 = full.
 
         The parts are boxes that share one layer of voxels, so that a surface between voxel centres
@@ -177,14 +176,14 @@ class BricksOnDemand:
             left[there] = np.where(known[there], now, left[there])
             yield volume, left
 
-    def _voxels(self, low: NDArray[np.int64], high: NDArray[np.int64]) -> VoxelVolume:
+    def _voxels(self, low: Ints, high: Ints) -> VoxelVolume:
         """Return the voxels of the bricks from one position to another, before any cut."""
         corners: Array = (self._first + np.stack([low, high])) * np.float64(self._brick_m)
         region = corners[0], corners[1]
         spacing_m = self.store.grid.spacing_m
         return voxelise(self.anatomy, spacing_m=spacing_m, region_m=region, minus=self._minus)
 
-    def _wanted(self, boxes: Boxes) -> NDArray[np.bool_]:
+    def _wanted(self, boxes: Boxes) -> Flags:
         """Return the patches that boxes touch and that are not made yet."""
         patch_m = PATCH * self._brick_m
         low, high = (
@@ -197,7 +196,7 @@ class BricksOnDemand:
         return wanted & ~self._made
 
 
-def _box_of(wanted: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _box_of(wanted: Flags) -> tuple[Ints, Ints]:
     """Return the first and one after the last patch of a box of wanted patches.
 
     The box is grown from the first wanted patch along z, then y, then x.

@@ -9,13 +9,13 @@ from typing import Any, Literal
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from kernels.bricks import BRICK
 from kernels.carving import BINARY, COUNT, EVERY_SIDE, FIRST, ORIGIN, PHASES, PLAN, TURNED, carve
 from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror
 from kernels.revolution import Revolution
+from meshes.base.arrays import Array
 from tissue.cutters.cutter import Cutter, DistanceTable
 from tissue.cutters.profile import Profile
 from tissue.models.bone.bricks import BrickStore
@@ -59,8 +59,8 @@ class CarverState:
     swept: Any
     older: Any
     alive: Any
-    poses: NDArray[np.float64]
-    heading: NDArray[np.float64]
+    poses: Array
+    heading: Array
     counts: tuple[int, float, int]
 
 
@@ -191,7 +191,7 @@ class Carver:
         elif self._behind > 0:
             self._visit(1)  # the tool rests: carve the other bricks at its pose, one group a tick
 
-    def _pose_of(self, motion: ToolMotion) -> NDArray[np.float64]:
+    def _pose_of(self, motion: ToolMotion) -> Array:
         """Return tip [voxel] and axis of a motion, in an array that the next call overwrites."""
         now = self._now
         np.subtract(motion.tip_m, self._origin, out=now[:3])
@@ -199,7 +199,7 @@ class Carver:
         now[3:] = motion.rotation[:, 2]
         return now
 
-    def _sweep(self, now: NDArray[np.float64], *, parts: int) -> None:
+    def _sweep(self, now: Array, *, parts: int) -> None:
         """Carve a fast tool at several poses on its path."""
         before = self._pose.host[0].copy()
         for part in range(1, parts + 1):

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.special import iv
 
 from kernels.cutting import DENSITIES
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Ints
 
 __all__ = ["HIGHEST_EXPONENT", "DensityNodes"]
 
@@ -97,7 +97,7 @@ def _count(a: float) -> int:
     return int(counts[np.argmax(4.0 * iv(counts, a) * np.exp(a) < ERROR)])
 
 
-def densities_of(material: NDArray[np.uint32], layer: int) -> NDArray[np.int64]:
+def densities_of(material: NDArray[np.uint32], layer: int) -> Ints:
     """Return the smallest and largest density in a layer of stored voxels [kg/m3].
 
     `material` holds the words of the voxels. Without voxels both densities are zero.

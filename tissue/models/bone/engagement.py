@@ -2,7 +2,6 @@
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from kernels.bricks import corner8f
 from kernels.elements import CHUNK, LANES
@@ -164,12 +163,12 @@ class EngagedBone:
         return self._response.engaged_m2
 
     @property
-    def start_m3(self) -> NDArray[np.float64]:
+    def start_m3(self) -> Array:
         """Volume of each layer before the first cut [m3], shape (layers,)."""
         return self.bone.start_m3
 
     @property
-    def removed_m3(self) -> NDArray[np.float64]:
+    def removed_m3(self) -> Array:
         """Volume removed from each layer so far [m3], shape (layers,)."""
         return self.bone.removed_m3
 

@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from kernels.bricks import FULL, corner8f
 from kernels.cutting import AREA, DENSITIES, RATE, Coefficients, cutting_forces
@@ -12,6 +11,7 @@ from kernels.elements import CHUNK, lever16
 from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror
 from kernels.older_cuts import SLOTS
+from meshes.base.arrays import Array, Bytes, Ints
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.materials.constants import CuttingCoefficients
@@ -142,7 +142,7 @@ class BoneModel:
         self._record()
 
     @property
-    def start_steps(self) -> NDArray[np.int64]:
+    def start_steps(self) -> Ints:
         """Stored steps of each layer before any cut, shape (layers,)."""
         return self.store.start_steps
 
@@ -152,7 +152,7 @@ class BoneModel:
         return self._motion.device
 
     @property
-    def removed_steps(self) -> NDArray[np.int64]:
+    def removed_steps(self) -> Ints:
         """Stored steps removed from each layer so far, shape (layers,)."""
         return self.carver.removed_steps
 
@@ -162,12 +162,12 @@ class BoneModel:
         return self._spacing**3 / FULL
 
     @property
-    def start_m3(self) -> NDArray[np.float64]:
+    def start_m3(self) -> Array:
         """Volume of each layer before the first cut [m3], shape (layers,)."""
         return np.asarray(self.start_steps * self.step_m3, dtype=np.float64)
 
     @property
-    def removed_m3(self) -> NDArray[np.float64]:
+    def removed_m3(self) -> Array:
         """Volume removed from each layer so far [m3], shape (layers,)."""
         return np.asarray(self.removed_steps * self.step_m3, dtype=np.float64)
 
@@ -222,7 +222,7 @@ class BoneModel:
         """Complete the carving that was spread over ticks."""
         self.carver.finish()
 
-    def remaining(self) -> NDArray[np.uint8]:
+    def remaining(self) -> Bytes:
         """Return the remaining bone in every voxel, 255 = full, shape of the volume."""
         return self.store.fraction()
 

@@ -1,9 +1,9 @@
 """Bone at any tick of a run: the tool's poses, carved again by the kernel of the run."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kernels.bricks import FULL
+from meshes.base.arrays import Array, Bytes, Ints
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.models.bone.bricks import BrickStore, voxels_of
@@ -38,7 +38,7 @@ class CarvingReplay:
         self,
         volume: VoxelVolume,
         cutter: Cutter,
-        poses: NDArray[np.float64],
+        poses: Array,
         *,
         removal: Removal = "subvoxel",
         device: str = "cpu",
@@ -54,7 +54,7 @@ class CarvingReplay:
         self._changed = np.zeros(0, dtype=np.intp)
         self._cut = np.zeros(0, dtype=np.intp)  # bricks that differ from the start
 
-    def at(self, tick: int) -> NDArray[np.uint8]:
+    def at(self, tick: int) -> Bytes:
         """Return the bone at the end of a tick, see `fraction`.
 
         A tick before the last one restarts the replay at the first pose.
@@ -79,7 +79,7 @@ class CarvingReplay:
         self._changed = completed
         return self.fraction
 
-    def removals(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def removals(self) -> tuple[Ints, Ints]:
         """Return the voxels that fall below half during the run, and the tick of each, increasing.
 
         The indices have shape (n, 3). Removal is fractional; a voxel that was below half before the
@@ -115,7 +115,7 @@ class CarvingReplay:
         self._next = 0
         return np.concatenate(found), np.concatenate(ticks)
 
-    def _carve(self, pose: NDArray[np.float64]) -> None:
+    def _carve(self, pose: Array) -> None:
         motion = self._motion
         motion.tip_m[:] = pose[1:4]
         motion.rotation[:, 2] = pose[4:7]

@@ -5,7 +5,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from kernels.contact_state import Body, Lists, Points
-from meshes.base.arrays import Array, Ints
+from meshes.base.arrays import Array, Int32s, Ints
 from meshes.base.errors import InputError
 from tissue.models.organ.probe import ProbeShape, ShellProbe
 
@@ -15,9 +15,7 @@ MOST_DIVISIONS = 16
 """Largest number of contact points along the edge of a triangle."""
 
 
-def contact_points(
-    nodes_m: Array, faces: Ints, spacing_m: float
-) -> tuple[NDArray[np.int32], Array, Array]:
+def contact_points(nodes_m: Array, faces: Ints, spacing_m: float) -> tuple[Int32s, Array, Array]:
     """Return contact points on triangles: corners, and a lattice inside large triangles.
 
     A triangle whose longest edge spans n spacings, n > 1, has the centres of its n^2 equal parts.

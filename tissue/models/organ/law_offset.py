@@ -21,10 +21,9 @@ from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array, kron
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Flags
 from tissue.fem.quasi_newton import QuasiNewton, Springs
 from tissue.models.organ.contact import SurfaceContact
 from tissue.models.tissue_model import SLOW
@@ -83,7 +82,7 @@ class LawOffset:
     def __init__(
         self,
         follower: QuasiNewton,
-        fixed: NDArray[np.bool_],
+        fixed: Flags,
         transfer: csr_array,
         *,
         interval_s: float,

@@ -5,12 +5,11 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import label
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Flags, Int32s, Integers, Ints
 from tissue.fem.conjugate_gradients import (
     Iterate,
     IterativeSolution,
@@ -100,11 +99,11 @@ ENOUGH = 200
 
 def supported_cells(
     grid: HexGrid,
-    filled: NDArray[np.bool_],
+    filled: Flags,
     supports: NodeSupports,
     springs: PointSprings,
-    springs_cell: NDArray[np.int32],
-) -> NDArray[np.bool_]:
+    springs_cell: Int32s,
+) -> Flags:
     """Return a mask of the cells that the supports hold against all six rigid motions.
 
     ``filled`` has shape (c,). ``springs_cell`` holds the springs' cells. Cells that share a face
@@ -134,7 +133,7 @@ def supported_cells(
     return filled & supported[part_of] if count else filled
 
 
-def _members(grid: HexGrid, part_of: NDArray[np.integer], count: int) -> list[NDArray[np.int64]]:
+def _members(grid: HexGrid, part_of: Integers, count: int) -> list[Ints]:
     """Return the nodes of each part."""
     cells = np.argsort(part_of, kind="stable")
     starts = np.searchsorted(part_of[cells], np.arange(count + 1))
@@ -147,9 +146,7 @@ def _members(grid: HexGrid, part_of: NDArray[np.integer], count: int) -> list[ND
     return members
 
 
-def _restrained(
-    grid: HexGrid, nodes: NDArray[np.integer], held: NDArray[np.bool_], springs: PointSprings
-) -> bool:
+def _restrained(grid: HexGrid, nodes: Integers, held: Flags, springs: PointSprings) -> bool:
     """Return True if held nodes, and springs at points between them, leave no rigid motion."""
     some = nodes[held[nodes].any(axis=1)]
     if len(some) + len(springs.position_m) == 0:
@@ -202,8 +199,8 @@ class Change:
         Particles that have lost their connection to a support, by the caller's index, shape (d,).
     """
 
-    cells: NDArray[np.int32]
-    debris: NDArray[np.int64]
+    cells: Int32s
+    debris: Ints
 
 
 class ParticleBody:
@@ -280,11 +277,11 @@ class ParticleBody:
         self._apply(np.arange(grid.cell_count, dtype=np.int32))
 
     @property
-    def debris(self) -> NDArray[np.int64]:
+    def debris(self) -> Ints:
         """Particles without support that still have volume, by the caller's index."""
         return self._particles_in(self._is_debris)
 
-    def set_remaining(self, particles: NDArray[np.integer], steps: NDArray[np.integer]) -> None:
+    def set_remaining(self, particles: Integers, steps: Integers) -> None:
         """Set the remaining fraction of particles, by the caller's index, in steps of 1/65535.
 
         `update` applies the change to the stiffness.
@@ -305,7 +302,7 @@ class ParticleBody:
         self.cells.update(touched)
         return self._apply(touched)
 
-    def _apply(self, touched: NDArray[np.int32]) -> Change:
+    def _apply(self, touched: Int32s) -> Change:
         before = self.cells.live.copy()
         was_debris = self._is_debris
         filled = self.cells.fill >= LEAST_FILL
@@ -333,7 +330,7 @@ class ParticleBody:
             self._diagonal = self._hierarchy.diagonal()
         return Change(cells, self._particles_in(self._is_debris & ~was_debris))
 
-    def _particles_in(self, cells: NDArray[np.bool_]) -> NDArray[np.int64]:
+    def _particles_in(self, cells: Flags) -> Ints:
         """Return the remaining particles of these cells, by the caller's index."""
         if not cells.any():
             return np.zeros(0, dtype=np.int64)

@@ -3,14 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from tissue.fem.conjugate_gradients import IterativeSolution
 from tissue.models.tooth.body import ParticleBody
 
 __all__ = ["SupportCompliance", "rigid_motions", "support_compliance"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,9 +4,8 @@ from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Bytes, Flags, Integers, Ints
 from meshes.base.errors import InputError
 from meshes.tooth.layers import caries_softness
 from meshes.voxels.volume import VoxelVolume
@@ -239,10 +238,10 @@ class StressField:
 
     def remove(
         self,
-        voxels: NDArray[np.integer],
-        steps: NDArray[np.integer],
+        voxels: Integers,
+        steps: Integers,
         *,
-        origin_m: NDArray[np.float64],
+        origin_m: Array,
         spacing_m: float,
     ) -> None:
         """Remove from the particles the loss of the finer voxels since the last call.
@@ -270,9 +269,7 @@ class StressField:
         share = np.clip(1.0 - self._lost[touched] / whole, 0.0, 1.0)
         self.body.set_remaining(touched, np.rint(share * FULL_STEPS).astype(np.uint16))
 
-    def solve(
-        self, time_s: float, force_N: NDArray[np.float64], point_m: NDArray[np.float64]
-    ) -> Frame:
+    def solve(self, time_s: float, force_N: Array, point_m: Array) -> Frame:
         """Solve for displacement and stress under a force on the tooth at a point, warm-started.
 
         The frame is recorded and returned.
@@ -306,15 +303,11 @@ class StressField:
         )
         return frame
 
-    def load(
-        self, force_N: NDArray[np.float64], point_m: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def load(self, force_N: Array, point_m: Array) -> Array:
         """Return nodal forces [N], shape (n, 3), of the cutter's force at a point."""
         return self.body.spread_over(point_m, force_N, radius_m=self._contact_m)
 
-    def recover(
-        self, displacement_m: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def recover(self, displacement_m: Array) -> tuple[Array, Array]:
         """Return the von Mises and principal stress [Pa] recovered at the cell centres.
 
         Their shapes are (c,) and (c, 3).
@@ -323,9 +316,7 @@ class StressField:
             np.nan_to_num(self._recovery(displacement_m)), device=self.body.cells.device
         )
 
-    def stress_at(
-        self, displacement_m: NDArray[np.float64], place_m: NDArray[np.float64], layer: str
-    ) -> NDArray[np.float64]:
+    def stress_at(self, displacement_m: Array, place_m: Array, layer: str) -> Array:
         """Return the stress xx, yy, zz, yz, xz, xy [Pa] recovered at points of a layer.
 
         Points of shape (k, 3) give stresses of shape (k, 6).
@@ -337,7 +328,7 @@ class StressField:
         return recovery(displacement_m)
 
 
-def _particles(tooth: VoxelVolume, places: NDArray[np.int64], constants: Materials) -> ParticleSet:
+def _particles(tooth: VoxelVolume, places: Ints, constants: Materials) -> ParticleSet:
     """Return one particle a voxel, with the cited elastic constants of its layer.
 
     Caries is graded by its softness.
@@ -369,7 +360,7 @@ def _bed_layers(tooth: VoxelVolume) -> list[int]:
 
 def _ligament_springs(
     tooth: VoxelVolume,
-    solid: NDArray[np.bool_],
+    solid: Flags,
     thickness_m: float,
     constants: Materials = Materials.cited,
 ) -> PointSprings:
@@ -407,7 +398,7 @@ def _ligament_springs(
     return springs
 
 
-def _cell_layers(body: ParticleBody) -> NDArray[np.uint8]:
+def _cell_layers(body: ParticleBody) -> Bytes:
     """Return the layer with the largest volume in each cell."""
     cells = body.cells
     particles = body.particles

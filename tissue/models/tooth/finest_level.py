@@ -14,6 +14,7 @@ from scipy.sparse import bsr_matrix, csr_matrix
 from kernels.lane_vectors import from_lanes, node_diagonals, smooth, to_lanes
 from kernels.launcher import SplitLaunch
 from kernels.node_blocks import assemble_rows, invert_diagonal, to_single
+from meshes.base.arrays import Array, Int32s
 from tissue.models.tooth.grid import HexGrid
 from tissue.models.tooth.stiffness import CellStiffness
 from tissue.models.tooth.strips import LaneVector, StripProduct
@@ -84,7 +85,7 @@ class NodeBlocks:
             stiffness,
         ]
 
-    def update(self, nodes: NDArray[np.int32]) -> None:
+    def update(self, nodes: Int32s) -> None:
         """Gather the rows of these nodes again from their cells."""
         if len(nodes) == 0:
             return
@@ -113,7 +114,6 @@ class NodeBlocks:
         return bsr_matrix(arrays, shape=(3 * count, 3 * count), copy=False)
 
 
-Array = NDArray[np.float64]
 STEPS = ((0.0, 4.0 / 3.0), (1.0 / 5.0, 12.0 / 5.0))
 """Share of the last direction and gain of the residual of the smoothing polynomial.
 
@@ -210,7 +210,7 @@ class FinestLevel:
         self._take_force = launch(to_lanes, count, [slot, cells.force], [self._force.single])
         self._give_found = launch(from_lanes, count, [slot, self._found.single], [self.vector])
 
-    def update(self, nodes: NDArray[np.int32]) -> None:
+    def update(self, nodes: Int32s) -> None:
         """Update the diagonal of these nodes."""
         if len(nodes) == 0:
             return

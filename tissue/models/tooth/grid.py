@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Bytes, Int32s, Integers, Ints
+
 __all__ = ["CORNERS", "FULL_STEPS", "NEIGHBOURS", "HexGrid", "ParticleSet", "shape_values"]
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int32]
 
 CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
 """Corners of a cell, in edges, shape (8, 3)."""
@@ -40,14 +40,12 @@ class HexGrid:
 
     origin_m: Array
     edge_m: float
-    cell_place: Index
-    node_place: Index
-    cell_nodes: Index
+    cell_place: Int32s
+    node_place: Int32s
+    cell_nodes: Int32s
 
     @classmethod
-    def of_cells(
-        cls, cell_place: NDArray[np.integer], *, origin_m: Array, edge_m: float
-    ) -> "HexGrid":
+    def of_cells(cls, cell_place: Integers, *, origin_m: Array, edge_m: float) -> "HexGrid":
         """Return the grid of the cells at ``cell_place``, shape (c, 3), which may repeat."""
         if not edge_m > 0.0:
             raise ValueError(f"edge_m must be positive, got {edge_m:g}: 2e-4 to 1e-3 suits a tooth")
@@ -100,7 +98,7 @@ class HexGrid:
         return self.origin_m + self.edge_m * (self.cell_place + 0.5)
 
     @cached_property
-    def node_cells(self) -> Index:
+    def node_cells(self) -> Int32s:
         """Cell that has a node as its corner a, or -1, int32, shape (n, 8)."""
         cells = np.full((self.node_count, 8), -1, dtype=np.int32)
         for corner in range(8):
@@ -108,7 +106,7 @@ class HexGrid:
         return cells
 
     @cached_property
-    def node_neighbours(self) -> Index:
+    def node_neighbours(self) -> Int32s:
         """Nodes that share a cell with a node, or -1, int32, shape (n, 27).
 
         They are in the order of `NEIGHBOURS`.
@@ -121,14 +119,14 @@ class HexGrid:
         return found
 
     @property
-    def node_colour(self) -> NDArray[np.int64]:
+    def node_colour(self) -> Ints:
         """One of eight colours of each node, shape (n,): no two nodes of a cell have an equal
         colour.
         """
         return np.asarray((self.node_place & 1) @ (4, 2, 1))
 
     @cached_property
-    def face_pairs(self) -> Index:
+    def face_pairs(self) -> Int32s:
         """Pairs of cells that share a face, int32, shape (f, 2)."""
         pairs = []
         for axis in range(3):
@@ -137,21 +135,21 @@ class HexGrid:
             pairs.append(np.stack([here, beyond[here]], axis=1))
         return np.concatenate(pairs).astype(np.int32)
 
-    def find_cells(self, place: NDArray[np.integer]) -> Index:
+    def find_cells(self, place: Integers) -> Int32s:
         """Return the cells at positions in the box, shape (n, 3), or -1."""
         shape, keys = self._cell_keys
         return _find_keys(keys, place, shape)
 
     @cached_property
-    def _cell_keys(self) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    def _cell_keys(self) -> tuple[Int32s, Ints]:
         shape = self.cell_place.max(axis=0) + 1
         return shape, _keys(self.cell_place, shape)
 
-    def find_nodes(self, place: NDArray[np.integer]) -> Index:
+    def find_nodes(self, place: Integers) -> Int32s:
         """Return the nodes at positions in the box, shape (n, 3), or -1."""
         return _find_places(self.node_place, place, self.node_place.max(axis=0) + 1)
 
-    def locate(self, position_m: Array) -> tuple[Index, Array]:
+    def locate(self, position_m: Array) -> tuple[Int32s, Array]:
         """Return the cell that holds each point, or -1, shape (n,), and the position in it.
 
         The position is 0 to 1 along each edge, shape (n, 3).
@@ -160,7 +158,7 @@ class HexGrid:
         place = np.floor(scaled)
         return self.find_cells(place.astype(np.int64)), scaled - place
 
-    def coarse(self) -> tuple["HexGrid", Index]:
+    def coarse(self) -> tuple["HexGrid", Int32s]:
         """Return the grid of twice the edge over these cells, and its cell of each cell.
 
         The cells are int32, shape (c,).
@@ -180,26 +178,24 @@ def shape_values(place: Array) -> Array:
     return np.asarray(factors.prod(axis=2))
 
 
-def _keys(place: NDArray[np.integer], shape: NDArray[np.integer]) -> NDArray[np.int64]:
+def _keys(place: Integers, shape: Integers) -> Ints:
     x, y, z = place.astype(np.int64).T
     return np.asarray((x * int(shape[1]) + y) * int(shape[2]) + z)
 
 
-def _unique_places(place: NDArray[np.integer], shape: NDArray[np.integer]) -> Index:
+def _unique_places(place: Integers, shape: Integers) -> Int32s:
     keys = np.unique(_keys(place, shape))
     x, rest = np.divmod(keys, int(shape[1]) * int(shape[2]))
     y, z = np.divmod(rest, int(shape[2]))
     return np.stack([x, y, z], axis=1).astype(np.int32)
 
 
-def _find_places(known: Index, place: NDArray[np.integer], shape: NDArray[np.integer]) -> Index:
+def _find_places(known: Int32s, place: Integers, shape: Integers) -> Int32s:
     """Return the row of each position in the ordered positions ``known``, or -1."""
     return _find_keys(_keys(known, shape), place, shape)
 
 
-def _find_keys(
-    keys: NDArray[np.int64], place: NDArray[np.integer], shape: NDArray[np.integer]
-) -> Index:
+def _find_keys(keys: Ints, place: Integers, shape: Integers) -> Int32s:
     inside = ((place >= 0) & (place < shape)).all(axis=1)
     wanted = np.where(inside, _keys(place, shape), -1)
     row = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
@@ -234,7 +230,7 @@ class ParticleSet:
     volume_m3: Array
     modulus_Pa: Array
     poisson_ratio: Array
-    layer: NDArray[np.uint8]
+    layer: Bytes
     remaining: NDArray[np.uint16]
 
     def __post_init__(self) -> None:

@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from kernels.conduction import OPEN, conduct
 from kernels.launcher import SplitLaunch
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Flags, Ints, Singles
 from meshes.voxels.volume import FULL, VoxelVolume
 from tissue.materials.scene_constants import Materials
 
@@ -58,7 +57,7 @@ class HeatGrid:
     filled: Array
     conductivity_W_mK: Array
     heat_capacity_J_m3K: Array
-    pulp: NDArray[np.bool_]
+    pulp: Flags
 
     @classmethod
     def of_tooth(
@@ -134,7 +133,7 @@ class HeatGrid:
             found.append(np.ascontiguousarray(np.moveaxis(along, 0, axis)))
         return tuple(found)
 
-    def pulp_wall(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+    def pulp_wall(self) -> tuple[Ints, Ints, Array]:
         """Return the faces between the pulp and the material around it.
 
         Returns
@@ -165,7 +164,7 @@ class HeatGrid:
                 weights.append(half[one][face] / (half[one][face] + half[other][face]))
         return np.concatenate(inner), np.concatenate(outer), np.concatenate(weights)
 
-    def cells_at(self, points_m: Array) -> NDArray[np.intp]:
+    def cells_at(self, points_m: Array) -> Ints:
         """Return the flat indices of the cells that hold points, shape (n, 3).
 
         For a point outside it is the nearest cell.
@@ -217,7 +216,7 @@ def _index(names: tuple[str, ...], name: str) -> int:
     return names.index(name) if name in names else -1
 
 
-def _starts(count: int, low: float, high: float) -> NDArray[np.intp]:
+def _starts(count: int, low: float, high: float) -> Ints:
     """Return the first voxel of each cell along an axis, for a fine part from ``low`` to ``high``.
 
     Both bounds are in voxels.
@@ -231,7 +230,7 @@ def _starts(count: int, low: float, high: float) -> NDArray[np.intp]:
     )
 
 
-def _outward(count: int) -> NDArray[np.intp]:
+def _outward(count: int) -> Ints:
     """Return the widths of the cells that fill a number of voxels, in outward order [voxel]."""
     widths: list[int] = []
     while (left := count - sum(widths)) > 0:
@@ -239,7 +238,7 @@ def _outward(count: int) -> NDArray[np.intp]:
     return np.array(widths, dtype=np.intp)
 
 
-def _merged(values: Array, starts: list[NDArray[np.intp]]) -> Array:
+def _merged(values: Array, starts: list[Ints]) -> Array:
     """Return the sums of voxels over cells."""
     for axis, start in enumerate(starts):
         values = np.add.reduceat(values, start, axis=axis)
@@ -304,7 +303,7 @@ class Conduction:
         )
 
     @property
-    def rise_K(self) -> NDArray[np.float32]:
+    def rise_K(self) -> Singles:
         """Temperature rise of every cell [K], shape of the grid, 0 in an empty one."""
         return np.asarray(self._temperature[0].numpy())
 
@@ -335,7 +334,7 @@ class Conduction:
         for _ in range(self.plan(duration_s)):
             self.step()
 
-    def remove(self, cells: NDArray[np.intp], lost: Array, warmer_K: Array) -> None:
+    def remove(self, cells: Ints, lost: Array, warmer_K: Array) -> None:
         """Remove material from cells with the heat that it holds.
 
         Parameters

@@ -1,14 +1,12 @@
 """Periodontal ligament as a bed of springs on the roots."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from meshes.base.arrays import Array, Flags
 from tissue.models.tooth.supports import PointSprings
 
 __all__ = ["bed_springs", "bed_stiffness"]
-
-Array = NDArray[np.float64]
 
 
 def bed_stiffness(
@@ -27,8 +25,8 @@ def bed_stiffness(
 
 
 def bed_springs(
-    tooth: NDArray[np.bool_],
-    bed: NDArray[np.bool_],
+    tooth: Flags,
+    bed: Flags,
     *,
     origin_m: Array,
     spacing_m: float,

@@ -17,6 +17,7 @@ from kernels.grid_transfer import coarse_stiffness, interpolate, restrict
 from kernels.hexahedra import BLOCKS
 from kernels.launcher import SplitLaunch
 from kernels.node_blocks import first_residuals, first_sweep, sweep_colour
+from meshes.base.arrays import Array, Int32s
 from tissue.models.tooth.finest_level import FinestLevel, NodeBlocks
 from tissue.models.tooth.grid import CORNERS, NEIGHBOURS, HexGrid
 from tissue.models.tooth.stiffness import CellStiffness
@@ -67,7 +68,7 @@ class GridTransfer:
         Adds the coarse displacement to the fine displacement.
     """
 
-    def __init__(self, fine: TransferLevel, coarse: Any, parent: NDArray[np.int32]) -> None:
+    def __init__(self, fine: TransferLevel, coarse: Any, parent: Int32s) -> None:
         device = fine.device
         grid = fine.grid
         coarse_grid = coarse.grid
@@ -120,7 +121,7 @@ class GridTransfer:
         ]
         self.up = launch(interpolate, grid.node_count, inputs, [fine.vector])
 
-    def project(self, changed: NDArray[np.int32]) -> NDArray[np.int32]:
+    def project(self, changed: Int32s) -> Int32s:
         """Sum the coarse cells over the changed cells again, and return these coarse cells."""
         cells = np.unique(self._parent[changed])
         arrays = [*self._inputs, wp.array(cells, dtype=wp.int32, device=self._device), 0]
@@ -134,7 +135,6 @@ class GridTransfer:
         return cells
 
 
-Array = NDArray[np.float64]
 COARSEST_NODES = 300
 """Largest number of nodes of a grid that is solved directly.
 
@@ -219,7 +219,7 @@ class GridLevel:
             )
         return first, last[::-1]
 
-    def update(self, nodes: NDArray[np.int32]) -> None:
+    def update(self, nodes: Int32s) -> None:
         """Gather the rows of these nodes again."""
         self.blocks.update(nodes)
 
@@ -263,7 +263,7 @@ class GridHierarchy:
         self._coarsest_inverse = np.zeros((0, 0))
         self._stale = True
 
-    def update(self, changed: NDArray[np.int32]) -> None:
+    def update(self, changed: Int32s) -> None:
         """Transfer a change of these cells through all grids.
 
         The coarsest grid waits for `refresh`.

@@ -12,7 +12,7 @@ from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
 from kernels.particle_stress import invariants, point_stress
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Integers
 from tissue.models.tooth.grid import ParticleSet
 from tissue.models.tooth.stiffness import CellStiffness
 
@@ -41,7 +41,7 @@ class StressPoints:
     """
 
     def __init__(
-        self, cells: CellStiffness, row: NDArray[np.integer], cell: Any, place: Any, lame_Pa: Any
+        self, cells: CellStiffness, row: Integers, cell: Any, place: Any, lame_Pa: Any
     ) -> None:
         self._cells = cells
         self._count = len(row)
@@ -69,7 +69,7 @@ class StressPoints:
 
 
 def particle_stress(
-    cells: CellStiffness, displacement_m: Array, *, particles: NDArray[np.integer] | None = None
+    cells: CellStiffness, displacement_m: Array, *, particles: Integers | None = None
 ) -> Array:
     """Return the stress in the material of particles, as `StressPoints` does.
 
@@ -139,7 +139,7 @@ class StressRecovery:
         particles: ParticleSet,
         cells: CellStiffness,
         place_m: Array,
-        layer: NDArray[np.integer],
+        layer: Integers,
         *,
         reach_m: float = REACH_M,
     ) -> None:

@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from kernels.hexahedra import BLOCKS
 from kernels.particle_stiffness import particle_stiffness
+from meshes.base.arrays import Array, Bytes, Flags, Int32s, Integers
 from tissue.models.tooth.grid import CORNERS, HexGrid, ParticleSet
 from tissue.models.tooth.strips import CellStrips, PackedProduct
 from tissue.models.tooth.supports import PointSprings
 
 __all__ = ["CellStiffness", "full_cell_stiffness"]
 
-Array = NDArray[np.float64]
 CENTRE = np.full(3, 0.5)
 
 
@@ -108,9 +108,7 @@ class CellStiffness:
         others = np.flatnonzero(~regular)
         of_springs = regular[sprung]
 
-        def packed(
-            cells: NDArray[np.integer], rows: NDArray[np.integer], blocks: Any
-        ) -> PackedProduct | None:
+        def packed(cells: Integers, rows: Integers, blocks: Any) -> PackedProduct | None:
             """Return the product of some cells with the displacement, None without cells."""
             given: dict[str, Any] = {
                 "live": self.live_on,
@@ -138,18 +136,18 @@ class CellStiffness:
         return np.asarray(self.fill_on.numpy())
 
     @property
-    def live(self) -> NDArray[np.uint8]:
+    def live(self) -> Bytes:
         """1 where a cell carries load."""
         return np.asarray(self.live_on.numpy())
 
-    def set_remaining(self, rows: NDArray[np.integer], steps: NDArray[np.uint16]) -> None:
+    def set_remaining(self, rows: Integers, steps: NDArray[np.uint16]) -> None:
         """Set the remaining fraction of sorted particles; `update` of their cells applies it."""
         left = self.remaining
         left[rows] = steps
         if self.device != "cpu":
             self.remaining_on.assign(left)
 
-    def set_live(self, live: NDArray[np.bool_]) -> None:
+    def set_live(self, live: Flags) -> None:
         """Set which cells carry load, shape (c,)."""
         changed = np.flatnonzero(self.live != live).astype(np.int32)
         self.live_on.assign(live.astype(np.uint8))
@@ -159,7 +157,7 @@ class CellStiffness:
         """Launch a kernel once; its last input is the first thread's index."""
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
 
-    def update(self, cells: NDArray[np.int32]) -> None:
+    def update(self, cells: Int32s) -> None:
         """Sum the stiffness of these cells over their particles again."""
         if len(cells) == 0:
             return
@@ -182,7 +180,7 @@ class CellStiffness:
 
         self._weigh(cells)
 
-    def _weigh(self, cells: NDArray[np.int32]) -> None:
+    def _weigh(self, cells: Int32s) -> None:
         if len(cells):
             particles = [self.place, self.volume, self.lame, self.remaining_on, self.cell_start_on]
             changed: Any = wp.array(cells, dtype=wp.int32, device=self.device)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from kernels.bricks import BRICK_VOXELS
 from kernels.cores import limit_cores
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 from meshes.voxels.volume import VoxelVolume
 from tissue.fem.fields import FieldSeries
@@ -47,10 +48,10 @@ class Drilled:
     """
 
     time_s: float
-    rows: NDArray[np.intp]
+    rows: Ints
     left: NDArray[np.uint16]
-    force_N: NDArray[np.float64]
-    point_m: NDArray[np.float64]
+    force_N: Array
+    point_m: Array
 
 
 class StressSolver(Protocol):
@@ -69,7 +70,7 @@ class StressSolver(Protocol):
     """
 
     compliance: SupportCompliance
-    reference_m: NDArray[np.float64]
+    reference_m: Array
     root_guessed: bool
     series: FieldSeries
     records: list[SolveRecord]

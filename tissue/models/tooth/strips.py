@@ -13,6 +13,7 @@ from kernels.cell_strips import LANES, WEIGHTS, lanes_of, strip_products
 from kernels.hexahedra import cell_products, gather_cells
 from kernels.lane_vectors import cube_weights, from_lanes, to_lanes
 from kernels.launcher import SplitLaunch
+from meshes.base.arrays import Array, Int32s, Integers, Ints
 from tissue.models.tooth.grid import HexGrid
 
 __all__ = ["CellStrips", "LaneVector", "PackedProduct", "StripLayout", "StripProduct"]
@@ -41,8 +42,8 @@ class PackedProduct:
     def __init__(
         self,
         grid: HexGrid,
-        cells: NDArray[np.integer],
-        rows: NDArray[np.integer],
+        cells: Integers,
+        rows: Integers,
         stiffness: Any,
         *,
         live: Any,
@@ -256,8 +257,8 @@ class CellStrips:
     def __init__(
         self,
         grid: HexGrid,
-        place: NDArray[np.float64],
-        particle_cell: NDArray[np.int32],
+        place: Array,
+        particle_cell: Int32s,
         *,
         device: str,
         cores: int | None,
@@ -308,13 +309,11 @@ class CellStrips:
         wp.launch(from_lanes, dim=count, inputs=out, outputs=[force_out], device=self.device)
 
 
-def _pencil_keys(place: NDArray[np.int32], width: int) -> NDArray[np.int64]:
+def _pencil_keys(place: Int32s, width: int) -> Ints:
     return place[:, 0].astype(np.int64) * width + place[:, 1]
 
 
-def _pencils(
-    place: NDArray[np.int32], width: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def _pencils(place: Int32s, width: int) -> tuple[Ints, Ints, Ints]:
     """Return the key of each pencil and its lowest and highest position along z.
 
     The positions are in order.

@@ -3,14 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Flags, Int32s
 from tissue.models.tooth.grid import HexGrid, shape_values
 
 __all__ = ["NodeSupports", "PointSprings"]
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +22,7 @@ class NodeSupports:
         Prescribed displacement [m], shape (n, 3); read only where fixed.
     """
 
-    fixed: NDArray[np.bool_]
+    fixed: Flags
     displacement_m: Array
 
     def __post_init__(self) -> None:
@@ -41,7 +38,7 @@ class NodeSupports:
         cls,
         node_count: int,
         *,
-        held: NDArray[np.bool_] | None = None,
+        held: Flags | None = None,
         displacement_m: Array | None = None,
     ) -> "NodeSupports":
         """Hold whole nodes (``held``, shape (n,)) or components (shape (n, 3)).
@@ -94,7 +91,7 @@ class PointSprings:
         """Return an empty set of springs."""
         return cls(np.zeros((0, 3)), np.zeros((0, 3, 3)))
 
-    def chosen(self, these: NDArray[np.bool_]) -> "PointSprings":
+    def chosen(self, these: Flags) -> "PointSprings":
         """Return the springs where ``these``, shape (k,), is true."""
         return PointSprings(self.position_m[these], self.stiffness_N_m[these])
 
@@ -116,7 +113,7 @@ class PointSprings:
         motion = np.concatenate([np.broadcast_to(np.eye(3), (len(arm), 3, 3)), _turns(arm)], axis=2)
         return np.asarray(np.einsum("kia,kib->ab", motion, self.stiffness_N_m @ motion))
 
-    def by_cell(self, grid: HexGrid) -> tuple[Index, Array]:
+    def by_cell(self, grid: HexGrid) -> tuple[Int32s, Array]:
         """Return the cells with springs, int32, shape (m,), and their ``sum N_a N_b S``.
 
         The blocks a <= b have shape (m, 36, 3, 3).
