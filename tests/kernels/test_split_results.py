@@ -16,9 +16,9 @@ from meshes.voxels.volume import density_volume
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr
 from tissue.fem.assembly import assemble
+from tissue.fem.fields import cell_stress
 from tissue.fem.hyperelastic import Law, NonlinearBody
 from tissue.fem.space import Space
-from tissue.fem.stress import cell_stress
 from tissue.materials.constants import cutting_coefficients
 from tissue.materials.elasticity import lame, stiffness_of_lame
 from tissue.materials.hyperelasticity import Hyperelastic

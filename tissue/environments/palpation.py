@@ -8,8 +8,9 @@ import numpy as np
 from meshes.base.arrays import Array, Bytes, Singles
 from meshes.organs.liver import Nodule, slab, slab_base
 from tissue.environments.environment import ContactEnvironment, Entry
-from tissue.models.organ.model import LiverModel
+from tissue.models.organ.model import ContactSolution, LiverModel
 from tissue.models.organ.probe import SphereProbe
+from tissue.models.organ.soft_organ import ToolPath
 from tissue.models.tissue_model import Response, ToolMotion
 from tissue.simulation.builders.organ_given import SoftMaterial
 
@@ -119,7 +120,8 @@ class Palpation(ContactEnvironment):
         tips = tips[np.linalg.norm(tips[:, :2], axis=1) < farthest + EDGE_M]
         turns = np.broadcast_to(np.eye(3), (len(tips), 3, 3))
         organ = material.organ(mesh, slab_base(mesh))
-        return organ.under(SphereProbe(BALL_RADIUS_M), tips, turns, path="condensed", cores=1)[0]
+        path = ToolPath(SphereProbe(BALL_RADIUS_M), tips, turns)
+        return LiverModel(organ, path, ContactSolution("condensed", cores=1))
 
     @property
     def model(self) -> LiverModel:

@@ -16,9 +16,7 @@ from kernels import tet_hyperelastic, tet_nonlinear
 from kernels.launcher import SplitLaunch
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from tissue.fem.pattern import local_pairs
-from tissue.fem.shapes import gauss_points, gradient_slopes
-from tissue.fem.space import Space
+from tissue.fem.space import Space, gauss_points, gradient_slopes, local_pairs
 from tissue.materials.elasticity import elasticity_rows
 from tissue.materials.hyperelasticity import Hyperelastic
 

@@ -18,7 +18,7 @@ from tissue.simulation.trace import Table
 from tissue.simulation.trace_files import RECORDING, write_trace
 
 if TYPE_CHECKING:
-    from tissue.models.bone.replay import CarvingReplay
+    from tissue.models.bone.carver import CarvingReplay
 
 __all__ = ["Recorded", "write_formats", "write_recording"]
 

@@ -90,7 +90,7 @@ def soft() -> None:
     """
     from meshes.tets.tetrahedra import TetMesh
     from tissue.fem.assembly import assemble
-    from tissue.fem.solvers.condensed import surface_compliance_m_N
+    from tissue.fem.solvers.compliance import surface_compliance_m_N
     from tissue.fem.solvers.held_body import HeldBody, held_nodes
     from tissue.fem.space import Space
     from tissue.materials.elasticity import lame

@@ -7,11 +7,9 @@ from tet_fields import isotropic, pressure
 
 from meshes.base.errors import InputError
 from meshes.tets.tetrahedra import TetMesh
-from tissue.fem.assembly import assemble
-from tissue.fem.capsule import capsule_stiffness
-from tissue.fem.loads import gravity, traction
+from tissue.fem.assembly import assemble, capsule_stiffness, gravity, traction
+from tissue.fem.fields import cell_stress
 from tissue.fem.space import Space
-from tissue.fem.stress import cell_stress
 from tissue.materials.elasticity import lame
 
 ORDERS = pytest.mark.parametrize("order", [1, 2])

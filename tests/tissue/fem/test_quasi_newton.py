@@ -72,9 +72,7 @@ def softening_bar() -> tuple[Space, HeldBody, QuasiNewton, NonlinearBody]:
     nodes = np.arange(27)
 
     def solver_of(stiffness):
-        return DirectSolver(
-            HeldBody(stiffness, space.nodes_m, held.fixed), last=nodes, definite=True
-        )
+        return DirectSolver(HeldBody(stiffness, space.nodes_m, held.fixed), last=nodes)
 
     body = NonlinearBody(space, None, law=SOFTENING)
     return space, held, QuasiNewton(body, held.fixed, solver_of(held.stiffness), solver_of), body

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from meshes.tets.structured import box
+from tissue.fem.assembly import surface_transfer
 from tissue.fem.space import Space
-from tissue.fem.surface_transfer import surface_transfer
 
 SIZE_M = (0.04, 0.03, 0.02)
 

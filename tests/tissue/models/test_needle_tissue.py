@@ -5,8 +5,7 @@ from dataclasses import replace
 import pytest
 
 from tissue import InputError
-from tissue.models.needle.insertion import Insertion
-from tissue.models.needle.model import NeedleModel
+from tissue.models.needle.model import Insertion, NeedleModel
 from tissue.models.needle.parameters import (
     Membrane,
     NeedleTissue,

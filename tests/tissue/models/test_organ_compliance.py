@@ -8,7 +8,7 @@ import pytest
 from held_cube import BOTTOM, SURFACE, body_of
 
 from meshes.base.progress import silent
-from tissue.fem.solvers.lazy_compliance import LazyCompliance
+from tissue.fem.solvers.compliance import LazyCompliance
 from tissue.models.organ.compliance import Factor, compliance_of
 
 TOUCHABLE = SURFACE[~BOTTOM[SURFACE]][::9]

@@ -17,6 +17,7 @@ from scipy.linalg.lapack import dpotrf, dpotri
 from scipy.sparse import csc_array, tril
 
 from meshes.base.arrays import Array, Ints
+from meshes.base.errors import InputError
 
 __all__ = ["Front", "Multifrontal", "NotPositiveDefiniteError", "fronts_of"]
 
@@ -75,7 +76,7 @@ SHORT = 6
 """Mean number of rows of a run below which a block is added entry by entry."""
 
 
-class NotPositiveDefiniteError(ArithmeticError):
+class NotPositiveDefiniteError(InputError):
     """Error for a matrix without a Cholesky factor."""
 
 
@@ -175,7 +176,10 @@ class Multifrontal:
         diagonal, failed = dpotrf(diagonal, lower=1, overwrite_a=1)
         if failed:
             raise NotPositiveDefiniteError(
-                f"the matrix is not positive definite at unknown {front.start + failed - 1}"
+                "stiffness",
+                "be positive definite",
+                f"none at unknown {front.start + failed - 1}",
+                "check moduli and sliver cells",
             )
         if after:
             under = dtrsm(1.0, diagonal, under, side=1, lower=1, trans_a=1, overwrite_b=1)

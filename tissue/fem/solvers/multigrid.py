@@ -21,8 +21,7 @@ from tissue.fem.conjugate_gradients import (
     conjugate_gradients,
     dot,
 )
-from tissue.fem.free_modes import rigid_modes
-from tissue.fem.solvers.held_body import HeldBody
+from tissue.fem.solvers.held_body import HeldBody, rigid_modes
 
 __all__ = ["MultigridSolver"]
 
@@ -36,7 +35,7 @@ It saves a third of the iterations with all couplings.
 
 
 class MultigridSolver:
-    """Iterative solver by multigrid, set up once; it accepts warm starts.
+    """Iterative solver by multigrid, set up once.
 
     Parameters
     ----------
@@ -99,27 +98,12 @@ class MultigridSolver:
         starts = scaled.indptr.astype(np.int32)
         return bsr_matrix((scaled.data, indices, starts), shape=scaled.shape)
 
-    def solve(self, load_N: Array, *, start_m: Array | None = None) -> IterativeSolution:
-        """Solve for the displacement under nodal forces [N] from a guess [m], shapes (n, 3).
-
-        Raises
-        ------
-        InputError
-            If the load or the guess has another shape or is not finite.
-        """
+    def solve(self, load_N: Array) -> IterativeSolution:
+        """Solve for the displacement under nodal forces [N], shape (n, 3)."""
         body = self.body
         right = np.zeros(len(self._scale))
         right[body.free] = body.right_side(load_N)
-        right *= self._scale
-        start = None
-        if start_m is not None:
-            if np.shape(start_m) != body.nodes_m.shape or not np.isfinite(start_m).all():
-                raise InputError(
-                    f"start_m must be finite and of shape {body.nodes_m.shape}: leave it out"
-                )
-            start = np.zeros_like(right)
-            start[self._free] = np.asarray(start_m).ravel()[self._free] / self._scale[self._free]
-        found = self._iterate(right, start)
+        found = self._iterate(right * self._scale)
         return replace(
             found, displacement_m=body.whole((found.displacement_m * self._scale)[body.free])
         )
@@ -146,7 +130,7 @@ class MultigridSolver:
             answers[:, column] = found.displacement_m * self._scale
         return answers
 
-    def _iterate(self, right: Array, start: Array | None = None) -> IterativeSolution:
+    def _iterate(self, right: Array) -> IterativeSolution:
         """Solve with the scaled matrix by conjugate gradients."""
         return conjugate_gradients(
             lambda u: self._matrix @ u,
@@ -155,7 +139,6 @@ class MultigridSolver:
             error=lambda now: self._error(now, right),
             tolerance=self.tolerance,
             limit=self._limit,
-            start=start,
         )
 
     def _error(self, now: Iterate, right: Array) -> float:

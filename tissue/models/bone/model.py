@@ -17,8 +17,7 @@ from tissue.cutters.cutter import Cutter
 from tissue.materials.constants import CuttingCoefficients
 from tissue.models.bone.bricks import BrickStore
 from tissue.models.bone.carver import Carver, Removal
-from tissue.models.bone.elements import elements_of
-from tissue.models.bone.law_limits import LawLimits, SmoothSurface
+from tissue.models.bone.elements import LawLimits, SmoothSurface, elements_of
 from tissue.models.tissue_model import Response, ToolMotion
 
 __all__ = ["BoneModel", "Removal"]

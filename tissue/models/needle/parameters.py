@@ -10,6 +10,12 @@ from tissue.materials.scene_constants import Materials
 
 __all__ = ["Membrane", "NeedleTissue", "ShaftFriction", "needle_tissue", "vessel_wall"]
 
+LEAST_COSINE = 0.17
+"""Smallest cosine between the needle's axis and the surface normal.
+
+The axis must meet the surface at more than 10 degrees, because the model has no force across the
+axis.
+"""
 GREATEST_N = 1e4
 """Largest force that a parameter may have [N]; a larger force is a mistaken unit."""
 GREATEST_N_M = 1e6

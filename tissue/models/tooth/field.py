@@ -15,9 +15,8 @@ from tissue.materials.scene_constants import Materials
 from tissue.models.tooth.body import ParticleBody
 from tissue.models.tooth.compliance import SupportCompliance, support_compliance
 from tissue.models.tooth.grid import FULL_STEPS, HexGrid, ParticleSet
-from tissue.models.tooth.ligament import bed_springs, bed_stiffness
 from tissue.models.tooth.recovery import REACH_M, StressRecovery, stress_invariants
-from tissue.models.tooth.supports import NodeSupports, PointSprings
+from tissue.models.tooth.supports import NodeSupports, PointSprings, bed_springs, bed_stiffness
 
 __all__ = ["FirstGuess", "SolveRecord", "StressField"]
 

@@ -27,7 +27,7 @@ from tissue.simulation.trace import Table
 if TYPE_CHECKING:
     import pyvista
 
-    from tissue.models.bone.replay import CarvingReplay
+    from tissue.models.bone.carver import CarvingReplay
 
 __all__ = [
     "BoneOverTime",
@@ -212,7 +212,7 @@ def _over_time(
         poses = poses_of_trace(1e-3 * trace.vectors("tool", "mm"), axes, velocities)
     import warp as wp
 
-    from tissue.models.bone.replay import CarvingReplay
+    from tissue.models.bone.carver import CarvingReplay
 
     known = [str(one) for one in wp.get_devices()]
     replay = CarvingReplay(
