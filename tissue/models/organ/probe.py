@@ -165,22 +165,6 @@ class ShellProbe(ProbeShape):
     spacing_m = np.inf
     """Spacing of the organ's points [m]: any, because the shell has its own points."""
 
-    def __post_init__(self) -> None:
-        count = len(self.points_m)
-        for name, value, shape in (
-            ("points_m", self.points_m, (count, 3)),
-            ("normals", self.normals, (count, 3)),
-            ("areas_m2", self.areas_m2, (count,)),
-        ):
-            if count == 0 or np.shape(value) != shape:
-                raise InputError(
-                    name, f"have shape {shape} and a point", np.shape(value), "sample the tool"
-                )
-            if not np.isfinite(value).all():
-                raise InputError(name, "be finite", "NaN or infinity", "repair the tool's surface")
-        if np.abs(np.linalg.norm(self.normals, axis=1) - 1.0).max() > 1e-6:
-            raise InputError("normals", "have length 1", "others", "divide them by their lengths")
-
     @classmethod
     def from_mesh(
         cls, mesh: Path | str | object, *, points: int = 300, scale: float = 1.0
