@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from kernels import tet_stress
 from kernels.launcher import SplitLaunch
+from kernels.mirror import put
 from meshes.base.arrays import Array, Bytes, Int32s, Ints, Singles
 from meshes.base.errors import InputError
 from tissue.fem.space import Space, gradient_slopes
@@ -133,14 +134,14 @@ def group_stress(
     count = len(start) - 1
     device = space.device
     inputs = [
-        wp.array(start, dtype=wp.int32, device=device),
-        wp.array(member, dtype=wp.int32, device=device),
-        wp.array(places, dtype=wp.vec4d, device=device),
-        wp.array(gradient_slopes(4, space.order), dtype=wp.vec4d, device=device),
-        wp.array(space.cell_nodes.astype(np.int32), dtype=wp.int32, device=device),
+        put(start, wp.int32, device),
+        put(member, wp.int32, device),
+        put(places, wp.vec4d, device),
+        put(gradient_slopes(4, space.order), wp.vec4d, device),
+        put(space.cell_nodes.astype(np.int32), wp.int32, device),
         *space.gradients,
-        wp.array(stiffness, dtype=wp.float64, device=device),
-        wp.array(moved, dtype=wp.vec3d, device=device),
+        put(stiffness, wp.float64, device),
+        put(moved, wp.vec3d, device),
         0,
     ]
     strain, stress = (wp.empty((count, 6), dtype=wp.float64, device=device) for _ in range(2))

@@ -78,7 +78,7 @@ class NonlinearBody:
         )
 
         def put(values: ArrayLike, dtype: type = wp.int32) -> wp.array[object]:
-            return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device)
+            return put(values, dtype, device)
 
         def out(shape: int | tuple[int, int], dtype: type) -> wp.array[object]:
             return wp.zeros(shape, dtype=dtype, device=device)

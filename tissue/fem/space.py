@@ -27,6 +27,7 @@ import warp as wp
 from scipy.sparse import csr_array
 
 from kernels.launcher import SplitLaunch
+from kernels.mirror import put
 from kernels.tetrahedra import cell_gradients
 from meshes.base.arrays import Array, Int32s, Ints
 from meshes.base.errors import InputError
@@ -300,10 +301,8 @@ class Space:
         The gradients are vectors of shape (m, 4), the volumes have shape (m,).
         """
         count = self.cell_count
-        nodes: wp.array[object] = wp.array(self.mesh.nodes_m, dtype=wp.vec3d, device=self.device)
-        cells: wp.array[object] = wp.array(
-            self.mesh.cells.astype(np.int32), dtype=wp.int32, device=self.device
-        )
+        nodes: wp.array[object] = put(self.mesh.nodes_m, wp.vec3d, self.device)
+        cells: wp.array[object] = put(self.mesh.cells.astype(np.int32), wp.int32, self.device)
         outputs = [
             wp.empty((count, 4), dtype=wp.vec3d, device=self.device),
             wp.empty(count, dtype=wp.float64, device=self.device),

@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 
 from kernels.launcher import SplitLaunch
-from kernels.mirror import Mirror
+from kernels.mirror import Mirror, put
 from kernels.structure_depth import CELL_COLUMNS, CELLS, MedialAxis
 from kernels.structure_distance import NODES, TRIANGLES, Tree, distance_to_structure
 from kernels.tool_distance import Outline
@@ -206,8 +206,8 @@ class _Search:
         self._motion = Mirror((4, 3), dtype=wp.float64, device=DEVICE)
         self._distance = Mirror(1, dtype=wp.float64, device=DEVICE)
         self._mesh = wp.Mesh(
-            points=wp.array(vertices, dtype=wp.vec3, device=DEVICE),
-            indices=wp.array(structure.faces.ravel(), dtype=wp.int32, device=DEVICE),
+            points=put(vertices, wp.vec3, DEVICE),
+            indices=put(structure.faces.ravel(), wp.int32, DEVICE),
             support_winding_number=True,
         )
         self._launch = SplitLaunch(
@@ -220,7 +220,7 @@ class _Search:
                 self._mesh.id,
                 self._motion.device,
                 medial,
-                wp.array([tree.first_leaf], dtype=wp.int32, device=DEVICE),
+                put([tree.first_leaf], wp.int32, DEVICE),
                 wp.zeros(NODES, dtype=wp.int32, device=DEVICE),
                 wp.zeros(NODES, dtype=wp.float64, device=DEVICE),
                 wp.zeros((TRIANGLES, 3), dtype=wp.vec3d, device=DEVICE),
@@ -247,10 +247,10 @@ def _outline(profile: Profile) -> Any:
     """Return the tool's outline in the format of the kernel."""
     table = outline_table(profile)
     outline: Any = Outline()
-    outline.kind = wp.array(table.kind, dtype=wp.int32, device=DEVICE)
-    outline.shape = wp.array(table.shape, dtype=wp.float64, device=DEVICE)
-    outline.first = wp.array(table.first, dtype=wp.int32, device=DEVICE)
-    outline.convex = wp.array(table.convex, dtype=wp.int32, device=DEVICE)
+    outline.kind = put(table.kind, wp.int32, DEVICE)
+    outline.shape = put(table.shape, wp.float64, DEVICE)
+    outline.first = put(table.first, wp.int32, DEVICE)
+    outline.convex = put(table.convex, wp.int32, DEVICE)
     return outline
 
 
@@ -258,9 +258,9 @@ def _medial(profile: Profile) -> Any:
     """Return the tool's medial axis in the format of the kernel."""
     axis = medial_axis(profile)
     medial: Any = MedialAxis()
-    medial.starts = wp.array(axis.starts_m, dtype=wp.vec3d, device=DEVICE)
-    medial.ends = wp.array(axis.ends_m, dtype=wp.vec3d, device=DEVICE)
-    medial.across = wp.array(axis.across, dtype=wp.int32, device=DEVICE)
+    medial.starts = put(axis.starts_m, wp.vec3d, DEVICE)
+    medial.ends = put(axis.ends_m, wp.vec3d, DEVICE)
+    medial.across = put(axis.across, wp.int32, DEVICE)
     medial.slack = MEDIAL_TOLERANCE_M
     return medial
 
@@ -268,8 +268,8 @@ def _medial(profile: Profile) -> Any:
 def _tree(made: BoxTree) -> Any:
     """Return a tree in the format of the kernel."""
     tree: Any = Tree()
-    tree.centre = wp.array(made.centres_m, dtype=wp.vec3d, device=DEVICE)
-    tree.half = wp.array(made.halves_m, dtype=wp.vec3d, device=DEVICE)
-    tree.corners = wp.array(made.corners_m, dtype=wp.vec3d, device=DEVICE)
+    tree.centre = put(made.centres_m, wp.vec3d, DEVICE)
+    tree.half = put(made.halves_m, wp.vec3d, DEVICE)
+    tree.corners = put(made.corners_m, wp.vec3d, DEVICE)
     tree.first_leaf = made.first_leaf
     return tree

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from kernels.bone_lookup import BEYOND, SURFACE_STEPS
 from kernels.bricks import BRICK, BRICK_VOXELS, FULL
+from kernels.mirror import put
 from kernels.sampling import sample
 from meshes.base.arrays import Array, Bytes, Flags, Ints, Singles
 from meshes.voxels.distances import OUTSIDE, near_the_surface
@@ -191,7 +192,7 @@ class BrickStore:
                 setattr(
                     self,
                     name,
-                    wp.array(np.ascontiguousarray(values), dtype=old.dtype, device=self._device),
+                    put(values, old.dtype, self._device),
                 )
                 continue
             new = old
@@ -202,7 +203,7 @@ class BrickStore:
                 setattr(self, name, new)
             wp.copy(
                 new[first : first + count],
-                wp.array(np.ascontiguousarray(values), dtype=old.dtype, device=self._device),
+                put(values, old.dtype, self._device),
             )
         return grows
 
@@ -226,7 +227,7 @@ class BrickStore:
         voxels = (np.asarray(points_m, dtype=np.float64) - self.grid.origin_m) / self.grid.spacing_m
         device = self.remaining.device
         found = wp.zeros(len(voxels), dtype=wp.float32, device=device)
-        at: Any = wp.array(voxels, dtype=wp.vec3, device=device)
+        at = put(voxels, wp.vec3, device)
         inputs = [at, 0, self.brick_of, self.remaining]
         wp.launch(sample, dim=len(voxels), inputs=inputs, outputs=[found], device=device)
         return np.asarray(found.numpy())

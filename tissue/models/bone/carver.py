@@ -15,7 +15,7 @@ import warp as wp
 from kernels.bricks import BRICK, FULL
 from kernels.carving import BINARY, COUNT, EVERY_SIDE, FIRST, ORIGIN, PHASES, PLAN, TURNED, carve
 from kernels.launcher import SplitLaunch
-from kernels.mirror import Mirror
+from kernels.mirror import Mirror, put
 from kernels.revolution import Revolution
 from meshes.base.arrays import Array, Bytes, Ints
 from meshes.voxels.volume import VoxelVolume
@@ -265,9 +265,9 @@ class Carver:
 def _revolution(table: DistanceTable, profile: Profile, *, device: str) -> Revolution:
     """Return the cutter's distance table on a device."""
     tool: Any = Revolution()
-    tool.distance = wp.array(table.distance, dtype=wp.float32, device=device)
-    tool.slope = wp.array(table.slope, dtype=wp.vec2, device=device)
-    tool.bend = wp.array(table.bend, dtype=wp.float32, device=device)
+    tool.distance = put(table.distance, wp.float32, device)
+    tool.slope = put(table.slope, wp.vec2, device)
+    tool.bend = put(table.bend, wp.float32, device)
     tool.height_min = table.height_min
     tool.cells_per_voxel = table.cells_per_voxel
     tool.radius = table.radius

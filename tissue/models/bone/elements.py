@@ -10,7 +10,7 @@ from kernels.bricks import corner8f
 from kernels.cutting import AREA, DENSITIES, Coefficients, cutting_forces
 from kernels.elements import CHUNK, LANES, Elements, lanes8, lever16
 from kernels.launcher import SplitLaunch
-from kernels.mirror import Mirror
+from kernels.mirror import Mirror, put
 from kernels.older_cuts import SLOTS
 from meshes.base.arrays import Array
 from tissue.cutters.cutter import Cutter, PointShell
@@ -30,26 +30,26 @@ The loads are tangential, radial and axial.
 def elements_of(shell: PointShell, cutter: Cutter, *, spacing_m: float, device: str) -> Elements:
     """Return the cutter's point shell on a device."""
     elements = Elements()
-    elements.point = wp.array(shell.points_m, dtype=wp.vec3, device=device)
+    elements.point = put(shell.points_m, wp.vec3, device)
     missing = (0, -len(shell.areas_m2) % LANES), (0, 0)  # elements without a normal do not advance
     eights = (
         np.pad(np.hstack([shell.points_m, shell.normals]), missing)
         .reshape(-1, LANES, 6)
         .transpose(0, 2, 1)
     )
-    elements.lanes = wp.array(np.ascontiguousarray(eights), dtype=lanes8, device=device)
-    elements.normal = wp.array(shell.normals, dtype=wp.vec3, device=device)
+    elements.lanes = put(eights, lanes8, device)
+    elements.normal = put(shell.normals, wp.vec3, device)
     levers = np.hstack([levers_of(shell, cutter)[:, LEVER], np.zeros((len(shell.areas_m2), 2))])
-    elements.lever = wp.array(np.pad(levers, missing), dtype=lever16, device=device)
-    elements.area = wp.array(shell.areas_m2, dtype=wp.float32, device=device)
+    elements.lever = put(np.pad(levers, missing), lever16, device)
+    elements.area = put(shell.areas_m2, wp.float32, device)
     bend = cutter.table(spacing_m=spacing_m).bend_at(
         shell.radii_m / spacing_m, shell.points_m[:, 2] / spacing_m
     )
-    elements.bend = wp.array(bend, dtype=wp.float32, device=device)
-    elements.edge_length = wp.array(edge_lengths_m(shell, cutter), dtype=wp.float32, device=device)
+    elements.bend = put(bend, wp.float32, device)
+    elements.edge_length = put(edge_lengths_m(shell, cutter), wp.float32, device)
     balls, cones = _chunk_bounds(shell)
-    elements.chunk_ball = wp.array(balls, dtype=wp.vec4, device=device)
-    elements.chunk_cone = wp.array(cones, dtype=wp.vec4, device=device)
+    elements.chunk_ball = put(balls, wp.vec4, device)
+    elements.chunk_cone = put(cones, wp.vec4, device)
     return elements
 
 

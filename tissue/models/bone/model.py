@@ -9,7 +9,7 @@ from kernels.bricks import FULL, corner8f
 from kernels.cutting import AREA, DENSITIES, RATE, Coefficients, cutting_forces
 from kernels.elements import CHUNK, lever16
 from kernels.launcher import SplitLaunch
-from kernels.mirror import Mirror
+from kernels.mirror import Mirror, put
 from kernels.older_cuts import SLOTS
 from meshes.base.arrays import Array, Bytes, Ints
 from meshes.voxels.volume import VoxelVolume
@@ -237,7 +237,7 @@ def _on_device(coefficients: tuple[CuttingCoefficients, ...], *, device: str) ->
         """
         parts = [[getattr(layer, name) for name in names] for layer in coefficients]
         values = np.pad(np.repeat(parts, (5, 6, 3), axis=1), ((0, 0), (0, 2)))
-        return wp.array(values, dtype=lever16, device=device)
+        return put(values, lever16, device)
 
     arrays.chip = at_levers(CuttingCoefficients.CHIP)
     arrays.edge = at_levers(CuttingCoefficients.EDGE)
@@ -246,5 +246,5 @@ def _on_device(coefficients: tuple[CuttingCoefficients, ...], *, device: str) ->
         (density / layer.reference_density_kg_m3) ** layer.density_exponent
         for layer in coefficients
     ]
-    arrays.strength = wp.array(np.array(strength), dtype=wp.float32, device=device)
+    arrays.strength = put(np.array(strength), wp.float32, device)
     return arrays

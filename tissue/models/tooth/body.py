@@ -1,6 +1,5 @@
 """Elastic body of particles on a grid: supports, removal, islands, and warm-started solves."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -23,7 +22,7 @@ from tissue.models.tooth.recovery import ball_weight
 from tissue.models.tooth.stiffness import CellStiffness
 from tissue.models.tooth.supports import NodeSupports, PointSprings
 
-__all__ = ["Change", "ParticleBody", "solve_cells", "supported_cells"]
+__all__ = ["Change", "ParticleBody", "supported_cells"]
 
 LEAST_CURVATURE = 1e-12
 """Share of ``p . D p``, D the diagonal, below which ``p . K p`` is a rounding error.
@@ -31,61 +30,6 @@ LEAST_CURVATURE = 1e-12
 Then p is a motion without resistance. A tooth of 1e5 nodes in a ligament a million times softer has
 1e-8.
 """
-
-
-def solve_cells(
-    product: Callable[[Array], Array],
-    load_N: Array,
-    *,
-    diagonal: Array,
-    precondition: Callable[[Array], Array],
-    start_m: Array,
-    tolerance: float,
-    limit: int,
-) -> IterativeSolution:
-    """Solve ``K u = f`` to a relative error of ``tolerance`` in the energy norm.
-
-    The energy norm of the solution is ``sqrt(u . f)``. The energy norm of the error is estimated by
-    the larger of two values. The first is ``sqrt(r . B r)``, the preconditioner's estimate. The
-    second is ``sqrt(r . D^-1 r / 24)`` with D the diagonal. It is a lower bound, since a cell's 24
-    eigenvalues of ``D^-1 K`` are not negative and sum to 24. It detects a load on a motion without
-    resistance that the preconditioner leaves out.
-
-    Parameters
-    ----------
-    product
-        K times nodal displacements, shape (n, 3).
-    load_N
-        Nodal forces [N], shape (n, 3), zero where nodes are held.
-    diagonal
-        Diagonal of K [N/m], shape (n, 3).
-    precondition
-        B times nodal forces, close to K's inverse.
-    start_m
-        First guess [m], shape (n, 3).
-    tolerance
-        Relative error in the energy norm.
-    limit
-        Iterations allowed.
-    """
-    by_diagonal = np.divide(1.0 / 24.0, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0.0)
-
-    def error(now: Iterate) -> float:
-        energy = dot(now.found, load_N)
-        size = max(now.slopes[-1], dot(now.residual, now.residual * by_diagonal))
-        return float(np.sqrt(size / energy)) if energy > 0.0 else np.inf
-
-    return conjugate_gradients(
-        product,
-        load_N,
-        precondition=precondition,
-        error=error,
-        tolerance=tolerance,
-        limit=limit,
-        start=start_m,
-        least_curvature=lambda direction: LEAST_CURVATURE * dot(direction, diagonal * direction),
-        correct_last=True,
-    )
 
 
 LEAST_RESTRAINT = 1e-9
@@ -246,12 +190,6 @@ class ParticleBody:
         device: str = "cpu",
         cores: int | None = None,
     ) -> None:
-        if supports.fixed.shape != (grid.node_count, 3):
-            raise ValueError(
-                f"supports must be for the grid's {grid.node_count} nodes, got "
-                f"{len(supports.fixed)}: "
-                "use NodeSupports.of(grid.node_count, ...)"
-            )
         self.particles = particles
         self.grid = grid
         self.supports = supports
@@ -409,6 +347,12 @@ class ParticleBody:
     ) -> IterativeSolution:
         """Solve for the displacement under nodal forces [N], shape (n, 3).
 
+        The energy norm of the solution is ``sqrt(u . f)``. The energy norm of the error is
+        estimated by the larger of two values. The first is ``sqrt(r . B r)``, the preconditioner's
+        estimate. The second is ``sqrt(r . D^-1 r / 24)`` with D the diagonal. It is a lower bound,
+        since a cell's 24 eigenvalues of ``D^-1 K`` are not negative and sum to 24. It detects a
+        load on a motion without resistance that the preconditioner leaves out.
+
         Parameters
         ----------
         load_N
@@ -433,14 +377,26 @@ class ParticleBody:
         guess = held if cold else self.displacement_m if start_m is None else start_m
         if self._iterations_fresh == 0:
             self._hierarchy.refresh()
-        found = solve_cells(
+        diagonal = self._diagonal
+        by_diagonal = np.divide(
+            1.0 / 24.0, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0.0
+        )
+
+        def error(now: Iterate) -> float:
+            energy = dot(now.found, load)
+            size = max(now.slopes[-1], dot(now.residual, now.residual * by_diagonal))
+            return float(np.sqrt(size / energy)) if energy > 0.0 else np.inf
+
+        found = conjugate_gradients(
             lambda u: self.product(u) * self._free,
             load,
-            diagonal=self._diagonal,
-            precondition=self._precondition,
-            start_m=(guess - held) * self._free,
+            precondition=lambda residual: self._hierarchy(residual) * self._free,
+            error=error,
             tolerance=tolerance,
             limit=limit,
+            start=(guess - held) * self._free,
+            least_curvature=lambda step: LEAST_CURVATURE * dot(step, diagonal * step),
+            correct_last=True,
         )
         if (
             self._iterations_fresh == 0
@@ -453,16 +409,15 @@ class ParticleBody:
             self.displacement_m = moved
         return replace(found, displacement_m=moved)
 
-    def _precondition(self, residual: Array) -> Array:
-        return self._hierarchy(residual) * self._free
-
     def matrix(self) -> csr_matrix:
         """Return the assembled stiffness [N/m], shape (3 n, 3 n).
 
         Springs are included. Rows and columns of held components are empty.
         """
-        return self._hierarchy.finest.matrix()
-
-    def reactions(self, displacement_m: Array, load_N: Array) -> Array:
-        """Return the forces of the held nodes on the body [N], shape (n, 3)."""
-        return np.asarray(np.where(self.supports.fixed, self.product(displacement_m) - load_N, 0.0))
+        live = self.cells.live > 0
+        unknown = (3 * self.grid.cell_nodes[live][:, :, None] + np.arange(3)).reshape(-1, 24)
+        rows, columns = np.broadcast_arrays(unknown[:, :, None], unknown[:, None, :])
+        free = (~self.supports.fixed).ravel().astype(np.float64)
+        values = self.cells.cell_matrices()[live] * free[rows] * free[columns]
+        entries = (values.ravel(), (rows.ravel(), columns.ravel()))
+        return csr_matrix(entries, shape=(3 * self.grid.node_count,) * 2)

@@ -9,89 +9,15 @@ from meshes.base.arrays import Array, Bytes, Flags, Integers, Ints
 from meshes.base.errors import InputError
 from meshes.tooth.layers import caries_softness
 from meshes.voxels.volume import VoxelVolume
-from tissue.fem.conjugate_gradients import dot
 from tissue.fem.fields import FieldSeries, Frame
 from tissue.materials.scene_constants import Materials
 from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.compliance import SupportCompliance, support_compliance
+from tissue.models.tooth.compliance import FirstGuess, SupportCompliance, support_compliance
 from tissue.models.tooth.grid import FULL_STEPS, HexGrid, ParticleSet
 from tissue.models.tooth.recovery import REACH_M, StressRecovery, stress_invariants
 from tissue.models.tooth.supports import NodeSupports, PointSprings, bed_springs, bed_stiffness
 
-__all__ = ["FirstGuess", "SolveRecord", "StressField"]
-
-NULL_CUT = 1e-6
-"""Relative cut of the scaled eigenvalues of the energies between solutions.
-
-Eigenvalues below this share of the largest are errors of the solves.
-"""
-
-
-class FirstGuess:
-    """Combination of earlier solutions that is closest, in energy, to the solution for a new load.
-
-    With solutions u_i for loads f_i it solves ``(u_i . f_j) c_j = u_i . f``. The known part of a
-    force that has grown, turned or moved then costs no iterations. If the body has changed since,
-    the guess is a little worse.
-
-    Parameters
-    ----------
-    kept
-        Solutions that are always kept, shape (n, 3) each, and the load of each: the six of the
-        support compliance.
-    recent
-        Number of latest solutions that are kept in addition. While a body is cut, two leave 3
-        iterations and six leave 5, since the older ones belong to a fuller body.
-    """
-
-    def __init__(self, kept: list[tuple[Array, Array]], *, recent: int = 2) -> None:
-        self._solutions = [moved.ravel() for moved, _ in kept]
-        self._loads = [load.ravel() for _, load in kept]
-        self._first = len(kept)
-        self._most = len(kept) + recent
-        self._energy = np.array(
-            [[dot(u, f) for f in self._loads] for u in self._solutions]
-        ).reshape(len(kept), len(kept))
-
-    def add(self, displacement_m: Array, load_N: Array) -> None:
-        """Store a solution and its load [m], [N], shape (n, 3), in place of the oldest."""
-        if not load_N.any():
-            return
-        if len(self._solutions) == self._most:
-            del self._solutions[self._first], self._loads[self._first]
-            self._energy = np.delete(
-                np.delete(self._energy, self._first, axis=0), self._first, axis=1
-            )
-        moved = displacement_m.ravel().copy()
-        load = load_N.ravel().copy()
-        self._solutions.append(moved)
-        self._loads.append(load)
-        column = np.array(
-            [
-                0.5 * (dot(u, load) + dot(moved, f))
-                for u, f in zip(self._solutions, self._loads, strict=True)
-            ]
-        )
-        self._energy = np.block(
-            [[self._energy, column[:-1, None]], [column[None, :-1], column[-1:, None]]]
-        )
-
-    def __call__(self, load_N: Array) -> Array:
-        """Return a guess of the displacement [m] for a load [N], shapes (n, 3)."""
-        guess = np.zeros(load_N.size)
-        load = load_N.ravel()
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(self._energy), np.finfo(float).tiny))
-        values, vectors = np.linalg.eigh(
-            scale[:, None] * 0.5 * (self._energy + self._energy.T) * scale
-        )
-        if values.size and values[-1] > 0.0:
-            modes = (scale[:, None] * vectors)[:, values > NULL_CUT * values[-1]]
-            work = np.array([dot(u, load) for u in self._solutions])
-            share = modes @ ((modes.T @ work) / values[values > NULL_CUT * values[-1]])
-            for moved, each in zip(self._solutions, share, strict=True):
-                guess += each * moved
-        return guess.reshape(load_N.shape)
-
+__all__ = ["SolveRecord", "StressField"]
 
 TOOTH = ("enamel", "dentin", "pulp", "caries")
 """Layers that the particles fill.
@@ -314,17 +240,6 @@ class StressField:
         return stress_invariants(
             np.nan_to_num(self._recovery(displacement_m)), device=self.body.cells.device
         )
-
-    def stress_at(self, displacement_m: Array, place_m: Array, layer: str) -> Array:
-        """Return the stress xx, yy, zz, yz, xz, xy [Pa] recovered at points of a layer.
-
-        Points of shape (k, 3) give stresses of shape (k, 6).
-        """
-        at = np.full(len(place_m), self._volume.layer_names.index(layer))
-        recovery = StressRecovery(
-            self.body.particles, self.body.cells, place_m, at, reach_m=self._reach_m
-        )
-        return recovery(displacement_m)
 
 
 def _particles(tooth: VoxelVolume, places: Ints, constants: Materials) -> ParticleSet:

@@ -5,13 +5,13 @@ The grid is rectilinear: fine in the reach of the bur, coarser outside.
 
 from dataclasses import dataclass
 from math import ceil
-from typing import Any
 
 import numpy as np
 import warp as wp
 
 from kernels.conduction import OPEN, conduct
 from kernels.launcher import SplitLaunch
+from kernels.mirror import put
 from meshes.base.arrays import Array, Flags, Ints, Singles
 from meshes.voxels.volume import FULL, VoxelVolume
 from tissue.materials.scene_constants import Materials
@@ -277,14 +277,11 @@ class Conduction:
         along = grid.conductances_W_K()
         self.longest_step_s = SAFETY * self._stable_step_s(along)
 
-        def on_device(values: Array) -> Any:
-            return wp.array(values.astype(np.float32), dtype=wp.float32, device=device)
-
-        self._along = [on_device(each) for each in along]
-        self._capacity = on_device(self._capacity_J_K)
-        self._filled = on_device(self.filled)
-        self._power = on_device(np.zeros(shape))
-        self._temperature = [on_device(np.zeros(shape)) for _ in range(2)]
+        self._along = [put(each, wp.float32, device) for each in along]
+        self._capacity = put(self._capacity_J_K, wp.float32, device)
+        self._filled = put(self.filled, wp.float32, device)
+        self._power = put(np.zeros(shape), wp.float32, device)
+        self._temperature = [put(np.zeros(shape), wp.float32, device) for _ in range(2)]
         self._launches: list[SplitLaunch] = []
         self._step_s = 0.0
 
@@ -374,10 +371,8 @@ class Conduction:
             SplitLaunch(
                 conduct,
                 dim=self.filled.shape,
-                inputs=[source, self._filled, *self._along, self._capacity, self._power, step_s, 0],
+                inputs=[source, self._filled, *self._along, self._capacity, self._power, step_s],
                 outputs=[target],
-                offset_index=8,
-                device=self._device,
                 cores=min(self.filled.shape[0], 4),
             )
             for source, target in (self._temperature, self._temperature[::-1])

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from kernels.clearance import clearance
 from kernels.elements import CHUNK
 from kernels.launcher import SplitLaunch
-from kernels.mirror import Mirror
+from kernels.mirror import Mirror, put
 from meshes.base.arrays import Array, Bytes, Flags, Ints, Singles
 from tissue.fem.fields import FieldSeries
 from tissue.models.bone.model import BoneModel
@@ -115,7 +115,7 @@ class ToothModel:
                 milling.motion_rows,
                 volume.spacing_m,
                 0,
-                wp.array(distance, dtype=wp.float32, device=device),
+                put(distance, wp.float32, device),
             ],
             outputs=[self._nearest.device],
             offset_index=3,

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
+from kernels.mirror import put
 from kernels.particle_stress import invariants, point_stress
 from meshes.base.arrays import Array, Integers
 from tissue.models.tooth.grid import ParticleSet
@@ -45,7 +45,7 @@ class StressPoints:
     ) -> None:
         self._cells = cells
         self._count = len(row)
-        on: Any = wp.array(row.astype(np.int32), dtype=wp.int32, device=cells.device)
+        on = put(row.astype(np.int32), wp.int32, cells.device)
         self._inputs = [
             on,
             cell,
@@ -88,7 +88,7 @@ def stress_invariants(stress_Pa: Array, *, device: str = "cpu") -> tuple[Array, 
     Stresses of shape (n, 6) give shapes (n,) and (n, 3).
     """
     count = len(stress_Pa)
-    given: Any = wp.array(np.ascontiguousarray(stress_Pa), dtype=wp.float64, device=device)
+    given = put(stress_Pa, wp.float64, device)
     von_mises = wp.empty(count, dtype=wp.float64, device=device)
     principal = wp.empty(count, dtype=wp.vec3d, device=device)
     wp.launch(
@@ -161,9 +161,6 @@ class StressRecovery:
                 / whole[:, None]
             )
 
-        def on(values: NDArray[Any], dtype: Any) -> Any:
-            return wp.array(np.ascontiguousarray(values), dtype=dtype, device=cells.device)
-
         at = mean(particles.position_m[cells.order])
         first = np.unique(self._group, return_index=True)[1]
         self._cell = cells.particle_cell[first]
@@ -171,9 +168,9 @@ class StressRecovery:
         self._points = StressPoints(
             cells,
             np.arange(len(at)),
-            on(self._cell, wp.int32),
-            on(mean(cells.place.numpy()), wp.vec3d),
-            on(mean(cells.lame.numpy()), wp.float64),
+            put(self._cell, wp.int32, cells.device),
+            put(mean(cells.place.numpy()), wp.vec3d, cells.device),
+            put(mean(cells.lame.numpy()), wp.float64, cells.device),
         )
         rows = []
         columns = []

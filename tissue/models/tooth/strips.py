@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from kernels.cell_strips import LANES, WEIGHTS, lanes_of, strip_products
 from kernels.hexahedra import cell_products, gather_cells
 from kernels.lane_vectors import cube_weights, from_lanes, to_lanes
 from kernels.launcher import SplitLaunch
+from kernels.mirror import put
 from meshes.base.arrays import Array, Int32s, Integers, Ints
 from tissue.models.tooth.grid import HexGrid
 
@@ -53,30 +53,27 @@ class PackedProduct:
     ) -> None:
         device = str(vector.device)
 
-        def on(array: NDArray[Any]) -> Any:
-            return wp.array(array.astype(np.int32), dtype=wp.int32, device=device)
-
         place = np.full(grid.cell_count + 1, -1)
         place[cells] = np.arange(len(cells))
         nodes = np.unique(grid.cell_nodes[cells])
         corner_force = wp.zeros((len(cells), 8), dtype=wp.vec3d, device=device)
+        which, row, corners, chosen, gathered = (
+            put(each, wp.int32, device)
+            for each in (cells, rows, grid.cell_nodes, nodes, place[grid.node_cells[nodes]])
+        )
         self._cells = SplitLaunch(
             cell_products,
             dim=len(cells),
-            offset_index=6,
-            device=device,
-            cores=cores,
-            inputs=[on(cells), on(rows), on(grid.cell_nodes), live, stiffness, vector, 0],
+            inputs=[which, row, corners, live, stiffness, vector],
             outputs=[corner_force],
+            cores=cores,
         )
         self._nodes = SplitLaunch(
             gather_cells,
             dim=len(nodes),
-            offset_index=3,
-            device=device,
-            cores=cores,
-            inputs=[on(nodes), on(place[grid.node_cells[nodes]]), corner_force, 0],
+            inputs=[chosen, gathered, corner_force],
             outputs=[force],
+            cores=cores,
         )
 
     def __call__(self) -> None:
@@ -203,23 +200,20 @@ class StripProduct:
             device=device,
             copy=False,
         )
-        start: Any = wp.array(layout.start, dtype=wp.int32, device=device)
-        base: Any = wp.array(layout.base, dtype=wp.vec4i, device=device)
+        start = put(layout.start, wp.int32, device)
+        base = put(layout.base, wp.vec4i, device)
         self._kept = weight
         self._launches = [
             SplitLaunch(
                 strip_products(vector.scalar),
                 dim=len(pencils),
-                offset_index=5,
-                device=device,
                 cores=cores,
                 inputs=[
-                    wp.array(pencils, dtype=wp.int32, device=device),
+                    put(pencils, wp.int32, device),
                     start,
                     base,
                     lanes,
                     vector.from_each,
-                    0,
                 ],
                 outputs=[force.from_each],
             )
@@ -271,11 +265,9 @@ class CellStrips:
         shape = (len(self.layout.base), WEIGHTS, LANES)
         self.weight = wp.zeros(shape, dtype=wp.float64, device=device)
         self.single = wp.zeros(shape, dtype=wp.float32, device=device)
-        self.regular_on: Any = wp.array(
-            self.regular.astype(np.uint8), dtype=wp.uint8, device=device
-        )
-        self.strip_on: Any = wp.array(self.layout.strip, dtype=wp.vec2i, device=device)
-        self.slot_on: Any = wp.array(self.layout.slot, dtype=wp.int32, device=device)
+        self.regular_on = put(self.regular.astype(np.uint8), wp.uint8, device)
+        self.strip_on = put(self.layout.strip, wp.vec2i, device)
+        self.slot_on = put(self.layout.slot, wp.int32, device)
         moved, self._force = (LaneVector(self.layout, wp.float64, device=device) for _ in range(2))
         self._vector = moved
         self._product = StripProduct(
