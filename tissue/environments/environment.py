@@ -4,7 +4,7 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -17,13 +17,15 @@ from tissue.models.tissue_model import TICK_S, Response, TissueModel, ToolMotion
 from tissue.motion.motion import Motion
 from tissue.simulation.loop import Stepper
 
-__all__ = ["FORCE_WEIGHT", "TIME_WEIGHT", "ContactEnvironment", "Entry"]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["ContactEnvironment", "Entry"]
 
 FORCE_WEIGHT = 1.0
 """Penalty for a whole episode at twice the force limit."""
 TIME_WEIGHT = 0.1
 """Penalty for the time of a whole episode; doing nothing scores its negative."""
-FRAMES_PER_S = 50
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         None, or ``rgb_array``, for which `render` returns a picture.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": FRAMES_PER_S}  # noqa: RUF012
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012
     entries: ClassVar[tuple[Entry, ...]]
     action_count: ClassVar[int]
     ranges: ClassVar[Mapping[str, tuple[float, float]]]
@@ -96,20 +98,25 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         render_mode: str | None = None,
     ) -> None:
         self.ticks = int(require_range("ticks", ticks, 1, 200, "use 20 for 50 actions a second"))
-        duration = self.usual_duration_s if duration_s is None else duration_s
-        limit = self.usual_force_limit_N if force_limit_N is None else force_limit_N
         self.force_limit_N = require_positive(
-            "force_limit_N", limit, f"use {self.usual_force_limit_N:g}"
+            "force_limit_N",
+            self.usual_force_limit_N if force_limit_N is None else force_limit_N,
+            f"use {self.usual_force_limit_N:g}",
         )
-        require_range("duration_s", duration, 0.1, 600.0, f"use {self.usual_duration_s:g}")
+        self.duration_s = require_range(
+            "duration_s",
+            self.usual_duration_s if duration_s is None else duration_s,
+            0.1,
+            600.0,
+            f"use {self.usual_duration_s:g}",
+        )
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise InputError(
                 "render_mode", "be None or rgb_array", f"{render_mode!r}", "leave it out"
             )
         self.metadata = {**self.metadata, "render_fps": max(round(1.0 / (self.ticks * TICK_S)), 1)}
         self.render_mode = render_mode
-        self.duration_s = float(duration)
-        self._steps = max(round(duration / (self.ticks * TICK_S)), 1)
+        self._steps = max(round(self.duration_s / (self.ticks * TICK_S)), 1)
         self._scales = np.concatenate([np.full(each.count, each.scale) for each in self.entries])
         self.action_space = spaces.Box(-1.0, 1.0, (self.action_count,), np.float32)
         self.observation_space: spaces.Space[Any] = spaces.Box(
@@ -163,8 +170,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Advance by `ticks` ticks."""
-        if not self.drawn:
-            raise InputError("step", "follow reset", "no episode", "call reset first")
+        self._require_episode("step")
         command = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
         before = self._potential()
         peak = 0.0
@@ -175,7 +181,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
             self._loads += wrench
             force = float(np.sqrt(wrench[:3].dot(wrench[:3])))
             peak = max(peak, force)
-            excess = excess + max(force / self.force_limit_N - 1.0, 0.0)
+            excess += max(force / self.force_limit_N - 1.0, 0.0)
         self._loads /= self.ticks
         self._done_steps += 1
         after = self._potential()
@@ -204,6 +210,11 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         """Mean contact force of the last step [N], shape (3,)."""
         return self._loads[:3].copy()
 
+    @property
+    def _loads_shown(self) -> tuple[Array, Array]:
+        """Mean force [N] and torque [N mm] of the last step."""
+        return self._loads[:3], 1e3 * self._loads[3:]
+
     def named(self, observation: Any) -> dict[str, Array]:
         """Return the numbers of an observation by name, in the units of `entries`."""
         state = observation["state"] if isinstance(observation, dict) else observation
@@ -221,11 +232,24 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
 
     def render(self) -> Bytes | None:
         """Return a picture, shape (height, width, 3); None without a render mode."""
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
         if self.render_mode is None:
             return None
+        self._require_episode("render")
+        figure = Figure(figsize=(6.4, 3.6), dpi=100, layout="constrained")
+        force = float(np.linalg.norm(self.mean_force_N))
+        done_s = (1.0 - self.time_left) * self.duration_s
+        figure.suptitle(f"{done_s:.2f} s, {force:.3g} N, score {self.score:.3f}", fontsize=10)
+        self._draw(figure)
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        return np.array(canvas.buffer_rgba(), dtype=np.uint8)[..., :3]
+
+    def _require_episode(self, method: str) -> None:
         if not self.drawn:
-            raise InputError("render", "follow reset", "no episode", "call reset first")
-        return self._draw()
+            raise InputError(method, "follow reset", "no episode", "call reset first")
 
     @property
     @abstractmethod
@@ -263,5 +287,5 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         """Return additional entries of ``info``."""
 
     @abstractmethod
-    def _draw(self) -> Bytes:
-        """Return a picture of the present state."""
+    def _draw(self, figure: "Figure") -> None:
+        """Draw the present state."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from os import PathLike
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from tissue.models.bone.bricks import voxels_of
 from tissue.scene.used_constants import used_of_cutting
 from tissue.simulation.builders.bone import VoxelBone
 from tissue.simulation.builders.own_constants import given_note
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 __all__ = ["PATCH_POINTS", "RestorableBone"]
 
@@ -49,6 +53,7 @@ class RestorableBone:
         shell_spacing_m: float,
         materials: str | PathLike[str] | None = None,
     ) -> None:
+        self.volume = volume
         given = Materials.of(materials)
         layers = volume.layer_names
         used = used_of_cutting(given, layers, bone="bone", stated={}, has_reference_density=False)
@@ -101,3 +106,37 @@ class RestorableBone:
         points = np.stack(np.meshgrid(side, side, side, indexing="ij"), axis=-1).reshape(-1, 3)
         found = self.model.store.sample(centre_m + points).reshape((PATCH_POINTS,) * 3)
         return np.clip(found, 0.0, 1.0, dtype=np.float32)
+
+    def draw_section(
+        self, panel: "Axes", across: int, at_m: float, colours: tuple[str, ...]
+    ) -> None:
+        """Draw the layers of the remaining bone in the plane across an axis [m]."""
+        from matplotlib.colors import ListedColormap
+
+        volume = self.volume
+        place = int((at_m - volume.origin_m[across]) / volume.spacing_m)
+        place = min(max(place, 0), volume.shape[across] - 1)
+        left = np.take(self.model.remaining(), place, axis=across) > 127
+        shown = np.where(left, np.take(volume.layer, place, axis=across).astype(np.int64), -1)
+        first, second = (axis for axis in range(3) if axis != across)
+        low = 1e3 * volume.origin_m
+        high = low + 1e3 * volume.spacing_m * np.array(volume.shape)
+        panel.imshow(
+            shown.T,
+            origin="lower",
+            extent=(low[first], high[first], low[second], high[second]),
+            cmap=ListedColormap(["#FFFFFF", *colours]),
+            vmin=-1.5,
+            vmax=len(colours) - 0.5,
+        )
+        panel.set_xlabel(f"{'xyz'[first]} / mm")
+        panel.set_ylabel(f"{'xyz'[second]} / mm")
+
+    def draw_under_tool(self, panel: "Axes", tip_m: Array, colours: tuple[str, ...]) -> None:
+        """Draw a section along x under the tool, and the outline of its ball."""
+        from matplotlib.patches import Circle
+
+        self.draw_section(panel, 1, tip_m[1], colours)
+        x, _, z = 1e3 * tip_m
+        radius = 1e3 * self.model.cutter.profile.radius_m
+        panel.add_patch(Circle((x, z + radius), radius, fill=False, color="0.2"))

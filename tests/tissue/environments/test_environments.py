@@ -8,11 +8,11 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 import pytest
+from environment_experts import expert_of
 from gymnasium.utils.env_checker import check_env
 
 import tissue.environments
 from meshes.base.errors import InputError
-from tissue.environments.experts import expert_of
 from tissue.fitting.fitted_file import FittedEntry, write_fitted
 from tissue.materials.constants import constants
 
