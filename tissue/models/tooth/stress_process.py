@@ -88,7 +88,7 @@ class InlineStressSolver:
     """
 
     def __init__(self, whole: VoxelVolume, store: BrickStore | Bricks, **options: Any) -> None:
-        bricks = store if isinstance(store, Bricks) else Bricks.of(store)
+        bricks = Bricks.of(store) if isinstance(store, BrickStore) else store
         self.field = StressField(whole, **options)
         self.compliance = self.field.compliance
         self.reference_m = self.field.reference_m
