@@ -21,10 +21,11 @@ from functools import cache
 
 import numpy as np
 import warp as wp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse import bsr_array, csr_array
 
 from kernels.launcher import SplitLaunch
+from kernels.mirror import put
 from kernels.tetrahedra import pair_stiffness, pair_stiffness_isotropic
 from meshes.base.arrays import Array, Int32s, Ints
 from meshes.base.errors import InputError, require_positive
@@ -73,29 +74,23 @@ def assemble(space: Space, elasticity: ArrayLike) -> bsr_array:
     device = space.device
     pattern = space.pattern
 
-    def on(values: NDArray[np.generic], dtype: type) -> wp.array[object]:
-        return wp.array(values, dtype=dtype, device=device, copy=False)
-
     corners, weights = pair_tables(space.order)
     blocks = wp.empty(len(pattern.column), dtype=wp.mat33d, device=device)
     inputs = [
         *(
-            on(part, wp.int32)
+            put(part, wp.int32, device)
             for part in (pattern.pair_start, pattern.contribution, pattern.place, pattern.mirror)
         ),
-        on(corners, wp.int32),
-        on(weights, wp.float64),
+        put(corners, wp.int32, device),
+        put(weights, wp.float64, device),
         *space.gradients,
-        on(rows, wp.float64),
-        0,
+        put(rows, wp.float64, device),
     ]
     SplitLaunch(
         pair_stiffness_isotropic if rows.ndim == 2 else pair_stiffness,
         dim=len(pattern.place),
         inputs=inputs,
         outputs=[blocks],
-        offset_index=len(inputs) - 1,
-        device=device,
     )()
     return bsr_array(
         (blocks.numpy(), pattern.column, pattern.row_start), shape=(space.unknown_count,) * 2

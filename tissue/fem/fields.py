@@ -142,7 +142,6 @@ def group_stress(
         *space.gradients,
         put(stiffness, wp.float64, device),
         put(moved, wp.vec3d, device),
-        0,
     ]
     strain, stress = (wp.empty((count, 6), dtype=wp.float64, device=device) for _ in range(2))
     von_mises = wp.empty(count, dtype=wp.float64, device=device)
@@ -153,7 +152,5 @@ def group_stress(
         dim=count,
         inputs=inputs,
         outputs=outputs,
-        offset_index=len(inputs) - 1,
-        device=device,
     )()
     return StressState(strain.numpy(), stress.numpy(), von_mises.numpy(), principal.numpy())

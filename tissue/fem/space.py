@@ -310,10 +310,8 @@ class Space:
         SplitLaunch(
             cell_gradients,
             dim=count,
-            inputs=[nodes, cells, 0],
+            inputs=[nodes, cells],
             outputs=outputs,
-            offset_index=2,
-            device=self.device,
         )()
         return outputs[0], outputs[1]
 
