@@ -162,13 +162,10 @@ def changed_coefficients(
             )
         if value is not None:
             values[name] = value
+    chip, edge = (
+        [unit * values[f"{side}_{name}"] for side in ("tangential", "radial", "axial")]
+        for name, unit in (("chip_N_mm2", N_MM2), ("edge_N_mm", N_MM))
+    )
     return CuttingCoefficients(
-        tangential_chip_Pa=values["tangential_chip_N_mm2"] * N_MM2,
-        radial_chip_Pa=values["radial_chip_N_mm2"] * N_MM2,
-        axial_chip_Pa=values["axial_chip_N_mm2"] * N_MM2,
-        tangential_edge_N_m=values["tangential_edge_N_mm"] * N_MM,
-        radial_edge_N_m=values["radial_edge_N_mm"] * N_MM,
-        axial_edge_N_m=values["axial_edge_N_mm"] * N_MM,
-        reference_density_kg_m3=values["reference_density_kg_m3"],
-        density_exponent=values["density_exponent"],
+        *chip, *edge, values["reference_density_kg_m3"], values["density_exponent"]
     )
