@@ -87,7 +87,7 @@ class RestorableBone:
         They are indices into the flat array of stored voxels, and centres [m].
         """
         store = self.model.store
-        full = self._uncut.remaining.numpy() == np.iinfo(np.uint16).max
+        full = self._uncut.bricks["remaining"].numpy() == np.iinfo(np.uint16).max
         chosen = full & (self._layer == store.grid.layer_names.index(layer))
         places, _ = voxels_of(store.places, np.arange(len(chosen)), chosen.astype(np.int64))
         return np.flatnonzero(chosen), store.grid.origin_m + store.grid.spacing_m * (places + 0.5)

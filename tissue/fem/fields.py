@@ -147,10 +147,5 @@ def group_stress(
     von_mises = wp.empty(count, dtype=wp.float64, device=device)
     principal = wp.empty(count, dtype=wp.vec3d, device=device)
     outputs = [strain, stress, von_mises, principal]
-    SplitLaunch(
-        tet_stress.group_stress,
-        dim=count,
-        inputs=inputs,
-        outputs=outputs,
-    )()
+    SplitLaunch(tet_stress.group_stress, dim=count, inputs=inputs, outputs=outputs)()
     return StressState(strain.numpy(), stress.numpy(), von_mises.numpy(), principal.numpy())

@@ -163,12 +163,7 @@ class NewtonSolver:
     """
 
     def __init__(
-        self,
-        body: NonlinearBody,
-        held: Flags,
-        *,
-        tolerance: float = 1e-8,
-        step_limit: int = 60,
+        self, body: NonlinearBody, held: Flags, *, tolerance: float = 1e-8, step_limit: int = 60
     ) -> None:
         self.body = body
         self.held = held

@@ -307,12 +307,7 @@ class Space:
             wp.empty((count, 4), dtype=wp.vec3d, device=self.device),
             wp.empty(count, dtype=wp.float64, device=self.device),
         ]
-        SplitLaunch(
-            cell_gradients,
-            dim=count,
-            inputs=[nodes, cells],
-            outputs=outputs,
-        )()
+        SplitLaunch(cell_gradients, dim=count, inputs=[nodes, cells], outputs=outputs)()
         return outputs[0], outputs[1]
 
     @cached_property

@@ -148,7 +148,7 @@ def test_removed_and_remaining_make_up_the_start(model):
     bone = getattr(model, "milling", model)
     assert (bone.removed_steps > 0).any()
     np.testing.assert_array_equal(
-        bone.removed_steps + bone.store.steps_by_layer(), bone.start_steps
+        bone.removed_steps + bone.store.steps_by_layer(), bone.store.start_steps
     )
     # The voxels hold what remains in 255 steps, to the nearest: a cut one is off by half a step at
     # most.

@@ -181,31 +181,26 @@ class BrickStore:
     def _append(self, rows: dict[str, NDArray[Any]]) -> bool:
         """Write rows after the stored ones and return True if the arrays had to grow.
 
-        They grow to twice the needed length.
+        The first rows fit exactly; later the arrays grow to twice the needed length.
         """
         first = len(self.places)
-        count = len(rows["alive"])
-        grows = first + count > len(self.alive)
+        last = first + len(rows["alive"])
+        grows = last > len(self.alive)
+        length = last if first == 0 else 2 * last
         for name, values in rows.items():
             old = getattr(self, name)
-            if grows and first == 0:
-                setattr(
-                    self,
-                    name,
-                    put(values, old.dtype, self._device),
-                )
-                continue
-            new = old
             if grows:
-                shape = (2 * (first + count), *values.shape[1:])
-                new = wp.zeros(shape, dtype=old.dtype, device=self._device)
-                wp.copy(new[:first], old[:first])
+                new = wp.zeros((length, *values.shape[1:]), dtype=old.dtype, device=self._device)
+                if first:
+                    wp.copy(new[:first], old[:first])
                 setattr(self, name, new)
-            wp.copy(
-                new[first : first + count],
-                put(values, old.dtype, self._device),
-            )
+            wp.copy(getattr(self, name)[first:last], put(values, old.dtype, self._device))
         return grows
+
+    @property
+    def read_by_forces(self) -> list[Any]:
+        """Device arrays that the force kernels read, in the order of their arguments."""
+        return [self.brick_of, self.material, self.nearby, self.older, self.alive]
 
     def take_touched(self) -> tuple[Ints, NDArray[np.uint16]]:
         """Return rows and a copy of the content of bricks that lost material since the last call.
@@ -248,11 +243,9 @@ class BrickStore:
         For a volume it has the volume's shape.
         """
         whole = self.part((0, 0, 0), self.grid.counts)
-        return (
-            whole
-            if self.volume is None
-            else np.ascontiguousarray(whole[tuple(map(slice, self.volume.shape))])
-        )
+        if self.volume is None:
+            return whole
+        return np.ascontiguousarray(whole[tuple(map(slice, self.volume.shape))])
 
     def part(self, first: tuple[int, ...], last: tuple[int, ...]) -> Bytes:
         """Return the remaining fraction of the voxels of some bricks, 255 = full.

@@ -72,17 +72,9 @@ class BricksOnDemand:
         high = np.ceil((np.array(anatomy.shape.upper_m) + around) / self._brick_m)
         self._first = low.astype(np.int64)
         self._patches = -(-(high - low).astype(np.int64) // PATCH)
+        share = float(np.prod(high - low)) / MOST_BRICKS
         if float(np.prod(PATCH * self._patches)) > MOST_BRICKS:
-            fits = spacing_m * (float(np.prod(high - low)) / MOST_BRICKS) ** (1.0 / 3.0)
-            raise InputError(
-                "spacing_mm",
-                f"leave at most {MOST_BRICKS:g} bricks of {BRICK} voxels in the bone's box",
-                f"{1000.0 * spacing_m:g}",
-                (
-                    f"use {np.ceil(110000.0 * fits) / 100.0:g}, or cut the part that you need "
-                    "out of it"
-                ),
-            )
+            raise _too_fine(spacing_m, share, f"leave at most {MOST_BRICKS:g} bricks")
         x, y, z = (PATCH * self._patches).tolist()
         grid = BrickGrid(low * self._brick_m, spacing_m, (x, y, z), anatomy.layer_names)
         self.store = BrickStore(grid, device=device)
@@ -117,18 +109,12 @@ class BricksOnDemand:
         import psutil
 
         free = psutil.virtual_memory().available
-        spacing_mm = 1e3 * self.store.grid.spacing_m
         needed = patches * (PATCH * BRICK) ** 3 * BYTES_WHILE_MADE
         if needed > 0.9 * free:
-            fits = spacing_mm * (needed / (0.8 * free)) ** (1.0 / 3.0)
-            raise InputError(
-                "spacing_mm",
-                (
-                    "leave what the tool reaches within the free memory of "
-                    f"{free / 1000000000.0:.1f} GB"
-                ),
-                f"{spacing_mm:g} which needs {needed / 1000000000.0:.1f} GB",
-                f"use {np.ceil(1000.0 * fits) / 1000.0:g}",
+            raise _too_fine(
+                self.store.grid.spacing_m,
+                needed / (0.8 * free),
+                f"leave what the tool reaches within the free memory of {1e-9 * free:.1f} GB",
             )
 
     def has(self, low_m: Array, high_m: Array) -> bool:
@@ -194,6 +180,12 @@ class BricksOnDemand:
         for row in ranges[(ranges[:, :3] < ranges[:, 3:]).all(axis=1)].tolist():
             wanted[row[0] : row[3], row[1] : row[4], row[2] : row[5]] = True
         return wanted & ~self._made
+
+
+def _too_fine(spacing_m: float, share: float, requirement: str) -> InputError:
+    """Return the error for a spacing whose number of voxels is a multiple of the largest one."""
+    fits_mm = np.ceil(1.1e5 * spacing_m * share ** (1.0 / 3.0)) / 100.0
+    return InputError("spacing_mm", requirement, f"{1e3 * spacing_m:g}", f"use {fits_mm:g}")
 
 
 def _box_of(wanted: Flags) -> tuple[Ints, Ints]:

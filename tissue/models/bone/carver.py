@@ -37,6 +37,8 @@ TURN = 0.9
 
 The share is the projection of the present feed direction on the direction stored at the last turn.
 """
+CHANGED = ("remaining", "swept", "older", "alive")
+"""Arrays of the brick store that carving changes and depends on."""
 WORKERS_CPU = 32
 WORKERS_GPU = 2048
 """Number of workers that share a carving launch."""
@@ -48,8 +50,8 @@ class CarverState:
 
     Attributes
     ----------
-    remaining, swept, older, alive
-        Device arrays of the brick store.
+    bricks
+        Device arrays of the brick store, by name.
     poses
         Present pose, and pose at the last visit of every group of bricks, shape (1 + groups, 6).
     heading
@@ -58,10 +60,7 @@ class CarverState:
         Next group, number of visits due, number of groups not yet visited at the present pose.
     """
 
-    remaining: Any
-    swept: Any
-    older: Any
-    alive: Any
+    bricks: dict[str, Any]
     poses: Array
     heading: Array
     counts: tuple[int, float, int]
@@ -129,7 +128,6 @@ class Carver:
         self._plan = Mirror(PLAN, dtype=wp.int32, device=device)
         self._removed = Mirror((workers, layers), dtype=wp.int64, device=device)
         self._workers = workers
-        self._device = device
         self._cores = cores
         self.record()
 
@@ -157,7 +155,6 @@ class Carver:
                 self._removed.device,
             ],
             offset_index=3,
-            device=self._device,
             cores=self._cores,
         )
 
@@ -219,10 +216,7 @@ class Carver:
     def state(self) -> CarverState:
         """Copy the state between two motions."""
         return CarverState(
-            wp.clone(self.store.remaining),
-            wp.clone(self.store.swept),
-            wp.clone(self.store.older),
-            wp.clone(self.store.alive),
+            {name: wp.clone(getattr(self.store, name)) for name in CHANGED},
             self._pose.host.copy(),
             self._heading.copy(),
             (self._next_group, self._debt, self._behind),
@@ -231,10 +225,8 @@ class Carver:
     def restore(self, state: CarverState) -> None:
         """Return to a copied state; the counted removal stays."""
         self.changes += 1
-        wp.copy(self.store.remaining, state.remaining)
-        wp.copy(self.store.swept, state.swept)
-        wp.copy(self.store.older, state.older)
-        wp.copy(self.store.alive, state.alive)
+        for name, values in state.bricks.items():
+            wp.copy(getattr(self.store, name), values)
         self._pose.host[:] = state.poses
         self._heading[:] = state.heading
         self._next_group, self._debt, self._behind = state.counts

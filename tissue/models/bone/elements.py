@@ -18,7 +18,15 @@ from tissue.cutters.profile import Line
 from tissue.models.bone.bricks import BrickStore
 from tissue.models.tissue_model import ToolMotion
 
-__all__ = ["THICKEST_M", "LawLimits", "SmoothSurface", "edge_lengths_m", "elements_of", "levers_of"]
+__all__ = [
+    "THICKEST_M",
+    "ForceSums",
+    "LawLimits",
+    "SmoothSurface",
+    "edge_lengths_m",
+    "elements_of",
+    "levers_of",
+]
 
 LEVER = [0, 1, 3, 4, 5, 6, 7, 8, 9, 10, 11, 14, 15, 16]
 """Components of the forces and torques of element loads that are not 0 on every element.
@@ -111,6 +119,63 @@ A peg touches the rim of its pilot hole.
 """
 
 
+class ForceSums:
+    """Cutting forces on the elements of a tool in bone, summed over chunks of elements.
+
+    Parameters
+    ----------
+    store, tool
+        Bone, and the tool's distance table on the device.
+    elements, coefficients
+        Elements of the tool and cutting coefficients on the device.
+    motion
+        Device array of the motion, as the force kernel reads it.
+    chip_per_speed_s
+        Chip thickness over normal feed speed [s].
+    cores
+        Processor cores to split large launches over; default all.
+
+    Attributes
+    ----------
+    sums
+        Results of the last launch, shape (chunks, AREA + layers).
+    launch
+        Launch on the present arrays of the store.
+    """
+
+    def __init__(
+        self,
+        store: BrickStore,
+        tool: Any,
+        elements: Elements,
+        coefficients: Coefficients,
+        motion: Any,
+        *,
+        chip_per_speed_s: float,
+        cores: int | None,
+    ) -> None:
+        device = str(motion.device)
+        self._chunks = len(elements.chunk_ball)
+        shape = (self._chunks, AREA + len(store.grid.layer_names))
+        self.sums = Mirror(shape, dtype=wp.float64, device=device)
+        self._store = store
+        self._given = [tool, elements, coefficients, motion, chip_per_speed_s, store.grid.spacing_m]
+        self._scratch = wp.zeros((self._chunks, SLOTS + 1), dtype=corner8f, device=device)
+        self._cores = cores
+        self.record()
+
+    def record(self) -> None:
+        """Record the launch on the present arrays of the store."""
+        self.launch = SplitLaunch(
+            cutting_forces,
+            dim=self._chunks,
+            inputs=[*self._given, 0, *self._store.read_by_forces],
+            outputs=[self._scratch, self.sums.device],
+            offset_index=len(self._given),
+            cores=self._cores,
+        )
+
+
 class SmoothSurface:
     """Area of a tool's non-cutting surface that is pushed into bone.
 
@@ -118,69 +183,38 @@ class SmoothSurface:
     ----------
     cutter, store
         Tool and bone.
-    revolution
+    tool
         The tool's distance table on the device.
     motion
         Device array of the motion, as the force kernel reads it.
-    device
-        Warp device name.
     """
 
-    def __init__(
-        self, cutter: Cutter, store: BrickStore, revolution: Any, motion: Any, *, device: str
-    ) -> None:
+    def __init__(self, cutter: Cutter, store: BrickStore, tool: Any, motion: Any) -> None:
         pieces = [piece for piece in cutter.profile.pieces if not piece.cutting]
         total_m2 = sum(piece.area_m2 for piece in pieces)
         shell = cutter.smooth_shell(spacing_m=(total_m2 / SMOOTH_ELEMENTS) ** 0.5)
-        chunks = -(-len(shell.areas_m2) // CHUNK)
-        layers = len(store.grid.layer_names)
         ends = [
             piece for piece in pieces if isinstance(piece, Line) and piece.start[1] == piece.end[1]
         ]
         radii = [max(piece.start[0], piece.end[0]) for piece in ends]
         self.blocked_m2 = BLOCKED * min([total_m2, *(pi * radius**2 for radius in radii)])
-        self._sums = Mirror((chunks, AREA + layers), dtype=wp.float64, device=device)
-        self._store = store
-        self._device = device
-        self._tool = revolution
-        self._motion = motion
-        self._elements = elements_of(shell, cutter, spacing_m=store.grid.spacing_m, device=device)
-        self._scratch = wp.zeros((chunks, SLOTS + 1), dtype=corner8f, device=device)
-        self._coefficients = _no_force(layers, device=device)
-        self.record()
-
-    def record(self) -> None:
-        """Record the launch on the present arrays of the store."""
-        store = self._store
-        self._launch = SplitLaunch(
-            cutting_forces,
-            dim=len(self._sums.host),
-            inputs=[
-                self._tool,
-                self._elements,
-                self._coefficients,
-                self._motion,
-                0.0,
-                store.grid.spacing_m,
-                0,
-                store.brick_of,
-                store.material,
-                store.nearby,
-                store.older,
-                store.alive,
-            ],
-            outputs=[self._scratch, self._sums.device],
-            offset_index=6,
-            device=self._device,
-            cores=1,
+        device = str(motion.device)
+        layers = len(store.grid.layer_names)
+        no_force = Coefficients()
+        no_force.chip = wp.zeros(layers, dtype=lever16, device=device)
+        no_force.edge = wp.zeros(layers, dtype=lever16, device=device)
+        no_force.strength = wp.zeros((layers, DENSITIES), dtype=wp.float32, device=device)
+        elements = elements_of(shell, cutter, spacing_m=store.grid.spacing_m, device=device)
+        self.forces = ForceSums(
+            store, tool, elements, no_force, motion, chip_per_speed_s=0.0, cores=1
         )
 
     @property
     def is_blocked(self) -> bool:
         """True if too much of the surface is pushed into bone, so that a force is missing."""
-        self._launch()
-        self._sums.pull()
-        return float(self._sums.host[:, AREA:].sum()) > self.blocked_m2
+        self.forces.launch()
+        self.forces.sums.pull()
+        return float(self.forces.sums.host[:, AREA:].sum()) > self.blocked_m2
 
 
 class LawLimits:
@@ -220,7 +254,7 @@ class LawLimits:
     def record(self) -> None:
         """Record launches anew, after the store's arrays have grown."""
         if self._smooth is not None:
-            self._smooth.record()
+            self._smooth.forces.record()
 
     def check(self, motion: ToolMotion, engaged_m2: float, *, is_new: bool) -> None:
         """Check one answer.
@@ -258,12 +292,3 @@ class LawLimits:
         """Record a limit that is passed."""
         self.passed[about] = sentence
         self.notices.append(sentence)
-
-
-def _no_force(layers: int, *, device: str) -> Coefficients:
-    """Return cutting coefficients of 0 for each layer."""
-    arrays = Coefficients()
-    arrays.chip = wp.zeros(layers, dtype=lever16, device=device)
-    arrays.edge = wp.zeros(layers, dtype=lever16, device=device)
-    arrays.strength = wp.zeros((layers, DENSITIES), dtype=wp.float32, device=device)
-    return arrays

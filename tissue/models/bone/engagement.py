@@ -153,18 +153,13 @@ class EngagedElements:
                 bone.motion_rows,
                 store.grid.spacing_m,
                 0,
-                store.brick_of,
-                store.material,
-                store.nearby,
-                store.older,
-                store.alive,
+                *store.read_by_forces,
             ],
             outputs=[
                 wp.zeros((chunks, SLOTS + 1), dtype=corner8f, device=device),
                 *(each.device for each in self._found),
             ],
             offset_index=4,
-            device=device,
             cores=cores,
         )
 
@@ -194,11 +189,17 @@ class EngagedElements:
         met = np.flatnonzero(share)
         shell = self.bone.shell
         cutter = self.bone.cutter
-        coefficients = self.bone.coefficients
-        chip = np.array([each.tangential_chip_Pa for each in coefficients])[layer[met]]
-        edge = np.array([each.tangential_edge_N_m for each in coefficients])[layer[met]]
-        reference = np.array([each.reference_density_kg_m3 for each in coefficients])[layer[met]]
-        exponent = np.array([each.density_exponent for each in coefficients])[layer[met]]
+        chip, edge, reference, exponent = np.array(
+            [
+                [
+                    each.tangential_chip_Pa,
+                    each.tangential_edge_N_m,
+                    each.reference_density_kg_m3,
+                    each.density_exponent,
+                ]
+                for each in self.bone.coefficients
+            ]
+        )[layer[met]].T
         thickness = cutter.chip_per_speed_s * motion.speed_m_s * advance[met].astype(np.float64)
         strength = (density[met] / reference) ** exponent
         powers = (

@@ -263,11 +263,7 @@ class NeedleModel:
     )
 
     def __init__(
-        self,
-        tissue: NeedleTissue,
-        *,
-        diameter_m: float,
-        fields: NeedleFields | None = None,
+        self, tissue: NeedleTissue, *, diameter_m: float, fields: NeedleFields | None = None
     ) -> None:
         require_positive("diameter_m", diameter_m, "an 18 gauge needle has 1.27e-3 m")
         self.tissue = tissue

@@ -161,10 +161,7 @@ class OrganFields:
         corners = len(self._space.mesh.nodes_m)
         for end in self._ends.T:  # a middle node's reaction is shown half at each end of its edge
             np.add.at(reaction, end, 0.5 * reaction[corners:])
-        points = {
-            "displacement_mm": 1e3 * moved_m[:corners],
-            "reaction_N": reaction[:corners],
-        }
+        points = {"displacement_mm": 1e3 * moved_m[:corners], "reaction_N": reaction[:corners]}
         cells = {
             "von_mises_kPa": 1e-3 * stress.von_mises_Pa,
             "principal_stress_kPa": 1e-3 * stress.principal_Pa,

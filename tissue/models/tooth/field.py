@@ -162,12 +162,7 @@ class StressField:
         return 3 * self.body.grid.node_count
 
     def remove(
-        self,
-        voxels: Integers,
-        steps: Integers,
-        *,
-        origin_m: Array,
-        spacing_m: float,
+        self, voxels: Integers, steps: Integers, *, origin_m: Array, spacing_m: float
     ) -> None:
         """Remove from the particles the loss of the finer voxels since the last call.
 
@@ -273,10 +268,7 @@ def _bed_layers(tooth: VoxelVolume) -> list[int]:
 
 
 def _ligament_springs(
-    tooth: VoxelVolume,
-    solid: Flags,
-    thickness_m: float,
-    constants: Materials = Materials.cited,
+    tooth: VoxelVolume, solid: Flags, thickness_m: float, constants: Materials = Materials.cited
 ) -> PointSprings:
     """Return springs where the tooth borders on ligament or bone.
 

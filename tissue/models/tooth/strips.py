@@ -208,13 +208,7 @@ class StripProduct:
                 strip_products(vector.scalar),
                 dim=len(pencils),
                 cores=cores,
-                inputs=[
-                    put(pencils, wp.int32, device),
-                    start,
-                    base,
-                    lanes,
-                    vector.from_each,
-                ],
+                inputs=[put(pencils, wp.int32, device), start, base, lanes, vector.from_each],
                 outputs=[force.from_each],
             )
             for pencils in layout.colours
@@ -249,13 +243,7 @@ class CellStrips:
     """
 
     def __init__(
-        self,
-        grid: HexGrid,
-        place: Array,
-        particle_cell: Int32s,
-        *,
-        device: str,
-        cores: int | None,
+        self, grid: HexGrid, place: Array, particle_cell: Int32s, *, device: str, cores: int | None
     ) -> None:
         self.layout = StripLayout(grid)
         self.device = device

@@ -29,11 +29,7 @@ class NodeSupports:
 
     @classmethod
     def of(
-        cls,
-        node_count: int,
-        *,
-        held: Flags | None = None,
-        displacement_m: Array | None = None,
+        cls, node_count: int, *, held: Flags | None = None, displacement_m: Array | None = None
     ) -> "NodeSupports":
         """Hold whole nodes (``held``, shape (n,)) or components (shape (n, 3)).
 
