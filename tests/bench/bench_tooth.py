@@ -21,11 +21,10 @@ import numpy as np
 from harness import Cost, cost_of, machine, table  # adds the fixtures to the path
 from scipy.sparse import diags
 from scipy.sparse.linalg import cg
-from tooth_bodies import at_bottom, block
+from tooth_bodies import at_bottom, block, particle_stress
 
 from tissue.fem.solvers.held_body import rigid_modes
 from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.recovery import particle_stress
 
 SIDE_M, BALL_M, FEED_M, TOLERANCE = 8e-3, 0.5e-3, 2e-5, 1e-4
 

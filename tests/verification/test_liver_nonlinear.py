@@ -8,7 +8,6 @@ import pytest
 from linear_limits import LinearLimits, linear_limits, press
 from scipy.spatial.transform import Rotation
 
-from meshes.base.errors import InputError
 from meshes.organs.liver import liver, liver_region
 from meshes.surfaces.surface import read_surface
 from meshes.tets.bisection import bisected

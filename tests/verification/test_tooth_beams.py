@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from tooth_bodies import block, lattice
+from tooth_bodies import block, lattice, particle_stress
 
 from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.recovery import particle_stress
 from tissue.models.tooth.supports import NodeSupports
 
 

@@ -5,12 +5,12 @@ The tests also cover islands, removal and warm starts.
 
 import numpy as np
 import pytest
-from tooth_bodies import at_bottom, block, lattice
+from tooth_bodies import at_bottom, block, lattice, particle_stress
 
 from tissue.fem.conjugate_gradients import SolverOutcome
 from tissue.models.tooth.body import ParticleBody
 from tissue.models.tooth.grid import HexGrid, ParticleSet
-from tissue.models.tooth.recovery import particle_stress, stress_invariants
+from tissue.models.tooth.recovery import stress_invariants
 from tissue.models.tooth.supports import NodeSupports
 
 EDGE = 8e-3

@@ -28,7 +28,6 @@ from kernels.launcher import SplitLaunch
 from kernels.mirror import put
 from kernels.tetrahedra import pair_stiffness, pair_stiffness_isotropic
 from meshes.base.arrays import Array, Int32s, Ints
-from meshes.base.errors import InputError, require_positive
 from tissue.fem.space import (
     EDGES,
     TRIANGLE_EDGES,
@@ -120,7 +119,7 @@ def pair_tables(order: int) -> tuple[Int32s, Array]:
 def capsule_stiffness(
     space: Space,
     *,
-    thickness_m: ArrayLike,
+    thickness_m: float,
     young_Pa: float,
     poisson_ratio: float,
     faces: Ints | None = None,
@@ -137,7 +136,7 @@ def capsule_stiffness(
     space
         Nodes and cells.
     thickness_m
-        Thickness [m], one or one a face, shape (f,).
+        Thickness [m].
     young_Pa, poisson_ratio
         Young's modulus [Pa] and Poisson's ratio of the membrane.
     faces
@@ -146,17 +145,11 @@ def capsule_stiffness(
     Raises
     ------
     InputError
-        If a constant or the thickness is out of range.
+        If a constant is out of range.
     """
-    require_positive("young_Pa", young_Pa, "use about 8e6 for Glisson's capsule")
     shear = float(lame(young_Pa, poisson_ratio)[1])
     first = young_Pa * poisson_ratio / (1.0 - poisson_ratio**2)
     nodes = space.faces if faces is None else faces
-    thickness = np.broadcast_to(np.asarray(thickness_m, dtype=np.float64), len(nodes))
-    if not (np.isfinite(thickness) & (thickness > 0.0)).all():
-        raise InputError(
-            "thickness_m", "be positive and finite", thickness.min(), "leave bare faces out"
-        )
     corners = space.nodes_m[nodes[:, :3]]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     double_area = np.linalg.norm(normal, axis=1)
@@ -165,7 +158,7 @@ def capsule_stiffness(
     gradient = np.cross(normal[:, None], opposite) / double_area[:, None, None]
     a, b = local_pairs(nodes.shape[1]).T
     weight = gradient_products(3, space.order)[a, b]
-    size = 0.5 * double_area * thickness
+    size = 0.5 * double_area * thickness_m
     product = np.einsum("f,xcd,fci,fdj->fxij", size, weight, gradient, gradient, optimize=True)
     plane = np.eye(3) - normal[:, :, None] * normal[:, None, :]
     shares = first * product + shear * product.swapaxes(2, 3)
@@ -193,30 +186,13 @@ STANDARD_GRAVITY_M_S2 = 9.80665
 """Standard acceleration of free fall [m/s2]."""
 
 
-def gravity(
-    space: Space,
-    *,
-    density_kg_m3: ArrayLike,
-    acceleration_m_s2: ArrayLike = (0.0, 0.0, -STANDARD_GRAVITY_M_S2),
-) -> Array:
-    """Return the weight of the cells on the nodes [N], shape (n, 3).
+def gravity(space: Space, *, density_kg_m3: ArrayLike) -> Array:
+    """Return the weight of the cells on the nodes [N], shape (n, 3), along -z.
 
-    Parameters
-    ----------
-    space
-        Nodes and cells.
-    density_kg_m3
-        Density [kg/m3], one or one a cell, shape (m,).
-    acceleration_m_s2
-        Acceleration [m/s2], shape (3,).
-
-    Raises
-    ------
-    InputError
-        If the acceleration is not finite.
+    The density [kg/m3] is one for all cells or one a cell, shape (m,).
     """
     mass = np.asarray(density_kg_m3, dtype=np.float64) * space.volumes_m3
-    force = mass[:, None] * _vectors("acceleration_m_s2", acceleration_m_s2, 1)
+    force = mass[:, None] * np.array([0.0, 0.0, -STANDARD_GRAVITY_M_S2])
     return _spread(space, space.cell_nodes, force, mean_shape(4, space.order))
 
 
@@ -231,16 +207,11 @@ def traction(space: Space, traction_Pa: ArrayLike, *, faces: Ints | None = None)
         Force per area [Pa], shape (3,) or one a face, shape (f, 3).
     faces
         Nodes of the faces, shape (f, 3) or (f, 6); default all of `Space.faces`.
-
-    Raises
-    ------
-    InputError
-        If the traction is not finite or has another shape.
     """
     nodes = space.faces if faces is None else faces
     a, b, c = (space.nodes_m[nodes[:, i]] for i in range(3))
     area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    force = area[:, None] * _vectors("traction_Pa", traction_Pa, len(nodes))
+    force = area[:, None] * np.asarray(traction_Pa)
     return _spread(space, nodes, force, mean_shape(3, space.order))
 
 
@@ -252,13 +223,6 @@ def _spread(space: Space, nodes: Ints, force: Array, share: Array) -> Array:
         [np.bincount(rows, weights=each[:, i], minlength=space.node_count) for i in range(3)],
         axis=1,
     )
-
-
-def _vectors(name: str, value: ArrayLike, count: int) -> Array:
-    vectors = np.asarray(value, dtype=np.float64)
-    if vectors.shape not in ((3,), (count, 3)) or not np.isfinite(vectors).all():
-        raise InputError(name, "be finite, shape (3,)", vectors.tolist(), "give x, y, z")
-    return np.broadcast_to(vectors, (count, 3))
 
 
 NONE = 1e-9

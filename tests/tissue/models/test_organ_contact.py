@@ -41,8 +41,11 @@ def test_friction_cone_and_complementarity_hold_on_random_scenes(slab, seed):
         rotation = new_rotation
         moved = slab.rest + result.displacement_m()
         place = np.einsum("pa,paj->pj", weights, moved[slab.faces[face]])
-        gap, normal = probe.distance((place - tip) @ rotation)
-        normal = normal @ rotation.T
+        local = (place - tip) @ rotation
+        gap = probe.distance(local)
+        steps = 1e-7 * np.eye(3)
+        slopes = [probe.distance(local + e) - probe.distance(local - e) for e in steps]
+        normal = np.column_stack(slopes) / 2e-7 @ rotation.T
         force = contact._points.force.numpy()
         press = np.einsum("pj,pj->p", force, normal)
         side = force - press[:, None] * normal

@@ -442,7 +442,7 @@ class SurfaceContact:
 
         Compute the compliance of these nodes first.
         """
-        distance, _ = self.probe.distance((self._centres - tip_m) @ rotation)
+        distance = self.probe.distance((self._centres - tip_m) @ rotation)
         return np.unique(self.faces[distance < self._radii + margin_m])
 
     def solve(self, tip_m: Array, rotation: Array) -> ContactResult:

@@ -175,7 +175,7 @@ def _clearance_m(organ: SoftOrgan, probe: ProbeShape, point_m: Array, rotation: 
         points = np.einsum("pk,pkx->px", weights, nodes[triangles[places]])
     for share in CLEARANCES:
         clear = share * probe.size_m[0]
-        if probe.distance((points - point_m - clear * rotation[:, 2]) @ rotation)[0].min() > 0.0:
+        if probe.distance((points - point_m - clear * rotation[:, 2]) @ rotation).min() > 0.0:
             return clear
     raise InputError(
         "point_m",

@@ -62,7 +62,7 @@ def _touchable_patch(space: Space, tool: ToolPath) -> tuple[Ints, Ints]:
     reach = np.linalg.norm(space.nodes_m[triangles] - centres[:, None], axis=2).max(axis=1)
     nearest = np.full(len(triangles), np.inf)
     for tip, turn in zip(tool.tips_m, tool.rotations, strict=True):
-        nearest = np.minimum(nearest, tool.probe.distance((centres - tip) @ turn)[0])
+        nearest = np.minimum(nearest, tool.probe.distance((centres - tip) @ turn))
     if not (nearest < reach).any():
         low = in_brackets(1e3 * centres.min(axis=0), ".4g")
         high = in_brackets(1e3 * centres.max(axis=0), ".4g")

@@ -21,7 +21,6 @@ __all__ = [
     "StressPoints",
     "StressRecovery",
     "ball_weight",
-    "particle_stress",
     "stress_invariants",
 ]
 
@@ -66,20 +65,6 @@ class StressPoints:
         self._cells.displacement.assign(displacement_m)
         self._cells.run(point_stress, self._count, self._inputs, [self._stress])
         return np.asarray(self._stress.numpy())
-
-
-def particle_stress(
-    cells: CellStiffness, displacement_m: Array, *, particles: Integers | None = None
-) -> Array:
-    """Return the stress in the material of particles, as `StressPoints` does.
-
-    Particles are given by the caller's index; default all. Where a cell holds two materials, both
-    have the strain of the cell, which is first order in the cell's edge.
-    """
-    rows = cells.rank if particles is None else cells.rank[particles]
-    return StressPoints(cells, rows, cells.particle_cell_on, cells.place, cells.lame)(
-        displacement_m
-    )
 
 
 def stress_invariants(stress_Pa: Array, *, device: str = "cpu") -> tuple[Array, Array]:
