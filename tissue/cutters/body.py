@@ -87,10 +87,10 @@ def outline_table(profile: Profile) -> OutlineTable:
     convex = [_is_convex(part) for part in parts]
     kinds = [isinstance(piece, Arc) for part in parts for piece in part]
     return OutlineTable(
-        np.array(kinds, dtype=np.int32),
+        np.array(kinds, np.int32),
         np.array(rows),
         first.astype(np.int32),
-        np.array(convex, dtype=np.int32),
+        np.array(convex, np.int32),
     )
 
 

@@ -61,7 +61,7 @@ def medial_axis(profile: Profile) -> MedialAxis:
     ends = np.concatenate([chain[1:] for chain in chains])
     parts = [Profile(part, True) for part in convex_parts(profile)]
     middles = 0.5 * (starts + ends)
-    across = np.zeros(len(starts), dtype=np.int32)
+    across = np.zeros(len(starts), np.int32)
     if len(parts) > 1:
         for balls in (starts, middles, ends):
             held = np.max([-part.distance(balls[:, :2])[0] for part in parts], axis=0)
@@ -106,7 +106,7 @@ def _chain(profile: Profile, touch: Touch) -> Array:
     """Return the polyline of ball centres and radii along one piece, shape (n, 3)."""
     share = np.linspace(0.0, 1.0, FIRST_SAMPLES)
     balls = _balls(profile, *touch(share))
-    is_open = np.ones(len(share) - 1, dtype=bool)
+    is_open = np.ones(len(share) - 1, bool)
     for _ in range(HALVINGS):
         (where,) = np.nonzero(is_open)
         if not len(where):

@@ -171,7 +171,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Advance by `ticks` ticks."""
         self._require_episode("step")
-        command = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
+        command = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
         before = self._potential()
         peak = 0.0
         excess = 0.0
@@ -218,7 +218,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
     def named(self, observation: Any) -> dict[str, Array]:
         """Return the numbers of an observation by name, in the units of `entries`."""
         state = observation["state"] if isinstance(observation, dict) else observation
-        values = np.asarray(state, dtype=np.float64) * self._scales
+        values = np.asarray(state, np.float64) * self._scales
         places = np.cumsum([e.count for e in self.entries])
         return {
             entry.name: values[end - entry.count : end]
@@ -245,7 +245,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         self._draw(figure)
         canvas = FigureCanvasAgg(figure)
         canvas.draw()
-        return np.array(canvas.buffer_rgba(), dtype=np.uint8)[..., :3]
+        return np.array(canvas.buffer_rgba(), np.uint8)[..., :3]
 
     def _require_episode(self, method: str) -> None:
         if not self.drawn:

@@ -74,7 +74,7 @@ def assemble(space: Space, elasticity: ArrayLike) -> bsr_array:
     pattern = space.pattern
 
     corners, weights = pair_tables(space.order)
-    blocks = wp.empty(len(pattern.column), dtype=wp.mat33d, device=device)
+    blocks = wp.empty(len(pattern.column), wp.mat33d, device)
     inputs = [
         *(
             put(part, wp.int32, device)
@@ -191,7 +191,7 @@ def gravity(space: Space, *, density_kg_m3: ArrayLike) -> Array:
 
     The density [kg/m3] is one for all cells or one a cell, shape (m,).
     """
-    mass = np.asarray(density_kg_m3, dtype=np.float64) * space.volumes_m3
+    mass = np.asarray(density_kg_m3, np.float64) * space.volumes_m3
     force = mass[:, None] * np.array([0.0, 0.0, -STANDARD_GRAVITY_M_S2])
     return _spread(space, space.cell_nodes, force, mean_shape(4, space.order))
 

@@ -143,9 +143,9 @@ def group_stress(
         put(stiffness, wp.float64, device),
         put(moved, wp.vec3d, device),
     ]
-    strain, stress = (wp.empty((count, 6), dtype=wp.float64, device=device) for _ in range(2))
-    von_mises = wp.empty(count, dtype=wp.float64, device=device)
-    principal = wp.empty(count, dtype=wp.vec3d, device=device)
+    strain, stress = (wp.empty((count, 6), wp.float64, device) for _ in range(2))
+    von_mises = wp.empty(count, wp.float64, device)
+    principal = wp.empty(count, wp.vec3d, device)
     outputs = [strain, stress, von_mises, principal]
     SplitLaunch(tet_stress.group_stress, dim=count, inputs=inputs, outputs=outputs)()
     return StressState(strain.numpy(), stress.numpy(), von_mises.numpy(), principal.numpy())

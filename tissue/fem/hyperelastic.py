@@ -80,7 +80,7 @@ class NonlinearBody:
         )
 
         def out(shape: int | tuple[int, int], dtype: type) -> Any:
-            return wp.zeros(shape, dtype=dtype, device=device)
+            return wp.zeros(shape, dtype, device)
 
         def launch(
             kernel: wp.Kernel, dim: int, inputs: list[object], outputs: list[Any]

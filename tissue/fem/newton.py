@@ -196,7 +196,7 @@ class NewtonSolver:
         The solve starts from ``start_m`` [m]; the default of both is zero. With a sphere, its
         multipliers are corrected until the contact conditions are satisfied.
         """
-        now = np.zeros(self.held.shape) if start_m is None else np.array(start_m, dtype=np.float64)
+        now = np.zeros(self.held.shape) if start_m is None else np.array(start_m, np.float64)
         goal = np.zeros(self.held.shape) if held_m is None else held_m
         move = np.where(self.held, goal - now, 0.0)
         steps = 0

@@ -20,6 +20,7 @@ from scipy.sparse import bsr_array, csr_array, diags_array, kron
 from meshes.base.arrays import Array, Flags
 from tissue.fem.hyperelastic import NonlinearBody
 from tissue.fem.solvers.direct import DirectSolver
+from tissue.fem.solvers.held_body import components_of
 from tissue.fem.solvers.multifrontal import NotPositiveDefiniteError
 
 __all__ = ["Followed", "QuasiNewton", "Springs"]
@@ -302,7 +303,7 @@ class QuasiNewton:
         self._held_back = None
         if points.shape[0]:
             nodes = np.unique(points.indices // 3)
-            columns = (3 * nodes[:, None] + np.arange(3)).ravel()
+            columns = components_of(nodes)
             near = points[:, columns]
             between = near @ (near @ self.factor.compliance_between(nodes)).T
             self._held_back = np.linalg.inv(

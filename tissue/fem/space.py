@@ -102,7 +102,7 @@ class Pattern:
             + np.arange(len(turned))
             - (np.cumsum(lower) - lower)[high[turned]]
         )
-        column = np.empty(row_start[-1], dtype=np.int32)
+        column = np.empty(row_start[-1], np.int32)
         column[place] = high
         column[mirror] = low
         contribution = np.where(flipped[order], ~order, order)
@@ -128,7 +128,7 @@ def grouped(first: Int32s, second: Int32s, count: int) -> tuple[Int32s, Ints]:
     order = _sorted_by(first, _sorted_by(second, every, count), count)
     ordered_first = first[order]
     ordered_second = second[order]
-    new = np.ones(len(order) + 1, dtype=bool)
+    new = np.ones(len(order) + 1, bool)
     new[1:-1] = (ordered_first[1:] != ordered_first[:-1]) | (
         ordered_second[1:] != ordered_second[:-1]
     )
@@ -137,9 +137,7 @@ def grouped(first: Int32s, second: Int32s, count: int) -> tuple[Int32s, Ints]:
 
 def _sorted_by(key: Int32s, order: Int32s, count: int) -> Int32s:
     """Return `order` sorted stably by keys below `count`, in time linear in both."""
-    row = csr_array(
-        (order, key[order], np.array([0, len(order)], dtype=np.int32)), shape=(1, count)
-    )
+    row = csr_array((order, key[order], np.array([0, len(order)], np.int32)), shape=(1, count))
     return np.asarray(row.tocsc().data)
 
 
@@ -304,8 +302,8 @@ class Space:
         nodes: wp.array[object] = put(self.mesh.nodes_m, wp.vec3d, self.device)
         cells: wp.array[object] = put(self.mesh.cells.astype(np.int32), wp.int32, self.device)
         outputs = [
-            wp.empty((count, 4), dtype=wp.vec3d, device=self.device),
-            wp.empty(count, dtype=wp.float64, device=self.device),
+            wp.empty((count, 4), wp.vec3d, self.device),
+            wp.empty(count, wp.float64, self.device),
         ]
         SplitLaunch(cell_gradients, dim=count, inputs=[nodes, cells], outputs=outputs)()
         return outputs[0], outputs[1]
@@ -320,6 +318,6 @@ class Space:
         """Corners of each edge in rising order, (e, 2), and edges of each cell, (m, 6)."""
         ends = np.sort(self.mesh.cells[:, EDGES].reshape(-1, 2), axis=1).astype(np.int32)
         order, start = grouped(ends[:, 0], ends[:, 1], len(self.mesh.nodes_m))
-        edge_of = np.empty(len(order), dtype=np.int64)
+        edge_of = np.empty(len(order), np.int64)
         edge_of[order] = np.repeat(np.arange(len(start) - 1), np.diff(start))
         return ends[order[start[:-1]]].astype(np.int64), edge_of.reshape(-1, len(EDGES))

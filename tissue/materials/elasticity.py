@@ -45,7 +45,7 @@ def lame(young_Pa: ArrayLike, poisson_ratio: ArrayLike) -> Array:
         If a modulus is not positive and finite, or a ratio lies outside (-1, 0.5).
     """
     young = _positive("young_Pa", young_Pa)
-    ratio = np.asarray(poisson_ratio, dtype=np.float64)
+    ratio = np.asarray(poisson_ratio, np.float64)
     outside = ~((ratio > -1.0) & (ratio < 0.5))
     if outside.any():
         raise InputError(
@@ -60,7 +60,7 @@ def lame(young_Pa: ArrayLike, poisson_ratio: ArrayLike) -> Array:
 
 def stiffness_of_lame(lame_Pa: ArrayLike) -> Array:
     """Return stiffness matrices [Pa], shape (..., 6, 6), of Lamé constants [Pa], shape (..., 2)."""
-    pair = np.asarray(lame_Pa, dtype=np.float64)
+    pair = np.asarray(lame_Pa, np.float64)
     matrix = np.zeros((*pair.shape[:-1], 6, 6))
     matrix[..., :3, :3] = pair[..., 0, None, None]
     place = np.arange(6)
@@ -88,7 +88,7 @@ def orthotropic(*, young_Pa: ArrayLike, shear_Pa: ArrayLike, poisson_ratio: Arra
     """
     young = _positive("young_Pa", young_Pa)
     shear = _positive("shear_Pa", shear_Pa)
-    ratio = np.asarray(poisson_ratio, dtype=np.float64)
+    ratio = np.asarray(poisson_ratio, np.float64)
     compliance = np.zeros((6, 6))
     compliance[range(3), range(3)] = 1.0 / young
     for (i, j), value in zip(((0, 1), (0, 2), (1, 2)), ratio, strict=True):
@@ -191,7 +191,7 @@ def checked_stiffness(stiffness_Pa: ArrayLike) -> Array:
     InputError
         If a matrix is not finite, symmetric and positive definite.
     """
-    matrix = np.asarray(stiffness_Pa, dtype=np.float64)
+    matrix = np.asarray(stiffness_Pa, np.float64)
     if matrix.ndim not in (2, 3) or matrix.shape[-2:] != (6, 6) or not np.isfinite(matrix).all():
         raise InputError(
             "stiffness_Pa",
@@ -235,8 +235,8 @@ def rotated(stiffness_Pa: ArrayLike, axes: ArrayLike) -> Array:
     InputError
         If a direction has no length.
     """
-    matrix = np.asarray(stiffness_Pa, dtype=np.float64)
-    frame = np.asarray(axes, dtype=np.float64)
+    matrix = np.asarray(stiffness_Pa, np.float64)
+    frame = np.asarray(axes, np.float64)
     if frame.ndim == 2:
         frame = _frames(frame)
     return _turned(matrix.reshape(-1, 6, 6), frame)
@@ -252,7 +252,7 @@ def elasticity_rows(elasticity: ArrayLike, cell_count: int) -> Array:
     InputError
         If the shape is another, or the material is not positive definite.
     """
-    given = np.asarray(elasticity, dtype=np.float64)
+    given = np.asarray(elasticity, np.float64)
     if given.ndim in (1, 2) and given.shape[-1] == 2:
         rows: Array = given.reshape(-1, 2)
         stable = (
@@ -277,7 +277,7 @@ def elasticity_rows(elasticity: ArrayLike, cell_count: int) -> Array:
 
 
 def _positive(name: str, value: ArrayLike) -> Array:
-    numbers = np.asarray(value, dtype=np.float64)
+    numbers = np.asarray(value, np.float64)
     if not (np.isfinite(numbers) & (numbers > 0.0)).all():
         raise InputError(
             name, "be positive and finite", numbers.tolist(), "use pascals, about 5e3 for liver"

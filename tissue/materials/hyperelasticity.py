@@ -88,7 +88,7 @@ class Hyperelastic:
 
         The gradients have shape (..., 3, 3) and J > 0.
         """
-        f = np.asarray(gradient, dtype=np.float64)
+        f = np.asarray(gradient, np.float64)
         if not (np.linalg.det(f) > 0.0).all():
             raise InputError(
                 "gradient must have a positive determinant: a cell is turned over, shorten the step"

@@ -116,11 +116,11 @@ class Prior:
 
     def x(self, z: ArrayLike) -> Array:
         """Return the values of the constant for standard normal numbers, of any shape."""
-        return self._from_y(self._y(np.asarray(z, dtype=float)))
+        return self._from_y(self._y(np.asarray(z, float)))
 
     def slope(self, z: ArrayLike) -> Array:
         """Return the derivative dx/dz, with the shape of z."""
-        z = np.asarray(z, dtype=float)
+        z = np.asarray(z, float)
         x = self.x(z)
         slope_y = self._slope_y(z)
         if self.bounds is not None:
@@ -134,7 +134,7 @@ class Prior:
 
     def z(self, x: ArrayLike) -> Array:
         """Return the standard normal numbers of values; infinite outside the support."""
-        x = np.asarray(x, dtype=float)
+        x = np.asarray(x, float)
         if self.fixed:
             return np.zeros(x.shape)
         share = (self._to_y(x) - self._knots[1]) / self._span
@@ -226,7 +226,7 @@ class Prior:
 
 def _relative(power: ArrayLike) -> Array:
     """Return (exp(power) - 1) / power, which is one at zero."""
-    power = np.asarray(power, dtype=float)
+    power = np.asarray(power, float)
     small = np.abs(power) < 1e-9
     return np.where(small, 1.0 + 0.5 * power, np.expm1(power) / np.where(small, 1.0, power))
 

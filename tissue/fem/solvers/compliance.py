@@ -22,7 +22,7 @@ from meshes.base.arrays import Array, Ints
 from meshes.base.cache import cached_arrays
 from meshes.base.errors import InputError
 from tissue.fem.solvers.direct import DirectSolver
-from tissue.fem.solvers.held_body import ColumnSolver, HeldBody
+from tissue.fem.solvers.held_body import ColumnSolver, HeldBody, components_of
 
 __all__ = ["SCHUR_UNKNOWNS", "LazyCompliance", "reduced_compliance_m_N", "surface_compliance_m_N"]
 
@@ -99,7 +99,7 @@ def surface_compliance_m_N(
 def _found(
     solver: ColumnSolver, touchable: Ints, progress: Callable[[float], None] | None
 ) -> Array:
-    rows = (3 * touchable[:, None] + np.arange(3)).ravel()
+    rows = components_of(touchable)
     matrix = np.empty((len(rows), len(rows)))
 
     def fill(start: int) -> int:
@@ -138,7 +138,7 @@ def reduced_compliance_m_N(solver: ColumnSolver, touchable: Ints, size: int) -> 
     size
         Number of modes.
     """
-    rows = (3 * touchable[:, None] + np.arange(3)).ravel()
+    rows = components_of(touchable)
     parts = [
         solver.columns(rows[start : start + TOGETHER])[rows]
         for start in range(0, len(rows), TOGETHER)
@@ -181,8 +181,8 @@ class LazyCompliance:
         self, solver: ColumnSolver, touchable: Ints, *, capacity_bytes: int = 500_000_000
     ) -> None:
         self._solver = solver
-        self._touchable = np.asarray(touchable, dtype=np.int64)
-        self._rows = (3 * self._touchable[:, None] + np.arange(3)).ravel()
+        self._touchable = np.asarray(touchable, np.int64)
+        self._rows = components_of(self._touchable)
         each = 3 * 8 * len(self._rows)
         self.capacity = min(capacity_bytes // max(each, 1), len(self._touchable))
         """Nodes that the buffer holds."""

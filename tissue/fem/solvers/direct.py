@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from meshes.base.arrays import Array, Flags, Ints
 from tissue.fem.conjugate_gradients import Solution, SolverOutcome
-from tissue.fem.solvers.held_body import HeldBody, pointwise_graph
+from tissue.fem.solvers.held_body import HeldBody, components_of, pointwise_graph
 from tissue.fem.solvers.multifrontal import Multifrontal
 
 __all__ = ["DirectSolver", "dissected"]
@@ -41,7 +41,7 @@ def dissected(nodes_m: Array, graph: csr_array) -> list[Ints]:
     graph
         Nodes that share a cell, shape (n, n).
     """
-    side = np.zeros(len(nodes_m), dtype=np.int8)
+    side = np.zeros(len(nodes_m), np.int8)
     last_first: list[Ints] = []
     waiting = [_along_curve(nodes_m)]
     while waiting:
@@ -87,7 +87,7 @@ def _along_curve(nodes_m: Array) -> Ints:
     steps = (
         (nodes_m - low) / max(float(np.ptp(nodes_m, axis=0).max()), 1e-300) * (2**LEVELS - 1)
     ).astype(np.int64)
-    code = np.zeros(len(nodes_m), dtype=np.int64)
+    code = np.zeros(len(nodes_m), np.int64)
     for level in range(LEVELS):
         for axis in range(3):
             code |= ((steps[:, axis] >> level) & 1) << (3 * level + axis)
@@ -119,16 +119,16 @@ class DirectSolver:
 
     def __init__(self, body: HeldBody, *, last: Ints | None = None) -> None:
         self.body = body
-        self.last = np.zeros(0, dtype=np.int64) if last is None else np.unique(last)
+        self.last = np.zeros(0, np.int64) if last is None else np.unique(last)
         """Nodes that were eliminated last, rising."""
         blocks = dissected(body.nodes_m, pointwise_graph(body.stiffness))
         if len(self.last):
             blocks = [*(nodes[~np.isin(nodes, self.last)] for nodes in blocks), self.last]
-        free = np.zeros(3 * len(body.nodes_m), dtype=np.bool_)
+        free = np.zeros(3 * len(body.nodes_m), np.bool_)
         free[body.free] = True
-        parts = [(3 * nodes[:, None] + np.arange(3)).ravel() for nodes in blocks]
+        parts = [components_of(nodes) for nodes in blocks]
         parts = [kept for unknowns in parts if len(kept := unknowns[free[unknowns]])]
-        self._order = np.concatenate([np.zeros(0, dtype=np.int64), *parts])
+        self._order = np.concatenate([np.zeros(0, np.int64), *parts])
         matrix = body.stiffness.tocsr()[self._order][:, self._order].tocsc()
         matrix.sort_indices()
         self._matrix = matrix
@@ -173,16 +173,16 @@ class DirectSolver:
         the factor, the factor of their Schur complement. Other nodes take back-substitutions.
         """
         if not np.isin(nodes, self.last).all():
-            unknowns = (3 * nodes[:, None] + np.arange(3)).ravel()
+            unknowns = components_of(nodes)
             return self.columns(unknowns)[unknowns]
         at = np.searchsorted(self.last, nodes)
-        rows = (3 * at[:, None] + np.arange(3)).ravel()
+        rows = components_of(at)
         between: Array = self._compliance_of_last_m_N[np.ix_(rows, rows)]
         return between
 
     @cached_property
     def _compliance_of_last_m_N(self) -> Array:
-        free = np.isin((3 * self.last[:, None] + np.arange(3)).ravel(), self.body.free)
+        free = np.isin(components_of(self.last), self.body.free)
         whole = np.zeros((len(free), len(free)))
         if free.any():
             whole[np.ix_(free, free)] = self._factor.inverse_of_last(int(free.sum()))

@@ -15,6 +15,7 @@ from meshes.base.errors import InputError
 __all__ = [
     "ColumnSolver",
     "HeldBody",
+    "components_of",
     "free_motion_count",
     "held_nodes",
     "pointwise_graph",
@@ -142,7 +143,7 @@ class HeldBody:
         InputError
             If the load has another shape, is not finite, or acts on nodes that no cell uses.
         """
-        load = np.asarray(load_N, dtype=np.float64)
+        load = np.asarray(load_N, np.float64)
         if load.shape != self.nodes_m.shape or not np.isfinite(load).all():
             raise InputError(
                 "load_N",
@@ -163,6 +164,11 @@ class HeldBody:
         return displacement
 
 
+def components_of(nodes: Ints) -> Ints:
+    """Return the indices of the components x, y, z of nodes, node by node, shape (3k,)."""
+    return (3 * nodes[:, None] + np.arange(3)).ravel()
+
+
 def held_nodes(held: Flags) -> Flags:
     """Return the mask of held components, shape (n, 3), for a mask of held nodes, (n,)."""
     return np.repeat(held[:, None], 3, axis=1)
@@ -173,6 +179,6 @@ def pointwise_graph(stiffness: bsr_array) -> csr_array:
     blocks = stiffness.tobsr((3, 3))
     count = blocks.shape[0] // 3
     return csr_array(
-        (np.ones(len(blocks.indices), dtype=np.int8), blocks.indices, blocks.indptr),
+        (np.ones(len(blocks.indices), np.int8), blocks.indices, blocks.indptr),
         shape=(count, count),
     )

@@ -52,7 +52,7 @@ def fronts_of(lower: csc_array, starts: Ints) -> list[Front]:
     starts
         First unknown of each block and n, rising, shape (blocks + 1,).
     """
-    marked = np.zeros(lower.shape[0], dtype=np.bool_)
+    marked = np.zeros(lower.shape[0], np.bool_)
     block_of = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
     children: list[list[int]] = [[] for _ in starts[1:]]
     fronts: list[Front] = []
@@ -106,7 +106,7 @@ class Multifrontal:
         self._under: list[Array] = []
         """``B L^-T`` of each front, shape (r, k), Fortran order."""
         changes: dict[int, Array] = {}
-        place = np.zeros(self._count, dtype=np.int64)
+        place = np.zeros(self._count, np.int64)
         for number, front in enumerate(self._fronts):
             changed = self._eliminate(front, lower, changes, place)
             if len(front.below):

@@ -61,7 +61,7 @@ class MultigridSolver:
         self.tolerance = require_range("tolerance", tolerance, 1e-12, 0.1, "use 1e-8")
         self.body = body
         self._limit = limit
-        self._free = np.zeros(3 * len(body.nodes_m), dtype=np.bool_)
+        self._free = np.zeros(3 * len(body.nodes_m), np.bool_)
         self._free[body.free] = True
         diagonal = body.stiffness.diagonal()
         if not (diagonal[self._free] > 0.0).all():

@@ -95,15 +95,15 @@ class BrickStore:
     def __init__(self, grid: BrickGrid, *, device: str) -> None:
         self.grid = grid
         self.volume: VoxelVolume | None = None
-        self.start_steps = np.zeros(len(grid.layer_names), dtype=np.int64)
-        self.places: Ints = np.zeros((0, 3), dtype=np.int64)
+        self.start_steps = np.zeros(len(grid.layer_names), np.int64)
+        self.places: Ints = np.zeros((0, 3), np.int64)
         self.brick_of: Any = wp.full(grid.counts, -1, dtype=wp.int32, device=device)
         self._device = device
-        self.remaining: Any = wp.empty((0, BRICK_VOXELS), dtype=wp.uint16, device=device)
+        self.remaining: Any = wp.empty((0, BRICK_VOXELS), wp.uint16, device)
         self.swept, self.older, self.nearby = (wp.empty_like(self.remaining) for _ in range(3))
-        self.material: Any = wp.empty((0, BRICK_VOXELS), dtype=wp.uint32, device=device)
-        self.alive: Any = wp.empty(0, dtype=wp.uint64, device=device)
-        self.touched: Any = wp.empty(0, dtype=wp.uint8, device=device)
+        self.material: Any = wp.empty((0, BRICK_VOXELS), wp.uint32, device)
+        self.alive: Any = wp.empty(0, wp.uint64, device)
+        self.touched: Any = wp.empty(0, wp.uint8, device)
 
     @classmethod
     def from_volume(cls, volume: VoxelVolume, *, device: str) -> "BrickStore":
@@ -167,7 +167,7 @@ class BrickStore:
             "material": material,
             "nearby": nearby,
             "alive": alive,
-            "touched": np.zeros(len(alive), dtype=np.uint8),
+            "touched": np.zeros(len(alive), np.uint8),
         }
         grown = self._append(rows)
         self.places = np.concatenate([self.places, places + np.array(at)])
@@ -190,7 +190,7 @@ class BrickStore:
         for name, values in rows.items():
             old = getattr(self, name)
             if grows:
-                new = wp.zeros((length, *values.shape[1:]), dtype=old.dtype, device=self._device)
+                new = wp.zeros((length, *values.shape[1:]), old.dtype, self._device)
                 if first:
                     wp.copy(new[:first], old[:first])
                 setattr(self, name, new)
@@ -219,9 +219,9 @@ class BrickStore:
 
         It is 0 where nothing is stored.
         """
-        voxels = (np.asarray(points_m, dtype=np.float64) - self.grid.origin_m) / self.grid.spacing_m
+        voxels = (np.asarray(points_m, np.float64) - self.grid.origin_m) / self.grid.spacing_m
         device = self.remaining.device
-        found = wp.zeros(len(voxels), dtype=wp.float32, device=device)
+        found = wp.zeros(len(voxels), wp.float32, device)
         at = put(voxels, wp.vec3, device)
         inputs = [at, 0, self.brick_of, self.remaining]
         wp.launch(sample, dim=len(voxels), inputs=inputs, outputs=[found], device=device)
@@ -259,7 +259,7 @@ class BrickStore:
         """
         brick_of = self.brick_of.numpy()[tuple(map(slice, first, last))]
         nx, ny, nz = (BRICK * n for n in brick_of.shape)
-        dense = np.zeros((*brick_of.shape, BRICK, BRICK, BRICK), dtype=np.uint8)
+        dense = np.zeros((*brick_of.shape, BRICK, BRICK, BRICK), np.uint8)
         held = brick_of >= 0
         dense[held] = _bricks(_nearest(self.remaining.numpy()[brick_of[held]]))
         return np.ascontiguousarray(dense.transpose(0, 3, 1, 4, 2, 5).reshape(nx, ny, nz))

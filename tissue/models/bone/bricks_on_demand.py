@@ -78,7 +78,7 @@ class BricksOnDemand:
         x, y, z = (PATCH * self._patches).tolist()
         grid = BrickGrid(low * self._brick_m, spacing_m, (x, y, z), anatomy.layer_names)
         self.store = BrickStore(grid, device=device)
-        self._made = np.zeros(self._patches, dtype=bool)
+        self._made = np.zeros(self._patches, bool)
 
     def make(self, boxes: Boxes) -> bool:
         """Make all bricks that boxes touch; return True if launches have to be recorded again.

@@ -106,7 +106,7 @@ class Carver:
         layers = len(grid.layer_names)
         spacing = grid.spacing_m
         self.store = store
-        self.removed_steps = np.zeros(layers, dtype=np.int64)
+        self.removed_steps = np.zeros(layers, np.int64)
         self.changes = 0
         self._binary = int(removal == "binary")
         self._origin = grid.origin_m
@@ -308,8 +308,8 @@ class CarvingReplay:
         self.fraction = volume.fraction.copy()
         self._next = 0  # first pose that was not carved yet
         # bricks whose entry in `fraction` is out of date
-        self._changed = np.zeros(0, dtype=np.intp)
-        self._cut = np.zeros(0, dtype=np.intp)  # bricks that differ from the start
+        self._changed = np.zeros(0, np.intp)
+        self._cut = np.zeros(0, np.intp)  # bricks that differ from the start
 
     def at(self, tick: int) -> Bytes:
         """Return the bone at the end of a tick, see `fraction`.
@@ -346,8 +346,8 @@ class CarvingReplay:
         self._carver.restore(self._start)
         self._store.take_touched()
         below = self._store.remaining.numpy()[: len(self._store.places)] <= FULL // 2
-        found = [np.zeros((0, 3), dtype=np.int64)]
-        ticks = [np.zeros(0, dtype=np.int64)]
+        found = [np.zeros((0, 3), np.int64)]
+        ticks = [np.zeros(0, np.int64)]
 
         def take(tick: int) -> None:
             rows, left = self._store.take_touched()

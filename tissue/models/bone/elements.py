@@ -160,7 +160,7 @@ class ForceSums:
         self.sums = Mirror(shape, dtype=wp.float64, device=device)
         self._store = store
         self._given = [tool, elements, coefficients, motion, chip_per_speed_s, store.grid.spacing_m]
-        self._scratch = wp.zeros((self._chunks, SLOTS + 1), dtype=corner8f, device=device)
+        self._scratch = wp.zeros((self._chunks, SLOTS + 1), corner8f, device)
         self._cores = cores
         self.record()
 
@@ -201,9 +201,9 @@ class SmoothSurface:
         device = str(motion.device)
         layers = len(store.grid.layer_names)
         no_force = Coefficients()
-        no_force.chip = wp.zeros(layers, dtype=lever16, device=device)
-        no_force.edge = wp.zeros(layers, dtype=lever16, device=device)
-        no_force.strength = wp.zeros((layers, DENSITIES), dtype=wp.float32, device=device)
+        no_force.chip = wp.zeros(layers, lever16, device)
+        no_force.edge = wp.zeros(layers, lever16, device)
+        no_force.strength = wp.zeros((layers, DENSITIES), wp.float32, device)
         elements = elements_of(shell, cutter, spacing_m=store.grid.spacing_m, device=device)
         self.forces = ForceSums(
             store, tool, elements, no_force, motion, chip_per_speed_s=0.0, cores=1

@@ -116,7 +116,7 @@ def densities_of(material: NDArray[np.uint32], layer: int) -> Ints:
     """
     density = (material[(material & 255) == layer] >> 16).astype(np.int64)
     density = density[density > 0]
-    return np.array([density.min(), density.max()]) if len(density) else np.zeros(2, dtype=np.int64)
+    return np.array([density.min(), density.max()]) if len(density) else np.zeros(2, np.int64)
 
 
 COEFFICIENTS = 6
@@ -156,7 +156,7 @@ class EngagedElements:
                 *store.read_by_forces,
             ],
             outputs=[
-                wp.zeros((chunks, SLOTS + 1), dtype=corner8f, device=device),
+                wp.zeros((chunks, SLOTS + 1), corner8f, device),
                 *(each.device for each in self._found),
             ],
             offset_index=4,

@@ -138,7 +138,7 @@ class NeedleFields:
         self, track: Track, elasticity: ArrayLike, *, near_m: float, interval_s: float
     ) -> None:
         mesh, self.nodes, self._depths_m = needle_block(track)
-        rows = np.broadcast_to(np.asarray(elasticity, dtype=float), (len(mesh.cells), 2))
+        rows = np.broadcast_to(np.asarray(elasticity, float), (len(mesh.cells), 2))
         organ = SoftOrgan(mesh, rows, slab_base(mesh), order=1)
         self.track = track
         self._inward = -track.outward

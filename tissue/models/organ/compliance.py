@@ -19,7 +19,7 @@ from tissue.fem.solvers.compliance import (
     surface_compliance_m_N,
 )
 from tissue.fem.solvers.direct import DirectSolver
-from tissue.fem.solvers.held_body import HeldBody
+from tissue.fem.solvers.held_body import HeldBody, components_of
 from tissue.fem.solvers.multigrid import MultigridSolver
 
 __all__ = [
@@ -53,7 +53,7 @@ class Factor:
 
     def __init__(self, body: HeldBody) -> None:
         self._body = body
-        self._last = np.zeros(0, dtype=np.int64)
+        self._last = np.zeros(0, np.int64)
 
     @cached_property
     def solver(self) -> DirectSolver | MultigridSolver:
@@ -134,7 +134,7 @@ class KeptColumns:
     def __init__(self, factor: Factor, surface: Ints) -> None:
         self._factor = factor
         self._surface = surface
-        self._rows = (3 * surface[:, None] + np.arange(3)).ravel()
+        self._rows = components_of(surface)
         self._columns: dict[int, Array] = {}
 
     def between(self, nodes: Ints) -> Array:
@@ -147,7 +147,7 @@ class KeptColumns:
             self._columns.clear()
             missing = [int(node) for node in nodes]
         self._find(missing)
-        rows = (3 * np.searchsorted(self._surface, nodes)[:, None] + np.arange(3)).ravel()
+        rows = components_of(np.searchsorted(self._surface, nodes))
         matrix: Array = np.concatenate([self._columns[int(node)][rows] for node in nodes], axis=1)
         return 0.5 * (matrix + matrix.T)
 
@@ -164,7 +164,7 @@ class KeptColumns:
         parts = [nodes[start : start + each] for start in range(0, len(nodes), each)]
 
         def find(part: list[int]) -> Array:
-            found: Array = solve((3 * np.array(part)[:, None] + np.arange(3)).ravel())[self._rows]
+            found: Array = solve(components_of(np.array(part)))[self._rows]
             return found
 
         # A back-substitution releases the interpreter lock.

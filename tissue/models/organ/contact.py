@@ -30,6 +30,7 @@ from kernels.shell_projection import link_points, project_shell
 from kernels.surface_contact import solve_contact
 from meshes.base.arrays import Array, Int32s, Ints
 from meshes.base.errors import InputError, require_positive, require_range
+from tissue.fem.solvers.held_body import components_of
 from tissue.models.organ.probe import ProbeShape, ShellProbe
 
 __all__ = [
@@ -128,7 +129,7 @@ def body_arrays(nodes_m: Array, faces: Ints, compliance_m_N: Array, device: str)
     )
     body.corners = put(faces, wp.int32, device)
     for name in ("force", "moved"):
-        setattr(body, name, wp.zeros(len(nodes_m), dtype=wp.vec3d, device=device))
+        setattr(body, name, wp.zeros(len(nodes_m), wp.vec3d, device))
     return body
 
 
@@ -140,7 +141,7 @@ def point_arrays(
     They are a shell's own points, or points spread over the triangles, ``spacing_m`` apart at most.
     """
     if isinstance(probe, ShellProbe):
-        face = np.zeros(0, dtype=np.int32)
+        face = np.zeros(0, np.int32)
         weights = np.zeros((len(probe.points_m), 3))
         areas = probe.areas_m2
         following = np.full(len(weights), -1)
@@ -156,18 +157,18 @@ def point_arrays(
     points.weight = put(weights, wp.vec3d, device)
     points.area = put(areas, wp.float64, device)
     for name in ("tool_point", "tool_normal", "force", "anchor"):
-        setattr(points, name, wp.zeros(count, dtype=wp.vec3d, device=device))
-    points.response = wp.zeros((count, 5), dtype=wp.mat33d, device=device)
-    points.ready = wp.zeros(count, dtype=wp.int32, device=device)
+        setattr(points, name, wp.zeros(count, wp.vec3d, device))
+    points.response = wp.zeros((count, 5), wp.mat33d, device)
+    points.ready = wp.zeros(count, wp.int32, device)
     return points
 
 
 def list_arrays(triangles: int, device: str) -> Lists:
     """Return empty work lists for a number of triangles."""
     lists = Lists()
-    lists.count = wp.zeros(3, dtype=wp.int32, device=device)
+    lists.count = wp.zeros(3, wp.int32, device)
     for name in ("near", "working", "working_mark"):
-        setattr(lists, name, wp.zeros(triangles, dtype=wp.int32, device=device))
+        setattr(lists, name, wp.zeros(triangles, wp.int32, device))
     return lists
 
 
@@ -229,7 +230,7 @@ class ContactResult:
         The shape is (s, 3). It is for drawing.
         """
         loaded = np.flatnonzero(self.nodal_forces_N.any(axis=1))
-        columns = (3 * loaded[:, None] + np.arange(3)).ravel()
+        columns = components_of(loaded)
         moved: Array = self.compliance_scale * (
             self.compliance_m_N[:, columns] @ self.nodal_forces_N[loaded].ravel()
         )
@@ -348,7 +349,7 @@ class SurfaceContact:
         ]
         if isinstance(probe, ShellProbe):
             count = len(probe.points_m)
-            home = wp.zeros(count, dtype=wp.int32, device=device)
+            home = wp.zeros(count, wp.int32, device)
             shell = [put(probe.points_m, wp.vec3d, device), put(probe.normals, wp.vec3d, device)]
             project = SplitLaunch(
                 project_shell,

@@ -209,7 +209,7 @@ def cauchy_stress(
 def _edge_ends(space: Space) -> Ints:
     """Return the corners at the ends of each edge that has a middle node, shape (edges, 2)."""
     corners = len(space.mesh.nodes_m)
-    ends = np.zeros((space.node_count - corners, 2), dtype=np.int64)
+    ends = np.zeros((space.node_count - corners, 2), np.int64)
     for middle, pair in zip(space.cell_nodes[:, 4:].T, EDGES, strict=False):
         ends[middle - corners] = space.mesh.cells[:, pair]
     return ends

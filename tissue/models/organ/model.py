@@ -150,7 +150,7 @@ class LiverModel:
         self.removed_m3 = np.zeros(len(parts))
         self.notices: list[str] = []
         self._response = Response.empty(len(self.layer_names), len(self.measure_names))
-        part = np.zeros(space.node_count, dtype=np.int64)
+        part = np.zeros(space.node_count, np.int64)
         part[space.cell_nodes] = organ.mesh.part[:, None]
         self._layer = int(np.bincount(part[touchable]).argmax())
         self._touched_m = np.full(3, np.nan)

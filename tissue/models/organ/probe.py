@@ -213,4 +213,4 @@ def _thinned(centres: Array, normals: Array, areas: Array, side: float) -> tuple
     )
     order = np.lexsort((np.linalg.norm(centres - middle[group], axis=1), group))
     first = np.unique(group[order], return_index=True)[1]
-    return np.asarray(order[first], dtype=np.int64), np.asarray(total, dtype=np.float64)
+    return np.asarray(order[first], np.int64), np.asarray(total, np.float64)

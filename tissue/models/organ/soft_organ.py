@@ -211,7 +211,7 @@ class SoftOrgan:
                 poisson_ratio=self._capsule.poisson_ratio,
             )
             stiffness = bsr_array((stiffness + membrane).tobsr((3, 3)))
-        fixed = np.zeros(self.space.node_count, dtype=bool)
+        fixed = np.zeros(self.space.node_count, bool)
         fixed[self.held] = True
         fixed[self.space.with_middles(faces_of(self.mesh, self.held))] = True
         return HeldBody(stiffness, self.space.nodes_m, held_nodes(fixed))

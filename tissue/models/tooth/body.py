@@ -57,13 +57,13 @@ def supported_cells(
     singular.
     """
     at = tuple(grid.cell_place.T)
-    box = np.zeros(grid.cell_place.max(axis=0) + 1, dtype=np.bool_)
+    box = np.zeros(grid.cell_place.max(axis=0) + 1, np.bool_)
     box[at] = filled
     numbered, count = label(box)
     part_of = numbered[at] - 1
     held = supports.fixed.copy()
     on_part = np.where(springs_cell >= 0, part_of[springs_cell], -1)
-    supported = np.zeros(count, dtype=np.bool_)
+    supported = np.zeros(count, np.bool_)
     members = _members(grid, part_of, count)
     waiting = list(range(count))
     moved = True
@@ -82,7 +82,7 @@ def _members(grid: HexGrid, part_of: Integers, count: int) -> list[Ints]:
     cells = np.argsort(part_of, kind="stable")
     starts = np.searchsorted(part_of[cells], np.arange(count + 1))
     members = []
-    inside = np.zeros(grid.node_count, dtype=np.bool_)
+    inside = np.zeros(grid.node_count, np.bool_)
     for a, b in pairwise(starts):
         inside[:] = False
         inside[grid.cell_nodes[cells[a:b]]] = True
@@ -96,7 +96,7 @@ def _restrained(grid: HexGrid, nodes: Integers, held: Flags, springs: PointSprin
     if len(some) + len(springs.position_m) == 0:
         return False
     if len(springs.position_m) > 2 * ENOUGH:  # restrained by some implies restrained by all
-        few = np.zeros(len(springs.position_m), dtype=np.bool_)
+        few = np.zeros(len(springs.position_m), np.bool_)
         few[:: len(few) // ENOUGH] = True
         if _restrained(grid, nodes[:0], held, springs.chosen(few)):
             return True
@@ -207,11 +207,11 @@ class ParticleBody:
         self._hierarchy = GridHierarchy(self.cells, supports)
         self._tree = cKDTree(particles.position_m)
         self._springs_cell = grid.locate(self.springs.position_m)[0]
-        self._touched = np.zeros(grid.cell_count, dtype=np.bool_)
-        self._filled = np.zeros(grid.cell_count, dtype=np.bool_)
-        self._is_debris = np.zeros(grid.cell_count, dtype=np.bool_)
+        self._touched = np.zeros(grid.cell_count, np.bool_)
+        self._filled = np.zeros(grid.cell_count, np.bool_)
+        self._is_debris = np.zeros(grid.cell_count, np.bool_)
         self._iterations_fresh = 0
-        self.carrying = np.zeros(grid.node_count, dtype=np.bool_)
+        self.carrying = np.zeros(grid.node_count, np.bool_)
         self._apply(np.arange(grid.cell_count, dtype=np.int32))
 
     @property
@@ -262,7 +262,7 @@ class ParticleBody:
         cells = np.union1d(touched, np.flatnonzero(before != self.cells.live)).astype(np.int32)
         if len(cells):
             self._hierarchy.update(cells)
-            self.carrying = np.zeros(self.grid.node_count, dtype=np.bool_)
+            self.carrying = np.zeros(self.grid.node_count, np.bool_)
             self.carrying[self.grid.cell_nodes[self.cells.live > 0]] = True
             self._free = (~self.supports.fixed & self.carrying[:, None]).astype(np.float64)
             self._diagonal = self._hierarchy.diagonal()
@@ -271,7 +271,7 @@ class ParticleBody:
     def _particles_in(self, cells: Flags) -> Ints:
         """Return the remaining particles of these cells, by the caller's index."""
         if not cells.any():
-            return np.zeros(0, dtype=np.int64)
+            return np.zeros(0, np.int64)
         return np.sort(
             self.cells.order[cells[self.cells.particle_cell] & (self.cells.remaining > 0)]
         )
@@ -318,7 +318,7 @@ class ParticleBody:
         lies within the radius, as in a grid much coarser than the patch, the force acts at the
         point.
         """
-        near = np.array(self._tree.query_ball_point(point_m, radius_m), dtype=np.int64)
+        near = np.array(self._tree.query_ball_point(point_m, radius_m), np.int64)
         near = near[self.cells.live[self.cells.particle_cell[self.cells.rank[near]]] > 0]
         left = self.cells.remaining[self.cells.rank[near]] / FULL_STEPS
         away = np.linalg.norm(self.particles.position_m[near] - point_m, axis=1)

@@ -315,4 +315,4 @@ def _cell_layers(body: ParticleBody) -> Bytes:
         (cells.particle_cell, particles.layer[cells.order]),
         particles.volume_m3[cells.order],
     )
-    return np.asarray(volume.argmax(axis=1), dtype=np.uint8)
+    return np.asarray(volume.argmax(axis=1), np.uint8)

@@ -60,7 +60,7 @@ class NodeBlocks:
         place = np.empty_like(neighbours)
         np.put_along_axis(place, order, starts[:-1, None] + np.arange(27, dtype=np.int32), axis=1)
         place[~there] = -1
-        column = np.empty(int(starts[-1]), dtype=np.int32)
+        column = np.empty(int(starts[-1]), np.int32)
         column[place[there]] = neighbours[there]
 
         self.device = device
@@ -68,10 +68,10 @@ class NodeBlocks:
         self.column = put(column, wp.int32, device)
         self.diagonal_block = put(place[:, 13], wp.int32, device)
         self.free = put(np.ones((grid.node_count, 3)), wp.vec3d, device)
-        self.block = wp.zeros(int(starts[-1]), dtype=wp.mat33d, device=device)
-        self.single = wp.zeros(int(starts[-1]), dtype=wp.mat33f, device=device)
-        self.diagonal = wp.zeros(grid.node_count, dtype=wp.mat33d, device=device)
-        self.inverse = wp.zeros(grid.node_count, dtype=wp.mat33f, device=device)
+        self.block = wp.zeros(int(starts[-1]), wp.mat33d, device)
+        self.single = wp.zeros(int(starts[-1]), wp.mat33f, device)
+        self.diagonal = wp.zeros(grid.node_count, wp.mat33d, device)
+        self.inverse = wp.zeros(grid.node_count, wp.mat33f, device)
         self._gathered = [
             self.row_start,
             put(grid.node_cells, wp.int32, device),
@@ -162,9 +162,9 @@ class FinestLevel:
         strips = cells.strips
         device = cells.device
         self.free = put((~supports.fixed).astype(np.float64), wp.vec3d, device)
-        self.diagonal = wp.zeros(count, dtype=wp.vec3d, device=device)
-        self.vector = wp.zeros(count, dtype=wp.vec3f, device=device)
-        self.residual = wp.zeros(count, dtype=wp.vec3f, device=device)
+        self.diagonal = wp.zeros(count, wp.vec3d, device)
+        self.vector = wp.zeros(count, wp.vec3f, device)
+        self.residual = wp.zeros(count, wp.vec3f, device)
         self._largest = 4.0
         lanes = [LaneVector(strips.layout, wp.float32, device=device) for _ in range(5)]
         self._inverse, self._force, self._left, self._direction, self._found = lanes
@@ -224,7 +224,7 @@ class FinestLevel:
         """
         layout = self._cells.strips.layout
         inverse = self._inverse.single.numpy()
-        vector = np.zeros((3, layout.slots), dtype=np.float32)
+        vector = np.zeros((3, layout.slots), np.float32)
         vector[:, layout.slot] = np.random.default_rng(0).normal(size=(3, self.grid.node_count))
         size = 1.0
         for _ in range(POWER_STEPS):

@@ -48,7 +48,7 @@ class HexGrid:
     def of_cells(cls, cell_place: Integers, *, origin_m: Array, edge_m: float) -> "HexGrid":
         """Return the grid of the cells at ``cell_place``, shape (c, 3), which may repeat."""
         low = cell_place.min(axis=0)
-        origin = np.asarray(origin_m, dtype=np.float64) + edge_m * low
+        origin = np.asarray(origin_m, np.float64) + edge_m * low
         shape = cell_place.max(axis=0) - low + 1
         cells = _unique_places(cell_place - low, shape)
         corners = (cells[:, None, :] + CORNERS).reshape(-1, 3)
@@ -68,7 +68,7 @@ class HexGrid:
         origin = (
             position_m.min(axis=0) - 0.5 * edge_m
             if origin_m is None
-            else np.asarray(origin_m, dtype=np.float64)
+            else np.asarray(origin_m, np.float64)
         )
         place = np.floor((position_m - origin) / edge_m).astype(np.int64)
         return cls.of_cells(place, origin_m=origin, edge_m=edge_m)
@@ -236,11 +236,11 @@ class ParticleSet:
         """Return whole particles of one size and one material."""
         count = len(position_m)
         return cls(
-            np.asarray(position_m, dtype=np.float64),
+            np.asarray(position_m, np.float64),
             np.full(count, float(volume_m3)),
             np.full(count, float(modulus_Pa)),
             np.full(count, float(poisson_ratio)),
-            np.zeros(count, dtype=np.uint8),
+            np.zeros(count, np.uint8),
             np.full(count, FULL_STEPS, dtype=np.uint16),
         )
 

@@ -235,7 +235,7 @@ def _outward(count: int) -> Ints:
     widths: list[int] = []
     while (left := count - sum(widths)) > 0:
         widths.append(min(GROWTH[min(len(widths), len(GROWTH) - 1)], left))
-    return np.array(widths, dtype=np.intp)
+    return np.array(widths, np.intp)
 
 
 def _merged(values: Array, starts: list[Ints]) -> Array:

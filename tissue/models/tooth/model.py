@@ -91,7 +91,7 @@ class ToothModel:
         self._pulp_rise_K = 0.0
         self._heat_ticks = 0
         self._motion: ToolMotion | None = None
-        self._touched = np.zeros(len(milling.store.places), dtype=np.bool_)
+        self._touched = np.zeros(len(milling.store.places), np.bool_)
         self._interval_s = interval_s
         self._next_s = 0.0
         self._late_reported = False

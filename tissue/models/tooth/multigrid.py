@@ -131,8 +131,8 @@ class GridLevel:
         self.device = device
         self.cores = cores
         self.cell_nodes = put(grid.cell_nodes, wp.int32, device)
-        self.live = wp.zeros(grid.cell_count, dtype=wp.uint8, device=device)
-        self.stiffness = wp.zeros((grid.cell_count, BLOCKS), dtype=wp.mat33d, device=device)
+        self.live = wp.zeros(grid.cell_count, wp.uint8, device)
+        self.stiffness = wp.zeros((grid.cell_count, BLOCKS), wp.mat33d, device)
         self.blocks = NodeBlocks(
             grid,
             cell_nodes=self.cell_nodes,
@@ -141,9 +141,9 @@ class GridLevel:
             device=device,
         )
         self.free = self.blocks.free
-        self.load = wp.zeros(grid.node_count, dtype=wp.vec3f, device=device)
-        self.vector = wp.zeros(grid.node_count, dtype=wp.vec3f, device=device)
-        self.residual = wp.zeros(grid.node_count, dtype=wp.vec3f, device=device)
+        self.load = wp.zeros(grid.node_count, wp.vec3f, device)
+        self.vector = wp.zeros(grid.node_count, wp.vec3f, device)
+        self.residual = wp.zeros(grid.node_count, wp.vec3f, device)
         self._first, self._last = self._sweeps()
         blocks = self.blocks
         rows = [blocks.row_start, blocks.diagonal_block, blocks.column, blocks.single]

@@ -55,7 +55,7 @@ class StressPoints:
             cells.grid.edge_m,
             0,
         ]
-        self._stress = wp.empty((self._count, 6), dtype=wp.float64, device=cells.device)
+        self._stress = wp.empty((self._count, 6), wp.float64, cells.device)
 
     def __call__(self, displacement_m: Array) -> Array:
         """Return the stress xx, yy, zz, yz, xz, xy [Pa], shape (n, 6), at nodal displacements [m].
@@ -74,8 +74,8 @@ def stress_invariants(stress_Pa: Array, *, device: str = "cpu") -> tuple[Array, 
     """
     count = len(stress_Pa)
     given = put(stress_Pa, wp.float64, device)
-    von_mises = wp.empty(count, dtype=wp.float64, device=device)
-    principal = wp.empty(count, dtype=wp.vec3d, device=device)
+    von_mises = wp.empty(count, wp.float64, device)
+    principal = wp.empty(count, wp.vec3d, device)
     wp.launch(
         invariants, dim=count, inputs=[given, 0], outputs=[von_mises, principal], device=device
     )
@@ -184,7 +184,7 @@ class StressRecovery:
             self._cells.live[self._cell] > 0
         )
         share = left / max(float(left.max()), np.finfo(float).tiny)
-        weighted = np.empty((len(share), 7), dtype=np.float32)
+        weighted = np.empty((len(share), 7), np.float32)
         weighted[:, :6] = share[:, None] * self._points(displacement_m)
         weighted[:, 6] = share
         total = self._near @ weighted

@@ -83,8 +83,8 @@ class CellStiffness:
         self.cell_start_on = put(self.cell_start, wp.int32, device)
         self.cell_nodes_on = put(grid.cell_nodes, wp.int32, device)
         self.node_cells_on = put(grid.node_cells, wp.int32, device)
-        self.stiffness = wp.zeros((grid.cell_count, BLOCKS), dtype=wp.mat33d, device=device)
-        self.fill_on = wp.zeros(grid.cell_count, dtype=wp.float64, device=device)
+        self.stiffness = wp.zeros((grid.cell_count, BLOCKS), wp.mat33d, device)
+        self.fill_on = wp.zeros(grid.cell_count, wp.float64, device)
         self.live_on = wp.full(grid.cell_count, 1, dtype=wp.uint8, device=device)
         self._inner = put(_packed(_inner_stiffness(grid.edge_m)), wp.mat33d, device)
         self._strength = float(inner_strength)
@@ -92,8 +92,8 @@ class CellStiffness:
         row = np.full(grid.cell_count, -1)
         row[sprung] = np.arange(len(sprung))
         self._springs = [put(row, wp.int32, device), put(blocks, wp.mat33d, device)]
-        self.displacement = wp.zeros(grid.node_count, dtype=wp.vec3d, device=device)
-        self.force = wp.zeros(grid.node_count, dtype=wp.vec3d, device=device)
+        self.displacement = wp.zeros(grid.node_count, wp.vec3d, device)
+        self.force = wp.zeros(grid.node_count, wp.vec3d, device)
         self.strips = CellStrips(
             grid, place[self.order], self.particle_cell, device=device, cores=cores
         )

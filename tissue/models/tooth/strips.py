@@ -56,7 +56,7 @@ class PackedProduct:
         place = np.full(grid.cell_count + 1, -1)
         place[cells] = np.arange(len(cells))
         nodes = np.unique(grid.cell_nodes[cells])
-        corner_force = wp.zeros((len(cells), 8), dtype=wp.vec3d, device=device)
+        corner_force = wp.zeros((len(cells), 8), wp.vec3d, device)
         which, row, corners, chosen, gathered = (
             put(each, wp.int32, device)
             for each in (cells, rows, grid.cell_nodes, nodes, place[grid.node_cells[nodes]])
@@ -152,7 +152,7 @@ class LaneVector:
         self.scalar = scalar
         self.slots = layout.slots
         count = layout.slots - LANES + 1
-        self.single = wp.zeros((3, layout.slots), dtype=scalar, device=device)
+        self.single = wp.zeros((3, layout.slots), scalar, device)
         self.from_each, self.by_eight = (
             self._seen(1, count),
             self._seen(LANES, layout.slots // LANES),
@@ -248,11 +248,11 @@ class CellStrips:
         self.layout = StripLayout(grid)
         self.device = device
         off = (np.abs(np.abs(place - 0.5) - 0.25) > AT_CUBE).any(axis=1)
-        self.regular = np.ones(grid.cell_count, dtype=np.bool_)
+        self.regular = np.ones(grid.cell_count, np.bool_)
         self.regular[particle_cell[off]] = False
         shape = (len(self.layout.base), WEIGHTS, LANES)
-        self.weight = wp.zeros(shape, dtype=wp.float64, device=device)
-        self.single = wp.zeros(shape, dtype=wp.float32, device=device)
+        self.weight = wp.zeros(shape, wp.float64, device)
+        self.single = wp.zeros(shape, wp.float32, device)
         self.regular_on = put(self.regular.astype(np.uint8), wp.uint8, device)
         self.strip_on = put(self.layout.strip, wp.vec2i, device)
         self.slot_on = put(self.layout.slot, wp.int32, device)

@@ -35,7 +35,7 @@ class NodeSupports:
 
         They are held at zero unless a displacement is given.
         """
-        fixed = np.zeros((node_count, 3), dtype=np.bool_)
+        fixed = np.zeros((node_count, 3), np.bool_)
         if held is not None:
             fixed |= held if held.ndim == 2 else held[:, None]
         return cls(fixed, np.where(fixed, 0.0 if displacement_m is None else displacement_m, 0.0))
