@@ -11,7 +11,6 @@ from meshes.base.errors import InputError
 from tissue.fem.solvers import compliance
 from tissue.fem.solvers.compliance import LazyCompliance, surface_compliance_m_N
 from tissue.fem.solvers.direct import DirectSolver
-from tissue.fem.solvers.multigrid import MultigridSolver
 
 
 @pytest.fixture(autouse=True)
@@ -58,19 +57,6 @@ def test_a_compliance_that_would_not_fit_is_refused_beforehand():
         surface_compliance_m_N(body, SURFACE, limit_bytes=needed - 1)
     with pytest.raises(InputError, match="touchable"):
         surface_compliance_m_N(body, SURFACE[:0])
-
-
-def test_multigrid_finds_columns_too_to_its_tolerance():
-    body = body_of()
-    exact = surface_compliance_m_N(body, SURFACE)
-    unknowns = (3 * SURFACE[50:53, None] + np.arange(3)).ravel()
-    rows = (3 * SURFACE[:, None] + np.arange(3)).ravel()
-    found = MultigridSolver(body).columns(unknowns)[rows]
-    assert np.abs(found - exact[:, 150:159]).max() < 1e-7 * np.abs(exact).max()
-    with pytest.raises(
-        InputError, match="stiffness must have columns by multigrid, got NOT_CONVERGED"
-    ):
-        MultigridSolver(body, limit=1).columns(unknowns)
 
 
 def lazy(nodes, **options):

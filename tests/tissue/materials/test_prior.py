@@ -99,21 +99,6 @@ def test_the_slope_is_the_derivative():
         assert (np.abs(prior.slope(z) - difference) < 1e-6 * np.abs(difference) + near).all(), name
 
 
-def test_outside_the_support_z_is_infinite():
-    assert Prior(0.0, 0.0, 6.0).z(-1.0) == -np.inf
-    assert Prior(2.0, 1.0, 8.0).z(1e-9) == -np.inf
-
-
-def test_a_single_number_is_fixed():
-    prior = Prior(2.0, 2.0, 2.0)
-    assert prior.fixed
-    assert (
-        (prior.x(Z) == 2.0).all()
-        and (prior.slope(Z) == 0.0).all()
-        and (prior.z(prior.x(Z)) == 0.0).all()
-    )
-
-
 @pytest.mark.parametrize("numbers", [(5.0, 1.0, 4.0), (2.0, np.nan, 4.0), (2.0, 1.0, np.inf)])
 def test_a_range_that_does_not_hold_its_value_is_refused(numbers):
     with pytest.raises(InputError, match="range must hold the value"):

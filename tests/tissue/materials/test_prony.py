@@ -5,7 +5,7 @@ The exponential step is compared with the integral that it stands for.
 
 import numpy as np
 import pytest
-from prony_series import compliance_of, modulus_of, relaxation_of, started
+from prony_series import modulus_of, relaxation_of
 from scipy.integrate import quad
 
 from meshes.base.errors import InputError
@@ -93,26 +93,6 @@ def test_creep_is_the_inverse_of_relaxation(seed):
         relaxing = 1.0 - np.sum(np.array(series.g) / (1.0 + p * np.array(series.tau_s)))
         creeping = 1.0 + np.sum(creep.amplitude / (1.0 + p * creep.time_s))
         assert relaxing * creeping == pytest.approx(1.0, rel=1e-9)
-
-
-def test_equal_times_merge():
-    """Two terms of one time creep as their sum does."""
-    split, merged = Prony((0.2, 0.3), (2.0, 2.0)), Prony((0.5,), (2.0,))
-    np.testing.assert_allclose(
-        compliance_of(split, [0.1, 1.0, 30.0]), compliance_of(merged, [0.1, 1.0, 30.0]), rtol=EXACT
-    )
-
-
-def test_the_history_stays_in_one_array():
-    """After a jump the response is the step response."""
-    value = np.ones((5, 3))
-    state = started(SERIES.retardation, value, step_s=1e-3)
-    place = state.history
-    for _ in range(99):
-        state.advance(value)
-    assert state.history is place
-    now = state.instant_factor * value + state.history
-    np.testing.assert_allclose(now, compliance_of(SERIES, 0.1) * value, rtol=EXACT)
 
 
 @pytest.mark.parametrize(

@@ -128,49 +128,6 @@ def test_a_shell_of_points_feels_what_its_shape_feels(slab):
     )
 
 
-def test_a_shell_that_jumps_is_felt_by_all_its_points(slab):
-    """A flat end in one tick of 6.5 mm, more than a triangle's radius, as in many small ones."""
-    block = trimesh.creation.box((0.02, 0.02, 0.01))
-    block.apply_translation([0.0, 0.0, 0.005])
-    shell = ShellProbe.from_mesh(block, points=800)
-    start = np.array([0.0, 0.0, 5e-4])
-    end = np.array([0.0, 0.0, -6e-3])
-    slow = slab.contact(shell, friction=0.0)
-    quick = slab.contact(shell, friction=0.0)
-    wanted = along(slow, np.linspace(start, end, 60))
-    force = wanted.force_N[2]
-    contacts = wanted.contacts
-    jumped = along(quick, [start, end])
-    assert contacts > 5 and jumped.contacts > 0.7 * contacts
-    assert jumped.force_N[2] == pytest.approx(force, rel=0.1)
-
-
-def test_where_a_shell_s_frame_lies_does_not_matter(slab):
-    """The frame of a shell does not change its forces.
-
-    The test compares a ball of points in a frame at its tip with the same ball in an upside-down
-    frame 3 cm above it.
-    """
-    ball = trimesh.creation.icosphere(3, 0.012)
-    ball.apply_translation([0.0, 0.0, 0.012])
-    near = ShellProbe.from_mesh(ball, points=400)
-    upside_down = np.diag([1.0, -1.0, -1.0])
-    above = np.array([0.0, 0.0, 0.03])
-    far = ShellProbe(
-        (near.points_m - above) @ upside_down, near.normals @ upside_down, near.areas_m2
-    )
-    path = away([0.002, 0.001, -0.004])
-    wanted = along(slab.contact(near, friction=0.2), path)
-    force = wanted.force_N.copy()
-    torque = wanted.torque_Nm.copy()
-    found = along(slab.contact(far, friction=0.2), [tip + above for tip in path], upside_down)
-    assert force[2] > 1e-2
-    np.testing.assert_allclose(found.force_N, force, atol=1e-6 * np.linalg.norm(force))
-    np.testing.assert_allclose(
-        found.torque_Nm, torque - np.cross(above, force), atol=1e-6 * np.linalg.norm(torque)
-    )
-
-
 def test_a_drag_sticks_first_and_then_slips_at_the_coefficient(slab):
     contact = slab.contact(SphereProbe(0.011), friction=0.3, spacing_m=1.0, **TIGHT)
     path = [np.array([0.0, 0.0, z]) for z in np.linspace(0.0005, -0.002, 26)]
@@ -238,30 +195,6 @@ def test_a_scaled_compliance_and_shifted_nodes_are_those_of_another_organ(slab):
     np.testing.assert_allclose(result.displacement_m(), other.result.displacement_m(), atol=1e-9)
 
 
-@pytest.mark.parametrize("shifts", [1, 3])
-def test_nodes_that_are_shifted_to_a_tool_that_waits_touch_it(slab, shifts):
-    """Nodes that are shifted to a waiting tool touch it.
-
-    A tool 2 cm above, four triangles away, feels a surface that rises by 2.1 cm like an organ at
-    that height.
-    """
-    tip = np.array([0.001, 0.0, 0.02])
-    offset = np.array([0.0, 0.0, 0.021])
-    options = {"spacing_m": 1.0, "friction": 0.0} | TIGHT
-    other = SurfaceContact(
-        slab.rest + offset, slab.faces, slab.compliance, SphereProbe(0.01), **options
-    )
-    expected = other.solve(tip, np.eye(3)).force_N.copy()
-    assert expected[2] > 1e-3
-    contact = slab.contact(SphereProbe(0.01), **options)
-    contact.place(tip, np.eye(3))
-    for share in np.arange(1, shifts + 1) / shifts:
-        contact.shift(np.broadcast_to(share * offset, slab.rest.shape))
-        result = contact.solve(tip, np.eye(3))
-    np.testing.assert_allclose(result.force_N, expected, atol=1e-6 * np.linalg.norm(expected))
-    assert result.contacts == other.result.contacts
-
-
 def test_another_compliance_with_the_surface_where_it_was_leaves_the_force(slab):
     """Another compliance with an unmoved surface leaves the force.
 
@@ -284,17 +217,6 @@ def test_another_compliance_with_the_surface_where_it_was_leaves_the_force(slab)
     plain = SurfaceContact(slab.rest, slab.faces, slab.compliance, SphereProbe(0.01), **options)
     stiffer = along(plain, [*path, tip - [0.0, 0.0, 1e-5]]).force_N[2] - force[2]
     assert 0.3 * stiffer < deeper < 0.8 * stiffer
-
-
-def test_leaving_drops_all_force(slab):
-    contact = slab.contact(SphereProbe(0.01))
-    along(contact, away([0.002, 0.0, -0.003]))
-    result = contact.solve(np.array([0.0, 0.0, 0.01]), np.eye(3))
-    assert (
-        not result.force_N.any()
-        and not result.nodal_forces_N.any()
-        and not result.displacement_m().any()
-    )
 
 
 def test_bad_input_is_refused_where_it_enters(slab):

@@ -5,7 +5,7 @@ It is tested over meshes, orders, blocks and right sides.
 
 import numpy as np
 import pytest
-from scipy.sparse import block_diag, csc_array
+from scipy.sparse import csc_array
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import cKDTree
 
@@ -13,7 +13,7 @@ from meshes.tets.structured import box
 from tissue.fem.assembly import assemble
 from tissue.fem.solvers.direct import DirectSolver, dissected
 from tissue.fem.solvers.held_body import HeldBody, held_nodes
-from tissue.fem.solvers.multifrontal import Multifrontal, NotPositiveDefiniteError, fronts_of
+from tissue.fem.solvers.multifrontal import Multifrontal, NotPositiveDefiniteError
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 
@@ -84,24 +84,6 @@ def test_elastic_bodies_as_spsolve_with_a_small_residual(name, ratio):
     assert found.converged and found.residual < 1e-11
 
 
-def test_the_order_of_nodes_does_not_matter():
-    body = body_of("slab")
-    count = len(body.nodes_m)
-    mixed = np.random.default_rng(1).permutation(count)
-    unknowns = (3 * mixed[:, None] + np.arange(3)).ravel()
-    again = HeldBody(
-        body.stiffness.tocsr()[unknowns][:, unknowns].tobsr((3, 3)),
-        body.nodes_m[mixed],
-        body.fixed[mixed],
-    )
-    load = np.random.default_rng(2).normal(size=(count, 3)) * ~body.fixed
-    straight = DirectSolver(body).solve(load).displacement_m
-    found = DirectSolver(again).solve(load[mixed]).displacement_m
-    np.testing.assert_allclose(
-        found, straight[mixed], rtol=0, atol=ROUNDING * np.abs(straight).max()
-    )
-
-
 def test_many_right_sides_are_each_alone():
     matrix, starts = random_mesh(7)
     factor = Multifrontal(matrix, starts)
@@ -120,27 +102,6 @@ def test_many_right_sides_are_each_alone():
     assert factor.solve(right[:, :0]).shape == (matrix.shape[0], 0)
 
 
-@pytest.mark.parametrize("count", [1, 2, 3])
-def test_tiny_matrices(count):
-    matrix = spd(np.full((count, count), 2.0))
-    for starts in ([0, count], list(range(count + 1))):
-        assert_solves(matrix, np.array(starts), np.arange(1.0, count + 1))
-
-
-def test_disconnected_parts():
-    parts = [random_mesh(seed, count=40) for seed in (0, 1, 2)]
-    starts = np.cumsum([0, *(int(size) for _, each in parts for size in np.diff(each))])
-    assert_solves(csc_array(block_diag([matrix for matrix, _ in parts])), starts, np.arange(120.0))
-
-
-def test_one_dense_block():
-    rng = np.random.default_rng(4)
-    dense = rng.normal(size=(80, 80))
-    dense = dense @ dense.T + 80.0 * np.eye(80)
-    for starts in ([0, 80], [0, 1, 30, 80], np.arange(81)):
-        assert_solves(csc_array(dense), np.array(starts), rng.normal(size=(80, 3)))
-
-
 def test_the_inverse_of_what_is_eliminated_last():
     """Of the block and of a part of it."""
     matrix, starts = random_mesh(5)
@@ -151,25 +112,6 @@ def test_the_inverse_of_what_is_eliminated_last():
         found = factor.inverse_of_last(last)
         np.testing.assert_array_equal(found, found.T)
         np.testing.assert_allclose(found, inverse[-last:, -last:], rtol=0, atol=1e-13)
-
-
-def test_fronts_hold_the_whole_factor():
-    """Every entry of a dense factor lies in a front, and changes reach the parent's rows."""
-    matrix, starts = random_mesh(6)
-    lower = csc_array(np.tril(matrix.toarray()))
-    fronts = fronts_of(lower, starts)
-    dense = np.linalg.cholesky(matrix.toarray())
-    for front in fronts:
-        outside = np.ones(len(dense), dtype=bool)
-        outside[front.start : front.stop] = outside[front.below] = outside[: front.start] = False
-        assert not np.abs(dense[outside, front.start : front.stop]).any()
-        for child in front.children:
-            rows = fronts[child].below
-            assert front.start <= rows[0] < front.stop
-            assert np.isin(rows[rows >= front.stop], front.below).all()
-    assert sum(len(front.children) for front in fronts) == sum(
-        len(front.below) > 0 for front in fronts
-    )
 
 
 def test_a_matrix_that_is_not_positive_definite_names_its_unknown():
