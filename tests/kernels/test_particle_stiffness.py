@@ -9,9 +9,8 @@ from tooth_bodies import GAUSS, at_bottom, block
 
 from tissue.fem.solvers.held_body import rigid_modes
 from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.grid import HexGrid, ParticleSet, shape_values
+from tissue.models.tooth.grid import HexGrid, NodeSupports, ParticleSet, PointSprings, shape_values
 from tissue.models.tooth.stiffness import CellStiffness, full_cell_stiffness, strain_matrix
-from tissue.models.tooth.supports import NodeSupports, PointSprings
 
 ROUNDING = 1e-13  # relative to the largest entry: sums of a few hundred terms in double precision
 

@@ -8,8 +8,8 @@ from tooth_bodies import block, particle_stress
 
 from kernels.particle_stress import principal_values
 from tissue.models.tooth.body import ParticleBody
+from tissue.models.tooth.grid import NodeSupports
 from tissue.models.tooth.recovery import stress_invariants
-from tissue.models.tooth.supports import NodeSupports
 
 
 def deformed():

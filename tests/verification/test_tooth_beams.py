@@ -5,7 +5,7 @@ import pytest
 from tooth_bodies import block, lattice, particle_stress
 
 from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.supports import NodeSupports
+from tissue.models.tooth.grid import NodeSupports
 
 
 def test_bars_in_series_are_exact():

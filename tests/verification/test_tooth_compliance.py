@@ -8,8 +8,8 @@ import pytest
 from tooth_bodies import block
 
 from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.compliance import support_compliance
-from tissue.models.tooth.supports import NodeSupports, PointSprings
+from tissue.models.tooth.grid import NodeSupports, PointSprings
+from tissue.models.tooth.recovery import support_compliance
 
 EDGE = 1e-3
 STIFF = 1e15  # [Pa], a million times what the supports are: the block moves as a rigid one to 1e-6

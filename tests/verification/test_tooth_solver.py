@@ -9,9 +9,8 @@ from tooth_bodies import at_bottom, block, lattice, particle_stress
 
 from tissue.fem.conjugate_gradients import SolverOutcome
 from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.grid import HexGrid, ParticleSet
+from tissue.models.tooth.grid import HexGrid, NodeSupports, ParticleSet
 from tissue.models.tooth.recovery import stress_invariants
-from tissue.models.tooth.supports import NodeSupports
 
 EDGE = 8e-3
 CONTRASTS = (1.0, 100.0, 4200.0, 42000.0)

@@ -175,9 +175,7 @@ def _constants(
             np.array(law.terms) / [law.shear_Pa, 1.0],
             np.array(law.powers_Pa) / law.shear_Pa,
         )
-    if np.shape(lame_Pa)[-1:] != (2,):
-        raise InputError(
-            "lame_Pa", "have shape (2,) or (m, 2)", np.shape(lame_Pa), "use materials.lame"
-        )
-    assert lame_Pa is not None
-    return list(Law).index(law), np.broadcast_to(elasticity_rows(lame_Pa, count), (count, 2))
+    lame = np.asarray(lame_Pa, np.float64)
+    if lame.shape[-1:] != (2,):
+        raise InputError("lame_Pa", "have shape (2,) or (m, 2)", lame.shape, "use materials.lame")
+    return list(Law).index(law), np.broadcast_to(elasticity_rows(lame, count), (count, 2))

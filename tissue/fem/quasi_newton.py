@@ -19,9 +19,8 @@ from scipy.sparse import bsr_array, csr_array, diags_array, kron
 
 from meshes.base.arrays import Array, Flags
 from tissue.fem.hyperelastic import NonlinearBody
-from tissue.fem.solvers.direct import DirectSolver
+from tissue.fem.solvers.direct import DirectSolver, NotPositiveDefiniteError
 from tissue.fem.solvers.held_body import components_of
-from tissue.fem.solvers.multifrontal import NotPositiveDefiniteError
 
 __all__ = ["Followed", "QuasiNewton", "Springs"]
 

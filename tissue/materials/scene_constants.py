@@ -46,7 +46,7 @@ class Materials:
         the material.
     names, matrix
         Names and correlation matrix of constants in the file. The correlation applies to the normal
-        numbers of `tissue.materials.prior.Prior`.
+        numbers of `tissue.materials.constants.Prior`.
     file
         Path of the file; empty if all constants are cited.
     """
@@ -299,7 +299,8 @@ def _correlation(
     for name in names:
         _require_known("constants of the file in correlation", name, given, path)
     count = len(names)
-    if len(set(names)) != count or any(len(row) != count for row in [table.matrix, *table.matrix]):
+    lengths = [len(table.matrix), *map(len, table.matrix), len(set(names))]
+    if lengths.count(count) != len(lengths):
         raise InputError(
             "correlation",
             f"have a matrix of {count} rows of as many numbers and names that differ",

@@ -18,8 +18,7 @@ from kernels.structure_distance import NODES, TRIANGLES, Tree, distance_to_struc
 from kernels.tool_distance import Outline
 from meshes.base.arrays import Array, Floats, Ints
 from meshes.surfaces.box_tree import BoxTree, box_tree, cut_long
-from tissue.cutters.body import outline_table
-from tissue.cutters.medial import MEDIAL_TOLERANCE_M, medial_axis
+from tissue.cutters.body import MEDIAL_TOLERANCE_M, medial_axis, outline_table
 from tissue.cutters.profile import Profile
 from tissue.models.tissue_model import TICK_S, ToolMotion
 

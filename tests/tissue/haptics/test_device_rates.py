@@ -11,8 +11,7 @@ from tissue import InputError, Sample, load_scene
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.loop.motor_path import motor_lag_ticks
-from tissue.models.tissue_model import FreeSpace
-from tissue.models.wall import WallModel
+from tissue.models.tissue_model import FreeSpace, WallModel
 from tissue.simulation.builders.loop import judged_loop, motor_path
 from tissue.simulation.builders.loop_settings import loop_settings
 

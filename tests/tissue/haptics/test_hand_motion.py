@@ -12,8 +12,7 @@ from tissue.haptics.device.faulty import Fault, FaultyDevice
 from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.hand_measures import MEASURES, PERCEIVED, PREDICTED
 from tissue.haptics.loop.critical_stiffness import judge
-from tissue.models.tissue_model import FreeSpace, Response, ToolMotion
-from tissue.models.wall import WallModel
+from tissue.models.tissue_model import FreeSpace, Response, ToolMotion, WallModel
 from tissue.motion.quaternion import logarithm
 from tissue.simulation.builders.registry import build
 

@@ -6,8 +6,7 @@ import pytest
 from tissue.haptics.proxy.cutting_tool import CuttingTool
 from tissue.haptics.proxy.guidance import CompensatedPath, Thrust
 from tissue.haptics.proxy.held_tool import PressingTool
-from tissue.models.tissue_model import Response, ToolMotion
-from tissue.models.wall import WallModel
+from tissue.models.tissue_model import Response, ToolMotion, WallModel
 
 STEP_S = 1e-3
 DOWN = np.array([0.0, 0.0, -1.0])

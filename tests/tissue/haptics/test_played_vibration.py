@@ -18,7 +18,7 @@ from tissue.haptics.loop.sampled_loop import spectral_radius
 from tissue.haptics.loop.stability_map import growth_while_running
 from tissue.haptics.loop.vibration import ENVELOPE_S, PlayedVibration, Vibration
 from tissue.haptics.played_force import PlayedForce
-from tissue.models.wall import WallModel
+from tissue.models.tissue_model import WallModel
 from tissue.simulation.builders.loop import judged_loop
 from tissue.simulation.builders.loop_settings import loop_settings
 

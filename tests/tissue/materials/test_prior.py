@@ -8,8 +8,7 @@ import pytest
 from scipy.stats import halfnorm, norm
 
 from tissue import InputError
-from tissue.materials.constants import constants, listed
-from tissue.materials.prior import Prior
+from tissue.materials.constants import Prior, constants, listed
 
 TABLES = ("cutting", "needle", "soft", "devices", "tooth")
 CITED = {

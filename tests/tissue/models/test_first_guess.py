@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tissue.models.tooth.compliance import FirstGuess
+from tissue.models.tooth.recovery import FirstGuess
 
 
 def system(count=12, seed=0):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tooth_bodies import block
 
-from tissue.models.tooth.supports import PointSprings
+from tissue.models.tooth.grid import PointSprings
 
 
 def springs(count=7):

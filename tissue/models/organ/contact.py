@@ -273,10 +273,8 @@ class SurfaceContact:
         Largest number of Gauss-Seidel sweeps in a solve.
     spacing_m
         Widest spacing of contact points on the organ [m]; default: the tool's spacing.
-    device
-        Warp device name.
-    cores
-        Processor cores to spread a shell's projection over; default all.
+    device, cores
+        Warp device name, and processor cores to spread a shell's projection over (default all).
 
     Raises
     ------

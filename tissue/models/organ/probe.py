@@ -9,6 +9,7 @@ the ball that bounds the part of it that may touch first.
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -163,7 +164,7 @@ class ShellProbe(ProbeShape):
         """
         import trimesh
 
-        surface = (
+        surface: Any = (
             trimesh.Trimesh(*read_triangles(Path(mesh))) if isinstance(mesh, (str, Path)) else mesh
         )
         if not (surface.is_watertight and surface.volume > 0.0):

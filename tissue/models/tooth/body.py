@@ -16,11 +16,17 @@ from tissue.fem.conjugate_gradients import (
     conjugate_gradients,
     dot,
 )
-from tissue.models.tooth.grid import FULL_STEPS, HexGrid, ParticleSet, shape_values
+from tissue.models.tooth.grid import (
+    FULL_STEPS,
+    HexGrid,
+    NodeSupports,
+    ParticleSet,
+    PointSprings,
+    ball_weight,
+    shape_values,
+)
 from tissue.models.tooth.multigrid import GridHierarchy
-from tissue.models.tooth.recovery import ball_weight
 from tissue.models.tooth.stiffness import CellStiffness
-from tissue.models.tooth.supports import NodeSupports, PointSprings
 
 __all__ = ["Change", "ParticleBody", "supported_cells"]
 

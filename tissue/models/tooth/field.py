@@ -12,10 +12,23 @@ from meshes.voxels.volume import VoxelVolume
 from tissue.fem.fields import FieldSeries, Frame
 from tissue.materials.scene_constants import Materials
 from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.compliance import FirstGuess, SupportCompliance, support_compliance
-from tissue.models.tooth.grid import FULL_STEPS, HexGrid, ParticleSet
-from tissue.models.tooth.recovery import REACH_M, StressRecovery, stress_invariants
-from tissue.models.tooth.supports import NodeSupports, PointSprings, bed_springs, bed_stiffness
+from tissue.models.tooth.grid import (
+    FULL_STEPS,
+    HexGrid,
+    NodeSupports,
+    ParticleSet,
+    PointSprings,
+    bed_springs,
+    bed_stiffness,
+)
+from tissue.models.tooth.recovery import (
+    REACH_M,
+    FirstGuess,
+    StressRecovery,
+    SupportCompliance,
+    stress_invariants,
+    support_compliance,
+)
 
 __all__ = ["SolveRecord", "StressField"]
 

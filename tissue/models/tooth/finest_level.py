@@ -15,10 +15,9 @@ from kernels.launcher import SplitLaunch
 from kernels.mirror import put
 from kernels.node_blocks import assemble_rows, invert_diagonal, to_single
 from meshes.base.arrays import Array, Int32s
-from tissue.models.tooth.grid import HexGrid
+from tissue.models.tooth.grid import HexGrid, NodeSupports
 from tissue.models.tooth.stiffness import CellStiffness
 from tissue.models.tooth.strips import LaneVector, StripProduct
-from tissue.models.tooth.supports import NodeSupports
 
 __all__ = ["FinestLevel", "NodeBlocks"]
 

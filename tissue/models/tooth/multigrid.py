@@ -19,9 +19,8 @@ from kernels.mirror import put
 from kernels.node_blocks import first_residuals, first_sweep, sweep_colour
 from meshes.base.arrays import Array, Int32s
 from tissue.models.tooth.finest_level import FinestLevel, NodeBlocks
-from tissue.models.tooth.grid import CORNERS, NEIGHBOURS, HexGrid
+from tissue.models.tooth.grid import CORNERS, NEIGHBOURS, HexGrid, NodeSupports
 from tissue.models.tooth.stiffness import CellStiffness
-from tissue.models.tooth.supports import NodeSupports
 
 __all__ = ["GridHierarchy", "GridTransfer"]
 

@@ -10,9 +10,8 @@ from kernels.hexahedra import BLOCKS
 from kernels.mirror import put
 from kernels.particle_stiffness import particle_stiffness
 from meshes.base.arrays import Array, Bytes, Flags, Int32s, Integers
-from tissue.models.tooth.grid import CORNERS, HexGrid, ParticleSet
+from tissue.models.tooth.grid import CORNERS, HexGrid, ParticleSet, PointSprings
 from tissue.models.tooth.strips import CellStrips, PackedProduct
-from tissue.models.tooth.supports import PointSprings
 
 __all__ = ["CellStiffness", "full_cell_stiffness"]
 

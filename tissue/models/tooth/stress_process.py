@@ -97,7 +97,10 @@ class InlineStressSolver:
         self.records = self.field.records
         self._places = bricks.places
         self._before = bricks.remaining
-        self._grid = {"origin_m": bricks.grid.origin_m, "spacing_m": bricks.grid.spacing_m}
+        self._grid: dict[str, Any] = {
+            "origin_m": bricks.grid.origin_m,
+            "spacing_m": bricks.grid.spacing_m,
+        }
         self._begun: Drilled | None = None
 
     @property

@@ -12,7 +12,7 @@ from meshes.base.progress import Progress
 from meshes.shapes.polyline import kept_corners
 from tissue.materials.scene_constants import Materials
 from tissue.models.organ.probe import ShellProbe
-from tissue.models.wall import WallModel
+from tissue.models.tissue_model import WallModel
 from tissue.motion.motion import Motion
 from tissue.scene.coupling import WallAnatomy
 from tissue.scene.organ import LayersAnatomy, LiverFile, Organ, SoftAnatomy
