@@ -11,8 +11,7 @@ from meshes.tooth.molar import molar
 from meshes.voxels.volume import VoxelVolume
 from meshes.voxels.voxelise import voxelise
 from tissue.cutters import ball_burr
-from tissue.environments.environment import ContactEnvironment, Entry
-from tissue.environments.restorable_bone import RestorableBone
+from tissue.environments.environment import ContactEnvironment, Entry, RestorableBone
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 from tissue.motion.thrust import SpeedSearch, implicit_speed

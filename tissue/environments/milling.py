@@ -10,8 +10,7 @@ from gymnasium import spaces
 from meshes.base.arrays import Array, Ints
 from meshes.voxels.volume import VoxelVolume, density_volume
 from tissue.cutters import ball_burr
-from tissue.environments.environment import ContactEnvironment, Entry
-from tissue.environments.restorable_bone import PATCH_POINTS, RestorableBone
+from tissue.environments.environment import PATCH_POINTS, ContactEnvironment, Entry, RestorableBone
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import Response, ToolMotion
 

@@ -11,7 +11,6 @@ from tissue.scene.used_constants import used_constants
 from tissue.simulation.builders.own_constants import note_own_constants
 
 RADIAL = "cutting.bone.radial_chip_N_mm2"
-SMALL = {"duration_s": 0.8}
 
 
 def entry(full, value, low=None, high=None):

@@ -11,7 +11,6 @@ from tissue.models.needle.model import NeedleModel
 from tissue.models.needle.parameters import needle_tissue, vessel_wall
 from tissue.models.tissue_model import ToolMotion
 
-STEP_S = 1e-3
 NEEDLE_M = 1.27e-3
 LIVER = needle_tissue()
 LAYERED = needle_tissue(walls=[vessel_wall(20e-3)])
@@ -75,23 +74,6 @@ def test_force_grows_with_speed_as_its_two_parts_predict(seed):
         )
         assert response.wrench[2] == pytest.approx(response.measures[2:].sum(), abs=1e-12)
         assert response.resistance[:3] @ motion.heading[0] <= 0.0
-
-
-def test_a_needle_at_rest_keeps_its_state_and_its_force():
-    """The organ stays deflected: unlike bone it pushes back at rest, without the viscous part."""
-    model = needle()
-    moving, motion = go(model, [-1.0, 40.0])
-    moving = moving.wrench.copy()
-    viscous = LAYERED.friction.viscous_in_N_s_m2 * model.insertion.inserted_m * motion.speed_m_s
-    motion.speed_m_s = 0.0
-    model.advance(motion)
-    held = model.respond(motion).wrench.copy()
-    assert held[2] == pytest.approx(moving[2] - viscous, rel=1e-12)
-    assert held[2] > 1.5
-    for _ in range(20):
-        model.advance(motion)
-        np.testing.assert_array_equal(model.respond(motion).wrench, held)
-    assert model.respond(motion).resistance[2] == 0.0
 
 
 def test_layers_and_the_one_that_the_tip_touches():

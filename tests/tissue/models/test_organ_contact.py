@@ -6,7 +6,6 @@ import trimesh
 from contact_slab import TIGHT, along, away
 from scipy.spatial.transform import Rotation
 
-from meshes.base.errors import InputError
 from tissue.models.organ.contact import ContactOutcome, SurfaceContact, contact_points
 from tissue.models.organ.probe import CylinderProbe, ShellProbe, SphereProbe
 
@@ -217,24 +216,3 @@ def test_another_compliance_with_the_surface_where_it_was_leaves_the_force(slab)
     plain = SurfaceContact(slab.rest, slab.faces, slab.compliance, SphereProbe(0.01), **options)
     stiffer = along(plain, [*path, tip - [0.0, 0.0, 1e-5]]).force_N[2] - force[2]
     assert 0.3 * stiffer < deeper < 0.8 * stiffer
-
-
-def test_bad_input_is_refused_where_it_enters(slab):
-    probe = SphereProbe(0.01)
-    for change, message in (
-        ({"friction": -0.1}, "friction must be"),
-        ({"spacing_m": 1e-4}, "touch_edge_m must be shorter"),
-    ):
-        with pytest.raises(InputError, match=message):
-            slab.contact(probe, **change)
-    contact = slab.contact(probe)
-    with pytest.raises(InputError, match="motion must start outside"):
-        contact.place(np.array([0.0, 0.0, -0.002]), np.eye(3))
-    with pytest.raises(InputError, match="must be finite"):
-        contact.solve(np.array([0.0, np.nan, 0.01]), np.eye(3))
-    for make, message in (
-        (lambda: SphereProbe(0.0), "radius_m"),
-        (lambda: CylinderProbe(0.01, 0.02), "edge_m must be below"),
-    ):
-        with pytest.raises(InputError, match=message):
-            make()

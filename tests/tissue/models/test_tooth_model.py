@@ -129,25 +129,6 @@ def test_a_separate_process_gives_the_same_bits(run):
     assert bits(drill()) == bits(run)
 
 
-def test_stress_leaves_the_force_alone(run):
-    """Stress leaves the force unchanged.
-
-    A scene without it builds none, has no columns of it, and gives the same trace in all others.
-    """
-
-    def never(*_, **__):
-        raise AssertionError("a field of stress was built")
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(StressField, "__init__", never)
-        changes = {key: value for key, value in COARSE.items() if not key.startswith("stress.")}
-        plain = simulate(load_scene("molar", changes | {"stress": None}))
-    assert plain.parts.tissue.fields is None and plain.parts.tissue.stress is None
-    assert set(run.trace.columns) - set(plain.trace.columns) == set(MOVES)
-    for name in plain.trace.columns:
-        np.testing.assert_array_equal(plain.trace[name], run.trace[name])
-
-
 def test_the_tooths_own_columns(run):
     """They are in the trace; the tooth is pushed down by the bur and back at rest without it."""
     assert run.parts.tissue.measure_names == COLUMN + MOVES

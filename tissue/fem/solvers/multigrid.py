@@ -17,7 +17,7 @@ from meshes.base.errors import InputError, require_range
 from tissue.fem.conjugate_gradients import (
     LEAST_SHARE,
     Iterate,
-    IterativeSolution,
+    Solution,
     conjugate_gradients,
     dot,
 )
@@ -98,7 +98,7 @@ class MultigridSolver:
         starts = scaled.indptr.astype(np.int32)
         return bsr_matrix((scaled.data, indices, starts), shape=scaled.shape)
 
-    def solve(self, load_N: Array) -> IterativeSolution:
+    def solve(self, load_N: Array) -> Solution:
         """Solve for the displacement under nodal forces [N], shape (n, 3)."""
         body = self.body
         right = np.zeros(len(self._scale))
@@ -130,7 +130,7 @@ class MultigridSolver:
             answers[:, column] = found.displacement_m * self._scale
         return answers
 
-    def _iterate(self, right: Array) -> IterativeSolution:
+    def _iterate(self, right: Array) -> Solution:
         """Solve with the scaled matrix by conjugate gradients."""
         return conjugate_gradients(
             lambda u: self._matrix @ u,

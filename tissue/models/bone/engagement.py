@@ -163,11 +163,6 @@ class EngagedElements:
             cores=cores,
         )
 
-    @property
-    def nowhere(self) -> tuple[Array, Array, Array]:
-        """Result of `cutting` for a cutter without contact."""
-        return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
-
     def find(self, motion: ToolMotion) -> tuple[Array, ...]:
         """Return the share that cuts, the advance per unit of speed, the layer and the density.
 
@@ -253,17 +248,14 @@ class EngagedBone:
             np.zeros((len(each.densities_kg_m3), COEFFICIENTS, 6)) for each in self.nodes
         ]
         self._response = Response.empty(len(self.layer_names))
+        self.engaged_m2 = self._response.engaged_m2
+        """Area of the tool in contact with each layer at the last `respond` [m2], (layers,)."""
         shell = bone.shell
         cutter = bone.cutter
         self._areas = shell.areas_m2
         self._edges = edge_lengths_m(shell, cutter)
         self._levers = levers_of(shell, cutter)
         self._elements = EngagedElements(bone, device=device, cores=cores)
-
-    @property
-    def engaged_m2(self) -> Array:
-        """Area of the tool in contact with each layer at the last `respond` [m2], (layers,)."""
-        return self._response.engaged_m2
 
     @property
     def start_m3(self) -> Array:

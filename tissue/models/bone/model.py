@@ -9,7 +9,7 @@ from kernels.bricks import FULL
 from kernels.cutting import AREA, DENSITIES, RATE, Coefficients
 from kernels.elements import lever16
 from kernels.mirror import Mirror, put
-from meshes.base.arrays import Array, Bytes, Ints
+from meshes.base.arrays import Array, Bytes
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.materials.constants import CuttingCoefficients
@@ -77,6 +77,10 @@ class BoneModel:
         self.carver = Carver(self.store, cutter, removal=removal, device=device, cores=cores)
         layers = len(self.layer_names)
         spacing = grid.spacing_m
+        self.removed_steps = self.carver.removed_steps
+        """Stored steps removed from each layer so far, shape (layers,)."""
+        self.step_m3 = spacing**3 / FULL
+        """Volume of one stored step [m3]."""
         self._origin = grid.origin_m
         self._spacing = spacing
         self.shell = cutter.shell(spacing_m=self.shell_spacing_m)
@@ -85,6 +89,8 @@ class BoneModel:
             self._parts[:2].reshape(6), self._parts[2:].reshape(6), np.zeros(6), np.zeros(layers)
         )
         self._motion = Mirror((6, 3), dtype=wp.float64, device=device)
+        self.motion_rows = self._motion.device
+        """Device array of the pose and motion of the last `take`, see the force kernel."""
         self._rows = self._motion.host[0], self._motion.host[1:4], self._motion.host[4:6]
         self.elements = elements_of(self.shell, cutter, spacing_m=spacing, device=device)
         self.coefficients = coefficients
@@ -111,21 +117,6 @@ class BoneModel:
         self.carver.record()
         self.limits.record()
         self._forces.record()
-
-    @property
-    def motion_rows(self) -> Any:
-        """Device array of the pose and motion of the last `take`, see the force kernel."""
-        return self._motion.device
-
-    @property
-    def removed_steps(self) -> Ints:
-        """Stored steps removed from each layer so far, shape (layers,)."""
-        return self.carver.removed_steps
-
-    @property
-    def step_m3(self) -> float:
-        """Volume of one stored step [m3]."""
-        return self._spacing**3 / FULL
 
     @property
     def start_m3(self) -> Array:

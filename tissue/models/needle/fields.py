@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array, Ints
+from meshes.base.errors import by
 from meshes.organs.liver import slab, slab_base
 from meshes.tets.bisection import bisected
 from meshes.tets.tetrahedra import TetMesh
@@ -20,7 +21,7 @@ from tissue.fem.fields import FieldSeries
 from tissue.fem.solvers.direct import DirectSolver
 from tissue.materials.elasticity import lame
 from tissue.materials.scene_constants import Materials
-from tissue.models.needle.parameters import LEAST_COSINE, NeedleTissue
+from tissue.models.needle.parameters import LEAST_COSINE
 from tissue.models.organ.fields import OrganFields
 from tissue.models.organ.soft_organ import SoftOrgan
 
@@ -194,27 +195,13 @@ class NeedleFields:
         self._kept.clear()
         self._fields.compute()
 
-    def note(self, tissue: NeedleTissue) -> str:
-        """Return a sentence that describes the fields.
-
-        It also states the force of the block next to the force of the needle's model.
-        """
-        puncture = tissue.membranes[0].puncture_N if tissue.membranes else tissue.cutting_N
-        moved = tissue.deflection_m(puncture)
-        deepest = self.track.deepest_m
-        entry, shaft = (float(self.forces_N(moved, inserted).sum()) for inserted in (0.0, deepest))
-        size = " x ".join(f"{1e3 * side:.0f}" for side in np.ptp(self.series.nodes_m, axis=0))
+    @property
+    def note(self) -> str:
+        """Sentence that describes the fields."""
+        size = by(1e3 * np.ptp(self.series.nodes_m, axis=0), ".0f")
         return (
-            f"the linear-elastic answer of a block of {size} mm around the first track, its "
-            "base held, to the "
-            "deflection that the needle's model gives: a picture, not a second model of the "
-            "force. To move by "
-            f"{1e3 * moved:.1f} mm it takes {entry:.2g} N at the entry and {shaft:.2g} N "
-            f"along {1e3 * deepest:.0f} mm "
-            f"of shaft, where the needle's model has {puncture:.2f} N: the block has neither "
-            "capsule nor strain "
-            "stiffening, and what it takes depends on the edges of its "
-            f"{len(self.series.cells)} linear tetrahedra"
+            f"the linear-elastic answer of a block of {size} mm around the first track to the "
+            "deflection that the needle's model gives: a picture, not a second model of the force"
         )
 
     def forces_N(self, deflection_m: float, inserted_m: float) -> Array:

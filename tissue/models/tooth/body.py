@@ -11,11 +11,12 @@ from scipy.spatial import cKDTree
 from meshes.base.arrays import Array, Flags, Int32s, Integers, Ints
 from tissue.fem.conjugate_gradients import (
     Iterate,
-    IterativeSolution,
+    Solution,
     SolverOutcome,
     conjugate_gradients,
     dot,
 )
+from tissue.fem.solvers.held_body import rigid_modes
 from tissue.models.tooth.grid import (
     FULL_STEPS,
     HexGrid,
@@ -112,11 +113,8 @@ def _restrained(grid: HexGrid, nodes: Integers, held: Flags, springs: PointSprin
     place -= centre
     restraint = springs.restraint(grid.origin_m + grid.edge_m * centre, grid.edge_m)
     restraint /= max(float(np.trace(restraint[:3, :3])), np.finfo(float).tiny)
-    for axis in range(3):
-        along = np.eye(3)[axis]
-        here = place[held[some, axis]]
-        rows = np.concatenate([np.tile(along, (len(here), 1)), np.cross(here, along)], axis=1)
-        restraint += rows.T @ rows
+    rows = rigid_modes(place, np.zeros(3))[held[some]]
+    restraint += rows.T @ rows
     values = np.linalg.eigvalsh(restraint)
     return bool(values[0] > LEAST_RESTRAINT * values[-1])
 
@@ -350,7 +348,7 @@ class ParticleBody:
         limit: int = 200,
         cold: bool = False,
         start_m: Array | None = None,
-    ) -> IterativeSolution:
+    ) -> Solution:
         """Solve for the displacement under nodal forces [N], shape (n, 3).
 
         The energy norm of the solution is ``sqrt(u . f)``. The energy norm of the error is
@@ -376,9 +374,7 @@ class ParticleBody:
         held = self.supports.displacement_m
         lost = (load_N != 0.0) & ~self.carrying[:, None] & ~self.supports.fixed
         if not self.cells.live.any() or lost.any():
-            return IterativeSolution(
-                held.copy(), SolverOutcome.UNSUPPORTED, 0, residual=1.0, error=np.inf
-            )
+            return Solution(held.copy(), SolverOutcome.UNSUPPORTED, 0, residual=1.0, error=np.inf)
         load = (load_N - self.product(held) if held.any() else load_N) * self._free
         guess = held if cold else self.displacement_m if start_m is None else start_m
         if self._iterations_fresh == 0:

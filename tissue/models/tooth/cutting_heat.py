@@ -85,7 +85,7 @@ class CuttingHeat:
         self._lost = np.zeros(self.grid.filled.size)
         self._power_W = 0.0
         self._tip_m = np.zeros(3)
-        self._earlier = self._later = self._engaged.nowhere
+        self._earlier = self._later = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
         self._steps = self._done = 0
 
     @property

@@ -178,10 +178,6 @@ class GridLevel:
             )
         return first, last[::-1]
 
-    def update(self, nodes: Int32s) -> None:
-        """Gather the rows of these nodes again."""
-        self.blocks.update(nodes)
-
     def relax_first(self) -> None:
         """Sweep from rest, and compute the residual."""
         for sweep in self._first:
@@ -230,7 +226,7 @@ class GridHierarchy:
         self.finest.update(np.unique(self.finest.grid.cell_nodes[changed]))
         for level, transfer in zip(self.coarser, self._transfers, strict=True):
             changed = transfer.project(changed)
-            level.update(np.unique(level.grid.cell_nodes[changed]))
+            level.blocks.update(np.unique(level.grid.cell_nodes[changed]))
         self._stale = True
 
     def diagonal(self) -> Array:

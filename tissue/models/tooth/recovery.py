@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from kernels.mirror import put
 from kernels.particle_stress import invariants, point_stress
 from meshes.base.arrays import Array, Integers
-from tissue.fem.conjugate_gradients import IterativeSolution, dot
+from tissue.fem.conjugate_gradients import Solution, dot
 from tissue.fem.solvers.held_body import rigid_modes
 from tissue.models.tooth.body import ParticleBody
 from tissue.models.tooth.grid import ParticleSet, ball_weight
@@ -218,7 +218,7 @@ class SupportCompliance:
 
     matrix: Array
     reference_m: Array
-    solutions: tuple[IterativeSolution, ...]
+    solutions: tuple[Solution, ...]
     loads_N: tuple[Array, ...]
     asymmetry: float
 
@@ -260,7 +260,7 @@ def support_compliance(
     weighted = used[:, None, None] * motions
     gram = np.einsum("nik,nil->kl", weighted, motions)
     spread = np.einsum("nik,kl->nil", weighted, np.linalg.inv(gram))
-    solutions: list[IterativeSolution] = []
+    solutions: list[Solution] = []
     loads = [spread[:, :, column].copy() for column in range(6)]
     matrix = np.zeros((6, 6))
     kept = body.displacement_m

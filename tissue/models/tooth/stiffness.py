@@ -80,6 +80,13 @@ class CellStiffness:
         self.lame = put(particles.lame_Pa[self.order], wp.float64, device)
         self.remaining_on = put(particles.remaining[self.order], wp.uint16, device)
         self.cell_start_on = put(self.cell_start, wp.int32, device)
+        self._particles = [
+            self.place,
+            self.volume,
+            self.lame,
+            self.remaining_on,
+            self.cell_start_on,
+        ]
         self.cell_nodes_on = put(grid.cell_nodes, wp.int32, device)
         self.node_cells_on = put(grid.node_cells, wp.int32, device)
         self.stiffness = wp.zeros((grid.cell_count, BLOCKS), wp.mat33d, device)
@@ -157,11 +164,7 @@ class CellStiffness:
             return
         changed = put(cells, wp.int32, self.device)
         inputs = [
-            self.place,
-            self.volume,
-            self.lame,
-            self.remaining_on,
-            self.cell_start_on,
+            *self._particles,
             changed,
             self.grid.edge_m,
             self._strength,
@@ -176,10 +179,13 @@ class CellStiffness:
 
     def _weigh(self, cells: Int32s) -> None:
         if len(cells):
-            particles = [self.place, self.volume, self.lame, self.remaining_on, self.cell_start_on]
             changed = put(cells, wp.int32, self.device)
             self.strips.update(
-                particles, self.live_on, changed, edge_m=self.grid.edge_m, strength=self._strength
+                self._particles,
+                self.live_on,
+                changed,
+                edge_m=self.grid.edge_m,
+                strength=self._strength,
             )
 
     def product(self, displacement_m: Array) -> Array:

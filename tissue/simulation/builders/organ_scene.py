@@ -85,7 +85,7 @@ def pierced(
             interval_s=1e-3 * scene.anatomy.interval_ms,
             constants=scene.constants,
         )
-        notes["fields"] = fields.note(tissue)
+        notes["fields"] = fields.note
         if scene.device is not None:
             notes["fields"] += (
                 f"; a hand that enters up to {1e3 * near:g} mm from the track is drawn as on it"
