@@ -35,7 +35,8 @@ HAND_KG = 0.1
 A handpiece has 0.06 to 0.1 kg (from memory of makers' data).
 """
 TOP_SPEED_M_S = 1e-2
-START_M, CEILING_M = 5e-4, 8e-4
+START_M = 5e-4
+CEILING_M = 8e-4
 """Gap between tip and tooth at the start, and at which the bur counts as withdrawn [m]."""
 INTO_DENTIN_M = 5e-4
 """Wanted depth beyond the junction of enamel and dentin [m].

@@ -28,7 +28,9 @@ SPACING_MM = 0.2
 
 On the tested paths, forces differ by at most 2 % from the forces with 0.1 mm.
 """
-BURR_MM, FLUTES, SPIN_RPM = 4.0, 6, 20_000.0
+BURR_MM = 4.0
+FLUTES = 6
+SPIN_RPM = 20_000.0
 TOLERANCE_MM = 0.25
 """Distance from the pocket's wall that counts neither as target nor as overcut [mm].
 

@@ -19,9 +19,12 @@ if TYPE_CHECKING:
 
 __all__ = ["Palpation"]
 
-SIZE_M, EDGE_M = (0.1, 0.1, 0.028), 4e-3
-NODULE_RADIUS_M, NODULE_DEPTH_M = 8e-3, 13e-3
-MODULUS_KPA, NODULE_TIMES = 5.0, 20.0
+SIZE_M = (0.1, 0.1, 0.028)
+EDGE_M = 4e-3
+NODULE_RADIUS_M = 8e-3
+NODULE_DEPTH_M = 13e-3
+MODULUS_KPA = 5.0
+NODULE_TIMES = 20.0
 """Young's modulus used in the solution [kPa], and stiffness ratio of the nodule to the tissue.
 
 Forces are scaled to the episode's modulus.
@@ -31,7 +34,9 @@ POISSON_RATIO = 0.45
 BALL_RADIUS_M = 8e-3
 REACH_M = 22e-3
 """Largest lateral distance of the fingertip from its start [m]."""
-LOWEST_M, START_M, CEILING_M = -3e-3, 1e-3, 3e-3
+LOWEST_M = -3e-3
+START_M = 1e-3
+CEILING_M = 3e-3
 """Heights of the tip: deepest, at the start, and at which it counts as lifted [m].
 
 At the deepest height linear elasticity is within 5 % of a hyperelastic force.

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.sparse import bsr_array
 
 from meshes.base.arrays import Array, Flags, Ints
-from meshes.base.errors import InputError, require_positive
+from meshes.base.errors import InputError
 from tissue.fem.conjugate_gradients import Solution, SolverOutcome, conjugate_gradients
 from tissue.fem.hyperelastic import NonlinearBody
 from tissue.fem.solvers.direct import DirectSolver
@@ -51,11 +51,6 @@ class RigidSphere:
         Centre [m], shape (3,).
     tolerance
         Allowed final depth of a node, or gap of a pressed node, over the radius.
-
-    Raises
-    ------
-    InputError
-        If the radius or the tolerance is not positive.
     """
 
     def __init__(
@@ -68,9 +63,9 @@ class RigidSphere:
         tolerance: float = 1e-6,
     ) -> None:
         self.nodes = nodes
-        self.radius_m = require_positive("radius_m", radius_m, "use 0.01")
+        self.radius_m = radius_m
         self._penalty = penalty_N_m
-        self._tolerance_m = self.radius_m * require_positive("tolerance", tolerance, "use 1e-6")
+        self._tolerance_m = self.radius_m * tolerance
         self._multiplier = np.zeros(len(nodes))
         self.centre_m = centre_m
         """Centre [m], shape (3,); multipliers stay as it moves, as a first guess."""
@@ -123,7 +118,7 @@ Each correction leaves a tenth of the penetration or less.
 LINEAR_LIMIT = 500
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class NewtonSolution(Solution):
     """Displacement, outcome and forces of a solve by Newton's method.
 
@@ -167,7 +162,7 @@ class NewtonSolver:
     ) -> None:
         self.body = body
         self.held = held
-        self._tolerance = require_positive("tolerance", tolerance, "use 1e-8")
+        self._tolerance = tolerance
         self._step_limit = step_limit
         self._free = np.flatnonzero(~held.ravel())
         rest = body.stiffness(np.zeros(held.shape))
@@ -216,7 +211,7 @@ class NewtonSolver:
         push = np.zeros(3)
         if sphere is not None:
             push = sphere.energy_and_force(self.body.nodes_m + now)[1].sum(axis=0)
-        return NewtonSolution(now, outcome, steps, residual, force, push)
+        return NewtonSolution(now, outcome, steps, residual, force_N=force, tool_force_N=push)
 
     def _moved_on(self, start: Array, move: Array) -> Array:
         """Return the start with held components moved and free components following to first order.
@@ -377,23 +372,22 @@ def resting_sphere(
 
     The second value is the distance of its centre beyond the point [m].
     """
-    radius = require_positive("radius_m", radius_m, "use 0.01")
     body = solver.body
     surface = np.unique(body.space.faces)
     offset = body.nodes_m[surface] - point_m
-    near = np.linalg.norm(offset, axis=1) < 3.0 * radius
+    near = np.linalg.norm(offset, axis=1) < 3.0 * radius_m
     surface = surface[near]
     offset = offset[near]
     along = offset @ direction
     aside = np.linalg.norm(offset - along[:, None] * direction, axis=1)
-    inside = aside < radius
+    inside = aside < radius_m
     if not inside.any():
         raise InputError(
             "point_m", "lie on the surface", point_m, "no node of it is in the sphere's path"
         )
-    touching = float((along[inside] - np.sqrt(radius**2 - aside[inside] ** 2)).min())
+    touching = float((along[inside] - np.sqrt(radius_m**2 - aside[inside] ** 2)).min())
     penalty = STIFFER * solver.rest_diagonal.reshape(-1, 3)[surface].mean(axis=1)
     centre = point_m + touching * direction
     return RigidSphere(
-        surface, penalty, radius_m=radius, centre_m=centre, tolerance=tolerance
+        surface, penalty, radius_m=radius_m, centre_m=centre, tolerance=tolerance
     ), touching

@@ -55,8 +55,6 @@ def test_a_compliance_that_would_not_fit_is_refused_beforehand():
     assert surface_compliance_m_N(body, SURFACE, limit_bytes=needed).nbytes == needed
     with pytest.raises(InputError, match="touchable"):
         surface_compliance_m_N(body, SURFACE, limit_bytes=needed - 1)
-    with pytest.raises(InputError, match="touchable"):
-        surface_compliance_m_N(body, SURFACE[:0])
 
 
 def lazy(nodes, **options):
@@ -99,8 +97,6 @@ def test_columns_on_demand_are_poured_one_node_at_a_time_into_a_matrix_of_all():
     assert np.abs(block - whole[np.ix_(rows, rows)]).max() < 1e-12 * np.abs(whole).max()
     assert np.isnan(matrix).sum() == matrix.size - len(rows) ** 2
     assert there.pour(matrix) == 0
-    with pytest.raises(InputError, match="matrix_m_N must be contiguous"):
-        there.pour(matrix[:, ::2])
 
 
 def test_the_least_recently_used_node_is_evicted():
@@ -116,8 +112,6 @@ def test_the_least_recently_used_node_is_evicted():
     assert ready(there, np.array([0, 2, 4]))  # what is wanted stays whatever its age
     with pytest.raises(InputError):
         there.want(np.arange(4))
-    with pytest.raises(InputError, match="capacity_bytes must hold one node"):
-        lazy(SURFACE, capacity_bytes=each - 1)
 
 
 def test_a_thread_finds_columns_in_the_background_and_drops_what_is_no_longer_wanted():

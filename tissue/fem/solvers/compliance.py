@@ -68,12 +68,8 @@ def surface_compliance_m_N(
     Raises
     ------
     InputError
-        If there is no touchable node, a node is not in the body, or the memory exceeds the limit.
+        If the memory exceeds the limit.
     """
-    if len(touchable) == 0 or not body.carrying[touchable].all():
-        raise InputError(
-            "touchable", "name nodes of cells", f"{len(touchable)} nodes", "leave others out"
-        )
     needed = 8 * (3 * len(touchable)) ** 2
     if needed > limit_bytes:
         raise InputError(
@@ -170,11 +166,6 @@ class LazyCompliance:
         Nodes that may be touched, shape (t,).
     capacity_bytes
         Memory of the buffer.
-
-    Raises
-    ------
-    InputError
-        If the buffer does not hold a single node.
     """
 
     def __init__(
@@ -186,10 +177,6 @@ class LazyCompliance:
         each = 3 * 8 * len(self._rows)
         self.capacity = min(capacity_bytes // max(each, 1), len(self._touchable))
         """Nodes that the buffer holds."""
-        if self.capacity < 1:
-            raise InputError(
-                "capacity_bytes", f"hold one node, {each} bytes", capacity_bytes, "allow more"
-            )
         self._columns = np.empty((self.capacity, len(self._touchable), 3, 3))
         self._slot = np.full(len(self._touchable), -1)
         self._used: OrderedDict[int, None] = OrderedDict()
@@ -243,23 +230,11 @@ class LazyCompliance:
 
         Raises
         ------
-        InputError
-            If the matrix has another shape or is not contiguous.
         RuntimeError
             If the background thread failed.
         """
         if self._problem is not None:
             raise RuntimeError("the compliance could not be found") from self._problem
-        if (
-            matrix_m_N.shape != (len(self._rows), len(self._rows))
-            or not matrix_m_N.flags.c_contiguous
-        ):
-            raise InputError(
-                "matrix_m_N",
-                f"be contiguous of shape {(len(self._rows),) * 2}",
-                f"shape {matrix_m_N.shape}",
-                "make it with np.full",
-            )
         with self._changed:
             while self._arrived and self._slot[self._arrived[0]] < 0:
                 self._arrived.popleft()

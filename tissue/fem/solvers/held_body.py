@@ -88,7 +88,7 @@ class HeldBody:
     Raises
     ------
     InputError
-        If shapes do not fit, K is not finite, nothing is held, a held node belongs to no cell, or
+        If K is not finite, nothing is held, a held node belongs to no cell, or
         a connected part may move as a rigid body.
     """
 
@@ -97,14 +97,6 @@ class HeldBody:
     fixed: Flags
 
     def __post_init__(self) -> None:
-        count = len(self.nodes_m)
-        if self.stiffness.shape != (3 * count, 3 * count) or self.fixed.shape != (count, 3):
-            raise InputError(
-                "stiffness and fixed",
-                f"be for the {count} nodes of nodes_m",
-                f"{self.stiffness.shape} and {self.fixed.shape}",
-                "make them on one space",
-            )
         if not np.isfinite(self.stiffness.data).all():
             raise InputError("stiffness", "be finite", "NaN or infinity", "check the moduli")
         if not (self.fixed & self.carrying[:, None]).any():
