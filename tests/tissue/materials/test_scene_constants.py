@@ -28,14 +28,6 @@ def written(folder, *texts):
     return path
 
 
-def cited_again(table, material):
-    """A material's constants as they are cited, as a file."""
-    found = constants(table, material).items()
-    return "\n".join(
-        entry(f"{table}.{material}.{name}", one.value, one.low, one.high) for name, one in found
-    )
-
-
 def test_a_layer_comes_before_its_material(tmp_path):
     given = Materials.read(
         written(tmp_path, entry(RADIAL, 20.0), entry("cutting.trabecular.radial_chip_N_mm2", 7.0))
