@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 from time import perf_counter
+from typing import Any
 
 import warp as wp
 
@@ -71,9 +72,10 @@ class SplitLaunch:
     inputs, outputs
         Arguments of the kernel.
     offset_index
-        Place in ``inputs`` of the first thread's index.
+        Place in ``inputs`` of the first thread's index; default: after the inputs.
     device
-        Warp device name; on a GPU the launch is never split.
+        Warp device name; default: the device of the first output. On a GPU the launch is never
+        split.
     cores
         Parts to split into; 1 never splits. Default: all cores.
     """
@@ -84,18 +86,20 @@ class SplitLaunch:
         *,
         dim: int | tuple[int, ...],
         inputs: Sequence[object],
-        outputs: Sequence[object],
-        offset_index: int,
-        device: str,
+        outputs: Sequence[Any],
+        offset_index: int | None = None,
+        device: str | None = None,
         cores: int | None = None,
     ) -> None:
+        device = device or str(outputs[0].device)
+        place = len(inputs) if offset_index is None else offset_index
         along, *across = (dim,) if isinstance(dim, int) else dim
         parts = 1 if device != "cpu" else min(cores or core_count(), along)
 
         def record(first: int, last: int) -> Callable[[], object]:
             """Run the launch of the threads from ``first`` up to ``last``."""
             arguments = list(inputs)
-            arguments[offset_index] = first
+            arguments[place : place + 1] = [first]
             command: wp.Launch = wp.launch(
                 kernel,
                 dim=(last - first, *across),

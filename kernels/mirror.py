@@ -1,12 +1,12 @@
-"""Small arrays that the host writes and reads every tick."""
+"""Arrays of the host on a device, and small arrays that both use in every tick."""
 
 from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Mirror"]
+__all__ = ["Mirror", "put"]
 
 
 class Mirror:
@@ -38,3 +38,8 @@ class Mirror:
         """Fetch the device's values."""
         if not self._shared:
             self.host[...] = self.device.numpy()
+
+
+def put(values: ArrayLike, dtype: type, device: str) -> Any:
+    """Return a copy of an array on a device."""
+    return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device)

@@ -47,7 +47,7 @@ WIDE_RAD = wp.constant(wp.float64(1.0))
 
 @wp.struct
 class MedialAxis:
-    """Segments of the medial axis, see `tissue.cutters.medial.MedialAxis`."""
+    """Segments of the medial axis, see `tissue.cutters.body.MedialAxis`."""
 
     starts: wp.array(dtype=wp.vec3d)  # [segment] radius and height of the centre, ball radius [m]
     ends: wp.array(dtype=wp.vec3d)

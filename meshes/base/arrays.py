@@ -5,10 +5,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Array", "Bytes", "Flags", "Floats", "Ints", "Singles", "lattice"]
+__all__ = ["Array", "Bytes", "Flags", "Floats", "Int32s", "Integers", "Ints", "Singles", "lattice"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Int32s = NDArray[np.int32]
+Integers = NDArray[np.integer]
 Floats = NDArray[np.floating]
 Flags = NDArray[np.bool_]
 Bytes = NDArray[np.uint8]

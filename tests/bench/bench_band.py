@@ -18,8 +18,7 @@ from tissue.fitting.bands.band import band_of
 from tissue.fitting.bands.figures import LEVELS
 from tissue.fitting.bands.reweighed import Reweighed
 from tissue.fitting.bands.sample import Ranges, normals
-from tissue.materials.constants import constants
-from tissue.materials.prior import Prior
+from tissue.materials.constants import Prior, constants
 from tissue.scene.load import load_scene
 from tissue.simulation.load_record import record_loads
 from tissue.simulation.simulate import simulate

@@ -16,10 +16,10 @@ from time import perf_counter, process_time
 
 import gymnasium
 import numpy as np
+from environment_experts import expert_of
 from harness import machine
 
 import tissue.environments
-from tissue.environments.experts import expert_of
 
 NAMES = tuple(f"tissue/{name}-v0" for name in ("Milling", "Drilling", "Palpation"))
 RUNS = 5

@@ -16,9 +16,8 @@ from scipy.sparse.linalg import splu
 from meshes.organs.liver import liver, liver_region
 from meshes.tets.structured import box
 from tissue.fem.assembly import assemble
-from tissue.fem.solvers.direct import SuperLUFactor, dissected, factorised
-from tissue.fem.solvers.held_body import HeldBody, held_nodes, pointwise_graph
-from tissue.fem.solvers.multifrontal import Multifrontal
+from tissue.fem.solvers.direct import DirectSolver
+from tissue.fem.solvers.held_body import HeldBody, held_nodes
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 
@@ -62,15 +61,15 @@ def main():
     print(machine())
     rows = []
     for name, body in bodies():
-        blocks = dissected(body.nodes_m, pointwise_graph(body.stiffness))
         right = np.random.default_rng(0).normal(size=len(body.free))
-        _, matrix, _ = factorised(body, blocks)
-        ours, (kept, _, factor) = quickest(
-            lambda body=body, blocks=blocks: factorised(body, blocks)
-        )
-        assert isinstance(factor, Multifrontal)
+        ours, solver = quickest(lambda body=body: DirectSolver(body))
+        kept, matrix, factor = solver._order, solver._matrix, solver._factor
         solve, found = quickest(lambda factor=factor, right=right: factor.solve(right))
-        same, other = quickest(lambda matrix=matrix: SuperLUFactor(matrix))
+        same, other = quickest(
+            lambda matrix=matrix: splu(
+                matrix, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+            )
+        )
         same_solve, exact = quickest(lambda other=other, right=right: other.solve(right))
         apart = np.abs(found - exact).max() / np.abs(exact).max()
         plain = "-"

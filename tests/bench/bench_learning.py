@@ -10,9 +10,8 @@ from pathlib import Path
 
 import gymnasium
 import numpy as np
+from environment_experts import expert_of
 from harness import machine
-
-from tissue.environments.experts import expert_of
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "fixtures"))
 

@@ -17,8 +17,7 @@ from meshes.tets.structured import box
 from tissue.fem.assembly import assemble
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
-from tissue.models.organ.contact import ContactOutcome, SurfaceContact
-from tissue.models.organ.contact_points import contact_points
+from tissue.models.organ.contact import ContactOutcome, SurfaceContact, contact_points
 from tissue.models.organ.probe import SphereProbe
 
 SIZE_M, CELLS = (0.1, 0.1, 0.04), (21, 21, 11)

@@ -21,11 +21,10 @@ import numpy as np
 from harness import Cost, cost_of, machine, table  # adds the fixtures to the path
 from scipy.sparse import diags
 from scipy.sparse.linalg import cg
-from tooth_bodies import at_bottom, block
+from tooth_bodies import at_bottom, block, particle_stress
 
+from tissue.fem.solvers.held_body import rigid_modes
 from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.compliance import rigid_motions
-from tissue.models.tooth.recovery import particle_stress
 
 SIDE_M, BALL_M, FEED_M, TOLERANCE = 8e-3, 0.5e-3, 2e-5, 1e-4
 
@@ -147,9 +146,9 @@ def against_aggregation(cells: int) -> None:
     free = np.flatnonzero((~body.supports.fixed).ravel())
     matrix = body.matrix().tocsr()[free][:, free]
     scale = 1.0 / np.sqrt(matrix.diagonal())
-    modes = rigid_motions(
-        body.grid.node_position_m, body.grid.node_position_m.mean(axis=0)
-    ).reshape(-1, 6)[free]
+    modes = rigid_modes(body.grid.node_position_m, body.grid.node_position_m.mean(axis=0)).reshape(
+        -1, 6
+    )[free]
     scaled = (diags(scale) @ matrix @ diags(scale)).tocsr()
     scaled.indices, scaled.indptr = scaled.indices.astype(np.int32), scaled.indptr.astype(np.int32)
     start = perf_counter()

@@ -18,7 +18,7 @@ import numpy as np
 from harness import machine, table  # adds the fixtures to the path
 from pressed_deep import by_newton, moving_N, scene_of, surface_error
 
-from tissue.models.organ.law_offset import LawOffset
+from tissue.models.organ.law import LawOffset
 from tissue.simulation.simulate import simulate
 
 RATIOS, INTERVALS_MS = (1.0, 1.4, 2.0, 2.8), (10.0, 25.0, 100.0)

@@ -17,6 +17,7 @@ from meshes.shapes.sdf import cylinder
 from meshes.tooth.molar import molar
 from meshes.voxels.voxelise import voxelise
 from tissue.models.tooth.field import StressField
+from tissue.models.tooth.recovery import REACH_M, StressRecovery
 
 SETTINGS = ((1.0, 2), (0.7, 2), (0.5, 1), (0.5, 2), (0.5, 4), (0.4, 2), (0.3, 2), (0.2, 2))
 """Edge of a cell [mm] and particles along it; the last is the reference."""
@@ -46,7 +47,15 @@ def measure(cell_mm: float, along: int) -> dict[str, float | np.ndarray]:
         field.solve(0.1, FORCE_N * (1.05 + 0.05 * k), POINT_M)
         warm.append(perf_counter() - start)
     moved = np.average(frame.points["displacement_um"], axis=0, weights=field.body.carrying)
-    probes = field.stress_at(stressed, PROBES_M, "dentin")
+    dentin = np.full(len(PROBES_M), tooth.layer_names.index("dentin"))
+    recovery = StressRecovery(
+        field.body.particles,
+        field.body.cells,
+        PROBES_M,
+        dentin,
+        reach_m=max(REACH_M, tooth.spacing_m),
+    )
+    probes = recovery(stressed)
     return {
         "unknowns": field.unknown_count,
         "particles": len(field.body.particles.volume_m3),

@@ -75,7 +75,7 @@ class Scene:
         self.radii = np.linalg.norm(corners - self.centres[:, None], axis=2).max(axis=1)
 
     def distance(self, points_m):
-        return PROBE.distance((points_m - self.tip) @ self.turn.as_matrix())[0]
+        return PROBE.distance((points_m - self.tip) @ self.turn.as_matrix())
 
     def find(self, largest_m):
         results = np.zeros(RESULTS)

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import warp as wp
 from scipy.spatial.transform import Rotation
-from tooth_bodies import block
+from tooth_bodies import block, particle_stress
 
 from kernels.particle_stress import principal_values
 from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.recovery import particle_stress, stress_invariants
-from tissue.models.tooth.supports import NodeSupports
+from tissue.models.tooth.grid import NodeSupports
+from tissue.models.tooth.recovery import stress_invariants
 
 
 def deformed():

@@ -8,7 +8,7 @@ import pytest
 import trimesh
 from contact_slab import Slab, along, away
 from tet_bodies import distorted
-from tooth_bodies import at_bottom, block
+from tooth_bodies import at_bottom, block, particle_stress
 
 import kernels.launcher as launcher
 from kernels.launcher import SplitLaunch
@@ -16,9 +16,9 @@ from meshes.voxels.volume import density_volume
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr
 from tissue.fem.assembly import assemble
+from tissue.fem.fields import cell_stress
 from tissue.fem.hyperelastic import Law, NonlinearBody
 from tissue.fem.space import Space
-from tissue.fem.stress import cell_stress
 from tissue.materials.constants import cutting_coefficients
 from tissue.materials.elasticity import lame, stiffness_of_lame
 from tissue.materials.hyperelasticity import Hyperelastic
@@ -27,7 +27,6 @@ from tissue.models.bone.model import BoneModel
 from tissue.models.organ.probe import ShellProbe
 from tissue.models.tissue_model import ToolMotion
 from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.recovery import particle_stress
 
 
 def whole_and_in_parts(run, monkeypatch):

@@ -8,9 +8,8 @@ from tet_fields import isotropic, node_stress
 
 from kernels.tetrahedra import pair_stiffness_isotropic
 from tissue.fem.assembly import assemble, pair_tables
-from tissue.fem.shapes import EDGES
-from tissue.fem.space import Space
-from tissue.fem.stress import cell_stress
+from tissue.fem.fields import cell_stress
+from tissue.fem.space import EDGES, Space
 from tissue.materials.elasticity import lame, orthotropic, rotated
 
 ROUNDING = 1e-13

@@ -12,8 +12,7 @@ from scipy.special import ndtri
 
 from tissue.fitting.bands.band import band_of
 from tissue.fitting.bands.figures import LEVELS
-from tissue.materials.constants import constants
-from tissue.materials.prior import Prior
+from tissue.materials.constants import Prior, constants
 from tissue.scene.scene import Scene
 
 FLUTES, RADIUS_MM, FEED_MM_S, SPIN_RPM = 6, 1.0, 10.0, 5000.0

@@ -9,8 +9,7 @@ from tet_bodies import faces_where, planes, solve
 from tet_fields import node_stress
 
 from meshes.tets.structured import box
-from tissue.fem.assembly import assemble
-from tissue.fem.loads import gravity, traction
+from tissue.fem.assembly import assemble, gravity, traction
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 

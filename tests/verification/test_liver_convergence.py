@@ -9,8 +9,7 @@ from tet_bodies import slope, solve_iteratively
 
 from meshes.tets.structured import box
 from tissue.fem.assembly import assemble
-from tissue.fem.shapes import EDGES, gradient_slopes
-from tissue.fem.space import Space
+from tissue.fem.space import EDGES, Space, gradient_slopes
 from tissue.materials.elasticity import lame
 
 FIRST, SHEAR = lame(1.0, 0.3)

@@ -6,8 +6,7 @@ from tet_bodies import faces_where, solve, wedge
 from tet_fields import pressure
 
 from meshes.tets.structured import box, graded
-from tissue.fem.assembly import assemble
-from tissue.fem.capsule import capsule_stiffness
+from tissue.fem.assembly import assemble, capsule_stiffness
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 

@@ -8,7 +8,6 @@ import pytest
 from linear_limits import LinearLimits, linear_limits, press
 from scipy.spatial.transform import Rotation
 
-from meshes.base.errors import InputError
 from meshes.organs.liver import liver, liver_region
 from meshes.surfaces.surface import read_surface
 from meshes.tets.bisection import bisected
@@ -299,27 +298,3 @@ def test_corotational_cells_can_be_pressed_flat():
     )
     assert len(found) > 1 and found[-2].converged
     assert found[-1].outcome is SolverOutcome.STALLED
-
-
-def test_bad_input():
-    """Refused where it enters."""
-    space = shaken_box(1)
-    body, shape = NonlinearBody(space, LIVER, law=Law.LINEAR), space.nodes_m.shape
-    with pytest.raises(InputError, match="held must mark"):
-        NewtonSolver(body, np.zeros(shape, dtype=bool))
-    with pytest.raises(InputError, match="tolerance must be positive"):
-        NewtonSolver(body, np.ones(shape, dtype=bool), tolerance=0.0)
-    base = space.nodes_m[:, 2] < 1e-9
-    for words, change in {
-        "inward must": {"inward": (0.0, 0.0, 0.0)},
-        "point_m must": {"point_m": (1.0, 1.0, 1.0)},
-        "depths_m must": {"depths_m": (2e-3, 1e-3)},
-    }.items():
-        asked = {
-            "point_m": (0.015, 0.015, 0.03),
-            "inward": (0.0, 0.0, -1.0),
-            "depths_m": (1e-3,),
-            **change,
-        }
-        with pytest.raises(InputError, match=words):
-            press(body, base, radius_m=RADIUS_M, **asked)

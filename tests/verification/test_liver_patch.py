@@ -9,10 +9,9 @@ from tet_bodies import distorted, planes, solve
 from tet_fields import isotropic
 
 from meshes.tets.tetrahedra import TetMesh
-from tissue.fem.assembly import assemble
-from tissue.fem.capsule import capsule_stiffness
+from tissue.fem.assembly import assemble, capsule_stiffness
+from tissue.fem.fields import cell_stress
 from tissue.fem.space import Space
-from tissue.fem.stress import cell_stress
 from tissue.materials.elasticity import lame, orthotropic, rotated, transversely_isotropic
 
 FIELD = np.array([[1.0, 0.3, -0.2], [0.1, -0.7, 0.4], [-0.5, 0.2, 0.6]]) * 1e-3

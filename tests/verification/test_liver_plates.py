@@ -9,8 +9,7 @@ from round_bodies import mapped
 from tet_bodies import faces_where, planes, slab, solve
 from tet_fields import node_stress, pressure
 
-from tissue.fem.assembly import assemble
-from tissue.fem.loads import traction
+from tissue.fem.assembly import assemble, traction
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 

@@ -6,8 +6,7 @@ from round_bodies import sphere_shell
 from tet_bodies import faces_where, planes, slope, solve_iteratively
 from tet_fields import node_stress, pressure
 
-from tissue.fem.assembly import assemble
-from tissue.fem.capsule import capsule_stiffness
+from tissue.fem.assembly import assemble, capsule_stiffness
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 

@@ -189,7 +189,7 @@ def test_removed_and_remaining_add_up_exactly_in_every_layer():
     model = BoneModel(layered, Cutter(ball_burr(diameter_m=2 * RADIUS_M), 6, 1000.0), BONE * 3)
     for x in (-1e-3, 0.3e-3, 1.1e-3):
         sweep(model, (x, 0, 0.1e-3), (x, 2e-4, -7e-4), step_m=1e-5)
-        assert (model.removed_steps + model.store.steps_by_layer() == model.start_steps).all()
+        assert (model.removed_steps + model.store.steps_by_layer() == model.store.start_steps).all()
     assert (model.removed_steps > 0).all()
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from needle_drives import CAPSULE, EXACT, FRICTION, LIVER, SPEED_M_S, drive, energy_J, pushed, trace
 
-from tissue.models.needle.insertion import Insertion
+from tissue.models.needle.model import Insertion
 from tissue.models.needle.parameters import Membrane, NeedleTissue, needle_tissue, vessel_wall
 
 FITTED = 0.15

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from needle_drives import CAPSULE, EXACT, FRICTION, LIVER, SPEED_M_S, drive, pushed
 
-from tissue.models.needle.insertion import Insertion
+from tissue.models.needle.model import Insertion
 from tissue.models.needle.parameters import needle_tissue, vessel_wall
 
 

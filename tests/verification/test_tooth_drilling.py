@@ -95,7 +95,7 @@ def test_what_is_booked_is_what_is_missing(drilled):
     """Removed volume per layer equals the missing volume in the voxels, exactly."""
     bone = drilled.model.milling
     np.testing.assert_array_equal(
-        bone.start_steps - bone.removed_steps, bone.store.steps_by_layer()
+        bone.store.start_steps - bone.removed_steps, bone.store.steps_by_layer()
     )
     lost = dict(zip(bone.layer_names, bone.removed_steps, strict=True))
     assert min(lost["enamel"], lost["dentin"], lost["pulp"]) > 0

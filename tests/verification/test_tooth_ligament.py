@@ -9,10 +9,8 @@ from scipy.spatial.transform import Rotation
 from tooth_bodies import block
 
 from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.compliance import support_compliance
-from tissue.models.tooth.grid import HexGrid, ParticleSet
-from tissue.models.tooth.ligament import bed_springs, bed_stiffness
-from tissue.models.tooth.supports import NodeSupports
+from tissue.models.tooth.grid import HexGrid, NodeSupports, ParticleSet, bed_springs, bed_stiffness
+from tissue.models.tooth.recovery import support_compliance
 
 MM = 1e-3
 ACROSS, ALONG = 11e9, 1e9  # [N/m3], their ratio that of a Poisson's ratio of 0.45

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.grid import HexGrid, ParticleSet
-from tissue.models.tooth.supports import NodeSupports
+from tissue.models.tooth.grid import HexGrid, NodeSupports, ParticleSet
 
 LAYERS = ("Enamel", "Dentin", "Pulp", "PDL")
 MODULUS = np.array([84e9, 18.6e9, 2e6, 50e6])

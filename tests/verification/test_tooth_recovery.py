@@ -7,11 +7,11 @@ it is Kelvin's point force, spread over a ball.
 import numpy as np
 import pytest
 from hollow_sphere import INNER, OUTER, exact_stress, pressure_load, sphere
-from tooth_bodies import block, lattice, on_boundary, slope
+from tooth_bodies import block, lattice, on_boundary, particle_stress, slope
 
 from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.recovery import StressRecovery, ball_weight, particle_stress
-from tissue.models.tooth.supports import NodeSupports
+from tissue.models.tooth.grid import NodeSupports, ball_weight
+from tissue.models.tooth.recovery import StressRecovery
 
 REACH = 0.35
 FULL = [[0, 5, 4], [5, 1, 3], [4, 3, 2]]

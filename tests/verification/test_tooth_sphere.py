@@ -16,9 +16,7 @@ from hollow_sphere import (
     pressure_load,
     sphere,
 )
-from tooth_bodies import slope
-
-from tissue.models.tooth.recovery import particle_stress
+from tooth_bodies import particle_stress, slope
 
 
 def energy_norm(stress, weights):

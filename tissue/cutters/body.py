@@ -1,17 +1,28 @@
-"""Whole body of a tool, including pegs and inside, used to measure distances to structures."""
+"""Whole body of a tool, used to measure distances to structures: outline and medial axis.
 
+The medial axis holds the centres of the largest inscribed balls, whose union is the tool.
+"""
+
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from math import ceil, cos, pi
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.arrays import Array, lattice
+from meshes.base.arrays import Array, Int32s, Ints, lattice
 from tissue.cutters.cutter import spiral
 from tissue.cutters.profile import Arc, Line, Piece, Profile
 
-__all__ = ["OutlineTable", "body_points", "convex_parts", "outline_table"]
+__all__ = [
+    "MEDIAL_TOLERANCE_M",
+    "MedialAxis",
+    "OutlineTable",
+    "body_points",
+    "convex_parts",
+    "medial_axis",
+    "outline_table",
+]
 
 ON_SURFACE = 3000
 INSIDE = 1000
@@ -71,10 +82,10 @@ class OutlineTable:
         1 where a part is convex, shape (parts,).
     """
 
-    kind: NDArray[np.int32]
+    kind: Int32s
     shape: Array
-    first: NDArray[np.int32]
-    convex: NDArray[np.int32]
+    first: Int32s
+    convex: Int32s
 
 
 def outline_table(profile: Profile) -> OutlineTable:
@@ -88,10 +99,10 @@ def outline_table(profile: Profile) -> OutlineTable:
     convex = [_is_convex(part) for part in parts]
     kinds = [isinstance(piece, Arc) for part in parts for piece in part]
     return OutlineTable(
-        np.array(kinds, dtype=np.int32),
+        np.array(kinds, np.int32),
         np.array(rows),
         first.astype(np.int32),
-        np.array(convex, dtype=np.int32),
+        np.array(convex, np.int32),
     )
 
 
@@ -135,3 +146,162 @@ def _is_convex(pieces: tuple[Piece, ...]) -> bool:
     starts_down = normals[0][0][1] <= CONVEX
     ends_up = normals[-1][1][1] >= -CONVEX
     return bool(starts_down and ends_up)
+
+
+MEDIAL_TOLERANCE_M = 4e-6
+"""Largest distance from a ball of the true axis to the balls of the polylines [m].
+
+It is the distance by which the ball extends beyond their union.
+"""
+STRAIGHT_M = 1e-6
+"""Largest deviation of the polylines in the space of radius, height and ball radius [m].
+
+It is a fourth of the tolerance. A ball extends by at most twice the deviation, and the two steps,
+sampling and merging, each add one deviation.
+"""
+FIRST_SAMPLES = 9
+HALVINGS = 26
+"""Initial samples of each piece, and largest number of halvings of the intervals between them."""
+BISECTIONS = 44
+TOUCH_M = 1e-10
+"""Distance by which a ball may extend beyond the outline [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class MedialAxis:
+    """Segments of the medial axis of a half section.
+
+    Attributes
+    ----------
+    starts_m, ends_m
+        Radius, height and ball radius at both ends of each segment [m], shape (segments, 3). The
+        ball radius is linear in between.
+    across
+        1 where no single convex part of the tool contains the ball, as at the foot of a peg,
+        shape (segments,).
+    """
+
+    starts_m: Array
+    ends_m: Array
+    across: Int32s
+
+
+def medial_axis(profile: Profile) -> MedialAxis:
+    """Compute the medial axis of a half section.
+
+    Each largest ball touches the outline. The outline is sampled, and at each sample the largest
+    ball that touches it from inside is found by bisection.
+    """
+    chains = [_chain(profile, touch) for touch in _touches(profile.pieces)]
+    starts = np.concatenate([chain[:-1] for chain in chains])
+    ends = np.concatenate([chain[1:] for chain in chains])
+    parts = [Profile(part, True) for part in convex_parts(profile)]
+    middles = 0.5 * (starts + ends)
+    across = np.zeros(len(starts), np.int32)
+    if len(parts) > 1:
+        for balls in (starts, middles, ends):
+            held = np.max([-part.distance(balls[:, :2])[0] for part in parts], axis=0)
+            across |= (held < balls[:, 2] - STRAIGHT_M).astype(np.int32)
+    return MedialAxis(starts, ends, across)
+
+
+Touch = Callable[[Array], tuple[Array, Array]]
+"""Map from shares in [0, 1] to outline points [m] and outward normals, each of shape (n, 2)."""
+
+
+def _touches(pieces: tuple[Piece, ...]) -> list[Touch]:
+    """Return the contacts of an inscribed ball: each piece, and each reentrant corner.
+
+    A reentrant corner points into the tool.
+    """
+    touches: list[Touch] = [piece.at for piece in pieces]
+    ends = np.array([0.0, 1.0])
+    for before, after in pairwise(pieces):
+        corner = after.at(ends)[0][0]
+        first = before.at(ends)[1][1]
+        last = after.at(ends)[1][0]
+        turn = float(np.arctan2(first[0] * last[1] - first[1] * last[0], first @ last))
+        if turn < 0.0:
+            touches.append(_fan(corner, float(np.arctan2(first[1], first[0])), turn))
+    return touches
+
+
+def _fan(corner: Array, first: float, turn: float) -> Touch:
+    """Return the contact at a corner, with normals between the normals of its two pieces."""
+
+    def touch(share: Array) -> tuple[Array, Array]:
+        angle = first + share * turn
+        return np.broadcast_to(corner, (len(share), 2)), np.column_stack(
+            [np.cos(angle), np.sin(angle)]
+        )
+
+    return touch
+
+
+def _chain(profile: Profile, touch: Touch) -> Array:
+    """Return the polyline of ball centres and radii along one piece, shape (n, 3)."""
+    share = np.linspace(0.0, 1.0, FIRST_SAMPLES)
+    balls = _balls(profile, *touch(share))
+    is_open = np.ones(len(share) - 1, bool)
+    for _ in range(HALVINGS):
+        (where,) = np.nonzero(is_open)
+        if not len(where):
+            break
+        middle = 0.5 * (share[where] + share[where + 1])
+        between = _balls(profile, *touch(middle))
+        bent = _deviation(between, balls[where], balls[where + 1]) > STRAIGHT_M
+        is_open[where] = bent
+        share = np.insert(share, where + 1, middle)
+        balls = np.insert(balls, where + 1, between, axis=0)
+        is_open = np.insert(is_open, where + 1, bent)
+    return balls[_merged(balls)]
+
+
+def _balls(profile: Profile, points: Array, normals: Array) -> Array:
+    """Return the largest inscribed balls that touch given points of the outline, shape (n, 3).
+
+    The columns are radius and height of the centre, and the ball radius.
+    """
+    low, high = profile.height_range_m
+    least = np.zeros(len(points))
+    most = np.full(len(points), 0.5 * (high - low) + profile.radius_m)
+    for _ in range(BISECTIONS):
+        size = 0.5 * (least + most)
+        centres = points - size[:, None] * normals
+        # A centre outside the tool is closer to the crossing point, so that no sign is needed.
+        # Beyond the axis, a ball is closer to the other side of the outline.
+        nearest = np.min([piece.seen_from(centres)[0] for piece in profile.pieces], axis=0)
+        fits = (centres[:, 0] >= -TOUCH_M) & (nearest >= size - TOUCH_M)
+        least = np.where(fits, size, least)
+        most = np.where(fits, most, size)
+    centres = points - least[:, None] * normals
+    centres[:, 0] = np.maximum(centres[:, 0], 0.0)
+    return np.column_stack([centres, least])
+
+
+def _deviation(balls: Array, starts: Array, ends: Array) -> Array:
+    """Return the distances of balls from segments [m].
+
+    Distances are in the space of radius, height and ball radius.
+    """
+    along = ends - starts
+    squared = np.maximum(np.einsum("ij,ij->i", along, along), 1e-30)
+    share = np.clip(np.einsum("ij,ij->i", balls - starts, along) / squared, 0.0, 1.0)
+    return np.asarray(np.linalg.norm(balls - starts - share[:, None] * along, axis=1))
+
+
+def _merged(balls: Array) -> Ints:
+    """Return the samples that represent a polyline (Douglas and Peucker 1973)."""
+    kept = {0, len(balls) - 1}
+    spans = [(0, len(balls) - 1)]
+    while spans:
+        first, last = spans.pop()
+        if last - first < 2:
+            continue
+        inner = balls[first + 1 : last]
+        deviation = _deviation(inner, balls[first : first + 1], balls[last : last + 1])
+        if deviation.max() > STRAIGHT_M:
+            split = first + 1 + int(deviation.argmax())
+            kept.add(split)
+            spans += [(first, split), (split, last)]
+    return np.array(sorted(kept))

@@ -4,10 +4,9 @@ from dataclasses import dataclass
 from math import ceil, pi, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kernels.revolution import EDGE_BEND
-from meshes.base.arrays import Array, Singles, lattice
+from meshes.base.arrays import Array, Ints, Singles, lattice
 from meshes.base.kept import Kept
 from tissue.cutters.profile import Piece, Profile
 
@@ -216,7 +215,7 @@ def spiral(piece: Piece, *, spacing_m: float) -> tuple[Array, Array, Array]:
     return points, normals, areas
 
 
-def _patches(points: Array, chosen: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+def _patches(points: Array, chosen: Ints) -> list[Ints]:
     """Return indices of points in patches of `PATCH`, by halving along the longest side.
 
     The last patch may be smaller.

@@ -207,7 +207,7 @@ def _inside(outline: Array, points: Array) -> Flags:
 
     The method counts crossings along +radius.
     """
-    inside = np.zeros(len(points), dtype=bool)
+    inside = np.zeros(len(points), bool)
     for (r0, z0), (r1, z1) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
         if z0 == z1 or max(r0, r1) < AXIS_M:
             continue

@@ -2,35 +2,41 @@
 
 from functools import cached_property
 from os import PathLike
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Singles
 from meshes.tooth.molar import molar
 from meshes.voxels.volume import VoxelVolume
 from meshes.voxels.voxelise import voxelise
 from tissue.cutters import ball_burr
-from tissue.environments.environment import ContactEnvironment, Entry
-from tissue.environments.restorable_bone import RestorableBone
+from tissue.environments.environment import ContactEnvironment, Entry, RestorableBone
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 from tissue.motion.thrust import SpeedSearch, implicit_speed
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["Drilling"]
 
 REGION_M = np.array([[-2.0e-3, -2.0e-3, -4.0e-3], [2.0e-3, 2.0e-3, 1.2e-3]])
 SPACING_M = 5e-5
 """Edge of a voxel [m]: a twentieth of the bur."""
-BUR_MM, FLUTES, SPIN_RPM = 1.0, 6, 400_000.0
+BUR_MM = 1.0
+FLUTES = 6
+SPIN_RPM = 400_000.0
+COLOURS = ("#CFE3F2", "#E8D3A2", "#D55E00", "#8C6D46", "#B0A0C0", "#D8D2C4")
+"""Colours of the layers in pictures."""
 HAND_KG = 0.1
 """Mass that moves with the bur [kg]: a handpiece and part of the hand.
 
 A handpiece has 0.06 to 0.1 kg (from memory of makers' data).
 """
 TOP_SPEED_M_S = 1e-2
-START_M, CEILING_M = 5e-4, 8e-4
+START_M = 5e-4
+CEILING_M = 8e-4
 """Gap between tip and tooth at the start, and at which the bur counts as withdrawn [m]."""
 INTO_DENTIN_M = 5e-4
 """Wanted depth beyond the junction of enamel and dentin [m].
@@ -236,24 +242,24 @@ class Drilling(ContactEnvironment):
         withdrawn = self._deepest_m > 0.0 and self.depth_m <= -CEILING_M + 1e-9
         return withdrawn or self._deepest_m - self.wanted_m >= TOO_DEEP_M
 
-    def _observe(self) -> NDArray[np.float32]:
-        depths = 1e3 * self.depth_m, 1e3 * self._deepest_m
-        loads = self._loads[:3], 1e3 * self._loads[3:]
+    def _observe(self) -> Singles:
         removed = 1e9 * float(self.bone.model.removed_m3.sum())
-        return self._scaled(*depths, 1e3 * self._speed, *loads, removed, self.time_left)
+        depths = 1e3 * self.depth_m, 1e3 * self._deepest_m
+        return self._scaled(*depths, 1e3 * self._speed, *self._loads_shown, removed, self.time_left)
 
     def _facts(self) -> dict[str, Any]:
-        removed = {name: self.bone.removed_mm3(name) for name in ("enamel", "dentin")}
-        deepest = 1e3 * self._deepest_m
-        wanted = 1e3 * self.wanted_m
         return {
             "depth_mm": 1e3 * self.depth_m,
-            "deepest_mm": deepest,
-            "wanted_mm": wanted,
-            "removed_mm3": removed,
+            "deepest_mm": 1e3 * self._deepest_m,
+            "wanted_mm": 1e3 * self.wanted_m,
+            "removed_mm3": {name: self.bone.removed_mm3(name) for name in ("enamel", "dentin")},
         }
 
-    def _draw(self) -> NDArray[np.uint8]:
-        from tissue.environments.pictures import drilling_picture
-
-        return drilling_picture(self)
+    def _draw(self, figure: "Figure") -> None:
+        """Draw a section along x under the bur, with the wanted depth."""
+        side = figure.subplots()
+        self.bone.draw_under_tool(side, self.tool.tip_m, COLOURS)
+        wanted = 1e3 * (self.surface_m - self.wanted_m)
+        side.axhline(wanted, color="0.2", linestyle="--", linewidth=1.0, label="wanted depth")
+        side.set_ylim(-4.0, 2.5)
+        side.legend(loc="lower right", fontsize=8)

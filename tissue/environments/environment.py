@@ -1,29 +1,162 @@
-"""Base class of the environments: ticks, observation, reward, limits of time and force."""
+"""Base of the environments: bone that is restored for every episode, ticks, observation, reward."""
 
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from os import PathLike
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Bytes, Flags, Ints, Singles
 from meshes.base.errors import InputError, require_positive, require_range
+from meshes.voxels.volume import VoxelVolume
+from tissue.cutters.cutter import Cutter
+from tissue.materials.scene_constants import Materials
+from tissue.models.bone.bricks import voxels_of
 from tissue.models.tissue_model import TICK_S, Response, TissueModel, ToolMotion
 from tissue.motion.motion import Motion
+from tissue.scene.used_constants import used_of_cutting
+from tissue.simulation.builders.bone import VoxelBone
+from tissue.simulation.builders.own_constants import given_note
 from tissue.simulation.loop import Stepper
 
-__all__ = ["FORCE_WEIGHT", "TIME_WEIGHT", "ContactEnvironment", "Entry"]
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["PATCH_POINTS", "ContactEnvironment", "Entry", "RestorableBone"]
+
+PATCH_POINTS = 9
+"""Number of points along each side of a patch."""
+LAYER_BITS = 255
+
+
+class RestorableBone:
+    """Voxels under one cutter that `restore` resets to the uncut state.
+
+    Parameters
+    ----------
+    volume
+        Voxels with layers.
+    cutter
+        The tool.
+    shell_spacing_m
+        Distance between the cutter's elements [m].
+    materials
+        File of constants in place of the cited ones; None for the cited ones.
+
+    Attributes
+    ----------
+    model
+        The bone under the cutter.
+    """
+
+    def __init__(
+        self,
+        volume: VoxelVolume,
+        cutter: Cutter,
+        *,
+        shell_spacing_m: float,
+        materials: str | PathLike[str] | None = None,
+    ) -> None:
+        self.volume = volume
+        given = Materials.of(materials)
+        layers = volume.layer_names
+        used = used_of_cutting(given, layers, bone="bone", stated={}, has_reference_density=False)
+        given_note(given, used, layers=layers, by="environment")
+        # The material applies to layers without their own coefficients. Environments run in
+        # parallel, so each uses one core.
+        bone = VoxelBone(volume, given.coefficients(layers, {}, bone="bone"))
+        self.model = bone.model(cutter, shell_spacing_m=shell_spacing_m, cores=1)
+        self._uncut = self.model.carver.state()
+        self._material = self.model.store.material.numpy()
+        self._layer = self._material & LAYER_BITS
+
+    def restore(self, density_kg_m3: Mapping[str, float]) -> None:
+        """Restore the uncut bone, and set another density of some layers [kg/m3]."""
+        store = self.model.store
+        self.model.carver.restore(self._uncut)
+        self.model.removed_steps[:] = 0
+        store.touched.zero_()
+        density = self._material >> 16
+        for name, value in density_kg_m3.items():
+            density[self._layer == store.grid.layer_names.index(name)] = round(value)
+        np.copyto(self._material, density << 16 | self._layer)
+
+    def removed_mm3(self, layer: str) -> float:
+        """Return the volume removed from a layer so far [mm3]."""
+        return 1e9 * float(self.model.removed_m3[self.model.layer_names.index(layer)])
+
+    def voxels(self, layer: str) -> tuple[Ints, Array]:
+        """Return full voxels of a layer before any cut.
+
+        They are indices into the flat array of stored voxels, and centres [m].
+        """
+        store = self.model.store
+        full = self._uncut.bricks["remaining"].numpy() == np.iinfo(np.uint16).max
+        chosen = full & (self._layer == store.grid.layer_names.index(layer))
+        places, _ = voxels_of(store.places, np.arange(len(chosen)), chosen.astype(np.int64))
+        return np.flatnonzero(chosen), store.grid.origin_m + store.grid.spacing_m * (places + 0.5)
+
+    def left(self, at: Ints) -> Flags:
+        """Return whether voxels are at least half full, by their indices in the flat array."""
+        stored = self.model.store.remaining.numpy().reshape(-1)
+        return np.asarray(stored[at] > np.iinfo(np.uint16).max // 2)
+
+    def patch(self, centre_m: Array, spacing_m: float) -> Singles:
+        """Return the share of bone at points around a centre, shape (9, 9, 9), from 0 to 1.
+
+        The axes are along x, y and z.
+        """
+        side = spacing_m * (np.arange(PATCH_POINTS) - PATCH_POINTS // 2)
+        points = np.stack(np.meshgrid(side, side, side, indexing="ij"), axis=-1).reshape(-1, 3)
+        found = self.model.store.sample(centre_m + points).reshape((PATCH_POINTS,) * 3)
+        return np.clip(found, 0.0, 1.0, dtype=np.float32)
+
+    def draw_section(
+        self, panel: "Axes", across: int, at_m: float, colours: tuple[str, ...]
+    ) -> None:
+        """Draw the layers of the remaining bone in the plane across an axis [m]."""
+        from matplotlib.colors import ListedColormap
+
+        volume = self.volume
+        place = int((at_m - volume.origin_m[across]) / volume.spacing_m)
+        place = min(max(place, 0), volume.shape[across] - 1)
+        left = np.take(self.model.remaining(), place, axis=across) > 127
+        shown = np.where(left, np.take(volume.layer, place, axis=across).astype(np.int64), -1)
+        first, second = (axis for axis in range(3) if axis != across)
+        low = 1e3 * volume.origin_m
+        high = low + 1e3 * volume.spacing_m * np.array(volume.shape)
+        panel.imshow(
+            shown.T,
+            origin="lower",
+            extent=(low[first], high[first], low[second], high[second]),
+            cmap=ListedColormap(["#FFFFFF", *colours]),
+            vmin=-1.5,
+            vmax=len(colours) - 0.5,
+        )
+        panel.set_xlabel(f"{'xyz'[first]} / mm")
+        panel.set_ylabel(f"{'xyz'[second]} / mm")
+
+    def draw_under_tool(self, panel: "Axes", tip_m: Array, colours: tuple[str, ...]) -> None:
+        """Draw a section along x under the tool, and the outline of its ball."""
+        from matplotlib.patches import Circle
+
+        self.draw_section(panel, 1, tip_m[1], colours)
+        x, _, z = 1e3 * tip_m
+        radius = 1e3 * self.model.cutter.profile.radius_m
+        panel.add_patch(Circle((x, z + radius), radius, fill=False, color="0.2"))
+
 
 FORCE_WEIGHT = 1.0
 """Penalty for a whole episode at twice the force limit."""
 TIME_WEIGHT = 0.1
 """Penalty for the time of a whole episode; doing nothing scores its negative."""
-FRAMES_PER_S = 50
 
 
 @dataclass(frozen=True)
@@ -48,7 +181,7 @@ class Entry:
     count: int = 1
 
 
-class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
+class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
     """Environment in which a policy moves a tool against tissue; it is the tool's motion.
 
     A step is `ticks` ticks of 1 ms under one action, whose entries lie in [-1, 1]. The observation
@@ -76,7 +209,7 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
         None, or ``rgb_array``, for which `render` returns a picture.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": FRAMES_PER_S}  # noqa: RUF012
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012
     entries: ClassVar[tuple[Entry, ...]]
     action_count: ClassVar[int]
     ranges: ClassVar[Mapping[str, tuple[float, float]]]
@@ -96,20 +229,25 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
         render_mode: str | None = None,
     ) -> None:
         self.ticks = int(require_range("ticks", ticks, 1, 200, "use 20 for 50 actions a second"))
-        duration = self.usual_duration_s if duration_s is None else duration_s
-        limit = self.usual_force_limit_N if force_limit_N is None else force_limit_N
         self.force_limit_N = require_positive(
-            "force_limit_N", limit, f"use {self.usual_force_limit_N:g}"
+            "force_limit_N",
+            self.usual_force_limit_N if force_limit_N is None else force_limit_N,
+            f"use {self.usual_force_limit_N:g}",
         )
-        require_range("duration_s", duration, 0.1, 600.0, f"use {self.usual_duration_s:g}")
+        self.duration_s = require_range(
+            "duration_s",
+            self.usual_duration_s if duration_s is None else duration_s,
+            0.1,
+            600.0,
+            f"use {self.usual_duration_s:g}",
+        )
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise InputError(
                 "render_mode", "be None or rgb_array", f"{render_mode!r}", "leave it out"
             )
         self.metadata = {**self.metadata, "render_fps": max(round(1.0 / (self.ticks * TICK_S)), 1)}
         self.render_mode = render_mode
-        self.duration_s = float(duration)
-        self._steps = max(round(duration / (self.ticks * TICK_S)), 1)
+        self._steps = max(round(self.duration_s / (self.ticks * TICK_S)), 1)
         self._scales = np.concatenate([np.full(each.count, each.scale) for each in self.entries])
         self.action_space = spaces.Box(-1.0, 1.0, (self.action_count,), np.float32)
         self.observation_space: spaces.Space[Any] = spaces.Box(
@@ -163,9 +301,8 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Advance by `ticks` ticks."""
-        if not self.drawn:
-            raise InputError("step", "follow reset", "no episode", "call reset first")
-        command = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
+        self._require_episode("step")
+        command = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
         before = self._potential()
         peak = 0.0
         excess = 0.0
@@ -175,7 +312,7 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
             self._loads += wrench
             force = float(np.sqrt(wrench[:3].dot(wrench[:3])))
             peak = max(peak, force)
-            excess = excess + max(force / self.force_limit_N - 1.0, 0.0)
+            excess += max(force / self.force_limit_N - 1.0, 0.0)
         self._loads /= self.ticks
         self._done_steps += 1
         after = self._potential()
@@ -204,28 +341,46 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
         """Mean contact force of the last step [N], shape (3,)."""
         return self._loads[:3].copy()
 
+    @property
+    def _loads_shown(self) -> tuple[Array, Array]:
+        """Mean force [N] and torque [N mm] of the last step."""
+        return self._loads[:3], 1e3 * self._loads[3:]
+
     def named(self, observation: Any) -> dict[str, Array]:
         """Return the numbers of an observation by name, in the units of `entries`."""
         state = observation["state"] if isinstance(observation, dict) else observation
-        values = np.asarray(state, dtype=np.float64) * self._scales
+        values = np.asarray(state, np.float64) * self._scales
         places = np.cumsum([e.count for e in self.entries])
         return {
             entry.name: values[end - entry.count : end]
             for entry, end in zip(self.entries, places.tolist(), strict=True)
         }
 
-    def _scaled(self, *values: ArrayLike) -> NDArray[np.float32]:
+    def _scaled(self, *values: ArrayLike) -> Singles:
         """Return the numbers of `entries` as an observation."""
         whole = np.concatenate([np.atleast_1d(each) for each in values])
         return np.clip(whole / self._scales, -1.0, 1.0).astype(np.float32)
 
-    def render(self) -> NDArray[np.uint8] | None:
+    def render(self) -> Bytes | None:
         """Return a picture, shape (height, width, 3); None without a render mode."""
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
         if self.render_mode is None:
             return None
+        self._require_episode("render")
+        figure = Figure(figsize=(6.4, 3.6), dpi=100, layout="constrained")
+        force = float(np.linalg.norm(self.mean_force_N))
+        done_s = (1.0 - self.time_left) * self.duration_s
+        figure.suptitle(f"{done_s:.2f} s, {force:.3g} N, score {self.score:.3f}", fontsize=10)
+        self._draw(figure)
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        return np.array(canvas.buffer_rgba(), np.uint8)[..., :3]
+
+    def _require_episode(self, method: str) -> None:
         if not self.drawn:
-            raise InputError("render", "follow reset", "no episode", "call reset first")
-        return self._draw()
+            raise InputError(method, "follow reset", "no episode", "call reset first")
 
     @property
     @abstractmethod
@@ -263,5 +418,5 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
         """Return additional entries of ``info``."""
 
     @abstractmethod
-    def _draw(self) -> NDArray[np.uint8]:
-        """Return a picture of the present state."""
+    def _draw(self, figure: "Figure") -> None:
+        """Draw the present state."""

@@ -2,30 +2,35 @@
 
 from functools import cached_property
 from os import PathLike
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Ints
 from meshes.voxels.volume import VoxelVolume, density_volume
 from tissue.cutters import ball_burr
-from tissue.environments.environment import ContactEnvironment, Entry
-from tissue.environments.restorable_bone import PATCH_POINTS, RestorableBone
+from tissue.environments.environment import PATCH_POINTS, ContactEnvironment, Entry, RestorableBone
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import Response, ToolMotion
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["Milling"]
 
 LAYERS = ("target", "tolerance", "spared")
+COLOURS = ("#D55E00", "#F0C090", "#D8D2C4")
+"""Layers, and their colours in pictures."""
 BLOCK_MM = (13.2, 10.8, 3.6)
 SPACING_MM = 0.2
 """Edge of a voxel [mm]: a twentieth of the burr.
 
 On the tested paths, forces differ by at most 2 % from the forces with 0.1 mm.
 """
-BURR_MM, FLUTES, SPIN_RPM = 4.0, 6, 20_000.0
+BURR_MM = 4.0
+FLUTES = 6
+SPIN_RPM = 20_000.0
 TOLERANCE_MM = 0.25
 """Distance from the pocket's wall that counts neither as target nor as overcut [mm].
 
@@ -122,7 +127,7 @@ class Milling(ContactEnvironment):
         )
 
     @cached_property
-    def _target(self) -> tuple[NDArray[np.intp], Array]:
+    def _target(self) -> tuple[Ints, Array]:
         return self.bone.voxels("target")
 
     @cached_property
@@ -163,10 +168,8 @@ class Milling(ContactEnvironment):
 
         Both are relative to the target's volume.
         """
-        removed = self.bone.model.removed_m3
-        return 1e9 * float(removed[0]) / self._target_mm3, 1e9 * float(
-            removed[2]
-        ) / self._target_mm3
+        target, _, spared = (1e9 * self.bone.model.removed_m3 / self._target_mm3).tolist()
+        return target, spared
 
     def _potential(self) -> dict[str, float]:
         share, over = self._shares()
@@ -183,9 +186,8 @@ class Milling(ContactEnvironment):
             1e3 * away[np.einsum("ij,ij->i", away, away).argmin()] if len(left) else np.zeros(3)
         )
         velocity = 1e3 * self.tool.speed_m_s * self.tool.heading[0]
-        loads = self._loads[:3], 1e3 * self._loads[3:]
         state = self._scaled(
-            self.tip_mm, velocity, *loads, nearest, *self._shares(), self.time_left
+            self.tip_mm, velocity, *self._loads_shown, nearest, *self._shares(), self.time_left
         )
         if not self._with_patch:
             return state
@@ -197,10 +199,13 @@ class Milling(ContactEnvironment):
         volumes = {"removed_mm3": share * self._target_mm3, "overcut_mm3": over * self._target_mm3}
         return {"removed_share": share, **volumes, "tip_mm": self.tip_mm}
 
-    def _draw(self) -> NDArray[np.uint8]:
-        from tissue.environments.pictures import milling_picture
-
-        return milling_picture(self)
+    def _draw(self, figure: "Figure") -> None:
+        """Draw sections under the burr along x, and through the pocket at half its depth."""
+        side, top = figure.subplots(1, 2)
+        self.bone.draw_under_tool(side, self.tool.tip_m, COLOURS)
+        side.set_ylim(-3.6, 4.5)
+        self.bone.draw_section(top, 2, -0.5e-3 * self.pocket_mm[2], COLOURS)
+        top.plot(*self.tip_mm[:2], "+", color="0.2")
 
 
 def _block(pocket_mm: tuple[float, float, float]) -> VoxelVolume:

@@ -1,24 +1,30 @@
 """Environment for palpating a slab of soft tissue for a stiff nodule under its surface."""
 
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Singles
 from meshes.organs.liver import Nodule, slab, slab_base
 from tissue.environments.environment import ContactEnvironment, Entry
-from tissue.models.organ.model import LiverModel
+from tissue.models.organ.model import ContactSolution, LiverModel
 from tissue.models.organ.probe import SphereProbe
+from tissue.models.organ.soft_organ import ToolPath
 from tissue.models.tissue_model import Response, ToolMotion
 from tissue.simulation.builders.organ_given import SoftMaterial
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 __all__ = ["Palpation"]
 
-SIZE_M, EDGE_M = (0.1, 0.1, 0.028), 4e-3
-NODULE_RADIUS_M, NODULE_DEPTH_M = 8e-3, 13e-3
-MODULUS_KPA, NODULE_TIMES = 5.0, 20.0
+SIZE_M = (0.1, 0.1, 0.028)
+EDGE_M = 4e-3
+NODULE_RADIUS_M = 8e-3
+NODULE_DEPTH_M = 13e-3
+MODULUS_KPA = 5.0
+NODULE_TIMES = 20.0
 """Young's modulus used in the solution [kPa], and stiffness ratio of the nodule to the tissue.
 
 Forces are scaled to the episode's modulus.
@@ -28,7 +34,9 @@ POISSON_RATIO = 0.45
 BALL_RADIUS_M = 8e-3
 REACH_M = 22e-3
 """Largest lateral distance of the fingertip from its start [m]."""
-LOWEST_M, START_M, CEILING_M = -3e-3, 1e-3, 3e-3
+LOWEST_M = -3e-3
+START_M = 1e-3
+CEILING_M = 3e-3
 """Heights of the tip: deepest, at the start, and at which it counts as lifted [m].
 
 At the deepest height linear elasticity is within 5 % of a hyperelastic force.
@@ -83,7 +91,6 @@ class Palpation(ContactEnvironment):
     }
     usual_duration_s = 6.0
     usual_force_limit_N = 0.4
-    reach_m, nodule_radius_m = REACH_M, NODULE_RADIUS_M
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
@@ -92,11 +99,11 @@ class Palpation(ContactEnvironment):
         self._turn = np.eye(3)
         self._velocity_m_s = np.zeros(3)
         self._touched = False
-        self.path: list[tuple[float, ...]] = []
+        self._path: list[tuple[float, ...]] = []
         """Tip [mm] and upward force [N] at the end of every step, for pictures."""
 
     @cached_property
-    def organ(self) -> LiverModel:
+    def model(self) -> LiverModel:
         """Model of the slab under the fingertip; made at the first reset.
 
         Its compliance is kept on disk.
@@ -120,12 +127,8 @@ class Palpation(ContactEnvironment):
         tips = tips[np.linalg.norm(tips[:, :2], axis=1) < farthest + EDGE_M]
         turns = np.broadcast_to(np.eye(3), (len(tips), 3, 3))
         organ = material.organ(mesh, slab_base(mesh))
-        return organ.under(SphereProbe(BALL_RADIUS_M), tips, turns, path="condensed", cores=1)[0]
-
-    @property
-    def model(self) -> LiverModel:
-        """Model of the slab."""
-        return self.organ
+        path = ToolPath(SphereProbe(BALL_RADIUS_M), tips, turns)
+        return LiverModel(organ, path, ContactSolution("condensed", cores=1))
 
     def _prepare(self) -> None:
         bearing, turn = (np.deg2rad(self.drawn[name]) for name in ("bearing_deg", "turn_deg"))
@@ -138,7 +141,7 @@ class Palpation(ContactEnvironment):
         self.tip_m[:] = (0.0, 0.0, START_M)
         self._velocity_m_s[:] = 0.0
         self._touched = False
-        self.path = []
+        self._path = []
 
     def begin(self, motion: ToolMotion) -> None:
         """Bring the tool to the tip, in the frame of the slab, with the nodule in its middle."""
@@ -173,10 +176,10 @@ class Palpation(ContactEnvironment):
     def _is_over(self) -> bool:
         return self._touched and self.tip_m[2] >= CEILING_M
 
-    def _observe(self) -> NDArray[np.float32]:
-        self.path.append((*(1e3 * self.tip_m).tolist(), float(self._loads[2])))
-        loads = self._loads[:3], 1e3 * self._loads[3:]
-        return self._scaled(1e3 * self.tip_m, 1e3 * self._velocity_m_s, *loads, self.time_left)
+    def _observe(self) -> Singles:
+        self._path.append((*(1e3 * self.tip_m).tolist(), float(self._loads[2])))
+        velocity = 1e3 * self._velocity_m_s
+        return self._scaled(1e3 * self.tip_m, velocity, *self._loads_shown, self.time_left)
 
     def _facts(self) -> dict[str, Any]:
         return {
@@ -185,7 +188,25 @@ class Palpation(ContactEnvironment):
             "error_mm": self.error_mm,
         }
 
-    def _draw(self) -> NDArray[np.uint8]:
-        from tissue.environments.pictures import palpation_picture
+    def _draw(self, figure: "Figure") -> None:
+        """Draw the fingertip's path, coloured by its force, and the position of the nodule."""
+        from matplotlib.patches import Circle
 
-        return palpation_picture(self)
+        top = figure.subplots()
+        x, y, _, force = np.array(self._path).T
+        shown = top.scatter(x, y, c=force, s=12, cmap="viridis")
+        figure.colorbar(shown, ax=top, label="force along z / N")
+        nodule_x, nodule_y = 1e3 * self.nodule_m
+        top.add_patch(
+            Circle(
+                (nodule_x, nodule_y),
+                1e3 * NODULE_RADIUS_M,
+                fill=False,
+                color="#D55E00",
+                linestyle="--",
+            )
+        )
+        top.plot(x[-1], y[-1], "o", color="0.2", fillstyle="none", markersize=10)
+        reach = 1e3 * REACH_M
+        top.set(xlabel="x / mm", ylabel="y / mm", aspect="equal")
+        top.set(xlim=(-reach, reach), ylim=(-reach, reach))

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
+from math import nan
 
 import numpy as np
 
@@ -10,7 +11,6 @@ from meshes.base.arrays import Array
 
 __all__ = [
     "Iterate",
-    "IterativeSolution",
     "Solution",
     "SolverOutcome",
     "conjugate_gradients",
@@ -29,9 +29,6 @@ class SolverOutcome(Enum):
     INDEFINITE = (
         "the stiffness is not positive definite: check moduli, Poisson's ratio, sliver cells and "
         "loose parts"
-    )
-    OUTSIDE_BASIS = (
-        "the basis does not hold this load to the tolerance: take more modes, or another solver"
     )
     INVERTED = "the held nodes turn cells over: move them in smaller steps"
     STALLED = (
@@ -54,15 +51,17 @@ class Solution:
     iterations
         Iterations; 0 for a solver that does not iterate.
     residual
-        Norm of ``f - K u`` over the free components, relative to the norm of f. For a reduced basis
-        it is the relative error in the energy norm instead: the modes left out change the
-        displacement little, but they change f a lot.
+        Norm of ``f - K u`` over the free components, relative to the norm of f.
+    error
+        Estimated error in the energy norm, relative to the energy norm of the displacement, of an
+        iterative solve.
     """
 
     displacement_m: Array
     outcome: SolverOutcome
     iterations: int
     residual: float
+    error: float = nan
 
     @property
     def converged(self) -> bool:
@@ -72,19 +71,6 @@ class Solution:
 
 LEAST_SHARE = 1e-13
 """Residuals below this share of the load are rounding errors."""
-
-
-@dataclass(frozen=True, eq=False)
-class IterativeSolution(Solution):
-    """Displacement and the outcome of its solve, with an estimate of its error.
-
-    Attributes
-    ----------
-    error
-        Estimated error in the energy norm, relative to the energy norm of the displacement.
-    """
-
-    error: float
 
 
 @dataclass(eq=False)
@@ -123,7 +109,7 @@ def conjugate_gradients(
     start: Array | None = None,
     least_curvature: Callable[[Array], float] = lambda direction: 0.0,
     correct_last: bool = False,
-) -> IterativeSolution:
+) -> Solution:
     """Solve ``K u = f`` for a symmetric positive definite K, on arrays of any shape.
 
     The factor of the direction is Polak and Ribiere's. It tolerates a preconditioner that is not
@@ -152,9 +138,7 @@ def conjugate_gradients(
     """
     norm = np.sqrt(dot(load, load))
     if norm == 0.0:
-        return IterativeSolution(
-            np.zeros_like(load), SolverOutcome.CONVERGED, 0, residual=0.0, error=0.0
-        )
+        return Solution(np.zeros_like(load), SolverOutcome.CONVERGED, 0, residual=0.0, error=0.0)
     found = np.zeros_like(load) if start is None else start
     now = Iterate(found, load - product(found) if found.any() else load)
     before = now.residual
@@ -189,7 +173,7 @@ def conjugate_gradients(
         now.found = now.found + length * direction
         before = now.residual
         now.residual = now.residual - length * along
-    return IterativeSolution(now.found, outcome, len(now.lengths), residual=left, error=estimate)
+    return Solution(now.found, outcome, len(now.lengths), residual=left, error=estimate)
 
 
 def dot(a: Array, b: Array) -> float:

@@ -1,13 +1,19 @@
-"""Time series of fields on a finite element mesh, for display and export."""
+"""Stress of a displacement, and time series of fields for display and export."""
 
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+import warp as wp
+from numpy.typing import ArrayLike
 
-from meshes.base.arrays import Array, Ints
+from kernels import tet_stress
+from kernels.launcher import SplitLaunch
+from kernels.mirror import put
+from meshes.base.arrays import Array, Bytes, Int32s, Ints, Singles
+from tissue.fem.space import Space, gradient_slopes
+from tissue.materials.elasticity import elasticity_rows, stiffness_of_lame
 
-__all__ = ["FieldSeries", "Frame", "StressState"]
+__all__ = ["FieldSeries", "Frame", "StressState", "cell_stress", "group_stress"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,8 +32,8 @@ class Frame:
     """
 
     time_s: float
-    points: dict[str, NDArray[np.float32]]
-    cells: dict[str, NDArray[np.float32]]
+    points: dict[str, Singles]
+    cells: dict[str, Singles]
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +59,7 @@ class FieldSeries:
 
     nodes_m: Array
     cells: Ints
-    layer: NDArray[np.uint8]
+    layer: Bytes
     layer_names: tuple[str, ...]
     frames: list[Frame] = field(default_factory=list)
     node_sets: dict[str, Ints] = field(default_factory=dict)
@@ -79,3 +85,58 @@ class StressState:
     stress_Pa: Array
     von_mises_Pa: Array
     principal_Pa: Array
+
+
+def cell_stress(space: Space, displacement_m: Array, elasticity: ArrayLike) -> StressState:
+    """Return the stress at the centre of each cell, which is its mean over the cell.
+
+    Parameters
+    ----------
+    space
+        Nodes and cells.
+    displacement_m
+        Displacement of each node [m], shape (n, 3).
+    elasticity
+        As for `tissue.fem.assembly.assemble`.
+
+    Raises
+    ------
+    InputError
+        If the elasticity is refused.
+    """
+    start = np.arange(space.cell_count + 1, dtype=np.int32)
+    return group_stress(space, displacement_m, elasticity, start, start[:-1], np.full((1, 4), 0.25))
+
+
+def group_stress(
+    space: Space,
+    displacement_m: Array,
+    elasticity: ArrayLike,
+    start: Int32s,
+    member: Int32s,
+    places: Array,
+) -> StressState:
+    """Return the mean stress of groups of cells at points in them, weighted by the cells' volumes.
+
+    Parameters as of `kernels.tet_stress.group_stress`, errors as of `cell_stress`.
+    """
+    rows = elasticity_rows(elasticity, space.cell_count)
+    stiffness = stiffness_of_lame(rows) if rows.ndim == 2 else rows
+    count = len(start) - 1
+    device = space.device
+    inputs = [
+        put(start, wp.int32, device),
+        put(member, wp.int32, device),
+        put(places, wp.vec4d, device),
+        put(gradient_slopes(4, space.order), wp.vec4d, device),
+        put(space.cell_nodes.astype(np.int32), wp.int32, device),
+        *space.gradients,
+        put(stiffness, wp.float64, device),
+        put(displacement_m, wp.vec3d, device),
+    ]
+    strain, stress = (wp.empty((count, 6), wp.float64, device) for _ in range(2))
+    von_mises = wp.empty(count, wp.float64, device)
+    principal = wp.empty(count, wp.vec3d, device)
+    outputs = [strain, stress, von_mises, principal]
+    SplitLaunch(tet_stress.group_stress, dim=count, inputs=inputs, outputs=outputs)()
+    return StressState(strain.numpy(), stress.numpy(), von_mises.numpy(), principal.numpy())

@@ -6,6 +6,7 @@ not.
 """
 
 from enum import Enum
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -14,11 +15,10 @@ from scipy.sparse import bsr_array
 
 from kernels import tet_hyperelastic, tet_nonlinear
 from kernels.launcher import SplitLaunch
+from kernels.mirror import put
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from tissue.fem.pattern import local_pairs
-from tissue.fem.shapes import gauss_points, gradient_slopes
-from tissue.fem.space import Space
+from tissue.fem.space import Space, gauss_points, gradient_slopes, local_pairs
 from tissue.materials.elasticity import elasticity_rows
 from tissue.materials.hyperelasticity import Hyperelastic
 
@@ -54,7 +54,7 @@ class NonlinearBody:
     Raises
     ------
     InputError
-        If the constants have another shape, do not describe a stable material, or are given twice.
+        If the constants have another shape or do not describe a stable material.
     """
 
     def __init__(
@@ -79,24 +79,13 @@ class NonlinearBody:
             [[0], np.cumsum(np.bincount(space.cell_nodes.ravel(), minlength=space.node_count))]
         )
 
-        def put(values: ArrayLike, dtype: type = wp.int32) -> wp.array[object]:
-            return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device)
-
-        def out(shape: int | tuple[int, int], dtype: type) -> wp.array[object]:
-            return wp.zeros(shape, dtype=dtype, device=device)
+        def out(shape: int | tuple[int, int], dtype: type) -> Any:
+            return wp.zeros(shape, dtype, device)
 
         def launch(
-            kernel: wp.Kernel, dim: int, inputs: list[object], outputs: list[wp.array[object]]
+            kernel: wp.Kernel, dim: int, inputs: list[object], outputs: list[Any]
         ) -> SplitLaunch:
-            index = len(inputs)
-            return SplitLaunch(
-                kernel,
-                dim=dim,
-                inputs=[*inputs, 0],
-                outputs=outputs,
-                offset_index=index,
-                device=device,
-            )
+            return SplitLaunch(kernel, dim=dim, inputs=inputs, outputs=outputs)
 
         self._displacement = out(space.node_count, wp.vec3d)
         self._energy = out(count, wp.float64)
@@ -110,22 +99,22 @@ class NonlinearBody:
             force = tet_hyperelastic.stretch_force
             stiffness = tet_hyperelastic.stretch_stiffness
         constants = [
-            put(part, wp.float64) if isinstance(part, np.ndarray) else part
+            put(part, wp.float64, device) if isinstance(part, np.ndarray) else part
             for part in _constants(lame_Pa, law, count, cell_factors)
         ]
         model: list[object] = [
-            put(space.cell_nodes.astype(np.int32)),
+            put(space.cell_nodes, wp.int32, device),
             *space.gradients,
-            put(reference, wp.float64),
-            put(np.full(len(at), 1.0 / len(at)), wp.float64),
+            put(reference, wp.float64, device),
+            put(np.full(len(at), 1.0 / len(at)), wp.float64, device),
             *constants,
             self._displacement,
         ]
         places = [
-            put(p)
-            for p in (pattern.pair_start, pattern.contribution, pattern.place, pattern.mirror)
+            put(each, wp.int32, device)
+            for each in (pattern.pair_start, pattern.contribution, pattern.place, pattern.mirror)
         ]
-        node_places = [put(p.astype(np.int32)) for p in (node_start, node_place)]
+        node_places = [put(each, wp.int32, device) for each in (node_start, node_place)]
         self._force_launches = (
             launch(force, count, model, [self._energy, shares]),
             launch(
@@ -135,7 +124,7 @@ class NonlinearBody:
                 [self._force],
             ),
         )
-        ends = [put(first.astype(np.int32)), put(second.astype(np.int32))]
+        ends = [put(each, wp.int32, device) for each in (first, second)]
         self._stiffness_launches = (
             launch(stiffness, count, [*ends, *model], [squares]),
             launch(
@@ -180,36 +169,13 @@ def _constants(
     powers.
     """
     if isinstance(law, Hyperelastic):
-        if lame_Pa is not None:
-            raise InputError(
-                "lame_Pa must be None for a hyperelastic law, which has its own constants: "
-                "leave it out"
-            )
-        each = np.ones(count) if factors is None else np.asarray(factors, dtype=np.float64)
-        if each.shape != (count,) or not (each > 0.0).all():
-            raise InputError(
-                "cell_factors",
-                f"be positive, shape ({count},)",
-                f"shape {each.shape}",
-                "give one a cell",
-            )
-        moduli = np.outer(each, [law.bulk_Pa, law.shear_Pa])
+        each = np.ones(count) if factors is None else factors
         return (
-            moduli,
+            np.outer(each, [law.bulk_Pa, law.shear_Pa]),
             np.array(law.terms) / [law.shear_Pa, 1.0],
             np.array(law.powers_Pa) / law.shear_Pa,
         )
-    if factors is not None:
-        raise InputError(
-            "cell_factors",
-            "be None without a hyperelastic law",
-            "some",
-            "give lame_Pa of each cell",
-        )
-    if lame_Pa is None:
-        raise InputError("lame_Pa", "have shape (2,) or (m, 2)", "None", "use materials.lame")
-    if np.shape(lame_Pa)[-1:] != (2,):
-        raise InputError(
-            "lame_Pa", "have shape (2,) or (m, 2)", np.shape(lame_Pa), "use materials.lame"
-        )
-    return list(Law).index(law), np.broadcast_to(elasticity_rows(lame_Pa, count), (count, 2))
+    lame = np.asarray(lame_Pa, np.float64)
+    if lame.shape[-1:] != (2,):
+        raise InputError("lame_Pa", "have shape (2,) or (m, 2)", lame.shape, "use materials.lame")
+    return list(Law).index(law), np.broadcast_to(elasticity_rows(lame, count), (count, 2))

@@ -13,15 +13,13 @@ equilibrium ``p <- max(0, p + k g)``. At the end g <= 0 where p = 0 and g = 0 wh
 penalty.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import bsr_array
 
-from meshes.base.arrays import Array, Ints
-from meshes.base.errors import InputError, require_positive
+from meshes.base.arrays import Array, Flags, Ints
+from meshes.base.errors import InputError
 from tissue.fem.conjugate_gradients import Solution, SolverOutcome, conjugate_gradients
 from tissue.fem.hyperelastic import NonlinearBody
 from tissue.fem.solvers.direct import DirectSolver
@@ -53,11 +51,6 @@ class RigidSphere:
         Centre [m], shape (3,).
     tolerance
         Allowed final depth of a node, or gap of a pressed node, over the radius.
-
-    Raises
-    ------
-    InputError
-        If the radius or the tolerance is not positive.
     """
 
     def __init__(
@@ -70,15 +63,12 @@ class RigidSphere:
         tolerance: float = 1e-6,
     ) -> None:
         self.nodes = nodes
-        self.radius_m = require_positive("radius_m", radius_m, "use 0.01")
+        self.radius_m = radius_m
         self._penalty = penalty_N_m
-        self._tolerance_m = self.radius_m * require_positive("tolerance", tolerance, "use 1e-6")
+        self._tolerance_m = self.radius_m * tolerance
         self._multiplier = np.zeros(len(nodes))
-        self.move_to(centre_m)
-
-    def move_to(self, centre_m: Array) -> None:
-        """Move the centre to a position [m], shape (3,); multipliers stay, as a first guess."""
         self.centre_m = centre_m
+        """Centre [m], shape (3,); multipliers stay as it moves, as a first guess."""
 
     def energy_and_force(self, positions_m: Array) -> tuple[float, Array]:
         """Return the energy [J] and its derivative by the positions of ``nodes`` [N].
@@ -97,10 +87,6 @@ class RigidSphere:
         return stiff[:, None, None] * along - (pressed / distance)[:, None, None] * (
             np.eye(3) - along
         )
-
-    def force_N(self, positions_m: Array) -> Array:
-        """Return the force of the body on the sphere [N], shape (3,)."""
-        return self.energy_and_force(positions_m)[1].sum(axis=0)
 
     def settled(self, positions_m: Array) -> bool:
         """Return True if the nodes satisfy the contact conditions, else correct the multipliers."""
@@ -132,7 +118,7 @@ Each correction leaves a tenth of the penetration or less.
 LINEAR_LIMIT = 500
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class NewtonSolution(Solution):
     """Displacement, outcome and forces of a solve by Newton's method.
 
@@ -164,35 +150,19 @@ class NewtonSolver:
         Residual force allowed, over the largest force in the body.
     step_limit
         Newton steps allowed in a solve.
-    precondition
-        Approximate inverse of the stiffness at rest of the free components, applied to vectors;
-        default: the factorisation of that stiffness.
 
     Raises
     ------
     InputError
-        If the held components leave a part free to move, or the shape is wrong.
+        If the held components leave a part free to move.
     """
 
     def __init__(
-        self,
-        body: NonlinearBody,
-        held: NDArray[np.bool_],
-        *,
-        tolerance: float = 1e-8,
-        step_limit: int = 60,
-        precondition: Callable[[Array], Array] | None = None,
+        self, body: NonlinearBody, held: Flags, *, tolerance: float = 1e-8, step_limit: int = 60
     ) -> None:
-        if held.shape != body.nodes_m.shape or not held.any():
-            raise InputError(
-                "held",
-                f"mark components of shape {body.nodes_m.shape}",
-                f"{int(held.sum())} of {held.shape}",
-                "hold a face",
-            )
         self.body = body
         self.held = held
-        self._tolerance = require_positive("tolerance", tolerance, "use 1e-8")
+        self._tolerance = tolerance
         self._step_limit = step_limit
         self._free = np.flatnonzero(~held.ravel())
         rest = body.stiffness(np.zeros(held.shape))
@@ -203,11 +173,11 @@ class NewtonSolver:
         extent = float(np.ptp(body.nodes_m, axis=0).max())
         self._rounding_N = POSITIONS * float(self.rest_diagonal.max()) * extent
         self._rounding_J = ROUNDING * 1e-2 * float(self.rest_diagonal.max()) * extent**2
-        self.precondition = precondition or _at_rest(HeldBody(rest, body.nodes_m, held))
-        """Approximate inverse of the stiffness at rest.
-
-        Another solver with the same supports may use it.
-        """
+        at_rest = HeldBody(rest, body.nodes_m, held)
+        solver = DirectSolver(at_rest)
+        self._precondition = lambda force: solver.solve(
+            at_rest.whole(force)
+        ).displacement_m.ravel()[at_rest.free]
 
     def solve(
         self,
@@ -220,18 +190,9 @@ class NewtonSolver:
 
         The solve starts from ``start_m`` [m]; the default of both is zero. With a sphere, its
         multipliers are corrected until the contact conditions are satisfied.
-
-        Raises
-        ------
-        InputError
-            If a held displacement is not finite.
         """
-        now = np.zeros(self.held.shape) if start_m is None else np.array(start_m, dtype=np.float64)
+        now = np.zeros(self.held.shape) if start_m is None else np.array(start_m, np.float64)
         goal = np.zeros(self.held.shape) if held_m is None else held_m
-        if not np.isfinite(goal).all():
-            raise InputError(
-                "held_m", "be finite", "NaN or infinity", "name every node, 0 where it stays"
-            )
         move = np.where(self.held, goal - now, 0.0)
         steps = 0
         if move.any():
@@ -247,8 +208,10 @@ class NewtonSolver:
                 break
             outcome = SolverOutcome.NOT_CONVERGED
         _, force = self.body.energy_and_force(now)
-        push = sphere.force_N(self.body.nodes_m + now) if sphere is not None else np.zeros(3)
-        return NewtonSolution(now, outcome, steps, residual, force, push)
+        push = np.zeros(3)
+        if sphere is not None:
+            push = sphere.energy_and_force(self.body.nodes_m + now)[1].sum(axis=0)
+        return NewtonSolution(now, outcome, steps, residual, force_N=force, tool_force_N=push)
 
     def _moved_on(self, start: Array, move: Array) -> Array:
         """Return the start with held components moved and free components following to first order.
@@ -338,20 +301,14 @@ class NewtonSolver:
         found = conjugate_gradients(
             product,
             load[free],
-            precondition=self.precondition,
+            precondition=self._precondition,
             tolerance=accuracy,
             limit=LINEAR_LIMIT,
             error=lambda now: float(np.sqrt(now.slopes[-1] / now.slopes[0])),
         )
         bent = found.outcome is SolverOutcome.INDEFINITE and found.iterations == 0
-        full[free] = self.precondition(load[free]) if bent else found.displacement_m
+        full[free] = self._precondition(load[free]) if bent else found.displacement_m
         return full.reshape(self.held.shape)
-
-
-def _at_rest(body: HeldBody) -> Callable[[Array], Array]:
-    """Return a function that solves for the free components with the stiffness at rest."""
-    solver = DirectSolver(body)
-    return lambda force: solver.solve(body.whole(force)).displacement_m.ravel()[body.free]
 
 
 STIFFER = 10.0
@@ -400,7 +357,7 @@ def press_at(
     depth = -radius_m - touching
     now = None
     for stop in np.linspace(touching, -radius_m, 2 + max(0, int(depth / (LONGEST * radius_m))))[1:]:
-        sphere.move_to(tip_m + stop * direction)
+        sphere.centre_m = tip_m + stop * direction
         solution = solver.solve(sphere=sphere, start_m=now)
         if not solution.converged:
             break
@@ -415,23 +372,22 @@ def resting_sphere(
 
     The second value is the distance of its centre beyond the point [m].
     """
-    radius = require_positive("radius_m", radius_m, "use 0.01")
     body = solver.body
     surface = np.unique(body.space.faces)
     offset = body.nodes_m[surface] - point_m
-    near = np.linalg.norm(offset, axis=1) < 3.0 * radius
+    near = np.linalg.norm(offset, axis=1) < 3.0 * radius_m
     surface = surface[near]
     offset = offset[near]
     along = offset @ direction
     aside = np.linalg.norm(offset - along[:, None] * direction, axis=1)
-    inside = aside < radius
+    inside = aside < radius_m
     if not inside.any():
         raise InputError(
             "point_m", "lie on the surface", point_m, "no node of it is in the sphere's path"
         )
-    touching = float((along[inside] - np.sqrt(radius**2 - aside[inside] ** 2)).min())
+    touching = float((along[inside] - np.sqrt(radius_m**2 - aside[inside] ** 2)).min())
     penalty = STIFFER * solver.rest_diagonal.reshape(-1, 3)[surface].mean(axis=1)
     centre = point_m + touching * direction
     return RigidSphere(
-        surface, penalty, radius_m=radius, centre_m=centre, tolerance=tolerance
+        surface, penalty, radius_m=radius_m, centre_m=centre, tolerance=tolerance
     ), touching

@@ -15,13 +15,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import bsr_array, csr_array, diags_array, kron
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Flags
 from tissue.fem.hyperelastic import NonlinearBody
-from tissue.fem.solvers.direct import DirectSolver
-from tissue.fem.solvers.multifrontal import NotPositiveDefiniteError
+from tissue.fem.solvers.direct import DirectSolver, NotPositiveDefiniteError
+from tissue.fem.solvers.held_body import components_of
 
 __all__ = ["Followed", "QuasiNewton", "Springs"]
 
@@ -151,7 +150,7 @@ class QuasiNewton:
     def __init__(
         self,
         body: NonlinearBody,
-        fixed: NDArray[np.bool_],
+        fixed: Flags,
         at_rest: DirectSolver,
         factorise: Callable[[bsr_array], DirectSolver],
     ) -> None:
@@ -303,7 +302,7 @@ class QuasiNewton:
         self._held_back = None
         if points.shape[0]:
             nodes = np.unique(points.indices // 3)
-            columns = (3 * nodes[:, None] + np.arange(3)).ravel()
+            columns = components_of(nodes)
             near = points[:, columns]
             between = near @ (near @ self.factor.compliance_between(nodes)).T
             self._held_back = np.linalg.inv(

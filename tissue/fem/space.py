@@ -1,6 +1,22 @@
-"""Displacement spaces on tetrahedra: linear (P1) and quadratic (P2).
+"""Displacement spaces on tetrahedra: shape functions, nodes, and the pattern of their matrices.
+
+Displacement spaces on tetrahedra: linear (P1) and quadratic (P2).
 
 Linear spaces have nodes at corners, quadratic spaces also in the middles of edges.
+
+Shape functions of straight-sided simplices, linear and quadratic, in barycentric coordinates.
+
+On a straight simplex the gradients g_c of the barycentric coordinates l_c are constant. The
+gradient of shape function A is ``sum_c sum_i slope[A, c, i] l_i g_c``. It is g_A (linear) or ``(4
+l_A - 1) g_A`` (quadratic) for a corner, with 1 = sum l_i, and ``4 (l_i g_j + l_j g_i)`` for the
+middle of edge ij. Products integrate exactly by ``mean(l_i l_j) = (1 + delta_ij) / ((d + 1) (d +
+2))``, so that no quadrature is needed.
+
+Positions of the 3x3 blocks of an assembled matrix, and the cells that contribute to each block.
+
+Pairs of nodes are grouped by two stable counting sorts, linear in their number. SciPy's conversion
+of one compressed row into columns is such a sort. Each pair occurs once, lower node first. Its
+mirror image gets a place, not a sum.
 """
 
 from dataclasses import dataclass
@@ -8,16 +24,183 @@ from functools import cached_property
 
 import numpy as np
 import warp as wp
+from scipy.sparse import csr_array
 
 from kernels.launcher import SplitLaunch
+from kernels.mirror import put
 from kernels.tetrahedra import cell_gradients
-from meshes.base.arrays import Array, Ints
+from meshes.base.arrays import Array, Int32s, Ints
 from meshes.base.errors import InputError
 from meshes.tets.tetrahedra import TetMesh
-from tissue.fem.pattern import Pattern, grouped
-from tissue.fem.shapes import EDGES, TRIANGLE_EDGES
 
-__all__ = ["Space"]
+__all__ = [
+    "EDGES",
+    "TRIANGLE_EDGES",
+    "Pattern",
+    "Space",
+    "gauss_points",
+    "gradient_products",
+    "gradient_slopes",
+    "grouped",
+    "local_pairs",
+    "mean_shape",
+]
+
+
+@dataclass(frozen=True, eq=False)
+class Pattern:
+    """Block pattern of a symmetric matrix over nodes, with both triangles stored by rows.
+
+    Attributes
+    ----------
+    row_start
+        First block of each node's row, shape (n + 1,).
+    column
+        Node of each block's column, rising within a row, shape (b,).
+    pair_start
+        First contribution to each pair of nodes, shape (p + 1,).
+    contribution
+        Cell times the pairs in a cell, plus the pair in the cell, shape (c,); in the order of cells
+        within a pair. The bitwise complement where the pair is reversed in its cell.
+    place
+        Block of each pair with the lower node as its row, shape (p,).
+    mirror
+        Block of its transpose, shape (p,); equal to `place` on the diagonal.
+    """
+
+    row_start: Int32s
+    column: Int32s
+    pair_start: Int32s
+    contribution: Int32s
+    place: Int32s
+    mirror: Int32s
+
+    @classmethod
+    def of(cls, cell_nodes: Ints, node_count: int) -> "Pattern":
+        """Return the pattern of cells with the nodes `cell_nodes`, shape (m, k)."""
+        a, b = local_pairs(cell_nodes.shape[1]).T
+        nodes = cell_nodes.astype(np.int32)
+        first = nodes[:, a].ravel()
+        second = nodes[:, b].ravel()
+        flipped = first > second
+        low = np.where(flipped, second, first)
+        high = np.where(flipped, first, second)
+        order, start = grouped(low, high, node_count)
+        lead = order[start[:-1]]
+        low = low[lead]
+        high = high[lead]
+        below = high != low
+        upper = np.bincount(low, minlength=node_count)
+        lower = np.bincount(high[below], minlength=node_count)
+        row_start = np.concatenate([[0], np.cumsum(upper + lower)])
+        rank = np.arange(len(low))
+        place = row_start[low] + lower[low] + rank - (np.cumsum(upper) - upper)[low]
+        turned = _sorted_by(high, np.flatnonzero(below).astype(np.int32), node_count)
+        mirror = place.copy()
+        mirror[turned] = (
+            row_start[high[turned]]
+            + np.arange(len(turned))
+            - (np.cumsum(lower) - lower)[high[turned]]
+        )
+        column = np.empty(row_start[-1], np.int32)
+        column[place] = high
+        column[mirror] = low
+        contribution = np.where(flipped[order], ~order, order)
+        return cls(
+            *(
+                part.astype(np.int32)
+                for part in (row_start, column, start, contribution, place, mirror)
+            )
+        )
+
+
+def local_pairs(nodes_a_cell: int) -> Ints:
+    """Return the pairs a <= b of a cell's nodes, row by row, shape (k (k + 1) / 2, 2)."""
+    return np.stack(np.triu_indices(nodes_a_cell), axis=1)
+
+
+def grouped(first: Int32s, second: Int32s, count: int) -> tuple[Int32s, Ints]:
+    """Return the stable order that sorts pairs of numbers, and the start of each pair.
+
+    The numbers are below `count`. The starts have shape (p + 1,).
+    """
+    every = np.arange(len(first), dtype=np.int32)
+    order = _sorted_by(first, _sorted_by(second, every, count), count)
+    ordered_first = first[order]
+    ordered_second = second[order]
+    new = np.ones(len(order) + 1, bool)
+    new[1:-1] = (ordered_first[1:] != ordered_first[:-1]) | (
+        ordered_second[1:] != ordered_second[:-1]
+    )
+    return order, np.flatnonzero(new)
+
+
+def _sorted_by(key: Int32s, order: Int32s, count: int) -> Int32s:
+    """Return `order` sorted stably by keys below `count`, in time linear in both."""
+    row = csr_array((order, key[order], np.array([0, len(order)], np.int32)), shape=(1, count))
+    return np.asarray(row.tocsc().data)
+
+
+EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
+"""Corners of the edges of a tetrahedron in the order of their middle nodes, VTK's order."""
+
+TRIANGLE_EDGES = EDGES[:3]
+"""Corners of each edge of a triangle."""
+
+GAUSS = 0.13819660112501052
+"""Barycentric coordinate of the four Gauss points that integrate quadratics: (5 - sqrt 5) / 20."""
+
+
+def gauss_points(order: int) -> Array:
+    """Return barycentric coordinates of a tetrahedron's Gauss points, which have equal weights.
+
+    Shape (1, 4) for linear cells, (4, 4) for quadratic cells.
+    """
+    return np.full((1, 4), 0.25) if order == 1 else GAUSS + (1.0 - 4.0 * GAUSS) * np.eye(4)
+
+
+def gradient_slopes(corners: int, order: int) -> Array:
+    """Return the slopes of the gradients, shape (nodes, corners, corners).
+
+    The axes are shape function, g_c and l_i.
+    """
+    edges = _edges(corners, order)
+    slope = np.zeros((corners + len(edges), corners, corners))
+    for a in range(corners):
+        slope[a, a] = 1.0 if order == 1 else -1.0
+        slope[a, a, a] += 0.0 if order == 1 else 4.0
+    for middle, (i, j) in enumerate(edges, start=corners):
+        slope[middle, j, i] = slope[middle, i, j] = 4.0
+    return slope
+
+
+def gradient_products(corners: int, order: int) -> Array:
+    """Return means of gradient products over the simplex, shape (nodes, nodes, corners, corners).
+
+    [A, B, c, d] multiplies g_c g_d^T.
+    """
+    slope = gradient_slopes(corners, order)
+    mean = (1.0 + np.eye(corners)) / (corners * (corners + 1))
+    return np.asarray(np.einsum("aci,bdj,ij->abcd", slope, slope, mean))
+
+
+def mean_shape(corners: int, order: int) -> Array:
+    """Return means of the shape functions over the simplex, shape (nodes,): shares of a uniform
+    load.
+    """
+    if order == 1:
+        return np.full(corners, 1.0 / corners)
+    middle = 4.0 / (corners * (corners + 1))
+    at_corner = 4.0 / (corners * (corners + 1)) - 1.0 / corners
+    return np.concatenate(
+        [np.full(corners, at_corner), np.full(len(_edges(corners, order)), middle)]
+    )
+
+
+def _edges(corners: int, order: int) -> Ints:
+    if order == 1:
+        return EDGES[:0]
+    return EDGES if corners == 4 else TRIANGLE_EDGES
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,22 +299,13 @@ class Space:
         The gradients are vectors of shape (m, 4), the volumes have shape (m,).
         """
         count = self.cell_count
-        nodes: wp.array[object] = wp.array(self.mesh.nodes_m, dtype=wp.vec3d, device=self.device)
-        cells: wp.array[object] = wp.array(
-            self.mesh.cells.astype(np.int32), dtype=wp.int32, device=self.device
-        )
+        nodes: wp.array[object] = put(self.mesh.nodes_m, wp.vec3d, self.device)
+        cells: wp.array[object] = put(self.mesh.cells.astype(np.int32), wp.int32, self.device)
         outputs = [
-            wp.empty((count, 4), dtype=wp.vec3d, device=self.device),
-            wp.empty(count, dtype=wp.float64, device=self.device),
+            wp.empty((count, 4), wp.vec3d, self.device),
+            wp.empty(count, wp.float64, self.device),
         ]
-        SplitLaunch(
-            cell_gradients,
-            dim=count,
-            inputs=[nodes, cells, 0],
-            outputs=outputs,
-            offset_index=2,
-            device=self.device,
-        )()
+        SplitLaunch(cell_gradients, dim=count, inputs=[nodes, cells], outputs=outputs)()
         return outputs[0], outputs[1]
 
     @cached_property
@@ -144,6 +318,6 @@ class Space:
         """Corners of each edge in rising order, (e, 2), and edges of each cell, (m, 6)."""
         ends = np.sort(self.mesh.cells[:, EDGES].reshape(-1, 2), axis=1).astype(np.int32)
         order, start = grouped(ends[:, 0], ends[:, 1], len(self.mesh.nodes_m))
-        edge_of = np.empty(len(order), dtype=np.int64)
+        edge_of = np.empty(len(order), np.int64)
         edge_of[order] = np.repeat(np.arange(len(start) - 1), np.diff(start))
         return ends[order[start[:-1]]].astype(np.int64), edge_of.reshape(-1, len(EDGES))

@@ -12,8 +12,7 @@ from meshes.base.errors import InputError
 from meshes.base.progress import Progress
 from tissue.fitting.forward import Parameter, chosen
 from tissue.fitting.measured import MeasuredLoads, shift_operators
-from tissue.materials.constants import CUT_AS, N_MM, N_MM2, CuttingCoefficients
-from tissue.materials.prior import Prior
+from tissue.materials.constants import CUT_AS, N_MM, N_MM2, CuttingCoefficients, Prior
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.replay import ReplayPoses
 from tissue.scene.scene import Scene

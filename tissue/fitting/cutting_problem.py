@@ -21,7 +21,7 @@ from tissue.fitting.log import MeasuredLog
 from tissue.fitting.measured import block_averages, block_ticks
 from tissue.fitting.posterior import Problem
 from tissue.fitting.signs import require_signs
-from tissue.models.bone.density_nodes import DensityNodes
+from tissue.models.bone.engagement import DensityNodes
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.motion import FollowPath
 from tissue.scene.anatomy import BlockAnatomy

@@ -16,7 +16,7 @@ from tissue.fitting.organ_problem import organ_problem
 from tissue.fitting.organ_runs import KEYS
 from tissue.fitting.posterior import Posterior, maximum_posterior
 from tissue.fitting.target import OFFSET_S
-from tissue.materials.prior import Prior
+from tissue.materials.constants import Prior
 from tissue.scene.anatomy import CutAnatomy
 from tissue.scene.organ import SoftAnatomy
 from tissue.scene.scene import Scene

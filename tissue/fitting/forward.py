@@ -8,7 +8,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from tissue.materials.prior import Prior
+from tissue.materials.constants import Prior
 
 __all__ = ["Forward", "LinearForward", "Parameter", "chosen", "fits"]
 

@@ -18,7 +18,7 @@ are integrated by Laplace's approximation (Tierney and Kadane 1986):
   cut off at the cited value. The part beyond the end is counted as the end. Half of the probability
   is the cited value itself, which is therefore the median. The other half has the far end of the
   range as its 95 % quantile. The maximum is found with the whole normal law
-  (`tissue.materials.prior.Prior.mirrored`). With ``z`` counted away from the end, the prior differs
+  (`Prior.mirrored`). With ``z`` counted away from the end, the prior differs
   from that law by the factor::
 
       0.5 delta(z) / phi(0) + (1 where z > 0)

@@ -17,7 +17,7 @@ from meshes.base.progress import silent
 from tissue.fitting.cutting import CHANNELS
 from tissue.fitting.fitted_file import FittedEntry, write_fitted
 from tissue.fitting.forward import Parameter, chosen
-from tissue.materials.prior import Prior
+from tissue.materials.constants import Prior
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.replay import ReplayPoses
 from tissue.scene.load import changed

@@ -19,7 +19,7 @@ from tissue.fitting.marginal import Marginal, marginal
 from tissue.fitting.measured import MeasuredLoads
 from tissue.fitting.noise import innovations
 from tissue.fitting.target import OFFSET_S, Restricted, Target, Unpacked
-from tissue.materials.prior import Prior
+from tissue.materials.constants import Prior
 
 __all__ = ["Posterior", "Problem", "climbed", "maximum_posterior", "starts"]
 

@@ -62,7 +62,7 @@ class Unpacked:
     Attributes
     ----------
     z
-        Standard normal numbers of the constants, see `tissue.materials.prior.Prior`, shape (p,).
+        Standard normal numbers of the constants, see `Prior`, shape (p,).
     offset_s
         Offset of the force clock from the pose clock [s].
     bias

@@ -45,7 +45,7 @@ def lame(young_Pa: ArrayLike, poisson_ratio: ArrayLike) -> Array:
         If a modulus is not positive and finite, or a ratio lies outside (-1, 0.5).
     """
     young = _positive("young_Pa", young_Pa)
-    ratio = np.asarray(poisson_ratio, dtype=np.float64)
+    ratio = np.asarray(poisson_ratio, np.float64)
     outside = ~((ratio > -1.0) & (ratio < 0.5))
     if outside.any():
         raise InputError(
@@ -60,7 +60,7 @@ def lame(young_Pa: ArrayLike, poisson_ratio: ArrayLike) -> Array:
 
 def stiffness_of_lame(lame_Pa: ArrayLike) -> Array:
     """Return stiffness matrices [Pa], shape (..., 6, 6), of Lamé constants [Pa], shape (..., 2)."""
-    pair = np.asarray(lame_Pa, dtype=np.float64)
+    pair = np.asarray(lame_Pa, np.float64)
     matrix = np.zeros((*pair.shape[:-1], 6, 6))
     matrix[..., :3, :3] = pair[..., 0, None, None]
     place = np.arange(6)
@@ -86,20 +86,15 @@ def orthotropic(*, young_Pa: ArrayLike, shear_Pa: ArrayLike, poisson_ratio: Arra
     InputError
         If a modulus is not positive, or the ratios make the matrix indefinite.
     """
-    young = _positive("young_Pa", young_Pa, 3)
-    shear = _positive("shear_Pa", shear_Pa, 3)
-    ratio = np.asarray(poisson_ratio, dtype=np.float64)
-    if ratio.shape != (3,) or not np.isfinite(ratio).all():
-        raise InputError(
-            "poisson_ratio", "hold nu12, nu13, nu23", ratio, "give three finite numbers"
-        )
+    young = _positive("young_Pa", young_Pa)
+    shear = _positive("shear_Pa", shear_Pa)
+    ratio = np.asarray(poisson_ratio, np.float64)
     compliance = np.zeros((6, 6))
     compliance[range(3), range(3)] = 1.0 / young
     for (i, j), value in zip(((0, 1), (0, 2), (1, 2)), ratio, strict=True):
         compliance[i, j] = compliance[j, i] = -value / young[i]
     compliance[range(3, 6), range(3, 6)] = 1.0 / shear[::-1]
-    normal = np.linalg.eigvalsh(compliance[:3, :3])
-    if normal[0] <= 0.0:
+    if not np.linalg.eigvalsh(compliance[:3, :3])[0] > 0.0:
         raise InputError(
             "poisson_ratio",
             "leave the stiffness positive definite",
@@ -138,13 +133,8 @@ def transversely_isotropic(
     InputError
         As in `orthotropic`.
     """
-    across, fibre = (
-        float(_positive(name, value))
-        for name, value in (
-            ("young_across_Pa", young_across_Pa),
-            ("young_fibre_Pa", young_fibre_Pa),
-        )
-    )
+    across = float(_positive("young_across_Pa", young_across_Pa))
+    fibre = float(_positive("young_fibre_Pa", young_fibre_Pa))
     if not -1.0 < poisson_across < 1.0:
         raise InputError("poisson_across", "be in (-1, 1)", poisson_across, "use about 0.4")
     back = poisson_fibre * across / fibre
@@ -201,37 +191,30 @@ def checked_stiffness(stiffness_Pa: ArrayLike) -> Array:
     InputError
         If a matrix is not finite, symmetric and positive definite.
     """
-    matrix = np.asarray(stiffness_Pa, dtype=np.float64)
-    if matrix.ndim not in (2, 3) or matrix.shape[-2:] != (6, 6):
+    matrix = np.asarray(stiffness_Pa, np.float64)
+    if matrix.ndim not in (2, 3) or matrix.shape[-2:] != (6, 6) or not np.isfinite(matrix).all():
         raise InputError(
-            "stiffness_Pa", "have shape (6, 6) or (m, 6, 6)", matrix.shape, "use Voigt matrices"
+            "stiffness_Pa",
+            "be finite, shape (6, 6) or (m, 6, 6)",
+            f"shape {matrix.shape}",
+            "use Voigt matrices",
         )
     each = matrix.reshape(-1, 6, 6)
-    if not np.isfinite(each).all():
-        bad = int(np.flatnonzero(~np.isfinite(each).all(axis=(1, 2)))[0])
-        raise InputError(
-            "stiffness_Pa", "be finite", f"matrix {bad} with NaN or infinity", "leave it out"
-        )
-    off = np.abs(each - each.transpose(0, 2, 1)).max(axis=(1, 2)) / np.abs(each).max(
-        axis=(1, 2)
-    ).clip(min=1e-300)
-    if off.max() > SYMMETRIC:
-        raise InputError(
-            "stiffness_Pa",
-            "be symmetric",
-            f"matrix {int(off.argmax())} off by {off.max():.1e} of its largest entry",
-            "use its mean with its transpose",
-        )
+    skew = np.abs(each - each.transpose(0, 2, 1)).max(axis=(1, 2))
+    off = skew / np.abs(each).max(axis=(1, 2)).clip(min=1e-300)
     try:
         np.linalg.cholesky(each)  # takes a tenth of the time of eigenvalues
-    except np.linalg.LinAlgError as problem:
-        least = np.linalg.eigvalsh(each)[:, 0]
+        is_definite = True
+    except np.linalg.LinAlgError:
+        is_definite = False
+    if off.max() > SYMMETRIC or not is_definite:
         raise InputError(
             "stiffness_Pa",
-            "be positive definite",
-            f"matrix {int(least.argmin())} with eigenvalue {least.min():.3g} Pa",
+            "be symmetric and positive definite",
+            f"an asymmetry of {off.max():.1e}, lowest eigenvalue "
+            f"{np.linalg.eigvalsh(each).min():.3g} Pa",
             "check moduli and Poisson's ratios",
-        ) from problem
+        )
     return matrix
 
 
@@ -250,34 +233,12 @@ def rotated(stiffness_Pa: ArrayLike, axes: ArrayLike) -> Array:
     Raises
     ------
     InputError
-        If a direction has no length, axes are not a rotation, or one fibre does not fix the
-        material axes.
+        If a direction has no length.
     """
-    matrix = np.asarray(stiffness_Pa, dtype=np.float64)
-    frame = np.asarray(axes, dtype=np.float64)
-    if frame.ndim == 2 and frame.shape[1] == 3:
-        quarter = np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
-        turned = _turned(matrix.reshape(-1, 6, 6), quarter[None])
-        if np.abs(turned - matrix).max() > SYMMETRIC * np.abs(matrix).max():
-            raise InputError(
-                "axes",
-                "be three directions a cell, shape (m, 3, 3)",
-                "one fibre a cell",
-                "a material that differs across its fibre needs all its axes",
-            )
+    matrix = np.asarray(stiffness_Pa, np.float64)
+    frame = np.asarray(axes, np.float64)
+    if frame.ndim == 2:
         frame = _frames(frame)
-    off = (
-        np.abs(np.einsum("mij,mik->mjk", frame, frame) - np.eye(3)).max()
-        if frame.ndim == 3
-        else np.inf
-    )
-    if not off < 1e-9 or (np.linalg.det(frame) < 0.0).any():
-        raise InputError(
-            "axes",
-            "be rotations, shape (m, 3, 3)",
-            f"columns off by {off:.1e}",
-            "orthonormalise them",
-        )
     return _turned(matrix.reshape(-1, 6, 6), frame)
 
 
@@ -291,7 +252,7 @@ def elasticity_rows(elasticity: ArrayLike, cell_count: int) -> Array:
     InputError
         If the shape is another, or the material is not positive definite.
     """
-    given = np.asarray(elasticity, dtype=np.float64)
+    given = np.asarray(elasticity, np.float64)
     if given.ndim in (1, 2) and given.shape[-1] == 2:
         rows: Array = given.reshape(-1, 2)
         stable = (
@@ -315,17 +276,11 @@ def elasticity_rows(elasticity: ArrayLike, cell_count: int) -> Array:
     return rows
 
 
-def _positive(name: str, value: ArrayLike, count: int | None = None) -> Array:
-    numbers = np.asarray(value, dtype=np.float64)
-    if (count is not None and numbers.shape != (count,)) or not (
-        np.isfinite(numbers) & (numbers > 0.0)
-    ).all():
-        wanted = "" if count is None else f"{count} numbers, "
+def _positive(name: str, value: ArrayLike) -> Array:
+    numbers = np.asarray(value, np.float64)
+    if not (np.isfinite(numbers) & (numbers > 0.0)).all():
         raise InputError(
-            name,
-            f"be {wanted}positive and finite",
-            numbers.tolist(),
-            "use pascals, about 5e3 for liver",
+            name, "be positive and finite", numbers.tolist(), "use pascals, about 5e3 for liver"
         )
     return numbers
 
@@ -334,10 +289,7 @@ def _frames(fibre: Array) -> Array:
     """Return right-handed frames whose third column is the fibre."""
     length = np.linalg.norm(fibre, axis=1)
     if not (length > 0.0).all():
-        bad = int(np.flatnonzero(~(length > 0.0))[0])
-        raise InputError(
-            "axes", "be directions", f"{fibre[bad]} at cell {bad}", "give it any length but zero"
-        )
+        raise InputError("axes", "be directions", "one of length zero", "give it a length")
     third = fibre / length[:, None]
     least = np.eye(3)[np.abs(third).argmin(axis=1)]
     first = np.cross(least, third)
@@ -350,10 +302,8 @@ def _turned(matrix: Array, rotation: Array) -> Array:
 
     The result is symmetrised because of rounding in the products.
     """
-    i = VOIGT[:, 0][:, None]
-    j = VOIGT[:, 1][:, None]
-    k = VOIGT[:, 0][None]
-    n = VOIGT[:, 1][None]
+    i, j = VOIGT.T[:, :, None]
+    k, n = VOIGT.T[:, None]
     bond = rotation[:, i, k] * rotation[:, j, n]
     bond[:, :, 3:] += (rotation[:, i, n] * rotation[:, j, k])[:, :, 3:]
     turned = bond @ matrix @ bond.transpose(0, 2, 1)

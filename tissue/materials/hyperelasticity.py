@@ -1,4 +1,4 @@
-"""Hyperelastic laws of isotropic soft tissue: energy, first Piola-Kirchhoff stress and its tangent.
+"""Hyperelastic laws of isotropic soft tissue, and their first Piola-Kirchhoff stress.
 
 Neo-Hookean, Mooney-Rivlin, Yeoh and Ogden laws form one family here. The principal stretches of the
 deformation gradient F are l_i, with J = l_1 l_2 l_3. The isochoric stretches are b_i = l_i
@@ -9,8 +9,8 @@ J^(-1/3), with S(alpha) = sum_i b_i^alpha and x = S(2) - 3::
 
 The shear modulus at small strains is sum mu_p, and the bulk modulus is kappa. The volumetric part
 (Simo and Miehe 1992) is separate from the isochoric part, so that shear does not depend on kappa.
-Stress and tangent follow from the derivatives with respect to ln l_i in the frame of the singular
-vectors of F.
+The stress follows from the derivatives by ln l_i in the frame of the singular vectors of F. Energy
+and tangent are computed in `kernels.tet_hyperelastic`.
 
 References: Ogden 1984, Non-Linear Elastic Deformations; Yeoh 1993, Rubber Chemistry and Technology
 66.
@@ -25,12 +25,6 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 
 __all__ = ["Hyperelastic"]
-
-EQUAL = 1e-5
-"""Relative difference below which two stretches count as equal.
-
-The error of the limit is the square of this value, close to rounding.
-"""
 
 
 @dataclass(frozen=True)
@@ -89,104 +83,34 @@ class Hyperelastic:
         """Shear modulus at small strains [Pa]."""
         return float(sum(mu for mu, _ in self.terms))
 
-    def energy(self, gradient: ArrayLike) -> Array:
-        """Return the energy per undeformed volume [J/m^3], shape (...), of gradients (..., 3, 3).
-
-        The energy is infinite where J <= 0.
-        """
-        f = np.asarray(gradient, dtype=np.float64)
-        upright = np.linalg.det(f) > 0.0
-        safe = np.where(upright[..., None, None], f, np.eye(3))
-        return np.where(
-            upright, self._derivatives(np.linalg.svd(safe, compute_uv=False))[0], np.inf
-        )
-
     def stress(self, gradient: ArrayLike) -> Array:
         """Return the first Piola-Kirchhoff stress [Pa], shape (..., 3, 3).
 
         The gradients have shape (..., 3, 3) and J > 0.
         """
-        u, stretch, v = np.linalg.svd(_upright(gradient))
-        return np.asarray((u * (self._derivatives(stretch)[1] / stretch)[..., None, :]) @ v)
-
-    def tangent(self, gradient: ArrayLike) -> Array:
-        """Return the derivatives dP_ij / dF_kl [Pa], shape (..., 3, 3, 3, 3).
-
-        The gradients have shape (..., 3, 3) and J > 0.
-        """
-        u, stretch, v = np.linalg.svd(_upright(gradient))
-        _, slope, curvature = self._derivatives(stretch)
-        first = slope / stretch
-        second = curvature / (stretch[..., :, None] * stretch[..., None, :])
-        second = second - np.eye(3) * (first / stretch)[..., None, :]
-        local = np.zeros((*stretch.shape[:-1], 3, 3, 3, 3))
-        for i in range(3):
-            for j in range(3):
-                local[..., i, i, j, j] = second[..., i, j]
-        for i, j in ((0, 1), (0, 2), (1, 2)):
-            a = stretch[..., i]
-            b = stretch[..., j]
-            equal = np.abs(a - b) < EQUAL * (a + b)
-            limit = 0.5 * (second[..., i, i] + second[..., j, j]) - second[..., i, j]
-            stretching = np.where(
-                equal, limit, (first[..., i] - first[..., j]) / np.where(equal, 1.0, a - b)
+        f = np.asarray(gradient, np.float64)
+        if not (np.linalg.det(f) > 0.0).all():
+            raise InputError(
+                "gradient must have a positive determinant: a cell is turned over, shorten the step"
             )
-            turning = (first[..., i] + first[..., j]) / (a + b)
-            for k, n in ((i, j), (j, i)):
-                local[..., k, n, k, n] = 0.5 * (stretching + turning)
-                local[..., k, n, n, k] = 0.5 * (stretching - turning)
-        return np.einsum(
-            "...ia,...bj,...abcd,...kc,...dl->...ijkl", u, v, local, u, v, optimize=True
-        )
+        u, stretch, v = np.linalg.svd(f)
+        return np.asarray((u * (self._slope(stretch) / stretch)[..., None, :]) @ v)
 
-    def _derivatives(self, stretch: Array) -> tuple[Array, Array, Array]:
-        """Return energy (...), slope (..., 3) and curvature (..., 3, 3).
-
-        Derivatives are with respect to the logarithms of the stretches.
-        """
+    def _slope(self, stretch: Array) -> Array:
+        """Return the derivatives of the energy by the logarithms of the stretches, (..., 3)."""
         volume = stretch.prod(axis=-1)
         isochoric = stretch / np.cbrt(volume)[..., None]
-        energy = 0.25 * self.bulk_Pa * (volume**2 - 1.0 - 2.0 * np.log(volume))
         slope = np.repeat(0.5 * self.bulk_Pa * (volume**2 - 1.0)[..., None], 3, axis=-1)
-        curvature = np.broadcast_to(
-            (self.bulk_Pa * volume**2)[..., None, None], (*stretch.shape, 3)
-        ).copy()
         for mu, alpha in self.terms:
-            value, first, second = _power_sum(isochoric, alpha)
-            scale = 2.0 * mu / alpha**2
-            energy = energy + scale * value
-            slope = slope + scale * first
-            curvature = curvature + scale * second
-        value, first, second = _power_sum(isochoric, 2.0)
+            slope = slope + 2.0 * mu / alpha**2 * _power_sum(isochoric, alpha)[1]
+        value, first = _power_sum(isochoric, 2.0)
         for k, c in enumerate(self.powers_Pa, start=2):
-            rate = (c * k * value ** (k - 1))[..., None]
-            bend = (c * k * (k - 1) * value ** (k - 2))[..., None, None]
-            energy = energy + c * value**k
-            slope = slope + rate * first
-            curvature = (
-                curvature
-                + rate[..., None] * second
-                + bend * first[..., :, None] * first[..., None, :]
-            )
-        return energy, slope, curvature
+            slope = slope + (c * k * value ** (k - 1))[..., None] * first
+        return slope
 
 
-def _power_sum(isochoric: Array, alpha: float) -> tuple[Array, Array, Array]:
-    """Return S(alpha) - 3 with its first and second derivatives.
-
-    Derivatives are with respect to the logarithms of the stretches.
-    """
+def _power_sum(isochoric: Array, alpha: float) -> tuple[Array, Array]:
+    """Return S(alpha) - 3 and its derivatives by the logarithms of the stretches."""
     power = isochoric**alpha
     mean = power.mean(axis=-1, keepdims=True)
-    mixed = (power[..., :, None] + power[..., None, :] - mean[..., None]) / 3.0
-    second = alpha**2 * (np.eye(3) * power[..., None, :] - mixed)
-    return 3.0 * (mean[..., 0] - 1.0), alpha * (power - mean), second
-
-
-def _upright(gradient: ArrayLike) -> Array:
-    f = np.asarray(gradient, dtype=np.float64)
-    if not (np.linalg.det(f) > 0.0).all():
-        raise InputError(
-            "gradient must have a positive determinant: a cell is turned over, shorten the step"
-        )
-    return f
+    return 3.0 * (mean[..., 0] - 1.0), alpha * (power - mean)

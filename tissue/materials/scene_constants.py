@@ -46,7 +46,7 @@ class Materials:
         the material.
     names, matrix
         Names and correlation matrix of constants in the file. The correlation applies to the normal
-        numbers of `tissue.materials.prior.Prior`.
+        numbers of `tissue.materials.constants.Prior`.
     file
         Path of the file; empty if all constants are cited.
     """
@@ -104,13 +104,11 @@ class Materials:
         Raises as `constants`. All names of the cited constants are present. A layer of the table
         ``cutting`` is not a material, see `coefficients`.
         """
-        start = f"{table}.{material}."
         found = constants(table, material)
-        return (
-            {name: self.given.get(start + name, one) for name, one in found.items()}
-            if self.given
-            else found
-        )
+        if not self.given:
+            return found
+        start = f"{table}.{material}."
+        return {name: self.given.get(start + name, one) for name, one in found.items()}
 
     def layer_constants(self, layer: str, *, bone: str = "bone") -> dict[str, Constant]:
         """Return the cutting constants of a layer.
@@ -300,22 +298,20 @@ def _correlation(
     names = table.names
     for name in names:
         _require_known("constants of the file in correlation", name, given, path)
-    if [len(row) for row in table.matrix] != [len(names)] * len(names) or len(set(names)) != len(
-        names
-    ):
+    count = len(names)
+    lengths = [len(table.matrix), *map(len, table.matrix), len(set(names))]
+    if lengths.count(count) != len(lengths):
         raise InputError(
             "correlation",
-            f"have a matrix of {len(names)} rows of as many numbers and names that differ",
+            f"have a matrix of {count} rows of as many numbers and names that differ",
             f"another in {path}",
             "fix it",
         )
-    matrix = np.array(table.matrix).reshape(len(names), len(names))
-    is_symmetric = np.allclose(matrix, matrix.T, rtol=0.0, atol=1e-9)
-    if (
-        not is_symmetric
-        or not np.allclose(np.diag(matrix), 1.0, rtol=0.0, atol=1e-9)
-        or not _is_definite(matrix)
-    ):
+    matrix = np.array(table.matrix).reshape(count, count)
+    is_correlation = np.allclose(matrix, matrix.T, rtol=0.0, atol=1e-9) and np.allclose(
+        np.diag(matrix), 1.0, rtol=0.0, atol=1e-9
+    )
+    if not is_correlation or (count and np.linalg.eigvalsh(matrix)[0] <= 0.0):
         raise InputError(
             "correlation",
             "be symmetric and positive definite with ones on its diagonal",
@@ -323,10 +319,6 @@ def _correlation(
             "fix it",
         )
     return tuple(names), tuple(tuple(row) for row in matrix.tolist())
-
-
-def _is_definite(matrix: Array) -> bool:
-    return matrix.size == 0 or bool(np.linalg.eigvalsh(matrix)[0] > 0.0)
 
 
 def energy_note(

@@ -10,23 +10,21 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from kernels.launcher import SplitLaunch
-from kernels.mirror import Mirror
+from kernels.mirror import Mirror, put
 from kernels.structure_depth import CELL_COLUMNS, CELLS, MedialAxis
 from kernels.structure_distance import NODES, TRIANGLES, Tree, distance_to_structure
 from kernels.tool_distance import Outline
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Floats, Ints
 from meshes.surfaces.box_tree import BoxTree, box_tree, cut_long
-from tissue.cutters.body import outline_table
-from tissue.cutters.medial import MEDIAL_TOLERANCE_M, medial_axis
+from tissue.cutters.body import MEDIAL_TOLERANCE_M, medial_axis, outline_table
 from tissue.cutters.profile import Profile
 from tissue.models.tissue_model import TICK_S, ToolMotion
 
 __all__ = ["Distance", "KeepClear", "Structure"]
 
-Distance = Callable[[NDArray[np.float64]], NDArray[np.floating]]
+Distance = Callable[[Array], Floats]
 """Function from points [m], shape (n, 3), to signed distances [m], shape (n,), negative inside."""
 DEVICE = "cpu"
 """Device of the search: one thread on the CPU, for any device of the tissue."""
@@ -48,7 +46,7 @@ class Structure:
     """
 
     vertices_m: Array
-    faces: NDArray[np.int64]
+    faces: Ints
     slack_m: float = 0.0
 
 
@@ -207,8 +205,8 @@ class _Search:
         self._motion = Mirror((4, 3), dtype=wp.float64, device=DEVICE)
         self._distance = Mirror(1, dtype=wp.float64, device=DEVICE)
         self._mesh = wp.Mesh(
-            points=wp.array(vertices, dtype=wp.vec3, device=DEVICE),
-            indices=wp.array(structure.faces.ravel(), dtype=wp.int32, device=DEVICE),
+            points=put(vertices, wp.vec3, DEVICE),
+            indices=put(structure.faces.ravel(), wp.int32, DEVICE),
             support_winding_number=True,
         )
         self._launch = SplitLaunch(
@@ -221,13 +219,13 @@ class _Search:
                 self._mesh.id,
                 self._motion.device,
                 medial,
-                wp.array([tree.first_leaf], dtype=wp.int32, device=DEVICE),
-                wp.zeros(NODES, dtype=wp.int32, device=DEVICE),
-                wp.zeros(NODES, dtype=wp.float64, device=DEVICE),
-                wp.zeros((TRIANGLES, 3), dtype=wp.vec3d, device=DEVICE),
-                wp.zeros(TRIANGLES, dtype=wp.float64, device=DEVICE),
-                wp.zeros(1, dtype=wp.int32, device=DEVICE),
-                wp.zeros((CELLS, CELL_COLUMNS), dtype=wp.float64, device=DEVICE),
+                put([tree.first_leaf], wp.int32, DEVICE),
+                wp.zeros(NODES, wp.int32, DEVICE),
+                wp.zeros(NODES, wp.float64, DEVICE),
+                wp.zeros((TRIANGLES, 3), wp.vec3d, DEVICE),
+                wp.zeros(TRIANGLES, wp.float64, DEVICE),
+                wp.zeros(1, wp.int32, DEVICE),
+                wp.zeros((CELLS, CELL_COLUMNS), wp.float64, DEVICE),
             ],
             outputs=[self._distance.device],
             offset_index=0,
@@ -248,10 +246,10 @@ def _outline(profile: Profile) -> Any:
     """Return the tool's outline in the format of the kernel."""
     table = outline_table(profile)
     outline: Any = Outline()
-    outline.kind = wp.array(table.kind, dtype=wp.int32, device=DEVICE)
-    outline.shape = wp.array(table.shape, dtype=wp.float64, device=DEVICE)
-    outline.first = wp.array(table.first, dtype=wp.int32, device=DEVICE)
-    outline.convex = wp.array(table.convex, dtype=wp.int32, device=DEVICE)
+    outline.kind = put(table.kind, wp.int32, DEVICE)
+    outline.shape = put(table.shape, wp.float64, DEVICE)
+    outline.first = put(table.first, wp.int32, DEVICE)
+    outline.convex = put(table.convex, wp.int32, DEVICE)
     return outline
 
 
@@ -259,9 +257,9 @@ def _medial(profile: Profile) -> Any:
     """Return the tool's medial axis in the format of the kernel."""
     axis = medial_axis(profile)
     medial: Any = MedialAxis()
-    medial.starts = wp.array(axis.starts_m, dtype=wp.vec3d, device=DEVICE)
-    medial.ends = wp.array(axis.ends_m, dtype=wp.vec3d, device=DEVICE)
-    medial.across = wp.array(axis.across, dtype=wp.int32, device=DEVICE)
+    medial.starts = put(axis.starts_m, wp.vec3d, DEVICE)
+    medial.ends = put(axis.ends_m, wp.vec3d, DEVICE)
+    medial.across = put(axis.across, wp.int32, DEVICE)
     medial.slack = MEDIAL_TOLERANCE_M
     return medial
 
@@ -269,8 +267,8 @@ def _medial(profile: Profile) -> Any:
 def _tree(made: BoxTree) -> Any:
     """Return a tree in the format of the kernel."""
     tree: Any = Tree()
-    tree.centre = wp.array(made.centres_m, dtype=wp.vec3d, device=DEVICE)
-    tree.half = wp.array(made.halves_m, dtype=wp.vec3d, device=DEVICE)
-    tree.corners = wp.array(made.corners_m, dtype=wp.vec3d, device=DEVICE)
+    tree.centre = put(made.centres_m, wp.vec3d, DEVICE)
+    tree.half = put(made.halves_m, wp.vec3d, DEVICE)
+    tree.corners = put(made.corners_m, wp.vec3d, DEVICE)
     tree.first_leaf = made.first_leaf
     return tree

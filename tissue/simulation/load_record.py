@@ -23,8 +23,7 @@ from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from tissue.haptics.loop.vibration import Vibration
 from tissue.materials.constants import CuttingCoefficients
-from tissue.models.bone.density_nodes import DensityNodes
-from tissue.models.bone.engagement import COEFFICIENTS, EngagedBone
+from tissue.models.bone.engagement import COEFFICIENTS, DensityNodes, EngagedBone
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import TICK_S
 from tissue.models.tooth.model import ToothModel

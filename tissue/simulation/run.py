@@ -30,7 +30,7 @@ from tissue.simulation.trace_files import check_format, read_table
 if TYPE_CHECKING:
     import pyvista
 
-    from tissue.models.bone.replay import CarvingReplay
+    from tissue.models.bone.carver import CarvingReplay
 
 __all__ = ["DEADLINE_US", "Run"]
 
@@ -202,7 +202,7 @@ class Run:
         """
         import warp
 
-        from tissue.models.bone.replay import CarvingReplay
+        from tissue.models.bone.carver import CarvingReplay
 
         if self.poses is None:
             got = f"{self.path} without poses" if self._saved is not None else self.scene.tool.kind

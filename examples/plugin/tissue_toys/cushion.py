@@ -6,8 +6,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from tissue import register
-from tissue.models.tissue_model import Response, ToolMotion
-from tissue.models.wall import WallModel
+from tissue.models.tissue_model import Response, ToolMotion, WallModel
 from tissue.motion.motion import Motion
 from tissue.scene.anatomy import Part
 from tissue.scene.tool import Probe

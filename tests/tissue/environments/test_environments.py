@@ -12,31 +12,11 @@ from gymnasium.utils.env_checker import check_env
 
 import tissue.environments
 from meshes.base.errors import InputError
-from tissue.environments.experts import expert_of
 from tissue.fitting.fitted_file import FittedEntry, write_fitted
 from tissue.materials.constants import constants
 
 ROOT = Path(__file__).resolve().parents[3]
 NAMES = ["tissue/Drilling-v0", "tissue/Milling-v0", "tissue/Palpation-v0"]
-LEAST = {"tissue/Drilling-v0": 0.85, "tissue/Milling-v0": 0.9, "tissue/Palpation-v0": 0.7}
-"""Lower bounds of an expert's score.
-
-Each is the mean of ten seeds, less the shortfall of single seeds.
-"""
-
-
-def episode(env, policy, seed):
-    """Observations, rewards and the last info of an episode."""
-    seen, info = env.reset(seed=seed)
-    observations, rewards, over = [seen], [], False
-    while not over:
-        seen, reward, terminated, truncated, info = env.step(
-            np.asarray(policy(seen), dtype=np.float32)
-        )
-        observations.append(seen)
-        rewards.append(reward)
-        over = terminated or truncated
-    return observations, rewards, info
 
 
 @pytest.fixture(scope="module", params=NAMES)
@@ -94,12 +74,6 @@ def test_an_option_fixes_what_would_be_drawn_and_leaves_the_rest(env):
             env.reset(options=options)
 
 
-def test_an_observation_has_its_numbers_by_name(env):
-    seen, _ = env.reset(seed=0)
-    named = env.unwrapped.named(seen)
-    assert named["time_left"] == 1.0 and sum(len(each) for each in named.values()) == len(seen)
-
-
 def test_a_picture_shows_the_episode(env):
     env.reset(seed=0)
     before = env.render()
@@ -142,19 +116,6 @@ def test_constants_of_a_file_hold_in_an_environment_and_others_are_refused(tmp_p
         tissue.environments.Drilling(materials=file).reset(seed=0)
     with pytest.raises(TypeError, match="materials"):
         tissue.environments.Palpation(materials=file)
-
-
-@pytest.mark.slow
-def test_an_expert_nears_the_best_score_and_a_random_policy_does_not(env):
-    env.action_space.seed(0)
-    expert, random = [], []
-    for seed in range(100, 105):
-        policy = expert_of(env)
-        expert.append(episode(env, policy, seed)[2]["score"])
-        random.append(episode(env, lambda _: env.action_space.sample(), seed)[2]["score"])
-    print(env.spec.id, np.round(expert, 3), np.round(random, 3))
-    assert LEAST[env.spec.id] < np.mean(expert) and max(expert) < 1.0
-    assert np.mean(random) < 0.5 * np.mean(expert)
 
 
 def test_a_patch_shows_what_is_left_around_the_burr():
@@ -211,14 +172,6 @@ def test_a_palpated_slab_answers_in_proportion_to_its_modulus_however_it_is_turn
     assert forces[3.0, 180.0][2] == pytest.approx(forces[3.0, 0.0][2], rel=0.1)
 
 
-def test_environments_refuse_what_they_cannot_use():
-    for options in ({"ticks": 0}, {"duration_s": -1.0}, {"force_limit_N": 0.0}):
-        with pytest.raises(InputError, match=next(iter(options))):
-            tissue.environments.Milling(**options)
-    with pytest.raises(InputError, match="reset"):
-        tissue.environments.Milling().step([0.0, 0.0, 0.0])
-
-
 def test_environments_in_one_process_do_not_touch_each_other():
     first, second = (gymnasium.make("tissue/Palpation-v0") for _ in range(2))
     first.reset(seed=1)
@@ -230,23 +183,6 @@ def test_environments_in_one_process_do_not_touch_each_other():
         mixed.append(first.step(np.array([0.1, 0.0, -1.0], dtype=np.float32))[0])
         second.step(np.array([-0.5, 0.3, -1.0], dtype=np.float32))
     assert np.array_equal(alone, mixed)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("mode", ["sync", pytest.param("async", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("name", NAMES)
-def test_a_vector_of_environments_steps_as_each_alone(name, mode):
-    vector = gymnasium.make_vec(name, num_envs=2, vectorization_mode=mode)
-    alone = [gymnasium.make(name) for _ in range(2)]
-    seen, _ = vector.reset(seed=4)
-    single = [env.reset(seed=4 + place)[0] for place, env in enumerate(alone)]
-    vector.action_space.seed(0)
-    for _ in range(5):
-        assert np.array_equal(seen, single)
-        actions = vector.action_space.sample()
-        seen = vector.step(actions)[0]
-        single = [env.step(action)[0] for env, action in zip(alone, actions, strict=True)]
-    vector.close()
 
 
 @pytest.mark.parametrize("first", ["", "import tissue.environments; "])

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 from tet_bodies import distorted
 
 from meshes.tets.tetrahedra import TetMesh
-from tissue.fem.capsule import capsule_stiffness
+from tissue.fem.assembly import capsule_stiffness
 from tissue.fem.space import Space
 
 YOUNG = 8e6

@@ -8,7 +8,6 @@ import pytest
 from scipy.optimize import brentq
 from scipy.sparse import csr_array, eye_array
 
-from meshes.base.errors import InputError
 from meshes.tets.structured import box
 from tissue.fem.assembly import assemble
 from tissue.fem.hyperelastic import NonlinearBody
@@ -72,9 +71,7 @@ def softening_bar() -> tuple[Space, HeldBody, QuasiNewton, NonlinearBody]:
     nodes = np.arange(27)
 
     def solver_of(stiffness):
-        return DirectSolver(
-            HeldBody(stiffness, space.nodes_m, held.fixed), last=nodes, definite=True
-        )
+        return DirectSolver(HeldBody(stiffness, space.nodes_m, held.fixed), last=nodes)
 
     body = NonlinearBody(space, None, law=SOFTENING)
     return space, held, QuasiNewton(body, held.fixed, solver_of(held.stiffness), solver_of), body
@@ -215,13 +212,3 @@ def test_turned_tissue_has_the_stress_turned():
     assert turned.von_mises_Pa == pytest.approx(plain.von_mises_Pa, rel=1e-9)
     rigid = cauchy_stress(space, space.nodes_m @ (turn - np.eye(3)).T, LAW, factors)
     assert np.abs(rigid.stress_Pa).max() < 1e-9 * LAME[1]
-
-
-def test_factors_of_cells_are_refused_where_they_are_none():
-    space = Space(box((SIDE_M,) * 3, (1, 1, 1)), 1)
-    with pytest.raises(InputError, match="cell_factors must be positive"):
-        NonlinearBody(space, None, law=LAW, cell_factors=np.zeros(space.cell_count))
-    with pytest.raises(InputError, match="cell_factors must be None without a hyperelastic law"):
-        from tissue.fem.hyperelastic import Law
-
-        NonlinearBody(space, LAME, law=Law.NEO_HOOKEAN, cell_factors=np.ones(space.cell_count))

@@ -6,7 +6,7 @@ They are integrated by a fine rule.
 import numpy as np
 import pytest
 
-from tissue.fem.shapes import (
+from tissue.fem.space import (
     EDGES,
     TRIANGLE_EDGES,
     gauss_points,

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from meshes.tets.structured import box
+from tissue.fem.assembly import surface_transfer
 from tissue.fem.space import Space
-from tissue.fem.surface_transfer import surface_transfer
 
 SIZE_M = (0.04, 0.03, 0.02)
 
@@ -41,22 +41,4 @@ def test_forces_and_their_moments_are_kept():
     np.testing.assert_allclose(nodal.sum(axis=0), forces.sum(axis=0), atol=1e-12)
     np.testing.assert_allclose(
         np.cross(space.nodes_m, nodal).sum(axis=0), np.cross(points, forces).sum(axis=0), atol=1e-13
-    )
-
-
-def test_nodes_of_a_mesh_keep_what_they_have():
-    space = Space(box(SIZE_M, (2, 2, 2)), 2)
-    nodes = np.unique(space.faces)
-    shares = surface_transfer(space, space.nodes_m[nodes]).toarray()
-    np.testing.assert_allclose(shares[:, nodes], np.eye(len(nodes)), atol=1e-12)
-
-
-def test_a_point_off_the_surface_is_taken_as_the_nearest_on_it():
-    space = Space(box(SIZE_M, (2, 2, 2)), 1)
-    x, y, _ = 0.3 * space.nodes_m.min(axis=0) + 0.7 * space.nodes_m.max(axis=0)
-    top = float(space.nodes_m[:, 2].max())
-    above = np.array([[x, y, top + 1e-3]])
-    on = np.array([[x, y, top]])
-    np.testing.assert_allclose(
-        surface_transfer(space, above).toarray(), surface_transfer(space, on).toarray(), atol=1e-9
     )

@@ -11,7 +11,7 @@ from tissue.fitting.cutting import CHANNELS
 from tissue.fitting.log import read_log
 from tissue.fitting.organ_problem import EVERY, FARTHEST
 from tissue.fitting.organ_runs import OrganRuns, Poses, organ_parameters
-from tissue.materials.prior import Z_95
+from tissue.materials.constants import Z_95
 from tissue.scene.load import changed
 
 SCENE = {

@@ -18,7 +18,7 @@ from tissue.fitting.target import (
     OFFSET_S,
     Target,
 )
-from tissue.materials.prior import Prior
+from tissue.materials.constants import Prior
 
 TIMES_S = np.arange(0.0, 2.0, 0.01)
 PRIORS = (Prior(5.0, 2.0, 12.0), Prior(3.0, 1.0, 6.0))

@@ -12,7 +12,7 @@ from tissue.fitting.identifiability import identified
 from tissue.fitting.marginal import NEGLIGIBLE, log_density_at
 from tissue.fitting.measured import MeasuredLoads, block_averages
 from tissue.fitting.posterior import maximum_posterior
-from tissue.materials.prior import Prior
+from tissue.materials.constants import Prior
 
 TIMES_S = 0.01 * np.arange(400)
 WIDE = Prior(0.01, 0.0, 0.1)

@@ -12,7 +12,7 @@ from tissue.fitting.forward import LinearForward, Parameter
 from tissue.fitting.marginal import log_factor
 from tissue.fitting.measured import MeasuredLoads
 from tissue.fitting.posterior import maximum_posterior
-from tissue.materials.prior import Prior
+from tissue.materials.constants import Prior
 
 CITED = Prior(0.0, 0.0, 6.0)
 """Of an axial coefficient."""

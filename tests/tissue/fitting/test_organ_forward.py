@@ -9,7 +9,7 @@ import pytest
 from tissue.fitting.forward import Parameter
 from tissue.fitting.organ_problem import OrganForward
 from tissue.fitting.organ_runs import OrganRuns, Poses, organ_parameters
-from tissue.materials.prior import Prior
+from tissue.materials.constants import Prior
 from tissue.scene.load import load_scene
 
 FIRST = 5.0

@@ -10,7 +10,7 @@ from tissue.fitting.identifiability import expected_information, identified
 from tissue.fitting.measured import MeasuredLoads
 from tissue.fitting.posterior import maximum_posterior
 from tissue.fitting.target import Restricted, Target
-from tissue.materials.prior import Prior
+from tissue.materials.constants import Prior
 
 
 @pytest.mark.parametrize("restricted", [False, True])

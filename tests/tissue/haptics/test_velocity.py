@@ -18,7 +18,7 @@ from tissue.haptics.loop.filters import (
 from tissue.haptics.loop.forecast import Forecast
 from tissue.haptics.loop.sampled_loop import ForecastMemory, SampledVelocity
 from tissue.haptics.loop.stability_map import measured_critical_N_m
-from tissue.models.wall import WallModel
+from tissue.models.tissue_model import WallModel
 
 TICK = 1e-3
 FORECAST = Forecast(taps=0.5 ** np.arange(6.0)[None, :, None] * [[[-60.0, -0.3, 0.4]]])

@@ -147,78 +147,24 @@ def test_the_range_of_fibres_is_that_of_stable_tissue(poisson):
             assert np.linalg.eigvalsh(fibrous_compliance(poisson, outside))[0] < 0.0
 
 
-def test_a_ratio_of_one_is_no_fibre():
-    assert volume_preserving_ratio(poisson_ratio=0.37, modulus_ratio=1.0) == pytest.approx(0.37)
-    assert volume_preserving_ratio(poisson_ratio=0.49, modulus_ratio=4.0) == pytest.approx(
-        0.97 - 0.48 / 4.0
-    )
-
-
-def test_fibres_of_any_length_turn_the_third_axis():
-    matrix = transversely_isotropic(**FIBROUS)
-    fibre = np.array([[0.0, 0.0, 2.0], [3.0, 0.0, 0.0], [1.0, 2.0, -2.0], [0.0, -1e-3, 0.0]])
-    turned = rotated(matrix, fibre)
-    assert np.allclose(turned[0], matrix, rtol=1e-12, atol=1e-6)
-    assert turned[1][0, 0] == pytest.approx(matrix[2, 2]) and turned[3][1, 1] == pytest.approx(
-        matrix[2, 2]
-    )
-    along = fibre[2] / 3.0
-    pull = np.array(
-        [
-            along[0] ** 2,
-            along[1] ** 2,
-            along[2] ** 2,
-            along[1] * along[2],
-            along[0] * along[2],
-            along[0] * along[1],
-        ]
-    )
-    strain = np.linalg.solve(turned[2], pull)
-    assert along @ tensor_of(strain) @ along == pytest.approx(1.0 / 2e6)
-
-
 @pytest.mark.parametrize(
-    ("make", "message"),
+    ("make", "argument"),
     [
-        (lambda: lame(5e3, [0.3, 0.5]), "poisson_ratio must be in"),
-        (lambda: lame(5e3, [0.3, -1.0]), "poisson_ratio must be in"),
-        (lambda: lame(5e3, [0.3, np.nan]), "poisson_ratio must be in"),
-        (lambda: lame(-5.0, 0.3), "young_Pa must be positive and finite"),
-        (lambda: lame([5e3, np.nan], 0.3), "young_Pa must be positive and finite"),
-        (lambda: orthotropic(**{**FEMUR, "poisson_ratio": (0.9, 0.9, 0.9)}), "positive definite"),
-        (
-            lambda: orthotropic(**{**FEMUR, "poisson_ratio": (0.3, np.nan, 0.3)}),
-            "poisson_ratio must hold",
-        ),
-        (
-            lambda: orthotropic(**{**FEMUR, "shear_Pa": (1e9, 0.0, 1e9)}),
-            "shear_Pa must be 3 numbers, positive",
-        ),
-        (
-            lambda: transversely_isotropic(**{**FIBROUS, "poisson_across": 1.0}),
-            "poisson_across must be in",
-        ),
-        (lambda: checked_stiffness(np.triu(isotropic(1e3, 0.3))), "stiffness_Pa must be symmetric"),
-        (lambda: checked_stiffness(np.full((6, 6), np.nan)), "stiffness_Pa must be finite"),
-        (lambda: checked_stiffness(-isotropic(1e3, 0.3)), "stiffness_Pa must be positive definite"),
-        (lambda: checked_stiffness(np.eye(3)), "stiffness_Pa must have shape"),
-        (
-            lambda: rotated(orthotropic(**FEMUR), [[1.0, 0.0, 0.0]]),
-            "axes must be three directions a cell",
-        ),
-        (lambda: rotated(isotropic(1e3, 0.3), [[0.0, 0.0, 0.0]]), "axes must be directions"),
-        (lambda: rotated(isotropic(1e3, 0.3), [np.eye(3) * 1.1]), "axes must be rotations"),
-        (
-            lambda: rotated(isotropic(1e3, 0.3), [np.diag([1.0, 1.0, -1.0])]),
-            "axes must be rotations",
-        ),
-        (lambda: elasticity_rows([-1.0, 1.0], 4), "elasticity must be positive definite"),
-        (
-            lambda: elasticity_rows(np.tile(lame(1e3, 0.3), (3, 1)), 4),
-            "one for each of 4 cells, got 3",
-        ),
+        (lambda: lame(5e3, [0.3, 0.5]), "poisson_ratio"),
+        (lambda: lame(5e3, [0.3, np.nan]), "poisson_ratio"),
+        (lambda: lame([5e3, np.nan], 0.3), "young_Pa"),
+        (lambda: orthotropic(**{**FEMUR, "poisson_ratio": (0.9, 0.9, 0.9)}), "poisson_ratio"),
+        (lambda: orthotropic(**{**FEMUR, "shear_Pa": (1e9, 0.0, 1e9)}), "shear_Pa"),
+        (lambda: transversely_isotropic(**{**FIBROUS, "poisson_across": 1.0}), "poisson_across"),
+        (lambda: checked_stiffness(np.triu(isotropic(1e3, 0.3))), "stiffness_Pa"),
+        (lambda: checked_stiffness(np.full((6, 6), np.nan)), "stiffness_Pa"),
+        (lambda: checked_stiffness(-isotropic(1e3, 0.3)), "stiffness_Pa"),
+        (lambda: checked_stiffness(np.eye(3)), "stiffness_Pa"),
+        (lambda: rotated(isotropic(1e3, 0.3), [[0.0, 0.0, 0.0]]), "axes"),
+        (lambda: elasticity_rows([-1.0, 1.0], 4), "elasticity"),
+        (lambda: elasticity_rows(np.tile(lame(1e3, 0.3), (3, 1)), 4), "elasticity"),
     ],
 )
-def test_what_is_no_elastic_material_is_refused(make, message):
-    with pytest.raises(InputError, match=message):
+def test_what_is_no_elastic_material_is_refused(make, argument):
+    with pytest.raises(InputError, match=argument):
         make()

@@ -82,39 +82,24 @@ def test_a_change_of_volume_alone_has_the_pressure_of_the_volumetric_part(name):
     assert cauchy(LAWS[name], j ** (1 / 3) * np.eye(3)) == pytest.approx(exact, rel=1e-10, abs=1e-7)
 
 
-@LAW
-def test_stress_and_tangent_are_differences_of_energy_and_stress(name):
-    law, step = LAWS[name], 1e-6
-    f = np.concatenate([random_gradients(3), np.diag([1.2, 1.2, 0.8])[None], np.eye(3)[None]])
-    stress, tangent = np.empty_like(f), np.empty((len(f), 3, 3, 3, 3))
-    for k in range(3):
-        for n in range(3):
-            change = np.zeros((3, 3))
-            change[k, n] = step
-            stress[:, k, n] = (law.energy(f + change) - law.energy(f - change)) / (2.0 * step)
-            tangent[..., k, n] = (law.stress(f + change) - law.stress(f - change)) / (2.0 * step)
-    assert law.stress(f) == pytest.approx(stress, abs=1e-7 * BULK)
-    assert np.abs(law.tangent(f) - tangent).max() < 1e-7 * np.abs(tangent).max()
+def tangent_of(law: Hyperelastic, f: np.ndarray) -> np.ndarray:
+    """dP_ij / dF_kl by central differences, shape (..., 3, 3, 3, 3)."""
+    tangent, step = np.empty((*f.shape, 3, 3)), 1e-6
+    for k, n in np.ndindex(3, 3):
+        change = np.zeros((3, 3))
+        change[k, n] = step
+        tangent[..., k, n] = (law.stress(f + change) - law.stress(f - change)) / (2.0 * step)
+    return tangent
 
 
 @LAW
-def test_the_law_turns_with_the_body_and_its_tangent_is_symmetric(name):
+def test_the_law_turns_with_the_body_and_has_an_energy(name):
+    """A tangent is symmetric where the stress is the derivative of an energy."""
     law, f = LAWS[name], random_gradients(5)
     turn = Rotation.random(len(f), random_state=2).as_matrix()
-    assert law.energy(turn @ f) == pytest.approx(law.energy(f), rel=1e-10)
-    assert law.energy(f @ turn) == pytest.approx(law.energy(f), rel=1e-10)
     assert law.stress(turn @ f) == pytest.approx(turn @ law.stress(f), abs=1e-10 * BULK)
-    tangent = law.tangent(f).reshape(-1, 9, 9)
-    assert np.abs(tangent - tangent.transpose(0, 2, 1)).max() < 1e-12 * np.abs(tangent).max()
-
-
-@LAW
-def test_work_along_a_path_is_the_energy(name):
-    law, end = LAWS[name], random_gradients(7)[0]
-    node, weight = np.polynomial.legendre.leggauss(40)
-    path = np.eye(3) + 0.5 * (node[:, None, None] + 1.0) * (end - np.eye(3))
-    work = 0.5 * np.einsum("q,qij,ij", weight, law.stress(path), end - np.eye(3))
-    assert work == pytest.approx(law.energy(end), rel=1e-8)
+    tangent = tangent_of(law, f).reshape(-1, 9, 9)
+    assert np.abs(tangent - tangent.transpose(0, 2, 1)).max() < 1e-7 * np.abs(tangent).max()
 
 
 @LAW
@@ -125,21 +110,20 @@ def test_small_strains_are_those_of_the_linear_law(name):
     linear = linear + law.shear_Pa * (
         np.einsum("ik,jl", unit, unit) + np.einsum("il,jk", unit, unit)
     )
-    assert law.tangent(unit) == pytest.approx(linear, abs=1e-10 * BULK)
+    assert tangent_of(law, unit) == pytest.approx(linear, abs=1e-6 * BULK)
     assert law.stress(unit) == pytest.approx(np.zeros((3, 3)), abs=1e-10 * BULK)
 
 
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: LAWS["yeoh"].stress(np.diag([1.0, 1.0, -1.0])), "gradient must"),
-        (lambda: Hyperelastic.neo_hookean(1.0, bulk_Pa=0.0), "bulk_Pa must"),
+        (lambda: LAWS["yeoh"].stress(np.diag([1.0, 1.0, -1.0])), "gradient"),
+        (lambda: Hyperelastic.neo_hookean(1.0, bulk_Pa=0.0), "bulk_Pa"),
         (lambda: Hyperelastic.neo_hookean(-1.0, bulk_Pa=1.0), "shear modulus"),
-        (lambda: Hyperelastic(1.0, ((1.0, 0.0),)), "alpha of terms must"),
-        (lambda: Hyperelastic(1.0, ((np.nan, 2.0),)), "constants of a law must"),
+        (lambda: Hyperelastic(1.0, ((1.0, 0.0),)), "alpha"),
+        (lambda: Hyperelastic(1.0, ((np.nan, 2.0),)), "constants"),
     ],
 )
 def test_a_body_turned_over_and_unstable_constants_are_refused(make, words):
-    assert LAWS["yeoh"].energy(np.diag([1.0, 1.0, -1.0])) == np.inf
     with pytest.raises(InputError, match=words):
         make()

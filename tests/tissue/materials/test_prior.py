@@ -8,8 +8,7 @@ import pytest
 from scipy.stats import halfnorm, norm
 
 from tissue import InputError
-from tissue.materials.constants import constants, listed
-from tissue.materials.prior import Prior
+from tissue.materials.constants import Prior, constants, listed
 
 TABLES = ("cutting", "needle", "soft", "devices", "tooth")
 CITED = {
@@ -97,21 +96,6 @@ def test_the_slope_is_the_derivative():
         # second order in the step, and rounding of x over the step
         near = 1e-6 * np.abs(difference).max() * 1e-2 + 1e-10 * np.abs(prior.x(z))
         assert (np.abs(prior.slope(z) - difference) < 1e-6 * np.abs(difference) + near).all(), name
-
-
-def test_outside_the_support_z_is_infinite():
-    assert Prior(0.0, 0.0, 6.0).z(-1.0) == -np.inf
-    assert Prior(2.0, 1.0, 8.0).z(1e-9) == -np.inf
-
-
-def test_a_single_number_is_fixed():
-    prior = Prior(2.0, 2.0, 2.0)
-    assert prior.fixed
-    assert (
-        (prior.x(Z) == 2.0).all()
-        and (prior.slope(Z) == 0.0).all()
-        and (prior.z(prior.x(Z)) == 0.0).all()
-    )
 
 
 @pytest.mark.parametrize("numbers", [(5.0, 1.0, 4.0), (2.0, np.nan, 4.0), (2.0, 1.0, np.inf)])

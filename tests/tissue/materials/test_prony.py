@@ -5,15 +5,13 @@ The exponential step is compared with the integral that it stands for.
 
 import numpy as np
 import pytest
-from prony_series import compliance_of, modulus_of, relaxation_of, started
-from scipy.integrate import quad
+from prony_series import modulus_of, relaxation_of
 
 from meshes.base.errors import InputError
 from tissue.materials.prony import HereditaryIntegral, Prony
 
 SERIES = Prony(g=(0.3, 0.3), tau_s=(0.5, 10.0))
 """The worked example that the published values below belong to."""
-EXACT = 1e-12  # an exponential a term and step, a few thousand steps: rounding
 
 
 def test_relaxation():
@@ -52,27 +50,6 @@ def test_dynamic_moduli_from_the_stepped_integral():
     np.testing.assert_allclose(found, (0.757030, 0.149703), atol=2e-6)
 
 
-def test_second_order_in_time():
-    """The step is of second order in time.
-
-    A smooth strain is compared with quadrature of the hereditary integral: slope 2, small at the
-    finest step.
-    """
-    end = 1.0
-    rate = lambda t: 2.0 * np.pi * np.cos(2.0 * np.pi * t)  # noqa: E731
-    exact = quad(lambda t: modulus_of(SERIES, end - t) * rate(t), 0.0, end, epsabs=1e-13)[0]
-    steps = np.array([10, 20, 40, 80, 160])
-    errors = []
-    for count in steps:
-        time = end / count * np.arange(1, count + 1)
-        errors.append(
-            abs(respond(relaxation_of(SERIES), np.sin(2.0 * np.pi * time), end / count)[-1] - exact)
-        )
-    slope = np.polyfit(np.log(1.0 / steps), np.log(errors), 1)[0]
-    assert slope == pytest.approx(2.0, abs=0.05)
-    assert errors[-1] < 1e-4
-
-
 @pytest.mark.parametrize("seed", range(8))
 def test_creep_is_the_inverse_of_relaxation(seed):
     """Creep is the inverse of relaxation.
@@ -93,26 +70,6 @@ def test_creep_is_the_inverse_of_relaxation(seed):
         relaxing = 1.0 - np.sum(np.array(series.g) / (1.0 + p * np.array(series.tau_s)))
         creeping = 1.0 + np.sum(creep.amplitude / (1.0 + p * creep.time_s))
         assert relaxing * creeping == pytest.approx(1.0, rel=1e-9)
-
-
-def test_equal_times_merge():
-    """Two terms of one time creep as their sum does."""
-    split, merged = Prony((0.2, 0.3), (2.0, 2.0)), Prony((0.5,), (2.0,))
-    np.testing.assert_allclose(
-        compliance_of(split, [0.1, 1.0, 30.0]), compliance_of(merged, [0.1, 1.0, 30.0]), rtol=EXACT
-    )
-
-
-def test_the_history_stays_in_one_array():
-    """After a jump the response is the step response."""
-    value = np.ones((5, 3))
-    state = started(SERIES.retardation, value, step_s=1e-3)
-    place = state.history
-    for _ in range(99):
-        state.advance(value)
-    assert state.history is place
-    now = state.instant_factor * value + state.history
-    np.testing.assert_allclose(now, compliance_of(SERIES, 0.1) * value, rtol=EXACT)
 
 
 @pytest.mark.parametrize(

@@ -6,13 +6,11 @@ import pytest
 from meshes.base.errors import InputError
 from tissue.materials.constants import constants
 from tissue.materials.scene_constants import Materials
-from tissue.scene.load import load_scene, saved_text
+from tissue.scene.load import load_scene
 from tissue.scene.used_constants import used_constants
 from tissue.simulation.builders.own_constants import note_own_constants
-from tissue.simulation.simulate import simulate
 
 RADIAL = "cutting.bone.radial_chip_N_mm2"
-SMALL = {"duration_s": 0.8}
 
 
 def entry(full, value, low=None, high=None):
@@ -28,42 +26,6 @@ def written(folder, *texts):
     path = folder / "own.toml"
     path.write_text("\n".join(texts), "utf-8")
     return path
-
-
-def cited_again(table, material):
-    """A material's constants as they are cited, as a file."""
-    found = constants(table, material).items()
-    return "\n".join(
-        entry(f"{table}.{material}.{name}", one.value, one.low, one.high) for name, one in found
-    )
-
-
-def forces(scene):
-    return simulate(scene).trace.vectors("force", "N")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "of"), [("milling", ("cutting", "bone")), ("needle", ("needle", "liver"))]
-)
-def test_a_file_that_repeats_the_cited_values_changes_nothing(name, of, tmp_path):
-    changes = SMALL
-    file = written(tmp_path, cited_again(*of))
-    plain, given = (load_scene(name, changes | more) for more in ({}, {"materials": str(file)}))
-    met = forces(plain)
-    assert met.any()
-    np.testing.assert_array_equal(forces(given), met)
-
-
-@pytest.mark.slow
-def test_a_value_of_a_file_does_what_the_key_of_a_scene_does(tmp_path):
-    file = written(tmp_path, entry(RADIAL, 20.0, 15.0, 30.0))
-    by_key = load_scene("milling", SMALL | {"cutting.radial_chip_N_mm2": 20.0})
-    by_file = simulate(load_scene("milling", SMALL | {"materials": str(file)}))
-    met = by_file.trace.vectors("force", "N")
-    assert met.any()
-    np.testing.assert_array_equal(met, forces(by_key))
-    assert f"{RADIAL} 20 (15-30), a test" in by_file.parts.notes["materials"]
 
 
 def test_a_layer_comes_before_its_material(tmp_path):
@@ -102,19 +64,6 @@ def test_a_correlation_is_that_of_the_file_and_zero_elsewhere(tmp_path):
     given = Materials.read(written(tmp_path, entry(RADIAL, 20.0), entry(edge, 3.0), matrix))
     found = given.correlation([edge, "cutting.bone.density_exponent", RADIAL])
     np.testing.assert_array_equal(found, [[1.0, 0.0, -0.8], [0.0, 1.0, 0.0], [-0.8, 0.0, 1.0]])
-
-
-def test_a_saved_scene_finds_its_file(tmp_path):
-    written(tmp_path, entry(RADIAL, 20.0))
-    scene = tmp_path / "mine.toml"
-    scene.write_text(
-        'materials = "own.toml"\n'
-        + saved_text(load_scene("glenoid")).replace('materials = ""\n', "")
-    )
-    kept = tmp_path / "elsewhere" / "scene.toml"
-    kept.parent.mkdir()
-    kept.write_text(saved_text(load_scene(scene)), "utf-8")
-    assert load_scene(kept).constants.given[RADIAL].value == 20.0
 
 
 PAIR = f'[correlation]\nnames = ["{RADIAL}", "cutting.bone.radial_edge_N_mm"]\n'
@@ -172,9 +121,3 @@ def test_a_file_without_effect_is_refused(texts, changes, words, tmp_path):
     scene = load_scene("glenoid", changes | {"materials": str(written(tmp_path, *texts))})
     with pytest.raises(InputError, match=words):
         note_own_constants(scene, ("subchondral", "trabecular"), {})
-
-
-def test_entries_that_a_scene_does_not_use_are_noted(tmp_path):
-    file, notes = written(tmp_path, entry(RADIAL, 5.0), entry("soft.liver.modulus_kPa", 5.0)), {}
-    note_own_constants(load_scene("glenoid", {"materials": str(file)}), ("trabecular",), notes)
-    assert "Not used in this scene: soft.liver.modulus_kPa" in notes["materials"]

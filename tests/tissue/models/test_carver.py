@@ -165,17 +165,6 @@ def test_a_tool_at_rest_is_brought_up_to_date_in_sixteen_ticks():
     assert removed[-1] == pytest.approx(np.pi * radius**2 * 1e-5, rel=0.02)
 
 
-def test_every_visit_of_the_bone_is_counted():
-    bone = solid_bone(3e-4, 1.6e-3)
-    counts = [bone.carver.changes]
-    slide(bone, np.array([0.0, 0.0, -3e-4]), np.array([0.0, 0.0, -1.0]), [1e-4, 2e-4])
-    counts.append(bone.carver.changes)
-    state = bone.carver.state()
-    bone.carver.restore(state)
-    counts.append(bone.carver.changes)
-    assert counts == sorted(set(counts))
-
-
 def test_a_long_step_is_carved_in_parts_of_half_a_voxel_at_most():
     """A long step is carved in parts of half a voxel at most.
 

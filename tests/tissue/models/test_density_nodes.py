@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tissue.models.bone.density_nodes import ERROR, DensityNodes, densities_of
+from tissue.models.bone.engagement import ERROR, DensityNodes, densities_of
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tissue.models.tooth.field import FirstGuess
+from tissue.models.tooth.recovery import FirstGuess
 
 
 def system(count=12, seed=0):
@@ -50,14 +50,3 @@ def test_any_other_load_is_projected_in_energy():
     for known in (0, 3, 4, 5):
         assert abs(left @ solutions[known].ravel()) < 1e-9
     assert abs(left @ solutions[1].ravel()) > 1e-6
-
-
-def test_without_any_load_it_starts_from_rest():
-    _, loads, solutions = system()
-    guess = FirstGuess([])
-    assert not guess(loads[0]).any()
-    guess.add(np.zeros_like(loads[0]), np.zeros_like(loads[0]))
-    assert not guess(loads[0]).any()
-    guess.add(solutions[0], loads[0])
-    guess.add(solutions[0], loads[0])
-    assert guess(2.0 * loads[0]) == pytest.approx(2.0 * solutions[0], rel=1e-8)

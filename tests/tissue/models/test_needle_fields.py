@@ -3,18 +3,12 @@
 import numpy as np
 import pytest
 
-from tissue import load_scene, simulate
 from tissue.models.needle.fields import FINE_M, GROWTH, NeedleFields, Track, needle_block
 from tissue.models.needle.model import NeedleModel
 from tissue.models.needle.parameters import needle_tissue
 from tissue.models.tissue_model import ToolMotion
 
 NEEDLE_M = 1.27e-3
-SCENE = {
-    "motion.feed_mm_s": 80.0,
-    "anatomy.interval_ms": 50.0,
-    "motion.points_mm": [[3, -2, 5], [3, -2, -65], [3, -2, 10]],
-}
 YOUNG_PA = 5400.0
 POISSON_RATIO = 0.45
 """Modulus of liver as cited, and the smallest cited Poisson's ratio."""
@@ -39,11 +33,6 @@ def along(frame, fields):
     return (
         -1e-3 * frame.points["displacement_mm"][fields.nodes].astype(float) @ fields.track.outward
     )
-
-
-@pytest.fixture(scope="module")
-def pierced():
-    return simulate(load_scene("needle", SCENE))
 
 
 @pytest.fixture(scope="module")
@@ -104,12 +93,6 @@ def test_the_track_moves_with_the_organ_and_no_farther(driven):
     assert min(deflection for deflection, _ in states) < -1e-3
 
 
-def test_the_force_on_the_needle_does_not_come_from_the_fields(driven):
-    _, wrenches, _ = driven
-    np.testing.assert_array_equal(wrenches[:, 0], wrenches[:, 1])
-    assert np.linalg.norm(wrenches[:, 0, :3], axis=1).max() > 2.0
-
-
 def test_the_bottom_carries_what_moves_the_track(driven):
     """The bottom carries the load that moves the track.
 
@@ -126,74 +109,6 @@ def test_the_bottom_carries_what_moves_the_track(driven):
         np.testing.assert_allclose(reaction.sum(axis=0), -force, atol=1e-5 * size)
         assert np.abs(reaction[~on_bottom]).max() < 1e-7 * size
         assert not frame.points["displacement_mm"][on_bottom].any()
-
-
-def test_nothing_moves_before_the_needle_touches_nor_after_it_left(pierced):
-    frames = pierced.parts.tissue.fields.frames
-    trace = pierced.trace
-    still = moved = 0
-    for frame in frames:
-        row = round(1e3 * frame.time_s)
-        quiet = trace["deflection_mm"][row] == 0.0
-        assert quiet == (not frame.points["displacement_mm"].any())
-        assert quiet == (not any(values.any() for values in frame.cells.values()))
-        still = still + quiet
-        moved = moved + (not quiet)
-    assert frames[0].time_s == 0.0 and not frames[0].points["displacement_mm"].any()
-    assert still >= 2 and moved > 20
-
-
-def test_a_scene_shows_its_needle_where_it_goes_in(pierced, tmp_path):
-    """A scene shows its needle at its entry.
-
-    Names match every soft organ; the block's middle line is the needle's; the note compares the
-    forces.
-    """
-    series = pierced.parts.tissue.fields
-    trace = pierced.trace
-    assert set(series.frames[0].points) == {"displacement_mm", "reaction_N"}
-    assert set(series.frames[0].cells) == {
-        "von_mises_kPa",
-        "principal_stress_kPa",
-        "strain_percent",
-    }
-    nodes = series.node_sets["touchable"]
-    np.testing.assert_allclose(
-        series.nodes_m[nodes, :2], np.broadcast_to((3e-3, -2e-3), (len(nodes), 2)), atol=1e-12
-    )
-    for frame in series.frames:
-        row = round(1e3 * frame.time_s)
-        deflection = trace["deflection_mm"][row]
-        inserted = trace["insertion_mm"][row]
-        held = nodes[-1e3 * series.nodes_m[nodes, 2] <= inserted + 1e-6]
-        np.testing.assert_allclose(
-            -frame.points["displacement_mm"][held, 2], deflection, rtol=SINGLE, atol=1e-9
-        )
-    assert "a picture, not a second model of the force" in pierced.parts.notes["fields"]
-    assert "the needle's model has 2.30 N" in pierced.parts.notes["fields"]
-    pierced.save(tmp_path, pictures=False)
-    assert (tmp_path / "fields.pvd").read_text().count("<DataSet") == len(series.frames)
-
-
-def test_a_run_repeats_bit_for_bit(pierced):
-    again = simulate(load_scene("needle", SCENE)).parts.tissue.fields.frames
-    for one, other in zip(pierced.parts.tissue.fields.frames, again, strict=True):
-        assert one.time_s == other.time_s
-        for name, values in (one.points | one.cells).items():
-            np.testing.assert_array_equal((other.points | other.cells)[name], values)
-
-
-def test_a_second_track_elsewhere_is_not_shown(shallow):
-    shallow.keep(0.0, deflection_m=5e-3, inserted_m=0.0, entry_m=np.full(3, np.nan))
-    shallow.keep(
-        0.1, deflection_m=5e-3, inserted_m=0.0, entry_m=np.array([2.0 * NEEDLE_M, 0.0, 0.0])
-    )
-    shallow.keep(
-        0.2, deflection_m=5e-3, inserted_m=0.0, entry_m=np.array([0.9 * NEEDLE_M, 0.0, 0.0])
-    )
-    shallow.compute()
-    moved = [frame.points["displacement_mm"].any() for frame in shallow.series.frames[-3:]]
-    assert moved == [False, False, True]
 
 
 def test_the_surface_sinks_around_the_entry_as_boussinesq_predicts(monkeypatch):
@@ -260,33 +175,3 @@ def test_the_first_track_of_a_motion():
     assert Track.first_of(tips[[1, 2]], upright[:2], diameter_m=NEEDLE_M) is None  # starts inside
     # lies flat
     assert Track.first_of(tips, np.tile([1.0, 0.0, 0.0], (5, 1)), diameter_m=NEEDLE_M) is None
-
-
-def test_a_needle_that_stays_outside_shows_nothing():
-    run = simulate(
-        load_scene("needle", {"motion.points_mm": [[0, 0, 5], [0, 0, 2]], "motion.feed_mm_s": 50.0})
-    )
-    assert run.parts.tissue.fields is None and "fields" not in run.parts.notes
-
-
-@pytest.mark.slow
-def test_a_needle_is_drawn_with_its_insertion_and_its_block(pierced, tmp_path):
-    pierced.save(tmp_path)
-    drawn = sorted(path.name for path in (tmp_path / "pictures").iterdir())
-    assert "pictures" not in pierced.parts.notes, pierced.parts.notes["pictures"]
-    assert drawn == ["force_torque.png", "held.png", "insertion.png", "press.png"]
-
-
-def test_a_hand_that_misses_the_track_still_moves_the_block():
-    """A novice enters 1.6 mm from the track, which is more than the needle's diameter."""
-    overrides = SCENE | {
-        "device": "touch",
-        "hand": "novice",
-        "duration_s": 0.7,
-        "motion.points_mm": [[0, 0, 5], [0, 0, -65]],
-    }
-    run = simulate(load_scene("needle", overrides))
-    entry = int(np.argmax(run.trace["deflection_mm"] > 0.0))
-    assert np.hypot(run.trace["tool_x_mm"][entry], run.trace["tool_y_mm"][entry]) > 1e3 * NEEDLE_M
-    assert any(frame.points["displacement_mm"].any() for frame in run.parts.tissue.fields.frames)
-    assert "10 mm from the track" in run.parts.notes["fields"]

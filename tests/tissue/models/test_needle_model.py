@@ -1,7 +1,5 @@
 """Needle as a tissue model: the contract's laws, contact with the organ, reports, refused poses."""
 
-import gc
-import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -11,10 +9,8 @@ from scipy.spatial.transform import Rotation
 from tissue import InputError
 from tissue.models.needle.model import NeedleModel
 from tissue.models.needle.parameters import needle_tissue, vessel_wall
-from tissue.models.tissue_model import HasVoxels, ToolMotion
-from tissue.motion.thrust import PushAlongAxis
+from tissue.models.tissue_model import ToolMotion
 
-STEP_S = 1e-3
 NEEDLE_M = 1.27e-3
 LIVER = needle_tissue()
 LAYERED = needle_tissue(walls=[vessel_wall(20e-3)])
@@ -62,15 +58,6 @@ def test_nothing_touched_gives_no_force():
             assert not getattr(response, name).any(), name
 
 
-def test_a_needle_removes_nothing():
-    model = needle()
-    go(model, wander(0))
-    model.finish()
-    assert not model.start_m3.any() and not model.removed_m3.any()
-    assert not isinstance(model, HasVoxels) and model.fields is None
-    assert model.respond(at(0.0)).removal_rate_m3_s == 0.0
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_force_grows_with_speed_as_its_two_parts_predict(seed):
     """Force grows with speed as its two parts predict.
@@ -87,54 +74,6 @@ def test_force_grows_with_speed_as_its_two_parts_predict(seed):
         )
         assert response.wrench[2] == pytest.approx(response.measures[2:].sum(), abs=1e-12)
         assert response.resistance[:3] @ motion.heading[0] <= 0.0
-
-
-def test_a_needle_at_rest_keeps_its_state_and_its_force():
-    """The organ stays deflected: unlike bone it pushes back at rest, without the viscous part."""
-    model = needle()
-    moving, motion = go(model, [-1.0, 40.0])
-    moving = moving.wrench.copy()
-    viscous = LAYERED.friction.viscous_in_N_s_m2 * model.insertion.inserted_m * motion.speed_m_s
-    motion.speed_m_s = 0.0
-    model.advance(motion)
-    held = model.respond(motion).wrench.copy()
-    assert held[2] == pytest.approx(moving[2] - viscous, rel=1e-12)
-    assert held[2] > 1.5
-    for _ in range(20):
-        model.advance(motion)
-        np.testing.assert_array_equal(model.respond(motion).wrench, held)
-    assert model.respond(motion).resistance[2] == 0.0
-
-
-def test_the_response_is_one_object_whose_arrays_are_used_again():
-    model = needle()
-    first = model.respond(at(-1.0))
-    arrays = [getattr(first, name) for name in (*ARRAYS, "measures")]
-    response, _ = go(model, wander(1))
-    assert response is first
-    assert all(
-        getattr(response, name) is array
-        for name, array in zip((*ARRAYS, "measures"), arrays, strict=True)
-    )
-
-
-def test_a_tick_leaves_no_memory_behind():
-    model = needle()
-    path = [-1.0, 50.0, -20.0]
-    go(model, path)
-    model.notices.clear()
-    tracemalloc.start()
-    go(model, path)
-    model.notices.clear()
-    gc.collect()
-    before = tracemalloc.get_traced_memory()[0]
-    for _ in range(3):
-        go(model, path)
-        model.notices.clear()
-    gc.collect()
-    grown = tracemalloc.get_traced_memory()[0] - before
-    tracemalloc.stop()
-    assert grown < 1024
 
 
 def test_layers_and_the_one_that_the_tip_touches():
@@ -238,61 +177,6 @@ def test_the_place_on_the_surface_does_not_matter(seed):
         expected = turned @ tilt @ plain.respond(motion).wrench[:3]
         np.testing.assert_allclose(moved.respond(other).wrench[:3], expected, atol=1e-9)
     assert not moved.respond(other).wrench[3:].any()
-
-
-def pushed(thrust_N, ticks=8000, step_s=STEP_S):
-    """Return depth [mm], force [N] and speed [m/s] of every tick under a thrust.
-
-    A needle is pushed by the thrust at no more than 5 mm/s.
-    """
-    model = needle(LIVER)
-    motion = ToolMotion()
-    drive = PushAlongAxis(
-        np.array([0.0, 0.0, 1e-3]),
-        axis=(0.0, 0.0, 1.0),
-        thrust_N=thrust_N,
-        mass_kg=0.05,
-        max_feed_m_s=5e-3,
-        depth_m=30e-3,
-    )
-    drive.begin(motion)
-    model.place(motion)
-    rows = []
-    response = model.respond(motion)
-    for tick in range(ticks):
-        drive.advance(tick * step_s, step_s, response, motion)
-        model.advance(motion)
-        response = model.respond(motion)
-        rows.append((-1e3 * motion.tip_m[2], response.wrench[2], motion.speed_m_s))
-    return np.array(rows).T
-
-
-def test_a_thrust_below_the_puncture_comes_to_rest_on_the_capsule():
-    """A thrust below the puncture comes to rest on the capsule.
-
-    It rests where the organ pushes back as much; the moving mass carries it v sqrt(m / k) = 0.08 mm
-    farther at most.
-    """
-    mm, force, speed = pushed(2.0)
-    assert speed[-1] == 0.0
-    rest_mm = 1e3 * LIVER.deflection_m(2.0)
-    assert rest_mm <= mm[-1] < rest_mm + 0.08
-    assert 2.0 <= force[-1] < 2.02
-    assert (np.diff(mm) >= 0.0).all()
-
-
-def test_a_thrust_above_the_puncture_goes_through_to_its_end():
-    mm, force, speed = pushed(2.4)
-    assert mm[-1] == pytest.approx(30.0, abs=1e-9)
-    fell = int(np.argmin(np.diff(force)))
-    assert force[fell] == pytest.approx(2.3, abs=2e-3)
-    assert speed[fell + 20] == 5e-3
-
-
-def test_the_thrust_does_not_make_the_step_matter():
-    coarse = pushed(2.0)[0][-1]
-    fine = pushed(2.0, ticks=40000, step_s=2e-4)[0][-1]
-    assert coarse == pytest.approx(fine, abs=5e-3)  # one coarse tick at 5 mm/s
 
 
 def test_a_needle_that_starts_inside_is_refused():

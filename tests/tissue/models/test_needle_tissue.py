@@ -2,11 +2,11 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from tissue import InputError
-from tissue.models.needle.insertion import Insertion
-from tissue.models.needle.model import NeedleModel
+from tissue.models.needle.model import Insertion, NeedleModel
 from tissue.models.needle.parameters import (
     Membrane,
     NeedleTissue,
@@ -21,79 +21,22 @@ CAPSULE = LIVER.membranes[0]
 
 
 @pytest.mark.parametrize(
-    ("make", "message"),
+    ("make", "argument"),
     [
+        (lambda: replace(FRICTION, static_in_N_m=5.0), "static_in_N_m"),
+        (lambda: replace(LIVER, linear_N_m=18.0), "linear_N_m"),
+        (lambda: replace(LIVER, membranes=(CAPSULE, CAPSULE)), "membranes"),
         (
-            lambda bad: replace(CAPSULE, depth_m=-1e-3),
-            "depth_m of the capsule must be in [0, 1], got -0.001",
+            lambda: replace(LIVER, membranes=(CAPSULE, replace(CAPSULE, depth_m=1e-2))),
+            "membranes",
         ),
-        (
-            lambda bad: replace(CAPSULE, depth_m=bad),
-            "depth_m of the capsule must be in [0, 1], got nan",
-        ),
-        (
-            lambda bad: replace(CAPSULE, puncture_N=0.0),
-            "puncture_N of the capsule must be positive and finite, got 0",
-        ),
-        (
-            lambda bad: replace(CAPSULE, puncture_N=bad),
-            "puncture_N of the capsule must be positive and finite, got nan",
-        ),
-        (
-            lambda bad: replace(CAPSULE, hold_N=-0.1),
-            "hold_N of the capsule must be in [0, 10000], got -0.1",
-        ),
-        (
-            lambda bad: replace(FRICTION, sliding_out_N_m=-11.96),
-            "sliding_out_N_m must be in [0, 1e+06], got -11.96",
-        ),
-        (
-            lambda bad: replace(FRICTION, viscous_in_N_s_m2=bad),
-            "viscous_in_N_s_m2 must be in [0, 1e+06], got nan",
-        ),
-        (
-            lambda bad: replace(FRICTION, static_in_N_m=5.0),
-            "static_in_N_m must be at least sliding_in_N_m (10.57)",
-        ),
-        (
-            lambda bad: replace(LIVER, linear_N_m=bad),
-            "linear_N_m must be positive and finite, got nan",
-        ),
-        (
-            lambda bad: replace(LIVER, linear_N_m=18.0),
-            "linear_N_m must be greater than the static friction per length",
-        ),
-        (
-            lambda bad: replace(LIVER, quadratic_N_m2=-1.0),
-            "quadratic_N_m2 must be in [0, 1e+09], got -1",
-        ),
-        (lambda bad: replace(LIVER, cutting_N="much"), "cutting_N must be a number, got 'much'"),
-        (
-            lambda bad: replace(LIVER, membranes=(CAPSULE, CAPSULE)),
-            "membranes must be listed from the surface downwards",
-        ),
-        (
-            lambda bad: replace(LIVER, membranes=(CAPSULE, replace(CAPSULE, depth_m=1e-2))),
-            (
-                "membranes must have different names and none parenchyma, got capsule, capsule: "
-                "rename one"
-            ),
-        ),
-        (
-            lambda bad: needle_tissue(walls=[vessel_wall(0.0)]),
-            "membranes must be listed from the surface downwards",
-        ),
-        (
-            lambda bad: NeedleModel(LIVER, diameter_m=bad),
-            "diameter_m must be positive and finite, got nan",
-        ),
+        (lambda: needle_tissue(walls=[vessel_wall(0.0)]), "membranes"),
+        (lambda: NeedleModel(LIVER, diameter_m=np.nan), "diameter_m"),
     ],
 )
-def test_numbers_that_cannot_be_meant_are_refused(make, message):
-    with pytest.raises(InputError) as refused:
-        make(float("nan"))
-    assert message in str(refused.value)
-    assert ": " in str(refused.value) and "\n" not in str(refused.value)
+def test_numbers_that_cannot_be_meant_are_refused(make, argument):
+    with pytest.raises(InputError, match=argument):
+        make()
 
 
 def test_an_insertion_can_be_built_without_the_cited_numbers():

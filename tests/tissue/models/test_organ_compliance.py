@@ -8,7 +8,7 @@ import pytest
 from held_cube import BOTTOM, SURFACE, body_of
 
 from meshes.base.progress import silent
-from tissue.fem.solvers.lazy_compliance import LazyCompliance
+from tissue.fem.solvers.compliance import LazyCompliance
 from tissue.models.organ.compliance import Factor, compliance_of
 
 TOUCHABLE = SURFACE[~BOTTOM[SURFACE]][::9]
@@ -68,14 +68,3 @@ def test_a_lazy_compliance_holds_nothing_until_it_is_asked(exact):
     while lazy.pour(found):
         pass
     assert found == pytest.approx(exact, abs=1e-9 * np.abs(exact).max())
-
-
-def test_a_factor_solves_loads_one_by_one(exact):
-    body = body_of()
-    loads = np.random.default_rng(0).normal(size=(2, *body.nodes_m.shape))
-    moved = Factor(body).solve_all(loads)
-    full = body.stiffness.toarray()[np.ix_(body.free, body.free)]
-    for load, each in zip(loads, moved, strict=True):
-        assert each.ravel()[body.free] == pytest.approx(
-            np.linalg.solve(full, load.ravel()[body.free]), rel=1e-8
-        )

@@ -6,9 +6,7 @@ import trimesh
 from contact_slab import TIGHT, along, away
 from scipy.spatial.transform import Rotation
 
-from meshes.base.errors import InputError
-from tissue.models.organ.contact import ContactOutcome, SurfaceContact
-from tissue.models.organ.contact_points import contact_points
+from tissue.models.organ.contact import ContactOutcome, SurfaceContact, contact_points
 from tissue.models.organ.probe import CylinderProbe, ShellProbe, SphereProbe
 
 CLOSE = 1e-7
@@ -42,8 +40,11 @@ def test_friction_cone_and_complementarity_hold_on_random_scenes(slab, seed):
         rotation = new_rotation
         moved = slab.rest + result.displacement_m()
         place = np.einsum("pa,paj->pj", weights, moved[slab.faces[face]])
-        gap, normal = probe.distance((place - tip) @ rotation)
-        normal = normal @ rotation.T
+        local = (place - tip) @ rotation
+        gap = probe.distance(local)
+        steps = 1e-7 * np.eye(3)
+        slopes = [probe.distance(local + e) - probe.distance(local - e) for e in steps]
+        normal = np.column_stack(slopes) / 2e-7 @ rotation.T
         force = contact._points.force.numpy()
         press = np.einsum("pj,pj->p", force, normal)
         side = force - press[:, None] * normal
@@ -126,49 +127,6 @@ def test_a_shell_of_points_feels_what_its_shape_feels(slab):
     )
 
 
-def test_a_shell_that_jumps_is_felt_by_all_its_points(slab):
-    """A flat end in one tick of 6.5 mm, more than a triangle's radius, as in many small ones."""
-    block = trimesh.creation.box((0.02, 0.02, 0.01))
-    block.apply_translation([0.0, 0.0, 0.005])
-    shell = ShellProbe.from_mesh(block, points=800)
-    start = np.array([0.0, 0.0, 5e-4])
-    end = np.array([0.0, 0.0, -6e-3])
-    slow = slab.contact(shell, friction=0.0)
-    quick = slab.contact(shell, friction=0.0)
-    wanted = along(slow, np.linspace(start, end, 60))
-    force = wanted.force_N[2]
-    contacts = wanted.contacts
-    jumped = along(quick, [start, end])
-    assert contacts > 5 and jumped.contacts > 0.7 * contacts
-    assert jumped.force_N[2] == pytest.approx(force, rel=0.1)
-
-
-def test_where_a_shell_s_frame_lies_does_not_matter(slab):
-    """The frame of a shell does not change its forces.
-
-    The test compares a ball of points in a frame at its tip with the same ball in an upside-down
-    frame 3 cm above it.
-    """
-    ball = trimesh.creation.icosphere(3, 0.012)
-    ball.apply_translation([0.0, 0.0, 0.012])
-    near = ShellProbe.from_mesh(ball, points=400)
-    upside_down = np.diag([1.0, -1.0, -1.0])
-    above = np.array([0.0, 0.0, 0.03])
-    far = ShellProbe(
-        (near.points_m - above) @ upside_down, near.normals @ upside_down, near.areas_m2
-    )
-    path = away([0.002, 0.001, -0.004])
-    wanted = along(slab.contact(near, friction=0.2), path)
-    force = wanted.force_N.copy()
-    torque = wanted.torque_Nm.copy()
-    found = along(slab.contact(far, friction=0.2), [tip + above for tip in path], upside_down)
-    assert force[2] > 1e-2
-    np.testing.assert_allclose(found.force_N, force, atol=1e-6 * np.linalg.norm(force))
-    np.testing.assert_allclose(
-        found.torque_Nm, torque - np.cross(above, force), atol=1e-6 * np.linalg.norm(torque)
-    )
-
-
 def test_a_drag_sticks_first_and_then_slips_at_the_coefficient(slab):
     contact = slab.contact(SphereProbe(0.011), friction=0.3, spacing_m=1.0, **TIGHT)
     path = [np.array([0.0, 0.0, z]) for z in np.linspace(0.0005, -0.002, 26)]
@@ -236,30 +194,6 @@ def test_a_scaled_compliance_and_shifted_nodes_are_those_of_another_organ(slab):
     np.testing.assert_allclose(result.displacement_m(), other.result.displacement_m(), atol=1e-9)
 
 
-@pytest.mark.parametrize("shifts", [1, 3])
-def test_nodes_that_are_shifted_to_a_tool_that_waits_touch_it(slab, shifts):
-    """Nodes that are shifted to a waiting tool touch it.
-
-    A tool 2 cm above, four triangles away, feels a surface that rises by 2.1 cm like an organ at
-    that height.
-    """
-    tip = np.array([0.001, 0.0, 0.02])
-    offset = np.array([0.0, 0.0, 0.021])
-    options = {"spacing_m": 1.0, "friction": 0.0} | TIGHT
-    other = SurfaceContact(
-        slab.rest + offset, slab.faces, slab.compliance, SphereProbe(0.01), **options
-    )
-    expected = other.solve(tip, np.eye(3)).force_N.copy()
-    assert expected[2] > 1e-3
-    contact = slab.contact(SphereProbe(0.01), **options)
-    contact.place(tip, np.eye(3))
-    for share in np.arange(1, shifts + 1) / shifts:
-        contact.shift(np.broadcast_to(share * offset, slab.rest.shape))
-        result = contact.solve(tip, np.eye(3))
-    np.testing.assert_allclose(result.force_N, expected, atol=1e-6 * np.linalg.norm(expected))
-    assert result.contacts == other.result.contacts
-
-
 def test_another_compliance_with_the_surface_where_it_was_leaves_the_force(slab):
     """Another compliance with an unmoved surface leaves the force.
 
@@ -282,56 +216,3 @@ def test_another_compliance_with_the_surface_where_it_was_leaves_the_force(slab)
     plain = SurfaceContact(slab.rest, slab.faces, slab.compliance, SphereProbe(0.01), **options)
     stiffer = along(plain, [*path, tip - [0.0, 0.0, 1e-5]]).force_N[2] - force[2]
     assert 0.3 * stiffer < deeper < 0.8 * stiffer
-
-
-def test_leaving_drops_all_force(slab):
-    contact = slab.contact(SphereProbe(0.01))
-    along(contact, away([0.002, 0.0, -0.003]))
-    result = contact.solve(np.array([0.0, 0.0, 0.01]), np.eye(3))
-    assert (
-        not result.force_N.any()
-        and not result.nodal_forces_N.any()
-        and not result.displacement_m().any()
-    )
-
-
-def test_bad_input_is_refused_where_it_enters(slab):
-    probe = SphereProbe(0.01)
-    for change, message in (
-        ({"friction": -0.1}, "friction must be"),
-        ({"spacing_m": 1e-4}, "touch_edge_m must be shorter"),
-    ):
-        with pytest.raises(InputError, match=message):
-            slab.contact(probe, **change)
-    with pytest.raises(InputError, match="compliance_m_N must be float64"):
-        SurfaceContact(slab.rest, slab.faces, slab.compliance[:-3], probe)
-    with pytest.raises(InputError, match="nodes_m must be finite"):
-        SurfaceContact(
-            np.where(slab.rest == slab.rest.max(), np.nan, slab.rest),
-            slab.faces,
-            slab.compliance,
-            probe,
-        )
-    with pytest.raises(InputError, match="faces must name nodes"):
-        SurfaceContact(slab.rest, slab.faces + 1, slab.compliance, probe)
-    contact = slab.contact(probe)
-    with pytest.raises(InputError, match="motion must start outside"):
-        contact.place(np.array([0.0, 0.0, -0.002]), np.eye(3))
-    with pytest.raises(InputError, match="rotation must be a rotation"):
-        contact.place(np.array([0.0, 0.0, 0.01]), 2.0 * np.eye(3))
-    with pytest.raises(InputError, match="must be finite"):
-        contact.solve(np.array([0.0, np.nan, 0.01]), np.eye(3))
-    for make, message in (
-        (lambda: SphereProbe(0.0), "radius_m"),
-        (lambda: CylinderProbe(0.01, 0.02), "edge_m must be below"),
-        (
-            lambda: ShellProbe(np.zeros((2, 3)), np.ones((2, 3)), np.ones(2)),
-            "normals must have length 1",
-        ),
-        (
-            lambda: ShellProbe(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)),
-            "points_m must have shape",
-        ),
-    ):
-        with pytest.raises(InputError, match=message):
-            make()

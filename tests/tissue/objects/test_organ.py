@@ -184,7 +184,7 @@ def test_a_later_press_needs_no_factor_and_is_the_same(monkeypatch):
         edge_mm=4, near_mm=[(0, 0, 0), (10, 0, 0)]
     )
     first = organ.press(BALL, depth_mm=1.5, at_mm=(0, 0, 0))
-    monkeypatch.setattr(direct, "factorised", None)
+    monkeypatch.setattr(direct, "Multifrontal", None)
     again, second = (organ.press(BALL, depth_mm=1.5, at_mm=(x, 0, 0)) for x in (0, 10))
     elsewhere = organ.press(BALL, depth_mm=1.5, at_mm=(-12, 8, 0))  # by columns: nobody expected it
     np.testing.assert_array_equal(again.forces_N, first.forces_N)
@@ -439,7 +439,7 @@ def test_meshes_that_cannot_be_are_refused_in_one_sentence(tmp_path):
         with pytest.raises(InputError) as refused:
             tissue.Organ.from_tetrahedra(mesh, **STIFF)
         assert str(refused.value).startswith(sentence) and "\n" not in str(refused.value)
-    with pytest.raises(InputError, match="1 of 2 unconnected parts"):
+    with pytest.raises(InputError, match="supports"):
         organ = tissue.Organ.from_tetrahedra(loose, held_below_mm=-23.9, **STIFF)
         organ.press(BALL, depth_mm=1, at_mm=(0, 0, 0))
 

@@ -25,8 +25,7 @@ from tissue.evaluation.atlas.page import (
 )
 from tissue.fem.conjugate_gradients import SolverOutcome
 from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.grid import HexGrid, ParticleSet
-from tissue.models.tooth.supports import NodeSupports
+from tissue.models.tooth.grid import HexGrid, NodeSupports, ParticleSet
 
 __all__ = ["PAGE"]
 

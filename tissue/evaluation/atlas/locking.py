@@ -19,9 +19,8 @@ from tissue.evaluation.atlas.page import (
     refused,
     shown,
 )
-from tissue.fem.assembly import assemble
+from tissue.fem.assembly import assemble, traction
 from tissue.fem.conjugate_gradients import SolverOutcome
-from tissue.fem.loads import traction
 from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.held_body import HeldBody
 from tissue.fem.space import Space

@@ -158,13 +158,9 @@ def _solvers(scene: Scene, laws: "Sequence[Law]") -> "list[NewtonSolver]":
     held[found.held] = True
     held[space.with_middles(faces_of(space.mesh, found.held))] = True
     lame, _ = elasticity_of(found.mesh, scene.anatomy, scene.organ, scene.constants)
-    solvers: list[NewtonSolver] = []
-    for law in laws:
-        # All laws have the same stiffness at rest.
-        known = solvers[0].precondition if solvers else None
-        body = NonlinearBody(space, lame, law=law)
-        solvers.append(NewtonSolver(body, held, tolerance=TOLERANCE, precondition=known))
-    return solvers
+    return [
+        NewtonSolver(NonlinearBody(space, lame, law=law), held, tolerance=TOLERANCE) for law in laws
+    ]
 
 
 def _touching(scene: Scene, solver: "NewtonSolver") -> tuple[Array, Array]:

@@ -12,7 +12,7 @@ f is the force k_c (s - z) after prediction, low-pass, latency and the device's 
 share of K_0 (a - s) one reflex time ago. P is a1 u + a2 u|u| with u = z until P reaches the
 puncture force. From then on the needle slides, and u follows from a1 u + a2 u|u| = hold + cut +
 friction * (z - u). P adds viscous * (z - u) z' to this force, see
-`tissue.models.needle.insertion.Insertion`. The stop begins one reaction time after the hand has
+`tissue.models.needle.model.Insertion`. The stop begins one reaction time after the hand has
 noticed the puncture: by the force alone, or by force or sight, whichever is first. By sight, it
 notices in the first video frame that shows the tip `VISIBLE_M` beyond the membrane. A frame shows
 the state one frame earlier. **Excess travel** = largest z from the puncture on - z at the puncture.

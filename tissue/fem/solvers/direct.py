@@ -1,65 +1,249 @@
 """Sparse factorisation: exact to rounding, many right sides for one factor.
 
 Multifrontal Cholesky over nested dissection of the coordinates. At 35,000 unknowns it takes a
-quarter of the time of SuperLU with an equal order of elimination (`python
-tests/bench/bench_factor.py`). A stiffness that is not positive definite to rounding is factorised
-by SciPy's SuperLU on diagonal pivots. The check of the residual applies to its solutions too.
+quarter of the time of SciPy's SuperLU with an equal order of elimination (`python
+tests/bench/bench_factor.py`).
 
 The order of elimination is nested dissection by coordinates, which keeps a factor sparse (George
 1973, SIAM J. Numer. Anal. 10:345).
+
+The factorisation is multifrontal (Duff and Reid 1983, ACM Trans. Math. Softw. 9:302).
+
+Blocks of unknowns are eliminated one after the other. Each is eliminated in a dense front ``[[A,
+B^T], [B, C]]`` of its unknowns and of the later unknowns that it changes. ``A = L L^T``, ``B L^-T``
+is kept, and ``C - B A^-1 B^T`` is added to the front that eliminates the first of the later
+unknowns. Nearly all of the time is then spent in LAPACK and in BLAS of level 3.
 """
 
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
-from scipy.sparse import csc_array, csr_array
-from scipy.sparse.linalg import splu
+from scipy.linalg.blas import dsyrk, dtrsm
+from scipy.linalg.lapack import dpotrf, dpotri
+from scipy.sparse import csc_array, csr_array, tril
+from threadpoolctl import threadpool_limits
 
-from meshes.base.arrays import Array, Ints
+from meshes.base.arrays import Array, Flags, Ints
 from meshes.base.errors import InputError
 from tissue.fem.conjugate_gradients import Solution, SolverOutcome
-from tissue.fem.solvers.held_body import HeldBody, pointwise_graph
-from tissue.fem.solvers.multifrontal import Multifrontal, NotPositiveDefiniteError
+from tissue.fem.solvers.held_body import HeldBody, components_of, pointwise_graph
 
-__all__ = ["DirectSolver", "SuperLUFactor", "dissected", "dissection", "factorised"]
+__all__ = [
+    "DirectSolver",
+    "Front",
+    "Multifrontal",
+    "NotPositiveDefiniteError",
+    "dissected",
+    "fronts_of",
+]
 
 
-class SuperLUFactor:
-    """Factor of a symmetric matrix, made once.
+@dataclass(frozen=True, eq=False)
+class Front:
+    """Block of unknowns that is eliminated at once.
+
+    Attributes
+    ----------
+    start, stop
+        Its unknowns, in order of elimination.
+    below
+        Later unknowns that its elimination changes, rising, shape (r,).
+    children
+        Fronts whose changes reach this one first.
+    """
+
+    start: int
+    stop: int
+    below: Ints
+    children: list[int]
+
+
+def fronts_of(lower: csc_array, starts: Ints) -> list[Front]:
+    """Return the fronts of blocks of unknowns in order of elimination, children before parents.
+
+    Parameters
+    ----------
+    lower
+        Lower triangle of the matrix in order of elimination, shape (n, n).
+    starts
+        First unknown of each block and n, rising, shape (blocks + 1,).
+    """
+    marked = np.zeros(lower.shape[0], np.bool_)
+    block_of = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+    children: list[list[int]] = [[] for _ in starts[1:]]
+    fronts: list[Front] = []
+    for block, (start, stop) in enumerate(
+        zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True)
+    ):
+        marked[lower.indices[lower.indptr[start] : lower.indptr[stop]]] = True
+        for child in children[block]:
+            marked[fronts[child].below] = True
+        below = stop + np.flatnonzero(marked[stop:])
+        marked[start:] = False
+        if len(below):
+            children[int(block_of[below[0]])].append(block)
+        fronts.append(Front(start, stop, below, children[block]))
+    return fronts
+
+
+FEW_RUNS = 16
+"""Largest number of pairs of consecutive runs for which a block is added pair by pair."""
+SHORT = 6
+"""Mean number of rows of a run below which a block is added entry by entry."""
+
+
+class NotPositiveDefiniteError(InputError):
+    """Error for a matrix without a Cholesky factor."""
+
+
+class Multifrontal:
+    """Cholesky factor of a symmetric matrix, made once.
 
     Parameters
     ----------
     matrix
-        Matrix in order of elimination, shape (n, n).
+        Symmetric and positive definite, in order of elimination, shape (n, n); its lower triangle
+        alone is read.
+    starts
+        First unknown of each block that is eliminated at once, and n, rising, shape (blocks + 1,).
 
     Raises
     ------
-    RuntimeError
-        If the matrix is singular.
+    NotPositiveDefiniteError
+        If the matrix is not positive definite to rounding.
     """
 
-    def __init__(self, matrix: csc_array) -> None:
-        self._factor = splu(
-            matrix, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-        )
+    def __init__(self, matrix: csc_array, starts: Ints) -> None:
+        lower = csc_array(tril(matrix, format="csc"))
+        self._count = lower.shape[0]
+        self._fronts = fronts_of(lower, starts)
+        self._diagonal: list[Array] = []
+        """L of each front, shape (k, k), Fortran order."""
+        self._under: list[Array] = []
+        """``B L^-T`` of each front, shape (r, k), Fortran order."""
+        changes: dict[int, Array] = {}
+        place = np.zeros(self._count, np.int64)
+        for number, front in enumerate(self._fronts):
+            changed = self._eliminate(front, lower, changes, place)
+            if len(front.below):
+                changes[number] = changed
+
+    @property
+    def entries(self) -> int:
+        """Number of entries of the factor."""
+        return sum(part.size for part in [*self._diagonal, *self._under])
 
     def solve(self, right: Array) -> Array:
         """Return the solution for one or several right sides, shape (n,) or (n, m)."""
-        found: Array = self._factor.solve(np.asfortranarray(right))
-        return found
+        found = np.array(right, dtype=np.float64, order="C").reshape(
+            self._count, int(np.prod(np.shape(right)[1:]))
+        )
+        parts = list(zip(self._fronts, self._diagonal, self._under, strict=True))
+        for front, diagonal, under in parts:
+            values = found[front.start : front.stop]
+            if not values.any():
+                continue
+            values[:] = dtrsm(1.0, diagonal, values, lower=1)
+            if len(front.below):
+                found[front.below] -= under @ values
+        for front, diagonal, under in reversed(parts):
+            values = found[front.start : front.stop]
+            if len(front.below):
+                values -= under.T @ found[front.below]
+            values[:] = dtrsm(1.0, diagonal, values, lower=1, trans_a=1)
+        return found.reshape(np.shape(right))
 
     def inverse_of_last(self, count: int) -> Array:
-        """Return the block of the inverse of the last unknowns, shape (count, count)."""
-        upper = self._factor.U[-count:, -count:].toarray()
-        # S = U^T D^-1 U with D the diagonal of U: its inverse is V D V^T with V the inverse of U.
-        # D has negative entries where the matrix is indefinite.
-        pivots = np.diag(upper)
-        half = solve_triangular(upper, np.diag(np.sqrt(np.abs(pivots))))
-        whole: Array = (half * np.sign(pivots)) @ half.T
+        """Return the block of the inverse that belongs to the last unknowns, shape (count, count).
+
+        It is bitwise symmetric. The count must not exceed the block that is eliminated last.
+        """
+        inverse, _ = dpotri(self._diagonal[-1], lower=1)
+        inverse = inverse[-count:, -count:]
+        whole: Array = np.tril(inverse) + np.tril(inverse, -1).T
         return whole
+
+    def _eliminate(
+        self, front: Front, lower: csc_array, changes: dict[int, Array], place: Ints
+    ) -> Array:
+        count = front.stop - front.start
+        after = len(front.below)
+        diagonal, under, change = (
+            np.zeros(shape, order="F") for shape in ((count, count), (after, count), (after, after))
+        )
+        place[front.below] = np.arange(after)
+        first = lower.indptr[front.start]
+        end = lower.indptr[front.stop]
+        rows = lower.indices[first:end]
+        values = lower.data[first:end]
+        columns = np.repeat(np.arange(count), np.diff(lower.indptr[front.start : front.stop + 1]))
+        inside = rows < front.stop
+        diagonal[rows[inside] - front.start, columns[inside]] = values[inside]
+        under[place[rows[~inside]], columns[~inside]] = values[~inside]
+        for child in front.children:
+            block = changes.pop(child)
+            below = self._fronts[child].below
+            split = int(np.searchsorted(below, front.stop))
+            here = _Rows.of(below[:split] - front.start)
+            there = _Rows.of(place[below[split:]])
+            _add(diagonal, here, here, block[:split, :split])
+            _add(under, there, here, block[split:, :split])
+            _add(change, there, there, block[split:, split:])
+        diagonal, failed = dpotrf(diagonal, lower=1, overwrite_a=1)
+        if failed:
+            raise NotPositiveDefiniteError(
+                "stiffness",
+                "be positive definite",
+                f"none at unknown {front.start + failed - 1}",
+                "check moduli and sliver cells",
+            )
+        if after:
+            under = dtrsm(1.0, diagonal, under, side=1, lower=1, trans_a=1, overwrite_b=1)
+            change = dsyrk(-1.0, under, beta=1.0, c=change, lower=1, overwrite_c=1)
+        self._diagonal.append(diagonal)
+        self._under.append(under)
+        return change
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Rising rows of a matrix, with the start and end of each run of consecutive rows."""
+
+    at: Ints
+    runs: list[tuple[int, int]]
+
+    @classmethod
+    def of(cls, at: Ints) -> "_Rows":
+        cuts = [0, *(1 + np.flatnonzero(np.diff(at) != 1)).tolist(), len(at)]
+        return cls(at, list(pairwise(cuts)))
+
+
+def _add(target: Array, rows: _Rows, columns: _Rows, block: Array) -> None:
+    """Add a block to some rows and columns of a matrix in place.
+
+    Of a square block, the lower triangle is added; the upper triangle may be added too. Long runs
+    of rows, which are contiguous in memory, are added run by run.
+    """
+    if not block.size:
+        return
+    transposed = target.T
+    added = block.T
+    at = rows.at
+    to = columns.at
+    square = rows is columns
+    if len(rows.runs) * len(columns.runs) <= FEW_RUNS:
+        for a, b in rows.runs:
+            for c, d in columns.runs:
+                if not square or c < b:
+                    transposed[to[c] : to[c] + d - c, at[a] : at[a] + b - a] += added[c:d, a:b]
+    elif len(rows.runs) * SHORT <= len(at):
+        for a, b in rows.runs:
+            end = b if square else len(to)
+            transposed[to[:end], at[a] : at[a] + b - a] += added[:end, a:b]
+    else:
+        transposed[np.ix_(to, at)] += added
 
 
 LEVELS = 10
@@ -68,12 +252,7 @@ LEAF = 32
 """Largest number of nodes of a set that is not cut further."""
 
 
-def dissection(nodes_m: Array, graph: csr_array) -> Ints:
-    """Return the nodes in order of elimination, shape (n,); parameters as of `dissected`."""
-    return np.concatenate(dissected(nodes_m, graph))
-
-
-def dissected(nodes_m: Array, graph: csr_array, *, leaf: int = LEAF) -> list[Ints]:
+def dissected(nodes_m: Array, graph: csr_array) -> list[Ints]:
     """Return sets of nodes in order of elimination: both sides of each cut, then their separator.
 
     A set is cut at the median of its longest extent. The nodes of one side that touch the other
@@ -85,17 +264,15 @@ def dissected(nodes_m: Array, graph: csr_array, *, leaf: int = LEAF) -> list[Int
         Node positions [m], shape (n, 3).
     graph
         Nodes that share a cell, shape (n, n).
-    leaf
-        Sets of at most this many nodes are not cut further.
     """
-    side = np.zeros(len(nodes_m), dtype=np.int8)
+    side = np.zeros(len(nodes_m), np.int8)
     last_first: list[Ints] = []
     waiting = [_along_curve(nodes_m)]
     while waiting:
         nodes = waiting.pop()
         along = (
             nodes_m[nodes, int(np.ptp(nodes_m[nodes], axis=0).argmax())]
-            if len(nodes) > leaf
+            if len(nodes) > LEAF
             else np.zeros(1)
         )
         low = along < np.median(along)
@@ -119,7 +296,7 @@ def dissected(nodes_m: Array, graph: csr_array, *, leaf: int = LEAF) -> list[Int
     return last_first[::-1]
 
 
-def _touches(graph: csr_array, nodes: Ints, marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _touches(graph: csr_array, nodes: Ints, marked: Flags) -> Flags:
     """Return a mask of the nodes that have a marked neighbour."""
     rows = graph[nodes]
     return np.asarray(rows @ marked.astype(np.int32) > 0)
@@ -134,7 +311,7 @@ def _along_curve(nodes_m: Array) -> Ints:
     steps = (
         (nodes_m - low) / max(float(np.ptp(nodes_m, axis=0).max()), 1e-300) * (2**LEVELS - 1)
     ).astype(np.int64)
-    code = np.zeros(len(nodes_m), dtype=np.int64)
+    code = np.zeros(len(nodes_m), np.int64)
     for level in range(LEVELS):
         for axis in range(3):
             code |= ((steps[:, axis] >> level) & 1) << (3 * level + axis)
@@ -143,16 +320,6 @@ def _along_curve(nodes_m: Array) -> Ints:
 
 TOGETHER = 48
 """Right sides in one back-substitution: with 48, each takes a ninth of the time of a single one."""
-
-
-class Factor(Protocol):
-    """Result of a factorisation, unknowns in order of elimination."""
-
-    def solve(self, right: Array) -> Array:
-        """Return the solution for one or several right sides, shape (n,) or (n, m)."""
-
-    def inverse_of_last(self, count: int) -> Array:
-        """Return the block of the inverse of the last unknowns, shape (count, count)."""
 
 
 class DirectSolver:
@@ -165,35 +332,38 @@ class DirectSolver:
     last
         Nodes that are eliminated last, so that the compliance between them can be read off the
         factor.
-    definite
-        Refuse a stiffness that is not positive definite, instead of using SuperLU for it.
 
     Raises
     ------
-    InputError
-        If the matrix cannot be factorised.
     NotPositiveDefiniteError
-        If the matrix is not positive definite and `definite` is set.
+        If the stiffness is not positive definite to rounding.
     """
 
     tolerance = 1e-8
 
-    def __init__(self, body: HeldBody, *, last: Ints | None = None, definite: bool = False) -> None:
+    def __init__(self, body: HeldBody, *, last: Ints | None = None) -> None:
         self.body = body
-        self.last = np.zeros(0, dtype=np.int64) if last is None else np.unique(last)
+        self.last = np.zeros(0, np.int64) if last is None else np.unique(last)
         """Nodes that were eliminated last, rising."""
         blocks = dissected(body.nodes_m, pointwise_graph(body.stiffness))
         if len(self.last):
             blocks = [*(nodes[~np.isin(nodes, self.last)] for nodes in blocks), self.last]
-        self._order, self._matrix, self._factor = factorised(body, blocks, definite=definite)
+        free = np.zeros(3 * len(body.nodes_m), np.bool_)
+        free[body.free] = True
+        parts = [components_of(nodes) for nodes in blocks]
+        parts = [kept for unknowns in parts if len(kept := unknowns[free[unknowns]])]
+        self._order = np.concatenate([np.zeros(0, np.int64), *parts])
+        matrix = body.stiffness.tocsr()[self._order][:, self._order].tocsc()
+        matrix.sort_indices()
+        self._matrix = matrix
+        # Threads on small blocks took five times longer on a busy machine.
+        with threadpool_limits(1, "blas"):
+            self._factor = Multifrontal(matrix, np.cumsum([0, *map(len, parts)]))
         self._position = np.full(3 * len(body.nodes_m), -1)
         self._position[self._order] = np.arange(len(self._order))
 
-    def solve(self, load_N: Array, *, start_m: Array | None = None) -> Solution:
-        """Solve for the displacement under nodal forces [N], shape (n, 3).
-
-        ``start_m`` is ignored.
-        """
+    def solve(self, load_N: Array) -> Solution:
+        """Solve for the displacement under nodal forces [N], shape (n, 3)."""
         right = self.body.right_side(load_N)
         norm = float(np.linalg.norm(right))
         if norm == 0.0:
@@ -203,11 +373,7 @@ class DirectSolver:
         ordered[place] = right
         found = self._factor.solve(ordered)
         left = float(np.linalg.norm(ordered - self._matrix @ found)) / norm
-        # The energy is positive for any load where K is positive definite.
-        energy = float(found @ ordered)
         outcome = SolverOutcome.CONVERGED if left <= self.tolerance else SolverOutcome.INACCURATE
-        if not np.isfinite(left) or energy <= 0.0:
-            outcome = SolverOutcome.INDEFINITE
         return Solution(self.body.whole(found[place]), outcome, 0, left)
 
     def columns(self, unknowns: Ints, *, together: int = TOGETHER) -> Array:
@@ -231,65 +397,17 @@ class DirectSolver:
         the factor, the factor of their Schur complement. Other nodes take back-substitutions.
         """
         if not np.isin(nodes, self.last).all():
-            unknowns = (3 * nodes[:, None] + np.arange(3)).ravel()
+            unknowns = components_of(nodes)
             return self.columns(unknowns)[unknowns]
         at = np.searchsorted(self.last, nodes)
-        rows = (3 * at[:, None] + np.arange(3)).ravel()
+        rows = components_of(at)
         between: Array = self._compliance_of_last_m_N[np.ix_(rows, rows)]
         return between
 
     @cached_property
     def _compliance_of_last_m_N(self) -> Array:
-        free = np.isin((3 * self.last[:, None] + np.arange(3)).ravel(), self.body.free)
+        free = np.isin(components_of(self.last), self.body.free)
         whole = np.zeros((len(free), len(free)))
         if free.any():
             whole[np.ix_(free, free)] = self._factor.inverse_of_last(int(free.sum()))
         return whole
-
-
-def factorised(
-    body: HeldBody, blocks: list[Ints], *, definite: bool = False
-) -> tuple[Ints, csc_array, Factor]:
-    """Return the free unknowns in order of elimination, their matrix, and its factor.
-
-    Parameters
-    ----------
-    body
-        The stiffness and its supports.
-    blocks
-        Nodes that are eliminated together, in order; each node belongs to one block.
-    definite
-        Refuse a matrix that is not positive definite, instead of using SuperLU for it.
-
-    Raises
-    ------
-    InputError
-        If the matrix cannot be factorised.
-    NotPositiveDefiniteError
-        If the matrix is not positive definite and `definite` is set.
-    """
-    free = np.zeros(3 * len(body.nodes_m), dtype=np.bool_)
-    free[body.free] = True
-    parts = [(3 * nodes[:, None] + np.arange(3)).ravel() for nodes in blocks]
-    parts = [kept for unknowns in parts if len(kept := unknowns[free[unknowns]])]
-    kept = np.concatenate([np.zeros(0, dtype=np.int64), *parts])
-    matrix = body.stiffness.tocsr()[kept][:, kept].tocsc()
-    matrix.sort_indices()
-    from threadpoolctl import threadpool_limits
-
-    try:
-        # Threads on small blocks took five times longer on a busy machine.
-        with threadpool_limits(1, "blas"):
-            return kept, matrix, Multifrontal(matrix, np.cumsum([0, *map(len, parts)]))
-    except NotPositiveDefiniteError:
-        if definite:
-            raise
-    try:
-        return kept, matrix, SuperLUFactor(matrix)
-    except RuntimeError as problem:
-        raise InputError(
-            "stiffness",
-            "be positive definite",
-            f"one without a factor ({problem})",
-            "check moduli and sliver cells",
-        ) from problem

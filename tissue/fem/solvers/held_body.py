@@ -1,19 +1,57 @@
-"""Body of ``K u = f`` with its supports, and the interface of solvers for its inverse."""
+"""Body of ``K u = f`` with its supports, and the rigid motions that they leave free."""
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import bsr_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
-from meshes.base.arrays import Array, Ints
+from meshes.base.arrays import Array, Flags, Ints
 from meshes.base.errors import InputError
-from tissue.fem.free_modes import free_modes
 
-__all__ = ["ColumnSolver", "HeldBody", "held_nodes", "pointwise_graph"]
+__all__ = [
+    "ColumnSolver",
+    "HeldBody",
+    "components_of",
+    "free_motion_count",
+    "held_nodes",
+    "pointwise_graph",
+    "rigid_modes",
+]
+
+LEAST_HOLD = 1e-6
+"""Largest motion of the held components in a free motion, relative to the body's own motion."""
+
+
+def rigid_modes(nodes_m: Array, about_m: Array) -> Array:
+    """Return nodal displacements of the six unit rigid motions, shape (n, 3, 6).
+
+    Three translations come first, then three rotations.
+    """
+    modes = np.zeros((len(nodes_m), 3, 6))
+    modes[:, :, :3] = np.eye(3)
+    modes[:, :, 3:] = np.cross(np.eye(3)[None], (nodes_m - about_m)[:, None, :]).transpose(0, 2, 1)
+    return modes
+
+
+def free_motion_count(nodes_m: Array, held: Flags) -> int:
+    """Return the number of independent rigid motions that move no held component.
+
+    Parameters
+    ----------
+    nodes_m
+        Nodes of one connected body [m], shape (n, 3).
+    held
+        Components that are fixed, shape (n, 3).
+    """
+    centre = nodes_m.mean(axis=0)
+    size = max(float(np.linalg.norm(nodes_m - centre, axis=1).max()), 1e-300)
+    rows = rigid_modes((nodes_m - centre) / size, np.zeros(3))[held]
+    values = np.linalg.eigvalsh(rows.T @ rows / max(len(rows), 1))
+    return int((values < LEAST_HOLD**2).sum())
 
 
 class ColumnSolver(Protocol):
@@ -50,71 +88,37 @@ class HeldBody:
     Raises
     ------
     InputError
-        If shapes do not fit, K is not finite, nothing is held, a held node belongs to no cell, or
-        a connected part may move as a rigid body. The message names the free motions.
+        If K is not finite, nothing is held, a held node belongs to no cell, or
+        a connected part may move as a rigid body.
     """
 
     stiffness: bsr_array
     nodes_m: Array
-    fixed: NDArray[np.bool_]
+    fixed: Flags
 
     def __post_init__(self) -> None:
-        count = len(self.nodes_m)
-        if self.stiffness.shape != (3 * count, 3 * count) or self.fixed.shape != (count, 3):
-            raise InputError(
-                "stiffness and fixed",
-                f"be for the {count} nodes of nodes_m",
-                f"{self.stiffness.shape} and {self.fixed.shape}",
-                "make them on one space",
-            )
         if not np.isfinite(self.stiffness.data).all():
             raise InputError("stiffness", "be finite", "NaN or infinity", "check the moduli")
-        if not self.fixed.any():
-            raise InputError(
-                "supports",
-                "hold something",
-                "none",
-                "all six rigid motions are free, fix some nodes",
-            )
         if not (self.fixed & self.carrying[:, None]).any():
-            raise InputError(
-                "supports",
-                "touch the body",
-                f"{int(self.fixed.any(axis=1).sum())} nodes that no cell uses",
-                "hold nodes of cells",
-            )
-        self._refuse_free_parts()
-
-    def _refuse_free_parts(self) -> None:
+            raise InputError("supports", "hold nodes of cells", "none", "hold some of them")
         count, label = connected_components(pointwise_graph(self.stiffness), directed=False)
         order = np.argsort(label, kind="stable")
         starts = np.searchsorted(label[order], np.arange(count + 1))
-        free = []
-        for part in range(count):
-            nodes = order[starts[part] : starts[part + 1]]
+        for first, last in pairwise(starts):
+            nodes = order[first:last]
             if not self.carrying[nodes[0]]:
                 continue
-            modes = free_modes(self.nodes_m[nodes], self.fixed[nodes])
-            if modes:
-                free.append((len(nodes), int(nodes[0]), modes))
-        if not free:
-            return
-        size, first, modes = max(free)
-        parts = len(np.unique(label[self.carrying]))
-        where = (
-            "the body"
-            if parts == 1
-            else f"{len(free)} of {parts} unconnected parts, the largest with node {first}"
-        )
-        raise InputError(
-            "supports",
-            "leave no rigid motion free",
-            f"{where} ({size} nodes) with {'; '.join(modes)} free",
-            "hold more nodes, or leave loose parts out",
-        )
+            free = free_motion_count(self.nodes_m[nodes], self.fixed[nodes])
+            if free:
+                raise InputError(
+                    "supports",
+                    "leave no rigid motion free",
+                    f"{free} free motions of the part with node {nodes[0]} ({len(nodes)} nodes)",
+                    "hold more nodes, or leave loose parts out",
+                )
 
     @cached_property
-    def carrying(self) -> NDArray[np.bool_]:
+    def carrying(self) -> Flags:
         """Nodes that a cell uses, shape (n,)."""
         return np.asarray(self.stiffness.diagonal().reshape(-1, 3).any(axis=1))
 
@@ -131,15 +135,13 @@ class HeldBody:
         InputError
             If the load has another shape, is not finite, or acts on nodes that no cell uses.
         """
-        load = np.asarray(load_N, dtype=np.float64)
-        if load.shape != self.nodes_m.shape:
+        load = np.asarray(load_N, np.float64)
+        if load.shape != self.nodes_m.shape or not np.isfinite(load).all():
             raise InputError(
-                "load_N", f"have the shape {self.nodes_m.shape}", load.shape, "one force a node"
-            )
-        if not np.isfinite(load).all():
-            node = int(np.flatnonzero(~np.isfinite(load).all(axis=1))[0])
-            raise InputError(
-                "load_N", "be finite", f"{load[node]} at node {node}", "check where it came from"
+                "load_N",
+                f"be finite, shape {self.nodes_m.shape}",
+                f"shape {load.shape}",
+                "give a force at each node",
             )
         if load[~self.carrying].any():
             raise InputError(
@@ -154,7 +156,12 @@ class HeldBody:
         return displacement
 
 
-def held_nodes(held: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def components_of(nodes: Ints) -> Ints:
+    """Return the indices of the components x, y, z of nodes, node by node, shape (3k,)."""
+    return (3 * nodes[:, None] + np.arange(3)).ravel()
+
+
+def held_nodes(held: Flags) -> Flags:
     """Return the mask of held components, shape (n, 3), for a mask of held nodes, (n,)."""
     return np.repeat(held[:, None], 3, axis=1)
 
@@ -164,6 +171,6 @@ def pointwise_graph(stiffness: bsr_array) -> csr_array:
     blocks = stiffness.tobsr((3, 3))
     count = blocks.shape[0] // 3
     return csr_array(
-        (np.ones(len(blocks.indices), dtype=np.int8), blocks.indices, blocks.indptr),
+        (np.ones(len(blocks.indices), np.int8), blocks.indices, blocks.indptr),
         shape=(count, count),
     )

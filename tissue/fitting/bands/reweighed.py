@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
 from tissue.fitting.bands.sample import Ranges, ranges_of, sampled
-from tissue.materials.constants import CuttingCoefficients
-from tissue.materials.prior import Prior
+from tissue.materials.constants import CuttingCoefficients, Prior
 from tissue.simulation.load_record import LoadRecord
 
 __all__ = ["CHANNELS", "DENSITY", "Reweighed", "density_prior"]

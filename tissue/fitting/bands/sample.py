@@ -12,8 +12,7 @@ from scipy.stats import qmc
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_range
-from tissue.materials.constants import Constant
-from tissue.materials.prior import Prior
+from tissue.materials.constants import Constant, Prior
 from tissue.materials.scene_constants import Materials
 from tissue.scene.scene import Scene
 from tissue.scene.used_constants import used_constants

@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from kernels.bone_lookup import BEYOND, SURFACE_STEPS
 from kernels.bricks import BRICK, BRICK_VOXELS, FULL
+from kernels.mirror import put
 from kernels.sampling import sample
+from meshes.base.arrays import Array, Bytes, Flags, Ints, Singles
 from meshes.voxels.distances import OUTSIDE, near_the_surface
 from meshes.voxels.volume import VoxelVolume
 
@@ -39,7 +41,7 @@ class BrickGrid:
         Name of each layer.
     """
 
-    origin_m: NDArray[np.float64]
+    origin_m: Array
     spacing_m: float
     counts: tuple[int, ...]
     layer_names: tuple[str, ...]
@@ -93,15 +95,15 @@ class BrickStore:
     def __init__(self, grid: BrickGrid, *, device: str) -> None:
         self.grid = grid
         self.volume: VoxelVolume | None = None
-        self.start_steps = np.zeros(len(grid.layer_names), dtype=np.int64)
-        self.places: NDArray[np.int64] = np.zeros((0, 3), dtype=np.int64)
+        self.start_steps = np.zeros(len(grid.layer_names), np.int64)
+        self.places: Ints = np.zeros((0, 3), np.int64)
         self.brick_of: Any = wp.full(grid.counts, -1, dtype=wp.int32, device=device)
         self._device = device
-        self.remaining: Any = wp.empty((0, BRICK_VOXELS), dtype=wp.uint16, device=device)
+        self.remaining: Any = wp.empty((0, BRICK_VOXELS), wp.uint16, device)
         self.swept, self.older, self.nearby = (wp.empty_like(self.remaining) for _ in range(3))
-        self.material: Any = wp.empty((0, BRICK_VOXELS), dtype=wp.uint32, device=device)
-        self.alive: Any = wp.empty(0, dtype=wp.uint64, device=device)
-        self.touched: Any = wp.empty(0, dtype=wp.uint8, device=device)
+        self.material: Any = wp.empty((0, BRICK_VOXELS), wp.uint32, device)
+        self.alive: Any = wp.empty(0, wp.uint64, device)
+        self.touched: Any = wp.empty(0, wp.uint8, device)
 
     @classmethod
     def from_volume(cls, volume: VoxelVolume, *, device: str) -> "BrickStore":
@@ -132,7 +134,7 @@ class BrickStore:
         counts = tuple(-(-n // BRICK) for n in volume.shape)
         surface, layer, density, boundary = near_the_surface(volume)
         near = _blocked(OUTSIDE - surface, counts)
-        holds: NDArray[np.bool_] = np.asarray(
+        holds: Flags = np.asarray(
             _blocked(volume.fraction, counts).any(axis=(1, 3, 5)) | near.any(axis=(1, 3, 5))
         )
         inner = tuple(slice(margin, n - margin) for n in counts)
@@ -165,7 +167,7 @@ class BrickStore:
             "material": material,
             "nearby": nearby,
             "alive": alive,
-            "touched": np.zeros(len(alive), dtype=np.uint8),
+            "touched": np.zeros(len(alive), np.uint8),
         }
         grown = self._append(rows)
         self.places = np.concatenate([self.places, places + np.array(at)])
@@ -179,33 +181,28 @@ class BrickStore:
     def _append(self, rows: dict[str, NDArray[Any]]) -> bool:
         """Write rows after the stored ones and return True if the arrays had to grow.
 
-        They grow to twice the needed length.
+        The first rows fit exactly; later the arrays grow to twice the needed length.
         """
         first = len(self.places)
-        count = len(rows["alive"])
-        grows = first + count > len(self.alive)
+        last = first + len(rows["alive"])
+        grows = last > len(self.alive)
+        length = last if first == 0 else 2 * last
         for name, values in rows.items():
             old = getattr(self, name)
-            if grows and first == 0:
-                setattr(
-                    self,
-                    name,
-                    wp.array(np.ascontiguousarray(values), dtype=old.dtype, device=self._device),
-                )
-                continue
-            new = old
             if grows:
-                shape = (2 * (first + count), *values.shape[1:])
-                new = wp.zeros(shape, dtype=old.dtype, device=self._device)
-                wp.copy(new[:first], old[:first])
+                new = wp.zeros((length, *values.shape[1:]), old.dtype, self._device)
+                if first:
+                    wp.copy(new[:first], old[:first])
                 setattr(self, name, new)
-            wp.copy(
-                new[first : first + count],
-                wp.array(np.ascontiguousarray(values), dtype=old.dtype, device=self._device),
-            )
+            wp.copy(getattr(self, name)[first:last], put(values, old.dtype, self._device))
         return grows
 
-    def take_touched(self) -> tuple[NDArray[np.intp], NDArray[np.uint16]]:
+    @property
+    def read_by_forces(self) -> list[Any]:
+        """Device arrays that the force kernels read, in the order of their arguments."""
+        return [self.brick_of, self.material, self.nearby, self.older, self.alive]
+
+    def take_touched(self) -> tuple[Ints, NDArray[np.uint16]]:
         """Return rows and a copy of the content of bricks that lost material since the last call.
 
         The cost is proportional to the number of these bricks, so that a tick can afford it.
@@ -217,20 +214,20 @@ class BrickStore:
             self.touched.zero_()
         return rows, self.remaining.numpy()[rows]
 
-    def sample(self, points_m: NDArray[np.float64]) -> NDArray[np.float32]:
+    def sample(self, points_m: Array) -> Singles:
         """Return the filled fraction at points [m], shape (n, 3), trilinear between voxel centres.
 
         It is 0 where nothing is stored.
         """
-        voxels = (np.asarray(points_m, dtype=np.float64) - self.grid.origin_m) / self.grid.spacing_m
+        voxels = (np.asarray(points_m, np.float64) - self.grid.origin_m) / self.grid.spacing_m
         device = self.remaining.device
-        found = wp.zeros(len(voxels), dtype=wp.float32, device=device)
-        at: Any = wp.array(voxels, dtype=wp.vec3, device=device)
+        found = wp.zeros(len(voxels), wp.float32, device)
+        at = put(voxels, wp.vec3, device)
         inputs = [at, 0, self.brick_of, self.remaining]
         wp.launch(sample, dim=len(voxels), inputs=inputs, outputs=[found], device=device)
         return np.asarray(found.numpy())
 
-    def write_fraction(self, fraction: NDArray[np.uint8], rows: NDArray[np.intp]) -> None:
+    def write_fraction(self, fraction: Bytes, rows: Ints) -> None:
         """Write the remaining fraction of some bricks into an array, 255 = full.
 
         The array has the volume's shape.
@@ -240,19 +237,17 @@ class BrickStore:
             part = fraction[x : x + BRICK, y : y + BRICK, z : z + BRICK]
             part[:] = brick[: part.shape[0], : part.shape[1], : part.shape[2]]
 
-    def fraction(self) -> NDArray[np.uint8]:
+    def fraction(self) -> Bytes:
         """Return the remaining fraction of every voxel of the grid, 255 = full.
 
         For a volume it has the volume's shape.
         """
         whole = self.part((0, 0, 0), self.grid.counts)
-        return (
-            whole
-            if self.volume is None
-            else np.ascontiguousarray(whole[tuple(map(slice, self.volume.shape))])
-        )
+        if self.volume is None:
+            return whole
+        return np.ascontiguousarray(whole[tuple(map(slice, self.volume.shape))])
 
-    def part(self, first: tuple[int, ...], last: tuple[int, ...]) -> NDArray[np.uint8]:
+    def part(self, first: tuple[int, ...], last: tuple[int, ...]) -> Bytes:
         """Return the remaining fraction of the voxels of some bricks, 255 = full.
 
         It is 0 where no brick is stored.
@@ -264,12 +259,12 @@ class BrickStore:
         """
         brick_of = self.brick_of.numpy()[tuple(map(slice, first, last))]
         nx, ny, nz = (BRICK * n for n in brick_of.shape)
-        dense = np.zeros((*brick_of.shape, BRICK, BRICK, BRICK), dtype=np.uint8)
+        dense = np.zeros((*brick_of.shape, BRICK, BRICK, BRICK), np.uint8)
         held = brick_of >= 0
         dense[held] = _bricks(_nearest(self.remaining.numpy()[brick_of[held]]))
         return np.ascontiguousarray(dense.transpose(0, 3, 1, 4, 2, 5).reshape(nx, ny, nz))
 
-    def steps_by_layer(self) -> NDArray[np.int64]:
+    def steps_by_layer(self) -> Ints:
         """Return the stored steps that remain in each layer, shape (layers,)."""
         count = len(self.places)
         remaining = self.remaining.numpy()[:count]
@@ -279,9 +274,7 @@ class BrickStore:
         )
 
 
-def voxels_of(
-    places: NDArray[np.int64], rows: NDArray[np.intp], steps: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def voxels_of(places: Ints, rows: Ints, steps: Ints) -> tuple[Ints, Ints]:
     """Return the indices and values of the voxels whose value is not 0.
 
     ``steps`` holds the values, shape (rows, 512). The indices have shape (n, 3). ``places`` are the
@@ -295,14 +288,14 @@ def voxels_of(
     return BRICK * places[rows[row]] + inside, steps[row, column]
 
 
-def _nearest(remaining: NDArray[np.uint16]) -> NDArray[np.uint8]:
+def _nearest(remaining: NDArray[np.uint16]) -> Bytes:
     """Return stored steps as 8-bit fractions."""
     return ((remaining.astype(np.uint32) + np.uint32(STEPS // 2)) // np.uint32(STEPS)).astype(
         np.uint8
     )
 
 
-def _filled_up(surface: NDArray[np.uint8], counts: tuple[int, ...]) -> NDArray[np.uint8]:
+def _filled_up(surface: Bytes, counts: tuple[int, ...]) -> Bytes:
     """Return the stored surface distance padded to whole bricks.
 
     The padding of each face lies one voxel farther out, and is outside in any case.

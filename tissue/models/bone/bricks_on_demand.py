@@ -6,10 +6,9 @@ A whole tibia at 0.1 mm would have 2e9 voxels.
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kernels.bricks import BRICK
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Bytes, Flags, Ints
 from meshes.base.errors import InputError
 from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.sdf import Shape
@@ -73,21 +72,13 @@ class BricksOnDemand:
         high = np.ceil((np.array(anatomy.shape.upper_m) + around) / self._brick_m)
         self._first = low.astype(np.int64)
         self._patches = -(-(high - low).astype(np.int64) // PATCH)
+        share = float(np.prod(high - low)) / MOST_BRICKS
         if float(np.prod(PATCH * self._patches)) > MOST_BRICKS:
-            fits = spacing_m * (float(np.prod(high - low)) / MOST_BRICKS) ** (1.0 / 3.0)
-            raise InputError(
-                "spacing_mm",
-                f"leave at most {MOST_BRICKS:g} bricks of {BRICK} voxels in the bone's box",
-                f"{1000.0 * spacing_m:g}",
-                (
-                    f"use {np.ceil(110000.0 * fits) / 100.0:g}, or cut the part that you need "
-                    "out of it"
-                ),
-            )
+            raise _too_fine(spacing_m, share, f"leave at most {MOST_BRICKS:g} bricks")
         x, y, z = (PATCH * self._patches).tolist()
         grid = BrickGrid(low * self._brick_m, spacing_m, (x, y, z), anatomy.layer_names)
         self.store = BrickStore(grid, device=device)
-        self._made = np.zeros(self._patches, dtype=bool)
+        self._made = np.zeros(self._patches, bool)
 
     def make(self, boxes: Boxes) -> bool:
         """Make all bricks that boxes touch; return True if launches have to be recorded again.
@@ -118,18 +109,12 @@ class BricksOnDemand:
         import psutil
 
         free = psutil.virtual_memory().available
-        spacing_mm = 1e3 * self.store.grid.spacing_m
         needed = patches * (PATCH * BRICK) ** 3 * BYTES_WHILE_MADE
         if needed > 0.9 * free:
-            fits = spacing_mm * (needed / (0.8 * free)) ** (1.0 / 3.0)
-            raise InputError(
-                "spacing_mm",
-                (
-                    "leave what the tool reaches within the free memory of "
-                    f"{free / 1000000000.0:.1f} GB"
-                ),
-                f"{spacing_mm:g} which needs {needed / 1000000000.0:.1f} GB",
-                f"use {np.ceil(1000.0 * fits) / 1000.0:g}",
+            raise _too_fine(
+                self.store.grid.spacing_m,
+                needed / (0.8 * free),
+                f"leave what the tool reaches within the free memory of {1e-9 * free:.1f} GB",
             )
 
     def has(self, low_m: Array, high_m: Array) -> bool:
@@ -139,7 +124,7 @@ class BricksOnDemand:
         high = np.floor(high_m / patch_m - self._first / PATCH).astype(np.int64) + 1
         return bool(self._made[low[0] : high[0], low[1] : high[1], low[2] : high[2]].all())
 
-    def cut_parts(self) -> Iterator[tuple[VoxelVolume, NDArray[np.uint8]]]:
+    def cut_parts(self) -> Iterator[tuple[VoxelVolume, Bytes]]:
         """Yield the parts that tools have cut: bone before any cut, and its remainder, 255 = full.
 
         The parts are boxes that share one layer of voxels, so that a surface between voxel centres
@@ -177,14 +162,14 @@ class BricksOnDemand:
             left[there] = np.where(known[there], now, left[there])
             yield volume, left
 
-    def _voxels(self, low: NDArray[np.int64], high: NDArray[np.int64]) -> VoxelVolume:
+    def _voxels(self, low: Ints, high: Ints) -> VoxelVolume:
         """Return the voxels of the bricks from one position to another, before any cut."""
         corners: Array = (self._first + np.stack([low, high])) * np.float64(self._brick_m)
         region = corners[0], corners[1]
         spacing_m = self.store.grid.spacing_m
         return voxelise(self.anatomy, spacing_m=spacing_m, region_m=region, minus=self._minus)
 
-    def _wanted(self, boxes: Boxes) -> NDArray[np.bool_]:
+    def _wanted(self, boxes: Boxes) -> Flags:
         """Return the patches that boxes touch and that are not made yet."""
         patch_m = PATCH * self._brick_m
         low, high = (
@@ -197,7 +182,13 @@ class BricksOnDemand:
         return wanted & ~self._made
 
 
-def _box_of(wanted: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _too_fine(spacing_m: float, share: float, requirement: str) -> InputError:
+    """Return the error for a spacing whose number of voxels is a multiple of the largest one."""
+    fits_mm = np.ceil(1.1e5 * spacing_m * share ** (1.0 / 3.0)) / 100.0
+    return InputError("spacing_mm", requirement, f"{1e3 * spacing_m:g}", f"use {fits_mm:g}")
+
+
+def _box_of(wanted: Flags) -> tuple[Ints, Ints]:
     """Return the first and one after the last patch of a box of wanted patches.
 
     The box is grown from the first wanted patch along z, then y, then x.

@@ -1,6 +1,8 @@
-"""Removal of the bone that a moving tool reaches.
+"""Removal of the bone that a moving tool reaches, during a run and in its replay.
 
 The bricks after equal poses are bitwise equal.
+
+Bone at any tick of a run: the tool's poses, carved again by the kernel of the run.
 """
 
 from dataclasses import dataclass
@@ -9,19 +11,20 @@ from typing import Any, Literal
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
-from kernels.bricks import BRICK
+from kernels.bricks import BRICK, FULL
 from kernels.carving import BINARY, COUNT, EVERY_SIDE, FIRST, ORIGIN, PHASES, PLAN, TURNED, carve
 from kernels.launcher import SplitLaunch
-from kernels.mirror import Mirror
+from kernels.mirror import Mirror, put
 from kernels.revolution import Revolution
+from meshes.base.arrays import Array, Bytes, Ints
+from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter, DistanceTable
 from tissue.cutters.profile import Profile
-from tissue.models.bone.bricks import BrickStore
+from tissue.models.bone.bricks import BrickStore, voxels_of
 from tissue.models.tissue_model import ToolMotion
 
-__all__ = ["Carver", "CarverState", "Removal"]
+__all__ = ["Carver", "CarverState", "CarvingReplay", "Removal"]
 
 Removal = Literal["subvoxel", "binary"]
 
@@ -34,6 +37,8 @@ TURN = 0.9
 
 The share is the projection of the present feed direction on the direction stored at the last turn.
 """
+CHANGED = ("remaining", "swept", "older", "alive")
+"""Arrays of the brick store that carving changes and depends on."""
 WORKERS_CPU = 32
 WORKERS_GPU = 2048
 """Number of workers that share a carving launch."""
@@ -45,8 +50,8 @@ class CarverState:
 
     Attributes
     ----------
-    remaining, swept, older, alive
-        Device arrays of the brick store.
+    bricks
+        Device arrays of the brick store, by name.
     poses
         Present pose, and pose at the last visit of every group of bricks, shape (1 + groups, 6).
     heading
@@ -55,12 +60,9 @@ class CarverState:
         Next group, number of visits due, number of groups not yet visited at the present pose.
     """
 
-    remaining: Any
-    swept: Any
-    older: Any
-    alive: Any
-    poses: NDArray[np.float64]
-    heading: NDArray[np.float64]
+    bricks: dict[str, Any]
+    poses: Array
+    heading: Array
     counts: tuple[int, float, int]
 
 
@@ -104,7 +106,7 @@ class Carver:
         layers = len(grid.layer_names)
         spacing = grid.spacing_m
         self.store = store
-        self.removed_steps = np.zeros(layers, dtype=np.int64)
+        self.removed_steps = np.zeros(layers, np.int64)
         self.changes = 0
         self._binary = int(removal == "binary")
         self._origin = grid.origin_m
@@ -126,7 +128,6 @@ class Carver:
         self._plan = Mirror(PLAN, dtype=wp.int32, device=device)
         self._removed = Mirror((workers, layers), dtype=wp.int64, device=device)
         self._workers = workers
-        self._device = device
         self._cores = cores
         self.record()
 
@@ -154,7 +155,6 @@ class Carver:
                 self._removed.device,
             ],
             offset_index=3,
-            device=self._device,
             cores=self._cores,
         )
 
@@ -191,7 +191,7 @@ class Carver:
         elif self._behind > 0:
             self._visit(1)  # the tool rests: carve the other bricks at its pose, one group a tick
 
-    def _pose_of(self, motion: ToolMotion) -> NDArray[np.float64]:
+    def _pose_of(self, motion: ToolMotion) -> Array:
         """Return tip [voxel] and axis of a motion, in an array that the next call overwrites."""
         now = self._now
         np.subtract(motion.tip_m, self._origin, out=now[:3])
@@ -199,7 +199,7 @@ class Carver:
         now[3:] = motion.rotation[:, 2]
         return now
 
-    def _sweep(self, now: NDArray[np.float64], *, parts: int) -> None:
+    def _sweep(self, now: Array, *, parts: int) -> None:
         """Carve a fast tool at several poses on its path."""
         before = self._pose.host[0].copy()
         for part in range(1, parts + 1):
@@ -216,10 +216,7 @@ class Carver:
     def state(self) -> CarverState:
         """Copy the state between two motions."""
         return CarverState(
-            wp.clone(self.store.remaining),
-            wp.clone(self.store.swept),
-            wp.clone(self.store.older),
-            wp.clone(self.store.alive),
+            {name: wp.clone(getattr(self.store, name)) for name in CHANGED},
             self._pose.host.copy(),
             self._heading.copy(),
             (self._next_group, self._debt, self._behind),
@@ -228,10 +225,8 @@ class Carver:
     def restore(self, state: CarverState) -> None:
         """Return to a copied state; the counted removal stays."""
         self.changes += 1
-        wp.copy(self.store.remaining, state.remaining)
-        wp.copy(self.store.swept, state.swept)
-        wp.copy(self.store.older, state.older)
-        wp.copy(self.store.alive, state.alive)
+        for name, values in state.bricks.items():
+            wp.copy(getattr(self.store, name), values)
         self._pose.host[:] = state.poses
         self._heading[:] = state.heading
         self._next_group, self._debt, self._behind = state.counts
@@ -262,9 +257,9 @@ class Carver:
 def _revolution(table: DistanceTable, profile: Profile, *, device: str) -> Revolution:
     """Return the cutter's distance table on a device."""
     tool: Any = Revolution()
-    tool.distance = wp.array(table.distance, dtype=wp.float32, device=device)
-    tool.slope = wp.array(table.slope, dtype=wp.vec2, device=device)
-    tool.bend = wp.array(table.bend, dtype=wp.float32, device=device)
+    tool.distance = put(table.distance, wp.float32, device)
+    tool.slope = put(table.slope, wp.vec2, device)
+    tool.bend = put(table.bend, wp.float32, device)
     tool.height_min = table.height_min
     tool.cells_per_voxel = table.cells_per_voxel
     tool.radius = table.radius
@@ -273,3 +268,116 @@ def _revolution(table: DistanceTable, profile: Profile, *, device: str) -> Revol
     tool.convex = int(profile.convex)
     tool.round = int(len(profile.pieces) == 1)
     return tool
+
+
+class CarvingReplay:
+    """Bone at the end of any tick, bitwise equal to the bone of a run that stops there.
+
+    Parameters
+    ----------
+    volume
+        The bone before the first cut.
+    cutter, removal
+        The tool and its mode of removal.
+    poses
+        Poses of the run, see `tissue.simulation.loop.PoseLog`.
+    device
+        Warp device name; the device of the run gives bitwise equal results.
+
+    Attributes
+    ----------
+    fraction
+        Bone in every voxel at the tick, 255 = full, uint8, shape (nx, ny, nz); the next call of
+        `at` changes it.
+    """
+
+    def __init__(
+        self,
+        volume: VoxelVolume,
+        cutter: Cutter,
+        poses: Array,
+        *,
+        removal: Removal = "subvoxel",
+        device: str = "cpu",
+    ) -> None:
+        self._poses = poses
+        self._motion = ToolMotion()
+        self._store = BrickStore.from_volume(volume, device=device)
+        self._carver = Carver(self._store, cutter, removal=removal, device=device)
+        self._start = self._carver.state()
+        self.fraction = volume.fraction.copy()
+        self._next = 0  # first pose that was not carved yet
+        # bricks whose entry in `fraction` is out of date
+        self._changed = np.zeros(0, np.intp)
+        self._cut = np.zeros(0, np.intp)  # bricks that differ from the start
+
+    def at(self, tick: int) -> Bytes:
+        """Return the bone at the end of a tick, see `fraction`.
+
+        A tick before the last one restarts the replay at the first pose.
+        """
+        last = int(np.searchsorted(self._poses[:, 0], tick, side="right"))
+        if last < self._next:
+            self._carver.restore(self._start)
+            self._changed = self._cut
+            self._next = 0
+        for pose in self._poses[self._next : last]:
+            self._carve(pose)
+        self._next = last
+        carved, _ = self._store.take_touched()
+        before = self._carver.state()
+        self._carver.finish()
+        completed, _ = self._store.take_touched()
+        self._cut = np.union1d(self._cut, np.union1d(carved, completed))
+        self._store.write_fraction(
+            self.fraction, np.union1d(self._changed, np.union1d(carved, completed))
+        )
+        self._carver.restore(before)
+        self._changed = completed
+        return self.fraction
+
+    def removals(self) -> tuple[Ints, Ints]:
+        """Return the voxels that fall below half during the run, and the tick of each, increasing.
+
+        The indices have shape (n, 3). Removal is fractional; a voxel that was below half before the
+        first cut is not included. A slow tool's bricks take turns, so that a voxel may be up to 20
+        µm of the tool's path late.
+        """
+        self._carver.restore(self._start)
+        self._store.take_touched()
+        below = self._store.remaining.numpy()[: len(self._store.places)] <= FULL // 2
+        found = [np.zeros((0, 3), np.int64)]
+        ticks = [np.zeros(0, np.int64)]
+
+        def take(tick: int) -> None:
+            rows, left = self._store.take_touched()
+            self._cut = np.union1d(self._cut, rows)
+            new = (left <= FULL // 2) & ~below[rows]
+            if new.any():
+                below[rows] |= new
+                places, _ = voxels_of(self._store.places, rows, new.astype(np.int64))
+                found.append(places)
+                ticks.append(np.full(len(places), tick))
+
+        tick = 0
+        for pose in self._poses:
+            if int(pose[0]) > tick:
+                take(tick)
+                tick = int(pose[0])
+            self._carve(pose)
+        self._carver.finish()
+        take(tick)
+        self._carver.restore(self._start)
+        self._changed = self._cut
+        self._next = 0
+        return np.concatenate(found), np.concatenate(ticks)
+
+    def _carve(self, pose: Array) -> None:
+        motion = self._motion
+        motion.tip_m[:] = pose[1:4]
+        motion.rotation[:, 2] = pose[4:7]
+        motion.heading[:] = pose[7:].reshape(2, 3)
+        if pose[0] < 0.0:
+            self._carver.place(motion)
+        else:
+            self._carver.advance(motion)

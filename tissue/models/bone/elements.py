@@ -1,13 +1,32 @@
-"""Elements of a cutter's surface on a device, and their contributions to force and torque."""
+"""Elements of a cutter's surface on a device, and the range of validity of the cutting law."""
+
+from math import pi
+from typing import Any
 
 import numpy as np
 import warp as wp
 
+from kernels.bricks import corner8f
+from kernels.cutting import AREA, DENSITIES, Coefficients, cutting_forces
 from kernels.elements import CHUNK, LANES, Elements, lanes8, lever16
+from kernels.launcher import SplitLaunch
+from kernels.mirror import Mirror, put
+from kernels.older_cuts import SLOTS
 from meshes.base.arrays import Array
 from tissue.cutters.cutter import Cutter, PointShell
+from tissue.cutters.profile import Line
+from tissue.models.bone.bricks import BrickStore
+from tissue.models.tissue_model import ToolMotion
 
-__all__ = ["edge_lengths_m", "elements_of", "levers_of"]
+__all__ = [
+    "THICKEST_M",
+    "ForceSums",
+    "LawLimits",
+    "SmoothSurface",
+    "edge_lengths_m",
+    "elements_of",
+    "levers_of",
+]
 
 LEVER = [0, 1, 3, 4, 5, 6, 7, 8, 9, 10, 11, 14, 15, 16]
 """Components of the forces and torques of element loads that are not 0 on every element.
@@ -19,26 +38,26 @@ The loads are tangential, radial and axial.
 def elements_of(shell: PointShell, cutter: Cutter, *, spacing_m: float, device: str) -> Elements:
     """Return the cutter's point shell on a device."""
     elements = Elements()
-    elements.point = wp.array(shell.points_m, dtype=wp.vec3, device=device)
+    elements.point = put(shell.points_m, wp.vec3, device)
     missing = (0, -len(shell.areas_m2) % LANES), (0, 0)  # elements without a normal do not advance
     eights = (
         np.pad(np.hstack([shell.points_m, shell.normals]), missing)
         .reshape(-1, LANES, 6)
         .transpose(0, 2, 1)
     )
-    elements.lanes = wp.array(np.ascontiguousarray(eights), dtype=lanes8, device=device)
-    elements.normal = wp.array(shell.normals, dtype=wp.vec3, device=device)
+    elements.lanes = put(eights, lanes8, device)
+    elements.normal = put(shell.normals, wp.vec3, device)
     levers = np.hstack([levers_of(shell, cutter)[:, LEVER], np.zeros((len(shell.areas_m2), 2))])
-    elements.lever = wp.array(np.pad(levers, missing), dtype=lever16, device=device)
-    elements.area = wp.array(shell.areas_m2, dtype=wp.float32, device=device)
+    elements.lever = put(np.pad(levers, missing), lever16, device)
+    elements.area = put(shell.areas_m2, wp.float32, device)
     bend = cutter.table(spacing_m=spacing_m).bend_at(
         shell.radii_m / spacing_m, shell.points_m[:, 2] / spacing_m
     )
-    elements.bend = wp.array(bend, dtype=wp.float32, device=device)
-    elements.edge_length = wp.array(edge_lengths_m(shell, cutter), dtype=wp.float32, device=device)
+    elements.bend = put(bend, wp.float32, device)
+    elements.edge_length = put(edge_lengths_m(shell, cutter), wp.float32, device)
     balls, cones = _chunk_bounds(shell)
-    elements.chunk_ball = wp.array(balls, dtype=wp.vec4, device=device)
-    elements.chunk_cone = wp.array(cones, dtype=wp.vec4, device=device)
+    elements.chunk_ball = put(balls, wp.vec4, device)
+    elements.chunk_cone = put(cones, wp.vec4, device)
     return elements
 
 
@@ -83,3 +102,193 @@ def _chunk_bounds(shell: PointShell) -> tuple[Array, Array]:
         cosine = float((normals @ axis).min())
         cones.append([*axis, np.sqrt(max(1.0 - cosine**2, 0.0)) if cosine > 0.0 else 2.0])
     return np.array(balls), np.array(cones)
+
+
+THICKEST_M = 1e-4
+"""Largest feed per tooth for which the law holds [m].
+
+Cortical bone is sheared at depths of cut of 10 to 50 um and breaks off in pieces above 100 um (Luo
+et al. 2022, Chinese Journal of Mechanical Engineering 35).
+"""
+SMOOTH_ELEMENTS = 500
+"""Number of elements over the surface that does not cut."""
+BLOCKED = 0.25
+"""Share of the smooth end's area in contact with bone above which it is reported.
+
+A peg touches the rim of its pilot hole.
+"""
+
+
+class ForceSums:
+    """Cutting forces on the elements of a tool in bone, summed over chunks of elements.
+
+    Parameters
+    ----------
+    store, tool
+        Bone, and the tool's distance table on the device.
+    elements, coefficients
+        Elements of the tool and cutting coefficients on the device.
+    motion
+        Device array of the motion, as the force kernel reads it.
+    chip_per_speed_s
+        Chip thickness over normal feed speed [s].
+    cores
+        Processor cores to split large launches over; default all.
+
+    Attributes
+    ----------
+    sums
+        Results of the last launch, shape (chunks, AREA + layers).
+    launch
+        Launch on the present arrays of the store.
+    """
+
+    def __init__(
+        self,
+        store: BrickStore,
+        tool: Any,
+        elements: Elements,
+        coefficients: Coefficients,
+        motion: Any,
+        *,
+        chip_per_speed_s: float,
+        cores: int | None,
+    ) -> None:
+        device = str(motion.device)
+        self._chunks = len(elements.chunk_ball)
+        shape = (self._chunks, AREA + len(store.grid.layer_names))
+        self.sums = Mirror(shape, dtype=wp.float64, device=device)
+        self._store = store
+        self._given = [tool, elements, coefficients, motion, chip_per_speed_s, store.grid.spacing_m]
+        self._scratch = wp.zeros((self._chunks, SLOTS + 1), corner8f, device)
+        self._cores = cores
+        self.record()
+
+    def record(self) -> None:
+        """Record the launch on the present arrays of the store."""
+        self.launch = SplitLaunch(
+            cutting_forces,
+            dim=self._chunks,
+            inputs=[*self._given, 0, *self._store.read_by_forces],
+            outputs=[self._scratch, self.sums.device],
+            offset_index=len(self._given),
+            cores=self._cores,
+        )
+
+
+class SmoothSurface:
+    """Area of a tool's non-cutting surface that is pushed into bone.
+
+    Parameters
+    ----------
+    cutter, store
+        Tool and bone.
+    tool
+        The tool's distance table on the device.
+    motion
+        Device array of the motion, as the force kernel reads it.
+    """
+
+    def __init__(self, cutter: Cutter, store: BrickStore, tool: Any, motion: Any) -> None:
+        pieces = [piece for piece in cutter.profile.pieces if not piece.cutting]
+        total_m2 = sum(piece.area_m2 for piece in pieces)
+        shell = cutter.smooth_shell(spacing_m=(total_m2 / SMOOTH_ELEMENTS) ** 0.5)
+        ends = [
+            piece for piece in pieces if isinstance(piece, Line) and piece.start[1] == piece.end[1]
+        ]
+        radii = [max(piece.start[0], piece.end[0]) for piece in ends]
+        self.blocked_m2 = BLOCKED * min([total_m2, *(pi * radius**2 for radius in radii)])
+        device = str(motion.device)
+        layers = len(store.grid.layer_names)
+        no_force = Coefficients()
+        no_force.chip = wp.zeros(layers, lever16, device)
+        no_force.edge = wp.zeros(layers, lever16, device)
+        no_force.strength = wp.zeros((layers, DENSITIES), wp.float32, device)
+        elements = elements_of(shell, cutter, spacing_m=store.grid.spacing_m, device=device)
+        self.forces = ForceSums(
+            store, tool, elements, no_force, motion, chip_per_speed_s=0.0, cores=1
+        )
+
+    @property
+    def is_blocked(self) -> bool:
+        """True if too much of the surface is pushed into bone, so that a force is missing."""
+        self.forces.launch()
+        self.forces.sums.pull()
+        return float(self.forces.sums.host[:, AREA:].sum()) > self.blocked_m2
+
+
+class LawLimits:
+    """Check of the feed per tooth and of the smooth surface of a tool in bone, at every answer.
+
+    Parameters
+    ----------
+    cutter
+        The tool.
+    smooth
+        Its surface that does not cut; None without such a surface.
+
+    Attributes
+    ----------
+    notices
+        A sentence at the first time that each limit is passed; the loop removes them as it logs
+        them.
+    passed
+        All these sentences, by subject.
+    thickest_m
+        Largest feed per tooth in bone so far [m].
+    """
+
+    def __init__(self, cutter: Cutter, smooth: SmoothSurface | None) -> None:
+        self._cutter = cutter
+        self._smooth = smooth
+        self.notices: list[str] = []
+        self.passed: dict[str, str] = {}
+        self.thickest_m = 0.0
+
+    def restart(self) -> None:
+        """Reset the limits that were passed."""
+        self.notices.clear()
+        self.passed.clear()
+        self.thickest_m = 0.0
+
+    def record(self) -> None:
+        """Record launches anew, after the store's arrays have grown."""
+        if self._smooth is not None:
+            self._smooth.forces.record()
+
+    def check(self, motion: ToolMotion, engaged_m2: float, *, is_new: bool) -> None:
+        """Check one answer.
+
+        `is_new` is True if the tool or the bone has changed since the last answer.
+        """
+        if motion.speed_m_s == 0.0:
+            return
+        if engaged_m2 > 0.0:
+            feed_m_s = motion.speed_m_s * float(np.linalg.norm(motion.heading[0]))
+            self.thickest_m = max(self.thickest_m, feed_m_s * self._cutter.chip_per_speed_s)
+            if self.thickest_m > THICKEST_M and "chips" not in self.passed:
+                self._pass(
+                    "chips",
+                    f"the feed of {1e3 * feed_m_s:.3g} mm/s is {1e3 * self.thickest_m:.2g} "
+                    "mm per tooth, but the "
+                    f"cutting law holds up to {1e3 * THICKEST_M:g} mm: forces are "
+                    "extrapolated. Use a slower feed or "
+                    "a higher speed of the tool",
+                )
+        if (
+            is_new
+            and self._smooth is not None
+            and "smooth surface" not in self.passed
+            and self._smooth.is_blocked
+        ):
+            self._pass(
+                "smooth surface",
+                "a smooth part of the tool, such as its peg, is pushed into bone, which it "
+                "cannot cut: no force is "
+                "computed for it. Drill a pilot hole for the peg, or lead the tool elsewhere",
+            )
+
+    def _pass(self, about: str, sentence: str) -> None:
+        """Record a limit that is passed."""
+        self.passed[about] = sentence
+        self.notices.append(sentence)

@@ -1,22 +1,123 @@
-"""Bone model that gives the loads of a unit of each cutting coefficient in place of a force."""
+"""Loads of a unit of each cutting coefficient, for bone of many densities.
+
+Loads of bone of many densities, stored at a few node densities, for any density exponent.
+
+Every coefficient of an element is scaled by (density / reference) ** exponent. Summed over elements
+of density rho with weights w, f(p) = sum w rho**p is needed for any p. Between nodes rho_j,
+Chebyshev points of ln rho, the factor rho**(p - c), c the middle of the exponents, is interpolated
+by polynomials L_j of ln rho, so that::
+
+    f(p) = sum_j rho_j**(p - c) M_j,    M_j = sum w rho**c L_j(ln rho)
+
+The interpolation of exp(a x) on [-1, 1] by n points has an error of about 4 I_n(a) (Trefethen 2013,
+Approximation Theory and Approximation Practice, ch. 3). n is the smallest number whose error is
+below `ERROR` of the smallest value, exp(-a).
+"""
+
+from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
+from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
+from scipy.special import iv
 
 from kernels.bricks import corner8f
+from kernels.cutting import DENSITIES
 from kernels.elements import CHUNK, LANES
 from kernels.engagement import engaged_elements
 from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror
 from kernels.older_cuts import SLOTS
-from meshes.base.arrays import Array
-from tissue.models.bone.density_nodes import DensityNodes, densities_of
+from meshes.base.arrays import Array, Ints
 from tissue.models.bone.elements import edge_lengths_m, levers_of
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import Response, ToolMotion
 
-__all__ = ["COEFFICIENTS", "EngagedBone", "EngagedElements"]
+__all__ = ["COEFFICIENTS", "HIGHEST_EXPONENT", "DensityNodes", "EngagedBone", "EngagedElements"]
+
+HIGHEST_EXPONENT = 5.0
+"""Largest density exponent that a scene accepts; the smallest is 0."""
+MIDDLE = 0.5 * HIGHEST_EXPONENT
+ERROR = 1e-8
+"""Largest relative error of the factor of an element.
+
+It is a hundredth of the tolerance of reweighed loads.
+"""
+MOST_NODES = 64
+
+
+@dataclass(frozen=True, eq=False)
+class DensityNodes:
+    """Density nodes of one layer.
+
+    Attributes
+    ----------
+    densities_kg_m3
+        Shape (k,).
+    shares
+        M_j of a unit weight by density, an entry of the strength table, shape (4096, k).
+    """
+
+    densities_kg_m3: Array
+    shares: Array
+
+    @classmethod
+    def of(cls, least_kg_m3: int, most_kg_m3: int) -> "DensityNodes":
+        """Return the nodes for densities in a range; one node for a single density."""
+        least, most = (min(max(each, 1), DENSITIES - 1) for each in (least_kg_m3, most_kg_m3))
+        if least == most:
+            return cls(np.array([float(least)]), np.ones((DENSITIES, 1)))
+        middle = 0.5 * np.log(most * least)
+        half = 0.5 * np.log(most / least)
+        count = _count(MIDDLE * half)
+        at = np.cos(np.pi * (np.arange(count) + 0.5) / count)
+        density = np.clip(np.arange(DENSITIES), least, most)
+        x = (np.log(density) - middle) / half
+        modes = chebvander(at, count - 1)
+        modes[:, 1:] *= 2.0
+        polynomials = chebvander(np.clip(x, -1.0, 1.0), count - 1) @ modes.T / count
+        return cls(np.exp(middle + half * at), polynomials * (np.exp(half * x) ** MIDDLE)[:, None])
+
+    @property
+    def middle_kg_m3(self) -> float:
+        """Geometric mean of the smallest and largest density of the range [kg/m3]."""
+        return float(np.exp(np.log(self.densities_kg_m3).mean()))
+
+    def strengths(self, exponent: float, *, reference_kg_m3: float, factor: float = 1.0) -> Array:
+        """Return weights of the M_j for a density exponent, shape (k,).
+
+        The M_j sum to (factor density / reference) ** exponent.
+        """
+        tilt = (self.densities_kg_m3 / self.middle_kg_m3) ** -MIDDLE
+        return np.asarray((factor * self.densities_kg_m3 / reference_kg_m3) ** exponent * tilt)
+
+    def logarithms(self, *, reference_kg_m3: float, factor: float = 1.0) -> Array:
+        """Return ln(factor density / reference) of the nodes, shape (k,).
+
+        It is the factor in the derivative by the exponent.
+        """
+        return np.asarray(np.log(factor * self.densities_kg_m3 / reference_kg_m3))
+
+
+def _count(a: float) -> int:
+    """Return the number of points that interpolate exp(a x) on [-1, 1].
+
+    The error is at most `ERROR` of the smallest value.
+    """
+    counts = np.arange(2, MOST_NODES)
+    return int(counts[np.argmax(4.0 * iv(counts, a) * np.exp(a) < ERROR)])
+
+
+def densities_of(material: NDArray[np.uint32], layer: int) -> Ints:
+    """Return the smallest and largest density in a layer of stored voxels [kg/m3].
+
+    `material` holds the words of the voxels. Without voxels both densities are zero.
+    """
+    density = (material[(material & 255) == layer] >> 16).astype(np.int64)
+    density = density[density > 0]
+    return np.array([density.min(), density.max()]) if len(density) else np.zeros(2, np.int64)
+
 
 COEFFICIENTS = 6
 """Number of coefficients: tangential, radial and axial chip, then edge coefficients."""
@@ -52,25 +153,15 @@ class EngagedElements:
                 bone.motion_rows,
                 store.grid.spacing_m,
                 0,
-                store.brick_of,
-                store.material,
-                store.nearby,
-                store.older,
-                store.alive,
+                *store.read_by_forces,
             ],
             outputs=[
-                wp.zeros((chunks, SLOTS + 1), dtype=corner8f, device=device),
+                wp.zeros((chunks, SLOTS + 1), corner8f, device),
                 *(each.device for each in self._found),
             ],
             offset_index=4,
-            device=device,
             cores=cores,
         )
-
-    @property
-    def nowhere(self) -> tuple[Array, Array, Array]:
-        """Result of `cutting` for a cutter without contact."""
-        return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
 
     def find(self, motion: ToolMotion) -> tuple[Array, ...]:
         """Return the share that cuts, the advance per unit of speed, the layer and the density.
@@ -93,11 +184,17 @@ class EngagedElements:
         met = np.flatnonzero(share)
         shell = self.bone.shell
         cutter = self.bone.cutter
-        coefficients = self.bone.coefficients
-        chip = np.array([each.tangential_chip_Pa for each in coefficients])[layer[met]]
-        edge = np.array([each.tangential_edge_N_m for each in coefficients])[layer[met]]
-        reference = np.array([each.reference_density_kg_m3 for each in coefficients])[layer[met]]
-        exponent = np.array([each.density_exponent for each in coefficients])[layer[met]]
+        chip, edge, reference, exponent = np.array(
+            [
+                [
+                    each.tangential_chip_Pa,
+                    each.tangential_edge_N_m,
+                    each.reference_density_kg_m3,
+                    each.density_exponent,
+                ]
+                for each in self.bone.coefficients
+            ]
+        )[layer[met]].T
         thickness = cutter.chip_per_speed_s * motion.speed_m_s * advance[met].astype(np.float64)
         strength = (density[met] / reference) ** exponent
         powers = (
@@ -151,6 +248,8 @@ class EngagedBone:
             np.zeros((len(each.densities_kg_m3), COEFFICIENTS, 6)) for each in self.nodes
         ]
         self._response = Response.empty(len(self.layer_names))
+        self.engaged_m2 = self._response.engaged_m2
+        """Area of the tool in contact with each layer at the last `respond` [m2], (layers,)."""
         shell = bone.shell
         cutter = bone.cutter
         self._areas = shell.areas_m2
@@ -159,17 +258,12 @@ class EngagedBone:
         self._elements = EngagedElements(bone, device=device, cores=cores)
 
     @property
-    def engaged_m2(self) -> Array:
-        """Area of the tool in contact with each layer at the last `respond` [m2], (layers,)."""
-        return self._response.engaged_m2
-
-    @property
-    def start_m3(self) -> NDArray[np.float64]:
+    def start_m3(self) -> Array:
         """Volume of each layer before the first cut [m3], shape (layers,)."""
         return self.bone.start_m3
 
     @property
-    def removed_m3(self) -> NDArray[np.float64]:
+    def removed_m3(self) -> Array:
         """Volume removed from each layer so far [m3], shape (layers,)."""
         return self.bone.removed_m3
 

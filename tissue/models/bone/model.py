@@ -4,21 +4,18 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
-from kernels.bricks import FULL, corner8f
-from kernels.cutting import AREA, DENSITIES, RATE, Coefficients, cutting_forces
-from kernels.elements import CHUNK, lever16
-from kernels.launcher import SplitLaunch
-from kernels.mirror import Mirror
-from kernels.older_cuts import SLOTS
+from kernels.bricks import FULL
+from kernels.cutting import AREA, DENSITIES, RATE, Coefficients
+from kernels.elements import lever16
+from kernels.mirror import Mirror, put
+from meshes.base.arrays import Array, Bytes
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.materials.constants import CuttingCoefficients
 from tissue.models.bone.bricks import BrickStore
 from tissue.models.bone.carver import Carver, Removal
-from tissue.models.bone.elements import elements_of
-from tissue.models.bone.law_limits import LawLimits, SmoothSurface
+from tissue.models.bone.elements import ForceSums, LawLimits, SmoothSurface, elements_of
 from tissue.models.tissue_model import Response, ToolMotion
 
 __all__ = ["BoneModel", "Removal"]
@@ -80,6 +77,10 @@ class BoneModel:
         self.carver = Carver(self.store, cutter, removal=removal, device=device, cores=cores)
         layers = len(self.layer_names)
         spacing = grid.spacing_m
+        self.removed_steps = self.carver.removed_steps
+        """Stored steps removed from each layer so far, shape (layers,)."""
+        self.step_m3 = spacing**3 / FULL
+        """Volume of one stored step [m3]."""
         self._origin = grid.origin_m
         self._spacing = spacing
         self.shell = cutter.shell(spacing_m=self.shell_spacing_m)
@@ -87,89 +88,45 @@ class BoneModel:
         self._response = Response(
             self._parts[:2].reshape(6), self._parts[2:].reshape(6), np.zeros(6), np.zeros(layers)
         )
-        chunks = -(-len(self.shell.areas_m2) // CHUNK)
         self._motion = Mirror((6, 3), dtype=wp.float64, device=device)
+        self.motion_rows = self._motion.device
+        """Device array of the pose and motion of the last `take`, see the force kernel."""
         self._rows = self._motion.host[0], self._motion.host[1:4], self._motion.host[4:6]
-        self._sums = Mirror((chunks, AREA + layers), dtype=wp.float64, device=device)
         self.elements = elements_of(self.shell, cutter, spacing_m=spacing, device=device)
         self.coefficients = coefficients
-        self._coefficients = _on_device(coefficients, device=device)
-        self._scratch = wp.zeros((chunks, SLOTS + 1), dtype=corner8f, device=device)
-        self._device = device
-        self._cores = cores
+        self._forces = ForceSums(
+            store,
+            self.carver.tool,
+            self.elements,
+            _on_device(coefficients, device=device),
+            self._motion.device,
+            chip_per_speed_s=cutter.chip_per_speed_s,
+            cores=cores,
+        )
         smooth = None
         if cutter.has_smooth_surface:
-            smooth = SmoothSurface(
-                cutter, store, self.carver.tool, self._motion.device, device=device
-            )
+            smooth = SmoothSurface(cutter, store, self.carver.tool, self._motion.device)
         self.limits = LawLimits(cutter, smooth)
         self.notices = self.limits.notices
         # motion, and state of the bone, that the sums are for
         self._answered: tuple[bytes, int] | None = None
-        self._record()
-
-    def _record(self) -> None:
-        """Record the launch of the forces on the present arrays of the store."""
-        store = self.store
-        self._answered = None
-        self._forces = SplitLaunch(
-            cutting_forces,
-            dim=len(self._sums.host),
-            inputs=[
-                self.carver.tool,
-                self.elements,
-                self._coefficients,
-                self._motion.device,
-                self.cutter.chip_per_speed_s,
-                self._spacing,
-                0,
-                store.brick_of,
-                store.material,
-                store.nearby,
-                store.older,
-                store.alive,
-            ],
-            outputs=[self._scratch, self._sums.device],
-            offset_index=6,
-            device=self._device,
-            cores=self._cores,
-        )
 
     def record(self) -> None:
         """Record all launches anew, after the store's arrays have grown."""
+        self._answered = None
         self.carver.record()
         self.limits.record()
-        self._record()
+        self._forces.record()
 
     @property
-    def start_steps(self) -> NDArray[np.int64]:
-        """Stored steps of each layer before any cut, shape (layers,)."""
-        return self.store.start_steps
-
-    @property
-    def motion_rows(self) -> Any:
-        """Device array of the pose and motion of the last `take`, see the force kernel."""
-        return self._motion.device
-
-    @property
-    def removed_steps(self) -> NDArray[np.int64]:
-        """Stored steps removed from each layer so far, shape (layers,)."""
-        return self.carver.removed_steps
-
-    @property
-    def step_m3(self) -> float:
-        """Volume of one stored step [m3]."""
-        return self._spacing**3 / FULL
-
-    @property
-    def start_m3(self) -> NDArray[np.float64]:
+    def start_m3(self) -> Array:
         """Volume of each layer before the first cut [m3], shape (layers,)."""
-        return np.asarray(self.start_steps * self.step_m3, dtype=np.float64)
+        return np.asarray(self.store.start_steps * self.step_m3, np.float64)
 
     @property
-    def removed_m3(self) -> NDArray[np.float64]:
+    def removed_m3(self) -> Array:
         """Volume removed from each layer so far [m3], shape (layers,)."""
-        return np.asarray(self.removed_steps * self.step_m3, dtype=np.float64)
+        return np.asarray(self.removed_steps * self.step_m3, np.float64)
 
     def place(self, motion: ToolMotion) -> None:
         """Carve all bone inside the tool at its first pose."""
@@ -202,9 +159,9 @@ class BoneModel:
         is_new = asked != self._answered
         if is_new:  # the contact of a resting tool does not change
             self._answered = asked
-            self._forces()
-            self._sums.pull()
-        sums = np.add.reduce(self._sums.host, axis=0)
+            self._forces.launch()
+            self._forces.sums.pull()
+        sums = np.add.reduce(self._forces.sums.host, axis=0)
         np.dot(sums[:RATE].reshape(4, 3), motion.rotation.T, out=self._parts)
         response = self._response
         speed = motion.speed_m_s
@@ -222,7 +179,7 @@ class BoneModel:
         """Complete the carving that was spread over ticks."""
         self.carver.finish()
 
-    def remaining(self) -> NDArray[np.uint8]:
+    def remaining(self) -> Bytes:
         """Return the remaining bone in every voxel, 255 = full, shape of the volume."""
         return self.store.fraction()
 
@@ -238,7 +195,7 @@ def _on_device(coefficients: tuple[CuttingCoefficients, ...], *, device: str) ->
         """
         parts = [[getattr(layer, name) for name in names] for layer in coefficients]
         values = np.pad(np.repeat(parts, (5, 6, 3), axis=1), ((0, 0), (0, 2)))
-        return wp.array(values, dtype=lever16, device=device)
+        return put(values, lever16, device)
 
     arrays.chip = at_levers(CuttingCoefficients.CHIP)
     arrays.edge = at_levers(CuttingCoefficients.EDGE)
@@ -247,5 +204,5 @@ def _on_device(coefficients: tuple[CuttingCoefficients, ...], *, device: str) ->
         (density / layer.reference_density_kg_m3) ** layer.density_exponent
         for layer in coefficients
     ]
-    arrays.strength = wp.array(np.array(strength), dtype=wp.float32, device=device)
+    arrays.strength = put(np.array(strength), wp.float32, device)
     return arrays

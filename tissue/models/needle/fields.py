@@ -1,6 +1,6 @@
 """Displacement, strain and stress of a tissue block that a needle drags along, for display.
 
-The needle's own model (`tissue.models.needle.insertion`) is one-dimensional. It gives the
+The needle's own model (`tissue.models.needle.model`) is one-dimensional. It gives the
 deflection of the organ at the needle and the inserted length. Here a linear-elastic block around
 the first track responds to that deflection. The nodes along the inserted shaft, before the puncture
 the node at the entry, are displaced by the deflection along the needle's axis, by the forces that
@@ -13,19 +13,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array, Ints
+from meshes.base.errors import by
 from meshes.organs.liver import slab, slab_base
 from meshes.tets.bisection import bisected
 from meshes.tets.tetrahedra import TetMesh
-from tissue.fem.assembly import assemble
 from tissue.fem.fields import FieldSeries
 from tissue.fem.solvers.direct import DirectSolver
-from tissue.fem.solvers.held_body import HeldBody, held_nodes
-from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 from tissue.materials.scene_constants import Materials
-from tissue.models.needle.model import LEAST_COSINE
-from tissue.models.needle.parameters import NeedleTissue
+from tissue.models.needle.parameters import LEAST_COSINE
 from tissue.models.organ.fields import OrganFields
+from tissue.models.organ.soft_organ import SoftOrgan
 
 __all__ = ["NeedleFields", "Track", "needle_block"]
 
@@ -141,30 +139,21 @@ class NeedleFields:
     def __init__(
         self, track: Track, elasticity: ArrayLike, *, near_m: float, interval_s: float
     ) -> None:
-        mesh, nodes, self._depths_m = needle_block(track)
-        held = slab_base(mesh)
-        rows = np.broadcast_to(np.asarray(elasticity, dtype=float), (len(mesh.cells), 2))
-        space = Space(mesh, 1, device="cpu")
-        fixed = np.zeros(len(mesh.nodes_m), dtype=bool)
-        fixed[held] = True
-        body = HeldBody(assemble(space, rows), space.nodes_m, held_nodes(fixed))
+        mesh, self.nodes, self._depths_m = needle_block(track)
+        rows = np.broadcast_to(np.asarray(elasticity, float), (len(mesh.cells), 2))
+        organ = SoftOrgan(mesh, rows, slab_base(mesh), order=1)
         self.track = track
-        self.nodes = nodes
         self._inward = -track.outward
         self._near_m = near_m
-        self._columns = self._axial_columns(DirectSolver(body))
-        self._compliance = self._columns[:, nodes] @ self._inward
-        self._fields = OrganFields(
-            space,
-            rows,
-            solve=lambda loads: np.tensordot(loads[:, nodes] @ self._inward, self._columns, axes=1),
-            product=lambda moved: (body.stiffness @ moved.ravel()).reshape(-1, 3),
-            touchable=nodes,
-            rest_m=np.zeros(space.nodes_m.shape),
-            rest_load_N=np.zeros(space.nodes_m.shape),
-            held=held,
-            interval_s=interval_s,
+        organ.factor.expect(self.nodes)
+        solver = organ.factor.solver
+        assert isinstance(solver, DirectSolver), "the block is small"
+        between = solver.compliance_between(self.nodes)
+        count = len(self.nodes)
+        self._compliance = np.einsum(
+            "i,aibj,j->ab", self._inward, between.reshape(count, 3, count, 3), self._inward
         )
+        self._fields = OrganFields(organ, self.nodes, interval_s=interval_s)
         self.next_s = 0.0
         self._kept = list[tuple[float, float, float]]()
 
@@ -206,27 +195,13 @@ class NeedleFields:
         self._kept.clear()
         self._fields.compute()
 
-    def note(self, tissue: NeedleTissue) -> str:
-        """Return a sentence that describes the fields.
-
-        It also states the force of the block next to the force of the needle's model.
-        """
-        puncture = tissue.membranes[0].puncture_N if tissue.membranes else tissue.cutting_N
-        moved = tissue.deflection_m(puncture)
-        deepest = self.track.deepest_m
-        entry, shaft = (float(self.forces_N(moved, inserted).sum()) for inserted in (0.0, deepest))
-        size = " x ".join(f"{1e3 * side:.0f}" for side in np.ptp(self.series.nodes_m, axis=0))
+    @property
+    def note(self) -> str:
+        """Sentence that describes the fields."""
+        size = by(1e3 * np.ptp(self.series.nodes_m, axis=0), ".0f")
         return (
-            f"the linear-elastic answer of a block of {size} mm around the first track, its "
-            "base held, to the "
-            "deflection that the needle's model gives: a picture, not a second model of the "
-            "force. To move by "
-            f"{1e3 * moved:.1f} mm it takes {entry:.2g} N at the entry and {shaft:.2g} N "
-            f"along {1e3 * deepest:.0f} mm "
-            f"of shaft, where the needle's model has {puncture:.2f} N: the block has neither "
-            "capsule nor strain "
-            "stiffening, and what it takes depends on the edges of its "
-            f"{len(self.series.cells)} linear tetrahedra"
+            f"the linear-elastic answer of a block of {size} mm around the first track to the "
+            "deflection that the needle's model gives: a picture, not a second model of the force"
         )
 
     def forces_N(self, deflection_m: float, inserted_m: float) -> Array:
@@ -240,14 +215,3 @@ class NeedleFields:
             self._compliance[np.ix_(moved, moved)], np.full(moved.sum(), deflection_m)
         )
         return forces
-
-    def _axial_columns(self, solver: DirectSolver) -> Array:
-        """Return displacements of all nodes by a unit axial force at each node of the track.
-
-        The shape is (k, n, 3). The force acts inwards.
-        """
-        found = np.zeros((len(self.nodes), len(solver.body.nodes_m), 3))
-        for component in np.flatnonzero(self._inward):
-            columns = solver.columns(3 * self.nodes + component)
-            found += self._inward[component] * columns.T.reshape(found.shape)
-        return found

@@ -1,19 +1,21 @@
 """Needle parameters along its axis: membranes, cut tissue and shaft friction."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import pairwise
 from math import sqrt
 
-from meshes.base.errors import InputError, require_positive, require_range
+from meshes.base.errors import InputError
 from tissue.materials.scene_constants import Materials
 
 __all__ = ["Membrane", "NeedleTissue", "ShaftFriction", "needle_tissue", "vessel_wall"]
 
-GREATEST_N = 1e4
-"""Largest force that a parameter may have [N]; a larger force is a mistaken unit."""
-GREATEST_N_M = 1e6
-"""Largest force per length of a parameter [N/m], and of its viscous part [N s/m2]."""
+LEAST_COSINE = 0.17
+"""Smallest cosine between the needle's axis and the surface normal.
+
+The axis must meet the surface at more than 10 degrees, because the model has no force across the
+axis.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,27 +39,6 @@ class Membrane:
     depth_m: float
     puncture_N: float
     hold_N: float
-
-    def __post_init__(self) -> None:
-        require_range(
-            f"depth_m of the {self.name}",
-            self.depth_m,
-            0.0,
-            1.0,
-            "measure it in metres from the surface",
-        )
-        require_positive(
-            f"puncture_N of the {self.name}",
-            self.puncture_N,
-            "leave the membrane out if it does not hold",
-        )
-        require_range(
-            f"hold_N of the {self.name}",
-            self.hold_N,
-            0.0,
-            GREATEST_N,
-            "use 0 for a hole that does not cling",
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,14 +69,6 @@ class ShaftFriction:
     stick_band_m_s: float
 
     def __post_init__(self) -> None:
-        for entry in fields(self):
-            require_range(
-                entry.name,
-                getattr(self, entry.name),
-                0.0,
-                GREATEST_N_M,
-                "give its size, in SI units",
-            )
         for side in ("in", "out"):
             sliding = getattr(self, f"sliding_{side}_N_m")
             static = getattr(self, f"static_{side}_N_m")
@@ -127,7 +100,7 @@ class NeedleTissue:
     Raises
     ------
     InputError
-        If a number is not plausible, membranes are out of order, or friction grows faster with the
+        If membranes are out of order, or friction grows faster with the
         inserted length than the organ's pull: a needle that is drawn back would then jump out.
     """
 
@@ -138,17 +111,6 @@ class NeedleTissue:
     membranes: tuple[Membrane, ...] = ()
 
     def __post_init__(self) -> None:
-        require_positive(
-            "linear_N_m", self.linear_N_m, "an organ that does not push back needs no model"
-        )
-        require_range(
-            "quadratic_N_m2",
-            self.quadratic_N_m2,
-            0.0,
-            1e3 * GREATEST_N_M,
-            "give it in N/m2, 0 for a linear one",
-        )
-        require_range("cutting_N", self.cutting_N, 0.0, GREATEST_N, "give it in N")
         depths = [membrane.depth_m for membrane in self.membranes]
         if any(below <= above for above, below in pairwise(depths)):
             listed = ", ".join(f"{1e3 * depth:g} mm" for depth in depths)

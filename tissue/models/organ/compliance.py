@@ -3,22 +3,35 @@
 It is complete, computed column by column where the tool is, or taken from a reduced basis.
 """
 
-from functools import cached_property
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property, partial
 from typing import Literal
 
 import numpy as np
 
+from kernels.cores import core_count
 from meshes.base.arrays import Array, Ints
 from meshes.base.progress import Progress
-from tissue.fem.solvers.condensed import SCHUR_UNKNOWNS, surface_compliance_m_N
+from tissue.fem.solvers.compliance import (
+    SCHUR_UNKNOWNS,
+    LazyCompliance,
+    reduced_compliance_m_N,
+    surface_compliance_m_N,
+)
 from tissue.fem.solvers.direct import DirectSolver
-from tissue.fem.solvers.held_body import HeldBody
-from tissue.fem.solvers.lazy_compliance import LazyCompliance
+from tissue.fem.solvers.held_body import HeldBody, components_of
 from tissue.fem.solvers.multigrid import MultigridSolver
-from tissue.fem.solvers.reduced import ReducedSolver
 
-__all__ = ["FACTOR_UNKNOWNS", "CompliancePath", "Factor", "compliance_of"]
+__all__ = [
+    "CONDENSING",
+    "FACTOR_UNKNOWNS",
+    "CompliancePath",
+    "Factor",
+    "KeptColumns",
+    "compliance_of",
+]
 
+CONDENSING = "condensing the compliance to the surface that can be touched"
 FACTOR_UNKNOWNS = 200_000
 """Largest number of unknowns for which frames are solved by a factor.
 
@@ -40,7 +53,7 @@ class Factor:
 
     def __init__(self, body: HeldBody) -> None:
         self._body = body
-        self._last = np.zeros(0, dtype=np.int64)
+        self._last = np.zeros(0, np.int64)
 
     @cached_property
     def solver(self) -> DirectSolver | MultigridSolver:
@@ -84,16 +97,81 @@ def compliance_of(
     The compliance has shape (3t, 3t). The object fills it while the tool moves; it is None where
     the compliance is complete.
     """
-    doing = "condensing the compliance to the surface that can be touched"
     if path == "condensed":
-        return surface_compliance_m_N(
+        found = surface_compliance_m_N(
             body,
             touchable,
             solver=lambda: factor.solver,
-            progress=lambda share: report(doing, share),
-        ), None
-    if path == "reduced":
-        size = min(basis_size, 3 * len(touchable))
-        return ReducedSolver(factor.solver, touchable, size=size).compliance_m_N(), None
+            progress=lambda share: report(CONDENSING, share),
+        )
+        return found, None
     count = 3 * len(touchable)
+    if path == "reduced":
+        return reduced_compliance_m_N(factor.solver, touchable, min(basis_size, count)), None
     return np.full((count, count), np.nan), LazyCompliance(factor.solver, touchable)
+
+
+TOGETHER = 16
+"""Columns in one back-substitution, on one thread of BLAS.
+
+More columns are not faster, and threads on small blocks are slower.
+"""
+LIMIT_BYTES = 1_000_000_000
+"""Memory above which the columns of earlier places are dropped [bytes]."""
+
+
+class KeptColumns:
+    """Displacements of an organ's surface under unit forces on its nodes, kept from press to press.
+
+    Parameters
+    ----------
+    factor
+        The organ's factor, which is made when the first compliance is needed.
+    surface
+        Nodes of the surface in rising order, shape (s,).
+    """
+
+    def __init__(self, factor: Factor, surface: Ints) -> None:
+        self._factor = factor
+        self._surface = surface
+        self._rows = components_of(surface)
+        self._columns: dict[int, Array] = {}
+
+    def between(self, nodes: Ints) -> Array:
+        """Return the compliance between some surface nodes [m/N], symmetric, shape (3t, 3t)."""
+        solver = self._factor.solver
+        if isinstance(solver, DirectSolver) and np.isin(nodes, solver.last).all():
+            return solver.compliance_between(nodes)
+        missing = [int(node) for node in nodes if int(node) not in self._columns]
+        if 8 * 3 * len(self._rows) * (len(self._columns) + len(missing)) > LIMIT_BYTES:
+            self._columns.clear()
+            missing = [int(node) for node in nodes]
+        self._find(missing)
+        rows = components_of(np.searchsorted(self._surface, nodes))
+        matrix: Array = np.concatenate([self._columns[int(node)][rows] for node in nodes], axis=1)
+        return 0.5 * (matrix + matrix.T)
+
+    def _find(self, nodes: list[int]) -> None:
+        from threadpoolctl import threadpool_limits
+
+        solver = self._factor.solver
+        each = TOGETHER // 3
+        solve = (
+            partial(solver.columns, together=TOGETHER)
+            if isinstance(solver, DirectSolver)
+            else solver.columns
+        )
+        parts = [nodes[start : start + each] for start in range(0, len(nodes), each)]
+
+        def find(part: list[int]) -> Array:
+            found: Array = solve(components_of(np.array(part)))[self._rows]
+            return found
+
+        # A back-substitution releases the interpreter lock.
+        with (
+            threadpool_limits(1, "blas"),
+            ThreadPoolExecutor(core_count(), thread_name_prefix="columns") as threads,
+        ):
+            for part, columns in zip(parts, threads.map(find, parts), strict=True):
+                for place, node in enumerate(part):
+                    self._columns[node] = columns[:, 3 * place : 3 * place + 3].copy()

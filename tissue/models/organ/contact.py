@@ -19,18 +19,157 @@ from kernels.contact_state import (
     STATE,
     SWEEPS,
     TORQUE,
+    Body,
+    Lists,
+    Points,
 )
 from kernels.launcher import SplitLaunch
-from kernels.mirror import Mirror
+from kernels.mirror import Mirror, put
 from kernels.near_compliance import gather_all_again, new_patch
 from kernels.shell_projection import link_points, project_shell
 from kernels.surface_contact import solve_contact
-from meshes.base.arrays import Array, Ints
+from meshes.base.arrays import Array, Int32s, Ints
 from meshes.base.errors import InputError, require_positive, require_range
-from tissue.models.organ.contact_points import body_arrays, list_arrays, point_arrays, put
+from tissue.fem.solvers.held_body import components_of
 from tissue.models.organ.probe import ProbeShape, ShellProbe
 
-__all__ = ["ContactOutcome", "ContactResult", "SurfaceContact"]
+__all__ = [
+    "ContactOutcome",
+    "ContactResult",
+    "SurfaceContact",
+    "body_arrays",
+    "contact_points",
+    "list_arrays",
+    "point_arrays",
+]
+
+MOST_DIVISIONS = 16
+"""Largest number of contact points along the edge of a triangle."""
+
+
+def contact_points(nodes_m: Array, faces: Ints, spacing_m: float) -> tuple[Int32s, Array, Array]:
+    """Return contact points on triangles: corners, and a lattice inside large triangles.
+
+    A triangle whose longest edge spans n spacings, n > 1, has the centres of its n^2 equal parts.
+
+    Parameters
+    ----------
+    nodes_m
+        Node positions [m], shape (s, 3).
+    faces
+        Triangles, shape (f, 3).
+    spacing_m
+        Widest allowed spacing [m].
+
+    Returns
+    -------
+    face
+        Triangle of each point, shape (p,), rising; every node is a point of one of its triangles.
+    weights
+        Barycentric weights, shape (p, 3).
+    areas_m2
+        Area that a point represents [m2], shape (p,); 0 for corners of divided triangles.
+
+    Raises
+    ------
+    InputError
+        If an edge spans more than 16 spacings.
+    """
+    corners = nodes_m[faces]
+    area = 0.5 * np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    if longest.max() > MOST_DIVISIONS * spacing_m:
+        raise InputError(
+            "touch_edge_m",
+            "be shorter under this tool",
+            (
+                f"an edge of {1e3 * longest.max():.4g} mm, more than {MOST_DIVISIONS} times "
+                f"{1e3 * spacing_m:.4g} mm"
+            ),
+            "mesh the touchable surface finer, or take a larger tool",
+        )
+    division = np.maximum(np.ceil(longest / spacing_m - 1e-9), 1).astype(int)
+    node_area = np.zeros(len(nodes_m))
+    np.add.at(node_area, faces[division == 1], area[division == 1, None] / 3.0)
+    named, first = np.unique(faces, return_index=True)
+    face = [first // 3]
+    weights = [np.eye(3)[first % 3]]
+    areas = [node_area[named]]
+    for n in np.unique(division[division > 1]):
+        i, j = (index.ravel() for index in np.meshgrid(np.arange(n), np.arange(n), indexing="ij"))
+        up = np.column_stack([i, j])[i + j < n] + 1.0 / 3.0
+        down = np.column_stack([i, j])[i + j < n - 1] + 2.0 / 3.0
+        inner = np.vstack([up, down]) / n
+        inner = np.column_stack([1.0 - inner.sum(axis=1), inner])
+        wide = np.flatnonzero(division == n)
+        face.append(np.repeat(wide, n * n))
+        weights.append(np.tile(inner, (len(wide), 1)))
+        areas.append(np.repeat(area[wide] / n**2, n * n))
+    order = np.argsort(np.concatenate(face), kind="stable")
+    return (
+        np.concatenate(face)[order].astype(np.int32),
+        np.concatenate(weights)[order],
+        np.concatenate(areas)[order],
+    )
+
+
+def body_arrays(nodes_m: Array, faces: Ints, compliance_m_N: Array, device: str) -> Body:
+    """Return the touchable surface at rest, without force.
+
+    On a CPU the compliance is used in place.
+    """
+    body = Body()
+    body.free = put(nodes_m, wp.vec3d, device)
+    body.last_free = put(nodes_m, wp.vec3d, device)
+    body.scale = wp.float64(1.0)
+    body.compliance = wp.array(
+        compliance_m_N, dtype=wp.float64, device=device, copy=device != "cpu"
+    )
+    body.corners = put(faces, wp.int32, device)
+    for name in ("force", "moved"):
+        setattr(body, name, wp.zeros(len(nodes_m), wp.vec3d, device))
+    return body
+
+
+def point_arrays(
+    nodes_m: Array, faces: Ints, probe: ProbeShape, spacing_m: float | None, device: str
+) -> Points:
+    """Return contact points without force, chained by triangle.
+
+    They are a shell's own points, or points spread over the triangles, ``spacing_m`` apart at most.
+    """
+    if isinstance(probe, ShellProbe):
+        face = np.zeros(0, np.int32)
+        weights = np.zeros((len(probe.points_m), 3))
+        areas = probe.areas_m2
+        following = np.full(len(weights), -1)
+    else:
+        face, weights, areas = contact_points(nodes_m, faces, spacing_m or probe.spacing_m)
+        following = np.append(np.where(np.diff(face) == 0, np.arange(1, len(face)), -1), -1)
+    first = np.full(len(faces), -1)
+    first[face[::-1]] = np.arange(len(face))[::-1]
+    points = Points()
+    count = len(weights)
+    points.first = put(first, wp.int32, device)
+    points.following = put(following, wp.int32, device)
+    points.weight = put(weights, wp.vec3d, device)
+    points.area = put(areas, wp.float64, device)
+    for name in ("tool_point", "tool_normal", "force", "anchor"):
+        setattr(points, name, wp.zeros(count, wp.vec3d, device))
+    points.response = wp.zeros((count, 5), wp.mat33d, device)
+    points.ready = wp.zeros(count, wp.int32, device)
+    return points
+
+
+def list_arrays(triangles: int, device: str) -> Lists:
+    """Return empty work lists for a number of triangles."""
+    lists = Lists()
+    lists.count = wp.zeros(3, wp.int32, device)
+    for name in ("near", "working", "working_mark"):
+        setattr(lists, name, wp.zeros(triangles, wp.int32, device))
+    return lists
 
 
 class ContactOutcome(Enum):
@@ -91,7 +230,7 @@ class ContactResult:
         The shape is (s, 3). It is for drawing.
         """
         loaded = np.flatnonzero(self.nodal_forces_N.any(axis=1))
-        columns = (3 * loaded[:, None] + np.arange(3)).ravel()
+        columns = components_of(loaded)
         moved: Array = self.compliance_scale * (
             self.compliance_m_N[:, columns] @ self.nodal_forces_N[loaded].ravel()
         )
@@ -109,9 +248,8 @@ REACH_M = 1e-4
 class SurfaceContact:
     """Contact between a tool and the surface of an organ, given the organ's compliance.
 
-    Each solve is one tick: slip and stick follow from the tool's path since the last solve, so call
-    it once for every pose. The contact is unilateral with Coulomb friction. It is implicit: slip
-    counts over the whole tick.
+    Each solve is one tick: slip and stick follow from the tool's path since the last solve. The
+    contact is unilateral with Coulomb friction, implicit over the whole tick.
 
     Parameters
     ----------
@@ -135,16 +273,13 @@ class SurfaceContact:
         Largest number of Gauss-Seidel sweeps in a solve.
     spacing_m
         Widest spacing of contact points on the organ [m]; default: the tool's spacing.
-    device
-        Warp device name.
-    cores
-        Processor cores to spread a shell's projection over; default all.
+    device, cores
+        Warp device name, and processor cores to spread a shell's projection over (default all).
 
     Raises
     ------
     InputError
-        If shapes do not fit, a triangle has a node that does not exist, positions are not finite,
-        or friction is negative.
+        If friction is negative.
     """
 
     def __init__(
@@ -164,7 +299,6 @@ class SurfaceContact:
         self.friction = require_range(
             "friction", friction, 0.0, 10.0, "give Coulomb's coefficient, 0 for none"
         )
-        _require_surface(nodes_m, faces, compliance_m_N)
         self.nodes_m = nodes_m
         self.faces = faces
         self.probe = probe
@@ -213,7 +347,7 @@ class SurfaceContact:
         ]
         if isinstance(probe, ShellProbe):
             count = len(probe.points_m)
-            home = wp.zeros(count, dtype=wp.int32, device=device)
+            home = wp.zeros(count, wp.int32, device)
             shell = [put(probe.points_m, wp.vec3d, device), put(probe.normals, wp.vec3d, device)]
             project = SplitLaunch(
                 project_shell,
@@ -239,15 +373,8 @@ class SurfaceContact:
         Raises
         ------
         InputError
-            If the pose is not finite or not a rotation, or the tool starts inside the organ.
+            If the pose is not finite, or the tool starts inside the organ.
         """
-        if (
-            abs(np.linalg.det(rotation) - 1.0) > 1e-6
-            or np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6
-        ):
-            raise InputError(
-                "rotation", "be a rotation matrix", "another or NaN", "make its columns orthonormal"
-            )
         self.forget()
         result = self.solve(tip_m, rotation)
         depth = result.penetration_m
@@ -314,11 +441,13 @@ class SurfaceContact:
 
         Compute the compliance of these nodes first.
         """
-        distance, _ = self.probe.distance((self._centres - tip_m) @ rotation)
+        distance = self.probe.distance((self._centres - tip_m) @ rotation)
         return np.unique(self.faces[distance < self._radii + margin_m])
 
     def solve(self, tip_m: Array, rotation: Array) -> ContactResult:
         """Move the tool to its next pose and solve for the forces.
+
+        Every call overwrites and returns the same object.
 
         Parameters
         ----------
@@ -326,11 +455,6 @@ class SurfaceContact:
             The tool's tip [m], shape (3,), world frame.
         rotation
             Tool to world, shape (3, 3); z is the tool's axis, from tip to shank.
-
-        Returns
-        -------
-        ContactResult
-            One object, overwritten by every call.
 
         Raises
         ------
@@ -373,24 +497,3 @@ class SurfaceContact:
         result.contacts = int(values[CONTACTS])
         result.area_m2 = float(values[AREA])
         result.penetration_m = float(values[DEEPEST])
-
-
-def _require_surface(nodes_m: Array, faces: Ints, compliance_m_N: Array) -> None:
-    """Check the nodes, the triangles and the size of the compliance.
-
-    Nodes must be finite, triangles must use existing nodes, and the compliance must fit the nodes.
-    """
-    count = len(nodes_m)
-    if np.shape(compliance_m_N) != (3 * count, 3 * count) or compliance_m_N.dtype != np.float64:
-        raise InputError(
-            "compliance_m_N",
-            f"be float64 of shape {(3 * count, 3 * count)}",
-            f"{compliance_m_N.dtype} of shape {np.shape(compliance_m_N)}",
-            "condense it to the nodes that may be touched",
-        )
-    if not np.isfinite(nodes_m).all():
-        raise InputError("nodes_m", "be finite", "NaN or infinity", "repair the mesh")
-    if len(faces) == 0 or faces.min() < 0 or faces.max() >= count:
-        raise InputError(
-            "faces", f"name nodes 0 to {count - 1}", "others or none", "number them so"
-        )

@@ -1,91 +1,73 @@
-"""Hyperelastic law of a soft organ and the mesh on which it is solved."""
+"""Hyperelastic law of a soft organ at 1 kHz.
+
+Hyperelastic organ at 1 kHz: a compliance for every tick, and an offset solved between ticks.
+
+Under nodal forces f the surface of the organ moves by u(f). Near an equilibrium u_k, f_k, with W a
+compliance::
+
+    u(f) = W f + offset_k,    offset_k = u_k - W f_k
+
+A contact on W with this offset is therefore in equilibrium with the law as soon as the acting
+forces are f_k. At the end of every interval the equilibrium of the forces of that moment is solved.
+The offset changes to the new one within the next interval, without a step. It follows the depth of
+the tool by the change of the offset since the last equilibrium. W is the compliance at rest until
+the equilibria are far from it. Then W is the compliance of the tangent stiffness at the present
+displacement (Newton's method).
+
+Equilibria may be solved on a coarser mesh: u = W_rest f + T (u_c - K_c^-1 T^T f), with T from its
+nodes to the touchable nodes, and W = W_rest + T (K_t^-1 - K_c^-1) T^T. Its errors are nearly equal
+with and without the law.
+"""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from time import perf_counter
 
 import numpy as np
-from scipy.sparse import bsr_array
+from scipy.sparse import bsr_array, csr_array, kron
 
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
+from tissue.fem.assembly import surface_transfer
 from tissue.fem.hyperelastic import NonlinearBody
-from tissue.fem.quasi_newton import QuasiNewton
+from tissue.fem.quasi_newton import QuasiNewton, Springs
 from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.held_body import HeldBody
-from tissue.fem.surface_transfer import surface_transfer
 from tissue.materials.hyperelasticity import Hyperelastic
 from tissue.models.organ.compliance import FACTOR_UNKNOWNS
-from tissue.models.organ.fields import LargeFields
-from tissue.models.organ.law_offset import LawOffset
+from tissue.models.organ.contact import SurfaceContact
+from tissue.models.organ.soft_organ import OrganLaw, SoftOrgan
+from tissue.models.tissue_model import SLOW
 
-if TYPE_CHECKING:
-    from tissue.models.organ.soft_organ import SoftOrgan
+__all__ = ["LawOffset", "follower_of"]
 
-__all__ = ["OrganLaw", "large_fields_of", "law_offset_of"]
+TOLERANCE = 0.02
+STEPS = 30
+"""Unbalanced force at the end of a solve, over the largest nodal force; largest number of steps."""
+MISSED = 0.05
+"""Deviation of an equilibrium from the expected one above which the compliance is renewed.
 
+The deviation is relative to the displacement.
 
-@dataclass(frozen=True, eq=False)
-class OrganLaw:
-    """Hyperelastic law of an organ.
-
-    Attributes
-    ----------
-    law
-        Law of a cell whose factor is 1.
-    cell_factors
-        Factor on its moduli in each cell, shape (m,).
-    interval_s
-        Time between two solves, between ticks [s].
-    coarser
-        The organ on a coarser mesh, on which its law is solved, and the factors there; None for its
-        own mesh.
-    """
-
-    law: Hyperelastic
-    cell_factors: Array
-    interval_s: float
-    coarser: "tuple[SoftOrgan, Array] | None" = None
+A compliance that is kept too long lets forces wander from interval to interval.
+"""
+APART_M = 2e-4
+"""Smallest change of depth from which the slope of the offset is computed [m]."""
+FARTHEST = 2.0
+"""Longest extrapolation of the offset, over the change of depth that its slope was computed from.
+"""
 
 
-def law_offset_of(organ: "SoftOrgan", law: OrganLaw, touchable: Ints) -> LawOffset:
-    """Build the offset of the touchable nodes of an organ that follows its law between ticks.
+def follower_of(
+    organ: SoftOrgan, law: Hyperelastic, cell_factors: Array, nodes: Ints
+) -> QuasiNewton:
+    """Return the solver that follows the equilibria of an organ.
 
-    The nodes have shape (t,).
+    Its factors hold the compliance between some nodes.
 
     Raises
     ------
     InputError
         If the mesh is too large for a factor.
-    """
-    on, factors = law.coarser or (organ, law.cell_factors)
-    transfer = surface_transfer(on.space, organ.space.nodes_m[touchable])
-    nodes = np.unique(transfer.indices)
-    on.factor.expect(nodes)
-    follower = _follower(on, law.law, factors, nodes)
-    return LawOffset(follower, on.body.fixed, transfer, interval_s=law.interval_s)
-
-
-def large_fields_of(organ: "SoftOrgan", law: OrganLaw, touchable: Ints) -> LargeFields:
-    """Return displacement, strain and stress of an organ under forces on its touchable nodes.
-
-    They are computed on the organ's own mesh.
-    """
-    factors = law.cell_factors
-    return LargeFields(
-        organ.space,
-        law.law,
-        factors,
-        lambda: _follower(organ, law.law, factors, touchable),
-        touchable,
-    )
-
-
-def _follower(
-    organ: "SoftOrgan", law: Hyperelastic, cell_factors: Array, nodes: Ints
-) -> QuasiNewton:
-    """Return the solver that follows the equilibria of an organ.
-
-    Its factors hold the compliance between some nodes.
     """
     at_rest = organ.factor.solver
     if not isinstance(at_rest, DirectSolver):
@@ -97,8 +79,184 @@ def _follower(
         )
 
     def factorised(stiffness: bsr_array) -> DirectSolver:
-        held = HeldBody(stiffness, organ.space.nodes_m, organ.body.fixed)
-        return DirectSolver(held, last=nodes, definite=True)
+        return DirectSolver(HeldBody(stiffness, organ.space.nodes_m, organ.body.fixed), last=nodes)
 
     body = NonlinearBody(organ.space, None, law=law, cell_factors=cell_factors)
     return QuasiNewton(body, organ.body.fixed, at_rest, factorised)
+
+
+@dataclass(frozen=True, eq=False)
+class _Line:
+    """Offset as a linear function of the depth, shapes (t, 3), within a reach."""
+
+    at_m: Array
+    slope: Array
+    depth_m: float
+    reach_m: float
+
+    def into(self, out: Array, depth_m: float, share: float) -> None:
+        """Add a share of the offset at a depth to `out`."""
+        beyond = min(max(depth_m - self.depth_m, -self.reach_m), self.reach_m)
+        out += share * self.at_m
+        out += (share * beyond) * self.slope
+
+
+class LawOffset:
+    """Difference between the touchable nodes of an organ and their positions by a compliance.
+
+    Parameters
+    ----------
+    organ, law
+        The organ, and its law.
+    touchable
+        Nodes of the contact, shape (t,).
+    """
+
+    def __init__(self, organ: SoftOrgan, law: OrganLaw, touchable: Ints) -> None:
+        solved, factors = law.coarser or (organ, law.cell_factors)
+        transfer = surface_transfer(solved.space, organ.space.nodes_m[touchable])
+        self._nodes = np.unique(transfer.indices)
+        solved.factor.expect(self._nodes)
+        self._follower = follower_of(solved, law.law, factors, self._nodes)
+        self._fixed = solved.body.fixed
+        self._transfer = transfer
+        self._spread = csr_array(transfer.T)
+        self._near = csr_array(transfer[:, self._nodes])
+        self._each = csr_array(kron(self._near, np.eye(3)))
+        self.interval_s = law.interval_s
+        none = np.zeros((transfer.shape[0], 3))
+        there = np.zeros((len(self._nodes), 3))
+        self.latest_m = none.copy()
+        """Offset of the last tick [m], shape (t, 3)."""
+        self._before = self._now = _Line(none, none, 0.0, 0.0)
+        self._apart = (0.0, there, there)
+        self._factor = self._follower.at_rest
+        self._rest = self._between = self._factor.compliance_between(self._nodes)
+        self._at_rest: Array | None = None
+        self._changed_s = 0.0
+        self._next_s = law.interval_s
+        self.notices: list[str] = []
+        self.solves = self.unsettled = 0
+        """Numbers of solves so far, and of solves whose equilibrium was not reached."""
+        self._late = False
+
+    def offset_m(self, time_s: float, depth_m: float) -> Array:
+        """Return the present offset of the touchable nodes [m], shape (t, 3).
+
+        Every call returns one reused array.
+        """
+        share = min((time_s - self._changed_s) / self.interval_s, 1.0)
+        self.latest_m[:] = 0.0
+        self._before.into(self.latest_m, depth_m, 1.0 - share)
+        self._now.into(self.latest_m, depth_m, share)
+        return self.latest_m
+
+    def renew(self, time_s: float, depth_m: float, contact: SurfaceContact) -> None:
+        """Solve for the equilibrium under the contact forces at the end of an interval.
+
+        The solution sets the offset of the next interval. Within an interval nothing is done.
+        """
+        if time_s < self._next_s - 1e-9:
+            return
+        started = perf_counter()
+        indefinite = self.indefinite
+        load = self._spread @ contact.result.nodal_forces_N
+        springs = self._springs(contact.result.nodal_forces_N, load)
+        found = self._follower.follow(load, tolerance=TOLERANCE, step_limit=STEPS, springs=springs)
+        forces = found.load_N[self._nodes]
+        moved = found.displacement_m[self._nodes]
+        self._now.into(expected := np.zeros_like(self.latest_m), depth_m, 1.0)
+        missed = float(np.linalg.norm(self._off(moved, forces) - expected))
+        if self._follower.factor is self._factor and missed > MISSED * float(
+            np.linalg.norm(self._near @ moved)
+        ):
+            self._follower.take_stiffness()
+        if self._follower.factor is not self._factor:
+            self._change_compliance(contact, forces, depth_m)
+        left = np.where(self._fixed, 0.0, found.load_N - found.internal_N)
+        moved = (found.displacement_m + self._factor.solve(left).displacement_m)[self._nodes]
+        offset = self._off(moved, forces)
+        last_m, *last = self._apart
+        slope = self._now.slope
+        reach_m = self._now.reach_m
+        if abs(depth_m - last_m) >= APART_M:
+            slope = (offset - self._off(*last)) / (depth_m - last_m)
+            reach_m = FARTHEST * abs(depth_m - last_m)
+            self._apart = (depth_m, moved, forces)
+        self._before = self._now
+        self._now = _Line(offset, slope, depth_m, reach_m)
+        self._changed_s = time_s
+        self._next_s = time_s + self.interval_s
+        self._report(found.residual, perf_counter() - started, first=indefinite == 0)
+
+    def _springs(self, forces_N: Array, load_N: Array) -> Springs:
+        """Build springs that hold the nodes under the tool near their last contact positions."""
+        loaded = np.flatnonzero(forces_N.any(axis=1))
+        if not len(loaded):
+            return Springs.none(self._fixed.size)
+        held_m = (
+            self._near @ (self._between @ load_N[self._nodes].ravel()).reshape(-1, 3)
+            + self.latest_m
+        )
+        near = csr_array(kron(self._near[loaded], np.eye(3)))
+        compliance = (
+            np.asarray((near.multiply((self._rest @ near.T).T)).sum(axis=1))
+            .reshape(-1, 3)
+            .mean(axis=1)
+        )
+        return Springs.holding(self._transfer[loaded], compliance, held_m[loaded])
+
+    def _off(self, moved_m: Array, forces_N: Array) -> Array:
+        """Return the offset of the touchable nodes [m] from a solution.
+
+        The solution is given by the displacements of the solved nodes and the forces on them.
+        """
+        there: Array = self._near @ (moved_m - (self._between @ forces_N.ravel()).reshape(-1, 3))
+        return there
+
+    def _change_compliance(self, contact: SurfaceContact, forces_N: Array, depth_m: float) -> None:
+        """Use the compliance of the stiffness that was factorised last.
+
+        No node moves by the change.
+        """
+        if self._at_rest is None:
+            self._at_rest = contact.result.compliance_m_N.copy()
+        self._factor = self._follower.factor
+        before = self._between
+        self._between = self._factor.compliance_between(self._nodes)
+        change = self._each @ (self._each @ (self._between - self._rest)).T
+        contact.change_compliance(self._at_rest + 0.5 * (change + change.T))
+        at_m = np.zeros_like(self.latest_m)
+        self._now.into(at_m, depth_m, 1.0)
+        at_m += self._near @ ((before - self._between) @ forces_N.ravel()).reshape(-1, 3)
+        self._now = _Line(at_m, self._now.slope, depth_m, self._now.reach_m)
+
+    @property
+    def indefinite(self) -> int:
+        """Number of tangents so far that were not positive definite."""
+        return self._follower.indefinite
+
+    def _report(self, residual: float, took_s: float, *, first: bool) -> None:
+        """Count the solve, and report events that happen for the first time."""
+        self.solves += 1
+        self.unsettled += residual > TOLERANCE
+        if first and self.indefinite:
+            self.notices.append(
+                "the tangent stiffness of organ.law is not positive definite: only the tool "
+                "keeps the tissue from "
+                "yielding. It was replaced by a stiffer one; check the force here against a "
+                "finer mesh"
+            )
+        if residual > TOLERANCE and self.unsettled == 1:
+            self.notices.append(
+                f"the law's equilibrium was not reached in {STEPS} steps: {residual:.0%} of "
+                "the greatest nodal force "
+                "is not balanced"
+            )
+        if took_s > self.interval_s and not self._late:
+            self._late = True
+            self.notices.append(
+                f"solving the law took {took_s:.2f} s, {SLOW} of {self.interval_s:g} s: the "
+                "run waits for it, a device "
+                "would not"
+            )

@@ -24,19 +24,24 @@ holds where the shear modulus relaxes alone, unless the bulk modulus is so large
 effect (Poisson's ratio near 0.5).
 """  # noqa: E501 a table
 
+from dataclasses import dataclass
+from math import inf
+
 import numpy as np
 
-from meshes.base.arrays import Array, Ints
+from meshes.base.arrays import Array
+from meshes.base.progress import Progress, silent
 from tissue.fem.fields import FieldSeries
-from tissue.fem.solvers.lazy_compliance import LazyCompliance
-from tissue.fem.space import Space
-from tissue.materials.prony import HereditaryIntegral, Prony
+from tissue.materials.prony import HereditaryIntegral
+from tissue.models.organ.compliance import CompliancePath
 from tissue.models.organ.contact import ContactOutcome, SurfaceContact
 from tissue.models.organ.fields import OrganFields
-from tissue.models.organ.law_offset import LawOffset
+from tissue.models.organ.law import LawOffset
+from tissue.models.organ.probe import SphereProbe
+from tissue.models.organ.soft_organ import SoftOrgan, ToolPath
 from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 
-__all__ = ["LiverModel"]
+__all__ = ["ContactSolution", "LiverModel"]
 
 LINEAR_ERROR = ((0.37, 0.05), (0.57, 0.1))
 """Depth over the ball's radius, and error of the linear force there against a neo-Hookean force.
@@ -50,75 +55,119 @@ LOOK_M = 5e-3
 """Distance around the tool within which these nodes are searched [m]."""
 
 
+@dataclass(frozen=True)
+class ContactSolution:
+    """Options of the contact between a tool and an organ.
+
+    Attributes
+    ----------
+    path, basis_size
+        Method used to compute the compliance of the touchable nodes, and the number of vectors of
+        a reduced basis; None: from columns of the one factor, each kept for the next tool.
+    tolerance, sweeps
+        Tolerance and sweeps of the contact, as for `SurfaceContact`; the defaults are for a tick of
+        1 ms.
+    cores
+        Processor cores to spread a shell's projection over; default all.
+    """
+
+    path: CompliancePath | None = None
+    basis_size: int = 300
+    tolerance: float = 1e-3
+    sweeps: int = 100
+    cores: int | None = None
+
+
 class LiverModel:
-    """Soft organ under a probe.
+    """Soft organ under a tool on a given path.
 
     Parameters
     ----------
-    contact
-        The probe on the organ's touchable surface.
-    space, touchable
-        The organ's nodes and cells, and the touchable nodes of the contact, shape (t,).
-    fields
-        Fields of the whole organ.
-    prony
-        Relaxation of every modulus; None for an elastic organ. The contact's compliance is the
-        instantaneous one.
-    lazy
-        Object that fills the contact's compliance while the tool moves; None where it is complete.
-    law
-        Offset of a hyperelastic organ from the contact's compliance; None for a linear organ. It
-        cannot be combined with `prony`.
-    ball_radius_m
-        Radius of the ball that presses [m]; the depth at which linear elasticity is no longer
-        enough is known for a ball only.
+    organ
+        The organ at rest.
+    tool
+        The tool and its poses along the path.
+    solution
+        Options of the contact.
+    interval_s
+        Time between two frames of displacement and stress [s]; infinite for no frames.
     step_s
         Length of a tick [s].
+    report
+        Called with the current task.
+
+    Attributes
+    ----------
+    contact
+        The tool on the organ's touchable surface.
+    touchable
+        Nodes that the tool can touch, shape (t,).
+
+    Raises
+    ------
+    InputError
+        If the tool touches nothing or only held nodes, or the compliance of the touchable nodes
+        would not fit into memory.
     """
 
     measure_names: tuple[str, ...] = ("indentation_mm", "contact_points", "sweeps")
 
     def __init__(
         self,
-        contact: SurfaceContact,
+        organ: SoftOrgan,
+        tool: ToolPath,
+        solution: ContactSolution = ContactSolution(),
         *,
-        space: Space,
-        touchable: Ints,
-        fields: OrganFields,
-        prony: Prony | None = None,
-        lazy: LazyCompliance | None = None,
-        law: LawOffset | None = None,
-        ball_radius_m: float | None = None,
+        interval_s: float = inf,
         step_s: float = TICK_S,
+        report: Progress = silent,
     ) -> None:
-        self.contact = contact
-        self._fields = fields
-        self._lazy = lazy
-        self._law = law
+        space = organ.space
+        probe = tool.probe
+        touchable, faces = organ.touchable(tool)
+        self.touchable = touchable
+        compliance, self._lazy = organ.compliance(
+            touchable, solution.path, basis_size=solution.basis_size, report=report
+        )
+        self.contact = SurfaceContact(
+            space.nodes_m[touchable] + organ.rest[1][touchable],
+            faces,
+            compliance,
+            probe,
+            friction=organ.friction,
+            tolerance=solution.tolerance,
+            sweeps=solution.sweeps,
+            device=space.device,
+            cores=solution.cores,
+        )
+        self._fields = OrganFields(organ, touchable, interval_s=interval_s)
+        self._law = None if organ.law is None else LawOffset(organ, organ.law, touchable)
         self._step_s = step_s
-        self.layer_names = space.mesh.part_names
+        self.layer_names = organ.mesh.part_names
         parts = np.zeros(len(self.layer_names))
-        np.add.at(parts, space.mesh.part, space.mesh.volumes_m3)
+        np.add.at(parts, organ.mesh.part, organ.mesh.volumes_m3)
         self.start_m3 = parts
         self.removed_m3 = np.zeros(len(parts))
         self.notices: list[str] = []
         self._response = Response.empty(len(self.layer_names), len(self.measure_names))
-        self._layer = int(np.bincount(_parts_at(space, touchable)).argmax())
+        part = np.zeros(space.node_count, np.int64)
+        part[space.cell_nodes] = organ.mesh.part[:, None]
+        self._layer = int(np.bincount(part[touchable]).argmax())
         self._touched_m = np.full(3, np.nan)
         self._unsettled = False
         self._ticks = 0
-        radius_m = ball_radius_m if law is None else None
-        self._limits = (
-            [(depth * radius_m, error) for depth, error in LINEAR_ERROR] if radius_m else []
-        )
+        # The depth at which linear elasticity is no longer enough is known for a ball only.
+        self._limits: list[tuple[float, float]] = []
+        if isinstance(probe, SphereProbe) and self._law is None:
+            self._limits = [(depth * probe.radius_m, error) for depth, error in LINEAR_ERROR]
         self._crept_N = np.zeros((len(touchable), 3))
         self._creep: HereditaryIntegral | None = None
-        if prony is not None:
+        if organ.prony is not None:
             self._creep, self._forces = (
-                HereditaryIntegral(prony.retardation, self._crept_N.shape, step_s=step_s)
+                HereditaryIntegral(organ.prony.retardation, self._crept_N.shape, step_s=step_s)
                 for _ in range(2)
             )
-            contact.scale_compliance(self._creep.instant_factor)
+            self.contact.scale_compliance(self._creep.instant_factor)
 
     @property
     def fields(self) -> FieldSeries:
@@ -221,11 +270,6 @@ class LiverModel:
             }
         }
 
-    @property
-    def law_note(self) -> str:
-        """Description of how the law is followed; empty for a linear organ."""
-        return "" if self._law is None else self._law.note
-
     def displacement_m(self) -> Array:
         """Return the displacement of the touchable nodes in the last tick [m], shape (t, 3).
 
@@ -246,10 +290,3 @@ class LiverModel:
         """Request the compliance of the nodes around the tool."""
         assert self._lazy is not None
         self._lazy.want(self.contact.nodes_in_reach(motion.tip_m, motion.rotation, LOOK_M))
-
-
-def _parts_at(space: Space, nodes: Ints) -> Ints:
-    """Return the part of a cell at each node, shape (t,)."""
-    part = np.zeros(space.node_count, dtype=np.int64)
-    part[space.cell_nodes] = space.mesh.part[:, None]
-    return part[nodes]

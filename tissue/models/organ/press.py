@@ -9,10 +9,10 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from tissue.fem.fields import Frame
-from tissue.models.organ.contact import SurfaceContact
-from tissue.models.organ.contact_points import contact_points
+from tissue.models.organ.contact import SurfaceContact, contact_points
+from tissue.models.organ.model import ContactSolution, LiverModel
 from tissue.models.organ.probe import ProbeShape, ShellProbe
-from tissue.models.organ.soft_organ import SoftOrgan, linear_triangles
+from tissue.models.organ.soft_organ import SoftOrgan, ToolPath, linear_triangles
 from tissue.models.tissue_model import ToolMotion
 
 __all__ = ["PressCurve", "press"]
@@ -63,8 +63,6 @@ class PressCurve:
         Displacement and stress of the organ at the end.
     notices
         Events, a sentence each.
-    touchable
-        Nodes of the surface that the tool could touch.
     """
 
     time_s: Array
@@ -75,7 +73,6 @@ class PressCurve:
     rotation: Array
     frame: Frame
     notices: tuple[str, ...]
-    touchable: int
 
 
 def press(
@@ -115,20 +112,29 @@ def press(
     start_m = point_m - _clearance_m(organ, probe, point_m, rotation) * along
     end_m = point_m + depth_m * along
     tips = start_m + np.linspace(0.0, 1.0, POSES)[:, None] * (end_m - start_m)
-    steps, step_s = _steps(organ, depth_m / speed_m_s)
+    steps = STEPS
+    if organ.prony is not None:
+        relaxations = depth_m / speed_m_s / min(organ.prony.tau_s)
+        steps = max(steps, ceil(PER_RELAXATION * relaxations))
+    step_s = depth_m / speed_m_s / steps
     turns = np.broadcast_to(rotation, (POSES, 3, 3))
-    model, touchable = organ.under(
-        probe,
-        tips,
-        turns,
+    model = LiverModel(
+        organ,
+        ToolPath(probe, tips, turns),
+        ContactSolution(tolerance=TOLERANCE, sweeps=SWEEPS),
         interval_s=1.0,
         step_s=step_s,
-        tolerance=TOLERANCE,
-        sweeps=SWEEPS,
         report=report,
     )
     touch_m = _first_touch(model.contact, start_m, end_m, rotation)
-    _require_place(probe, float((point_m - touch_m) @ along))
+    before_m = float((point_m - touch_m) @ along)
+    if before_m > SLANTED * probe.size_m[0]:
+        raise InputError(
+            "point_m",
+            "be the first that the tool touches",
+            f"one that meets the organ {1e3 * before_m:.3g} mm before it",
+            "come along another direction, or take a smaller tool",
+        )
     motion = ToolMotion(tip_m=start_m.copy(), rotation=rotation.copy())
     model.place(motion)
     depths = np.append(
@@ -155,16 +161,7 @@ def press(
         rotation,
         model.fields.frames[-1],
         tuple(model.notices),
-        touchable,
     )
-
-
-def _steps(organ: SoftOrgan, press_s: float) -> tuple[int, float]:
-    """Return the number of steps of the press and the length of each [s]."""
-    fewest = STEPS
-    if organ.prony is not None:
-        fewest = max(fewest, ceil(PER_RELAXATION * press_s / min(organ.prony.tau_s)))
-    return fewest, press_s / fewest
 
 
 def _clearance_m(organ: SoftOrgan, probe: ProbeShape, point_m: Array, rotation: Array) -> float:
@@ -178,7 +175,7 @@ def _clearance_m(organ: SoftOrgan, probe: ProbeShape, point_m: Array, rotation: 
         points = np.einsum("pk,pkx->px", weights, nodes[triangles[places]])
     for share in CLEARANCES:
         clear = share * probe.size_m[0]
-        if probe.distance((points - point_m - clear * rotation[:, 2]) @ rotation)[0].min() > 0.0:
+        if probe.distance((points - point_m - clear * rotation[:, 2]) @ rotation).min() > 0.0:
             return clear
     raise InputError(
         "point_m",
@@ -186,20 +183,6 @@ def _clearance_m(organ: SoftOrgan, probe: ProbeShape, point_m: Array, rotation: 
         f"a tool that meets the organ elsewhere {1e3 * clear:.3g} mm before the place",
         "come along another direction, or take a smaller tool",
     )
-
-
-def _require_place(probe: ProbeShape, before_m: float) -> None:
-    """Check that the tool first touches the organ near the target.
-
-    A tool that comes at an angle touches a little before it.
-    """
-    if before_m > SLANTED * probe.size_m[0]:
-        raise InputError(
-            "point_m",
-            "be the first that the tool touches",
-            f"one that meets the organ {1e3 * before_m:.3g} mm before it",
-            "come along another direction, or take a smaller tool",
-        )
 
 
 def _first_touch(contact: SurfaceContact, start_m: Array, end_m: Array, rotation: Array) -> Array:

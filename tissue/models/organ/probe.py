@@ -9,6 +9,7 @@ the ball that bounds the part of it that may touch first.
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -43,11 +44,8 @@ class ProbeShape(ABC):
         return self.size_m[0] / SPACINGS
 
     @abstractmethod
-    def distance(self, points_m: Array) -> tuple[Array, Array]:
-        """Return the signed distance [m], shape (n,), and its gradient, shape (n, 3), at points.
-
-        The points are in the tool's frame [m].
-        """
+    def distance(self, points_m: Array) -> Array:
+        """Return the signed distance of points in the tool's frame [m], shape (n,)."""
 
 
 @dataclass(frozen=True)
@@ -71,17 +69,9 @@ class SphereProbe(ProbeShape):
         """Radius, and 0 [m]."""
         return self.radius_m, 0.0
 
-    def distance(self, points_m: Array) -> tuple[Array, Array]:
-        """Return the distance to the ball [m] and the direction from its centre."""
-        arm = points_m - [0.0, 0.0, self.radius_m]
-        length = np.linalg.norm(arm, axis=1)
-        normal = np.divide(
-            arm,
-            length[:, None],
-            out=np.tile([0.0, 0.0, -1.0], (len(arm), 1)),
-            where=length[:, None] > 0.0,
-        )
-        return length - self.radius_m, normal
+    def distance(self, points_m: Array) -> Array:
+        """Return the distance to the ball [m]."""
+        return np.linalg.norm(points_m - [0.0, 0.0, self.radius_m], axis=1) - self.radius_m
 
 
 @dataclass(frozen=True)
@@ -118,28 +108,12 @@ class CylinderProbe(ProbeShape):
         """Radii of the side and of the edge [m]."""
         return self.radius_m, self.edge_m
 
-    def distance(self, points_m: Array) -> tuple[Array, Array]:
-        """Return the distance to the rounded cylinder [m] and its gradient."""
-        radius = np.hypot(points_m[:, 0], points_m[:, 1])
-        out = np.zeros_like(points_m)
-        np.divide(points_m[:, :2], radius[:, None], out=out[:, :2], where=radius[:, None] > 0.0)
-        outside = radius - self.radius_m + self.edge_m
+    def distance(self, points_m: Array) -> Array:
+        """Return the distance to the rounded cylinder [m]."""
+        outside = np.hypot(points_m[:, 0], points_m[:, 1]) - self.radius_m + self.edge_m
         below = self.edge_m - points_m[:, 2]
         corner = np.hypot(np.maximum(outside, 0.0), np.maximum(below, 0.0))
-        round_edge = (outside > 0.0) & (below > 0.0)
-        side = outside > below
-        along = np.where(
-            round_edge,
-            np.divide(outside, corner, out=np.zeros_like(corner), where=round_edge),
-            side,
-        )
-        down = np.where(
-            round_edge, np.divide(below, corner, out=np.zeros_like(corner), where=round_edge), ~side
-        )
-        inside = np.minimum(np.maximum(outside, below), 0.0)
-        return inside + corner - self.edge_m, along[:, None] * out - down[:, None] * np.array(
-            [0.0, 0.0, 1.0]
-        )
+        return np.minimum(np.maximum(outside, below), 0.0) + corner - self.edge_m
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,22 +138,6 @@ class ShellProbe(ProbeShape):
     kind = SHELL
     spacing_m = np.inf
     """Spacing of the organ's points [m]: any, because the shell has its own points."""
-
-    def __post_init__(self) -> None:
-        count = len(self.points_m)
-        for name, value, shape in (
-            ("points_m", self.points_m, (count, 3)),
-            ("normals", self.normals, (count, 3)),
-            ("areas_m2", self.areas_m2, (count,)),
-        ):
-            if count == 0 or np.shape(value) != shape:
-                raise InputError(
-                    name, f"have shape {shape} and a point", np.shape(value), "sample the tool"
-                )
-            if not np.isfinite(value).all():
-                raise InputError(name, "be finite", "NaN or infinity", "repair the tool's surface")
-        if np.abs(np.linalg.norm(self.normals, axis=1) - 1.0).max() > 1e-6:
-            raise InputError("normals", "have length 1", "others", "divide them by their lengths")
 
     @classmethod
     def from_mesh(
@@ -206,13 +164,9 @@ class ShellProbe(ProbeShape):
         """
         import trimesh
 
-        surface = (
+        surface: Any = (
             trimesh.Trimesh(*read_triangles(Path(mesh))) if isinstance(mesh, (str, Path)) else mesh
         )
-        if not isinstance(surface, trimesh.Trimesh):
-            raise InputError(
-                "mesh", "be a surface of triangles", type(surface).__name__, "convert it first"
-            )
         if not (surface.is_watertight and surface.volume > 0.0):
             raise InputError(
                 "mesh", "be closed with outward triangles", mesh, "repair the tool's surface"
@@ -235,13 +189,12 @@ class ShellProbe(ProbeShape):
         height = 0.5 * float(self.points_m[:, 2].min() + self.points_m[:, 2].max())
         return float(np.linalg.norm(self.points_m - [0.0, 0.0, height], axis=1).max()), height
 
-    def distance(self, points_m: Array) -> tuple[Array, Array]:
-        """Return the distance to the plane of the nearest point [m] and that point's normal."""
+    def distance(self, points_m: Array) -> Array:
+        """Return the distance to the plane of the nearest point [m]."""
         from scipy.spatial import cKDTree
 
         _, nearest = cKDTree(self.points_m).query(points_m)
-        normal = self.normals[nearest]
-        return np.einsum("ij,ij->i", points_m - self.points_m[nearest], normal), normal
+        return np.einsum("ij,ij->i", points_m - self.points_m[nearest], self.normals[nearest])
 
 
 def _thinned(centres: Array, normals: Array, areas: Array, side: float) -> tuple[Ints, Array]:
@@ -261,4 +214,4 @@ def _thinned(centres: Array, normals: Array, areas: Array, side: float) -> tuple
     )
     order = np.lexsort((np.linalg.norm(centres - middle[group], axis=1), group))
     first = np.unique(group[order], return_index=True)[1]
-    return np.asarray(order[first], dtype=np.int64), np.asarray(total, dtype=np.float64)
+    return np.asarray(order[first], np.int64), np.asarray(total, np.float64)

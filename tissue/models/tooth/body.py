@@ -1,30 +1,35 @@
 """Elastic body of particles on a grid: supports, removal, islands, and warm-started solves."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import label
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Flags, Int32s, Integers, Ints
 from tissue.fem.conjugate_gradients import (
     Iterate,
-    IterativeSolution,
+    Solution,
     SolverOutcome,
     conjugate_gradients,
     dot,
 )
-from tissue.models.tooth.grid import FULL_STEPS, HexGrid, ParticleSet, shape_values
+from tissue.fem.solvers.held_body import rigid_modes
+from tissue.models.tooth.grid import (
+    FULL_STEPS,
+    HexGrid,
+    NodeSupports,
+    ParticleSet,
+    PointSprings,
+    ball_weight,
+    shape_values,
+)
 from tissue.models.tooth.multigrid import GridHierarchy
-from tissue.models.tooth.recovery import ball_weight
 from tissue.models.tooth.stiffness import CellStiffness
-from tissue.models.tooth.supports import NodeSupports, PointSprings
 
-__all__ = ["Change", "ParticleBody", "solve_cells", "supported_cells"]
+__all__ = ["Change", "ParticleBody", "supported_cells"]
 
 LEAST_CURVATURE = 1e-12
 """Share of ``p . D p``, D the diagonal, below which ``p . K p`` is a rounding error.
@@ -32,61 +37,6 @@ LEAST_CURVATURE = 1e-12
 Then p is a motion without resistance. A tooth of 1e5 nodes in a ligament a million times softer has
 1e-8.
 """
-
-
-def solve_cells(
-    product: Callable[[Array], Array],
-    load_N: Array,
-    *,
-    diagonal: Array,
-    precondition: Callable[[Array], Array],
-    start_m: Array,
-    tolerance: float,
-    limit: int,
-) -> IterativeSolution:
-    """Solve ``K u = f`` to a relative error of ``tolerance`` in the energy norm.
-
-    The energy norm of the solution is ``sqrt(u . f)``. The energy norm of the error is estimated by
-    the larger of two values. The first is ``sqrt(r . B r)``, the preconditioner's estimate. The
-    second is ``sqrt(r . D^-1 r / 24)`` with D the diagonal. It is a lower bound, since a cell's 24
-    eigenvalues of ``D^-1 K`` are not negative and sum to 24. It detects a load on a motion without
-    resistance that the preconditioner leaves out.
-
-    Parameters
-    ----------
-    product
-        K times nodal displacements, shape (n, 3).
-    load_N
-        Nodal forces [N], shape (n, 3), zero where nodes are held.
-    diagonal
-        Diagonal of K [N/m], shape (n, 3).
-    precondition
-        B times nodal forces, close to K's inverse.
-    start_m
-        First guess [m], shape (n, 3).
-    tolerance
-        Relative error in the energy norm.
-    limit
-        Iterations allowed.
-    """
-    by_diagonal = np.divide(1.0 / 24.0, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0.0)
-
-    def error(now: Iterate) -> float:
-        energy = dot(now.found, load_N)
-        size = max(now.slopes[-1], dot(now.residual, now.residual * by_diagonal))
-        return float(np.sqrt(size / energy)) if energy > 0.0 else np.inf
-
-    return conjugate_gradients(
-        product,
-        load_N,
-        precondition=precondition,
-        error=error,
-        tolerance=tolerance,
-        limit=limit,
-        start=start_m,
-        least_curvature=lambda direction: LEAST_CURVATURE * dot(direction, diagonal * direction),
-        correct_last=True,
-    )
 
 
 LEAST_RESTRAINT = 1e-9
@@ -100,11 +50,11 @@ ENOUGH = 200
 
 def supported_cells(
     grid: HexGrid,
-    filled: NDArray[np.bool_],
+    filled: Flags,
     supports: NodeSupports,
     springs: PointSprings,
-    springs_cell: NDArray[np.int32],
-) -> NDArray[np.bool_]:
+    springs_cell: Int32s,
+) -> Flags:
     """Return a mask of the cells that the supports hold against all six rigid motions.
 
     ``filled`` has shape (c,). ``springs_cell`` holds the springs' cells. Cells that share a face
@@ -114,13 +64,13 @@ def supported_cells(
     singular.
     """
     at = tuple(grid.cell_place.T)
-    box = np.zeros(grid.cell_place.max(axis=0) + 1, dtype=np.bool_)
+    box = np.zeros(grid.cell_place.max(axis=0) + 1, np.bool_)
     box[at] = filled
     numbered, count = label(box)
     part_of = numbered[at] - 1
     held = supports.fixed.copy()
     on_part = np.where(springs_cell >= 0, part_of[springs_cell], -1)
-    supported = np.zeros(count, dtype=np.bool_)
+    supported = np.zeros(count, np.bool_)
     members = _members(grid, part_of, count)
     waiting = list(range(count))
     moved = True
@@ -134,12 +84,12 @@ def supported_cells(
     return filled & supported[part_of] if count else filled
 
 
-def _members(grid: HexGrid, part_of: NDArray[np.integer], count: int) -> list[NDArray[np.int64]]:
+def _members(grid: HexGrid, part_of: Integers, count: int) -> list[Ints]:
     """Return the nodes of each part."""
     cells = np.argsort(part_of, kind="stable")
     starts = np.searchsorted(part_of[cells], np.arange(count + 1))
     members = []
-    inside = np.zeros(grid.node_count, dtype=np.bool_)
+    inside = np.zeros(grid.node_count, np.bool_)
     for a, b in pairwise(starts):
         inside[:] = False
         inside[grid.cell_nodes[cells[a:b]]] = True
@@ -147,15 +97,13 @@ def _members(grid: HexGrid, part_of: NDArray[np.integer], count: int) -> list[ND
     return members
 
 
-def _restrained(
-    grid: HexGrid, nodes: NDArray[np.integer], held: NDArray[np.bool_], springs: PointSprings
-) -> bool:
+def _restrained(grid: HexGrid, nodes: Integers, held: Flags, springs: PointSprings) -> bool:
     """Return True if held nodes, and springs at points between them, leave no rigid motion."""
     some = nodes[held[nodes].any(axis=1)]
     if len(some) + len(springs.position_m) == 0:
         return False
     if len(springs.position_m) > 2 * ENOUGH:  # restrained by some implies restrained by all
-        few = np.zeros(len(springs.position_m), dtype=np.bool_)
+        few = np.zeros(len(springs.position_m), np.bool_)
         few[:: len(few) // ENOUGH] = True
         if _restrained(grid, nodes[:0], held, springs.chosen(few)):
             return True
@@ -165,11 +113,8 @@ def _restrained(
     place -= centre
     restraint = springs.restraint(grid.origin_m + grid.edge_m * centre, grid.edge_m)
     restraint /= max(float(np.trace(restraint[:3, :3])), np.finfo(float).tiny)
-    for axis in range(3):
-        along = np.eye(3)[axis]
-        here = place[held[some, axis]]
-        rows = np.concatenate([np.tile(along, (len(here), 1)), np.cross(here, along)], axis=1)
-        restraint += rows.T @ rows
+    rows = rigid_modes(place, np.zeros(3))[held[some]]
+    restraint += rows.T @ rows
     values = np.linalg.eigvalsh(restraint)
     return bool(values[0] > LEAST_RESTRAINT * values[-1])
 
@@ -202,8 +147,8 @@ class Change:
         Particles that have lost their connection to a support, by the caller's index, shape (d,).
     """
 
-    cells: NDArray[np.int32]
-    debris: NDArray[np.int64]
+    cells: Int32s
+    debris: Ints
 
 
 class ParticleBody:
@@ -249,12 +194,6 @@ class ParticleBody:
         device: str = "cpu",
         cores: int | None = None,
     ) -> None:
-        if supports.fixed.shape != (grid.node_count, 3):
-            raise ValueError(
-                f"supports must be for the grid's {grid.node_count} nodes, got "
-                f"{len(supports.fixed)}: "
-                "use NodeSupports.of(grid.node_count, ...)"
-            )
         self.particles = particles
         self.grid = grid
         self.supports = supports
@@ -272,19 +211,19 @@ class ParticleBody:
         self._hierarchy = GridHierarchy(self.cells, supports)
         self._tree = cKDTree(particles.position_m)
         self._springs_cell = grid.locate(self.springs.position_m)[0]
-        self._touched = np.zeros(grid.cell_count, dtype=np.bool_)
-        self._filled = np.zeros(grid.cell_count, dtype=np.bool_)
-        self._is_debris = np.zeros(grid.cell_count, dtype=np.bool_)
+        self._touched = np.zeros(grid.cell_count, np.bool_)
+        self._filled = np.zeros(grid.cell_count, np.bool_)
+        self._is_debris = np.zeros(grid.cell_count, np.bool_)
         self._iterations_fresh = 0
-        self.carrying = np.zeros(grid.node_count, dtype=np.bool_)
+        self.carrying = np.zeros(grid.node_count, np.bool_)
         self._apply(np.arange(grid.cell_count, dtype=np.int32))
 
     @property
-    def debris(self) -> NDArray[np.int64]:
+    def debris(self) -> Ints:
         """Particles without support that still have volume, by the caller's index."""
         return self._particles_in(self._is_debris)
 
-    def set_remaining(self, particles: NDArray[np.integer], steps: NDArray[np.integer]) -> None:
+    def set_remaining(self, particles: Integers, steps: Integers) -> None:
         """Set the remaining fraction of particles, by the caller's index, in steps of 1/65535.
 
         `update` applies the change to the stiffness.
@@ -305,7 +244,7 @@ class ParticleBody:
         self.cells.update(touched)
         return self._apply(touched)
 
-    def _apply(self, touched: NDArray[np.int32]) -> Change:
+    def _apply(self, touched: Int32s) -> Change:
         before = self.cells.live.copy()
         was_debris = self._is_debris
         filled = self.cells.fill >= LEAST_FILL
@@ -327,16 +266,16 @@ class ParticleBody:
         cells = np.union1d(touched, np.flatnonzero(before != self.cells.live)).astype(np.int32)
         if len(cells):
             self._hierarchy.update(cells)
-            self.carrying = np.zeros(self.grid.node_count, dtype=np.bool_)
+            self.carrying = np.zeros(self.grid.node_count, np.bool_)
             self.carrying[self.grid.cell_nodes[self.cells.live > 0]] = True
             self._free = (~self.supports.fixed & self.carrying[:, None]).astype(np.float64)
             self._diagonal = self._hierarchy.diagonal()
         return Change(cells, self._particles_in(self._is_debris & ~was_debris))
 
-    def _particles_in(self, cells: NDArray[np.bool_]) -> NDArray[np.int64]:
+    def _particles_in(self, cells: Flags) -> Ints:
         """Return the remaining particles of these cells, by the caller's index."""
         if not cells.any():
-            return np.zeros(0, dtype=np.int64)
+            return np.zeros(0, np.int64)
         return np.sort(
             self.cells.order[cells[self.cells.particle_cell] & (self.cells.remaining > 0)]
         )
@@ -383,7 +322,7 @@ class ParticleBody:
         lies within the radius, as in a grid much coarser than the patch, the force acts at the
         point.
         """
-        near = np.array(self._tree.query_ball_point(point_m, radius_m), dtype=np.int64)
+        near = np.array(self._tree.query_ball_point(point_m, radius_m), np.int64)
         near = near[self.cells.live[self.cells.particle_cell[self.cells.rank[near]]] > 0]
         left = self.cells.remaining[self.cells.rank[near]] / FULL_STEPS
         away = np.linalg.norm(self.particles.position_m[near] - point_m, axis=1)
@@ -409,8 +348,14 @@ class ParticleBody:
         limit: int = 200,
         cold: bool = False,
         start_m: Array | None = None,
-    ) -> IterativeSolution:
+    ) -> Solution:
         """Solve for the displacement under nodal forces [N], shape (n, 3).
+
+        The energy norm of the solution is ``sqrt(u . f)``. The energy norm of the error is
+        estimated by the larger of two values. The first is ``sqrt(r . B r)``, the preconditioner's
+        estimate. The second is ``sqrt(r . D^-1 r / 24)`` with D the diagonal. It is a lower bound,
+        since a cell's 24 eigenvalues of ``D^-1 K`` are not negative and sum to 24. It detects a
+        load on a motion without resistance that the preconditioner leaves out.
 
         Parameters
         ----------
@@ -429,21 +374,31 @@ class ParticleBody:
         held = self.supports.displacement_m
         lost = (load_N != 0.0) & ~self.carrying[:, None] & ~self.supports.fixed
         if not self.cells.live.any() or lost.any():
-            return IterativeSolution(
-                held.copy(), SolverOutcome.UNSUPPORTED, 0, residual=1.0, error=np.inf
-            )
+            return Solution(held.copy(), SolverOutcome.UNSUPPORTED, 0, residual=1.0, error=np.inf)
         load = (load_N - self.product(held) if held.any() else load_N) * self._free
         guess = held if cold else self.displacement_m if start_m is None else start_m
         if self._iterations_fresh == 0:
             self._hierarchy.refresh()
-        found = solve_cells(
+        diagonal = self._diagonal
+        by_diagonal = np.divide(
+            1.0 / 24.0, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0.0
+        )
+
+        def error(now: Iterate) -> float:
+            energy = dot(now.found, load)
+            size = max(now.slopes[-1], dot(now.residual, now.residual * by_diagonal))
+            return float(np.sqrt(size / energy)) if energy > 0.0 else np.inf
+
+        found = conjugate_gradients(
             lambda u: self.product(u) * self._free,
             load,
-            diagonal=self._diagonal,
-            precondition=self._precondition,
-            start_m=(guess - held) * self._free,
+            precondition=lambda residual: self._hierarchy(residual) * self._free,
+            error=error,
             tolerance=tolerance,
             limit=limit,
+            start=(guess - held) * self._free,
+            least_curvature=lambda step: LEAST_CURVATURE * dot(step, diagonal * step),
+            correct_last=True,
         )
         if (
             self._iterations_fresh == 0
@@ -456,16 +411,15 @@ class ParticleBody:
             self.displacement_m = moved
         return replace(found, displacement_m=moved)
 
-    def _precondition(self, residual: Array) -> Array:
-        return self._hierarchy(residual) * self._free
-
     def matrix(self) -> csr_matrix:
         """Return the assembled stiffness [N/m], shape (3 n, 3 n).
 
         Springs are included. Rows and columns of held components are empty.
         """
-        return self._hierarchy.finest.matrix()
-
-    def reactions(self, displacement_m: Array, load_N: Array) -> Array:
-        """Return the forces of the held nodes on the body [N], shape (n, 3)."""
-        return np.asarray(np.where(self.supports.fixed, self.product(displacement_m) - load_N, 0.0))
+        live = self.cells.live > 0
+        unknown = (3 * self.grid.cell_nodes[live][:, :, None] + np.arange(3)).reshape(-1, 24)
+        rows, columns = np.broadcast_arrays(unknown[:, :, None], unknown[:, None, :])
+        free = (~self.supports.fixed).ravel().astype(np.float64)
+        values = self.cells.cell_matrices()[live] * free[rows] * free[columns]
+        entries = (values.ravel(), (rows.ravel(), columns.ravel()))
+        return csr_matrix(entries, shape=(3 * self.grid.node_count,) * 2)

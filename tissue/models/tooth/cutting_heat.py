@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernels.bricks import FULL
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Ints
 from meshes.voxels.volume import VoxelVolume
 from tissue.materials.scene_constants import Materials
 from tissue.models.bone.bricks import voxels_of
@@ -85,7 +85,7 @@ class CuttingHeat:
         self._lost = np.zeros(self.grid.filled.size)
         self._power_W = 0.0
         self._tip_m = np.zeros(3)
-        self._earlier = self._later = self._engaged.nowhere
+        self._earlier = self._later = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
         self._steps = self._done = 0
 
     @property
@@ -116,7 +116,7 @@ class CuttingHeat:
         cutting_J: float,
         duration_s: float,
         motion: ToolMotion,
-        cut: tuple[NDArray[np.intp], NDArray[np.uint16]],
+        cut: tuple[Ints, NDArray[np.uint16]],
     ) -> None:
         """Begin an interval with the energy and cuts of the last interval.
 
@@ -155,7 +155,7 @@ class CuttingHeat:
         """Complete the interval."""
         self.go_to(1.0)
 
-    def _lost_fraction(self, rows: NDArray[np.intp], left: NDArray[np.uint16]) -> Array:
+    def _lost_fraction(self, rows: Ints, left: NDArray[np.uint16]) -> Array:
         """Return the fraction of each cell that was cut since the last interval, flat."""
         store = self._milling.store
         steps = self._before[rows].astype(np.int64) - left

@@ -4,96 +4,33 @@ from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Bytes, Flags, Integers, Ints
 from meshes.base.errors import InputError
 from meshes.tooth.layers import caries_softness
 from meshes.voxels.volume import VoxelVolume
-from tissue.fem.conjugate_gradients import dot
 from tissue.fem.fields import FieldSeries, Frame
 from tissue.materials.scene_constants import Materials
 from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.compliance import SupportCompliance, support_compliance
-from tissue.models.tooth.grid import FULL_STEPS, HexGrid, ParticleSet
-from tissue.models.tooth.ligament import bed_springs, bed_stiffness
-from tissue.models.tooth.recovery import REACH_M, StressRecovery, stress_invariants
-from tissue.models.tooth.supports import NodeSupports, PointSprings
+from tissue.models.tooth.grid import (
+    FULL_STEPS,
+    HexGrid,
+    NodeSupports,
+    ParticleSet,
+    PointSprings,
+    bed_springs,
+    bed_stiffness,
+)
+from tissue.models.tooth.recovery import (
+    REACH_M,
+    FirstGuess,
+    StressRecovery,
+    SupportCompliance,
+    stress_invariants,
+    support_compliance,
+)
 
-__all__ = ["FirstGuess", "SolveRecord", "StressField"]
-
-NULL_CUT = 1e-6
-"""Relative cut of the scaled eigenvalues of the energies between solutions.
-
-Eigenvalues below this share of the largest are errors of the solves.
-"""
-
-
-class FirstGuess:
-    """Combination of earlier solutions that is closest, in energy, to the solution for a new load.
-
-    With solutions u_i for loads f_i it solves ``(u_i . f_j) c_j = u_i . f``. The known part of a
-    force that has grown, turned or moved then costs no iterations. If the body has changed since,
-    the guess is a little worse.
-
-    Parameters
-    ----------
-    kept
-        Solutions that are always kept, shape (n, 3) each, and the load of each: the six of the
-        support compliance.
-    recent
-        Number of latest solutions that are kept in addition. While a body is cut, two leave 3
-        iterations and six leave 5, since the older ones belong to a fuller body.
-    """
-
-    def __init__(self, kept: list[tuple[Array, Array]], *, recent: int = 2) -> None:
-        self._solutions = [moved.ravel() for moved, _ in kept]
-        self._loads = [load.ravel() for _, load in kept]
-        self._first = len(kept)
-        self._most = len(kept) + recent
-        self._energy = np.array(
-            [[dot(u, f) for f in self._loads] for u in self._solutions]
-        ).reshape(len(kept), len(kept))
-
-    def add(self, displacement_m: Array, load_N: Array) -> None:
-        """Store a solution and its load [m], [N], shape (n, 3), in place of the oldest."""
-        if not load_N.any():
-            return
-        if len(self._solutions) == self._most:
-            del self._solutions[self._first], self._loads[self._first]
-            self._energy = np.delete(
-                np.delete(self._energy, self._first, axis=0), self._first, axis=1
-            )
-        moved = displacement_m.ravel().copy()
-        load = load_N.ravel().copy()
-        self._solutions.append(moved)
-        self._loads.append(load)
-        column = np.array(
-            [
-                0.5 * (dot(u, load) + dot(moved, f))
-                for u, f in zip(self._solutions, self._loads, strict=True)
-            ]
-        )
-        self._energy = np.block(
-            [[self._energy, column[:-1, None]], [column[None, :-1], column[-1:, None]]]
-        )
-
-    def __call__(self, load_N: Array) -> Array:
-        """Return a guess of the displacement [m] for a load [N], shapes (n, 3)."""
-        guess = np.zeros(load_N.size)
-        load = load_N.ravel()
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(self._energy), np.finfo(float).tiny))
-        values, vectors = np.linalg.eigh(
-            scale[:, None] * 0.5 * (self._energy + self._energy.T) * scale
-        )
-        if values.size and values[-1] > 0.0:
-            modes = (scale[:, None] * vectors)[:, values > NULL_CUT * values[-1]]
-            work = np.array([dot(u, load) for u in self._solutions])
-            share = modes @ ((modes.T @ work) / values[values > NULL_CUT * values[-1]])
-            for moved, each in zip(self._solutions, share, strict=True):
-                guess += each * moved
-        return guess.reshape(load_N.shape)
-
+__all__ = ["SolveRecord", "StressField"]
 
 TOOTH = ("enamel", "dentin", "pulp", "caries")
 """Layers that the particles fill.
@@ -238,12 +175,7 @@ class StressField:
         return 3 * self.body.grid.node_count
 
     def remove(
-        self,
-        voxels: NDArray[np.integer],
-        steps: NDArray[np.integer],
-        *,
-        origin_m: NDArray[np.float64],
-        spacing_m: float,
+        self, voxels: Integers, steps: Integers, *, origin_m: Array, spacing_m: float
     ) -> None:
         """Remove from the particles the loss of the finer voxels since the last call.
 
@@ -270,9 +202,7 @@ class StressField:
         share = np.clip(1.0 - self._lost[touched] / whole, 0.0, 1.0)
         self.body.set_remaining(touched, np.rint(share * FULL_STEPS).astype(np.uint16))
 
-    def solve(
-        self, time_s: float, force_N: NDArray[np.float64], point_m: NDArray[np.float64]
-    ) -> Frame:
+    def solve(self, time_s: float, force_N: Array, point_m: Array) -> Frame:
         """Solve for displacement and stress under a force on the tooth at a point, warm-started.
 
         The frame is recorded and returned.
@@ -306,15 +236,11 @@ class StressField:
         )
         return frame
 
-    def load(
-        self, force_N: NDArray[np.float64], point_m: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def load(self, force_N: Array, point_m: Array) -> Array:
         """Return nodal forces [N], shape (n, 3), of the cutter's force at a point."""
         return self.body.spread_over(point_m, force_N, radius_m=self._contact_m)
 
-    def recover(
-        self, displacement_m: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def recover(self, displacement_m: Array) -> tuple[Array, Array]:
         """Return the von Mises and principal stress [Pa] recovered at the cell centres.
 
         Their shapes are (c,) and (c, 3).
@@ -323,21 +249,8 @@ class StressField:
             np.nan_to_num(self._recovery(displacement_m)), device=self.body.cells.device
         )
 
-    def stress_at(
-        self, displacement_m: NDArray[np.float64], place_m: NDArray[np.float64], layer: str
-    ) -> NDArray[np.float64]:
-        """Return the stress xx, yy, zz, yz, xz, xy [Pa] recovered at points of a layer.
 
-        Points of shape (k, 3) give stresses of shape (k, 6).
-        """
-        at = np.full(len(place_m), self._volume.layer_names.index(layer))
-        recovery = StressRecovery(
-            self.body.particles, self.body.cells, place_m, at, reach_m=self._reach_m
-        )
-        return recovery(displacement_m)
-
-
-def _particles(tooth: VoxelVolume, places: NDArray[np.int64], constants: Materials) -> ParticleSet:
+def _particles(tooth: VoxelVolume, places: Ints, constants: Materials) -> ParticleSet:
     """Return one particle a voxel, with the cited elastic constants of its layer.
 
     Caries is graded by its softness.
@@ -368,10 +281,7 @@ def _bed_layers(tooth: VoxelVolume) -> list[int]:
 
 
 def _ligament_springs(
-    tooth: VoxelVolume,
-    solid: NDArray[np.bool_],
-    thickness_m: float,
-    constants: Materials = Materials.cited,
+    tooth: VoxelVolume, solid: Flags, thickness_m: float, constants: Materials = Materials.cited
 ) -> PointSprings:
     """Return springs where the tooth borders on ligament or bone.
 
@@ -407,7 +317,7 @@ def _ligament_springs(
     return springs
 
 
-def _cell_layers(body: ParticleBody) -> NDArray[np.uint8]:
+def _cell_layers(body: ParticleBody) -> Bytes:
     """Return the layer with the largest volume in each cell."""
     cells = body.cells
     particles = body.particles
@@ -418,4 +328,4 @@ def _cell_layers(body: ParticleBody) -> NDArray[np.uint8]:
         (cells.particle_cell, particles.layer[cells.order]),
         particles.volume_m3[cells.order],
     )
-    return np.asarray(volume.argmax(axis=1), dtype=np.uint8)
+    return np.asarray(volume.argmax(axis=1), np.uint8)

@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
-from scipy.sparse import bsr_matrix, csr_matrix
+from scipy.sparse import bsr_matrix
 
 from kernels.lane_vectors import from_lanes, node_diagonals, smooth, to_lanes
 from kernels.launcher import SplitLaunch
+from kernels.mirror import put
 from kernels.node_blocks import assemble_rows, invert_diagonal, to_single
-from tissue.models.tooth.grid import HexGrid
+from meshes.base.arrays import Array, Int32s
+from tissue.models.tooth.grid import HexGrid, NodeSupports
 from tissue.models.tooth.stiffness import CellStiffness
 from tissue.models.tooth.strips import LaneVector, StripProduct
-from tissue.models.tooth.supports import NodeSupports
 
 __all__ = ["FinestLevel", "NodeBlocks"]
 
@@ -59,38 +59,39 @@ class NodeBlocks:
         place = np.empty_like(neighbours)
         np.put_along_axis(place, order, starts[:-1, None] + np.arange(27, dtype=np.int32), axis=1)
         place[~there] = -1
-        column = np.empty(int(starts[-1]), dtype=np.int32)
+        column = np.empty(int(starts[-1]), np.int32)
         column[place[there]] = neighbours[there]
 
-        def on(array: NDArray[Any], dtype: Any) -> Any:
-            return wp.array(np.ascontiguousarray(array), dtype=dtype, device=device)
-
         self.device = device
-        self.row_start = on(starts, wp.int32)
-        self.column = on(column, wp.int32)
-        self.diagonal_block = on(place[:, 13], wp.int32)
-        self.free = on(np.ones((grid.node_count, 3)), wp.vec3d)
-        self.block = wp.zeros(int(starts[-1]), dtype=wp.mat33d, device=device)
-        self.single = wp.zeros(int(starts[-1]), dtype=wp.mat33f, device=device)
-        self.diagonal = wp.zeros(grid.node_count, dtype=wp.mat33d, device=device)
-        self.inverse = wp.zeros(grid.node_count, dtype=wp.mat33f, device=device)
+        self.row_start = put(starts, wp.int32, device)
+        self.column = put(column, wp.int32, device)
+        self.diagonal_block = put(place[:, 13], wp.int32, device)
+        self.free = put(np.ones((grid.node_count, 3)), wp.vec3d, device)
+        self.block = wp.zeros(int(starts[-1]), wp.mat33d, device)
+        self.single = wp.zeros(int(starts[-1]), wp.mat33f, device)
+        self.diagonal = wp.zeros(grid.node_count, wp.mat33d, device)
+        self.inverse = wp.zeros(grid.node_count, wp.mat33f, device)
         self._gathered = [
             self.row_start,
-            on(grid.node_cells, wp.int32),
-            on(place, wp.int32),
+            put(grid.node_cells, wp.int32, device),
+            put(place, wp.int32, device),
             self.free,
             cell_nodes,
             live,
             stiffness,
         ]
 
-    def update(self, nodes: NDArray[np.int32]) -> None:
+    def update(self, nodes: Int32s) -> None:
         """Gather the rows of these nodes again from their cells."""
         if len(nodes) == 0:
             return
-        rows: Any = wp.array(nodes, dtype=wp.int32, device=self.device)
+        rows = put(nodes, wp.int32, self.device)
 
-        def launch(kernel: Any, inputs: list[Any], outputs: list[Any]) -> None:
+        for kernel, inputs, outputs in (
+            (assemble_rows, self._gathered, [self.block, self.diagonal]),
+            (to_single, [self.row_start, self.block], [self.single]),
+            (invert_diagonal, [self.diagonal], [self.inverse]),
+        ):
             wp.launch(
                 kernel,
                 dim=len(nodes),
@@ -98,10 +99,6 @@ class NodeBlocks:
                 outputs=outputs,
                 device=self.device,
             )
-
-        launch(assemble_rows, self._gathered, [self.block, self.diagonal])
-        launch(to_single, [self.row_start, self.block], [self.single])
-        launch(invert_diagonal, [self.diagonal], [self.inverse])
 
     def matrix(self) -> bsr_matrix:
         """Return the assembled matrix [N/m], shape (3 n, 3 n).
@@ -113,7 +110,6 @@ class NodeBlocks:
         return bsr_matrix(arrays, shape=(3 * count, 3 * count), copy=False)
 
 
-Array = NDArray[np.float64]
 STEPS = ((0.0, 4.0 / 3.0), (1.0 / 5.0, 12.0 / 5.0))
 """Share of the last direction and gain of the residual of the smoothing polynomial.
 
@@ -164,12 +160,10 @@ class FinestLevel:
         count = self.grid.node_count
         strips = cells.strips
         device = cells.device
-        self.free: Any = wp.array(
-            (~supports.fixed).astype(np.float64), dtype=wp.vec3d, device=device
-        )
-        self.diagonal = wp.zeros(count, dtype=wp.vec3d, device=device)
-        self.vector = wp.zeros(count, dtype=wp.vec3f, device=device)
-        self.residual = wp.zeros(count, dtype=wp.vec3f, device=device)
+        self.free = put((~supports.fixed).astype(np.float64), wp.vec3d, device)
+        self.diagonal = wp.zeros(count, wp.vec3d, device)
+        self.vector = wp.zeros(count, wp.vec3f, device)
+        self.residual = wp.zeros(count, wp.vec3f, device)
         self._largest = 4.0
         lanes = [LaneVector(strips.layout, wp.float32, device=device) for _ in range(5)]
         self._inverse, self._force, self._left, self._direction, self._found = lanes
@@ -184,15 +178,7 @@ class FinestLevel:
         )
 
         def launch(kernel: Any, dim: int, inputs: list[Any], outputs: list[Any]) -> SplitLaunch:
-            return SplitLaunch(
-                kernel,
-                dim=dim,
-                inputs=[*inputs, 0],
-                outputs=outputs,
-                offset_index=len(inputs),
-                device=device,
-                cores=cells.cores,
-            )
+            return SplitLaunch(kernel, dim=dim, inputs=inputs, outputs=outputs, cores=cells.cores)
 
         self._steps = [
             launch(smooth, vectors[0].shape[1], [inverse, *step], vectors)
@@ -210,11 +196,11 @@ class FinestLevel:
         self._take_force = launch(to_lanes, count, [slot, cells.force], [self._force.single])
         self._give_found = launch(from_lanes, count, [slot, self._found.single], [self.vector])
 
-    def update(self, nodes: NDArray[np.int32]) -> None:
+    def update(self, nodes: Int32s) -> None:
         """Update the diagonal of these nodes."""
         if len(nodes) == 0:
             return
-        rows: Any = wp.array(nodes, dtype=wp.int32, device=self.device)
+        rows = put(nodes, wp.int32, self.device)
         inputs = [
             rows,
             self._cells.node_cells_on,
@@ -237,7 +223,7 @@ class FinestLevel:
         """
         layout = self._cells.strips.layout
         inverse = self._inverse.single.numpy()
-        vector = np.zeros((3, layout.slots), dtype=np.float32)
+        vector = np.zeros((3, layout.slots), np.float32)
         vector[:, layout.slot] = np.random.default_rng(0).normal(size=(3, self.grid.node_count))
         size = 1.0
         for _ in range(POWER_STEPS):
@@ -296,16 +282,3 @@ class FinestLevel:
             self._cells.others()
             self._take_force()
         self._product()
-
-    def matrix(self) -> csr_matrix:
-        """Return the assembled stiffness [N/m], shape (3 n, 3 n).
-
-        Springs are included. Rows and columns of held components are empty.
-        """
-        live = self._cells.live > 0
-        unknown = (3 * self.grid.cell_nodes[live][:, :, None] + np.arange(3)).reshape(-1, 24)
-        rows, columns = np.broadcast_arrays(unknown[:, :, None], unknown[:, None, :])
-        free = self.free.numpy().ravel()
-        values = self._cells.cell_matrices()[live] * free[rows] * free[columns]
-        entries = (values.ravel(), (rows.ravel(), columns.ravel()))
-        return csr_matrix(entries, shape=(3 * self.grid.node_count,) * 2)

@@ -1,6 +1,6 @@
-"""Cartesian grid of trilinear hexahedra.
+"""Cells, particles and supports of a tooth: a Cartesian grid of trilinear hexahedra.
 
-Only the cells that hold material particles exist.
+Only the cells that hold material particles exist. The ligament is a bed of springs to the ground.
 """
 
 from dataclasses import dataclass
@@ -8,11 +8,24 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
-__all__ = ["CORNERS", "FULL_STEPS", "NEIGHBOURS", "HexGrid", "ParticleSet", "shape_values"]
+from meshes.base.arrays import Array, Bytes, Flags, Int32s, Integers, Ints
+from tissue.fem.solvers.held_body import rigid_modes
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int32]
+__all__ = [
+    "CORNERS",
+    "FULL_STEPS",
+    "NEIGHBOURS",
+    "HexGrid",
+    "NodeSupports",
+    "ParticleSet",
+    "PointSprings",
+    "ball_weight",
+    "bed_springs",
+    "bed_stiffness",
+    "shape_values",
+]
 
 CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
 """Corners of a cell, in edges, shape (8, 3)."""
@@ -40,19 +53,15 @@ class HexGrid:
 
     origin_m: Array
     edge_m: float
-    cell_place: Index
-    node_place: Index
-    cell_nodes: Index
+    cell_place: Int32s
+    node_place: Int32s
+    cell_nodes: Int32s
 
     @classmethod
-    def of_cells(
-        cls, cell_place: NDArray[np.integer], *, origin_m: Array, edge_m: float
-    ) -> "HexGrid":
+    def of_cells(cls, cell_place: Integers, *, origin_m: Array, edge_m: float) -> "HexGrid":
         """Return the grid of the cells at ``cell_place``, shape (c, 3), which may repeat."""
-        if not edge_m > 0.0:
-            raise ValueError(f"edge_m must be positive, got {edge_m:g}: 2e-4 to 1e-3 suits a tooth")
         low = cell_place.min(axis=0)
-        origin = np.asarray(origin_m, dtype=np.float64) + edge_m * low
+        origin = np.asarray(origin_m, np.float64) + edge_m * low
         shape = cell_place.max(axis=0) - low + 1
         cells = _unique_places(cell_place - low, shape)
         corners = (cells[:, None, :] + CORNERS).reshape(-1, 3)
@@ -69,12 +78,10 @@ class HexGrid:
         The cells' corners lie at ``origin_m`` plus multiples of the edge; by default half an edge
         below the lowest point.
         """
-        if not edge_m > 0.0:
-            raise ValueError(f"edge_m must be positive, got {edge_m:g}: 2e-4 to 1e-3 suits a tooth")
         origin = (
             position_m.min(axis=0) - 0.5 * edge_m
             if origin_m is None
-            else np.asarray(origin_m, dtype=np.float64)
+            else np.asarray(origin_m, np.float64)
         )
         place = np.floor((position_m - origin) / edge_m).astype(np.int64)
         return cls.of_cells(place, origin_m=origin, edge_m=edge_m)
@@ -100,7 +107,7 @@ class HexGrid:
         return self.origin_m + self.edge_m * (self.cell_place + 0.5)
 
     @cached_property
-    def node_cells(self) -> Index:
+    def node_cells(self) -> Int32s:
         """Cell that has a node as its corner a, or -1, int32, shape (n, 8)."""
         cells = np.full((self.node_count, 8), -1, dtype=np.int32)
         for corner in range(8):
@@ -108,7 +115,7 @@ class HexGrid:
         return cells
 
     @cached_property
-    def node_neighbours(self) -> Index:
+    def node_neighbours(self) -> Int32s:
         """Nodes that share a cell with a node, or -1, int32, shape (n, 27).
 
         They are in the order of `NEIGHBOURS`.
@@ -121,14 +128,14 @@ class HexGrid:
         return found
 
     @property
-    def node_colour(self) -> NDArray[np.int64]:
+    def node_colour(self) -> Ints:
         """One of eight colours of each node, shape (n,): no two nodes of a cell have an equal
         colour.
         """
         return np.asarray((self.node_place & 1) @ (4, 2, 1))
 
     @cached_property
-    def face_pairs(self) -> Index:
+    def face_pairs(self) -> Int32s:
         """Pairs of cells that share a face, int32, shape (f, 2)."""
         pairs = []
         for axis in range(3):
@@ -137,21 +144,21 @@ class HexGrid:
             pairs.append(np.stack([here, beyond[here]], axis=1))
         return np.concatenate(pairs).astype(np.int32)
 
-    def find_cells(self, place: NDArray[np.integer]) -> Index:
+    def find_cells(self, place: Integers) -> Int32s:
         """Return the cells at positions in the box, shape (n, 3), or -1."""
         shape, keys = self._cell_keys
         return _find_keys(keys, place, shape)
 
     @cached_property
-    def _cell_keys(self) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    def _cell_keys(self) -> tuple[Int32s, Ints]:
         shape = self.cell_place.max(axis=0) + 1
         return shape, _keys(self.cell_place, shape)
 
-    def find_nodes(self, place: NDArray[np.integer]) -> Index:
+    def find_nodes(self, place: Integers) -> Int32s:
         """Return the nodes at positions in the box, shape (n, 3), or -1."""
         return _find_places(self.node_place, place, self.node_place.max(axis=0) + 1)
 
-    def locate(self, position_m: Array) -> tuple[Index, Array]:
+    def locate(self, position_m: Array) -> tuple[Int32s, Array]:
         """Return the cell that holds each point, or -1, shape (n,), and the position in it.
 
         The position is 0 to 1 along each edge, shape (n, 3).
@@ -160,7 +167,7 @@ class HexGrid:
         place = np.floor(scaled)
         return self.find_cells(place.astype(np.int64)), scaled - place
 
-    def coarse(self) -> tuple["HexGrid", Index]:
+    def coarse(self) -> tuple["HexGrid", Int32s]:
         """Return the grid of twice the edge over these cells, and its cell of each cell.
 
         The cells are int32, shape (c,).
@@ -169,6 +176,11 @@ class HexGrid:
             self.cell_place >> 1, origin_m=self.origin_m, edge_m=2.0 * self.edge_m
         )
         return grid, grid.find_cells(self.cell_place >> 1)
+
+
+def ball_weight(distance_m: Array, reach_m: float) -> Array:
+    """Return the weight 1 - (d / R)^2 of points in a ball, 0 outside."""
+    return np.asarray(np.maximum(1.0 - (distance_m / reach_m) ** 2, 0.0))
 
 
 def shape_values(place: Array) -> Array:
@@ -180,26 +192,24 @@ def shape_values(place: Array) -> Array:
     return np.asarray(factors.prod(axis=2))
 
 
-def _keys(place: NDArray[np.integer], shape: NDArray[np.integer]) -> NDArray[np.int64]:
+def _keys(place: Integers, shape: Integers) -> Ints:
     x, y, z = place.astype(np.int64).T
     return np.asarray((x * int(shape[1]) + y) * int(shape[2]) + z)
 
 
-def _unique_places(place: NDArray[np.integer], shape: NDArray[np.integer]) -> Index:
+def _unique_places(place: Integers, shape: Integers) -> Int32s:
     keys = np.unique(_keys(place, shape))
     x, rest = np.divmod(keys, int(shape[1]) * int(shape[2]))
     y, z = np.divmod(rest, int(shape[2]))
     return np.stack([x, y, z], axis=1).astype(np.int32)
 
 
-def _find_places(known: Index, place: NDArray[np.integer], shape: NDArray[np.integer]) -> Index:
+def _find_places(known: Int32s, place: Integers, shape: Integers) -> Int32s:
     """Return the row of each position in the ordered positions ``known``, or -1."""
     return _find_keys(_keys(known, shape), place, shape)
 
 
-def _find_keys(
-    keys: NDArray[np.int64], place: NDArray[np.integer], shape: NDArray[np.integer]
-) -> Index:
+def _find_keys(keys: Ints, place: Integers, shape: Integers) -> Int32s:
     inside = ((place >= 0) & (place < shape)).all(axis=1)
     wanted = np.where(inside, _keys(place, shape), -1)
     row = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
@@ -234,41 +244,8 @@ class ParticleSet:
     volume_m3: Array
     modulus_Pa: Array
     poisson_ratio: Array
-    layer: NDArray[np.uint8]
+    layer: Bytes
     remaining: NDArray[np.uint16]
-
-    def __post_init__(self) -> None:
-        count = len(self.position_m)
-        for name in ("volume_m3", "modulus_Pa", "poisson_ratio", "layer", "remaining"):
-            if getattr(self, name).shape != (count,):
-                raise ValueError(
-                    f"{name} must have one value a particle, shape ({count},), got "
-                    f"{getattr(self, name).shape}: "
-                    "give arrays of one length"
-                )
-        if count == 0:
-            raise ValueError(
-                "position_m must hold at least one particle, got none: give a body that "
-                "fills some space"
-            )
-        for name in ("volume_m3", "modulus_Pa"):
-            least = float(getattr(self, name).min())
-            if not least > 0.0:
-                raise ValueError(
-                    f"{name} must be positive, got {least:g}: leave such particles out"
-                )
-        low = float(self.poisson_ratio.min())
-        high = float(self.poisson_ratio.max())
-        if not (low > -1.0 and high < 0.5):
-            worst = high if high >= 0.5 else low
-            raise ValueError(
-                f"poisson_ratio must be in (-1, 0.5), got {worst:g}: use 0.49 for nearly "
-                "incompressible"
-            )
-        if not np.isfinite(self.position_m).all():
-            raise ValueError(
-                "position_m must be finite, got NaN or infinity: check the transform that made it"
-            )
 
     @classmethod
     def uniform(
@@ -277,18 +254,172 @@ class ParticleSet:
         """Return whole particles of one size and one material."""
         count = len(position_m)
         return cls(
-            np.asarray(position_m, dtype=np.float64),
+            np.asarray(position_m, np.float64),
             np.full(count, float(volume_m3)),
             np.full(count, float(modulus_Pa)),
             np.full(count, float(poisson_ratio)),
-            np.zeros(count, dtype=np.uint8),
+            np.zeros(count, np.uint8),
             np.full(count, FULL_STEPS, dtype=np.uint16),
         )
 
     @property
     def lame_Pa(self) -> Array:
         """Lame constants lambda and mu [Pa], shape (n, 2)."""
-        modulus = self.modulus_Pa
         ratio = self.poisson_ratio
-        first = modulus * ratio / ((1.0 + ratio) * (1.0 - 2.0 * ratio))
-        return np.stack([first, modulus / (2.0 * (1.0 + ratio))], axis=1)
+        first = self.modulus_Pa * ratio / ((1.0 + ratio) * (1.0 - 2.0 * ratio))
+        return np.stack([first, self.modulus_Pa / (2.0 * (1.0 + ratio))], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class NodeSupports:
+    """Nodes of a grid that are held, component by component.
+
+    Attributes
+    ----------
+    fixed
+        Components that are held, bool, shape (n, 3).
+    displacement_m
+        Prescribed displacement [m], shape (n, 3); read only where fixed.
+    """
+
+    fixed: Flags
+    displacement_m: Array
+
+    @classmethod
+    def of(
+        cls, node_count: int, *, held: Flags | None = None, displacement_m: Array | None = None
+    ) -> "NodeSupports":
+        """Hold whole nodes (``held``, shape (n,)) or components (shape (n, 3)).
+
+        They are held at zero unless a displacement is given.
+        """
+        fixed = np.zeros((node_count, 3), np.bool_)
+        if held is not None:
+            fixed |= held if held.ndim == 2 else held[:, None]
+        return cls(fixed, np.where(fixed, 0.0 if displacement_m is None else displacement_m, 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class PointSprings:
+    """Springs to the ground at points of a body, in any direction.
+
+    A point that moves by u has the restoring force S u.
+
+    Attributes
+    ----------
+    position_m
+        The points [m], shape (k, 3).
+    stiffness_N_m
+        Stiffness S of each, symmetric [N/m], shape (k, 3, 3).
+    """
+
+    position_m: Array
+    stiffness_N_m: Array
+
+    @classmethod
+    def none(cls) -> "PointSprings":
+        """Return an empty set of springs."""
+        return cls(np.zeros((0, 3)), np.zeros((0, 3, 3)))
+
+    def chosen(self, these: Flags) -> "PointSprings":
+        """Return the springs where ``these``, shape (k,), is true."""
+        return PointSprings(self.position_m[these], self.stiffness_N_m[these])
+
+    def restraint(self, centre_m: Array, length_m: float) -> Array:
+        """Return the stiffness [N/m] against rigid motion about a point, shape (6, 6).
+
+        Rotations are multiplied by a length.
+        """
+        motion = rigid_modes((self.position_m - centre_m) / length_m, np.zeros(3))
+        return np.asarray(np.einsum("kia,kib->ab", motion, self.stiffness_N_m @ motion))
+
+    def by_cell(self, grid: HexGrid) -> tuple[Int32s, Array]:
+        """Return the cells with springs, int32, shape (m,), and their ``sum N_a N_b S``.
+
+        The blocks a <= b have shape (m, 36, 3, 3).
+        """
+        cell, place = grid.locate(self.position_m)
+        order = np.argsort(cell, kind="stable")
+        share = shape_values(place[order])
+        stiffness = self.stiffness_N_m[order]
+        cells, first = np.unique(cell[order], return_index=True)
+        pairs = [(a, b) for a in range(8) for b in range(a, 8)]
+        blocks = np.zeros((len(cells), len(pairs), 3, 3))
+        for row, (a, b) in enumerate(pairs if len(cells) else []):
+            blocks[:, row] = np.add.reduceat(
+                (share[:, a] * share[:, b])[:, None, None] * stiffness, first, axis=0
+            )
+        return cells.astype(np.int32), blocks
+
+
+def bed_stiffness(
+    modulus_Pa: float, poisson_ratio: float, thickness_m: float
+) -> tuple[float, float]:
+    """Return the stiffness of a thin layer bonded on both sides, across it and along it [N/m3].
+
+    A layer much thinner than it is wide cannot bulge. Across it the confined modulus E (1 - v) /
+    ((1 + v) (1 - 2 v)) acts, along it the shear modulus. This is a Winkler bed; its error is of the
+    order of thickness over width.
+    """
+    confined = (
+        modulus_Pa * (1.0 - poisson_ratio) / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))
+    )
+    return confined / thickness_m, modulus_Pa / (2.0 * (1.0 + poisson_ratio)) / thickness_m
+
+
+def bed_springs(
+    tooth: Flags,
+    bed: Flags,
+    *,
+    origin_m: Array,
+    spacing_m: float,
+    across_N_m3: float,
+    along_N_m3: float,
+) -> tuple[PointSprings, float]:
+    """Return springs where a tooth's voxels border on the bed.
+
+    They act at the centres of the tooth's voxels. A face of area A and normal n has ``A (k_t I +
+    (k_n - k_t) n n^T)``, k_n and k_t the stiffness across and along it.
+
+    A border's faces form a staircase. Each face is weighed by the component of the smooth normal
+    along it, so that the weights sum to the area of the surface and not of the staircase.
+
+    Parameters
+    ----------
+    tooth, bed
+        Voxels of the tooth and of its bed, shape (nx, ny, nz).
+    origin_m, spacing_m
+        Corner of voxel (0, 0, 0) and edge of a voxel [m].
+    across_N_m3, along_N_m3
+        Stiffness of the bed, see `bed_stiffness`.
+
+    Returns
+    -------
+    The springs, and the area that the bed carries [m2].
+    """
+    smooth = gaussian_filter(tooth.astype(np.float32), 1.5)
+    slope = np.stack(np.gradient(smooth), axis=-1)
+    positions = [np.zeros((0, 3))]
+    matrices = [np.zeros((0, 3, 3))]
+    total = 0.0
+    for axis in range(3):
+        low = tuple(slice(None, -1) if a == axis else slice(None) for a in range(3))
+        high = tuple(slice(1, None) if a == axis else slice(None) for a in range(3))
+        for inner, outer in ((low, high), (high, low)):
+            faces = np.argwhere(tooth[inner] & bed[outer])
+            if len(faces) == 0:
+                continue
+            # The mean of both sides is the normal at the face; the tooth's side alone loses 3 % of
+            # a sphere's area.
+            leans = slope[low][tuple(faces.T)] + slope[high][tuple(faces.T)]
+            normal = leans / np.maximum(np.linalg.norm(leans, axis=1, keepdims=True), 1e-9)
+            area = spacing_m**2 * np.abs(normal[:, axis])
+            total += float(area.sum())
+            across = np.einsum("ki,kj->kij", normal, normal)
+            matrices.append(
+                area[:, None, None] * (along_N_m3 * np.eye(3) + (across_N_m3 - along_N_m3) * across)
+            )
+            if inner is high:
+                faces[:, axis] += 1
+            positions.append(origin_m + spacing_m * (faces + 0.5))
+    return PointSprings(np.concatenate(positions), np.concatenate(matrices)), total

@@ -5,15 +5,14 @@ The grid is rectilinear: fine in the reach of the bur, coarser outside.
 
 from dataclasses import dataclass
 from math import ceil
-from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from kernels.conduction import OPEN, conduct
 from kernels.launcher import SplitLaunch
-from meshes.base.arrays import Array
+from kernels.mirror import put
+from meshes.base.arrays import Array, Flags, Ints, Singles
 from meshes.voxels.volume import FULL, VoxelVolume
 from tissue.materials.scene_constants import Materials
 
@@ -58,7 +57,7 @@ class HeatGrid:
     filled: Array
     conductivity_W_mK: Array
     heat_capacity_J_m3K: Array
-    pulp: NDArray[np.bool_]
+    pulp: Flags
 
     @classmethod
     def of_tooth(
@@ -134,7 +133,7 @@ class HeatGrid:
             found.append(np.ascontiguousarray(np.moveaxis(along, 0, axis)))
         return tuple(found)
 
-    def pulp_wall(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+    def pulp_wall(self) -> tuple[Ints, Ints, Array]:
         """Return the faces between the pulp and the material around it.
 
         Returns
@@ -165,7 +164,7 @@ class HeatGrid:
                 weights.append(half[one][face] / (half[one][face] + half[other][face]))
         return np.concatenate(inner), np.concatenate(outer), np.concatenate(weights)
 
-    def cells_at(self, points_m: Array) -> NDArray[np.intp]:
+    def cells_at(self, points_m: Array) -> Ints:
         """Return the flat indices of the cells that hold points, shape (n, 3).
 
         For a point outside it is the nearest cell.
@@ -217,7 +216,7 @@ def _index(names: tuple[str, ...], name: str) -> int:
     return names.index(name) if name in names else -1
 
 
-def _starts(count: int, low: float, high: float) -> NDArray[np.intp]:
+def _starts(count: int, low: float, high: float) -> Ints:
     """Return the first voxel of each cell along an axis, for a fine part from ``low`` to ``high``.
 
     Both bounds are in voxels.
@@ -231,15 +230,15 @@ def _starts(count: int, low: float, high: float) -> NDArray[np.intp]:
     )
 
 
-def _outward(count: int) -> NDArray[np.intp]:
+def _outward(count: int) -> Ints:
     """Return the widths of the cells that fill a number of voxels, in outward order [voxel]."""
     widths: list[int] = []
     while (left := count - sum(widths)) > 0:
         widths.append(min(GROWTH[min(len(widths), len(GROWTH) - 1)], left))
-    return np.array(widths, dtype=np.intp)
+    return np.array(widths, np.intp)
 
 
-def _merged(values: Array, starts: list[NDArray[np.intp]]) -> Array:
+def _merged(values: Array, starts: list[Ints]) -> Array:
     """Return the sums of voxels over cells."""
     for axis, start in enumerate(starts):
         values = np.add.reduceat(values, start, axis=axis)
@@ -278,14 +277,11 @@ class Conduction:
         along = grid.conductances_W_K()
         self.longest_step_s = SAFETY * self._stable_step_s(along)
 
-        def on_device(values: Array) -> Any:
-            return wp.array(values.astype(np.float32), dtype=wp.float32, device=device)
-
-        self._along = [on_device(each) for each in along]
-        self._capacity = on_device(self._capacity_J_K)
-        self._filled = on_device(self.filled)
-        self._power = on_device(np.zeros(shape))
-        self._temperature = [on_device(np.zeros(shape)) for _ in range(2)]
+        self._along = [put(each, wp.float32, device) for each in along]
+        self._capacity = put(self._capacity_J_K, wp.float32, device)
+        self._filled = put(self.filled, wp.float32, device)
+        self._power = put(np.zeros(shape), wp.float32, device)
+        self._temperature = [put(np.zeros(shape), wp.float32, device) for _ in range(2)]
         self._launches: list[SplitLaunch] = []
         self._step_s = 0.0
 
@@ -304,7 +300,7 @@ class Conduction:
         )
 
     @property
-    def rise_K(self) -> NDArray[np.float32]:
+    def rise_K(self) -> Singles:
         """Temperature rise of every cell [K], shape of the grid, 0 in an empty one."""
         return np.asarray(self._temperature[0].numpy())
 
@@ -335,7 +331,7 @@ class Conduction:
         for _ in range(self.plan(duration_s)):
             self.step()
 
-    def remove(self, cells: NDArray[np.intp], lost: Array, warmer_K: Array) -> None:
+    def remove(self, cells: Ints, lost: Array, warmer_K: Array) -> None:
         """Remove material from cells with the heat that it holds.
 
         Parameters
@@ -375,10 +371,8 @@ class Conduction:
             SplitLaunch(
                 conduct,
                 dim=self.filled.shape,
-                inputs=[source, self._filled, *self._along, self._capacity, self._power, step_s, 0],
+                inputs=[source, self._filled, *self._along, self._capacity, self._power, step_s],
                 outputs=[target],
-                offset_index=8,
-                device=self._device,
                 cores=min(self.filled.shape[0], 4),
             )
             for source, target in (self._temperature, self._temperature[::-1])

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 from kernels.clearance import clearance
 from kernels.elements import CHUNK
 from kernels.launcher import SplitLaunch
-from kernels.mirror import Mirror
+from kernels.mirror import Mirror, put
+from meshes.base.arrays import Array, Bytes, Flags, Ints, Singles
 from tissue.fem.fields import FieldSeries
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import SLOW, TICK_S, Response, ToolMotion
@@ -90,7 +91,7 @@ class ToothModel:
         self._pulp_rise_K = 0.0
         self._heat_ticks = 0
         self._motion: ToolMotion | None = None
-        self._touched = np.zeros(len(milling.store.places), dtype=np.bool_)
+        self._touched = np.zeros(len(milling.store.places), np.bool_)
         self._interval_s = interval_s
         self._next_s = 0.0
         self._late_reported = False
@@ -114,7 +115,7 @@ class ToothModel:
                 milling.motion_rows,
                 volume.spacing_m,
                 0,
-                wp.array(distance, dtype=wp.float32, device=device),
+                put(distance, wp.float32, device),
             ],
             outputs=[self._nearest.device],
             offset_index=3,
@@ -122,12 +123,12 @@ class ToothModel:
         )
 
     @property
-    def start_m3(self) -> NDArray[np.float64]:
+    def start_m3(self) -> Array:
         """Volume of each layer before the first cut [m3], shape (layers,)."""
         return self.milling.start_m3
 
     @property
-    def removed_m3(self) -> NDArray[np.float64]:
+    def removed_m3(self) -> Array:
         """Volume removed from each layer so far [m3], shape (layers,)."""
         return self.milling.removed_m3
 
@@ -198,7 +199,7 @@ class ToothModel:
         left = self.milling.store.remaining.numpy()[rows]
         self.stress.begin(Drilled(time_s, rows, left, -self._load[:3], self._contact(motion)))
 
-    def _take_touched(self) -> tuple[NDArray[np.intp], NDArray[np.uint16]]:
+    def _take_touched(self) -> tuple[Ints, NDArray[np.uint16]]:
         """Return the bricks that lost material since the last call.
 
         They are marked for the next solve.
@@ -207,7 +208,7 @@ class ToothModel:
         self._touched[rows] = True
         return rows, left
 
-    def _contact(self, motion: ToolMotion) -> NDArray[np.float64]:
+    def _contact(self, motion: ToolMotion) -> Array:
         """Return the contact point of the bur's head and the tooth [m].
 
         It lies on the side from which the force comes. Without force it is the tip.
@@ -298,7 +299,7 @@ class ToothModel:
             f"{lost}: this run has no stress and no frames, everything else goes on"
         )
 
-    def remaining(self) -> NDArray[np.uint8]:
+    def remaining(self) -> Bytes:
         """Return the remaining tooth in every voxel, 255 = full, shape of the volume."""
         return self.milling.remaining()
 
@@ -327,16 +328,14 @@ class ToothModel:
             self.notices.append("the pulp is exposed")
 
 
-def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[float, float, float]:
+def _cross(a: Array, b: Array) -> tuple[float, float, float]:
     """Return the cross product of the first three entries of two vectors, faster than NumPy's."""
     (ax, ay, az) = a.tolist()[:3]
     (bx, by, bz) = b.tolist()[:3]
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
 
 
-def _distance_to_pulp(
-    fraction: NDArray[np.uint8], is_pulp: NDArray[np.bool_], spacing_m: float
-) -> NDArray[np.float32]:
+def _distance_to_pulp(fraction: Bytes, is_pulp: Flags, spacing_m: float) -> Singles:
     """Return the distance of every voxel's centre from the pulp's surface [m].
 
     It is 0 inside, and infinite where there is no pulp.

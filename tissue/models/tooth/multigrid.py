@@ -7,46 +7,22 @@ which has no assembled rows. On the coarser grids it smooths by Gauss-Seidel ove
 reverse order afterwards. (Trottenberg, Oosterlee, Schueller 2001, Multigrid, ch. 2.)
 """
 
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from kernels.grid_transfer import coarse_stiffness, interpolate, restrict
 from kernels.hexahedra import BLOCKS
 from kernels.launcher import SplitLaunch
+from kernels.mirror import put
 from kernels.node_blocks import first_residuals, first_sweep, sweep_colour
+from meshes.base.arrays import Array, Int32s
 from tissue.models.tooth.finest_level import FinestLevel, NodeBlocks
-from tissue.models.tooth.grid import CORNERS, NEIGHBOURS, HexGrid
+from tissue.models.tooth.grid import CORNERS, NEIGHBOURS, HexGrid, NodeSupports
 from tissue.models.tooth.stiffness import CellStiffness
-from tissue.models.tooth.supports import NodeSupports
 
-__all__ = ["GridHierarchy", "GridTransfer", "TransferLevel"]
-
-
-class TransferLevel(Protocol):
-    """Grid data for a transfer: its cells and nodes as Warp arrays.
-
-    Attributes
-    ----------
-    cell_nodes, live, stiffness
-        Arrays of the cells, as in :class:`tissue.models.tooth.stiffness.CellStiffness`.
-    free
-        1 where a component may move, vec3d, shape (n,).
-    vector, residual
-        Displacement [m] and residual [N], vec3f, shape (n,).
-    """
-
-    grid: HexGrid
-    device: str
-    cores: int | None
-    cell_nodes: Any
-    live: Any
-    stiffness: Any
-    free: Any
-    vector: Any
-    residual: Any
+__all__ = ["GridHierarchy", "GridTransfer"]
 
 
 class GridTransfer:
@@ -55,7 +31,7 @@ class GridTransfer:
     Parameters
     ----------
     fine, coarse
-        The levels; the coarse level also has a ``load``.
+        The levels.
     parent
         Coarse cell of each fine cell, int32, shape (c,).
 
@@ -67,24 +43,15 @@ class GridTransfer:
         Adds the coarse displacement to the fine displacement.
     """
 
-    def __init__(self, fine: TransferLevel, coarse: Any, parent: NDArray[np.int32]) -> None:
+    def __init__(
+        self, fine: "FinestLevel | GridLevel", coarse: "GridLevel", parent: Int32s
+    ) -> None:
         device = fine.device
         grid = fine.grid
         coarse_grid = coarse.grid
 
-        def on(array: NDArray[Any], dtype: Any) -> Any:
-            return wp.array(np.ascontiguousarray(array), dtype=dtype, device=device)
-
         def launch(kernel: Any, dim: int, inputs: list[Any], outputs: list[Any]) -> SplitLaunch:
-            return SplitLaunch(
-                kernel,
-                dim=dim,
-                inputs=[*inputs, 0],
-                outputs=outputs,
-                offset_index=len(inputs),
-                device=device,
-                cores=fine.cores,
-            )
+            return SplitLaunch(kernel, dim=dim, inputs=inputs, outputs=outputs, cores=fine.cores)
 
         children = np.full((coarse_grid.cell_count, 8), -1, dtype=np.int32)
         children[parent, (grid.cell_place & 1) @ (4, 2, 1)] = np.arange(
@@ -97,7 +64,7 @@ class GridTransfer:
             fine.live,
             fine.stiffness,
             fine.free,
-            on(children, wp.int32),
+            put(children, wp.int32, device),
         ]
         self._outputs = [coarse.stiffness, coarse.live]
         place = grid.node_place
@@ -109,21 +76,21 @@ class GridTransfer:
         for corner, step in enumerate(CORNERS):
             wanted = (step <= odd).all(axis=1)
             coarse_of[wanted, corner] = coarse_grid.find_nodes((place[wanted] >> 1) + step)
-        free = on(fine.free.numpy(), wp.vec3f)
-        inputs = [on(fine_of, wp.int32), free, fine.residual]
+        free = put(fine.free.numpy(), wp.vec3f, device)
+        inputs = [put(fine_of, wp.int32, device), free, fine.residual]
         self.down = launch(restrict, coarse_grid.node_count, inputs, [coarse.load])
         inputs = [
-            on(coarse_of, wp.int32),
-            on(0.5 ** odd.sum(axis=1), wp.float32),
+            put(coarse_of, wp.int32, device),
+            put(0.5 ** odd.sum(axis=1), wp.float32, device),
             free,
             coarse.vector,
         ]
         self.up = launch(interpolate, grid.node_count, inputs, [fine.vector])
 
-    def project(self, changed: NDArray[np.int32]) -> NDArray[np.int32]:
+    def project(self, changed: Int32s) -> Int32s:
         """Sum the coarse cells over the changed cells again, and return these coarse cells."""
         cells = np.unique(self._parent[changed])
-        arrays = [*self._inputs, wp.array(cells, dtype=wp.int32, device=self._device), 0]
+        arrays = [*self._inputs, put(cells, wp.int32, self._device), 0]
         wp.launch(
             coarse_stiffness,
             dim=len(cells),
@@ -134,7 +101,6 @@ class GridTransfer:
         return cells
 
 
-Array = NDArray[np.float64]
 COARSEST_NODES = 300
 """Largest number of nodes of a grid that is solved directly.
 
@@ -163,9 +129,9 @@ class GridLevel:
         self.grid = grid
         self.device = device
         self.cores = cores
-        self.cell_nodes: Any = wp.array(grid.cell_nodes, dtype=wp.int32, device=device)
-        self.live = wp.zeros(grid.cell_count, dtype=wp.uint8, device=device)
-        self.stiffness = wp.zeros((grid.cell_count, BLOCKS), dtype=wp.mat33d, device=device)
+        self.cell_nodes = put(grid.cell_nodes, wp.int32, device)
+        self.live = wp.zeros(grid.cell_count, wp.uint8, device)
+        self.stiffness = wp.zeros((grid.cell_count, BLOCKS), wp.mat33d, device)
         self.blocks = NodeBlocks(
             grid,
             cell_nodes=self.cell_nodes,
@@ -174,9 +140,9 @@ class GridLevel:
             device=device,
         )
         self.free = self.blocks.free
-        self.load = wp.zeros(grid.node_count, dtype=wp.vec3f, device=device)
-        self.vector = wp.zeros(grid.node_count, dtype=wp.vec3f, device=device)
-        self.residual = wp.zeros(grid.node_count, dtype=wp.vec3f, device=device)
+        self.load = wp.zeros(grid.node_count, wp.vec3f, device)
+        self.vector = wp.zeros(grid.node_count, wp.vec3f, device)
+        self.residual = wp.zeros(grid.node_count, wp.vec3f, device)
         self._first, self._last = self._sweeps()
         blocks = self.blocks
         rows = [blocks.row_start, blocks.diagonal_block, blocks.column, blocks.single]
@@ -185,15 +151,8 @@ class GridLevel:
         )
 
     def _launch(self, kernel: Any, inputs: list[Any], outputs: list[Any], dim: int) -> SplitLaunch:
-        return SplitLaunch(
-            kernel,
-            dim=dim,
-            inputs=[*inputs, 0],
-            outputs=outputs,
-            offset_index=len(inputs),
-            device=self.device,
-            cores=self.cores if self.grid.node_count > SPLIT_NODES else 1,
-        )
+        cores = self.cores if self.grid.node_count > SPLIT_NODES else 1
+        return SplitLaunch(kernel, dim=dim, inputs=inputs, outputs=outputs, cores=cores)
 
     def _sweeps(self) -> tuple[list[SplitLaunch], list[SplitLaunch]]:
         """Return Gauss-Seidel sweeps, colour after colour: from rest, and in reverse otherwise."""
@@ -204,7 +163,7 @@ class GridLevel:
             nodes = np.flatnonzero(self.grid.node_colour == colour).astype(np.int32)
             if len(nodes) == 0:
                 continue
-            on: Any = wp.array(nodes, dtype=wp.int32, device=self.device)
+            on = put(nodes, wp.int32, self.device)
             rows = [blocks.column, blocks.single, blocks.inverse, self.load]
             first.append(
                 self._launch(
@@ -218,10 +177,6 @@ class GridLevel:
                 self._launch(sweep_colour, [on, blocks.row_start, *rows], [self.vector], len(nodes))
             )
         return first, last[::-1]
-
-    def update(self, nodes: NDArray[np.int32]) -> None:
-        """Gather the rows of these nodes again."""
-        self.blocks.update(nodes)
 
     def relax_first(self) -> None:
         """Sweep from rest, and compute the residual."""
@@ -263,7 +218,7 @@ class GridHierarchy:
         self._coarsest_inverse = np.zeros((0, 0))
         self._stale = True
 
-    def update(self, changed: NDArray[np.int32]) -> None:
+    def update(self, changed: Int32s) -> None:
         """Transfer a change of these cells through all grids.
 
         The coarsest grid waits for `refresh`.
@@ -271,7 +226,7 @@ class GridHierarchy:
         self.finest.update(np.unique(self.finest.grid.cell_nodes[changed]))
         for level, transfer in zip(self.coarser, self._transfers, strict=True):
             changed = transfer.project(changed)
-            level.update(np.unique(level.grid.cell_nodes[changed]))
+            level.blocks.update(np.unique(level.grid.cell_nodes[changed]))
         self._stale = True
 
     def diagonal(self) -> Array:

@@ -7,14 +7,14 @@ import warp as wp
 from numpy.typing import NDArray
 
 from kernels.hexahedra import BLOCKS
+from kernels.mirror import put
 from kernels.particle_stiffness import particle_stiffness
-from tissue.models.tooth.grid import CORNERS, HexGrid, ParticleSet
+from meshes.base.arrays import Array, Bytes, Flags, Int32s, Integers
+from tissue.models.tooth.grid import CORNERS, HexGrid, ParticleSet, PointSprings
 from tissue.models.tooth.strips import CellStrips, PackedProduct
-from tissue.models.tooth.supports import PointSprings
 
 __all__ = ["CellStiffness", "full_cell_stiffness"]
 
-Array = NDArray[np.float64]
 CENTRE = np.full(3, 0.5)
 
 
@@ -66,41 +66,40 @@ class CellStiffness:
         self.device = device
         self.cores = cores
         cell, place = grid.locate(particles.position_m)
-        if (cell < 0).any():
-            lost = particles.position_m[int(np.argmin(cell))]
-            raise ValueError(
-                f"grid must hold every particle, got one at {lost} m outside: use HexGrid.around"
-            )
         self.order = np.argsort(cell, kind="stable")
         self.rank = np.empty_like(self.order)
         self.rank[self.order] = np.arange(len(self.order))
         self.particle_cell = cell[self.order]
-        self.particle_cell_on: Any = wp.array(self.particle_cell, dtype=wp.int32, device=device)
+        self.particle_cell_on = put(self.particle_cell, wp.int32, device)
         self.cell_start = np.searchsorted(
             self.particle_cell, np.arange(grid.cell_count + 1)
         ).astype(np.int32)
 
-        def on(array: NDArray[Any], dtype: Any) -> Any:
-            return wp.array(np.ascontiguousarray(array), dtype=dtype, device=device)
-
-        self.place = on(place[self.order], wp.vec3d)
-        self.volume = on(particles.volume_m3[self.order], wp.float64)
-        self.lame = on(particles.lame_Pa[self.order], wp.float64)
-        self.remaining_on = on(particles.remaining[self.order], wp.uint16)
-        self.cell_start_on = on(self.cell_start, wp.int32)
-        self.cell_nodes_on = on(grid.cell_nodes, wp.int32)
-        self.node_cells_on = on(grid.node_cells, wp.int32)
-        self.stiffness = wp.zeros((grid.cell_count, BLOCKS), dtype=wp.mat33d, device=device)
-        self.fill_on = wp.zeros(grid.cell_count, dtype=wp.float64, device=device)
+        self.place = put(place[self.order], wp.vec3d, device)
+        self.volume = put(particles.volume_m3[self.order], wp.float64, device)
+        self.lame = put(particles.lame_Pa[self.order], wp.float64, device)
+        self.remaining_on = put(particles.remaining[self.order], wp.uint16, device)
+        self.cell_start_on = put(self.cell_start, wp.int32, device)
+        self._particles = [
+            self.place,
+            self.volume,
+            self.lame,
+            self.remaining_on,
+            self.cell_start_on,
+        ]
+        self.cell_nodes_on = put(grid.cell_nodes, wp.int32, device)
+        self.node_cells_on = put(grid.node_cells, wp.int32, device)
+        self.stiffness = wp.zeros((grid.cell_count, BLOCKS), wp.mat33d, device)
+        self.fill_on = wp.zeros(grid.cell_count, wp.float64, device)
         self.live_on = wp.full(grid.cell_count, 1, dtype=wp.uint8, device=device)
-        self._inner = on(_packed(_inner_stiffness(grid.edge_m)), wp.mat33d)
+        self._inner = put(_packed(_inner_stiffness(grid.edge_m)), wp.mat33d, device)
         self._strength = float(inner_strength)
         sprung, blocks = (springs or PointSprings.none()).by_cell(grid)
         row = np.full(grid.cell_count, -1)
         row[sprung] = np.arange(len(sprung))
-        self._springs = [on(row, wp.int32), on(blocks, wp.mat33d)]
-        self.displacement = wp.zeros(grid.node_count, dtype=wp.vec3d, device=device)
-        self.force = wp.zeros(grid.node_count, dtype=wp.vec3d, device=device)
+        self._springs = [put(row, wp.int32, device), put(blocks, wp.mat33d, device)]
+        self.displacement = wp.zeros(grid.node_count, wp.vec3d, device)
+        self.force = wp.zeros(grid.node_count, wp.vec3d, device)
         self.strips = CellStrips(
             grid, place[self.order], self.particle_cell, device=device, cores=cores
         )
@@ -108,19 +107,19 @@ class CellStiffness:
         others = np.flatnonzero(~regular)
         of_springs = regular[sprung]
 
-        def packed(
-            cells: NDArray[np.integer], rows: NDArray[np.integer], blocks: Any
-        ) -> PackedProduct | None:
+        def packed(cells: Integers, rows: Integers, blocks: Any) -> PackedProduct | None:
             """Return the product of some cells with the displacement, None without cells."""
-            given: dict[str, Any] = {
-                "live": self.live_on,
-                "vector": self.displacement,
-                "force": self.force,
-            }
-            return (
-                PackedProduct(grid, cells, rows, blocks, cores=cores, **given)
-                if len(cells)
-                else None
+            if len(cells) == 0:
+                return None
+            return PackedProduct(
+                grid,
+                cells,
+                rows,
+                blocks,
+                live=self.live_on,
+                vector=self.displacement,
+                force=self.force,
+                cores=cores,
             )
 
         self.others = packed(others, others, self.stiffness)
@@ -138,18 +137,18 @@ class CellStiffness:
         return np.asarray(self.fill_on.numpy())
 
     @property
-    def live(self) -> NDArray[np.uint8]:
+    def live(self) -> Bytes:
         """1 where a cell carries load."""
         return np.asarray(self.live_on.numpy())
 
-    def set_remaining(self, rows: NDArray[np.integer], steps: NDArray[np.uint16]) -> None:
+    def set_remaining(self, rows: Integers, steps: NDArray[np.uint16]) -> None:
         """Set the remaining fraction of sorted particles; `update` of their cells applies it."""
         left = self.remaining
         left[rows] = steps
         if self.device != "cpu":
             self.remaining_on.assign(left)
 
-    def set_live(self, live: NDArray[np.bool_]) -> None:
+    def set_live(self, live: Flags) -> None:
         """Set which cells carry load, shape (c,)."""
         changed = np.flatnonzero(self.live != live).astype(np.int32)
         self.live_on.assign(live.astype(np.uint8))
@@ -159,17 +158,13 @@ class CellStiffness:
         """Launch a kernel once; its last input is the first thread's index."""
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
 
-    def update(self, cells: NDArray[np.int32]) -> None:
+    def update(self, cells: Int32s) -> None:
         """Sum the stiffness of these cells over their particles again."""
         if len(cells) == 0:
             return
-        changed: Any = wp.array(cells, dtype=wp.int32, device=self.device)
+        changed = put(cells, wp.int32, self.device)
         inputs = [
-            self.place,
-            self.volume,
-            self.lame,
-            self.remaining_on,
-            self.cell_start_on,
+            *self._particles,
             changed,
             self.grid.edge_m,
             self._strength,
@@ -182,12 +177,15 @@ class CellStiffness:
 
         self._weigh(cells)
 
-    def _weigh(self, cells: NDArray[np.int32]) -> None:
+    def _weigh(self, cells: Int32s) -> None:
         if len(cells):
-            particles = [self.place, self.volume, self.lame, self.remaining_on, self.cell_start_on]
-            changed: Any = wp.array(cells, dtype=wp.int32, device=self.device)
+            changed = put(cells, wp.int32, self.device)
             self.strips.update(
-                particles, self.live_on, changed, edge_m=self.grid.edge_m, strength=self._strength
+                self._particles,
+                self.live_on,
+                changed,
+                edge_m=self.grid.edge_m,
+                strength=self._strength,
             )
 
     def product(self, displacement_m: Array) -> Array:

@@ -9,22 +9,21 @@ import os
 import pickle
 import sys
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kernels.bricks import BRICK_VOXELS
 from kernels.cores import limit_cores
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 from meshes.voxels.volume import VoxelVolume
-from tissue.fem.fields import FieldSeries
-from tissue.models.bone.bricks import BrickStore, voxels_of
-from tissue.models.tooth.compliance import SupportCompliance
+from tissue.models.bone.bricks import BrickGrid, BrickStore, voxels_of
 from tissue.models.tooth.field import SolveRecord, StressField
 from tissue.system.helper import Helper
 
-__all__ = ["Drilled", "InlineStressSolver", "StressProcess", "StressSolver"]
+__all__ = ["Bricks", "Drilled", "InlineStressSolver", "StressProcess", "StressSolver"]
 
 ASSEMBLY_S = 3600.0
 SOLVE_S = 600.0
@@ -47,49 +46,32 @@ class Drilled:
     """
 
     time_s: float
-    rows: NDArray[np.intp]
+    rows: Ints
     left: NDArray[np.uint16]
-    force_N: NDArray[np.float64]
-    point_m: NDArray[np.float64]
+    force_N: Array
+    point_m: Array
 
 
-class StressSolver(Protocol):
-    """Solves that start in a tick and are awaited outside it.
+@dataclass(frozen=True, eq=False)
+class Bricks:
+    """Copy of the bricks before the first cut.
 
     Attributes
     ----------
-    compliance
-        Compliance of the tooth in its ligament, about ``reference_m``.
-    root_guessed
-        True if the data hold neither ligament nor bone.
-    series
-        Mesh and frames; it holds all frames once it is finished.
-    records
-        Cost and outcome of every solve awaited so far.
+    places, remaining
+        Grid position of each brick, and its remaining fraction in steps, as in `BrickStore`.
+    grid
+        Lattice of the bricks.
     """
 
-    compliance: SupportCompliance
-    reference_m: NDArray[np.float64]
-    root_guessed: bool
-    series: FieldSeries
-    records: list[SolveRecord]
+    places: Ints
+    remaining: NDArray[np.uint16]
+    grid: BrickGrid
 
-    @property
-    def scheduling(self) -> str:
-        """Place, priority and cores of the solves, in words."""
-        ...
-
-    def begin(self, state: Drilled) -> None:
-        """Begin a solve; the last solve must have been awaited."""
-        ...
-
-    def wait(self) -> SolveRecord | None:
-        """Wait for the solve that was begun; return its cost and outcome, None without a solve."""
-        ...
-
-    def finish(self) -> None:
-        """Wait for the solve that was begun and fetch the frames."""
-        ...
+    @classmethod
+    def of(cls, store: BrickStore) -> "Bricks":
+        """Copy the bricks of a store."""
+        return cls(store.places, store.remaining.numpy().copy(), store.grid)
 
 
 class InlineStressSolver:
@@ -105,29 +87,21 @@ class InlineStressSolver:
         Further arguments of `StressField`.
     """
 
-    def __init__(self, whole: VoxelVolume, store: BrickStore, **options: Any) -> None:
-        self._start(whole, _bricks_of(store), options)
-
-    def _start(self, whole: VoxelVolume, bricks: dict[str, Any], options: dict[str, Any]) -> None:
+    def __init__(self, whole: VoxelVolume, store: BrickStore | Bricks, **options: Any) -> None:
+        bricks = Bricks.of(store) if isinstance(store, BrickStore) else store
         self.field = StressField(whole, **options)
         self.compliance = self.field.compliance
         self.reference_m = self.field.reference_m
         self.root_guessed = self.field.root_guessed
         self.series = self.field.series
         self.records = self.field.records
-        self._places = bricks["places"]
-        self._before = bricks["remaining"]
-        self._grid = {"origin_m": bricks["origin_m"], "spacing_m": bricks["spacing_m"]}
+        self._places = bricks.places
+        self._before = bricks.remaining
+        self._grid: dict[str, Any] = {
+            "origin_m": bricks.grid.origin_m,
+            "spacing_m": bricks.grid.spacing_m,
+        }
         self._begun: Drilled | None = None
-
-    @classmethod
-    def of_bricks(
-        cls, whole: VoxelVolume, bricks: dict[str, Any], options: dict[str, Any]
-    ) -> "InlineStressSolver":
-        """Return a solver made from a copy of the bricks, in another process."""
-        here = cls.__new__(cls)
-        here._start(whole, bricks, options)
-        return here
 
     @property
     def scheduling(self) -> str:
@@ -172,7 +146,7 @@ class StressProcess:
 
     def __init__(self, whole: VoxelVolume, store: BrickStore, **options: Any) -> None:
         self._helper = Helper("tissue.models.tooth.stress_process", does="solves the stress")
-        self._helper.send((whole, _bricks_of(store), options))
+        self._helper.send((whole, Bricks.of(store), options))
         self.compliance, self.reference_m, self.root_guessed, self.series = self._helper.receive(
             longest_s=ASSEMBLY_S
         )
@@ -211,14 +185,8 @@ class StressProcess:
         self._helper.end()
 
 
-def _bricks_of(store: BrickStore) -> dict[str, Any]:
-    """Return a copy of the brick data that a solve needs from before the first cut."""
-    return {
-        "places": store.places,
-        "remaining": store.remaining.numpy().copy(),
-        "origin_m": store.grid.origin_m,
-        "spacing_m": store.grid.spacing_m,
-    }
+StressSolver = InlineStressSolver | StressProcess
+"""Solves that start in a tick and are awaited outside it."""
 
 
 def _drilled(time_s: float, rows: bytes, left: bytes, force_N: bytes, point_m: bytes) -> Drilled:
@@ -248,7 +216,7 @@ def _serve() -> None:
 
     try:
         whole, bricks, options = pickle.load(sys.stdin.buffer)
-        here = InlineStressSolver.of_bricks(whole, bricks, options)
+        here = InlineStressSolver(whole, bricks, **options)
         answer(
             (here.compliance, here.reference_m, here.root_guessed, replace(here.series, frames=[]))
         )

@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from kernels.cell_strips import LANES, WEIGHTS, lanes_of, strip_products
 from kernels.hexahedra import cell_products, gather_cells
 from kernels.lane_vectors import cube_weights, from_lanes, to_lanes
 from kernels.launcher import SplitLaunch
+from kernels.mirror import put
+from meshes.base.arrays import Array, Int32s, Integers, Ints
 from tissue.models.tooth.grid import HexGrid
 
 __all__ = ["CellStrips", "LaneVector", "PackedProduct", "StripLayout", "StripProduct"]
@@ -41,8 +42,8 @@ class PackedProduct:
     def __init__(
         self,
         grid: HexGrid,
-        cells: NDArray[np.integer],
-        rows: NDArray[np.integer],
+        cells: Integers,
+        rows: Integers,
         stiffness: Any,
         *,
         live: Any,
@@ -52,30 +53,27 @@ class PackedProduct:
     ) -> None:
         device = str(vector.device)
 
-        def on(array: NDArray[Any]) -> Any:
-            return wp.array(array.astype(np.int32), dtype=wp.int32, device=device)
-
         place = np.full(grid.cell_count + 1, -1)
         place[cells] = np.arange(len(cells))
         nodes = np.unique(grid.cell_nodes[cells])
-        corner_force = wp.zeros((len(cells), 8), dtype=wp.vec3d, device=device)
+        corner_force = wp.zeros((len(cells), 8), wp.vec3d, device)
+        which, row, corners, chosen, gathered = (
+            put(each, wp.int32, device)
+            for each in (cells, rows, grid.cell_nodes, nodes, place[grid.node_cells[nodes]])
+        )
         self._cells = SplitLaunch(
             cell_products,
             dim=len(cells),
-            offset_index=6,
-            device=device,
-            cores=cores,
-            inputs=[on(cells), on(rows), on(grid.cell_nodes), live, stiffness, vector, 0],
+            inputs=[which, row, corners, live, stiffness, vector],
             outputs=[corner_force],
+            cores=cores,
         )
         self._nodes = SplitLaunch(
             gather_cells,
             dim=len(nodes),
-            offset_index=3,
-            device=device,
-            cores=cores,
-            inputs=[on(nodes), on(place[grid.node_cells[nodes]]), corner_force, 0],
+            inputs=[chosen, gathered, corner_force],
             outputs=[force],
+            cores=cores,
         )
 
     def __call__(self) -> None:
@@ -154,7 +152,7 @@ class LaneVector:
         self.scalar = scalar
         self.slots = layout.slots
         count = layout.slots - LANES + 1
-        self.single = wp.zeros((3, layout.slots), dtype=scalar, device=device)
+        self.single = wp.zeros((3, layout.slots), scalar, device)
         self.from_each, self.by_eight = (
             self._seen(1, count),
             self._seen(LANES, layout.slots // LANES),
@@ -202,24 +200,15 @@ class StripProduct:
             device=device,
             copy=False,
         )
-        start: Any = wp.array(layout.start, dtype=wp.int32, device=device)
-        base: Any = wp.array(layout.base, dtype=wp.vec4i, device=device)
+        start = put(layout.start, wp.int32, device)
+        base = put(layout.base, wp.vec4i, device)
         self._kept = weight
         self._launches = [
             SplitLaunch(
                 strip_products(vector.scalar),
                 dim=len(pencils),
-                offset_index=5,
-                device=device,
                 cores=cores,
-                inputs=[
-                    wp.array(pencils, dtype=wp.int32, device=device),
-                    start,
-                    base,
-                    lanes,
-                    vector.from_each,
-                    0,
-                ],
+                inputs=[put(pencils, wp.int32, device), start, base, lanes, vector.from_each],
                 outputs=[force.from_each],
             )
             for pencils in layout.colours
@@ -254,27 +243,19 @@ class CellStrips:
     """
 
     def __init__(
-        self,
-        grid: HexGrid,
-        place: NDArray[np.float64],
-        particle_cell: NDArray[np.int32],
-        *,
-        device: str,
-        cores: int | None,
+        self, grid: HexGrid, place: Array, particle_cell: Int32s, *, device: str, cores: int | None
     ) -> None:
         self.layout = StripLayout(grid)
         self.device = device
         off = (np.abs(np.abs(place - 0.5) - 0.25) > AT_CUBE).any(axis=1)
-        self.regular = np.ones(grid.cell_count, dtype=np.bool_)
+        self.regular = np.ones(grid.cell_count, np.bool_)
         self.regular[particle_cell[off]] = False
         shape = (len(self.layout.base), WEIGHTS, LANES)
-        self.weight = wp.zeros(shape, dtype=wp.float64, device=device)
-        self.single = wp.zeros(shape, dtype=wp.float32, device=device)
-        self.regular_on: Any = wp.array(
-            self.regular.astype(np.uint8), dtype=wp.uint8, device=device
-        )
-        self.strip_on: Any = wp.array(self.layout.strip, dtype=wp.vec2i, device=device)
-        self.slot_on: Any = wp.array(self.layout.slot, dtype=wp.int32, device=device)
+        self.weight = wp.zeros(shape, wp.float64, device)
+        self.single = wp.zeros(shape, wp.float32, device)
+        self.regular_on = put(self.regular.astype(np.uint8), wp.uint8, device)
+        self.strip_on = put(self.layout.strip, wp.vec2i, device)
+        self.slot_on = put(self.layout.slot, wp.int32, device)
         moved, self._force = (LaneVector(self.layout, wp.float64, device=device) for _ in range(2))
         self._vector = moved
         self._product = StripProduct(
@@ -308,13 +289,11 @@ class CellStrips:
         wp.launch(from_lanes, dim=count, inputs=out, outputs=[force_out], device=self.device)
 
 
-def _pencil_keys(place: NDArray[np.int32], width: int) -> NDArray[np.int64]:
+def _pencil_keys(place: Int32s, width: int) -> Ints:
     return place[:, 0].astype(np.int64) * width + place[:, 1]
 
 
-def _pencils(
-    place: NDArray[np.int32], width: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def _pencils(place: Int32s, width: int) -> tuple[Ints, Ints, Ints]:
     """Return the key of each pencil and its lowest and highest position along z.
 
     The positions are in order.

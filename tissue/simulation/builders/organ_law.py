@@ -18,7 +18,7 @@ from tissue.simulation.builders.device import opens_device
 from tissue.simulation.builders.organ import HeldMesh, elasticity_of, held_mesh
 
 if TYPE_CHECKING:
-    from tissue.models.organ.law import OrganLaw
+    from tissue.models.organ.soft_organ import OrganLaw
 
 __all__ = ["coarser_mesh", "hindrance", "law_of", "organ_law"]
 
@@ -118,8 +118,7 @@ def organ_law(
     InputError
         As for `law_of`, or if a real device would wait for the law.
     """
-    from tissue.models.organ.law import OrganLaw
-    from tissue.models.organ.soft_organ import SoftOrgan
+    from tissue.models.organ.soft_organ import OrganLaw, SoftOrgan
 
     organ = scene.organ
     found = law_of(organ, lame_Pa)

@@ -12,7 +12,7 @@ from meshes.base.progress import Progress
 from meshes.shapes.polyline import kept_corners
 from tissue.materials.scene_constants import Materials
 from tissue.models.organ.probe import ShellProbe
-from tissue.models.wall import WallModel
+from tissue.models.tissue_model import WallModel
 from tissue.motion.motion import Motion
 from tissue.scene.coupling import WallAnatomy
 from tissue.scene.organ import LayersAnatomy, LiverFile, Organ, SoftAnatomy
@@ -85,7 +85,7 @@ def pierced(
             interval_s=1e-3 * scene.anatomy.interval_ms,
             constants=scene.constants,
         )
-        notes["fields"] = fields.note(tissue)
+        notes["fields"] = fields.note
         if scene.device is not None:
             notes["fields"] += (
                 f"; a hand that enters up to {1e3 * near:g} mm from the track is drawn as on it"
@@ -137,7 +137,8 @@ def pressed(
     capsule = _capsule_of(organ, notes, scene.constants)
     density = _density_of(organ, scene.constants)
     report("compiling kernels (the first time on a machine)", 0.0)
-    from tissue.models.organ.soft_organ import SoftOrgan
+    from tissue.models.organ.model import ContactSolution, LiverModel
+    from tissue.models.organ.soft_organ import SoftOrgan, ToolPath
 
     require_outside(found.mesh, motion)
     soft = SoftOrgan(
@@ -155,14 +156,11 @@ def pressed(
     report("assembling the stiffness", 0.0)
     tips, turns = poses_along(motion, within_m)
     with names_of_caller({"touch_edge_m": "anatomy.touch_edge_mm"}):
-        model, touchable = soft.under(
-            probe,
-            tips,
-            turns,
-            path=organ.path,
-            basis_size=organ.basis_size,
+        model = LiverModel(
+            soft,
+            ToolPath(probe, tips, turns),
+            ContactSolution(organ.path, basis_size=organ.basis_size, cores=cores),
             step_s=step_s,
-            cores=cores,
             interval_s=1e-3 * organ.interval_ms if organ.interval_ms > 0.0 else inf,
             report=report,
         )
@@ -171,11 +169,14 @@ def pressed(
         notes["gravity"] = f"the organ sags by up to {sag:.3g} mm before it is touched"
     if law is not None:
         on = soft if law.coarser is None else law.coarser[0]
-        notes["law"] = f"{organ.law}, {model.law_note} on {len(on.body.free)} unknowns"
+        notes["law"] = (
+            f"{organ.law}, solved every {organ.law_interval_ms:g} ms on {len(on.body.free)} "
+            "unknowns"
+        )
     notes["solved"] = (
         f"{len(found.mesh.cells)} tetrahedra of order {organ.order}, {len(soft.body.free)} "
         "unknowns; "
-        f"{touchable} touchable nodes, compliance {organ.path}"
+        f"{len(model.touchable)} touchable nodes, compliance {organ.path}"
     )
     return Parts(motion, model, placement=found.placement, notes=notes)
 

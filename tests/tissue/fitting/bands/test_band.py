@@ -12,8 +12,7 @@ from meshes.base.errors import InputError
 from tissue.fitting.bands.band import band_of, require_band
 from tissue.fitting.bands.figures import LEVELS, LOADS
 from tissue.fitting.bands.reweighed import DENSITY, Reweighed, density_prior
-from tissue.materials.constants import constants
-from tissue.materials.prior import Prior
+from tissue.materials.constants import Prior, constants
 from tissue.objects.run import open_run
 from tissue.objects.simulate import simulate
 from tissue.scene.load import changed

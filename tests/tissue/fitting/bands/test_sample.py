@@ -5,7 +5,7 @@ import pytest
 
 from meshes.base.errors import InputError
 from tissue.fitting.bands.sample import Ranges, normals, rounded
-from tissue.materials.prior import Prior
+from tissue.materials.constants import Prior
 
 PRIORS = {
     "cutting.bone.radial_chip_N_mm2": Prior(60.0, 15.0, 180.0),

@@ -1,6 +1,6 @@
 """Scripted policies for the environments, as baselines for learned policies.
 
-They use observations alone.
+They use observations alone. `expert_of(env)` returns the expert of an environment.
 """
 
 from typing import Any
