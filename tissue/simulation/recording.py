@@ -1,25 +1,26 @@
 """Recording of a run for other programs: HDF5 in the layout of volumetric_drilling's recorder."""
 
-from collections.abc import (Iterable)
-from io import (BytesIO)
-from meshes.base.whole_file import (whole_file)
-from meshes.voxels.volume import (FULL, VoxelVolume)
-from numpy.typing import (NDArray)
-from pathlib import (Path)
-from scipy.spatial.transform import (Rotation)
-from tissue.motion.replay import (EVENTS, POSES, SHAFT_TO_X)
-from tissue.scene.scene import (Scene)
-from tissue.scene.tool import (Tool)
-from tissue.simulation.trace import (Table)
-from tissue.simulation.trace_files import (RECORDING, write_trace)
-from typing import (Any, Protocol, TYPE_CHECKING)
+from collections.abc import Iterable
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from meshes.base.whole_file import whole_file
+from meshes.voxels.volume import FULL, VoxelVolume
+from tissue.motion.replay import EVENTS, POSES, SHAFT_TO_X
+from tissue.scene.scene import Scene
+from tissue.scene.tool import Tool
+from tissue.simulation.trace import Table
+from tissue.simulation.trace_files import RECORDING, write_trace
 
 if TYPE_CHECKING:
-    from tissue.models.bone.carver import (CarvingReplay)
+    from tissue.models.bone.carver import CarvingReplay
 
 __all__ = ["Recorded", "write_formats", "write_recording"]
-
 
 
 Array = NDArray[np.float64]

@@ -1,13 +1,35 @@
 """Our side of every work: ``python ours.py PEER`` does what that peer is compared in."""
 
-from math import (prod)
-from pathlib import (Path)
-from time import (process_time)
-from works import (BALL_M, BLOCK_M, BURR_M, CLAMPED_CELLS, CUBE_CELLS, DELAYS, FEED_M_S, HORIZON, POISSON, SLABS, SLAB_M, SPACING_M, STEP_S, YOUNG_PA, ball_tip, bricks_in_tetrahedra, burr_tip, contacts, print_result, right_share, steps_N, timed)
-import numpy as np
 import sys
+from math import prod
+from pathlib import Path
+from time import process_time
 
-
+import numpy as np
+from works import (
+    BALL_M,
+    BLOCK_M,
+    BURR_M,
+    CLAMPED_CELLS,
+    CUBE_CELLS,
+    DELAYS,
+    FEED_M_S,
+    HORIZON,
+    POISSON,
+    SLAB_M,
+    SLABS,
+    SPACING_M,
+    STEP_S,
+    YOUNG_PA,
+    ball_tip,
+    bricks_in_tetrahedra,
+    burr_tip,
+    contacts,
+    print_result,
+    right_share,
+    steps_N,
+    timed,
+)
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 PACKAGES = "tissue-sim warp-lang numpy scipy"

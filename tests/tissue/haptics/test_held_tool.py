@@ -1,13 +1,12 @@
 """A tool on a device without its scene: balances in closed form, and what leads or pushes it."""
 
-from tissue.haptics.hand.pushing import (CompensatedPath, Thrust)
-from tissue.haptics.proxy.cutting_tool import (CuttingTool)
-from tissue.haptics.proxy.held_tool import (PressingTool)
-from tissue.models.tissue_model import (Response, WallModel)
 import numpy as np
 import pytest
 
-
+from tissue.haptics.hand.pushing import CompensatedPath, Thrust
+from tissue.haptics.proxy.cutting_tool import CuttingTool
+from tissue.haptics.proxy.held_tool import PressingTool
+from tissue.models.tissue_model import Response
 
 STEP_S = 1e-3
 DOWN = np.array([0.0, 0.0, -1.0])
