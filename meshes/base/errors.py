@@ -6,7 +6,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+
+from meshes.base.arrays import Array
 
 __all__ = [
     "DamagedFileError",
@@ -176,7 +177,7 @@ def require_ranges(*rows: tuple[str, float, float, float, str]) -> list[float]:
     return [require_range(*row) for row in rows]
 
 
-def as_vector(value: object) -> NDArray[np.float64] | None:
+def as_vector(value: object) -> Array | None:
     """Return three finite numbers as an array, or None for any other value."""
     try:
         vector = np.asarray(value, dtype=np.float64)
@@ -185,7 +186,7 @@ def as_vector(value: object) -> NDArray[np.float64] | None:
     return vector if vector.shape == (3,) and np.isfinite(vector).all() else None
 
 
-def require_vector(name: str, value: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
+def require_vector(name: str, value: Sequence[float] | Array) -> Array:
     """Return `value` as three floats.
 
     Raises
@@ -201,9 +202,9 @@ def require_vector(name: str, value: Sequence[float] | NDArray[np.float64]) -> N
 
 def require_direction(
     name: str,
-    value: Sequence[float] | NDArray[np.float64],
+    value: Sequence[float] | Array,
     remedy: str = "use for example (0, 0, 1)",
-) -> NDArray[np.float64]:
+) -> Array:
     """Return the unit vector along `value`, shape (3,).
 
     Raises

@@ -1,21 +1,20 @@
 """Points, and the triangles or tetrahedra that name them by number."""
 
 import numpy as np
-from numpy.typing import NDArray
+
+from meshes.base.arrays import Array, Ints
 
 __all__ = ["compact", "cross_products", "directed_edges", "enclosed_volume", "windings"]
 
 
-def compact(
-    points: NDArray[np.float64], cells: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def compact(points: Array, cells: Ints) -> tuple[Array, Ints]:
     """Return the points that cells name, shape (n, 3), and the cells, shape (m, k), renumbered."""
     used = np.zeros(len(points), dtype=bool)
     used[cells] = True
     return (points, cells) if used.all() else (points[used], (np.cumsum(used) - 1)[cells])
 
 
-def directed_edges(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
+def directed_edges(triangles: Ints) -> Ints:
     """Return start and end of the edges of triangles, shape (3 m, 2).
 
     All first edges come first, then all second, then all third.
@@ -23,7 +22,7 @@ def directed_edges(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
 
 
-def windings(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
+def windings(triangles: Ints) -> Ints:
     """Return 1 or -1 for the two windings of a triangle, shape (m,).
 
     It is 0 where a triangle names a point twice.
@@ -32,15 +31,13 @@ def windings(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.sign(b - a) * np.sign(c - b) * np.sign(a - c)
 
 
-def cross_products(
-    points: NDArray[np.float64], triangles: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def cross_products(points: Array, triangles: Ints) -> Array:
     """Compute normals of triangles, as long as twice their area, shape (m, 3)."""
     a, b, c = (points[triangles[:, k]] for k in range(3))
     return np.cross(b - a, c - a)
 
 
-def enclosed_volume(points: NDArray[np.float64], triangles: NDArray[np.int64]) -> float:
+def enclosed_volume(points: Array, triangles: Ints) -> float:
     """Compute the volume that triangles wound outward enclose, in cubed units of the points."""
     corners = points - points.mean(axis=0)
     return (

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Flags, Ints
 from meshes.base.errors import InputError, by, counted, names_of_caller, require_range
 from meshes.base.progress import Progress, silent
 from meshes.base.simplices import cross_products
@@ -31,7 +31,7 @@ from meshes.voxels.mesh_sampling import nearest_on_triangles
 
 __all__ = ["LabelledOrgan", "labelled_organ", "organ_mesh"]
 
-Mask = NDArray[np.bool_]
+Mask = Flags
 _FEWEST_VOXELS = 64
 """A piece of a part with fewer voxels, 5 across a ball, has no surface of its own."""
 _FLAT_END = 0.5
@@ -114,7 +114,7 @@ class LabelledOrgan:
         vertices = self.surface.vertices_m
         faces = self.surface.faces
 
-        def onto(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        def onto(points: Array) -> Array:
             return nearest_on_triangles(vertices, faces, points)
 
         # A part inside another takes its place first, and the other is closed around it.
@@ -303,7 +303,7 @@ def _pieces(
 
 def _part_triangles(
     mask: Mask, solid: Mask, before: Mask, grid: LabelGrid, beyond: int
-) -> tuple[NDArray[np.float64], NDArray[np.int64]] | None:
+) -> tuple[Array, Ints] | None:
     """Return the surface of a part whose label is extended.
 
     The extension goes beyond the organ's end and into earlier parts. Each voxel there takes the

@@ -3,15 +3,15 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Flags, Ints, Singles
 from meshes.base.simplices import enclosed_volume
 from meshes.images.frame import box_of
 from meshes.images.label_spread import spread_labels
 
 __all__ = ["LabelGrid", "label_triangles"]
 
-Triangles = tuple[NDArray[np.float64], NDArray[np.int64]]
+Triangles = tuple[Array, Ints]
 _PER_RADIUS = 1.0 / 3.0
 """Deviation of the smoothing over the label's radius.
 
@@ -65,7 +65,7 @@ class LabelGrid:
         return LabelGrid(self.spacing_mm, (x, y, z))
 
 
-def label_triangles(mask: NDArray[np.bool_], grid: LabelGrid) -> Triangles | None:
+def label_triangles(mask: Flags, grid: LabelGrid) -> Triangles | None:
     """Return the smooth closed surface of a label, wound outward.
 
     It consists of vertices [m], shape (n, 3), and triangles, shape (m, 3).
@@ -112,7 +112,7 @@ def label_triangles(mask: NDArray[np.bool_], grid: LabelGrid) -> Triangles | Non
     return found
 
 
-def _level(share: NDArray[np.float32], level: float, grid: LabelGrid) -> Triangles:
+def _level(share: Singles, level: float, grid: LabelGrid) -> Triangles:
     from skimage.measure import marching_cubes
 
     vertices, faces, _, _ = marching_cubes(share, level, spacing=grid.spacing_mm)

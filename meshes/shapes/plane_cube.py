@@ -6,16 +6,15 @@ It is the sub-voxel fraction of a voxel that a smooth surface crosses.
 import itertools
 
 import numpy as np
-from numpy.typing import NDArray
+
+from meshes.base.arrays import Array, Floats
 
 __all__ = ["cube_fraction"]
 
 _SMALLEST_COMPONENT = 1e-5
 
 
-def cube_fraction(
-    distance: NDArray[np.floating], normal: NDArray[np.floating]
-) -> NDArray[np.float64]:
+def cube_fraction(distance: Floats, normal: Floats) -> Array:
     """Compute the volume of the unit cube about the origin where n·x <= -distance.
 
     With m = |n| / Σ|n| and a = 1/2 - distance / Σ|n| (the plane's height over the cube's lowest

@@ -1,11 +1,11 @@
 """Points along a line through corners, by the path length from its first one."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from meshes.base.arrays import Array, Ints
 
 __all__ = ["arc_length", "kept_corners", "points_along"]
-
-Array = NDArray[np.float64]
 
 
 def arc_length(corners: ArrayLike) -> Array:
@@ -29,7 +29,7 @@ def points_along(corners: ArrayLike, lengths: ArrayLike) -> Array:
     return np.column_stack([np.interp(at, along, given[:, axis]) for axis in range(3)])
 
 
-def kept_corners(corners: ArrayLike, within: float) -> NDArray[np.int64]:
+def kept_corners(corners: ArrayLike, within: float) -> Ints:
     """Return the indices of the corners to keep, ascending (Douglas and Peucker 1973).
 
     Every other corner lies within a distance of the line through the kept corners.

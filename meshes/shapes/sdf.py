@@ -14,8 +14,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Floats
 from meshes.base.errors import (
     InputError,
     in_brackets,
@@ -39,8 +39,8 @@ __all__ = [
     "union",
 ]
 
-Points = NDArray[np.floating]
-Distances = NDArray[np.floating]
+Points = Floats
+Distances = Floats
 Vector = Sequence[float]
 Bounds = tuple[tuple[float, ...], tuple[float, ...]]
 
@@ -248,18 +248,14 @@ def _norm(v: Points) -> Distances:
     return np.sqrt(v[:, 0] ** 2 + v[:, 1] ** 2 + v[:, 2] ** 2)
 
 
-def _cylindrical(
-    p: Points, start: NDArray[np.float64], axis: NDArray[np.float64]
-) -> tuple[Distances, Distances]:
+def _cylindrical(p: Points, start: Array, axis: Array) -> tuple[Distances, Distances]:
     """Compute the height above `start` along `axis` and the distance from the axis [m]."""
     q = p - start.astype(p.dtype)
     along = q @ axis.astype(p.dtype)
     return along, _norm(q - along[:, None] * axis.astype(p.dtype))
 
 
-def _segment(
-    start_m: Vector, end_m: Vector
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+def _segment(start_m: Vector, end_m: Vector) -> tuple[Array, Array, float]:
     start = require_vector("start_m", start_m)
     end = require_vector("end_m", end_m)
     length = float(np.linalg.norm(end - start))
@@ -273,7 +269,7 @@ def _segment(
     return start, (end - start) / length, length
 
 
-def _extent(name: str, value: Vector, example: str) -> NDArray[np.float64]:
+def _extent(name: str, value: Vector, example: str) -> Array:
     extent = require_vector(name, value)
     if not np.all(extent > 0.0):
         raise InputError(
@@ -282,5 +278,5 @@ def _extent(name: str, value: Vector, example: str) -> NDArray[np.float64]:
     return extent
 
 
-def _around(centre: NDArray[np.float64], reach: float | NDArray[np.float64]) -> Bounds:
+def _around(centre: Array, reach: float | Array) -> Bounds:
     return tuple((centre - reach).tolist()), tuple((centre + reach).tolist())

@@ -1,9 +1,8 @@
 """Triangles around a shape, with a bound of their distance from its surface."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Flags, Ints
 from meshes.base.errors import InputError
 from meshes.shapes.sdf import Shape
 
@@ -20,9 +19,7 @@ STEP_M = 1e-6
 """Step of the finite differences for the gradient of a distance [m]."""
 
 
-def shape_triangles(
-    shape: Shape, low_m: Array, high_m: Array
-) -> tuple[Array, NDArray[np.int64], float]:
+def shape_triangles(shape: Shape, low_m: Array, high_m: Array) -> tuple[Array, Ints, float]:
     """Mesh all of a shape's surface that can be nearest to a box.
 
     The lattice is refined until the triangles lie within 0.004 mm of the surface, or it has a
@@ -106,9 +103,7 @@ def _nearest(shape: Shape, low: Array, high: Array, middle: Array) -> float:
     return float(np.linalg.norm(vertices - middle, axis=1).min(initial=np.inf))
 
 
-def _contour(
-    shape: Shape, low: Array, high: Array, spacing: float
-) -> tuple[Array, NDArray[np.int64], NDArray[np.bool_]]:
+def _contour(shape: Shape, low: Array, high: Array, spacing: float) -> tuple[Array, Ints, Flags]:
     """Extract closed triangles at distance 0, and flags of the vertices that lie on the surface.
 
     The other vertices lie where the lattice cuts the surface off.
@@ -130,7 +125,7 @@ def _contour(
     return at, faces.astype(np.int64), within
 
 
-def _slack(shape: Shape, vertices: Array, faces: NDArray[np.int64]) -> float:
+def _slack(shape: Shape, vertices: Array, faces: Ints) -> float:
     """Compute the largest depth of centres and edges of triangles below the surface [m].
 
     Triangles outside the surface, in concave edges, make a distance too small, which is the safe

@@ -1,8 +1,8 @@
 """A bone surface as an anatomy: a cortical shell of even thickness over trabecular bone."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Bytes, Floats
 from meshes.base.errors import require_ranges
 from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.sdf import Shape
@@ -51,12 +51,10 @@ def surface_anatomy(
     vertices = site.to_site(surface.vertices_m)
     faces = surface.faces
 
-    def distance(points: NDArray[np.floating]) -> NDArray[np.floating]:
+    def distance(points: Floats) -> Floats:
         return triangle_distance(vertices, faces, points).astype(points.dtype)
 
-    def classify(
-        points: NDArray[np.floating], depth: NDArray[np.floating]
-    ) -> tuple[NDArray[np.uint8], NDArray[np.floating]]:
+    def classify(points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
         layer = (depth >= shell).astype(np.uint8)
         return layer, np.where(layer == 0, np.float32(dense), np.float32(sparse))
 

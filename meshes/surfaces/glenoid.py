@@ -25,16 +25,15 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Bytes, Floats
 from meshes.base.errors import InputError, require_ranges
 from meshes.shapes.anatomy import Anatomy, Classify
 from meshes.shapes.sdf import Shape, half_space, intersection
 
 __all__ = ["GLENOID_LAYERS", "glenoid"]
 
-Reals = NDArray[np.floating]
-Thickness = Callable[[Reals, Reals], Reals]
+Thickness = Callable[[Floats, Floats], Floats]
 
 GLENOID_LAYERS = ("subchondral", "cortical", "trabecular")
 _PLATE_RANGE_M = (1.2e-3, 2.9e-3)
@@ -65,7 +64,7 @@ class _Pear:
             return (self.lower_radius - (y - self.lower_y) * self.sine) / cosine
         return math.sqrt(max(self.upper_radius**2 - (y - self.upper_y) ** 2, 0.0))
 
-    def distance(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.floating]:
+    def distance(self, x: Floats, y: Floats) -> Floats:
         """Compute the exact signed distance [m] to the outline, negative inside.
 
         The outline is the hull of two circles.
@@ -106,8 +105,8 @@ def _pear(width: float, height: float, upper_width_ratio: float) -> _Pear:
 
 
 def _plate_thickness(
-    mean: float, variation: float, half_width: float, half_height: float, x: Reals, y: Reals
-) -> Reals:
+    mean: float, variation: float, half_width: float, half_height: float, x: Floats, y: Floats
+) -> Floats:
     """Compute the thickness of the subchondral plate [m], 1.2-2.9 mm.
 
     It is larger anterior and posterior, and smaller superior and inferior.
@@ -257,11 +256,11 @@ def _bone(pear: _Pear, radius: float, depth: float, taper: float, blend: float) 
     half_height = pear.lower_radius - pear.lower_y
     rim = radius - math.sqrt(radius**2 - half_height**2)
 
-    def wall_distance(p: NDArray[np.floating]) -> NDArray[np.floating]:
+    def wall_distance(p: Floats) -> Floats:
         outline = pear.distance(p[:, 0], p[:, 1])
         return np.maximum(outline, outline * cosine - p[:, 2] * sine)
 
-    def dish_distance(p: NDArray[np.floating]) -> NDArray[np.floating]:
+    def dish_distance(p: Floats) -> Floats:
         return radius - np.sqrt(p[:, 0] ** 2 + p[:, 1] ** 2 + (p[:, 2] - radius) ** 2)
 
     walls = Shape(
@@ -279,9 +278,7 @@ def _layers(plate: Thickness, radius: float, wall: float, densities: Sequence[fl
     subchondral, cortical, deep, below_plate = densities
     decay = 5e-3
 
-    def classify(
-        points: NDArray[np.floating], depth: NDArray[np.floating]
-    ) -> tuple[NDArray[np.uint8], NDArray[np.floating]]:
+    def classify(points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
         """Return layer and density [kg/m3], shape (n,), of points [m], shape (n, 3).
 
         The depths below the surface are in m.

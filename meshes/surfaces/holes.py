@@ -3,15 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Ints
 from meshes.base.simplices import directed_edges
 from meshes.surfaces.repair import Triangles, is_manifold, triangle_areas
 
 __all__ = ["Holes", "close_seams", "fill_holes", "open_loops"]
-
-Faces = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -24,13 +21,13 @@ class Holes:
 
     filled: int
     large: int
-    caps: tuple[NDArray[np.float64], ...]
+    caps: tuple[Array, ...]
     largest_area: float
 
 
 def fill_holes(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int64],
+    vertices: Array,
+    faces: Ints,
     largest: float,
     *,
     least_cap: float = np.inf,
@@ -69,7 +66,7 @@ def fill_holes(
     return (np.concatenate(points), np.concatenate(triangles)), holes
 
 
-def _unmatched(vertex_count: int, faces: NDArray[np.int64]) -> NDArray[np.int64]:
+def _unmatched(vertex_count: int, faces: Ints) -> Ints:
     """Return directed edges without their reverse, shape (n, 2).
 
     An edge is repeated as often as its reverse is missing.
@@ -85,7 +82,7 @@ def _unmatched(vertex_count: int, faces: NDArray[np.int64]) -> NDArray[np.int64]
     return np.repeat(pairs, np.abs(surplus), axis=0)
 
 
-def open_loops(vertex_count: int, faces: Faces) -> list[Faces]:
+def open_loops(vertex_count: int, faces: Ints) -> list[Ints]:
     """Return loops of unmatched edges that visit no vertex twice.
 
     The loops run in the direction of their triangles.
@@ -108,8 +105,8 @@ def open_loops(vertex_count: int, faces: Faces) -> list[Faces]:
 
 
 def close_seams(
-    points: Array, faces: Faces, *, first_part: int, within: float
-) -> tuple[Array, Faces]:
+    points: Array, faces: Ints, *, first_part: int, within: float
+) -> tuple[Array, Ints]:
     """Join the open loops of two parts by ribbons of triangles, and fill every other open loop.
 
     Parameters
@@ -150,7 +147,7 @@ def _apart(points: Array, others: Array) -> float:
     return float(max(there.mean(), back.mean()))
 
 
-def _ribbon(points: Array, loop: Faces, other: Faces) -> Faces:
+def _ribbon(points: Array, loop: Ints, other: Ints) -> Ints:
     """Return triangles between two loops that run in opposite directions.
 
     Every step takes the shorter diagonal.

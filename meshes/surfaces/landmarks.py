@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, in_brackets, require_vector
 from meshes.surfaces.pedicles import VERTEBRA, find_pedicle
 from meshes.surfaces.site import (
@@ -175,9 +174,7 @@ def _search_glenoid(surface: Surface, along: Sequence[float] | None) -> FoundSit
     )
 
 
-def _glenoid_score(
-    samples: SurfaceSamples, number: int, near: NDArray[np.int64]
-) -> tuple[Array, float]:
+def _glenoid_score(samples: SurfaceSamples, number: int, near: Ints) -> tuple[Array, float]:
     """Compute the smoothed normal at a sample, and the likeness to a glenoid, 0 to 1.
 
     The likeness is of the surface around the sample.

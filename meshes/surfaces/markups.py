@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, as_vector, require_file
 from meshes.base.text_numbers import number_in, require_distinct_columns
 from meshes.base.text_tables import read_json
@@ -47,9 +47,9 @@ class Markup:
     """
 
     kind: str
-    points_mm: NDArray[np.float64]
+    points_mm: Array
     labels: tuple[str, ...]
-    normal: NDArray[np.float64] | None = None
+    normal: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +64,8 @@ class MarkedSite:
         Outward unit normal, LPS, shape (3,); None where the file holds a point alone.
     """
 
-    centre_mm: NDArray[np.float64]
-    normal: NDArray[np.float64] | None
+    centre_mm: Array
+    normal: Array | None
 
 
 def read_markups(path: str | Path) -> tuple[Markup, ...]:
@@ -138,7 +138,7 @@ def read_site(path: str | Path) -> MarkedSite:
     return MarkedSite(one.points_mm[0], outward / length)
 
 
-def read_curve(path: str | Path) -> NDArray[np.float64]:
+def read_curve(path: str | Path) -> Array:
     """Read the control points [mm, LPS], shape (n, 3), of a file's one curve.
 
     Without a curve, they are the points of the file's one list, in their order.
@@ -206,10 +206,10 @@ def _markup(record: dict[str, Any], file: Path) -> Markup:
 
 def _normal(
     record: dict[str, Any],
-    points: list[NDArray[np.float64]],
-    frame: NDArray[np.float64],
+    points: list[Array],
+    frame: Array,
     file: Path,
-) -> NDArray[np.float64]:
+) -> Array:
     """Return the unit normal of a plane.
 
     It is the stated normal, else the third axis of its orientation, else the normal of three
@@ -238,9 +238,9 @@ def _point_list(file: Path) -> Markup:
 
     If several files were joined to one, the file repeats their head.
     """
-    frame: NDArray[np.float64] | None = None
+    frame: Array | None = None
     columns: tuple[str, ...] = _COLUMNS
-    points: list[NDArray[np.float64]] = []
+    points: list[Array] = []
     labels: list[str] = []
     try:
         lines = file.read_text("utf-8").splitlines()
@@ -276,7 +276,7 @@ def _number(text: str | None) -> float:
         return float("nan")
 
 
-def _frame(name: object, file: Path) -> NDArray[np.float64]:
+def _frame(name: object, file: Path) -> Array:
     if str(name) not in _FRAMES:
         raise InputError(
             "coordinateSystem",
@@ -287,7 +287,7 @@ def _frame(name: object, file: Path) -> NDArray[np.float64]:
     return _FRAMES[str(name)]
 
 
-def _three(value: Any, what: str, file: Path) -> NDArray[np.float64]:
+def _three(value: Any, what: str, file: Path) -> Array:
     numbers = as_vector(value)
     if numbers is None:
         raise InputError(

@@ -10,8 +10,8 @@ needs.
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Flags, Ints
 from meshes.base.simplices import compact, directed_edges, windings
 
 __all__ = [
@@ -25,13 +25,11 @@ __all__ = [
     "triangle_areas",
 ]
 
-Triangles = tuple[NDArray[np.float64], NDArray[np.int64]]
+Triangles = tuple[Array, Ints]
 """Vertices, shape (n, 3), and the vertex numbers of the triangles, shape (m, 3)."""
 
 
-def merge_vertices(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], tolerance: float
-) -> tuple[NDArray[np.float64], NDArray[np.int64], bool]:
+def merge_vertices(vertices: Array, faces: Ints, tolerance: float) -> tuple[Array, Ints, bool]:
     """Join vertices on one point of a lattice of pitch `tolerance`.
 
     Triangles that collapse, repeat or cancel are dropped.
@@ -54,7 +52,7 @@ def merge_vertices(
     return vertices, faces, manifold
 
 
-def _lattice_keys(vertices: NDArray[np.float64], tolerance: float) -> NDArray[np.int64]:
+def _lattice_keys(vertices: Array, tolerance: float) -> Ints:
     """Compute one number for the lattice point nearest to each vertex.
 
     The numbers sort like the coordinates.
@@ -69,7 +67,7 @@ def _lattice_keys(vertices: NDArray[np.float64], tolerance: float) -> NDArray[np
     return keys
 
 
-def _numbered(keys: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _numbered(keys: Ints) -> tuple[Ints, Ints]:
     """Return the first index of each distinct key, ascending by key, and each key's number.
 
     This is `numpy.unique`, but five times as fast, because no stable sort is needed.
@@ -82,7 +80,7 @@ def _numbered(keys: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.in
     return np.minimum.reduceat(order, np.flatnonzero(new)), where
 
 
-def is_manifold(faces: NDArray[np.int64]) -> bool:
+def is_manifold(faces: Ints) -> bool:
     """Return whether every directed edge and its reverse occur exactly once.
 
     The surface is then closed, of one winding, with two triangles at every edge.
@@ -101,11 +99,11 @@ def is_manifold(faces: NDArray[np.int64]) -> bool:
 
 
 def drop_debris(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int64],
-    body: NDArray[np.int64],
+    vertices: Array,
+    faces: Ints,
+    body: Ints,
     least_area: float,
-) -> tuple[Triangles, NDArray[np.int64], list[float]]:
+) -> tuple[Triangles, Ints, list[float]]:
     """Drop bodies whose area is below `least_area` times the largest body's.
 
     Parameters
@@ -132,12 +130,12 @@ def drop_debris(
 
 
 def orient(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int64],
-    body: NDArray[np.int64] | None = None,
+    vertices: Array,
+    faces: Ints,
+    body: Ints | None = None,
     *,
     manifold: bool = False,
-) -> tuple[NDArray[np.int64], int, int, float]:
+) -> tuple[Ints, int, int, float]:
     """Give all triangles of a body one winding, outward.
 
     Each triangle is a node twice, as it is and turned; neighbours across an edge of two triangles
@@ -185,7 +183,7 @@ def orient(
     return faces, int(turned.sum()), inside_out, float(volumes.sum())
 
 
-def edge_counts(faces: NDArray[np.int64]) -> tuple[int, int]:
+def edge_counts(faces: Ints) -> tuple[int, int]:
     """Count edges that one triangle uses (open) and that more than two use (non-manifold)."""
     if is_manifold(faces):
         return 0, 0
@@ -193,7 +191,7 @@ def edge_counts(faces: NDArray[np.int64]) -> tuple[int, int]:
     return int((uses == 1).sum()), int((uses > 2).sum())
 
 
-def _distinct(faces: NDArray[np.int64]) -> NDArray[np.int64]:
+def _distinct(faces: Ints) -> Ints:
     """Return the numbers of the triangles to keep.
 
     Of equal triangles one is kept; a pair with opposite winding is dropped.
@@ -209,7 +207,7 @@ def _distinct(faces: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.sort(kept[net != 0])
 
 
-def _disagreeing(faces: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _disagreeing(faces: Ints) -> Flags:
     """Return flags of the triangles to turn so that neighbours agree.
 
     The choice with fewer triangles is taken in each piece; no triangle of a piece is turned if no
@@ -237,7 +235,7 @@ def _disagreeing(faces: NDArray[np.int64]) -> NDArray[np.bool_]:
     return (as_is != reverse) & ((votes[as_is] < votes[reverse]) | tied)
 
 
-def _edge_keys(edges: NDArray[np.int64]) -> NDArray[np.int64]:
+def _edge_keys(edges: Ints) -> Ints:
     """Compute one number for each edge, independent of its direction, shape (n,).
 
     The numbers sort like the edge's vertices.
@@ -245,7 +243,7 @@ def _edge_keys(edges: NDArray[np.int64]) -> NDArray[np.int64]:
     return edges.min(axis=1) * (int(edges.max()) + 1) + edges.max(axis=1)
 
 
-def bodies(vertex_count: int, faces: NDArray[np.int64]) -> NDArray[np.int64]:
+def bodies(vertex_count: int, faces: Ints) -> Ints:
     """Return the number of the connected body of each triangle, shape (m,)."""
     from trimesh.graph import connected_component_labels
 
@@ -255,20 +253,18 @@ def bodies(vertex_count: int, faces: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.unique(label[faces[:, 0]], return_inverse=True)[1]
 
 
-def triangle_areas(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
+def triangle_areas(vertices: Array, faces: Ints) -> Array:
     """Compute the area of each triangle, shape (m,), in squared units of the vertices."""
     _, (x, y, z) = _crossed_edges(vertices, faces)
     return 0.5 * np.sqrt(x * x + y * y + z * z)
 
 
-def _volumes(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
+def _volumes(vertices: Array, faces: Ints) -> Array:
     corner, cross = _crossed_edges(vertices, faces)
     return sum(a * n for a, n in zip(corner, cross, strict=True)) / 6.0
 
 
-def _crossed_edges(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64]
-) -> tuple[list[Any], list[Any]]:
+def _crossed_edges(vertices: Array, faces: Ints) -> tuple[list[Any], list[Any]]:
     """Return the first corner and the cross product of each triangle, by axis.
 
     The corner is relative to the first vertex; the cross product is of the triangle's edges from

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, counted, require_positive
 from meshes.base.simplices import compact
 from meshes.surfaces.holes import fill_holes
@@ -93,10 +93,10 @@ class Surface:
         them.
     """
 
-    vertices_m: NDArray[np.float64]
-    faces: NDArray[np.int64]
+    vertices_m: Array
+    faces: Ints
     report: SurfaceReport
-    caps_m: tuple[NDArray[np.float64], ...]
+    caps_m: tuple[Array, ...]
     scanned: Triangles
 
 
@@ -142,8 +142,8 @@ def read_surface(
 
 
 def surface_from_triangles(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int64],
+    vertices: Array,
+    faces: Ints,
     *,
     source: str = "triangles",
     scale_mm: float | None = None,
@@ -201,19 +201,19 @@ def surface_from_triangles(
 
 
 def _repaired(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int64],
+    vertices: Array,
+    faces: Ints,
     longest: float,
     source: str,
     cut_off: bool,
     debris: float,
 ) -> tuple[
-    NDArray[np.float64],
-    NDArray[np.int64],
+    Array,
+    Ints,
     float,
     list[str],
     int,
-    tuple[NDArray[np.float64], ...],
+    tuple[Array, ...],
     int,
 ]:
     """Repair a surface so that it is closed and wound outward.
@@ -269,7 +269,7 @@ def _repaired(
     return vertices, faces, volume, repairs, turned + inside_out + outward, holes.caps, scanned
 
 
-def _require_thickness(points: NDArray[np.float64], longest: float, source: str) -> None:
+def _require_thickness(points: Array, longest: float, source: str) -> None:
     """Refuse points that lie in a plane or on a line, in any direction."""
     covariance = np.cov(points.T, bias=True)
     spread = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance), 0.0))
@@ -279,7 +279,7 @@ def _require_thickness(points: NDArray[np.float64], longest: float, source: str)
         )
 
 
-def _sides(points: NDArray[np.float64]) -> list[float]:
+def _sides(points: Array) -> list[float]:
     """Compute the sides of the bounding box.
 
     It works by column, because NumPy is slow along the rows of many points.

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, require_file
 from meshes.base.isolated_parser import parse_isolated
 from meshes.base.text_numbers import number_in, whole_number_in
@@ -134,7 +135,7 @@ def require_triangles(vertices: NDArray[np.number], faces: NDArray[np.number], s
         )
 
 
-def _read_binary_stl(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]] | None:
+def _read_binary_stl(file: Path) -> tuple[Array, Ints] | None:
     """Return corners, shape (3 m, 3), and triangles, shape (m, 3), of a file; None for text."""
     size = file.stat().st_size
     with file.open("rb") as stored:
@@ -181,7 +182,7 @@ def _require_whole_ply(file: Path) -> None:
         )
 
 
-def _read_obj(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _read_obj(file: Path) -> tuple[Array, Ints]:
     """Read vertices, shape (n, 3), and triangles, shape (m, 3), of an OBJ file.
 
     Polygons become fans about their first corner.
@@ -237,7 +238,7 @@ def _polygon(rest: str, count: int) -> list[int]:
 
 def _arrays(
     vertices: list[list[float]], polygons: list[list[int]], name: str
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+) -> tuple[Array, Ints]:
     most = max((max(polygon) for polygon in polygons), default=-1)
     if most >= len(vertices):
         first = next(

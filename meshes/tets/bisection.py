@@ -11,15 +11,15 @@ division.
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 from meshes.tets.checks import EDGES, cell_faces, signed_volumes
 from meshes.tets.tetrahedra import TetMesh
 
 __all__ = ["Move", "bisected"]
 
-Move = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+Move = Callable[[Array], Array]
 """Points [m], shape (n, 3), to points [m] of that shape."""
 _MOST_CELLS = 5_000_000
 _LEAST_VOLUME = 0.5
@@ -31,7 +31,7 @@ A node is moved onto the surface only if every tetrahedron does.
 
 def bisected(
     mesh: TetMesh,
-    size_m: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    size_m: Callable[[Array], Array],
     *,
     onto: Move | None = None,
 ) -> TetMesh:
@@ -112,9 +112,7 @@ def bisected(
             nodes = _moved(nodes, cells, outside[outside >= len(nodes) - split.sum()], onto)
 
 
-def _moved(
-    nodes: NDArray[np.float64], cells: NDArray[np.int64], chosen: NDArray[np.int64], onto: Move
-) -> NDArray[np.float64]:
+def _moved(nodes: Array, cells: Ints, chosen: Ints, onto: Move) -> Array:
     """Move the chosen nodes onto the surface.
 
     Nodes whose move would flatten a tetrahedron stay in place.

@@ -1,8 +1,8 @@
 """Checks of tetrahedra: their quality, their neighbours, the pieces they form."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import in_brackets
 from meshes.base.simplices import directed_edges
 
@@ -24,11 +24,11 @@ EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 """Corners of the face opposite each corner, counter-clockwise seen from outside."""
 
-Nodes = NDArray[np.float64]
-Cells = NDArray[np.int64]
+Nodes = Array
+Cells = Ints
 
 
-def signed_volumes(nodes: Nodes, cells: Cells) -> NDArray[np.float64]:
+def signed_volumes(nodes: Nodes, cells: Cells) -> Array:
     """Compute the volume of each tetrahedron in cubed units of the nodes, shape (m,).
 
     It is negative where a tetrahedron is inverted.
@@ -37,7 +37,7 @@ def signed_volumes(nodes: Nodes, cells: Cells) -> NDArray[np.float64]:
     return np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a)) / 6.0
 
 
-def mean_ratio(nodes: Nodes, cells: Cells) -> NDArray[np.float64]:
+def mean_ratio(nodes: Nodes, cells: Cells) -> Array:
     """Compute the mean ratio quality of each tetrahedron, shape (m,).
 
     It is 12 (3 V)^(2/3) over the sum of squared edges (Liu and Joe, 1994).
@@ -52,7 +52,7 @@ def mean_ratio(nodes: Nodes, cells: Cells) -> NDArray[np.float64]:
     )
 
 
-def flatness(nodes: Nodes, cells: Cells) -> NDArray[np.float64]:
+def flatness(nodes: Nodes, cells: Cells) -> Array:
     """Compute six volumes over the cube of the longest edge, without sign, shape (m,).
 
     It is 0.71 for a regular tetrahedron.
@@ -61,7 +61,7 @@ def flatness(nodes: Nodes, cells: Cells) -> NDArray[np.float64]:
     return 6.0 * np.abs(signed_volumes(nodes, cells)) / np.maximum(longest, 1e-300) ** 3
 
 
-def cell_faces(cells: Cells) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def cell_faces(cells: Cells) -> tuple[Ints, Ints, Ints]:
     """Return all faces of all cells, four per cell, wound outward.
 
     Also return the number of each face and the number of cells that share it.
@@ -78,7 +78,7 @@ def cell_faces(cells: Cells) -> tuple[NDArray[np.int64], NDArray[np.int64], NDAr
     return triangles, where, count[where]
 
 
-def pieces(cells: Cells) -> NDArray[np.int64]:
+def pieces(cells: Cells) -> Ints:
     """Return the number of the piece of each cell, shape (m,).
 
     Cells of a piece are linked through whole faces.
@@ -96,20 +96,20 @@ def pieces(cells: Cells) -> NDArray[np.int64]:
     return np.unique(label[: len(cells)], return_inverse=True)[1]
 
 
-def pinched_edges(surface: Cells) -> NDArray[np.int64]:
+def pinched_edges(surface: Cells) -> Ints:
     """Return edges that more than two of the triangles share, shape (k, 2)."""
     edges, uses = np.unique(np.sort(directed_edges(surface), axis=1), axis=0, return_counts=True)
     return edges[uses > 2]
 
 
-def _edge_squares(nodes: Nodes, cells: Cells) -> NDArray[np.float64]:
+def _edge_squares(nodes: Nodes, cells: Cells) -> Array:
     """Compute the squared length of each edge, shape (6, m)."""
     return np.stack(
         [((nodes[cells[:, i]] - nodes[cells[:, j]]) ** 2).sum(axis=1) for i, j in EDGES]
     )
 
 
-def millimetres(points_m: NDArray[np.float64]) -> tuple[float, float, float]:
+def millimetres(points_m: Array) -> tuple[float, float, float]:
     """Return the mean of points [m], shape (n, 3), in mm."""
     x, y, z = 1e3 * points_m.mean(axis=0)
     return float(x), float(y), float(z)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, by, names_of_caller, require_file, require_positive
 from meshes.base.isolated_parser import parse_isolated
 from meshes.base.progress import Progress, silent
@@ -154,7 +155,7 @@ def read_stored(file: Path) -> StoredMesh:
     return read_msh(file) if file.suffix.lower() == ".msh" else _from_vtk(file)
 
 
-def _unit(size: NDArray[np.float64], unit_mm: float | None, name: str) -> tuple[float, str]:
+def _unit(size: Array, unit_mm: float | None, name: str) -> tuple[float, str]:
     """Return millimetres per file unit, for a box in file units, and a note.
 
     The note is a sentence on how the unit was found.
@@ -232,7 +233,7 @@ class GivenTets:
         Findings and changes, a sentence each.
     """
 
-    points_mm: NDArray[np.float64]
+    points_mm: Array
     mesh: TetMesh
     sentences: tuple[str, ...]
 
@@ -281,7 +282,7 @@ def given_tets(
     return GivenTets(scale * stored.points, repaired, (*stored.notes, *report.sentences()))
 
 
-def require_millimetres(name: str, points: NDArray[np.float64], scale_mm: float | None) -> float:
+def require_millimetres(name: str, points: Array, scale_mm: float | None) -> float:
     """Return millimetres per unit of points, shape (n, 3).
 
     The value is the given one, or 1 if the size of the points is plausible in millimetres.
@@ -363,7 +364,7 @@ def _of_blocks(mesh: Any) -> StoredMesh:
 
 def _parts(
     data: Mapping[str, NDArray[Any]], count: int, named: dict[int, str]
-) -> tuple[NDArray[np.int64], dict[int, str]]:
+) -> tuple[Ints, dict[int, str]]:
     """Return the number of each cell's part, shape (m,), and the names of the numbers.
 
     Names that count from 0 belong to the array ``part``. Names from meshio belong to its array

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 from meshes.base.text_numbers import number_in, whole_number_in
 from meshes.base.visible_text import visible
@@ -40,10 +40,10 @@ class StoredMesh:
         Omitted content, a sentence each.
     """
 
-    points: NDArray[np.float64]
-    tets: NDArray[np.int64]
-    triangles: NDArray[np.int64]
-    part: NDArray[np.int64]
+    points: Array
+    tets: Ints
+    triangles: Ints
+    part: Ints
     names: dict[int, str]
     notes: tuple[str, ...] = ()
 
@@ -131,7 +131,7 @@ def _section(lines: list[str], opening: str) -> list[str]:
     return body
 
 
-def _nodes(lines: list[str]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def _nodes(lines: list[str]) -> tuple[Ints, Array]:
     rows = [line.split() for line in lines]
     if not rows or any(len(row) < 4 for row in rows):
         raise ValueError("nodes")
@@ -141,9 +141,7 @@ def _nodes(lines: list[str]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     return numbers, np.array([[number_in(x) for x in row[1:4]] for row in rows])
 
 
-def _of_kind(
-    elements: list[list[int]], begins: list[int], kind: int, corners: int
-) -> NDArray[np.int64]:
+def _of_kind(elements: list[list[int]], begins: list[int], kind: int, corners: int) -> Ints:
     chosen = [e[b:] for e, b in zip(elements, begins, strict=True) if e[1] == kind]
     if any(len(each) != corners for each in chosen):
         raise ValueError("elements")

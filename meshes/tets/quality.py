@@ -23,6 +23,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Bytes, Flags, Ints
 from meshes.base.errors import InputError, by
 from meshes.base.simplices import compact, windings
 from meshes.tets.checks import (
@@ -225,15 +226,11 @@ def repair_tets(
     )
 
 
-def _centre_mm(
-    nodes: NDArray[np.float64], cells: NDArray[np.int64], number: np.intp
-) -> tuple[float, float, float]:
+def _centre_mm(nodes: Array, cells: Ints, number: np.intp) -> tuple[float, float, float]:
     return millimetres(nodes[cells[number]])
 
 
-def _joined(
-    nodes: NDArray[np.float64], cells: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _joined(nodes: Array, cells: Ints) -> tuple[Array, Ints]:
     """Drop nodes that no cell uses, and join nodes on one point."""
     points, cells = compact(nodes, cells)
     keys = np.round(
@@ -243,9 +240,7 @@ def _joined(
     return compact(points, first[label][cells])
 
 
-def _without_flat(
-    nodes: NDArray[np.float64], cells: NDArray[np.int64], parts: NDArray[np.uint8]
-) -> tuple[NDArray[np.int64], NDArray[np.uint8], int]:
+def _without_flat(nodes: Array, cells: Ints, parts: Bytes) -> tuple[Ints, Bytes, int]:
     """Remove flat cells with a face on the surface.
 
     They are removed as long as no new edge is pinched and no piece comes loose.
@@ -267,7 +262,7 @@ def _without_flat(
         dropped = dropped + int(candidates.sum())
 
 
-def _flat_turned(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> NDArray[np.int64]:
+def _flat_turned(nodes: Array, cells: Ints) -> Ints:
     """Turn flat cells, whose own volume has no sign, to agree with their solid neighbours."""
     flat = flatness(nodes, cells) < FLAT
     if not flat.any():
@@ -279,7 +274,7 @@ def _flat_turned(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> NDArra
     return np.where((flat & wrong)[:, None], cells[:, [0, 2, 1, 3]], cells)
 
 
-def _whole(cells: NDArray[np.int64], keep: NDArray[np.bool_]) -> bool:
+def _whole(cells: Ints, keep: Flags) -> bool:
     """Return whether dropping cells leaves as many pieces and no further pinched edge."""
     left = cells[keep]
     return pieces(left).max() <= pieces(cells).max() and (
@@ -287,14 +282,12 @@ def _whole(cells: NDArray[np.int64], keep: NDArray[np.bool_]) -> bool:
     )
 
 
-def _surface(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+def _surface(cells: Ints) -> Ints:
     triangles, _, shared = cell_faces(cells)
     return triangles[shared == 1]
 
 
-def _without_debris(
-    nodes: NDArray[np.float64], cells: NDArray[np.int64], parts: NDArray[np.uint8]
-) -> tuple[NDArray[np.int64], NDArray[np.uint8], list[float]]:
+def _without_debris(nodes: Array, cells: Ints, parts: Bytes) -> tuple[Ints, Bytes, list[float]]:
     """Drop pieces of less than 1 % of the largest piece's volume; return their volumes [m3]."""
     piece = pieces(cells)
     volumes = np.bincount(piece, weights=np.abs(signed_volumes(nodes, cells)))
@@ -303,7 +296,7 @@ def _without_debris(
     return cells[keep], parts[keep], [float(v) for v in volumes[small]]
 
 
-def _movable(count: int, cells: NDArray[np.int64], parts: NDArray[np.uint8]) -> NDArray[np.bool_]:
+def _movable(count: int, cells: Ints, parts: Bytes) -> Flags:
     """Return flags of the nodes away from the surface and from where parts meet, shape (n,)."""
     inner = np.ones(count, dtype=bool)
     inner[_surface(cells)] = False
@@ -314,7 +307,7 @@ def _movable(count: int, cells: NDArray[np.int64], parts: NDArray[np.uint8]) -> 
     return inner & (lowest == highest)
 
 
-def _require_numbers(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> None:
+def _require_numbers(nodes: Array, cells: Ints) -> None:
     if len(cells) == 0 or cells.ndim != 2 or cells.shape[1] != 4:
         raise InputError(
             "cells", "be tetrahedra", f"an array of shape {cells.shape}", "mesh the solid first"
@@ -333,7 +326,7 @@ def _require_numbers(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> No
         )
 
 
-def _require_no_overlap(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> None:
+def _require_no_overlap(nodes: Array, cells: Ints) -> None:
     """Refuse faces of more than two cells.
 
     Also refuse neighbours that lie on the same side of their face.
@@ -360,7 +353,7 @@ def _require_no_overlap(nodes: NDArray[np.float64], cells: NDArray[np.int64]) ->
         )
 
 
-def _require_volume(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> None:
+def _require_volume(nodes: Array, cells: Ints) -> None:
     """Refuse cells that are still flat or inverted."""
     bad = np.flatnonzero((flatness(nodes, cells) < FLAT) | (signed_volumes(nodes, cells) <= 0.0))
     if len(bad):
@@ -376,11 +369,11 @@ def _require_volume(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> Non
 
 
 def smooth(
-    nodes: NDArray[np.float64],
-    cells: NDArray[np.int64],
-    movable: NDArray[np.bool_],
+    nodes: Array,
+    cells: Ints,
+    movable: Flags,
     enough: float,
-) -> tuple[NDArray[np.float64], int]:
+) -> tuple[Array, int]:
     """Move nodes of cells worse than `enough` by pattern search.
 
     The search maximises the worst mean ratio around each node.
@@ -424,9 +417,7 @@ def smooth(
     return nodes, len(moved)
 
 
-def _best_place(
-    nodes: NDArray[np.float64], star: NDArray[np.int64], node: int, enough: float
-) -> NDArray[np.float64] | None:
+def _best_place(nodes: Array, star: Ints, node: int, enough: float) -> Array | None:
     """Find the place of a node where the worst cell around it is best.
 
     Return None if no cell around the node needs improvement.

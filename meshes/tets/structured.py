@@ -10,8 +10,9 @@ from collections.abc import Sequence
 from itertools import permutations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, require_length
 from meshes.tets.tetrahedra import TetMesh
 
@@ -51,7 +52,7 @@ def box(size_m: Sequence[float], cells: Sequence[int]) -> TetMesh:
     )
 
 
-def graded(start_m: float, end_m: float, first_m: float, growth: float) -> NDArray[np.float64]:
+def graded(start_m: float, end_m: float, first_m: float, growth: float) -> Array:
     """Return positions [m] from `start_m` to `end_m` with growing steps.
 
     The first step is about `first_m` and each next one is `growth` times longer.
@@ -80,7 +81,7 @@ def graded(start_m: float, end_m: float, first_m: float, growth: float) -> NDArr
     return start_m + at
 
 
-def _kuhn(counts: Sequence[int]) -> NDArray[np.int64]:
+def _kuhn(counts: Sequence[int]) -> Ints:
     """Return cells of a grid with `counts` bricks per axis, shape (6 bricks, 4).
 
     Nodes are numbered with z fastest.

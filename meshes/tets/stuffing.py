@@ -11,8 +11,8 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Flags, Floats, Ints
 from meshes.base.errors import InputError, require_length
 from meshes.base.simplices import compact, cross_products
 from meshes.shapes.sdf import Shape
@@ -23,9 +23,9 @@ from meshes.voxels.mesh_sampling import triangle_distance
 
 __all__ = ["EDGE_GROWTH", "area_of", "cut_by", "stuffed", "with_inclusion", "with_part"]
 
-Distance = Callable[[NDArray[np.float64]], NDArray[np.floating]]
-Cells = NDArray[np.int64]
-Points = NDArray[np.float64]
+Distance = Callable[[Array], Floats]
+Cells = Ints
+Points = Array
 _SNAP = 0.3
 _LEAST_QUALITY = 0.15
 _STEPS = 6
@@ -111,9 +111,7 @@ def with_part(mesh: TetMesh, shape: Shape, name: str) -> TetMesh:
     return TetMesh(nodes, cells, part, (*mesh.part_names, name))
 
 
-def cut_by(
-    nodes: Points, cells: Cells, distance: Distance
-) -> tuple[Points, Cells, NDArray[np.bool_], Cells]:
+def cut_by(nodes: Points, cells: Cells, distance: Distance) -> tuple[Points, Cells, Flags, Cells]:
     """Cut tetrahedra by the surface where a signed distance is zero, keeping both sides.
 
     Returns
@@ -143,7 +141,7 @@ def cut_by(
     return all_nodes, np.concatenate([whole, _turned(all_nodes, made[:, :4])]), within, came
 
 
-def _crossed_edges(cells: Cells, side: Cells) -> tuple[NDArray[np.bool_], Cells]:
+def _crossed_edges(cells: Cells, side: Cells) -> tuple[Flags, Cells]:
     """Return flags of the cells with nodes on both sides, and their crossed edges.
 
     Each edge is listed once, shape (k, 2).
@@ -197,9 +195,7 @@ def _prism(bottom: list[int], top: list[int]) -> list[list[int]]:
     return [[a, d, e, f], [a, b, c, e], [a, c, f, e]]
 
 
-def _snapped(
-    nodes: Points, cells: Cells, value: NDArray[np.float64], distance: Distance
-) -> tuple[Points, NDArray[np.float64]]:
+def _snapped(nodes: Points, cells: Cells, value: Array, distance: Distance) -> tuple[Points, Array]:
     """Move nodes near the surface onto the nearest crossing, where no cell suffers.
 
     A node is near if it lies within a share of a crossed edge.
@@ -231,9 +227,7 @@ def _snapped(
     return moved, value
 
 
-def _crossings(
-    nodes: Points, value: NDArray[np.float64], pairs: Cells, distance: Distance
-) -> Points:
+def _crossings(nodes: Points, value: Array, pairs: Cells, distance: Distance) -> Points:
     """Find the points where the surface crosses the edges, shape (k, 3).
 
     The method is regula falsi (Illinois).
@@ -286,8 +280,8 @@ def _lattice(lower: Points, upper: Points, spacing: float) -> tuple[Points, Cell
 def with_inclusion(
     mesh: TetMesh,
     name: str,
-    vertices_m: NDArray[np.float64],
-    triangles: NDArray[np.int64],
+    vertices_m: Array,
+    triangles: Ints,
     *,
     volume_m3: float,
     onto: Move | None = None,
@@ -315,7 +309,7 @@ def with_inclusion(
         If the surface lies outside the mesh.
     """
 
-    def distance(points: NDArray[np.floating]) -> NDArray[np.float64]:
+    def distance(points: Floats) -> Array:
         return triangle_distance(vertices_m, triangles, points)
 
     area_m2 = area_of(vertices_m, triangles)
@@ -343,6 +337,6 @@ def with_inclusion(
     return made, f"{size} by edges of at most {1e3 * edge_m:.2g} mm"
 
 
-def area_of(vertices_m: NDArray[np.float64], triangles: NDArray[np.int64]) -> float:
+def area_of(vertices_m: Array, triangles: Ints) -> float:
     """Compute the area of triangles [m2]."""
     return 0.5 * float(np.linalg.norm(cross_products(vertices_m, triangles), axis=1).sum())

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Bytes, Ints
 from meshes.base.errors import InputError
 from meshes.base.whole_file import whole_file
 from meshes.tets.checks import cell_faces, signed_volumes
@@ -41,9 +41,9 @@ class TetMesh:
         positive.
     """
 
-    nodes_m: NDArray[np.float64]
-    cells: NDArray[np.int64]
-    part: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, dtype=np.uint8))
+    nodes_m: Array
+    cells: Ints
+    part: Bytes = field(default_factory=lambda: np.zeros(0, dtype=np.uint8))
     part_names: tuple[str, ...] = ("body",)
 
     def __post_init__(self) -> None:
@@ -75,18 +75,18 @@ class TetMesh:
             )
 
     @cached_property
-    def volumes_m3(self) -> NDArray[np.float64]:
+    def volumes_m3(self) -> Array:
         """Volume of each tetrahedron [m3], shape (m,)."""
         return signed_volumes(self.nodes_m, self.cells)
 
     @cached_property
-    def surface(self) -> NDArray[np.int64]:
+    def surface(self) -> Ints:
         """Triangles that bound the mesh, counter-clockwise seen from outside, shape (f, 3)."""
         triangles, _, shared = cell_faces(self.cells)
         return triangles[shared == 1]
 
     @cached_property
-    def surface_nodes(self) -> NDArray[np.int64]:
+    def surface_nodes(self) -> Ints:
         """Nodes on the surface in rising order, shape (s,)."""
         return np.unique(self.surface)
 

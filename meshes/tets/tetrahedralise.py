@@ -10,8 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Flags, Ints
 from meshes.base.cache import cached_arrays
 from meshes.base.errors import InputError, require_length
 from meshes.base.progress import Progress, silent
@@ -142,9 +142,7 @@ def _filled(surface: Surface, edge: float, envelope: float) -> tuple[np.ndarray,
     return np.asarray(nodes, dtype=np.float64), np.asarray(cells, dtype=np.int64)
 
 
-def crossing_triangles(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64]
-) -> NDArray[np.int64]:
+def crossing_triangles(vertices: Array, faces: Ints) -> Ints:
     """Find triangles that an edge without a vertex in common passes through, in ascending order.
 
     Edges that only touch a triangle, and triangles that overlap in one plane, do not count.
@@ -159,7 +157,7 @@ def crossing_triangles(
     half = 0.5 * np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     # Long edges would widen every search: edges are searched by classes of length.
     length_class = np.ceil(np.log2(half / half.max() + 1e-300)).astype(np.int64)
-    crossed: list[NDArray[np.int64]] = []
+    crossed: list[Ints] = []
     for one in np.unique(length_class):
         members = np.flatnonzero(length_class == one)
         tree = cKDTree(ends[members].mean(axis=1))
@@ -172,9 +170,7 @@ def crossing_triangles(
     return np.unique(np.concatenate(crossed))
 
 
-def _pass_through(
-    vertices: NDArray[np.float64], triangles: NDArray[np.int64], edges: NDArray[np.int64]
-) -> NDArray[np.bool_]:
+def _pass_through(vertices: Array, triangles: Ints, edges: Ints) -> Flags:
     """Return whether the edge passes through the triangle, pair by pair."""
     apart = (triangles[:, :, None] != edges[:, None, :]).all(axis=(1, 2))
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
