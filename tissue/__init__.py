@@ -140,7 +140,7 @@ def _require_siblings() -> None:
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
-        from meshes.base.file_version import package_version  # reads a file
+        from meshes.base.whole_file import package_version  # reads a file
 
         return package_version()
     if name in _MODULES:

@@ -3,7 +3,9 @@
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +14,7 @@ from meshes.base.arrays import Array
 __all__ = [
     "DamagedFileError",
     "InputError",
+    "Ranged",
     "as_vector",
     "by",
     "counted",
@@ -19,6 +22,7 @@ __all__ = [
     "is_file",
     "is_folder",
     "names_of_caller",
+    "ranged",
     "require_direction",
     "require_file",
     "require_length",
@@ -297,3 +301,25 @@ def names_of_caller(names: Mapping[str, str]) -> Iterator[None]:
         elif whole in names:
             error.argument = f"{names[whole]}{bracket}{element}"
         raise
+
+
+def ranged(default: float, lowest: float, highest: float, remedy: str = "") -> Any:
+    """Declare a number of a `Ranged` with its default and its closed range."""
+    return field(
+        default=default, metadata={"range": (lowest, highest, remedy or f"use {default:g}")}
+    )
+
+
+@dataclass(frozen=True)
+class Ranged:
+    """Base of dataclasses whose numbers are declared by `ranged`.
+
+    Raises
+    ------
+    InputError
+        If a number is not finite or out of its range.
+    """
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            require_range(each.name, getattr(self, each.name), *each.metadata["range"])

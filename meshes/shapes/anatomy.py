@@ -18,7 +18,7 @@ from meshes.base.placement import Placement
 from meshes.shapes.sdf import Shape, box
 
 if TYPE_CHECKING:
-    from meshes.voxels.grid import Grid
+    from meshes.voxels.volume import Grid
 
 __all__ = ["Anatomy", "Classify", "GridSampler", "cortical_block"]
 

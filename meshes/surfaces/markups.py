@@ -15,8 +15,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, as_vector, require_file
-from meshes.base.text_numbers import number_in, require_distinct_columns
-from meshes.base.text_tables import read_json
+from meshes.base.text_tables import number_in, read_json, require_distinct_columns
 
 __all__ = ["TO_LPS", "MarkedSite", "Markup", "read_curve", "read_markups", "read_site"]
 

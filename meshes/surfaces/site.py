@@ -7,13 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from meshes.base.arrays import Array, Floats, Ints
+from meshes.base.arrays import Array, Floats, Ints, cross_products
 from meshes.base.errors import InputError, in_brackets, require_direction, require_vector
 from meshes.base.placement import Placement
-from meshes.base.simplices import cross_products
 from meshes.surfaces.repair import triangle_areas
 from meshes.surfaces.surface import Surface
-from meshes.voxels.column_crossings import column_crossings
+from meshes.voxels.mesh_sampling import column_crossings
 
 __all__ = [
     "FACE_SAMPLES",

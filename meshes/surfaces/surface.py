@@ -8,15 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from meshes.base.arrays import Array, Ints
+from meshes.base.arrays import Array, Ints, Triangles, compact
 from meshes.base.errors import InputError, counted, require_positive
-from meshes.base.simplices import compact
-from meshes.surfaces.holes import fill_holes
 from meshes.surfaces.repair import (
-    Triangles,
     bodies,
     drop_debris,
     edge_counts,
+    fill_holes,
     merge_vertices,
     orient,
 )

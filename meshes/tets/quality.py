@@ -23,10 +23,10 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Array, Bytes, Flags, Ints
+from meshes.base.arrays import Array, Bytes, Flags, Ints, compact, windings
 from meshes.base.errors import InputError, by
-from meshes.base.simplices import compact, windings
-from meshes.tets.checks import (
+from meshes.tets.tetrahedra import (
+    TetMesh,
     cell_faces,
     flatness,
     mean_ratio,
@@ -36,7 +36,6 @@ from meshes.tets.checks import (
     place,
     signed_volumes,
 )
-from meshes.tets.tetrahedra import TetMesh
 
 __all__ = ["FLAT", "SLIVER", "TetReport", "repair_tets", "smooth"]
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from meshes.base.arrays import Array, Ints
+from meshes.base.arrays import Array, Ints, cross_products
 from meshes.base.errors import (
     InputError,
     in_brackets,
@@ -15,7 +15,6 @@ from meshes.base.errors import (
     require_range,
     require_vector,
 )
-from meshes.base.simplices import cross_products
 from meshes.tets.tetrahedra import TetMesh
 from meshes.voxels.mesh_sampling import nearest_on_triangles
 

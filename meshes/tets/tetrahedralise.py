@@ -11,16 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from meshes.base.arrays import Array, Flags, Ints
+from meshes.base.arrays import Array, Flags, Ints, directed_edges
 from meshes.base.cache import cached_arrays
 from meshes.base.errors import InputError, require_length
 from meshes.base.progress import Progress, silent
-from meshes.base.simplices import directed_edges
 from meshes.surfaces.repair import edge_counts
 from meshes.surfaces.surface import Surface
-from meshes.tets.checks import millimetres, place, signed_volumes
 from meshes.tets.quality import repair_tets
-from meshes.tets.tetrahedra import TetMesh
+from meshes.tets.tetrahedra import TetMesh, millimetres, place, signed_volumes
 
 __all__ = ["FILL_EDGES", "crossing_triangles", "tetrahedralise", "with_volume"]
 

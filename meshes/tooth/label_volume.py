@@ -24,11 +24,12 @@ from meshes.tooth.layers import (
     PRIORITY,
     PULP,
     TOOTH_LAYERS,
+    lesion_site,
     require_known,
     require_tooth_size,
+    tooth_axes,
 )
 from meshes.tooth.pulp_cavity import PulpCavity, with_pulp
-from meshes.tooth.site import lesion_site, tooth_axes
 from meshes.voxels.volume import VoxelVolume
 from meshes.voxels.voxelise import voxelise
 
@@ -73,7 +74,7 @@ class LabelledTooth:
         )
 
     def at_lesion(self) -> LabelledTooth:
-        """Return the tooth with its site over its lesion, see `meshes.tooth.site.lesion_site`."""
+        """Return the tooth with its site over its lesion, see `meshes.tooth.layers.lesion_site`."""
         found = lesion_site(self.volume(resample_mm=1e3 * _CAVITY_M))
         turned = self.placed.rotation @ found.rotation
         origin = self.placed.origin + self.placed.rotation @ found.centre_m

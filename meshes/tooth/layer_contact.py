@@ -12,11 +12,10 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Array, Bytes, Flags, Floats, Ints
+from meshes.base.arrays import Array, Bytes, Flags, Floats, Ints, Triangles
 from meshes.base.errors import InputError
-from meshes.surfaces.repair import Triangles
 from meshes.tooth.layers import TOOTH_LAYERS
-from meshes.voxels.column_crossings import column_crossings, inside_scattered
+from meshes.voxels.mesh_sampling import column_crossings, inside_scattered
 
 __all__ = [
     "PITCH_M",

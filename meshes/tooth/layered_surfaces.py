@@ -13,13 +13,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Array, Bytes, Floats, Singles
+from meshes.base.arrays import Array, Bytes, Floats, Singles, Triangles, cross_products
 from meshes.base.errors import InputError, names_of_caller, require_range
 from meshes.base.placement import Placement
-from meshes.base.simplices import cross_products
 from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.sdf import Shape
-from meshes.surfaces.repair import Triangles, merge_vertices
+from meshes.surfaces.repair import merge_vertices
 from meshes.surfaces.site import Site, sample_surface
 from meshes.surfaces.surface import Surface, read_surface
 from meshes.tooth.layer_contact import (
@@ -36,13 +35,13 @@ from meshes.tooth.layers import (
     LAYER_DENSITY_KG_M3,
     PRIORITY,
     TOOTH_LAYERS,
+    lesion_site,
     require_known,
     require_tooth_size,
+    tooth_axes,
 )
-from meshes.tooth.site import lesion_site, tooth_axes
-from meshes.voxels.column_crossings import column_crossings
-from meshes.voxels.grid import Grid
-from meshes.voxels.mesh_sampling import TriangleSampler, triangle_distance
+from meshes.voxels.mesh_sampling import TriangleSampler, column_crossings, triangle_distance
+from meshes.voxels.volume import Grid
 from meshes.voxels.voxelise import voxelise
 
 if TYPE_CHECKING:
@@ -280,7 +279,7 @@ def layered_anatomy(
         Thickness of bone added around the ligament [mm], 0 (none) to 10: the points nearer to the
         ligament than to all other layers of the tooth.
     at_lesion
-        Whether the origin lies over the lesion, see `meshes.tooth.site.lesion_site`.
+        Whether the origin lies over the lesion, see `meshes.tooth.layers.lesion_site`.
     at
         The site in the frame of the surfaces, where it is known.
 

@@ -27,9 +27,9 @@ from liver_picture import SHARES, Point, draw, frontier
 
 from meshes.organs.liver import liver, liver_region
 from meshes.surfaces.surface import read_surface
-from meshes.tets.bisection import bisected
 from meshes.tets.regions import nodes_facing
 from meshes.tets.structured import grid
+from meshes.tets.stuffing import bisected
 from meshes.tets.tetrahedralise import tetrahedralise
 from tissue.fem.assembly import assemble
 from tissue.fem.hyperelastic import Law, NonlinearBody

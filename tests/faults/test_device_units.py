@@ -15,7 +15,7 @@ from tissue.haptics.device.sample_guard import SampleGuard
 from tissue.haptics.real.adapter import HardwareSample
 from tissue.haptics.real.mapped import MappedDevice
 from tissue.haptics.real.self_test import self_test
-from tissue.scene.hardware import Hardware
+from tissue.scene.coupling import Hardware
 
 TICK = 1e-3
 LIMITS = DeviceParameters(

@@ -21,7 +21,7 @@ from meshes.base.errors import InputError
 from tissue import load_scene, simulate
 from tissue.haptics.real.haply import HaplyAdapter
 from tissue.haptics.real.network import NetworkAdapter
-from tissue.scene.hardware import Hardware
+from tissue.scene.coupling import Hardware
 
 CLOSES_S = 0.9
 """A run gives a device up that takes longer than a second to close."""

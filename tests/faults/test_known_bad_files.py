@@ -9,7 +9,7 @@ import pytest
 from fuzz_files import READERS
 
 from meshes.base.errors import InputError
-from meshes.base.file_version import package_version, require_version
+from meshes.base.whole_file import package_version, require_version
 from tissue.simulation.run_folder import SavedRun
 
 OBJ = fuzz_sources.obj_text()

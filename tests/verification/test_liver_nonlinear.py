@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 from meshes.base.errors import InputError
 from meshes.organs.liver import liver, liver_region
 from meshes.surfaces.surface import read_surface
-from meshes.tets.bisection import bisected
 from meshes.tets.regions import nodes_facing
 from meshes.tets.structured import box, graded, grid
+from meshes.tets.stuffing import bisected
 from meshes.tets.tetrahedra import TetMesh
 from meshes.tets.tetrahedralise import tetrahedralise
 from tissue.fem.conjugate_gradients import SolverOutcome

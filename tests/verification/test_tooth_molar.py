@@ -25,7 +25,7 @@ def inside(vertices, faces, axes):
 
     The winding number along vertical lines decides.
     """
-    from meshes.voxels.column_crossings import column_crossings
+    from meshes.voxels.mesh_sampling import column_crossings
 
     x, y, z = axes
     crossed = column_crossings(vertices, faces, x, y)

@@ -99,7 +99,7 @@ def _test(
     from tissue.haptics.real.measured_file import write_measured
     from tissue.haptics.real.search import adapter_class
     from tissue.haptics.real.self_test import BUMP_N, BUMP_S, bump, self_test
-    from tissue.scene.hardware import Hardware
+    from tissue.scene.coupling import Hardware
     from tissue.scene.named_parts import unknown_name
     from tissue.scene.registry import DEVICES
     from tissue.system.outputs import require_new_file

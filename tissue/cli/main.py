@@ -4,10 +4,10 @@ import errno
 import os
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, Literal, NoReturn
 
 from cyclopts import (
     App,
@@ -21,13 +21,94 @@ from cyclopts import (
 )
 
 import tissue
-from tissue.cli.commands import COMMANDS
-from tissue.cli.completion import completion_command
+from tissue.cli.assess import assess
+from tissue.cli.calibrate import calibrate
+from tissue.cli.chart import chart
+from tissue.cli.compare import compare
+from tissue.cli.devices import devices
+from tissue.cli.fit import fit
+from tissue.cli.import_ import import_
+from tissue.cli.report import report
+from tissue.cli.run import run
+from tissue.cli.scenes import scenes, schema
+from tissue.cli.stability import stability
+from tissue.cli.study import study
+from tissue.cli.sweep import sweep
 from tissue.cli.terminal import console, problems
+from tissue.cli.train import train
+from tissue.cli.view import view
 from tissue.system.child import HelperLostError
 from tissue.system.stopping import Terminated, terminated_as_exception
 
-__all__ = ["app", "has_working_folder", "leave_pipe", "main", "open_streams"]
+__all__ = [
+    "COMMANDS",
+    "app",
+    "completion_command",
+    "has_working_folder",
+    "leave_pipe",
+    "main",
+    "open_streams",
+]
+
+Shell = Literal["bash", "zsh", "fish"]
+SHELLS: dict[str, Shell] = {"bash": "bash", "zsh": "zsh", "fish": "fish"}
+
+
+def completion_command(app: App) -> Callable[..., None]:
+    """Return the command that installs shell completion for an application."""
+
+    def install_completion(*, shell: str | None = None) -> None:
+        """Install the completion of commands and options in a shell.
+
+        Parameters
+        ----------
+        shell
+            bash, zsh or fish; default the shell in use.
+        """
+        from cyclopts.completion.detect import ShellDetectionError, detect_shell
+
+        from meshes.base.errors import InputError
+        from tissue.scene.named_parts import nearest
+
+        if (chosen := shell) is None:
+            try:
+                chosen = detect_shell()
+            except ShellDetectionError:
+                chosen = "one that is not recognised"
+        if chosen not in SHELLS:
+            close = nearest(chosen, list(SHELLS)) if shell else ""
+            raise InputError(
+                "--shell",
+                f"be one of {', '.join(SHELLS)}",
+                f"{chosen}{close}",
+                "choose one of these",
+            )
+        path = app.install_completion(shell=SHELLS[chosen])
+        console.print(f"wrote {path}: open a new {chosen} to use it")
+
+    return install_completion
+
+
+COMMANDS = (
+    run,
+    import_,
+    scenes,
+    view,
+    report,
+    fit,
+    sweep,
+    compare,
+    stability,
+    devices,
+    calibrate,
+    assess,
+    train,
+    chart,
+    study,
+    schema,
+)
+"""Commands in the order in which help lists them."""
+
 
 PIPE_CLOSED = 141
 """Exit code of a command whose reader has ended: 128 plus the number of SIGPIPE."""
@@ -175,7 +256,7 @@ def _plain_warnings() -> Iterator[None]:
 
 def _print_offered() -> None:
     """Print names that installed packages add to those in a command's help."""
-    from tissue.scene.plugins import offered_names
+    from tissue.scene.named_parts import offered_names
 
     if offered := offered_names():
         console.print(

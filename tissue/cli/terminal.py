@@ -9,8 +9,7 @@ from cyclopts import CoercionError, Token
 from rich.console import Console
 
 from meshes.base.progress import Progress
-from meshes.base.text_numbers import whole_number_in
-from meshes.base.visible_text import visible
+from meshes.base.text_tables import visible, whole_number_in
 from tissue.objects.progress import terminal_bar
 
 __all__ = ["console", "left_out", "problems", "progress", "whole"]

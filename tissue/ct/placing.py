@@ -14,8 +14,7 @@ from meshes.base.errors import InputError, names_of_caller
 from meshes.base.progress import Progress
 from meshes.ct.extraction import kept_label
 from meshes.ct.labels import Labels
-from meshes.paths.replay_table import ReplayTable, to_replay
-from meshes.paths.toolpath import PathDepth, depth_along, read_toolpath
+from meshes.paths.toolpath import PathDepth, ReplayTable, depth_along, read_toolpath, to_replay
 from meshes.surfaces.landmarks import find_site
 from meshes.surfaces.markups import read_site
 from meshes.surfaces.site import Site, place_site

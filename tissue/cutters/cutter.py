@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from kernels.revolution import EDGE_BEND
 from meshes.base.arrays import Array, Singles, lattice
-from meshes.base.kept import Kept
+from meshes.base.cache import Kept
 from tissue.cutters.profile import Piece, Profile
 
 __all__ = ["Cutter", "DistanceTable", "PointShell", "spiral"]

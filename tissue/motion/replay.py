@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from meshes.base.errors import InputError, is_file, names_of_caller
-from meshes.base.text_numbers import number_in, require_distinct_columns
-from meshes.paths.replay_table import POSE_COLUMNS
+from meshes.base.text_tables import number_in, require_distinct_columns
+from meshes.paths.toolpath import POSE_COLUMNS
 from tissue.models.tissue_model import Response, ToolMotion
 from tissue.motion.drilling_recording import read_drilling
 from tissue.motion.motion import LONGEST_S, Motion, first_off_unit

@@ -1,6 +1,7 @@
 """Scenes from built-in names and TOML files, with overrides."""
 
 import tomllib
+import warnings
 from collections.abc import Callable, Iterable, Mapping
 from copy import deepcopy
 from importlib.resources import files
@@ -10,19 +11,21 @@ from typing import Any
 from pydantic import ValidationError
 
 from meshes.base.errors import InputError, is_file
-from meshes.base.file_version import package_version
 from meshes.base.text_tables import DEEPEST, read_toml, require_shallow
-from tissue.scene.convert import FORMAT, converted, full_key
+from meshes.base.whole_file import package_version, require_version
 from tissue.scene.messages import idle_keys, sentence
-from tissue.scene.named_parts import nearest, shown
+from tissue.scene.named_parts import nearest, refusal, shown
 from tissue.scene.part import is_file_key
-from tissue.scene.plugins import refusal
 from tissue.scene.registry import PERCEPTIONS, SCENES
 from tissue.scene.scene import Scene
 
 __all__ = [
+    "FORMAT",
     "REPLACED_DEVICE",
+    "OldSceneWarning",
     "changed",
+    "converted",
+    "full_key",
     "library_names",
     "load_scene",
     "parse_override",
@@ -31,6 +34,82 @@ __all__ = [
     "scene_names",
     "scene_text",
 ]
+
+FORMAT = 2
+"""Version of a scene's file. A file without one is of the version that its form shows."""
+OF_DEVICE = ("hand", "renderer", "prediction", "perception", "coupling", "hardware")
+"""Keys of the table [device] that stood at the top of a file of version 0.2, and may be given so
+as overrides.
+"""
+KEPT = {"description", "seed", "voxels", "output", "device", "hand", "renderer"}
+"""Keys of every scene that a run kept before its file stated its version: it held all defaults."""
+REMOVED = {"organ": {"law_method": "offset", "law_basis_size": 40, "law_sampling_error": 0.02}}
+"""Keys of version 0.2 that are gone, with the values by which they had no effect, by the table
+that held them.
+"""
+
+
+class OldSceneWarning(UserWarning):
+    """A scene file has the form of version 0.2."""
+
+
+def full_key(key: str, value: object = None) -> str:
+    """Return a dotted key with the table of the device where it is given without: ``hand`` is
+    ``device.hand``.
+    """
+    if key == "device" and not isinstance(value, Mapping) and value not in (None, "none"):
+        return "device.kind"
+    return f"device.{key}" if key.split(".")[0] in OF_DEVICE else key
+
+
+def converted(table: dict[str, Any], path: Path) -> tuple[dict[str, Any], bool]:
+    """Return the table of a scene's file in the form of today, and whether a run wrote the file.
+
+    Raises
+    ------
+    InputError
+        If a later version wrote it.
+    """
+    was_kept = "tissue" in table or ("format" not in table and table.keys() >= KEPT)
+    stated = {name: table[name] for name in ("format", "tissue") if name in table}
+    require_version("scene", {"format": 1} | stated, FORMAT, where=path, remedy="leave format out")
+    table = {name: value for name, value in table.items() if name not in stated}
+    moved = {name: table.pop(name) for name in OF_DEVICE if name in table}
+    name = table.get("device")
+    if isinstance(name, str) or moved:
+        warnings.warn(
+            f"{path.name} has the form of tissue 0.2. Its device, hand and coupling were "
+            "read as a table [device]; see "
+            "`tissue scenes wall` for the new form.",
+            OldSceneWarning,
+            stacklevel=3,
+        )
+        held = dict(name) if isinstance(name, Mapping) else {}
+        if isinstance(name, str) and name != "none":
+            held = {"kind": name}
+        table.pop("device", None)
+        if held or not was_kept:
+            held |= moved
+        if held:
+            table["device"] = held
+    if was_kept:
+        _drop_removed(table)
+    cue = table.get("enhancement")
+    output = table.get("output", {})
+    if isinstance(cue, dict) and cue.keys() == {"cue_N"} and isinstance(output, dict):
+        table["output"] = output | table.pop("enhancement")
+    return table, was_kept
+
+
+def _drop_removed(table: Mapping[str, Any]) -> None:
+    """Drop keys that are gone, where they have the value by which they had no effect."""
+    for part, keys in REMOVED.items():
+        inner = table.get(part)
+        if isinstance(inner, dict):
+            for name, default in keys.items():
+                if inner.get(name) == default:
+                    del inner[name]
+
 
 PARTS_WITH_FILES = ("anatomy", "motion", "tool", "device")
 """Tables of a scene with keys that name files."""

@@ -8,9 +8,8 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from tissue.scene.choices import ByKind, OneOf, kinds_of
 from tissue.scene.named_parts import nearest, shown, unknown_name
-from tissue.scene.part import LONGEST_PATH, Idle
+from tissue.scene.part import LONGEST_PATH, ByKind, Idle, OneOf, kinds_of
 from tissue.scene.scene import Scene
 
 __all__ = ["choices_of", "idle_keys", "sentence"]

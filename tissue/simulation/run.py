@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
-from meshes.base.file_version import package_version
 from meshes.base.progress import Progress, silent
+from meshes.base.whole_file import package_version
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.models.tissue_model import TICK_S, HasHeat, HasSummary, HasVoxels

@@ -8,9 +8,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 
 from meshes.base.errors import InputError
-from meshes.base.file_version import package_version
 from meshes.base.text_tables import read_json
-from meshes.base.whole_file import OWNERS, whole_file
+from meshes.base.whole_file import OWNERS, package_version, whole_file
 from tissue.system.outputs import OutputLock, require_place
 
 __all__ = [

@@ -1,6 +1,6 @@
 """Results that are kept: made once for each key, shared, and never more of them than agreed."""
 
-from meshes.base.kept import Kept
+from meshes.base.cache import Kept
 
 
 def test_a_result_is_made_once_and_the_one_asked_for_longest_ago_goes():

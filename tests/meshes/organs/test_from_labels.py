@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 from labelled_organs import RADII_MM, off_ellipsoid, organ_labels
 
+from meshes.base.arrays import enclosed_volume
 from meshes.base.errors import InputError
-from meshes.base.simplices import enclosed_volume
-from meshes.organs.from_labels import labelled_organ, organ_mesh
-from meshes.organs.label_surface import LabelGrid, label_triangles
-from meshes.tets.checks import mean_ratio
+from meshes.organs.from_labels import LabelGrid, label_triangles, labelled_organ, organ_mesh
 from meshes.tets.files import read_tets
-from meshes.tets.tetrahedra import TetMesh, write_organ
+from meshes.tets.tetrahedra import TetMesh, mean_ratio, write_organ
 
 ORGAN_MM3 = 4.0 / 3.0 * np.pi * np.prod(RADII_MM)
 SPACINGS = ((1.0, 1.0, 1.0), (0.8, 0.8, 2.5), (3.0, 3.0, 3.0), (0.7, 0.7, 5.0))

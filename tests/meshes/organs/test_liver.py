@@ -13,8 +13,7 @@ from meshes.organs.liver import (
     slab,
     slab_base,
 )
-from meshes.tets.checks import mean_ratio, pieces, pinched_edges
-from meshes.tets.tetrahedra import TetMesh
+from meshes.tets.tetrahedra import TetMesh, mean_ratio, pieces, pinched_edges
 
 
 @pytest.fixture(scope="module")

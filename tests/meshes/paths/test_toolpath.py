@@ -10,8 +10,7 @@ import pytest
 import trimesh
 
 from meshes.base.errors import InputError
-from meshes.paths.replay_table import to_replay
-from meshes.paths.toolpath import Toolpath, depth_along, read_toolpath
+from meshes.paths.toolpath import Toolpath, depth_along, read_toolpath, to_replay
 from meshes.surfaces.site import Site
 from meshes.surfaces.surface import surface_from_triangles
 from tissue.motion.replay import read_replay

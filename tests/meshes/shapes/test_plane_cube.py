@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from meshes.shapes.plane_cube import cube_fraction
+from meshes.voxels.distances import cube_fraction
 
 FORMULA = 3e-5  # components below 1e-5 are raised to it: less than 2e-5 of a voxel, and rounding
 

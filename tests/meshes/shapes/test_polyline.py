@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from meshes.shapes.polyline import arc_length, kept_corners, points_along
+from meshes.paths.toolpath import arc_length, kept_corners, points_along
 
 CORNERS = [[0.0, 0.0, 0.0], [3.0, 4.0, 0.0], [3.0, 4.0, 0.0], [3.0, 4.0, -2.0]]
 

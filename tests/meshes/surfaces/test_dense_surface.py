@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from meshes.surfaces.bone_surface import surface_anatomy
+from meshes.surfaces.glenoid import surface_anatomy
 from meshes.surfaces.repair import is_manifold, merge_vertices
 from meshes.surfaces.site import place_site
 from meshes.surfaces.surface import surface_from_triangles
-from meshes.voxels.column_crossings import triangles_meeting
-from meshes.voxels.grid import Grid
-from meshes.voxels.mesh_sampling import TriangleSampler
+from meshes.voxels.mesh_sampling import TriangleSampler, triangles_meeting
+from meshes.voxels.volume import Grid
 from meshes.voxels.voxelise import voxelise
 
 REGION_M = np.array([[-4e-3, -4e-3, -3e-3], [4e-3, 4e-3, 2e-3]])

@@ -3,7 +3,7 @@
 import numpy as np
 import trimesh
 
-from meshes.surfaces.holes import close_seams, open_loops
+from meshes.surfaces.repair import close_seams, open_loops
 
 
 def half_ball(upward, sections):

@@ -10,13 +10,12 @@ from voxel_surface import voxel_surface
 from meshes.base.errors import InputError
 from meshes.base.placement import Placement
 from meshes.shapes import sdf
-from meshes.surfaces.bone_surface import surface_anatomy
-from meshes.surfaces.glenoid import glenoid
+from meshes.surfaces.glenoid import glenoid, surface_anatomy
 from meshes.surfaces.landmarks import find_glenoid
 from meshes.surfaces.site import Site, place_site
 from meshes.surfaces.surface import read_surface, surface_from_triangles
-from meshes.voxels.grid import Grid
 from meshes.voxels.mesh_sampling import TriangleSampler
+from meshes.voxels.volume import Grid
 from meshes.voxels.voxelise import voxelise
 
 

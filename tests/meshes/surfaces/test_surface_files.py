@@ -5,8 +5,7 @@ import pytest
 import trimesh
 
 from meshes.base.errors import InputError
-from meshes.surfaces.holes import fill_holes
-from meshes.surfaces.repair import merge_vertices, orient
+from meshes.surfaces.repair import fill_holes, merge_vertices, orient
 from meshes.surfaces.surface import read_surface, surface_from_triangles
 
 

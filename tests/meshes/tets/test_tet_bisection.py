@@ -7,11 +7,9 @@ import pytest
 
 from meshes.base.errors import InputError
 from meshes.shapes.sdf import sphere
-from meshes.tets.bisection import bisected
-from meshes.tets.checks import FACES
 from meshes.tets.structured import box
-from meshes.tets.stuffing import stuffed
-from meshes.tets.tetrahedra import TetMesh
+from meshes.tets.stuffing import bisected, stuffed
+from meshes.tets.tetrahedra import FACES, TetMesh
 
 
 def longest_over_height(mesh: TetMesh) -> float:
@@ -90,7 +88,7 @@ def test_bad_sizes(monkeypatch):
     for bad in (0.0, float("nan")):
         with pytest.raises(InputError, match="size_m must be positive"):
             bisected(mesh, lambda at, bad=bad: np.full(len(at), bad))
-    monkeypatch.setattr("meshes.tets.bisection._MOST_CELLS", 1000)
+    monkeypatch.setattr("meshes.tets.stuffing._MOST_CELLS", 1000)
     with pytest.raises(InputError, match="size_m must leave at most 1000"):
         bisected(mesh, lambda at: np.full(len(at), 1e-3))
 

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from meshes.base.errors import InputError
-from meshes.tets.checks import flatness, mean_ratio, pinched_edges
 from meshes.tets.quality import FLAT, SLIVER, repair_tets
 from meshes.tets.structured import box
-from meshes.tets.tetrahedra import TetMesh
+from meshes.tets.tetrahedra import TetMesh, flatness, mean_ratio, pinched_edges
 from meshes.tets.tetrahedralise import crossing_triangles
 
 REGULAR = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])

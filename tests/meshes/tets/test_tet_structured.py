@@ -5,9 +5,8 @@ import pytest
 from round_bodies import joined, mapped, sphere_shell
 
 from meshes.base.errors import InputError
-from meshes.tets.checks import cell_faces, pieces, pinched_edges
 from meshes.tets.structured import box, graded, grid
-from meshes.tets.tetrahedra import TetMesh
+from meshes.tets.tetrahedra import TetMesh, cell_faces, pieces, pinched_edges
 
 
 def area(mesh: TetMesh) -> float:

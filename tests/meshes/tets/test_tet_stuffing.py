@@ -5,9 +5,8 @@ import pytest
 
 from meshes.base.errors import InputError
 from meshes.shapes.sdf import box, half_space, sphere
-from meshes.tets.checks import cell_faces, mean_ratio, pieces, pinched_edges
 from meshes.tets.stuffing import cut_by, stuffed, with_part
-from meshes.tets.tetrahedra import TetMesh
+from meshes.tets.tetrahedra import TetMesh, cell_faces, mean_ratio, pieces, pinched_edges
 
 LEAST_QUALITY = 0.15
 """Moved nodes keep cells above it; cut cells of these shapes stay above it as well."""

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 import meshes.tets.tetrahedralise as module
 from meshes.base.errors import InputError
 from meshes.surfaces.surface import Surface, read_surface, surface_from_triangles
-from meshes.tets.checks import mean_ratio
 from meshes.tets.files import read_tets
+from meshes.tets.tetrahedra import mean_ratio
 from meshes.tets.tetrahedralise import tetrahedralise
 
 

@@ -14,7 +14,7 @@ from meshes.surfaces.surface import surface_from_triangles
 from meshes.tooth.layer_contact import inside_lattice, inside_surface
 from meshes.tooth.layered_surfaces import layered_anatomy, layered_surfaces
 from meshes.tooth.layers import TOOTH_LAYERS
-from meshes.voxels.column_crossings import inside_scattered
+from meshes.voxels.mesh_sampling import inside_scattered
 from meshes.voxels.voxelise import voxelise
 
 SPACING = 1e-4

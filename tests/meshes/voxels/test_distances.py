@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from meshes.shapes.anatomy import Anatomy
-from meshes.shapes.plane_cube import cube_fraction
 from meshes.shapes.sdf import half_space, sphere
 from meshes.voxels.distances import (
     INSIDE,
     OUTSIDE,
     SURFACE_ZERO,
     carried_beyond,
+    cube_fraction,
     near_the_surface,
     surface_of_fractions,
     surface_steps,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from meshes.voxels.layer_changes import FAR, boundary_of_layers, layer_boundary
+from meshes.voxels.distances import FAR, boundary_of_layers, layer_boundary
 
 SHAPE = (24, 24, 24)
 CENTRES = np.stack(np.indices(SHAPE), axis=-1) + 0.5 - 12.0

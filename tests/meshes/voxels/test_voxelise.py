@@ -13,8 +13,7 @@ from meshes.base.errors import InputError
 from meshes.shapes import sdf
 from meshes.shapes.anatomy import Anatomy, cortical_block
 from meshes.surfaces.glenoid import glenoid
-from meshes.voxels.block_sampling import voxel_fraction
-from meshes.voxels.voxelise import voxelise
+from meshes.voxels.voxelise import voxel_fraction, voxelise
 
 # stored fractions are integers of 255: evaluations in another order may round differently
 ROUNDING = 1

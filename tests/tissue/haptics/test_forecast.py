@@ -10,8 +10,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from meshes.base.cache import Kept
 from meshes.base.errors import InputError
-from meshes.base.kept import Kept
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.hand.hand import hand_parameters
 from tissue.haptics.loop import forecast

@@ -8,7 +8,7 @@ import pytest
 from proxy_scenes import BURR, SPACING, bumpy_store, surface_of, volume_of, wander
 
 from meshes.base.errors import InputError
-from meshes.shapes.plane_cube import cube_fraction
+from meshes.voxels.distances import cube_fraction
 from tissue.haptics.proxy.proxy import Proxy, ProxyOutcome
 from tissue.haptics.proxy.tool_shell import ToolShell
 from tissue.haptics.proxy.voxmap import ContactField

@@ -10,8 +10,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from meshes.shapes.sdf import capsule, ellipsoid
-from meshes.shapes.triangles import shape_triangles
+from meshes.shapes.sdf import capsule, ellipsoid, shape_triangles
 from tissue.cutters import profile
 from tissue.models.keep_clear import KeepClear, Structure
 from tissue.models.tissue_model import ToolMotion

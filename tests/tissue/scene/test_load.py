@@ -8,8 +8,7 @@ from pydantic import ValidationError
 
 import tissue.scene.scene
 from tissue import InputError, Scene, load_scene, scene_names, scene_text
-from tissue.scene.convert import OldSceneWarning
-from tissue.scene.load import parse_override, parse_overrides, saved_text
+from tissue.scene.load import OldSceneWarning, parse_override, parse_overrides, saved_text
 from tissue.scene.part import Part
 
 

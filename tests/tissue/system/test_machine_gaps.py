@@ -4,7 +4,7 @@ from itertools import accumulate, chain, repeat
 
 import pytest
 
-from tissue.system.machine_gaps import LEAST_GAP_S, MachineGaps, spin
+from tissue.system.priorities import LEAST_GAP_S, MachineGaps, spin
 
 LOOK_S = 1e-5
 

@@ -10,7 +10,7 @@ import subprocess
 import pytest
 
 from meshes.base.errors import InputError
-from tissue.system.pools import executor
+from tissue.system.workers import executor
 
 SUBJECT = ("-subj", "/CN=localhost", "-addext", "subjectAltName=IP:127.0.0.1")
 

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from tissue.system.tick_priority import REALTIME, TickPriority
+from tissue.system.priorities import REALTIME, TickPriority
 
 linux = pytest.mark.skipif(
     not hasattr(os, "sched_setscheduler"), reason="Linux alone has these calls"

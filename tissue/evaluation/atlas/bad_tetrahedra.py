@@ -5,10 +5,9 @@ from matplotlib.figure import Figure
 from scipy.linalg import eigvalsh
 
 from meshes.base.arrays import Array, Ints
-from meshes.tets.checks import mean_ratio, signed_volumes
 from meshes.tets.quality import SLIVER, repair_tets
 from meshes.tets.structured import box
-from meshes.tets.tetrahedra import TetMesh
+from meshes.tets.tetrahedra import TetMesh, mean_ratio, signed_volumes
 from tissue.evaluation.atlas.page import (
     BLUE,
     GREY,

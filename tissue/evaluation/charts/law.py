@@ -19,7 +19,7 @@ from meshes.base.arrays import Array
 from meshes.base.cache import cached_arrays
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
-from meshes.shapes.polyline import arc_length, points_along
+from meshes.paths.toolpath import arc_length, points_along
 from meshes.tets.regions import faces_of
 from tissue.evaluation.charts.keys import scene_text, sources
 from tissue.evaluation.charts.reference import of_model

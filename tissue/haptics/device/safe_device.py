@@ -15,7 +15,7 @@ from meshes.base.errors import InputError
 from tissue.haptics.device.device import Device, DeviceError, DeviceParameters, Sample, StatesPlayed
 from tissue.haptics.loop.filters import SlewLimit
 from tissue.models.tissue_model import TICK_S
-from tissue.system.timeout import returned_within
+from tissue.system.stopping import returned_within
 
 __all__ = ["GIVE_UP_S", "RAMP_S", "STALL_S", "SafeDevice"]
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from meshes.base.arrays import Array
+from meshes.base.cache import Kept
 from meshes.base.errors import InputError
-from meshes.base.kept import Kept
 from tissue.prediction.contact import Contact, SeesContact
 
 if TYPE_CHECKING:

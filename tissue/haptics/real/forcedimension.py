@@ -17,7 +17,7 @@ from tissue.haptics.real.adapter import FoundDevice, HardwareSample
 from tissue.motion.quaternion import of_matrix
 
 if TYPE_CHECKING:
-    from tissue.scene.hardware import Hardware
+    from tissue.scene.coupling import Hardware
 
 __all__ = ["ForceDimensionAdapter", "SigmaAdapter"]
 

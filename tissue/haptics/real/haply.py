@@ -14,7 +14,7 @@ from tissue.haptics.real.adapter import FoundDevice, HardwareSample
 from tissue.haptics.real.haply_link import HaplyLink
 from tissue.haptics.real.haply_service import problem_of
 from tissue.motion.quaternion import Triple
-from tissue.scene.hardware import Hardware
+from tissue.scene.coupling import Hardware
 
 __all__ = ["HaplyAdapter"]
 

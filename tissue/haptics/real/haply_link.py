@@ -20,7 +20,7 @@ from tissue.haptics.real.haply_frames import ServiceState, force_frame, opening_
 from tissue.haptics.real.haply_service import asked_version, problem_of, service_address
 from tissue.haptics.real.state_order import StateOrder
 from tissue.motion.quaternion import Triple
-from tissue.system.timeout import returned_within
+from tissue.system.stopping import returned_within
 
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection

@@ -6,7 +6,7 @@ from urllib.parse import urlsplit
 
 from meshes.base.errors import InputError
 from tissue.haptics.real.haply_frames import ServiceState, version_in
-from tissue.system.timeout import returned_within
+from tissue.system.stopping import returned_within
 
 __all__ = ["asked_version", "problem_of", "service_address"]
 

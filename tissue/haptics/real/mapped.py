@@ -14,7 +14,7 @@ from tissue.haptics.device.reach import reach_of
 from tissue.haptics.real.adapter import HardwareAdapter, HardwareSample
 from tissue.haptics.real.workspace import Workspace
 from tissue.motion.quaternion import Triple
-from tissue.scene.hardware import Hardware
+from tissue.scene.coupling import Hardware
 
 __all__ = ["MappedDevice"]
 

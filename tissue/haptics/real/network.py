@@ -19,7 +19,7 @@ from tissue.haptics.real.network_protocol import NO_WRENCH
 from tissue.haptics.real.network_session import NetworkSession
 
 if TYPE_CHECKING:
-    from tissue.scene.hardware import Hardware
+    from tissue.scene.coupling import Hardware
 
 __all__ = ["USUAL", "NetworkAdapter", "Transport", "UdpTransport"]
 
@@ -143,7 +143,7 @@ class NetworkAdapter:
     @staticmethod
     def find(address: str = "") -> list[FoundDevice]:
         """Return the device that asks to be used within `LOOK_S`, or the reason for none."""
-        from tissue.scene.hardware import Hardware
+        from tissue.scene.coupling import Hardware
 
         try:
             with NetworkAdapter(Hardware(address=address)) as adapter:

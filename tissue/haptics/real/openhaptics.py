@@ -27,7 +27,7 @@ from tissue.haptics.real.adapter import FoundDevice, HardwareSample
 from tissue.motion.quaternion import Triple, of_matrix, turn_between
 
 if TYPE_CHECKING:
-    from tissue.scene.hardware import Hardware
+    from tissue.scene.coupling import Hardware
 
 __all__ = ["OpenHapticsAdapter"]
 

@@ -15,7 +15,7 @@ from tissue.models.tissue_model import TICK_S
 from tissue.motion.replay import read_replay
 
 if TYPE_CHECKING:
-    from tissue.scene.hardware import Hardware
+    from tissue.scene.coupling import Hardware
 
 __all__ = ["RecordedAdapter"]
 
@@ -57,7 +57,7 @@ class RecordedAdapter:
     @staticmethod
     def find(address: str = "") -> list[FoundDevice]:
         """Return the file as a device, or the reason for none."""
-        from tissue.scene.hardware import Hardware
+        from tissue.scene.coupling import Hardware
 
         try:
             adapter = RecordedAdapter(Hardware(address=address))

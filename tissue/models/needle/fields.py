@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array, Ints
 from meshes.organs.liver import slab, slab_base
-from meshes.tets.bisection import bisected
+from meshes.tets.stuffing import bisected
 from meshes.tets.tetrahedra import TetMesh
 from tissue.fem.assembly import assemble
 from tissue.fem.fields import FieldSeries

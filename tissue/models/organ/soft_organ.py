@@ -10,8 +10,8 @@ from scipy.sparse import bsr_array
 
 from kernels.cores import core_count
 from meshes.base.arrays import Array, Ints
+from meshes.base.cache import Kept
 from meshes.base.errors import InputError
-from meshes.base.kept import Kept
 from meshes.base.progress import Progress, silent
 from meshes.tets.regions import faces_of
 from meshes.tets.tetrahedra import TetMesh

@@ -13,7 +13,7 @@ from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import SLOW, TICK_S, Response, ToolMotion
 from tissue.models.tooth.cutting_heat import PULP_LIMIT_K, CuttingHeat
 from tissue.models.tooth.stress_process import Drilled, StressSolver
-from tissue.system.helper import HelperLostError
+from tissue.system.child import HelperLostError
 
 __all__ = ["ToothModel"]
 

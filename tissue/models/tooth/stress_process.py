@@ -22,7 +22,7 @@ from tissue.fem.fields import FieldSeries
 from tissue.models.bone.bricks import BrickStore, voxels_of
 from tissue.models.tooth.compliance import SupportCompliance
 from tissue.models.tooth.field import SolveRecord, StressField
-from tissue.system.helper import Helper
+from tissue.system.child import Helper
 
 __all__ = ["Drilled", "InlineStressSolver", "StressProcess", "StressSolver"]
 

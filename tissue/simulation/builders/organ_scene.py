@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from meshes.base.cache import Kept
 from meshes.base.errors import InputError, names_of_caller
-from meshes.base.kept import Kept
 from meshes.base.progress import Progress
-from meshes.shapes.polyline import kept_corners
+from meshes.paths.toolpath import kept_corners
 from tissue.materials.scene_constants import Materials
 from tissue.models.organ.probe import ShellProbe
 from tissue.models.wall import WallModel

@@ -11,7 +11,7 @@ from tissue import InputError
 from tissue.haptics.device.device import DeviceError
 from tissue.haptics.real.haply import HaplyAdapter
 from tissue.haptics.real.haply_frames import force_frame
-from tissue.scene.hardware import Hardware
+from tissue.scene.coupling import Hardware
 
 PATIENCE_S = 20.0
 """Longest time to wait for an expected event [s]; no result depends on it."""

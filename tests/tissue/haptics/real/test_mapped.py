@@ -15,7 +15,7 @@ from tissue.haptics.real.adapter import HardwareSample
 from tissue.haptics.real.mapped import MappedDevice
 from tissue.motion.motion import matrix_of
 from tissue.motion.quaternion import exponential
-from tissue.scene.hardware import Hardware
+from tissue.scene.coupling import Hardware
 from tissue.simulation.builders.device import opened_device
 
 TICK = 1e-3

@@ -24,7 +24,7 @@ from tissue.haptics.device.safe_device import SafeDevice
 from tissue.haptics.real.mapped import MappedDevice
 from tissue.haptics.real.network import NetworkAdapter
 from tissue.objects.simulate import simulate
-from tissue.scene.hardware import Hardware
+from tissue.scene.coupling import Hardware
 from tissue.scene.load import load_scene
 
 PAGE = Path(__file__).resolve().parents[4] / "docs/guide/network_device.md"

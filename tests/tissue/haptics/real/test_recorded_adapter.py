@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from meshes.base.errors import InputError
-from meshes.paths.replay_table import POSE_COLUMNS
+from meshes.paths.toolpath import POSE_COLUMNS
 from tissue.haptics.real.recorded import RecordedAdapter
 from tissue.objects.simulate import simulate
-from tissue.scene.hardware import Hardware
+from tissue.scene.coupling import Hardware
 from tissue.scene.load import load_scene
 from tissue.simulation.builders.motions import motion_of
 

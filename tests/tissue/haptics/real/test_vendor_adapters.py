@@ -21,7 +21,7 @@ from tissue.haptics.real import openhaptics
 from tissue.haptics.real.forcedimension import MOST_FAILURES, ForceDimensionAdapter, SigmaAdapter
 from tissue.haptics.real.openhaptics import HELD_S, OpenHapticsAdapter
 from tissue.motion.quaternion import of_matrix
-from tissue.scene.hardware import Hardware
+from tissue.scene.coupling import Hardware
 
 FORCE, TORQUE, NOTHING = np.array([1.0, -2.0, 3.0]), np.array([0.01, 0.02, -0.03]), np.zeros(3)
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import tissue
 from meshes.base.progress import silent
-from meshes.paths.replay_table import POSE_COLUMNS
+from meshes.paths.toolpath import POSE_COLUMNS
 from tissue import load_scene
 from tissue.models.tissue_model import ToolMotion
 from tissue.motion.drilling_recording import POSES

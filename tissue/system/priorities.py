@@ -6,9 +6,22 @@ The priority is raised if the system permits it, and restored afterwards.
 import os
 import sys
 import threading
+from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache
+from time import perf_counter
 
-__all__ = ["TickPriority"]
+from kernels.cores import allowed_cores, cores_without, current_core
+
+__all__ = [
+    "LEAST_GAP_S",
+    "BackgroundPriority",
+    "MachineGaps",
+    "TickPriority",
+    "may_return_from_idle",
+    "spin",
+]
 
 REALTIME = 20
 """Real-time priority on Linux, 1 to 99; kernel threads that serve devices have 50."""
@@ -146,3 +159,147 @@ def _macos_class(value: int) -> None:
     refused = ctypes.CDLL(None).pthread_set_qos_class_self_np(value, 0)
     if refused:
         raise OSError(refused, os.strerror(refused))
+
+
+LOWEST = 19
+"""Lowest niceness: the process runs when no other process needs the processor."""
+
+
+@cache
+def may_return_from_idle() -> bool:
+    """Return whether this system lets a thread leave the idle priority again.
+
+    A short-lived thread tries it.
+    """
+    if not hasattr(os, "SCHED_IDLE"):
+        return False
+    returned: list[bool] = []
+
+    def attempt() -> None:
+        with suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+            returned.append(True)
+
+    thread = threading.Thread(target=attempt)
+    thread.start()
+    thread.join()
+    return bool(returned)
+
+
+class BackgroundPriority:
+    """Priority of a background process relative to the ticks.
+
+    While the ticks run, the main thread of the process has idle priority and avoids the core of the
+    ticks. It gets normal priority when the ticks wait for it. If a thread cannot leave the idle
+    priority again, it gets the lowest ordinary priority instead. On a busy machine, an awaited
+    process at idle priority would hardly ever run. Settings that the system refuses or lacks are
+    skipped.
+
+    Parameters
+    ----------
+    number
+        Id of the process.
+    returns
+        True if a thread may leave the idle priority. By default, `may_return_from_idle` tests it.
+    """
+
+    def __init__(self, number: int, *, returns: bool | None = None) -> None:
+        self._number = number
+        self._idles = may_return_from_idle() if returns is None else returns
+        self._allowed = allowed_cores()
+        self._cores = self._allowed
+        self._lowered = False
+
+    @property
+    def described(self) -> str:
+        """Description of the requested priority and cores."""
+        priority = (
+            "idle priority"
+            if self._idles
+            else f"niceness {LOWEST}"
+            if hasattr(os, "setpriority")
+            else "as usual"
+        )
+        return priority + (", off the ticks' core" if len(self._allowed) > 1 else "")
+
+    def step_back(self) -> None:
+        """Lower the priority while the ticks run on the core of the calling thread."""
+        with suppress(OSError):
+            if self._idles:
+                os.sched_setscheduler(self._number, os.SCHED_IDLE, os.sched_param(0))
+            elif not self._lowered and hasattr(os, "setpriority"):
+                self._lowered = True
+                os.setpriority(os.PRIO_PROCESS, self._number, LOWEST)
+        self._move(cores_without(current_core(), self._allowed))
+
+    def hurry(self) -> None:
+        """Raise the priority while the ticks wait for the process."""
+        with suppress(OSError):
+            if self._idles:
+                os.sched_setscheduler(self._number, os.SCHED_OTHER, os.sched_param(0))
+        self._move(self._allowed)
+
+    def _move(self, cores: set[int]) -> None:
+        """Restrict the process to these cores, unless it already has them."""
+        if cores != self._cores:
+            self._cores = cores
+            with suppress(OSError):
+                os.sched_setaffinity(self._number, cores)
+
+
+LEAST_GAP_S = 2e-4
+"""Shortest interval between two clock readings that counts as a gap [s]; a reading takes 0.1 us."""
+
+
+@dataclass(frozen=True)
+class MachineGaps:
+    """Scheduling gaps measured by a spinning clock.
+
+    Attributes
+    ----------
+    spun_s
+        Measurement time [s].
+    gaps_s
+        Gaps of at least `LEAST_GAP_S` [s].
+    """
+
+    spun_s: float = 0.0
+    gaps_s: tuple[float, ...] = ()
+
+    def __add__(self, other: "MachineGaps") -> "MachineGaps":
+        return MachineGaps(self.spun_s + other.spun_s, self.gaps_s + other.gaps_s)
+
+    def expected(self, seconds: float) -> float:
+        """Return the expected number of gaps in a given time [s]."""
+        return len(self.gaps_s) / self.spun_s * seconds if self.spun_s > 0.0 else 0.0
+
+    @property
+    def lost_share(self) -> float:
+        """Share of the measurement time lost in gaps."""
+        return sum(self.gaps_s) / self.spun_s if self.spun_s > 0.0 else 0.0
+
+    @property
+    def longest_s(self) -> float:
+        """Longest gap [s]; 0 without gaps."""
+        return max(self.gaps_s, default=0.0)
+
+
+def spin(seconds: float, *, now: Callable[[], float] = perf_counter) -> MachineGaps:
+    """Read the clock repeatedly for some seconds and return the gaps.
+
+    Parameters
+    ----------
+    seconds
+        Measurement time [s].
+    now
+        Clock [s].
+    """
+    gaps = []
+    start = last = now()
+    while last - start < seconds:
+        this = now()
+        if this - last >= LEAST_GAP_S:
+            gaps.append(this - last)
+        last = this
+    return MachineGaps(last - start, tuple(gaps))
