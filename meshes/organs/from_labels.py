@@ -20,7 +20,6 @@ from meshes.base.arrays import (
     Ints,
     Singles,
     Triangles,
-    cross_products,
     enclosed_volume,
 )
 from meshes.base.errors import InputError, by, counted, names_of_caller, require_range
@@ -29,10 +28,10 @@ from meshes.ct.labels import Labels
 from meshes.images.frame import box_of
 from meshes.images.label_spread import spread_labels
 from meshes.surfaces.surface import Surface, surface_from_triangles
-from meshes.tets.quality import repair_tets
-from meshes.tets.stuffing import area_of, bisected, with_inclusion
+from meshes.tets.quality import describe, repair_tets
+from meshes.tets.stuffing import with_inclusion
 from meshes.tets.tetrahedra import TetMesh
-from meshes.tets.tetrahedralise import FILL_EDGES, tetrahedralise
+from meshes.tets.tetrahedralise import FILL_EDGES, tetrahedralise, with_volume
 from meshes.voxels.mesh_sampling import nearest_on_triangles
 
 __all__ = ["LabelGrid", "LabelledOrgan", "label_triangles", "labelled_organ", "organ_mesh"]
@@ -211,10 +210,10 @@ class LabelledOrgan:
             filled, _ = tetrahedralise(self.surface, edge_m=1e-3 * edge, report=report)
         organ_m3 = 1e-9 * self.grid.voxel_mm3 * float(np.count_nonzero(self.solid))
         mesh, notes = self._with_parts(replace(filled, part_names=(self.name,)), edge, report)
-        mesh = _of_volume(mesh, organ_m3)
+        mesh = with_volume(mesh, organ_m3, within_m=1e-3 * edge)
         off = float(mesh.volumes_m3.sum()) / organ_m3 - 1.0
-        mesh, repaired = repair_tets(mesh.nodes_m, mesh.cells, mesh.part, mesh.part_names)
-        found = (*repaired.sentences(), f"{off:+.2%} of volume against the voxels.")
+        mesh, repairs = repair_tets(mesh.nodes_m, mesh.cells, mesh.part, mesh.part_names)
+        found = (*describe(mesh), *repairs, f"{off:+.2%} of volume against the voxels.")
         return mesh, self.notes | notes | {"mesh": " ".join(found)}
 
     def _with_parts(
@@ -437,21 +436,3 @@ def _part_triangles(
     away, nearest = distance_transform_edt(~body | taken, return_indices=True)
     goes_on = inside[tuple(nearest)] & (body | (away <= beyond))
     return label_triangles(goes_on, grid.within(tuple(low for low, _ in box)))
-
-
-def _of_volume(mesh: TetMesh, volume_m3: float) -> TetMesh:
-    """Move the mesh's surface outward until the mesh has the given volume.
-
-    Flat faces cut the corners of round bodies, so their volume is too small.
-    """
-    nodes = mesh.surface_nodes
-    normals = np.zeros(mesh.nodes_m.shape)
-    for corner in mesh.surface.T:
-        np.add.at(normals, corner, cross_products(mesh.nodes_m, mesh.surface))
-    outward = normals[nodes] / np.linalg.norm(normals[nodes], axis=1, keepdims=True)
-    laid_m = (volume_m3 - float(mesh.volumes_m3.sum())) / area_of(mesh.nodes_m, mesh.surface)
-    return bisected(
-        mesh,
-        lambda points: np.full(len(points), np.inf),
-        onto=lambda points: points + laid_m * outward,
-    )

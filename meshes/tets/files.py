@@ -1,4 +1,4 @@
-"""A soft organ from a file: tetrahedra as stored, or a surface filled with them."""
+"""A soft organ from a file or object: tetrahedra as stored, or a surface filled with them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,196 +12,24 @@ from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, by, names_of_caller, require_file, require_positive
 from meshes.base.isolated_parser import parse_isolated
 from meshes.base.progress import Progress, silent
-from meshes.base.text_tables import number_in, visible, whole_number_in
 from meshes.surfaces.surface import Surface, surface_from_triangles
 from meshes.surfaces.triangle_files import mesh_arrays
-from meshes.tets.quality import repair_tets
+from meshes.tets.msh import MOST_PARTS, StoredMesh, part_name, read_msh
 from meshes.tets.tetrahedra import TetMesh
 from meshes.tets.tetrahedralise import tetrahedralise
 
 __all__ = [
-    "MOST_PARTS",
-    "PART_ARRAYS",
     "GivenTets",
-    "StoredMesh",
     "TetFile",
     "given_tets",
-    "part_name",
-    "read_msh",
-    "read_stored",
     "read_tets",
     "require_millimetres",
 ]
 
-_TRIANGLE = 2
-_TETRAHEDRON = 4
-_LONGEST_NAME = 60
-_OPENINGS = {"$NOD": 1, "$MeshFormat": 2}
-
-
-@dataclass(frozen=True, eq=False)
-class StoredMesh:
-    """Content of a file, in its units.
-
-    Attributes
-    ----------
-    points
-        Nodes, shape (n, 3).
-    tets, triangles
-        Nodes of the tetrahedra and triangles, shapes (m, 4) and (k, 3).
-    part
-        Part of each tetrahedron, 0 for none, shape (m,).
-    names
-        Names of the parts that have a name.
-    notes
-        Omitted content, a sentence each.
-    """
-
-    points: Array
-    tets: Ints
-    triangles: Ints
-    part: Ints
-    names: dict[int, str]
-    notes: tuple[str, ...] = ()
-
-
-def read_msh(file: Path) -> StoredMesh:
-    """Read a Gmsh text file of version 1 (``$NOD``) or 2 (``$MeshFormat`` 2.x).
-
-    Raises
-    ------
-    InputError
-        If the file is of another version, binary, cut short, names nodes it does not hold, or holds
-        no solid.
-    """
-    content = file.read_bytes()
-    try:
-        text = content.decode("utf-8")
-    except UnicodeDecodeError:
-        text = content.decode("latin-1")
-    lines = [line.rstrip("\r") for line in text.split("\n")]
-    version = _OPENINGS.get(lines[0].strip(), 0)
-    if version == 2:
-        form = lines[1].split() if len(lines) > 1 else []
-        if len(form) < 2 or not form[0].startswith("2") or form[1] != "0":
-            raise InputError(
-                "file",
-                "be Gmsh text of version 1 or 2",
-                f"version {' '.join(form[:2])} in {file.name}",
-                "save it with gmsh -format msh22",
-            )
-    if version == 0:
-        raise InputError(
-            "file", "be Gmsh text of version 1 or 2", f"neither in {file.name}", "export it again"
-        )
-    try:
-        numbers, points = _nodes(_section(lines, "$NOD" if version == 1 else "$Nodes"))
-        elements = [
-            [whole_number_in(x) for x in line.split()]
-            for line in _section(lines, "$ELM" if version == 1 else "$Elements")
-        ]
-        # Version 1: number kind physical elementary count nodes; version 2: number kind
-        # count-of-tags tags nodes.
-        begins = [5 if version == 1 else 3 + element[2] for element in elements]
-        in_tets = [element for element in elements if element[1] == _TETRAHEDRON]
-        part = [
-            element[2] if version == 1 else (element[3] if element[2] else 0) for element in in_tets
-        ]
-        names = _names(_section(lines, "$PhysicalNames"), file) if "$PhysicalNames" in lines else {}
-        tets = _of_kind(elements, begins, _TETRAHEDRON, 4)
-        triangles = _of_kind(elements, begins, _TRIANGLE, 3)
-    except InputError:
-        raise
-    except (ValueError, IndexError, OverflowError) as problem:
-        raise InputError(
-            "file",
-            "hold whole sections of nodes and elements",
-            f"a broken one in {file.name}",
-            "export it again",
-        ) from problem
-    order = np.argsort(numbers)
-    places = []
-    for wanted in (tets, triangles):
-        found = order[np.minimum(np.searchsorted(numbers, wanted, sorter=order), len(numbers) - 1)]
-        if (numbers[found] != wanted).any():
-            unknown = int(wanted[numbers[found] != wanted][0])
-            raise InputError(
-                "elements", "name nodes of the file", f"{unknown} in {file.name}", "export it again"
-            )
-        places.append(found)
-    if len(tets) == 0 and len(triangles) == 0:
-        raise InputError(
-            "file", "hold tetrahedra or triangles", f"none in {file.name}", "mesh it in Gmsh first"
-        )
-    left = len(elements) - len(tets)
-    notes = (f"Left out {left} elements that are not tetrahedra.",) if left and len(tets) else ()
-    return StoredMesh(points, places[0], places[1], np.array(part, dtype=np.int64), names, notes)
-
-
-def _section(lines: list[str], opening: str) -> list[str]:
-    """Return the lines of a section after its count, as many as the count states."""
-    start = lines.index(opening)
-    count = whole_number_in(lines[start + 1])
-    body = lines[start + 2 : start + 2 + count]
-    if len(body) < count or any(line.startswith("$") for line in body):
-        raise ValueError(opening)
-    return body
-
-
-def _nodes(lines: list[str]) -> tuple[Ints, Array]:
-    rows = [line.split() for line in lines]
-    if not rows or any(len(row) < 4 for row in rows):
-        raise ValueError("nodes")
-    numbers = np.array([whole_number_in(row[0]) for row in rows], dtype=np.int64)
-    if len(np.unique(numbers)) != len(numbers):
-        raise ValueError("nodes of one number")
-    return numbers, np.array([[number_in(x) for x in row[1:4]] for row in rows])
-
-
-def _of_kind(elements: list[list[int]], begins: list[int], kind: int, corners: int) -> Ints:
-    chosen = [e[b:] for e, b in zip(elements, begins, strict=True) if e[1] == kind]
-    if any(len(each) != corners for each in chosen):
-        raise ValueError("elements")
-    return np.array(chosen, dtype=np.int64).reshape(-1, corners)
-
-
-def _names(lines: list[str], file: Path) -> dict[int, str]:
-    """Read names of physical volumes: dimension, number, "name"."""
-    names: dict[int, str] = {}
-    for line in lines:
-        dimension, number, name = line.split(maxsplit=2)
-        if whole_number_in(dimension) != 3:
-            continue
-        name = name.strip().removeprefix('"').removesuffix('"')
-        names[whole_number_in(number)] = part_name(
-            name, names, f"physical volumes of {file.name}", "name them otherwise in Gmsh"
-        )
-    return names
-
-
-def part_name(text: str, known: Mapping[int, str], what: str, remedy: str) -> str:
-    """Return the name of a part as a file has it, which no other part has.
-
-    Raises
-    ------
-    InputError
-        If the name is empty, too long, or used by another part.
-    """
-    shown = visible(text).replace("\n", " ").strip()
-    if not shown or len(shown) > _LONGEST_NAME or shown in known.values() or shown == "none":
-        raise InputError(
-            what,
-            f"have names that differ, of 1 to {_LONGEST_NAME} characters and not 'none'",
-            f"{shown[:_LONGEST_NAME]!r}",
-            remedy,
-        )
-    return shown
-
-
 _ORGAN_MM = (20.0, 450.0)
 _TYPICAL_MM = 200.0
-_UNITS = ((1.0, "millimetres"), (1000.0, "metres"))
-PART_ARRAYS = (
+_PER_UNIT = "use 1 for millimetres, 1000 for metres"
+_PART_ARRAYS = (
     "part",
     "gmsh:physical",
     "medit:ref",
@@ -216,9 +44,7 @@ PART_ARRAYS = (
 
 They are the names that meshers write.
 """
-MOST_PARTS = 64
-"""Largest number of values of an array that lists parts."""
-SIZES_MM = (1.5, 1500.0)
+_SIZES_MM = (1.5, 1500.0)
 """Range of the longest side of a plausible organ [mm].
 
 Below it a size in metres is likelier, above it one in micrometres.
@@ -283,110 +109,63 @@ def read_tets(
         in any plain unit.
     """
     file = Path(path)
-    stored = read_stored(file)
-    used = stored.points[np.unique(stored.tets if len(stored.tets) else stored.triangles)]
+    stored = _read_stored(file)
+    used = stored.used
     bad = int((~np.isfinite(used).all(axis=1)).sum())
     if bad:
-        raise InputError(
-            "nodes",
-            "be finite",
-            f"{bad} of {len(used)} that are not in {file.name}",
-            "export it again",
-        )
+        got = f"{bad} of {len(used)} that are not in {file.name}"
+        raise InputError("nodes", "be finite", got, "export it again")
     scale, why = _unit(np.ptp(used, axis=0), unit_mm, file.name)
     if len(stored.tets):
-        values, part = np.unique(stored.part, return_inverse=True)
-        names = (
-            tuple(stored.names.get(int(v), f"part {v}") for v in values)
-            if len(values) > 1
-            else ("body",)
-        )
-        mesh, repaired = repair_tets(
-            stored.points * (1e-3 * scale), stored.tets, part.reshape(-1), names
-        )
-        return TetFile(mesh, scale, (why, *stored.notes, *repaired.sentences()))
+        mesh, sentences = stored.repaired(scale)
+        return TetFile(mesh, scale, (why, *sentences))
     surface = surface_from_triangles(
         stored.points, stored.triangles, source=file.name, scale_mm=scale
     )
-    filled, sentences = tetrahedralise(surface, edge_m=edge_m, report=report)
-    return TetFile(
-        filled, scale, (why, *stored.notes, *surface.report.repairs, *sentences), surface
-    )
+    mesh, sentences = tetrahedralise(surface, edge_m=edge_m, report=report)
+    return TetFile(mesh, scale, (why, *surface.report.repairs, *sentences), surface)
 
 
-def read_stored(file: Path) -> StoredMesh:
-    """Read the content of a mesh file, in its units and with its node numbers.
-
-    It raises the same errors as `read_tets`.
-    """
+def _read_stored(file: Path) -> StoredMesh:
+    """Read the content of a mesh file, in its units and with its node numbers."""
     require_file(file, "a mesh")
-    return read_msh(file) if file.suffix.lower() == ".msh" else _from_vtk(file)
+    if file.suffix.lower() == ".msh":
+        found = read_msh(file)
+    else:
+        facts, arrays = parse_isolated(
+            "meshes.surfaces.triangle_files:vtk_mesh",
+            file,
+            what="mesh",
+            remedy="export it as .vtu, .vtk, .msh or .stl",
+        )
+        found = _of_arrays(facts, arrays, file.name)
+    if len(found.tets) == 0 and len(found.triangles) == 0:
+        got = f"none in {file.name}"
+        raise InputError("file", "hold tetrahedra or triangles", got, "mesh the solid first")
+    return found
 
 
 def _unit(size: Array, unit_mm: float | None, name: str) -> tuple[float, str]:
-    """Return millimetres per file unit, for a box in file units, and a note.
-
-    The note is a sentence on how the unit was found.
-    """
+    """Return millimetres per file unit, for a box in file units, and a sentence on it."""
     longest = float(size.max())
     if unit_mm is None:
-        for scale, unit in _UNITS:
+        for scale, unit in ((1.0, "millimetres"), (1000.0, "metres")):
             if _ORGAN_MM[0] <= longest * scale <= _ORGAN_MM[1]:
                 sides = by(scale * size, ".3g")
                 return scale, f"{name} names no unit and was taken to be in {unit}: {sides} mm."
         raise InputError(
             "anatomy.scale_mm",
             "be given where the unit is not plain",
-            (
-                f"none for {name}, whose box of {by(size, '.3g')} is an organ neither in "
-                "millimetres nor in metres"
-            ),
-            (
-                f"give millimetres per unit, {_TYPICAL_MM / longest:.2g} would make it "
-                f"{_TYPICAL_MM:g} mm long"
-            ),
+            f"none for {name}, whose box of {by(size, '.3g')} is an organ neither in millimetres "
+            "nor in metres",
+            f"give millimetres per unit, {_TYPICAL_MM / longest:.2g} would make it "
+            f"{_TYPICAL_MM:g} mm long",
         )
-    scale = require_positive("anatomy.scale_mm", unit_mm, "use 1 for millimetres, 1000 for metres")
+    scale = require_positive("anatomy.scale_mm", unit_mm, _PER_UNIT)
     note = f"{name} was read at {scale:g} mm per unit, as given: {by(scale * size, '.3g')} mm"
     if not _ORGAN_MM[0] <= longest * scale <= _ORGAN_MM[1]:
         note += f", which is not the size of an organ ({_ORGAN_MM[0]:g} to {_ORGAN_MM[1]:g} mm)"
     return scale, f"{note}."
-
-
-def _from_vtk(file: Path) -> StoredMesh:
-    """Read a file by pyvista."""
-    remedy = "export it as .vtu, .vtk, .msh or .stl"
-    found = _of_arrays(
-        *parse_isolated(
-            "meshes.surfaces.triangle_files:vtk_mesh", file, what="mesh", remedy=remedy
-        ),
-        file.name,
-    )
-    if len(found.tets) == 0 and len(found.triangles) == 0:
-        raise InputError(
-            "file", "hold tetrahedra or triangles", f"none in {file.name}", "export it again"
-        )
-    return found
-
-
-def _of_arrays(
-    facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], source: str
-) -> StoredMesh:
-    """Build a mesh from the arrays of `meshes.surfaces.triangle_files.mesh_arrays`."""
-    none = np.zeros((0, 4), dtype=np.int64)
-    tets = arrays.get("tets", none)
-    known: dict[int, str] = {}
-    for number, text in enumerate(facts.get("parts", [])):
-        known[number] = part_name(text, known, f"part_names of {source}", "write them again")
-    data = {name: arrays[f"cells {number}"] for number, name in enumerate(facts.get("names", []))}
-    part, names = _parts(data, len(tets), known)
-    notes = []
-    if facts.get("others"):
-        notes.append(f"Left out {facts['others']} cells that are not tetrahedra.")
-    if facts.get("quadratic"):
-        notes.append("Took the corners of quadratic tetrahedra: their edges became straight.")
-    points = arrays["points"].astype(np.float64)
-    return StoredMesh(points, tets, arrays.get("triangles", none[:, :3]), part, names, tuple(notes))
 
 
 @dataclass(frozen=True, eq=False)
@@ -435,21 +214,13 @@ def given_tets(
     stored = _stored(mesh)
     if not len(stored.tets):
         raise InputError("mesh", "hold tetrahedra", "none", "fill a surface by from_surface")
-    used = np.unique(stored.tets)
-    inside = used[0] >= 0 and used[-1] < len(stored.points)
-    if not inside or not np.isfinite(stored.points[used]).all():
+    inside = 0 <= stored.tets.min() <= stored.tets.max() < len(stored.points)
+    if not inside or not np.isfinite(stored.used).all():
         raise InputError("mesh", "hold finite points for all cells", "others", "export it again")
-    scale = require_millimetres("mesh", stored.points[used], scale_mm)
-    values, part = np.unique(stored.part, return_inverse=True)
-    if len(values) > MOST_PARTS:
-        raise InputError("mesh", f"have at most {MOST_PARTS} parts", len(values), "join some")
-    names = stored.names | dict(part_names or {})
-    known = tuple(names.get(int(v), f"part {v}") for v in values) if len(values) > 1 else ("body",)
+    scale = require_millimetres("mesh", stored.used, scale_mm)
+    stored.names.update(part_names or {})
     with names_of_caller(dict.fromkeys(("nodes", "nodes_m", "cells"), "mesh")):
-        repaired, report = repair_tets(
-            1e-3 * scale * stored.points, stored.tets, part.reshape(-1), known
-        )
-    return GivenTets(scale * stored.points, repaired, (*stored.notes, *report.sentences()))
+        return GivenTets(scale * stored.points, *stored.repaired(scale))
 
 
 def require_millimetres(name: str, points: Array, scale_mm: float | None) -> float:
@@ -463,10 +234,10 @@ def require_millimetres(name: str, points: Array, scale_mm: float | None) -> flo
         If the size is not plausible. The message names a scale that is.
     """
     if scale_mm is not None:
-        return require_positive("scale_mm", scale_mm, "use 1 for millimetres, 1000 for metres")
+        return require_positive("scale_mm", scale_mm, _PER_UNIT)
     sides = np.ptp(points, axis=0)
-    if not SIZES_MM[0] <= float(sides.max()) <= SIZES_MM[1]:
-        unit, scale = ("metres", 1000) if sides.max() < SIZES_MM[0] else ("micrometres", 0.001)
+    if not _SIZES_MM[0] <= float(sides.max()) <= _SIZES_MM[1]:
+        unit, scale = ("metres", 1000) if sides.max() < _SIZES_MM[0] else ("micrometres", 0.001)
         raise InputError(
             name,
             "be in millimetres",
@@ -480,33 +251,47 @@ def _stored(mesh: object) -> StoredMesh:
     """Return points, tetrahedra and parts of any supported mesh object."""
     if isinstance(mesh, str | Path):
         with names_of_caller({"file": "mesh"}):
-            return read_stored(Path(mesh))
+            return _read_stored(Path(mesh))
     if hasattr(mesh, "celltypes") and hasattr(mesh, "cell_data"):
         return _of_arrays(*mesh_arrays(mesh), "mesh")
     if hasattr(mesh, "points") and hasattr(mesh, "cells"):
         return _of_blocks(mesh)
-    if isinstance(mesh, tuple | list) and len(mesh) == 2:
-        points, cells = (np.asarray(each) for each in mesh)
-        if points.ndim == 2 and points.shape[1] == 3 and cells.ndim == 2 and cells.shape[1] == 4:
-            return StoredMesh(
-                points.astype(np.float64),
-                cells.astype(np.int64),
-                _NO_FACES,
-                np.zeros(len(cells), int),
-                {},
-            )
+    if not isinstance(mesh, tuple | list) or len(mesh) != 2:
+        raise InputError(
+            "mesh",
+            "be a grid of pyvista, a mesh of meshio, points and cells, or a file",
+            type(mesh).__name__,
+            "wrap arrays as (points, cells)",
+        )
+    points, cells = (np.asarray(each) for each in mesh)
+    if points.ndim != 2 or points.shape[1] != 3 or cells.ndim != 2 or cells.shape[1] != 4:
         raise InputError(
             "mesh",
             "be points of shape (n, 3) and cells of shape (m, 4)",
             f"{points.shape} and {cells.shape}",
             "give the four corners of each tetrahedron",
         )
-    raise InputError(
-        "mesh",
-        "be a grid of pyvista, a mesh of meshio, points and cells, or a file",
-        type(mesh).__name__,
-        "wrap arrays as (points, cells)",
-    )
+    part = np.zeros(len(cells), dtype=np.int64)
+    return StoredMesh(points.astype(np.float64), cells.astype(np.int64), _NO_FACES, part, {})
+
+
+def _of_arrays(
+    facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], source: str
+) -> StoredMesh:
+    """Build a mesh from the arrays of `meshes.surfaces.triangle_files.mesh_arrays`."""
+    tets = arrays.get("tets", np.zeros((0, 4), dtype=np.int64))
+    known: dict[int, str] = {}
+    for number, text in enumerate(facts.get("parts", [])):
+        known[number] = part_name(text, known, f"part_names of {source}")
+    data = {name: arrays[f"cells {number}"] for number, name in enumerate(facts.get("names", []))}
+    part, names = _parts(data, len(tets), known)
+    notes = []
+    if facts.get("others"):
+        notes.append(f"Left out {facts['others']} cells that are not tetrahedra.")
+    if facts.get("quadratic"):
+        notes.append("Took the corners of quadratic tetrahedra: their edges became straight.")
+    points = arrays["points"].astype(np.float64)
+    return StoredMesh(points, tets, arrays.get("triangles", _NO_FACES), part, names, tuple(notes))
 
 
 def _of_blocks(mesh: Any) -> StoredMesh:
@@ -516,18 +301,16 @@ def _of_blocks(mesh: Any) -> StoredMesh:
     """
     chosen = [k for k, block in enumerate(mesh.cells) if block.type in ("tetra", "tetra10")]
     tets = [np.asarray(mesh.cells[k].data)[:, :4] for k in chosen]
-    if not tets:
-        return StoredMesh(np.zeros((0, 3)), np.zeros((0, 4), int), _NO_FACES, np.zeros(0, int), {})
+    cells = np.concatenate([np.zeros((0, 4)), *tets]).astype(np.int64)
     data = {
         name: np.concatenate([np.asarray(rows[k]) for k in chosen])
-        for name, rows in mesh.cell_data.items()
+        for name, rows in (mesh.cell_data if chosen else {}).items()
     }
     solids = {
         int(row[0]): name
         for name, row in (getattr(mesh, "field_data", None) or {}).items()
         if int(row[1]) == 3
     }
-    cells = np.concatenate(tets).astype(np.int64)
     part, names = _parts(data, len(cells), solids)
     return StoredMesh(np.asarray(mesh.points, dtype=np.float64), cells, _NO_FACES, part, names)
 
@@ -540,7 +323,7 @@ def _parts(
     Names that count from 0 belong to the array ``part``. Names from meshio belong to its array
     ``gmsh:physical``.
     """
-    for array in PART_ARRAYS:
+    for array in _PART_ARRAYS:
         values = data.get(array, np.zeros(0))
         if values.shape != (count,) or not count:
             continue

@@ -12,16 +12,16 @@ from collections.abc import Callable
 
 import numpy as np
 
-from meshes.base.arrays import Array, Flags, Floats, Ints, compact, cross_products
+from meshes.base.arrays import Array, Flags, Floats, Ints, compact
 from meshes.base.errors import InputError, require_length
 from meshes.shapes.sdf import Shape
+from meshes.surfaces.repair import triangle_areas
 from meshes.tets.tetrahedra import EDGES, TetMesh, cell_faces, mean_ratio, signed_volumes
 from meshes.voxels.mesh_sampling import triangle_distance
 
 __all__ = [
     "EDGE_GROWTH",
     "Move",
-    "area_of",
     "bisected",
     "cut_by",
     "stuffed",
@@ -425,7 +425,7 @@ def with_inclusion(
     def distance(points: Floats) -> Array:
         return triangle_distance(vertices_m, triangles, points)
 
-    area_m2 = area_of(vertices_m, triangles)
+    area_m2 = float(triangle_areas(vertices_m, triangles).sum())
     edge_m = 6.0 / _EDGES * volume_m3 / area_m2
     fine = bisected(mesh, lambda points: edge_m + EDGE_GROWTH * np.abs(distance(points)), onto=onto)
     # Flat faces cut the corners of a round body, so the surface is placed outside it to match the
@@ -448,8 +448,3 @@ def with_inclusion(
         laid_m += missing_m3 / area_m2
     size = f"{1e6 * volume_m3:.3g} ml, in the mesh within {share:.1%}"
     return made, f"{size} by edges of at most {1e3 * edge_m:.2g} mm"
-
-
-def area_of(vertices_m: Array, triangles: Ints) -> float:
-    """Compute the area of triangles [m2]."""
-    return 0.5 * float(np.linalg.norm(cross_products(vertices_m, triangles), axis=1).sum())

@@ -22,7 +22,6 @@ __all__ = [
     "flatness",
     "grid_of",
     "mean_ratio",
-    "millimetres",
     "pieces",
     "pinched_edges",
     "place",
@@ -120,15 +119,9 @@ def _edge_squares(nodes: Nodes, cells: Cells) -> Array:
     )
 
 
-def millimetres(points_m: Array) -> tuple[float, float, float]:
-    """Return the mean of points [m], shape (n, 3), in mm."""
-    x, y, z = 1e3 * points_m.mean(axis=0)
-    return float(x), float(y), float(z)
-
-
-def place(at_mm: tuple[float, ...]) -> str:
-    """Format a place [mm] for users."""
-    return in_brackets(at_mm, ".3g")
+def place(points_m: Array) -> str:
+    """Format the mean of points [m], shape (n, 3), in mm."""
+    return in_brackets(1e3 * points_m.mean(axis=0), ".3g")
 
 
 _TETRA = 10

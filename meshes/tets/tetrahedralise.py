@@ -17,8 +17,8 @@ from meshes.base.errors import InputError, require_length
 from meshes.base.progress import Progress, silent
 from meshes.surfaces.repair import edge_counts
 from meshes.surfaces.surface import Surface
-from meshes.tets.quality import repair_tets
-from meshes.tets.tetrahedra import TetMesh, millimetres, place, signed_volumes
+from meshes.tets.quality import describe, repair_tets
+from meshes.tets.tetrahedra import TetMesh, place, signed_volumes
 
 __all__ = ["FILL_EDGES", "crossing_triangles", "tetrahedralise", "with_volume"]
 
@@ -84,7 +84,7 @@ def tetrahedralise(
         )
     crossing = crossing_triangles(surface.vertices_m, surface.faces)
     if len(crossing):
-        at = place(millimetres(surface.vertices_m[surface.faces[crossing[0]]]))
+        at = place(surface.vertices_m[surface.faces[crossing[0]]])
         sentences.append(
             f"{len(crossing)} triangles of the surface cross others, the first at {at} mm: "
             "what they enclose together "
@@ -108,17 +108,16 @@ def tetrahedralise(
             "use a smaller one",
             "mm",
         )
-    mesh, repaired = repair_tets(arrays["nodes"], arrays["cells"])
+    mesh, repairs = repair_tets(arrays["nodes"], arrays["cells"])
     if not len(crossing):
         mesh = with_volume(mesh, volume, within_m=envelope)
-        repaired = replace(repaired, mesh=mesh)
     off = float(mesh.volumes_m3.sum()) / volume - 1.0
     if abs(off) > _VOLUME_OFF:
         sentences.append(
             f"The mesh encloses {100.0 * off:+.1f} % of volume against the surface: use "
             "smaller edges."
         )
-    return mesh, (*sentences, *repaired.sentences())
+    return mesh, (*sentences, *describe(mesh), *repairs)
 
 
 def _filled(surface: Surface, edge: float, envelope: float) -> tuple[np.ndarray, np.ndarray]:

@@ -88,7 +88,7 @@ def test_bad_sizes(monkeypatch):
     for bad in (0.0, float("nan")):
         with pytest.raises(InputError, match="size_m must be positive"):
             bisected(mesh, lambda at, bad=bad: np.full(len(at), bad))
-    monkeypatch.setattr("meshes.tets.stuffing._MOST_CELLS", 1000)
+    monkeypatch.setattr("meshes.tets.stuffing._MOST_BISECTED", 1000)
     with pytest.raises(InputError, match="size_m must leave at most 1000"):
         bisected(mesh, lambda at: np.full(len(at), 1e-3))
 

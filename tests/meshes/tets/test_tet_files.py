@@ -10,7 +10,8 @@ import pytest
 import pyvista
 
 from meshes.base.errors import InputError
-from meshes.tets.files import read_msh, read_tets
+from meshes.tets.files import read_tets
+from meshes.tets.msh import read_msh
 from meshes.tets.structured import box
 
 CELL = "$Elements\n1\n1 4 2 0 0 1 2 3 4\n$EndElements\n"
