@@ -8,15 +8,22 @@ needs.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from meshes.base.arrays import Array, Flags, Ints, Triangles, compact, directed_edges, windings
+from meshes.base.arrays import (
+    Array,
+    Flags,
+    Ints,
+    Triangles,
+    compact,
+    cross_products,
+    directed_edges,
+    windings,
+)
 
 __all__ = [
     "Holes",
-    "bodies",
     "close_seams",
     "drop_debris",
     "edge_counts",
@@ -29,27 +36,19 @@ __all__ = [
 ]
 
 
-def merge_vertices(vertices: Array, faces: Ints, tolerance: float) -> tuple[Array, Ints, bool]:
+def merge_vertices(vertices: Array, faces: Ints, tolerance: float) -> Triangles:
     """Join vertices on one point of a lattice of pitch `tolerance`.
 
     Triangles that collapse, repeat or cancel are dropped.
-
-    Returns
-    -------
-    Vertices, triangles, and whether `is_manifold` holds for these.
     """
     vertices, faces = compact(vertices, faces)
     first, where = _numbered(_lattice_keys(vertices, tolerance))
     faces = where[faces]
     a, b, c = faces.T
-    whole = (a != b) & (b != c) & (c != a)
-    faces = faces if whole.all() else faces[whole]
-    manifold = is_manifold(faces)
-    if not manifold:
+    faces = faces[(a != b) & (b != c) & (c != a)]
+    if not is_manifold(faces):
         faces = faces[_distinct(faces)]
-        manifold = is_manifold(faces)
-    vertices, faces = compact(vertices[first], faces)
-    return vertices, faces, manifold
+    return compact(vertices[first], faces)
 
 
 def _lattice_keys(vertices: Array, tolerance: float) -> Ints:
@@ -98,44 +97,21 @@ def is_manifold(faces: Ints) -> bool:
     return np.array_equal(edges, np.sort(end[downward] * count + start[downward]))
 
 
-def drop_debris(
-    vertices: Array,
-    faces: Ints,
-    body: Ints,
-    least_area: float,
-) -> tuple[Triangles, Ints, list[float]]:
+def drop_debris(vertices: Array, faces: Ints, least_area: float) -> tuple[Triangles, list[float]]:
     """Drop bodies whose area is below `least_area` times the largest body's.
-
-    Parameters
-    ----------
-    body
-        Number of the body of each triangle, from `bodies`.
 
     Returns
     -------
-    The remaining surface, the body of each of its triangles, and the longest bounding-box side of
-    each body dropped.
+    The remaining surface, and the longest bounding-box side of each body dropped.
     """
-    if not body.any():
-        return (vertices, faces), body, []
+    body = _bodies(len(vertices), faces)
     areas = np.bincount(body, weights=triangle_areas(vertices, faces))
     small = np.flatnonzero(areas < least_area * areas.max())
     sizes = [float(np.ptp(vertices[faces[body == k].ravel()], axis=0).max()) for k in small]
-    left = ~np.isin(body, small)
-    return (
-        compact(vertices, faces[left]),
-        np.unique(body[left], return_inverse=True)[1].reshape(-1),
-        sizes,
-    )
+    return compact(vertices, faces[~np.isin(body, small)]), sizes
 
 
-def orient(
-    vertices: Array,
-    faces: Ints,
-    body: Ints | None = None,
-    *,
-    manifold: bool = False,
-) -> tuple[Ints, int, int, float]:
+def orient(vertices: Array, faces: Ints) -> tuple[Ints, int, int, float]:
     """Give all triangles of a body one winding, outward.
 
     Each triangle is a node twice, as it is and turned; neighbours across an edge of two triangles
@@ -143,38 +119,27 @@ def orient(
     with negative volume is turned, unless it lies within the box of another body, where it is a
     cavity.
 
-    Parameters
-    ----------
-    body
-        Number of the body of each triangle; None: computed here.
-    manifold
-        Whether `is_manifold` is known to hold.
-
     Returns
     -------
     Triangles, shape (m, 3); the number turned to agree with their neighbours; the number of bodies
     that were inside out; the volume enclosed, in cubed units of the vertices.
     """
-    turned = np.zeros(0, dtype=bool) if manifold or is_manifold(faces) else _disagreeing(faces)
-    if turned.any():
-        faces = faces.copy()
-        faces[turned] = faces[turned][:, ::-1]
-    if body is None:
-        body = bodies(len(vertices), faces)
+    faces = faces.copy()
+    turned = np.zeros(len(faces), dtype=bool) if is_manifold(faces) else _disagreeing(faces)
+    faces[turned] = faces[turned][:, ::-1]
+    body = _bodies(len(vertices), faces)
     count = int(body.max()) + 1
-    volumes = np.bincount(body, weights=_volumes(vertices, faces), minlength=count)
+    corners = vertices - vertices[0]
+    heights = (corners[faces[:, 0]] * cross_products(corners, faces)).sum(axis=1)
+    volumes = np.bincount(body, weights=heights, minlength=count) / 6.0
     inside_out = 0
     if volumes.sum() < 0.0:
         volumes = -volumes
         inside_out = count
         faces = faces[:, ::-1].copy()
-    if count == 1:
-        return faces, int(turned.sum()), inside_out, float(volumes.sum())
-    corners = [vertices[faces[body == k].ravel()] for k in range(count)]
-    low, high = (
-        np.array([function(each, axis=0) for each in corners]) for function in (np.min, np.max)
-    )
-    faces = faces.copy()
+    boxes = [vertices[faces[body == k].ravel()] for k in range(count)]
+    low = np.array([box.min(axis=0) for box in boxes])
+    high = np.array([box.max(axis=0) for box in boxes])
     for k in np.flatnonzero(volumes < 0.0):
         if not ((low <= low[k]) & (high >= high[k])).all(axis=1)[volumes > 0.0].any():
             faces[body == k] = faces[body == k][:, ::-1]
@@ -243,7 +208,7 @@ def _edge_keys(edges: Ints) -> Ints:
     return edges.min(axis=1) * (int(edges.max()) + 1) + edges.max(axis=1)
 
 
-def bodies(vertex_count: int, faces: Ints) -> Ints:
+def _bodies(vertex_count: int, faces: Ints) -> Ints:
     """Return the number of the connected body of each triangle, shape (m,)."""
     from trimesh.graph import connected_component_labels
 
@@ -255,30 +220,7 @@ def bodies(vertex_count: int, faces: Ints) -> Ints:
 
 def triangle_areas(vertices: Array, faces: Ints) -> Array:
     """Compute the area of each triangle, shape (m,), in squared units of the vertices."""
-    _, (x, y, z) = _crossed_edges(vertices, faces)
-    return 0.5 * np.sqrt(x * x + y * y + z * z)
-
-
-def _volumes(vertices: Array, faces: Ints) -> Array:
-    corner, cross = _crossed_edges(vertices, faces)
-    return sum(a * n for a, n in zip(corner, cross, strict=True)) / 6.0
-
-
-def _crossed_edges(vertices: Array, faces: Ints) -> tuple[list[Any], list[Any]]:
-    """Return the first corner and the cross product of each triangle, by axis.
-
-    The corner is relative to the first vertex; the cross product is of the triangle's edges from
-    that corner.
-
-    Arrays of shape (m, 3) would take three times as long.
-    """
-    a, b, c = np.ascontiguousarray(faces.T)
-    columns = [np.ascontiguousarray(column) - column[0] for column in vertices.T]
-    corner = [column[a] for column in columns]
-    u, v = (
-        [column[k] - first for column, first in zip(columns, corner, strict=True)] for k in (b, c)
-    )
-    return corner, [u[i - 2] * v[i - 1] - u[i - 1] * v[i - 2] for i in range(3)]
+    return np.asarray(0.5 * np.linalg.norm(cross_products(vertices, faces), axis=1))
 
 
 @dataclass(frozen=True)

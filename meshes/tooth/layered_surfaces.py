@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Array, Bytes, Floats, Singles, Triangles, cross_products
+from meshes.base.arrays import Array, Bytes, Floats, Singles, Triangles
 from meshes.base.errors import InputError, names_of_caller, require_range
 from meshes.base.placement import Placement
 from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.sdf import Shape
-from meshes.surfaces.repair import merge_vertices
+from meshes.surfaces.repair import merge_vertices, triangle_areas
 from meshes.surfaces.site import Site, sample_surface
 from meshes.surfaces.surface import Surface, read_surface
 from meshes.tooth.layer_contact import (
@@ -181,7 +181,7 @@ def joined(solids: Sequence[Triangles]) -> Triangles:
     faces = np.concatenate(
         [faces + start for (_, faces), start in zip(solids, starts, strict=False)]
     )
-    return merge_vertices(vertices, faces, _MERGE_TOLERANCE_M)[:2]
+    return merge_vertices(vertices, faces, _MERGE_TOLERANCE_M)
 
 
 def _socket(ligament: Array, others: Array, margin: float) -> Lattice:
@@ -369,9 +369,7 @@ def _solid(
 
 def _spread(surface: Surface) -> Array:
     """Sample a surface by points about 0.1 mm apart [m], shape (n, 3)."""
-    area = 0.5 * float(
-        np.linalg.norm(cross_products(surface.vertices_m, surface.faces), axis=1).sum()
-    )
+    area = float(triangle_areas(surface.vertices_m, surface.faces).sum())
     count = int(np.clip(area / _SAMPLE_PITCH_M**2, 1000, _MOST_SAMPLES))
     return sample_surface(surface.vertices_m, surface.faces, count).points
 
