@@ -106,7 +106,7 @@ def _test(
 
     known = [each for each in DEVICES if DEVICES[each].has_adapter]
     if name not in known:
-        raise InputError(unknown_name("--test", known, name))
+        raise unknown_name("--test", known, name)
     if out is not None:
         require_new_file(out, overwrite=overwrite)
         if not out.parent.is_dir():

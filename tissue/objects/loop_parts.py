@@ -24,7 +24,7 @@ from tissue.objects.tools import PressingTool
 from tissue.prediction.outside import GuardedMaker, Observes
 from tissue.prediction.predictor import Predictor
 from tissue.scene.coupling import Coupling
-from tissue.scene.messages import sentence
+from tissue.scene.messages import error_of
 from tissue.scene.named_parts import unknown_name
 from tissue.scene.registry import RENDERERS
 from tissue.scene.used_constants import used_of_device
@@ -205,7 +205,7 @@ def settings_of(device: Device, options: LoopOptions) -> LoopSettings:
     if isinstance(numbers, Mapping):
         known = [each.name for each in fields(DeviceParameters)]
         if unknown := [name for name in numbers if name not in known]:
-            raise InputError(unknown_name("limits", known, str(unknown[0])))
+            raise unknown_name("limits", known, unknown[0])
         try:
             numbers = DeviceParameters(**numbers)
         except TypeError:
@@ -247,7 +247,7 @@ def settings_of(device: Device, options: LoopOptions) -> LoopSettings:
     try:
         chosen = Coupling.model_validate(given)
     except ValidationError as error:
-        raise InputError(sentence(error.errors()[0], given, Coupling)) from None
+        raise error_of(error.errors()[0], given, Coupling) from None
     return LoopSettings(
         type(device).__name__,
         numbers,

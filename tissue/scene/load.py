@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from meshes.base.errors import InputError, is_file
 from meshes.base.text_tables import DEEPEST, read_toml, require_shallow
 from meshes.base.whole_file import package_version, require_version
-from tissue.scene.messages import idle_keys, sentence
+from tissue.scene.messages import error_of, idle_keys
 from tissue.scene.named_parts import nearest, refusal, shown
 from tissue.scene.part import is_file_key
 from tissue.scene.registry import PERCEPTIONS, SCENES
@@ -145,10 +145,14 @@ def scene_text(name: str) -> str:
         return files("tissue.scene.library").joinpath(f"{name}.toml").read_text("utf-8")
     if name in SCENES:
         return _read(SCENES[name])
+    if why := refusal(SCENES.group, name):
+        raise InputError(why)
+    names = scene_names()
     raise InputError(
-        refusal(SCENES.group, name)
-        or f"scene must be a built-in name ({', '.join(scene_names())}) or a TOML file, got {name}"
-        f"{nearest(name, scene_names())}: list them with `tissue scenes`"
+        "scene",
+        f"be a built-in name ({', '.join(names)}) or a TOML file",
+        f"{name}{nearest(name, names)}",
+        "list them with `tissue scenes`",
     )
 
 
@@ -460,4 +464,4 @@ def _validated(table: Mapping[str, object]) -> Scene:
     try:
         return Scene.model_validate(table)
     except ValidationError as error:
-        raise InputError(sentence(error.errors(include_url=False)[0], table)) from None
+        raise error_of(error.errors(include_url=False)[0], table) from None

@@ -121,12 +121,12 @@ def nearest(word: str, known: Iterable[str]) -> str:
     return f" (did you mean {close[0]}?)" if close else ""
 
 
-def unknown_name(key: str, known: Iterable[str], got: str) -> str:
-    """The sentence that refuses a name which is not one of those known."""
+def unknown_name(key: str, known: Iterable[str], got: object) -> InputError:
+    """Return the error for a name that is not one of those known."""
     known = list(known)
-    return (
-        f"{key} must be one of {', '.join(known)}, got {got}{nearest(got, known)}: choose one of "
-        "these"
+    word = shown(got)
+    return InputError(
+        key, f"be one of {', '.join(known)}", f"{word}{nearest(word, known)}", "choose one of these"
     )
 
 
@@ -183,7 +183,7 @@ class Registry(Generic[T]):
 
     def __getitem__(self, name: str) -> T:
         if name not in self:
-            raise InputError(self._why_not(name))
+            raise self._why_not(name)
         return self._parts[name]
 
     @property
@@ -197,9 +197,11 @@ class Registry(Generic[T]):
         """Names of the parts so far, without asking installed packages."""
         return tuple(self._parts)
 
-    def _why_not(self, name: str, *others: str) -> str:
-        """The sentence that refuses a name."""
-        return refusal(self.group, name) or unknown_name(self.key, (*others, *self), name)
+    def _why_not(self, name: str, *others: str) -> InputError:
+        """Return the error for a name that stands for no part."""
+        if why := refusal(self.group, name):
+            return InputError(why)
+        return unknown_name(self.key, (*others, *self), name)
 
     def split(self, text: str, *others: str) -> tuple[str, str]:
         """The name of a part that a text stands for, and its argument: observer:FILE and a.json for
@@ -215,7 +217,7 @@ class Registry(Generic[T]):
         ask_packages(self.group)
         if (found := self._split(text)) is not None:
             return found
-        raise InputError(self._why_not(text, *others))
+        raise self._why_not(text, *others)
 
     def _split(self, text: str) -> tuple[str, str] | None:
         """The same among the parts so far."""

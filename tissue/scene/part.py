@@ -75,11 +75,13 @@ class OneOf(Generic[T]):
         return (*self.others, *self.table.known)
 
     def _check(self, name: str) -> str:
+        from pydantic_core import PydanticCustomError
+
         if name not in self.others:
             try:
                 self.table.split(name, *self.others)
             except InputError as error:
-                raise _fault(self.table.group, name, str(error)) from None
+                raise PydanticCustomError("unknown_name", "{error}", {"error": error}) from None
         return name
 
     def __get_pydantic_core_schema__(
@@ -96,14 +98,6 @@ class OneOf(Generic[T]):
             return {"enum": list(self.names), "type": "string"}
         patterns = (re.sub(":.*", ":.+", re.escape(name)) for name in self.names)
         return {"pattern": f"^({'|'.join(patterns)})$", "type": "string"}
-
-
-def _fault(group: str, name: str, sentence: str) -> Exception:
-    """The fault of a name that is not known, or whose package cannot be used."""
-    from pydantic_core import PydanticCustomError
-
-    kind = "unknown_name" if refusal(group, name) is None else "refused_part"
-    return PydanticCustomError(kind, "{sentence}", {"sentence": sentence})
 
 
 def kinds_of(part: "type[BaseModel]") -> tuple[str, ...]:
@@ -189,7 +183,7 @@ class ByKind:
             for group in self.groups:
                 ask_packages(group)
                 if sentence := refusal(group, kind):
-                    raise _fault(group, kind, sentence)
+                    raise InputError(sentence)
             part = self.chosen(value)
             return validate(value) if part is None else part.model_validate(value)
 
