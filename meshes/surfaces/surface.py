@@ -258,14 +258,14 @@ def _unit(longest: float, scale_mm: float | None, source: str) -> tuple[float, s
         scale = require_positive(
             "anatomy.scale_mm", scale_mm, "use 1 for millimetres, 1000 for metres"
         )
-        size = f"{longest * scale:.4g} mm"
         if not _SMALLEST_MM <= longest * scale <= _LARGEST_MM:
             raise InputError(
                 "anatomy.scale_mm",
                 "make the longest side 1 mm to 1 m",
-                f"{scale:g}, which makes {source} {size} long",
+                f"{scale:g}, which makes {source} {longest * scale:g} mm long",
                 f"use about {suggestion:g}",
             )
+        size = f"{longest * scale:.4g} mm"
         return scale, f"{scale:g} mm per unit, as given: the longest side is {size}"
     if not plain:
         raise InputError(

@@ -1,11 +1,9 @@
 """``tissue devices``."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-from cyclopts import Parameter
-
-from tissue.cli.terminal import console, left_out, problems
+from tissue.cli.terminal import Flag, console, left_out, problems
 
 if TYPE_CHECKING:
     from tissue.haptics.real.adapter import FoundDevice
@@ -19,9 +17,9 @@ def devices(
     test: str | None = None,
     address: str | None = None,
     seconds: float | None = None,
-    yes: Annotated[bool, Parameter(negative="")] = False,
+    yes: Flag = False,
     out: Path | None = None,
-    overwrite: Annotated[bool, Parameter(negative="")] = False,
+    overwrite: Flag = False,
 ) -> None:
     """List the haptic devices found and their limits, or test one device.
 
@@ -95,7 +93,6 @@ def _limits(found: "FoundDevice") -> str:
 def _test(
     name: str, address: str, seconds: float, out: Path | None, *, yes: bool, overwrite: bool
 ) -> None:
-    from meshes.base.errors import InputError
     from tissue.haptics.real.measured_file import write_measured
     from tissue.haptics.real.search import adapter_class
     from tissue.haptics.real.self_test import BUMP_N, BUMP_S, bump, self_test
@@ -109,8 +106,6 @@ def _test(
         raise unknown_name("--test", known, name)
     if out is not None:
         require_new_file(out, overwrite=overwrite)
-        if not out.parent.is_dir():
-            raise InputError("out", "lie in a folder that exists", out, f"create {out.parent}")
     with adapter_class(name)(Hardware(address=address)) as adapter:
         with problems.status(f"measuring {name} for {seconds:g} s: move the handle"):
             measured = self_test(adapter, seconds=seconds)

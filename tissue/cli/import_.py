@@ -1,11 +1,10 @@
 """``tissue import``."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
-from cyclopts import Parameter
-
-from tissue.cli.terminal import console, progress, whole
+from meshes.base.errors import InputError
+from tissue.cli.terminal import Flag, MaybeWhole, MemoryGB, Texts, console, progress
 
 __all__ = ["import_"]
 
@@ -20,7 +19,7 @@ def import_(
     region: str | None = None,
     crop: str | None = None,
     threshold: float | None = None,
-    series: Annotated[int | None, Parameter(converter=whole)] = None,
+    series: MaybeWhole = None,
     spacing_mm: float | None = None,
     density: str = "auto",
     site: str | None = None,
@@ -28,11 +27,11 @@ def import_(
     coordinates: Literal["LPS", "RAS"] = "LPS",
     path: Path | None = None,
     feed_mm_s: float | None = None,
-    keep_clear: Annotated[tuple[str, ...], Parameter(negative="")] = (),
+    keep_clear: Texts = (),
     like: str | None = None,
-    part: Annotated[tuple[str, ...], Parameter(negative="")] = (),
-    max_memory_GB: Annotated[float | None, Parameter(name="--max-memory-GB")] = None,
-    overwrite: Annotated[bool, Parameter(negative="")] = False,
+    part: Texts = (),
+    max_memory_GB: MemoryGB = None,
+    overwrite: Flag = False,
 ) -> None:
     """Make a scene from your own CT.
 
@@ -119,8 +118,6 @@ def import_(
 
 def _part(text: str) -> tuple[str, float]:
     """Parse name and modulus of a part."""
-    from meshes.base.errors import InputError
-
     name, _, modulus = text.rpartition("=")
     try:
         return name, float(modulus)
@@ -135,8 +132,6 @@ def _three(numbers: list[float]) -> tuple[float, float, float]:
 
 def _numbers(name: str, text: str, count: int, form: str) -> list[float]:
     """Parse numbers separated by commas."""
-    from meshes.base.errors import InputError  # brings NumPy, which help does without
-
     try:
         found = [float(word) for word in text.split(",")]
     except ValueError:

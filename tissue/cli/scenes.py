@@ -2,11 +2,9 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated
 
-from cyclopts import Parameter
-
-from tissue.cli.terminal import console, left_out
+from meshes.base.errors import InputError
+from tissue.cli.terminal import Flag, console, left_out
 
 __all__ = ["scenes", "schema"]
 
@@ -21,7 +19,6 @@ def scenes(name: str | None = None, /) -> None:
     """
     from rich.markup import escape
 
-    from meshes.base.errors import InputError
     from tissue.scene.load import load_scene, scene_names
     from tissue.scene.texts import scene_for_editors
 
@@ -36,9 +33,7 @@ def scenes(name: str | None = None, /) -> None:
         console.print(f"[bold]{each:<12}[/bold] {escape(description)}", markup=True)
 
 
-def schema(
-    *, out: Path | None = None, overwrite: Annotated[bool, Parameter(negative="")] = False
-) -> None:
+def schema(*, out: Path | None = None, overwrite: Flag = False) -> None:
     """Print the JSON schema of scenes, which editors use to complete and check keys.
 
     Parameters
@@ -48,7 +43,6 @@ def schema(
     overwrite
         Replace an existing file.
     """
-    from meshes.base.errors import InputError
     from meshes.base.whole_file import whole_file
     from tissue.scene.texts import schema_text
     from tissue.system.outputs import require_new_file
@@ -58,8 +52,6 @@ def schema(
         sys.stdout.write(schema_text())
         return
     require_new_file(out, overwrite=overwrite)
-    if not out.parent.is_dir():
-        raise InputError("out", "lie in a folder that exists", out, f"create {out.parent}")
     with whole_file(out) as temporary:
         temporary.write_text(schema_text(), "utf-8")
     console.print(f"wrote {out}")

@@ -161,7 +161,12 @@ def fins():
         (open_box(), {}, "surface", "4 open and 0 non-manifold edges in bone.stl"),
         (fins(), {}, "surface", "6 open and 1 non-manifold edges in bone.stl"),
         (bone((2.8, 2.3, 1.2)), {}, "anatomy.scale_mm", "bone.stl, whose longest side 2.8 is"),
-        (bone((3e6, 2e6, 1e6)), {"scale_mm": 1}, "anatomy.scale_mm", "1, which makes bone.stl 3e"),
+        (
+            bone((3e6, 2e6, 1e6)),
+            {"scale_mm": 1},
+            "anatomy.scale_mm",
+            "1, which makes bone.stl 3e+06 mm",
+        ),
         (bone((3, 2, 1)), {"scale_mm": 1e-3}, "anatomy.scale_mm", "bone.stl 0.003 mm long"),
         (bone(), {"scale_mm": float("nan")}, "anatomy.scale_mm", "nan"),
     ],

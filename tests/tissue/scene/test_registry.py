@@ -10,7 +10,7 @@ import pytest
 
 from tissue import InputError, Scene, load_scene, simulate
 from tissue.cli.calibrate import calibrate
-from tissue.cli.study import run
+from tissue.cli.study import PlanOptions
 from tissue.evaluation.charts.pictures import draw_tasks
 from tissue.evaluation.charts.prediction import Interval, PredictorComparison, comparison_lines
 from tissue.evaluation.training.train import HORIZONS
@@ -245,4 +245,4 @@ def test_the_page_and_the_help_texts_list_every_name():
     for name in (*DEVICES, *GROUPS):
         assert name in calibrate.__doc__
     for name in GROUPS:
-        assert name in run.__doc__
+        assert name in PlanOptions.__doc__
