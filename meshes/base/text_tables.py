@@ -13,6 +13,7 @@ from meshes.base.errors import InputError
 __all__ = [
     "DEEPEST",
     "number_in",
+    "number_or_nan",
     "read_json",
     "read_toml",
     "require_distinct_columns",
@@ -109,6 +110,14 @@ def number_in(text: str) -> float:
     if "_" in text:
         raise ValueError(f"could not convert text to a number: {text!r}")
     return float(text)
+
+
+def number_or_nan(text: str | None) -> float:
+    """Return the number that a text holds, NaN for any other text; see `number_in`."""
+    try:
+        return number_in(text or "")
+    except ValueError:
+        return float("nan")
 
 
 def whole_number_in(text: str) -> int:

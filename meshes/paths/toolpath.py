@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, require_file, require_positive
-from meshes.base.text_tables import number_in, require_distinct_columns
+from meshes.base.text_tables import number_or_nan, require_distinct_columns
 from meshes.base.whole_file import whole_file
 from meshes.surfaces.markups import TO_LPS, read_curve
 from meshes.surfaces.site import Site
@@ -97,7 +97,6 @@ GCODE = (".gcode", ".nc", ".ngc", ".tap", ".cnc")
 _PLACE = ("x_mm", "y_mm", "z_mm")
 _FEED = "feed_mm_s"
 _AXIS = ("axis_x", "axis_y", "axis_z")
-_COLUMNS = (*_PLACE, _FEED, *_AXIS)
 _WORD = re.compile(r"([A-Za-z])\s*([-+]?(?:\d+\.?\d*|\.\d+))")
 _COMMENT = re.compile(r"\([^()]*\)|;.*")
 _MODES = {0.0: "motion", 1.0: "motion", 20.0: "unit", 21.0: "unit", 90.0: "reach", 91.0: "reach"}
@@ -258,36 +257,20 @@ def _read_table(file: Path) -> Toolpath:
 def _check_columns(names: tuple[str, ...], file: Path) -> None:
     """Raise for missing and unknown columns."""
     needed = (*_PLACE, *_AXIS) if any(name in names for name in _AXIS) else _PLACE
-    missing = [name for name in needed if name not in names]
-    if missing:
+    if not set(needed) <= set(names) <= {*_PLACE, _FEED, *_AXIS}:
         raise InputError(
             "path",
-            f"have the columns {', '.join(missing)}",
+            f"have the columns {', '.join(needed)}, and no others but {_FEED} and the axis",
             f"{', '.join(names)} in {file}",
-            "add them",
-        )
-    unknown = [name for name in names if name not in _COLUMNS]
-    if unknown:
-        raise InputError(
-            "path",
-            f"have no columns but {', '.join(_COLUMNS)}",
-            f"{', '.join(unknown)} in {file}",
-            "drop them",
+            "add or rename columns",
         )
 
 
 def _number(text: str | None, name: str, line: int, file: Path) -> float:
-    try:
-        value = number_in(text or "")
-    except ValueError:
-        value = float("nan")
+    value = number_or_nan(text)
     if not np.isfinite(value):
-        raise InputError(
-            "path",
-            "hold finite numbers",
-            f"{text or 'nothing'} for {name} in line {line} of {file}",
-            "fix it",
-        )
+        got = f"{text or 'nothing'} for {name} in line {line} of {file}"
+        raise InputError("path", "hold finite numbers", got, "fix it")
     return value
 
 

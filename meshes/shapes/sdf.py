@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from meshes.base.arrays import Array, Flags, Floats, Ints
+from meshes.base.arrays import Array, Flags, Floats, Ints, lattice
 from meshes.base.errors import (
     InputError,
     in_brackets,
@@ -43,7 +43,6 @@ __all__ = [
 Points = Floats
 Distances = Floats
 Vector = Sequence[float]
-Bounds = tuple[tuple[float, ...], tuple[float, ...]]
 
 _EVERYWHERE = (-math.inf, -math.inf, -math.inf), (math.inf, math.inf, math.inf)
 
@@ -77,12 +76,10 @@ class Shape:
     def translate(self, by_m: Vector) -> Shape:
         """Move by the vector `by_m` [m], shape (3,)."""
         shift = require_vector("by_m", by_m)
-        lower = np.add(self.lower_m, shift)
-        upper = np.add(self.upper_m, shift)
-        return Shape(
+        return _within(
             lambda p: self.distance(p - shift.astype(p.dtype)),
-            tuple(lower.tolist()),
-            tuple(upper.tolist()),
+            np.add(self.lower_m, shift),
+            np.add(self.upper_m, shift),
         )
 
 
@@ -110,22 +107,14 @@ def union(a: Shape, b: Shape, *, blend_m: float = 0.0) -> Shape:
     grown = 0.25 * blend_m
     lower = np.minimum(a.lower_m, b.lower_m) - grown
     upper = np.maximum(a.upper_m, b.upper_m) + grown
-    return Shape(
-        lambda p: smooth_minimum(a.distance(p), b.distance(p), blend_m),
-        tuple(lower.tolist()),
-        tuple(upper.tolist()),
-    )
+    return _within(lambda p: smooth_minimum(a.distance(p), b.distance(p), blend_m), lower, upper)
 
 
 def intersection(a: Shape, b: Shape, *, blend_m: float = 0.0) -> Shape:
     """Intersect two solids; a positive `blend_m` [m] rounds the edge between them."""
     lower = np.maximum(a.lower_m, b.lower_m)
     upper = np.minimum(a.upper_m, b.upper_m)
-    return Shape(
-        lambda p: smooth_maximum(a.distance(p), b.distance(p), blend_m),
-        tuple(lower.tolist()),
-        tuple(upper.tolist()),
-    )
+    return _within(lambda p: smooth_maximum(a.distance(p), b.distance(p), blend_m), lower, upper)
 
 
 def difference(a: Shape, b: Shape, *, blend_m: float = 0.0) -> Shape:
@@ -139,7 +128,9 @@ def sphere(radius_m: float, centre_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
     """Build a ball of `radius_m` [m] about `centre_m` [m]."""
     radius = require_positive("radius_m", radius_m, "use about 5e-3 (5 mm)")
     centre = require_vector("centre_m", centre_m)
-    return Shape(lambda p: _norm(p - centre.astype(p.dtype)) - radius, *_around(centre, radius))
+    return _within(
+        lambda p: _norm(p - centre.astype(p.dtype)) - radius, centre - radius, centre + radius
+    )
 
 
 def box(size_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0), *, rounding_m: float = 0.0) -> Shape:
@@ -167,7 +158,7 @@ def box(size_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0), *, rounding_m: float
         q = np.abs(p - centre.astype(p.dtype)) - half.astype(p.dtype)
         return _norm(np.maximum(q, 0.0)) + np.minimum(q.max(axis=1), 0.0) - rounding_m
 
-    return Shape(distance, *_around(centre, 0.5 * size))
+    return _within(distance, centre - 0.5 * size, centre + 0.5 * size)
 
 
 def cylinder(radius_m: float, start_m: Vector, end_m: Vector) -> Shape:
@@ -184,11 +175,7 @@ def cylinder(radius_m: float, start_m: Vector, end_m: Vector) -> Shape:
 
     reach = radius * np.sqrt(np.maximum(1.0 - axis**2, 0.0))
     ends = np.stack([start, start + length * axis])
-    return Shape(
-        distance,
-        tuple((ends.min(axis=0) - reach).tolist()),
-        tuple((ends.max(axis=0) + reach).tolist()),
-    )
+    return _within(distance, ends.min(axis=0) - reach, ends.max(axis=0) + reach)
 
 
 def capsule(radius_m: float, start_m: Vector, end_m: Vector) -> Shape:
@@ -205,11 +192,7 @@ def capsule(radius_m: float, start_m: Vector, end_m: Vector) -> Shape:
         return np.sqrt(across**2 + beyond**2) - radius
 
     ends = np.stack([start, start + length * axis])
-    return Shape(
-        distance,
-        tuple((ends.min(axis=0) - radius).tolist()),
-        tuple((ends.max(axis=0) + radius).tolist()),
-    )
+    return _within(distance, ends.min(axis=0) - radius, ends.max(axis=0) + radius)
 
 
 def ellipsoid(radii_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
@@ -223,9 +206,10 @@ def ellipsoid(radii_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
     radii = _extent("radii_m", radii_m, "(0.02, 0.01, 0.01)")
     centre = require_vector("centre_m", centre_m)
     shortest = float(radii.min())
-    return Shape(
+    return _within(
         lambda p: (_norm((p - centre.astype(p.dtype)) / radii.astype(p.dtype)) - 1.0) * shortest,
-        *_around(centre, radii),
+        centre - radii,
+        centre + radii,
     )
 
 
@@ -239,9 +223,7 @@ def half_space(normal: Vector, point_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
     for k in range(3):
         if math.isclose(abs(unit[k]), 1.0, rel_tol=0.0, abs_tol=1e-15):
             (upper if unit[k] > 0 else lower)[k] = point[k]
-    return Shape(
-        lambda p: p @ unit.astype(p.dtype) - offset, tuple(lower.tolist()), tuple(upper.tolist())
-    )
+    return _within(lambda p: p @ unit.astype(p.dtype) - offset, lower, upper)
 
 
 def _norm(v: Points) -> Distances:
@@ -279,8 +261,9 @@ def _extent(name: str, value: Vector, example: str) -> Array:
     return extent
 
 
-def _around(centre: Array, reach: float | Array) -> Bounds:
-    return tuple((centre - reach).tolist()), tuple((centre + reach).tolist())
+def _within(distance: Callable[[Points], Distances], lower: Array, upper: Array) -> Shape:
+    """Return a shape with corners of its box as arrays [m], shape (3,)."""
+    return Shape(distance, tuple(lower.tolist()), tuple(upper.tolist()))
 
 
 WANTED_M = 4e-6
@@ -356,9 +339,7 @@ def _around_surface(shape: Shape, low: Array, high: Array) -> tuple[Array, Array
         np.ceil((high - low) / np.cbrt(np.prod(high - low) / FIRST_POINTS)).astype(int), 1
     )
     sides = (high - low) / count
-    centres = (
-        np.moveaxis(np.indices(tuple(count.tolist())), 0, -1).reshape(-1, 3) + 0.5
-    ) * sides + low
+    centres = (lattice(*map(np.arange, count)) + 0.5) * sides + low
     near = centres[np.abs(shape.distance(centres)) <= 0.5 * np.linalg.norm(sides)]
     if not len(near):
         return low, high
@@ -387,7 +368,7 @@ def _contour(shape: Shape, low: Array, high: Array, spacing: float) -> tuple[Arr
 
     first = low - 1.5 * spacing
     count = np.ceil((high - low) / spacing).astype(int) + 4
-    grid = np.moveaxis(np.indices(tuple(count.tolist())), 0, -1).reshape(-1, 3) * spacing + first
+    grid = lattice(*map(np.arange, count)) * spacing + first
     values = np.asarray(shape.distance(grid), dtype=np.float64).reshape(count)
     padded = np.pad(values, 1, constant_values=spacing)
     if not padded.min() < 0.0:

@@ -12,7 +12,7 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from meshes.base.arrays import Array, Ints
+from meshes.base.arrays import Array, Ints, lattice
 from meshes.base.errors import InputError, require_length
 from meshes.tets.tetrahedra import TetMesh
 
@@ -35,8 +35,7 @@ def grid(x_m: ArrayLike, y_m: ArrayLike, z_m: ArrayLike) -> TetMesh:
             raise InputError(
                 name, "hold at least two rising positions", axis, "use np.linspace(0, 1, 5)"
             )
-    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    return TetMesh(nodes, _kuhn([len(axis) - 1 for axis in axes]))
+    return TetMesh(lattice(*axes), _kuhn([len(axis) - 1 for axis in axes]))
 
 
 def box(size_m: Sequence[float], cells: Sequence[int]) -> TetMesh:
@@ -87,9 +86,7 @@ def _kuhn(counts: Sequence[int]) -> Ints:
     Nodes are numbered with z fastest.
     """
     stride = np.array([(counts[1] + 1) * (counts[2] + 1), counts[2] + 1, 1])
-    bricks = np.stack(np.meshgrid(*(np.arange(n) for n in counts), indexing="ij"), axis=-1).reshape(
-        -1, 3
-    )
+    bricks = lattice(*map(np.arange, counts))
     tets = []
     for order in permutations(range(3)):
         path = np.concatenate([[0], np.cumsum(stride[list(order)])])

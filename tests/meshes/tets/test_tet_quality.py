@@ -7,7 +7,6 @@ from meshes.base.errors import InputError
 from meshes.tets.quality import FLAT, SLIVER, describe, repair_tets
 from meshes.tets.structured import box
 from meshes.tets.tetrahedra import TetMesh, flatness, mean_ratio, pinched_edges
-from meshes.tets.tetrahedralise import crossing_triangles
 
 REGULAR = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
 
@@ -164,37 +163,6 @@ def test_what_is_no_mesh_is_refused(cube: TetMesh, spoil: object, message: str) 
         repair_tets(*spoil(cube.nodes_m, cube.cells))  # type: ignore[operator]
 
 
-def test_triangles_that_cross_are_found_and_others_are_not() -> None:
-    one = box((0.1, 0.1, 0.1), (2, 2, 2))
-    assert len(crossing_triangles(one.nodes_m, one.surface)) == 0
-    shift = [0.053, 0.061, 0.047]
-    both = np.vstack([one.nodes_m, one.nodes_m + shift])
-    faces = np.vstack([one.surface, one.surface + len(one.nodes_m)])
-    found = crossing_triangles(both, faces)
-    brute = [
-        k
-        for k, face in enumerate(faces)
-        if any(
-            _crosses(both[face], both[[f[i], f[i - 1]]])
-            for f in faces
-            for i in range(3)
-            if not set(f) & set(face)
-        )
-    ]
-    assert len(found) > 0
-    assert found.tolist() == brute
-
-
 def _middle(nodes: np.ndarray, cells: np.ndarray) -> np.ndarray:
     """Corners of the cell nearest the middle of the cube."""
     return cells[int(np.linalg.norm(nodes[cells].mean(axis=1) - 0.05, axis=1).argmin())]
-
-
-def _crosses(triangle: np.ndarray, edge: np.ndarray) -> bool:
-    """Return True if a segment crosses a triangle, by Cramer's rule for the crossing point."""
-    a, b, c = triangle
-    matrix = np.column_stack([b - a, c - a, edge[0] - edge[1]])
-    if abs(np.linalg.det(matrix)) < 1e-18:
-        return False
-    u, v, t = np.linalg.solve(matrix, edge[0] - a)
-    return bool(u > 0.0 and v > 0.0 and u + v < 1.0 and 0.0 < t < 1.0)
