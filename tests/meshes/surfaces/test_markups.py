@@ -4,7 +4,6 @@ Points from LPS and RAS are equal, planes have their normals, and bad files are 
 """
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,13 +11,6 @@ import pytest
 from meshes.base.errors import InputError
 from meshes.surfaces.markups import read_curve, read_markups, read_site
 
-LANDMARKS = (
-    Path(__file__).resolve().parents[4]
-    / "shared"
-    / "anatomy"
-    / "scapula"
-    / "glenoid_landmark_points.fcsv"
-)
 POINT = [10.0, -20.0, 30.0]
 FCSV = """# Markups fiducial file version = 4.11
 # CoordinateSystem = {frame}
@@ -116,16 +108,6 @@ def test_point_lists(tmp_path, frame):
     marked = read_markups(path)[0]
     assert marked.points_mm.tolist() == [expected]
     assert marked.labels == ("F, 1",)
-
-
-def test_landmarks_of_a_real_glenoid():
-    """Several lists joined to one file, each with a head of its own."""
-    if not LANDMARKS.is_file():
-        pytest.skip("no landmarks in shared/anatomy")
-    found = read_markups(LANDMARKS)[0].points_mm
-    assert found.shape == (6, 3)
-    rim = found[:3]
-    assert 15.0 < np.linalg.norm(rim[:, None] - rim[None], axis=-1).max() < 45.0
 
 
 @pytest.mark.parametrize(

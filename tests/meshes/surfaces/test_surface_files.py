@@ -5,7 +5,6 @@ import pytest
 import trimesh
 
 from meshes.base.errors import InputError
-from meshes.surfaces.repair import merge_vertices
 from meshes.surfaces.surface import read_surface, surface_from_triangles
 
 
@@ -110,35 +109,6 @@ def test_small_holes_are_closed():
     assert one.repairs[-1].startswith("Closed 1 hole along 3 open and 0 non-manifold edges, ")
 
 
-def test_doubled_and_cancelling_triangles_leave_a_closed_surface():
-    vertices, faces = parts(bone())
-    flap = np.array([[0, 1, 2], [2, 1, 0]])
-    merged, kept = merge_vertices(vertices, np.concatenate([faces, faces[:9], flap]), 1e-6)
-    assert len(kept) == len(faces) and trimesh.Trimesh(
-        merged, kept, process=False
-    ).volume == pytest.approx(bone().volume, rel=1e-9)
-
-
-def test_bodies_that_share_an_edge_are_closed():
-    cubes = trimesh.util.concatenate(
-        [
-            trimesh.creation.box((10, 10, 10)),
-            trimesh.creation.box((10, 10, 10)).apply_translation((10, 10, 0)),
-        ]
-    )
-    surface = surface_from_triangles(*parts(cubes))
-    assert surface.report.volume_mm3 == pytest.approx(2000)
-
-
-def test_repair_is_idempotent():
-    vertices, faces = parts(bone())
-    once = surface_from_triangles(vertices, np.delete(faces, [5, 600], axis=0))
-    again = surface_from_triangles(once.vertices_m * 1e3, once.faces)
-    assert again.report.repairs == () and again.report.volume_mm3 == pytest.approx(
-        once.report.volume_mm3
-    )
-
-
 def flat_sheet():
     return trimesh.Trimesh([[0, 0, 0], [50, 0, 0], [50, 50, 0], [0, 50, 0]], [[0, 1, 2], [0, 2, 3]])
 
@@ -214,22 +184,3 @@ def test_real_scapulae(anatomy):
     assert scaled.volume_mm3 == pytest.approx(0.4155 * 50**3, rel=1e-3)
     with pytest.raises(InputError, match=r"^anatomy\.scale_mm must be given .* for example 50$"):
         read_surface(anatomy / "scapula" / "openforge_scapula_left.stl")
-
-
-def test_a_ply_that_names_a_missing_texture_is_read_quietly(tmp_path, capfd, caplog):
-    lines = ["ply", "format ascii 1.0", "comment TextureFile skin of bone.jpg", "element vertex 4"]
-    lines += [f"property float {name}" for name in ("x", "y", "z", "s", "t")]
-    lines += ["element face 4", "property list uchar int vertex_indices", "end_header"]
-    lines += [
-        "0 0 0 0 0",
-        "30 0 0 1 0",
-        "0 30 0 0 1",
-        "0 0 30 1 1",
-        "3 0 2 1",
-        "3 0 1 3",
-        "3 1 2 3",
-        "3 0 3 2",
-    ]
-    (tmp_path / "bone.ply").write_text("\n".join(lines) + "\n")
-    assert read_surface(tmp_path / "bone.ply").report.volume_mm3 == pytest.approx(30.0**3 / 6.0)
-    assert capfd.readouterr().err == "" and not caplog.records

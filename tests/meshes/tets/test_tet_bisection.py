@@ -72,14 +72,6 @@ def test_a_shaken_box_refined_about_a_point(seed):
     assert longest_over_height(fine) < 4.0 * longest_over_height(coarse)
 
 
-def test_a_mesh_that_is_fine_enough_stays():
-    """Nothing to do."""
-    mesh = box((1.0, 1.0, 1.0), (2, 2, 2))
-    np.testing.assert_array_equal(
-        bisected(mesh, lambda at: np.full(len(at), 1.0)).cells, mesh.cells
-    )
-
-
 def test_bad_sizes(monkeypatch):
     """Zero, not a number, and finer than memory."""
     mesh = box((1.0, 1.0, 1.0), (1, 1, 1))

@@ -63,22 +63,3 @@ def test_a_support_that_touches_nothing_reports_the_nearest_node() -> None:
         nodes_behind_plane(MESH, point_m=(0.0, 0.0, -0.005), normal=(0.0, 0.0, 1.0))
     with pytest.raises(InputError, match=r"within 20 degrees .* nearest is 45 degrees away"):
         nodes_facing(MESH, direction=(1.0, 1.0, 0.0), within_deg=20.0)
-
-
-@pytest.mark.parametrize(
-    ("choose", "message"),
-    [
-        (
-            lambda: nodes_behind_plane(MESH, point_m=(0, 0, float("nan")), normal=(0, 0, 1)),
-            "point_m must be three finite",
-        ),
-        (
-            lambda: nodes_behind_plane(MESH, point_m=(0, 0, 0), normal=(0, 0, 0)),
-            "normal must not be zero",
-        ),
-        (lambda: nodes_facing(MESH, direction=(0, 0, 1), within_deg=0.0), "within_deg must be in"),
-    ],
-)
-def test_what_names_no_region_is_refused(choose: object, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        choose()  # type: ignore[operator]

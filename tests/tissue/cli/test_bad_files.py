@@ -161,16 +161,3 @@ def test_a_bad_pose_table_is_refused(refused, here, table, words):
         word.format(path=path) in message for word in words
     )
     assert str(path) in message
-
-
-def test_a_thrust_that_starts_below_its_end_is_refused(refused, here):
-    thrust = (
-        "--set",
-        "motion.kind=thrust",
-        "--set",
-        "motion.thrust_N=40",
-        "--set",
-        "motion.start_mm=[0,0,-3]",
-    )
-    message = refused("run", "milling", *COARSE, *thrust)
-    assert message.startswith("motion.depth_mm ") and "(3)" in message and "got 2" in message

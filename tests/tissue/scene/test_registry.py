@@ -226,14 +226,6 @@ def test_a_perceptual_map_from_outside_scales(added):
     assert pattern == "^(none|population|observer:.+|share:.+)$"
 
 
-def test_a_part_that_was_removed_is_refused():
-    with pytest.raises(
-        InputError,
-        match="renderer must be one of penalty, passivity, proxy, got half: choose one of",
-    ):
-        load_scene("wall", {"device": "touch", "renderer": "half"})
-
-
 def test_the_page_and_the_help_texts_list_every_name():
     page = (Path(__file__).parents[3] / "docs" / "commands.md").read_text("utf-8")
     assert CUTTING_MATERIALS.known == listed("cutting")

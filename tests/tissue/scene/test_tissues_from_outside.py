@@ -4,7 +4,6 @@ A scene names one and runs with it.
 """
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -14,8 +13,6 @@ from pydantic import Field
 
 from tissue import InputError, Scene, load_scene, simulate
 from tissue.cutters.profile import cylinder
-from tissue.evaluation.charts.frontier import frontier_of
-from tissue.evaluation.charts.pictures import draw_frontiers
 from tissue.models.needle.parameters import needle_tissue
 from tissue.models.organ.probe import SphereProbe
 from tissue.motion.motion import Motion
@@ -30,10 +27,7 @@ from tissue.scene.registry import (
     MotionEntry,
     ProbeEntry,
 )
-from tissue.show.figures.faces import faces_of
 from tissue.simulation.builders.force_met import chosen_scale
-from tissue.simulation.run_folder import SavedRun
-from tissue.system.offscreen import draw_apart
 
 
 def test_a_cutter_from_outside_cuts(added):
@@ -236,30 +230,3 @@ def test_a_tissue_from_outside_is_met(added):
     ):
         with pytest.raises(InputError, match=refusal):
             load_scene("palpation", changes | {key: value})
-
-
-@pytest.mark.slow
-def test_a_tissue_from_outside_is_saved_drawn_viewed_and_charted(added, tmp_path, monkeypatch):
-    from PIL import Image
-
-    added(ANATOMIES, "jelly", ENTRY)
-    scene = load_scene("palpation", CHANGES)
-    run = simulate(scene)
-    out = run.save(tmp_path / "run")
-    if "pictures" in run.parts.notes:
-        pytest.skip(run.parts.notes["pictures"])  # without OpenGL only the flat ones are there
-    drawn = {path.name for path in (out / "pictures").iterdir()}
-    assert drawn == {"force_torque.png", "press.png", "held.png", "jelly.png"}
-    assert SavedRun(out).scene == scene and list(faces_of(scene)) == ["jelly"]
-    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2] / "fixtures"), prepend=":")
-    assert draw_apart("outside_tissue", str(out), str(tmp_path / "view.png")) is None
-    frontier = frontier_of(scene, quick=True)
-    assert [point.setting for point in frontier.points] == ["as it is"] and frontier.points[
-        0
-    ].force_error == 0.0
-    draw_frontiers([frontier], tmp_path / "chart.png")
-    for path in (tmp_path / "view.png", tmp_path / "chart.png", *(out / "pictures").iterdir()):
-        with Image.open(path) as picture:
-            assert (
-                len(np.unique(np.asarray(picture.convert("RGB")).reshape(-1, 3)[::37], axis=0)) > 20
-            ), path
