@@ -28,36 +28,11 @@ SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
 _HEADER = 84
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 """Binary STL: bytes before the triangles, and the record of a triangle."""
-_IGNORED = frozenset(
-    ("vt", "vn", "vp", "p", "l", "g", "s", "mg", "o", "usemtl", "mtllib", "usemap", "maplib", "lod")
+_IGNORED = re.compile(
+    "vt|vn|vp|p|l|g|s|mg|o|usemtl|mtllib|usemap|maplib|lod|bevel|c_interp|d_interp|shadow_obj|"
+    "trace_obj|ctech|stech|call|csh|deg|bmat|step|cstype|curv|curv2|surf|parm|trim|hole|scrv|sp|"
+    "end|con"
 )
-_IGNORED |= {
-    "bevel",
-    "c_interp",
-    "d_interp",
-    "shadow_obj",
-    "trace_obj",
-    "ctech",
-    "stech",
-    "call",
-    "csh",
-    "deg",
-    "bmat",
-}
-_IGNORED |= {
-    "step",
-    "cstype",
-    "curv",
-    "curv2",
-    "surf",
-    "parm",
-    "trim",
-    "hole",
-    "scrv",
-    "sp",
-    "end",
-    "con",
-}
 """Keywords of OBJ that do not concern vertices and polygons."""
 _FURTHER = re.compile(r"/\S*")
 
@@ -108,31 +83,22 @@ def _stored(file: Path) -> tuple[NDArray[np.number], NDArray[np.number]]:
         mesh: Any = trimesh.load(file, force="mesh", process=False, **options)
         return mesh.vertices, mesh.faces
     except Exception as problem:  # the readers raise many kinds, none documented
-        raise InputError(
-            "file",
-            f"be a readable {kind} surface",
-            f"{file.name} (it is damaged or cut off)",
-            "export it again",
-        ) from problem
+        got = f"{file.name} (it is damaged or cut off)"
+        raise _refusal(f"be a readable {kind} surface", got) from problem
+
+
+def _refusal(wanted: str, got: str) -> InputError:
+    return InputError("file", wanted, got, "export it again")
 
 
 def require_triangles(vertices: NDArray[np.number], faces: NDArray[np.number], source: str) -> None:
     """Refuse an empty set of triangles, and triangles that name vertices which do not exist."""
-    if len(vertices) == 0 or len(faces) == 0:
-        raise InputError(
-            "file",
-            "hold triangles",
-            f"{len(vertices)} vertices and {len(faces)} triangles in {source}",
-            "export the surface as triangles",
-        )
     if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
-        raise InputError(
-            "file",
-            "hold triangles in space",
-            f"vertices of shape {vertices.shape} and faces of shape {faces.shape} in {source}",
-            "export it again",
-        )
+        got = f"vertices of shape {vertices.shape} and faces of shape {faces.shape} in {source}"
+        raise _refusal("hold triangles in space", got)
     count = len(vertices)
+    if count == 0 or len(faces) == 0:
+        raise _refusal("hold triangles", f"{count} vertices and {len(faces)} triangles in {source}")
     if faces.min() < 0 or faces.max() >= count:
         face, corner = np.argwhere((faces < 0) | (faces >= count))[0]
         raise InputError(
@@ -153,15 +119,8 @@ def _read_binary_stl(file: Path) -> tuple[Array, Ints] | None:
             if b"\0" not in head:  # text holds none; a count below 16 million does
                 return None
             payload = max(size - _HEADER, 0) // _RECORD.itemsize
-            stated = (
-                f"{count} triangles in its header" if size >= _HEADER else "a part of its header"
-            )
-            raise InputError(
-                "file",
-                "be a whole STL surface",
-                f"{stated} and {payload} of them in {file.name}",
-                "it is cut off or damaged, export it again",
-            )
+            got = f"{count} triangles in its header and {payload} of them in {file.name}"
+            raise _refusal("be a whole STL surface", got)
         records = np.fromfile(stored, dtype=_RECORD, count=count)
     return records["corners"].reshape(-1, 3).astype(np.float64), np.arange(3 * count).reshape(-1, 3)
 
@@ -179,15 +138,10 @@ def _require_whole_ply(file: Path) -> None:
             return
         found = sum(bool(line.strip()) for line in stored)
     counts = [line[2:3] for line in head if line[:1] == [b"element"]]
-    stated = sum(int(count[0]) if count and count[0].isdigit() else -(10**30) for count in counts)
-    if stated != found:
-        counted = f"{stated} lines" if stated >= 0 else "a count that is none"
-        raise InputError(
-            "file",
-            "be a readable PLY surface",
-            f"{counted} in the header and {found} after it in {file.name}",
-            "export it again",
-        )
+    stated = [int(count[0]) if count and count[0].isdigit() else -1 for count in counts]
+    if min(stated, default=-1) < 0 or sum(stated) != found:
+        got = f"counts of {stated} in the header and {found} lines after it in {file.name}"
+        raise _refusal("be a readable PLY surface", got)
 
 
 def _read_obj(file: Path) -> tuple[Array, Ints]:
@@ -207,16 +161,13 @@ def _read_obj(file: Path) -> tuple[Array, Ints]:
                 vertices.append(_vertex(rest))
             elif keyword == "f":
                 polygons.append(_polygon(rest, len(vertices)))
-            elif keyword and keyword.partition("\t")[0] not in _IGNORED:
+            elif keyword and not _IGNORED.fullmatch(keyword.partition("\t")[0]):
                 raise ValueError("begins with no keyword of the format")
         except ValueError as problem:
-            raise InputError(
-                "file",
-                "be a readable OBJ surface",
-                f"line {number} of {file.name}, which {problem}",
-                "export it again",
-            ) from None
-    return _arrays(vertices, polygons, file.name)
+            got = f"line {number} of {file.name}, which {problem}"
+            raise _refusal("be a readable OBJ surface", got) from None
+    triangles = [(p[0], p[i], p[i + 1]) for p in polygons for i in range(1, len(p) - 1)]
+    return np.array(vertices).reshape(-1, 3), np.array(triangles, dtype=np.int64).reshape(-1, 3)
 
 
 def _vertex(rest: str) -> list[float]:
@@ -235,33 +186,13 @@ def _polygon(rest: str, count: int) -> list[int]:
         numbers = [whole_number_in(each) for each in _FURTHER.sub("", rest).split()]
     except ValueError:
         numbers = []
-    if len(numbers) < 3 or 0 in numbers:
+    if len(numbers) < 3 or 0 in numbers or max(numbers) >= 1 << 63:
         raise ValueError(
             f"must hold three or more vertex numbers from 1, not {rest.strip()[:40]!r}"
         )
     if min(numbers) < -count:
         raise ValueError(f"names vertex {min(numbers)} after {count} vertices")
     return [each - 1 if each > 0 else count + each for each in numbers]
-
-
-def _arrays(
-    vertices: list[list[float]], polygons: list[list[int]], name: str
-) -> tuple[Array, Ints]:
-    most = max((max(polygon) for polygon in polygons), default=-1)
-    if most >= len(vertices):
-        first = next(
-            number for number, polygon in enumerate(polygons, 1) if max(polygon) >= len(vertices)
-        )
-        raise InputError(
-            "faces",
-            f"name vertices 1 to {len(vertices)} of the file",
-            f"{max(polygons[first - 1]) + 1} in face {first} of {name}",
-            "export it again",
-        )
-    triangles = [(p[0], p[i], p[i + 1]) for p in polygons for i in range(1, len(p) - 1)]
-    return np.array(vertices, dtype=np.float64).reshape(-1, 3), np.array(
-        triangles, dtype=np.int64
-    ).reshape(-1, 3)
 
 
 _TETRAHEDRON = 10

@@ -105,8 +105,8 @@ def read_msh(file: Path) -> StoredMesh:
     part = np.array([tag for kind, tag, _ in elements if kind == _TETRAHEDRON], dtype=np.int64)
     left = len(elements) - len(tets)
     notes = (f"Left out {left} elements that are not tetrahedra.",) if left and len(tets) else ()
-    corners = (_numbered(each, numbers, file) for each in (tets, triangles))
-    return StoredMesh(points, *corners, part, names, notes)
+    tets, triangles = (_numbered(each, numbers, file) for each in (tets, triangles))
+    return StoredMesh(points, tets, triangles, part, names, notes)
 
 
 def _version(lines: list[str], file: Path) -> int:

@@ -217,7 +217,7 @@ def _without_debris(nodes: Array, cells: Ints, parts: Bytes) -> tuple[Ints, Byte
     volumes = np.bincount(piece, weights=np.abs(signed_volumes(nodes, cells)))
     small = np.flatnonzero(volumes < _DEBRIS * volumes.max())
     keep = ~np.isin(piece, small)
-    return cells[keep], parts[keep], volumes[small]
+    return cells[keep], parts[keep], np.asarray(volumes[small], dtype=np.float64)
 
 
 def _movable(count: int, cells: Ints, parts: Bytes) -> Flags:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Array, Bytes, Floats, Singles, Triangles
+from meshes.base.arrays import Array, Bytes, Floats, Singles, Triangles, lattice
 from meshes.base.errors import InputError, names_of_caller, require_range
 from meshes.base.placement import Placement
 from meshes.shapes.anatomy import Anatomy
@@ -197,14 +197,9 @@ def _socket(ligament: Array, others: Array, margin: float) -> Lattice:
     from scipy.spatial import cKDTree
 
     low = ligament.min(axis=0) - margin - 2.0 * _SOCKET_PITCH_M
-    count = (
-        np.ceil(
-            (ligament.max(axis=0) + margin + 2.0 * _SOCKET_PITCH_M - low) / _SOCKET_PITCH_M
-        ).astype(int)
-        + 1
-    )
-    points = low + _SOCKET_PITCH_M * np.moveaxis(np.indices(count), 0, -1).reshape(-1, 3)
     reach = margin + 2.0 * _SOCKET_PITCH_M
+    count = np.ceil((ligament.max(axis=0) + reach - low) / _SOCKET_PITCH_M).astype(int) + 1
+    points = low + _SOCKET_PITCH_M * lattice(*map(np.arange, count))
     away = np.minimum(cKDTree(ligament[::4]).query(points, distance_upper_bound=reach)[0], reach)
     near = np.flatnonzero(away < reach)
     signed = away - margin
