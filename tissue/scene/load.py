@@ -202,7 +202,8 @@ def load_scene(
     table, was_kept = converted(table, path)
     table = _absolute(table, folder)
     if was_kept:
-        table, _ = _without_idle(table)
+        for key in _settled(table)[1]:
+            _drop(table, key)
     return _replaced(table, overrides or {}, live=live)
 
 
@@ -238,8 +239,8 @@ def _replaced(
         ) from None
     _require_no_nul(overrides)
     if not overrides:
-        return _validated(table)
-    already_idle = _idle_keys(table)
+        return _scene(table)
+    before, already_idle = _settled(table)
     placed = deepcopy(table)
     full: dict[str, object] = {}
     for key, value in overrides.items():
@@ -263,54 +264,48 @@ def _replaced(
     asked = placed.get("device")
     if isinstance(asked, dict) and asked and all(value == "none" for value in asked.values()):
         del placed["device"]  # no prediction and no perception ask for no device
-    if already_idle is None:
-        return _validated(placed)
+    if isinstance(before, InputError):
+        return _scene(placed)
 
-    def is_theirs(key: str) -> bool:
-        return any(
+    def stays(key: str) -> bool:
+        return key in already_idle or any(
             key == asked or key.startswith(f"{asked}.") or asked.startswith(f"{key}.")
             for asked in full
         )
 
-    left, _ = _without_idle(placed, keep=lambda key: key in already_idle or is_theirs(key))
-    return _validated(left)
+    return _scene(placed, keep=stays)
 
 
-def _without_idle(
-    table: dict[str, Any], keep: Callable[[str], bool] = lambda key: False
-) -> tuple[dict[str, Any], set[str]]:
-    """Return a table without the keys that have no effect in it, and these keys.
-
-    Dropping a key can make another one idle, so the table is validated until no key is dropped.
-    Keys that `keep` accepts stay. A key that the table does not hold cannot be dropped.
-    """
-    left = deepcopy(table)
-    found = set[str]()
-    while dropped := {key for key in _idle_of(left) if not keep(key)} - found:
-        found |= dropped
-        for key in dropped:
-            _drop(left, key)
-    return left, found
-
-
-def _idle_keys(table: dict[str, Any]) -> set[str] | None:
-    """Return the keys of a table that have no effect; None for a table that is no valid scene."""
-    left, found = _without_idle(table)
-    try:
-        _validated(left)
-    except InputError:
-        return None
+def _scene(table: Mapping[str, Any], keep: Callable[[str], bool] = lambda key: True) -> Scene:
+    """Return the scene of a table, or raise an InputError for its first fault; see `_settled`."""
+    found, _ = _settled(table, keep)
+    if isinstance(found, InputError):
+        raise found
     return found
 
 
-def _idle_of(table: Mapping[str, object]) -> list[str]:
-    """Return the dotted keys that pydantic refuses in a table because they have no effect."""
-    plain = _without_nothing(table)
-    try:
-        Scene.model_validate(plain)
-    except ValidationError as error:
-        return [key for fault in error.errors(include_url=False) for key in idle_keys(fault, plain)]
-    return []
+def _settled(
+    table: Mapping[str, Any], keep: Callable[[str], bool] = lambda key: False
+) -> tuple[Scene | InputError, set[str]]:
+    """Return the scene of a table without the keys that have no effect in it, and these keys.
+
+    Dropping a key can make another one idle, so the table is validated until no key is dropped.
+    Keys that `keep` accepts stay. A table that is no valid scene gives the error of its first
+    fault.
+    """
+    left = _without_nothing(table)
+    found = set[str]()
+    while True:
+        try:
+            return Scene.model_validate(left), found
+        except ValidationError as error:
+            faults = error.errors(include_url=False)
+        idle = {key for fault in faults for key in idle_keys(fault, left) if not keep(key)}
+        if idle <= found:
+            return error_of(faults[0], left), found
+        for key in idle:
+            _drop(left, key)
+        found |= idle
 
 
 def _absolute(value: Any, folder: Path, key: str = "") -> Any:
@@ -372,7 +367,7 @@ def _drop(table: dict[str, Any], key: str) -> None:
     table.pop(last, None)
 
 
-def _without_nothing(table: Mapping[str, object]) -> dict[str, object]:
+def _without_nothing(table: Mapping[str, Any]) -> dict[str, Any]:
     """Return a table without entries that are None."""
     inner = {k: _without_nothing(v) if isinstance(v, dict) else v for k, v in table.items()}
     return {k: v for k, v in inner.items() if v is not None}
@@ -456,12 +451,3 @@ def _place(table: dict[str, object], key: str, value: object) -> None:
     if last == "kind" and parents != ["device"] and table.get("kind", value) != value:
         table.clear()
     table[last] = value
-
-
-def _validated(table: Mapping[str, object]) -> Scene:
-    """Return the scene of a table, or raise an InputError for its first fault."""
-    table = _without_nothing(table)
-    try:
-        return Scene.model_validate(table)
-    except ValidationError as error:
-        raise error_of(error.errors(include_url=False)[0], table) from None
