@@ -18,7 +18,6 @@ from time import sleep
 from typing import Any
 
 from meshes.base.isolated_parser import kill_with_parent, python_command, start_code
-from tissue.system.priorities import BackgroundPriority
 
 __all__ = [
     "CHECK_S",
@@ -240,6 +239,8 @@ class Helper:
             process_group=0,
             env=os.environ | ONE_THREAD,
         )
+        from tissue.system.priorities import BackgroundPriority  # brings Warp
+
         self.priority = BackgroundPriority(self._process.pid)
         self._does = does
         self._answers: SimpleQueue[Any] = SimpleQueue()

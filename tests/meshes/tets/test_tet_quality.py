@@ -35,7 +35,7 @@ def inner_node(mesh: TetMesh) -> int:
 
 
 def lowered(mesh: TetMesh, share: float) -> np.ndarray:
-    """Nodes with the middle one moved by a share of the way onto the face of a cell around it."""
+    """Nodes with the middle one moved by a share of its distance to the face of a cell."""
     nodes = mesh.nodes_m.copy()
     inner = inner_node(mesh)
     cell = mesh.cells[(mesh.cells == inner).any(axis=1)][0]
