@@ -64,15 +64,6 @@ def test_a_table_with_a_column_twice_is_refused(tmp_path, kind):
         read(written(tmp_path / "twice.csv", f"{header},{last}", rows))
 
 
-@pytest.mark.parametrize("kind", TABLES)
-def test_a_number_with_an_underscore_is_refused(tmp_path, kind):
-    read, header = TABLES[kind]
-    rows = rows_of(header)
-    rows[7][-1] = "1_0"
-    with pytest.raises(InputError, match="1_0"):
-        read(written(tmp_path / "log.csv", header, rows))
-
-
 def test_headers_meshes_and_markups_are_read_alike(tmp_path):
     with pytest.raises(InputError, match="1_0"):
         numbers({"spacing": "1 1_0 1"}, "spacing", tmp_path / "image.mha")

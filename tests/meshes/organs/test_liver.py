@@ -5,10 +5,8 @@ import pytest
 
 from meshes.base.errors import InputError
 from meshes.organs.liver import (
-    LIVER_REGIONS,
     Nodule,
     liver,
-    liver_region,
     liver_shape,
     slab,
     slab_base,
@@ -42,17 +40,6 @@ def test_the_origin_is_on_top_of_the_right_lobe(organ: TetMesh) -> None:
     # The surface there is level within a few degrees, so a tool along z presses it squarely.
     assert slope[2] / np.linalg.norm(slope) > np.cos(np.radians(5.0))
     assert organ.nodes_m[:, 2].max() < 0.002
-
-
-def test_the_named_sides_are_below_and_behind(organ: TetMesh) -> None:
-    below, back = (liver_region(organ, name) for name in LIVER_REGIONS)
-    top = organ.nodes_m[organ.surface_nodes]
-    assert organ.nodes_m[below, 2].mean() < top[:, 2].mean() - 0.01
-    assert organ.nodes_m[back, 1].mean() > 0.03
-    near = np.linalg.norm(organ.nodes_m[np.union1d(below, back)], axis=1).min()
-    assert near > 0.02
-    with pytest.raises(InputError, match="region must be one of below, back, got top"):
-        liver_region(organ, "top")
 
 
 def test_a_nodule_is_a_part_of_its_volume_bounded_by_faces() -> None:

@@ -80,16 +80,6 @@ def test_blend_adds_to_a_union_only_near_the_crease_and_at_most_a_quarter():
     assert gain[~far].max() > 0.2 * blend
 
 
-def test_known_distances():
-    assert sdf.box((2e-3, 2e-3, 2e-3)).distance(np.array([[2e-3, 2e-3, 1e-3]]))[0] == pytest.approx(
-        math.sqrt(2) * 1e-3
-    )
-    cylinder = sdf.cylinder(1e-3, (0, 0, 0), (0, 0, 2e-3))
-    assert cylinder.distance(np.array([[2e-3, 0, 3e-3], [0, 0, 1e-3]])) == pytest.approx(
-        [math.sqrt(2) * 1e-3, -1e-3]
-    )
-
-
 @pytest.mark.parametrize(
     ("make", "message"),
     [

@@ -6,7 +6,6 @@ from round_bodies import sphere_shell
 
 from meshes.base.errors import InputError
 from meshes.tets.regions import (
-    faces_of,
     nodes_behind_plane,
     nodes_facing,
     nodes_of_part,
@@ -26,14 +25,6 @@ def test_a_plane_chooses_the_nodes_behind_it() -> None:
     assert (
         len(nodes_behind_plane(MESH, point_m=(0.0, 0.0, 0.02), normal=(0.0, 0.0, 1.0))) == 36 + 20
     )
-
-
-def test_faces_of_a_flat_bottom_cover_it() -> None:
-    base = nodes_behind_plane(MESH, point_m=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
-    faces = faces_of(MESH, base)
-    a, b, c = (MESH.nodes_m[faces[:, k]] for k in range(3))
-    normal = 0.5 * np.cross(b - a, c - a)
-    assert normal.sum(axis=0) == pytest.approx((0.0, 0.0, -0.01), abs=1e-15)
 
 
 def test_a_direction_chooses_the_side_that_faces_it() -> None:

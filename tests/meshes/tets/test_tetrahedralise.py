@@ -8,7 +8,6 @@ import pyvista
 from numpy.typing import NDArray
 
 import meshes.tets.tetrahedralise as module
-from meshes.base.errors import InputError
 from meshes.surfaces.surface import Surface, read_surface, surface_from_triangles
 from meshes.tets.files import read_tets
 from meshes.tets.tetrahedra import mean_ratio
@@ -58,12 +57,6 @@ def test_a_ball_is_filled_quietly_once_and_comes_from_the_cache_after(
     again, _ = tetrahedralise(ball(), edge_m=0.02)
     assert np.array_equal(again.cells, mesh.cells)
     assert np.array_equal(again.nodes_m, mesh.nodes_m)
-
-
-@pytest.mark.parametrize("edge", [-1.0, float("nan"), 1e-6, 1.0])
-def test_an_edge_that_does_not_suit_is_refused(edge: float) -> None:
-    with pytest.raises(InputError, match=r"edge_m must be from .* mm to"):
-        tetrahedralise(ball(), edge_m=edge)
 
 
 def _polydata(points: NDArray[np.float64], triangles: NDArray[np.int64]) -> pyvista.PolyData:

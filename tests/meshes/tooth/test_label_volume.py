@@ -55,18 +55,6 @@ def test_layers_keep_their_volumes(resample_mm, rel):
         ), name
 
 
-def test_islands_are_dropped_and_reported():
-    values, remarks = tooth_labels(), []
-    values[2:4, 2:4, 2:4] = 3
-    values[135, 65, 55] = 2
-    volume = labelled_tooth(image(values)).volume(resample_mm=0.2, remark=remarks.append)
-    assert "Dropped 2 loose pieces of 9 voxels, 0.009 mm3 in all." in remarks
-    assert (
-        volume.volume_m3()
-        == labelled_tooth(image(tooth_labels())).volume(resample_mm=0.2).volume_m3()
-    )
-
-
 def test_cavity_becomes_pulp_by_default():
     remarks = []
     volume = labelled_tooth(image(tooth_labels())).volume(resample_mm=0.1, remark=remarks.append)

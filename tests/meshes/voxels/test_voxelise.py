@@ -64,21 +64,6 @@ def test_coarse_to_fine_is_brute_force(anatomy):
     assert np.abs(volume.fraction - fraction * 255.0).max() <= ROUNDING
 
 
-def test_glenoid_coarse_to_fine_is_brute_force():
-    anatomy = glenoid()
-    volume = voxelise(
-        anatomy, spacing_m=1e-4, region_m=((4e-3, 10e-3, -6e-3), (14e-3, 20e-3, 6e-3))
-    )
-    fraction, layer, density, _ = brute_force(anatomy, volume)
-    assert np.abs(volume.fraction - fraction * 255.0).max() <= ROUNDING
-    present = volume.fraction > 0
-    # single precision on a layer's boundary
-    assert (volume.layer == layer)[present].mean() > 0.99999
-    same = present & (volume.layer == layer)
-    # interpolated over 0.8 mm, decay length 5 mm
-    assert np.abs(volume.density_kg_m3[same] - density[same]).max() < 2.0
-
-
 def test_a_voxel_does_not_depend_on_the_region():
     anatomy, spacing = glenoid(), 1e-4
     whole = voxelise(

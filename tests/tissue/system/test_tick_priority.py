@@ -116,27 +116,3 @@ def test_a_system_without_such_calls_is_left_as_it_is(monkeypatch):
     priority.begin()
     priority.end()
     assert priority.granted == "ordinary priority: this system offers no other"
-
-
-@pytest.mark.parametrize("refused", [False, True])
-def test_windows_raises_the_class_of_the_process(monkeypatch, refused):
-    psutil = pytest.importorskip("psutil")
-    classes = [32]
-
-    class Process:
-        def nice(self, value=None):
-            if value is None:
-                return classes[-1]
-            if refused:
-                raise psutil.AccessDenied
-            classes.append(value)
-
-    monkeypatch.setattr(psutil, "Process", Process)
-    monkeypatch.setattr(sys, "platform", "win32")
-    priority = TickPriority()
-    priority.begin()
-    assert priority.granted.startswith(
-        "ordinary priority: a higher one was refused" if refused else "high priority"
-    )
-    priority.end()
-    assert classes == ([32] if refused else [32, 128, 32])
