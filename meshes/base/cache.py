@@ -1,4 +1,7 @@
-"""On-disk cache for expensive arrays, addressed by a hash of their inputs."""
+"""On-disk cache for expensive arrays, and in-memory store of recent results.
+
+Both are addressed by all inputs.
+"""
 
 import hashlib
 import json

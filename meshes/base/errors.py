@@ -1,4 +1,4 @@
-"""Error for an input that cannot be used, and the checks that raise it."""
+"""Error for an input that cannot be used, the checks that raise it, and dataclasses with ranges."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence

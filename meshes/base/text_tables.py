@@ -1,4 +1,4 @@
-"""Read TOML and JSON texts and refuse those that are nested too deeply."""
+"""Text from files: TOML and JSON that are not nested too deeply, numbers, and text for display."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""Atomic writing of files: a file is complete or absent."""
+"""Atomic writing of files, which are complete or absent, and the versions that they state."""
 
 import os
 from collections.abc import Iterator, Mapping

@@ -4,6 +4,9 @@ A path is a CSV table, a curve of 3D Slicer, or G-code. Of G-code (RS-274) the s
 three-axis tool are read: G0 (rapid), G1 (at the feed F), G20 and G21 (inches, mm), G90 and G91
 (absolute, relative), X, Y, Z, F [units a minute], line numbers N, comments in brackets and after a
 semicolon, and lines of %. Everything else is refused, because skipping it would change the path.
+
+A path becomes the table of poses that a replayed motion reads. The table holds times, tips and
+orientations in the site's frame.
 """
 
 import csv

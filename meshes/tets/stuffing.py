@@ -5,6 +5,13 @@ crosses one of their edges are moved onto the crossing; the edges still crossed 
 the pieces filled with tetrahedra. The four-sided faces left between pieces are cut from their
 lowest node (Dompierre et al., 1999), so neighbours conform. The pieces on both sides of a surface
 can be kept, which gives a part inside a surface of its own.
+
+Refinement halves tetrahedra at their longest edges. An edge that is the longest of every
+tetrahedron around it is split at its middle, and so are these tetrahedra. The mesh stays conforming
+without any repair. Where a tetrahedron with an edge to split has a longer edge, the longer edge is
+split first (Rivara 1997, Int. J. Numer. Methods Eng. 40:3313). Shapes stay bounded. The surface
+stays in place, or its nodes are moved onto a given surface. Flat triangles 20 mm long lie up to
+0.8 mm below a surface of 60 mm radius, for any division.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Tetrahedral meshes: nodes, cells, parts, and the surface around them."""
+"""Tetrahedral meshes: nodes, cells, parts, the surface around them, and measures of quality."""
 
 from dataclasses import dataclass, field
 from functools import cached_property

@@ -10,6 +10,11 @@ caries     2100 to 1300       M, L: infected dentin keeps about a third of its m
 ligament   1100 kg/m3         M, M: fibrous soft tissue
 bone       1800 kg/m3         M, H: alveolar bone taken as cortical throughout
 =========  =================  ==========================================================================
+
+The sites of a tooth are given by its long axis or by its lesion. The long axis is the principal axis
+of all the tooth's points with the smallest angle to the line between the middles of dentin and
+enamel. If no principal axis is within 25 degrees of that line (a crown without roots), the long axis
+is the line itself.
 """  # noqa: E501 a table
 
 import math

@@ -2,6 +2,10 @@
 
 They are interpolated between voxel centres. A surface or a change of layer is thus located to
 second order in the spacing, not to the nearest voxel.
+
+Distances to the nearest change of layer come from the layer at any point, or from labels alone.
+Only voxels in a cell of eight centres with two different layers have one. The distance of other
+voxels is never used.
 """
 
 from __future__ import annotations

@@ -4,6 +4,8 @@ Fraction: each voxel column holds 3 x 3 lines along z. A line's winding number c
 crosses the triangles, and its parts with a positive winding number are bone. This is exact along z
 and a quadrature of nine lines across. Depth: the distance to the surface on a lattice of 0.4 mm or
 a voxel, interpolated to the voxels.
+
+Crossings of vertical lines with the triangles also decide whether scattered points lie inside.
 """
 
 from dataclasses import dataclass

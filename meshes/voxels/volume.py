@@ -1,4 +1,4 @@
-"""Bone as voxels with fraction, layer and density."""
+"""Bone as voxels with fraction, layer and density, and the grids on which voxels lie."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The ``tissue`` command."""
+"""The ``tissue`` command: its subcommands, exit codes and shell completion."""
 
 import errno
 import os

@@ -1,6 +1,7 @@
-"""``tissue assess``."""
+"""Commands on saved runs: ``tissue assess``, ``compare``, ``report`` and ``view``."""
 
 from contextlib import nullcontext
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -139,17 +140,40 @@ def report(
     console.print(f"{written}: {written.stat().st_size / 1e6:.1f} MB")
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class DrawingOptions:
+    """Options of the drawing; the fields are arguments of `tissue.show.viewer.view.view`.
+
+    Attributes
+    ----------
+    hide
+        Layer or part that is hidden at first; may be repeated.
+    field
+        Field that is shown at first, for example von_mises_MPa.
+    scale
+        Factor of the drawn displacement at first.
+    time_s
+        Moment that is shown at first, in seconds; default the moment of the largest force.
+    clean
+        With --screenshot: draw only the tissue on a transparent background, without text, scales,
+        tool and arrows.
+    """
+
+    hide: Texts = ()
+    field: str | None = None
+    scale: float = 1.0
+    time_s: float | None = None
+    clean: Flag = False
+
+
 def view(
     folder: Path,
     /,
     *,
     screenshot: Path | None = None,
     movie: Path | None = None,
-    hide: Texts = (),
-    field: str | None = None,
-    scale: float = 1.0,
-    time_s: float | None = None,
-    clean: Flag = False,
+    drawing: DrawingOptions = DrawingOptions(),
     web: Flag = False,
     overwrite: Flag = False,
 ) -> None:
@@ -163,17 +187,6 @@ def view(
         Write a picture to this .png file instead of opening a window.
     movie
         Write a movie to this .mp4 or .gif file instead of opening a window.
-    hide
-        Layer or part that is hidden at first; may be repeated.
-    field
-        Field that is shown at first, for example von_mises_MPa.
-    scale
-        Factor of the drawn displacement at first.
-    time_s
-        Moment that is shown at first, in seconds; default the moment of the largest force.
-    clean
-        With --screenshot: draw only the tissue on a transparent background, without text, scales,
-        tool and arrows.
     web
         Use a browser on this machine in place of a window; the address is printed.
     overwrite
@@ -187,11 +200,7 @@ def view(
             folder,
             screenshot=screenshot,
             movie=movie,
-            hide=hide,
-            field=field,
-            scale=scale,
-            time_s=time_s,
-            clean=clean,
+            **asdict(drawing),
             overwrite=overwrite,
             progress=report,
             opened=opened,

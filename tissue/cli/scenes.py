@@ -1,4 +1,4 @@
-"""``tissue scenes``."""
+"""``tissue scenes`` and ``tissue schema``."""
 
 import sys
 from pathlib import Path

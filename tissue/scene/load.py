@@ -1,4 +1,7 @@
-"""Scenes from built-in names and TOML files, with overrides."""
+"""Scenes from built-in names and TOML files, with overrides.
+
+Files of version 0.2, whose keys of the device stood at the top, are converted.
+"""
 
 import tomllib
 import warnings

@@ -1,4 +1,7 @@
-"""Tables of named parts, and how a name that is none of them is refused."""
+"""Tables of named parts, and the parts that installed packages add to them by entry points.
+
+Entry points are read once, when a table is asked for more than it knows.
+"""
 
 import difflib
 import warnings

@@ -1,4 +1,7 @@
-"""Names of the parts that a scene's keys choose from, a table for each kind of part."""
+"""Names of the parts that a scene's keys choose from, a table for each kind of part.
+
+The entries hold the properties of a part. Factories of built-in parts lie in the packages above.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

@@ -1,5 +1,7 @@
-"""Base class of a scene's tables, and marks for keys that have an effect only together with
-another key.
+"""Base class of a scene's tables, and marks of their keys.
+
+`Needs` marks a key that has an effect only together with another key. `OneOf` and `ByKind` take the
+choices of a key from tables of named parts.
 """
 
 import re

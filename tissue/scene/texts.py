@@ -1,5 +1,7 @@
-"""Texts that a scene states: folders of its files, and names of parts that only this process
-knows.
+"""Texts of scenes for editors and reports.
+
+They are the folders of a scene's files, the names of parts that only this process knows, the site in
+a scene's file, and the JSON schema.
 """
 
 import json

@@ -1,6 +1,6 @@
-"""Start of child Python processes that use this checkout and end with this process.
+"""Child Python processes that use this checkout and end with this process.
 
-`HangDetector` detects child processes that no longer work.
+`Helper` exchanges messages with one. `HangDetector` detects processes that no longer work.
 """
 
 import os

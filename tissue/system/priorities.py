@@ -1,6 +1,6 @@
-"""Priority of the thread that runs ticks in real time.
+"""Priorities of the thread that runs ticks and of processes next to it, and gaps in scheduling.
 
-The priority is raised if the system permits it, and restored afterwards.
+A priority is raised if the system permits it, and restored afterwards.
 """
 
 import os

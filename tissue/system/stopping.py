@@ -1,4 +1,4 @@
-"""Conversion of stop signals into an exception, so that files are kept and helpers end."""
+"""Stop signals as an exception, so that files are kept and helpers end, and time limits."""
 
 import signal
 import sys

@@ -1,4 +1,7 @@
-"""Executors for parallel work: processes of this machine or workers of a Dask scheduler."""
+"""Executors for parallel work: processes of this machine or workers of a Dask scheduler.
+
+Processes end with this process, and hung ones are detected.
+"""
 
 import asyncio
 import logging
