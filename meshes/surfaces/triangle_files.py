@@ -1,8 +1,8 @@
 """Triangles as the files of surfaces hold them: STL, OBJ, PLY and VTK.
 
 VTK is read in a separate process by `meshes.base.isolated_parser`, because a damaged file can end
-the process. Its readers print errors to VTK's output window and continue with half-filled arrays, so
-every printed error counts as a failure. Cells are checked before any filter runs, because a filter
+the process. Its readers print errors to VTK's output window and continue with half-filled arrays.
+Every printed error thus counts as a failure. Cells are checked before any filter runs, because a filter
 would copy memory beyond the points.
 """
 

@@ -1,7 +1,7 @@
 """Texts of scenes for editors and reports.
 
-They are the folders of a scene's files, the names of parts that only this process knows, the site in
-a scene's file, and the JSON schema.
+They are the folders of a scene's files, the names of parts that only this process knows, the site
+in a scene's file, and the JSON schema.
 """
 
 import json
