@@ -77,7 +77,6 @@ def require_version(
     where: object,
     remedy: str,
     key: str = "format",
-    oldest: int = 1,
 ) -> int:
     """Return the version of a file's format if this version of tissue reads it.
 
@@ -88,17 +87,17 @@ def require_version(
     held
         Version data of the file: its format's version under ``key``, and ``tissue``, the version
         that wrote it.
-    newest, oldest
-        Versions that are read.
+    newest
+        Newest version that is read.
     where
         The file.
     remedy
-        Instruction for a file that is older.
+        Instruction for a file without a version.
 
     Raises
     ------
     InputError
-        If the version is missing, older or newer. The message names both versions and the version
+        If the version is missing or newer. The message names both versions and the version
         of tissue that wrote the file.
     """
     stated = held.get(key)
@@ -114,6 +113,4 @@ def require_version(
             f"{stated}, written by tissue {writer}, in {where}",
             "read it with that version of tissue",
         )
-    if stated < oldest:
-        raise InputError(what, f"be of format {oldest} or newer", f"{stated} in {where}", remedy)
     return stated

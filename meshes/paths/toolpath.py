@@ -353,6 +353,8 @@ class _Machine:
 
 
 POSE_COLUMNS = ("tool_x_mm", "tool_y_mm", "tool_z_mm", "tool_qx", "tool_qy", "tool_qz", "tool_qw")
+_RAPID_MM_S = 20.0
+"""Speed of rapid moves and of the approach."""
 _TURN_RAD_S = 0.5 * np.pi
 """Fastest turn of the tool [rad/s].
 
@@ -403,7 +405,6 @@ def to_replay(
     site: Site,
     *,
     feed_mm_s: float,
-    rapid_mm_s: float = 20.0,
     clearance_mm: float = 0.0,
 ) -> ReplayTable:
     """Bring a path into a site's frame and give it times.
@@ -416,8 +417,6 @@ def to_replay(
         Site that defines the scene's frame.
     feed_mm_s
         Speed where the path states no speed [mm/s].
-    rapid_mm_s
-        Speed of rapid moves and of the approach [mm/s].
     clearance_mm
         Distance of the start from the first point, along the tool's axis [mm].
 
@@ -429,7 +428,6 @@ def to_replay(
     from scipy.spatial.transform import Rotation
 
     feed = require_positive("feed_mm_s", feed_mm_s, "use for example 2")
-    rapid = require_positive("rapid_mm_s", rapid_mm_s, "use for example 20")
     if not clearance_mm >= 0.0:
         raise InputError("clearance_mm", "be at least 0", clearance_mm, "use for example 5")
     tips = 1e3 * site.to_site(1e-3 * path.points_mm)
@@ -437,11 +435,11 @@ def to_replay(
         np.tile([0.0, 0.0, 1.0], (len(tips), 1)) if path.axes is None else path.axes @ site.rotation
     )
     given = np.full(len(tips), feed) if path.feeds_mm_s is None else path.feeds_mm_s
-    speeds = np.where(np.isnan(given), rapid, given)
+    speeds = np.where(np.isnan(given), _RAPID_MM_S, given)
     if clearance_mm > 0.0:
         tips = np.vstack([tips[0] + clearance_mm * axes[0], tips])
         axes = np.vstack([axes[:1], axes])
-        speeds = np.concatenate([[rapid, rapid], speeds[1:]])
+        speeds = np.concatenate([[_RAPID_MM_S, _RAPID_MM_S], speeds[1:]])
     length = np.linalg.norm(np.diff(tips, axis=0), axis=1)
     turn = np.arccos(np.clip(np.einsum("ij,ij->i", axes[1:], axes[:-1]), -1.0, 1.0))
     moved = np.concatenate([[True], (length > _SAME_MM) | (turn > _SAME_RAD)])

@@ -2,8 +2,8 @@
 
 VTK is read in a separate process by `meshes.base.isolated_parser`, because a damaged file can end
 the process. Its readers print errors to VTK's output window and continue with half-filled arrays.
-Every printed error thus counts as a failure. Cells are checked before any filter runs, because a filter
-would copy memory beyond the points.
+Every printed error thus counts as a failure. Cells are checked before any filter runs, because a
+filter would copy memory beyond the points.
 """
 
 import re

@@ -13,7 +13,6 @@ import numpy as np
 
 from meshes.base.arrays import Array, Bytes, Flags
 from meshes.base.errors import InputError, require_positive
-from meshes.base.progress import Progress, silent
 from meshes.images.frame import Image
 from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.sdf import Shape
@@ -200,9 +199,7 @@ class LabelledTooth:
         )
 
 
-def labelled_tooth(
-    image: Image, *, labels: Mapping[int, str] = CARIES_LABELS, progress: Progress = silent
-) -> LabelledTooth:
+def labelled_tooth(image: Image, *, labels: Mapping[int, str] = CARIES_LABELS) -> LabelledTooth:
     """Check and place the labels of a tooth.
 
     The site's origin is where the tooth's long axis through the middle of the enamel leaves the
@@ -214,8 +211,6 @@ def labelled_tooth(
         Labels, 0 outside.
     labels
         Layer name by label.
-    progress
-        Called with the name of the current task and the finished fraction of it (0 to 1).
 
     Raises
     ------
@@ -223,7 +218,6 @@ def labelled_tooth(
         If labels are unknown, enamel or dentin is missing, or the size is implausible for a tooth.
     """
     require_known(labels.values(), "labels")
-    progress("naming the layers of the label volume", 0.0)
     layer, first, islands = _layers(image, labels)
     counts = np.bincount(layer.ravel(order="K"), minlength=EMPTY + 1)
     cube_mm3 = float(np.prod(image.spacing_mm))
@@ -235,7 +229,6 @@ def labelled_tooth(
     require_tooth_size(
         float(sides[longest]), "spacing_mm", f"{spacing_mm[longest]:g}", layer.shape[longest]
     )
-    progress("placing the tooth by its enamel", 0.5)
     placed, note = _placed(
         layer, 1e-3 * spacing_mm, 1e-3 * (np.array(image.origin_mm) + spacing_mm * first)
     )

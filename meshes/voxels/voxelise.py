@@ -5,8 +5,8 @@ Each voxel has a sub-voxel bone fraction, a layer and a density.
 A signed distance is evaluated coarse to fine over blocks of 8 x 8 x 8. A block whose centre is
 farther from the surface than its half diagonal is empty or solid throughout, because a signed
 distance is 1-Lipschitz. Only the blocks that the surface crosses are evaluated voxel by voxel.
-Solid blocks take their density by trilinear interpolation between their corners where the layer is the
-same all around them.
+Solid blocks take their density by trilinear interpolation between their corners where the layer is
+the same all around them.
 """
 
 from __future__ import annotations
