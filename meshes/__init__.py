@@ -12,8 +12,7 @@ from meshes.images.bone_image import image_volume
 from meshes.images.reading import read_image
 from meshes.shapes.anatomy import Anatomy, cortical_block
 from meshes.shapes.sdf import Shape
-from meshes.surfaces.bone_surface import surface_anatomy
-from meshes.surfaces.glenoid import glenoid
+from meshes.surfaces.glenoid import glenoid, surface_anatomy
 from meshes.surfaces.landmarks import find_glenoid
 from meshes.surfaces.site import Site, place_site
 from meshes.surfaces.surface import Surface, SurfaceReport, read_surface

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import tissue
-from tissue.scene.schema import schema_text
+from tissue.scene.texts import schema_text
 
 ROOT = Path(__file__).resolve().parents[1]
 LESSONS = [ROOT / "docs/start.md", *sorted((ROOT / "docs/guide").glob("*.md"))]

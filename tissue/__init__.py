@@ -6,10 +6,14 @@ it.
 >>> run.trace["force_z_N"]  # doctest: +SKIP
 """
 
-from importlib import import_module
-from importlib.util import find_spec
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from importlib import (import_module)
+from importlib.util import (find_spec)
+from pathlib import (Path)
+from typing import (Any, TYPE_CHECKING)
+
+__all__ = ["Assessment", "Bone", "Cut", "DeviceParameters", "Fit", "Imported", "InputError", "Loop", "Organ", "Press", "Run", "Sample", "Scene", "assess", "ball", "calibration", "compare", "cutters", "devices", "feed_along", "fit", "flat_punch", "import_ct", "load_scene", "material", "material_names", "motor_forces", "open_run", "probe_from_file", "register", "report", "scene_names", "scene_text", "simulate", "stability", "study", "sweep"]
+
+
 
 if TYPE_CHECKING:
     from meshes.base.errors import InputError
@@ -40,45 +44,6 @@ if TYPE_CHECKING:
 
     __version__: str
 
-__all__ = [
-    "Assessment",
-    "Bone",
-    "Cut",
-    "DeviceParameters",
-    "Fit",
-    "Imported",
-    "InputError",
-    "Loop",
-    "Organ",
-    "Press",
-    "Run",
-    "Sample",
-    "Scene",
-    "assess",
-    "ball",
-    "calibration",
-    "compare",
-    "cutters",
-    "devices",
-    "feed_along",
-    "fit",
-    "flat_punch",
-    "import_ct",
-    "load_scene",
-    "material",
-    "material_names",
-    "motor_forces",
-    "open_run",
-    "probe_from_file",
-    "register",
-    "report",
-    "scene_names",
-    "scene_text",
-    "simulate",
-    "stability",
-    "study",
-    "sweep",
-]
 
 _HOMES = {
     "Assessment": "tissue.objects.assess",
@@ -140,7 +105,7 @@ def _require_siblings() -> None:
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
-        from meshes.base.file_version import package_version  # reads a file
+        from meshes.base.whole_file import package_version  # reads a file
 
         return package_version()
     if name in _MODULES:

@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from tissue.scene.schema import schema_text
+from tissue.scene.texts import schema_text
 
 __all__ = ["Group", "Key", "Part", "parts", "unit_of"]
 

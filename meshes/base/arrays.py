@@ -1,11 +1,12 @@
-"""Types of arrays, and points of a lattice."""
+"""Types of arrays, points of a lattice, and triangles or cells that name points by number."""
 
-from typing import Any
-
+from numpy.typing import (ArrayLike, NDArray)
+from typing import (Any)
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Array", "Bytes", "Flags", "Floats", "Int32s", "Integers", "Ints", "Singles", "lattice"]
+__all__ = ["Array", "Bytes", "Flags", "Floats", "Int32s", "Integers", "Ints", "Singles", "Triangles", "compact", "cross_products", "directed_edges", "enclosed_volume", "lattice", "windings"]
+
+
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -15,8 +16,49 @@ Floats = NDArray[np.floating]
 Flags = NDArray[np.bool_]
 Bytes = NDArray[np.uint8]
 Singles = NDArray[np.float32]
+Triangles = tuple[Array, Ints]
+"""Vertices, shape (n, 3), and the vertex numbers of triangles, shape (m, 3)."""
 
 
 def lattice(*axes: ArrayLike) -> Any:
     """Return all combinations of coordinates along axes, shape (n, axes), last axis fastest."""
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+
+
+def compact(points: Array, cells: Ints) -> tuple[Array, Ints]:
+    """Return the points that cells name, shape (n, 3), and the cells, shape (m, k), renumbered."""
+    used = np.zeros(len(points), dtype=bool)
+    used[cells] = True
+    return (points, cells) if used.all() else (points[used], (np.cumsum(used) - 1)[cells])
+
+
+def directed_edges(triangles: Ints) -> Ints:
+    """Return start and end of the edges of triangles, shape (3 m, 2).
+
+    All first edges come first, then all second, then all third.
+    """
+    return np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+
+
+def windings(triangles: Ints) -> Ints:
+    """Return 1 or -1 for the two windings of a triangle, shape (m,).
+
+    It is 0 where a triangle names a point twice.
+    """
+    a, b, c = triangles.T
+    return np.sign(b - a) * np.sign(c - b) * np.sign(a - c)
+
+
+def cross_products(points: Array, triangles: Ints) -> Array:
+    """Compute normals of triangles, as long as twice their area, shape (m, 3)."""
+    a, b, c = (points[triangles[:, k]] for k in range(3))
+    return np.cross(b - a, c - a)
+
+
+def enclosed_volume(points: Array, triangles: Ints) -> float:
+    """Compute the volume that triangles wound outward enclose, in cubed units of the points."""
+    corners = points - points.mean(axis=0)
+    return (
+        float(np.einsum("ij,ij->", corners[triangles[:, 0]], cross_products(corners, triangles)))
+        / 6.0
+    )

@@ -1,20 +1,23 @@
-"""On-disk cache for expensive arrays, addressed by a hash of their inputs."""
+"""On-disk cache for expensive arrays, and in-memory store of recent results.
+
+Both are addressed by all inputs.
+"""
 
 import hashlib
 import json
 import os
 import sys
-from collections.abc import Callable, Iterable
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.file_version import package_version
-from meshes.base.whole_file import whole_file
+from meshes.base.whole_file import package_version, whole_file
 
-__all__ = ["cache_folder", "cached_arrays", "read_entry", "write_entry"]
+__all__ = ["Kept", "cache_folder", "cached_arrays", "read_entry", "write_entry"]
 
 _SEAL = "tissue cache entry"
 Arrays = dict[str, NDArray[np.generic]]
@@ -139,3 +142,39 @@ def _code(make: Callable[[], Arrays]) -> str:
     except OSError:
         source = b""
     return f"{package_version()} {hashlib.blake2b(source, digest_size=8).hexdigest()}"
+
+
+Result = TypeVar("Result")
+
+
+class Kept(Generic[Result]):
+    """Most recently requested results.
+
+    Trials of a study build the same meshes, voxels and tables again and again.
+
+    Parameters
+    ----------
+    most
+        Number of results kept. The least recently requested result is dropped first, so that memory
+        does not grow.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._results: OrderedDict[Hashable, Result] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self._results)
+
+    def of(self, key: Hashable, make: Callable[[], Result]) -> Result:
+        """Return the result of a key, computed if it is not kept.
+
+        All callers share the result and must not change it.
+        """
+        found = self._results.pop(key, None)
+        if found is None:
+            found = make()
+        self._results[key] = found
+        while len(self._results) > self._most:
+            self._results.popitem(last=False)
+        return found

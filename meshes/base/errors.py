@@ -1,16 +1,20 @@
-"""Error for an input that cannot be used, and the checks that raise it."""
+"""Error for an input that cannot be used, the checks that raise it, and dataclasses with ranges."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from meshes.base.arrays import Array
 
 __all__ = [
     "DamagedFileError",
     "InputError",
+    "Ranged",
     "as_vector",
     "by",
     "counted",
@@ -18,6 +22,7 @@ __all__ = [
     "is_file",
     "is_folder",
     "names_of_caller",
+    "ranged",
     "require_direction",
     "require_file",
     "require_length",
@@ -176,7 +181,7 @@ def require_ranges(*rows: tuple[str, float, float, float, str]) -> list[float]:
     return [require_range(*row) for row in rows]
 
 
-def as_vector(value: object) -> NDArray[np.float64] | None:
+def as_vector(value: object) -> Array | None:
     """Return three finite numbers as an array, or None for any other value."""
     try:
         vector = np.asarray(value, dtype=np.float64)
@@ -185,7 +190,7 @@ def as_vector(value: object) -> NDArray[np.float64] | None:
     return vector if vector.shape == (3,) and np.isfinite(vector).all() else None
 
 
-def require_vector(name: str, value: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
+def require_vector(name: str, value: Sequence[float] | Array) -> Array:
     """Return `value` as three floats.
 
     Raises
@@ -201,9 +206,9 @@ def require_vector(name: str, value: Sequence[float] | NDArray[np.float64]) -> N
 
 def require_direction(
     name: str,
-    value: Sequence[float] | NDArray[np.float64],
+    value: Sequence[float] | Array,
     remedy: str = "use for example (0, 0, 1)",
-) -> NDArray[np.float64]:
+) -> Array:
     """Return the unit vector along `value`, shape (3,).
 
     Raises
@@ -296,3 +301,25 @@ def names_of_caller(names: Mapping[str, str]) -> Iterator[None]:
         elif whole in names:
             error.argument = f"{names[whole]}{bracket}{element}"
         raise
+
+
+def ranged(default: float, lowest: float, highest: float, remedy: str = "") -> Any:
+    """Declare a number of a `Ranged` with its default and its closed range."""
+    return field(
+        default=default, metadata={"range": (lowest, highest, remedy or f"use {default:g}")}
+    )
+
+
+@dataclass(frozen=True)
+class Ranged:
+    """Base of dataclasses whose numbers are declared by `ranged`.
+
+    Raises
+    ------
+    InputError
+        If a number is not finite or out of its range.
+    """
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            require_range(each.name, getattr(self, each.name), *each.metadata["range"])

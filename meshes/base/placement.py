@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Floats
 from meshes.base.errors import InputError
 
 __all__ = ["Placement"]
@@ -33,12 +33,12 @@ class Placement:
         Length of a unit of the file [mm].
     """
 
-    origin_mm: NDArray[np.float64]
-    rotation: NDArray[np.float64]
+    origin_mm: Array
+    rotation: Array
     unit_mm: float = 1.0
 
     @property
-    def file_to_scene_mm(self) -> NDArray[np.float64]:
+    def file_to_scene_mm(self) -> Array:
         """Return the homogeneous matrix from the file's coordinates to the scene's.
 
         Both are in mm; the matrix has the shape (4, 4).
@@ -48,13 +48,13 @@ class Placement:
         matrix[:3, 3] = -self.rotation.T @ self.origin_mm
         return matrix
 
-    def to_file(self, points_mm: NDArray[np.floating]) -> NDArray[np.float64]:
+    def to_file(self, points_mm: Floats) -> Array:
         """Convert points of the scene [mm], shape (n, 3), to the file's frame and unit."""
         return (
             self.origin_mm + np.asarray(points_mm, dtype=np.float64) @ self.rotation.T
         ) / self.unit_mm
 
-    def to_scene(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
+    def to_scene(self, points: Floats) -> Array:
         """Convert points in the file's frame and unit, shape (n, 3), to the scene's frame [mm]."""
         return (
             np.asarray(points, dtype=np.float64) * self.unit_mm - self.origin_mm

@@ -1,11 +1,26 @@
-"""Read TOML and JSON texts and refuse those that are nested too deeply."""
+"""Text from files: TOML and JSON that are not nested too deeply, numbers, and text for display."""
 
 import json
 import math
 import tomllib
+import unicodedata
+from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
-__all__ = ["DEEPEST", "read_json", "read_toml", "require_shallow"]
+from meshes.base.errors import InputError
+
+__all__ = [
+    "DEEPEST",
+    "number_in",
+    "number_or_nan",
+    "read_json",
+    "read_toml",
+    "require_distinct_columns",
+    "require_shallow",
+    "visible",
+    "whole_number_in",
+]
 
 LONGEST_NUMBER = 308
 """Most digits of a whole number; a longer one fits no float."""
@@ -80,3 +95,71 @@ def require_shallow(value: object) -> None:
         if not level:
             return
     raise RecursionError
+
+
+def number_in(text: str) -> float:
+    """Return the number that a text holds.
+
+    Python reads ``1_0`` as 10. In a file of measurements it is a damaged number, so it is refused.
+
+    Raises
+    ------
+    ValueError
+        If the text holds no number.
+    """
+    if "_" in text:
+        raise ValueError(f"could not convert text to a number: {text!r}")
+    return float(text)
+
+
+def number_or_nan(text: str | None) -> float:
+    """Return the number that a text holds, NaN for any other text; see `number_in`."""
+    try:
+        return number_in(text or "")
+    except ValueError:
+        return float("nan")
+
+
+def whole_number_in(text: str) -> int:
+    """Return the whole number that a text holds; see `number_in`.
+
+    Raises
+    ------
+    ValueError
+        If the text holds no whole number.
+    """
+    if "_" in text:
+        raise ValueError(f"could not convert text to a whole number: {text!r}")
+    return int(text)
+
+
+def require_distinct_columns(names: Iterable[str], what: str, path: Path) -> None:
+    """Refuse a table in which two columns have one name.
+
+    Raises
+    ------
+    InputError
+        If a name occurs twice. `what` is the argument or key that names the file.
+    """
+    seen = set[str]()
+    for name in names:
+        if name in seen:
+            raise InputError(
+                f"{what} has two columns named {name} in {path}: rename or remove one of them"
+            )
+        seen.add(name)
+
+
+def visible(text: str) -> str:
+    """Replace control and formatting characters by escapes, such as ``\\x1b``.
+
+    Line feeds are kept.
+    """
+    if text.isascii() and text.isprintable():
+        return text
+    return "".join(
+        each.encode("unicode_escape").decode()
+        if unicodedata.category(each) in ("Cc", "Cf", "Cs")
+        else each
+        for each in text
+    ).replace("\\n", "\n")

@@ -1,14 +1,18 @@
-"""Atomic writing of files: a file is complete or absent."""
+"""Atomic writing of files, which are complete or absent, and the versions that they state."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 from uuid import uuid4
 from weakref import WeakSet
 
-__all__ = ["OWNERS", "claim", "whole_file"]
+from meshes.base.errors import InputError
+
+__all__ = ["OWNERS", "claim", "package_version", "require_version", "whole_file"]
 
 
 class Owner(Protocol):
@@ -54,3 +58,59 @@ def whole_file(path: Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             temporary.unlink()
+
+
+@cache
+def package_version() -> str:
+    """Return the version of this library, which its files carry."""
+    try:
+        return version("tissue-sim")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def require_version(
+    what: str,
+    held: Mapping[str, Any],
+    newest: int,
+    *,
+    where: object,
+    remedy: str,
+    key: str = "format",
+) -> int:
+    """Return the version of a file's format if this version of tissue reads it.
+
+    Parameters
+    ----------
+    what
+        Name of the file for the user.
+    held
+        Version data of the file: its format's version under ``key``, and ``tissue``, the version
+        that wrote it.
+    newest
+        Newest version that is read.
+    where
+        The file.
+    remedy
+        Instruction for a file without a version.
+
+    Raises
+    ------
+    InputError
+        If the version is missing or newer. The message names both versions and the version
+        of tissue that wrote the file.
+    """
+    stated = held.get(key)
+    if isinstance(stated, bool) or not isinstance(stated, int) or stated < 1:
+        raise InputError(
+            what, "state the version of its format", f"{str(stated)[:40]} in {where}", remedy
+        )
+    if stated > newest:
+        writer = str(held.get("tissue", "a later version"))[:40]
+        raise InputError(
+            what,
+            f"be of format {newest} or older",
+            f"{stated}, written by tissue {writer}, in {where}",
+            "read it with that version of tissue",
+        )
+    return stated

@@ -8,14 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from meshes.base.arrays import Bytes, Floats
+from meshes.base.arrays import Bytes, Floats, Triangles
 from meshes.base.errors import InputError, require_ranges
 from meshes.images.frame import Image
 from meshes.images.itk import header_lines
 from meshes.shapes.anatomy import Anatomy, Classify
 from meshes.shapes.sdf import Shape
-from meshes.surfaces.bone_surface import SURFACE_LAYERS
-from meshes.surfaces.repair import Triangles
+from meshes.surfaces.glenoid import SURFACE_LAYERS
 from meshes.surfaces.site import Site
 from meshes.surfaces.surface import Surface
 from meshes.tooth.layer_contact import inside_surface

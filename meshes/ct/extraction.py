@@ -9,9 +9,8 @@ from itertools import product
 
 import numpy as np
 
-from meshes.base.arrays import Array, Flags, Floats, Ints, Singles
+from meshes.base.arrays import Array, Flags, Floats, Ints, Singles, enclosed_volume
 from meshes.base.errors import InputError, counted
-from meshes.base.simplices import enclosed_volume
 from meshes.images.frame import Image, box_of, part_of
 from meshes.images.threshold_surface import image_cuts, image_triangles
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, by
-from meshes.base.text_numbers import number_in
+from meshes.base.text_tables import number_in
 from meshes.images.frame import StoredImage
 
 if TYPE_CHECKING:

@@ -1,1 +1,1 @@
-"""Procedural soft organs."""
+"""Soft organs, procedural or from labels."""

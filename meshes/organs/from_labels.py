@@ -13,25 +13,137 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import (
+    Array,
+    Flags,
+    Ints,
+    Singles,
+    Triangles,
+    enclosed_volume,
+)
 from meshes.base.errors import InputError, by, counted, names_of_caller, require_range
 from meshes.base.progress import Progress, silent
-from meshes.base.simplices import cross_products
 from meshes.ct.labels import Labels
 from meshes.images.frame import box_of
-from meshes.organs.label_surface import LabelGrid, label_triangles
+from meshes.images.label_spread import spread_labels
 from meshes.surfaces.surface import Surface, surface_from_triangles
-from meshes.tets.bisection import bisected
-from meshes.tets.quality import repair_tets
-from meshes.tets.stuffing import area_of, with_inclusion
+from meshes.tets.quality import describe, repair_tets
+from meshes.tets.stuffing import with_inclusion
 from meshes.tets.tetrahedra import TetMesh
-from meshes.tets.tetrahedralise import FILL_EDGES, tetrahedralise
+from meshes.tets.tetrahedralise import FILL_EDGES, tetrahedralise, with_volume
 from meshes.voxels.mesh_sampling import nearest_on_triangles
 
-__all__ = ["LabelledOrgan", "labelled_organ", "organ_mesh"]
+__all__ = ["LabelGrid", "LabelledOrgan", "label_triangles", "labelled_organ", "organ_mesh"]
 
-Mask = NDArray[np.bool_]
+_PER_RADIUS = 1.0 / 3.0
+"""Deviation of the smoothing over the label's radius.
+
+On ellipsoids, smaller values leave steps and larger ones round them off.
+"""
+_DEVIATIONS = (1.0, 2.0)
+"""Bounds of the deviation [voxel].
+
+Beyond 2, the thin edge of an organ of ordinary voxels is lost.
+"""
+_REACH = 4.0
+"""Deviations around a label that its share depends on."""
+_LEVELS = (0.25, 0.75)
+"""Bounds of the level that encloses the volume of the voxels."""
+_SLOPE = -1.0
+"""First guess of how the volume's share falls with the level; later ones are secants."""
+_TRIES = 6
+_CLOSE = 2e-4
+"""Largest number of meshes in the search for the level, and the accepted volume error.
+
+The volume error is a share of the volume.
+"""
+
+
+@dataclass(frozen=True)
+class LabelGrid:
+    """Position of the voxels of a label image.
+
+    Attributes
+    ----------
+    spacing_mm
+        Distance between neighbours along x, y and z [mm].
+    origin_mm
+        Centre of voxel (0, 0, 0) [mm].
+    """
+
+    spacing_mm: tuple[float, float, float]
+    origin_mm: tuple[float, float, float]
+
+    @property
+    def voxel_mm3(self) -> float:
+        """Volume of a voxel [mm3]."""
+        return float(np.prod(self.spacing_mm))
+
+    def within(self, first: tuple[int, ...]) -> "LabelGrid":
+        """Return the same grid starting at another first voxel."""
+        x, y, z = (
+            start + side * index
+            for start, side, index in zip(self.origin_mm, self.spacing_mm, first, strict=True)
+        )
+        return LabelGrid(self.spacing_mm, (x, y, z))
+
+
+def label_triangles(mask: Flags, grid: LabelGrid) -> Triangles | None:
+    """Return the smooth closed surface of a label, wound outward.
+
+    It consists of vertices [m], shape (n, 3), and triangles, shape (m, 3).
+
+    The label is spread by a kernel that keeps curved surfaces in place, two voxels or a third of
+    the label's radius wide. The surface is the level that encloses the volume of the voxels. At the
+    end of the image the label ends.
+
+    Parameters
+    ----------
+    mask
+        Voxels of the label.
+    grid
+        Place of the voxels.
+
+    Returns
+    -------
+    None if the label has too few voxels for a surface.
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    pad = int(np.ceil(_REACH * _DEVIATIONS[1])) + 2
+    crop = box_of(mask)
+    padded = np.pad(mask[crop], pad)
+    radius = float(distance_transform_edt(padded).max())
+    deviation = float(np.clip(_PER_RADIUS * radius, *_DEVIATIONS))
+    share = spread_labels(padded.astype(np.float32), deviation)
+    place = grid.within(tuple(each.start - pad for each in crop))
+    wanted_m3 = 1e-9 * grid.voxel_mm3 * float(np.count_nonzero(mask))
+    low = _LEVELS[0]
+    high = min(_LEVELS[1], float(share.max()))
+    if low >= high:
+        return None
+    level = min(0.5, 0.5 * (low + high))
+    before = (0.0, 0.0)
+    for attempt in range(_TRIES):
+        found = _level(share, level, place)
+        off = enclosed_volume(*found) / wanted_m3 - 1.0
+        if abs(off) < _CLOSE:
+            break
+        slope = (off - before[0]) / (level - before[1]) if attempt else _SLOPE
+        before = off, level
+        level = float(np.clip(level - off / min(slope, _SLOPE / 10.0), low, high - 1e-3))
+    return found
+
+
+def _level(share: Singles, level: float, grid: LabelGrid) -> Triangles:
+    from skimage.measure import marching_cubes
+
+    vertices, faces, _, _ = marching_cubes(share, level, spacing=grid.spacing_mm)
+    vertices = 1e-3 * (vertices.astype(np.float64) + grid.origin_mm)
+    return vertices, faces[:, ::-1].astype(np.int64)
+
+
 _FEWEST_VOXELS = 64
 """A piece of a part with fewer voxels, 5 across a ball, has no surface of its own."""
 _FLAT_END = 0.5
@@ -67,8 +179,8 @@ class LabelledOrgan:
     """
 
     name: str
-    solid: Mask
-    parts: dict[str, Mask]
+    solid: Flags
+    parts: dict[str, Flags]
     grid: LabelGrid
     notes: dict[str, str]
 
@@ -98,10 +210,10 @@ class LabelledOrgan:
             filled, _ = tetrahedralise(self.surface, edge_m=1e-3 * edge, report=report)
         organ_m3 = 1e-9 * self.grid.voxel_mm3 * float(np.count_nonzero(self.solid))
         mesh, notes = self._with_parts(replace(filled, part_names=(self.name,)), edge, report)
-        mesh = _of_volume(mesh, organ_m3)
+        mesh = with_volume(mesh, organ_m3, within_m=1e-3 * edge)
         off = float(mesh.volumes_m3.sum()) / organ_m3 - 1.0
-        mesh, repaired = repair_tets(mesh.nodes_m, mesh.cells, mesh.part, mesh.part_names)
-        found = (*repaired.sentences(), f"{off:+.2%} of volume against the voxels.")
+        mesh, repairs = repair_tets(mesh.nodes_m, mesh.cells, mesh.part, mesh.part_names)
+        found = (*describe(mesh), *repairs, f"{off:+.2%} of volume against the voxels.")
         return mesh, self.notes | notes | {"mesh": " ".join(found)}
 
     def _with_parts(
@@ -114,7 +226,7 @@ class LabelledOrgan:
         vertices = self.surface.vertices_m
         faces = self.surface.faces
 
-        def onto(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        def onto(points: Array) -> Array:
             return nearest_on_triangles(vertices, faces, points)
 
         # A part inside another takes its place first, and the other is closed around it.
@@ -197,7 +309,9 @@ def labelled_organ(labels: Labels, organ: str, parts: Sequence[str] = ()) -> Lab
     return LabelledOrgan(organ, solid, found, grid, notes)
 
 
-def _one_piece(body: Mask, organ: Mask, grid: LabelGrid, name: str) -> tuple[Mask, dict[str, str]]:
+def _one_piece(
+    body: Flags, organ: Flags, grid: LabelGrid, name: str
+) -> tuple[Flags, dict[str, str]]:
     """Return the piece that holds most of the organ, with hollows filled, and notes.
 
     The notes are on the other pieces and on the image's edge.
@@ -207,7 +321,7 @@ def _one_piece(body: Mask, organ: Mask, grid: LabelGrid, name: str) -> tuple[Mas
     notes = []
     pieces = label(body)[0]
     sizes = np.bincount(pieces[organ])
-    solid: Mask = pieces == int(sizes.argmax())
+    solid: Flags = pieces == int(sizes.argmax())
     dropped_ml = 1e-3 * grid.voxel_mm3 * int(np.count_nonzero(body) - np.count_nonzero(solid))
     if dropped_ml:
         loose = counted(int(pieces.max()) - 1, "loose piece")
@@ -222,7 +336,7 @@ def _one_piece(body: Mask, organ: Mask, grid: LabelGrid, name: str) -> tuple[Mas
     return filled, {name: " ".join((size, *notes))}
 
 
-def _ends(solid: Mask, grid: LabelGrid) -> list[str]:
+def _ends(solid: Flags, grid: LabelGrid) -> list[str]:
     """Return notes on the ends of an organ.
 
     They state where the image cuts the organ off, and where its labels may end before the organ
@@ -254,8 +368,8 @@ def _ends(solid: Mask, grid: LabelGrid) -> list[str]:
 
 
 def _pieces(
-    name: str, mask: Mask, solid: Mask, organ: str, grid: LabelGrid, notes: dict[str, str]
-) -> Mask:
+    name: str, mask: Flags, solid: Flags, organ: str, grid: LabelGrid, notes: dict[str, str]
+) -> Flags:
     """Return a part's voxels in the organ, without pieces too small for a surface.
 
     A note on anything unusual is added to `notes`.
@@ -274,7 +388,7 @@ def _pieces(
     sizes = np.bincount(pieces.ravel(), minlength=count + 1)
     small = sizes < _FEWEST_VOXELS
     small[0] = False
-    kept: Mask = inside & ~small[pieces]
+    kept: Flags = inside & ~small[pieces]
     if not kept.any():
         raise InputError(
             name,
@@ -302,8 +416,8 @@ def _pieces(
 
 
 def _part_triangles(
-    mask: Mask, solid: Mask, before: Mask, grid: LabelGrid, beyond: int
-) -> tuple[NDArray[np.float64], NDArray[np.int64]] | None:
+    mask: Flags, solid: Flags, before: Flags, grid: LabelGrid, beyond: int
+) -> tuple[Array, Ints] | None:
     """Return the surface of a part whose label is extended.
 
     The extension goes beyond the organ's end and into earlier parts. Each voxel there takes the
@@ -322,21 +436,3 @@ def _part_triangles(
     away, nearest = distance_transform_edt(~body | taken, return_indices=True)
     goes_on = inside[tuple(nearest)] & (body | (away <= beyond))
     return label_triangles(goes_on, grid.within(tuple(low for low, _ in box)))
-
-
-def _of_volume(mesh: TetMesh, volume_m3: float) -> TetMesh:
-    """Move the mesh's surface outward until the mesh has the given volume.
-
-    Flat faces cut the corners of round bodies, so their volume is too small.
-    """
-    nodes = mesh.surface_nodes
-    normals = np.zeros(mesh.nodes_m.shape)
-    for corner in mesh.surface.T:
-        np.add.at(normals, corner, cross_products(mesh.nodes_m, mesh.surface))
-    outward = normals[nodes] / np.linalg.norm(normals[nodes], axis=1, keepdims=True)
-    laid_m = (volume_m3 - float(mesh.volumes_m3.sum())) / area_of(mesh.nodes_m, mesh.surface)
-    return bisected(
-        mesh,
-        lambda points: np.full(len(points), np.inf),
-        onto=lambda points: points + laid_m * outward,
-    )

@@ -34,10 +34,9 @@ from meshes.shapes.sdf import (
     sphere,
     union,
 )
-from meshes.tets.bisection import bisected
 from meshes.tets.regions import Nodes, nodes_behind_plane, nodes_facing
 from meshes.tets.structured import graded, grid
-from meshes.tets.stuffing import stuffed, with_part
+from meshes.tets.stuffing import bisected, stuffed, with_part
 from meshes.tets.tetrahedra import TetMesh
 
 __all__ = [

@@ -1,1 +1,1 @@
-"""Paths of tools from files, and their depth below a bone's surface."""
+"""Paths of tools from files, polylines, and depth below a bone's surface."""

@@ -4,30 +4,102 @@ A path is a CSV table, a curve of 3D Slicer, or G-code. Of G-code (RS-274) the s
 three-axis tool are read: G0 (rapid), G1 (at the feed F), G20 and G21 (inches, mm), G90 and G91
 (absolute, relative), X, Y, Z, F [units a minute], line numbers N, comments in brackets and after a
 semicolon, and lines of %. Everything else is refused, because skipping it would change the path.
+
+A path becomes the table of poses that a replayed motion reads. The table holds times, tips and
+orientations in the site's frame.
 """
 
 import csv
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from meshes.base.arrays import Array
-from meshes.base.errors import InputError, require_file
-from meshes.base.text_numbers import number_in, require_distinct_columns
+from meshes.base.arrays import Array, Ints
+from meshes.base.errors import InputError, require_file, require_positive
+from meshes.base.text_tables import number_or_nan, require_distinct_columns
+from meshes.base.whole_file import whole_file
 from meshes.surfaces.markups import TO_LPS, read_curve
+from meshes.surfaces.site import Site
 from meshes.surfaces.surface import Surface
-from meshes.voxels.column_crossings import inside_scattered
-from meshes.voxels.mesh_sampling import triangle_distance
+from meshes.voxels.mesh_sampling import inside_scattered, triangle_distance
 
-__all__ = ["GCODE", "PathDepth", "Toolpath", "depth_along", "read_toolpath"]
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
+
+__all__ = [
+    "GCODE",
+    "POSE_COLUMNS",
+    "PathDepth",
+    "ReplayTable",
+    "Toolpath",
+    "arc_length",
+    "depth_along",
+    "kept_corners",
+    "points_along",
+    "read_toolpath",
+    "to_replay",
+]
+
+
+def arc_length(corners: ArrayLike) -> Array:
+    """Compute the path length from the first corner to each corner, shape (n,).
+
+    It has the unit of the corners, shape (n, 3).
+    """
+    return np.concatenate(
+        [[0.0], np.cumsum(np.linalg.norm(np.diff(np.asarray(corners), axis=0), axis=1))]
+    )
+
+
+def points_along(corners: ArrayLike, lengths: ArrayLike) -> Array:
+    """Return points at some path lengths from the first corner, shape (m, 3).
+
+    Lengths beyond an end give the end.
+    """
+    along = arc_length(corners)
+    given = np.asarray(corners)
+    at = np.asarray(lengths, dtype=np.float64)
+    return np.column_stack([np.interp(at, along, given[:, axis]) for axis in range(3)])
+
+
+def kept_corners(corners: ArrayLike, within: float) -> Ints:
+    """Return the indices of the corners to keep, ascending (Douglas and Peucker 1973).
+
+    Every other corner lies within a distance of the line through the kept corners.
+
+    Parameters
+    ----------
+    corners
+        Shape (n, 3).
+    within
+        That distance, in the unit of the corners.
+    """
+    given = np.asarray(corners, dtype=np.float64)
+    kept = {0, len(given) - 1}
+    open_legs = [(0, len(given) - 1)]
+    while open_legs:
+        first, last = open_legs.pop()
+        if last - first < 2:
+            continue
+        along = given[last] - given[first]
+        between = given[first + 1 : last] - given[first]
+        share = np.clip(between @ along / max(float(along @ along), 1e-300), 0.0, 1.0)
+        off = np.linalg.norm(between - share[:, None] * along, axis=1)
+        if off.max() > within:
+            farthest = first + 1 + int(np.argmax(off))
+            kept.add(farthest)
+            open_legs += [(first, farthest), (farthest, last)]
+    return np.array(sorted(kept), dtype=np.int64)
+
 
 GCODE = (".gcode", ".nc", ".ngc", ".tap", ".cnc")
 _PLACE = ("x_mm", "y_mm", "z_mm")
 _FEED = "feed_mm_s"
 _AXIS = ("axis_x", "axis_y", "axis_z")
-_COLUMNS = (*_PLACE, _FEED, *_AXIS)
 _WORD = re.compile(r"([A-Za-z])\s*([-+]?(?:\d+\.?\d*|\.\d+))")
 _COMMENT = re.compile(r"\([^()]*\)|;.*")
 _MODES = {0.0: "motion", 1.0: "motion", 20.0: "unit", 21.0: "unit", 90.0: "reach", 91.0: "reach"}
@@ -188,36 +260,20 @@ def _read_table(file: Path) -> Toolpath:
 def _check_columns(names: tuple[str, ...], file: Path) -> None:
     """Raise for missing and unknown columns."""
     needed = (*_PLACE, *_AXIS) if any(name in names for name in _AXIS) else _PLACE
-    missing = [name for name in needed if name not in names]
-    if missing:
+    if not set(needed) <= set(names) <= {*_PLACE, _FEED, *_AXIS}:
         raise InputError(
             "path",
-            f"have the columns {', '.join(missing)}",
+            f"have the columns {', '.join(needed)}, and no others but {_FEED} and the axis",
             f"{', '.join(names)} in {file}",
-            "add them",
-        )
-    unknown = [name for name in names if name not in _COLUMNS]
-    if unknown:
-        raise InputError(
-            "path",
-            f"have no columns but {', '.join(_COLUMNS)}",
-            f"{', '.join(unknown)} in {file}",
-            "drop them",
+            "add or rename columns",
         )
 
 
 def _number(text: str | None, name: str, line: int, file: Path) -> float:
-    try:
-        value = number_in(text or "")
-    except ValueError:
-        value = float("nan")
+    value = number_or_nan(text)
     if not np.isfinite(value):
-        raise InputError(
-            "path",
-            "hold finite numbers",
-            f"{text or 'nothing'} for {name} in line {line} of {file}",
-            "fix it",
-        )
+        got = f"{text or 'nothing'} for {name} in line {line} of {file}"
+        raise InputError("path", "hold finite numbers", got, "fix it")
     return value
 
 
@@ -294,3 +350,113 @@ class _Machine:
 
     def _refused(self, wanted: str, line: int) -> InputError:
         return InputError(f"path must hold {wanted} in line {line} of {self._file}: fix that line")
+
+
+POSE_COLUMNS = ("tool_x_mm", "tool_y_mm", "tool_z_mm", "tool_qx", "tool_qy", "tool_qz", "tool_qw")
+_RAPID_MM_S = 20.0
+"""Speed of rapid moves and of the approach."""
+_TURN_RAD_S = 0.5 * np.pi
+"""Fastest turn of the tool [rad/s].
+
+A hand turns a drill through a right angle in about a second.
+"""
+_SAME_MM = 1e-6
+_SAME_RAD = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class ReplayTable:
+    """Poses at increasing times in the site's frame.
+
+    Attributes
+    ----------
+    times_s
+        Times [s] from 0, shape (n,).
+    tips_mm
+        Tip of the tool [mm], shape (n, 3).
+    quaternions
+        Orientations (x, y, z, w), shape (n, 4); (0, 0, 0, 1) points the tool along -z.
+    """
+
+    times_s: Array
+    tips_mm: Array
+    quaternions: Array
+
+    def write(self, path: Path) -> None:
+        """Write the CSV that ``motion.kind = "replay"`` reads."""
+        with (
+            whole_file(path) as temporary,
+            temporary.open("w", newline="", encoding="utf-8") as file,
+        ):
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(("time_s", *POSE_COLUMNS))
+            for time_s, tip, turn in zip(self.times_s, self.tips_mm, self.quaternions, strict=True):
+                writer.writerow(
+                    [
+                        f"{time_s:.6f}",
+                        *(f"{each:.6f}" for each in tip),
+                        *(f"{each:.9f}" for each in turn),
+                    ]
+                )
+
+
+def to_replay(
+    path: Toolpath,
+    site: Site,
+    *,
+    feed_mm_s: float,
+    clearance_mm: float = 0.0,
+) -> ReplayTable:
+    """Bring a path into a site's frame and give it times.
+
+    Parameters
+    ----------
+    path
+        The path in the frame of the file in which the site lies.
+    site
+        Site that defines the scene's frame.
+    feed_mm_s
+        Speed where the path states no speed [mm/s].
+    clearance_mm
+        Distance of the start from the first point, along the tool's axis [mm].
+
+    Raises
+    ------
+    InputError
+        If a speed is not positive, the clearance is negative, or all points are one.
+    """
+    from scipy.spatial.transform import Rotation
+
+    feed = require_positive("feed_mm_s", feed_mm_s, "use for example 2")
+    if not clearance_mm >= 0.0:
+        raise InputError("clearance_mm", "be at least 0", clearance_mm, "use for example 5")
+    tips = 1e3 * site.to_site(1e-3 * path.points_mm)
+    axes = (
+        np.tile([0.0, 0.0, 1.0], (len(tips), 1)) if path.axes is None else path.axes @ site.rotation
+    )
+    given = np.full(len(tips), feed) if path.feeds_mm_s is None else path.feeds_mm_s
+    speeds = np.where(np.isnan(given), _RAPID_MM_S, given)
+    if clearance_mm > 0.0:
+        tips = np.vstack([tips[0] + clearance_mm * axes[0], tips])
+        axes = np.vstack([axes[:1], axes])
+        speeds = np.concatenate([[_RAPID_MM_S, _RAPID_MM_S], speeds[1:]])
+    length = np.linalg.norm(np.diff(tips, axis=0), axis=1)
+    turn = np.arccos(np.clip(np.einsum("ij,ij->i", axes[1:], axes[:-1]), -1.0, 1.0))
+    moved = np.concatenate([[True], (length > _SAME_MM) | (turn > _SAME_RAD)])
+    if moved.sum() < 2:
+        raise InputError("path", "lead somewhere", "points that are all one", "add another")
+    lasting = np.maximum(length / speeds[1:], turn / _TURN_RAD_S)
+    times = np.concatenate([[0.0], np.cumsum(lasting)])
+    turns = Rotation.concatenate([_towards(axis) for axis in axes[moved]])
+    return ReplayTable(times[moved], tips[moved], turns.as_quat())
+
+
+def _towards(axis: Array) -> "Rotation":
+    """Return the shortest turn that brings z to a unit vector."""
+    from scipy.spatial.transform import Rotation
+
+    across = np.cross([0.0, 0.0, 1.0], axis)
+    sine = float(np.linalg.norm(across))
+    if sine < 1e-12:
+        return Rotation.from_rotvec([0.0 if axis[2] > 0.0 else np.pi, 0.0, 0.0])
+    return Rotation.from_rotvec(across / sine * np.arctan2(sine, axis[2]))

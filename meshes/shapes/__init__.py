@@ -1,1 +1,1 @@
-"""Signed distances, polylines, and anatomies made of them."""
+"""Signed distances, and anatomies made of them."""

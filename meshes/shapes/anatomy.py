@@ -11,20 +11,18 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Bytes, Floats, Singles
 from meshes.base.errors import by, require_range, require_vector
 from meshes.base.placement import Placement
 from meshes.shapes.sdf import Shape, box
 
 if TYPE_CHECKING:
-    from meshes.voxels.grid import Grid
+    from meshes.voxels.volume import Grid
 
 __all__ = ["Anatomy", "Classify", "GridSampler", "cortical_block"]
 
-Classify = Callable[
-    [NDArray[np.floating], NDArray[np.floating]], tuple[NDArray[np.uint8], NDArray[np.floating]]
-]
+Classify = Callable[[Floats, Floats], tuple[Bytes, Floats]]
 """Layer index and apparent density of points, from their positions and depths.
 
 Input: points [m], shape (n, 3), and their depth below the outer surface [m], shape (n,). Output:
@@ -32,7 +30,7 @@ layer index, uint8, shape (n,), and apparent density [kg/m3], shape (n,). Within
 must vary smoothly over a millimetre.
 """
 
-GridSampler = Callable[["Grid"], tuple[NDArray[np.float32], NDArray[np.float32]]]
+GridSampler = Callable[["Grid"], tuple[Singles, Singles]]
 """Bone fraction, 0 to 1, and depth [m] of the voxels of a grid.
 
 Both are float32 with the grid's shape.
@@ -77,7 +75,7 @@ class Anatomy:
     notes: Mapping[str, str] = field(default_factory=dict)
     sample: GridSampler | None = None
     placement: Placement | None = None
-    caps_m: tuple[NDArray[np.float64], ...] = ()
+    caps_m: tuple[Array, ...] = ()
     thin_layers: bool = False
     structures: Mapping[str, Shape] = field(default_factory=dict)
 
@@ -109,9 +107,7 @@ def cortical_block(
     )
     size = lengths * 1e-3
 
-    def classify(
-        points: NDArray[np.floating], depth: NDArray[np.floating]
-    ) -> tuple[NDArray[np.uint8], NDArray[np.floating]]:
+    def classify(points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
         return np.zeros(len(points), dtype=np.uint8), np.full(
             len(points), density, dtype=np.float32
         )

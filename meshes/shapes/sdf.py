@@ -14,8 +14,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Flags, Floats, Ints, lattice
 from meshes.base.errors import (
     InputError,
     in_brackets,
@@ -33,16 +33,16 @@ __all__ = [
     "ellipsoid",
     "half_space",
     "intersection",
+    "shape_triangles",
     "smooth_maximum",
     "smooth_minimum",
     "sphere",
     "union",
 ]
 
-Points = NDArray[np.floating]
-Distances = NDArray[np.floating]
+Points = Floats
+Distances = Floats
 Vector = Sequence[float]
-Bounds = tuple[tuple[float, ...], tuple[float, ...]]
 
 _EVERYWHERE = (-math.inf, -math.inf, -math.inf), (math.inf, math.inf, math.inf)
 
@@ -76,12 +76,10 @@ class Shape:
     def translate(self, by_m: Vector) -> Shape:
         """Move by the vector `by_m` [m], shape (3,)."""
         shift = require_vector("by_m", by_m)
-        lower = np.add(self.lower_m, shift)
-        upper = np.add(self.upper_m, shift)
-        return Shape(
+        return _within(
             lambda p: self.distance(p - shift.astype(p.dtype)),
-            tuple(lower.tolist()),
-            tuple(upper.tolist()),
+            np.add(self.lower_m, shift),
+            np.add(self.upper_m, shift),
         )
 
 
@@ -109,22 +107,14 @@ def union(a: Shape, b: Shape, *, blend_m: float = 0.0) -> Shape:
     grown = 0.25 * blend_m
     lower = np.minimum(a.lower_m, b.lower_m) - grown
     upper = np.maximum(a.upper_m, b.upper_m) + grown
-    return Shape(
-        lambda p: smooth_minimum(a.distance(p), b.distance(p), blend_m),
-        tuple(lower.tolist()),
-        tuple(upper.tolist()),
-    )
+    return _within(lambda p: smooth_minimum(a.distance(p), b.distance(p), blend_m), lower, upper)
 
 
 def intersection(a: Shape, b: Shape, *, blend_m: float = 0.0) -> Shape:
     """Intersect two solids; a positive `blend_m` [m] rounds the edge between them."""
     lower = np.maximum(a.lower_m, b.lower_m)
     upper = np.minimum(a.upper_m, b.upper_m)
-    return Shape(
-        lambda p: smooth_maximum(a.distance(p), b.distance(p), blend_m),
-        tuple(lower.tolist()),
-        tuple(upper.tolist()),
-    )
+    return _within(lambda p: smooth_maximum(a.distance(p), b.distance(p), blend_m), lower, upper)
 
 
 def difference(a: Shape, b: Shape, *, blend_m: float = 0.0) -> Shape:
@@ -138,7 +128,9 @@ def sphere(radius_m: float, centre_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
     """Build a ball of `radius_m` [m] about `centre_m` [m]."""
     radius = require_positive("radius_m", radius_m, "use about 5e-3 (5 mm)")
     centre = require_vector("centre_m", centre_m)
-    return Shape(lambda p: _norm(p - centre.astype(p.dtype)) - radius, *_around(centre, radius))
+    return _within(
+        lambda p: _norm(p - centre.astype(p.dtype)) - radius, centre - radius, centre + radius
+    )
 
 
 def box(size_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0), *, rounding_m: float = 0.0) -> Shape:
@@ -166,7 +158,7 @@ def box(size_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0), *, rounding_m: float
         q = np.abs(p - centre.astype(p.dtype)) - half.astype(p.dtype)
         return _norm(np.maximum(q, 0.0)) + np.minimum(q.max(axis=1), 0.0) - rounding_m
 
-    return Shape(distance, *_around(centre, 0.5 * size))
+    return _within(distance, centre - 0.5 * size, centre + 0.5 * size)
 
 
 def cylinder(radius_m: float, start_m: Vector, end_m: Vector) -> Shape:
@@ -183,11 +175,7 @@ def cylinder(radius_m: float, start_m: Vector, end_m: Vector) -> Shape:
 
     reach = radius * np.sqrt(np.maximum(1.0 - axis**2, 0.0))
     ends = np.stack([start, start + length * axis])
-    return Shape(
-        distance,
-        tuple((ends.min(axis=0) - reach).tolist()),
-        tuple((ends.max(axis=0) + reach).tolist()),
-    )
+    return _within(distance, ends.min(axis=0) - reach, ends.max(axis=0) + reach)
 
 
 def capsule(radius_m: float, start_m: Vector, end_m: Vector) -> Shape:
@@ -204,11 +192,7 @@ def capsule(radius_m: float, start_m: Vector, end_m: Vector) -> Shape:
         return np.sqrt(across**2 + beyond**2) - radius
 
     ends = np.stack([start, start + length * axis])
-    return Shape(
-        distance,
-        tuple((ends.min(axis=0) - radius).tolist()),
-        tuple((ends.max(axis=0) + radius).tolist()),
-    )
+    return _within(distance, ends.min(axis=0) - radius, ends.max(axis=0) + radius)
 
 
 def ellipsoid(radii_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
@@ -222,9 +206,10 @@ def ellipsoid(radii_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
     radii = _extent("radii_m", radii_m, "(0.02, 0.01, 0.01)")
     centre = require_vector("centre_m", centre_m)
     shortest = float(radii.min())
-    return Shape(
+    return _within(
         lambda p: (_norm((p - centre.astype(p.dtype)) / radii.astype(p.dtype)) - 1.0) * shortest,
-        *_around(centre, radii),
+        centre - radii,
+        centre + radii,
     )
 
 
@@ -238,9 +223,7 @@ def half_space(normal: Vector, point_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
     for k in range(3):
         if math.isclose(abs(unit[k]), 1.0, rel_tol=0.0, abs_tol=1e-15):
             (upper if unit[k] > 0 else lower)[k] = point[k]
-    return Shape(
-        lambda p: p @ unit.astype(p.dtype) - offset, tuple(lower.tolist()), tuple(upper.tolist())
-    )
+    return _within(lambda p: p @ unit.astype(p.dtype) - offset, lower, upper)
 
 
 def _norm(v: Points) -> Distances:
@@ -248,18 +231,14 @@ def _norm(v: Points) -> Distances:
     return np.sqrt(v[:, 0] ** 2 + v[:, 1] ** 2 + v[:, 2] ** 2)
 
 
-def _cylindrical(
-    p: Points, start: NDArray[np.float64], axis: NDArray[np.float64]
-) -> tuple[Distances, Distances]:
+def _cylindrical(p: Points, start: Array, axis: Array) -> tuple[Distances, Distances]:
     """Compute the height above `start` along `axis` and the distance from the axis [m]."""
     q = p - start.astype(p.dtype)
     along = q @ axis.astype(p.dtype)
     return along, _norm(q - along[:, None] * axis.astype(p.dtype))
 
 
-def _segment(
-    start_m: Vector, end_m: Vector
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+def _segment(start_m: Vector, end_m: Vector) -> tuple[Array, Array, float]:
     start = require_vector("start_m", start_m)
     end = require_vector("end_m", end_m)
     length = float(np.linalg.norm(end - start))
@@ -273,7 +252,7 @@ def _segment(
     return start, (end - start) / length, length
 
 
-def _extent(name: str, value: Vector, example: str) -> NDArray[np.float64]:
+def _extent(name: str, value: Vector, example: str) -> Array:
     extent = require_vector(name, value)
     if not np.all(extent > 0.0):
         raise InputError(
@@ -282,5 +261,150 @@ def _extent(name: str, value: Vector, example: str) -> NDArray[np.float64]:
     return extent
 
 
-def _around(centre: NDArray[np.float64], reach: float | NDArray[np.float64]) -> Bounds:
-    return tuple((centre - reach).tolist()), tuple((centre + reach).tolist())
+def _within(distance: Callable[[Points], Distances], lower: Array, upper: Array) -> Shape:
+    """Return a shape with corners of its box as arrays [m], shape (3,)."""
+    return Shape(distance, tuple(lower.tolist()), tuple(upper.tolist()))
+
+
+WANTED_M = 4e-6
+"""Target distance of the triangles from the surface [m]."""
+FIRST_POINTS = 1e5
+MOST_POINTS = 1e6
+"""Points of the first and of the finest lattice on which the distance is evaluated."""
+ROUNDS = 3
+DOUBLINGS = 12
+STEP_M = 1e-6
+"""Step of the finite differences for the gradient of a distance [m]."""
+
+
+def shape_triangles(shape: Shape, low_m: Array, high_m: Array) -> tuple[Array, Ints, float]:
+    """Mesh all of a shape's surface that can be nearest to a box.
+
+    The lattice is refined until the triangles lie within 0.004 mm of the surface, or it has a
+    million points.
+
+    Parameters
+    ----------
+    low_m, high_m
+        Corners of the box [m], shape (3,).
+
+    Returns
+    -------
+    vertices_m, faces, slack_m
+        Vertices [m], shape (n, 3), triangles wound outward, shape (m, 3), and their largest depth
+        below the surface [m]. Sharp convex edges, if any, determine this depth.
+
+    Raises
+    ------
+    InputError
+        If the shape has no surface there.
+    """
+    middle = 0.5 * (low_m + high_m)
+    half = 0.5 * float(np.linalg.norm(high_m - low_m))
+    reach = half + max(float(shape.distance(middle[None])[0]), 0.0)
+    for _ in range(DOUBLINGS):
+        start = np.maximum(middle - half - reach, shape.lower_m)
+        end = np.minimum(middle + half + reach, shape.upper_m)
+        low, high = _around_surface(shape, start, end)
+        nearest = _nearest(shape, low, high, middle)
+        # A point farther from the middle than its nearest point and the box together is nearest
+        # to no point of it. The distance of a shape may be a lower bound, so that the first reach
+        # may be too short.
+        if half + nearest <= reach:
+            break
+        reach = min(half + nearest, 2.0 * reach)
+    else:
+        raise InputError(
+            "keep_clear", "name a structure with a surface", "an empty one", "leave it out"
+        )
+    volume = float(np.prod(high - low))
+    finest, spacing = ((volume / count) ** (1.0 / 3.0) for count in (MOST_POINTS, FIRST_POINTS))
+    for _ in range(ROUNDS):
+        vertices, faces, on_surface = _contour(shape, low, high, spacing)
+        slack = _slack(shape, vertices, faces[on_surface[faces].all(axis=1)])
+        if slack <= WANTED_M or spacing <= finest:
+            break
+        spacing = max(spacing * max(0.9 * (WANTED_M / slack) ** 0.5, 0.2), finest)
+    return vertices, faces, slack
+
+
+def _around_surface(shape: Shape, low: Array, high: Array) -> tuple[Array, Array]:
+    """Return the corners of a box around the coarse lattice cells that may hold surface.
+
+    If no cell does, the box is the whole lattice.
+    """
+    if not (low < high).all():
+        return low, high
+    count = np.maximum(
+        np.ceil((high - low) / np.cbrt(np.prod(high - low) / FIRST_POINTS)).astype(int), 1
+    )
+    sides = (high - low) / count
+    centres = (lattice(*map(np.arange, count)) + 0.5) * sides + low
+    near = centres[np.abs(shape.distance(centres)) <= 0.5 * np.linalg.norm(sides)]
+    if not len(near):
+        return low, high
+    return np.maximum(near.min(axis=0) - 0.51 * sides, low), np.minimum(
+        near.max(axis=0) + 0.51 * sides, high
+    )
+
+
+def _nearest(shape: Shape, low: Array, high: Array, middle: Array) -> float:
+    """Compute the distance [m] of a point from the nearest vertex of a coarse surface in a box.
+
+    It is infinite if there is no vertex.
+    """
+    if not (low < high).all():
+        return np.inf
+    vertices = _contour(shape, low, high, float(np.cbrt(np.prod(high - low) / FIRST_POINTS)))[0]
+    return float(np.linalg.norm(vertices - middle, axis=1).min(initial=np.inf))
+
+
+def _contour(shape: Shape, low: Array, high: Array, spacing: float) -> tuple[Array, Ints, Flags]:
+    """Extract closed triangles at distance 0, and flags of the vertices that lie on the surface.
+
+    The other vertices lie where the lattice cuts the surface off.
+    """
+    from skimage.measure import marching_cubes
+
+    first = low - 1.5 * spacing
+    count = np.ceil((high - low) / spacing).astype(int) + 4
+    grid = lattice(*map(np.arange, count)) * spacing + first
+    values = np.asarray(shape.distance(grid), dtype=np.float64).reshape(count)
+    padded = np.pad(values, 1, constant_values=spacing)
+    if not padded.min() < 0.0:
+        return np.empty((0, 3)), np.empty((0, 3), dtype=np.int64), np.empty(0, dtype=bool)
+    vertices, faces, _, _ = marching_cubes(padded, 0.0)
+    at = first + (vertices.astype(np.float64) - 1.0) * spacing
+    within = ((vertices > 1.0) & (vertices < np.array(padded.shape) - 2.0)).all(axis=1)
+    offset, slope = _to_surface(shape, at[within])
+    at[within] -= np.clip(offset, -spacing, spacing)[:, None] * slope
+    return at, faces.astype(np.int64), within
+
+
+def _slack(shape: Shape, vertices: Array, faces: Ints) -> float:
+    """Compute the largest depth of centres and edges of triangles below the surface [m].
+
+    Triangles outside the surface, in concave edges, make a distance too small, which is the safe
+    side.
+    """
+    corners = vertices[faces]
+    points = np.concatenate(
+        [corners.mean(axis=1), *(0.5 * (corners[:, k] + corners[:, k - 1]) for k in range(3))]
+    )
+    return float(-_to_surface(shape, points)[0].min(initial=0.0))
+
+
+def _to_surface(shape: Shape, points: Array) -> tuple[Array, Array]:
+    """Compute the signed distance from the surface along the gradient [m] and the unit gradient.
+
+    The shape's value alone is only a bound.
+    """
+    value = np.asarray(shape.distance(points), dtype=np.float64)
+    slope = np.empty_like(points)
+    for axis in range(3):
+        step = STEP_M * np.eye(3)[axis]
+        slope[:, axis] = (shape.distance(points + step) - shape.distance(points - step)) / (
+            2.0 * STEP_M
+        )
+    steep = np.maximum(np.linalg.norm(slope, axis=1), 0.05)
+    return value / steep, slope / steep[:, None]

@@ -1,6 +1,6 @@
-"""Procedural glenoid with a concave pear-shaped face.
+"""Procedural glenoid with a concave pear-shaped face, and bone from a surface file.
 
-It has a subchondral plate, a cortical wall and a graded trabecular vault.
+The glenoid has a subchondral plate, a cortical wall and a graded trabecular vault.
 
 Sources, R = read, M = from memory of the literature, with confidence H, M or L. Cartilage is not
 modelled: the face is the bony face that a reamer cuts after the cartilage has gone.
@@ -20,21 +20,23 @@ density trabecular        450 to 300 kg/m3    L: falls below the plate over 5 mm
 """  # noqa: E501 a table
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.errors import InputError, require_ranges
+from meshes.base.arrays import Bytes, Floats
+from meshes.base.errors import InputError, Ranged, ranged, require_ranges
 from meshes.shapes.anatomy import Anatomy, Classify
 from meshes.shapes.sdf import Shape, half_space, intersection
+from meshes.surfaces.site import Site
+from meshes.surfaces.surface import Surface
+from meshes.voxels.mesh_sampling import TriangleSampler, triangle_distance
 
-__all__ = ["GLENOID_LAYERS", "glenoid"]
+__all__ = ["GLENOID_LAYERS", "SURFACE_LAYERS", "GlenoidSizes", "glenoid", "surface_anatomy"]
 
-Reals = NDArray[np.floating]
-Thickness = Callable[[Reals, Reals], Reals]
+Thickness = Callable[[Floats, Floats], Floats]
 
 GLENOID_LAYERS = ("subchondral", "cortical", "trabecular")
 _PLATE_RANGE_M = (1.2e-3, 2.9e-3)
@@ -65,7 +67,7 @@ class _Pear:
             return (self.lower_radius - (y - self.lower_y) * self.sine) / cosine
         return math.sqrt(max(self.upper_radius**2 - (y - self.upper_y) ** 2, 0.0))
 
-    def distance(self, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.floating]:
+    def distance(self, x: Floats, y: Floats) -> Floats:
         """Compute the exact signed distance [m] to the outline, negative inside.
 
         The outline is the hull of two circles.
@@ -106,8 +108,8 @@ def _pear(width: float, height: float, upper_width_ratio: float) -> _Pear:
 
 
 def _plate_thickness(
-    mean: float, variation: float, half_width: float, half_height: float, x: Reals, y: Reals
-) -> Reals:
+    mean: float, variation: float, half_width: float, half_height: float, x: Floats, y: Floats
+) -> Floats:
     """Compute the thickness of the subchondral plate [m], 1.2-2.9 mm.
 
     It is larger anterior and posterior, and smaller superior and inferior.
@@ -116,111 +118,100 @@ def _plate_thickness(
     return np.clip(mean * (1.0 + variation * pattern), *_PLATE_RANGE_M)
 
 
-def glenoid(
-    *,
-    width_mm: float = 27.8,
-    height_mm: float = 37.5,
-    upper_width_ratio: float = 0.8,
-    curvature_radius_mm: float = 35.0,
-    subchondral_thickness_mm: float = 1.9,
-    subchondral_variation: float = 0.25,
-    vault_depth_mm: float = 26.0,
-    vault_taper_deg: float = 15.0,
-    cortical_wall_mm: float = 1.5,
-    rim_blend_mm: float = 1.5,
-    cortical_density_kg_m3: float = 1800.0,
-    subchondral_density_kg_m3: float = 1300.0,
-    trabecular_density_kg_m3: float = 300.0,
-    trabecular_density_below_plate_kg_m3: float = 450.0,
-) -> Anatomy:
+@dataclass(frozen=True)
+class GlenoidSizes(Ranged):
+    """Sizes and densities of a glenoid.
+
+    Attributes
+    ----------
+    width_mm, height_mm
+        Antero-posterior and supero-inferior size of the face, rim to rim [mm].
+    upper_width_ratio
+        Width half way up the upper half relative to the full width.
+    curvature_radius_mm
+        Radius of the spherical concavity [mm], above half the height.
+    subchondral_thickness_mm, subchondral_variation
+        Mean plate thickness over the face [mm] and its relative swing. The thickness is held within
+        1.2 to 2.9 mm.
+    vault_depth_mm, vault_taper_deg
+        Depth of the vault below the face's centre [mm], and the angle [degrees] by which its walls
+        lean inward below that level.
+    cortical_wall_mm
+        Thickness of the cortical wall around the vault [mm].
+    rim_blend_mm
+        Width over which face and wall are blended into a rounded rim [mm].
+    cortical_density_kg_m3, subchondral_density_kg_m3
+        Apparent densities [kg/m3].
+    trabecular_density_kg_m3, trabecular_density_below_plate_kg_m3
+        Apparent density deep in the vault and just below the plate [kg/m3]. The difference falls
+        exponentially over 5 mm.
+    """
+
+    width_mm: float = ranged(27.8, 20.0, 34.0, "use 27.8 (men) or 23.6 (women)")
+    height_mm: float = ranged(37.5, 28.0, 45.0, "use 37.5 (men) or 32.6 (women)")
+    upper_width_ratio: float = ranged(0.8, 0.65, 0.95)
+    curvature_radius_mm: float = ranged(35.0, 22.0, 80.0)
+    subchondral_thickness_mm: float = ranged(1.9, 1.2, 2.9)
+    subchondral_variation: float = ranged(0.25, 0.0, 0.5)
+    vault_depth_mm: float = ranged(26.0, 8.0, 40.0)
+    vault_taper_deg: float = ranged(15.0, 0.0, 25.0)
+    cortical_wall_mm: float = ranged(1.5, 0.5, 4.0)
+    rim_blend_mm: float = ranged(1.5, 0.0, 4.0)
+    cortical_density_kg_m3: float = ranged(1800.0, 200.0, 2200.0)
+    subchondral_density_kg_m3: float = ranged(1300.0, 200.0, 2200.0)
+    trabecular_density_kg_m3: float = ranged(300.0, 50.0, 1200.0)
+    trabecular_density_below_plate_kg_m3: float = ranged(450.0, 50.0, 1200.0)
+
+
+def glenoid(**sizes: float) -> Anatomy:
     """Build a glenoid in the site frame.
 
     The origin is on the bone at the face's centre; x is anterior, y superior, z outward (lateral).
 
     Parameters
     ----------
-    width_mm, height_mm
-        Antero-posterior (20 to 34) and supero-inferior (28 to 45) size of the face, rim to rim
-        [mm].
-    upper_width_ratio
-        Width half way up the upper half relative to the full width, 0.65 to 0.95.
-    curvature_radius_mm
-        Radius of the spherical concavity [mm], 22 to 80 and above half the height.
-    subchondral_thickness_mm, subchondral_variation
-        Mean plate thickness over the face [mm], 1.2 to 2.9, and its relative swing, 0 to 0.5. The
-        thickness is held within 1.2 to 2.9 mm.
-    vault_depth_mm, vault_taper_deg
-        Depth of the vault below the face's centre [mm], 8 to 40, and the angle [degrees], 0 to 25,
-        by which its walls lean inward below that level.
-    cortical_wall_mm
-        Thickness of the cortical wall around the vault [mm], 0.5 to 4.
-    rim_blend_mm
-        Width over which face and wall are blended into a rounded rim [mm], 0 to 4.
-    cortical_density_kg_m3, subchondral_density_kg_m3
-        Apparent densities, 200 to 2200 kg/m3.
-    trabecular_density_kg_m3, trabecular_density_below_plate_kg_m3
-        Apparent density deep in the vault and just below the plate, 50 to 1200 kg/m3; the
-        difference falls exponentially over 5 mm.
+    **sizes
+        Sizes and densities, see `GlenoidSizes`.
 
     Raises
     ------
     InputError
-        If a parameter is not finite or out of range.
+        If a size is not finite or out of range, or the sizes do not fit together.
     """
-    width, height, radius, mean, depth, wall, blend = (
-        1e-3 * value
-        for value in require_ranges(
-            ("width_mm", width_mm, 20.0, 34.0, "use 27.8 (men) or 23.6 (women)"),
-            ("height_mm", height_mm, 28.0, 45.0, "use 37.5 (men) or 32.6 (women)"),
-            ("curvature_radius_mm", curvature_radius_mm, 22.0, 80.0, "use 35"),
-            ("subchondral_thickness_mm", subchondral_thickness_mm, 1.2, 2.9, "use 1.9"),
-            ("vault_depth_mm", vault_depth_mm, 8.0, 40.0, "use 26"),
-            ("cortical_wall_mm", cortical_wall_mm, 0.5, 4.0, "use 1.5"),
-            ("rim_blend_mm", rim_blend_mm, 0.0, 4.0, "use 1.5"),
-        )
-    )
-    below_plate = trabecular_density_below_plate_kg_m3
-    ratio, variation, taper_deg, *densities = require_ranges(
-        ("upper_width_ratio", upper_width_ratio, 0.65, 0.95, "use 0.8"),
-        ("subchondral_variation", subchondral_variation, 0.0, 0.5, "use 0.25"),
-        ("vault_taper_deg", vault_taper_deg, 0.0, 25.0, "use 15"),
-        ("subchondral_density_kg_m3", subchondral_density_kg_m3, 200.0, 2200.0, "use 1300"),
-        ("cortical_density_kg_m3", cortical_density_kg_m3, 200.0, 2200.0, "use 1800"),
-        ("trabecular_density_kg_m3", trabecular_density_kg_m3, 50.0, 1200.0, "use 300"),
-        ("trabecular_density_below_plate_kg_m3", below_plate, 50.0, 1200.0, "use 450"),
-    )
-    taper = math.radians(taper_deg)
-    pear = _checked_pear(width, height, ratio, depth, taper, radius)
-    plate = partial(_plate_thickness, mean, variation, 0.5 * width, 0.5 * height)
+    given = GlenoidSizes(**sizes)
+    width = 1e-3 * given.width_mm
+    height = 1e-3 * given.height_mm
+    radius = 1e-3 * given.curvature_radius_mm
+    depth = 1e-3 * given.vault_depth_mm
+    taper = math.radians(given.vault_taper_deg)
+    _require_fit(width, height, depth, taper, radius)
+    pear = _pear(width, height, given.upper_width_ratio)
+    mean = 1e-3 * given.subchondral_thickness_mm
+    plate = partial(_plate_thickness, mean, given.subchondral_variation, 0.5 * width, 0.5 * height)
     notes = {
-        "face": f"{width_mm:g} x {height_mm:g} mm, concave, radius {curvature_radius_mm:g} mm",
-        "subchondral plate": f"{subchondral_thickness_mm:g} mm on average, swing "
-        f"{100 * variation:g} %",
+        "face": f"{given.width_mm:g} x {given.height_mm:g} mm, concave, radius "
+        f"{given.curvature_radius_mm:g} mm",
+        "subchondral plate": f"{given.subchondral_thickness_mm:g} mm on average, swing "
+        f"{100 * given.subchondral_variation:g} %",
         "vault": (
-            f"{vault_depth_mm:g} mm deep, then cut off: the neck and the blade of the scapula "
-            "are not modelled"
+            f"{given.vault_depth_mm:g} mm deep, then cut off: the neck and the blade of the "
+            "scapula are not modelled"
         ),
         "cartilage": "not modelled",
-        "trabecular density": f"{trabecular_density_below_plate_kg_m3:g} to "
-        f"{trabecular_density_kg_m3:g} kg/m3, "
-        "a prior of low confidence",
+        "trabecular density": f"{given.trabecular_density_below_plate_kg_m3:g} to "
+        f"{given.trabecular_density_kg_m3:g} kg/m3, a prior of low confidence",
     }
     return Anatomy(
         "procedural glenoid",
-        _bone(pear, radius, depth, taper, blend),
+        _bone(pear, radius, depth, taper, 1e-3 * given.rim_blend_mm),
         GLENOID_LAYERS,
-        _layers(plate, radius, wall, densities),
+        _layers(plate, radius, given),
         notes,
     )
 
 
-def _checked_pear(
-    width: float, height: float, ratio: float, depth: float, taper: float, radius: float
-) -> _Pear:
-    """Return the outline of the face.
-
-    Raise for combinations that close the vault or cut the face off.
-    """
+def _require_fit(width: float, height: float, depth: float, taper: float, radius: float) -> None:
+    """Raise for combinations of sizes that close the vault or cut the face off."""
     if radius <= 0.5 * height:
         raise InputError(
             "curvature_radius_mm",
@@ -242,7 +233,6 @@ def _checked_pear(
             f"{math.degrees(taper):g} over {1e3 * depth:g} mm",
             f"use at most {math.degrees(math.atan(0.45 * width / depth)):.1f}",
         )
-    return _pear(width, height, ratio)
 
 
 def _bone(pear: _Pear, radius: float, depth: float, taper: float, blend: float) -> Shape:
@@ -257,11 +247,11 @@ def _bone(pear: _Pear, radius: float, depth: float, taper: float, blend: float) 
     half_height = pear.lower_radius - pear.lower_y
     rim = radius - math.sqrt(radius**2 - half_height**2)
 
-    def wall_distance(p: NDArray[np.floating]) -> NDArray[np.floating]:
+    def wall_distance(p: Floats) -> Floats:
         outline = pear.distance(p[:, 0], p[:, 1])
         return np.maximum(outline, outline * cosine - p[:, 2] * sine)
 
-    def dish_distance(p: NDArray[np.floating]) -> NDArray[np.floating]:
+    def dish_distance(p: Floats) -> Floats:
         return radius - np.sqrt(p[:, 0] ** 2 + p[:, 1] ** 2 + (p[:, 2] - radius) ** 2)
 
     walls = Shape(
@@ -274,14 +264,16 @@ def _bone(pear: _Pear, radius: float, depth: float, taper: float, blend: float) 
     )
 
 
-def _layers(plate: Thickness, radius: float, wall: float, densities: Sequence[float]) -> Classify:
+def _layers(plate: Thickness, radius: float, sizes: GlenoidSizes) -> Classify:
     """Classify by depth below the dished face, then by depth below the outer surface."""
-    subchondral, cortical, deep, below_plate = densities
-    decay = 5e-3
+    wall = 1e-3 * sizes.cortical_wall_mm
+    deep = sizes.trabecular_density_kg_m3
+    below_plate = sizes.trabecular_density_below_plate_kg_m3
+    dense = sizes.subchondral_density_kg_m3
+    cortical = sizes.cortical_density_kg_m3
+    decay = 5e-3  # m
 
-    def classify(
-        points: NDArray[np.floating], depth: NDArray[np.floating]
-    ) -> tuple[NDArray[np.uint8], NDArray[np.floating]]:
+    def classify(points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
         """Return layer and density [kg/m3], shape (n,), of points [m], shape (n, 3).
 
         The depths below the surface are in m.
@@ -292,9 +284,76 @@ def _layers(plate: Thickness, radius: float, wall: float, densities: Sequence[fl
         below = np.sqrt(x**2 + y**2 + (z - radius) ** 2) - radius - plate(x, y)
         layer = np.where(below < 0.0, 0, np.where(depth < wall, 1, 2)).astype(np.uint8)
         graded = deep + (below_plate - deep) * np.exp(-np.maximum(below, 0.0) / decay)
-        density = np.where(layer == 0, subchondral, np.where(layer == 1, cortical, graded)).astype(
+        density = np.where(layer == 0, dense, np.where(layer == 1, cortical, graded)).astype(
             points.dtype
         )
         return layer, density
 
     return classify
+
+
+SURFACE_LAYERS = ("cortical", "trabecular")
+
+
+def surface_anatomy(
+    surface: Surface,
+    site: Site,
+    *,
+    cortical_thickness_mm: float = 1.9,
+    cortical_density_kg_m3: float = 1800.0,
+    trabecular_density_kg_m3: float = 350.0,
+) -> Anatomy:
+    """Build the anatomy of a bone surface in the site frame.
+
+    It is a cortical shell of even thickness over trabecular bone. A surface holds no information on
+    the inside: thickness and densities are assumptions, recorded in the notes. The default
+    thickness is the mean of the subchondral plate (1.2-2.9 mm, six glenoids, Frich). Densities are
+    as in `meshes.surfaces.glenoid`.
+
+    Parameters
+    ----------
+    cortical_thickness_mm
+        Thickness of the shell [mm], 0 (none) to 10.
+    cortical_density_kg_m3, trabecular_density_kg_m3
+        Apparent densities [kg/m3], 50 to 2500.
+
+    Raises
+    ------
+    InputError
+        If a parameter is not finite or out of range.
+    """
+    thickness, dense, sparse = require_ranges(
+        ("cortical_thickness_mm", cortical_thickness_mm, 0.0, 10.0, "use 1.9"),
+        ("cortical_density_kg_m3", cortical_density_kg_m3, 50.0, 2500.0, "use 1800"),
+        ("trabecular_density_kg_m3", trabecular_density_kg_m3, 50.0, 2500.0, "use 350"),
+    )
+    shell = 1e-3 * thickness
+    vertices = site.to_site(surface.vertices_m)
+    faces = surface.faces
+
+    def distance(points: Floats) -> Floats:
+        return triangle_distance(vertices, faces, points).astype(points.dtype)
+
+    def classify(points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
+        layer = (depth >= shell).astype(np.uint8)
+        return layer, np.where(layer == 0, np.float32(dense), np.float32(sparse))
+
+    notes = {
+        "surface": surface.report.source,
+        "unit": surface.report.unit_guess,
+        "site": site.confidence,
+        "repairs": " ".join(surface.report.repairs) or "none",
+        "cortical shell": f"{cortical_thickness_mm:g} mm of {dense:g} kg/m3 over {sparse:g} "
+        "kg/m3, assumed: "
+        "the file "
+        "holds a surface only",
+    }
+    solid = Shape(
+        distance, tuple(vertices.min(axis=0).tolist()), tuple(vertices.max(axis=0).tolist())
+    )
+    sampler = TriangleSampler(vertices, faces, shell)
+    placement = site.placement(surface.report.scale_mm)
+    caps = tuple(site.to_site(points) for points in surface.caps_m)
+    return Anatomy(
+        surface.report.source, solid, SURFACE_LAYERS, classify, notes, sampler, placement, caps
+    )

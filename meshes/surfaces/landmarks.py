@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, in_brackets, require_vector
 from meshes.surfaces.pedicles import VERTEBRA, find_pedicle
 from meshes.surfaces.site import (
@@ -138,14 +137,10 @@ def _search_glenoid(surface: Surface, along: Sequence[float] | None) -> FoundSit
     from scipy.spatial import cKDTree
 
     samples = sample_surface(*surface.scanned, 8000)
-    tree = cKDTree(samples.points)
-    chosen = list(range(0, 8000, 5))
-    seeds = [
-        _glenoid_score(samples, k, np.array(tree.query_ball_point(samples.points[k], _REACH)))
-        for k in chosen
-    ]
+    points = samples.points[::5]
+    near = cKDTree(samples.points).query_ball_point(points, _REACH)
+    seeds = [_glenoid_score(samples, 5 * k, np.array(each)) for k, each in enumerate(near)]
     scores = np.array([score for _, score in seeds])
-    points = samples.points[chosen]
     best = int(np.argmax(scores))
     apart = np.where(np.linalg.norm(points - points[best], axis=1) > 30e-3, scores, 0.0)
     second = int(np.argmax(apart))
@@ -175,9 +170,7 @@ def _search_glenoid(surface: Surface, along: Sequence[float] | None) -> FoundSit
     )
 
 
-def _glenoid_score(
-    samples: SurfaceSamples, number: int, near: NDArray[np.int64]
-) -> tuple[Array, float]:
+def _glenoid_score(samples: SurfaceSamples, number: int, near: Ints) -> tuple[Array, float]:
     """Compute the smoothed normal at a sample, and the likeness to a glenoid, 0 to 1.
 
     The likeness is of the surface around the sample.

@@ -12,13 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, as_vector, require_file
-from meshes.base.text_numbers import number_in, require_distinct_columns
-from meshes.base.text_tables import read_json
+from meshes.base.text_tables import number_or_nan, read_json, require_distinct_columns
 
-__all__ = ["TO_LPS", "MarkedSite", "Markup", "read_curve", "read_markups", "read_site"]
+__all__ = ["TO_LPS", "Markup", "read_curve", "read_markups", "read_site"]
 
 TO_LPS = {"LPS": np.ones(3), "RAS": np.array([-1.0, -1.0, 1.0])}
 """Factors of x, y and z from each of the two frames of patients to LPS."""
@@ -26,7 +25,6 @@ _FRAMES = {**TO_LPS, "0": TO_LPS["RAS"], "1": TO_LPS["LPS"]}
 """`TO_LPS`, with the frame numbers of files before version 4.11 of 3D Slicer."""
 _POINTS = "Fiducial"
 _CURVES = ("Line", "Curve", "ClosedCurve")
-_COLUMNS = ("id", "x", "y", "z")
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,25 +45,9 @@ class Markup:
     """
 
     kind: str
-    points_mm: NDArray[np.float64]
+    points_mm: Array
     labels: tuple[str, ...]
-    normal: NDArray[np.float64] | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class MarkedSite:
-    """Site marked by a user.
-
-    Attributes
-    ----------
-    centre_mm
-        Point [mm, LPS], shape (3,).
-    normal
-        Outward unit normal, LPS, shape (3,); None where the file holds a point alone.
-    """
-
-    centre_mm: NDArray[np.float64]
-    normal: NDArray[np.float64] | None
+    normal: Array | None = None
 
 
 def read_markups(path: str | Path) -> tuple[Markup, ...]:
@@ -79,66 +61,52 @@ def read_markups(path: str | Path) -> tuple[Markup, ...]:
     """
     file = Path(path)
     require_file(file, "markups")
-    if file.suffix.lower() == ".fcsv":
-        return (_point_list(file),)
-    if not file.name.lower().endswith(".json"):
-        raise InputError(
-            "markups", "be a .mrk.json or .fcsv file", file, "save them from 3D Slicer"
-        )
     try:
-        listed = read_json(file.read_text("utf-8"))["markups"]
-        found = tuple(_markup(one, file) for one in listed)
+        text = file.read_text("utf-8")
+        if file.suffix.lower() == ".fcsv":
+            return (_point_list(text, file),)
+        if not file.name.lower().endswith(".json"):
+            raise _error("be a .mrk.json or .fcsv file", "another", file)
+        found = tuple(_markup(one, file) for one in read_json(text)["markups"])
     except (UnicodeDecodeError, json.JSONDecodeError, KeyError, TypeError, AttributeError):
-        raise InputError(
-            "markups", "be those of 3D Slicer", f"other JSON in {file}", "save them again"
-        ) from None
+        raise _error("be those of 3D Slicer", "other data", file) from None
     if not found:
-        raise InputError("markups", "hold at least one", f"none in {file}", "save them again")
+        raise _error("hold at least one", "none", file)
     return found
 
 
-def read_site(path: str | Path) -> MarkedSite:
+def read_site(path: str | Path) -> tuple[Array, Array | None]:
     """Read the site that a file marks.
 
     It is marked by a plane's origin and normal, a line from the site inward, or one point.
+
+    Returns
+    -------
+    Point [mm, LPS], shape (3,), and outward unit normal, LPS, shape (3,); None where the file holds
+    a point alone.
 
     Raises
     ------
     InputError
         If the file cannot be read, or marks no site or several.
     """
-    marked = [
-        one
-        for one in read_markups(path)
-        if one.kind in ("Plane", "Line") or (one.kind == _POINTS and len(one.labels))
-    ]
-    planes = (
-        [one for one in marked if one.kind == "Plane"]
-        or [one for one in marked if one.kind == "Line"]
-        or marked
-    )
-    wanted = 2 if planes and planes[0].kind == "Line" else 1
-    if len(planes) != 1 or len(planes[0].points_mm) != wanted:
-        held = ", ".join(f"{one.kind} of {len(one.points_mm)}" for one in planes) or "none"
-        raise InputError(
-            "site",
-            "be marked by one plane, one line from the site inward, or one point",
-            f"{held} in {path}",
-            "delete the others",
-        )
-    one = planes[0]
+    found = read_markups(path)
+    chosen: list[Markup] = []
+    for kind in ("Plane", "Line", _POINTS):
+        chosen = chosen or [one for one in found if one.kind == kind and len(one.labels)]
+    wanted = 2 if chosen and chosen[0].kind == "Line" else 1
+    if len(chosen) != 1 or len(chosen[0].points_mm) != wanted:
+        held = ", ".join(f"{one.kind} of {len(one.points_mm)}" for one in chosen) or "none"
+        required = "hold one plane, one line from the site inward, or one point"
+        raise _error(required, held, Path(path))
+    one = chosen[0]
     if one.kind != "Line":
-        return MarkedSite(one.points_mm[0], one.normal)
+        return one.points_mm[0], one.normal
     outward = one.points_mm[0] - one.points_mm[1]
-    length = float(np.linalg.norm(outward))
-    if length == 0.0:
-        raise InputError(
-            "line", "have a length", f"one of two points alike in {path}", "mark it again"
-        )
-    return MarkedSite(one.points_mm[0], outward / length)
+    return one.points_mm[0], _unit(outward, Path(path))
 
 
-def read_curve(path: str | Path) -> NDArray[np.float64]:
+def read_curve(path: str | Path) -> Array:
     """Read the control points [mm, LPS], shape (n, 3), of a file's one curve.
 
     Without a curve, they are the points of the file's one list, in their order.
@@ -156,12 +124,7 @@ def read_curve(path: str | Path) -> NDArray[np.float64]:
         one for one in found if one.kind == _POINTS
     ]
     if len(curves) != 1 or len(curves[0].points_mm) < 2:
-        raise InputError(
-            "markups",
-            "hold one curve of at least two points",
-            f"{len(curves)} in {path}",
-            "save the curve alone",
-        )
+        raise _error("hold one curve of at least two points", len(curves), Path(path))
     points = curves[0].points_mm
     return np.vstack([points, points[:1]]) if curves[0].kind == "ClosedCurve" else points
 
@@ -172,81 +135,53 @@ def _markup(record: dict[str, Any], file: Path) -> Markup:
     frame = _frame(record.get("coordinateSystem"), file)
     unit = record.get("coordinateUnits", "mm")
     if unit not in ("mm", ["mm", "mm", "mm"]):
-        raise InputError("coordinateUnits", "be mm", f"{unit} in {file}", "save the markups in mm")
-    listed = record.get("controlPoints") or []
-    labels = tuple(
-        str(point.get("label") or point.get("id") or number + 1)
-        for number, point in enumerate(listed)
-    )
-    for point, label in zip(listed, labels, strict=True):
+        raise _error("have coordinateUnits mm", unit, file)
+    points = []
+    labels = []
+    for number, point in enumerate(record.get("controlPoints") or [], start=1):
+        label = str(point.get("label") or point.get("id") or number)
         status = point.get("positionStatus", "defined")
         if status != "defined":
-            raise InputError(
-                "control points",
-                "be placed",
-                f"{status} for {label} in {file}",
-                "place or delete it",
-            )
-    points = [
-        frame * _three(point["position"], label, file)
-        for point, label in zip(listed, labels, strict=True)
-    ]
+            raise _error("hold placed control points", f"{status} for {label}", file)
+        points.append(frame * _three(point["position"], label, file))
+        labels.append(label)
     if kind != "Plane":
-        return Markup(kind, np.array(points).reshape(-1, 3), labels)
-    origin = next(
-        (record[key] for key in ("center", "origin") if record.get(key) is not None), None
-    )
-    if origin is None and not points:
-        raise InputError("a plane", "have an origin", f"none in {file}", "place its points")
-    centre = points[0] if origin is None else frame * _three(origin, "its origin", file)
-    return Markup(
-        kind, centre[None], labels[:1] or ("plane",), _normal(record, points, frame, file)
-    )
+        return Markup(kind, np.array(points).reshape(-1, 3), tuple(labels))
+    stated = [record[key] for key in ("center", "origin") if record.get(key) is not None]
+    if not stated and not points:
+        raise _error("hold planes with an origin", "none", file)
+    centre = frame * _three(stated[0], "its origin", file) if stated else points[0]
+    normal = _unit(_normal(record, points, frame, file), file)
+    return Markup(kind, centre[None], (labels[0] if labels else "plane",), normal)
 
 
-def _normal(
-    record: dict[str, Any],
-    points: list[NDArray[np.float64]],
-    frame: NDArray[np.float64],
-    file: Path,
-) -> NDArray[np.float64]:
-    """Return the unit normal of a plane.
+def _normal(record: dict[str, Any], points: list[Array], frame: Array, file: Path) -> Array:
+    """Return a normal of a plane, of any length.
 
     It is the stated normal, else the third axis of its orientation, else the normal of three
     points.
     """
     if record.get("normal") is not None:
-        normal = frame * _three(record["normal"], "the normal", file)
-    elif record.get("orientation") is not None:
-        numbers = np.asarray(record["orientation"], dtype=np.float64)
+        return frame * _three(record["normal"], "the normal", file)
+    if record.get("orientation") is not None:
         # row by row, axes in the columns
-        normal = frame * _three(numbers.reshape(-1)[2::3], "the orientation", file)
-    elif len(points) == 3:
-        normal = np.cross(points[1] - points[0], points[2] - points[0])
-    else:
-        raise InputError("a plane", "have a normal", f"none in {file}", "save it from 3D Slicer 5")
-    length = float(np.linalg.norm(normal))
-    if length < 1e-9:
-        raise InputError(
-            "a plane's normal", "not be zero", f"(0, 0, 0) in {file}", "place its points apart"
-        )
-    return normal / length
+        numbers = np.asarray(record["orientation"], dtype=np.float64).reshape(-1)[2::3]
+        return frame * _three(numbers, "the orientation", file)
+    if len(points) == 3:
+        return np.cross(points[1] - points[0], points[2] - points[0])
+    raise _error("hold planes with a normal", "none", file)
 
 
-def _point_list(file: Path) -> Markup:
+def _point_list(text: str, file: Path) -> Markup:
     """Read the points of a .fcsv file.
 
     If several files were joined to one, the file repeats their head.
     """
-    frame: NDArray[np.float64] | None = None
-    columns: tuple[str, ...] = _COLUMNS
-    points: list[NDArray[np.float64]] = []
+    frame: Array | None = None
+    columns: tuple[str, ...] = ("id", "x", "y", "z")
+    points: list[Array] = []
     labels: list[str] = []
-    try:
-        lines = file.read_text("utf-8").splitlines()
-    except UnicodeDecodeError:
-        raise InputError("markups", "be text", f"other data in {file}", "save them again") from None
-    for line in lines:
+    for line in text.splitlines():
         if line.startswith("#"):
             key, _, value = line.lstrip("# ").partition("=")
             if key.strip() == "CoordinateSystem":
@@ -254,43 +189,38 @@ def _point_list(file: Path) -> Markup:
             elif key.strip() == "columns":
                 columns = tuple(name.strip() for name in value.split(","))
                 require_distinct_columns(columns, "markups", file)
-            continue
-        if not line.strip():
-            continue
-        if frame is None:
-            frame = _frame(None, file)
-        row = dict(zip(columns, next(csv.reader([line])), strict=False))
-        label = row.get("label") or row.get("id") or str(len(points) + 1)
-        points.append(frame * _three([_number(row.get(axis)) for axis in "xyz"], label, file))
-        labels.append(label)
+        elif line.strip():
+            frame = _frame(None, file) if frame is None else frame
+            row = dict(zip(columns, next(csv.reader([line])), strict=False))
+            label = row.get("label") or row.get("id") or str(len(points) + 1)
+            numbers = [number_or_nan(row.get(axis)) for axis in "xyz"]
+            points.append(frame * _three(numbers, label, file))
+            labels.append(label)
     if not points:
-        raise InputError("markups", "hold at least one point", f"none in {file}", "save them again")
+        raise _error("hold at least one point", "none", file)
     return Markup(_POINTS, np.array(points), tuple(labels))
 
 
-def _number(text: str | None) -> float:
-    """Return the number of a cell, NaN if it holds none."""
-    try:
-        return number_in(text or "")
-    except ValueError:
-        return float("nan")
-
-
-def _frame(name: object, file: Path) -> NDArray[np.float64]:
+def _frame(name: object, file: Path) -> Array:
     if str(name) not in _FRAMES:
-        raise InputError(
-            "coordinateSystem",
-            "be LPS or RAS",
-            f"{name or 'none'} in {file}",
-            "save it from 3D Slicer",
-        )
+        raise _error("have the coordinateSystem LPS or RAS", name or "none", file)
     return _FRAMES[str(name)]
 
 
-def _three(value: Any, what: str, file: Path) -> NDArray[np.float64]:
+def _three(value: Any, what: str, file: Path) -> Array:
     numbers = as_vector(value)
     if numbers is None:
-        raise InputError(
-            "markups", "hold three finite numbers", f"{value!r:.80} for {what} in {file}", "fix it"
-        )
+        raise _error("hold three finite numbers", f"{value!r:.80} for {what}", file)
     return numbers
+
+
+def _unit(direction: Array, file: Path) -> Array:
+    """Return the unit vector along a direction."""
+    length = float(np.linalg.norm(direction))
+    if length < 1e-9:
+        raise _error("hold a normal or line with a length", "one of none", file)
+    return direction / length
+
+
+def _error(wanted: str, got: object, file: Path) -> InputError:
+    return InputError("markups", wanted, f"{got} in {file}", "save them again from 3D Slicer")

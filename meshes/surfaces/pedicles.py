@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, lattice
 from meshes.surfaces.site import (
     FoundSite,
     Site,
@@ -16,12 +16,12 @@ from meshes.surfaces.site import (
     spread,
 )
 from meshes.surfaces.surface import Surface
-from meshes.voxels.column_crossings import inside_scattered
-from meshes.voxels.mesh_sampling import triangle_distance
+from meshes.voxels.mesh_sampling import inside_scattered, triangle_distance
 
 __all__ = ["VERTEBRA", "find_pedicle"]
 
 VERTEBRA = ("vertebra", "vertebra:left", "vertebra:right")
+_WHAT = "vertebra, whose canal is a hole between a body and two pedicles"
 _PIXEL = 1e-3
 _STEP = 1e-3
 # Canals have 150 to 450 mm2; 50 to 90 % of that is seen through 17 real vertebrae.
@@ -63,18 +63,15 @@ def find_pedicle(surface: Surface, kind: str) -> FoundSite:
         if longest < 130.0
         else None
     )
-    what = "vertebra, whose canal is a hole between a body and two pedicles"
     if canal is None:
-        raise refusal(surface, what, f"no hole through a bone {longest:.0f} mm long")
-    frame, problem = _vertebra_frame(surface, points, canal)
-    if frame is None:
-        raise refusal(surface, what, problem)
+        raise refusal(surface, _WHAT, f"no hole through a bone {longest:.0f} mm long")
+    frame = _vertebra_frame(surface, points, canal)
     found = {
         side: _pedicle(surface, frame, sign) for side, sign in (("left", 1.0), ("right", -1.0))
     }
     for side, (_, radius) in found.items():
         if not _PEDICLE_RADIUS[0] < radius < _PEDICLE_RADIUS[1]:
-            raise refusal(surface, what, f"{2e3 * radius:.1f} mm of bone {side} of the hole")
+            raise refusal(surface, _WHAT, f"{2e3 * radius:.1f} mm of bone {side} of the hole")
     side = kind.partition(":")[2] or max(found, key=lambda each: found[each][1])
     other = "right" if side == "left" else "left"
     site, radius = found[side]
@@ -98,7 +95,7 @@ def _inner_points(surface: Surface) -> Array:
     low = surface.vertices_m.min(axis=0)
     high = surface.vertices_m.max(axis=0)
     axes = [np.arange(a, b, max(2e-3, (b - a) / 100.0)) for a, b in zip(low, high, strict=True)]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    grid = lattice(*axes)
     return grid[inside_scattered(surface.vertices_m, surface.faces, grid)]
 
 
@@ -143,8 +140,8 @@ def _hole(points: Array, axis: Array) -> _Hole:
     return _Hole(axis, middle[0] * u + middle[1] * v + level * axis, float(sizes.max()) * _PIXEL**2)
 
 
-def _vertebra_frame(surface: Surface, inner: Array, canal: _Hole) -> tuple[_Frame | None, str]:
-    """Return left, forward and up of a vertebra, or a reason why the bone is not a vertebra.
+def _vertebra_frame(surface: Surface, inner: Array, canal: _Hole) -> _Frame:
+    """Return left, forward and up of a vertebra. Raise for a bone that is not a vertebra.
 
     The body is in front. The pedicles leave its upper half and the arch lies lower, which
     distinguishes up from down.
@@ -158,24 +155,23 @@ def _vertebra_frame(surface: Surface, inner: Array, canal: _Hole) -> tuple[_Fram
     body = height[in_front > edge]
     arch = height[in_front < -edge]
     if len(body) < 0.35 * len(inner) or not len(arch):
-        return None, f"{len(body) / len(inner):.0%} of the bone in front of the hole"
+        got = f"{len(body) / len(inner):.0%} of the bone in front of the hole"
+        raise refusal(surface, _WHAT, got)
     origin = canal.point + body.mean() * canal.axis
     frame = _Frame(np.column_stack([np.cross(canal.axis, forward), forward, canal.axis]), origin)
     sides = [_sections(surface, frame, sign) for sign in (1.0, -1.0)]
     if not (len(sides[0]) and len(sides[1])):
-        return None, "no bone on a side of the hole"
+        raise refusal(surface, _WHAT, "no bone on a side of the hole")
     narrowest = [side[np.argmin(side[:, 3]), 2] for side in sides]
     middle = 0.5 * (body.max() + body.min()) - body.mean()
     rising = np.mean(narrowest) - middle - (arch.mean() - body.mean())
     if abs(rising) < _RISING:
-        return (
-            None,
-            (
-                f"pedicles {1e3 * abs(rising):.1f} mm off the middle of the body, as where it is "
-                "cut off"
-            ),
+        got = (
+            f"pedicles {1e3 * abs(rising):.1f} mm off the middle of the body, as where it is cut "
+            "off"
         )
-    return (frame if rising > 0.0 else _Frame(frame.axes * (-1.0, 1.0, -1.0), origin)), ""
+        raise refusal(surface, _WHAT, got)
+    return frame if rising > 0.0 else _Frame(frame.axes * (-1.0, 1.0, -1.0), origin)
 
 
 def _sections(surface: Surface, frame: _Frame, sign: float) -> Array:
@@ -192,7 +188,7 @@ def _sections(surface: Surface, frame: _Frame, sign: float) -> Array:
         np.arange(-6e-3, 12e-3, _STEP),
         np.arange(-25e-3, 25e-3, _STEP),
     )
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    grid = lattice(*axes).reshape(*map(len, axes), 3)
     there = grid.reshape(-1, 3) @ frame.axes.T + frame.origin
     bone = inside_scattered(surface.vertices_m, surface.faces, there).reshape(grid.shape[:3])
     found = []

@@ -7,54 +7,51 @@ That is weaker than manifold (four triangles may meet in an edge) and exactly wh
 needs.
 """
 
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.simplices import compact, directed_edges, windings
+from meshes.base.arrays import (
+    Array,
+    Flags,
+    Ints,
+    Triangles,
+    compact,
+    cross_products,
+    directed_edges,
+    windings,
+)
 
 __all__ = [
-    "Triangles",
-    "bodies",
+    "Holes",
+    "close_seams",
     "drop_debris",
     "edge_counts",
+    "fill_holes",
     "is_manifold",
     "merge_vertices",
+    "open_loops",
     "orient",
     "triangle_areas",
 ]
 
-Triangles = tuple[NDArray[np.float64], NDArray[np.int64]]
-"""Vertices, shape (n, 3), and the vertex numbers of the triangles, shape (m, 3)."""
 
-
-def merge_vertices(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], tolerance: float
-) -> tuple[NDArray[np.float64], NDArray[np.int64], bool]:
+def merge_vertices(vertices: Array, faces: Ints, tolerance: float) -> Triangles:
     """Join vertices on one point of a lattice of pitch `tolerance`.
 
     Triangles that collapse, repeat or cancel are dropped.
-
-    Returns
-    -------
-    Vertices, triangles, and whether `is_manifold` holds for these.
     """
     vertices, faces = compact(vertices, faces)
     first, where = _numbered(_lattice_keys(vertices, tolerance))
     faces = where[faces]
     a, b, c = faces.T
-    whole = (a != b) & (b != c) & (c != a)
-    faces = faces if whole.all() else faces[whole]
-    manifold = is_manifold(faces)
-    if not manifold:
+    faces = faces[(a != b) & (b != c) & (c != a)]
+    if not is_manifold(faces):
         faces = faces[_distinct(faces)]
-        manifold = is_manifold(faces)
-    vertices, faces = compact(vertices[first], faces)
-    return vertices, faces, manifold
+    return compact(vertices[first], faces)
 
 
-def _lattice_keys(vertices: NDArray[np.float64], tolerance: float) -> NDArray[np.int64]:
+def _lattice_keys(vertices: Array, tolerance: float) -> Ints:
     """Compute one number for the lattice point nearest to each vertex.
 
     The numbers sort like the coordinates.
@@ -69,7 +66,7 @@ def _lattice_keys(vertices: NDArray[np.float64], tolerance: float) -> NDArray[np
     return keys
 
 
-def _numbered(keys: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _numbered(keys: Ints) -> tuple[Ints, Ints]:
     """Return the first index of each distinct key, ascending by key, and each key's number.
 
     This is `numpy.unique`, but five times as fast, because no stable sort is needed.
@@ -82,7 +79,7 @@ def _numbered(keys: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.in
     return np.minimum.reduceat(order, np.flatnonzero(new)), where
 
 
-def is_manifold(faces: NDArray[np.int64]) -> bool:
+def is_manifold(faces: Ints) -> bool:
     """Return whether every directed edge and its reverse occur exactly once.
 
     The surface is then closed, of one winding, with two triangles at every edge.
@@ -100,44 +97,21 @@ def is_manifold(faces: NDArray[np.int64]) -> bool:
     return np.array_equal(edges, np.sort(end[downward] * count + start[downward]))
 
 
-def drop_debris(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int64],
-    body: NDArray[np.int64],
-    least_area: float,
-) -> tuple[Triangles, NDArray[np.int64], list[float]]:
+def drop_debris(vertices: Array, faces: Ints, least_area: float) -> tuple[Triangles, list[float]]:
     """Drop bodies whose area is below `least_area` times the largest body's.
-
-    Parameters
-    ----------
-    body
-        Number of the body of each triangle, from `bodies`.
 
     Returns
     -------
-    The remaining surface, the body of each of its triangles, and the longest bounding-box side of
-    each body dropped.
+    The remaining surface, and the longest bounding-box side of each body dropped.
     """
-    if not body.any():
-        return (vertices, faces), body, []
+    body = _bodies(len(vertices), faces)
     areas = np.bincount(body, weights=triangle_areas(vertices, faces))
     small = np.flatnonzero(areas < least_area * areas.max())
     sizes = [float(np.ptp(vertices[faces[body == k].ravel()], axis=0).max()) for k in small]
-    left = ~np.isin(body, small)
-    return (
-        compact(vertices, faces[left]),
-        np.unique(body[left], return_inverse=True)[1].reshape(-1),
-        sizes,
-    )
+    return compact(vertices, faces[~np.isin(body, small)]), sizes
 
 
-def orient(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int64],
-    body: NDArray[np.int64] | None = None,
-    *,
-    manifold: bool = False,
-) -> tuple[NDArray[np.int64], int, int, float]:
+def orient(vertices: Array, faces: Ints) -> tuple[Ints, int, int, float]:
     """Give all triangles of a body one winding, outward.
 
     Each triangle is a node twice, as it is and turned; neighbours across an edge of two triangles
@@ -145,38 +119,27 @@ def orient(
     with negative volume is turned, unless it lies within the box of another body, where it is a
     cavity.
 
-    Parameters
-    ----------
-    body
-        Number of the body of each triangle; None: computed here.
-    manifold
-        Whether `is_manifold` is known to hold.
-
     Returns
     -------
     Triangles, shape (m, 3); the number turned to agree with their neighbours; the number of bodies
     that were inside out; the volume enclosed, in cubed units of the vertices.
     """
-    turned = np.zeros(0, dtype=bool) if manifold or is_manifold(faces) else _disagreeing(faces)
-    if turned.any():
-        faces = faces.copy()
-        faces[turned] = faces[turned][:, ::-1]
-    if body is None:
-        body = bodies(len(vertices), faces)
+    faces = faces.copy()
+    turned = np.zeros(len(faces), dtype=bool) if is_manifold(faces) else _disagreeing(faces)
+    faces[turned] = faces[turned][:, ::-1]
+    body = _bodies(len(vertices), faces)
     count = int(body.max()) + 1
-    volumes = np.bincount(body, weights=_volumes(vertices, faces), minlength=count)
+    corners = vertices - vertices[0]
+    heights = (corners[faces[:, 0]] * cross_products(corners, faces)).sum(axis=1)
+    volumes = np.bincount(body, weights=heights, minlength=count) / 6.0
     inside_out = 0
     if volumes.sum() < 0.0:
         volumes = -volumes
         inside_out = count
         faces = faces[:, ::-1].copy()
-    if count == 1:
-        return faces, int(turned.sum()), inside_out, float(volumes.sum())
-    corners = [vertices[faces[body == k].ravel()] for k in range(count)]
-    low, high = (
-        np.array([function(each, axis=0) for each in corners]) for function in (np.min, np.max)
-    )
-    faces = faces.copy()
+    boxes = [vertices[faces[body == k].ravel()] for k in range(count)]
+    low = np.array([box.min(axis=0) for box in boxes])
+    high = np.array([box.max(axis=0) for box in boxes])
     for k in np.flatnonzero(volumes < 0.0):
         if not ((low <= low[k]) & (high >= high[k])).all(axis=1)[volumes > 0.0].any():
             faces[body == k] = faces[body == k][:, ::-1]
@@ -185,7 +148,7 @@ def orient(
     return faces, int(turned.sum()), inside_out, float(volumes.sum())
 
 
-def edge_counts(faces: NDArray[np.int64]) -> tuple[int, int]:
+def edge_counts(faces: Ints) -> tuple[int, int]:
     """Count edges that one triangle uses (open) and that more than two use (non-manifold)."""
     if is_manifold(faces):
         return 0, 0
@@ -193,7 +156,7 @@ def edge_counts(faces: NDArray[np.int64]) -> tuple[int, int]:
     return int((uses == 1).sum()), int((uses > 2).sum())
 
 
-def _distinct(faces: NDArray[np.int64]) -> NDArray[np.int64]:
+def _distinct(faces: Ints) -> Ints:
     """Return the numbers of the triangles to keep.
 
     Of equal triangles one is kept; a pair with opposite winding is dropped.
@@ -209,7 +172,7 @@ def _distinct(faces: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.sort(kept[net != 0])
 
 
-def _disagreeing(faces: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _disagreeing(faces: Ints) -> Flags:
     """Return flags of the triangles to turn so that neighbours agree.
 
     The choice with fewer triangles is taken in each piece; no triangle of a piece is turned if no
@@ -237,7 +200,7 @@ def _disagreeing(faces: NDArray[np.int64]) -> NDArray[np.bool_]:
     return (as_is != reverse) & ((votes[as_is] < votes[reverse]) | tied)
 
 
-def _edge_keys(edges: NDArray[np.int64]) -> NDArray[np.int64]:
+def _edge_keys(edges: Ints) -> Ints:
     """Compute one number for each edge, independent of its direction, shape (n,).
 
     The numbers sort like the edge's vertices.
@@ -245,7 +208,7 @@ def _edge_keys(edges: NDArray[np.int64]) -> NDArray[np.int64]:
     return edges.min(axis=1) * (int(edges.max()) + 1) + edges.max(axis=1)
 
 
-def bodies(vertex_count: int, faces: NDArray[np.int64]) -> NDArray[np.int64]:
+def _bodies(vertex_count: int, faces: Ints) -> Ints:
     """Return the number of the connected body of each triangle, shape (m,)."""
     from trimesh.graph import connected_component_labels
 
@@ -255,31 +218,171 @@ def bodies(vertex_count: int, faces: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.unique(label[faces[:, 0]], return_inverse=True)[1]
 
 
-def triangle_areas(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
+def triangle_areas(vertices: Array, faces: Ints) -> Array:
     """Compute the area of each triangle, shape (m,), in squared units of the vertices."""
-    _, (x, y, z) = _crossed_edges(vertices, faces)
-    return 0.5 * np.sqrt(x * x + y * y + z * z)
+    return np.asarray(0.5 * np.linalg.norm(cross_products(vertices, faces), axis=1))
 
 
-def _volumes(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
-    corner, cross = _crossed_edges(vertices, faces)
-    return sum(a * n for a, n in zip(corner, cross, strict=True)) / 6.0
+@dataclass(frozen=True)
+class Holes:
+    """Result of `fill_holes`.
 
-
-def _crossed_edges(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64]
-) -> tuple[list[Any], list[Any]]:
-    """Return the first corner and the cross product of each triangle, by axis.
-
-    The corner is relative to the first vertex; the cross product is of the triangle's edges from
-    that corner.
-
-    Arrays of shape (m, 3) would take three times as long.
+    It holds the number of small and large holes closed, the points of the fans that a plane need
+    not fit, and the area of the largest hole.
     """
-    a, b, c = np.ascontiguousarray(faces.T)
-    columns = [np.ascontiguousarray(column) - column[0] for column in vertices.T]
-    corner = [column[a] for column in columns]
-    u, v = (
-        [column[k] - first for column, first in zip(columns, corner, strict=True)] for k in (b, c)
+
+    filled: int
+    large: int
+    caps: tuple[Array, ...]
+    largest_area: float
+
+
+def fill_holes(
+    vertices: Array,
+    faces: Ints,
+    largest: float,
+    *,
+    least_cap: float = np.inf,
+) -> tuple[Triangles, Holes]:
+    """Close each loop of unmatched edges by a fan of triangles about its mean point.
+
+    A hole that takes more area than `largest` times the surface's counts as large. Its fan is a
+    cap. The fan of any other hole is also a cap if it has more area than `least_cap` and more than
+    one triangle is missing.
+    """
+    if is_manifold(faces):
+        return (vertices, faces), Holes(0, 0, (), 0.0)
+    loops = open_loops(len(vertices), faces)
+    points = [vertices]
+    triangles = [faces]
+    number = len(vertices)
+    limit = largest * float(triangle_areas(vertices, faces).sum())
+    areas: list[float] = []
+    caps = []
+    for loop in loops:
+        middle = vertices[loop].mean(axis=0)
+        spokes = vertices[loop] - middle
+        areas.append(
+            0.5 * float(np.linalg.norm(np.cross(spokes, np.roll(spokes, -1, axis=0)), axis=1).sum())
+        )
+        if areas[-1] > limit or (areas[-1] > least_cap and len(loop) > 3):
+            caps.append(np.concatenate([vertices[loop], middle[None, :]]))
+        if len(loop) > 2:
+            points.append(middle[None, :])
+            triangles.append(
+                np.stack([np.roll(loop, -1), loop, np.full(len(loop), number)], axis=1)
+            )
+            number += 1
+    large = sum(area > limit for area in areas)
+    holes = Holes(len(loops) - large, large, tuple(caps), max(areas, default=0.0))
+    return (np.concatenate(points), np.concatenate(triangles)), holes
+
+
+def _unmatched(vertex_count: int, faces: Ints) -> Ints:
+    """Return directed edges without their reverse, shape (n, 2).
+
+    An edge is repeated as often as its reverse is missing.
+    """
+    edges = directed_edges(faces)
+    low, high = np.sort(edges, axis=1).T
+    keys, where = np.unique(low * vertex_count + high, return_inverse=True)
+    surplus = np.bincount(where, weights=np.where(edges[:, 0] < edges[:, 1], 1, -1)).astype(
+        np.int64
     )
-    return corner, [u[i - 2] * v[i - 1] - u[i - 1] * v[i - 2] for i in range(3)]
+    pairs = np.stack([keys // vertex_count, keys % vertex_count], axis=1)
+    pairs = np.where(surplus[:, None] > 0, pairs, pairs[:, ::-1])
+    return np.repeat(pairs, np.abs(surplus), axis=0)
+
+
+def open_loops(vertex_count: int, faces: Ints) -> list[Ints]:
+    """Return loops of unmatched edges that visit no vertex twice.
+
+    The loops run in the direction of their triangles.
+    """
+    following: dict[int, list[int]] = {}
+    for a, b in _unmatched(vertex_count, faces).tolist():
+        following.setdefault(a, []).append(b)
+    loops = []
+    for start in following:
+        path: list[int] = [start]
+        while following[path[-1]]:
+            step = following[path[-1]].pop()
+            if step in path:
+                begin = path.index(step)
+                loops.append(np.array(path[begin:], dtype=np.int64))
+                del path[begin + 1 :]
+            else:
+                path.append(step)
+    return loops
+
+
+def close_seams(
+    points: Array, faces: Ints, *, first_part: int, within: float
+) -> tuple[Array, Ints]:
+    """Join the open loops of two parts by ribbons of triangles, and fill every other open loop.
+
+    Parameters
+    ----------
+    points
+        Vertices, shape (n, 3).
+    faces
+        Triangles wound outward, shape (m, 3).
+    first_part
+        Number of vertices that belong to the first part; all others belong to the second.
+    within
+        Largest mean distance between two loops that belong together.
+
+    Returns
+    -------
+    Vertices and triangles; added ones come last.
+    """
+    loops = open_loops(len(points), faces)
+    theirs = [loop for loop in loops if loop[0] >= first_part]
+    joined = [faces]
+    for loop in loops:
+        apart = (
+            [_apart(points[loop], points[other]) for other in theirs]
+            if loop[0] < first_part
+            else []
+        )
+        if apart and min(apart) < within:
+            joined.append(_ribbon(points, loop, theirs.pop(int(np.argmin(apart)))))
+    return fill_holes(points, np.concatenate(joined), np.inf)[0]
+
+
+def _apart(points: Array, others: Array) -> float:
+    """Compute the mean distance of the points of two loops from each other."""
+    from scipy.spatial import cKDTree
+
+    there = cKDTree(others).query(points)[0]
+    back = cKDTree(points).query(others)[0]
+    return float(max(there.mean(), back.mean()))
+
+
+def _ribbon(points: Array, loop: Ints, other: Ints) -> Ints:
+    """Return triangles between two loops that run in opposite directions.
+
+    Every step takes the shorter diagonal.
+    """
+    along = other[::-1]
+    nearest = int(np.linalg.norm(points[along] - points[loop[0]], axis=1).argmin())
+    first = np.append(loop, loop[0])
+    second = np.roll(along, -nearest)
+    second = np.append(second, second[0])
+    i = 0
+    j = 0
+    triangles = []
+    while i < len(loop) or j < len(other):
+        forward = (
+            np.inf if i == len(loop) else np.linalg.norm(points[first[i + 1]] - points[second[j]])
+        )
+        aside = (
+            np.inf if j == len(other) else np.linalg.norm(points[first[i]] - points[second[j + 1]])
+        )
+        if forward <= aside:
+            triangles.append((first[i + 1], first[i], second[j]))
+            i += 1
+        else:
+            triangles.append((second[j], second[j + 1], first[i]))
+            j += 1
+    return np.array(triangles, dtype=np.int64)

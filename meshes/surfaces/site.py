@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Floats, Ints, cross_products
 from meshes.base.errors import InputError, in_brackets, require_direction, require_vector
 from meshes.base.placement import Placement
-from meshes.base.simplices import cross_products
 from meshes.surfaces.repair import triangle_areas
 from meshes.surfaces.surface import Surface
-from meshes.voxels.column_crossings import column_crossings
+from meshes.voxels.mesh_sampling import column_crossings
 
 __all__ = [
     "FACE_SAMPLES",
@@ -55,11 +54,11 @@ class Site:
         Method and confidence of the search, a sentence.
     """
 
-    centre_m: NDArray[np.float64]
-    rotation: NDArray[np.float64]
+    centre_m: Array
+    rotation: Array
     confidence: str
 
-    def to_site(self, points_m: NDArray[np.floating]) -> NDArray[np.float64]:
+    def to_site(self, points_m: Floats) -> Array:
         """Convert points [m], shape (n, 3), from the surface's frame to the site frame."""
         return (np.asarray(points_m, dtype=np.float64) - self.centre_m) @ self.rotation
 
@@ -92,7 +91,7 @@ class FoundSite:
     site: Site
     score: float
     second_score: float = 0.0
-    second_centre_mm: NDArray[np.float64] | None = None
+    second_centre_mm: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,14 +106,12 @@ class SurfaceSamples:
         Surface area that each point stands for [m2].
     """
 
-    points: NDArray[np.float64]
-    normals: NDArray[np.float64]
+    points: Array
+    normals: Array
     area: float
 
 
-def sample_surface(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], count: int
-) -> SurfaceSamples:
+def sample_surface(vertices: Array, faces: Ints, count: int) -> SurfaceSamples:
     """Spread `count` points evenly by area.
 
     The points are the same in every call (Kronecker sequence within the triangles).
@@ -146,14 +143,14 @@ def refusal(surface: Surface, what: str, got: str) -> InputError:
     )
 
 
-def across(axis: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def across(axis: Array) -> tuple[Array, Array]:
     """Return two unit vectors at right angles to an axis and to each other."""
     u = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     u /= np.linalg.norm(u)
     return u, np.cross(axis, u)
 
 
-def spread(heights: NDArray[np.floating], axis: NDArray[np.float64]) -> NDArray[np.float64]:
+def spread(heights: Floats, axis: Array) -> Array:
     """Return unit vectors on a golden-angle spiral, shape (n, 3).
 
     Their cosines with an axis are given.
@@ -206,11 +203,11 @@ def place_site(
 
 def site_along(
     surface: Surface,
-    centre: NDArray[np.float64],
-    normal: NDArray[np.float64],
+    centre: Array,
+    normal: Array,
     note: str,
     along: Sequence[float] | None = None,
-    long_axis: NDArray[np.float64] | None = None,
+    long_axis: Array | None = None,
 ) -> Site:
     """Return the site where the line through a point [m] along a unit normal leaves the bone.
 
@@ -242,7 +239,7 @@ def site_along(
     return Site(_on_surface(surface, centre, rotation), rotation, note)
 
 
-def axes_along(normal: NDArray[np.float64], along: Sequence[float]) -> NDArray[np.float64]:
+def axes_along(normal: Array, along: Sequence[float]) -> Array:
     """Return axes as columns, shape (3, 3), with z along a normal.
 
     z is the unit vector `normal`, x is as close to the direction `along` as possible.
@@ -265,7 +262,7 @@ def axes_along(normal: NDArray[np.float64], along: Sequence[float]) -> NDArray[n
     return np.column_stack([x, np.cross(normal, x), normal])
 
 
-def normal_near(samples: SurfaceSamples, centre: NDArray[np.float64]) -> NDArray[np.float64]:
+def normal_near(samples: SurfaceSamples, centre: Array) -> Array:
     """Compute the mean unit normal of the surface, shape (3,).
 
     It is the mean within 3 mm of the surface point nearest to `centre` [m].
@@ -279,10 +276,10 @@ def normal_near(samples: SurfaceSamples, centre: NDArray[np.float64]) -> NDArray
 
 
 def _axes(
-    normal: NDArray[np.float64],
-    to_middle: NDArray[np.float64],
-    long_axis: NDArray[np.float64] | None,
-) -> NDArray[np.float64]:
+    normal: Array,
+    to_middle: Array,
+    long_axis: Array | None,
+) -> Array:
     """Return site axes as columns: z along `normal`, y along the face's long axis.
 
     y points away from the middle of the bone.
@@ -302,9 +299,7 @@ def _axes(
     return np.column_stack([np.cross(y, normal), y, normal])
 
 
-def exits(
-    surface: Surface, point: NDArray[np.float64], rotation: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def exits(surface: Surface, point: Array, rotation: Array) -> Array:
     """Return heights at which a line leaves the bone [m], shape (k,).
 
     The line passes through a point along the z of `rotation`.
@@ -316,9 +311,7 @@ def exits(
     return found.height[found.entering < 0]
 
 
-def _on_surface(
-    surface: Surface, centre: NDArray[np.float64], rotation: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _on_surface(surface: Surface, centre: Array, rotation: Array) -> Array:
     """Find the point where the axis through `centre` leaves the bone.
 
     It is the nearest such point within 10 mm.

@@ -7,16 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Ints, Triangles, compact
 from meshes.base.errors import InputError, counted, require_positive
-from meshes.base.simplices import compact
-from meshes.surfaces.holes import fill_holes
 from meshes.surfaces.repair import (
-    Triangles,
-    bodies,
     drop_debris,
     edge_counts,
+    fill_holes,
     merge_vertices,
     orient,
 )
@@ -33,14 +30,12 @@ _CAP_M2 = 1e-5
 The shape of a cap is a guess, which matters where a tool works.
 """
 _FLATTEST = 1e-3
-_TURNED = "Turned the surface outward: it was wound inward."
 _FARTHEST = 1e100
 """Coordinates beyond it count as not finite: their squares overflow."""
 _SMALLEST_MM = 1.0
 _LARGEST_MM = 1000.0
 _UNITS = (("millimetres", 1.0, 5.0, 700.0), ("metres", 1000.0, 0.005, 0.7))
 _CENTIMETRES = (6.0, 60.0)
-_INCH_MM = 25.4
 _TYPICAL_BONE_MM = 140.0
 
 
@@ -60,8 +55,8 @@ class SurfaceReport:
         Sides of the bounding box [mm].
     volume_mm3
         Volume enclosed [mm3].
-    repairs, turned
-        Changes, a sentence each, and the number of triangles or whole bodies turned.
+    repairs
+        Changes, a sentence each.
     """
 
     source: str
@@ -70,7 +65,6 @@ class SurfaceReport:
     size_mm: tuple[float, float, float]
     volume_mm3: float
     repairs: tuple[str, ...]
-    turned: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,10 +87,10 @@ class Surface:
         them.
     """
 
-    vertices_m: NDArray[np.float64]
-    faces: NDArray[np.int64]
+    vertices_m: Array
+    faces: Ints
     report: SurfaceReport
-    caps_m: tuple[NDArray[np.float64], ...]
+    caps_m: tuple[Array, ...]
     scanned: Triangles
 
 
@@ -142,8 +136,8 @@ def read_surface(
 
 
 def surface_from_triangles(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int64],
+    vertices: Array,
+    faces: Ints,
     *,
     source: str = "triangles",
     scale_mm: float | None = None,
@@ -180,14 +174,51 @@ def surface_from_triangles(
             "export it again",
         )
     used, _ = compact(vertices, faces)
-    longest = max(_sides(used))
+    longest = float(np.ptp(used, axis=0).max())
     _require_thickness(used, longest, source)
     scale, guess = _unit(longest, scale_mm, source)
-    vertices = vertices * (1e-3 * scale)
     longest *= 1e-3 * scale
-    debris = 0.0 if every_piece else _DEBRIS_AREA
-    found = _repaired(vertices, faces, longest, source, cut_off, debris)
-    vertices, faces, volume, repairs, turned, caps, scanned = found
+    repairs = []
+    before = len(vertices)
+    vertices, faces = merge_vertices(1e-3 * scale * vertices, faces, _MERGE_TOLERANCE * longest)
+    if before > len(vertices):
+        repairs.append(
+            f"Merged or dropped {before - len(vertices)} of {before} vertices that coincide "
+            "or are unused."
+        )
+    if not every_piece:
+        (vertices, faces), dropped = drop_debris(vertices, faces, _DEBRIS_AREA)
+        if dropped:
+            pieces = counted(len(dropped), "loose piece")
+            repairs.append(f"Dropped {pieces}, the largest {1e3 * max(dropped):.3g} mm long.")
+    faces, turned, inside_out, volume = orient(vertices, faces)
+    if turned:
+        repairs.append(f"Turned {turned} of {len(faces)} triangles to agree with their neighbours.")
+    scanned = len(faces)
+    open_edges, shared_edges = edge_counts(faces)
+    edges = f"{open_edges} open and {shared_edges} non-manifold edges"
+    (vertices, faces), holes = fill_holes(vertices, faces, _HOLE_AREA, least_cap=_CAP_M2)
+    if holes.large and not cut_off:
+        raise InputError(
+            "surface",
+            "enclose a solid",
+            f"{edges} in {source}, the largest hole {1e6 * holes.largest_area:.3g} mm2",
+            "close it in a mesh editor",
+        )
+    if len(faces) > scanned:
+        faces, _, outward, volume = orient(vertices, faces)
+        inside_out += outward
+    if inside_out:
+        repairs.append("Turned the surface outward: it was wound inward.")
+    if holes.filled:
+        repairs.append(
+            f"Closed {counted(holes.filled, 'hole')} along {edges}, the largest "
+            f"{1e6 * holes.largest_area:.3g} mm2."
+        )
+    if holes.large:
+        repairs.append(
+            f"The bone is cut off at {counted(holes.large, 'large hole')}, closed by a face each."
+        )
     if volume <= (0.0 if every_piece else 1e-6 * longest**3):
         raise InputError(
             "surface",
@@ -195,81 +226,12 @@ def surface_from_triangles(
             f"{1e9 * volume:.3g} mm3 inside {source}",
             "close it in a mesh editor",
         )
-    x, y, z = (1e3 * side for side in _sides(vertices))
-    report = SurfaceReport(source, scale, guess, (x, y, z), 1e9 * volume, tuple(repairs), turned)
-    return Surface(vertices, faces, report, caps, (vertices, faces[:scanned]))
+    x, y, z = (1e3 * np.ptp(vertices, axis=0)).tolist()
+    report = SurfaceReport(source, scale, guess, (x, y, z), 1e9 * volume, tuple(repairs))
+    return Surface(vertices, faces, report, holes.caps, (vertices, faces[:scanned]))
 
 
-def _repaired(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int64],
-    longest: float,
-    source: str,
-    cut_off: bool,
-    debris: float,
-) -> tuple[
-    NDArray[np.float64],
-    NDArray[np.int64],
-    float,
-    list[str],
-    int,
-    tuple[NDArray[np.float64], ...],
-    int,
-]:
-    """Repair a surface so that it is closed and wound outward.
-
-    Return its vertices [m] and triangles, its volume [m3], the changes, the number of triangles or
-    bodies turned, the faces over holes, and the number of triangles before those faces.
-    """
-    repairs = []
-    before = len(vertices)
-    vertices, faces, manifold = merge_vertices(vertices, faces, _MERGE_TOLERANCE * longest)
-    if before > len(vertices):
-        repairs.append(
-            f"Merged or dropped {before - len(vertices)} of {before} vertices that coincide "
-            "or are unused."
-        )
-    (vertices, faces), body, dropped = drop_debris(
-        vertices, faces, bodies(len(vertices), faces), debris
-    )
-    if dropped:
-        pieces = counted(len(dropped), "loose piece")
-        repairs.append(f"Dropped {pieces}, the largest {1e3 * max(dropped):.3g} mm long.")
-    faces, turned, inside_out, volume = orient(vertices, faces, body, manifold=manifold)
-    if turned:
-        repairs.append(f"Turned {turned} of {len(faces)} triangles to agree with their neighbours.")
-    if manifold:
-        if inside_out:
-            repairs.append(_TURNED)
-        return vertices, faces, volume, repairs, inside_out, (), len(faces)
-    counts = edge_counts(faces)
-    scanned = len(faces)
-    (vertices, faces), holes = fill_holes(vertices, faces, _HOLE_AREA, least_cap=_CAP_M2)
-    if holes.large and not cut_off:
-        raise InputError(
-            "surface",
-            "enclose a solid",
-            f"{counts[0]} open and {counts[1]} non-manifold edges in {source}, the largest hole "
-            f"{1e6 * holes.largest_area:.3g} mm2",
-            "close it in a mesh editor",
-        )
-    faces, _, outward, volume = orient(vertices, faces)
-    if inside_out + outward:
-        repairs.append(_TURNED)
-    if holes.filled:
-        repairs.append(
-            f"Closed {counted(holes.filled, 'hole')} along {counts[0]} open and {counts[1]} "
-            "non-manifold edges, the "
-            f"largest {1e6 * holes.largest_area:.3g} mm2."
-        )
-    if holes.large:
-        repairs.append(
-            f"The bone is cut off at {counted(holes.large, 'large hole')}, closed by a face each."
-        )
-    return vertices, faces, volume, repairs, turned + inside_out + outward, holes.caps, scanned
-
-
-def _require_thickness(points: NDArray[np.float64], longest: float, source: str) -> None:
+def _require_thickness(points: Array, longest: float, source: str) -> None:
     """Refuse points that lie in a plane or on a line, in any direction."""
     covariance = np.cov(points.T, bias=True)
     spread = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance), 0.0))
@@ -279,18 +241,8 @@ def _require_thickness(points: NDArray[np.float64], longest: float, source: str)
         )
 
 
-def _sides(points: NDArray[np.float64]) -> list[float]:
-    """Compute the sides of the bounding box.
-
-    It works by column, because NumPy is slow along the rows of many points.
-    """
-    return [float(column.max() - column.min()) for column in points.T]
-
-
 def _unit(longest: float, scale_mm: float | None, source: str) -> tuple[float, str]:
-    """Return millimetres per file unit and how they were found.
-
-    The unit is found from the longest side in file units.
+    """Return millimetres per file unit and how they were found, from the longest side in units.
 
     Raises
     ------
@@ -298,8 +250,10 @@ def _unit(longest: float, scale_mm: float | None, source: str) -> tuple[float, s
         If the scale given makes a bone of impossible size, or no scale is given and the size does
         not determine the unit.
     """
-    plain = [scale for _, scale, lowest, highest in _UNITS if lowest <= longest <= highest]
-    suggestion = plain[0] if plain else float(f"{_TYPICAL_BONE_MM / longest:.2g}")
+    plain = [
+        (name, scale) for name, scale, lowest, highest in _UNITS if lowest <= longest <= highest
+    ]
+    suggestion = plain[0][1] if plain else float(f"{_TYPICAL_BONE_MM / longest:.2g}")
     if scale_mm is not None:
         scale = require_positive(
             "anatomy.scale_mm", scale_mm, "use 1 for millimetres, 1000 for metres"
@@ -308,37 +262,23 @@ def _unit(longest: float, scale_mm: float | None, source: str) -> tuple[float, s
             raise InputError(
                 "anatomy.scale_mm",
                 "make the longest side 1 mm to 1 m",
-                f"{scale:g}, which makes {source} {_length(longest * scale)} long",
+                f"{scale:g}, which makes {source} {longest * scale:g} mm long",
                 f"use about {suggestion:g}",
             )
-        return (
-            scale,
-            f"{scale:g} mm per unit, as given: the longest side is {longest * scale:.4g} mm",
+        size = f"{longest * scale:.4g} mm"
+        return scale, f"{scale:g} mm per unit, as given: the longest side is {size}"
+    if not plain:
+        raise InputError(
+            "anatomy.scale_mm",
+            "be given where the unit is not plain",
+            f"none for {source}, whose longest side {longest:.3g} is neither millimetres nor "
+            "metres of a bone",
+            f"use millimetres per unit, for example {suggestion:g}",
         )
-    for name, scale, lowest, highest in _UNITS:
-        if lowest <= longest <= highest:
-            guess = (
-                f"{name}, since the longest side {longest:.3g} would be {longest * scale:.3g} mm"
-            )
-            if name == "millimetres" and _CENTIMETRES[0] <= longest <= _CENTIMETRES[1]:
-                others = f"in centimetres it would be {10 * longest:.3g} mm"
-                if _INCH_MM * longest <= highest:
-                    others += f", in inches {_INCH_MM * longest:.3g} mm"
-                guess += f" ({others}: set anatomy.scale_mm to be sure)"
-            return scale, guess
-    raise InputError(
-        "anatomy.scale_mm",
-        "be given where the unit is not plain",
-        f"none for {source}, whose longest side {longest:.3g} would be {_length(longest)} in "
-        "millimetres and "
-        f"{_length(1e3 * longest)} in metres",
-        f"use millimetres per unit, for example {suggestion:g}",
-    )
-
-
-def _length(millimetres: float) -> str:
-    """Format a length in the unit a user would choose."""
-    for name, factor in (("km", 1e6), ("m", 1e3), ("mm", 1.0)):
-        if millimetres >= factor:
-            return f"{millimetres / factor:.3g} {name}"
-    return f"{millimetres * 1e3:.3g} µm"
+    name, scale = plain[0]
+    guess = f"{name}, since the longest side {longest:.3g} would be {longest * scale:.3g} mm"
+    if name == "millimetres" and _CENTIMETRES[0] <= longest <= _CENTIMETRES[1]:
+        guess += (
+            f" (in centimetres it would be {10 * longest:.3g} mm: set anatomy.scale_mm to be sure)"
+        )
+    return scale, guess

@@ -1,4 +1,10 @@
-"""Triangles as the files of surfaces hold them: STL, OBJ, PLY and VTK."""
+"""Triangles as the files of surfaces hold them: STL, OBJ, PLY and VTK.
+
+VTK is read in a separate process by `meshes.base.isolated_parser`, because a damaged file can end
+the process. Its readers print errors to VTK's output window and continue with half-filled arrays.
+Every printed error thus counts as a failure. Cells are checked before any filter runs, because a
+filter would copy memory beyond the points.
+"""
 
 import re
 from itertools import takewhile
@@ -8,47 +14,31 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError, require_file
-from meshes.base.isolated_parser import parse_isolated
-from meshes.base.text_numbers import number_in, whole_number_in
-from meshes.surfaces.repair import Triangles
+from meshes.base.arrays import Array, Ints, Triangles
+from meshes.base.errors import DamagedFileError, InputError, require_file
+from meshes.base.isolated_parser import Answer, parse_isolated
+from meshes.base.text_tables import number_in, whole_number_in
 
-__all__ = ["SURFACE_SUFFIXES", "read_triangles", "require_triangles"]
+__all__ = [
+    "SURFACE_SUFFIXES",
+    "check_vtk",
+    "mesh_arrays",
+    "read_triangles",
+    "read_vtk",
+    "require_triangles",
+    "vtk_mesh",
+    "vtk_triangles",
+]
 
 SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
 _HEADER = 84
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 """Binary STL: bytes before the triangles, and the record of a triangle."""
-_IGNORED = frozenset(
-    ("vt", "vn", "vp", "p", "l", "g", "s", "mg", "o", "usemtl", "mtllib", "usemap", "maplib", "lod")
+_IGNORED = re.compile(
+    "vt|vn|vp|p|l|g|s|mg|o|usemtl|mtllib|usemap|maplib|lod|bevel|c_interp|d_interp|shadow_obj|"
+    "trace_obj|ctech|stech|call|csh|deg|bmat|step|cstype|curv|curv2|surf|parm|trim|hole|scrv|sp|"
+    "end|con"
 )
-_IGNORED |= {
-    "bevel",
-    "c_interp",
-    "d_interp",
-    "shadow_obj",
-    "trace_obj",
-    "ctech",
-    "stech",
-    "call",
-    "csh",
-    "deg",
-    "bmat",
-}
-_IGNORED |= {
-    "step",
-    "cstype",
-    "curv",
-    "curv2",
-    "surf",
-    "parm",
-    "trim",
-    "hole",
-    "scrv",
-    "sp",
-    "end",
-    "con",
-}
 """Keywords of OBJ that do not concern vertices and polygons."""
 _FURTHER = re.compile(r"/\S*")
 
@@ -79,7 +69,7 @@ def _stored(file: Path) -> tuple[NDArray[np.number], NDArray[np.number]]:
     kind = file.suffix.lower()[1:].upper()
     if kind in ("VTK", "VTP"):
         _, arrays = parse_isolated(
-            "meshes.surfaces.vtk_reading:vtk_triangles",
+            "meshes.surfaces.triangle_files:vtk_triangles",
             file,
             what=f"{kind} surface",
             remedy="export it again",
@@ -99,31 +89,22 @@ def _stored(file: Path) -> tuple[NDArray[np.number], NDArray[np.number]]:
         mesh: Any = trimesh.load(file, force="mesh", process=False, **options)
         return mesh.vertices, mesh.faces
     except Exception as problem:  # the readers raise many kinds, none documented
-        raise InputError(
-            "file",
-            f"be a readable {kind} surface",
-            f"{file.name} (it is damaged or cut off)",
-            "export it again",
-        ) from problem
+        got = f"{file.name} (it is damaged or cut off)"
+        raise _refusal(f"be a readable {kind} surface", got) from problem
+
+
+def _refusal(wanted: str, got: str) -> InputError:
+    return InputError("file", wanted, got, "export it again")
 
 
 def require_triangles(vertices: NDArray[np.number], faces: NDArray[np.number], source: str) -> None:
     """Refuse an empty set of triangles, and triangles that name vertices which do not exist."""
-    if len(vertices) == 0 or len(faces) == 0:
-        raise InputError(
-            "file",
-            "hold triangles",
-            f"{len(vertices)} vertices and {len(faces)} triangles in {source}",
-            "export the surface as triangles",
-        )
     if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
-        raise InputError(
-            "file",
-            "hold triangles in space",
-            f"vertices of shape {vertices.shape} and faces of shape {faces.shape} in {source}",
-            "export it again",
-        )
+        got = f"vertices of shape {vertices.shape} and faces of shape {faces.shape} in {source}"
+        raise _refusal("hold triangles in space", got)
     count = len(vertices)
+    if count == 0 or len(faces) == 0:
+        raise _refusal("hold triangles", f"{count} vertices and {len(faces)} triangles in {source}")
     if faces.min() < 0 or faces.max() >= count:
         face, corner = np.argwhere((faces < 0) | (faces >= count))[0]
         raise InputError(
@@ -134,7 +115,7 @@ def require_triangles(vertices: NDArray[np.number], faces: NDArray[np.number], s
         )
 
 
-def _read_binary_stl(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]] | None:
+def _read_binary_stl(file: Path) -> tuple[Array, Ints] | None:
     """Return corners, shape (3 m, 3), and triangles, shape (m, 3), of a file; None for text."""
     size = file.stat().st_size
     with file.open("rb") as stored:
@@ -144,15 +125,8 @@ def _read_binary_stl(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]
             if b"\0" not in head:  # text holds none; a count below 16 million does
                 return None
             payload = max(size - _HEADER, 0) // _RECORD.itemsize
-            stated = (
-                f"{count} triangles in its header" if size >= _HEADER else "a part of its header"
-            )
-            raise InputError(
-                "file",
-                "be a whole STL surface",
-                f"{stated} and {payload} of them in {file.name}",
-                "it is cut off or damaged, export it again",
-            )
+            got = f"{count} triangles in its header and {payload} of them in {file.name}"
+            raise _refusal("be a whole STL surface", got)
         records = np.fromfile(stored, dtype=_RECORD, count=count)
     return records["corners"].reshape(-1, 3).astype(np.float64), np.arange(3 * count).reshape(-1, 3)
 
@@ -170,18 +144,13 @@ def _require_whole_ply(file: Path) -> None:
             return
         found = sum(bool(line.strip()) for line in stored)
     counts = [line[2:3] for line in head if line[:1] == [b"element"]]
-    stated = sum(int(count[0]) if count and count[0].isdigit() else -(10**30) for count in counts)
-    if stated != found:
-        counted = f"{stated} lines" if stated >= 0 else "a count that is none"
-        raise InputError(
-            "file",
-            "be a readable PLY surface",
-            f"{counted} in the header and {found} after it in {file.name}",
-            "export it again",
-        )
+    stated = [int(count[0]) if count and count[0].isdigit() else -1 for count in counts]
+    if min(stated, default=-1) < 0 or sum(stated) != found:
+        got = f"counts of {stated} in the header and {found} lines after it in {file.name}"
+        raise _refusal("be a readable PLY surface", got)
 
 
-def _read_obj(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _read_obj(file: Path) -> tuple[Array, Ints]:
     """Read vertices, shape (n, 3), and triangles, shape (m, 3), of an OBJ file.
 
     Polygons become fans about their first corner.
@@ -198,16 +167,13 @@ def _read_obj(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
                 vertices.append(_vertex(rest))
             elif keyword == "f":
                 polygons.append(_polygon(rest, len(vertices)))
-            elif keyword and keyword.partition("\t")[0] not in _IGNORED:
+            elif keyword and not _IGNORED.fullmatch(keyword.partition("\t")[0]):
                 raise ValueError("begins with no keyword of the format")
         except ValueError as problem:
-            raise InputError(
-                "file",
-                "be a readable OBJ surface",
-                f"line {number} of {file.name}, which {problem}",
-                "export it again",
-            ) from None
-    return _arrays(vertices, polygons, file.name)
+            got = f"line {number} of {file.name}, which {problem}"
+            raise _refusal("be a readable OBJ surface", got) from None
+    triangles = [(p[0], p[i], p[i + 1]) for p in polygons for i in range(1, len(p) - 1)]
+    return np.array(vertices).reshape(-1, 3), np.array(triangles, dtype=np.int64).reshape(-1, 3)
 
 
 def _vertex(rest: str) -> list[float]:
@@ -226,7 +192,7 @@ def _polygon(rest: str, count: int) -> list[int]:
         numbers = [whole_number_in(each) for each in _FURTHER.sub("", rest).split()]
     except ValueError:
         numbers = []
-    if len(numbers) < 3 or 0 in numbers:
+    if len(numbers) < 3 or 0 in numbers or max(numbers) >= 1 << 63:
         raise ValueError(
             f"must hold three or more vertex numbers from 1, not {rest.strip()[:40]!r}"
         )
@@ -235,21 +201,187 @@ def _polygon(rest: str, count: int) -> list[int]:
     return [each - 1 if each > 0 else count + each for each in numbers]
 
 
-def _arrays(
-    vertices: list[list[float]], polygons: list[list[int]], name: str
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    most = max((max(polygon) for polygon in polygons), default=-1)
-    if most >= len(vertices):
-        first = next(
-            number for number, polygon in enumerate(polygons, 1) if max(polygon) >= len(vertices)
+_TETRAHEDRON = 10
+_QUADRATIC_TETRAHEDRON = 24
+_CORNERS = {
+    1: 1,
+    3: 2,
+    5: 3,
+    8: 4,
+    9: 4,
+    10: 4,
+    11: 8,
+    12: 8,
+    13: 6,
+    14: 5,
+    21: 3,
+    22: 6,
+    23: 8,
+    24: 10,
+    25: 20,
+    26: 15,
+}
+"""Points of a cell by its VTK type, where the type fixes them."""
+_HEADING = re.compile(
+    r"^(ERROR|Warning|Generic Warning): In .*$|^\w+ \(0x[0-9a-f]+\): ", re.MULTILINE
+)
+
+
+def read_vtk(file: Path) -> Any:
+    """Return the dataset that pyvista reads from a file, with its cells checked.
+
+    Raises
+    ------
+    DamagedFileError
+        If the reader complained, with its first complaint, or cells are not where the file states.
+    InputError
+        If a cell names a point that is not there.
+    """
+    import pyvista
+    from vtkmodules.vtkCommonCore import vtkOutputWindow, vtkStringOutputWindow
+
+    window = vtkStringOutputWindow()
+    vtkOutputWindow.SetInstance(window)
+    data: Any = pyvista.read(file)
+    output = window.GetOutput() or ""
+    if "error" in output.lower():
+        raise DamagedFileError(
+            next(
+                (line for line in _HEADING.sub("", output).splitlines() if line.strip()),
+                "not whole",
+            )
         )
+    for block in data if isinstance(data, pyvista.MultiBlock) else [data]:
+        if isinstance(block, pyvista.PolyData):
+            for cells in (block.GetVerts(), block.GetLines(), block.GetPolys(), block.GetStrips()):
+                _require_cells(cells, file, block.n_points)
+        elif isinstance(block, pyvista.UnstructuredGrid):
+            _require_cells(block.GetCells(), file, block.n_points, np.asarray(block.celltypes))
+    return data
+
+
+def check_vtk(folder: Path, arrays_by_file: dict[str, list[str]]) -> Answer:
+    """Read files of a folder, and refuse those that are damaged or incomplete.
+
+    A file is incomplete if it lacks one of the arrays that it should hold.
+
+    Where ``layer`` is among them, it must count into the field ``layer_names``. The content is not
+    returned.
+    """
+    for name, wanted in arrays_by_file.items():
+        try:
+            data = read_vtk(folder / name)
+        except (InputError, DamagedFileError) as problem:
+            raise DamagedFileError(f"{name} is damaged: {problem}") from None
+        except Exception:  # the readers raise many kinds, none documented
+            raise DamagedFileError(f"{name} is damaged or cut off") from None
+        missing = [each for each in wanted if each not in data.cell_data and data.n_cells]
+        if missing:
+            raise DamagedFileError(f"{name} lacks {missing[0]} over its cells")
+        if "layer" in wanted and data.n_cells:
+            layers = np.asarray(data.cell_data["layer"])
+            names = data.field_data.get("layer_names", ())
+            if layers.dtype.kind not in "iu" or layers.min() < 0 or layers.max() >= len(names):
+                raise DamagedFileError(f"{name} has layers without a name")
+    return {}, {}
+
+
+def vtk_triangles(file: Path) -> Answer:
+    """Return the arrays of the surface of a file.
+
+    They are ``points``, shape (n, 3), and ``triangles``, shape (m, 3).
+    """
+    return {}, _triangles(read_vtk(file))
+
+
+def vtk_mesh(file: Path) -> Answer:
+    """Return the arrays of the mesh in a file, see `mesh_arrays`."""
+    import pyvista
+
+    data = read_vtk(file)
+    return mesh_arrays(data.combine() if isinstance(data, pyvista.MultiBlock) else data)
+
+
+def mesh_arrays(data: Any) -> Answer:
+    """Return arrays ``points`` and ``tets`` with cell data, or ``points`` and ``triangles``.
+
+    Facts of tetrahedra: ``others``, the number of cells that are not; ``quadratic``, whether some
+    had more than corners; ``names`` of the arrays over them, which are ``cells 0``, ``cells 1``,
+    ... here; ``parts``, the texts of the field ``part_names``.
+    """
+    kinds = np.asarray(getattr(data, "celltypes", ()))
+    if not np.isin(kinds, (_TETRAHEDRON, _QUADRATIC_TETRAHEDRON)).any():
+        return {}, _triangles(data)
+    by_kind = data.cells_dict
+    present = [kind for kind in (_TETRAHEDRON, _QUADRATIC_TETRAHEDRON) if kind in by_kind]
+    order = np.concatenate([np.flatnonzero(kinds == kind) for kind in present])
+    tets = np.concatenate([np.asarray(by_kind[kind])[:, :4] for kind in present]).astype(np.int64)
+    names = [
+        name for name in data.cell_data if np.asarray(data.cell_data[name]).dtype.kind in "biufU"
+    ]
+    arrays: dict[str, Any] = {"points": np.asarray(data.points), "tets": tets}
+    arrays |= {
+        f"cells {i}": np.asarray(data.cell_data[name])[order] for i, name in enumerate(names)
+    }
+    parts = (
+        np.asarray(data.field_data["part_names"])
+        if "part_names" in data.field_data
+        else np.zeros(0)
+    )
+    facts = {
+        "others": len(kinds) - len(order),
+        "quadratic": _QUADRATIC_TETRAHEDRON in present,
+        "names": names,
+        "parts": [str(part) for part in parts.ravel()] if parts.dtype.kind == "U" else [],
+    }
+    return facts, arrays
+
+
+def _triangles(data: Any) -> dict[str, NDArray[np.number]]:
+    import pyvista
+
+    if not isinstance(data, pyvista.PolyData):
+        data = data.extract_surface(algorithm="dataset_surface")
+    surface = data.triangulate()
+    return {
+        "points": np.asarray(surface.points),
+        "triangles": np.asarray(surface.faces).reshape(-1, 4)[:, 1:].astype(np.int64),
+    }
+
+
+def _require_cells(
+    cells: Any, file: Path, point_count: int, kinds: NDArray[np.integer] | None = None
+) -> None:
+    """Refuse cells that name points which do not exist.
+
+    Also refuse cells with another number of points than their type.
+    """
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+
+    offsets = vtk_to_numpy(cells.GetOffsetsArray()).astype(np.int64)
+    points = vtk_to_numpy(cells.GetConnectivityArray()).astype(np.int64)
+    sizes = np.diff(offsets)
+    if len(offsets) and (offsets[0] != 0 or offsets[-1] != len(points) or (sizes < 0).any()):
+        raise DamagedFileError("cells are not where their offsets point")
+    if kinds is not None:
+        if len(kinds) != len(sizes):
+            raise DamagedFileError(f"{len(kinds)} types of {len(sizes)} cells")
+        expected = np.array([_CORNERS.get(kind, -1) for kind in range(256)])[kinds]
+        short = np.flatnonzero((expected >= 0) & (sizes != expected))
+        if len(short):
+            k = short[0]
+            raise InputError(
+                f"cells of VTK type {kinds[k]}",
+                f"have {expected[k]} points",
+                f"{sizes[k]} in cell {k} of {file.name}, counted from 0",
+                "export it again",
+            )
+    wrong = np.flatnonzero((points < 0) | (points >= point_count))
+    if len(wrong):
+        cell = int(np.searchsorted(offsets, wrong[0], side="right")) - 1
         raise InputError(
-            "faces",
-            f"name vertices 1 to {len(vertices)} of the file",
-            f"{max(polygons[first - 1]) + 1} in face {first} of {name}",
+            "cells",
+            f"name points 0 to {point_count - 1} of the file",
+            f"{points[wrong[0]]} in cell {cell} of {file.name}, counted from 0",
             "export it again",
         )
-    triangles = [(p[0], p[i], p[i + 1]) for p in polygons for i in range(1, len(p) - 1)]
-    return np.array(vertices, dtype=np.float64).reshape(-1, 3), np.array(
-        triangles, dtype=np.int64
-    ).reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""A soft organ from a file: tetrahedra as stored, or a surface filled with them."""
+"""A soft organ from a file or object: tetrahedra as stored, or a surface filled with them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,31 +8,28 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, by, names_of_caller, require_file, require_positive
 from meshes.base.isolated_parser import parse_isolated
 from meshes.base.progress import Progress, silent
 from meshes.surfaces.surface import Surface, surface_from_triangles
-from meshes.surfaces.vtk_reading import mesh_arrays
-from meshes.tets.msh import StoredMesh, part_name, read_msh
-from meshes.tets.quality import repair_tets
+from meshes.surfaces.triangle_files import mesh_arrays
+from meshes.tets.msh import MOST_PARTS, StoredMesh, part_name, read_msh
 from meshes.tets.tetrahedra import TetMesh
 from meshes.tets.tetrahedralise import tetrahedralise
 
 __all__ = [
-    "MOST_PARTS",
-    "PART_ARRAYS",
     "GivenTets",
     "TetFile",
     "given_tets",
-    "read_stored",
     "read_tets",
     "require_millimetres",
 ]
 
 _ORGAN_MM = (20.0, 450.0)
 _TYPICAL_MM = 200.0
-_UNITS = ((1.0, "millimetres"), (1000.0, "metres"))
-PART_ARRAYS = (
+_PER_UNIT = "use 1 for millimetres, 1000 for metres"
+_PART_ARRAYS = (
     "part",
     "gmsh:physical",
     "medit:ref",
@@ -47,9 +44,7 @@ PART_ARRAYS = (
 
 They are the names that meshers write.
 """
-MOST_PARTS = 64
-"""Largest number of values of an array that lists parts."""
-SIZES_MM = (1.5, 1500.0)
+_SIZES_MM = (1.5, 1500.0)
 """Range of the longest side of a plausible organ [mm].
 
 Below it a size in metres is likelier, above it one in micrometres.
@@ -114,108 +109,63 @@ def read_tets(
         in any plain unit.
     """
     file = Path(path)
-    stored = read_stored(file)
-    used = stored.points[np.unique(stored.tets if len(stored.tets) else stored.triangles)]
+    stored = _read_stored(file)
+    used = stored.used
     bad = int((~np.isfinite(used).all(axis=1)).sum())
     if bad:
-        raise InputError(
-            "nodes",
-            "be finite",
-            f"{bad} of {len(used)} that are not in {file.name}",
-            "export it again",
-        )
+        got = f"{bad} of {len(used)} that are not in {file.name}"
+        raise InputError("nodes", "be finite", got, "export it again")
     scale, why = _unit(np.ptp(used, axis=0), unit_mm, file.name)
     if len(stored.tets):
-        values, part = np.unique(stored.part, return_inverse=True)
-        names = (
-            tuple(stored.names.get(int(v), f"part {v}") for v in values)
-            if len(values) > 1
-            else ("body",)
-        )
-        mesh, repaired = repair_tets(
-            stored.points * (1e-3 * scale), stored.tets, part.reshape(-1), names
-        )
-        return TetFile(mesh, scale, (why, *stored.notes, *repaired.sentences()))
+        mesh, sentences = stored.repaired(scale)
+        return TetFile(mesh, scale, (why, *sentences))
     surface = surface_from_triangles(
         stored.points, stored.triangles, source=file.name, scale_mm=scale
     )
-    filled, sentences = tetrahedralise(surface, edge_m=edge_m, report=report)
-    return TetFile(
-        filled, scale, (why, *stored.notes, *surface.report.repairs, *sentences), surface
-    )
+    mesh, sentences = tetrahedralise(surface, edge_m=edge_m, report=report)
+    return TetFile(mesh, scale, (why, *surface.report.repairs, *sentences), surface)
 
 
-def read_stored(file: Path) -> StoredMesh:
-    """Read the content of a mesh file, in its units and with its node numbers.
-
-    It raises the same errors as `read_tets`.
-    """
+def _read_stored(file: Path) -> StoredMesh:
+    """Read the content of a mesh file, in its units and with its node numbers."""
     require_file(file, "a mesh")
-    return read_msh(file) if file.suffix.lower() == ".msh" else _from_vtk(file)
+    if file.suffix.lower() == ".msh":
+        found = read_msh(file)
+    else:
+        facts, arrays = parse_isolated(
+            "meshes.surfaces.triangle_files:vtk_mesh",
+            file,
+            what="mesh",
+            remedy="export it as .vtu, .vtk, .msh or .stl",
+        )
+        found = _of_arrays(facts, arrays, file.name)
+    if len(found.tets) == 0 and len(found.triangles) == 0:
+        got = f"none in {file.name}"
+        raise InputError("file", "hold tetrahedra or triangles", got, "mesh the solid first")
+    return found
 
 
-def _unit(size: NDArray[np.float64], unit_mm: float | None, name: str) -> tuple[float, str]:
-    """Return millimetres per file unit, for a box in file units, and a note.
-
-    The note is a sentence on how the unit was found.
-    """
+def _unit(size: Array, unit_mm: float | None, name: str) -> tuple[float, str]:
+    """Return millimetres per file unit, for a box in file units, and a sentence on it."""
     longest = float(size.max())
     if unit_mm is None:
-        for scale, unit in _UNITS:
+        for scale, unit in ((1.0, "millimetres"), (1000.0, "metres")):
             if _ORGAN_MM[0] <= longest * scale <= _ORGAN_MM[1]:
                 sides = by(scale * size, ".3g")
                 return scale, f"{name} names no unit and was taken to be in {unit}: {sides} mm."
         raise InputError(
             "anatomy.scale_mm",
             "be given where the unit is not plain",
-            (
-                f"none for {name}, whose box of {by(size, '.3g')} is an organ neither in "
-                "millimetres nor in metres"
-            ),
-            (
-                f"give millimetres per unit, {_TYPICAL_MM / longest:.2g} would make it "
-                f"{_TYPICAL_MM:g} mm long"
-            ),
+            f"none for {name}, whose box of {by(size, '.3g')} is an organ neither in millimetres "
+            "nor in metres",
+            f"give millimetres per unit, {_TYPICAL_MM / longest:.2g} would make it "
+            f"{_TYPICAL_MM:g} mm long",
         )
-    scale = require_positive("anatomy.scale_mm", unit_mm, "use 1 for millimetres, 1000 for metres")
+    scale = require_positive("anatomy.scale_mm", unit_mm, _PER_UNIT)
     note = f"{name} was read at {scale:g} mm per unit, as given: {by(scale * size, '.3g')} mm"
     if not _ORGAN_MM[0] <= longest * scale <= _ORGAN_MM[1]:
         note += f", which is not the size of an organ ({_ORGAN_MM[0]:g} to {_ORGAN_MM[1]:g} mm)"
     return scale, f"{note}."
-
-
-def _from_vtk(file: Path) -> StoredMesh:
-    """Read a file by pyvista."""
-    remedy = "export it as .vtu, .vtk, .msh or .stl"
-    found = _of_arrays(
-        *parse_isolated("meshes.surfaces.vtk_reading:vtk_mesh", file, what="mesh", remedy=remedy),
-        file.name,
-    )
-    if len(found.tets) == 0 and len(found.triangles) == 0:
-        raise InputError(
-            "file", "hold tetrahedra or triangles", f"none in {file.name}", "export it again"
-        )
-    return found
-
-
-def _of_arrays(
-    facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], source: str
-) -> StoredMesh:
-    """Build a mesh from the arrays of `meshes.surfaces.vtk_reading.mesh_arrays`."""
-    none = np.zeros((0, 4), dtype=np.int64)
-    tets = arrays.get("tets", none)
-    known: dict[int, str] = {}
-    for number, text in enumerate(facts.get("parts", [])):
-        known[number] = part_name(text, known, f"part_names of {source}", "write them again")
-    data = {name: arrays[f"cells {number}"] for number, name in enumerate(facts.get("names", []))}
-    part, names = _parts(data, len(tets), known)
-    notes = []
-    if facts.get("others"):
-        notes.append(f"Left out {facts['others']} cells that are not tetrahedra.")
-    if facts.get("quadratic"):
-        notes.append("Took the corners of quadratic tetrahedra: their edges became straight.")
-    points = arrays["points"].astype(np.float64)
-    return StoredMesh(points, tets, arrays.get("triangles", none[:, :3]), part, names, tuple(notes))
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,7 +182,7 @@ class GivenTets:
         Findings and changes, a sentence each.
     """
 
-    points_mm: NDArray[np.float64]
+    points_mm: Array
     mesh: TetMesh
     sentences: tuple[str, ...]
 
@@ -264,24 +214,16 @@ def given_tets(
     stored = _stored(mesh)
     if not len(stored.tets):
         raise InputError("mesh", "hold tetrahedra", "none", "fill a surface by from_surface")
-    used = np.unique(stored.tets)
-    inside = used[0] >= 0 and used[-1] < len(stored.points)
-    if not inside or not np.isfinite(stored.points[used]).all():
+    inside = 0 <= stored.tets.min() <= stored.tets.max() < len(stored.points)
+    if not inside or not np.isfinite(stored.used).all():
         raise InputError("mesh", "hold finite points for all cells", "others", "export it again")
-    scale = require_millimetres("mesh", stored.points[used], scale_mm)
-    values, part = np.unique(stored.part, return_inverse=True)
-    if len(values) > MOST_PARTS:
-        raise InputError("mesh", f"have at most {MOST_PARTS} parts", len(values), "join some")
-    names = stored.names | dict(part_names or {})
-    known = tuple(names.get(int(v), f"part {v}") for v in values) if len(values) > 1 else ("body",)
+    scale = require_millimetres("mesh", stored.used, scale_mm)
+    stored.names.update(part_names or {})
     with names_of_caller(dict.fromkeys(("nodes", "nodes_m", "cells"), "mesh")):
-        repaired, report = repair_tets(
-            1e-3 * scale * stored.points, stored.tets, part.reshape(-1), known
-        )
-    return GivenTets(scale * stored.points, repaired, (*stored.notes, *report.sentences()))
+        return GivenTets(scale * stored.points, *stored.repaired(scale))
 
 
-def require_millimetres(name: str, points: NDArray[np.float64], scale_mm: float | None) -> float:
+def require_millimetres(name: str, points: Array, scale_mm: float | None) -> float:
     """Return millimetres per unit of points, shape (n, 3).
 
     The value is the given one, or 1 if the size of the points is plausible in millimetres.
@@ -292,10 +234,10 @@ def require_millimetres(name: str, points: NDArray[np.float64], scale_mm: float 
         If the size is not plausible. The message names a scale that is.
     """
     if scale_mm is not None:
-        return require_positive("scale_mm", scale_mm, "use 1 for millimetres, 1000 for metres")
+        return require_positive("scale_mm", scale_mm, _PER_UNIT)
     sides = np.ptp(points, axis=0)
-    if not SIZES_MM[0] <= float(sides.max()) <= SIZES_MM[1]:
-        unit, scale = ("metres", 1000) if sides.max() < SIZES_MM[0] else ("micrometres", 0.001)
+    if not _SIZES_MM[0] <= float(sides.max()) <= _SIZES_MM[1]:
+        unit, scale = ("metres", 1000) if sides.max() < _SIZES_MM[0] else ("micrometres", 0.001)
         raise InputError(
             name,
             "be in millimetres",
@@ -309,33 +251,47 @@ def _stored(mesh: object) -> StoredMesh:
     """Return points, tetrahedra and parts of any supported mesh object."""
     if isinstance(mesh, str | Path):
         with names_of_caller({"file": "mesh"}):
-            return read_stored(Path(mesh))
+            return _read_stored(Path(mesh))
     if hasattr(mesh, "celltypes") and hasattr(mesh, "cell_data"):
         return _of_arrays(*mesh_arrays(mesh), "mesh")
     if hasattr(mesh, "points") and hasattr(mesh, "cells"):
         return _of_blocks(mesh)
-    if isinstance(mesh, tuple | list) and len(mesh) == 2:
-        points, cells = (np.asarray(each) for each in mesh)
-        if points.ndim == 2 and points.shape[1] == 3 and cells.ndim == 2 and cells.shape[1] == 4:
-            return StoredMesh(
-                points.astype(np.float64),
-                cells.astype(np.int64),
-                _NO_FACES,
-                np.zeros(len(cells), int),
-                {},
-            )
+    if not isinstance(mesh, tuple | list) or len(mesh) != 2:
+        raise InputError(
+            "mesh",
+            "be a grid of pyvista, a mesh of meshio, points and cells, or a file",
+            type(mesh).__name__,
+            "wrap arrays as (points, cells)",
+        )
+    points, cells = (np.asarray(each) for each in mesh)
+    if points.ndim != 2 or points.shape[1] != 3 or cells.ndim != 2 or cells.shape[1] != 4:
         raise InputError(
             "mesh",
             "be points of shape (n, 3) and cells of shape (m, 4)",
             f"{points.shape} and {cells.shape}",
             "give the four corners of each tetrahedron",
         )
-    raise InputError(
-        "mesh",
-        "be a grid of pyvista, a mesh of meshio, points and cells, or a file",
-        type(mesh).__name__,
-        "wrap arrays as (points, cells)",
-    )
+    part = np.zeros(len(cells), dtype=np.int64)
+    return StoredMesh(points.astype(np.float64), cells.astype(np.int64), _NO_FACES, part, {})
+
+
+def _of_arrays(
+    facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], source: str
+) -> StoredMesh:
+    """Build a mesh from the arrays of `meshes.surfaces.triangle_files.mesh_arrays`."""
+    tets = arrays.get("tets", np.zeros((0, 4), dtype=np.int64))
+    known: dict[int, str] = {}
+    for number, text in enumerate(facts.get("parts", [])):
+        known[number] = part_name(text, known, f"part_names of {source}")
+    data = {name: arrays[f"cells {number}"] for number, name in enumerate(facts.get("names", []))}
+    part, names = _parts(data, len(tets), known)
+    notes = []
+    if facts.get("others"):
+        notes.append(f"Left out {facts['others']} cells that are not tetrahedra.")
+    if facts.get("quadratic"):
+        notes.append("Took the corners of quadratic tetrahedra: their edges became straight.")
+    points = arrays["points"].astype(np.float64)
+    return StoredMesh(points, tets, arrays.get("triangles", _NO_FACES), part, names, tuple(notes))
 
 
 def _of_blocks(mesh: Any) -> StoredMesh:
@@ -345,31 +301,29 @@ def _of_blocks(mesh: Any) -> StoredMesh:
     """
     chosen = [k for k, block in enumerate(mesh.cells) if block.type in ("tetra", "tetra10")]
     tets = [np.asarray(mesh.cells[k].data)[:, :4] for k in chosen]
-    if not tets:
-        return StoredMesh(np.zeros((0, 3)), np.zeros((0, 4), int), _NO_FACES, np.zeros(0, int), {})
+    cells = np.concatenate([np.zeros((0, 4)), *tets]).astype(np.int64)
     data = {
         name: np.concatenate([np.asarray(rows[k]) for k in chosen])
-        for name, rows in mesh.cell_data.items()
+        for name, rows in (mesh.cell_data if chosen else {}).items()
     }
     solids = {
         int(row[0]): name
         for name, row in (getattr(mesh, "field_data", None) or {}).items()
         if int(row[1]) == 3
     }
-    cells = np.concatenate(tets).astype(np.int64)
     part, names = _parts(data, len(cells), solids)
     return StoredMesh(np.asarray(mesh.points, dtype=np.float64), cells, _NO_FACES, part, names)
 
 
 def _parts(
     data: Mapping[str, NDArray[Any]], count: int, named: dict[int, str]
-) -> tuple[NDArray[np.int64], dict[int, str]]:
+) -> tuple[Ints, dict[int, str]]:
     """Return the number of each cell's part, shape (m,), and the names of the numbers.
 
     Names that count from 0 belong to the array ``part``. Names from meshio belong to its array
     ``gmsh:physical``.
     """
-    for array in PART_ARRAYS:
+    for array in _PART_ARRAYS:
         values = data.get(array, np.zeros(0))
         if values.shape != (count,) or not count:
             continue

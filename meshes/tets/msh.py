@@ -1,6 +1,6 @@
-"""Gmsh files of versions 1 and 2 in text.
+"""Meshes as files hold them, and Gmsh files of versions 1 and 2 in text.
 
-The available libraries do not read them, or only with an additional library.
+The available libraries do not read these, or only with an additional library.
 """
 
 from collections.abc import Mapping
@@ -8,18 +8,22 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
-from meshes.base.text_numbers import number_in, whole_number_in
-from meshes.base.visible_text import visible
+from meshes.base.text_tables import number_in, visible, whole_number_in
+from meshes.tets.quality import describe, repair_tets
+from meshes.tets.tetrahedra import TetMesh
 
-__all__ = ["StoredMesh", "part_name", "read_msh"]
+__all__ = ["MOST_PARTS", "StoredMesh", "part_name", "read_msh"]
 
 _TRIANGLE = 2
 _TETRAHEDRON = 4
+"""Numbers of the kinds of elements in Gmsh."""
+_SECTIONS = {1: ("$NOD", "$ELM"), 2: ("$Nodes", "$Elements")}
 _LONGEST_NAME = 60
-_OPENINGS = {"$NOD": 1, "$MeshFormat": 2}
+MOST_PARTS = 64
+"""Largest number of values of an array that lists parts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,12 +44,31 @@ class StoredMesh:
         Omitted content, a sentence each.
     """
 
-    points: NDArray[np.float64]
-    tets: NDArray[np.int64]
-    triangles: NDArray[np.int64]
-    part: NDArray[np.int64]
+    points: Array
+    tets: Ints
+    triangles: Ints
+    part: Ints
     names: dict[int, str]
     notes: tuple[str, ...] = ()
+
+    @property
+    def used(self) -> Array:
+        """Points of the tetrahedra, else of the triangles, shape (k, 3)."""
+        return self.points[np.unique(self.tets if len(self.tets) else self.triangles)]
+
+    def repaired(self, unit_mm: float) -> tuple[TetMesh, tuple[str, ...]]:
+        """Return the tetrahedra in metres, repaired where necessary, and sentences on them."""
+        values, part = np.unique(self.part, return_inverse=True)
+        if len(values) > MOST_PARTS:
+            raise InputError("mesh", f"have at most {MOST_PARTS} parts", len(values), "join some")
+        names = tuple(self.names.get(int(value), f"part {value}") for value in values)
+        mesh, repairs = repair_tets(
+            self.points * (1e-3 * unit_mm),
+            self.tets,
+            part.reshape(-1),
+            names if len(values) > 1 else ("body",),
+        )
+        return mesh, (*self.notes, *describe(mesh), *repairs)
 
 
 def read_msh(file: Path) -> StoredMesh:
@@ -54,8 +77,7 @@ def read_msh(file: Path) -> StoredMesh:
     Raises
     ------
     InputError
-        If the file is of another version, binary, cut short, names nodes it does not hold, or holds
-        no solid.
+        If the file is of another version, binary, cut short, or names nodes it does not hold.
     """
     content = file.read_bytes()
     try:
@@ -63,36 +85,14 @@ def read_msh(file: Path) -> StoredMesh:
     except UnicodeDecodeError:
         text = content.decode("latin-1")
     lines = [line.rstrip("\r") for line in text.split("\n")]
-    version = _OPENINGS.get(lines[0].strip(), 0)
-    if version == 2:
-        form = lines[1].split() if len(lines) > 1 else []
-        if len(form) < 2 or not form[0].startswith("2") or form[1] != "0":
-            raise InputError(
-                "file",
-                "be Gmsh text of version 1 or 2",
-                f"version {' '.join(form[:2])} in {file.name}",
-                "save it with gmsh -format msh22",
-            )
-    if version == 0:
-        raise InputError(
-            "file", "be Gmsh text of version 1 or 2", f"neither in {file.name}", "export it again"
-        )
+    version = _version(lines, file)
     try:
-        numbers, points = _nodes(_section(lines, "$NOD" if version == 1 else "$Nodes"))
-        elements = [
-            [whole_number_in(x) for x in line.split()]
-            for line in _section(lines, "$ELM" if version == 1 else "$Elements")
-        ]
-        # Version 1: number kind physical elementary count nodes; version 2: number kind
-        # count-of-tags tags nodes.
-        begins = [5 if version == 1 else 3 + element[2] for element in elements]
-        in_tets = [element for element in elements if element[1] == _TETRAHEDRON]
-        part = [
-            element[2] if version == 1 else (element[3] if element[2] else 0) for element in in_tets
-        ]
+        of_nodes, of_elements = (_section(lines, opening) for opening in _SECTIONS[version])
+        numbers, points = _nodes(of_nodes)
+        elements = [_element(line, version) for line in of_elements]
+        tets = _of_kind(elements, _TETRAHEDRON, 4)
+        triangles = _of_kind(elements, _TRIANGLE, 3)
         names = _names(_section(lines, "$PhysicalNames"), file) if "$PhysicalNames" in lines else {}
-        tets = _of_kind(elements, begins, _TETRAHEDRON, 4)
-        triangles = _of_kind(elements, begins, _TRIANGLE, 3)
     except InputError:
         raise
     except (ValueError, IndexError, OverflowError) as problem:
@@ -102,23 +102,26 @@ def read_msh(file: Path) -> StoredMesh:
             f"a broken one in {file.name}",
             "export it again",
         ) from problem
-    order = np.argsort(numbers)
-    places = []
-    for wanted in (tets, triangles):
-        found = order[np.minimum(np.searchsorted(numbers, wanted, sorter=order), len(numbers) - 1)]
-        if (numbers[found] != wanted).any():
-            unknown = int(wanted[numbers[found] != wanted][0])
-            raise InputError(
-                "elements", "name nodes of the file", f"{unknown} in {file.name}", "export it again"
-            )
-        places.append(found)
-    if len(tets) == 0 and len(triangles) == 0:
-        raise InputError(
-            "file", "hold tetrahedra or triangles", f"none in {file.name}", "mesh it in Gmsh first"
-        )
+    part = np.array([tag for kind, tag, _ in elements if kind == _TETRAHEDRON], dtype=np.int64)
     left = len(elements) - len(tets)
     notes = (f"Left out {left} elements that are not tetrahedra.",) if left and len(tets) else ()
-    return StoredMesh(points, places[0], places[1], np.array(part, dtype=np.int64), names, notes)
+    tets, triangles = (_numbered(each, numbers, file) for each in (tets, triangles))
+    return StoredMesh(points, tets, triangles, part, names, notes)
+
+
+def _version(lines: list[str], file: Path) -> int:
+    """Return the version of a Gmsh text file, 1 or 2."""
+    if lines[0].strip() == "$NOD":
+        return 1
+    form = lines[1].split() if lines[0].strip() == "$MeshFormat" and len(lines) > 1 else []
+    if len(form) >= 2 and form[0].startswith("2") and form[1] == "0":
+        return 2
+    raise InputError(
+        "file",
+        "be Gmsh text of version 1 or 2",
+        f"version {' '.join(form[:2])} in {file.name}" if form else f"neither in {file.name}",
+        "save it with gmsh -format msh22",
+    )
 
 
 def _section(lines: list[str], opening: str) -> list[str]:
@@ -131,7 +134,7 @@ def _section(lines: list[str], opening: str) -> list[str]:
     return body
 
 
-def _nodes(lines: list[str]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def _nodes(lines: list[str]) -> tuple[Ints, Array]:
     rows = [line.split() for line in lines]
     if not rows or any(len(row) < 4 for row in rows):
         raise ValueError("nodes")
@@ -141,13 +144,34 @@ def _nodes(lines: list[str]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     return numbers, np.array([[number_in(x) for x in row[1:4]] for row in rows])
 
 
-def _of_kind(
-    elements: list[list[int]], begins: list[int], kind: int, corners: int
-) -> NDArray[np.int64]:
-    chosen = [e[b:] for e, b in zip(elements, begins, strict=True) if e[1] == kind]
+def _element(line: str, version: int) -> tuple[int, int, list[int]]:
+    """Return kind, physical group (0 for none) and nodes of an element.
+
+    Version 1: number kind physical elementary count nodes; version 2: number kind count-of-tags
+    tags nodes.
+    """
+    row = [whole_number_in(word) for word in line.split()]
+    if version == 1:
+        return row[1], row[2], row[5:]
+    return row[1], row[3] if row[2] else 0, row[3 + row[2] :]
+
+
+def _of_kind(elements: list[tuple[int, int, list[int]]], kind: int, corners: int) -> Ints:
+    chosen = [nodes for each, _, nodes in elements if each == kind]
     if any(len(each) != corners for each in chosen):
         raise ValueError("elements")
     return np.array(chosen, dtype=np.int64).reshape(-1, corners)
+
+
+def _numbered(cells: Ints, numbers: Ints, file: Path) -> Ints:
+    """Return cells with the places of their nodes in place of the nodes' numbers."""
+    order = np.argsort(numbers)
+    found = order[np.minimum(np.searchsorted(numbers, cells, sorter=order), len(numbers) - 1)]
+    unknown = cells[numbers[found] != cells]
+    if len(unknown):
+        got = f"{unknown[0]} in {file.name}"
+        raise InputError("elements", "name nodes of the file", got, "export it again")
+    return found
 
 
 def _names(lines: list[str], file: Path) -> dict[int, str]:
@@ -155,29 +179,22 @@ def _names(lines: list[str], file: Path) -> dict[int, str]:
     names: dict[int, str] = {}
     for line in lines:
         dimension, number, name = line.split(maxsplit=2)
-        if whole_number_in(dimension) != 3:
-            continue
-        name = name.strip().removeprefix('"').removesuffix('"')
-        names[whole_number_in(number)] = part_name(
-            name, names, f"physical volumes of {file.name}", "name them otherwise in Gmsh"
-        )
+        if whole_number_in(dimension) == 3:
+            name = name.strip().removeprefix('"').removesuffix('"')
+            names[whole_number_in(number)] = part_name(
+                name, names, f"physical volumes of {file.name}"
+            )
     return names
 
 
-def part_name(text: str, known: Mapping[int, str], what: str, remedy: str) -> str:
-    """Return the name of a part as a file has it, which no other part has.
-
-    Raises
-    ------
-    InputError
-        If the name is empty, too long, or used by another part.
-    """
+def part_name(text: str, known: Mapping[int, str], what: str) -> str:
+    """Return the name of a part, which no other part has."""
     shown = visible(text).replace("\n", " ").strip()
     if not shown or len(shown) > _LONGEST_NAME or shown in known.values() or shown == "none":
         raise InputError(
             what,
             f"have names that differ, of 1 to {_LONGEST_NAME} characters and not 'none'",
             f"{shown[:_LONGEST_NAME]!r}",
-            remedy,
+            "name them otherwise",
         )
     return shown

@@ -17,27 +17,25 @@ pinched edges   surface edges of more than two triangles               kept and 
 ==============  =====================================================  ================================================
 """  # noqa: E501 a table
 
-from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Bytes, Flags, Ints, compact, windings
 from meshes.base.errors import InputError, by
-from meshes.base.simplices import compact, windings
-from meshes.tets.checks import (
+from meshes.tets.tetrahedra import (
+    TetMesh,
     cell_faces,
     flatness,
     mean_ratio,
-    millimetres,
     pieces,
     pinched_edges,
     place,
     signed_volumes,
 )
-from meshes.tets.tetrahedra import TetMesh
 
-__all__ = ["FLAT", "SLIVER", "TetReport", "repair_tets", "smooth"]
+__all__ = ["FLAT", "SLIVER", "describe", "repair_tets", "smooth"]
 
 _DEBRIS = 0.01
 _COINCIDENT = 1e-9
@@ -52,110 +50,34 @@ _FIRST_STEP = 0.25
 _SMALLEST_STEP = 0.004
 
 
-@dataclass(frozen=True, eq=False)
-class TetReport:
-    """Defects found in a tetrahedral mesh and repairs made to it.
-
-    Places are in mm in the frame of the mesh, empty if there is no place.
-
-    Attributes
-    ----------
-    mesh
-        The mesh returned.
-    joined_nodes, repeated_cells
-        Coincident nodes joined, cells dropped because another has the same nodes.
-    inverted, inverted_at_mm, flat_dropped, flat_moved
-        Cells turned and where the first was, flat cells dropped, flat cells given volume.
-    debris_mm3
-        Volume of each piece dropped.
-    slivers, sliver_at_mm, nodes_moved
-        Slivers found, where the worst was, inner nodes moved.
-    """
-
-    mesh: TetMesh
-    joined_nodes: int
-    repeated_cells: int
-    inverted: int
-    inverted_at_mm: tuple[float, ...]
-    flat_dropped: int
-    flat_moved: int
-    debris_mm3: tuple[float, ...]
-    slivers: int
-    sliver_at_mm: tuple[float, ...]
-    nodes_moved: int
-
-    @property
-    def slivers_left(self) -> int:
-        """Slivers in the mesh returned."""
-        return int((mean_ratio(self.mesh.nodes_m, self.mesh.cells) < SLIVER).sum())
-
-    def sentences(self) -> tuple[str, ...]:
-        """Describe defects and repairs, a sentence each; the first describes the mesh itself."""
-        nodes = self.mesh.nodes_m
-        cells = self.mesh.cells
-        volumes = self.mesh.volumes_m3
-        quality = mean_ratio(nodes, cells)
-        pinched = pinched_edges(self.mesh.surface)
-        bodies = pieces(cells).max() + 1
-        worst, smallest = (
-            place(millimetres(nodes[cells[each.argmin()]])) for each in (quality, volumes)
+def describe(mesh: TetMesh) -> tuple[str, ...]:
+    """Describe a mesh: its size and quality, and defects that are kept, a sentence each."""
+    nodes = mesh.nodes_m
+    volumes = mesh.volumes_m3
+    quality = mean_ratio(nodes, mesh.cells)
+    found = [
+        f"{len(mesh.cells)} tetrahedra on {len(nodes)} nodes, {1e6 * volumes.sum():.4g} ml, "
+        f"{by(1e3 * np.ptp(nodes, axis=0), '.3g')} mm, lowest mean ratio "
+        f"{quality.min():.2g} at {place(nodes[mesh.cells[quality.argmin()]])} mm."
+    ]
+    share = float(volumes.min() / volumes.max())
+    if share < _UNEVEN:
+        found.append(
+            f"The smallest tetrahedron, at {place(nodes[mesh.cells[volumes.argmin()]])} mm, has "
+            f"1/{1.0 / share:.0f} of the volume of the largest."
         )
-        share = float(volumes.min() / volumes.max())
-        found = [
-            (
-                True,
-                f"{len(cells)} tetrahedra on {len(nodes)} nodes, {1e6 * volumes.sum():.4g} ml, "
-                f"{by(1e3 * np.ptp(nodes, axis=0), '.3g')} mm, lowest mean ratio "
-                f"{quality.min():.2g} at {worst} mm.",
-            ),
-            (
-                share < _UNEVEN,
-                (
-                    f"The smallest tetrahedron, at {smallest} mm, has 1/{1.0 / share:.0f} of the "
-                    "volume of the largest."
-                ),
-            ),
-            (
-                self.inverted,
-                (
-                    f"Turned {self.inverted} inverted tetrahedra, the first at "
-                    f"{place(self.inverted_at_mm)} mm."
-                ),
-            ),
-            (
-                self.joined_nodes,
-                f"Joined or dropped {self.joined_nodes} nodes that coincide or are unused.",
-            ),
-            (self.repeated_cells, f"Dropped {self.repeated_cells} tetrahedra that repeat another."),
-            (self.flat_dropped, f"Dropped {self.flat_dropped} flat tetrahedra at the surface."),
-            (
-                self.flat_moved,
-                f"Gave volume to {self.flat_moved} flat tetrahedra inside by moving their nodes.",
-            ),
-            (
-                self.debris_mm3,
-                f"Dropped {len(self.debris_mm3)} loose pieces of {sum(self.debris_mm3):.3g} "
-                "mm3 together, the largest "
-                f"{max(self.debris_mm3, default=0.0):.3g} mm3.",
-            ),
-            (
-                bodies > 1,
-                f"The mesh is {bodies} bodies not linked by faces: each needs its own support.",
-            ),
-            (
-                self.slivers,
-                f"Found {self.slivers} slivers (mean ratio below {SLIVER:g}), the worst at "
-                f"{place(self.sliver_at_mm)} mm; moving {self.nodes_moved} inner nodes left "
-                f"{self.slivers_left}.",
-            ),
-        ]
-        notes = [sentence for is_so, sentence in found if is_so]
-        if len(pinched):
-            notes.append(
-                f"Kept {len(pinched)} surface edges of more than two triangles (pinched, as at "
-                f"{place(millimetres(nodes[pinched[0]]))} mm): stresses there mean little."
-            )
-        return tuple(notes)
+    bodies = pieces(mesh.cells).max() + 1
+    if bodies > 1:
+        found.append(
+            f"The mesh is {bodies} bodies not linked by faces: each needs its own support."
+        )
+    pinched = pinched_edges(mesh.surface)
+    if len(pinched):
+        found.append(
+            f"Kept {len(pinched)} surface edges of more than two triangles (pinched, as at "
+            f"{place(nodes[pinched[0]])} mm): stresses there mean little."
+        )
+    return tuple(found)
 
 
 def repair_tets(
@@ -163,7 +85,7 @@ def repair_tets(
     cells: NDArray[np.generic],
     part: NDArray[np.integer] | None = None,
     part_names: tuple[str, ...] = ("body",),
-) -> tuple[TetMesh, TetReport]:
+) -> tuple[TetMesh, tuple[str, ...]]:
     """Return a mesh of positive tetrahedra in one piece, and the repairs, by the rules above.
 
     Parameters
@@ -175,6 +97,10 @@ def repair_tets(
     part, part_names
         Part of each cell, shape (m,), and the names.
 
+    Returns
+    -------
+    The mesh, and the defects found and repaired, a sentence each; see `describe` for those kept.
+
     Raises
     ------
     InputError
@@ -183,57 +109,52 @@ def repair_tets(
     """
     nodes = np.asarray(nodes_m, dtype=np.float64)
     tets = np.asarray(cells, dtype=np.int64)
-    parts = (
-        np.zeros(len(tets), dtype=np.uint8) if part is None else np.asarray(part, dtype=np.uint8)
-    )
+    parts = np.zeros(len(tets), np.uint8) if part is None else np.asarray(part, np.uint8)
     _require_numbers(nodes, tets)
-    given = nodes.shape[0], tets.shape[0]
+    notes = []
+    count = len(nodes)
     nodes, tets = _joined(nodes, tets)
+    if count > len(nodes):
+        notes.append(f"Joined or dropped {count - len(nodes)} nodes that coincide or are unused.")
     keep = np.sort(np.unique(np.sort(tets, axis=1), axis=0, return_index=True)[1])
-    joined = given[0] - len(nodes)
-    repeated = given[1] - len(keep)
+    if len(keep) < len(tets):
+        notes.append(f"Dropped {len(tets) - len(keep)} tetrahedra that repeat another.")
     tets = tets[keep]
     parts = parts[keep]
     inverted = (signed_volumes(nodes, tets) < 0.0) & (flatness(nodes, tets) >= FLAT)
-    inverted_at = _centre_mm(nodes, tets, inverted.argmax()) if inverted.any() else ()
+    if inverted.any():
+        at = place(nodes[tets[inverted.argmax()]])
+        notes.append(f"Turned {inverted.sum()} inverted tetrahedra, the first at {at} mm.")
     tets = np.where(inverted[:, None], tets[:, [0, 2, 1, 3]], tets)
     tets, parts, dropped = _without_flat(nodes, tets, parts)
+    if dropped:
+        notes.append(f"Dropped {dropped} flat tetrahedra at the surface.")
     tets = _flat_turned(nodes, tets)
     _require_no_overlap(nodes, tets)
     tets, parts, debris = _without_debris(nodes, tets, parts)
+    if len(debris):
+        notes.append(
+            f"Dropped {len(debris)} loose pieces of {1e9 * debris.sum():.3g} mm3 together, the "
+            f"largest {1e9 * debris.max():.3g} mm3."
+        )
+    flat = int((flatness(nodes, tets) < FLAT).sum())
+    if flat:
+        notes.append(f"Gave volume to {flat} flat tetrahedra inside by moving their nodes.")
     quality = mean_ratio(nodes, tets)
     slivers = int((quality < SLIVER).sum())
-    sliver_at = _centre_mm(nodes, tets, quality.argmin()) if slivers else ()
-    flat_inside = int((flatness(nodes, tets) < FLAT).sum())
-    nodes, moved = (
-        smooth(nodes, tets, _movable(len(nodes), tets, parts), SLIVER) if slivers else (nodes, 0)
-    )
+    if slivers:
+        at = place(nodes[tets[quality.argmin()]])
+        nodes, moved = smooth(nodes, tets, _movable(len(nodes), tets, parts), SLIVER)
+        left = int((mean_ratio(nodes, tets) < SLIVER).sum())
+        notes.append(
+            f"Found {slivers} slivers (mean ratio below {SLIVER:g}), the worst at {at} mm; moving "
+            f"{moved} inner nodes left {left}."
+        )
     _require_volume(nodes, tets)
-    mesh = TetMesh(*compact(nodes, tets), parts, part_names)
-    return mesh, TetReport(
-        mesh=mesh,
-        joined_nodes=joined,
-        repeated_cells=repeated,
-        inverted=int(inverted.sum()),
-        inverted_at_mm=inverted_at,
-        flat_dropped=dropped,
-        flat_moved=flat_inside,
-        debris_mm3=tuple(1e9 * v for v in debris),
-        slivers=slivers,
-        sliver_at_mm=sliver_at,
-        nodes_moved=moved,
-    )
+    return TetMesh(*compact(nodes, tets), parts, part_names), tuple(notes)
 
 
-def _centre_mm(
-    nodes: NDArray[np.float64], cells: NDArray[np.int64], number: np.intp
-) -> tuple[float, float, float]:
-    return millimetres(nodes[cells[number]])
-
-
-def _joined(
-    nodes: NDArray[np.float64], cells: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _joined(nodes: Array, cells: Ints) -> tuple[Array, Ints]:
     """Drop nodes that no cell uses, and join nodes on one point."""
     points, cells = compact(nodes, cells)
     keys = np.round(
@@ -243,9 +164,7 @@ def _joined(
     return compact(points, first[label][cells])
 
 
-def _without_flat(
-    nodes: NDArray[np.float64], cells: NDArray[np.int64], parts: NDArray[np.uint8]
-) -> tuple[NDArray[np.int64], NDArray[np.uint8], int]:
+def _without_flat(nodes: Array, cells: Ints, parts: Bytes) -> tuple[Ints, Bytes, int]:
     """Remove flat cells with a face on the surface.
 
     They are removed as long as no new edge is pinched and no piece comes loose.
@@ -267,7 +186,7 @@ def _without_flat(
         dropped = dropped + int(candidates.sum())
 
 
-def _flat_turned(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> NDArray[np.int64]:
+def _flat_turned(nodes: Array, cells: Ints) -> Ints:
     """Turn flat cells, whose own volume has no sign, to agree with their solid neighbours."""
     flat = flatness(nodes, cells) < FLAT
     if not flat.any():
@@ -279,7 +198,7 @@ def _flat_turned(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> NDArra
     return np.where((flat & wrong)[:, None], cells[:, [0, 2, 1, 3]], cells)
 
 
-def _whole(cells: NDArray[np.int64], keep: NDArray[np.bool_]) -> bool:
+def _whole(cells: Ints, keep: Flags) -> bool:
     """Return whether dropping cells leaves as many pieces and no further pinched edge."""
     left = cells[keep]
     return pieces(left).max() <= pieces(cells).max() and (
@@ -287,23 +206,21 @@ def _whole(cells: NDArray[np.int64], keep: NDArray[np.bool_]) -> bool:
     )
 
 
-def _surface(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+def _surface(cells: Ints) -> Ints:
     triangles, _, shared = cell_faces(cells)
     return triangles[shared == 1]
 
 
-def _without_debris(
-    nodes: NDArray[np.float64], cells: NDArray[np.int64], parts: NDArray[np.uint8]
-) -> tuple[NDArray[np.int64], NDArray[np.uint8], list[float]]:
+def _without_debris(nodes: Array, cells: Ints, parts: Bytes) -> tuple[Ints, Bytes, Array]:
     """Drop pieces of less than 1 % of the largest piece's volume; return their volumes [m3]."""
     piece = pieces(cells)
     volumes = np.bincount(piece, weights=np.abs(signed_volumes(nodes, cells)))
     small = np.flatnonzero(volumes < _DEBRIS * volumes.max())
     keep = ~np.isin(piece, small)
-    return cells[keep], parts[keep], [float(v) for v in volumes[small]]
+    return cells[keep], parts[keep], np.asarray(volumes[small], dtype=np.float64)
 
 
-def _movable(count: int, cells: NDArray[np.int64], parts: NDArray[np.uint8]) -> NDArray[np.bool_]:
+def _movable(count: int, cells: Ints, parts: Bytes) -> Flags:
     """Return flags of the nodes away from the surface and from where parts meet, shape (n,)."""
     inner = np.ones(count, dtype=bool)
     inner[_surface(cells)] = False
@@ -314,7 +231,7 @@ def _movable(count: int, cells: NDArray[np.int64], parts: NDArray[np.uint8]) -> 
     return inner & (lowest == highest)
 
 
-def _require_numbers(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> None:
+def _require_numbers(nodes: Array, cells: Ints) -> None:
     if len(cells) == 0 or cells.ndim != 2 or cells.shape[1] != 4:
         raise InputError(
             "cells", "be tetrahedra", f"an array of shape {cells.shape}", "mesh the solid first"
@@ -333,7 +250,7 @@ def _require_numbers(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> No
         )
 
 
-def _require_no_overlap(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> None:
+def _require_no_overlap(nodes: Array, cells: Ints) -> None:
     """Refuse faces of more than two cells.
 
     Also refuse neighbours that lie on the same side of their face.
@@ -341,7 +258,7 @@ def _require_no_overlap(nodes: NDArray[np.float64], cells: NDArray[np.int64]) ->
     triangles, where, shared = cell_faces(cells)
     crowded = np.flatnonzero(shared > 2)
     if len(crowded):
-        at = place(_centre_mm(nodes, triangles, crowded[0]))
+        at = place(nodes[triangles[crowded[0]]])
         raise InputError(
             "cells",
             "meet two at a face",
@@ -351,7 +268,7 @@ def _require_no_overlap(nodes: NDArray[np.float64], cells: NDArray[np.int64]) ->
     agree = np.bincount(where, weights=windings(triangles))
     folded = np.flatnonzero((shared == 2) & (np.abs(agree[where]) == 2))
     if len(folded):
-        at = place(_centre_mm(nodes, triangles, folded[0]))
+        at = place(nodes[triangles[folded[0]]])
         raise InputError(
             "cells",
             "not overlap",
@@ -360,11 +277,11 @@ def _require_no_overlap(nodes: NDArray[np.float64], cells: NDArray[np.int64]) ->
         )
 
 
-def _require_volume(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> None:
+def _require_volume(nodes: Array, cells: Ints) -> None:
     """Refuse cells that are still flat or inverted."""
     bad = np.flatnonzero((flatness(nodes, cells) < FLAT) | (signed_volumes(nodes, cells) <= 0.0))
     if len(bad):
-        at = place(_centre_mm(nodes, cells, bad[0]))
+        at = place(nodes[cells[bad[0]]])
         raise InputError(
             "cells",
             "have volume",
@@ -376,11 +293,11 @@ def _require_volume(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> Non
 
 
 def smooth(
-    nodes: NDArray[np.float64],
-    cells: NDArray[np.int64],
-    movable: NDArray[np.bool_],
+    nodes: Array,
+    cells: Ints,
+    movable: Flags,
     enough: float,
-) -> tuple[NDArray[np.float64], int]:
+) -> tuple[Array, int]:
     """Move nodes of cells worse than `enough` by pattern search.
 
     The search maximises the worst mean ratio around each node.
@@ -424,9 +341,7 @@ def smooth(
     return nodes, len(moved)
 
 
-def _best_place(
-    nodes: NDArray[np.float64], star: NDArray[np.int64], node: int, enough: float
-) -> NDArray[np.float64] | None:
+def _best_place(nodes: Array, star: Ints, node: int, enough: float) -> Array | None:
     """Find the place of a node where the worst cell around it is best.
 
     Return None if no cell around the node needs improvement.

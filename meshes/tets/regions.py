@@ -6,8 +6,8 @@ A body is held or loaded at these nodes.
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Ints, cross_products
 from meshes.base.errors import (
     InputError,
     in_brackets,
@@ -15,7 +15,6 @@ from meshes.base.errors import (
     require_range,
     require_vector,
 )
-from meshes.base.simplices import cross_products
 from meshes.tets.tetrahedra import TetMesh
 from meshes.voxels.mesh_sampling import nearest_on_triangles
 
@@ -28,7 +27,7 @@ __all__ = [
     "surface_normals",
 ]
 
-Nodes = NDArray[np.int64]
+Nodes = Ints
 
 
 def nodes_behind_plane(
@@ -103,20 +102,18 @@ def nodes_of_part(mesh: TetMesh, name: str) -> Nodes:
     return np.unique(cells)
 
 
-def faces_of(mesh: TetMesh, nodes: Nodes) -> NDArray[np.int64]:
+def faces_of(mesh: TetMesh, nodes: Nodes) -> Ints:
     """Return surface triangles with all three corners among the nodes, shape (k, 3)."""
     return mesh.surface[np.isin(mesh.surface, nodes).all(axis=1)]
 
 
-def surface_normals(mesh: TetMesh) -> NDArray[np.float64]:
+def surface_normals(mesh: TetMesh) -> Array:
     """Compute the outward unit normal of each surface triangle, shape (f, 3)."""
     normal = cross_products(mesh.nodes_m, mesh.surface)
     return normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
 
-def place_on_surface(
-    mesh: TetMesh, point_m: NDArray[np.float64], around_m: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def place_on_surface(mesh: TetMesh, point_m: Array, around_m: float) -> tuple[Array, Array]:
     """Return the surface point nearest to a point [m], and the outward normal there, shapes (3,).
 
     The normal is the mean over the triangles whose middles lie within `around_m` [m], weighted by

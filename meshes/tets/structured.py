@@ -10,8 +10,9 @@ from collections.abc import Sequence
 from itertools import permutations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from meshes.base.arrays import Array, Ints, lattice
 from meshes.base.errors import InputError, require_length
 from meshes.tets.tetrahedra import TetMesh
 
@@ -34,8 +35,7 @@ def grid(x_m: ArrayLike, y_m: ArrayLike, z_m: ArrayLike) -> TetMesh:
             raise InputError(
                 name, "hold at least two rising positions", axis, "use np.linspace(0, 1, 5)"
             )
-    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    return TetMesh(nodes, _kuhn([len(axis) - 1 for axis in axes]))
+    return TetMesh(lattice(*axes), _kuhn([len(axis) - 1 for axis in axes]))
 
 
 def box(size_m: Sequence[float], cells: Sequence[int]) -> TetMesh:
@@ -51,7 +51,7 @@ def box(size_m: Sequence[float], cells: Sequence[int]) -> TetMesh:
     )
 
 
-def graded(start_m: float, end_m: float, first_m: float, growth: float) -> NDArray[np.float64]:
+def graded(start_m: float, end_m: float, first_m: float, growth: float) -> Array:
     """Return positions [m] from `start_m` to `end_m` with growing steps.
 
     The first step is about `first_m` and each next one is `growth` times longer.
@@ -80,15 +80,13 @@ def graded(start_m: float, end_m: float, first_m: float, growth: float) -> NDArr
     return start_m + at
 
 
-def _kuhn(counts: Sequence[int]) -> NDArray[np.int64]:
+def _kuhn(counts: Sequence[int]) -> Ints:
     """Return cells of a grid with `counts` bricks per axis, shape (6 bricks, 4).
 
     Nodes are numbered with z fastest.
     """
     stride = np.array([(counts[1] + 1) * (counts[2] + 1), counts[2] + 1, 1])
-    bricks = np.stack(np.meshgrid(*(np.arange(n) for n in counts), indexing="ij"), axis=-1).reshape(
-        -1, 3
-    )
+    bricks = lattice(*map(np.arange, counts))
     tets = []
     for order in permutations(range(3)):
         path = np.concatenate([[0], np.cumsum(stride[list(order)])])

@@ -10,19 +10,16 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from meshes.base.cache import cached_arrays
 from meshes.base.errors import InputError, require_length
 from meshes.base.progress import Progress, silent
-from meshes.base.simplices import directed_edges
 from meshes.surfaces.repair import edge_counts
 from meshes.surfaces.surface import Surface
-from meshes.tets.checks import millimetres, place, signed_volumes
-from meshes.tets.quality import repair_tets
-from meshes.tets.tetrahedra import TetMesh
+from meshes.tets.quality import describe, repair_tets
+from meshes.tets.tetrahedra import TetMesh, signed_volumes
 
-__all__ = ["FILL_EDGES", "crossing_triangles", "tetrahedralise", "with_volume"]
+__all__ = ["FILL_EDGES", "tetrahedralise", "with_volume"]
 
 FILL_EDGES = 14.0
 """Edges along the longest side of an organ where no edge is given."""
@@ -37,7 +34,6 @@ The largest distance is less than the voxels of the scans behind the surface.
 """
 _VOLUME_OFF = 0.005
 """Share by which the volume of the mesh may differ before a note is added."""
-_AT_ONCE = 20_000
 _STEPS = 8
 """Largest number of moves.
 
@@ -84,15 +80,6 @@ def tetrahedralise(
             f"The surface has {pinched} edges of more than two triangles, which the mesher "
             "parts or thickens."
         )
-    crossing = crossing_triangles(surface.vertices_m, surface.faces)
-    if len(crossing):
-        at = place(millimetres(surface.vertices_m[surface.faces[crossing[0]]]))
-        sentences.append(
-            f"{len(crossing)} triangles of the surface cross others, the first at {at} mm: "
-            "what they enclose together "
-            "was filled; fix the surface in a mesh editor if that is not meant."
-        )
-
     envelope = min(_ENVELOPE * edge, _FARTHEST_M)
 
     def make() -> dict[str, np.ndarray]:
@@ -110,17 +97,15 @@ def tetrahedralise(
             "use a smaller one",
             "mm",
         )
-    mesh, repaired = repair_tets(arrays["nodes"], arrays["cells"])
-    if not len(crossing):
-        mesh = with_volume(mesh, volume, within_m=envelope)
-        repaired = replace(repaired, mesh=mesh)
+    mesh, repairs = repair_tets(arrays["nodes"], arrays["cells"])
+    mesh = with_volume(mesh, volume, within_m=envelope)
     off = float(mesh.volumes_m3.sum()) / volume - 1.0
     if abs(off) > _VOLUME_OFF:
         sentences.append(
             f"The mesh encloses {100.0 * off:+.1f} % of volume against the surface: use "
             "smaller edges."
         )
-    return mesh, (*sentences, *repaired.sentences())
+    return mesh, (*sentences, *describe(mesh), *repairs)
 
 
 def _filled(surface: Surface, edge: float, envelope: float) -> tuple[np.ndarray, np.ndarray]:
@@ -140,54 +125,6 @@ def _filled(surface: Surface, edge: float, envelope: float) -> tuple[np.ndarray,
     if not there_before:
         left_behind.unlink(missing_ok=True)
     return np.asarray(nodes, dtype=np.float64), np.asarray(cells, dtype=np.int64)
-
-
-def crossing_triangles(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64]
-) -> NDArray[np.int64]:
-    """Find triangles that an edge without a vertex in common passes through, in ascending order.
-
-    Edges that only touch a triangle, and triangles that overlap in one plane, do not count.
-    """
-    from scipy.spatial import cKDTree
-
-    edges = np.unique(np.sort(directed_edges(faces), axis=1), axis=0)
-    corners = vertices[faces]
-    ends = vertices[edges]
-    centres = corners.mean(axis=1)
-    reach = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
-    half = 0.5 * np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    # Long edges would widen every search: edges are searched by classes of length.
-    length_class = np.ceil(np.log2(half / half.max() + 1e-300)).astype(np.int64)
-    crossed: list[NDArray[np.int64]] = []
-    for one in np.unique(length_class):
-        members = np.flatnonzero(length_class == one)
-        tree = cKDTree(ends[members].mean(axis=1))
-        for start in range(0, len(faces), _AT_ONCE):
-            block = np.arange(start, min(start + _AT_ONCE, len(faces)))
-            near = tree.query_ball_point(centres[block], reach[block] + half[members].max())
-            triangle = np.repeat(block, [len(n) for n in near])
-            edge = members[np.concatenate([np.asarray(n, dtype=np.int64) for n in near])]
-            crossed.append(triangle[_pass_through(vertices, faces[triangle], edges[edge])])
-    return np.unique(np.concatenate(crossed))
-
-
-def _pass_through(
-    vertices: NDArray[np.float64], triangles: NDArray[np.int64], edges: NDArray[np.int64]
-) -> NDArray[np.bool_]:
-    """Return whether the edge passes through the triangle, pair by pair."""
-    apart = (triangles[:, :, None] != edges[:, None, :]).all(axis=(1, 2))
-    a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    p = vertices[edges[:, 0]]
-    q = vertices[edges[:, 1]]
-    normal = np.cross(b - a, c - a)
-    sides = np.einsum("ij,ij->i", p - a, normal) * np.einsum("ij,ij->i", q - a, normal)
-    around = np.stack(
-        [np.einsum("ij,ij->i", q - p, np.cross(u - p, v - p)) for u, v in ((a, b), (b, c), (c, a))]
-    )
-    return np.asarray(
-        apart & (sides < 0.0) & ((around > 0.0).all(axis=0) | (around < 0.0).all(axis=0))
-    )
 
 
 def with_volume(mesh: TetMesh, volume_m3: float, *, within_m: float) -> TetMesh:

@@ -24,10 +24,9 @@ from meshes.base.arrays import Array, Bytes, Floats, Singles, lattice
 from meshes.base.errors import InputError
 from meshes.base.placement import Placement
 from meshes.images.label_spread import spread_labels
-from meshes.shapes.plane_cube import cube_fraction
 from meshes.tooth.layers import EMPTY, LAYER_DENSITY_KG_M3, PRIORITY, TOOTH_LAYERS
-from meshes.voxels.grid import Grid
-from meshes.voxels.volume import FULL, VoxelVolume
+from meshes.voxels.distances import cube_fraction
+from meshes.voxels.volume import FULL, Grid, VoxelVolume
 
 __all__ = ["MOST_SAMPLES", "REACH", "LabelShares", "PlacedLabels", "resampled"]
 

@@ -13,7 +13,6 @@ import numpy as np
 
 from meshes.base.arrays import Array, Bytes, Flags
 from meshes.base.errors import InputError, require_positive
-from meshes.base.progress import Progress, silent
 from meshes.images.frame import Image
 from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.sdf import Shape
@@ -24,11 +23,12 @@ from meshes.tooth.layers import (
     PRIORITY,
     PULP,
     TOOTH_LAYERS,
+    lesion_site,
     require_known,
     require_tooth_size,
+    tooth_axes,
 )
 from meshes.tooth.pulp_cavity import PulpCavity, with_pulp
-from meshes.tooth.site import lesion_site, tooth_axes
 from meshes.voxels.volume import VoxelVolume
 from meshes.voxels.voxelise import voxelise
 
@@ -73,7 +73,7 @@ class LabelledTooth:
         )
 
     def at_lesion(self) -> LabelledTooth:
-        """Return the tooth with its site over its lesion, see `meshes.tooth.site.lesion_site`."""
+        """Return the tooth with its site over its lesion, see `meshes.tooth.layers.lesion_site`."""
         found = lesion_site(self.volume(resample_mm=1e3 * _CAVITY_M))
         turned = self.placed.rotation @ found.rotation
         origin = self.placed.origin + self.placed.rotation @ found.centre_m
@@ -199,9 +199,7 @@ class LabelledTooth:
         )
 
 
-def labelled_tooth(
-    image: Image, *, labels: Mapping[int, str] = CARIES_LABELS, progress: Progress = silent
-) -> LabelledTooth:
+def labelled_tooth(image: Image, *, labels: Mapping[int, str] = CARIES_LABELS) -> LabelledTooth:
     """Check and place the labels of a tooth.
 
     The site's origin is where the tooth's long axis through the middle of the enamel leaves the
@@ -213,8 +211,6 @@ def labelled_tooth(
         Labels, 0 outside.
     labels
         Layer name by label.
-    progress
-        Called with the name of the current task and the finished fraction of it (0 to 1).
 
     Raises
     ------
@@ -222,7 +218,6 @@ def labelled_tooth(
         If labels are unknown, enamel or dentin is missing, or the size is implausible for a tooth.
     """
     require_known(labels.values(), "labels")
-    progress("naming the layers of the label volume", 0.0)
     layer, first, islands = _layers(image, labels)
     counts = np.bincount(layer.ravel(order="K"), minlength=EMPTY + 1)
     cube_mm3 = float(np.prod(image.spacing_mm))
@@ -234,7 +229,6 @@ def labelled_tooth(
     require_tooth_size(
         float(sides[longest]), "spacing_mm", f"{spacing_mm[longest]:g}", layer.shape[longest]
     )
-    progress("placing the tooth by its enamel", 0.5)
     placed, note = _placed(
         layer, 1e-3 * spacing_mm, 1e-3 * (np.array(image.origin_mm) + spacing_mm * first)
     )

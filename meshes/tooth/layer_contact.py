@@ -12,11 +12,10 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Array, Bytes, Flags, Floats, Ints
+from meshes.base.arrays import Array, Bytes, Flags, Floats, Ints, Triangles
 from meshes.base.errors import InputError
-from meshes.surfaces.repair import Triangles
 from meshes.tooth.layers import TOOTH_LAYERS
-from meshes.voxels.column_crossings import column_crossings, inside_scattered
+from meshes.voxels.mesh_sampling import column_crossings, inside_scattered
 
 __all__ = [
     "PITCH_M",
@@ -193,21 +192,14 @@ def _neighbours(label: Bytes, axis: int) -> tuple[Bytes, Bytes, NDArray[np.int16
     count = label.shape[axis]
     place = np.arange(count, dtype=np.int16).reshape([-1 if k == axis else 1 for k in range(3)])
     first = np.maximum.accumulate(np.where(label > 0, place, np.int16(-1)), axis=axis)
-    last = np.flip(
-        np.minimum.accumulate(
-            np.flip(np.where(label > 0, place, np.int16(count)), axis), axis=axis
-        ),
-        axis,
-    )
-    before = np.where(
-        first < 0, 0, np.take_along_axis(label, np.maximum(first, 0).astype(np.intp), axis)
-    )
-    after = np.where(
-        last == count,
-        0,
-        np.take_along_axis(label, np.minimum(last, count - 1).astype(np.intp), axis),
-    )
-    return before.astype(np.uint8), after.astype(np.uint8), last - first - np.int16(1)
+    backward = np.flip(np.where(label > 0, place, np.int16(count)), axis)
+    last = np.flip(np.minimum.accumulate(backward, axis=axis), axis)
+    # An empty plane at both ends stands for a missing filled point.
+    ends = [(1, 1) if k == axis else (0, 0) for k in range(3)]
+    padded = np.pad(label, ends)
+    before = np.take_along_axis(padded, first.astype(np.intp) + 1, axis)
+    after = np.take_along_axis(padded, last.astype(np.intp) + 1, axis)
+    return before, after, last - first - np.int16(1)
 
 
 def require_touching(points_m: Mapping[str, Array], solids: Mapping[str, Triangles]) -> None:
@@ -223,17 +215,12 @@ def require_touching(points_m: Mapping[str, Array], solids: Mapping[str, Triangl
     trees = {name: cKDTree(points) for name, points in points_m.items()}
     for name, points in points_m.items():
         tested = points[:: max(len(points) // _POINTS_TESTED, 1)]
-        apart = {
-            other: float(tree.query(tested)[0].min())
-            for other, tree in trees.items()
-            if other != name
-        }
-        nearest = min(apart, key=lambda other: apart[other])
-        if apart[nearest] <= _TOUCH_M:
-            continue
         few = tested[:: max(len(tested) // 100, 1)]
-        if not any(
-            inside_surface(*solid, few).any() for other, solid in solids.items() if other != name
+        others = [other for other in trees if other != name]
+        apart = {other: float(trees[other].query(tested)[0].min()) for other in others}
+        nearest = min(apart, key=lambda other: apart[other])
+        if apart[nearest] > _TOUCH_M and not any(
+            inside_surface(*solids[other], few).any() for other in others
         ):
             raise InputError(
                 f"{name} surface",

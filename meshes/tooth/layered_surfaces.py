@@ -13,13 +13,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Array, Bytes, Floats, Singles
+from meshes.base.arrays import Array, Bytes, Floats, Singles, Triangles, lattice
 from meshes.base.errors import InputError, names_of_caller, require_range
 from meshes.base.placement import Placement
-from meshes.base.simplices import cross_products
 from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.sdf import Shape
-from meshes.surfaces.repair import Triangles, merge_vertices
+from meshes.surfaces.repair import merge_vertices, triangle_areas
 from meshes.surfaces.site import Site, sample_surface
 from meshes.surfaces.surface import Surface, read_surface
 from meshes.tooth.layer_contact import (
@@ -36,13 +35,13 @@ from meshes.tooth.layers import (
     LAYER_DENSITY_KG_M3,
     PRIORITY,
     TOOTH_LAYERS,
+    lesion_site,
     require_known,
     require_tooth_size,
+    tooth_axes,
 )
-from meshes.tooth.site import lesion_site, tooth_axes
-from meshes.voxels.column_crossings import column_crossings
-from meshes.voxels.grid import Grid
-from meshes.voxels.mesh_sampling import TriangleSampler, triangle_distance
+from meshes.voxels.mesh_sampling import TriangleSampler, column_crossings, triangle_distance
+from meshes.voxels.volume import Grid
 from meshes.voxels.voxelise import voxelise
 
 if TYPE_CHECKING:
@@ -182,7 +181,7 @@ def joined(solids: Sequence[Triangles]) -> Triangles:
     faces = np.concatenate(
         [faces + start for (_, faces), start in zip(solids, starts, strict=False)]
     )
-    return merge_vertices(vertices, faces, _MERGE_TOLERANCE_M)[:2]
+    return merge_vertices(vertices, faces, _MERGE_TOLERANCE_M)
 
 
 def _socket(ligament: Array, others: Array, margin: float) -> Lattice:
@@ -198,14 +197,9 @@ def _socket(ligament: Array, others: Array, margin: float) -> Lattice:
     from scipy.spatial import cKDTree
 
     low = ligament.min(axis=0) - margin - 2.0 * _SOCKET_PITCH_M
-    count = (
-        np.ceil(
-            (ligament.max(axis=0) + margin + 2.0 * _SOCKET_PITCH_M - low) / _SOCKET_PITCH_M
-        ).astype(int)
-        + 1
-    )
-    points = low + _SOCKET_PITCH_M * np.moveaxis(np.indices(count), 0, -1).reshape(-1, 3)
     reach = margin + 2.0 * _SOCKET_PITCH_M
+    count = np.ceil((ligament.max(axis=0) + reach - low) / _SOCKET_PITCH_M).astype(int) + 1
+    points = low + _SOCKET_PITCH_M * lattice(*map(np.arange, count))
     away = np.minimum(cKDTree(ligament[::4]).query(points, distance_upper_bound=reach)[0], reach)
     near = np.flatnonzero(away < reach)
     signed = away - margin
@@ -280,7 +274,7 @@ def layered_anatomy(
         Thickness of bone added around the ligament [mm], 0 (none) to 10: the points nearer to the
         ligament than to all other layers of the tooth.
     at_lesion
-        Whether the origin lies over the lesion, see `meshes.tooth.site.lesion_site`.
+        Whether the origin lies over the lesion, see `meshes.tooth.layers.lesion_site`.
     at
         The site in the frame of the surfaces, where it is known.
 
@@ -370,9 +364,7 @@ def _solid(
 
 def _spread(surface: Surface) -> Array:
     """Sample a surface by points about 0.1 mm apart [m], shape (n, 3)."""
-    area = 0.5 * float(
-        np.linalg.norm(cross_products(surface.vertices_m, surface.faces), axis=1).sum()
-    )
+    area = float(triangle_areas(surface.vertices_m, surface.faces).sum())
     count = int(np.clip(area / _SAMPLE_PITCH_M**2, 1000, _MOST_SAMPLES))
     return sample_surface(surface.vertices_m, surface.faces, count).points
 

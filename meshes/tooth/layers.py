@@ -10,16 +10,25 @@ caries     2100 to 1300       M, L: infected dentin keeps about a third of its m
 ligament   1100 kg/m3         M, M: fibrous soft tissue
 bone       1800 kg/m3         M, H: alveolar bone taken as cortical throughout
 =========  =================  ==========================================================================
+
+The sites of a tooth are given by its long axis or by its lesion. The long axis is the principal axis
+of all the tooth's points with the smallest angle to the line between the middles of dentin and
+enamel. If no principal axis is within 25 degrees of that line (a crown without roots), the long axis
+is the line itself.
 """  # noqa: E501 a table
 
+import math
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Floats
+from meshes.base.arrays import Array, Floats, Singles
 from meshes.base.errors import InputError
+from meshes.surfaces.site import Site
+from meshes.voxels.volume import FULL, VoxelVolume
 
 __all__ = [
     "BONE",
@@ -32,11 +41,14 @@ __all__ = [
     "PRIORITY",
     "PULP",
     "TOOTH_LAYERS",
+    "ToothAxes",
     "caries_density",
     "caries_softness",
     "in_chunks",
+    "lesion_site",
     "require_known",
     "require_tooth_size",
+    "tooth_axes",
 ]
 
 Kind = TypeVar("Kind", bound=np.generic)
@@ -134,3 +146,158 @@ def require_tooth_size(size_mm: float, argument: str, given: str, per_unit: floa
         f"{given}, which makes it {size_mm:.3g} mm",
         f"use the scanner's value, about {_TYPICAL_MM / per_unit:.1g}",
     )
+
+
+_LEAST_RISE_M = 0.4e-3
+"""Smallest distance between the middles of enamel and dentin."""
+_MOST_LEANING = math.cos(math.radians(25.0))
+_SMOOTH_M = 0.3e-3
+_AROUND_M = 0.5e-3
+_BEYOND_M = 1.0e-3
+_UPRIGHT = 0.7
+
+
+@dataclass(frozen=True, eq=False)
+class ToothAxes:
+    """Orientation of a tooth.
+
+    Attributes
+    ----------
+    rotation
+        Site axes as columns in the frame of the points, shape (3, 3), right-handed: z from the
+        roots to the crown, x along the widest direction across the lower half (mesiodistal where
+        there are two roots, its sign unknown).
+    middle_m
+        Middle of the enamel [m], shape (3,); the site's origin lies above or below it along z.
+    note
+        Method that found the long axis, a sentence.
+    """
+
+    rotation: Array
+    middle_m: Array
+    note: str
+
+
+def tooth_axes(enamel_m: Array, body_m: Array) -> ToothAxes:
+    """Find the orientation of a tooth from points on its enamel and on its other layers.
+
+    The points are spread evenly.
+
+    Parameters
+    ----------
+    enamel_m, body_m
+        Points of the enamel, and of dentin, pulp and ligament [m], shapes (n, 3) and (m, 3).
+
+    Raises
+    ------
+    InputError
+        If the enamel does not lie to one side of the other layers.
+    """
+    middle = enamel_m.mean(axis=0)
+    rise = middle - body_m.mean(axis=0)
+    height = float(np.linalg.norm(rise))
+    if height < _LEAST_RISE_M:
+        raise InputError(
+            "layers",
+            "have the enamel to one side of the dentin",
+            f"middles {1e3 * height:.2g} mm apart",
+            "check which layer is which",
+        )
+    line = rise / height
+    whole = np.concatenate([enamel_m, body_m])
+    principal = np.linalg.eigh(np.cov(whole.T))[1]
+    along = principal.T @ line
+    chosen = int(np.argmax(np.abs(along)))
+    leaning = math.degrees(math.acos(min(abs(float(along[chosen])), 1.0)))
+    if abs(along[chosen]) > _MOST_LEANING:
+        up = principal[:, chosen] * np.sign(along[chosen])
+        note = (
+            f"principal axis, {leaning:.0f} degrees from the line between the middles of dentin "
+            "and enamel"
+        )
+    else:
+        up = line
+        note = (
+            "line between the middles of dentin and enamel; the principal axes lean "
+            f"{leaning:.0f} degrees or more"
+        )
+    x = _widest(body_m, up)
+    return ToothAxes(np.column_stack([x, np.cross(up, x), up]), middle, note)
+
+
+def _widest(points: Array, up: Array) -> Array:
+    """Return the unit vector across `up` along which the lower half of the points spreads most."""
+    offset = points - points.mean(axis=0)
+    lower = offset[offset @ up < 0.0]
+    across = lower - np.outer(lower @ up, up)
+    direction = np.linalg.eigh(np.cov(across.T))[1][:, 2]
+    direction = direction - (direction @ up) * up
+    direction /= np.linalg.norm(direction)
+    return direction * (1.0 if direction[int(np.argmax(np.abs(direction)))] > 0.0 else -1.0)
+
+
+def lesion_site(tooth: VoxelVolume) -> Site:
+    """Find the site over the middle of a tooth's largest lesion.
+
+    The outward normal is the normal of the outer surface, smoothed over 0.3 mm, at the point
+    nearest to the lesion's middle. The origin is the point where the line along the normal through
+    the middle leaves the tooth. If the normal leans far from the tooth's axis, y points to the
+    crown; otherwise x is as in the tooth's frame.
+
+    Parameters
+    ----------
+    tooth
+        Voxels of the whole tooth in its own frame, z from the roots to the crown, its pulp filled.
+
+    Raises
+    ------
+    InputError
+        If the tooth has no lesion.
+    """
+    from scipy.ndimage import binary_fill_holes, gaussian_filter, label
+
+    lesion = (tooth.layer == CARIES) & (tooth.fraction >= FULL // 2)
+    if not lesion.any():
+        raise InputError(
+            "site", "not be caries for a tooth without a lesion", "caries", "use enamel"
+        )
+    pieces, _ = label(lesion)
+    largest = np.argmax(np.bincount(pieces.ravel())[1:]) + 1
+    middle = np.argwhere(pieces == largest).mean(axis=0)
+    pad = int(np.ceil(3.0 * _SMOOTH_M / tooth.spacing_m))
+    solid = binary_fill_holes(np.pad(tooth.fraction >= FULL // 2, pad))
+    smooth = gaussian_filter(solid.astype(np.float32), _SMOOTH_M / tooth.spacing_m)
+    normal, surface = _outward(smooth, middle + pad, tooth.spacing_m)
+    reach = float(np.linalg.norm(surface - middle - pad)) * tooth.spacing_m + _BEYOND_M
+    steps = np.arange(0.0, reach / tooth.spacing_m, 0.1)
+    line = np.rint(middle + pad + steps[:, None] * normal).astype(int)
+    line = np.clip(line, 0, np.array(solid.shape) - 1)
+    filled = np.flatnonzero(solid[tuple(line.T)])
+    end = steps[filled[-1]] if len(filled) else 0.0
+    centre = tooth.origin_m + tooth.spacing_m * (middle + end * normal + 0.5)
+    first = (
+        np.array([1.0, 0.0, 0.0])
+        if abs(normal[2]) > _UPRIGHT
+        else np.cross([0.0, 0.0, 1.0], normal)
+    )
+    x = first - (first @ normal) * normal
+    x /= np.linalg.norm(x)
+    depth_mm = 1e3 * tooth.spacing_m * float(end)
+    note = (
+        f"over the caries, whose middle lies {depth_mm:.2g} mm below along the normal of the "
+        "surface"
+    )
+    return Site(centre, np.column_stack([x, np.cross(normal, x), normal]), note)
+
+
+def _outward(smooth: Singles, middle: Array, spacing: float) -> tuple[Array, Array]:
+    """Return the mean outward normal around the surface point nearest to the middle.
+
+    Also return that point [voxel].
+    """
+    shell = np.argwhere((smooth > 0.3) & (smooth < 0.7)).astype(np.float64)
+    nearest = shell[np.argmin(np.linalg.norm(shell - middle, axis=1))]
+    around = shell[np.linalg.norm(shell - nearest, axis=1) * spacing < _AROUND_M].astype(int)
+    slopes = [np.gradient(smooth, axis=axis)[tuple(around.T)].sum() for axis in range(3)]
+    normal = -np.array(slopes, dtype=np.float64)
+    return normal / np.linalg.norm(normal), nearest

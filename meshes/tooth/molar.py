@@ -27,8 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from meshes.base.arrays import Bytes, Floats
-from meshes.base.errors import InputError
-from meshes.base.ranged import Ranged, ranged
+from meshes.base.errors import InputError, Ranged, ranged
 from meshes.shapes.anatomy import Anatomy, Classify
 from meshes.shapes.sdf import Shape, box
 from meshes.tooth.layers import (

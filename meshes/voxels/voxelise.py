@@ -1,30 +1,249 @@
 """Conversion of an anatomy to voxels over a region of the site frame.
 
 Each voxel has a sub-voxel bone fraction, a layer and a density.
+
+A signed distance is evaluated coarse to fine over blocks of 8 x 8 x 8. A block whose centre is
+farther from the surface than its half diagonal is empty or solid throughout, because a signed
+distance is 1-Lipschitz. Only the blocks that the surface crosses are evaluated voxel by voxel.
+Solid blocks take their density by trilinear interpolation between their corners where the layer is
+the same all around them.
 """
 
+from __future__ import annotations
+
+import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from meshes.base.arrays import Array, Bytes, Singles, lattice
+from meshes.base.arrays import Array, Bytes, Flags, Floats, Ints, Singles, lattice
 from meshes.base.errors import InputError, require_positive
 from meshes.shapes.anatomy import Anatomy, GridSampler
 from meshes.shapes.sdf import Shape
-from meshes.voxels.block_sampling import VoxelArrays, centres_of, fill_from_shape, voxel_fraction
 from meshes.voxels.distances import (
+    INSIDE,
     OUTSIDE,
+    LayerAt,
     carried_beyond,
+    cube_fraction,
+    layer_boundary,
     surface_of_fractions,
     surface_steps,
 )
-from meshes.voxels.grid import BLOCK, Grid
-from meshes.voxels.layer_changes import LayerAt, layer_boundary
-from meshes.voxels.volume import FULL, VoxelVolume
+from meshes.voxels.volume import BLOCK, FULL, Grid, VoxelVolume
 
-__all__ = ["AROUND_VOXELS", "voxelise"]
+__all__ = [
+    "AROUND_VOXELS",
+    "VoxelArrays",
+    "centres_of",
+    "fill_from_shape",
+    "voxel_fraction",
+    "voxelise",
+]
+
+_BLOCKS_AT_ONCE = 256
+_WIDEST_INTERPOLATION_M = 1.0e-3
+_HALF_DIAGONAL = 0.5 * math.sqrt(3.0)
+_SHARP_BEND = 0.1
+_PARTS = 4
+_LOCAL = lattice(*[np.arange(BLOCK)] * 3)
+
+
+@dataclass(frozen=True, eq=False)
+class VoxelArrays:
+    """Arrays of a `VoxelVolume` while they are filled, over a blocked grid.
+
+    All have the shape of the grid.
+    """
+
+    fraction: Bytes
+    layer: Bytes
+    density: NDArray[np.uint16]
+    surface: Bytes
+
+    @classmethod
+    def empty(cls, shape: tuple[int, ...]) -> VoxelArrays:
+        """Return arrays without bone."""
+        bytes_, words = (np.zeros(shape, dtype) for dtype in (np.uint8, np.uint16))
+        return cls(bytes_, np.zeros_like(bytes_), words, np.full(shape, OUTSIDE, np.uint8))
+
+    def slab(self, start: int, stop: int) -> VoxelArrays:
+        """Return views of the part with the x numbers `start` to `stop`."""
+        part = slice(start, stop)
+        return VoxelArrays(
+            self.fraction[part], self.layer[part], self.density[part], self.surface[part]
+        )
+
+
+def voxel_fraction(
+    shape: Shape,
+    centres: Singles,
+    distance: Singles,
+    spacing_m: float,
+    *,
+    split_creases: bool = True,
+) -> Singles:
+    """Compute the part of each voxel inside the shape, the surface being a plane within the voxel.
+
+    Where the distance bends sharply within a voxel (an edge or corner), the voxel is split into 4 x
+    4 x 4 and each part taken as crossed by a plane of its own.
+
+    Parameters
+    ----------
+    centres
+        Voxel centres [m], shape (n, 3).
+    distance
+        The shape's signed distance there [m], shape (n,).
+    spacing_m
+        Edge of a voxel [m].
+
+    Returns
+    -------
+    Fractions 0 to 1, shape (n,). The gradient is taken by central differences over half a voxel.
+    """
+    fraction = (distance < 0.0).astype(np.float32)
+    crossed = np.flatnonzero(np.abs(distance) < _HALF_DIAGONAL * spacing_m)
+    if len(crossed) == 0:
+        return fraction
+    points = centres[crossed]
+    middle = distance[crossed]
+    step = np.float32(0.25 * spacing_m)
+    gradient = np.empty((len(crossed), 3), dtype=np.float32)
+    bend = np.zeros(len(crossed), dtype=np.float32)
+    for axis in range(3):
+        shift = step * np.eye(3, dtype=np.float32)[axis]
+        forward, backward = (
+            shape.distance(np.asfortranarray(points + sign * shift)) for sign in (1, -1)
+        )
+        gradient[:, axis] = (forward - backward) / (2.0 * step)
+        bend = np.maximum(bend, np.abs(forward + backward - 2.0 * middle))
+    slope = np.maximum(np.linalg.norm(gradient, axis=1), np.float32(1e-3))
+    normal = np.where(
+        slope[:, None] > 2e-3,
+        gradient / slope[:, None],
+        np.array([0.0, 0.0, 1.0], dtype=np.float32),
+    )
+    fraction[crossed] = cube_fraction(middle / (slope * np.float32(spacing_m)), normal)
+    creased = crossed[bend > _SHARP_BEND * step]
+    if split_creases and len(creased):
+        fraction[creased] = _split_fraction(shape, centres[creased], spacing_m)
+    return fraction
+
+
+def _split_fraction(shape: Shape, centres: Singles, spacing_m: float) -> Singles:
+    """Compute the fraction of voxels from 4 x 4 x 4 parts each, shape (n,)."""
+    offsets = ((np.arange(_PARTS) + 0.5) / _PARTS - 0.5).astype(np.float32) * np.float32(spacing_m)
+    local = lattice(offsets, offsets, offsets)
+    points = np.asfortranarray((centres[:, None, :] + local).reshape(-1, 3))
+    parts = voxel_fraction(
+        shape, points, shape.distance(points), spacing_m / _PARTS, split_creases=False
+    )
+    return parts.reshape(len(centres), -1).mean(axis=1)
+
+
+def fill_from_shape(anatomy: Anatomy, grid: Grid, out: VoxelArrays) -> None:
+    """Fill `out` over the blocked `grid` from the anatomy's signed distance."""
+    firsts = grid.block_firsts()
+    distance = anatomy.shape.distance(centres_of(firsts, grid.spacing_m, 0.5 * BLOCK))
+    reach = np.float32(_HALF_DIAGONAL * BLOCK * grid.spacing_m)
+    solid = distance <= -reach
+    mixed = ~solid & (distance < reach)
+    blocks = [_by_blocks(array) for array in (out.fraction, out.layer, out.density, out.surface)]
+    if solid.any():
+        plain, corners = _uniform_blocks(anatomy, grid)
+        plain &= solid & (not anatomy.thin_layers)
+        blocks[0][_index(solid, blocks[0])] = FULL
+        blocks[3][_index(solid, blocks[3])] = INSIDE
+        blocks[1][_index(plain, blocks[1])] = corners[0][plain][:, None, None, None]
+        blocks[2][_index(plain, blocks[2])] = np.rint(_interpolated(corners[1], grid, plain))
+        mixed |= solid & ~plain
+    for chosen in _chunks(np.flatnonzero(mixed)):
+        points = centres_of((firsts[chosen, None, :] + _LOCAL).reshape(-1, 3), grid.spacing_m, 0.5)
+        depth = anatomy.shape.distance(points)
+        fraction = voxel_fraction(anatomy.shape, points, depth, grid.spacing_m)
+        layer, density = anatomy.classify(points, -depth)
+        where = np.unravel_index(chosen, blocks[0].shape[:3])
+        surface = surface_steps(depth / np.float32(grid.spacing_m))
+        # beyond the surface too: points between voxel centres read both sides
+        present = surface < OUTSIDE
+        filled = np.rint(fraction * FULL), layer * present, np.rint(density) * present, surface
+        for block, values in zip(blocks, filled, strict=True):
+            block[where] = values.reshape(-1, BLOCK, BLOCK, BLOCK)
+
+
+def _uniform_blocks(anatomy: Anatomy, grid: Grid) -> tuple[Flags, tuple[Bytes, Floats]]:
+    """Find blocks with one layer at all corners of their own and of their neighbours.
+
+    Returns
+    -------
+    Flags, shape (n,), in C order of the blocks; layer, shape (n,); densities at the block
+    corners [kg/m3], shape (bx + 1, by + 1, bz + 1).
+    """
+    counts = [n // BLOCK for n in grid.shape]
+    axes = [
+        np.arange(f - BLOCK, e + BLOCK + 1, BLOCK)
+        for f, e in zip(grid.first, grid.last, strict=True)
+    ]
+    size = [len(axis) for axis in axes]
+    points = centres_of(lattice(*axes), grid.spacing_m, 0.0)
+    layer, density = anatomy.classify(points, -anatomy.shape.distance(points))
+    layer = layer.reshape(size)
+    density = density.reshape(size)
+    core = tuple(slice(1, 1 + n) for n in counts)
+    same = _over_windows(np.maximum, layer) == _over_windows(np.minimum, layer)
+    same &= BLOCK * grid.spacing_m <= _WIDEST_INTERPOLATION_M
+    return same.ravel(), (layer[core].ravel(), density[1:-1, 1:-1, 1:-1])
+
+
+def _over_windows(combine: np.ufunc, values: Bytes) -> Bytes:
+    """Combine each window of 4 x 4 x 4 lattice points.
+
+    A window holds the corners of a block and of its neighbours.
+    """
+    windows = np.lib.stride_tricks.sliding_window_view(values, (4, 4, 4))
+    return np.asarray(combine.reduce(windows, axis=(3, 4, 5)), dtype=np.uint8)
+
+
+def _interpolated(corners: Floats, grid: Grid, chosen: Flags) -> Singles:
+    """Interpolate trilinearly to the voxel centres of the chosen blocks, shape (n, 8, 8, 8)."""
+    bx, by, bz = np.unravel_index(np.flatnonzero(chosen), [n // BLOCK for n in grid.shape])
+    values = np.empty((len(bx), 2, 2, 2), dtype=np.float32)
+    for i, j, k in np.ndindex(2, 2, 2):
+        values[:, i, j, k] = corners[bx + i, by + j, bz + k]
+    weight = ((np.arange(BLOCK) + 0.5) / BLOCK).astype(np.float32)
+    for axis in (1, 2, 3):
+        low, high = np.split(values, 2, axis=axis)
+        along = weight.reshape([-1 if k == axis else 1 for k in range(4)])
+        values = low + (high - low) * along
+    return values
+
+
+def centres_of(index: Ints, spacing_m: float, shift: float) -> Singles:
+    """Return coordinates [m] of voxel numbers shifted by `shift` spacings.
+
+    They are float32, shape (n, 3), stored by columns.
+    """
+    return (index.T.astype(np.float32) + np.float32(shift)).T * np.float32(spacing_m)
+
+
+def _by_blocks(array: NDArray[np.generic]) -> NDArray[np.generic]:
+    """Return a view of a blocked array with the shape (bx, by, bz, 8, 8, 8)."""
+    nx, ny, nz = (n // BLOCK for n in array.shape)
+    return array.reshape(nx, BLOCK, ny, BLOCK, nz, BLOCK).transpose(0, 2, 4, 1, 3, 5)
+
+
+def _index(flags: Flags, blocks: NDArray[np.generic]) -> tuple[NDArray[np.intp], ...]:
+    return np.unravel_index(np.flatnonzero(flags), blocks.shape[:3])
+
+
+def _chunks(chosen: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
+    for start in range(0, len(chosen), _BLOCKS_AT_ONCE):
+        yield chosen[start : start + _BLOCKS_AT_ONCE]
+
 
 Region = tuple[Sequence[float] | Array, Sequence[float] | Array]
 

@@ -27,8 +27,7 @@ from harness import machine, table  # adds the fixtures to the path
 from scipy.spatial.transform import Rotation
 from voxel_cuts import BONE, VoxelCut, layered, over_50_ms, relative
 
-from meshes.voxels.distances import INSIDE, OUTSIDE, SURFACE_ZERO
-from meshes.voxels.layer_changes import BOUNDARY_STEPS, FAR
+from meshes.voxels.distances import BOUNDARY_STEPS, FAR, INSIDE, OUTSIDE, SURFACE_ZERO
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr

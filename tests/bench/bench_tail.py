@@ -25,8 +25,7 @@ from tissue.scene.scene import Scene
 from tissue.simulation.observer import RunObserver
 from tissue.simulation.run import DEADLINE_US, Run
 from tissue.simulation.simulate import simulate
-from tissue.system.background_priority import BackgroundPriority
-from tissue.system.machine_gaps import spin
+from tissue.system.priorities import BackgroundPriority, spin
 
 SPLIT = "kernels.split_choice.LEAST_GAIN"
 SPUN_S = 0.3

@@ -14,8 +14,7 @@ from tissue import load_scene, simulate
 from tissue.models.tooth import stress_process
 from tissue.simulation.run_folder import SavedRun
 from tissue.system import child
-from tissue.system.child import HangDetector, HelperLostError, child_command
-from tissue.system.helper import Helper
+from tissue.system.child import HangDetector, Helper, HelperLostError, child_command
 
 TOOTH = {
     "voxels.spacing_mm": 0.2,
@@ -53,7 +52,7 @@ def echo(tmp_path, monkeypatch):
     (tmp_path / "echoing.py").write_text(ECHO)
     monkeypatch.setattr("tissue.system.child.IDLE_S", 1.5)
     monkeypatch.setattr("tissue.system.child.CHECK_S", 0.25)
-    monkeypatch.setattr("tissue.system.helper.CHECK_S", 0.25)
+    monkeypatch.setattr("tissue.system.child.CHECK_S", 0.25)
     monkeypatch.setattr("tissue.system.child.START", start_in(tmp_path))
     helper = Helper("echoing", does="echoes")
     yield helper

@@ -10,8 +10,7 @@ from bone_in_numpy import bone_of, stored_voxels
 
 from kernels.bone_lookup import Bone, bone_at
 from kernels.bricks import voxel_column, voxel_row
-from meshes.voxels.distances import INSIDE, OUTSIDE, SURFACE_ZERO, surface_steps
-from meshes.voxels.layer_changes import FAR
+from meshes.voxels.distances import FAR, INSIDE, OUTSIDE, SURFACE_ZERO, surface_steps
 from meshes.voxels.volume import VoxelVolume
 from tissue.models.bone.bricks import BrickStore
 

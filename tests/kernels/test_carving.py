@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from meshes.shapes.plane_cube import cube_fraction
+from meshes.voxels.distances import cube_fraction
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import (

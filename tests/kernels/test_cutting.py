@@ -6,8 +6,7 @@ from bone_in_numpy import bone_of, stored_voxels
 from scipy.spatial.transform import Rotation
 
 from kernels.revolution import EDGE_BEND
-from meshes.voxels.distances import INSIDE, OUTSIDE, surface_steps
-from meshes.voxels.layer_changes import FAR
+from meshes.voxels.distances import FAR, INSIDE, OUTSIDE, surface_steps
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr, twist_drill

@@ -12,8 +12,8 @@ from scipy.sparse import csr_array
 from scipy.sparse.linalg import splu
 from tet_bodies import wedge
 
-from meshes.tets.bisection import bisected
 from meshes.tets.structured import box
+from meshes.tets.stuffing import bisected
 from meshes.tets.tetrahedra import TetMesh
 from tissue.fem.assembly import assemble
 from tissue.fem.solvers.direct import DirectSolver

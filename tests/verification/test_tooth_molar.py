@@ -4,14 +4,14 @@ It must solve at every cell size, and 1 N on a cusp moves it by micrometres. The
 OpenMandible's first lower molar, in millimetres.
 """
 
-from functools import cache
-from time import perf_counter
-
+from functools import (cache)
+from time import (perf_counter)
+from tissue.models.tooth.body import (ParticleBody)
+from tissue.models.tooth.grid import (HexGrid, NodeSupports, ParticleSet)
 import numpy as np
 import pytest
 
-from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.grid import HexGrid, NodeSupports, ParticleSet
+
 
 LAYERS = ("Enamel", "Dentin", "Pulp", "PDL")
 MODULUS = np.array([84e9, 18.6e9, 2e6, 50e6])
@@ -24,7 +24,7 @@ def inside(vertices, faces, axes):
 
     The winding number along vertical lines decides.
     """
-    from meshes.voxels.column_crossings import column_crossings
+    from meshes.voxels.mesh_sampling import column_crossings
 
     x, y, z = axes
     crossed = column_crossings(vertices, faces, x, y)

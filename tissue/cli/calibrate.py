@@ -2,11 +2,10 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-from cyclopts import Parameter
-
-from tissue.cli.terminal import console, left_out, problems, whole
+from meshes.base.errors import InputError
+from tissue.cli.terminal import Flag, MaybeWhole, Whole, console, left_out, problems
 from tissue.system.outputs import output_locked
 from tissue.system.stopping import Terminated
 
@@ -25,14 +24,14 @@ TRIALS, NUMBERS = 120, 24
 def calibrate(
     *,
     observer: str | None = None,
-    ask: Annotated[bool, Parameter(negative="")] = False,
+    ask: Flag = False,
     population: Path | None = None,
     out: Path | None = None,
     device: str | None = None,
-    trials: Annotated[int | None, Parameter(converter=whole)] = None,
-    numbers: Annotated[int | None, Parameter(converter=whole)] = None,
-    seed: Annotated[int, Parameter(converter=whole)] = 0,
-    overwrite: Annotated[bool, Parameter(negative="")] = False,
+    trials: MaybeWhole = None,
+    numbers: MaybeWhole = None,
+    seed: Whole = 0,
+    overwrite: Flag = False,
 ) -> None:
     """Estimate a person's force threshold and exponent in an adaptive session.
 
@@ -65,8 +64,6 @@ def calibrate(
     overwrite
         Replace files of an earlier session.
     """
-    from meshes.base.errors import InputError
-
     if sum((observer is not None, ask, population is not None)) != 1:
         raise InputError(
             "one of --observer, --ask and --population",
@@ -97,7 +94,7 @@ def calibrate(
     device = device or "mouse"
     target = out or Path("observer.json")
     name = observer or f"person on {device}"
-    answer, limit_N = questioner(observer, device, seed=seed, read=input, show=_show)
+    answer, limit_N = questioner(observer, device, seed=seed, read=input, show=console.print)
     plan = Plan(
         seed=seed,
         trials=TRIALS if trials is None else trials,
@@ -133,11 +130,6 @@ def _session(
         problems.print("note:", note)
     files = ", ".join(str(each) for each in (target, log.path, target.with_suffix(".png")))
     console.print(f"wrote {files}")
-
-
-def _show(line: str) -> None:
-    """Show a line to the person."""
-    console.print(line)
 
 
 def _ask_all(log: "TrialLog", answer: "Answer", *, live: bool) -> None:

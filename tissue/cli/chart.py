@@ -1,11 +1,9 @@
 """``tissue chart``."""
 
 from pathlib import Path
-from typing import Annotated
 
-from cyclopts import Parameter
-
-from tissue.cli.terminal import console, left_out, progress, whole
+from meshes.base.errors import InputError
+from tissue.cli.terminal import Flag, MaybeWhole, console, left_out, progress
 
 __all__ = ["chart"]
 
@@ -23,10 +21,10 @@ Each may take some gigabytes for the factor of an organ.
 def chart(
     *what: str,
     out: Path | None = None,
-    quick: Annotated[bool, Parameter(negative="")] = False,
-    trials: Annotated[int | None, Parameter(converter=whole)] = None,
+    quick: Flag = False,
+    trials: MaybeWhole = None,
     observer: Path | None = None,
-    overwrite: Annotated[bool, Parameter(negative="")] = False,
+    overwrite: Flag = False,
 ) -> None:
     """Measure and draw speed against accuracy of scenes or predictors, or perception.
 
@@ -57,8 +55,6 @@ def chart(
             left_out("with perception", "remove it", quick=quick, trials=trials)
             _perception(out or Path("charts/perception"), observer, overwrite=overwrite)
         case ["perception", scene, *_]:
-            from meshes.base.errors import InputError
-
             raise InputError("perception", "stand alone", f"{scene} after it", "leave it out")
         case _:
             left_out(

@@ -1,17 +1,15 @@
 """``tissue devices``."""
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-from cyclopts import Parameter
-
-from tissue.cli.terminal import console, left_out, problems
+from pathlib import (Path)
+from tissue.cli.terminal import (Flag, console, left_out, problems)
+from typing import (TYPE_CHECKING)
 
 if TYPE_CHECKING:
-    from tissue.haptics.real.adapter import FoundDevice
-    from tissue.haptics.real.self_test import SelfTest
+    from tissue.haptics.real.adapter import (FoundDevice)
+    from tissue.haptics.real.self_test import (SelfTest)
 
 __all__ = ["devices"]
+
 
 
 def devices(
@@ -19,9 +17,9 @@ def devices(
     test: str | None = None,
     address: str | None = None,
     seconds: float | None = None,
-    yes: Annotated[bool, Parameter(negative="")] = False,
+    yes: Flag = False,
     out: Path | None = None,
-    overwrite: Annotated[bool, Parameter(negative="")] = False,
+    overwrite: Flag = False,
 ) -> None:
     """List the haptic devices found and their limits, or test one device.
 
@@ -95,21 +93,19 @@ def _limits(found: "FoundDevice") -> str:
 def _test(
     name: str, address: str, seconds: float, out: Path | None, *, yes: bool, overwrite: bool
 ) -> None:
-    from meshes.base.errors import InputError
-    from tissue.haptics.real.adapter import adapter_class
-    from tissue.haptics.real.self_test import BUMP_N, BUMP_S, bump, self_test, write_measured
-    from tissue.scene.hardware import Hardware
+    from tissue.haptics.real.measured_file import write_measured
+    from tissue.haptics.real.search import adapter_class
+    from tissue.haptics.real.self_test import BUMP_N, BUMP_S, bump, self_test
+    from tissue.scene.coupling import Hardware
     from tissue.scene.named_parts import unknown_name
     from tissue.scene.registry import DEVICES
     from tissue.system.outputs import require_new_file
 
     known = [each for each in DEVICES if DEVICES[each].has_adapter]
     if name not in known:
-        raise InputError(unknown_name("--test", known, name))
+        raise unknown_name("--test", known, name)
     if out is not None:
         require_new_file(out, overwrite=overwrite)
-        if not out.parent.is_dir():
-            raise InputError("out", "lie in a folder that exists", out, f"create {out.parent}")
     with adapter_class(name)(Hardware(address=address)) as adapter:
         with problems.status(f"measuring {name} for {seconds:g} s: move the handle"):
             measured = self_test(adapter, seconds=seconds)

@@ -1,11 +1,16 @@
 """``tissue fit``."""
 
 from pathlib import Path
-from typing import Annotated
 
-from cyclopts import Parameter
-
-from tissue.cli.terminal import console, progress, whole
+from tissue.cli.terminal import (
+    Flag,
+    MaybeWhole,
+    MemoryGB,
+    Overrides,
+    Texts,
+    console,
+    progress,
+)
 
 __all__ = ["fit"]
 
@@ -17,11 +22,11 @@ def fit(
     measured: Path,
     out: Path | None = None,
     free: str = "",
-    column: Annotated[tuple[str, ...], Parameter(negative="")] = (),
-    set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
-    cores: Annotated[int | None, Parameter(converter=whole)] = None,
-    max_memory_GB: Annotated[float | None, Parameter(name="--max-memory-GB")] = None,
-    overwrite: Annotated[bool, Parameter(negative="")] = False,
+    column: Texts = (),
+    set_: Overrides = (),
+    cores: MaybeWhole = None,
+    max_memory_GB: MemoryGB = None,
+    overwrite: Flag = False,
 ) -> None:
     """Find the constants of a scene's material from a measured force log.
 

@@ -1,47 +1,24 @@
 """``tissue import``."""
 
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 from cyclopts import Parameter
 
-from tissue.cli.terminal import console, progress, whole
+from meshes.base.errors import InputError
+from tissue.cli.terminal import Flag, MaybeWhole, MemoryGB, Texts, console, progress
 
 __all__ = ["import_"]
 
 
-def import_(
-    source: Path,
-    /,
-    *,
-    out: Path,
-    labels: Path | None = None,
-    label_names: str | None = None,
-    region: str | None = None,
-    crop: str | None = None,
-    threshold: float | None = None,
-    series: Annotated[int | None, Parameter(converter=whole)] = None,
-    spacing_mm: float | None = None,
-    density: str = "auto",
-    site: str | None = None,
-    normal: str | None = None,
-    coordinates: Literal["LPS", "RAS"] = "LPS",
-    path: Path | None = None,
-    feed_mm_s: float | None = None,
-    keep_clear: Annotated[tuple[str, ...], Parameter(negative="")] = (),
-    like: str | None = None,
-    part: Annotated[tuple[str, ...], Parameter(negative="")] = (),
-    max_memory_GB: Annotated[float | None, Parameter(name="--max-memory-GB")] = None,
-    overwrite: Annotated[bool, Parameter(negative="")] = False,
-) -> None:
-    """Make a scene from your own CT.
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class ImageOptions:
+    """Options of the CT and its labels; but for crop, the fields are arguments of `import_ct`.
 
-    Parameters
+    Attributes
     ----------
-    source
-        DICOM folder, .nii.gz, .nrrd, .mha or .vti image.
-    out
-        Folder to write, with scene.toml in it.
     labels
         Label volume, or folder of masks, of the same CT.
     label_names
@@ -59,6 +36,25 @@ def import_(
         Distance between voxels of files that do not state it.
     density
         internal, a named law, or line:SLOPE,OFFSET; default internal where the image allows it.
+    """
+
+    labels: Path | None = None
+    label_names: str | None = None
+    region: str | None = None
+    crop: str | None = None
+    threshold: float | None = None
+    series: MaybeWhole = None
+    spacing_mm: float | None = None
+    density: str = "auto"
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class SceneOptions:
+    """Options of the scene; but for site, normal and part, the fields are arguments of `import_ct`.
+
+    Attributes
+    ----------
     site
         glenoid, femoral-head, humeral-head, vertebra[:left], tooth[:lesion], X,Y,Z in mm, or
         .mrk.json; default by the region's name.
@@ -76,6 +72,36 @@ def import_(
         Scene whose tool and motion are taken; default by the site.
     part
         NAME=KPA: label in a soft organ and its Young's modulus; may be repeated.
+    """
+
+    site: str | None = None
+    normal: str | None = None
+    coordinates: Literal["LPS", "RAS"] = "LPS"
+    path: Path | None = None
+    feed_mm_s: float | None = None
+    keep_clear: Texts = ()
+    like: str | None = None
+    part: Texts = ()
+
+
+def import_(
+    source: Path,
+    /,
+    *,
+    out: Path,
+    image: ImageOptions = ImageOptions(),
+    scene: SceneOptions = SceneOptions(),
+    max_memory_GB: MemoryGB = None,
+    overwrite: Flag = False,
+) -> None:
+    """Make a scene from your own CT.
+
+    Parameters
+    ----------
+    source
+        DICOM folder, .nii.gz, .nrrd, .mha or .vti image.
+    out
+        Folder to write, with scene.toml in it.
     max_memory_GB
         Memory that an image may take, in GB; default half of the free memory.
     overwrite
@@ -83,27 +109,21 @@ def import_(
     """
     from tissue.ct.importing import import_ct
 
-    box = None if crop is None else _numbers("crop", crop, 6, "X0,Y0,Z0,X1,Y1,Z1")
+    given = asdict(image) | asdict(scene)
+    crop = given.pop("crop")
+    if crop is not None:
+        box = _numbers("crop", crop, 6, "X0,Y0,Z0,X1,Y1,Z1")
+        given["crop_mm"] = box[:3], box[3:]
+    if scene.site and "," in scene.site:
+        given["site"] = _numbers("site", scene.site, 3, "X,Y,Z")
+    if scene.normal is not None:
+        given["normal"] = _numbers("normal", scene.normal, 3, "X,Y,Z")
+    given["parts"] = dict(map(_part, given.pop("part")))
     with progress() as shown:
         made = import_ct(
             source,
             out,
-            labels=labels,
-            label_names=label_names,
-            region=region,
-            crop_mm=None if box is None else (_three(box[:3]), _three(box[3:])),
-            threshold=threshold,
-            series=series,
-            spacing_mm=spacing_mm,
-            density=density,
-            site=_three(_numbers("site", site, 3, "X,Y,Z")) if site and "," in site else site,
-            normal=None if normal is None else _three(_numbers("normal", normal, 3, "X,Y,Z")),
-            coordinates=coordinates,
-            path=path,
-            feed_mm_s=feed_mm_s,
-            keep_clear=keep_clear,
-            like=like,
-            parts=dict(map(_part, part)),
+            **given,
             max_memory_GB=max_memory_GB,
             overwrite=overwrite,
             progress=shown,
@@ -119,8 +139,6 @@ def import_(
 
 def _part(text: str) -> tuple[str, float]:
     """Parse name and modulus of a part."""
-    from meshes.base.errors import InputError
-
     name, _, modulus = text.rpartition("=")
     try:
         return name, float(modulus)
@@ -128,19 +146,12 @@ def _part(text: str) -> tuple[str, float]:
         raise InputError("part", "be NAME=KPA", text, "use for example tumour=40") from None
 
 
-def _three(numbers: list[float]) -> tuple[float, float, float]:
-    x, y, z = numbers
-    return x, y, z
-
-
-def _numbers(name: str, text: str, count: int, form: str) -> list[float]:
+def _numbers(name: str, text: str, count: int, form: str) -> tuple[float, ...]:
     """Parse numbers separated by commas."""
-    from meshes.base.errors import InputError  # brings NumPy, which help does without
-
     try:
-        found = [float(word) for word in text.split(",")]
+        found = tuple(float(word) for word in text.split(","))
     except ValueError:
-        found = []
+        found = ()
     if len(found) != count:
         raise InputError(
             name, f"be {count} numbers, {form}", text, "write them with commas and no spaces"

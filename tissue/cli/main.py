@@ -1,4 +1,4 @@
-"""The ``tissue`` command."""
+"""The ``tissue`` command: its subcommands, exit codes and shell completion."""
 
 import errno
 import os
@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, Literal, NoReturn
 
 from cyclopts import (
     App,
@@ -21,13 +21,46 @@ from cyclopts import (
 )
 
 import tissue
-from tissue.cli.commands import COMMANDS
-from tissue.cli.completion import completion_command
+from meshes.base.errors import InputError
+from tissue.cli.calibrate import calibrate
+from tissue.cli.chart import chart
+from tissue.cli.devices import devices
+from tissue.cli.fit import fit
+from tissue.cli.import_ import import_
+from tissue.cli.run import run
+from tissue.cli.saved_runs import assess, compare, report, view
+from tissue.cli.scenes import scenes, schema
+from tissue.cli.stability import stability
+from tissue.cli.study import study
+from tissue.cli.sweep import sweep
 from tissue.cli.terminal import console, problems
+from tissue.cli.train import train
 from tissue.system.child import HelperLostError
+from tissue.system.owned_folder import anything_claimed
 from tissue.system.stopping import Terminated, terminated_as_exception
 
-__all__ = ["app", "has_working_folder", "leave_pipe", "main", "open_streams"]
+__all__ = ["app", "main"]
+
+COMMANDS = (
+    run,
+    import_,
+    scenes,
+    view,
+    report,
+    fit,
+    sweep,
+    compare,
+    stability,
+    devices,
+    calibrate,
+    assess,
+    train,
+    chart,
+    study,
+    schema,
+)
+"""Commands in the order in which help lists them."""
+
 
 PIPE_CLOSED = 141
 """Exit code of a command whose reader has ended: 128 plus the number of SIGPIPE."""
@@ -85,7 +118,33 @@ app = App(
 )
 for command in COMMANDS:
     app.command(command)
-app.command(completion_command(app), name="--install-completion")
+
+Shell = Literal["bash", "zsh", "fish"]
+SHELLS: dict[str, Shell] = {"bash": "bash", "zsh": "zsh", "fish": "fish"}
+
+
+@app.command(name="--install-completion")
+def install_completion(*, shell: str | None = None) -> None:
+    """Install the completion of commands and options in a shell.
+
+    Parameters
+    ----------
+    shell
+        bash, zsh or fish; default the shell in use.
+    """
+    from cyclopts.completion.detect import ShellDetectionError, detect_shell
+
+    from tissue.scene.named_parts import unknown_name
+
+    chosen = shell
+    if chosen is None:
+        with suppress(ShellDetectionError):
+            chosen = detect_shell()
+    if chosen not in SHELLS:
+        raise unknown_name("--shell", SHELLS, chosen or "one that is not recognised")
+    path = app.install_completion(shell=SHELLS[chosen])
+    console.print(f"wrote {path}: open a new {chosen} to use it")
+
 
 BAD_INPUT = 2
 """Exit code for errors that the user can fix by other input."""
@@ -114,8 +173,6 @@ def main() -> NoReturn:
     except CycloptsError as error:
         _refuse(_usage(error))
     except ValueError as error:
-        from meshes.base.errors import InputError  # brings NumPy, which help does without
-
         if not isinstance(error, InputError):
             raise
         _refuse(str(error))
@@ -130,23 +187,19 @@ def main() -> NoReturn:
                 f"{error.strerror.lower()} at "
                 f"{error.filename}: check this path"
             )
-        required, remedy = (
-            ("have space", "free some space or choose")
-            if error.errno in FULL
-            else ("be writable", "choose")
-        )
+        is_full = error.errno in FULL
+        required = "have space" if is_full else "be writable"
+        remedy = "free some space or choose" if is_full else "choose"
         where = f" at {error.filename}" if error.filename else ""
         place, other = _place(error.filename)
-        _refuse(
-            f"{place} must {required}, got {(error.strerror or '').lower()}{where}: {remedy} "
-            f"{other}"
-        )
+        got = f"{(error.strerror or '').lower()}{where}"
+        _refuse(f"{place} must {required}, got {got}: {remedy} {other}")
     except HelperLostError as lost:
         _refuse(f"{lost}: run it again", code=1)
     except KeyboardInterrupt as stopped:
         seen = ", see `tissue view`" if sys.argv[1:2] == ["run"] else ""
         kept = f"stopped: what was written so far is kept{seen}"
-        if not _has_written():
+        if not anything_claimed():
             kept = "stopped before anything was written"
         sentence = next(filter(lambda each: isinstance(each, str), stopped.args), "") or kept
         with suppress(OSError):  # such as a terminal that was closed
@@ -175,19 +228,13 @@ def _plain_warnings() -> Iterator[None]:
 
 def _print_offered() -> None:
     """Print names that installed packages add to those in a command's help."""
-    from tissue.scene.plugins import offered_names
+    from tissue.scene.named_parts import offered_names
 
     if offered := offered_names():
         console.print(
             "Installed packages add "
             + "; ".join(f"{k} {', '.join(names)}" for k, names in offered.items())
         )
-
-
-def _has_written() -> bool:
-    """Return whether an output folder holds a file of this command."""
-    folders = sys.modules.get("tissue.system.owned_folder")  # brings NumPy, which help does without
-    return folders is not None and bool(folders.anything_claimed())
 
 
 def _place(file: object) -> tuple[str, str]:
@@ -221,32 +268,22 @@ def _usage(error: CycloptsError) -> str:
     match error:
         case UnknownCommandError(unused_tokens=[word, *_]):
             known = [name for name in app if not name.startswith("-")]
-            return (
-                f"command must be one of {', '.join(known)}, got {word}{nearest(word, known)}: "
-                "see `tissue --help`"
-            )
+            what = f"command must be one of {', '.join(known)}, got {word}{nearest(word, known)}"
+            command = "tissue"
         case UnknownOptionError(token=token, argument_collection=arguments):
             word = (token.keyword or token.value).split("=")[0]
             known = [
                 name for argument in arguments for name in argument.names if name.startswith("-")
             ]
-            return (
-                f"option must be one of {', '.join(known)}, got {word}{nearest(word, known)}: "
-                f"see `{command} --help`"
-            )
+            what = f"option must be one of {', '.join(known)}, got {word}{nearest(word, known)}"
         case MissingArgumentError(argument=argument) if argument is not None:
             name = argument.name if argument.name.startswith("-") else argument.name.lower()
-            return f"{name} must be given, got nothing: see `{command} --help`"
+            what = f"{name} must be given, got nothing"
         case CoercionError(token=token, target_type=kind) if token is not None:
-            what = {int: "a whole number", float: "a number"}.get(kind or str, "readable")
-            return (
-                f"{token.keyword or 'value'} must be {what}, got {token.value}: see `{command} "
-                "--help`"
-            )
+            noun = {int: "a whole number", float: "a number"}.get(kind or str, "readable")
+            what = f"{token.keyword or 'value'} must be {noun}, got {token.value}"
         case UnusedCliTokensError(unused_tokens=[word, *_]):
-            return f"{command} must be given nothing more, got {word}: see `{command} --help`"
+            what = f"{command} must be given nothing more, got {word}"
         case _:
-            return (
-                " ".join(str(error).split()).rstrip(".").replace(". ", "; ")
-                + f": see `{command} --help`"
-            )
+            what = " ".join(str(error).split()).rstrip(".").replace(". ", "; ")
+    return f"{what}: see `{command} --help`"

@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from meshes.base.progress import silent
-from tissue.cli.terminal import console, left_out, progress, whole
+from tissue.cli.terminal import (
+    Flag,
+    MaybeWhole,
+    MemoryGB,
+    Overrides,
+    Texts,
+    console,
+    left_out,
+    progress,
+)
 
 if TYPE_CHECKING:
     from tissue.scene.scene import Scene
@@ -96,11 +105,6 @@ def _ends(figures: dict[str, dict[str, float]], unit: str) -> str:
     return f"{peak} / {mean} {unit}"
 
 
-Flag = Annotated[bool, Parameter(negative="")]
-Texts = tuple[str, ...]
-Whole = Annotated[int | None, Parameter(converter=whole)]
-
-
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class SceneOptions:
@@ -120,10 +124,10 @@ class SceneOptions:
         be repeated.
     """
 
-    seed: Whole = None
+    seed: MaybeWhole = None
     duration_s: float | None = None
-    set_: Annotated[Texts, Parameter(name="--set", negative="")] = ()
-    fidelity: Annotated[Texts, Parameter(negative="")] = ()
+    set_: Overrides = ()
+    fidelity: Texts = ()
 
 
 @Parameter(name="*")
@@ -146,8 +150,8 @@ class EngineOptions:
     """
 
     compute: str = "cpu"
-    cores: Whole = None
-    max_memory_GB: Annotated[float | None, Parameter(name="--max-memory-GB")] = None
+    cores: MaybeWhole = None
+    max_memory_GB: MemoryGB = None
     overwrite: Flag = False
     allow_unstable: Flag = False
 
@@ -197,8 +201,8 @@ class BandOptions:
         have bands too.
     """
 
-    band: Whole = None
-    workers: Whole = None
+    band: MaybeWhole = None
+    workers: MaybeWhole = None
     scheduler: str | None = None
     each_run: Flag = False
 
@@ -229,7 +233,7 @@ class LiveOptions:
     live: Flag = False
     web: Flag = False
     slicer: Flag = False
-    slicer_port: Whole = None
+    slicer_port: MaybeWhole = None
     slicer_drives: Flag = False
     ros2: Flag = False
 

@@ -1,10 +1,12 @@
-"""``tissue scenes``."""
+"""``tissue scenes`` and ``tissue schema``."""
 
 import sys
+from pathlib import Path
 
-from tissue.cli.terminal import console
+from meshes.base.errors import InputError
+from tissue.cli.terminal import Flag, console, left_out
 
-__all__ = ["scenes"]
+__all__ = ["scenes", "schema"]
 
 
 def scenes(name: str | None = None, /) -> None:
@@ -17,9 +19,8 @@ def scenes(name: str | None = None, /) -> None:
     """
     from rich.markup import escape
 
-    from meshes.base.errors import InputError
     from tissue.scene.load import load_scene, scene_names
-    from tissue.scene.schema import scene_for_editors
+    from tissue.scene.texts import scene_for_editors
 
     if name is not None:
         sys.stdout.write(scene_for_editors(name))
@@ -30,3 +31,27 @@ def scenes(name: str | None = None, /) -> None:
         except InputError as error:  # from a package, or a missing file: list the other scenes
             description = f"cannot be used: {error}"
         console.print(f"[bold]{each:<12}[/bold] {escape(description)}", markup=True)
+
+
+def schema(*, out: Path | None = None, overwrite: Flag = False) -> None:
+    """Print the JSON schema of scenes, which editors use to complete and check keys.
+
+    Parameters
+    ----------
+    out
+        File to write instead of printing.
+    overwrite
+        Replace an existing file.
+    """
+    from meshes.base.whole_file import whole_file
+    from tissue.scene.texts import schema_text
+    from tissue.system.outputs import require_new_file
+
+    if out is None:
+        left_out("where the schema is printed", "give --out or leave it out", overwrite=overwrite)
+        sys.stdout.write(schema_text())
+        return
+    require_new_file(out, overwrite=overwrite)
+    with whole_file(out) as temporary:
+        temporary.write_text(schema_text(), "utf-8")
+    console.print(f"wrote {out}")

@@ -1,11 +1,9 @@
 """``tissue stability``."""
 
 from pathlib import Path
-from typing import Annotated
 
-from cyclopts import Parameter
-
-from tissue.cli.terminal import console, left_out, problems, progress
+from meshes.base.errors import InputError
+from tissue.cli.terminal import Flag, Overrides, Texts, console, left_out, problems, progress
 
 __all__ = ["stability"]
 
@@ -14,10 +12,10 @@ def stability(
     scene: str | None = None,
     /,
     *,
-    set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
+    set_: Overrides = (),
     out: Path | None = None,
-    only: Annotated[tuple[str, ...], Parameter(negative="")] = (),
-    overwrite: Annotated[bool, Parameter(negative="")] = False,
+    only: Texts = (),
+    overwrite: Flag = False,
 ) -> None:
     """Report the stability of a scene's device and operator, or make the stability atlas.
 
@@ -39,8 +37,6 @@ def stability(
     overwrite
         Replace the map or the atlas that the folder already holds.
     """
-    from meshes.base.errors import InputError
-
     if scene is None:
         if set_:
             raise InputError("--set", "go with a scene", f"{set_[0]} without one", "name the scene")

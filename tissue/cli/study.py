@@ -1,11 +1,12 @@
 """``tissue study plan``, ``tissue study run`` and ``tissue study report``."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
-from tissue.cli.terminal import console, left_out, problems, progress, whole
+from tissue.cli.terminal import Flag, MaybeWhole, Whole, console, left_out, problems, progress
 
 if TYPE_CHECKING:
     from tissue.evaluation.study.plan import Plan
@@ -19,27 +20,12 @@ study = App(
 Names = Annotated[tuple[str, ...], Parameter(negative="", consume_multiple=True)]
 
 
-@study.command
-def run(
-    *,
-    trials: Annotated[int, Parameter(converter=whole)] = 100,
-    tasks: Names = (),
-    methods: Names = (),
-    groups: Names = (),
-    sensitivity: bool = True,
-    seed: Annotated[int, Parameter(converter=whole)] = 0,
-    workers: Annotated[int | None, Parameter(converter=whole)] = None,
-    scheduler: str | None = None,
-    out: Path | None = None,
-    retry: Annotated[bool, Parameter(negative="")] = False,
-    only: str | None = None,
-) -> None:
-    """Run or continue a study; every trial is written to disk as soon as it is done.
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class PlanOptions:
+    """Options of a study's plan.
 
-    The plan (measures, tests, exclusions, seeds, power) is registered in plan.toml before the first
-    trial.
-
-    Parameters
+    Attributes
     ----------
     trials
         Trials for each task and group; an existing study may be extended.
@@ -53,6 +39,49 @@ def run(
         Also repeat a few trials with one parameter changed, and against the finest model.
     seed
         Seed of all random draws.
+    """
+
+    trials: Whole = 100
+    tasks: Names = ()
+    methods: Names = ()
+    groups: Names = ()
+    sensitivity: bool = True
+    seed: Whole = 0
+
+    def plan(self) -> "Plan":
+        """Return the plan; names may be separated by commas."""
+        from tissue.evaluation.study.plan import Plan
+
+        chosen = {"tasks": self.tasks, "methods": self.methods, "groups": self.groups}
+        split = {
+            name: tuple(each for word in words for each in word.split(",") if each)
+            for name, words in chosen.items()
+        }
+        return Plan(
+            seed=self.seed,
+            trials=self.trials,
+            sensitivity=self.sensitivity,
+            **{name: words for name, words in split.items() if words},
+        )
+
+
+@study.command
+def run(
+    *,
+    options: PlanOptions = PlanOptions(),
+    workers: MaybeWhole = None,
+    scheduler: str | None = None,
+    out: Path | None = None,
+    retry: Flag = False,
+    only: str | None = None,
+) -> None:
+    """Run or continue a study; every trial is written to disk as soon as it is done.
+
+    The plan (measures, tests, exclusions, seeds, power) is registered in plan.toml before the first
+    trial.
+
+    Parameters
+    ----------
     workers
         Processes; default one a core.
     scheduler
@@ -69,7 +98,7 @@ def run(
     from tissue.evaluation.study.runner import run_study
     from tissue.evaluation.study.trial import run_trial
 
-    plan = _planned(trials, tasks, methods, groups, sensitivity, seed)
+    plan = options.plan()
     if only is not None:
         left_out(
             "with --only, which runs one trial here and keeps nothing",
@@ -118,30 +147,19 @@ def run(
 
 
 @study.command(name="plan")
-def register_plan(
-    *,
-    trials: Annotated[int, Parameter(converter=whole)] = 100,
-    tasks: Names = (),
-    methods: Names = (),
-    groups: Names = (),
-    sensitivity: bool = True,
-    seed: Annotated[int, Parameter(converter=whole)] = 0,
-    out: Path | None = None,
-) -> None:
+def register_plan(*, options: PlanOptions = PlanOptions(), out: Path | None = None) -> None:
     """Register a study without running it: write its plan.toml.
 
     `tissue study run` with the same options then follows this plan.
 
     Parameters
     ----------
-    trials, tasks, methods, groups, sensitivity, seed
-        As for `tissue study run`.
     out
         Folder of the study; default studies/paper.
     """
     from tissue.evaluation.study.folder import StudyFolder
 
-    plan = _planned(trials, tasks, methods, groups, sensitivity, seed)
+    plan = options.plan()
     out = out or Path("studies/paper")
     folder = StudyFolder(out)
     with folder.held(plan):
@@ -149,25 +167,6 @@ def register_plan(
     newest = folder.registrations()[-1]
     console.print(f"{out / str(newest['file'])}, SHA-256 {newest['sha256']}")
     console.print(f"next: tissue study run with the same options, --out {out}")
-
-
-def _planned(
-    trials: int, tasks: Names, methods: Names, groups: Names, sensitivity: bool, seed: int
-) -> "Plan":
-    """Return the plan of a command's options; names may be separated by commas."""
-    from tissue.evaluation.study.plan import Plan
-
-    chosen = {"tasks": tasks, "methods": methods, "groups": groups}
-    split = {
-        name: tuple(each for word in words for each in word.split(",") if each)
-        for name, words in chosen.items()
-    }
-    return Plan(
-        seed=seed,
-        trials=trials,
-        sensitivity=sensitivity,
-        **{name: words for name, words in split.items() if words},
-    )
 
 
 @study.command

@@ -3,11 +3,8 @@
 import os
 import sys
 from pathlib import Path
-from typing import Annotated
 
-from cyclopts import Parameter
-
-from tissue.cli.terminal import console, problems, progress, whole
+from tissue.cli.terminal import Flag, MaybeWhole, Overrides, console, problems, progress
 
 __all__ = ["sweep"]
 
@@ -16,14 +13,14 @@ def sweep(
     scene: str,
     /,
     *,
-    set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
+    set_: Overrides = (),
     out: Path | None = None,
-    workers: Annotated[int | None, Parameter(converter=whole)] = None,
+    workers: MaybeWhole = None,
     compute: str = "cpu",
-    cores: Annotated[int | None, Parameter(converter=whole)] = None,
-    pictures: Annotated[bool, Parameter(negative="")] = False,
-    overwrite: Annotated[bool, Parameter(negative="")] = False,
-    allow_unstable: Annotated[bool, Parameter(negative="")] = False,
+    cores: MaybeWhole = None,
+    pictures: Flag = False,
+    overwrite: Flag = False,
+    allow_unstable: Flag = False,
 ) -> None:
     """Run a scene at all combinations of values; existing finished runs are kept.
 

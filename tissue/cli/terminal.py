@@ -3,17 +3,28 @@
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from time import perf_counter
-from typing import Any
+from typing import Annotated, Any
 
-from cyclopts import CoercionError, Token
+from cyclopts import CoercionError, Parameter, Token
 from rich.console import Console
 
+from meshes.base.errors import InputError
 from meshes.base.progress import Progress
-from meshes.base.text_numbers import whole_number_in
-from meshes.base.visible_text import visible
+from meshes.base.text_tables import visible, whole_number_in
 from tissue.objects.progress import terminal_bar
 
-__all__ = ["console", "left_out", "problems", "progress", "whole"]
+__all__ = [
+    "Flag",
+    "MaybeWhole",
+    "MemoryGB",
+    "Overrides",
+    "Texts",
+    "Whole",
+    "console",
+    "left_out",
+    "problems",
+    "progress",
+]
 
 
 QUIET_S = 30.0
@@ -46,6 +57,14 @@ def whole(_: object, tokens: Sequence[Token]) -> int:
         raise CoercionError(token=tokens[0], target_type=int) from None
 
 
+Flag = Annotated[bool, Parameter(negative="")]
+Texts = Annotated[tuple[str, ...], Parameter(negative="")]
+Overrides = Annotated[tuple[str, ...], Parameter(name="--set", negative="")]
+Whole = Annotated[int, Parameter(converter=whole)]
+MaybeWhole = Annotated[int | None, Parameter(converter=whole)]
+MemoryGB = Annotated[float | None, Parameter(name="--max-memory-GB")]
+
+
 def left_out(where: str, remedy: str, **flags: object) -> None:
     """Refuse given options that have no effect in the situation ``where``.
 
@@ -54,8 +73,6 @@ def left_out(where: str, remedy: str, **flags: object) -> None:
     InputError
         If an option is given; the message names the option and the remedy.
     """
-    from meshes.base.errors import InputError  # brings NumPy, which help does without
-
     for name, value in flags.items():
         if value is not None and value is not False and value != ():
             got = "it" if value is True else value

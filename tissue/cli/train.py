@@ -1,11 +1,8 @@
 """``tissue train``."""
 
 from pathlib import Path
-from typing import Annotated
 
-from cyclopts import Parameter
-
-from tissue.cli.terminal import console, progress, whole
+from tissue.cli.terminal import Flag, MaybeWhole, Overrides, Whole, console, progress
 from tissue.system.outputs import output_locked
 
 __all__ = ["train"]
@@ -15,11 +12,11 @@ def train(
     scene: str,
     /,
     *,
-    trials: Annotated[int, Parameter(converter=whole)] = 12,
+    trials: Whole = 12,
     out: Path | None = None,
-    set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
-    cores: Annotated[int | None, Parameter(converter=whole)] = None,
-    overwrite: Annotated[bool, Parameter(negative="")] = False,
+    set_: Overrides = (),
+    cores: MaybeWhole = None,
+    overwrite: Flag = False,
 ) -> None:
     """Train a predictor of a scene's force and validate it on held-out runs.
 
@@ -40,7 +37,6 @@ def train(
     overwrite
         Replace the file.
     """
-    from meshes.base.errors import InputError
     from tissue.scene.load import load_scene, parse_overrides
     from tissue.scene.registry import PREDICTORS
     from tissue.system.outputs import require_new_file
@@ -48,8 +44,6 @@ def train(
     loaded = load_scene(scene, parse_overrides(set_))
     path = out or Path(f"{loaded.name}.npz")
     require_new_file(path, overwrite=overwrite)
-    if not path.parent.is_dir():
-        raise InputError("out", "lie in a folder that exists", path, f"create {path.parent}")
     with output_locked(path, folder=False), progress() as report:
         report("starting Warp", 0.0)
         from tissue.evaluation.training.train import train as trained_on

@@ -14,8 +14,7 @@ from meshes.base.errors import InputError, names_of_caller
 from meshes.base.progress import Progress
 from meshes.ct.extraction import kept_label
 from meshes.ct.labels import Labels
-from meshes.paths.replay_table import ReplayTable, to_replay
-from meshes.paths.toolpath import PathDepth, depth_along, read_toolpath
+from meshes.paths.toolpath import PathDepth, ReplayTable, depth_along, read_toolpath, to_replay
 from meshes.surfaces.landmarks import find_site
 from meshes.surfaces.markups import read_site
 from meshes.surfaces.site import Site, place_site
@@ -85,9 +84,9 @@ def placed(request: ImportRequest, surface: Surface) -> tuple[Placed | None, str
     normal = request.normal_lps
     with names_of_caller(KEYS):
         if isinstance(request.site, str) and request.is_markups:
-            marked = read_site(Path(request.site))
-            point = _three(marked.centre_mm)
-            normal = None if marked.normal is None else _three(marked.normal)
+            centre_mm, outward = read_site(Path(request.site))
+            point = _three(centre_mm)
+            normal = None if outward is None else _three(outward)
         if point is not None:
             site = place_site(surface, centre_mm=point, normal=normal)
             return Placed(site), f"site: {site.confidence}"

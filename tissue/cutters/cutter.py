@@ -1,16 +1,16 @@
 """Cutter: a profile with flutes, as a distance table for carving and a point shell for forces."""
 
-from dataclasses import dataclass
-from math import ceil, pi, sqrt
-
+from dataclasses import (dataclass)
+from kernels.revolution import (EDGE_BEND)
+from math import (ceil, pi, sqrt)
+from meshes.base.arrays import (Array, Ints, Singles, lattice)
+from meshes.base.cache import (Kept)
+from tissue.cutters.profile import (Piece, Profile)
 import numpy as np
 
-from kernels.revolution import EDGE_BEND
-from meshes.base.arrays import Array, Ints, Singles, lattice
-from meshes.base.kept import Kept
-from tissue.cutters.profile import Piece, Profile
-
 __all__ = ["Cutter", "DistanceTable", "PointShell", "spiral"]
+
+
 
 TABLE_ERROR_VOXELS = 2.0e-4
 """Error of the distance table [voxel], curvature x cell^2 / 8.

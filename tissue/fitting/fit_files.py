@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.file_version import package_version
-from meshes.base.whole_file import whole_file
+from meshes.base.whole_file import package_version, whole_file
 from tissue.fitting.fit import ConstantFit, SceneFit
 from tissue.fitting.fitted_file import FittedEntry, write_fitted
 from tissue.show.figures.fit_pictures import (

@@ -11,7 +11,7 @@ from io import StringIO
 from pathlib import Path
 
 from meshes.base.errors import InputError, counted
-from meshes.base.text_numbers import number_in
+from meshes.base.text_tables import number_in
 
 __all__ = ["TextTable", "read_text"]
 

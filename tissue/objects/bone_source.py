@@ -11,7 +11,7 @@ from meshes.base.errors import InputError, names_of_caller, require_range
 from meshes.shapes.anatomy import Anatomy
 from meshes.voxels.volume import VoxelVolume
 from tissue.models.bone.bricks_on_demand import BricksOnDemand
-from tissue.scene.choices import SURFACE_SUFFIXES
+from tissue.scene.part import SURFACE_SUFFIXES
 
 if TYPE_CHECKING:
     import pyvista
@@ -82,7 +82,7 @@ def surface_source(
     trabecular_density_kg_m3: float,
 ) -> BoneSource:
     """Read a closed surface from a file, see `tissue.objects.bone.Bone.from_file`."""
-    from meshes.surfaces.bone_surface import surface_anatomy
+    from meshes.surfaces.glenoid import surface_anatomy
     from meshes.surfaces.site import Site
     from meshes.surfaces.surface import read_surface
 

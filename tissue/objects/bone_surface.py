@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.surfaces.holes import close_seams
+from meshes.surfaces.repair import close_seams
 from meshes.voxels.volume import FULL, VoxelVolume
 from tissue.objects.quiet import quiet_without_display
 from tissue.simulation.bone_surface import smooth_normals, with_layers

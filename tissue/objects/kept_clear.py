@@ -13,7 +13,7 @@ from meshes.base.errors import InputError, names_of_caller
 from meshes.surfaces.surface import surface_from_triangles
 from tissue.cutters.cutter import Cutter
 from tissue.models.keep_clear import KeepClear, Structure
-from tissue.scene.keep_clear import Name
+from tissue.scene.scene import Name
 from tissue.simulation.builders.keep_clear import structure_of_file
 from tissue.simulation.builders.parts import FILE_WORDS
 

@@ -7,7 +7,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from meshes.base.progress import Progress, silent
-from meshes.base.visible_text import visible
+from meshes.base.text_tables import visible
 from tissue.objects.show import in_notebook
 
 if TYPE_CHECKING:

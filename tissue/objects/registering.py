@@ -93,7 +93,7 @@ def profile(given: str, part: Any, keys: Sequence[str]) -> None:
 def parameters(kind: str, given: str, part: object) -> None:
     """Refuse parameters that are no subclass of `Part` whose kind is the name."""
     from tissue.scene.anatomy import Part
-    from tissue.scene.choices import kinds_of
+    from tissue.scene.part import kinds_of
 
     if not (isinstance(part, type) and issubclass(part, Part)):
         raise InputError(

@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 
 from meshes.base.errors import InputError, require_range
-from meshes.base.file_version import package_version
 from meshes.base.progress import Progress
 from meshes.base.text_tables import read_json, read_toml
-from meshes.base.whole_file import whole_file
+from meshes.base.whole_file import package_version, whole_file
 from tissue.objects.progress import Bar, reporting
 from tissue.objects.simulate import simulate
 from tissue.objects.sweep_table import Sweep, SweptRun

@@ -6,8 +6,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, Strict
 
-from tissue.scene.choices import LAYERS
-from tissue.scene.part import FileName, Idle, Length_mm, Needs, Part, Vector
+from tissue.scene.part import LAYERS, FileName, Idle, Length_mm, Needs, Part, Vector
 
 __all__ = [
     "BlockAnatomy",

@@ -1,6 +1,10 @@
-"""Scenes from built-in names and TOML files, with overrides."""
+"""Scenes from built-in names and TOML files, with overrides.
+
+Files of version 0.2, whose keys of the device stood at the top, are converted.
+"""
 
 import tomllib
+import warnings
 from collections.abc import Callable, Iterable, Mapping
 from copy import deepcopy
 from importlib.resources import files
@@ -10,19 +14,21 @@ from typing import Any
 from pydantic import ValidationError
 
 from meshes.base.errors import InputError, is_file
-from meshes.base.file_version import package_version
 from meshes.base.text_tables import DEEPEST, read_toml, require_shallow
-from tissue.scene.convert import FORMAT, converted, full_key
-from tissue.scene.messages import idle_keys, sentence
-from tissue.scene.named_parts import nearest, shown
+from meshes.base.whole_file import package_version, require_version
+from tissue.scene.messages import error_of, idle_keys
+from tissue.scene.named_parts import nearest, refusal, shown
 from tissue.scene.part import is_file_key
-from tissue.scene.plugins import refusal
 from tissue.scene.registry import PERCEPTIONS, SCENES
 from tissue.scene.scene import Scene
 
 __all__ = [
+    "FORMAT",
     "REPLACED_DEVICE",
+    "OldSceneWarning",
     "changed",
+    "converted",
+    "full_key",
     "library_names",
     "load_scene",
     "parse_override",
@@ -31,6 +37,82 @@ __all__ = [
     "scene_names",
     "scene_text",
 ]
+
+FORMAT = 2
+"""Version of a scene's file. A file without one is of the version that its form shows."""
+OF_DEVICE = ("hand", "renderer", "prediction", "perception", "coupling", "hardware")
+"""Keys of the table [device] that stood at the top of a file of version 0.2, and may be given so
+as overrides.
+"""
+KEPT = {"description", "seed", "voxels", "output", "device", "hand", "renderer"}
+"""Keys of every scene that a run kept before its file stated its version: it held all defaults."""
+REMOVED = {"organ": {"law_method": "offset", "law_basis_size": 40, "law_sampling_error": 0.02}}
+"""Keys of version 0.2 that are gone, with the values by which they had no effect, by the table
+that held them.
+"""
+
+
+class OldSceneWarning(UserWarning):
+    """A scene file has the form of version 0.2."""
+
+
+def full_key(key: str, value: object = None) -> str:
+    """Return a dotted key with the table of the device where it is given without: ``hand`` is
+    ``device.hand``.
+    """
+    if key == "device" and not isinstance(value, Mapping) and value not in (None, "none"):
+        return "device.kind"
+    return f"device.{key}" if key.split(".")[0] in OF_DEVICE else key
+
+
+def converted(table: dict[str, Any], path: Path) -> tuple[dict[str, Any], bool]:
+    """Return the table of a scene's file in the form of today, and whether a run wrote the file.
+
+    Raises
+    ------
+    InputError
+        If a later version wrote it.
+    """
+    was_kept = "tissue" in table or ("format" not in table and table.keys() >= KEPT)
+    stated = {name: table[name] for name in ("format", "tissue") if name in table}
+    require_version("scene", {"format": 1} | stated, FORMAT, where=path, remedy="leave format out")
+    table = {name: value for name, value in table.items() if name not in stated}
+    moved = {name: table.pop(name) for name in OF_DEVICE if name in table}
+    name = table.get("device")
+    if isinstance(name, str) or moved:
+        warnings.warn(
+            f"{path.name} has the form of tissue 0.2. Its device, hand and coupling were "
+            "read as a table [device]; see "
+            "`tissue scenes wall` for the new form.",
+            OldSceneWarning,
+            stacklevel=3,
+        )
+        held = dict(name) if isinstance(name, Mapping) else {}
+        if isinstance(name, str) and name != "none":
+            held = {"kind": name}
+        table.pop("device", None)
+        if held or not was_kept:
+            held |= moved
+        if held:
+            table["device"] = held
+    if was_kept:
+        _drop_removed(table)
+    cue = table.get("enhancement")
+    output = table.get("output", {})
+    if isinstance(cue, dict) and cue.keys() == {"cue_N"} and isinstance(output, dict):
+        table["output"] = output | table.pop("enhancement")
+    return table, was_kept
+
+
+def _drop_removed(table: Mapping[str, Any]) -> None:
+    """Drop keys that are gone, where they have the value by which they had no effect."""
+    for part, keys in REMOVED.items():
+        inner = table.get(part)
+        if isinstance(inner, dict):
+            for name, default in keys.items():
+                if inner.get(name) == default:
+                    del inner[name]
+
 
 PARTS_WITH_FILES = ("anatomy", "motion", "tool", "device")
 """Tables of a scene with keys that name files."""
@@ -66,10 +148,14 @@ def scene_text(name: str) -> str:
         return files("tissue.scene.library").joinpath(f"{name}.toml").read_text("utf-8")
     if name in SCENES:
         return _read(SCENES[name])
+    if why := refusal(SCENES.group, name):
+        raise InputError(why)
+    names = scene_names()
     raise InputError(
-        refusal(SCENES.group, name)
-        or f"scene must be a built-in name ({', '.join(scene_names())}) or a TOML file, got {name}"
-        f"{nearest(name, scene_names())}: list them with `tissue scenes`"
+        "scene",
+        f"be a built-in name ({', '.join(names)}) or a TOML file",
+        f"{name}{nearest(name, names)}",
+        "list them with `tissue scenes`",
     )
 
 
@@ -119,7 +205,8 @@ def load_scene(
     table, was_kept = converted(table, path)
     table = _absolute(table, folder)
     if was_kept:
-        table, _ = _without_idle(table)
+        for key in _settled(table)[1]:
+            _drop(table, key)
     return _replaced(table, overrides or {}, live=live)
 
 
@@ -155,8 +242,8 @@ def _replaced(
         ) from None
     _require_no_nul(overrides)
     if not overrides:
-        return _validated(table)
-    already_idle = _idle_keys(table)
+        return _scene(table)
+    before, already_idle = _settled(table)
     placed = deepcopy(table)
     full: dict[str, object] = {}
     for key, value in overrides.items():
@@ -180,54 +267,48 @@ def _replaced(
     asked = placed.get("device")
     if isinstance(asked, dict) and asked and all(value == "none" for value in asked.values()):
         del placed["device"]  # no prediction and no perception ask for no device
-    if already_idle is None:
-        return _validated(placed)
+    if isinstance(before, InputError):
+        return _scene(placed)
 
-    def is_theirs(key: str) -> bool:
-        return any(
+    def stays(key: str) -> bool:
+        return key in already_idle or any(
             key == asked or key.startswith(f"{asked}.") or asked.startswith(f"{key}.")
             for asked in full
         )
 
-    left, _ = _without_idle(placed, keep=lambda key: key in already_idle or is_theirs(key))
-    return _validated(left)
+    return _scene(placed, keep=stays)
 
 
-def _without_idle(
-    table: dict[str, Any], keep: Callable[[str], bool] = lambda key: False
-) -> tuple[dict[str, Any], set[str]]:
-    """Return a table without the keys that have no effect in it, and these keys.
-
-    Dropping a key can make another one idle, so the table is validated until no key is dropped.
-    Keys that `keep` accepts stay. A key that the table does not hold cannot be dropped.
-    """
-    left = deepcopy(table)
-    found = set[str]()
-    while dropped := {key for key in _idle_of(left) if not keep(key)} - found:
-        found |= dropped
-        for key in dropped:
-            _drop(left, key)
-    return left, found
-
-
-def _idle_keys(table: dict[str, Any]) -> set[str] | None:
-    """Return the keys of a table that have no effect; None for a table that is no valid scene."""
-    left, found = _without_idle(table)
-    try:
-        _validated(left)
-    except InputError:
-        return None
+def _scene(table: Mapping[str, Any], keep: Callable[[str], bool] = lambda key: True) -> Scene:
+    """Return the scene of a table, or raise an InputError for its first fault; see `_settled`."""
+    found, _ = _settled(table, keep)
+    if isinstance(found, InputError):
+        raise found
     return found
 
 
-def _idle_of(table: Mapping[str, object]) -> list[str]:
-    """Return the dotted keys that pydantic refuses in a table because they have no effect."""
-    plain = _without_nothing(table)
-    try:
-        Scene.model_validate(plain)
-    except ValidationError as error:
-        return [key for fault in error.errors(include_url=False) for key in idle_keys(fault, plain)]
-    return []
+def _settled(
+    table: Mapping[str, Any], keep: Callable[[str], bool] = lambda key: False
+) -> tuple[Scene | InputError, set[str]]:
+    """Return the scene of a table without the keys that have no effect in it, and these keys.
+
+    Dropping a key can make another one idle, so the table is validated until no key is dropped.
+    Keys that `keep` accepts stay. A table that is no valid scene gives the error of its first
+    fault.
+    """
+    left = _without_nothing(table)
+    found = set[str]()
+    while True:
+        try:
+            return Scene.model_validate(left), found
+        except ValidationError as error:
+            faults = error.errors(include_url=False)
+        idle = {key for fault in faults for key in idle_keys(fault, left) if not keep(key)}
+        if idle <= found:
+            return error_of(faults[0], left), found
+        for key in idle:
+            _drop(left, key)
+        found |= idle
 
 
 def _absolute(value: Any, folder: Path, key: str = "") -> Any:
@@ -289,7 +370,7 @@ def _drop(table: dict[str, Any], key: str) -> None:
     table.pop(last, None)
 
 
-def _without_nothing(table: Mapping[str, object]) -> dict[str, object]:
+def _without_nothing(table: Mapping[str, Any]) -> dict[str, Any]:
     """Return a table without entries that are None."""
     inner = {k: _without_nothing(v) if isinstance(v, dict) else v for k, v in table.items()}
     return {k: v for k, v in inner.items() if v is not None}
@@ -373,12 +454,3 @@ def _place(table: dict[str, object], key: str, value: object) -> None:
     if last == "kind" and parents != ["device"] and table.get("kind", value) != value:
         table.clear()
     table[last] = value
-
-
-def _validated(table: Mapping[str, object]) -> Scene:
-    """Return the scene of a table, or raise an InputError for its first fault."""
-    table = _without_nothing(table)
-    try:
-        return Scene.model_validate(table)
-    except ValidationError as error:
-        raise InputError(sentence(error.errors(include_url=False)[0], table)) from None

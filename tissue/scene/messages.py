@@ -1,4 +1,4 @@
-"""Faults of a scene, each in one sentence: key, requirement, value and remedy."""
+"""Errors of a scene: key, requirement, value and remedy."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from types import UnionType
@@ -8,112 +8,101 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from tissue.scene.choices import ByKind, OneOf, kinds_of
+from meshes.base.errors import InputError
 from tissue.scene.named_parts import nearest, shown, unknown_name
-from tissue.scene.part import LONGEST_PATH, Idle
+from tissue.scene.part import LONGEST_PATH, ByKind, Idle, OneOf, kinds_of
 from tissue.scene.scene import Scene
 
-__all__ = ["choices_of", "idle_keys", "sentence"]
+__all__ = ["choices_of", "error_of", "idle_keys"]
 
 BOUNDS = (("gt", "greater than"), ("ge", "at least"), ("lt", "below"), ("le", "at most"))
 SEE = "see `tissue scenes NAME`"
 Table = Mapping[str, object]
 
 
-def sentence(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) -> str:
-    """Return one sentence for a fault that pydantic found in the table of a model."""
+def error_of(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) -> InputError:
+    """Return the error for a fault that pydantic found in the table of a model."""
     path = _without_tags(fault["loc"], table, model)
     numbers = [place for place, step in enumerate(path) if isinstance(step, int)]
     names = tuple(str(step) for step in path[: numbers[0] if numbers else len(path)])
     key = ".".join(map(shown, names))
     kind = str(fault["type"])
     context = fault.get("ctx", {})
-    if kind == "value_error":
-        return str(context["error"])
-    if kind == "refused_part":
-        return str(context["sentence"])
+    if isinstance(error := context.get("error"), InputError):
+        if kind == "unknown_name" and error.requirement:
+            error.argument = key
+        return error
     if kind == "idle_keys":
-        return _idle_sentence(names, context["refused"])
+        return _idle_error(names, context["refused"])
     if kind == "extra_forbidden":
         return _unknown_key(names, table, model)
     if names == ("device", "kind") and kind == "missing":
         given = [f"{name} = {shown(value)}" for name, value in _entries(_inner(table, "device"))]
-        return (
+        return InputError(
             f"device must be given for {', '.join(given) or 'a table [device]'}: set device = "
             "touch, or remove it"
         )
     field = _field_at(names, table, model)
     if kind == "missing" and len(path) == len(names):
-        return f"{key} must be given, got nothing: {_addition(names, field)}"
+        return InputError(key, "be given", "nothing", _addition(names, field))
     if kind == "union_tag_not_found":
-        return f"{key}.kind must be given, got nothing: {SEE}"
+        return InputError(f"{key}.kind", "be given", "nothing", SEE)
     if kind == "union_tag_invalid" and isinstance(_value_at(names, table), Mapping):
         choices = list(dict.fromkeys(each for part in _parts(field) for each in kinds_of(part)))
-        return unknown_name(f"{key}.kind", choices, shown(_value_at((*names, "kind"), table)))
+        return unknown_name(f"{key}.kind", choices, _value_at((*names, "kind"), table))
     got = fault["input"] if len(path) == len(names) else _value_at(names, table)
     choices = choices_of(field)
-    number = _alternatives(field.annotation)[0] in (int, float)
-    if choices and not number:
-        return unknown_name(key, choices, shown(got))
+    if choices and _alternatives(field.annotation)[0] not in (int, float):
+        return unknown_name(key, choices, got)
     wanted = " or ".join((_requirement(field, kind, len(path) > len(names)), *choices))
-    return f"{key} must be {wanted}, got {_shown(got)}: {_remedy(field)}"
+    return InputError(key, f"be {wanted}", _shown(got), _remedy(field))
 
 
-def _idle_sentence(names: tuple[str, ...], refused: Mapping[str, tuple[object, Idle]]) -> str:
-    """Return the sentence for keys without effect; it names all that have none for the same
-    reason.
-    """
-    prefix = "".join(f"{name}." for name in names)
+def _idle_error(names: tuple[str, ...], refused: Mapping[str, tuple[object, Idle]]) -> InputError:
+    """Return the error for keys without effect; it names all that have none for one reason."""
     first = next(iter(refused.values()))[1]
-    given = {f"{prefix}{key}": value for key, (value, why) in refused.items() if why == first}
+    given = {
+        ".".join((*names, key)): value for key, (value, why) in refused.items() if why == first
+    }
     if len(given) == 1:
         got = shown(next(iter(given.values())))
-        them = "it"
+        remove = "remove it"
     else:
         got = ", ".join(f"{key} = {shown(value)}" for key, value in given.items())
-        them = "them"
-    return (
-        f"{' and '.join(given)} must be left out {first.where}, got {got}: {first.remedy}, or "
-        f"remove {them}"
-    )
+        remove = "remove them"
+    wanted = f"be left out {first.where}"
+    return InputError(" and ".join(given), wanted, got, f"{first.remedy}, or {remove}")
 
 
-def _unknown_key(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> str:
-    """Return the sentence for a key that the chosen table does not have: another has it, or
-    none.
-    """
+def _unknown_key(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> InputError:
+    """Return the error for a key that the chosen table does not have: another has it, or none."""
     key = ".".join(map(shown, names))
     word = names[-1]
+    part = ".".join(names[:-1])
     others = _holders(names, table, model)
     chosen = _model_at(names[:-1], table, model)
     if not others:
         known = list(chosen.model_fields)
-        return (
-            f"{key} must be one of {', '.join(known)}, got {shown(word)}{nearest(word, known)}: "
-            "rename or remove it"
-        )
-    part = ".".join(names[:-1])
-    kinds = kinds_of(chosen)
+        got = f"{shown(word)}{nearest(word, known)}"
+        return InputError(key, f"be one of {', '.join(known)}", got, "rename or remove it")
+    kind = kinds_of(chosen)[0]
+    where = f"a {kind}"
+    remedy = f"set {part}.kind = {kinds_of(others[0])[0]}"
+    sources = [_source(other) for other in others if set(kinds_of(other)) & set(kinds_of(chosen))]
+    if sources and _source(chosen) == "procedural":
+        where = f"a procedural {kind}"
+        remedy = f"set {part}.file"
+    elif sources:
+        where = f"a {kind} {_source(chosen)}"
+        is_plain = "procedural" in sources
+        remedy = "leave its file out" if is_plain else f"use one {' or '.join(sources)}"
     got = shown(_value_at(names, table))
-    same = [other for other in others if set(kinds_of(other)) & set(kinds)]
-    if same:
-        source = str(getattr(chosen, "source", ""))
-        sources = [str(getattr(other, "source", "")) for other in same]
-        if source == "procedural":
-            where = f"a procedural {kinds[0]}"
-            remedy = f"set {part}.file"
-        elif "procedural" in sources:
-            where = f"a {kinds[0]} {source}"
-            remedy = "leave its file out"
-        else:
-            where = f"a {kinds[0]} {source}"
-            remedy = f"use one {' or '.join(sources)}"
-        return f"{key} must be left out for {where}, got {got}: {remedy}, or remove it"
-    other_kind = kinds_of(others[0])[0]
-    return (
-        f"{key} must be left out for a {kinds[0]}, got {got}: set {part}.kind = {other_kind}, or "
-        "remove it"
-    )
+    return InputError(key, f"be left out for {where}", got, f"{remedy}, or remove it")
+
+
+def _source(part: type[BaseModel]) -> str:
+    """Return the origin of the shape that a table describes."""
+    return str(getattr(part, "source", ""))
 
 
 def idle_keys(fault: ErrorDetails, table: Table) -> list[str]:
@@ -166,78 +155,72 @@ def choices_of(field: FieldInfo) -> list[str]:
 
 
 def _requirement(field: FieldInfo, kind: str, inside: bool) -> str:
-    """What a field holds."""
+    """Return the values that a field takes, in words."""
     part = _alternatives(field.annotation)[0]
     bounds = _bounds([*field.metadata, *_limits(field.annotation)])
     if part in (int, float):
-        noun = (
-            "a whole number"
-            if part is int
-            else "a number"
-            if kind != "finite_number"
-            else "a finite number"
-        )
-        if kind in ("float_type", "int_type") or not bounds:
-            return f"{noun} {bounds}".strip()
-        return bounds
+        if bounds and kind not in ("float_type", "int_type"):
+            return bounds
+        noun = "a finite number" if kind == "finite_number" else "a number"
+        return f"{'a whole number' if part is int else noun} {bounds}".strip()
     if part is bool:
         return "true or false"
     if part is str:
         if kind == "string_too_long":
             return f"a path of at most {LONGEST_PATH} characters"
-        return (
-            "lower-case letters, digits, - and _" if kind == "string_pattern_mismatch" else "text"
-        )
+        is_pattern = kind == "string_pattern_mismatch"
+        return "lower-case letters, digits, - and _" if is_pattern else "text"
     if get_origin(part) is tuple:
-        item = get_args(part)[0]
         if get_args(part)[-1] is Ellipsis:
             return "a list of at least two points [x, y, z]"
-        limits = _bounds(getattr(item, "__metadata__", ()))
+        limits = _bounds(getattr(get_args(part)[0], "__metadata__", ()))
         return f"three finite numbers [x, y, z]{', each ' if limits else ''}{limits}"
     if (values := _values(field)) is not None:
         return f"a table of names and numbers {_bounds(values.metadata)}"
-    entries = [*_parts(field)[0].model_fields][:3]
-    return f"a table with entries such as {', '.join(entries)}"
+    return f"a table with entries such as {', '.join([*_parts(field)[0].model_fields][:3])}"
 
 
 def _bounds(metadata: Iterable[object]) -> str:
-    """Limits as words, from annotations."""
+    """Return the limits in annotations as words."""
     flat = [
         inner
         for each in metadata
         for inner in (each.metadata if isinstance(each, FieldInfo) else [each])
     ]
     words = [
-        f"{word} {shown(getattr(m, name))}"
+        f"{word} {shown(getattr(limit, name))}"
         for name, word in BOUNDS
-        for m in flat
-        if hasattr(m, name)
+        for limit in flat
+        if hasattr(limit, name)
     ]
     return " and ".join(words)
 
 
 def _remedy(field: FieldInfo) -> str:
-    """A value that would do: the field's example or default."""
+    """Return an instruction with a valid value: the field's example or default."""
     value = field.examples[0] if field.examples else field.default
-    if isinstance(value, str):
-        return f'use "{value}"' if value else "put it in quotes"
-    if isinstance(value, Mapping):
-        return (
-            "use { " + ", ".join(f"{name} = {shown(each)}" for name, each in value.items()) + " }"
-        )
-    return f"use {shown(value)}" if isinstance(value, int | float | list | tuple) else SEE
+    if value == "":
+        return "put it in quotes"
+    return f"use {_toml(value)}" if isinstance(value, FITTING) else SEE
 
 
 def _addition(names: tuple[str, ...], field: FieldInfo) -> str:
-    """How to give what is missing."""
-    if not field.examples:
-        return (
-            f"add [{'.'.join(names)}] with its entries, {SEE}"
-            if _parts(field)
-            else f"add {names[-1]}, {SEE}"
-        )
-    example = field.examples[0]
-    return f"add {names[-1]} = " + (f'"{example}"' if isinstance(example, str) else shown(example))
+    """Return an instruction to add a missing entry."""
+    if field.examples:
+        return f"add {names[-1]} = {_toml(field.examples[0])}"
+    table = f"[{'.'.join(names)}] with its entries"
+    return f"add {table if _parts(field) else names[-1]}, {SEE}"
+
+
+FITTING = (str, int, float, list, tuple, Mapping)
+"""Types of values that a remedy can show."""
+
+
+def _toml(value: object) -> str:
+    """Return a value as a scene's file holds it."""
+    if isinstance(value, Mapping):
+        return f"{{ {', '.join(f'{name} = {shown(each)}' for name, each in value.items())} }}"
+    return f'"{value}"' if isinstance(value, str) else shown(value)
 
 
 def _field_at(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> FieldInfo:

@@ -1,14 +1,117 @@
-"""Tables of named parts, and how a name that is none of them is refused."""
+"""Tables of named parts, and the parts that installed packages add to them by entry points.
+
+Entry points are read once, when a table is asked for more than it knows.
+"""
 
 import difflib
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Generic, TypeVar
 
 from meshes.base.errors import InputError
-from tissue.scene.plugins import ask_packages, refusal
 
-__all__ = ["Registry", "nearest", "shown", "unknown_name"]
+__all__ = [
+    "OFFERED",
+    "PluginWarning",
+    "Registry",
+    "ask_packages",
+    "nearest",
+    "offered_names",
+    "refusal",
+    "shown",
+    "unknown_name",
+]
+
+OFFERED = {
+    f"tissue.{kind}s": kind
+    for kind in (
+        "tool",
+        "probe",
+        "needle",
+        "motion",
+        "tissue",
+        "device",
+        "hand",
+        "renderer",
+        "predictor",
+        "perception",
+        "material",
+        "scene",
+    )
+}
+"""Groups of entry points, by the function of `tissue.register` that takes what one names."""
+_asked: set[str] = set()
+_refused: dict[tuple[str, str], str] = {}
+
+
+class PluginWarning(UserWarning):
+    """A part that an installed package offers cannot be used; all else goes on without it."""
+
+
+def ask_packages(group: str) -> None:
+    """Make known what installed packages offer in a group of entry points; once for each group.
+
+    A part that cannot be had is left out with a `PluginWarning`, see `refusal`. Its name stays with
+    who had it before: with what is built in, or was registered by a call.
+    """
+    if not group or group in _asked:
+        return
+    _asked.add(group)  # before any is imported, which may ask in its turn
+    first: dict[str, EntryPoint] = {}
+    for offer in _offers().get(group, ()):
+        other = first.setdefault(offer.name, offer)
+        if other is not offer:
+            _refuse(
+                offer, f"the package {_package(other)} offers one by that name, too, which is used"
+            )
+            continue
+        try:
+            from tissue import register
+
+            register.offered(OFFERED[group], offer.name, offer.load)
+        except (Exception, SystemExit) as error:
+            reason = (str(error).splitlines() or [""])[0]
+            cause = (
+                reason
+                if type(error).__name__ == "InputError"
+                else f"{type(error).__name__}: {reason}"
+            )
+            _refused[group, offer.name] = _refuse(offer, cause)
+
+
+def refusal(group: str, name: str) -> str | None:
+    """Why a part that a package offers cannot be used; None where none by that name was refused."""
+    return _refused.get((group, name))
+
+
+def offered_names() -> dict[str, list[str]]:
+    """Names of what installed packages offer, by kind, without importing any of them."""
+    return {OFFERED[group]: [offer.name for offer in offers] for group, offers in _offers().items()}
+
+
+def _refuse(offer: EntryPoint, cause: str) -> str:
+    """Warn of an offer that is left out; the sentence."""
+    what = f"{OFFERED[offer.group]} {offer.name} of the package {_package(offer)}"
+    sentence = f"{what} cannot be used ({cause}): update or uninstall that package"
+    warnings.warn(sentence, PluginWarning, stacklevel=4)
+    return sentence
+
+
+def _package(offer: EntryPoint) -> str:
+    """Name and version of the package that offers it."""
+    return offer.value if offer.dist is None else f"{offer.dist.name} {offer.dist.version}"
+
+
+@cache
+def _offers() -> dict[str, list[EntryPoint]]:
+    """Entry points of all groups that are there."""
+    installed = entry_points()
+    found = {group: list(installed.select(group=group)) for group in OFFERED}
+    return {group: offers for group, offers in found.items() if offers}
+
 
 T = TypeVar("T")
 LONGEST = 120
@@ -21,12 +124,12 @@ def nearest(word: str, known: Iterable[str]) -> str:
     return f" (did you mean {close[0]}?)" if close else ""
 
 
-def unknown_name(key: str, known: Iterable[str], got: str) -> str:
-    """The sentence that refuses a name which is not one of those known."""
+def unknown_name(key: str, known: Iterable[str], got: object) -> InputError:
+    """Return the error for a name that is not one of those known."""
     known = list(known)
-    return (
-        f"{key} must be one of {', '.join(known)}, got {got}{nearest(got, known)}: choose one of "
-        "these"
+    word = shown(got)
+    return InputError(
+        key, f"be one of {', '.join(known)}", f"{word}{nearest(word, known)}", "choose one of these"
     )
 
 
@@ -83,7 +186,7 @@ class Registry(Generic[T]):
 
     def __getitem__(self, name: str) -> T:
         if name not in self:
-            raise InputError(self._why_not(name))
+            raise self._why_not(name)
         return self._parts[name]
 
     @property
@@ -97,9 +200,11 @@ class Registry(Generic[T]):
         """Names of the parts so far, without asking installed packages."""
         return tuple(self._parts)
 
-    def _why_not(self, name: str, *others: str) -> str:
-        """The sentence that refuses a name."""
-        return refusal(self.group, name) or unknown_name(self.key, (*others, *self), name)
+    def _why_not(self, name: str, *others: str) -> InputError:
+        """Return the error for a name that stands for no part."""
+        if why := refusal(self.group, name):
+            return InputError(why)
+        return unknown_name(self.key, (*others, *self), name)
 
     def split(self, text: str, *others: str) -> tuple[str, str]:
         """The name of a part that a text stands for, and its argument: observer:FILE and a.json for
@@ -115,7 +220,7 @@ class Registry(Generic[T]):
         ask_packages(self.group)
         if (found := self._split(text)) is not None:
             return found
-        raise InputError(self._why_not(text, *others))
+        raise self._why_not(text, *others)
 
     def _split(self, text: str) -> tuple[str, str] | None:
         """The same among the parts so far."""

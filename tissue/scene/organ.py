@@ -7,9 +7,8 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import AfterValidator, Field, Strict, model_validator
 
 from meshes.base.errors import InputError
-from tissue.scene.choices import OneOf
 from tissue.scene.names import ORGAN_MATERIALS
-from tissue.scene.part import FileName, Length_mm, Needs, Part, Rule, Vector
+from tissue.scene.part import FileName, Length_mm, Needs, OneOf, Part, Rule, Vector
 
 __all__ = [
     "Held",

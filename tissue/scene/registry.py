@@ -22,14 +22,6 @@ from tissue.scene.anatomy import (
     VertebraAnatomy,
     WallAnatomy,
 )
-from tissue.scene.entries import (
-    AnatomyEntry,
-    CutterEntry,
-    DeviceEntry,
-    MotionEntry,
-    PredictorEntry,
-    ProbeEntry,
-)
 from tissue.scene.named_parts import Registry
 from tissue.scene.names import (
     CUTTERS,
@@ -44,6 +36,12 @@ from tissue.scene.names import (
     PROBES,
     RENDERERS,
     SCENES,
+    AnatomyEntry,
+    CutterEntry,
+    DeviceEntry,
+    MotionEntry,
+    PredictorEntry,
+    ProbeEntry,
 )
 from tissue.scene.organ import LayersAnatomy, LiverAnatomy, LiverFile, SlabAnatomy
 from tissue.scene.tool import Needle, PathMotion, Probe, ReplayMotion, ThrustMotion, Tool

@@ -11,7 +11,7 @@ from functools import partial
 from html import escape
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, StringConstraints, model_validator
 
 from meshes.base.errors import InputError
 from tissue.materials.scene_constants import Materials
@@ -23,11 +23,9 @@ from tissue.scene.anatomy import (
     Tooth,
     WallAnatomy,
 )
-from tissue.scene.choices import ByKind, OneOf, kinds_of
 from tissue.scene.coupling import Device, Fidelity
-from tissue.scene.keep_clear import KeepClear
 from tissue.scene.organ import LayersAnatomy, LiverFile, Organ, SoftAnatomy
-from tissue.scene.part import READ_BACK, FileName, Part, Rule
+from tissue.scene.part import READ_BACK, ByKind, FileName, OneOf, Part, Rule, kinds_of
 from tissue.scene.registry import ANATOMIES, CUTTERS, CUTTING_MATERIALS, MOTIONS, NEEDLES, PROBES
 from tissue.scene.tool import (
     Needle,
@@ -39,7 +37,36 @@ from tissue.scene.tool import (
     tool_parts,
 )
 
-__all__ = ["BlockAnatomy", "Cutting", "Output", "Scene", "Stress", "Voxels"]
+__all__ = ["BlockAnatomy", "Cutting", "KeepClear", "Output", "Scene", "Stress", "Voxels"]
+
+Name = Annotated[str, StringConstraints(pattern=r"^[a-z0-9][a-z0-9_]*$")]
+
+
+class KeepClear(Part):
+    """Structures that the tool must not touch: their distance is in the trace, a breach is an
+    event.
+    """
+
+    names: tuple[Name, ...] = Field((), strict=False, examples=[("canal",)])
+    """Structures that the anatomy knows by name, such as a vertebra's canal."""
+    files: dict[Name, str] = Field(default_factory=dict, examples=[{"canal": "canal.ply"}])
+    """Closed surface of each other structure, in the frame and unit of `anatomy.file`, or of the
+    site in mm.
+    """
+
+    @model_validator(mode="after")
+    def _states_some(self) -> "KeepClear":
+        if not self.names and not self.files:
+            raise InputError(
+                "keep_clear", "state names or files", "neither", "remove it, or name a structure"
+            )
+        both = set(self.names) & set(self.files)
+        if both or len(set(self.names)) < len(self.names):
+            twice = ", ".join(sorted(both or self.names))
+            raise InputError(
+                "keep_clear", "name each structure once", f"{twice} twice", "remove one"
+            )
+        return self
 
 
 class Voxels(Part):

@@ -1,16 +1,37 @@
-"""Texts that a scene states: folders of its files, and names of parts that only this process
-knows.
+"""Texts of scenes for editors and reports.
+
+They are the folders of a scene's files, the names of parts that only this process knows, the site
+in a scene's file, and the JSON schema.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
-from pathlib import PurePath, PurePosixPath, PureWindowsPath
+import json
+import re
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path, PurePath, PurePosixPath, PureWindowsPath
 from typing import Any
 
-from tissue.scene.plugins import offered_names
+from meshes.base.cache import cache_folder
+from meshes.base.errors import InputError
+from meshes.base.file_limits import require_regular
+from meshes.base.text_tables import read_toml
+from meshes.base.whole_file import whole_file
+from tissue.scene.load import scene_text
+from tissue.scene.named_parts import OFFERED, ask_packages, offered_names
 from tissue.scene.registry import TABLES
 from tissue.scene.scene import Scene
 
-__all__ = ["folders_of", "registered_parts", "unknown_parts"]
+__all__ = [
+    "anatomy_of",
+    "folders_of",
+    "registered_parts",
+    "save_site",
+    "scene_for_editors",
+    "schema_text",
+    "unknown_parts",
+    "with_site",
+]
 
 
 def _texts_of(scene: Scene) -> list[str]:
@@ -65,3 +86,154 @@ def unknown_parts(parts: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
     return [
         (kind, name) for kind, name in parts if not any(name in table for table in TABLES[kind])
     ]
+
+
+_TABLE = re.compile(r"^\s*\[+[^\]]*\]+\s*(#.*)?$")
+_ANATOMY = re.compile(r"^\s*\[\s*anatomy\s*\]\s*(#.*)?$")
+
+
+def anatomy_of(scene: Path) -> dict[str, object]:
+    """Table ``anatomy`` of a scene's file as it stands there.
+
+    Raises
+    ------
+    InputError
+        If the file is no TOML or has no such table.
+    """
+    require_regular(scene)
+    try:
+        table = read_toml(scene.read_text("utf-8")).get("anatomy")
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError("scene", "be TOML", f"{error} in {scene}", "fix it") from None
+    if not isinstance(table, dict):
+        raise InputError(
+            "scene", "have a table [anatomy]", f"none in {scene}", "import the bone again"
+        )
+    return table
+
+
+def save_site(scene: Path, centre_mm: Sequence[float], normal: Sequence[float]) -> None:
+    """Write a site into a scene's file.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be changed so that nothing else in it does.
+    """
+    with scene.open(encoding="utf-8", newline="") as file:
+        text = file.read()
+    changed = with_site(text, centre_mm, normal)
+    with whole_file(scene) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+        file.write(changed)
+
+
+def with_site(text: str, centre_mm: Sequence[float], normal: Sequence[float]) -> str:
+    """Text of a scene with ``anatomy.centre_mm`` and ``anatomy.normal``, comments and all other
+    lines as they were.
+
+    Raises
+    ------
+    InputError
+        If the text has no line ``[anatomy]``, or something else would change.
+    """
+    values = {
+        "centre_mm": [round(float(value), 3) + 0.0 for value in centre_mm],
+        "normal": [round(float(value), 6) + 0.0 for value in normal],
+    }
+    end = "\r\n" if "\r\n" in text else "\n"
+    lines = text.split(end)
+    first = next((number for number, line in enumerate(lines) if _ANATOMY.match(line)), None)
+    if first is None:
+        raise InputError(
+            "scene", "have a line [anatomy]", "none", "write anatomy.centre_mm and normal by hand"
+        )
+    for key, value in values.items():
+        _put(lines, first + 1, key, f"{key} = {value}")
+    changed = end.join(lines)
+    before = read_toml(text)
+    before["anatomy"] |= values
+    if read_toml(changed) != before:
+        raise InputError(
+            "scene",
+            "state anatomy.centre_mm and normal on lines of their own",
+            "other text",
+            "write them by hand",
+        )
+    return changed
+
+
+def _put(lines: list[str], first: int, key: str, line: str) -> None:
+    """Replace a key's lines in a table that begins at a line, its comment kept, or add one after
+    the table's last.
+    """
+    last = first
+    for number in range(first, len(lines)):
+        if _TABLE.match(lines[number]):
+            break
+        if re.match(rf"\s*{key}\s*=", lines[number]):
+            stop = number
+            while stop < len(lines) - 1 and not _closed(lines[number : stop + 1]):
+                stop += 1
+            comments = [
+                found[0]
+                for each in lines[number : stop + 1]
+                if (found := re.search(r"\s*#.*$", each))
+            ]
+            lines[number : stop + 1] = [line + "".join(comments)]
+            return
+        if lines[number].strip() and not lines[number].lstrip().startswith("#"):
+            last = number + 1
+    lines.insert(last, line)
+
+
+def _closed(lines: list[str]) -> bool:
+    """Whether an array of numbers that begins in the first line ends in the last."""
+    plain = "".join(re.sub(r"#.*", "", line) for line in lines)
+    return plain.count("[") == plain.count("]")
+
+
+STATED = {
+    "format": {"description": "Version of this file's format.", "minimum": 1, "type": "integer"},
+    "tissue": {"description": "Version of tissue that wrote this file.", "type": "string"},
+}
+"""Entries that a scene's file may hold besides those of `Scene`."""
+
+
+def schema_text() -> str:
+    """JSON schema of a scene's file: keys with descriptions, units in their names, ranges and
+    choices.
+    """
+    for group in OFFERED:
+        ask_packages(group)
+    schema = Scene.model_json_schema()
+    schema["properties"] |= STATED
+    return json.dumps(schema, indent=2) + "\n"
+
+
+def scene_for_editors(name: str) -> str:
+    """TOML of a built-in scene; its first line names the schema, which is written to the cache for
+    it.
+
+    The line holds a ``file:`` URL, which taplo and editors that use it resolve from any folder and
+    without a network. Where the cache cannot be written the scene comes without it.
+
+    Raises
+    ------
+    InputError
+        If there is no such scene.
+    """
+    text = scene_text(name)
+    with suppress(OSError):
+        text = f"#:schema {_written_schema().as_uri()}\n{text}"
+    return text
+
+
+def _written_schema() -> Path:
+    """Path of the schema in the cache, where it is written unless the same one is there."""
+    path = (cache_folder() / "scene.schema.json").absolute()
+    text = schema_text()
+    if not (path.is_file() and path.read_bytes() == text.encode()):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(path) as temporary:
+            temporary.write_bytes(text.encode())
+    return path

@@ -9,9 +9,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, Strict, create_model, model_validator
 
 from meshes.base.errors import InputError
-from tissue.scene.choices import OneOf
 from tissue.scene.names import CUTTERS, NEEDLES, PROBES
-from tissue.scene.part import FileName, Needs, Part, Vector
+from tissue.scene.part import FileName, Needs, OneOf, Part, Vector
 
 __all__ = [
     "Motion",

@@ -84,19 +84,11 @@ def _used(
     found: list[Used] = []
     for table, material, chosen in parts:
         stated = stated_of(table, material)
-        known = (
-            given.constants(table, material)
-            if material in listed(table)
-            else given.layer_constants(material)
-        )
+        is_listed = material in listed(table)
+        known = given.constants(table, material) if is_listed else given.layer_constants(material)
+        of = f"{table}, {material.replace('_', ' ')}"
         found += [
-            Used(
-                f"{table}, {material.replace('_', ' ')}",
-                name,
-                one,
-                f"{table}.{material}.{name}",
-                stated.get(name),
-            )
+            Used(of, name, one, f"{table}.{material}.{name}", stated.get(name))
             for name, one in known.items()
             if chosen is None or name in chosen
         ]
@@ -106,8 +98,7 @@ def _used(
 def _tables(scene: Scene, layers: Sequence[str], varied: bool) -> Iterator[Part]:
     """Tables and materials of a scene."""
     anatomy = scene.anatomy
-    tool = scene.tool
-    if isinstance(tool, Tool) and tool.spin_rpm != 0.0:
+    if isinstance(scene.tool, Tool) and scene.tool.spin_rpm != 0.0:
         even = not varied and _has_reference_density(scene)
         yield from _cutting(
             scene.constants, layers, scene.cutting.material, has_reference_density=even
@@ -115,26 +106,17 @@ def _tables(scene: Scene, layers: Sequence[str], varied: bool) -> Iterator[Part]
     yield from _tooth(scene, layers)
     if isinstance(anatomy, SoftAnatomy):
         organ = scene.organ
-        names = ["modulus_kPa", "poisson_ratio"] + ["density_kg_m3"] * organ.gravity
-        if organ.viscous:
-            names += [
-                name
-                for name in scene.constants.constants("soft", organ.material)
-                if name.startswith("prony")
-            ]
-        yield "soft", organ.material, tuple(names)
+        elastic = ("modulus_kPa", "poisson_ratio")
+        prefixes = (*elastic, *["density_kg_m3"] * organ.gravity, *["prony"] * organ.viscous)
+        names = scene.constants.constants("soft", organ.material)
+        yield "soft", organ.material, tuple(name for name in names if name.startswith(prefixes))
         if organ.capsule:
-            yield (
-                "soft",
-                f"{organ.material}_capsule",
-                ("modulus_kPa", "poisson_ratio", "thickness_um"),
-            )
+            yield "soft", f"{organ.material}_capsule", (*elastic, "thickness_um")
     if isinstance(anatomy, LayersAnatomy):
         yield "needle", "liver", None
         stated = {"puncture_N": anatomy.membrane_punctures_N, "hold_N": anatomy.membrane_holds_N}
-        walls = tuple(
-            key for key, given in stated.items() if len(given or {}) < len(anatomy.membranes)
-        )
+        count = len(anatomy.membranes)
+        walls = tuple(key for key, given in stated.items() if len(given or {}) < count)
         if walls:
             yield "needle", "vessel_wall", walls
         if anatomy.interval_ms > 0.0:
@@ -175,15 +157,13 @@ def _tooth(scene: Scene, layers: Sequence[str]) -> Iterator[tuple[str, str, tupl
     The modulus of caries follows from its density and the modulus of dentin; bone holds the
     ligament and is rigid.
     """
-    for layer in [
-        layer for layer in dict.fromkeys((*layers, "ligament")) if layer in listed("tooth")
-    ]:
+    for layer in dict.fromkeys((*layers, "ligament")):
         names = []
         if scene.stress is not None and layer != "bone":
             names += ["poisson_ratio"] if layer == "caries" else ["modulus_GPa", "poisson_ratio"]
         if scene.heat and layer in layers:
             names += ["conductivity_W_mK", "heat_capacity_J_kgK", "density_kg_m3"]
-        if names:
+        if names and layer in listed("tooth"):
             yield "tooth", layer, tuple(names)
     if scene.heat:
         yield "tooth", "bur", ("heat_share",)

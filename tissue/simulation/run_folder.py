@@ -9,10 +9,9 @@ from pathlib import Path
 
 from meshes.base.errors import InputError
 from meshes.base.file_limits import require_regular
-from meshes.base.file_version import package_version
 from meshes.base.placement import Placement
 from meshes.base.text_tables import read_json
-from meshes.base.whole_file import whole_file
+from meshes.base.whole_file import package_version, whole_file
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.load import load_scene, saved_text
 from tissue.scene.registry import ANATOMIES

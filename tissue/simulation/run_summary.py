@@ -7,8 +7,8 @@ from typing import Any
 
 from meshes.base.errors import InputError, is_file
 from meshes.base.file_limits import require_regular
-from meshes.base.file_version import require_version
 from meshes.base.text_tables import read_json
+from meshes.base.whole_file import require_version
 
 __all__ = ["FORMAT", "Summary", "read_summary", "summary_of"]
 

@@ -121,7 +121,7 @@ def require_whole(saved: SavedRun) -> None:
     there = {name: arrays for name, arrays in wanted.items() if (saved.path / name).is_file()}
     if there:
         parse_isolated(
-            "meshes.surfaces.vtk_reading:check_vtk",
+            "meshes.surfaces.triangle_files:check_vtk",
             saved.path,
             what="folder of a run",
             remedy="run the scene again",

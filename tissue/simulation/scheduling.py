@@ -5,7 +5,7 @@ from typing import Any
 from kernels.cores import core_count
 from kernels.launcher import LaunchCounts, launch_counts
 from tissue.models.tissue_model import SchedulesBackground, TissueModel
-from tissue.system.machine_gaps import LEAST_GAP_S, MachineGaps, spin
+from tissue.system.priorities import LEAST_GAP_S, MachineGaps, spin
 
 __all__ = ["Scheduling", "spin_time_s"]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 from meshes.base.file_limits import require_regular
-from meshes.base.text_numbers import number_in, require_distinct_columns
+from meshes.base.text_tables import number_in, require_distinct_columns
 from meshes.base.whole_file import whole_file
 from tissue.simulation.trace import NO_LAYER, Table, TraceLayout
 

@@ -10,7 +10,6 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from tempfile import TemporaryDirectory
@@ -90,7 +89,7 @@ def draw_apart(
                 if prepare is not None:
                     sent = prepare()
                     prepare = None
-                output, late = _awaited(process, sent, longest_s, partial(_report, drawn, printed))
+                output, late = _awaited(process, sent, longest_s, drawn, printed)
             except BaseException:
                 _drawing.discard(process)
                 process.kill()
@@ -122,11 +121,6 @@ def end_drawing() -> None:
         _drawing.pop().kill()
 
 
-def _report(drawn: Callable[[float], None] | None, printed: Path) -> None:
-    if drawn is not None:
-        drawn(_last_share(printed))
-
-
 def _last_share(printed: Path) -> float:
     """Return the progress in the last complete line that a process printed, 0 to 1."""
     for line in reversed(printed.read_text("utf-8", "replace").split("\n")[:-1]):
@@ -136,11 +130,15 @@ def _last_share(printed: Path) -> float:
 
 
 def _awaited(
-    process: "subprocess.Popen[bytes]", sent: bytes, longest_s: float, poll: Callable[[], object]
+    process: "subprocess.Popen[bytes]",
+    sent: bytes,
+    longest_s: float,
+    drawn: Callable[[float], None] | None,
+    printed: Path,
 ) -> tuple[str, str | None]:
     """Wait for a drawing process and return its output and the reason if it was killed.
 
-    The reason is None otherwise. ``poll`` is called during the wait.
+    The reason is None otherwise. ``drawn`` is called with the progress during the wait.
     """
     detector = HangDetector(lambda: [process.pid], longest_s=longest_s)
     # In a thread, because `communicate` drops the rest of its input after a timeout.
@@ -152,7 +150,8 @@ def _awaited(
             return process.communicate(timeout=CHECK_S)[1].decode("utf-8", "replace"), None
         except subprocess.TimeoutExpired:
             late = detector.check()
-            poll()
+            if drawn is not None:
+                drawn(_last_share(printed))
         if late is not None:
             process.kill()
             return process.communicate()[1].decode("utf-8", "replace"), late
@@ -229,22 +228,20 @@ def _answers(library: ctypes.CDLL, name: str) -> bool:
 
 
 def drawing_environments() -> Iterator[dict[str, str]]:
-    """Yield environment changes for an offscreen drawing process, each as fallback for the last."""
-    for window in _windows():
-        yield {"VTK_DEFAULT_OPENGL_WINDOW": window} if window else {}
+    """Yield environment changes for an offscreen drawing process, each as fallback for the last.
 
-
-def _windows() -> Iterator[str]:
-    """Yield the class names of VTK windows to try; an empty name is the default of VTK."""
-    if not sys.platform.startswith("linux") or "VTK_DEFAULT_OPENGL_WINDOW" in os.environ:
-        yield ""
+    They name the classes of VTK windows to try.
+    """
+    key = "VTK_DEFAULT_OPENGL_WINDOW"
+    if not sys.platform.startswith("linux") or key in os.environ:
+        yield {}
         return
     if _library("libEGL.so.1") is not None:
-        yield "vtkEGLRenderWindow"
+        yield {key: "vtkEGLRenderWindow"}
     if any(_library(f"libOSMesa.so.{version}") is not None for version in (8, 6)):
-        yield "vtkOSOpenGLRenderWindow"
+        yield {key: "vtkOSOpenGLRenderWindow"}
     if display_problem() is None:
-        yield "vtkXOpenGLRenderWindow"
+        yield {key: "vtkXOpenGLRenderWindow"}
 
 
 def _library(name: str) -> ctypes.CDLL | None:

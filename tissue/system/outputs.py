@@ -67,16 +67,20 @@ def require_new_file(path: Path, *, overwrite: bool, name: str = "out") -> None:
         If a file exists that may not be replaced, the path is not a regular file, or the folder
         does not exist.
     """
-    other = "another --out" if name == "out" else f"another file for --{name}"
+    other = _other(name)
     require_place(path, folder=False, name=name)
-    if path.is_symlink():
-        raise InputError(name, "be a regular file", f"the symbolic link {path}", f"choose {other}")
-    if path.exists() and not path.is_file():
-        raise InputError(name, "be a regular file", f"the device or pipe {path}", f"choose {other}")
+    if os.path.lexists(path) and (path.is_symlink() or not path.is_file()):
+        kind = "symbolic link" if path.is_symlink() else "device or pipe"
+        raise InputError(name, "be a regular file", f"the {kind} {path}", f"choose {other}")
     if path.exists() and not overwrite:
         raise InputError(name, "not exist yet", path, f"pass --overwrite or choose {other}")
     if not path.absolute().parent.is_dir():
         raise InputError(name, "lie in a folder that exists", path, f"create {path.parent}")
+
+
+def _other(name: str) -> str:
+    """Return the advice to choose another output."""
+    return "another --out" if name == "out" else f"another file for --{name}"
 
 
 def require_place(path: Path, *, folder: bool, name: str = "out") -> None:
@@ -87,32 +91,29 @@ def require_place(path: Path, *, folder: bool, name: str = "out") -> None:
     InputError
         If such a file or folder cannot be created there.
     """
-    other = "another --out" if name == "out" else f"another file for --{name}"
+    choose = f"choose {_other(name)}"
     text = str(path)
-    if "\0" in text:
-        raise InputError(name, "be a name without NUL", f"{text!r}", f"choose {other}")
     try:
         text.encode("utf-8")
+        is_named = "\0" not in text
     except UnicodeEncodeError:
-        raise InputError(name, "be a name in UTF-8", f"{text!r}", f"choose {other}") from None
+        is_named = False
+    if not is_named:
+        raise InputError(name, "be a name in UTF-8 without NUL", f"{text!r}", choose)
     if not folder and path.is_dir():
         raise InputError(name, "be a file", f"the folder {path}", "add the name of a file")
     place = path.absolute()
     existing = next(each for each in (place, *place.parents) if os.path.lexists(each))
     if existing.is_symlink() and not existing.exists():
-        raise InputError(
-            name, "not use a symbolic link that leads nowhere", existing, f"choose {other}"
-        )
+        raise InputError(name, "not use a symbolic link that leads nowhere", existing, choose)
     if existing == place and not folder:
         existing = place.parent
-    if not existing.is_dir() and existing == place:
-        raise InputError(name, "be a folder", f"the file {path}", f"choose {other}")
     if not existing.is_dir():
-        raise InputError(
-            name, "lie in a folder", f"{path} under the file {existing}", f"choose {other}"
-        )
+        if existing == place:
+            raise InputError(name, "be a folder", f"the file {path}", choose)
+        raise InputError(name, "lie in a folder", f"{path} under the file {existing}", choose)
     if not os.access(existing, os.W_OK | os.X_OK):
-        raise InputError(name, "be writable", f"permission denied at {existing}", f"choose {other}")
+        raise InputError(name, "be writable", f"permission denied at {existing}", choose)
 
 
 def write_columns(path: Path, columns: Mapping[str, ArrayLike]) -> None:

@@ -5,12 +5,12 @@ import os
 import threading
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path, PurePosixPath
 
 from meshes.base.errors import InputError
-from meshes.base.file_version import package_version
 from meshes.base.text_tables import read_json
-from meshes.base.whole_file import OWNERS, whole_file
+from meshes.base.whole_file import OWNERS, package_version, whole_file
 from tissue.system.outputs import OutputLock, require_place
 
 __all__ = [
@@ -77,14 +77,20 @@ class OwnedFolder:
         adopted: Collection[str] = (),
     ) -> None:
         self._kind = kind
-        self._names = tuple(names)
-        self._shared = tuple(shared)
-        self._overwrite = overwrite
         self._adopted = adopted
         self._path = path
         self._place = Path(os.path.abspath(path))
         self._files: Files = {}
         self._writing = threading.Lock()
+        self._check = partial(
+            require_folder,
+            path,
+            kind,
+            tuple(names),
+            overwrite=overwrite,
+            shared=tuple(shared),
+            adopted=adopted,
+        )
         self._check()
         self._lock = OutputLock(path, folder=True)
 
@@ -137,16 +143,6 @@ class OwnedFolder:
             (self._path / MARKER).unlink(missing_ok=True)
         OWNERS.discard(self)
         self._lock.release()
-
-    def _check(self) -> set[str]:
-        return require_folder(
-            self._path,
-            self._kind,
-            self._names,
-            overwrite=self._overwrite,
-            shared=self._shared,
-            adopted=self._adopted,
-        )
 
     def _write_marker(self) -> None:
         files = {kind: sorted(names) for kind, names in sorted(self._files.items())}
@@ -309,18 +305,9 @@ def _is_foreign(path: Path, name: str) -> bool:
 
 def _foreign(path: Path, name: str, files: Mapping[str, set[str]]) -> InputError:
     """Return the error for a folder with a file that is not part of this kind of output."""
-    owner = next(
-        (
-            f", which belongs to another kind of output ({kind})"
-            for kind in files
-            if name in files[kind]
-        ),
-        "",
-    )
-    owner = "" if _is_foreign(path, name) else owner
-    return InputError(
-        "out",
-        "not hold files of other origin",
-        f"{path} with {name}{owner}",
-        "choose another --out",
-    )
+    owner = ""
+    for kind, names in files.items():
+        if name in names and not _is_foreign(path, name):
+            owner = f", which belongs to another kind of output ({kind})"
+    got = f"{path} with {name}{owner}"
+    return InputError("out", "not hold files of other origin", got, "choose another --out")

@@ -1,14 +1,21 @@
-"""Conversion of stop signals into an exception, so that files are kept and helpers end."""
+"""Stop signals as an exception, so that files are kept and helpers end, and time limits."""
 
 import signal
 import sys
 import threading
 from _thread import interrupt_main
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 
-__all__ = ["STOPS", "Terminated", "interrupt_is_free", "signals_handled", "terminated_as_exception"]
+__all__ = [
+    "STOPS",
+    "Terminated",
+    "interrupt_is_free",
+    "returned_within",
+    "signals_handled",
+    "terminated_as_exception",
+]
 
 STOPS = tuple(
     getattr(signal, name)
@@ -120,3 +127,19 @@ def _send(number: int) -> None:
         signal.pthread_kill(threading.main_thread().ident or 0, number)
     else:
         interrupt_main(signal.Signals(number))
+
+
+def returned_within(seconds: float, call: Callable[[], object]) -> bool:
+    """Return whether a call returned within a time [s] and without an error.
+
+    The call runs in a thread, which is abandoned if it blocks.
+    """
+    returned = threading.Event()
+
+    def work() -> None:
+        with suppress(Exception):
+            call()
+            returned.set()
+
+    threading.Thread(target=work, daemon=True, name="may block").start()
+    return returned.wait(seconds)

@@ -3,22 +3,14 @@
 Their results are returned, and their failures stay in that process.
 """
 
-import os
-import signal
-import subprocess
-import sys
-import time
-from pathlib import Path
-
+from meshes.base.errors import (InputError)
+from meshes.base.isolated_parser import (parse_isolated)
+import meshes.base.isolated_parser
 import numpy as np
-import psutil
 import pytest
 
-import meshes.base.isolated_parser
-from meshes.base.errors import InputError
-from meshes.base.isolated_parser import parse_isolated
 
-ROOT = Path(__file__).resolve().parents[3]
+
 PARSERS = """
 import ctypes, time
 import numpy as np
@@ -112,24 +104,3 @@ def test_a_parser_that_takes_too_much_memory_is_ended(parse, monkeypatch):
     monkeypatch.setattr(meshes.base.isolated_parser, "_LEAST_BYTES", 300 << 20)
     with pytest.raises(InputError, match=r"its parser took more than 0.29 GiB of memory"):
         parse("grows")
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(
-    not sys.platform.startswith("linux"), reason="elsewhere it ends at its own time limit"
-)
-def test_a_parser_ends_with_the_process_that_started_it(parse, tmp_path):
-    code = (
-        "from pathlib import Path; from meshes.base.isolated_parser import parse_isolated; "
-        f"parse_isolated('parsers_of_the_test:hangs', Path({str(tmp_path / 'bone.abc')!r}), "
-        "what='', remedy='')"
-    )
-    with subprocess.Popen([sys.executable, "-c", code], cwd=ROOT) as parent:
-        children = []
-        while not children and parent.poll() is None:
-            time.sleep(0.05)
-            children = psutil.Process(parent.pid).children()
-        time.sleep(1.0)
-        os.kill(parent.pid, signal.SIGKILL)
-    gone, left = psutil.wait_procs(children, timeout=20.0)
-    assert gone and not left

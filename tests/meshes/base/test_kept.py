@@ -1,6 +1,6 @@
 """Results that are kept: made once for each key, shared, and never more of them than agreed."""
 
-from meshes.base.kept import Kept
+from meshes.base.cache import Kept
 
 
 def test_a_result_is_made_once_and_the_one_asked_for_longest_ago_goes():
@@ -14,19 +14,3 @@ def test_a_result_is_made_once_and_the_one_asked_for_longest_ago_goes():
     assert result("c") == ["c"] and result("a") is first and made == ["a", "b", "c"]
     assert result("b") == ["b"] and made == ["a", "b", "c", "b"]
     assert len(kept) == 2
-
-
-def test_a_result_that_could_not_be_made_is_asked_for_again():
-    kept, made = Kept(1), iter([ValueError("not yet"), "now"])
-
-    def make():
-        each = next(made)
-        if isinstance(each, ValueError):
-            raise each
-        return each
-
-    try:
-        kept.of(0, make)
-    except ValueError as error:
-        assert str(error) == "not yet" and len(kept) == 0
-    assert kept.of(0, make) == "now"

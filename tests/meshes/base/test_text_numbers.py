@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from meshes.base.errors import InputError
-from meshes.base.text_numbers import number_in, require_distinct_columns, whole_number_in
 from meshes.images.itk import numbers
 from meshes.paths.toolpath import read_toolpath
 from meshes.surfaces.markups import read_markups
@@ -65,15 +64,6 @@ def test_a_table_with_a_column_twice_is_refused(tmp_path, kind):
         read(written(tmp_path / "twice.csv", f"{header},{last}", rows))
 
 
-@pytest.mark.parametrize("kind", TABLES)
-def test_a_number_with_an_underscore_is_refused(tmp_path, kind):
-    read, header = TABLES[kind]
-    rows = rows_of(header)
-    rows[7][-1] = "1_0"
-    with pytest.raises(InputError, match="1_0"):
-        read(written(tmp_path / "log.csv", header, rows))
-
-
 def test_headers_meshes_and_markups_are_read_alike(tmp_path):
     with pytest.raises(InputError, match="1_0"):
         numbers({"spacing": "1 1_0 1"}, "spacing", tmp_path / "image.mha")
@@ -85,15 +75,3 @@ def test_headers_meshes_and_markups_are_read_alike(tmp_path):
     (tmp_path / "points.fcsv").write_text(f"{head}a,1,2_0,3,tip\n", "utf-8")
     with pytest.raises(InputError, match="tip"):
         read_markups(tmp_path / "points.fcsv")
-
-
-def test_numbers_and_names():
-    assert number_in(" 1.5e3 ") == 1500.0 and whole_number_in("12") == 12
-    for text in ("1_0", "1_000.0", "_1"):
-        with pytest.raises(ValueError, match="_"):
-            number_in(text)
-        with pytest.raises(ValueError, match="_"):
-            whole_number_in(text)
-    require_distinct_columns(["a", "b"], "path", "log.csv")
-    with pytest.raises(InputError, match=r"path has two columns named b in log\.csv"):
-        require_distinct_columns(["a", "b", "b"], "path", "log.csv")

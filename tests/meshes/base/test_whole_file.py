@@ -27,11 +27,3 @@ def test_a_writer_that_fails_leaves_the_file_as_it_was(tmp_path, failure):
         temporary.write_text("half")
         raise failure
     assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
-
-
-def test_of_two_writers_one_wins_whole(tmp_path):
-    path = tmp_path / "table.csv"
-    with whole_file(path) as one, whole_file(path) as other:
-        one.write_text("one")
-        other.write_text("other")
-    assert path.read_text() == "one" and list(tmp_path.iterdir()) == [path]

@@ -10,8 +10,7 @@ import pytest
 import trimesh
 
 from meshes.base.errors import InputError
-from meshes.paths.replay_table import to_replay
-from meshes.paths.toolpath import Toolpath, depth_along, read_toolpath
+from meshes.paths.toolpath import Toolpath, depth_along, read_toolpath, to_replay
 from meshes.surfaces.site import Site
 from meshes.surfaces.surface import surface_from_triangles
 from tissue.motion.replay import read_replay
@@ -83,9 +82,9 @@ def test_gcode_keeps_modes_units_and_feeds(tmp_path):
         ("a.nc", "G0 X0 Y0 Z0 F0", "a positive F, got F0 in line 1"),
         ("a.nc", "G0 X0 X1 Y0 Z0", "one X a line, got two in line 1"),
         ("a.nc", "G0 X0 Y0 Z0", "at least two points, got 1"),
-        ("a.csv", "x_mm,y_mm\n1,2", "the columns z_mm, got x_mm, y_mm"),
-        ("a.csv", "x_mm,y_mm,z_mm,force_N\n1,2,3,4", "no columns but .*, got force_N"),
-        ("a.csv", "x_mm,y_mm,z_mm,axis_x\n1,2,3,4", "the columns axis_y, axis_z"),
+        ("a.csv", "x_mm,y_mm\n1,2", "the columns .*z_mm.*, got x_mm, y_mm"),
+        ("a.csv", "x_mm,y_mm,z_mm,force_N\n1,2,3,4", "no others but .*force_N"),
+        ("a.csv", "x_mm,y_mm,z_mm,axis_x\n1,2,3,4", "the columns .*axis_y, axis_z"),
         ("a.csv", "x_mm,y_mm,z_mm\n1,2,3\n1,2,", "got nothing for z_mm in line 3"),
         ("a.csv", "x_mm,y_mm,z_mm\n1,2,3\n1,inf,3", "got inf for y_mm in line 3"),
         ("a.csv", "x_mm,y_mm,z_mm\n1,2,3", "at least two points, got 1"),
@@ -107,16 +106,11 @@ def test_bad_paths_are_refused_by_name_and_line(tmp_path, name, text, sentence):
         read_toolpath(written(tmp_path, name, text), "LPS")
 
 
-def test_the_frame_must_be_named(tmp_path):
-    with pytest.raises(InputError, match="coordinates must be LPS or RAS, got lps"):
-        read_toolpath(written(tmp_path, "a.csv", as_csv(PLACES)), "lps")
-
-
 def test_a_replay_goes_at_the_feed_in_the_frame_of_the_site(tmp_path):
     turn = np.column_stack([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
     site = Site(np.array([0.01, 0.02, 0.03]), turn, "given")
     there = np.array([10.0, 20.0, 30.0]) + PLACES @ turn.T
-    table = to_replay(Toolpath(there), site, feed_mm_s=2.0, rapid_mm_s=20.0, clearance_mm=5.0)
+    table = to_replay(Toolpath(there), site, feed_mm_s=2.0, clearance_mm=5.0)
     assert table.tips_mm == pytest.approx(np.vstack([[0, 0, 10], PLACES]))
     assert table.times_s == pytest.approx([0.0, 0.25, 3.75, 6.25, 11.25])
     assert table.quaternions == pytest.approx(np.tile([0, 0, 0, 1], (5, 1)))
@@ -131,27 +125,12 @@ def test_a_replay_turns_the_tool_to_its_axes():
     path = Toolpath(
         np.array([[0.0, 0, 0], [0, 0, 0], [0, 0, 10]]), np.array([1.0, 1.0, np.nan]), axes
     )
-    table = to_replay(path, AT_ORIGIN, feed_mm_s=1.0, rapid_mm_s=1.0)
+    table = to_replay(path, AT_ORIGIN, feed_mm_s=1.0)
     from scipy.spatial.transform import Rotation
 
     assert Rotation.from_quat(table.quaternions).apply([0, 0, 1]) == pytest.approx(axes)
-    assert table.times_s == pytest.approx(
-        [0.0, np.arctan2(0.6, 0.8) / (np.pi / 2), np.arctan2(0.6, 0.8) / (np.pi / 2) + 10]
-    )
-
-
-@pytest.mark.parametrize(
-    ("options", "sentence"),
-    [
-        ({"feed_mm_s": 0.0}, "feed_mm_s must be positive"),
-        ({"feed_mm_s": 1.0, "clearance_mm": -1.0}, "clearance_mm must be at least 0"),
-    ],
-)
-def test_impossible_replays_are_refused(options, sentence):
-    with pytest.raises(InputError, match=sentence):
-        to_replay(Toolpath(PLACES), AT_ORIGIN, **options)
-    with pytest.raises(InputError, match="points that are all one"):
-        to_replay(Toolpath(np.zeros((3, 3))), AT_ORIGIN, feed_mm_s=1.0)
+    # the tool turns by pi in all, which takes longer than its rapid move
+    assert table.times_s == pytest.approx([0.0, np.arctan2(0.6, 0.8) / (np.pi / 2), 2.0])
 
 
 def test_depth_below_a_sphere_and_a_box():

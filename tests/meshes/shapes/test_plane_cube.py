@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from meshes.shapes.plane_cube import cube_fraction
+from meshes.voxels.distances import cube_fraction
 
 FORMULA = 3e-5  # components below 1e-5 are raised to it: less than 2e-5 of a voxel, and rounding
 
@@ -39,14 +39,3 @@ def test_monte_carlo():
     inside = rng.uniform(-0.5, 0.5, (200_000, 3)) @ normal.T <= -distance
     sampling = 5 * 0.5 / math.sqrt(200_000)  # five standard deviations of a fair coin
     assert np.abs(cube_fraction(distance, normal) - inside.mean(axis=0)).max() < sampling
-
-
-def test_both_sides_make_a_whole_and_axes_are_alike():
-    rng = np.random.default_rng(12)
-    normal = rng.normal(size=(1000, 3))
-    normal /= np.linalg.norm(normal, axis=1)[:, None]
-    distance = rng.uniform(-0.9, 0.9, 1000)
-    front = cube_fraction(distance, normal)
-    assert np.abs(front + cube_fraction(-distance, -normal) - 1.0).max() < 1e-12
-    assert np.abs(front - cube_fraction(distance, -normal[:, [2, 0, 1]])).max() < 1e-9
-    assert ((front >= 0) & (front <= 1)).all()

@@ -3,13 +3,9 @@
 import numpy as np
 import pytest
 
-from meshes.shapes.polyline import arc_length, kept_corners, points_along
+from meshes.paths.toolpath import kept_corners, points_along
 
 CORNERS = [[0.0, 0.0, 0.0], [3.0, 4.0, 0.0], [3.0, 4.0, 0.0], [3.0, 4.0, -2.0]]
-
-
-def test_arc_lengths_are_sums_of_lengths():
-    assert arc_length(CORNERS).tolist() == [0.0, 5.0, 5.0, 7.0]
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ Points from LPS and RAS are equal, planes have their normals, and bad files are 
 """
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,13 +11,6 @@ import pytest
 from meshes.base.errors import InputError
 from meshes.surfaces.markups import read_curve, read_markups, read_site
 
-LANDMARKS = (
-    Path(__file__).resolve().parents[4]
-    / "shared"
-    / "anatomy"
-    / "scapula"
-    / "glenoid_landmark_points.fcsv"
-)
 POINT = [10.0, -20.0, 30.0]
 FCSV = """# Markups fiducial file version = 4.11
 # CoordinateSystem = {frame}
@@ -57,9 +49,9 @@ def written(folder, *markups):
 
 def test_a_point_of_either_frame_is_the_same_in_lps(tmp_path):
     for frame, place in (("LPS", POINT), ("RAS", [-10.0, 20.0, 30.0])):
-        site = read_site(written(tmp_path, points(place, frame=frame)))
-        assert site.centre_mm.tolist() == POINT
-        assert site.normal is None
+        centre, normal = read_site(written(tmp_path, points(place, frame=frame)))
+        assert centre.tolist() == POINT
+        assert normal is None
 
 
 @pytest.mark.parametrize("frame", ["LPS", "RAS"])
@@ -78,22 +70,24 @@ def test_a_plane_has_its_origin_and_normal(tmp_path, frame, stated):
         "orientation": {"orientation": inside.reshape(-1).tolist(), "origin": places[0]},
         "points": {},
     }[stated]
-    site = read_site(written(tmp_path, points(*places, kind="Plane", frame=frame, **given)))
-    assert site.centre_mm == pytest.approx(POINT)
-    assert site.normal == pytest.approx(turn[:, 2])
+    centre, normal = read_site(
+        written(tmp_path, points(*places, kind="Plane", frame=frame, **given))
+    )
+    assert centre == pytest.approx(POINT)
+    assert normal == pytest.approx(turn[:, 2])
 
 
 def test_a_plane_counts_before_the_points_beside_it(tmp_path):
     plane = points([1, 2, 3], kind="Plane", normal=[0, 0, 2], center=[1, 2, 3])
-    site = read_site(written(tmp_path, points(POINT, POINT), plane))
-    assert site.centre_mm.tolist() == [1, 2, 3]
-    assert site.normal.tolist() == [0, 0, 1]
+    centre, normal = read_site(written(tmp_path, points(POINT, POINT), plane))
+    assert centre.tolist() == [1, 2, 3]
+    assert normal.tolist() == [0, 0, 1]
 
 
 def test_a_line_leads_from_the_site_inward(tmp_path):
-    site = read_site(written(tmp_path, points([0, 0, 10], [0, 0, -20], kind="Line")))
-    assert site.centre_mm.tolist() == [0, 0, 10]
-    assert site.normal.tolist() == [0, 0, 1]
+    centre, normal = read_site(written(tmp_path, points([0, 0, 10], [0, 0, -20], kind="Line")))
+    assert centre.tolist() == [0, 0, 10]
+    assert normal.tolist() == [0, 0, 1]
 
 
 def test_curves_keep_their_order_and_closed_ones_come_back(tmp_path):
@@ -116,22 +110,12 @@ def test_point_lists(tmp_path, frame):
     assert marked.labels == ("F, 1",)
 
 
-def test_landmarks_of_a_real_glenoid():
-    """Several lists joined to one file, each with a head of its own."""
-    if not LANDMARKS.is_file():
-        pytest.skip("no landmarks in shared/anatomy")
-    found = read_markups(LANDMARKS)[0].points_mm
-    assert found.shape == (6, 3)
-    rim = found[:3]
-    assert 15.0 < np.linalg.norm(rim[:, None] - rim[None], axis=-1).max() < 45.0
-
-
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"coordinateSystem": "IJK"}, "coordinateSystem must be LPS or RAS, got IJK in"),
-        ({"coordinateSystem": None}, "coordinateSystem must be LPS or RAS, got none in"),
-        ({"coordinateUnits": "m"}, "coordinateUnits must be mm, got m in"),
+        ({"coordinateSystem": "IJK"}, "coordinateSystem LPS or RAS, got IJK in"),
+        ({"coordinateSystem": None}, "coordinateSystem LPS or RAS, got none in"),
+        ({"coordinateUnits": "m"}, "coordinateUnits mm, got m in"),
         (
             {
                 "controlPoints": [
@@ -149,13 +133,13 @@ def test_landmarks_of_a_real_glenoid():
             "three finite numbers, got .* for A",
         ),
         ({"controlPoints": []}, "one plane, one line from the site inward, or one point, got none"),
-        ({"controlPoints": 5}, "got other JSON"),
-        ({"type": "Plane", "controlPoints": []}, "a plane must have an origin"),
-        ({"type": "Plane"}, "a plane must have a normal"),
-        ({"type": "Plane", "normal": [0, 0, 0]}, "normal must not be zero"),
+        ({"controlPoints": 5}, "got other data"),
+        ({"type": "Plane", "controlPoints": []}, "planes with an origin"),
+        ({"type": "Plane"}, "planes with a normal"),
+        ({"type": "Plane", "normal": [0, 0, 0]}, "with a length"),
         (
             {"type": "Line", "controlPoints": [{"position": [0, 0, 1]}, {"position": [0, 0, 1]}]},
-            "must have a length",
+            "with a length",
         ),
         ({"type": "ROI"}, "got none"),
     ],
@@ -172,10 +156,10 @@ def test_several_sites_and_other_files_are_refused(tmp_path):
         plane = points(POINT, kind="Plane", normal=[0, 0, 1])
         read_site(written(tmp_path, plane, plane))
     for name, text, sentence in (
-        ("a.mrk.json", "{", "got other JSON"),
+        ("a.mrk.json", "{", "got other data"),
         ("a.mrk.json", '{"markups": []}', "got none"),
         ("a.txt", "x", "a .mrk.json or .fcsv file"),
-        ("a.fcsv", "1,2,3,4\n", "coordinateSystem must be LPS or RAS, got none"),
+        ("a.fcsv", "1,2,3,4\n", "coordinateSystem LPS or RAS, got none"),
         ("a.fcsv", "# CoordinateSystem = LPS\n1,2,x,4\n", "three finite numbers"),
         ("a.fcsv", "# CoordinateSystem = LPS\n", "at least one point"),
     ):

@@ -3,7 +3,7 @@
 import numpy as np
 import trimesh
 
-from meshes.surfaces.holes import close_seams, open_loops
+from meshes.surfaces.repair import close_seams, open_loops
 
 
 def half_ball(upward, sections):
@@ -39,11 +39,3 @@ def test_two_halves_with_other_points_are_joined():
     assert len(vertices) == len(points) and len(triangles) == len(faces) + 60 + 37
     assert whole.is_watertight and whole.is_winding_consistent
     assert whole.volume > 0.99 * 4.0 / 3.0 * np.pi
-
-
-def test_a_loop_without_a_partner_is_filled():
-    points, faces = half_ball(True, 40)
-    vertices, triangles = close_seams(points, faces, first_part=len(points), within=0.1)
-    whole = trimesh.Trimesh(vertices, triangles, process=False)
-    assert whole.is_watertight and whole.is_winding_consistent
-    assert abs(whole.volume / (2.0 / 3.0 * np.pi) - 1.0) < 0.05

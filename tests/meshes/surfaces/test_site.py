@@ -10,21 +10,17 @@ from voxel_surface import voxel_surface
 from meshes.base.errors import InputError
 from meshes.base.placement import Placement
 from meshes.shapes import sdf
-from meshes.surfaces.bone_surface import surface_anatomy
-from meshes.surfaces.glenoid import glenoid
+from meshes.surfaces.glenoid import glenoid, surface_anatomy
 from meshes.surfaces.landmarks import find_glenoid
-from meshes.surfaces.site import Site, place_site
+from meshes.surfaces.site import place_site
 from meshes.surfaces.surface import read_surface, surface_from_triangles
-from meshes.voxels.grid import Grid
 from meshes.voxels.mesh_sampling import TriangleSampler
+from meshes.voxels.volume import Grid
 from meshes.voxels.voxelise import voxelise
 
 
 def as_surface(mesh):
     return surface_from_triangles(np.array(mesh.vertices), np.array(mesh.faces), scale_mm=1)
-
-
-AT_ORIGIN = Site(np.zeros(3), np.eye(3), "as is")
 
 
 def sampled(mesh, spacing, half):
@@ -50,46 +46,6 @@ def test_box_on_the_lattice_is_exact_though_lines_meet_edges():
     expected = np.zeros((32, 32, 32))
     expected[6:26, 6:26, 6:26] = 1
     assert np.abs(fraction - expected).max() < 1e-6
-
-
-def test_overlapping_bodies_count_once():
-    one, two = trimesh.creation.box((4e-3,) * 3), trimesh.creation.box((4e-3,) * 3)
-    two.apply_translation((2e-3, 0, 1e-3))
-    fraction, _ = sampled(trimesh.util.concatenate([one, two]), 2e-4, 24)
-    assert fraction.sum() * 2e-4**3 == pytest.approx((64 + 64 - 2 * 4 * 3) * 1e-9, rel=1e-6)
-
-
-def test_mesh_agrees_with_the_shape_it_came_from():
-    anatomy = glenoid()
-    vertices, faces = voxel_surface(voxelise(anatomy, spacing_m=4e-4))
-    surface = surface_from_triangles(vertices * 1e3, faces, scale_mm=1)
-    region = ((-8e-3, -8e-3, -5e-3), (8e-3, 8e-3, 3e-3))
-    found = voxelise(surface_anatomy(surface, AT_ORIGIN), spacing_m=4e-4, region_m=region)
-    exact = voxelise(anatomy, spacing_m=4e-4, region_m=region)
-    assert found.volume_m3() == pytest.approx(exact.volume_m3(), rel=2e-3)
-    # a third of a voxel, by marching cubes
-    assert np.abs(found.fraction.astype(int) - exact.fraction).max() < 80
-
-
-def test_mesh_voxels_do_not_depend_on_the_region_and_take_a_hole():
-    surface = as_surface(trimesh.creation.icosphere(subdivisions=3, radius=12.0))
-    anatomy = surface_anatomy(surface, AT_ORIGIN, cortical_thickness_mm=2.0)
-    whole = voxelise(anatomy, spacing_m=4e-4)
-    part = voxelise(anatomy, spacing_m=4e-4, region_m=((-3.3e-3, -4e-3, 2e-3), (9e-3, 5e-3, 14e-3)))
-    first = np.rint((part.origin_m - whole.origin_m) / 4e-4).astype(int)
-    inside = [min(n, w - a) for a, n, w in zip(first, part.shape, whole.shape, strict=True)]
-    window = tuple(slice(a, a + n) for a, n in zip(first, inside, strict=True))
-    kept = tuple(slice(0, n) for n in inside)
-    assert np.array_equal(part.fraction[kept], whole.fraction[window])
-    assert np.array_equal(part.layer[kept], whole.layer[window])
-    hole = sdf.cylinder(2e-3, (0, 0, -6e-3), (0, 0, 6e-3))
-    box = np.array([2.4e-3, 2.4e-3, 6.8e-3])  # solid before it is drilled
-    drilled = voxelise(anatomy, spacing_m=4e-4, region_m=(-box, box), minus=hole)
-    assert np.prod(2.0 * box) - drilled.volume_m3() == pytest.approx(
-        math.pi * 4e-6 * 12e-3, rel=5e-3
-    )
-    core = 4 / 3 * math.pi * 10e-3**3
-    assert whole.volume_m3("trabecular") == pytest.approx(core, rel=0.03)
 
 
 def synthetic_scapula():
@@ -178,25 +134,6 @@ def test_refused_sites(options, message):
     surface = as_surface(trimesh.creation.icosphere(subdivisions=3, radius=30.0))
     with pytest.raises(InputError) as refusal:
         place_site(surface, **options)
-    assert (refusal.value.argument, str(refusal.value.value)) == message
-
-
-def test_a_bone_without_a_glenoid_is_refused():
-    with pytest.raises(InputError, match=r"glenoid.*51.* mm \(score 0.00\)"):
-        find_glenoid(as_surface(trimesh.creation.icosphere(subdivisions=4, radius=60.0)))
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"cortical_thickness_mm": -1}, ("cortical_thickness_mm", "-1")),
-        ({"trabecular_density_kg_m3": math.nan}, ("trabecular_density_kg_m3", "nan")),
-    ],
-)
-def test_refused_anatomy(options, message):
-    surface = as_surface(trimesh.creation.icosphere(subdivisions=2, radius=30.0))
-    with pytest.raises(InputError) as refusal:
-        surface_anatomy(surface, AT_ORIGIN, **options)
     assert (refusal.value.argument, str(refusal.value.value)) == message
 
 

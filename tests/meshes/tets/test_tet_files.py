@@ -60,15 +60,6 @@ def test_the_finer_liver_keeps_its_tetrahedra_only_and_reports_the_smallest(anat
     assert any("lowest mean ratio 0.34" in sentence for sentence in found.sentences)
 
 
-@pytest.mark.parametrize("name", ["liver", "liver2"])
-def test_both_versions_of_a_gmsh_file_hold_one_mesh(anatomy: Path, name: str) -> None:
-    one, two = (
-        read_tets(anatomy / "liver" / f"{name}{v}.msh", unit_mm=50.0).mesh for v in ("", ".v22")
-    )
-    assert np.array_equal(one.cells, two.cells)
-    assert np.allclose(one.nodes_m, two.nodes_m, rtol=0.0, atol=1e-12)
-
-
 def test_a_pinched_mesh_of_slivers_is_kept_and_reported(anatomy: Path) -> None:
     found = read_tets(anatomy / "bone" / "ossicles.vtu", unit_mm=1.0)
     assert found.mesh.volumes_m3.sum() == pytest.approx(27.145e-9, rel=1e-3)
@@ -122,17 +113,6 @@ def test_physical_groups_of_gmsh_give_the_parts_and_their_names(tmp_path: Path) 
     assert read_msh(file).names == {5: "liver tissue"}
 
 
-def test_hexahedra_among_tetrahedra_are_left_out_and_reported(tmp_path: Path) -> None:
-    grid = grid_of()
-    hexahedron = pyvista.ImageData(
-        dimensions=(2, 2, 2), spacing=(10, 10, 10), origin=(300, 0, 0)
-    ).cast_to_unstructured_grid()
-    grid.merge(hexahedron).save(tmp_path / "organ.vtu")
-    found = read_tets(tmp_path / "organ.vtu", unit_mm=1.0)
-    assert len(found.mesh.cells) == 48
-    assert any("Left out 1 cells" in sentence for sentence in found.sentences)
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -159,25 +139,3 @@ def test_a_gmsh_file_that_cannot_be_used_is_refused_in_a_sentence(
     with pytest.raises(InputError, match=message) as refused:
         read_tets(file)
     assert "\n" not in str(refused.value)
-
-
-@pytest.mark.parametrize("name", ["organ.vtu", "organ.vtk", "organ.stl", "organ.xyzzy"])
-def test_a_file_of_garbage_is_refused(
-    tmp_path: Path, name: str, capfd: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / name).write_bytes(b"this is no mesh at all" * 20)
-    with pytest.raises(InputError, match="file must"):
-        read_tets(tmp_path / name)
-    assert capfd.readouterr().out == ""
-
-
-def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="file must exist"):
-        read_tets(tmp_path / "none.vtu")
-
-
-def test_an_open_surface_is_refused(tmp_path: Path) -> None:
-    ball = pyvista.Sphere(radius=50.0).clip("z", origin=(0, 0, 0))
-    ball.save(tmp_path / "open.stl")
-    with pytest.raises(InputError, match=r"surface must enclose a solid, got .* open"):
-        read_tets(tmp_path / "open.stl")

@@ -6,7 +6,6 @@ from round_bodies import sphere_shell
 
 from meshes.base.errors import InputError
 from meshes.tets.regions import (
-    faces_of,
     nodes_behind_plane,
     nodes_facing,
     nodes_of_part,
@@ -26,14 +25,6 @@ def test_a_plane_chooses_the_nodes_behind_it() -> None:
     assert (
         len(nodes_behind_plane(MESH, point_m=(0.0, 0.0, 0.02), normal=(0.0, 0.0, 1.0))) == 36 + 20
     )
-
-
-def test_faces_of_a_flat_bottom_cover_it() -> None:
-    base = nodes_behind_plane(MESH, point_m=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
-    faces = faces_of(MESH, base)
-    a, b, c = (MESH.nodes_m[faces[:, k]] for k in range(3))
-    normal = 0.5 * np.cross(b - a, c - a)
-    assert normal.sum(axis=0) == pytest.approx((0.0, 0.0, -0.01), abs=1e-15)
 
 
 def test_a_direction_chooses_the_side_that_faces_it() -> None:
@@ -63,22 +54,3 @@ def test_a_support_that_touches_nothing_reports_the_nearest_node() -> None:
         nodes_behind_plane(MESH, point_m=(0.0, 0.0, -0.005), normal=(0.0, 0.0, 1.0))
     with pytest.raises(InputError, match=r"within 20 degrees .* nearest is 45 degrees away"):
         nodes_facing(MESH, direction=(1.0, 1.0, 0.0), within_deg=20.0)
-
-
-@pytest.mark.parametrize(
-    ("choose", "message"),
-    [
-        (
-            lambda: nodes_behind_plane(MESH, point_m=(0, 0, float("nan")), normal=(0, 0, 1)),
-            "point_m must be three finite",
-        ),
-        (
-            lambda: nodes_behind_plane(MESH, point_m=(0, 0, 0), normal=(0, 0, 0)),
-            "normal must not be zero",
-        ),
-        (lambda: nodes_facing(MESH, direction=(0, 0, 1), within_deg=0.0), "within_deg must be in"),
-    ],
-)
-def test_what_names_no_region_is_refused(choose: object, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        choose()  # type: ignore[operator]

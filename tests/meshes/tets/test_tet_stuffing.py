@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from meshes.base.errors import InputError
-from meshes.shapes.sdf import box, half_space, sphere
-from meshes.tets.checks import cell_faces, mean_ratio, pieces, pinched_edges
+from meshes.shapes.sdf import half_space, sphere
 from meshes.tets.stuffing import cut_by, stuffed, with_part
-from meshes.tets.tetrahedra import TetMesh
+from meshes.tets.tetrahedra import TetMesh, cell_faces, mean_ratio, pieces, pinched_edges
 
 LEAST_QUALITY = 0.15
 """Moved nodes keep cells above it; cut cells of these shapes stay above it as well."""
@@ -67,14 +66,6 @@ def test_a_part_inside_has_a_separate_surface() -> None:
     assert mean_ratio(mesh.nodes_m, mesh.cells).min() > LEAST_QUALITY
 
 
-def test_two_parts_do_not_take_from_each_other() -> None:
-    mesh = with_part(stuffed(sphere(0.05), 0.01), sphere(0.02), "first")
-    held = mesh.volumes_m3[mesh.part == 1].sum()
-    mesh = with_part(mesh, sphere(0.02, (0.0, 0.0, 0.02)), "second")
-    assert mesh.part_names == ("body", "first", "second")
-    assert mesh.volumes_m3[mesh.part == 1].sum() == pytest.approx(held, rel=0.05)
-
-
 @pytest.mark.parametrize(
     ("make", "message"),
     [
@@ -91,10 +82,3 @@ def test_two_parts_do_not_take_from_each_other() -> None:
 def test_what_cannot_be_filled_is_refused(make: object, message: str) -> None:
     with pytest.raises(InputError, match=message):
         make()  # type: ignore[operator]
-
-
-def test_a_box_with_sharp_edges_is_filled_but_for_its_edges() -> None:
-    mesh = stuffed(box((0.08, 0.06, 0.05)), 0.008)
-    closed(mesh)
-    # Edges and corners are cut off within a lattice side.
-    assert 0.97 < mesh.volumes_m3.sum() / (0.08 * 0.06 * 0.05) <= 1.0 + 1e-9

@@ -8,10 +8,9 @@ import pyvista
 from numpy.typing import NDArray
 
 import meshes.tets.tetrahedralise as module
-from meshes.base.errors import InputError
 from meshes.surfaces.surface import Surface, read_surface, surface_from_triangles
-from meshes.tets.checks import mean_ratio
 from meshes.tets.files import read_tets
+from meshes.tets.tetrahedra import mean_ratio
 from meshes.tets.tetrahedralise import tetrahedralise
 
 
@@ -58,36 +57,6 @@ def test_a_ball_is_filled_quietly_once_and_comes_from_the_cache_after(
     again, _ = tetrahedralise(ball(), edge_m=0.02)
     assert np.array_equal(again.cells, mesh.cells)
     assert np.array_equal(again.nodes_m, mesh.nodes_m)
-
-
-def test_a_surface_wound_inward_is_turned_first() -> None:
-    surface = ball(flipped=True)
-    mesh, _ = tetrahedralise(surface, edge_m=0.025)
-    assert surface.report.repairs == ("Turned the surface outward: it was wound inward.",)
-    assert mesh.volumes_m3.sum() == pytest.approx(surface.report.volume_mm3 * 1e-9, rel=1e-6)
-
-
-@pytest.mark.slow
-def test_a_surface_that_crosses_itself_is_filled_as_a_union_and_reported() -> None:
-    one = ball()
-    vertices = np.vstack([one.vertices_m, one.vertices_m + np.array([0.06, 0.003, 0.001])])
-    faces = np.vstack([one.faces, one.faces + len(one.vertices_m)])
-    both = Surface(vertices, faces, one.report, (), (vertices, faces))
-    mesh, message = tetrahedralise(both, edge_m=0.03)
-    assert "triangles of the surface cross others, the first at" in message[0]
-    # Two balls of radius r whose centres are d apart overlap in pi (4 r + d) (2 r - d)^2 / 12.
-    distance = float(np.linalg.norm([0.06, 0.003, 0.001]))
-    overlap = np.pi * (0.2 + distance) * (0.1 - distance) ** 2 / 12.0
-    assert mesh.volumes_m3.sum() == pytest.approx(
-        2.0 * one.report.volume_mm3 * 1e-9 - overlap, rel=0.05
-    )
-    assert any("of volume against the surface" in sentence for sentence in message)
-
-
-@pytest.mark.parametrize("edge", [-1.0, float("nan"), 1e-6, 1.0])
-def test_an_edge_that_does_not_suit_is_refused(edge: float) -> None:
-    with pytest.raises(InputError, match=r"edge_m must be from .* mm to"):
-        tetrahedralise(ball(), edge_m=edge)
 
 
 def _polydata(points: NDArray[np.float64], triangles: NDArray[np.int64]) -> pyvista.PolyData:

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from meshes.tooth.label_sampling import REACH, LabelShares, PlacedLabels
+from meshes.tooth.label_sampling import PlacedLabels
 from meshes.tooth.label_volume import LabelledTooth
-from meshes.tooth.layers import CARIES, DENTIN, ENAMEL, TOOTH_LAYERS
+from meshes.tooth.layers import CARIES, DENTIN, ENAMEL
 from meshes.voxels.distances import SURFACE_STEPS, SURFACE_ZERO
 
 VOXEL_M = 34e-6
@@ -72,52 +72,3 @@ def test_distances_are_those_of_the_surface_that_was_labelled(seed):
             f"{np.sqrt((off**2).mean()):.3f}"
         )
         assert np.sqrt((off**2).mean()) < 0.1 and abs(off.mean()) < 0.03
-
-
-def test_the_surface_does_not_depend_on_the_voxels():
-    """The surface does not depend on the voxels.
-
-    Volumes of the layers agree to 0.2 % for voxels of a third of the labels' and of 1.5 labels.
-    """
-    coarse, fine = (
-        tooth().volume(resample_mm=1e3 * r * VOXEL_M, region_m=tuple(BOX)) for r in (1.5, 1.0 / 3.0)
-    )
-    low = coarse.origin_m
-    high = low + coarse.spacing_m * np.array(coarse.shape)
-    inside = ((centres(fine) > low) & (centres(fine) < high)).all(axis=1)
-    whole = fine.fraction.ravel()[inside].sum() / 255.0 * fine.voxel_volume_m3
-    assert coarse.volume_m3() == pytest.approx(whole, rel=2e-3)
-    for name in ("enamel", "dentin", "caries"):
-        here = inside & (fine.layer.ravel() == TOOTH_LAYERS.index(name))
-        part = fine.fraction.ravel()[here].sum() / 255.0 * fine.voxel_volume_m3
-        assert coarse.volume_m3(name) == pytest.approx(part, rel=2e-2), name
-
-
-def test_a_voxel_does_not_depend_on_the_region():
-    labelled, size = tooth(), 1e3 * VOXEL_M
-    whole = labelled.volume(resample_mm=size, region_m=tuple(BOX))
-    part = labelled.volume(resample_mm=size, region_m=(0.5 * BOX[0], 0.5 * BOX[1]))
-    first = np.rint((part.origin_m - whole.origin_m) / part.spacing_m).astype(int)
-    same = tuple(slice(f, f + n) for f, n in zip(first, part.shape, strict=True))
-    bone = part.fraction > 0
-    assert np.array_equal(whole.fraction[same], part.fraction)
-    assert np.array_equal(whole.layer[same][bone], part.layer[bone])
-
-
-def test_layers_change_where_they_were_labelled():
-    """Layers change at the labelled places.
-
-    Apart from points nearer than a twentieth of a voxel to a change, 98 % of points have the layer
-    that was labelled.
-    """
-    placed = tooth().placed
-    labels, start, turn = placed.around(BOX, REACH)
-    shares = LabelShares.of(
-        labels, (CARIES, ENAMEL, DENTIN), voxel_m=placed.spacing, start=start, turn=turn
-    )
-    points = np.random.default_rng(1).uniform(*BOX, (20_000, 3))
-    points = points[surface(points) < 0.0]
-    change = np.abs(points[:, 0] - 0.3 * points[:, 1]) / np.hypot(1.0, 0.3)
-    change = np.minimum(change, np.abs(np.linalg.norm(points - DECAY, axis=1) - 1.7e-4))
-    right = shares.layer(points) == layer_of(points)
-    assert right[change > VOXEL_M].all() and right.mean() > 0.98

@@ -11,10 +11,10 @@ import trimesh
 
 from meshes.base.errors import InputError
 from meshes.surfaces.surface import surface_from_triangles
-from meshes.tooth.layer_contact import inside_lattice, inside_surface
+from meshes.tooth.layer_contact import inside_lattice
 from meshes.tooth.layered_surfaces import layered_anatomy, layered_surfaces
 from meshes.tooth.layers import TOOTH_LAYERS
-from meshes.voxels.column_crossings import inside_scattered
+from meshes.voxels.mesh_sampling import inside_scattered
 from meshes.voxels.voxelise import voxelise
 
 SPACING = 1e-4
@@ -113,28 +113,6 @@ def test_gap_is_reported_and_filled():
     assert volumes_mm3(volume)["enamel"] == pytest.approx(8 * 6 * 3.2, rel=0.01)
 
 
-def test_layers_that_fit_have_neither_gap_nor_overlap():
-    anatomy = layered_anatomy(blocks())
-    found = volumes_mm3(voxelise(anatomy, spacing_m=SPACING))
-    assert (
-        anatomy.notes["gaps"] == anatomy.notes["overlaps"] == "none"
-        and "voids" not in anatomy.notes
-    )
-    for name, value in (("enamel", 144.0), ("dentin", 576.0 - 24.0), ("pulp", 24.0)):
-        assert found[name] == pytest.approx(value, rel=2e-3), name
-
-
-def test_cavity_without_a_pulp_is_reported_and_left_empty():
-    surfaces = blocks()
-    del surfaces["pulp"]
-    anatomy = layered_anatomy(surfaces)
-    assert float(anatomy.notes["voids"].split()[0]) == pytest.approx(24.0, rel=0.03)
-    assert "are unknown" in anatomy.notes["pulp"] and "no support" in anatomy.notes["ligament"]
-    assert 1e9 * voxelise(anatomy, spacing_m=2e-4).volume_m3() == pytest.approx(
-        720.0 - 24.0, rel=3e-3
-    )
-
-
 def test_tooth_is_placed_wherever_it_lay():
     """Crown up, origin on the enamel, whatever the frame of the file."""
     turn = trimesh.transformations.rotation_matrix(2.3, (1.0, -2.0, 0.5), point=(40.0, 10.0, -7.0))
@@ -154,14 +132,6 @@ def test_tooth_is_placed_wherever_it_lay():
     middle = volume.layer[column][volume.fraction[column] > 0]
     met = [TOOTH_LAYERS[k] for k in middle[::-1]]
     assert list(dict.fromkeys(met)) == ["enamel", "dentin", "pulp"]
-
-
-def test_inside_of_scattered_points():
-    points = np.random.default_rng(5).uniform(-6e-3, 6e-3, (3000, 3))
-    sphere = surface(ball(5.0))
-    expected = np.linalg.norm(points, axis=1) < 5e-3
-    found = inside_surface(sphere.vertices_m, sphere.faces, points)
-    assert (found == expected).mean() > 0.997  # facets of the icosphere lie up to 8 µm off
 
 
 def test_scattered_points_are_sorted_as_those_of_a_lattice():
@@ -185,19 +155,6 @@ def test_scattered_points_are_sorted_as_those_of_a_lattice():
     assert not inside_scattered(sphere.vertices_m, sphere.faces, points + 1.0).any()
 
 
-def test_size_of_no_tooth(tmp_path):
-    for name, part in blocks().items():
-        trimesh.Trimesh(part.vertices_m * 1e3, part.faces).export(tmp_path / f"{name}.stl")
-    paths = {name: tmp_path / f"{name}.stl" for name in blocks()}
-    with pytest.raises(
-        InputError,
-        match="scale_mm must make the tooth 5 to 40 mm long, got 10, which makes it 150 mm",
-    ):
-        layered_surfaces(paths, scale_mm=10)
-    with pytest.raises(InputError, match="file must exist"):
-        layered_surfaces({**paths, "ligament": tmp_path / "gone.stl"})
-
-
 @pytest.fixture
 def real(anatomy):
     files = {"enamel": "Enamel", "dentin": "Dentin", "pulp": "Pulp", "ligament": "PDL"}
@@ -219,21 +176,6 @@ def test_real_molar_keeps_the_volume_of_every_layer(real):
     assert volume.origin_m[2] + SPACING * (np.flatnonzero(top)[-1] + 1) == pytest.approx(
         0.0, abs=1.1 * SPACING
     )
-
-
-@pytest.mark.slow
-def test_real_molar_in_a_socket(real):
-    spacing = 2e-4
-    volume = voxelise(layered_surfaces(real, socket_mm=2.0), spacing_m=spacing)
-    for name, value in MOLAR_MM3.items():
-        assert 1e9 * volume.volume_m3(name) == pytest.approx(value, rel=0.01), name
-    bone = volume.layer == TOOTH_LAYERS.index("bone")
-    from scipy.ndimage import distance_transform_edt, label
-
-    assert label(bone & (volume.fraction > 0))[1] == 1
-    ligament = (volume.layer == TOOTH_LAYERS.index("ligament")) & (volume.fraction > 0)
-    away = distance_transform_edt(~ligament) * spacing
-    assert away[bone & (volume.fraction > 127)].max() == pytest.approx(2e-3, abs=1.5 * spacing)
 
 
 @pytest.mark.parametrize(

@@ -4,18 +4,15 @@ import numpy as np
 import pytest
 
 from meshes.shapes.anatomy import Anatomy
-from meshes.shapes.plane_cube import cube_fraction
 from meshes.shapes.sdf import half_space, sphere
 from meshes.voxels.distances import (
-    INSIDE,
     OUTSIDE,
     SURFACE_ZERO,
-    carried_beyond,
+    cube_fraction,
     near_the_surface,
     surface_of_fractions,
     surface_steps,
 )
-from meshes.voxels.volume import VoxelVolume
 from meshes.voxels.voxelise import voxelise
 
 SHAPE = (24, 24, 24)
@@ -41,19 +38,6 @@ def voxels_off(stored, distance, reach):
     """Stored less true distance [voxel] of the inner voxels within reach of the surface."""
     near = np.abs(distance[INNER]) < reach
     return (stored[INNER][near].astype(float) - SURFACE_ZERO) / 63.0 - distance[INNER][near]
-
-
-def test_steps_are_held_within_two_voxels():
-    found = surface_steps(np.array([-9.0, -2.0, -1.0, 0.0, 1.0, 2.0, 9.0]))
-    assert found.tolist() == [
-        INSIDE,
-        INSIDE,
-        SURFACE_ZERO - 63,
-        SURFACE_ZERO,
-        SURFACE_ZERO + 63,
-        OUTSIDE,
-        OUTSIDE,
-    ]
 
 
 def test_planes_come_back_from_their_fractions():
@@ -115,28 +99,6 @@ def between(values, points):
     return found
 
 
-def test_a_grid_that_is_full_to_its_edge_has_its_face_there():
-    stored = surface_of_fractions(np.full((6, 6, 6), 255, np.uint8))
-    middle = stored[3, 3]
-    off = (middle[[0, -1, 1, -2]].astype(float) - SURFACE_ZERO) / 63.0 - [-0.5, -0.5, -1.5, -1.5]
-    # what is full bounds the face; it is not crossed
-    assert np.abs(off).max() < 0.2 and np.abs(off[:2]).max() < 0.03
-    assert (stored[2:-2, 2:-2, 2:-2] == INSIDE).all()
-
-
-def test_layers_go_on_as_far_as_the_surface_is_known():
-    distance = CENTRES[..., 2] - 0.25
-    fraction, surface = fractions(distance, np.array([0.0, 0.0, 1.0])), surface_steps(distance)
-    layer = np.where(CENTRES[..., 0] > 0, 1, 2).astype(np.uint8) * (fraction > 0)
-    density = np.where(CENTRES[..., 0] > 0, 700, 1500).astype(np.uint16) * (fraction > 0)
-    carried, kg_m3, known = carried_beyond(fraction, surface, layer, density)
-    assert (known == (surface < OUTSIDE) | (fraction > 0)).all() and known.sum() > (
-        fraction > 0
-    ).sum()
-    assert (carried[known] == np.where(CENTRES[..., 0] > 0, 1, 2)[known]).all()
-    assert (kg_m3[known] == np.where(CENTRES[..., 0] > 0, 700, 1500)[known]).all()
-
-
 def slanted(plate_m=6e-4):
     """Plate over another layer, both slanted and without end, and its normal."""
     normal = np.array([0.25, 0.15, 1.0]) / np.linalg.norm([0.25, 0.15, 1.0])
@@ -170,34 +132,6 @@ def test_a_shape_is_stored_with_its_distances():
     surface, layer, density, boundary = near_the_surface(volume)
     assert surface is volume.surface_distance and boundary is volume.layer_distance
     assert layer is volume.layer and density is volume.density_kg_m3
-
-
-def test_a_volume_without_distances_has_them_from_fractions_and_layers():
-    anatomy, _ = slanted()
-    given = voxelise(
-        anatomy, spacing_m=1e-4, region_m=((-1e-3, -1e-3, -1.4e-3), (1e-3, 1e-3, 6e-4))
-    )
-    filled = given.fraction > 0
-    bare = VoxelVolume(
-        given.origin_m,
-        1e-4,
-        given.fraction,
-        given.layer * filled,
-        given.density_kg_m3 * filled,
-        given.layer_names,
-    )
-    surface, layer, _, boundary = near_the_surface(bare)
-    inner = (slice(4, -4), slice(4, -4), slice(4, -4))
-    near = np.abs(given.surface_distance[inner].astype(int) - SURFACE_ZERO) < 55
-    # 0.03 voxel
-    assert (
-        np.abs(surface[inner].astype(int) - given.surface_distance[inner].astype(int))[near].max()
-        <= 2
-    )
-    assert (layer[inner][near] == given.layer[inner][near]).all()
-    close = given.layer_distance[inner] < 127
-    off = boundary[inner].astype(float) - given.layer_distance[inner]
-    assert np.abs(off[close]).max() < 0.55 * 127 and abs(off[close].mean()) < 0.1 * 127
 
 
 def test_what_is_taken_out_has_its_surface():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from meshes.voxels.layer_changes import FAR, boundary_of_layers, layer_boundary
+from meshes.voxels.distances import FAR, boundary_of_layers, layer_boundary
 
 SHAPE = (24, 24, 24)
 CENTRES = np.stack(np.indices(SHAPE), axis=-1) + 0.5 - 12.0
@@ -56,59 +56,11 @@ def test_a_change_of_layer_is_found_to_a_thirtieth_of_a_voxel(kind):
     assert off.min() > -1 / 30  # along no direction is a change nearer than it is
 
 
-def test_a_change_of_layer_from_layers_alone_is_unbiased():
-    """A change of layer from layers alone is unbiased.
-
-    The mean error over random offsets shows no shift, at an angle as along the lattice.
-    """
-    random = np.random.default_rng(4)
-    for normal in directions(6, seed=5):
-        below, above, slant = [], [], []
-        for shift in random.uniform(-0.5, 0.5, 24):
-            change = CENTRES @ normal - shift
-            stored = boundary_of_layers((change > 0).astype(np.uint8), KNOWN)[INNER] / 127.0
-            inner = change[INNER]
-            for side, found in ((inner < 0, below), (inner > 0, above)):
-                near = side & (np.abs(inner) < 1.0)
-                found.append((stored[near] - np.abs(inner[near])).mean())
-            slant.append(np.abs(stored - np.abs(inner))[np.abs(inner) < 1.0].max())
-        bias = 0.5 * (np.mean(below) - np.mean(above))  # a shift of the boundary
-        spread = 0.5 * (np.std(below) + np.std(above)) / np.sqrt(24)
-        assert abs(bias) < 3.0 * spread + 0.01, normal
-        # half a voxel is what layers alone leave along the lattice
-        assert np.max(slant) < 0.55, normal
-
-
 def corners_of_mixed_cells(layer):
     """Return True for each voxel with a surrounding cell that holds two layers."""
     cells = np.lib.stride_tricks.sliding_window_view(np.pad(layer, 1, mode="edge"), (2, 2, 2))
     mixed = cells.min(axis=(3, 4, 5)) != cells.max(axis=(3, 4, 5))
     return np.lib.stride_tricks.sliding_window_view(mixed, (2, 2, 2)).any(axis=(3, 4, 5))
-
-
-def test_voxels_that_no_cell_asks_are_far():
-    """Voxels that no cell asks for are far.
-
-    A point between eight centres of one layer asks for no distance: voxels of such cells alone are
-    not searched.
-    """
-    asked = []
-    for normal in directions(5, seed=8):
-
-        def layer_of(points, normal=normal):
-            return (points @ normal > 0.2).astype(np.uint8)
-
-        def layer_at(points):
-            asked.append(len(points))
-            return layer_of(points - 12.0)
-
-        layer = layer_of(CENTRES)
-        wanted = corners_of_mixed_cells(layer)
-        for stored in (layer_boundary(layer, KNOWN, layer_at), boundary_of_layers(layer, KNOWN)):
-            assert (stored[~wanted] == FAR).all(), normal
-            assert (stored[wanted] < FAR).all(), normal
-        assert sum(asked) <= 9 * wanted.sum()  # four strides of half a voxel and five halvings
-        asked.clear()
 
 
 def crossings(stored, layer):

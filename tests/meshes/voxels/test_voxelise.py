@@ -13,8 +13,7 @@ from meshes.base.errors import InputError
 from meshes.shapes import sdf
 from meshes.shapes.anatomy import Anatomy, cortical_block
 from meshes.surfaces.glenoid import glenoid
-from meshes.voxels.block_sampling import voxel_fraction
-from meshes.voxels.voxelise import voxelise
+from meshes.voxels.voxelise import voxel_fraction, voxelise
 
 # stored fractions are integers of 255: evaluations in another order may round differently
 ROUNDING = 1
@@ -65,21 +64,6 @@ def test_coarse_to_fine_is_brute_force(anatomy):
     assert np.abs(volume.fraction - fraction * 255.0).max() <= ROUNDING
 
 
-def test_glenoid_coarse_to_fine_is_brute_force():
-    anatomy = glenoid()
-    volume = voxelise(
-        anatomy, spacing_m=1e-4, region_m=((4e-3, 10e-3, -6e-3), (14e-3, 20e-3, 6e-3))
-    )
-    fraction, layer, density, _ = brute_force(anatomy, volume)
-    assert np.abs(volume.fraction - fraction * 255.0).max() <= ROUNDING
-    present = volume.fraction > 0
-    # single precision on a layer's boundary
-    assert (volume.layer == layer)[present].mean() > 0.99999
-    same = present & (volume.layer == layer)
-    # interpolated over 0.8 mm, decay length 5 mm
-    assert np.abs(volume.density_kg_m3[same] - density[same]).max() < 2.0
-
-
 def test_a_voxel_does_not_depend_on_the_region():
     anatomy, spacing = glenoid(), 1e-4
     whole = voxelise(
@@ -107,12 +91,6 @@ def test_block_on_the_lattice_is_exact():
     assert (volume.density_kg_m3[bone] == 1800).all() and volume.layer_names == ("cortical",)
 
 
-def test_block_off_the_lattice_keeps_its_volume():
-    volume = voxelise(cortical_block(size_mm=(5.03, 4.07, 3.05)), spacing_m=1e-4)
-    # rounding to 1/255 on each face
-    assert volume.volume_m3() == pytest.approx(5.03 * 4.07 * 3.05 * 1e-9, rel=5e-4)
-
-
 def test_pilot_hole_is_subtracted_within_voxels():
     solid, spacing = cortical_block(), 1e-4
     hole = sdf.cylinder(2.03e-3, (0.04e-3, 0, -4.02e-3), (0.04e-3, 0, 1e-3))
@@ -123,20 +101,6 @@ def test_pilot_hole_is_subtracted_within_voxels():
     assert (empty == 0).all()
     apart = voxelise(solid, spacing_m=spacing, minus=sdf.sphere(1e-3, (1.0, 0, 0)))
     assert (apart.fraction == voxelise(solid, spacing_m=spacing).fraction).all()
-
-
-def test_coarse_grids_classify_every_voxel():
-    volume = voxelise(glenoid(), spacing_m=5e-4)
-    _, layer, density, _ = brute_force(glenoid(), volume)
-    present = volume.fraction > 0
-    assert (volume.layer == layer)[present].mean() > 0.9999
-    assert np.abs(volume.density_kg_m3 - density)[present & (volume.layer == layer)].max() <= 0.51
-
-
-def test_progress_ends_at_one():
-    seen = []
-    voxelise(cortical_block(), spacing_m=5e-4, progress=seen.append)
-    assert seen == sorted(seen) and seen[-1] == 1.0
 
 
 @pytest.mark.parametrize(

@@ -77,8 +77,8 @@ MESHES = {
     "flat": (CUBE * (1, 1, 0), CUBE_FACES, ("anatomy.file", "thickness")),
     "open": (CUBE, CUBE_FACES[2:], ("anatomy.file", "glenoid of about 28 x 37 mm")),
     "fin": (FIN, (*CUBE_FACES, (0, 1, 10)), ("anatomy.file", "glenoid of about 28 x 37 mm")),
-    "tiny": (CUBE * 1e-9, CUBE_FACES, ("anatomy.scale_mm", "3e-05 µm", "4.7e+09")),
-    "huge": (CUBE * 1e6, CUBE_FACES, ("anatomy.scale_mm", "30 km", "4.7e-06")),
+    "tiny": (CUBE * 1e-9, CUBE_FACES, ("anatomy.scale_mm", "4.7e+09")),
+    "huge": (CUBE * 1e6, CUBE_FACES, ("anatomy.scale_mm", "4.7e-06")),
 }
 """Surfaces that enclose no usable solid, and the words of their messages.
 
@@ -105,7 +105,7 @@ def test_a_surface_of_absurd_scale_is_refused(refused, here):
     message = refused(
         "run", "glenoid", "--set", "anatomy.file=bone.stl", "--set", "anatomy.scale_mm=1000"
     )
-    assert message.startswith("anatomy.scale_mm ") and "bone.stl 30 m long" in message
+    assert message.startswith("anatomy.scale_mm ") and "bone.stl 30000 mm long" in message
 
 
 @pytest.mark.parametrize(
@@ -161,16 +161,3 @@ def test_a_bad_pose_table_is_refused(refused, here, table, words):
         word.format(path=path) in message for word in words
     )
     assert str(path) in message
-
-
-def test_a_thrust_that_starts_below_its_end_is_refused(refused, here):
-    thrust = (
-        "--set",
-        "motion.kind=thrust",
-        "--set",
-        "motion.thrust_N=40",
-        "--set",
-        "motion.start_mm=[0,0,-3]",
-    )
-    message = refused("run", "milling", *COARSE, *thrust)
-    assert message.startswith("motion.depth_mm ") and "(3)" in message and "got 2" in message

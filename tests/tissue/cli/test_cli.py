@@ -3,7 +3,6 @@
 Each of these gives one sentence and exit code 2.
 """
 
-import json
 import sys
 import tomllib
 from pathlib import Path
@@ -162,38 +161,3 @@ def test_the_version_is_that_of_the_project(command):
     ]
     assert command("--version") == (0, f"{project['version']}\n", "")
     assert tissue.__version__ == project["version"]
-
-
-def test_help_lists_every_option(command):
-    code, output, _ = command("run", "--help")
-    assert code == 0
-    for option in (
-        "--out",
-        "--seed",
-        "--duration-s",
-        "--set",
-        "--compute",
-        "--cores",
-        "--format",
-        "--no-pictures",
-        "--overwrite",
-        "--allow-unstable",
-    ):
-        assert option in output
-
-
-@pytest.mark.slow
-def test_a_seed_is_that_of_a_band_where_nothing_else_is_drawn(refused, command, tmp_path):
-    """Without a device a scene draws nothing at random, so that it refuses a seed of its own."""
-    small = ["milling", "--set", "voxels.spacing_mm=0.8", "--duration-s", "0.2", "--no-pictures"]
-    assert "seed must be left out" in refused(
-        "run", *small, "--seed", "1", "--out", str(tmp_path / "alone")
-    )
-    peaks = []
-    for name in ("0", "1"):
-        out = tmp_path / name
-        command("run", *small, "--band", "16", "--seed", name, "--out", str(out))
-        band = json.loads((out / "summary.json").read_text("utf-8"))["band"]
-        assert band["seed"] == int(name)
-        peaks.append(band["force_N"]["peak"]["p50"])
-    assert peaks[0] != peaks[1]

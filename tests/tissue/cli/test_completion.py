@@ -65,17 +65,3 @@ def test_a_shell_that_is_none_is_refused(refused, home):
         "--shell must be one of bash, zsh, fish, got bsh (did you mean bash?): choose one of these"
     )
     assert not list(home.iterdir())
-
-
-def test_a_shell_that_cannot_be_recognised_is_asked_for(refused, home, monkeypatch):
-    from cyclopts.completion import detect
-
-    def lost():
-        raise detect.ShellDetectionError
-
-    monkeypatch.setattr(detect, "detect_shell", lost)
-    assert refused("--install-completion") == (
-        "--shell must be one of bash, zsh, fish, got one that is not recognised: choose one "
-        "of these"
-    )
-    assert not list(home.iterdir())

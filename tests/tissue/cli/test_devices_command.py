@@ -13,7 +13,6 @@ import pytest
 from network_client import BYE, HELLO, UdpClient, packet, pose, read
 from vendor_doubles import ForceDimension, OpenHaptics, without
 
-import tissue
 from tissue.cli.main import main
 
 
@@ -70,13 +69,6 @@ def test_found_devices_come_first_with_their_limits(command, alone, monkeypatch)
         "openhaptics     Default Device  3D Systems Touch\n" in out
         and "no device is found" not in out
     )
-
-
-def test_the_call_lists_the_same(alone, monkeypatch):
-    ForceDimension(has_motors=True, name="sigma.7").install(monkeypatch)
-    found = tissue.devices()
-    (sigma,) = [each for each in found if not each.problem]
-    assert (sigma.name, sigma.limits.torque_limit_Nm) == ("sigma-7", 0.2) and len(found) == 6
 
 
 class Device:
@@ -213,15 +205,3 @@ def test_the_push_is_made_only_after_the_word_is_typed(
 def test_what_cannot_be_meant_is_refused(command, arguments, sentence):
     code, _, error = command("devices", *arguments)
     assert code == 2 and sentence in error
-
-
-def test_a_device_that_is_silent_cannot_be_tested(command, monkeypatch):
-    monkeypatch.setattr("tissue.haptics.real.self_test.START_S", 0.05)
-    code, _, error = command(
-        "devices", "--test", "network", "--address", "udp://127.0.0.1:0", "--yes"
-    )
-    assert (
-        code == 2
-        and "a device must give samples for its test, got 0: check that it is on, and move it"
-        in error
-    )

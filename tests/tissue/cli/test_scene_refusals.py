@@ -108,12 +108,3 @@ def test_voxels_that_do_not_fit_the_memory_are_refused_with_what_would_fit(
         0.01,
     )
     assert (code, error) == (0, "")
-
-
-def test_a_peg_that_fits_neither_tool_nor_hole_is_refused(refused):
-    loose = refused("run", "glenoid", "--set", "tool.peg_diameter_mm=12")
-    wide = refused(
-        "run", "glenoid", "--set", "tool.peg_diameter_mm=12", "--set", "tool.diameter_mm=10"
-    )
-    assert wide.startswith("tool.peg_diameter_mm ") and "(10)" in wide
-    assert loose.startswith("tool.peg_diameter_mm ") and "anatomy.guide_hole_diameter_mm" in loose

@@ -7,7 +7,6 @@ from urllib.request import url2pathname
 
 import pytest
 
-from meshes.base.errors import InputError
 from tissue.scene.load import load_scene, saved_text, scene_names, scene_text
 
 
@@ -62,19 +61,6 @@ def test_the_schema_states_every_key_of_the_scenes(command):
             stated(tomllib.loads(text), schema, schema["$defs"], name)
 
 
-def test_the_ranges_of_the_schema_are_those_that_scenes_are_held_to(command):
-    schema = json.loads(command("schema")[1])
-    tool, numbers = schema["$defs"]["BallBurr"]["properties"], 0
-    for name, entry in tool.items():
-        most = entry.get("maximum")
-        if most is not None:
-            numbers += 1
-            with pytest.raises(InputError, match=rf"tool\.{name} must be .*at most {most:g}"):
-                load_scene("milling", {f"tool.{name}": type(most)(2 * most)})
-    assert numbers >= 3
-    assert set(schema["$defs"]["Device"]["properties"]["kind"]["enum"]) >= {"haply", "touch"}
-
-
 def test_the_schema_is_written_to_a_file_and_kept_unless_it_may_be_replaced(
     command, refused, tmp_path
 ):
@@ -87,18 +73,6 @@ def test_the_schema_is_written_to_a_file_and_kept_unless_it_may_be_replaced(
     path.write_text("{}")
     assert command("schema", "--out", path, "--overwrite")[0] == 0
     assert json.loads(path.read_text("utf-8"))["title"] == "Scene"
-
-
-def test_bad_use_of_the_schema_is_refused(refused, tmp_path):
-    assert refused("schema", "--overwrite").startswith("--overwrite ")
-    assert "glenoid" in refused("schema", "glenoid")
-    (tmp_path / "file").write_text("")
-    for place in (tmp_path / "none" / "scene.json", tmp_path / "file" / "scene.json"):
-        message = refused("schema", "--out", place)
-        assert message.startswith("out ") and str(place) in message
-    for switch in ((), ("--overwrite",)):
-        message = refused("schema", "--out", tmp_path, *switch)
-        assert message.startswith("out ") and f"the folder {tmp_path}" in message
 
 
 @pytest.mark.parametrize("name", scene_names())
@@ -116,13 +90,6 @@ def test_a_printed_scene_names_a_schema_that_is_there_and_loads_unchanged(
     assert rest == scene_text(name)
     (tmp_path / "mine.toml").write_text(output, "utf-8")
     assert load_scene(tmp_path / "mine.toml") == load_scene(name)
-
-
-def test_an_outdated_schema_in_the_cache_is_written_again(command, monkeypatch, tmp_path):
-    monkeypatch.setenv("TISSUE_CACHE", str(tmp_path))
-    (tmp_path / "scene.schema.json").write_text("{}")
-    command("scenes", "milling")
-    assert json.loads((tmp_path / "scene.schema.json").read_text("utf-8"))["title"] == "Scene"
 
 
 def test_a_scene_is_printed_without_the_line_where_the_cache_cannot_be_written(

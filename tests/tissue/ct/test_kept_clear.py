@@ -11,7 +11,7 @@ from meshes.ct.labels import Labels
 from meshes.images.frame import Image
 from tissue.ct.placing import kept_clear, plain_names
 from tissue.ct.request import ImportRequest
-from tissue.scene.keep_clear import KeepClear
+from tissue.scene.scene import KeepClear
 
 NAMES = (
     "Canal!",

@@ -22,7 +22,7 @@ from tissue.motion.motion import Motion
 from tissue.prediction.guard import Guarded
 from tissue.scene.anatomy import Part
 from tissue.scene.registry import PREDICTORS
-from tissue.scene.schema import schema_text
+from tissue.scene.texts import schema_text
 from tissue.scene.tool import Probe
 
 LIGHT = {"mass_kg": 0.03, "damping_N_s_m": 0.2, "force_limit_N": 1.0}

@@ -1,28 +1,11 @@
 """Scenes: where they come from, what overrides do, and that what is written reads back."""
 
-import tomllib
-
 import pytest
 import tomli_w
-from pydantic import ValidationError
 
 import tissue.scene.scene
-from tissue import InputError, Scene, load_scene, scene_names, scene_text
-from tissue.scene.convert import OldSceneWarning
-from tissue.scene.load import parse_override, parse_overrides, saved_text
-from tissue.scene.part import Part
-
-
-def parts_below(part):
-    """Return the tables that derive from a table."""
-    return {part, *(each for inner in part.__subclasses__() for each in parts_below(inner))}
-
-
-PARTS = sorted(
-    (part for part in parts_below(Part) if part.__module__.startswith("tissue.scene")),
-    key=lambda part: part.__name__,
-)
-
+from tissue import InputError, load_scene, scene_names, scene_text
+from tissue.scene.load import OldSceneWarning, parse_override, parse_overrides, saved_text
 
 COARSE = {
     **dict.fromkeys(("molar", "caries"), "voxels.spacing_mm=0.125"),
@@ -58,42 +41,6 @@ def test_a_printed_scene_runs(name, command, here):
         "run", "mine.toml", "--set", coarse, "--no-pictures", "--duration-s", 0.01, "--out", "out"
     )
     assert (code, error) == (0, "")
-
-
-@pytest.mark.parametrize("part", PARTS, ids=lambda part: part.__name__)
-def test_every_entry_is_described(part):
-    without = [
-        name
-        for name, field in part.model_fields.items()
-        if name != "kind" and not (field.description or "").strip()
-    ]
-    assert not without
-
-
-def test_what_must_be_given_has_an_example():
-    """A refusal of a missing value shows one that would do."""
-    for part in PARTS:
-        for name, field in part.model_fields.items():
-            if field.is_required() and name not in (
-                "anatomy",
-                "tool",
-                "motion",
-                "kind",
-                "spin_rpm",
-            ):
-                assert field.examples, f"{part.__name__}.{name}"
-
-
-def test_a_scene_is_frozen():
-    scene = load_scene("milling")
-    with pytest.raises(ValidationError):
-        scene.seed = 1
-    with pytest.raises(ValidationError):
-        scene.voxels.spacing_mm = 1.0
-    assert isinstance(scene.motion.points_mm, tuple) and isinstance(
-        scene.motion.points_mm[0], tuple
-    )
-    assert hash(scene) == hash(load_scene("milling"))
 
 
 def test_overrides_replace_single_entries():
@@ -164,31 +111,6 @@ def test_files_are_taken_from_the_scene_file_and_overrides_from_the_working_dire
     assert load_scene(home / "x.toml", {"anatomy.file": ""}).anatomy.from_file is None
     replay = {"motion.kind": "replay", "motion.file": "t.csv"}
     assert load_scene(home / "x.toml", replay).motion.file == str(work / "t.csv")
-
-
-def test_whole_numbers_do_for_quantities():
-    assert load_scene("milling", {"tool.diameter_mm": 6}) == load_scene("milling")
-
-
-def test_toml_of_a_scene_holds_every_entry_that_is_set():
-    table = tomllib.loads(load_scene("glenoid").to_toml())
-    rest = {"stress", "heat", "organ", "fidelity", "seed", "keep_clear"}
-    assert set(table) == set(Scene.model_fields) - rest - {"device"}
-    for name, part in (
-        ("voxels", tissue.scene.scene.Voxels),
-        ("output", tissue.scene.scene.Output),
-    ):
-        assert set(table[name]) == set(part.model_fields) - {"cue_N"}
-    held = tomllib.loads(
-        load_scene("glenoid", {"device": "six-dof", "prediction": "koopman"}).to_toml()
-    )
-    assert {"hand", "renderer", "prediction", "perception", "coupling"} <= set(
-        held["device"]
-    ) and "cue_N" in held["output"]
-    assert "hardware" not in held["device"] and {"prediction_gain", "delay_ms"} <= set(
-        held["device"]["coupling"]
-    )
-    assert "hardware" in tomllib.loads(load_scene("wall", {"device": "haply"}).to_toml())["device"]
 
 
 OLD_DEVICE = {
@@ -274,14 +196,6 @@ def test_a_device_that_is_no_table_is_refused_with_and_without_overrides(tmp_pat
             load_scene(tmp_path / "x.toml", overrides)
 
 
-def test_old_keys_at_the_top_join_a_table_of_the_device(tmp_path):
-    text = scene_text("wall").replace('hand = "expert"', "")
-    (tmp_path / "x.toml").write_text(f'hand = "novice"\n{text}')
-    with pytest.warns(OldSceneWarning):
-        scene = load_scene(tmp_path / "x.toml")
-    assert (scene.held.kind, scene.held.hand) == ("touch", "novice")
-
-
 def test_a_live_run_without_a_device_keeps_its_seed_for_the_mouse():
     scene = load_scene("milling", {"device": "none", "seed": 3}, live=True)
     assert scene.held.kind == "touch" and scene.seed == 3
@@ -290,13 +204,6 @@ def test_a_live_run_without_a_device_keeps_its_seed_for_the_mouse():
 def test_one_key_in_two_forms_is_refused():
     with pytest.raises(InputError, match=r"^device\.hand must be given once"):
         load_scene("wall", {"hand": "novice", "device.hand": "expert"})
-
-
-def test_a_key_without_effect_deep_in_a_table_is_not_written():
-    scene = load_scene("wall")
-    coupling = scene.held.coupling.model_copy(update={"roam_mm": 40.0})
-    held = scene.held.model_copy(update={"coupling": coupling})
-    assert "roam_mm" not in scene.model_copy(update={"device": held}).to_toml()
 
 
 def test_a_key_given_twice_on_the_command_line_is_refused():

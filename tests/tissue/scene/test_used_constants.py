@@ -92,29 +92,6 @@ def require_no_other_counts(name, changes, used, plain, tmp_path):
     np.testing.assert_array_equal(same, plain)
 
 
-DEEP = {"motion.points_mm": [[0, 0, 0.1], [0, 0, -6]], "motion.feed_mm_s": 40.0, "duration_s": 0.1}
-LARGER = {
-    "glenoid": {"voxels.spacing_mm": 0.5, "motion.feed_mm_s": 10.0, "duration_s": 0.4},
-    "molar": {"voxels.spacing_mm": 0.2, "stress": None, **DEEP},
-    "caries": {"voxels.spacing_mm": 0.2, "stress": None, **DEEP},
-    "pedicle": {"voxels.spacing_mm": 0.5, "duration_s": 0.6},
-    "liver-press": {"anatomy.edge_mm": 25, "anatomy.touch_edge_mm": 8, "duration_s": 0.5},
-}
-"""Scenes that take long with each constant changed in turn, without stress.
-
-The stress is solved in a separate process.
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", LARGER)
-def test_what_is_not_listed_changes_nothing_in_a_larger_scene(name, tmp_path):
-    scene, layers, plain = figures(name, LARGER[name], {}, tmp_path)
-    assert tissue.simulate(scene).summary["force_N"]["peak"] > 0.05
-    used = [each for each in used_constants(scene, layers) if each.stated is None]
-    require_no_other_counts(name, LARGER[name], used, plain, tmp_path)
-
-
 @pytest.mark.parametrize("has_stress", [False, True])
 @pytest.mark.parametrize("has_heat", [False, True])
 def test_teeth_list_what_stress_and_heat_read(has_stress, has_heat):

@@ -6,7 +6,7 @@ It gives the raw force of a whole run bit for bit, and cached values change noth
 import numpy as np
 import pytest
 
-from meshes.base.kept import Kept
+from meshes.base.cache import Kept
 from tissue import load_scene, simulate
 from tissue.cutters import cutter
 from tissue.evaluation.study.plan import TASKS

@@ -12,7 +12,7 @@ from tissue.cli import run as command
 from tissue.models.tissue_model import FreeSpace
 from tissue.simulation import scheduling
 from tissue.simulation.scheduling import SPUN_S, SPUN_SHARE, Scheduling, spin_time_s
-from tissue.system.machine_gaps import MachineGaps
+from tissue.system.priorities import MachineGaps
 
 
 class Background(FreeSpace):

@@ -10,9 +10,9 @@ import sys
 import pytest
 
 from kernels.cores import allowed_cores, cores_without, current_core
-from tissue.system import background_priority
-from tissue.system.background_priority import LOWEST, BackgroundPriority, may_return_from_idle
-from tissue.system.helper import Helper
+from tissue.system import priorities
+from tissue.system.child import Helper
+from tissue.system.priorities import LOWEST, BackgroundPriority, may_return_from_idle
 
 pytestmark = pytest.mark.skipif(
     not hasattr(os, "SCHED_IDLE"), reason="the system has no idle priority"
@@ -32,7 +32,7 @@ def test_it_steps_back_and_hurries(child, monkeypatch):
         pytest.skip("no thread may leave the idle priority here")
     allowed = allowed_cores()
     core = current_core()
-    monkeypatch.setattr(background_priority, "current_core", lambda: core)
+    monkeypatch.setattr(priorities, "current_core", lambda: core)
     priority = BackgroundPriority(child.pid)
     for _ in range(2):
         priority.step_back()
@@ -52,56 +52,6 @@ def test_where_it_could_not_hurry_again_it_has_the_lowest_ordinary_priority(chil
         assert os.getpriority(os.PRIO_PROCESS, child.pid) == LOWEST
         priority.hurry()
     assert str(LOWEST) in priority.described
-
-
-def test_on_one_core_it_stays_there(child, monkeypatch):
-    monkeypatch.setattr(background_priority, "allowed_cores", lambda: {0})
-    moved = []
-    monkeypatch.setattr(os, "sched_setaffinity", lambda number, cores: moved.append(cores))
-    priority = BackgroundPriority(child.pid)
-    priority.step_back()
-    priority.hurry()
-    assert not moved and "core" not in priority.described
-
-
-@pytest.mark.parametrize(
-    ("returns", "asked"),
-    [
-        (
-            True,
-            ["sched_setscheduler", "sched_setaffinity", "sched_setscheduler", "sched_setaffinity"],
-        ),
-        (False, ["setpriority", "sched_setaffinity", "sched_setaffinity"]),
-    ],
-)
-def test_what_the_system_refuses_for_a_process_that_has_ended_is_left_out(
-    child, monkeypatch, returns, asked
-):
-    """Refusals of the system for a process that has ended are ignored.
-
-    Every call is made and refused, the later ones in spite of the earlier; no refusal is raised.
-    """
-    child.kill()
-    child.wait()
-    monkeypatch.setattr(background_priority, "allowed_cores", lambda: {0, 1})
-    monkeypatch.setattr(background_priority, "current_core", lambda: 0)
-    refused = []
-
-    def noting(name, call):
-        def attempt(*arguments):
-            with pytest.raises(ProcessLookupError) as found:
-                call(*arguments)
-            refused.append(name)
-            raise found.value
-
-        return attempt
-
-    for name in set(asked):
-        monkeypatch.setattr(os, name, noting(name, getattr(os, name)))
-    priority = BackgroundPriority(child.pid, returns=returns)
-    priority.step_back()
-    priority.hurry()
-    assert refused == asked
 
 
 def test_a_helper_has_one_thread_for_linear_algebra_and_a_group_of_its_own(tmp_path, monkeypatch):

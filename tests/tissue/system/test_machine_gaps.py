@@ -4,7 +4,7 @@ from itertools import accumulate, chain, repeat
 
 import pytest
 
-from tissue.system.machine_gaps import LEAST_GAP_S, MachineGaps, spin
+from tissue.system.priorities import LEAST_GAP_S, spin
 
 LOOK_S = 1e-5
 
@@ -30,13 +30,3 @@ def test_gaps_are_those_above_the_least():
 def test_a_gap_longer_than_the_time_to_look_ends_it():
     gaps = spin(0.01, now=clock(0.05))
     assert gaps.spun_s == pytest.approx(0.05) and gaps.gaps_s == pytest.approx((0.05,))
-
-
-def test_two_looks_are_one_measurement_and_scale_with_the_work():
-    both = MachineGaps(0.2, (1e-3,)) + MachineGaps(0.3, (2e-3, 3e-3, 4e-3))
-    assert both.expected(5.0) == pytest.approx(4 / 0.5 * 5.0)
-    assert both.longest_s == 4e-3
-
-
-def test_nothing_is_expected_where_nobody_looked():
-    assert MachineGaps().expected(5.0) == MachineGaps().lost_share == 0.0

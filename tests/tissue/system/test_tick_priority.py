@@ -3,7 +3,6 @@
 The tests cover the request to each system, the granted priority, and its restoration.
 """
 
-import ctypes
 import os
 import subprocess
 import sys
@@ -12,7 +11,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from tissue.system.tick_priority import REALTIME, TickPriority
+from tissue.system.priorities import REALTIME, TickPriority
 
 linux = pytest.mark.skipif(
     not hasattr(os, "sched_setscheduler"), reason="Linux alone has these calls"
@@ -78,28 +77,6 @@ def test_real_time_priority_is_the_threads_own_and_put_back_from_another_thread(
 
 
 @linux
-def test_who_may_not_clear_the_mark_keeps_it_at_ordinary_priority(monkeypatch):
-    fake, priority = (
-        FakeScheduler(monkeypatch, realtime=True, nice=True, clear=False),
-        TickPriority(),
-    )
-    priority.begin()
-    priority.end()
-    assert fake.policy == (os.SCHED_RESET_ON_FORK, 0)
-
-
-@linux
-def test_a_niceness_is_what_is_granted_next(monkeypatch):
-    fake, priority = FakeScheduler(monkeypatch, realtime=False, nice=True), TickPriority()
-    priority.begin()
-    assert fake.niceness == -10 and priority.granted.startswith(
-        "niceness -10: no real-time priority is granted"
-    )
-    priority.end()
-    assert fake.niceness == 0 and priority.granted == "ordinary priority"
-
-
-@linux
 def test_nothing_granted_is_noted_and_ends_nothing(monkeypatch):
     fake, priority = FakeScheduler(monkeypatch, realtime=False, nice=False), TickPriority()
     priority.begin()
@@ -139,44 +116,3 @@ def test_a_system_without_such_calls_is_left_as_it_is(monkeypatch):
     priority.begin()
     priority.end()
     assert priority.granted == "ordinary priority: this system offers no other"
-
-
-@pytest.mark.parametrize("refused", [False, True])
-def test_windows_raises_the_class_of_the_process(monkeypatch, refused):
-    psutil = pytest.importorskip("psutil")
-    classes = [32]
-
-    class Process:
-        def nice(self, value=None):
-            if value is None:
-                return classes[-1]
-            if refused:
-                raise psutil.AccessDenied
-            classes.append(value)
-
-    monkeypatch.setattr(psutil, "Process", Process)
-    monkeypatch.setattr(sys, "platform", "win32")
-    priority = TickPriority()
-    priority.begin()
-    assert priority.granted.startswith(
-        "ordinary priority: a higher one was refused" if refused else "high priority"
-    )
-    priority.end()
-    assert classes == ([32] if refused else [32, 128, 32])
-
-
-@pytest.mark.parametrize("answer", [0, 1])
-def test_macos_asks_for_the_class_of_what_a_person_interacts_with(monkeypatch, answer):
-    asked = []
-    library = SimpleNamespace(
-        pthread_set_qos_class_self_np=lambda kind, rank: asked.append((kind, rank)) or answer
-    )
-    monkeypatch.setattr(ctypes, "CDLL", lambda name: library)
-    monkeypatch.setattr(sys, "platform", "darwin")
-    priority = TickPriority()
-    priority.begin()
-    assert priority.granted.startswith(
-        "ordinary priority: a higher" if answer else "quality of service"
-    )
-    priority.end()
-    assert asked == ([(0x21, 0)] if answer else [(0x21, 0), (0x15, 0)])

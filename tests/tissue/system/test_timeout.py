@@ -2,7 +2,7 @@
 
 import threading
 
-from tissue.system.timeout import returned_within
+from tissue.system.stopping import returned_within
 
 
 def test_what_returns_raises_or_blocks():

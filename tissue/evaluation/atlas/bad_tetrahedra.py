@@ -5,10 +5,9 @@ from matplotlib.figure import Figure
 from scipy.linalg import eigvalsh
 
 from meshes.base.arrays import Array, Ints
-from meshes.tets.checks import mean_ratio, signed_volumes
-from meshes.tets.quality import SLIVER, repair_tets
+from meshes.tets.quality import SLIVER, describe, repair_tets
 from meshes.tets.structured import box
-from meshes.tets.tetrahedra import TetMesh
+from meshes.tets.tetrahedra import TetMesh, mean_ratio, signed_volumes
 from tissue.evaluation.atlas.page import (
     BLUE,
     GREY,
@@ -99,23 +98,23 @@ def ask() -> list[Answer]:
     nodes, cells = squashed(1.0)
     turned = cells.copy()
     turned[[17, 200, 301]] = turned[[17, 200, 301]][:, [1, 0, 2, 3]]
-    repaired, report = repair_tets(nodes, turned)
+    repaired, repairs = repair_tets(nodes, turned)
     volume = float(signed_volumes(repaired.nodes_m, repaired.cells).sum())
-    whole = report.inverted == 3 and abs(volume / SIZE_M**3 - 1.0) < 1e-12
+    whole = "Turned 3 inverted" in repairs[0] and abs(volume / SIZE_M**3 - 1.0) < 1e-12
     folded = nodes.copy()
     folded[middle_node(nodes)] += [0.4 * SIZE_M, 0.0, 0.0]
-    _, sliver = repair_tets(*squashed(1e-4))
-    flat = sliver.slivers > 0 and sliver.slivers_left == 0
+    mesh, sliver = repair_tets(*squashed(1e-4))
+    flat = len(sliver) > 0 and bool(mean_ratio(mesh.nodes_m, mesh.cells).min() >= SLIVER)
     return [
         refused("three inverted cells, as a mesh", lambda: TetMesh(nodes, turned)),
         shown(
             "three inverted cells, from a file",
             whole,
-            " ".join(report.sentences()),
+            " ".join((*describe(repaired), *repairs)),
             conduct=Conduct.FALLS_BACK,
         ),
         refused("a mesh that folds over itself", lambda: repair_tets(folded, cells)),
-        shown("a sliver", flat, " ".join(sliver.sentences()), conduct=Conduct.FALLS_BACK),
+        shown("a sliver", flat, " ".join((*describe(mesh), *sliver)), conduct=Conduct.FALLS_BACK),
         refused(
             "nodes with NaN coordinates",
             lambda: repair_tets(np.where(nodes > 0.09, np.nan, nodes), cells),

@@ -10,7 +10,7 @@ from time import perf_counter, sleep
 import numpy as np
 
 from meshes.base.errors import InputError
-from meshes.base.text_numbers import number_in
+from meshes.base.text_tables import number_in
 from tissue.evaluation.calibration.observers import SimulatedObservers, draw_observers
 from tissue.evaluation.calibration.session import Comparison, Magnitude, Plan
 from tissue.evaluation.calibration.trial_log import TrialLog, log_path, read_log

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from meshes.base.errors import InputError
 from meshes.base.file_limits import require_regular
-from meshes.base.file_version import package_version, require_version
 from meshes.base.text_tables import read_json
+from meshes.base.whole_file import package_version, require_version
 from tissue.evaluation.calibration.session import Comparison, Magnitude, Plan, Session
 from tissue.perception.adaptive import ThresholdPrior
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from meshes.base.cache import cached_arrays
 from meshes.base.errors import InputError
-from meshes.shapes.polyline import arc_length, points_along
+from meshes.paths.toolpath import arc_length, points_along
 from tissue.evaluation.charts.keys import machine, scene_text, setting_key, sources
 from tissue.evaluation.charts.reference import force_and_reference_N, of_model
 from tissue.evaluation.charts.settings import Changes, Setting, edge_mm, placed, settings_of

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
 
     from tissue.evaluation.charts.prediction import PredictorComparison
-    from tissue.scene.entries import PredictorEntry
+    from tissue.scene.names import PredictorEntry
 
 __all__ = ["draw_frontiers", "draw_overview", "draw_scene", "draw_tasks"]
 

@@ -10,9 +10,8 @@ from pydantic import TypeAdapter
 
 from meshes.base.errors import InputError
 from meshes.base.file_limits import require_regular
-from meshes.base.file_version import package_version, require_version
 from meshes.base.text_tables import read_json
-from meshes.base.whole_file import claim, whole_file
+from meshes.base.whole_file import claim, package_version, require_version, whole_file
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.plan import TASKS, Plan, TrialKey
 from tissue.evaluation.study.registration import (

@@ -13,8 +13,7 @@ from typing import Any
 import tomli_w
 
 from meshes.base.errors import InputError, require_range
-from meshes.base.file_version import package_version
-from meshes.base.whole_file import claim, whole_file
+from meshes.base.whole_file import claim, package_version, whole_file
 from tissue.evaluation.statistics.hypothesis_test import ALPHA
 from tissue.evaluation.study.plan import (
     COMPARED,

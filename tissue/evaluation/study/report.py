@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from meshes.base.errors import InputError
-from meshes.base.file_version import package_version
 from meshes.base.progress import Progress, silent
-from meshes.base.whole_file import whole_file
+from meshes.base.whole_file import package_version, whole_file
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.cases import case_sections
 from tissue.evaluation.study.discrimination import discrimination_section

@@ -14,8 +14,7 @@ from meshes.base.progress import Progress, silent
 from tissue.evaluation.study.folder import StudyFolder
 from tissue.evaluation.study.plan import Plan, TrialKey
 from tissue.evaluation.study.trial import Row, Trial, error_sentence, run_trial, trial_seed
-from tissue.system.pools import LOST, executor
-from tissue.system.workers import first_done
+from tissue.system.workers import LOST, executor, first_done
 
 __all__ = ["run_study"]
 

@@ -16,8 +16,7 @@ from tissue.fitting.bands.reweighed import with_sizes
 from tissue.scene.load import changed
 from tissue.scene.scene import Scene
 from tissue.simulation.simulate import simulate
-from tissue.system.pools import LOST, executor
-from tissue.system.workers import first_done
+from tissue.system.workers import LOST, executor, first_done
 
 __all__ = ["Outcome", "Workers", "reruns"]
 

@@ -3,26 +3,26 @@
 The packets are defined in `tissue.haptics.real.network_session`.
 """
 
+from collections import (deque)
+from collections.abc import (Hashable)
+from contextlib import (suppress)
+from meshes.base.arrays import (Array)
+from meshes.base.errors import (InputError)
+from time import (perf_counter, sleep)
+from tissue.haptics.real.adapter import (FoundDevice, HardwareAdapter, HardwareSample, checked_url)
+from tissue.haptics.real.network_session import (NO_WRENCH, NetworkSession)
+from typing import (TYPE_CHECKING)
 import asyncio
 import socket
 import threading
-from collections import deque
-from collections.abc import Hashable
-from contextlib import suppress
-from time import perf_counter, sleep
-from typing import TYPE_CHECKING
-
-from meshes.base.arrays import Array
-from meshes.base.errors import InputError
-from tissue.haptics.real.adapter import FoundDevice, HardwareAdapter, HardwareSample, checked_url
-from tissue.haptics.real.network_session import NO_WRENCH, NetworkSession
 
 if TYPE_CHECKING:
-    from websockets.asyncio.server import ServerConnection
+    from tissue.scene.coupling import (Hardware)
+    from websockets.asyncio.server import (ServerConnection)
 
-    from tissue.scene.hardware import Hardware
+__all__ = ["NetworkAdapter", "USUAL", "UdpTransport", "WebTransport"]
 
-__all__ = ["USUAL", "NetworkAdapter", "UdpTransport", "WebTransport"]
+
 
 USUAL = "udp://127.0.0.1:24930"
 """Default address at which a device is awaited."""
@@ -329,7 +329,7 @@ class NetworkAdapter(HardwareAdapter):
     @classmethod
     def find(cls, address: str = "") -> list[FoundDevice]:
         """Return the device that asks to be used within `LOOK_S`, or the reason for none."""
-        from tissue.scene.hardware import Hardware
+        from tissue.scene.coupling import Hardware
 
         try:
             with cls(Hardware(address=address)) as adapter:

@@ -15,10 +15,9 @@ from typing import Any
 from zipfile import ZIP_DEFLATED, ZipFile
 
 from meshes.base.errors import InputError
-from meshes.base.file_version import package_version
 from meshes.base.isolated_parser import parse_isolated
 from meshes.base.progress import Progress, silent
-from meshes.base.whole_file import whole_file
+from meshes.base.whole_file import package_version, whole_file
 from tissue.scene.texts import folders_of
 from tissue.scene.used_constants import used_constants
 from tissue.show.report.charts import charts, columns
@@ -112,7 +111,7 @@ def _require_whole(saved: SavedRun) -> None:
     }
     if there:
         parse_isolated(
-            "meshes.surfaces.vtk_reading:check_vtk",
+            "meshes.surfaces.triangle_files:check_vtk",
             saved.path,
             what="folder of a run",
             remedy="run the scene again",

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError
 from meshes.surfaces.site import normal_near, sample_surface
 from meshes.surfaces.surface import Surface, read_surface
-from tissue.scene.site_text import anatomy_of, save_site
+from tissue.scene.texts import anatomy_of, save_site
 from tissue.show.figures.figure import BONE
 from tissue.show.viewer.plotter import add_text, free_keys, new_plotter, on_click, picked
 

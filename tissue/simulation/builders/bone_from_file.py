@@ -43,7 +43,7 @@ def bone_from_file(parameters: Placed, notes: dict[str, str]) -> Anatomy:
     """Return the bone in a surface or image, placed at its site."""
     from meshes.images.reading import read_image
     from meshes.images.threshold_surface import image_cuts, image_triangles
-    from meshes.surfaces.bone_surface import surface_anatomy
+    from meshes.surfaces.glenoid import surface_anatomy
     from meshes.surfaces.surface import surface_from_triangles
     from meshes.surfaces.triangle_files import read_triangles
 

@@ -10,15 +10,14 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError, names_of_caller
 from meshes.base.placement import Placement
 from meshes.base.progress import Progress
-from meshes.shapes.sdf import Shape
-from meshes.shapes.triangles import shape_triangles
+from meshes.shapes.sdf import Shape, shape_triangles
 from meshes.surfaces.surface import read_surface
 from meshes.voxels.mesh_sampling import triangle_distance
 from tissue.cutters.body import body_points
 from tissue.cutters.cutter import Cutter
 from tissue.models.keep_clear import Distance, KeepClear, Structure
 from tissue.motion.motion import Motion
-from tissue.scene.keep_clear import KeepClear as Wanted
+from tissue.scene.scene import KeepClear as Wanted
 from tissue.simulation.builders.parts import FILE_WORDS
 from tissue.simulation.builders.voxels import swept_box
 

@@ -12,9 +12,9 @@ from meshes.base.placement import Placement
 from meshes.base.progress import Progress
 from meshes.organs.liver import Nodule, liver, liver_region, onto_liver, slab, slab_base
 from meshes.surfaces.site import axes_along
-from meshes.tets.bisection import Move, bisected
 from meshes.tets.files import read_tets
 from meshes.tets.regions import nodes_behind_plane, nodes_facing, nodes_of_part
+from meshes.tets.stuffing import Move, bisected
 from meshes.tets.tetrahedra import TetMesh
 from meshes.voxels.mesh_sampling import nearest_on_triangles
 from tissue.materials.elasticity import (

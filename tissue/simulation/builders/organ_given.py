@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError, names_of_caller, require_positive, require_range
 from meshes.surfaces.surface import Surface, surface_from_triangles
 from meshes.surfaces.triangle_files import read_triangles
-from meshes.tets.bisection import bisected
 from meshes.tets.files import require_millimetres
-from meshes.tets.stuffing import EDGE_GROWTH
+from meshes.tets.stuffing import EDGE_GROWTH, bisected
 from meshes.tets.tetrahedra import TetMesh
 from meshes.voxels.mesh_sampling import nearest_on_triangles, triangle_distance
 from tissue.materials.elasticity import lame

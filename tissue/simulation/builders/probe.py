@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, is_file, names_of_caller
-from meshes.shapes.polyline import arc_length, kept_corners, points_along
+from meshes.paths.toolpath import arc_length, kept_corners, points_along
 from meshes.tets.tetrahedra import TetMesh
 from tissue.models.organ.probe import CylinderProbe, ProbeShape, ShellProbe, SphereProbe
 from tissue.motion.motion import Motion

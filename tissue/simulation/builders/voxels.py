@@ -7,12 +7,12 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.cache import Kept
 from meshes.base.errors import InputError, names_of_caller
-from meshes.base.kept import Kept
 from meshes.base.progress import Progress, silent
+from meshes.paths.toolpath import arc_length, points_along
 from meshes.shapes import sdf
 from meshes.shapes.anatomy import Anatomy, cortical_block
-from meshes.shapes.polyline import arc_length, points_along
 from meshes.surfaces.glenoid import glenoid
 from meshes.tooth.layered_surfaces import layered_surfaces
 from meshes.tooth.molar import molar

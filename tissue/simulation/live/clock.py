@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from meshes.base.errors import require_positive
 from tissue.models.tissue_model import TICK_S
 from tissue.simulation.observer import RunObserver
-from tissue.system.tick_priority import TickPriority
+from tissue.system.priorities import TickPriority
 
 __all__ = ["BEHIND_S", "LOOK_TICKS", "Paced", "Prioritised", "WallClock"]
 

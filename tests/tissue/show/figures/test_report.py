@@ -187,7 +187,7 @@ def test_pictures_show_something(run, tmp_path):
 
 
 def test_pictures_without_opengl_name_what_to_install(run, tmp_path, monkeypatch):
-    monkeypatch.setattr("tissue.system.offscreen._windows", lambda: iter(()))
+    monkeypatch.setattr("tissue.system.offscreen.drawing_environments", lambda: iter(()))
     monkeypatch.setattr("tissue.system.offscreen.sys.platform", "linux")
     (note,) = draw_pictures(run, tmp_path)
     assert note == (
@@ -202,7 +202,7 @@ def test_pictures_without_opengl_name_what_to_install(run, tmp_path, monkeypatch
 
 
 def test_a_drawing_process_that_dies_leaves_this_one_alive(tmp_path, monkeypatch):
-    monkeypatch.setattr("tissue.system.offscreen._windows", lambda: iter(("",)))
+    monkeypatch.setattr("tissue.system.offscreen.drawing_environments", lambda: iter([{}]))
     monkeypatch.setattr("tissue.system.child.START", "import os; os.abort()")
     problem = draw_apart("tissue.show.figures.rendering")
     assert problem is not None and "OpenGL does not work on this machine (exit code" in problem

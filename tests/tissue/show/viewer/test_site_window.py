@@ -10,7 +10,7 @@ import pytest
 from imported_bone import SCENE, imported_bone
 
 from tissue import InputError
-from tissue.scene.site_text import anatomy_of, save_site, with_site
+from tissue.scene.texts import anatomy_of, save_site, with_site
 from tissue.show.viewer.view import view
 
 

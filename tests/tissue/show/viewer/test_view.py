@@ -176,7 +176,7 @@ def test_a_screenshot_needs_a_place(whole, tmp_path, name, message):
 
 
 def test_a_screenshot_that_cannot_be_drawn_leaves_no_file(whole, tmp_path, monkeypatch):
-    monkeypatch.setattr("tissue.system.offscreen._windows", lambda: iter(()))
+    monkeypatch.setattr("tissue.system.offscreen.drawing_environments", lambda: iter(()))
     with pytest.raises(
         InputError, match="screenshot must be drawn in 3D, but this machine has no OpenGL library"
     ):

@@ -1,0 +1,208 @@
+"""Commands on saved runs: ``tissue assess``, ``compare``, ``report`` and ``view``."""
+
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from tissue.cli.terminal import Flag, Texts, console, left_out, progress
+
+__all__ = ["assess", "compare", "report", "view"]
+
+
+def assess(
+    folder: Path,
+    /,
+    *,
+    against: Path,
+    force_limit_n: Annotated[float | None, Parameter(name="--force-limit-N")] = None,
+    deviation_limit_mm: float = 1.0,
+    overshoot_limit_mm: float = 0.5,
+    out: Path | None = None,
+    overwrite: Flag = False,
+) -> None:
+    """Assess a trainee's run against a reference run of the same scene.
+
+    Parameters
+    ----------
+    folder
+        Folder of the trainee's run, that `tissue run` wrote.
+    against
+        Folder of the reference run.
+    force_limit_n
+        Force that should not be exceeded, in newtons; default 1.25 times the reference's peak.
+    deviation_limit_mm
+        Distance from the reference's path that should not be exceeded.
+    overshoot_limit_mm
+        Largest allowed distance of the tip below the reference's deepest point.
+    out
+        Folder for the picture and the figures; without it they are only printed.
+    overwrite
+        Replace the assessment that the folder already holds.
+    """
+    from tissue.evaluation.assessment import assess as hold_against
+    from tissue.evaluation.assessment import (
+        assessment_lines,
+        require_assessment_folder,
+        write_assessment,
+    )
+    from tissue.simulation.run_folder import SavedRun
+
+    if out is None:
+        left_out("without --out, for nothing is written", "remove it", overwrite=overwrite)
+    else:
+        require_assessment_folder(out, overwrite=overwrite)
+    found = hold_against(
+        SavedRun(folder),
+        SavedRun(against),
+        force_limit_N=force_limit_n,
+        deviation_limit_mm=deviation_limit_mm,
+        overshoot_limit_mm=overshoot_limit_mm,
+    )
+    console.print(*assessment_lines(found), sep="\n")
+    if out is not None:
+        written = write_assessment(found, out, overwrite=overwrite)
+        console.print(f"files in {out}: {', '.join(path.name for path in written)}")
+
+
+def compare(
+    *folders: Path,
+    out: Path | None = None,
+    over: Literal["time", "depth"] = "time",
+    overwrite: Flag = False,
+) -> None:
+    """Compare runs with the first of them: their scenes, figures and forces.
+
+    Parameters
+    ----------
+    folders
+        Folders of two or more runs that `tissue run` wrote.
+    out
+        Folder for the picture and the table; without it they are only printed.
+    over
+        Abscissa of the picture: time, or depth of the tool's tip from its first contact.
+    overwrite
+        Replace the comparison that the folder already holds.
+    """
+    from rich.table import Table
+
+    from tissue.objects.comparison import FILES, KIND
+    from tissue.objects.comparison import compare as compared
+    from tissue.system.owned_folder import require_folder
+
+    if out is None:
+        left_out("without --out, for nothing is written", "remove it", overwrite=overwrite)
+        left_out(
+            "without --out, for nothing is drawn",
+            "remove it",
+            over=over if over != "time" else None,
+        )
+    if out is not None:
+        require_folder(out, KIND, FILES, overwrite=overwrite)
+    found = compared(*folders)
+    titles, rows = found.texts()
+    table = Table(titles[0])
+    for title in titles[1:]:
+        table.add_column(title, justify="right", overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)
+    console.print(*found.lines(), sep="\n")
+    if out is not None:
+        written = found.save(out, over=over, overwrite=overwrite)
+        console.print(f"files in {out}: {', '.join(path.name for path in written)}")
+
+
+def report(
+    folder: Path,
+    /,
+    *,
+    out: Path | None = None,
+    overwrite: Flag = False,
+) -> None:
+    """Write a run as one HTML file to share, which needs no network.
+
+    Parameters
+    ----------
+    folder
+        Folder that `tissue run` wrote.
+    out
+        HTML file to write; default report.html in the folder.
+    overwrite
+        Replace an existing file.
+    """
+    from tissue.show.report.report import write_report
+
+    with progress() as shown:
+        written = write_report(folder, out, overwrite=overwrite, progress=shown)
+    console.print(f"{written}: {written.stat().st_size / 1e6:.1f} MB")
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class DrawingOptions:
+    """Options of the drawing; the fields are arguments of `tissue.show.viewer.view.view`.
+
+    Attributes
+    ----------
+    hide
+        Layer or part that is hidden at first; may be repeated.
+    field
+        Field that is shown at first, for example von_mises_MPa.
+    scale
+        Factor of the drawn displacement at first.
+    time_s
+        Moment that is shown at first, in seconds; default the moment of the largest force.
+    clean
+        With --screenshot: draw only the tissue on a transparent background, without text, scales,
+        tool and arrows.
+    """
+
+    hide: Texts = ()
+    field: str | None = None
+    scale: float = 1.0
+    time_s: float | None = None
+    clean: Flag = False
+
+
+def view(
+    folder: Path,
+    /,
+    *,
+    screenshot: Path | None = None,
+    movie: Path | None = None,
+    drawing: DrawingOptions = DrawingOptions(),
+    web: Flag = False,
+    overwrite: Flag = False,
+) -> None:
+    """Show a run in a window, or an imported bone, on which a click sets the site.
+
+    Parameters
+    ----------
+    folder
+        Folder that `tissue run` or `tissue import` wrote.
+    screenshot
+        Write a picture to this .png file instead of opening a window.
+    movie
+        Write a movie to this .mp4 or .gif file instead of opening a window.
+    web
+        Use a browser on this machine in place of a window; the address is printed.
+    overwrite
+        Replace the file of the screenshot or movie.
+    """
+    from tissue.show.viewer.view import view as show
+
+    opened = (lambda address: console.print(f"open {address}; Ctrl-C ends it")) if web else None
+    with nullcontext() if movie is None else progress() as report:
+        shown = show(
+            folder,
+            screenshot=screenshot,
+            movie=movie,
+            **asdict(drawing),
+            overwrite=overwrite,
+            progress=report,
+            opened=opened,
+        )
+    console.print(shown)

@@ -1,0 +1,305 @@
+"""Priorities of the thread that runs ticks and of processes next to it, and gaps in scheduling.
+
+A priority is raised if the system permits it, and restored afterwards.
+"""
+
+import os
+import sys
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache
+from time import perf_counter
+
+from kernels.cores import allowed_cores, cores_without, current_core
+
+__all__ = [
+    "LEAST_GAP_S",
+    "BackgroundPriority",
+    "MachineGaps",
+    "TickPriority",
+    "may_return_from_idle",
+    "spin",
+]
+
+REALTIME = 20
+"""Real-time priority on Linux, 1 to 99; kernel threads that serve devices have 50."""
+NICE = -10
+"""Niceness requested if no real-time priority is granted."""
+USER_INTERACTIVE, DEFAULT = 0x21, 0x15
+"""Quality-of-service classes of macOS, from its header sys/qos.h."""
+HIGH = 0x80
+"""HIGH_PRIORITY_CLASS of Windows, from its header winbase.h."""
+USUAL = "ordinary priority"
+
+
+class TickPriority:
+    """Priority of the calling thread, raised while ticks run and restored afterwards.
+
+    Linux: real-time priority (SCHED_FIFO), which needs the permission ``rtprio`` in
+    /etc/security/limits.conf, otherwise a niceness below 0. Both apply to the thread only. Threads
+    and processes that it starts do not inherit the real-time priority. Windows: high priority of
+    the process. macOS: the quality-of-service class of user interaction. Whatever the system does
+    not grant is noted in `granted` and never ends a run.
+
+    Attributes
+    ----------
+    granted
+        Description of the current priority.
+    """
+
+    def __init__(self) -> None:
+        self.granted = USUAL
+        self._thread = 0
+        self._before: tuple[str, int, int] | None = None
+
+    def begin(self) -> None:
+        """Raise the priority of the calling thread."""
+        if self._before is not None:
+            return
+        self._thread = threading.get_native_id()
+        if sys.platform == "win32":
+            self._begin_windows()
+        elif sys.platform == "darwin":
+            self._begin_macos()
+        else:
+            self._begin_linux()
+
+    def end(self) -> None:
+        """Restore the priority, from any thread; a thread that has ended is skipped."""
+        before = self._before
+        self._before = None
+        if before is None:
+            return
+        self.granted = USUAL
+        kind, value, detail = before
+        with suppress(OSError):
+            if kind == "policy":
+                _schedule(self._thread, value, detail)
+            elif kind == "niceness":
+                os.setpriority(os.PRIO_PROCESS, self._thread, value)
+            elif kind == "class":
+                _windows_class(value)
+            elif threading.get_native_id() == self._thread:
+                _macos_class(DEFAULT)
+
+    def _begin_linux(self) -> None:
+        if not hasattr(os, "sched_setscheduler"):
+            self.granted = f"{USUAL}: this system offers no other"
+            return
+        try:
+            before = (
+                os.sched_getscheduler(self._thread),
+                os.sched_getparam(self._thread).sched_priority,
+            )
+            flag = os.SCHED_RESET_ON_FORK  # threads and processes started here do not inherit it
+            os.sched_setscheduler(self._thread, os.SCHED_FIFO | flag, os.sched_param(REALTIME))
+            self._before = ("policy", *before)
+            self.granted = f"real-time priority {REALTIME} (SCHED_FIFO)"
+            return
+        except OSError:
+            pass
+        try:
+            niceness = os.getpriority(os.PRIO_PROCESS, self._thread)
+            os.setpriority(os.PRIO_PROCESS, self._thread, NICE)
+            self._before = ("niceness", niceness, 0)
+            self.granted = (
+                f"niceness {NICE}: no real-time priority is granted, see rtprio in "
+                "/etc/security/limits.conf"
+            )
+        except OSError:
+            self.granted = (
+                f"{USUAL}: no other is granted, see rtprio and nice in /etc/security/limits.conf"
+            )
+
+    def _begin_windows(self) -> None:
+        import psutil
+
+        try:
+            self._before = ("class", _windows_class(HIGH), 0)
+            self.granted = "high priority of the process"
+        except (OSError, psutil.Error) as refused:
+            self.granted = f"{USUAL}: a higher one was refused ({refused})"
+
+    def _begin_macos(self) -> None:
+        try:
+            _macos_class(USER_INTERACTIVE)
+            self._before = ("quality", 0, 0)
+            self.granted = "quality of service of what a person interacts with"
+        except (OSError, AttributeError) as refused:
+            self.granted = f"{USUAL}: a higher one was refused ({refused})"
+
+
+def _schedule(thread: int, policy: int, priority: int) -> None:
+    """Restore the scheduling policy of a thread.
+
+    Without permission to clear SCHED_RESET_ON_FORK, the thread keeps this harmless flag.
+    """
+    try:
+        os.sched_setscheduler(thread, policy, os.sched_param(priority))
+    except PermissionError:
+        os.sched_setscheduler(thread, policy | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+
+
+def _windows_class(value: int) -> int:
+    """Set the priority class of this process and return the previous class."""
+    import psutil
+
+    process = psutil.Process()
+    before = int(process.nice())
+    process.nice(value)
+    return before
+
+
+def _macos_class(value: int) -> None:
+    """Set the quality-of-service class of the calling thread."""
+    import ctypes
+
+    refused = ctypes.CDLL(None).pthread_set_qos_class_self_np(value, 0)
+    if refused:
+        raise OSError(refused, os.strerror(refused))
+
+
+LOWEST = 19
+"""Lowest niceness: the process runs when no other process needs the processor."""
+
+
+@cache
+def may_return_from_idle() -> bool:
+    """Return whether this system lets a thread leave the idle priority again.
+
+    A short-lived thread tries it.
+    """
+    if not hasattr(os, "SCHED_IDLE"):
+        return False
+    returned: list[bool] = []
+
+    def attempt() -> None:
+        with suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+            returned.append(True)
+
+    thread = threading.Thread(target=attempt)
+    thread.start()
+    thread.join()
+    return bool(returned)
+
+
+class BackgroundPriority:
+    """Priority of a background process relative to the ticks.
+
+    While the ticks run, the main thread of the process has idle priority and avoids the core of the
+    ticks. It gets normal priority when the ticks wait for it. If a thread cannot leave the idle
+    priority again, it gets the lowest ordinary priority instead. On a busy machine, an awaited
+    process at idle priority would hardly ever run. Settings that the system refuses or lacks are
+    skipped.
+
+    Parameters
+    ----------
+    number
+        Id of the process.
+    returns
+        True if a thread may leave the idle priority. By default, `may_return_from_idle` tests it.
+    """
+
+    def __init__(self, number: int, *, returns: bool | None = None) -> None:
+        self._number = number
+        self._idles = may_return_from_idle() if returns is None else returns
+        self._allowed = allowed_cores()
+        self._cores = self._allowed
+        self._lowered = False
+
+    @property
+    def described(self) -> str:
+        """Description of the requested priority and cores."""
+        priority = (
+            "idle priority"
+            if self._idles
+            else f"niceness {LOWEST}"
+            if hasattr(os, "setpriority")
+            else "as usual"
+        )
+        return priority + (", off the ticks' core" if len(self._allowed) > 1 else "")
+
+    def step_back(self) -> None:
+        """Lower the priority while the ticks run on the core of the calling thread."""
+        with suppress(OSError):
+            if self._idles:
+                os.sched_setscheduler(self._number, os.SCHED_IDLE, os.sched_param(0))
+            elif not self._lowered and hasattr(os, "setpriority"):
+                self._lowered = True
+                os.setpriority(os.PRIO_PROCESS, self._number, LOWEST)
+        self._move(cores_without(current_core(), self._allowed))
+
+    def hurry(self) -> None:
+        """Raise the priority while the ticks wait for the process."""
+        with suppress(OSError):
+            if self._idles:
+                os.sched_setscheduler(self._number, os.SCHED_OTHER, os.sched_param(0))
+        self._move(self._allowed)
+
+    def _move(self, cores: set[int]) -> None:
+        """Restrict the process to these cores, unless it already has them."""
+        if cores != self._cores:
+            self._cores = cores
+            with suppress(OSError):
+                os.sched_setaffinity(self._number, cores)
+
+
+LEAST_GAP_S = 2e-4
+"""Shortest interval between two clock readings that counts as a gap [s]; a reading takes 0.1 us."""
+
+
+@dataclass(frozen=True)
+class MachineGaps:
+    """Scheduling gaps measured by a spinning clock.
+
+    Attributes
+    ----------
+    spun_s
+        Measurement time [s].
+    gaps_s
+        Gaps of at least `LEAST_GAP_S` [s].
+    """
+
+    spun_s: float = 0.0
+    gaps_s: tuple[float, ...] = ()
+
+    def __add__(self, other: "MachineGaps") -> "MachineGaps":
+        return MachineGaps(self.spun_s + other.spun_s, self.gaps_s + other.gaps_s)
+
+    def expected(self, seconds: float) -> float:
+        """Return the expected number of gaps in a given time [s]."""
+        return len(self.gaps_s) / self.spun_s * seconds if self.spun_s > 0.0 else 0.0
+
+    @property
+    def lost_share(self) -> float:
+        """Share of the measurement time lost in gaps."""
+        return sum(self.gaps_s) / self.spun_s if self.spun_s > 0.0 else 0.0
+
+    @property
+    def longest_s(self) -> float:
+        """Longest gap [s]; 0 without gaps."""
+        return max(self.gaps_s, default=0.0)
+
+
+def spin(seconds: float, *, now: Callable[[], float] = perf_counter) -> MachineGaps:
+    """Read the clock repeatedly for some seconds and return the gaps.
+
+    Parameters
+    ----------
+    seconds
+        Measurement time [s].
+    now
+        Clock [s].
+    """
+    gaps = []
+    start = last = now()
+    while last - start < seconds:
+        this = now()
+        if this - last >= LEAST_GAP_S:
+            gaps.append(this - last)
+        last = this
+    return MachineGaps(last - start, tuple(gaps))
