@@ -15,33 +15,33 @@ is too soft. Single points may be close by accident, a trend over refinement is 
 the reference is not agreement with an organ, whose moduli scatter by 20 % and more.
 """
 
-from harness import (cost_of, machine, table)
-from linear_limits import (LinearLimits, linear_limits, press)
-from liver_picture import (Point, SHARES, draw, frontier)
-from meshes.organs.liver import (liver, liver_region)
-from meshes.surfaces.surface import (read_surface)
-from meshes.tets.regions import (nodes_facing)
-from meshes.tets.structured import (grid)
-from meshes.tets.stuffing import (bisected)
-from meshes.tets.tetrahedralise import (tetrahedralise)
-from pathlib import (Path)
-from time import (perf_counter)
-from tissue.fem.assembly import (assemble)
-from tissue.fem.hyperelastic import (Law, NonlinearBody)
-from tissue.fem.newton import (NewtonSolver)
-from tissue.fem.solvers.compliance import (surface_compliance_m_N)
-from tissue.fem.solvers.direct import (DirectSolver)
-from tissue.fem.solvers.held_body import (HeldBody, held_nodes)
-from tissue.fem.solvers.multigrid import (MultigridSolver)
-from tissue.fem.space import (Space)
-from tissue.materials.elasticity import (lame)
-from tissue.models.organ.contact import (SurfaceContact)
-from tissue.models.organ.probe import (SphereProbe)
 import argparse
 import csv
+from pathlib import Path
+from time import perf_counter
+
 import numpy as np
+from harness import cost_of, machine, table
+from linear_limits import LinearLimits, linear_limits, press
+from liver_picture import SHARES, Point, draw, frontier
 
-
+from meshes.organs.liver import liver, liver_region
+from meshes.surfaces.surface import read_surface
+from meshes.tets.regions import nodes_facing
+from meshes.tets.structured import grid
+from meshes.tets.stuffing import bisected
+from meshes.tets.tetrahedralise import tetrahedralise
+from tissue.fem.assembly import assemble
+from tissue.fem.hyperelastic import Law, NonlinearBody
+from tissue.fem.newton import NewtonSolver
+from tissue.fem.solvers.compliance import surface_compliance_m_N
+from tissue.fem.solvers.direct import DirectSolver
+from tissue.fem.solvers.held_body import HeldBody, held_nodes
+from tissue.fem.solvers.multigrid import MultigridSolver
+from tissue.fem.space import Space
+from tissue.materials.elasticity import lame
+from tissue.models.organ.contact import SurfaceContact
+from tissue.models.organ.probe import SphereProbe
 
 LIVER, RADIUS_M, DEPTH_M = lame(5e3, 0.45), 0.01, 4e-3
 DEPTHS_M = np.array([0.5, 1.0, 2.0, 3.0, 4.0, 6.0]) * 1e-3

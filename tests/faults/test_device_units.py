@@ -3,19 +3,18 @@
 The run ends, or the force fades, with a sentence.
 """
 
-from tissue import (Sample, load_scene)
-from tissue.haptics.device.device import (ComputedDevice, DeviceError, DeviceParameters, Reach)
-from tissue.haptics.device.recorded import (MouseDevice)
-from tissue.haptics.device.sample_guard import (SampleGuard)
-from tissue.haptics.real.adapter import (HardwareAdapter, HardwareSample)
-from tissue.haptics.real.mapped import (MappedDevice)
-from tissue.haptics.real.self_test import (self_test)
-from tissue.scene.coupling import (Hardware)
 import numpy as np
 import pytest
+
 import tissue
-
-
+from tissue import Sample, load_scene
+from tissue.haptics.device.device import ComputedDevice, DeviceError, DeviceParameters, Reach
+from tissue.haptics.device.recorded import MouseDevice
+from tissue.haptics.device.sample_guard import SampleGuard
+from tissue.haptics.real.adapter import HardwareAdapter, HardwareSample
+from tissue.haptics.real.mapped import MappedDevice
+from tissue.haptics.real.self_test import self_test
+from tissue.scene.coupling import Hardware
 
 TICK = 1e-3
 LIMITS = DeviceParameters(

@@ -3,25 +3,25 @@
 A finished run stays finished, without an error.
 """
 
-from contextlib import (suppress)
-from meshes.base.errors import (InputError)
-from network_client import (HELLO, WRENCH, packet, pose, read)
-from tissue import (load_scene, simulate)
-from tissue.haptics.real.haply import (HaplyAdapter)
-from tissue.haptics.real.network import (NetworkAdapter)
-from tissue.scene.coupling import (Hardware)
 import base64
 import hashlib
 import json
-import numpy as np
-import pytest
 import re
 import socket
 import struct
 import threading
 import time
+from contextlib import suppress
 
+import numpy as np
+import pytest
+from network_client import HELLO, WRENCH, packet, pose, read
 
+from meshes.base.errors import InputError
+from tissue import load_scene, simulate
+from tissue.haptics.real.haply import HaplyAdapter
+from tissue.haptics.real.network import NetworkAdapter
+from tissue.scene.coupling import Hardware
 
 CLOSES_S = 0.9
 """A run gives a device up that takes longer than a second to close."""

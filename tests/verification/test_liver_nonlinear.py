@@ -3,24 +3,23 @@
 The states are homogeneous ones, large rotation and contact of a sphere.
 """
 
-from linear_limits import (LinearLimits, linear_limits, press)
-from meshes.organs.liver import (liver, liver_region)
-from meshes.surfaces.surface import (read_surface)
-from meshes.tets.regions import (nodes_facing)
-from meshes.tets.structured import (box, graded, grid)
-from meshes.tets.stuffing import (bisected)
-from meshes.tets.tetrahedra import (TetMesh)
-from meshes.tets.tetrahedralise import (tetrahedralise)
-from scipy.spatial.transform import (Rotation)
-from tissue.fem.conjugate_gradients import (SolverOutcome)
-from tissue.fem.hyperelastic import (Law, NonlinearBody)
-from tissue.fem.newton import (NewtonSolver, RigidSphere)
-from tissue.fem.space import (Space)
-from tissue.materials.elasticity import (lame)
 import numpy as np
 import pytest
+from linear_limits import LinearLimits, linear_limits, press
+from scipy.spatial.transform import Rotation
 
-
+from meshes.organs.liver import liver, liver_region
+from meshes.surfaces.surface import read_surface
+from meshes.tets.regions import nodes_facing
+from meshes.tets.structured import box, graded, grid
+from meshes.tets.stuffing import bisected
+from meshes.tets.tetrahedra import TetMesh
+from meshes.tets.tetrahedralise import tetrahedralise
+from tissue.fem.conjugate_gradients import SolverOutcome
+from tissue.fem.hyperelastic import Law, NonlinearBody
+from tissue.fem.newton import NewtonSolver, RigidSphere
+from tissue.fem.space import Space
+from tissue.materials.elasticity import lame
 
 LIVER = lame(5e3, 0.45)
 RADIUS_M = 0.01

@@ -4,14 +4,14 @@ It must solve at every cell size, and 1 N on a cusp moves it by micrometres. The
 OpenMandible's first lower molar, in millimetres.
 """
 
-from functools import (cache)
-from time import (perf_counter)
-from tissue.models.tooth.body import (ParticleBody)
-from tissue.models.tooth.grid import (HexGrid, NodeSupports, ParticleSet)
+from functools import cache
+from time import perf_counter
+
 import numpy as np
 import pytest
 
-
+from tissue.models.tooth.body import ParticleBody
+from tissue.models.tooth.grid import HexGrid, NodeSupports, ParticleSet
 
 LAYERS = ("Enamel", "Dentin", "Pulp", "PDL")
 MODULUS = np.array([84e9, 18.6e9, 2e6, 50e6])

@@ -1,15 +1,15 @@
 """``tissue devices``."""
 
-from pathlib import (Path)
-from tissue.cli.terminal import (Flag, console, left_out, problems)
-from typing import (TYPE_CHECKING)
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tissue.cli.terminal import Flag, console, left_out, problems
 
 if TYPE_CHECKING:
-    from tissue.haptics.real.adapter import (FoundDevice)
-    from tissue.haptics.real.self_test import (SelfTest)
+    from tissue.haptics.real.adapter import FoundDevice
+    from tissue.haptics.real.self_test import SelfTest
 
 __all__ = ["devices"]
-
 
 
 def devices(
@@ -93,9 +93,8 @@ def _limits(found: "FoundDevice") -> str:
 def _test(
     name: str, address: str, seconds: float, out: Path | None, *, yes: bool, overwrite: bool
 ) -> None:
-    from tissue.haptics.real.measured_file import write_measured
-    from tissue.haptics.real.search import adapter_class
-    from tissue.haptics.real.self_test import BUMP_N, BUMP_S, bump, self_test
+    from tissue.haptics.real.adapter import adapter_class
+    from tissue.haptics.real.self_test import BUMP_N, BUMP_S, bump, self_test, write_measured
     from tissue.scene.coupling import Hardware
     from tissue.scene.named_parts import unknown_name
     from tissue.scene.registry import DEVICES

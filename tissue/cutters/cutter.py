@@ -1,15 +1,16 @@
 """Cutter: a profile with flutes, as a distance table for carving and a point shell for forces."""
 
-from dataclasses import (dataclass)
-from kernels.revolution import (EDGE_BEND)
-from math import (ceil, pi, sqrt)
-from meshes.base.arrays import (Array, Ints, Singles, lattice)
-from meshes.base.cache import (Kept)
-from tissue.cutters.profile import (Piece, Profile)
+from dataclasses import dataclass
+from math import ceil, pi, sqrt
+
 import numpy as np
 
-__all__ = ["Cutter", "DistanceTable", "PointShell", "spiral"]
+from kernels.revolution import EDGE_BEND
+from meshes.base.arrays import Array, Ints, Singles, lattice
+from meshes.base.cache import Kept
+from tissue.cutters.profile import Piece, Profile
 
+__all__ = ["Cutter", "DistanceTable", "PointShell", "spiral"]
 
 
 TABLE_ERROR_VOXELS = 2.0e-4

@@ -1,24 +1,38 @@
 """Recorded motion: replay of a table of poses or of a recording of volumetric_drilling."""
 
-from dataclasses import (dataclass)
-from math import (isfinite, nan)
-from meshes.base.arrays import (Array)
-from meshes.base.errors import (InputError, is_file, names_of_caller)
-from meshes.base.file_limits import (read_npz, require_memory, require_regular)
-from meshes.base.text_tables import (number_in, require_distinct_columns)
-from meshes.base.whole_file import (whole_file)
-from meshes.paths.toolpath import (POSE_COLUMNS)
-from meshes.voxels.volume import (VoxelVolume)
-from pathlib import (Path)
-from scipy.spatial.transform import (Rotation, Slerp)
-from tissue.models.tissue_model import (Response, ToolMotion)
-from tissue.motion.motion import (LONGEST_S, Motion, first_off_unit)
-from typing import (Any)
 import csv
+from dataclasses import dataclass
+from math import isfinite, nan
+from pathlib import Path
+from typing import Any
+
 import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
 
-__all__ = ["COLUMNS", "DrillingRecording", "EVENTS", "GivenPoses", "POSES", "ReplayPoses", "SHAFT_TO_X", "poses_of_trace", "read_drilling", "read_poses", "read_replay", "write_poses"]
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError, is_file, names_of_caller
+from meshes.base.file_limits import read_npz, require_memory, require_regular
+from meshes.base.text_tables import number_in, require_distinct_columns
+from meshes.base.whole_file import whole_file
+from meshes.paths.toolpath import POSE_COLUMNS
+from meshes.voxels.volume import VoxelVolume
+from tissue.models.tissue_model import Response, ToolMotion
+from tissue.motion.motion import LONGEST_S, Motion, first_off_unit
 
+__all__ = [
+    "COLUMNS",
+    "EVENTS",
+    "POSES",
+    "SHAFT_TO_X",
+    "DrillingRecording",
+    "GivenPoses",
+    "ReplayPoses",
+    "poses_of_trace",
+    "read_drilling",
+    "read_poses",
+    "read_replay",
+    "write_poses",
+]
 
 
 POSES = "physics_data/continuous_data/high_frequency_poses"

@@ -1,39 +1,52 @@
 """Tissue of a tool on a device: bone made around the tool, or a touchable part of an organ."""
 
-from collections.abc import (Callable, Iterator, Mapping)
-from contextlib import (contextmanager)
-from copy import (deepcopy)
-from dataclasses import (dataclass, fields)
-from meshes.base.arrays import (Array)
-from meshes.base.errors import (InputError, by)
-from meshes.voxels.volume import (VoxelVolume)
-from pathlib import (Path)
-from pydantic import (ValidationError)
-from tissue.cutters import (Cutter)
-from tissue.haptics.device.device import (Device, DeviceParameters, device_parameters)
-from tissue.haptics.hand.hand import (hand_parameters)
-from tissue.materials.scene_constants import (Materials)
-from tissue.models.tissue_model import (TissueModel, ToolMotion)
-from tissue.motion.motion import (frame_along)
-from tissue.objects.bone import (Bone)
-from tissue.objects.organ import (Organ)
-from tissue.objects.tools import (PressingTool)
-from tissue.prediction.guard import (GuardedMaker, Observes)
-from tissue.prediction.predictor import (Predictor)
-from tissue.scene.coupling import (Coupling)
-from tissue.scene.messages import (error_of)
-from tissue.scene.named_parts import (unknown_name)
-from tissue.scene.registry import (RENDERERS)
-from tissue.scene.used_constants import (used_of_device)
-from tissue.simulation.builders.bone import (VoxelBone, tool_boxes)
-from tissue.simulation.builders.device import (require_stated_rate)
-from tissue.simulation.builders.loop_settings import (Contact, LoopSettings, no_predictor, sampled)
-from tissue.simulation.builders.own_constants import (given_note)
-from tissue.simulation.builders.prediction import (maker_of)
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from copy import deepcopy
+from dataclasses import dataclass, fields
+from pathlib import Path
+
 import numpy as np
+from pydantic import ValidationError
 
-__all__ = ["KeepsReady", "LoopOptions", "bone_met", "device_note", "organ_met", "own_names", "require_device", "require_match", "settings_of", "start_above", "usual_force_N"]
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError, by
+from meshes.voxels.volume import VoxelVolume
+from tissue.cutters import Cutter
+from tissue.haptics.device.device import Device, DeviceParameters, device_parameters
+from tissue.haptics.hand.hand import hand_parameters
+from tissue.materials.scene_constants import Materials
+from tissue.models.tissue_model import TissueModel, ToolMotion
+from tissue.motion.motion import frame_along
+from tissue.objects.bone import Bone
+from tissue.objects.organ import Organ
+from tissue.objects.tools import PressingTool
+from tissue.prediction.guard import GuardedMaker, Observes
+from tissue.prediction.predictor import Predictor
+from tissue.scene.coupling import Coupling
+from tissue.scene.messages import error_of
+from tissue.scene.named_parts import unknown_name
+from tissue.scene.registry import RENDERERS
+from tissue.scene.used_constants import used_of_device
+from tissue.simulation.builders.bone import VoxelBone, tool_boxes
+from tissue.simulation.builders.device import require_stated_rate
+from tissue.simulation.builders.loop_settings import Contact, LoopSettings, no_predictor, sampled
+from tissue.simulation.builders.own_constants import given_note
+from tissue.simulation.builders.prediction import maker_of
 
+__all__ = [
+    "KeepsReady",
+    "LoopOptions",
+    "bone_met",
+    "device_note",
+    "organ_met",
+    "own_names",
+    "require_device",
+    "require_match",
+    "settings_of",
+    "start_above",
+    "usual_force_N",
+]
 
 
 KeepsReady = Callable[[Array], None]

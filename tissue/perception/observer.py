@@ -1,22 +1,32 @@
 """Observers of force: posterior of one person, its file format, and the population."""
 
-from collections.abc import (Mapping)
-from dataclasses import (dataclass)
-from math import (exp, log)
-from meshes.base.arrays import (Array)
-from meshes.base.errors import (InputError, require_range)
-from meshes.base.file_limits import (require_regular)
-from meshes.base.text_tables import (read_json)
-from meshes.base.whole_file import (package_version, require_version, whole_file)
-from pathlib import (Path)
-from scipy.special import (digamma, expit, logit, polygamma)
-from tissue.materials.constants import (constants)
-from tissue.system.outputs import (require_new_file)
 import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import exp, log
+from pathlib import Path
+
 import numpy as np
+from scipy.special import digamma, expit, logit, polygamma
 
-__all__ = ["Observer", "PARAMETERS", "Population", "population", "population_observer", "read_observer", "reference_observer", "write_observer"]
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError, require_range
+from meshes.base.file_limits import require_regular
+from meshes.base.text_tables import read_json
+from meshes.base.whole_file import package_version, require_version, whole_file
+from tissue.materials.constants import constants
+from tissue.system.outputs import require_new_file
 
+__all__ = [
+    "PARAMETERS",
+    "Observer",
+    "Population",
+    "population",
+    "population_observer",
+    "read_observer",
+    "reference_observer",
+    "write_observer",
+]
 
 
 PARAMETERS = ("alpha", "beta", "kappa", "offset_N", "lapse", "sigma")

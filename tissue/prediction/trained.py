@@ -12,9 +12,8 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import DamagedFileError, InputError
 from meshes.base.file_limits import read_npz
-from meshes.base.file_version import package_version, require_version
 from meshes.base.text_tables import read_json
-from meshes.base.whole_file import whole_file
+from meshes.base.whole_file import package_version, require_version, whole_file
 from tissue.prediction.operator import (
     Delays,
     Dictionary,

@@ -3,13 +3,12 @@
 Their results are returned, and their failures stay in that process.
 """
 
-from meshes.base.errors import (InputError)
-from meshes.base.isolated_parser import (parse_isolated)
-import meshes.base.isolated_parser
 import numpy as np
 import pytest
 
-
+import meshes.base.isolated_parser
+from meshes.base.errors import InputError
+from meshes.base.isolated_parser import parse_isolated
 
 PARSERS = """
 import ctypes, time

@@ -3,23 +3,22 @@
 Eigenvalues with a linearised predictor are compared with runs with the predictor itself.
 """
 
-from copy import (deepcopy)
-from dataclasses import (replace)
-from meshes.base.cache import (Kept)
-from meshes.base.errors import (InputError)
-from tissue.haptics.device.device import (device_parameters)
-from tissue.haptics.hand.hand import (hand_parameters)
-from tissue.haptics.loop.critical_stiffness import (critical_stiffness_N_m, in_hands)
-from tissue.haptics.loop.filters import (low_pass_gain)
-from tissue.haptics.loop.forecast import (Forecast, forecast_of)
-from tissue.haptics.loop.sampled_loop import (plant_step)
-from tissue.prediction.predictor import (Contact, Hold, LinearControl)
-from tissue.simulation.builders.prediction import (maker_of)
-from types import (SimpleNamespace)
+from copy import deepcopy
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-
+from meshes.base.errors import InputError
+from tissue.haptics.device.device import device_parameters
+from tissue.haptics.hand.hand import hand_parameters
+from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands
+from tissue.haptics.loop.filters import low_pass_gain
+from tissue.haptics.loop.forecast import Forecast, forecast_of
+from tissue.haptics.loop.sampled_loop import plant_step
+from tissue.prediction.predictor import Contact, Hold, LinearControl
+from tissue.simulation.builders.prediction import maker_of
 
 TICK = 1e-3
 PULL = np.hstack([-40.0 * np.eye(3), -0.2 * np.eye(3)])

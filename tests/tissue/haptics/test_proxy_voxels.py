@@ -1,15 +1,15 @@
 """Laws of the proxy over voxels: random blocks, walls one voxel thick, planes and corners."""
 
-from functools import (cache)
-from itertools import (pairwise)
-from meshes.voxels.distances import (cube_fraction)
-from proxy_scenes import (BURR, SPACING, bumpy_store, surface_of, volume_of, wander)
-from tissue.haptics.proxy.proxy import (ContactField, Proxy, ToolShell)
-from tissue.models.bone.bricks import (BrickStore)
+from functools import cache
+from itertools import pairwise
+
 import numpy as np
 import pytest
+from proxy_scenes import BURR, SPACING, bumpy_store, surface_of, volume_of, wander
 
-
+from meshes.voxels.distances import cube_fraction
+from tissue.haptics.proxy.proxy import ContactField, Proxy, ToolShell
+from tissue.models.bone.bricks import BrickStore
 
 VOXEL_TOLERANCE_M = 0.05 * SPACING
 """Depth [m] at which a step next to voxels is taken back: a tenth of half a voxel."""

@@ -3,16 +3,15 @@
 It is compared with closed forms in turned and moved frames, and with a sampled brute force.
 """
 
-from meshes.shapes.sdf import (capsule, shape_triangles)
-from scipy.spatial.transform import (Rotation)
-from tissue.cutters import (profile)
-from tissue.models.keep_clear import (KeepClear, Structure)
-from tissue.models.tissue_model import (ToolMotion)
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
-
+from meshes.shapes.sdf import capsule, shape_triangles
+from tissue.cutters import profile
+from tissue.models.keep_clear import KeepClear, Structure
+from tissue.models.tissue_model import ToolMotion
 
 SECTIONS = 128
 ABOVE_MM = 1e-6

@@ -1,24 +1,31 @@
 """Safe operation of a device in a loop: timed, slew-limited and always left without force."""
 
-from collections.abc import (Callable, Iterator)
-from contextlib import (AbstractContextManager, ExitStack, contextmanager, suppress)
-from math import (inf)
-from meshes.base.arrays import (Array)
-from meshes.base.errors import (InputError)
-from time import (perf_counter, sleep)
-from tissue.haptics.device.device import (Device, DeviceError, DeviceParameters, Sample, StatesPlayed)
-from tissue.haptics.loop.filters import (SlewLimit)
-from tissue.models.tissue_model import (TICK_S)
-from tissue.system.stopping import (STOPS, Terminated, interrupt_is_free, returned_within, signals_handled)
-from types import (FrameType, TracebackType)
-from typing import (Self)
 import contextvars
-import numpy as np
 import signal
 import threading
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from math import inf
+from time import perf_counter, sleep
+from types import FrameType, TracebackType
+from typing import Self
+
+import numpy as np
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from tissue.haptics.device.device import Device, DeviceError, DeviceParameters, Sample, StatesPlayed
+from tissue.haptics.loop.filters import SlewLimit
+from tissue.models.tissue_model import TICK_S
+from tissue.system.stopping import (
+    STOPS,
+    Terminated,
+    interrupt_is_free,
+    returned_within,
+    signals_handled,
+)
 
 __all__ = ["GIVE_UP_S", "RAMP_S", "STALL_S", "SafeDevice", "run_held"]
-
 
 
 RAMP_S = 0.03

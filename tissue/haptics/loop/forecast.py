@@ -1,22 +1,23 @@
 """Linear map of a predictor near a contact at rest, used in the stability analysis of the loop."""
 
-from collections.abc import (Sequence)
-from copy import (deepcopy)
-from dataclasses import (dataclass)
-from functools import (cached_property)
-from meshes.base.arrays import (Array)
-from meshes.base.cache import (Kept)
-from meshes.base.errors import (InputError)
-from tissue.prediction.predictor import (Contact, SeesContact)
-from typing import (TYPE_CHECKING)
-import numpy as np
 import pickle
+from collections.abc import Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from meshes.base.arrays import Array
+from meshes.base.cache import Kept
+from meshes.base.errors import InputError
+from tissue.prediction.predictor import Contact, SeesContact
 
 if TYPE_CHECKING:
-    from tissue.prediction.predictor import (Predictor)
+    from tissue.prediction.predictor import Predictor
 
 __all__ = ["Forecast", "forecast_of"]
-
 
 
 PROBES = (1e-5, 1e-3, 1e-3)

@@ -19,7 +19,7 @@ from tissue.motion.replay import read_replay
 from tissue.scene.registry import DEVICES
 
 if TYPE_CHECKING:
-    from tissue.scene.hardware import Hardware
+    from tissue.scene.coupling import Hardware
 
 __all__ = [
     "FoundDevice",
@@ -201,7 +201,7 @@ class RecordedAdapter(HardwareAdapter):
     @classmethod
     def find(cls, address: str = "") -> list[FoundDevice]:
         """Return the file as a device, or the reason for none."""
-        from tissue.scene.hardware import Hardware
+        from tissue.scene.coupling import Hardware
 
         try:
             adapter = cls(Hardware(address=address))

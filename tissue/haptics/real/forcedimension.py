@@ -5,20 +5,20 @@ takes the number of the device, returns -1 for an error, and fills a buffer. Pos
 Matrices contain the axes of the handle as columns. x points to the hand, y to its right, z up.
 """
 
-from collections import (Counter)
-from contextlib import (suppress)
-from meshes.base.arrays import (Array)
-from meshes.base.errors import (InputError)
-from tissue.haptics.device.device import (DeviceError)
-from tissue.haptics.real.adapter import (FoundDevice, HardwareAdapter, HardwareSample)
-from tissue.motion.quaternion import (NOTHING, UPRIGHT, of_matrix)
-from typing import (Any, TYPE_CHECKING)
+from collections import Counter
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from tissue.haptics.device.device import DeviceError
+from tissue.haptics.real.adapter import FoundDevice, HardwareAdapter, HardwareSample
+from tissue.motion.quaternion import NOTHING, UPRIGHT, of_matrix
 
 if TYPE_CHECKING:
-    from tissue.scene.coupling import (Hardware)
+    from tissue.scene.coupling import Hardware
 
 __all__ = ["ForceDimensionAdapter", "SigmaAdapter"]
-
 
 
 FAILED = -1

@@ -10,25 +10,34 @@ do not identify the request that they answer. After a late answer, zero is sent.
 sends nothing more until all pending answers have arrived or are given up.
 """
 
-from contextlib import (ExitStack, suppress)
-from meshes.base.arrays import (Array)
-from meshes.base.errors import (InputError)
-from time import (perf_counter, sleep)
-from tissue.haptics.device.device import (DeviceError)
-from tissue.haptics.real.adapter import (FoundDevice, HardwareAdapter, HardwareSample)
-from tissue.haptics.real.haply_frames import (ServiceState, StateOrder, asked_version, force_frame, opening_frame, problem_of, service_address, spelling_of)
-from tissue.motion.quaternion import (NOTHING, Triple)
-from tissue.scene.coupling import (Hardware)
-from tissue.system.timeout import (returned_within)
-from typing import (TYPE_CHECKING)
 import socket
 import threading
+from contextlib import ExitStack, suppress
+from time import perf_counter, sleep
+from typing import TYPE_CHECKING
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from tissue.haptics.device.device import DeviceError
+from tissue.haptics.real.adapter import FoundDevice, HardwareAdapter, HardwareSample
+from tissue.haptics.real.haply_frames import (
+    ServiceState,
+    StateOrder,
+    asked_version,
+    force_frame,
+    opening_frame,
+    problem_of,
+    service_address,
+    spelling_of,
+)
+from tissue.motion.quaternion import NOTHING, Triple
+from tissue.scene.coupling import Hardware
+from tissue.system.stopping import returned_within
 
 if TYPE_CHECKING:
-    from websockets.sync.client import (ClientConnection)
+    from websockets.sync.client import ClientConnection
 
 __all__ = ["HaplyAdapter"]
-
 
 
 PERIOD_S = 1e-3

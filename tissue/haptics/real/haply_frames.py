@@ -17,7 +17,7 @@ from typing import Any
 from meshes.base.text_tables import read_json
 from tissue.haptics.real.adapter import HardwareSample, checked_url
 from tissue.motion.quaternion import NOTHING, UPRIGHT, Triple
-from tissue.system.timeout import returned_within
+from tissue.system.stopping import returned_within
 
 __all__ = [
     "ServiceState",

@@ -1,19 +1,30 @@
 """Real device in the scene's frame, with limits, fading and removal of its force."""
 
-from collections.abc import (Callable)
-from math import (isfinite, radians, sqrt)
-from meshes.base.arrays import (Array)
-from time import (perf_counter)
-from tissue.haptics.device.device import (DeviceParameters, Sample, reach_of)
-from tissue.haptics.real.adapter import (HardwareAdapter, HardwareSample)
-from tissue.motion.motion import (matrix_of)
-from tissue.motion.quaternion import (NOTHING, Quaternion, Triple, UPRIGHT, conjugate, exponential, is_nearly_unit, product, unit)
-from tissue.scene.coupling import (Hardware)
-from typing import (Self)
+from collections.abc import Callable
+from math import isfinite, radians, sqrt
+from time import perf_counter
+from typing import Self
+
 import numpy as np
 
-__all__ = ["MappedDevice", "Workspace"]
+from meshes.base.arrays import Array
+from tissue.haptics.device.device import DeviceParameters, Sample, reach_of
+from tissue.haptics.real.adapter import HardwareAdapter, HardwareSample
+from tissue.motion.motion import matrix_of
+from tissue.motion.quaternion import (
+    NOTHING,
+    UPRIGHT,
+    Quaternion,
+    Triple,
+    conjugate,
+    exponential,
+    is_nearly_unit,
+    product,
+    unit,
+)
+from tissue.scene.coupling import Hardware
 
+__all__ = ["MappedDevice", "Workspace"]
 
 
 class Workspace:

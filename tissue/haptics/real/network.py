@@ -3,25 +3,26 @@
 The packets are defined in `tissue.haptics.real.network_session`.
 """
 
-from collections import (deque)
-from collections.abc import (Hashable)
-from contextlib import (suppress)
-from meshes.base.arrays import (Array)
-from meshes.base.errors import (InputError)
-from time import (perf_counter, sleep)
-from tissue.haptics.real.adapter import (FoundDevice, HardwareAdapter, HardwareSample, checked_url)
-from tissue.haptics.real.network_session import (NO_WRENCH, NetworkSession)
-from typing import (TYPE_CHECKING)
 import asyncio
 import socket
 import threading
+from collections import deque
+from collections.abc import Hashable
+from contextlib import suppress
+from time import perf_counter, sleep
+from typing import TYPE_CHECKING
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from tissue.haptics.real.adapter import FoundDevice, HardwareAdapter, HardwareSample, checked_url
+from tissue.haptics.real.network_session import NO_WRENCH, NetworkSession
 
 if TYPE_CHECKING:
-    from tissue.scene.coupling import (Hardware)
-    from websockets.asyncio.server import (ServerConnection)
+    from websockets.asyncio.server import ServerConnection
 
-__all__ = ["NetworkAdapter", "USUAL", "UdpTransport", "WebTransport"]
+    from tissue.scene.coupling import Hardware
 
+__all__ = ["USUAL", "NetworkAdapter", "UdpTransport", "WebTransport"]
 
 
 USUAL = "udp://127.0.0.1:24930"

@@ -12,24 +12,24 @@ last one stops it. The package opens a frame of the current device. Each schedul
 therefore first makes its own device current.
 """
 
-from collections import (deque)
-from contextlib import (redirect_stdout, suppress)
-from io import (StringIO)
-from meshes.base.arrays import (Array)
-from meshes.base.errors import (InputError)
-from time import (perf_counter, sleep)
-from tissue.haptics.device.device import (DeviceError)
-from tissue.haptics.real.adapter import (FoundDevice, HardwareAdapter, HardwareSample)
-from tissue.motion.quaternion import (of_matrix, turn_between)
-from types import (ModuleType)
-from typing import (Any, TYPE_CHECKING)
 import threading
+from collections import deque
+from contextlib import redirect_stdout, suppress
+from io import StringIO
+from time import perf_counter, sleep
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from tissue.haptics.device.device import DeviceError
+from tissue.haptics.real.adapter import FoundDevice, HardwareAdapter, HardwareSample
+from tissue.motion.quaternion import of_matrix, turn_between
 
 if TYPE_CHECKING:
-    from tissue.scene.coupling import (Hardware)
+    from tissue.scene.coupling import Hardware
 
 __all__ = ["OpenHapticsAdapter"]
-
 
 
 USUAL = "Default Device"

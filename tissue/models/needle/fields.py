@@ -7,24 +7,25 @@ the node at the entry, are displaced by the deflection along the needle's axis, 
 this requires. The force on the needle never comes from this block.
 """
 
-from dataclasses import (dataclass, replace)
-from meshes.base.arrays import (Array, Ints)
-from meshes.base.errors import (by)
-from meshes.organs.liver import (slab, slab_base)
-from meshes.tets.stuffing import (bisected)
-from meshes.tets.tetrahedra import (TetMesh)
-from numpy.typing import (ArrayLike)
-from tissue.fem.fields import (FieldSeries)
-from tissue.fem.solvers.direct import (DirectSolver)
-from tissue.materials.elasticity import (lame)
-from tissue.materials.scene_constants import (Materials)
-from tissue.models.needle.parameters import (LEAST_COSINE)
-from tissue.models.organ.fields import (OrganFields)
-from tissue.models.organ.soft_organ import (SoftOrgan)
+from dataclasses import dataclass, replace
+
 import numpy as np
+from numpy.typing import ArrayLike
+
+from meshes.base.arrays import Array, Ints
+from meshes.base.errors import by
+from meshes.organs.liver import slab, slab_base
+from meshes.tets.stuffing import bisected
+from meshes.tets.tetrahedra import TetMesh
+from tissue.fem.fields import FieldSeries
+from tissue.fem.solvers.direct import DirectSolver
+from tissue.materials.elasticity import lame
+from tissue.materials.scene_constants import Materials
+from tissue.models.needle.parameters import LEAST_COSINE
+from tissue.models.organ.fields import OrganFields
+from tissue.models.organ.soft_organ import SoftOrgan
 
 __all__ = ["NeedleFields", "Track", "needle_block"]
-
 
 
 SIDE_M = 0.08

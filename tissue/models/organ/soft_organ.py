@@ -1,27 +1,34 @@
 """Soft organ at rest, ready to be pressed: its mesh, materials, supports and weight."""
 
-from dataclasses import (dataclass)
-from functools import (cached_property)
-from meshes.base.arrays import (Array, Ints)
-from meshes.base.cache import (Kept)
-from meshes.base.errors import (InputError, in_brackets)
-from meshes.base.progress import (Progress)
-from meshes.tets.regions import (faces_of)
-from meshes.tets.tetrahedra import (TetMesh)
-from scipy.sparse import (bsr_array)
-from scipy.spatial import (cKDTree)
-from tissue.fem.assembly import (assemble, capsule_stiffness, gravity)
-from tissue.fem.solvers.compliance import (LazyCompliance)
-from tissue.fem.solvers.held_body import (HeldBody, held_nodes)
-from tissue.fem.space import (Space)
-from tissue.materials.hyperelasticity import (Hyperelastic)
-from tissue.materials.prony import (Prony)
-from tissue.models.organ.compliance import (CONDENSING, CompliancePath, Factor, KeptColumns, compliance_of)
-from tissue.models.organ.probe import (ProbeShape)
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
+from scipy.sparse import bsr_array
+from scipy.spatial import cKDTree
+
+from meshes.base.arrays import Array, Ints
+from meshes.base.cache import Kept
+from meshes.base.errors import InputError, in_brackets
+from meshes.base.progress import Progress
+from meshes.tets.regions import faces_of
+from meshes.tets.tetrahedra import TetMesh
+from tissue.fem.assembly import assemble, capsule_stiffness, gravity
+from tissue.fem.solvers.compliance import LazyCompliance
+from tissue.fem.solvers.held_body import HeldBody, held_nodes
+from tissue.fem.space import Space
+from tissue.materials.hyperelasticity import Hyperelastic
+from tissue.materials.prony import Prony
+from tissue.models.organ.compliance import (
+    CONDENSING,
+    CompliancePath,
+    Factor,
+    KeptColumns,
+    compliance_of,
+)
+from tissue.models.organ.probe import ProbeShape
 
 __all__ = ["Membrane", "OrganLaw", "SoftOrgan", "ToolPath", "linear_triangles"]
-
 
 
 MARGIN_EDGES = 0.25

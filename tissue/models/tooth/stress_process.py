@@ -5,24 +5,25 @@ percentile for most of a millisecond. A separate process receives the removed ma
 of the bur. Its frames arrive at the end of the run.
 """
 
-from dataclasses import (dataclass, replace)
-from kernels.bricks import (BRICK_VOXELS)
-from kernels.cores import (limit_cores)
-from meshes.base.arrays import (Array, Ints)
-from meshes.base.errors import (InputError)
-from meshes.voxels.volume import (VoxelVolume)
-from numpy.typing import (NDArray)
-from tissue.models.bone.bricks import (BrickGrid, BrickStore, voxels_of)
-from tissue.models.tooth.field import (SolveRecord, StressField)
-from tissue.system.child import (Helper)
-from typing import (Any)
-import numpy as np
 import os
 import pickle
 import sys
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kernels.bricks import BRICK_VOXELS
+from kernels.cores import limit_cores
+from meshes.base.arrays import Array, Ints
+from meshes.base.errors import InputError
+from meshes.voxels.volume import VoxelVolume
+from tissue.models.bone.bricks import BrickGrid, BrickStore, voxels_of
+from tissue.models.tooth.field import SolveRecord, StressField
+from tissue.system.child import Helper
 
 __all__ = ["Bricks", "Drilled", "InlineStressSolver", "StressProcess", "StressSolver"]
-
 
 
 ASSEMBLY_S = 3600.0

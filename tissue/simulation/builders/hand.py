@@ -1,30 +1,31 @@
 """Motion of a scene made by a simulated hand on a device."""
 
-from collections.abc import (Callable)
-from math import (ceil)
-from meshes.base.errors import (InputError)
-from meshes.paths.toolpath import (arc_length)
-from numpy.typing import (NDArray)
-from tissue.haptics.device.device import (DeviceParameters)
-from tissue.haptics.device.simulated import (SimulatedDevice)
-from tissue.haptics.hand.hand import (Hand, HandParameters, Path, waypoints)
-from tissue.haptics.hand.pushing import (CompensatedPath, Thrust)
-from tissue.haptics.hand_motion import (HandMotion)
-from tissue.haptics.proxy.held_tool import (HeldTool)
-from tissue.haptics.proxy.probing_tool import (ProbingTool)
-from tissue.motion.motion import (Motion, quaternion_of)
-from tissue.scene.coupling import (WallAnatomy)
-from tissue.scene.scene import (Scene)
-from tissue.scene.tool import (ReplayMotion, ThrustMotion, Tool)
-from tissue.simulation.builders.device_motion import (device_motion)
-from tissue.simulation.builders.force_met import (chosen_scale)
-from tissue.simulation.builders.loop import (person_of)
-from tissue.simulation.builders.loop_settings import (loop_settings)
-from tissue.simulation.builders.motions import (plays_record)
+from collections.abc import Callable
+from math import ceil
+
 import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from meshes.paths.toolpath import arc_length
+from tissue.haptics.device.device import DeviceParameters
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.hand.hand import Hand, HandParameters, Path, waypoints
+from tissue.haptics.hand.pushing import CompensatedPath, Thrust
+from tissue.haptics.hand_motion import HandMotion
+from tissue.haptics.proxy.held_tool import HeldTool
+from tissue.haptics.proxy.probing_tool import ProbingTool
+from tissue.motion.motion import Motion, quaternion_of
+from tissue.scene.coupling import WallAnatomy
+from tissue.scene.scene import Scene
+from tissue.scene.tool import ReplayMotion, ThrustMotion, Tool
+from tissue.simulation.builders.device_motion import device_motion
+from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.loop import person_of
+from tissue.simulation.builders.loop_settings import loop_settings
+from tissue.simulation.builders.motions import plays_record
 
 __all__ = ["hand_motion"]
-
 
 
 Array = NDArray[np.float64]

@@ -1,33 +1,34 @@
 """Build the tissue that a probe presses or a needle pierces: soft organs and a stiff wall."""
 
-from functools import (partial)
-from math import (inf)
-from meshes.base.cache import (Kept)
-from meshes.base.errors import (InputError, names_of_caller)
-from meshes.base.progress import (Progress)
-from meshes.paths.toolpath import (kept_corners)
-from tissue.materials.scene_constants import (Materials)
-from tissue.models.organ.probe import (ShellProbe)
-from tissue.models.tissue_model import (WallModel)
-from tissue.motion.motion import (Motion)
-from tissue.scene.coupling import (WallAnatomy)
-from tissue.scene.organ import (LayersAnatomy, LiverFile, Organ, SoftAnatomy)
-from tissue.scene.scene import (Scene)
-from tissue.scene.tool import (Needle, Probe)
-from tissue.simulation.builders.organ import (HeldMesh, elasticity_of, held_mesh)
-from tissue.simulation.builders.organ_law import (organ_law)
-from tissue.simulation.builders.parts import (Parts)
-from tissue.simulation.builders.pierced_tissue import (pierced_tissue)
-from tissue.simulation.builders.probe import (poses_along, probe_of, require_outside, shell_note)
-from typing import (TYPE_CHECKING)
+from functools import partial
+from math import inf
+from typing import TYPE_CHECKING
+
 import numpy as np
 
+from meshes.base.cache import Kept
+from meshes.base.errors import InputError, names_of_caller
+from meshes.base.progress import Progress
+from meshes.paths.toolpath import kept_corners
+from tissue.materials.scene_constants import Materials
+from tissue.models.organ.probe import ShellProbe
+from tissue.models.tissue_model import WallModel
+from tissue.motion.motion import Motion
+from tissue.scene.coupling import WallAnatomy
+from tissue.scene.organ import LayersAnatomy, LiverFile, Organ, SoftAnatomy
+from tissue.scene.scene import Scene
+from tissue.scene.tool import Needle, Probe
+from tissue.simulation.builders.organ import HeldMesh, elasticity_of, held_mesh
+from tissue.simulation.builders.organ_law import organ_law
+from tissue.simulation.builders.parts import Parts
+from tissue.simulation.builders.pierced_tissue import pierced_tissue
+from tissue.simulation.builders.probe import poses_along, probe_of, require_outside, shell_note
+
 if TYPE_CHECKING:
-    from tissue.materials.prony import (Prony)
-    from tissue.models.organ.soft_organ import (Membrane)
+    from tissue.materials.prony import Prony
+    from tissue.models.organ.soft_organ import Membrane
 
 __all__ = ["pierced", "pressed", "wall"]
-
 
 
 KEPT = 0.01

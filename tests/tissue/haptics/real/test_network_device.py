@@ -3,18 +3,7 @@
 The tests cover UDP and WebSocket, the client of the guide's page, a run, and every exit at zero.
 """
 
-from meshes.base.errors import (InputError)
-from network_client import (BYE, HEARTBEAT, HELLO, UdpClient, WRENCH, packet, pose, read)
-from pathlib import (Path)
-from tissue.haptics.device.safe_device import (SafeDevice)
-from tissue.haptics.real.mapped import (MappedDevice)
-from tissue.haptics.real.network import (NetworkAdapter)
-from tissue.scene.coupling import (Hardware)
-from websockets.exceptions import (InvalidStatus)
-from websockets.sync.client import (connect)
 import math
-import numpy as np
-import pytest
 import re
 import socket
 import struct
@@ -22,8 +11,19 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
+import numpy as np
+import pytest
+from network_client import BYE, HEARTBEAT, HELLO, WRENCH, UdpClient, packet, pose, read
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
 
+from meshes.base.errors import InputError
+from tissue.haptics.device.safe_device import SafeDevice
+from tissue.haptics.real.mapped import MappedDevice
+from tissue.haptics.real.network import NetworkAdapter
+from tissue.scene.coupling import Hardware
 
 PAGE = Path(__file__).resolve().parents[4] / "docs/guide/network_device.md"
 ANY_PORT = {scheme: Hardware(address=f"{scheme}://127.0.0.1:0") for scheme in ("udp", "ws")}

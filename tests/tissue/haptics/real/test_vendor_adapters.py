@@ -3,20 +3,20 @@
 The stand-ins have the functions of their packages.
 """
 
-from meshes.base.errors import (InputError)
-from scipy.spatial.transform import (Rotation)
-from tissue.haptics.device.device import (DeviceError)
-from tissue.haptics.real import (openhaptics)
-from tissue.haptics.real.forcedimension import (ForceDimensionAdapter, MOST_FAILURES, SigmaAdapter)
-from tissue.haptics.real.openhaptics import (HELD_S, OpenHapticsAdapter)
-from tissue.scene.coupling import (Hardware)
-from vendor_doubles import (FAILED, ForceDimension, OpenHaptics, TIMEGUARD, without)
-import numpy as np
-import pytest
 import threading
 import time
 
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from vendor_doubles import FAILED, TIMEGUARD, ForceDimension, OpenHaptics, without
 
+from meshes.base.errors import InputError
+from tissue.haptics.device.device import DeviceError
+from tissue.haptics.real import openhaptics
+from tissue.haptics.real.forcedimension import MOST_FAILURES, ForceDimensionAdapter, SigmaAdapter
+from tissue.haptics.real.openhaptics import HELD_S, OpenHapticsAdapter
+from tissue.scene.coupling import Hardware
 
 FORCE, TORQUE = np.array([1.0, -2.0, 3.0]), np.array([0.01, 0.02, -0.03])
 
