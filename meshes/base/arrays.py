@@ -5,11 +5,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Array", "Bytes", "Flags", "Floats", "Ints", "Singles", "lattice"]
+__all__ = ["Array", "Bytes", "Flags", "Floats", "Ints", "Numbers", "Singles", "lattice"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Floats = NDArray[np.floating]
+Numbers = NDArray[np.number]
 Flags = NDArray[np.bool_]
 Bytes = NDArray[np.uint8]
 Singles = NDArray[np.float32]

@@ -5,9 +5,8 @@ from statistics import NormalDist
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.arrays import Singles
+from meshes.base.arrays import Numbers, Singles
 from meshes.base.errors import InputError, require_range, require_ranges
 
 __all__ = ["ASH_SHARE", "ASH_SHARE_SD", "CT_DENSITY", "DensityLaw", "scanner_law"]
@@ -85,12 +84,12 @@ class DensityLaw:
                 "use what a regression states, or zeros",
             )
 
-    def __call__(self, values: NDArray[np.number]) -> Singles:
+    def __call__(self, values: Numbers) -> Singles:
         """Compute the density [kg/m3] of grey values, same shape."""
         density = np.float32(self.slope_kg_m3) * values + np.float32(self.offset_kg_m3)
         return np.clip(density, self.lowest_kg_m3, self.highest_kg_m3).astype(np.float32)
 
-    def sd(self, values: NDArray[np.number]) -> Singles:
+    def sd(self, values: Numbers) -> Singles:
         """Compute the standard uncertainty of the density [kg/m3] of mean grey values.
 
         It is the uncertainty before the limits are applied.
@@ -103,7 +102,7 @@ class DensityLaw:
         )
         return np.sqrt(np.maximum(variance, 0.0)).astype(np.float32)
 
-    def band(self, values: NDArray[np.number], share: float = 0.9) -> tuple[Singles, Singles]:
+    def band(self, values: Numbers, share: float = 0.9) -> tuple[Singles, Singles]:
         """Compute bounds [kg/m3] of the density of tissue of mean grey values.
 
         The density lies within the bounds with probability `share`.
@@ -176,6 +175,6 @@ CT_DENSITY = scanner_law(
 )
 """Hounsfield units to apparent density by one scanner's line: calibrate before relying on it.
 
-Its band is wide enough to hold bone by the tables of `meshes.ct.attenuation` at 62 to 80 keV, which
+Its band is wide enough to hold bone by the tables of `meshes.ct.calibration` at 62 to 80 keV, which
 is 8 to 39 % less dense than the line.
 """

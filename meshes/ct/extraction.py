@@ -12,8 +12,8 @@ import numpy as np
 from meshes.base.arrays import Array, Flags, Floats, Ints, Singles
 from meshes.base.errors import InputError, counted
 from meshes.base.simplices import enclosed_volume
+from meshes.images.bone_image import image_cuts, image_triangles
 from meshes.images.frame import Image, box_of, part_of
-from meshes.images.threshold_surface import image_cuts, image_triangles
 
 __all__ = [
     "BoneOfImage",

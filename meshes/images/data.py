@@ -5,8 +5,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Floats, Numbers
 from meshes.base.errors import InputError, by
 from meshes.base.file_limits import require_memory, require_regular
 
@@ -40,7 +40,7 @@ def read_voxels(
     start: int = 0,
     skip: int = 0,
     compressed: bool,
-) -> NDArray[np.number]:
+) -> Numbers:
     """Read a file to its end as an array, first index fastest.
 
     Parameters
@@ -111,7 +111,7 @@ def require_size(path: Path, start: int, needed: int, *, compressed: bool) -> No
         raise _sizes_differ(path, needed, str(found))
 
 
-def scaled(values: NDArray[np.number], slope: float, intercept: float) -> NDArray[np.number]:
+def scaled(values: Numbers, slope: float, intercept: float) -> Numbers:
     """Return values times slope plus intercept, in float32 or float64.
 
     The values are returned unchanged if slope and intercept have no effect.
@@ -119,7 +119,7 @@ def scaled(values: NDArray[np.number], slope: float, intercept: float) -> NDArra
     if (slope, intercept) == (1.0, 0.0):
         return values
     kind = np.float32 if values.dtype.itemsize <= 2 or values.dtype == np.float32 else np.float64
-    found: NDArray[np.floating] = values.astype(kind)
+    found: Floats = values.astype(kind)
     found *= kind(slope)
     found += kind(intercept)
     return found

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Numbers
 from meshes.base.errors import InputError, by
 from meshes.base.text_numbers import number_in
 from meshes.images.frame import StoredImage
@@ -161,11 +161,11 @@ def itk_reader(path: Path, name: str) -> SimpleITK.ImageFileReader:
     return reader
 
 
-def array_of(image: SimpleITK.Image) -> NDArray[np.number]:
+def array_of(image: SimpleITK.Image) -> Numbers:
     """Return values of an ITK image, shape (ni, nj, nk), first index fastest."""
     import SimpleITK
 
-    values: NDArray[np.number] = SimpleITK.GetArrayFromImage(image)
+    values: Numbers = SimpleITK.GetArrayFromImage(image)
     return values.T
 
 

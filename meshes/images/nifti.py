@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Numbers
 from meshes.base.errors import InputError, by
 from meshes.images.data import first_bytes, is_gzip, read_voxels, scaled
 from meshes.images.frame import StoredImage
@@ -129,7 +129,7 @@ def _dtype(header: Header, path: Path) -> np.dtype[np.number]:
     return dtype
 
 
-def _affine(header: Header, path: Path, notes: list[str]) -> NDArray[np.float64]:
+def _affine(header: Header, path: Path, notes: list[str]) -> Array:
     """Return the matrix from voxel numbers to coordinates, in the header's unit and frame (RAS)."""
     from nibabel.spatialimages import HeaderDataError
 
@@ -168,7 +168,7 @@ def _affine(header: Header, path: Path, notes: list[str]) -> NDArray[np.float64]
     return np.asarray(sform, dtype=np.float64)
 
 
-def _scaled(values: NDArray[np.number], header: Header, path: Path) -> NDArray[np.number]:
+def _scaled(values: Numbers, header: Header, path: Path) -> Numbers:
     """Return values times slope plus intercept; a slope of 0 or NaN means no scaling."""
     slope = float(header["scl_slope"])
     intercept = float(header["scl_inter"])

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Numbers
 from meshes.base.errors import InputError, by, is_folder, require_file
 from meshes.base.file_limits import require_memory
 from meshes.images.frame import StoredImage
@@ -269,7 +269,7 @@ def _planes(file: Path) -> _Planes:
     return _Planes((count, rows, columns), photometric, bits, dtype, reduced)
 
 
-def _decoded(file: Path, planes: _Planes) -> NDArray[np.number]:
+def _decoded(file: Path, planes: _Planes) -> Numbers:
     """Return the values of a file, shape (columns, rows, planes)."""
     from skimage.io import imread
 
@@ -280,7 +280,7 @@ def _decoded(file: Path, planes: _Planes) -> NDArray[np.number]:
     return values.astype(np.uint8 if values.dtype == bool else values.dtype, copy=False).T
 
 
-def _inverted(values: NDArray[np.number], bits: int, source: str) -> NDArray[np.number]:
+def _inverted(values: Numbers, bits: int, source: str) -> Numbers:
     """Invert values whose lowest value is white, so that white is the highest."""
     if values.dtype.kind != "u":
         raise InputError(

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.simplices import enclosed_volume
+from meshes.images.bone_image import spread_labels
 from meshes.images.frame import box_of
-from meshes.images.label_spread import spread_labels
 
 __all__ = ["LabelGrid", "label_triangles"]
 

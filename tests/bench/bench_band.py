@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 from scipy.special import ndtri
 
 from tissue.fitting.bands.band import band_of
-from tissue.fitting.bands.figures import LEVELS
+from tissue.fitting.bands.rerun import LEVELS
 from tissue.fitting.bands.reweighed import Reweighed
 from tissue.fitting.bands.sample import Ranges, normals
 from tissue.materials.constants import constants

@@ -7,10 +7,12 @@ its surroundings.
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from meshes.base.arrays import Array, lattice
 from meshes.base.errors import InputError, names_of_caller
 from meshes.base.progress import Progress
 from meshes.ct.density import CT_DENSITY, DensityLaw
@@ -27,6 +29,7 @@ from meshes.ct.labels import Labels, on_grid_of
 from meshes.ct.laws import DENSITY_LAWS, density_law
 from meshes.images.frame import Image
 from meshes.surfaces.surface import Surface, surface_from_triangles
+from meshes.voxels.mesh_sampling import triangle_distance
 from tissue.ct.draft import (
     Draft,
     Writer,
@@ -36,13 +39,18 @@ from tissue.ct.draft import (
     write_labels,
     write_surface,
 )
-from tissue.ct.pictures import BonePictures
-from tissue.ct.placing import Placed, import_path, kept_clear, placed
+from tissue.ct.placing import ImportedPath, Placed, import_path, kept_clear, placed
 from tissue.ct.request import ImportRequest
 from tissue.scene.load import load_scene
 from tissue.scene.tool import Tool
+from tissue.show.figures.ct_pictures import (
+    draw_ct_bone,
+    draw_ct_histogram,
+    draw_ct_slices,
+    draw_path_depth,
+)
 
-__all__ = ["bone_draft"]
+__all__ = ["BonePictures", "bone_draft"]
 
 _SIDE_MM = (1.0, 1000.0)
 """Longest side of a bone."""
@@ -336,3 +344,95 @@ def _record(source: _Source, at: Placed | None) -> dict[str, Any]:
         "density_law": None if source.law is None else source.law.as_dict(),
         "site": site,
     }
+
+
+@dataclass(frozen=True, eq=False)
+class BonePictures:
+    """Pictures of a bone with its structures to keep clear of, its site and its path."""
+
+    title: str
+    bone: BoneOfImage
+    surface: Surface
+    clear: Mapping[str, Surface]
+    at: Placed | None
+    path: ImportedPath | None
+
+    @property
+    def _centre_mm(self) -> Array | None:
+        return None if self.at is None else 1e3 * self.at.site.centre_m
+
+    @property
+    def _normal(self) -> Array | None:
+        return None if self.at is None else self.at.site.rotation[:, 2]
+
+    @property
+    def _points_mm(self) -> Array | None:
+        return None if self.path is None else self.path.depth.points_mm
+
+    def draw_slices(self, around: Image, file: Path) -> None:
+        """Draw slices of the image around the bone through the site or the bone's middle."""
+        middle = 0.5e3 * (self.surface.vertices_m.min(axis=0) + self.surface.vertices_m.max(axis=0))
+        part = self.bone.image
+        draw_ct_slices(
+            around,
+            file,
+            body=("bone", replace(part, values=self.bone.field - np.float32(self.bone.level))),
+            others={
+                f"{name}, to keep clear of": _depth(surface, part)
+                for name, surface in self.clear.items()
+            },
+            centre_mm=middle if self._centre_mm is None else self._centre_mm,
+            normal=self._normal,
+            points_mm=self._points_mm,
+            title=self.title,
+        )
+
+    def draw_histogram(
+        self, histogram: Histogram, threshold: float | None, law: DensityLaw | None, file: Path
+    ) -> None:
+        """Draw the grey values of the image and of the bone."""
+        draw_ct_histogram(
+            histogram.values,
+            histogram.counts,
+            self.bone.image.values[self.bone.field > self.bone.level],
+            file,
+            threshold=threshold,
+            density=None if law is None else (law.slope_kg_m3, law.offset_kg_m3),
+            title=self.title,
+        )
+
+    def draw_bone(self, density: Image | None, file: Path) -> str | None:
+        """Draw the bone in 3D; return an error text on failure."""
+        return draw_ct_bone(
+            self.surface,
+            file,
+            density=density,
+            centre_mm=self._centre_mm,
+            normal=self._normal,
+            points_mm=self._points_mm,
+            title=self.title,
+        )
+
+    def draw_path(self, file: Path) -> str | None:
+        """Draw the path on the bone, coloured by depth; return an error text on failure."""
+        assert self.path is not None and self._normal is not None
+        title = self.surface.report.source
+        return draw_path_depth(
+            self.surface, self.path.depth, file, normal=self._normal, title=title
+        )
+
+
+def _depth(surface: Surface, image: Image) -> Image:
+    """Return the depth of an image's voxels within a surface [m], negative outside."""
+    axes = [
+        o + s * np.arange(n)
+        for o, s, n in zip(image.origin_mm, image.spacing_mm, image.values.shape, strict=True)
+    ]
+    grid = lattice(*axes)
+    low = 1e3 * surface.vertices_m.min(axis=0)
+    high = 1e3 * surface.vertices_m.max(axis=0)
+    around = 2.0 * max(image.spacing_mm)
+    near = ((grid > low - around) & (grid < high + around)).all(axis=1)
+    depth = np.full(len(grid), -1.0, dtype=np.float32)
+    depth[near] = -triangle_distance(surface.vertices_m, surface.faces, 1e-3 * grid[near])
+    return replace(image, values=depth.reshape(image.values.shape))

@@ -9,7 +9,7 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
-from tissue.fitting.cutting_problem import cutting_problem
+from tissue.fitting.cutting import cutting_problem
 from tissue.fitting.identifiability import Gain, Identified, expected_information, identified
 from tissue.fitting.log import MeasuredLog
 from tissue.fitting.organ_problem import organ_problem

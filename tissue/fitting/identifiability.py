@@ -11,9 +11,8 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from tissue.fitting.forward import Forward
-from tissue.fitting.noise import innovations, place_information
 from tissue.fitting.posterior import Posterior
-from tissue.fitting.target import BIAS_SHARE, OFFSET_S
+from tissue.fitting.target import BIAS_SHARE, OFFSET_S, innovations, place_information
 
 __all__ = [
     "AT_PRIOR",

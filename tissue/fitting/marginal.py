@@ -37,8 +37,7 @@ from scipy.special import log_ndtr, logsumexp, ndtri_exp
 from scipy.stats.qmc import Sobol
 
 from meshes.base.arrays import Array
-from tissue.fitting.noise import innovations
-from tissue.fitting.target import OFFSET_S, Target
+from tissue.fitting.target import OFFSET_S, Target, innovations
 
 __all__ = ["Marginal", "log_density_at", "log_factor", "marginal"]
 

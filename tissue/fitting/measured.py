@@ -187,11 +187,11 @@ def shift_operators(
     start_tangent = u * (1.0 - u) ** 2
     end_tangent = u * u * (u - 1.0)
     blend = u * u * (3.0 - 2.0 * u)
-    weights = _rows(1.0 - blend, blend, start_tangent * slope_start, end_tangent * slope_end)
+    weights = _hermite(1.0 - blend, blend, start_tangent * slope_start, end_tangent * slope_end)
     blend = 6.0 * u * (1.0 - u)
     start_tangent = (1.0 - u) * (1.0 - 3.0 * u)
     end_tangent = u * (3.0 * u - 2.0)
-    rates = _rows(-blend, blend, start_tangent * slope_start, end_tangent * slope_end)
+    rates = _hermite(-blend, blend, start_tangent * slope_start, end_tangent * slope_end)
     rates *= np.where(inside, -1.0 / width, 0.0)[:, None]
     count = len(asked) // len(within_s)
     each = 4 * len(within_s)
@@ -203,7 +203,7 @@ def shift_operators(
     )
 
 
-def _rows(at_start: Array, at_end: Array, start_tangent: Array, end_tangent: Array) -> Array:
+def _hermite(at_start: Array, at_end: Array, start_tangent: Array, end_tangent: Array) -> Array:
     """Return the weights of the four neighbours in a cubic's Hermite form, shape (m, 4)."""
     return np.stack(
         [-start_tangent, at_start - end_tangent, at_end + start_tangent, end_tangent], axis=1

@@ -17,8 +17,7 @@ from tissue.fitting.forward import Parameter
 from tissue.fitting.log import MeasuredLog
 from tissue.fitting.measured import MeasuredLoads, block_averages, block_ticks
 from tissue.fitting.organ_runs import KEYS, OrganRuns, Poses, organ_parameters
-from tissue.fitting.posterior import Posterior, Problem, maximum_posterior
-from tissue.fitting.signs import require_signs
+from tissue.fitting.posterior import Posterior, Problem, maximum_posterior, require_signs
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.scene import Scene
 

@@ -12,9 +12,7 @@ from pathlib import Path
 from time import perf_counter, sleep
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from meshes.base.arrays import Array
 from tissue.simulation.live.shared import SharedArrays
 
 __all__ = ["Ros2Publisher"]
@@ -119,7 +117,7 @@ class Ros2Publisher:
         self._node.destroy_node()
         self._rclpy.try_shutdown()
 
-    def _publish(self, row: NDArray[np.float64]) -> None:
+    def _publish(self, row: Array) -> None:
         """Publish pose, velocity and force of a tick."""
         header = {"frame_id": FRAME, "stamp": self._node.get_clock().now().to_msg()}
         pose = self._geometry.PoseStamped()

@@ -4,10 +4,13 @@ from time import time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
+from meshes.base.arrays import Array
+from meshes.base.placement import Placement
 from tissue.links import igtl_messages as igtl
-from tissue.links.slicer_frame import SlicerFrame
+from tissue.links.igtl_messages import IgtlError, parse_transform
+from tissue.links.igtl_server import Client, Received
 from tissue.motion.motion import matrix_of
 from tissue.scene.scene import Scene
 from tissue.show.figures.faces import faces_of
@@ -18,9 +21,66 @@ from tissue.simulation.live.surfaces import BoneSurface, OrganSurface, Start
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["SlicerContent"]
+__all__ = ["TARGET", "SlicerContent", "SlicerFrame", "SlicerTarget"]
 
-Array = NDArray[np.float64]
+LPS_TO_RAS: Array = np.diag([-1.0, -1.0, 1.0])
+"""Rotation by half a turn from LPS to RAS: left and back become right and front."""
+
+
+class SlicerFrame:
+    """Rigid transform between the scene frame [mm] and RAS [mm].
+
+    A scene whose anatomy comes from a file is aligned with that file. Any other scene has no
+    patient frame. It is placed where 3D Slicer shows the files of its run, such as ``bone.nrrd``,
+    which 3D Slicer interprets as LPS.
+
+    Parameters
+    ----------
+    placement
+        Placement of the scene frame in the frame of the file; None for a scene without a file.
+    """
+
+    def __init__(self, placement: Placement | None) -> None:
+        turn = np.eye(3) if placement is None else placement.rotation
+        origin = np.zeros(3) if placement is None else placement.origin_mm
+        self._turn: Array = LPS_TO_RAS @ turn
+        self._origin: Array = LPS_TO_RAS @ origin
+
+    @property
+    def matrix(self) -> Array:
+        """Homogeneous matrix from the scene [mm] to RAS [mm], shape (4, 4)."""
+        matrix = np.eye(4)
+        matrix[:3, :3] = self._turn
+        matrix[:3, 3] = self._origin
+        return matrix
+
+    def points(self, points_mm: ArrayLike) -> Array:
+        """Return points of the scene [mm], shape (n, 3), in RAS [mm]."""
+        return np.asarray(points_mm, dtype=np.float64) @ self._turn.T + self._origin
+
+    def vector(self, vector: ArrayLike) -> Array:
+        """Return a force, a torque or another vector of the scene in RAS, shape (3,)."""
+        return np.asarray(self._turn @ np.asarray(vector, dtype=np.float64))
+
+    def pose(self, tip_mm: ArrayLike, rotation: ArrayLike) -> Array:
+        """Return the matrix from a tool frame to RAS [mm], shape (4, 4).
+
+        The arguments are the tip [mm] and the orientation, shape (3, 3), in the scene.
+        """
+        matrix = np.eye(4)
+        matrix[:3, :3] = self._turn @ np.asarray(rotation, dtype=np.float64)
+        matrix[:3, 3] = self.points(np.reshape(tip_mm, (1, 3)))[0]
+        return matrix
+
+    def pose_in_scene(self, matrix: ArrayLike) -> tuple[Array, Array]:
+        """Return tip [mm] and orientation, shape (3, 3), in the scene from a tool pose in RAS.
+
+        The pose is a homogeneous matrix [mm], shape (4, 4).
+        """
+        given = np.asarray(matrix, dtype=np.float64)
+        return self._turn.T @ (given[:3, 3] - self._origin), self._turn.T @ given[:3, :3]
+
+
 TOOL, SHAPE, TISSUE, IMAGE = "tissue-tool", "tissue-tool-shape", "tissue-anatomy", "tissue-image"
 FORCE, TORQUE, WRENCH, WORDS, STATE = (
     "tissue-force",
@@ -178,3 +238,66 @@ class SlicerContent:
 
     def _packed(self, kind: str, name: str, body: bytes, **options: Any) -> bytes:
         return igtl.packed(kind, name, body, time_s=time(), **options)
+
+
+TARGET = "tissue-target"
+"""Name of the transform that moves the tool."""
+OFF = 0.01
+"""Largest deviation of a rotation times its transpose from the identity.
+
+Single precision has a deviation of 1e-7.
+"""
+
+
+class SlicerTarget:
+    """Receiver of transforms named `TARGET` from one client at a time.
+
+    Parameters
+    ----------
+    frame
+        Frame of the scene in RAS.
+    start
+        ``low_m``, ``high_m``: box of the tip [m]. ``start_turn``: first orientation of the tool,
+        shape (3, 3). ``drives``: True if a client may move the tool.
+
+    Attributes
+    ----------
+    ignored
+        Number of ignored transforms with that name.
+    """
+
+    def __init__(self, frame: SlicerFrame, start: Start) -> None:
+        self._frame = frame
+        self._turn = start["start_turn"].astype(np.float64)
+        self._low = 1e3 * start["low_m"].astype(float)
+        self._high = 1e3 * start["high_m"].astype(float)
+        self._drives = bool(start["drives"])
+        self._driver: Client | None = None
+        self.ignored = 0
+
+    def wanted(self, received: Received, clients: list[Client]) -> Array | None:
+        """Return the target pose of a transform, shape (7,), or None.
+
+        The pose is the tip [mm] in the scene and the rotation from the first orientation (x, y, z,
+        w). The result is None for a transform with another name, and for an ignored transform. A
+        transform is ignored if it is not a rigid motion, or comes from a second client while the
+        first client is connected, or the scene does not allow clients to move the tool.
+        """
+        if received.header.name != TARGET:
+            return None
+        if self._driver not in clients:
+            self._driver = received.client
+        try:
+            matrix = parse_transform(received.content)
+        except IgtlError:
+            matrix = np.zeros((4, 4))
+        turn = matrix[:3, :3]
+        rigid = np.abs(turn.T @ turn - np.eye(3)).max() < OFF and np.linalg.det(turn) > 0.0
+        if not (self._drives and rigid and self._driver is received.client):
+            self.ignored += 1
+            return None
+        from scipy.spatial.transform import Rotation
+
+        tip_mm, rotation = self._frame.pose_in_scene(matrix)
+        quaternion = Rotation.from_matrix(rotation @ self._turn.T).as_quat()
+        return np.concatenate([np.clip(tip_mm, self._low, self._high), quaternion])

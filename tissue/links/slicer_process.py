@@ -11,15 +11,12 @@ from pathlib import Path
 from time import perf_counter, time
 
 import numpy as np
-from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 from meshes.base.placement import Placement
 from tissue.links import igtl_messages as igtl
 from tissue.links.igtl_server import Client, IgtlServer, Received
-from tissue.links.slicer_content import SlicerContent
-from tissue.links.slicer_frame import SlicerFrame
-from tissue.links.slicer_target import SlicerTarget
+from tissue.links.slicer_content import SlicerContent, SlicerFrame, SlicerTarget
 from tissue.scene.scene import Scene
 from tissue.simulation.live.shared import SharedArrays
 from tissue.simulation.live.surfaces import Start, tissue_surface
@@ -38,7 +35,6 @@ STREAMS = ("SENSOR", "NDARRAY")
 """Streams that a client must request, because 3D Slicer would report each one as an error."""
 NICE = 5
 """Niceness of the process, so that the ticks take precedence on a busy machine."""
-Array = NDArray[np.float64]
 
 
 class Publisher:

@@ -9,8 +9,13 @@ import numpy as np
 import pytest
 
 from meshes.base.errors import InputError
-from meshes.ct.attenuation import hounsfield, linear_attenuation, mass_attenuation
-from meshes.ct.calibration import Region, fit_regions
+from meshes.ct.calibration import (
+    Region,
+    fit_regions,
+    hounsfield,
+    linear_attenuation,
+    mass_attenuation,
+)
 from meshes.ct.density import ASH_SHARE, CT_DENSITY, DensityLaw
 from meshes.ct.laws import DENSITY_LAWS, density_law, rods_law
 from meshes.images.frame import Image

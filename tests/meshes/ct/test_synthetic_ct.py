@@ -13,8 +13,7 @@ from synthetic_ct import (
 )
 
 from meshes.base.errors import InputError
-from meshes.ct.attenuation import hounsfield, linear_attenuation
-from meshes.ct.calibration import calibrate
+from meshes.ct.calibration import calibrate, hounsfield, linear_attenuation
 from meshes.ct.laws import density_law, rods_law
 from meshes.images.frame import Image
 from meshes.images.reading import read_image

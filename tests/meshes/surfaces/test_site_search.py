@@ -16,8 +16,8 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from meshes.base.errors import InputError
+from meshes.images.bone_image import image_triangles
 from meshes.images.reading import read_image
-from meshes.images.threshold_surface import image_triangles
 from meshes.surfaces.landmarks import SITE_KINDS, find_site
 from meshes.surfaces.surface import read_surface, surface_from_triangles
 

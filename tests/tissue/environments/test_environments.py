@@ -13,7 +13,7 @@ from gymnasium.utils.env_checker import check_env
 import tissue.environments
 from meshes.base.errors import InputError
 from tissue.environments.experts import expert_of
-from tissue.fitting.fitted_file import FittedEntry, write_fitted
+from tissue.fitting.fit_files import FittedEntry, write_fitted
 from tissue.materials.constants import constants
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import t as student
 
-from tissue.fitting.noise import freedom_information, innovations, noise_terms, place_information
+from tissue.fitting.target import freedom_information, innovations, noise_terms, place_information
 
 SCALE = np.array([0.3, 2.0])
 PHI = np.array([0.0, 0.8])

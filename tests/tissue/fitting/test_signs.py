@@ -7,7 +7,7 @@ import pytest
 from planted_logs import planted, slot
 
 from meshes.base.errors import InputError
-from tissue.fitting.signs import require_signs, reversed_channels
+from tissue.fitting.posterior import require_signs, reversed_channels
 
 CHANNELS = ("force_x_N", "force_y_N", "force_z_N")
 

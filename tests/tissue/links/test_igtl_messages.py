@@ -8,8 +8,7 @@ import pytest
 
 from meshes.base.errors import InputError
 from tissue.links import igtl_messages as igtl
-from tissue.links.igtl_crc import LONG, crc64
-from tissue.links.igtl_messages import IgtlError
+from tissue.links.igtl_messages import LONG, IgtlError, crc64
 
 HELD = json.loads((Path(__file__).parents[2] / "fixtures" / "igtl_vectors.json").read_text("utf-8"))
 VECTORS, REFUSED = (

@@ -7,7 +7,7 @@ import pyvista
 import tissue
 from meshes.base.errors import InputError
 from meshes.tets.structured import box
-from tissue.fitting.fitted_file import FittedEntry, write_fitted
+from tissue.fitting.fit_files import FittedEntry, write_fitted
 from tissue.simulation.builders.organ import elasticity_of
 
 STIFF = {"modulus_kPa": 8.0, "poisson_ratio": 0.45}

@@ -5,31 +5,33 @@ matters.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, require_range
 from meshes.base.progress import Progress, silent
-from tissue.fitting.bands.figures import (
+from tissue.fitting.bands.rerun import (
     GREATEST,
     LEVELS,
     LOADS,
     Figure,
+    Workers,
     intervals,
     over_time,
+    reruns,
     table_of,
 )
-from tissue.fitting.bands.rerun import Workers, reruns
 from tissue.fitting.bands.reweighed import Reweighed, density_prior, with_sizes
 from tissue.fitting.bands.sample import (
     Ranges,
+    SobolIndices,
     normals,
     ranges_of,
     rounded,
     sample_name,
     sample_text,
+    sobol_indices,
+    surrogate_indices,
 )
-from tissue.fitting.bands.sobol import SobolIndices, sobol_indices, surrogate_indices
 from tissue.scene.scene import Scene
 from tissue.simulation.load_record import record_loads, why_not_linear
 from tissue.simulation.run_summary import Summary
@@ -136,7 +138,7 @@ class Band:
     constants, values
         Names of the constants that vary, and their values in each sample, shape (samples, p).
     figure_names, figures
-        Names as in `tissue.fitting.bands.figures`, and the figures of each sample, shape (samples,
+        Names as in `tissue.fitting.bands.rerun`, and the figures of each sample, shape (samples,
         figures). NaN where a sample does not have the figure, such as an event that does not
         happen.
     numbers
@@ -154,7 +156,7 @@ class Band:
     values: Array
     figure_names: tuple[Figure, ...]
     figures: Array
-    numbers: NDArray[np.int64]
+    numbers: Ints
     files: tuple[str, ...]
     summary: Summary
 

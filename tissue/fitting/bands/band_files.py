@@ -14,7 +14,7 @@ from meshes.base.errors import InputError
 from meshes.base.file_limits import require_regular
 from meshes.base.whole_file import whole_file
 from tissue.fitting.bands.band import Band
-from tissue.fitting.bands.figures import LEVELS
+from tissue.fitting.bands.rerun import LEVELS
 from tissue.fitting.bands.reweighed import CHANNELS
 from tissue.fitting.bands.sample import sample_name
 from tissue.show.figures.fit_pictures import draw_band, draw_sobol

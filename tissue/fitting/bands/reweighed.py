@@ -5,9 +5,8 @@ from collections.abc import Iterator
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Ints
 from tissue.fitting.bands.sample import Ranges, ranges_of, sampled
 from tissue.materials.constants import CuttingCoefficients
 from tissue.materials.prior import Prior
@@ -89,7 +88,7 @@ class Reweighed:
         return np.array(rows)
 
     def figures(self, x: Array) -> Array:
-        """Return `tissue.fitting.bands.figures.LOADS` of samples, shape (samples, 4)."""
+        """Return `tissue.fitting.bands.rerun.LOADS` of samples, shape (samples, 4)."""
         weights = self.weights(x)
         peak = np.zeros((len(x), 2))
         sums = np.zeros((len(x), 2))
@@ -108,7 +107,7 @@ class Reweighed:
             found[:, ticks] = np.quantile(with_sizes(loads), levels, axis=0)
         return found
 
-    def _blocks(self, weights: Array) -> Iterator[tuple[NDArray[np.int64], Array]]:
+    def _blocks(self, weights: Array) -> Iterator[tuple[Ints, Array]]:
         """Yield blocks of loads, shape (samples, ticks, 6), and the indices of their ticks.
 
         A block holds a few consecutive loaded ticks.

@@ -41,8 +41,8 @@ Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 def bone_from_file(parameters: Placed, notes: dict[str, str]) -> Anatomy:
     """Return the bone in a surface or image, placed at its site."""
+    from meshes.images.bone_image import image_cuts, image_triangles
     from meshes.images.reading import read_image
-    from meshes.images.threshold_surface import image_cuts, image_triangles
     from meshes.surfaces.bone_surface import surface_anatomy
     from meshes.surfaces.surface import surface_from_triangles
     from meshes.surfaces.triangle_files import read_triangles

@@ -10,7 +10,7 @@ from scipy.special import ndtri
 
 from meshes.base.errors import InputError
 from tissue.fitting.bands.band import band_of, require_band
-from tissue.fitting.bands.figures import LEVELS, LOADS
+from tissue.fitting.bands.rerun import LEVELS, LOADS
 from tissue.fitting.bands.reweighed import DENSITY, Reweighed, density_prior
 from tissue.materials.constants import constants
 from tissue.materials.prior import Prior

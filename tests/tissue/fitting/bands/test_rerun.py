@@ -17,7 +17,7 @@ from meshes.base.errors import InputError
 from meshes.base.progress import silent
 from tissue.fitting.bands import rerun
 from tissue.fitting.bands.band import band_of
-from tissue.fitting.bands.figures import NUMBER, intervals, over_time, table_of
+from tissue.fitting.bands.rerun import NUMBER, intervals, over_time, table_of
 from tissue.scene.load import load_scene
 from tissue.scene.scene import Scene
 from tissue.simulation.simulate import simulate

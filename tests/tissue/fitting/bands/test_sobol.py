@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from tissue.fitting.bands.sample import normals
-from tissue.fitting.bands.sobol import LEAST_EXPLAINED, sobol_indices, surrogate_indices
+from tissue.fitting.bands.sample import LEAST_EXPLAINED, normals, sobol_indices, surrogate_indices
 
 SEPARATE = ((0,), (1,), (2,))
 
