@@ -11,7 +11,7 @@ import numpy as np
 from meshes.base.arrays import Bytes, Floats
 from meshes.base.errors import InputError, require_ranges
 from meshes.images.frame import Image
-from meshes.images.itk import header_lines
+from meshes.images.text_headers import header_lines
 from meshes.shapes.anatomy import Anatomy, Classify
 from meshes.shapes.sdf import Shape
 from meshes.surfaces.bone_surface import SURFACE_LAYERS

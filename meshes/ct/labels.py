@@ -19,8 +19,8 @@ from meshes.base.errors import InputError, by, is_folder, require_file
 from meshes.base.text_tables import read_toml
 from meshes.images.data import first_bytes
 from meshes.images.frame import Image
-from meshes.images.itk import header_lines
 from meshes.images.reading import read_image
+from meshes.images.text_headers import header_lines
 
 __all__ = ["Labels", "header_names", "label_sets", "on_grid_of", "read_labels"]
 

@@ -21,7 +21,6 @@ from meshes.base.arrays import Array, Numbers
 from meshes.base.errors import InputError, by
 from meshes.base.file_limits import memory_limit_bytes, require_memory
 from meshes.images.frame import StoredImage
-from meshes.images.itk import array_of, itk_reader
 
 __all__ = [
     "INVERTED",
@@ -593,10 +592,15 @@ def _pixels(file: Path, stated: Slice) -> Numbers:
 
     Slope and intercept are applied.
     """
+    import SimpleITK
+
+    # its warnings may hold header content, which must not reach the terminal
+    SimpleITK.ProcessObject.SetGlobalWarningDisplay(False)
     try:
-        plane = array_of(itk_reader(file, "GDCMImageIO").Execute())
+        image = SimpleITK.ReadImage(str(file), imageIO="GDCMImageIO")
+        plane: Numbers = SimpleITK.GetArrayFromImage(image)
     except (RuntimeError, MemoryError) as problem:
         raise _damaged(stated.place) from problem
-    if plane.shape != (*stated.size, 1):
+    if plane.shape != (1, *stated.size[::-1]):
         raise _damaged(stated.place)
-    return plane.T
+    return plane

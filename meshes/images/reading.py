@@ -9,8 +9,8 @@ from meshes.base.errors import InputError, by, is_file, is_folder, require_posit
 from meshes.base.isolated_parser import Answer, parse_isolated
 from meshes.images.dicom import read_dicom
 from meshes.images.frame import Image, StoredImage, along_lps
-from meshes.images.metaimage import read_metaimage, read_nrrd
 from meshes.images.nifti import read_nifti
+from meshes.images.text_headers import read_metaimage, read_nrrd
 from meshes.images.tiff import read_tiff_slices, tiff_slices
 
 __all__ = ["Image", "read_image", "require_image_name", "vtk_voxels"]

@@ -172,7 +172,7 @@ BAD = {
     "bit of a gzip": (lambda f: flipped_bit(f, "nii.gz"), "compressed data are damaged"),
     # NRRD
     "nrrd cut": (lambda f: nrrd(f, left=0.7), "must hold the 280 bytes"),
-    "nrrd cut in its header": (lambda f: nrrd(f, left=0.2), "file must "),
+    "nrrd cut in its header": (lambda f: nrrd(f, left=0.2), " must "),
     "nrrd gzip cut": (lambda f: nrrd(f, encoding="gzip", left=0.9), "damaged or cut off"),
     "nrrd larger than its data": (
         lambda f: nrrd(f, sizes="70 50 40"),

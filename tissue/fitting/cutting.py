@@ -13,7 +13,8 @@ from meshes.base.errors import InputError, names_of_caller
 from meshes.base.progress import Progress
 from tissue.fitting.forward import Parameter, chosen
 from tissue.fitting.log import MeasuredLog
-from tissue.fitting.measured import MeasuredLoads, block_averages, block_ticks, shift_operators
+from tissue.fitting.log_files import CHANNELS
+from tissue.fitting.measured import MeasuredLoads, shift_operators
 from tissue.fitting.posterior import Problem, require_signs
 from tissue.materials.constants import CUT_AS, N_MM, N_MM2, CuttingCoefficients
 from tissue.materials.prior import Prior
@@ -28,8 +29,6 @@ from tissue.simulation.load_record import SENSITIVITIES, LayerLoads, LoadRecord,
 
 __all__ = ["CHANNELS", "CuttingForward", "cutting_candidates", "cutting_forward", "cutting_problem"]
 
-CHANNELS = ("force_x_N", "force_y_N", "force_z_N", "torque_x_Nm", "torque_y_Nm", "torque_z_Nm")
-"""On the tool, in the scene's frame, torques about the tip."""
 DENSITY = Prior(1.0, 0.85, 1.18)
 """Prior of the factor on a layer's density: 10 % up and down (one standard deviation).
 
@@ -283,8 +282,7 @@ def cutting_problem(
             cores=cores,
             progress=progress,
         )
-    ticks = block_ticks(float(log.load_times_s[-1] - log.load_times_s[0]), log.load_period_s)
-    measured = block_averages(log.load_times_s, log.loads, log.channels, ticks)
+    measured, ticks = log.averaged()
     forward, measured = forward.averaged_as(measured)
     require_signs(forward, measured)
     layers = {

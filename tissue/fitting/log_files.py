@@ -6,7 +6,7 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -19,10 +19,17 @@ from meshes.base.errors import DamagedFileError, InputError, counted, is_file
 from meshes.base.file_limits import read_npz, require_memory
 from meshes.base.isolated_parser import Answer, parse_isolated
 from meshes.base.text_numbers import number_in
-from tissue.fitting.log import ColumnMap, Quantity
 from tissue.motion.drilling_recording import read_drilling
 
-__all__ = ["LogColumns", "TextTable", "mat_columns", "parquet_columns", "read_columns", "read_text"]
+__all__ = [
+    "CHANNELS",
+    "QUATERNION",
+    "TIPS",
+    "LogColumns",
+    "mat_columns",
+    "parquet_columns",
+    "read_columns",
+]
 
 _DELIMITERS = (",", ";", "\t", " ")
 _LOOKED_AT = 50
@@ -31,64 +38,38 @@ _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf
 _AGAIN = "fix that line or export the log again"
 
 
+DRILLING = ("physics_data", "high_frequency_poses")
+"""Groups that identify a recording of volumetric_drilling."""
+TIPS = ("tool_x_mm", "tool_y_mm", "tool_z_mm")
+QUATERNION = ("tool_qx", "tool_qy", "tool_qz", "tool_qw")
+CHANNELS = ("force_x_N", "force_y_N", "force_z_N", "torque_x_Nm", "torque_y_Nm", "torque_z_Nm")
+"""Loads on the tool, in the scene's frame, torques about the tip."""
+
+
 @dataclass(frozen=True)
-class TextTable:
-    """Columns of a text file.
+class LogColumns:
+    """Columns of a log.
 
     Attributes
     ----------
     names
-        Names in the header line, or numbers from 1 without a header line.
-    rows
-        Cells, one list per line.
-    lines
-        Line number of each row, from 1.
+        Names of all columns, including columns without numbers.
+    numbers
+        Function that returns a column's numbers, shape (n,), by its name. It raises InputError if
+        the column holds no numbers.
     notes
-        Remarks on the text around the table.
+        Remarks on the columns, in words.
     """
 
     names: tuple[str, ...]
-    rows: list[list[str]]
-    lines: list[int]
-    notes: tuple[str, ...]
-
-    def numbers(self, name: str) -> list[float]:
-        """Return a column as numbers, NaN where a cell is empty.
-
-        Raises
-        ------
-        InputError
-            If a cell holds no number, or two columns have the same name. The message names the line
-            of the cell.
-        """
-        if self.names.count(name) != 1:
-            raise InputError(
-                "column",
-                "name one column of the log",
-                f"{name}, which is there twice",
-                "rename one",
-            )
-        place = self.names.index(name)
-        numbers = []
-        for line, row in zip(self.lines, self.rows, strict=True):
-            cell = row[place].strip()
-            try:
-                numbers.append(number_in(cell.replace(",", ".")) if cell else float("nan"))
-            except ValueError:
-                raise InputError(
-                    "log", "hold numbers", f"{cell[:40]!r} for {name} in line {line}", _AGAIN
-                ) from None
-        return numbers
+    numbers: Callable[[str], Array]
+    notes: tuple[str, ...] = ()
 
 
-def read_text(path: Path) -> TextTable:
-    """Read a table of text and skip any text before it.
+def _text(path: Path) -> LogColumns:
+    """Return the columns of a table of text, without any text before it.
 
-    Raises
-    ------
-    InputError
-        If the file holds no table of numbers, or a line of the table has more or fewer cells than
-        the others.
+    Columns without a header line have numbers from 1 as names.
     """
     lines = _decoded(path).splitlines()
     while lines and not lines[-1].strip():
@@ -96,28 +77,44 @@ def read_text(path: Path) -> TextTable:
     delimiter, width = _form(lines[-_LOOKED_AT:], path)
     cells = [_cells(line, delimiter) for line in lines]
     start = next(i for i, row in enumerate(cells) if len(row) == width and _is_data(row))
-    names, above, has_units = _header(cells[:start], width)
-    notes = (
-        [f"{counted(above, 'line')} before the header line {above + 1}"] if above and names else []
-    )
-    notes += [f"the units of line {start}"] if has_units else []
+    header, above, has_units = _header(cells[:start], width)
+    names = header or tuple(map(str, range(1, width + 1)))
+    notes = []
+    if above and header:
+        notes.append(f"{counted(above, 'line')} before the header line {above + 1}")
+    if has_units:
+        notes.append(f"the units of line {start}")
     places = [at for at in range(start, len(lines)) if lines[at].strip()]
     if blank := len(lines) - start - len(places):
         notes.append(f"{counted(blank, 'blank line')} between the rows")
     if len(cells[places[-1]]) < width:
         places.pop()
         notes.append("the last line, which is cut short, is left out")
-    numbers = [at + 1 for at in places]
-    rows = [cells[at] for at in places]
-    for line, row in zip(numbers, rows, strict=True):
-        if len(row) != width:
+    for at in places:
+        if len(cells[at]) != width:
+            found = f"{len(cells[at])} in line {at + 1} of {path.name}"
+            raise InputError("log", f"hold {width} values a line", found, _AGAIN)
+
+    def numbers(name: str) -> Array:
+        if names.count(name) != 1:
             raise InputError(
-                "log",
-                f"hold {width} values a line",
-                f"{len(row)} in line {line} of {path.name}",
-                _AGAIN,
+                "column",
+                "name one column of the log",
+                f"{name}, which is there twice",
+                "rename one",
             )
-    return TextTable(names or tuple(map(str, range(1, width + 1))), rows, numbers, tuple(notes))
+        column = names.index(name)
+        found = np.empty(len(places))
+        for row, at in enumerate(places):
+            cell = cells[at][column].strip()
+            try:
+                found[row] = number_in(cell.replace(",", ".")) if cell else np.nan
+            except ValueError:
+                text = f"{cell[:40]!r} for {name} in line {at + 1}"
+                raise InputError("log", "hold numbers", text, _AGAIN) from None
+        return found
+
+    return LogColumns(names, numbers, tuple(notes))
 
 
 def _decoded(path: Path) -> str:
@@ -207,62 +204,6 @@ def _header(above: list[list[str]], width: int) -> tuple[tuple[str, ...], int, b
     return tuple(names), at, False
 
 
-DRILLING = ("physics_data", "high_frequency_poses")
-"""Groups that identify a recording of volumetric_drilling."""
-POSE_NAMES = ("tool_x_mm", "tool_y_mm", "tool_z_mm", "tool_qx", "tool_qy", "tool_qz", "tool_qw")
-LOAD_NAMES = ("force_x_N", "force_y_N", "force_z_N", "torque_x_Nm", "torque_y_Nm", "torque_z_Nm")
-
-
-@dataclass(frozen=True)
-class LogColumns:
-    """Columns of a log.
-
-    Attributes
-    ----------
-    names
-        Names of all columns, including columns without numbers.
-    numbers
-        Function that returns a column's numbers, shape (n,), by its name. It raises InputError if
-        the column holds no numbers.
-    notes
-        Remarks on the columns, in words.
-    """
-
-    names: tuple[str, ...]
-    numbers: Callable[[str], Array]
-    notes: tuple[str, ...] = ()
-
-    def taken(
-        self, maps: Mapping[str, ColumnMap], quantities: Mapping[str, Quantity]
-    ) -> tuple[dict[str, Array], list[str]]:
-        """Return the available quantities in SI, by name, and remarks in sentences.
-
-        Raises
-        ------
-        InputError
-            If a mapped column is missing or holds no numbers.
-        """
-        values: dict[str, Array] = {}
-        used = set[str]()
-        notes = list(self.notes)
-        for name, quantity in quantities.items():
-            if name in maps:
-                column, factor, remark = maps[name].find(self.names)
-                notes += [remark] if remark else []
-            elif name in self.names:
-                column = name
-                factor = quantity.factor
-            else:
-                continue
-            values[name] = factor * self.numbers(column)
-            used.add(column)
-        if left := [name for name in self.names if name not in used]:
-            notes.append(
-                f"not used: {', '.join(left[:12])}{' and others' if len(left) > 12 else ''}"
-            )
-        return values, notes
-
-
 def read_columns(path: Path) -> LogColumns:
     """Read the columns of a log.
 
@@ -291,11 +232,6 @@ def read_columns(path: Path) -> LogColumns:
         ) from None
 
 
-def _text(path: Path) -> LogColumns:
-    table = read_text(path)
-    return LogColumns(table.names, lambda name: np.array(table.numbers(name)), table.notes)
-
-
 def _held(columns: Mapping[str, Any]) -> LogColumns:
     """Return columns of arrays. A matrix gives no columns."""
     flat = {name: np.squeeze(np.asarray(values)) for name, values in columns.items()}
@@ -314,11 +250,6 @@ def _held(columns: Mapping[str, Any]) -> LogColumns:
     return LogColumns(tuple(flat), numbers)
 
 
-def _parquet(path: Path) -> LogColumns:
-    _module("pyarrow.parquet", "parquet")
-    return _isolated("parquet_columns", path)
-
-
 def _isolated(parser: str, path: Path) -> LogColumns:
     """Return the columns that a parser finds in a separate process."""
     name = f"tissue.fitting.log_files:{parser}"
@@ -327,8 +258,9 @@ def _isolated(parser: str, path: Path) -> LogColumns:
     )
 
 
-def _npz(path: Path) -> LogColumns:
-    return _held(read_npz(path))
+def _parquet(path: Path) -> LogColumns:
+    _module("pyarrow.parquet", "parquet")
+    return _isolated("parquet_columns", path)
 
 
 def _mat(path: Path) -> LogColumns:
@@ -375,27 +307,22 @@ def _structs(path: Path) -> LogColumns:
 def _drilling(path: Path) -> LogColumns:
     """Return poses and loads of a recording of volumetric_drilling, each with separate times."""
     held = read_drilling(path, what="measured")
-    columns = {"time_s": held.times_s}
-    columns |= dict(
-        zip(POSE_NAMES, np.hstack([1e3 * held.tips_m, held.quaternions]).T, strict=True)
-    )
+    poses = np.hstack([1e3 * held.tips_m, held.quaternions])
+    columns = {"time_s": held.times_s, **dict(zip(TIPS + QUATERNION, poses.T, strict=True))}
     if held.load_times_s is not None and held.loads is not None and len(held.load_times_s):
         first, last = held.load_times_s[[0, -1]].tolist()
         if first > held.times_s[-1] or last < 0.0:
             raise InputError(
                 "measured",
                 "hold forces while the poses last",
-                (
-                    f"forces from {first:.6g} to {last:.6g} s after the first pose and poses for "
-                    f"{held.times_s[-1]:.6g} s in {path}"
-                ),
+                f"forces from {first:.6g} to {last:.6g} s after the first pose and poses for "
+                f"{held.times_s[-1]:.6g} s in {path}",
                 "bring its time_stamps to one clock",
             )
         columns["load_time_s"] = held.load_times_s
         # torques may have been left out
-        columns |= dict(zip(LOAD_NAMES, held.loads.T, strict=False))
-    found = _held(columns)
-    return LogColumns(found.names, found.numbers, held.notes)
+        columns |= dict(zip(CHANNELS, held.loads.T, strict=False))
+    return replace(_held(columns), notes=held.notes)
 
 
 def _module(name: str, extra: str) -> Any:
@@ -417,7 +344,7 @@ READERS: dict[str, Callable[[Path], LogColumns]] = {
     ".txt": _text,
     ".tsv": _text,
     ".parquet": _parquet,
-    ".npz": _npz,
+    ".npz": lambda path: _held(read_npz(path)),
     ".mat": _mat,
     ".h5": _h5,
     ".hdf5": _h5,
@@ -468,12 +395,10 @@ def mat_columns(file: Path) -> Answer:
     for name, value in loadmat(file, squeeze_me=True).items():
         if name.startswith("__"):
             continue
+        held = {name: value}
         fields = getattr(getattr(value, "dtype", None), "names", None)
-        held = (
-            {inner: value[inner].item() for inner in fields}
-            if fields and value.ndim == 0
-            else {name: value}
-        )
+        if fields and value.ndim == 0:
+            held = {inner: value[inner].item() for inner in fields}
         for inner, each in held.items():
             _require_new(inner, columns)
             columns[inner] = _numeric(np.asarray(each))

@@ -15,7 +15,7 @@ from meshes.base.errors import names_of_caller
 from meshes.base.progress import Progress
 from tissue.fitting.forward import Parameter
 from tissue.fitting.log import MeasuredLog
-from tissue.fitting.measured import MeasuredLoads, block_averages, block_ticks
+from tissue.fitting.measured import MeasuredLoads
 from tissue.fitting.organ_runs import KEYS, OrganRuns, Poses, organ_parameters
 from tissue.fitting.posterior import Posterior, Problem, maximum_posterior, require_signs
 from tissue.models.tissue_model import TICK_S
@@ -201,8 +201,7 @@ def organ_problem(
     """
     poses = Poses(log.times_s, log.tips_m, log.quaternions_of(scene))
     parameters, moduli = organ_parameters(scene, free)
-    ticks = block_ticks(float(log.load_times_s[-1] - log.load_times_s[0]), log.load_period_s)
-    measured = block_averages(log.load_times_s, log.loads, log.channels, ticks)
+    measured, ticks = log.averaged()
     with (
         names_of_caller({"motion": "measured"}),
         OrganRuns(

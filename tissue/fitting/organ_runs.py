@@ -14,9 +14,9 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import silent
-from tissue.fitting.cutting import CHANNELS
 from tissue.fitting.fit_files import FittedEntry, write_fitted
 from tissue.fitting.forward import Parameter, chosen
+from tissue.fitting.log_files import CHANNELS
 from tissue.materials.prior import Prior
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.replay import ReplayPoses

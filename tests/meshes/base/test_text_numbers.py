@@ -5,7 +5,7 @@ import pytest
 
 from meshes.base.errors import InputError
 from meshes.base.text_numbers import number_in, require_distinct_columns, whole_number_in
-from meshes.images.itk import numbers
+from meshes.images.text_headers import numbers
 from meshes.paths.toolpath import read_toolpath
 from meshes.surfaces.markups import read_markups
 from meshes.surfaces.surface import read_surface

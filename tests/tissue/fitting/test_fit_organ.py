@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import tissue
-from tissue.fitting.cutting import CHANNELS
 from tissue.fitting.log import read_log
+from tissue.fitting.log_files import CHANNELS
 from tissue.fitting.organ_problem import EVERY, FARTHEST
 from tissue.fitting.organ_runs import OrganRuns, Poses, organ_parameters
 from tissue.materials.prior import Z_95
