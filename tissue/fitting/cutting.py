@@ -11,11 +11,10 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, names_of_caller
 from meshes.base.progress import Progress
-from tissue.fitting.forward import Parameter, chosen
 from tissue.fitting.log import MeasuredLog
 from tissue.fitting.log_files import CHANNELS
-from tissue.fitting.measured import MeasuredLoads, shift_operators
-from tissue.fitting.posterior import Problem, require_signs
+from tissue.fitting.posterior import require_signs
+from tissue.fitting.problem import MeasuredLoads, Parameter, Problem, chosen, shift_operators
 from tissue.materials.constants import CUT_AS, N_MM, N_MM2, CuttingCoefficients
 from tissue.materials.prior import Prior
 from tissue.models.bone.density_nodes import DensityNodes
@@ -27,7 +26,7 @@ from tissue.scene.scene import Cutting, Scene, Voxels
 from tissue.scene.tool import Tool
 from tissue.simulation.load_record import SENSITIVITIES, LayerLoads, LoadRecord, record_loads
 
-__all__ = ["CHANNELS", "CuttingForward", "cutting_candidates", "cutting_forward", "cutting_problem"]
+__all__ = ["CuttingForward", "cutting_candidates", "cutting_forward", "cutting_problem"]
 
 DENSITY = Prior(1.0, 0.85, 1.18)
 """Prior of the factor on a layer's density: 10 % up and down (one standard deviation).
@@ -69,7 +68,7 @@ class FreeConstant:
 
 @dataclass(frozen=True, eq=False)
 class CuttingForward:
-    """Cut whose coefficients and densities vary, see `tissue.fitting.forward.Forward`.
+    """Cut whose coefficients and densities vary, see `tissue.fitting.problem.Forward`.
 
     Attributes
     ----------
@@ -198,9 +197,8 @@ def cutting_forward(
     notes = [f"{subject}: {each}" for subject, each in record.notes.items()]
     if (inside := float(record.trace["removed_mm3"][0])) > 0.0:
         notes.append(
-            f"the tool began in {inside:.3g} mm3 of bone, which were taken away without a "
-            "force: what was cut before "
-            "the log's first pose is not known"
+            f"the tool began in {inside:.3g} mm3 of bone, which were taken away without a force: "
+            "what was cut before the log's first pose is not known"
         )
     return CuttingForward(
         record,
@@ -217,11 +215,11 @@ def _free_constants(
     """Return the free constants of the layers that the tool touched, see `cutting_forward`."""
     possible = []
     usual = set[str]()
-    tags: dict[str, tuple[str, ...]] = {}
+    tags: dict[str, str] = {}
     for at, layer in record.layers.items():
         name = record.layer_names[at]
         known = scene.constants.layer_constants(name, bone=scene.cutting.material)
-        is_scaled = (layer.nodes.densities_kg_m3 != known["reference_density_kg_m3"].value).any()
+        is_scaled = (layer.nodes.densities_kg_m3 != known[REFERENCE].value).any()
         for constant, (field, unit) in FIELDS.items():
             if known[constant].low == known[constant].high:
                 continue
@@ -229,7 +227,7 @@ def _free_constants(
                 f"cutting.{name}.{constant}", Prior.of(known[constant], constant)
             )
             possible.append(FreeConstant(parameter, at, field, unit))
-            tags[parameter.name] = (CUT_AS.get(name, scene.cutting.material),)
+            tags[parameter.name] = CUT_AS.get(name, scene.cutting.material)
             if constant not in stated and (is_scaled or constant != "density_exponent"):
                 usual.add(parameter.name)
     factors = [
@@ -285,23 +283,18 @@ def cutting_problem(
     measured, ticks = log.averaged()
     forward, measured = forward.averaged_as(measured)
     require_signs(forward, measured)
-    layers = {
-        each.name.split(".")[1] for each in forward.parameters if each.name.startswith("cutting.")
-    }
-    constants = {
-        layer: scene.constants.layer_constants(layer, bone=scene.cutting.material)
-        for layer in sorted(layers)
-    }
+    fixed = {}
+    for at in sorted({each.layer for each in forward.free if each.field != FACTOR}):
+        layer = forward.record.layer_names[at]
+        known = scene.constants.layer_constants(layer, bone=scene.cutting.material)
+        fixed[f"cutting.{layer}.{REFERENCE}"] = known[REFERENCE].value
     return Problem(
         forward,
         measured,
         ticks * TICK_S,
-        lambda _: list(cutting_candidates(forward).items()),
+        lambda: cutting_candidates(forward),
         forward.notes,
-        {
-            f"cutting.{layer}.{REFERENCE}": known[REFERENCE].value
-            for layer, known in constants.items()
-        },
+        fixed,
     )
 
 

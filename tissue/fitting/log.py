@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, counted
 from tissue.fitting.log_files import CHANNELS, QUATERNION, TIPS, LogColumns, read_columns
-from tissue.fitting.measured import MeasuredLoads, block_averages, block_ticks
+from tissue.fitting.problem import MeasuredLoads, block_averages, block_ticks
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.scene import Scene
 from tissue.simulation.builders.motions import motion_of

@@ -14,9 +14,9 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import silent
-from tissue.fitting.fit_files import FittedEntry, write_fitted
-from tissue.fitting.forward import Parameter, chosen
+from tissue.fitting.bands.sample import sample_text
 from tissue.fitting.log_files import CHANNELS
+from tissue.fitting.problem import Parameter, chosen
 from tissue.materials.prior import Prior
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.replay import ReplayPoses
@@ -280,23 +280,21 @@ def _loads(
 
 
 def _with(scene: Scene, values: Mapping[str, float], path: Path) -> Scene:
-    """Return a scene with replaced constants."""
-    given = {name: one.value for name, one in scene.constants.given.items()}
-    given |= {name: value for name, value in values.items() if not name.startswith(KEYS)}
+    """Return a scene with replaced constants, those of materials in a file."""
     changes: dict[str, object] = {}
-    if given:
-        entries = [
-            FittedEntry(name, value, value, value, "a sample of a fit", "L")
-            for name, value in given.items()
-        ]
-        write_fitted(path, entries, np.eye(len(entries)), remark=())
-        changes["materials"] = str(path)
     parts = dict(scene.organ.parts or {})
+    constants: dict[str, float] = {}
     for name, value in values.items():
         if name.startswith(PART):
             parts[name.removeprefix(PART)] = value
         elif name.startswith(KEYS):
             changes[name] = value
+        else:
+            constants[name] = value
+    if constants:
+        text = sample_text(scene.constants, tuple(constants), np.array(list(constants.values())))
+        path.write_text(text, "utf-8")
+        changes["materials"] = str(path)
     if parts:
         changes["organ.parts"] = parts
     return changed(scene, changes)

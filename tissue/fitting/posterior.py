@@ -6,8 +6,7 @@ small steps that a load takes where the tool leaves an element or a shaft begins
 earlier.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,15 +14,13 @@ from scipy.optimize import minimize
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from tissue.fitting.forward import Forward
 from tissue.fitting.marginal import Marginal, marginal
-from tissue.fitting.measured import MeasuredLoads
+from tissue.fitting.problem import Forward, MeasuredLoads
 from tissue.fitting.target import OFFSET_S, Restricted, Target, Unpacked, innovations
 from tissue.materials.prior import Prior
 
 __all__ = [
     "Posterior",
-    "Problem",
     "climbed",
     "maximum_posterior",
     "require_signs",
@@ -240,35 +237,9 @@ def _scored(target: Restricted, u: Array) -> tuple[Array, Array, bool]:
     return u, information, False
 
 
-@dataclass(frozen=True, eq=False)
-class Problem:
-    """Loads by constants, the log to compare them with, and candidate logs.
-
-    Attributes
-    ----------
-    forward
-        Loads by the constants.
-    measured
-        The log, averaged over blocks.
-    block_s
-        Length of a block [s].
-    candidates
-        Return logs that could be measured next, each with a description, given the posterior of
-        this one.
-    notes
-        Remarks for the report.
-    fixed
-        Fixed constants that the free constants depend on, by their names.
-    """
-
-    forward: Forward
-    measured: MeasuredLoads
-    block_s: float
-    candidates: Callable[[Posterior], Sequence[tuple[str, Forward]]]
-    notes: tuple[str, ...] = ()
-    fixed: Mapping[str, float] = field(default_factory=dict)
-
-
+# Constants of a fit have a known sign, so they cannot explain a channel of opposite sign. The fit
+# would treat it as a bias with noise and return wrong constants without a message. Each channel,
+# all forces, all torques and all loads are therefore fitted with their signs reversed as well.
 GAIN = 10.0
 """Log density that reversed signs must add: odds of 2e4, where chance between two signs is one."""
 SCREENED = 50.0
@@ -291,15 +262,11 @@ def require_signs(forward: Forward, log: MeasuredLoads) -> None:
         With the names of these channels.
     """
     if wrong := reversed_channels(forward, log):
-        names = ", ".join(wrong)
-        is_one = len(wrong) == 1
         raise InputError(
-            f"measured has {names} with {'its sign' if is_one else 'their signs'} reversed. "
-            "With the opposite sign the "
-            f"scene explains {'it' if is_one else 'them'} better. Loads must act on the "
-            "tool, in the scene's frame: "
-            "reverse the sign with --column "
-            f"{wrong[0]}=-COLUMN{'' if is_one else ' and so on'}, or drop the column"
+            "measured",
+            "hold loads on the tool, in the scene's frame",
+            f"{', '.join(wrong)} with the sign reversed, by which the scene explains more",
+            f"reverse the sign with --column {wrong[0]}=-COLUMN, or drop the column",
         )
 
 
@@ -315,9 +282,14 @@ def reversed_channels(forward: Forward, log: MeasuredLoads) -> tuple[str, ...]:
     """
     signs = np.ones(len(log.channels))
     best, _ = _search(forward, log, signs, -np.inf)
-    for _ in log.channels:
+    groups = [[at] for at in range(len(signs))]
+    for kind in ("force_", "torque_", ""):
+        places = [at for at, name in enumerate(log.channels) if name.startswith(kind)]
+        if len(places) > 1 and places not in groups:
+            groups.append(places)
+    while True:
         found = signs
-        for places in _groups(log.channels):
+        for places in groups:
             tried = signs.copy()
             tried[places] *= -1.0
             density, explained = _search(forward, log, tried, best + GAIN)
@@ -325,23 +297,8 @@ def reversed_channels(forward: Forward, log: MeasuredLoads) -> tuple[str, ...]:
                 best = density
                 found = tried
         if found is signs:
-            break
+            return tuple(np.array(log.channels)[signs < 0.0].tolist())
         signs = found
-    return tuple(
-        name for name, sign in zip(log.channels, signs.tolist(), strict=True) if sign < 0.0
-    )
-
-
-def _groups(channels: Sequence[str]) -> list[list[int]]:
-    """Return indices of single channels, of all forces, of all torques, and of all loads."""
-    kinds = [
-        [at for at, name in enumerate(channels) if name.startswith(kind)]
-        for kind in ("force_", "torque_", "")
-    ]
-    several = [places for places in kinds if len(places) > 1]
-    return [[at] for at in range(len(channels))] + [
-        each for at, each in enumerate(several) if each not in several[:at]
-    ]
 
 
 def _search(

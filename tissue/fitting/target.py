@@ -10,8 +10,7 @@ from scipy.sparse import csr_array
 from scipy.special import digamma, gammaln, polygamma
 
 from meshes.base.arrays import Array
-from tissue.fitting.forward import Forward
-from tissue.fitting.measured import MeasuredLoads, shift_operators
+from tissue.fitting.problem import Forward, MeasuredLoads, shift_operators
 
 __all__ = [
     "OFFSET_S",
@@ -214,7 +213,7 @@ class Target:
         self._sizes = log.sizes()
         self.constants = len(self._priors)
         self.sides = np.array([each.side for each in forward.parameters])
-        """Side of each constant, shape (p,), see `tissue.fitting.forward.Parameter.side`."""
+        """Side of each constant, shape (p,), see `tissue.fitting.problem.Parameter.side`."""
         self.size = self.constants + 1 + 4 * len(log.channels)
         self._linearised: tuple[Array, Array, Array] | None = None
         self._last_shift: tuple[float, tuple[csr_array, csr_array]] | None = None

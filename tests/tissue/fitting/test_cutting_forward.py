@@ -6,7 +6,7 @@ from cut_logs import BLOCK, forward_along, plunging_cylinder
 
 from meshes.base.errors import InputError
 from tissue.fitting.cutting import cutting_candidates
-from tissue.fitting.measured import block_averages, shift_operators
+from tissue.fitting.problem import block_averages, shift_operators
 from tissue.materials.constants import constants
 from tissue.scene.load import changed
 from tissue.scene.scene import Scene

@@ -6,12 +6,12 @@ A normal law of its number is far off there.
 import numpy as np
 import pytest
 from cut_logs import forward_along
+from planted_logs import LinearForward
 
-from tissue.fitting.forward import LinearForward, Parameter
 from tissue.fitting.identifiability import identified
 from tissue.fitting.marginal import NEGLIGIBLE, log_density_at
-from tissue.fitting.measured import MeasuredLoads, block_averages
 from tissue.fitting.posterior import maximum_posterior
+from tissue.fitting.problem import MeasuredLoads, Parameter, block_averages
 from tissue.materials.prior import Prior
 
 TIMES_S = 0.01 * np.arange(400)

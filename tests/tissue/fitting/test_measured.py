@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tissue.fitting.measured import block_averages, block_ticks, shift_operators
+from tissue.fitting.problem import block_averages, block_ticks, shift_operators
 
 
 @pytest.mark.parametrize(

@@ -5,13 +5,13 @@ They are compared with integrals over the prior that is cut off there.
 
 import numpy as np
 import pytest
+from planted_logs import LinearForward
 from scipy.special import gammaln
 from scipy.stats import multivariate_normal, norm
 
-from tissue.fitting.forward import LinearForward, Parameter
 from tissue.fitting.marginal import log_factor
-from tissue.fitting.measured import MeasuredLoads
 from tissue.fitting.posterior import maximum_posterior
+from tissue.fitting.problem import MeasuredLoads, Parameter
 from tissue.materials.prior import Prior
 
 CITED = Prior(0.0, 0.0, 6.0)

@@ -6,9 +6,9 @@ They are proportional to all moduli together.
 import numpy as np
 import pytest
 
-from tissue.fitting.forward import Parameter
 from tissue.fitting.organ_problem import OrganForward
 from tissue.fitting.organ_runs import OrganRuns, Poses, organ_parameters
+from tissue.fitting.problem import Parameter
 from tissue.materials.prior import Prior
 from tissue.scene.load import load_scene
 

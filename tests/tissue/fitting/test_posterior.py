@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from planted_logs import NAMES, PRIORS, slot
+from planted_logs import NAMES, PRIORS, LinearForward, slot
 from planted_logs import planted as plant
 
-from tissue.fitting.forward import LinearForward, Parameter
 from tissue.fitting.identifiability import expected_information, identified
-from tissue.fitting.measured import MeasuredLoads
 from tissue.fitting.posterior import maximum_posterior
+from tissue.fitting.problem import MeasuredLoads, Parameter
 from tissue.fitting.target import Restricted, Target
 from tissue.materials.prior import Prior
 
@@ -73,7 +72,7 @@ def test_normal_law_of_a_linear_problem_is_exact():
     rng = np.random.default_rng(3)
     log, _ = plant(slot(), rng, scale=0.05)
     found = maximum_posterior(slot(), log)
-    gain = expected_information(found, [("again", slot())])[0]
+    gain = expected_information(found, {"again": slot()})[0]
     values = np.linalg.eigvalsh(found.covariance_z)
     # the same log again halves variances
     assert gain.nats == pytest.approx(0.5 * len(values) * np.log(2.0), rel=0.05)
@@ -109,7 +108,7 @@ def test_one_feed_gives_combinations_and_no_single_constant():
         weights = np.array(list(each.weights.values()))
         assert weights == pytest.approx([w / sum(weights) for w in weights]) and each.powers == {}
         assert each.low < each.of(np.array(x)) < each.high
-    gains = expected_information(found, [("the same", slot(feeds=(1.0,))), ("three feeds", slot())])
+    gains = expected_information(found, {"the same": slot(feeds=(1.0,)), "three feeds": slot()})
     assert gains[0].label == "three feeds" and gains[0].shrinks_to < 0.1
     assert gains[1].shrinks_to > 0.99
 
