@@ -9,7 +9,6 @@ from itertools import permutations, product
 import image_writers
 import numpy as np
 import pytest
-from image_surface import image_surface
 
 from meshes.base.errors import InputError
 from meshes.images.reading import read_image
@@ -83,18 +82,6 @@ def test_vtk_images_have_origin_and_directions(tmp_path, turn):
     assert found.spacing_mm == pytest.approx(SPACING) and found.origin_mm == pytest.approx(ORIGIN)
 
 
-def test_cells_of_a_vtk_image_lie_between_its_points(tmp_path):
-    import pyvista
-
-    grid = pyvista.ImageData(dimensions=(6, 5, 4), spacing=SPACING, origin=ORIGIN)
-    grid.cell_data["grey"] = VALUES.ravel(order="F")
-    grid.save(tmp_path / "cells.vti")
-    found = read_image(tmp_path / "cells.vti")
-    assert np.array_equal(found.values, VALUES) and found.origin_mm == pytest.approx(
-        ORIGIN + 0.5 * SPACING
-    )
-
-
 def test_nifti_counts_right_and_front(tmp_path):
     """NIfTI counts right and front as positive.
 
@@ -111,41 +98,6 @@ def test_nifti_counts_right_and_front(tmp_path):
     found = read_image(tmp_path / "hand.nii")
     assert found.origin_mm == pytest.approx((-10 - 4 * 0.5, -20 - 3 * 0.75, 30))
     assert found.values[4, 3, 0] == VALUES[0, 0, 0] and found.values[0, 3, 0] == VALUES[4, 0, 0]
-
-
-def phantom(axes, origin, shape):
-    """Return an L of two blocks in LPS [mm] on a grid.
-
-    Its blocks are x 0 to 6, y 0 to 3, z 0 to 2, and x 0 to 2, y 3 to 8, z 0 to 2.
-    """
-    index = np.stack(np.meshgrid(*[np.arange(n) for n in shape], indexing="ij"), axis=-1)
-    x, y, z = np.moveaxis(index @ axes.T + origin, -1, 0)
-    flat = (z >= 0) & (z <= 2)
-    foot, leg = (x >= 0) & (x <= 6) & (y >= 0) & (y <= 3), (x >= 0) & (x <= 2) & (y >= 3) & (y <= 8)
-    return np.where(flat & (foot | leg), 1000, 0).astype(np.int16)
-
-
-@pytest.mark.parametrize("kind", [*FORMATS, VTK])
-def test_corners_of_an_l_lie_where_they_were_put(tmp_path, kind):
-    """Corners of an L lie at their true places.
-
-    A voxel's centre lies inside or not, so the surface at half the height lies half a voxel outside
-    the last.
-    """
-    # up, right, front: a coronal-like stack
-    axes = np.array([[0.0, -0.5, 0.0], [0.0, 0.0, -0.5], [0.5, 0.0, 0.0]])
-    origin = np.array([9.75, 10.75, -2.75])
-    values = phantom(axes, origin, (16, 28, 30))
-    surface = image_surface(
-        read_image(write(tmp_path, kind, values, axes, origin)), threshold=500.0
-    )
-    points = 1e3 * surface.vertices_m
-    assert points.min(axis=0) == pytest.approx([0.0, 0.0, 0.0], abs=1e-4)
-    assert points.max(axis=0) == pytest.approx([6.0, 8.0, 2.0], abs=1e-4)
-    leg = points[points[:, 1] > 3.6]
-    assert leg[:, 0].max() == pytest.approx(2.0, abs=1e-4)  # the leg of the L, not its mirror image
-    # corners are cut
-    assert surface.report.volume_mm3 == pytest.approx(2.0 * (6 * 3 + 2 * 5), rel=0.06)
 
 
 ROUNDED = 0.5 * 1.55**3

@@ -91,14 +91,6 @@ def test_another_run_corrects_slopes_along_its_step_alone():
     np.testing.assert_array_equal(wrong.moved(near, closed(near), learnt=0.1).slopes, wrong.slopes)
 
 
-def test_slopes_move_with_the_run_along_parabolas():
-    model = forward((0, 1))
-    at = np.array([FIRST, 80.0, 0.6, 0.8])
-    moved = model.moved(at, closed(at), learnt=0.1)
-    x = np.array([4.0, 90.0, 0.2, 0.3])
-    np.testing.assert_allclose(moved.loads(x), closed(x), rtol=1e-12)
-
-
 @pytest.mark.parametrize("viscous", [False, True])
 def test_the_force_is_proportional_to_all_moduli_of_a_run(viscous):
     scene = load_scene("palpation", SLAB | {"organ.viscous": viscous})

@@ -7,9 +7,8 @@ from planted_logs import planted as plant
 
 from tissue.fitting.identifiability import expected_information, identified
 from tissue.fitting.posterior import maximum_posterior
-from tissue.fitting.problem import MeasuredLoads, Parameter
+from tissue.fitting.problem import MeasuredLoads
 from tissue.fitting.target import Restricted, Target
-from tissue.materials.prior import Prior
 
 
 @pytest.mark.parametrize("restricted", [False, True])
@@ -111,43 +110,6 @@ def test_one_feed_gives_combinations_and_no_single_constant():
     gains = expected_information(found, {"the same": slot(feeds=(1.0,)), "three feeds": slot()})
     assert gains[0].label == "three feeds" and gains[0].shrinks_to < 0.1
     assert gains[1].shrinks_to > 0.99
-
-
-def test_density_and_coefficient_are_one_number():
-    """Density and coefficient act as one number.
-
-    A factor on the density, to the power of 1.5, multiplies a coefficient: their product is known,
-    neither factor is.
-    """
-    forward = slot()
-
-    class Denser(LinearForward):
-        def loads(self, x):
-            return x[4] ** 1.5 * (self.basis @ x[:4])
-
-        def jacobian(self, x):
-            found = np.empty((*self.basis.shape[:2], 5))
-            found[..., :4] = x[4] ** 1.5 * self.basis
-            found[..., 4] = 1.5 * x[4] ** 0.5 * (self.basis @ x[:4])
-            return found
-
-    parameters = (*forward.parameters, Parameter("density.bone", Prior(1.0, 0.85, 1.18)))
-    denser = Denser(parameters, forward.channels, forward.times_s, forward.basis)
-    log, _ = plant(denser, np.random.default_rng(6), z=[0.5, -0.3, 0.2, 0.4, 1.0], scale=0.02)
-    found = maximum_posterior(denser, log)
-    # The products are known, so that the density of the factor is that of its number times those of
-    # the coefficients.
-    products = found.target.x(found.mean_z)[:4] * found.target.x(found.mean_z)[4] ** 1.5
-    z = np.linspace(-5.0, 5.0, 1001)
-    factor = found.priors[4].x(z)
-    logs = -0.5 * z**2
-    for prior, product in zip(found.priors[:4], products, strict=True):
-        k = product / factor**1.5
-        logs += -0.5 * prior.z(k) ** 2 - np.log(prior.slope(prior.z(k)) * factor**1.5)
-    density = np.exp(logs - logs.max())
-    density /= density.sum()
-    spread = np.sqrt(density @ z**2 - (density @ z) ** 2)
-    assert identified(found).contraction[4] == pytest.approx(spread, rel=0.03)
 
 
 def test_a_log_without_load_determines_nothing():

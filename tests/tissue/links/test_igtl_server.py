@@ -168,16 +168,6 @@ def test_a_client_that_takes_nothing_misses_the_stream_and_is_then_disconnected(
         )
 
 
-def test_more_clients_than_there_is_place_for_are_refused(server, monkeypatch):
-    monkeypatch.setattr(igtl_server, "MOST_CLIENTS", 1)
-    (one,) = connect(server)
-    with one, socket.create_connection(server.address) as two:
-        until(server, lambda _: server.refused == 1)
-        assert read_end(two) and server.happened[-1].endswith(
-            "was refused: 1 clients are connected"
-        )
-
-
 def test_a_port_that_is_taken_is_refused_in_a_sentence(server):
     port = server.address[1]
     with pytest.raises(

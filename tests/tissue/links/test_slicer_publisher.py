@@ -7,7 +7,6 @@ import json
 
 import numpy as np
 import pytest
-from fake_fields import pressed_series
 from igtl_client import IgtlClient
 
 from meshes.base.placement import Placement
@@ -16,7 +15,7 @@ from tissue.links import igtl_messages as igtl
 from tissue.links import slicer_process
 from tissue.links.slicer_content import SlicerFrame
 from tissue.links.slicer_process import Publisher
-from tissue.simulation.live.shared import BoneShared, OrganShared, SharedArrays, SharedTissue
+from tissue.simulation.live.shared import BoneShared, SharedArrays, SharedTissue
 from tissue.simulation.live.window import CLOCK
 
 pytest.importorskip("pyvista")
@@ -175,14 +174,6 @@ def test_a_pose_is_that_of_the_row_in_ras_and_an_old_row_is_not_sent_again(stage
     assert np.linalg.det(pose["matrix"]) == pytest.approx(1.0, rel=1e-6)
 
 
-def test_a_row_without_a_pose_sends_none(stage, pressed):
-    shown = stage(pressed)
-    client = shown.client()
-    shown.show(tool_qx=0.0, tool_qy=0.0, tool_qz=0.0, tool_qw=0.0)
-    client.until(lambda: client.of("tissue-force-text"), poll=shown.publisher.step)
-    assert not client.of("tissue-tool")
-
-
 def test_force_and_torque_are_sent_to_who_asks_for_them(stage, pressed, monkeypatch):
     monkeypatch.setattr(slicer_process, "FRAME_S", 0.0)
     shown = stage(pressed, placement=PLACEMENT)
@@ -232,17 +223,6 @@ def test_force_and_torque_are_sent_to_who_asks_for_them(stage, pressed, monkeypa
     )
 
 
-def test_a_question_before_the_first_row_is_left(stage, pressed):
-    shown = stage(pressed)
-    client = shown.client()
-    client.send(
-        igtl.packed("GET_SENSOR", "", b"", time_s=0.0)
-        + igtl.packed("STT_NDARRAY", "", b"", time_s=0.0)
-    )
-    client.until(lambda: client.of("", "RTS_NDARRAY"), poll=shown.publisher.step)
-    assert not client.of("tissue-force")
-
-
 def test_events_are_sent_in_order_and_the_last_ones_kept(stage, pressed):
     shown = stage(pressed)
     client = shown.client()
@@ -282,33 +262,6 @@ def test_a_surface_is_sent_when_it_has_changed_and_to_late_clients(stage, milled
     left[:] = 0
     client.until(lambda: len(client.of("tissue-anatomy")) == 3, poll=shown.publisher.step)
     assert not len(client.of("tissue-anatomy")[2]["triangles"])
-
-
-def test_an_organs_surface_moves(stage, pressed, monkeypatch):
-    monkeypatch.setattr(slicer_process, "SURFACE_S", 0.02)
-    series = pressed_series()
-    touchable = np.flatnonzero(series.nodes_m[:, 2] == 0.0)
-    series.node_sets["touchable"] = touchable
-
-    class Organ:
-        fields, moved = series, np.zeros((len(touchable), 3))
-
-        def displacement_m(self):
-            return self.moved
-
-    shown = stage(pressed, OrganShared(Organ()), placement=PLACEMENT)
-    client = shown.client()
-    client.until(lambda: client.of("tissue-anatomy"), poll=shown.publisher.step)
-    Organ.moved[:] = 0.0, 0.0, -2e-3
-    shown.shared.publish(shown.arrays, 0)
-    client.until(lambda: len(client.of("tissue-anatomy")) == 2, poll=shown.publisher.step)
-    before, after = client.of("tissue-anatomy")
-    np.testing.assert_array_equal(before["triangles"], after["triangles"])
-    assert before["values"] == {} and before["triangles"].max() < len(before["points"])
-    # The surface that can be touched has moved 2 mm inwards, in RAS.
-    moved = (after["points"] - before["points"]) @ (LPS_TO_RAS[:3, :3] @ PLACEMENT.rotation)
-    assert moved[:, 2].min() == pytest.approx(-2.0, abs=1e-4)
-    np.testing.assert_allclose(moved[:, :2], 0.0, atol=1e-4)
 
 
 def test_the_end_of_a_run_is_sent_with_what_came_before_it(stage, pressed):
@@ -427,21 +380,3 @@ def test_a_run_that_nobody_may_move_ignores_poses(stage, pressed):
     client.send(target(np.eye(4)))
     until_ignored(shown, 1)
     assert moved(shown)[0] == 0
-
-
-def test_the_frame_of_a_scene_without_a_file_is_taken_as_lps():
-    frame = SlicerFrame(None)
-    np.testing.assert_array_equal(frame.matrix, LPS_TO_RAS)
-    np.testing.assert_array_equal(frame.vector([1.0, 2.0, 3.0]), [-1.0, -2.0, 3.0])
-
-
-def test_a_pose_goes_to_ras_and_back():
-    frame = SlicerFrame(PLACEMENT)
-    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    tip, rotation = frame.pose_in_scene(frame.pose([1.0, 2.0, 3.0], turn))
-    np.testing.assert_allclose(tip, [1.0, 2.0, 3.0], atol=1e-12)
-    np.testing.assert_allclose(rotation, turn, atol=1e-12)
-    file = np.linalg.inv(PLACEMENT.file_to_scene_mm) @ [1.0, 2.0, 3.0, 1.0]
-    np.testing.assert_allclose(
-        frame.points([[1.0, 2.0, 3.0]])[0], (LPS_TO_RAS @ file)[:3], atol=1e-12
-    )
