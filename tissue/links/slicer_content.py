@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["TARGET", "SlicerContent", "SlicerFrame", "SlicerTarget"]
 
-LPS_TO_RAS: Array = np.diag([-1.0, -1.0, 1.0])
+LPS_TO_RAS: Array = np.diag([-1.0, -1.0, 1.0, 1.0])
 """Rotation by half a turn from LPS to RAS: left and back become right and front."""
 
 
@@ -38,58 +38,60 @@ class SlicerFrame:
     ----------
     placement
         Placement of the scene frame in the frame of the file; None for a scene without a file.
+
+    Attributes
+    ----------
+    matrix
+        Homogeneous matrix from the scene [mm] to RAS [mm], shape (4, 4).
     """
 
     def __init__(self, placement: Placement | None) -> None:
-        turn = np.eye(3) if placement is None else placement.rotation
-        origin = np.zeros(3) if placement is None else placement.origin_mm
-        self._turn: Array = LPS_TO_RAS @ turn
-        self._origin: Array = LPS_TO_RAS @ origin
-
-    @property
-    def matrix(self) -> Array:
-        """Homogeneous matrix from the scene [mm] to RAS [mm], shape (4, 4)."""
-        matrix = np.eye(4)
-        matrix[:3, :3] = self._turn
-        matrix[:3, 3] = self._origin
-        return matrix
+        self.matrix = LPS_TO_RAS.copy()
+        if placement is not None:
+            self.matrix = LPS_TO_RAS @ _pose(placement.origin_mm, placement.rotation)
 
     def points(self, points_mm: ArrayLike) -> Array:
         """Return points of the scene [mm], shape (n, 3), in RAS [mm]."""
-        return np.asarray(points_mm, dtype=np.float64) @ self._turn.T + self._origin
+        return np.asarray(points_mm) @ self.matrix[:3, :3].T + self.matrix[:3, 3]
 
     def vector(self, vector: ArrayLike) -> Array:
         """Return a force, a torque or another vector of the scene in RAS, shape (3,)."""
-        return np.asarray(self._turn @ np.asarray(vector, dtype=np.float64))
+        return np.asarray(self.matrix[:3, :3] @ vector)
 
     def pose(self, tip_mm: ArrayLike, rotation: ArrayLike) -> Array:
         """Return the matrix from a tool frame to RAS [mm], shape (4, 4).
 
         The arguments are the tip [mm] and the orientation, shape (3, 3), in the scene.
         """
-        matrix = np.eye(4)
-        matrix[:3, :3] = self._turn @ np.asarray(rotation, dtype=np.float64)
-        matrix[:3, 3] = self.points(np.reshape(tip_mm, (1, 3)))[0]
-        return matrix
+        return np.asarray(self.matrix @ _pose(tip_mm, rotation))
 
-    def pose_in_scene(self, matrix: ArrayLike) -> tuple[Array, Array]:
+    def pose_in_scene(self, matrix: Array) -> tuple[Array, Array]:
         """Return tip [mm] and orientation, shape (3, 3), in the scene from a tool pose in RAS.
 
         The pose is a homogeneous matrix [mm], shape (4, 4).
         """
-        given = np.asarray(matrix, dtype=np.float64)
-        return self._turn.T @ (given[:3, 3] - self._origin), self._turn.T @ given[:3, :3]
+        pose = np.linalg.inv(self.matrix) @ matrix
+        return pose[:3, 3], pose[:3, :3]
 
 
-TOOL, SHAPE, TISSUE, IMAGE = "tissue-tool", "tissue-tool-shape", "tissue-anatomy", "tissue-image"
-FORCE, TORQUE, WRENCH, WORDS, STATE = (
-    "tissue-force",
-    "tissue-torque",
-    "tissue-wrench",
-    "tissue-force-text",
-    "tissue",
-)
-"""Names of the messages, used by 3D Slicer as names of its nodes."""
+def _pose(origin: ArrayLike, rotation: ArrayLike) -> Array:
+    """Return a homogeneous matrix, shape (4, 4)."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation
+    matrix[:3, 3] = origin
+    return matrix
+
+
+# names of the messages, used by 3D Slicer as names of its nodes
+TOOL = "tissue-tool"
+SHAPE = "tissue-tool-shape"
+TISSUE = "tissue-anatomy"
+IMAGE = "tissue-image"
+FORCE = "tissue-force"
+TORQUE = "tissue-torque"
+WRENCH = "tissue-wrench"
+WORDS = "tissue-force-text"
+STATE = "tissue"
 
 
 class SlicerContent:
@@ -113,15 +115,13 @@ class SlicerContent:
         self._scene = scene
         self._frame = frame
         self._start = start
-        places = {name: place for place, name in enumerate(columns)}
-        at = lambda *names: np.array([places[name] for name in names])  # noqa: E731
-        self._tip = at(*(f"tool_{c}_mm" for c in "xyz"))
-        self._turn = at(*(f"tool_q{c}" for c in "xyzw"))
-        self._force = at(*(f"model_force_{c}_N" for c in "xyz"))
-        self._torque = at(*(f"model_torque_{c}_Nm" for c in "xyz"))
-        self._time = places["time_s"]
-        self._missed = places["missed"]
         self._number = 0
+        self._time = columns.index("time_s")
+        self._missed = columns.index("missed")
+        self._tip = [columns.index(f"tool_{c}_mm") for c in "xyz"]
+        self._turn = [columns.index(f"tool_q{c}") for c in "xyzw"]
+        self._force = [columns.index(f"model_force_{c}_N") for c in "xyz"]
+        self._torque = [columns.index(f"model_torque_{c}_Nm") for c in "xyz"]
 
     def scene_messages(self) -> list[bytes]:
         """Return the constant messages: tool shape, voxel image, and faces without a body.
@@ -137,16 +137,12 @@ class SlicerContent:
         density = self._start.get("density_kg_m3")
         if density is not None:
             spacing_mm = 1e3 * float(self._start["spacing_m"])
-            voxels = np.eye(4)
-            voxels[:3, :3] *= spacing_mm
-            voxels[:3, 3] = 1e3 * self._start["origin_m"].astype(float) + 0.5 * spacing_mm
-            messages.append(
-                self._packed("IMAGE", IMAGE, igtl.image_body(density, self._frame.matrix @ voxels))
-            )
+            first_mm = 1e3 * self._start["origin_m"].astype(float) + 0.5 * spacing_mm
+            voxels = self._frame.matrix @ _pose(first_mm, spacing_mm * np.eye(3))
+            messages.append(self._packed("IMAGE", IMAGE, igtl.image_body(density, voxels)))
         for name, face in faces_of(self._scene).items():
-            messages.append(
-                self._packed("POLYDATA", f"tissue-{name}"[:20], self._mesh(face.triangulate()))
-            )
+            body = self._mesh(face.triangulate())
+            messages.append(self._packed("POLYDATA", f"tissue-{name}"[:20], body))
         return messages
 
     def surface_message(self, tissue: BoneSurface | OrganSurface) -> bytes:
@@ -177,30 +173,22 @@ class SlicerContent:
         """
         force, torque = self._load(row)
         self._number += 1
-        options: dict[str, Any] = {
-            "metadata": {"time_s": f"{row[self._time]:.3f}"},
-            "number": self._number,
-        }
-        if kind == "NDARRAY":
-            body = igtl.ndarray_body(np.concatenate([force, torque]))
-            return [self._packed("NDARRAY", WRENCH, body, **options)]
-        sensors = (
-            (FORCE, force, igtl.si_unit(("N", 1))),
-            (TORQUE, torque, igtl.si_unit(("N", 1), ("m", 1))),
-        )
-        return [
-            self._packed("SENSOR", name, igtl.sensor_body(load, unit), **options)
-            for name, load, unit in sensors
+        bodies = [
+            ("SENSOR", FORCE, igtl.sensor_body(force, igtl.NEWTON)),
+            ("SENSOR", TORQUE, igtl.sensor_body(torque, igtl.NEWTON_METRE)),
         ]
+        if kind == "NDARRAY":
+            bodies = [("NDARRAY", WRENCH, igtl.ndarray_body(np.concatenate([force, torque])))]
+        metadata = {"time_s": f"{row[self._time]:.3f}"}
+        return [self._packed(*each, metadata=metadata, number=self._number) for each in bodies]
 
     def words_message(self, row: Array) -> bytes:
         """Return the load of the tissue on the tool as a text that 3D Slicer shows."""
         force, torque = self._load(row)
         x, y, z = force
         text = (
-            f"{row[self._time]:.2f} s: force {np.linalg.norm(force):.2f} N, to the right "
-            f"{x:.2f}, to the front {y:.2f}"
-            f", up {z:.2f} N; torque {1e3 * np.linalg.norm(torque):.1f} mN m"
+            f"{row[self._time]:.2f} s: force {np.linalg.norm(force):.2f} N, to the right {x:.2f}, "
+            f"to the front {y:.2f}, up {z:.2f} N; torque {1e3 * np.linalg.norm(torque):.1f} mN m"
         )
         return self._packed("STRING", WORDS, igtl.string_body(text))
 
@@ -209,13 +197,11 @@ class SlicerContent:
 
         An empty row means that the first tick has not run yet.
         """
-        text = f"{self._scene.name}: begins"
+        text = "begins"
         if row.size:
-            text = (
-                f"{self._scene.name}: {row[self._time]:.2f} s, {row[self._missed]:.0f} deadlines "
-                "of 1 ms missed"
-            )
-        return self._packed("STATUS", STATE, igtl.status_body(igtl.STATUS_OK, text, name="OK"))
+            text = f"{row[self._time]:.2f} s, {row[self._missed]:.0f} deadlines of 1 ms missed"
+        body = igtl.status_body(igtl.STATUS_OK, f"{self._scene.name}: {text}", name="OK")
+        return self._packed("STATUS", STATE, body)
 
     def event_message(self, text: str) -> bytes:
         """Return the message of an event."""

@@ -3,29 +3,27 @@
 Run in its own process by ``python -m tissue.links.slicer_process FOLDER``.
 """
 
-import json
-import os
-import signal
 import sys
 from pathlib import Path
 from time import perf_counter, time
 
 import numpy as np
 
-from meshes.base.errors import InputError
 from meshes.base.placement import Placement
 from tissue.links import igtl_messages as igtl
 from tissue.links.igtl_server import Client, IgtlServer, Received
+from tissue.links.publishing import RunPublisher, publish
 from tissue.links.slicer_content import SlicerContent, SlicerFrame, SlicerTarget
 from tissue.scene.scene import Scene
-from tissue.simulation.live.shared import SharedArrays
 from tissue.simulation.live.surfaces import Start, tissue_surface
 
 __all__ = ["Publisher"]
 
 FRAME_S = 0.02
 """Interval between two poses [s]."""
-WORDS_S, STATUS_S, SURFACE_S = 0.2, 1.0, 1.0
+WORDS_S = 0.2
+STATUS_S = 1.0
+SURFACE_S = 1.0
 """Shortest interval between two force texts, two states and two surfaces [s]."""
 WAIT_S = 0.005
 """Longest wait for the server at a time [s]."""
@@ -33,17 +31,10 @@ LINGERS_S = 2.0
 """Longest time to send the last messages after the end of the run [s]."""
 STREAMS = ("SENSOR", "NDARRAY")
 """Streams that a client must request, because 3D Slicer would report each one as an error."""
-NICE = 5
-"""Niceness of the process, so that the ticks take precedence on a busy machine."""
 
 
-class Publisher:
+class Publisher(RunPublisher):
     """Server of a live run: newest row, events and the changing surface of the tissue.
-
-    Parameters
-    ----------
-    folder
-        Folder that `tissue.simulation.live.slicer.SlicerProcess` has filled.
 
     Attributes
     ----------
@@ -57,32 +48,26 @@ class Publisher:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._arrays = SharedArrays(folder)
+        super().__init__(folder)
         with np.load(folder / "start.npz", allow_pickle=False) as file:
             start: Start = dict(file)
         scene = Scene.read_back((folder / "scene.json").read_text("utf-8"))
-        columns = tuple(json.loads((folder / "columns.json").read_text("utf-8")))
         self.server = IgtlServer(int(start["port"]))
+        self.address = "{}:{}".format(*self.server.address)
         placed = start.get("file_to_scene_mm")
         record = {"file_to_scene_mm": placed, "file_unit_mm": 1.0}
         frame = SlicerFrame(None if placed is None else Placement.from_record(record))
         self._tissue = tissue_surface(start, self._arrays)
-        self._content = SlicerContent(scene, columns, frame, start)
+        self._content = SlicerContent(scene, tuple(self._columns), frame, start)
         self._target = SlicerTarget(frame, start)
         self._lasting = self._content.scene_messages()
         self._surface = b"" if self._tissue is None else self._content.surface_message(self._tissue)
         self._behind: set[Client] = set()
         """Clients that do not have the newest surface yet."""
         self._row = np.zeros(0)
-        self._turn = 0
         self._event = 0
         self._posed = self._worded = self._stated = self._drawn = 0.0
         self._sent = 0
-
-    @property
-    def over(self) -> bool:
-        """True if the ticks have ended."""
-        return bool(self._arrays["ended"][0])
 
     def step(self) -> None:
         """Send due messages and handle received messages."""
@@ -117,8 +102,13 @@ class Publisher:
 
         The frame counter shows that this process works.
         """
-        counts = self._sent, self.server.accepted, self.server.refused, self._target.ignored
-        self._arrays["counts"][:] = counts
+        server = self.server
+        self._arrays["counts"][:] = (
+            self._sent,
+            server.accepted,
+            server.refused,
+            self._target.ignored,
+        )
         self._arrays["frames"][0] += 1
 
     def _take(self, received: Received) -> None:
@@ -192,23 +182,5 @@ class Publisher:
         self._sent += self.server.send(message, is_stream=is_stream)
 
 
-def _main(folder: str) -> None:
-    """Open the port, report it on standard output, and publish until the ticks end."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the ticks determine the end of this process
-    if hasattr(os, "nice"):
-        os.nice(NICE)
-    standard_output = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)
-    try:
-        publisher = Publisher(Path(folder))
-    except InputError as error:
-        sys.exit(str(error))
-    host, port = publisher.server.address
-    print(f"ready {host}:{port}", file=standard_output, flush=True)
-    while not publisher.over:
-        publisher.step()
-    publisher.end()
-
-
 if __name__ == "__main__":
-    _main(*sys.argv[1:])
+    publish(Publisher, *sys.argv[1:])

@@ -289,50 +289,32 @@ def test_the_end_of_a_run_is_sent_with_what_came_before_it(stage, pressed):
     )
 
 
-def moved(shown):
-    """The pose that was asked for last, and how many were."""
-    turn, values = shown.arrays.read("target")
-    return turn, values
-
-
 def target(matrix):
     """A transform that is to move the tool."""
     return igtl.packed("TRANSFORM", "tissue-target", igtl.transform_body(matrix), time_s=0.0)
 
 
-def until_asked(shown, count):
-    """Work until a pose was taken."""
+def asked(shown, *, taken, ignored=0):
+    """Work until so many poses were taken and ignored, and return the last one taken."""
     for _ in range(2000):
         shown.publisher.step()
-        if moved(shown)[0] == count:
-            return moved(shown)[1]
-    raise AssertionError(f"{moved(shown)} instead of {count}")
-
-
-def until_ignored(shown, count):
-    """Work until a transform was ignored."""
-    for _ in range(2000):
-        shown.publisher.step()
-        if shown.arrays["counts"][3] == count:
-            return
-    raise AssertionError(shown.arrays["counts"])
+        turn, pose = shown.arrays.read("target")
+        if turn == taken and shown.arrays["counts"][3] == ignored:
+            return pose
+    raise AssertionError(f"{turn} taken, {shown.arrays['counts']}")
 
 
 def test_a_pose_of_a_client_comes_to_the_ticks_in_their_frame_and_within_the_box(stage, pressed):
     shown = stage(pressed, placement=PLACEMENT)
     client = shown.client()
     frame = SlicerFrame(PLACEMENT)
-    half = 0.3
-    turn = np.array(
-        [[1.0, 0, 0], [0, np.cos(half), -np.sin(half)], [0, np.sin(half), np.cos(half)]]
-    )
+    cos, sin = np.cos(0.3), np.sin(0.3)
+    turn = np.array([[1.0, 0, 0], [0, cos, -sin], [0, sin, cos]])
     client.send(target(frame.pose([1.0, -2.0, 3.0], turn)))
-    pose = until_asked(shown, 1)
-    np.testing.assert_allclose(
-        pose, [1.0, -2.0, 3.0, np.sin(half / 2), 0.0, 0.0, np.cos(half / 2)], atol=1e-5
-    )
+    expected = [1.0, -2.0, 3.0, np.sin(0.15), 0.0, 0.0, np.cos(0.15)]
+    np.testing.assert_allclose(asked(shown, taken=1), expected, atol=1e-5)
     client.send(target(frame.pose([100.0, -2.0, -100.0], turn)))
-    np.testing.assert_allclose(until_asked(shown, 2)[:3], [9.0, -2.0, -4.0], atol=1e-5)
+    np.testing.assert_allclose(asked(shown, taken=2)[:3], [9.0, -2.0, -4.0], atol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -348,35 +330,25 @@ def test_a_pose_of_a_client_comes_to_the_ticks_in_their_frame_and_within_the_box
 def test_a_transform_that_is_no_pose_is_ignored_and_counted(stage, pressed, matrix):
     shown = stage(pressed)
     client = shown.client()
-    client.send(target(matrix))
-    until_ignored(shown, 1)
-    client.send(
-        igtl.packed("TRANSFORM", "another", igtl.transform_body(np.eye(4)), time_s=0.0)
-        + target(np.eye(4))
-    )
-    until_asked(shown, 1)
-    assert shown.arrays["counts"][3] == 1
+    other = igtl.packed("TRANSFORM", "another", igtl.transform_body(np.eye(4)), time_s=0.0)
+    client.send(target(matrix) + other + target(np.eye(4)))
+    asked(shown, taken=1, ignored=1)
 
 
 def test_only_one_client_at_a_time_moves_the_tool(stage, pressed):
     shown = stage(pressed)
     first, second = shown.client(), shown.client()
     first.send(target(np.eye(4)))
-    until_asked(shown, 1)
+    asked(shown, taken=1)
     second.send(target(np.eye(4)))
-    until_ignored(shown, 1)
+    asked(shown, taken=1, ignored=1)
     first.close()
-    for _ in range(2000):
-        shown.publisher.step()
-        if len(shown.publisher.server.clients) == 1:
-            break
+    second.until(lambda: len(shown.publisher.server.clients) == 1, poll=shown.publisher.step)
     second.send(target(np.eye(4)))
-    until_asked(shown, 2)
+    asked(shown, taken=2, ignored=1)
 
 
 def test_a_run_that_nobody_may_move_ignores_poses(stage, pressed):
     shown = stage(pressed, drives=False)
-    client = shown.client()
-    client.send(target(np.eye(4)))
-    until_ignored(shown, 1)
-    assert moved(shown)[0] == 0
+    shown.client().send(target(np.eye(4)))
+    asked(shown, taken=0, ignored=1)
