@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from meshes.base.arrays import Array, lattice
+from meshes.base.arrays import lattice
 from meshes.base.errors import InputError, names_of_caller
 from meshes.base.progress import Progress
-from meshes.ct.density import CT_DENSITY, DensityLaw
+from meshes.ct.calibration import density_law
+from meshes.ct.density import CT_DENSITY, DENSITY_LAWS, DensityLaw
 from meshes.ct.extraction import BoneOfImage, by_label, by_threshold, cropped
 from meshes.ct.inspection import (
     Histogram,
@@ -26,7 +27,6 @@ from meshes.ct.inspection import (
     suggest_threshold,
 )
 from meshes.ct.labels import Labels, on_grid_of
-from meshes.ct.laws import DENSITY_LAWS, density_law
 from meshes.images.frame import Image
 from meshes.surfaces.surface import Surface, surface_from_triangles
 from meshes.voxels.mesh_sampling import triangle_distance
@@ -50,7 +50,7 @@ from tissue.show.figures.ct_pictures import (
     draw_path_depth,
 )
 
-__all__ = ["BonePictures", "bone_draft"]
+__all__ = ["bone_draft"]
 
 _SIDE_MM = (1.0, 1000.0)
 """Longest side of a bone."""
@@ -72,7 +72,7 @@ PLUNGE: Mapping[str, Mapping[str, object]] = {
 }
 """Default at other sites: a ball burr moves 2 mm into the bone along the normal."""
 HOLE = ("guide_hole_diameter_mm", "guide_hole_depth_mm")
-HEAD = ("duration_s", "device", "hand", "renderer", "prediction", "perception", "seed")
+HEAD = ("duration_s", "seed")
 TABLES = ("voxels", "tool", "motion", "cutting", "output", "device", "fidelity")
 REMARKS = {
     "file": "mm, in the frame of the image (LPS)",
@@ -127,17 +127,10 @@ def bone_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
     at, sentence = placed(request, surface)
     sentences += [sentence, *kept]
     path = import_path(request, at, surface)
-    pictures = BonePictures(source.inspection.source, bone, surface, clear, at, path)
     if path is not None:
         sentences.append(path.sentence)
         files["path.csv"] = path.table.write
-    files["slices.png"] = partial(pictures.draw_slices, _around(source.image, surface))
-    files["histogram.png"] = partial(
-        pictures.draw_histogram, source.histogram, threshold, source.law
-    )
-    files["bone.png"] = partial(pictures.draw_bone, density)
-    if path is not None:
-        files["path.png"] = pictures.draw_path
+    files |= _pictures(source, bone, surface, clear, (at, path), (threshold, density))
     scene = _scene_text(
         {"name": name, "description": f"{request.region or 'bone'} of {source.inspection.source}"},
         tables | {"scale_mm": 1.0},
@@ -250,13 +243,6 @@ def _surface(bone: BoneOfImage, source: str) -> Surface:
     return replace(surface, caps_m=surface.caps_m + bone.cuts)
 
 
-def _around(image: Image, surface: Surface) -> Image:
-    """Return the part of an image around a surface."""
-    low = 1e3 * surface.vertices_m.min(axis=0) - SHOWN_MM
-    high = 1e3 * surface.vertices_m.max(axis=0) + SHOWN_MM
-    return cropped(image, (tuple(low.tolist()), tuple(high.tolist())))
-
-
 def _certainty(bone: BoneOfImage, density: Image, law: DensityLaw) -> str:
     """Describe the law of the density in short, with the band of the bone's median."""
     held = density.values[bone.field > bone.level]  # the density continues beyond the surface
@@ -346,80 +332,76 @@ def _record(source: _Source, at: Placed | None) -> dict[str, Any]:
     }
 
 
-@dataclass(frozen=True, eq=False)
-class BonePictures:
-    """Pictures of a bone with its structures to keep clear of, its site and its path."""
+def _pictures(
+    source: _Source,
+    bone: BoneOfImage,
+    surface: Surface,
+    clear: Mapping[str, Surface],
+    work: tuple[Placed | None, ImportedPath | None],
+    found: tuple[float | None, Image | None],
+) -> dict[str, Writer]:
+    """Return the writers of the pictures of a bone with its site, its path and its surroundings.
 
-    title: str
-    bone: BoneOfImage
-    surface: Surface
-    clear: Mapping[str, Surface]
-    at: Placed | None
-    path: ImportedPath | None
+    `work` holds the site and the path, `found` the threshold and the density of the bone.
+    """
+    at, path = work
+    threshold, density = found
+    title = source.inspection.source
+    low_mm = 1e3 * surface.vertices_m.min(axis=0)
+    high_mm = 1e3 * surface.vertices_m.max(axis=0)
+    normal = None if at is None else at.site.rotation[:, 2]
+    points_mm = None if path is None else path.depth.points_mm
+    centre_mm = None if at is None else 1e3 * at.site.centre_m
+    low = tuple((low_mm - SHOWN_MM).tolist())
+    high = tuple((high_mm + SHOWN_MM).tolist())
+    around = cropped(source.image, (low, high))
 
-    @property
-    def _centre_mm(self) -> Array | None:
-        return None if self.at is None else 1e3 * self.at.site.centre_m
-
-    @property
-    def _normal(self) -> Array | None:
-        return None if self.at is None else self.at.site.rotation[:, 2]
-
-    @property
-    def _points_mm(self) -> Array | None:
-        return None if self.path is None else self.path.depth.points_mm
-
-    def draw_slices(self, around: Image, file: Path) -> None:
-        """Draw slices of the image around the bone through the site or the bone's middle."""
-        middle = 0.5e3 * (self.surface.vertices_m.min(axis=0) + self.surface.vertices_m.max(axis=0))
-        part = self.bone.image
+    def slices(file: Path) -> None:
+        depth = replace(bone.image, values=bone.field - np.float32(bone.level))
         draw_ct_slices(
             around,
             file,
-            body=("bone", replace(part, values=self.bone.field - np.float32(self.bone.level))),
+            body=("bone", depth),
             others={
-                f"{name}, to keep clear of": _depth(surface, part)
-                for name, surface in self.clear.items()
+                f"{name}, to keep clear of": _depth(structure, bone.image)
+                for name, structure in clear.items()
             },
-            centre_mm=middle if self._centre_mm is None else self._centre_mm,
-            normal=self._normal,
-            points_mm=self._points_mm,
-            title=self.title,
+            centre_mm=0.5 * (low_mm + high_mm) if centre_mm is None else centre_mm,
+            normal=normal,
+            points_mm=points_mm,
+            title=title,
         )
 
-    def draw_histogram(
-        self, histogram: Histogram, threshold: float | None, law: DensityLaw | None, file: Path
-    ) -> None:
-        """Draw the grey values of the image and of the bone."""
+    def histogram(file: Path) -> None:
+        law = source.law
         draw_ct_histogram(
-            histogram.values,
-            histogram.counts,
-            self.bone.image.values[self.bone.field > self.bone.level],
+            source.histogram.values,
+            source.histogram.counts,
+            bone.image.values[bone.field > bone.level],
             file,
             threshold=threshold,
             density=None if law is None else (law.slope_kg_m3, law.offset_kg_m3),
-            title=self.title,
+            title=title,
         )
 
-    def draw_bone(self, density: Image | None, file: Path) -> str | None:
-        """Draw the bone in 3D; return an error text on failure."""
-        return draw_ct_bone(
-            self.surface,
+    pictures: dict[str, Writer] = {
+        "slices.png": slices,
+        "histogram.png": histogram,
+        "bone.png": lambda file: draw_ct_bone(
+            surface,
             file,
             density=density,
-            centre_mm=self._centre_mm,
-            normal=self._normal,
-            points_mm=self._points_mm,
-            title=self.title,
+            centre_mm=centre_mm,
+            normal=normal,
+            points_mm=points_mm,
+            title=title,
+        ),
+    }
+    if path is not None and normal is not None:
+        pictures["path.png"] = lambda file: draw_path_depth(
+            surface, path.depth, file, normal=normal, title=surface.report.source
         )
-
-    def draw_path(self, file: Path) -> str | None:
-        """Draw the path on the bone, coloured by depth; return an error text on failure."""
-        assert self.path is not None and self._normal is not None
-        title = self.surface.report.source
-        return draw_path_depth(
-            self.surface, self.path.depth, file, normal=self._normal, title=title
-        )
+    return pictures
 
 
 def _depth(surface: Surface, image: Image) -> Image:

@@ -4,9 +4,9 @@ it.
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import Literal
 
 from meshes.base.errors import (
     InputError,
@@ -75,37 +75,20 @@ class ImportRequest:
     like: str | None = None
     parts: Mapping[str, float] = field(default_factory=dict)
 
-    _IN_MESSAGES: ClassVar[Mapping[str, str]] = {"crop_mm": "crop", "parts": "part"}
-
     def __post_init__(self) -> None:
         if self.labels is None:
-            self._leave_out(
-                "without labels",
-                "label_names",
-                "region",
-                "keep_clear",
-                "parts",
-                remedy="give --labels FILE too",
-            )
+            self._leave_out("without labels", "label_names", "region", "keep_clear", "parts")
         if self.region is not None:
             self._leave_out("with a region, whose label is the bone", "threshold")
         if self.threshold is not None:
             require_range("threshold", self.threshold, -1e9, 1e9, "use about 226 for CT")
+        of_bone = ("density", "threshold", "path", "keep_clear", "crop_mm")
         if self.is_tooth:
+            self._leave_out("for a tooth", "region", "parts", *of_bone)
             if self.labels is None:
                 raise InputError(
                     "labels", f"be given for site {self.site}", "nothing", "give --labels FILE"
                 )
-            self._leave_out(
-                "for a tooth",
-                "region",
-                "density",
-                "threshold",
-                "path",
-                "keep_clear",
-                "parts",
-                "crop_mm",
-            )
         elif self.labels is not None and self.region is None:
             raise InputError(
                 "region",
@@ -114,10 +97,8 @@ class ImportRequest:
                 "name the label that is the bone, such as --region scapula_left",
             )
         self._require_points()
-        if self.normal is not None and self.point_mm is None:
-            self._leave_out(
-                "unless site is a point", "normal", remedy="give the point too, or leave it out"
-            )
+        if self.point_mm is None:
+            self._leave_out("unless site is a point", "normal")
         if isinstance(self.site, str) and not self.is_markups and self.site not in NAMED_SITES:
             raise InputError(
                 "site",
@@ -128,44 +109,35 @@ class ImportRequest:
         if self.feed_mm_s is not None:
             require_positive("feed_mm_s", self.feed_mm_s, "use about 2")
         if self.path is None:
-            self._leave_out("without a path", "feed_mm_s", remedy="give --path FILE")
+            self._leave_out("without a path", "feed_mm_s")
         else:
             self._leave_out("with a path, which is the motion", "like")
         if self.is_soft:
-            self._leave_out(
-                "for a soft organ", "density", "threshold", "path", "keep_clear", "like", "crop_mm"
-            )
+            self._leave_out("for a soft organ", "like", *of_bone)
             if isinstance(self.site, str):
                 raise InputError(
                     "site", "be a point for a soft organ", self.site, "give X,Y,Z in mm"
                 )
 
-    def _leave_out(self, when: str, *names: str, remedy: str = "leave it out") -> None:
+    def _leave_out(self, when: str, *names: str) -> None:
         """Raise for an option that is given where it has no effect."""
-        unset = {"density": "auto", "keep_clear": (), "parts": {}}
+        unset = {each.name: each.default for each in fields(self)} | {"parts": {}}
         for name in names:
             value = getattr(self, name)
-            if value != unset.get(name):
+            if value != unset[name]:
                 shown = ", ".join(value) if name in ("keep_clear", "parts") else value
-                shown_name = self._IN_MESSAGES.get(name, name)
-                raise InputError(shown_name, f"be left out {when}", shown, remedy)
+                raise InputError(name, f"be left out {when}", shown, "leave it out")
 
     def _require_points(self) -> None:
         """Refuse coordinates that are not finite, without a known frame, or in a wrong order.
 
         A frame without coordinates in numbers is refused too.
         """
-        for name, points in (
-            ("site", [self.site]),
-            ("normal", [self.normal]),
-            ("crop", self.crop_mm or ()),
-        ):
-            if any(
-                as_vector(each) is None
-                for each in points
-                if each is not None and not isinstance(each, str)
-            ):
-                raise InputError(name, "be of three finite numbers", points, "give x, y, z")
+        points = {"site": [self.site], "normal": [self.normal], "crop": self.crop_mm or ()}
+        for name, given in points.items():
+            for each in given:
+                if each is not None and not isinstance(each, str) and as_vector(each) is None:
+                    raise InputError(name, "be of three finite numbers", each, "give x, y, z")
         if self.coordinates not in TO_LPS:
             raise InputError(
                 "coordinates", "be LPS or RAS", self.coordinates, "give the frame of the numbers"
@@ -179,15 +151,11 @@ class ImportRequest:
                 "RAS",
                 "files of markups state their own frame; leave it out",
             )
-        if self.crop_mm is not None and any(
-            low >= high for low, high in zip(*self.crop_mm, strict=True)
-        ):
-            raise InputError(
-                "crop",
-                "have its lowest corner first",
-                f"{in_brackets(self.crop_mm[0])} and {in_brackets(self.crop_mm[1])}",
-                "exchange them along the axes where it has not",
-            )
+        if self.crop_mm is not None:
+            low, high = self.crop_mm
+            if any(a >= b for a, b in zip(low, high, strict=True)):
+                found = f"{in_brackets(low)} and {in_brackets(high)}"
+                raise InputError("crop", "have its lowest corner first", found, "exchange them")
 
     @property
     def is_tooth(self) -> bool:
