@@ -16,6 +16,7 @@ from tissue.fitting.bands.rerun import (
     Figure,
     Workers,
     intervals,
+    loads_of,
     over_time,
     reruns,
     table_of,
@@ -39,71 +40,8 @@ from tissue.simulation.simulate import simulate
 
 __all__ = ["Band", "band_of", "require_band", "require_same"]
 
-SAME_EVERYWHERE = (
-    "does not vary with the constants: the path is given, so that the run's own figure holds in "
-    "every sample"
-)
-NEEDS_RUNS = (
-    "depends on constants, and the loads alone were reweighed: it needs a run of each sample, "
-    "--each-run"
-)
-
-
-def _about(
-    asked: int,
-    seed: int,
-    how: str,
-    ranges: Ranges,
-    indices: SobolIndices,
-    figures: tuple[Figure, ...] = LOADS,
-) -> Summary:
-    """Return the entries of ``summary.json`` on the method, the constants and their indices."""
-    return {
-        "asked": asked,
-        "seed": seed,
-        "how": how,
-        "constants": _constants(ranges),
-        "sobol": _indices(indices, ranges, figures),
-    }
-
-
-def _without(scene: Scene) -> dict[str, str]:
-    """Return the figures without an interval for reweighed loads, and the reason."""
-    names = ["removed_mm3", "contact_share"] + ["keep_clear"] * (scene.keep_clear is not None)
-    found = dict.fromkeys([*names, "break_through", "events"], SAME_EVERYWHERE)
-    if scene.heat:
-        found |= dict.fromkeys(("greatest_pulp_rise_K", "events"), NEEDS_RUNS)
-    if scene.stress is not None:
-        found["stress"] = NEEDS_RUNS
-    return found
-
-
-def _constants(ranges: Ranges) -> dict[str, dict[str, float]]:
-    return {
-        name: {"value": prior.value, "low": prior.low, "high": prior.high}
-        for name, prior in zip(ranges.names, ranges.priors, strict=True)
-    }
-
-
-def _indices(
-    found: SobolIndices, ranges: Ranges, figures: tuple[Figure, ...]
-) -> dict[str, dict[str, dict[str, object]]]:
-    """Return Sobol indices by figure and group, without figures that do not vary."""
-    return {
-        ".".join(figure): {
-            group: {
-                "first": float(found.first[row, column]),
-                "first_90": found.first_ends[:, row, column].tolist(),
-                "total": float(found.total[row, column]),
-                "total_90": found.total_ends[:, row, column].tolist(),
-            }
-            for row, group in enumerate(ranges.group_names)
-        }
-        for column, figure in enumerate(figures)
-        if np.isfinite(found.total[:, column]).all()
-    }
-
-
+SAME_EVERYWHERE = "is that of the run in every sample, whose path is given"
+NEEDS_RUNS = "depends on constants and needs a run of each sample, --each-run"
 HOW = (
     "the geometry was recorded once and reweighed, for the force is linear in the coefficients "
     "and the path is given"
@@ -181,33 +119,23 @@ def require_band(
     Raises
     ------
     InputError
-        If the number of samples is not between 16 and 65536, if processes are requested although no
-        sample is run again or together with a scheduler, or if a run of each sample is requested
-        for a scene that always needs it.
+        If the number of samples is not between 16 and 65536, or an option has no effect: workers
+        where no sample is run again or next to a scheduler, or a run of each sample for a scene
+        that always needs it.
     """
     rounded(asked)
-    is_linear = not why_not_linear(scene)
-    if each_run and not is_linear:
-        raise InputError(
-            "each_run",
-            "be left out of a scene whose loads cannot be reweighed",
-            f"one where {why_not_linear(scene)}",
-            "every sample is a run of its own",
-        )
     if workers is not None:
         require_range("workers", workers, 1, 4096, "use one a core")
-    for name, given in (("workers", workers), ("scheduler", scheduler)):
-        if given is not None and is_linear and not each_run:
-            raise InputError(
-                name,
-                "be left out where the geometry is recorded once and reweighed",
-                given,
-                "remove it, or ask for a run of each sample (each_run)",
-            )
-    if workers is not None and scheduler is not None:
-        raise InputError(
-            "workers", "be left out with a scheduler, which has its own", workers, "remove it"
-        )
+    is_rerun = bool(why_not_linear(scene)) or each_run
+    without_effect = {
+        "each_run": each_run and bool(why_not_linear(scene)),
+        "workers": workers is not None and (scheduler is not None or not is_rerun),
+        "scheduler": scheduler is not None and not is_rerun,
+    }
+    for name, has_none in without_effect.items():
+        if has_none:
+            how = "every sample is run" if is_rerun else "the geometry is recorded once"
+            raise InputError(name, "be left out where it has no effect", "it", f"{how}; remove it")
 
 
 def band_of(
@@ -258,32 +186,68 @@ def band_of(
     reweighed = Reweighed(record_loads(scene, compute=compute, cores=cores, progress=progress))
     ranges = reweighed.ranges
     record = reweighed.record
-    _require_ranges(ranges)
+    values, files = _samples(scene, ranges, asked, seed)[1:]
     report("reweighing the loads", 0.0)
-    values = ranges.x(normals(rounded(asked), len(ranges.names), seed=seed))
     figures = reweighed.figures(values)
-    quantiles = reweighed.quantiles(values, tuple(LEVELS.values()))
-    nominal = with_sizes(record.loads(reweighed.coefficients(reweighed.nominal())))
     report("computing Sobol indices", 0.5)
     indices = sobol_indices(
         lambda free: reweighed.figures(ranges.x(free)), ranges.groups, count=SOBOL_ROWS, seed=seed
     )
-    files = tuple(sample_text(record.scene.constants, ranges.names, each) for each in values)
-    summary = _about(asked, seed, HOW, ranges, indices) | intervals(LOADS, figures)
-    summary |= {"samples": len(figures), "failed": 0, "problems": {}, "without": _without(scene)}
-    numbers = np.arange(len(files))
+    names = ["removed_mm3", "contact_share"] + ["keep_clear"] * (scene.keep_clear is not None)
+    without = dict.fromkeys([*names, "break_through", "events"], SAME_EVERYWHERE)
+    if scene.heat:
+        without |= dict.fromkeys(("greatest_pulp_rise_K", "events"), NEEDS_RUNS)
+    if scene.stress is not None:
+        without["stress"] = NEEDS_RUNS
+    summary = {"asked": asked, "seed": seed, "how": HOW, **_about(ranges, indices, LOADS)}
+    summary |= intervals(LOADS, figures)
+    summary |= {"samples": len(figures), "failed": 0, "problems": {}, "without": without}
     return Band(
         record.times_s,
-        nominal,
-        quantiles,
+        with_sizes(record.loads(reweighed.coefficients(reweighed.nominal()))),
+        reweighed.quantiles(values, tuple(LEVELS.values())),
         ranges.names,
         values,
         LOADS,
         figures,
-        numbers,
+        np.arange(len(files)),
         files,
         summary,
     )
+
+
+def _samples(
+    scene: Scene, ranges: Ranges, asked: int, seed: int
+) -> tuple[Array, Array, tuple[str, ...]]:
+    """Return independent normal numbers, values of the constants, and files of the samples."""
+    if not ranges.names:
+        raise InputError(
+            "band", "be of a scene that rests on constants with a range", "none", "leave it out"
+        )
+    free = normals(rounded(asked), len(ranges.names), seed=seed)
+    values = ranges.x(free)
+    return free, values, tuple(sample_text(scene.constants, ranges.names, x) for x in values)
+
+
+def _about(ranges: Ranges, indices: SobolIndices, figures: tuple[Figure, ...]) -> Summary:
+    """Return the constants, and Sobol indices by figure and group, without constant figures."""
+    constants = {
+        name: {"value": prior.value, "low": prior.low, "high": prior.high}
+        for name, prior in zip(ranges.names, ranges.priors, strict=True)
+    }
+    sobol: Summary = {}
+    for column, figure in enumerate(figures):
+        if np.isfinite(indices.total[:, column]).all():
+            sobol[".".join(figure)] = {
+                group: {
+                    "first": float(indices.first[row, column]),
+                    "first_90": indices.first_ends[:, row, column].tolist(),
+                    "total": float(indices.total[row, column]),
+                    "total_90": indices.total_ends[:, row, column].tolist(),
+                }
+                for row, group in enumerate(ranges.group_names)
+            }
+    return {"constants": constants, "sobol": sobol}
 
 
 def _rerun(
@@ -291,28 +255,18 @@ def _rerun(
 ) -> Band:
     """Compute a band whose samples are separate runs."""
     run = simulate(scene, compute=workers.compute, cores=cores, progress=report)
-    trace = run.trace
     is_linear = not why_not_linear(scene)
     if density_prior(run.parts.notes.get("density law", "")) is not None and is_linear:
         raise InputError(
-            "each_run must be left out where the density of an image varies within its law's "
-            "band, which a file of "
-            "materials cannot hold: reweigh the loads, whose density does vary"
+            "each_run",
+            "be left out where the density of an image varies within its law's band",
+            "it",
+            "reweigh the loads: a file of materials cannot hold that density",
         )
-    nominal = with_sizes(
-        np.hstack([trace.vectors("model_force", "N"), trace.vectors("model_torque", "Nm")])
-    )
-    ranges = ranges_of(scene, trace.layer_names)
-    _require_ranges(ranges)
-    free = normals(rounded(asked), len(ranges.names), seed=seed)
-    values = ranges.x(free)
-    files = tuple(sample_text(scene.constants, ranges.names, each) for each in values)
-    outcomes = dict(reruns(scene, files, workers=workers, report=report))
-    problems = {
-        sample_name(at, len(files)): each
-        for at, each in sorted(outcomes.items())
-        if isinstance(each, str)
-    }
+    ranges = ranges_of(scene, run.trace.layer_names)
+    free, values, files = _samples(scene, ranges, asked, seed)
+    outcomes = sorted(dict(reruns(scene, files, workers=workers, report=report)).items())
+    problems = {sample_name(at, len(files)): each for at, each in outcomes if isinstance(each, str)}
     if len(problems) > MOST_FAILED * len(files):
         reasons = "; ".join(f"{name}: {why}" for name, why in list(problems.items())[:3])
         raise InputError(
@@ -321,21 +275,17 @@ def _rerun(
             f"{len(problems)} of {len(files)} ({reasons})",
             "narrow the ranges in a file of materials",
         )
-    kept = np.array([at for at, each in sorted(outcomes.items()) if not isinstance(each, str)])
-    held = [each for _, each in sorted(outcomes.items()) if not isinstance(each, str)]
-    times_s = trace["time_s"]
+    kept = np.array([at for at, each in outcomes if not isinstance(each, str)])
+    held = [each for _, each in outcomes if not isinstance(each, str)]
+    times_s = run.trace["time_s"]
     quantiles, span = over_time([loads for loads, _ in held], times_s)
     names, figures = table_of([each for _, each in held])
-    explaining = [
-        at for at, name in enumerate(names) if name in LOADS or name[0].startswith(GREATEST)
-    ]
-    explained_names = tuple(names[at] for at in explaining)
-    indices, explained = surrogate_indices(
-        free[kept], figures[:, explaining], ranges.groups, seed=seed
-    )
-    summary = _about(
-        asked, seed, HOW_ASKED if is_linear else HOW_RERUN, ranges, indices, explained_names
-    ) | intervals(names, figures)
+    places = [at for at, name in enumerate(names) if name in LOADS or name[0].startswith(GREATEST)]
+    explained_names = tuple(names[at] for at in places)
+    indices, explained = surrogate_indices(free[kept], figures[:, places], ranges.groups, seed=seed)
+    how = HOW_ASKED if is_linear else HOW_RERUN
+    summary = {"asked": asked, "seed": seed, "how": how, **_about(ranges, indices, explained_names)}
+    summary |= intervals(names, figures)
     summary |= {"samples": len(kept), "failed": len(problems), "problems": problems, "span": span}
     summary["surrogate_explains"] = {
         ".".join(name): float(share)
@@ -345,7 +295,7 @@ def _rerun(
     last = quantiles.shape[1]
     return Band(
         times_s[:last],
-        nominal[:last],
+        loads_of(run)[:last],
         quantiles,
         ranges.names,
         values[kept],
@@ -355,13 +305,6 @@ def _rerun(
         files,
         summary,
     )
-
-
-def _require_ranges(ranges: Ranges) -> None:
-    if not ranges.names:
-        raise InputError(
-            "band", "be of a scene that rests on constants with a range", "none", "leave it out"
-        )
 
 
 def require_same(band: Band, loads: Array) -> None:
@@ -377,20 +320,15 @@ def require_same(band: Band, loads: Array) -> None:
     InputError
         If the run has fewer ticks, or loads differ by more than 1e-5 of the largest load.
     """
-    if len(loads) < len(band.times_s):
-        raise InputError(
-            "band",
-            "be of a whole run",
-            f"one that was stopped after {len(loads)} of {len(band.times_s)} ticks",
-            "run the scene again",
-        )
-    for first, columns in ((0, slice(0, 3)), (4, slice(3, 6))):
-        nominal = band.nominal[:, first : first + 3]
-        run = loads[: len(band.times_s), columns]
-        if np.abs(nominal - run).max(initial=0.0) > SAME * np.abs(run).max(initial=0.0):
-            raise InputError(
-                "band",
-                "be of a run whose scene is as it was",
-                "other loads from the same scene",
-                "run it again",
-            )
+    count = len(band.times_s)
+    if len(loads) >= count:
+        run = with_sizes(loads[:count])
+        scales = np.repeat(np.abs(run[:, [3, 7]]).max(axis=0, initial=0.0), 4)
+        if (np.abs(band.nominal - run) <= SAME * scales).all():
+            return
+    raise InputError(
+        "band",
+        "be of a whole run whose scene is as it was",
+        f"{len(loads)} ticks of a run, and a band of {count} ticks",
+        "run the scene again",
+    )

@@ -31,6 +31,7 @@ __all__ = [
     "Workers",
     "figures_of",
     "intervals",
+    "loads_of",
     "over_time",
     "reruns",
     "table_of",
@@ -304,13 +305,17 @@ def _outcome(scene: Scene, file: str, compute: str) -> Outcome:
         except Exception as error:
             # a solver that breaks down at one sample is no reason to lose the others
             return _sentence(error)
-    trace = run.trace
-    loads = with_sizes(
-        np.hstack([trace.vectors("model_force", "N"), trace.vectors("model_torque", "Nm")])
-    )
+    loads = loads_of(run)
     if not np.isfinite(loads).all():
         return "its force is not finite"
     return loads, figures_of(run)
+
+
+def loads_of(run: Run) -> Array:
+    """Return forces and torques of the model on the tool with their sizes, shape (n, 8)."""
+    trace = run.trace
+    loads = [trace.vectors("model_force", "N"), trace.vectors("model_torque", "Nm")]
+    return with_sizes(np.hstack(loads))
 
 
 def _sentence(error: BaseException) -> str:

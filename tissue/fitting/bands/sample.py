@@ -10,8 +10,9 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 from scipy.special import ndtri
 from scipy.stats import qmc
+from scipy.stats import sobol_indices as scipy_indices
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, require_range
 from tissue.materials.constants import Constant
 from tissue.materials.prior import Prior
@@ -240,37 +241,31 @@ def sobol_indices(
     """
     width = sum(map(len, groups))
     both = normals(count, 2 * width, seed=seed)
-    first_rows = both[:, :width]
-    second_rows = both[:, width:]
-    a = figures(first_rows)
-    b = figures(second_rows)
+    first = both[:, :width]
+    second = both[:, width:]
     mixed = []
     for group in groups:
-        rows = first_rows.copy()
-        rows[:, group] = second_rows[:, group]
-        mixed.append(figures(rows))
-    middle = 0.5 * (a.mean(axis=0) + b.mean(axis=0))
-    a = a - middle
-    b = b - middle
-    c = np.stack(mixed) - middle
-    first, total = _indices(a, b, c)
+        rows = first.copy()
+        rows[:, group] = second[:, group]
+        mixed.append(figures(rows).T)
+    sampled = {"f_A": figures(first).T, "f_B": figures(second).T, "f_AB": np.stack(mixed)}
+
+    constant = np.ptp(sampled["f_A"], axis=1) == 0.0
+
+    def indices(rows: Ints) -> Array:
+        found = scipy_indices(func={name: f[..., rows] for name, f in sampled.items()}, n=count)
+        both = np.stack([found.first_order, found.total_order])
+        both = both.reshape(2, len(constant), len(groups))  # SciPy drops an axis of length 1
+        both[:, constant] = np.nan
+        return both.swapaxes(1, 2)
+
+    whole = indices(np.arange(count))
+    # SciPy's own bootstrap takes no seed, and a band must be the same each time
     rng = np.random.default_rng(seed)
-    drawn = [
-        _indices(a[rows], b[rows], c[:, rows]) for rows in rng.integers(0, count, (DRAWS, count))
-    ]
+    drawn = [indices(rows) for rows in rng.integers(0, count, (DRAWS, count))]
     # shape (2, first or total, groups, figures)
     ends = np.quantile(np.array(drawn), (0.05, 0.95), axis=0)
-    return SobolIndices(first, total, ends[:, 0], ends[:, 1])
-
-
-def _indices(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
-    """Return first-order and total indices of centred figures.
-
-    c has shape (groups, n, figures).
-    """
-    variance = 0.5 * (a * a + b * b).mean(axis=0) - (0.5 * (a + b).mean(axis=0)) ** 2
-    variance = np.where(variance > 0.0, variance, np.nan)
-    return (b * (c - a)).mean(axis=1) / variance, 0.5 * ((c - a) ** 2).mean(axis=1) / variance
+    return SobolIndices(whole[0], whole[1], ends[:, 0], ends[:, 1])
 
 
 LEAST_EXPLAINED = 0.8
