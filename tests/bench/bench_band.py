@@ -15,9 +15,8 @@ from scipy.optimize import brentq
 from scipy.special import ndtri
 
 from tissue.fitting.bands.band import band_of
-from tissue.fitting.bands.rerun import LEVELS
-from tissue.fitting.bands.reweighed import Reweighed
 from tissue.fitting.bands.sample import Ranges, normals
+from tissue.fitting.bands.sample_loads import LEVELS, Reweighed
 from tissue.materials.constants import constants
 from tissue.materials.prior import Prior
 from tissue.scene.load import load_scene

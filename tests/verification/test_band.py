@@ -11,7 +11,7 @@ from scene_kinds import BLOCK, BURR
 from scipy.special import ndtri
 
 from tissue.fitting.bands.band import band_of
-from tissue.fitting.bands.rerun import LEVELS
+from tissue.fitting.bands.sample_loads import LEVELS
 from tissue.materials.constants import constants
 from tissue.materials.prior import Prior
 from tissue.scene.scene import Scene

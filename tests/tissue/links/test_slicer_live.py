@@ -12,7 +12,7 @@ from igtl_client import IgtlClient
 from meshes.base.errors import InputError
 from tissue import load_scene, simulate
 from tissue.links import igtl_messages as igtl
-from tissue.links.slicer_content import SlicerFrame
+from tissue.links.slicer_process import SlicerFrame
 from tissue.simulation.live.clock import WallClock
 from tissue.simulation.live.run import LiveObserver, LiveSettings, live
 from tissue.simulation.live.slicer import PORT, SlicerLink, SlicerPublisher, require_link

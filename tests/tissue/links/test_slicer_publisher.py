@@ -13,8 +13,7 @@ from meshes.base.placement import Placement
 from tissue import load_scene, simulate
 from tissue.links import igtl_messages as igtl
 from tissue.links import slicer_process
-from tissue.links.slicer_content import SlicerFrame
-from tissue.links.slicer_process import Publisher
+from tissue.links.slicer_process import Publisher, SlicerFrame
 from tissue.simulation.live.shared import BoneShared, SharedArrays, SharedTissue
 from tissue.simulation.live.window import CLOCK
 

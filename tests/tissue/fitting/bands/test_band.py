@@ -9,8 +9,7 @@ from scipy.special import ndtri
 
 from meshes.base.errors import InputError
 from tissue.fitting.bands.band import band_of, require_band
-from tissue.fitting.bands.rerun import LEVELS, LOADS
-from tissue.fitting.bands.reweighed import Reweighed
+from tissue.fitting.bands.sample_loads import LEVELS, LOADS, Reweighed
 from tissue.materials.constants import constants
 from tissue.objects.run import open_run
 from tissue.objects.simulate import simulate

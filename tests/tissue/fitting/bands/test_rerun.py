@@ -13,9 +13,16 @@ from scene_kinds import kinds, write_files
 
 from meshes.base.errors import InputError
 from meshes.base.progress import silent
-from tissue.fitting.bands import rerun
+from tissue.fitting.bands import sample_loads as rerun
 from tissue.fitting.bands.band import band_of
-from tissue.fitting.bands.rerun import LOADS, NUMBER, figures_of, intervals, over_time, table_of
+from tissue.fitting.bands.sample_loads import (
+    LOADS,
+    NUMBER,
+    figures_of,
+    intervals,
+    over_time,
+    table_of,
+)
 from tissue.scene.load import load_scene
 from tissue.scene.scene import Scene
 from tissue.simulation.simulate import simulate
