@@ -3,7 +3,7 @@ it.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Literal
@@ -133,7 +133,11 @@ class ImportRequest:
 
         A frame without coordinates in numbers is refused too.
         """
-        points = {"site": [self.site], "normal": [self.normal], "crop": self.crop_mm or ()}
+        points: dict[str, Sequence[object]] = {
+            "site": [self.site],
+            "normal": [self.normal],
+            "crop": self.crop_mm or (),
+        }
         for name, given in points.items():
             for each in given:
                 if each is not None and not isinstance(each, str) and as_vector(each) is None:

@@ -192,19 +192,19 @@ def _factor(name: str, asked: str, column: str, unit: str) -> float:
     factors = UNITS[measure]
     if not factors and not unit:
         return 1.0
-    own = name.rpartition("_")[2]
-    taken = _plain(unit) or own
+    default = name.rpartition("_")[2]
+    taken = _plain(unit) or default
     if taken not in factors:
         raise InputError(
             "column", f"give {name} a unit of {measure}", unit, f"use one of {', '.join(factors)}"
         )
     # a header such as "Load (N)", "Load [N]" or "load_N" states a unit
     stated = re.search(r"[\[(]([^\])]+)[\])]\s*$|_([A-Za-zµ]+)$", column)
-    header = _plain(stated[1] or stated[2]) if stated else own
+    header = _plain(stated[1] or stated[2]) if stated else default
     if header in factors and header != taken and not unit:
         raise InputError(
             "column",
-            f"state the unit where the header of {column} has {header} and {name} has {own}",
+            f"state the unit where the header of {column} has {header} and {name} has {default}",
             "none",
             f"write {name}={asked}:{header}",
         )
@@ -275,14 +275,14 @@ def _checked(
             f"{far[0]:.3g} m",
             "leave damaged rows out, or give the unit, --column tool_x_mm=COLUMN:um for example",
         )
-    for name, values in zip(channels, loads.T, strict=True):
-        unit = name.rpartition("_")[2]
+    for channel, values in zip(channels, loads.T, strict=True):
+        unit = channel.rpartition("_")[2]
         greatest = float(np.nanmax(np.abs(values), initial=0.0))
         if greatest >= GREATEST[unit]:
             raise refuse(
-                f"hold loads below {GREATEST[unit]:g} in {name}",
+                f"hold loads below {GREATEST[unit]:g} in {channel}",
                 f"{greatest:.3g}",
-                f"give its unit, --column {name}=COLUMN:m{unit} for example",
+                f"give its unit, --column {channel}=COLUMN:m{unit} for example",
             )
     loads = without_saturation(loads, channels, notes)
     notes += pose_notes(times_s, tips_m, float(np.median(np.diff(load_times_s))))

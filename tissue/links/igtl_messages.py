@@ -203,11 +203,10 @@ def parse_header(header: bytes | bytearray) -> Header:
     version, kind, name, seconds, fraction, size, crc = HEADER.unpack(header[:HEADER_BYTES])
     if not 1 <= version <= NEWEST:
         raise IgtlError(f"a header of version {version}")
-    texts = [text.split(b"\0")[0].decode("ascii", "replace").strip() for text in (kind, name)]
-    if not texts[0] or not "".join(texts).isascii() or not "".join(texts).isprintable():
+    kind, name = (text.split(b"\0")[0].decode("ascii", "replace").strip() for text in (kind, name))
+    if not kind or not (kind + name).isascii() or not (kind + name).isprintable():
         raise IgtlError("a header whose type or name is no ASCII text")
-    time_s = seconds + fraction / 2**32
-    return Header(version, *texts, time_s, size, crc)
+    return Header(version, kind, name, seconds + fraction / 2**32, size, crc)
 
 
 def content_of(header: Header, body: bytes | bytearray) -> bytes:

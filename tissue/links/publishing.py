@@ -28,7 +28,7 @@ class RunPublisher(ABC):
     Attributes
     ----------
     address
-        What the run tells the user about the place of the data.
+        Address or topics of the data, which the run reports to the user.
     """
 
     address = ""

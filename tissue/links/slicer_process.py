@@ -60,7 +60,7 @@ class SlicerFrame:
         """Return points of the scene [mm], shape (n, 3), in RAS [mm]."""
         return np.asarray(points_mm) @ self.matrix[:3, :3].T + self.matrix[:3, 3]
 
-    def vector(self, vector: ArrayLike) -> Array:
+    def vector(self, vector: Array) -> Array:
         """Return a force, a torque or another vector of the scene in RAS, shape (3,)."""
         return np.asarray(self.matrix[:3, :3] @ vector)
 

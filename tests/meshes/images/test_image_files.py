@@ -43,30 +43,6 @@ def test_tiff_slices_as_folder_and_pattern(slices):
     )
 
 
-def test_slices_of_other_sizes_are_refused(slices):
-    from skimage.io import imsave
-
-    folder, _ = slices
-    imsave(folder / "s_04.tif", np.zeros((6, 9), np.uint8), check_contrast=False)
-    assert refusal_of(lambda: read_image(folder, spacing_mm=1)) == (
-        "slices must all have the same size, got 9 x 6 in s_04.tif after 7 x 5: keep other "
-        "images out of the folder"
-    )
-
-
-def test_an_image_of_cells_is_read_at_their_middles(tmp_path):
-    import pyvista
-
-    values = np.random.default_rng(4).integers(0, 255, (5, 4, 3), dtype=np.uint8)
-    grid = pyvista.ImageData(dimensions=(6, 5, 4), spacing=(0.2, 0.2, 0.2), origin=(1.0, 2.0, 3.0))
-    grid.cell_data["fraction"] = values.ravel(order="F")
-    grid.save(tmp_path / "bone.vti")
-    found = read_image(tmp_path / "bone.vti")
-    assert np.array_equal(found.values, values) and found.origin_mm == pytest.approx(
-        (1.1, 2.1, 3.1)
-    )
-
-
 def test_placeholder_spacing_is_reported(tmp_path):
     import pyvista
 

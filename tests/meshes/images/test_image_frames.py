@@ -82,24 +82,6 @@ def test_vtk_images_have_origin_and_directions(tmp_path, turn):
     assert found.spacing_mm == pytest.approx(SPACING) and found.origin_mm == pytest.approx(ORIGIN)
 
 
-def test_nifti_counts_right_and_front(tmp_path):
-    """NIfTI counts right and front as positive.
-
-    By hand: 10 mm right, 20 mm front and 30 mm up in RAS is (-10, -20, 30) in LPS; a step of +x is
-    to the right.
-    """
-    data = image_writers.nifti_bytes(
-        VALUES,
-        np.diag(SPACING),
-        ORIGIN,
-        sform=np.array([[0.5, 0, 0, 10], [0, 0.75, 0, 20], [0, 0, 2.0, 30]]),
-    )
-    (tmp_path / "hand.nii").write_bytes(data)
-    found = read_image(tmp_path / "hand.nii")
-    assert found.origin_mm == pytest.approx((-10 - 4 * 0.5, -20 - 3 * 0.75, 30))
-    assert found.values[4, 3, 0] == VALUES[0, 0, 0] and found.values[0, 3, 0] == VALUES[4, 0, 0]
-
-
 ROUNDED = 0.5 * 1.55**3
 """Error of splines over values stored in whole numbers.
 

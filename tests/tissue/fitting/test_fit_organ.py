@@ -161,9 +161,3 @@ def test_every_run_of_a_fit_has_a_share_that_a_scene_may_have(value):
         x = float(prior.x(z))
         assert 0.0 < x < 1.0 and prior.z(x) == pytest.approx(z, abs=1e-6)
         assert changed(scene, {"organ.second_share": x}).organ.second_share == x
-
-
-def test_a_share_of_one_and_a_negative_exponent_are_not_free():
-    for law, name, value in (("mooney-rivlin", "second_share", 1.0), ("ogden", "exponent", -8.0)):
-        scene = tissue.load_scene("palpation", SCENE | {"organ.law": law, f"organ.{name}": value})
-        assert f"organ.{name}" not in [each.name for each in organ_parameters(scene, ())[0]]

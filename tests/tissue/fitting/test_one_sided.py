@@ -29,13 +29,6 @@ def test_the_cited_value_is_the_median_and_the_range_holds_nine_tenths():
     assert inside.side == 0.0 and inside.cited is None and inside.prior.low == 15.0
 
 
-def test_a_value_at_the_upper_end_is_mirrored_on_the_scale_of_its_prior():
-    parameter = Parameter.of("a.b.c", Prior(8.0, 2.0, 8.0))
-    assert parameter.side == -1.0
-    assert (parameter.prior.low, parameter.prior.high) == pytest.approx((2.0, 32.0))
-    assert float(parameter.prior.x(0.0)) == pytest.approx(8.0)
-
-
 @pytest.mark.parametrize("mean", [[0.4], [-2.0], [0.5, -0.7], [1.2, 0.1]])
 def test_the_factor_is_the_integral_over_the_cut_off_prior(mean):
     """The factor is the integral over the cut-off prior.

@@ -62,22 +62,6 @@ def test_planted_constants_bias_and_offset_come_back():
     assert np.abs(np.mean(fresh[1:] * fresh[:-1])) < 0.1 * np.mean(fresh**2)
 
 
-def test_normal_law_of_a_linear_problem_is_exact():
-    """The normal law of a linear problem is exact.
-
-    With linear priors and known noise the covariance is that of ridge regression: (J' W J + I)^-1,
-    within the share that the estimation of noise, bias and offset adds.
-    """
-    rng = np.random.default_rng(3)
-    log, _ = plant(slot(), rng, scale=0.05)
-    found = maximum_posterior(slot(), log)
-    gain = expected_information(found, {"again": slot()})[0]
-    values = np.linalg.eigvalsh(found.covariance_z)
-    # the same log again halves variances
-    assert gain.nats == pytest.approx(0.5 * len(values) * np.log(2.0), rel=0.05)
-    assert gain.shrinks_to == pytest.approx(np.sqrt(0.5), rel=0.02)
-
-
 def test_outliers_do_not_move_the_estimate():
     rng = np.random.default_rng(4)
     log, _ = plant(slot(), rng)

@@ -66,17 +66,6 @@ def test_all_clients_get_what_is_sent_and_what_they_send_comes_piece_by_piece(se
         assert server.send(STRING, to=[server.clients[0]]) == 1
 
 
-def test_a_client_that_leaves_is_forgotten_and_another_may_come(server):
-    (one,) = connect(server)
-    one.close()
-    until(server, lambda _: not server.clients)
-    assert server.refused == 0
-    (two,) = connect(server)
-    with two:
-        assert server.send(STRING) == 1 and read(two, len(STRING)) == STRING
-    assert server.accepted == 2
-
-
 def crc_wrong():
     """A message one bit of whose body is another."""
     message = bytearray(TRANSFORM)
