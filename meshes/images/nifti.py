@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from meshes.base.arrays import Array, Numbers
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, by
 from meshes.images.data import first_bytes, is_gzip, read_voxels, scaled
 from meshes.images.frame import StoredImage
@@ -39,18 +39,22 @@ def read_nifti(path: Path) -> StoredImage:
         header contradicts itself.
     """
     header = _header(path)
-    shape = _shape(header, path)
+    dim = [int(n) for n in header["dim"]]
+    sizes = dim[1 : dim[0] + 1]
+    if not 3 <= dim[0] <= 7 or min(sizes) < 1 or any(n != 1 for n in sizes[3:]):
+        raise _fault(path, "dim", "count three axes, with no zero and no further axis", by(sizes))
     dtype = _dtype(header, path)
     offset = float(header["vox_offset"])
-    length = int(header["sizeof_hdr"])
-    if not (offset >= length + 4 and offset == int(offset)):
-        raise _header_fault(path, "vox_offset", f"be at least {length + 4}", offset)
+    least = int(header["sizeof_hdr"]) + 4
+    if not (offset >= least and offset == int(offset)):
+        raise _fault(path, "vox_offset", f"be at least {least}", offset)
+    shape = (sizes[0], sizes[1], sizes[2])
     values = read_voxels(path, dtype, shape, skip=int(offset), compressed=is_gzip(path))
     notes: list[str] = []
     affine = _affine(header, path, notes)
     unit = int(header["xyzt_units"]) & 7
     if unit not in _UNITS_MM:
-        raise _header_fault(path, "xyzt_units", "be 1 (m), 2 (mm) or 3 (µm)", unit)
+        raise _fault(path, "xyzt_units", "be 1 (m), 2 (mm) or 3 (µm)", unit)
     if unit == 0:
         notes.append(f"{path.name} states no unit of length: taken as mm.")
     affine = affine[:3] * _UNITS_MM[unit] * _TO_LPS[:, None]
@@ -58,9 +62,15 @@ def read_nifti(path: Path) -> StoredImage:
     x, y, z = spacing.tolist()
     with np.errstate(divide="ignore", invalid="ignore"):
         directions = affine[:, :3] / spacing
-    return StoredImage(
-        _scaled(values, header, path), (x, y, z), directions, affine[:, 3], tuple(notes)
-    )
+    slope = float(header["scl_slope"])
+    intercept = float(header["scl_inter"])
+    # a slope of 0 or NaN means no scaling
+    if slope != 0.0 and not (np.isnan(slope) and (np.isnan(intercept) or intercept == 0.0)):
+        if not np.isfinite([slope, intercept]).all():
+            found = f"{slope:g} and {intercept:g}"
+            raise _fault(path, "scl_slope and scl_inter", "be finite", found)
+        values = scaled(values, slope, intercept)
+    return StoredImage(values, (x, y, z), directions, affine[:, 3], tuple(notes))
 
 
 def _header(path: Path) -> Header:
@@ -72,42 +82,24 @@ def _header(path: Path) -> Header:
     from nibabel.wrapstruct import WrapStructError
 
     first = first_bytes(path, 540)
-    header = None
     kind = Nifti2Header if first[:4] in (b"\x1c\x02\0\0", b"\0\0\x02\x1c") else Nifti1Header
     with suppress(HeaderDataError, WrapStructError, ValueError):
         header = kind.from_fileobj(BytesIO(first[: kind.sizeof_hdr]), check=False)
-    if (
-        header is None
-        or bytes(header["magic"].item())[:3] not in _SINGLE_FILE
-        or int(header["sizeof_hdr"]) not in (348, 540)
-    ):
-        raise InputError(
-            "file",
-            "be a NIfTI image",
-            f"{path.name} which does not start as one does",
-            "export it again",
-        )
-    return header
-
-
-def _header_fault(path: Path, field: str, requirement: str, found: object) -> InputError:
-    return InputError(
-        f"{field} in the header", requirement, f"{found} in {path.name}", "export it again"
+        is_single = bytes(header["magic"].item())[:3] in _SINGLE_FILE
+        if is_single and int(header["sizeof_hdr"]) in (348, 540):
+            return header
+    raise InputError(
+        "file",
+        "be a NIfTI image",
+        f"{path.name} which does not start as one does",
+        "export it again",
     )
 
 
-def _shape(header: Header, path: Path) -> tuple[int, int, int]:
-    dim = [int(n) for n in header["dim"]]
-    if not 3 <= dim[0] <= 7 or any(n < 1 for n in dim[1 : dim[0] + 1]):
-        raise _header_fault(path, "dim", "count three or more axes with no zero", dim)
-    if any(n != 1 for n in dim[4 : dim[0] + 1]):
-        raise InputError(
-            "file",
-            "hold one image of three axes",
-            f"{by(dim[1 : dim[0] + 1])} in {path.name}",
-            "export one of its volumes",
-        )
-    return dim[1], dim[2], dim[3]
+def _fault(path: Path, field: str, requirement: str, found: object) -> InputError:
+    return InputError(
+        f"{field} in the header", requirement, f"{found} in {path.name}", "export it again"
+    )
 
 
 def _dtype(header: Header, path: Path) -> np.dtype[np.number]:
@@ -116,16 +108,11 @@ def _dtype(header: Header, path: Path) -> np.dtype[np.number]:
     try:
         dtype: np.dtype[np.number] = np.dtype(header.get_data_dtype())
     except (HeaderDataError, KeyError) as problem:
-        raise _header_fault(path, "datatype", "be known", int(header["datatype"])) from problem
-    if dtype.kind not in "iuf" or dtype.itemsize > 8 or dtype.itemsize == 0:
-        raise InputError(
-            "file",
-            "hold one real number per voxel",
-            f"{dtype} in {path.name}",
-            "export grey values",
-        )
+        raise _fault(path, "datatype", "be known", int(header["datatype"])) from problem
+    if dtype.kind not in "iuf" or not 0 < dtype.itemsize <= 8:
+        raise _fault(path, "datatype", "be one real number per voxel", dtype)
     if int(header["bitpix"]) != 8 * dtype.itemsize:
-        raise _header_fault(path, "bitpix", f"be that of {dtype}", int(header["bitpix"]))
+        raise _fault(path, "bitpix", f"be that of {dtype}", int(header["bitpix"]))
     return dtype
 
 
@@ -135,29 +122,25 @@ def _affine(header: Header, path: Path, notes: list[str]) -> Array:
 
     spacing = np.array(header["pixdim"][1:4], dtype=np.float64)
     if not (np.isfinite(spacing).all() and (spacing > 0.0).all()):
-        raise _header_fault(path, "pixdim", "be positive", by(spacing))
-    sform = header.get_sform() if int(header["sform_code"]) > 0 else None
-    qform = None
+        raise _fault(path, "pixdim", "be positive", by(spacing))
+    qform: Array | None = None
     if int(header["qform_code"]) > 0:
         try:
-            qform = header.get_qform()
+            qform = np.asarray(header.get_qform(), dtype=np.float64)
         except (HeaderDataError, ValueError) as problem:
-            raise _header_fault(path, "the quaternion", "have a norm of 1", "another") from problem
-    if sform is None and qform is None:
+            raise _fault(path, "the quaternion", "have a norm of 1", "another") from problem
+    if int(header["sform_code"]) <= 0:
+        if qform is not None:
+            return qform
         notes.append(
             f"{path.name} states no place or directions: its axes are taken as left, back and head."
         )
         return np.diag([*(spacing * _TO_LPS), 1.0])
-    if sform is None:
-        return np.asarray(qform, dtype=np.float64)
+    sform: Array = np.asarray(header.get_sform(), dtype=np.float64)
     stated = np.linalg.norm(sform[:3, :3], axis=0)
     if not np.allclose(stated, spacing, rtol=_AGREE, atol=0.0):
-        raise InputError(
-            "pixdim and sform",
-            "state the same spacing",
-            f"{by(spacing)} and {by(stated)} in {path.name}",
-            "fix the header",
-        )
+        found = f"{by(spacing)} and {by(stated)}"
+        raise _fault(path, "pixdim and sform", "state the same spacing", found)
     if qform is not None:
         corner = np.array([*(int(n) for n in header["dim"][1:4]), 0.0])
         apart = np.abs((sform - qform) @ corner)[:3].max() + np.abs(sform - qform)[:3, 3].max()
@@ -165,17 +148,4 @@ def _affine(header: Header, path: Path, notes: list[str]) -> Array:
             notes.append(
                 f"The sform and the qform of {path.name} place it differently: the sform is taken."
             )
-    return np.asarray(sform, dtype=np.float64)
-
-
-def _scaled(values: Numbers, header: Header, path: Path) -> Numbers:
-    """Return values times slope plus intercept; a slope of 0 or NaN means no scaling."""
-    slope = float(header["scl_slope"])
-    intercept = float(header["scl_inter"])
-    if slope == 0.0 or (np.isnan(slope) and (np.isnan(intercept) or intercept == 0.0)):
-        return values
-    if not (np.isfinite(slope) and np.isfinite(intercept)):
-        raise _header_fault(
-            path, "scl_slope and scl_inter", "be finite", f"{slope:g} and {intercept:g}"
-        )
-    return scaled(values, slope, intercept)
+    return sform

@@ -54,8 +54,6 @@ __all__ = ["bone_draft"]
 
 _SIDE_MM = (1.0, 1000.0)
 """Longest side of a bone."""
-_KEPT = 0.01
-"""Relative difference of volume up to which a label's volume counts as kept."""
 SHOWN_MM = 15.0
 """Width of the surroundings of a bone in pictures."""
 USUAL = {
@@ -212,20 +210,12 @@ def _bone(request: ImportRequest, source: _Source) -> tuple[BoneOfImage, float |
         note = bone_label_note(source.image, mask, request.region)
         sentences += [note] if note else []
     bone = by_label(source.image, mask)
-    sentences.append(f"bone: label {request.region}, its steps smoothed{_kept_volume(bone)}")
-    return bone, None, sentences
-
-
-def _kept_volume(bone: BoneOfImage) -> str:
-    """Describe the difference between the volume within the surface and the volume of the label."""
-    change = bone.volume_mm3 / bone.label_mm3 - 1.0
-    if abs(change) <= _KEPT:
-        return f" and its volume of {1e-3 * bone.label_mm3:.4g} ml kept to {_KEPT:.0%}"
-    more = "more" if change > 0.0 else "less"
-    return (
-        f"; the surface encloses {abs(change):.1%} {more} than the label's volume of "
-        f"{1e-3 * bone.label_mm3:.4g} ml"
+    sentences.append(
+        f"bone: label {request.region}, its steps smoothed; volume "
+        f"{bone.volume_mm3 / bone.label_mm3 - 1.0:+.1%} against {1e-3 * bone.label_mm3:.4g} ml of "
+        "the label"
     )
+    return bone, None, sentences
 
 
 def _surface(bone: BoneOfImage, source: str) -> Surface:

@@ -26,19 +26,9 @@ COARSE = {
 }
 
 
-def axes_of(image, order=(0, 1, 2), flips=()):
-    """Return values, axes and origin of an image stored along other axes.
-
-    The axes may point in other directions.
-    """
-    values = np.transpose(image.values, order)
-    axes = np.diag(image.spacing_mm)[:, order]
-    origin = np.array(image.origin_mm)
-    for k in flips:
-        origin = origin + axes[:, k] * (values.shape[k] - 1)
-        axes = axes * np.where(np.arange(3) == k, -1.0, 1.0)
-        values = np.flip(values, k)
-    return np.ascontiguousarray(values), axes, origin
+def axes_of(image):
+    """Return values, axes and origin of an image as its file holds them."""
+    return image.values, np.diag(image.spacing_mm), image.origin_mm
 
 
 def imported(source, out, **options):
