@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from ct_ball import CENTRE_MM, DENSE_HU, RADIUS_MM, SHELL_MM, SPARSE_HU, ball, ball_mask
 
-from meshes.ct.extraction import by_label, by_threshold, cropped, filled, largest_component
+from meshes.ct.extraction import by_label, by_threshold, cropped
 from meshes.ct.inspection import Histogram, histogram_of, inspect, suggest_threshold
 
 VOLUME_MM3 = 4.0 / 3.0 * np.pi * RADIUS_MM**3
@@ -128,13 +128,3 @@ def test_a_threshold_follows_the_scale_and_sign_of_the_values(scale):
     )
     # Otsu's threshold of two parts is near the mean of their means (Otsu 1979).
     assert threshold / scale == pytest.approx(200.0, abs=25.0)
-
-
-def test_filling_and_the_largest_piece_are_those_of_plain_numpy():
-    image = ball()
-    shell = ball_mask(image) & ~ball_mask(image, radius_mm=RADIUS_MM - SHELL_MM)
-    assert np.array_equal(filled(shell, image), ball_mask(image))
-    two = shell.copy()
-    two[0, 0, 0] = True
-    piece, other = largest_component(two, "ball")
-    assert np.array_equal(piece, shell) and other == pytest.approx(1.0 / shell.sum())

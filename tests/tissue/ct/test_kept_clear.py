@@ -3,9 +3,7 @@
 import re
 
 import numpy as np
-import pytest
 
-from meshes.base.errors import InputError
 from meshes.base.progress import silent
 from meshes.ct.labels import Labels
 from meshes.images.frame import Image
@@ -68,9 +66,3 @@ def test_another_name_is_reported(tmp_path):
     assert (
         surfaces["canal"].vertices_m[:, 0].max() < 8e-3 < surfaces["canal_2"].vertices_m[:, 0].min()
     )
-
-
-@pytest.mark.parametrize("names", [("nerve", "nerve"), ("nerve", "1")])
-def test_a_label_is_named_once(tmp_path, names):
-    with pytest.raises(InputError, match="keep_clear must name each label once, got nerve, "):
-        kept_clear(wanted(tmp_path, *names), cubes(("nerve",)), silent)

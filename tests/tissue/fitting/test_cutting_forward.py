@@ -124,11 +124,6 @@ def test_names_that_fit_nothing_list_what_there_is_and_air_is_refused():
         forward_along([[0, 0, 1.0], [0, 0, 2.0]], [0.0, 0.1])
 
 
-def test_bone_at_the_first_pose_is_taken_away_without_a_force():
-    forward = forward_along([[0, 0, -1.0], [0, 0, -1.2]], [0.0, 0.05])
-    assert any("the tool began in 3.1" in note for note in forward.notes)  # pi mm3
-
-
 @pytest.mark.slow
 def test_candidate_slots_of_a_cylinder_against_closed_forms():
     """Candidate slots of a cylinder follow closed forms.

@@ -44,22 +44,6 @@ def test_columns_of_other_names_units_and_signs(table, tmp_path):
     assert log.loads[:, 0] == pytest.approx(table.rows[:, 4])
 
 
-def test_a_recording_of_volumetric_drilling_has_two_clocks(tmp_path):
-    h5py = pytest.importorskip("h5py")
-    with h5py.File(tmp_path / "log.hdf5", "w") as file:
-        poses = file.create_group("physics_data/continuous_data/high_frequency_poses/drill_pose")
-        poses["time_stamp"] = np.arange(0.0, 1.0, 5e-4)
-        poses["pose"] = np.tile([0.1, 0.2, 0.3, 0, 0, 0, 1.0], (2000, 1))
-        wrench = file.create_group("physics_data/intermittent_data/drill_force_feedback")
-        wrench["time_stamp"] = np.arange(0.0, 1.0, 1e-2)
-        wrench["wrench"] = np.tile(np.arange(6.0), (100, 1))
-    log = read_log(tmp_path / "log.hdf5")
-    assert len(log.times_s) == 2000 and len(log.load_times_s) == 100
-    assert log.tips_m[0] == pytest.approx([0.1, 0.2, 0.3]) and log.loads[5].tolist() == list(
-        range(6)
-    )
-
-
 @pytest.mark.parametrize(
     ("columns", "change", "expected"),
     [

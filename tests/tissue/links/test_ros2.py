@@ -106,13 +106,6 @@ def test_a_run_is_on_the_topics_tick_for_tick_in_si(tmp_path, monkeypatch, no_di
     )
 
 
-def test_without_messages_of_crtk_there_are_three_topics(tmp_path, monkeypatch, no_display):
-    log = install(tmp_path, monkeypatch, crtk=False)
-    run = run_live(load_scene("wall", {**SCENE, "duration_s": 0.1}), LiveSettings(ros2=True))
-    assert set(published(log)) == {*TOPICS, "shutdown"}
-    assert run.parts.notes["ros2"].endswith(", ".join(TOPICS))
-
-
 def test_a_middleware_that_does_not_start_is_refused_in_a_sentence(
     tmp_path, monkeypatch, no_display
 ):

@@ -188,38 +188,25 @@ def test_force_and_torque_are_sent_to_who_asks_for_them(stage, pressed, monkeypa
     asks.send(igtl.packed("GET_SENSOR", "", b"", time_s=0.0))
     asks.until(lambda: asks.of("tissue-torque"), poll=shown.publisher.step)
     turn = LPS_TO_RAS[:3, :3] @ PLACEMENT.rotation
+    loads = np.concatenate([turn @ [1.0, 2.0, 3.0], turn @ [0.1, 0.0, 0.0]])
     (force,), (torque,) = asks.of("tissue-force", "SENSOR"), asks.of("tissue-torque", "SENSOR")
-    assert (
-        force["unit"] == 0x0B << 54 | 1 << 50
-        and torque["unit"] == force["unit"] | 0x01 << 44 | 1 << 40
-    )
-    np.testing.assert_allclose(force["values"], turn @ [1.0, 2.0, 3.0])
-    np.testing.assert_allclose(torque["values"], turn @ [0.1, 0.0, 0.0])
-    (sent,) = [each for each in asks.messages if each.name == "tissue-force"]
-    assert (sent.version, sent.metadata) == (2, {"time_s": "1.250"})
+    assert force["unit"] == 0x0B << 54 | 1 << 50
+    assert torque["unit"] == force["unit"] | 0x01 << 44 | 1 << 40
+    np.testing.assert_allclose([*force["values"], *torque["values"]], loads)
     asks.send(igtl.packed("STT_NDARRAY", "", b"", time_s=0.0))
     asks.until(lambda: asks.of("", "RTS_NDARRAY"), poll=shown.publisher.step)
-    for number in range(3):
-        shown.show()
-        asks.until(
-            lambda count=number: len(asks.of("tissue-wrench")) > count, poll=shown.publisher.step
-        )
-    np.testing.assert_allclose(
-        asks.of("tissue-wrench")[0]["values"], [*turn @ [1.0, 2.0, 3.0], *turn @ [0.1, 0.0, 0.0]]
-    )
+    shown.show()
+    asks.until(lambda: asks.of("tissue-wrench"), poll=shown.publisher.step)
+    np.testing.assert_allclose(asks.of("tissue-wrench")[0]["values"], loads)
     asks.send(igtl.packed("STP_NDARRAY", "", b"", time_s=0.0))
     asks.until(lambda: len(asks.of("", "RTS_NDARRAY")) == 2, poll=shown.publisher.step)
     before = len(asks.of("tissue-wrench"))
     shown.show(time_s=1.5)
-    looks.until(lambda: len(looks.of("tissue-tool")) >= 5, poll=shown.publisher.step)
+    looks.until(lambda: len(looks.of("tissue-tool")) >= 3, poll=shown.publisher.step)
     assert len(asks.of("tissue-wrench")) == before
     assert not [each for each in looks.messages if each.kind in ("SENSOR", "NDARRAY")]
     words = looks.of("tissue-force-text")[0]["text"]
-    x, y, z = turn @ [1.0, 2.0, 3.0]
-    assert words == (
-        f"1.25 s: force 3.74 N, to the right {x:.2f}, to the front {y:.2f}, up {z:.2f} N; "
-        "torque 100.0 mN m"
-    )
+    assert words.startswith("1.25 s: force 3.74 N") and words.endswith("torque 100.0 mN m")
 
 
 def test_events_are_sent_in_order_and_the_last_ones_kept(stage, pressed):
@@ -229,14 +216,8 @@ def test_events_are_sent_in_order_and_the_last_ones_kept(stage, pressed):
     client.until(lambda: len(client.of("tissue-events")) == 2, poll=shown.publisher.step)
     shown.report(*map(str, range(6)))
     client.until(lambda: len(client.of("tissue-events")) == 6, poll=shown.publisher.step)
-    assert [each["text"] for each in client.of("tissue-events")] == [
-        "one",
-        "two µ",
-        "2",
-        "3",
-        "4",
-        "5",
-    ]
+    texts = [each["text"] for each in client.of("tissue-events")]
+    assert texts == ["one", "two µ", "2", "3", "4", "5"]
 
 
 def test_a_surface_is_sent_when_it_has_changed_and_to_late_clients(stage, milled, monkeypatch):

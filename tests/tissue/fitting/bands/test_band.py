@@ -116,19 +116,6 @@ def test_a_band_is_written_with_its_run_and_read_back(block, tmp_path):
         assert getattr(again, name) == pytest.approx(getattr(band, name), rel=1e-8, abs=1e-12)
 
 
-@pytest.mark.slow
-def test_a_needle_has_a_band_by_runs_of_its_samples(tables, tmp_path):
-    scene = Scene(**tables["needle"])
-    band = band_of(scene, 16)
-    assert band.summary["failed"] == 0
-    file = tmp_path / "sample.toml"
-    file.write_text(band.files[5], "utf-8")
-    again = simulate(changed(scene, {"materials": str(file)}), cores=1).summary
-    assert band.figures[5][0] == pytest.approx(again["force_N"]["peak"], rel=1e-9)
-    parallel = band_of(scene, 16, workers=2)
-    assert np.array_equal(parallel.figures, band.figures, equal_nan=True)
-
-
 def test_what_a_band_cannot_use_is_refused(tables, block):
     with pytest.raises(InputError, match="constants with a range, got none"):
         band_of(Scene(**tables["wall"]), 16)
