@@ -39,8 +39,7 @@ from tissue.ct.draft import (
     write_labels,
     write_surface,
 )
-from tissue.ct.placing import ImportedPath, Placed, import_path, kept_clear, placed
-from tissue.ct.request import ImportRequest
+from tissue.ct.request import ImportedPath, ImportRequest, Placed, import_path, kept_clear, placed
 from tissue.scene.load import load_scene
 from tissue.scene.tool import Tool
 from tissue.show.figures.ct_pictures import (

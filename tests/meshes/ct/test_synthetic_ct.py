@@ -22,11 +22,6 @@ def phantom():
     return ct_phantom(np.random.default_rng(3), energy_keV=66.0, spacing_mm=COARSE)
 
 
-@pytest.fixture(scope="module")
-def quiet():
-    return ct_phantom(np.random.default_rng(3), energy_keV=66.0, noise_HU=0.0, spacing_mm=COARSE)
-
-
 def holds_rods(law, phantom):
     """Return True for each rod whose density lies in the band of a law."""
     bands = [

@@ -7,8 +7,7 @@ import numpy as np
 from meshes.base.progress import silent
 from meshes.ct.labels import Labels
 from meshes.images.frame import Image
-from tissue.ct.placing import kept_clear, plain_names
-from tissue.ct.request import ImportRequest
+from tissue.ct.request import ImportRequest, kept_clear, plain_names
 from tissue.scene.keep_clear import KeepClear
 
 NAMES = (
