@@ -274,7 +274,9 @@ def _given(names: str | Path) -> dict[int, str]:
             "names", "be readable TOML", f"{file.name} which is not", str(problem)
         ) from problem
     labels = table.get("labels")
-    numbers = list(labels.values()) if isinstance(labels, dict) else []
+    if not isinstance(labels, dict):
+        labels = {}
+    numbers = list(labels.values())
     whole = all(type(number) is int and 1 <= number <= _MOST_LABELS for number in numbers)
     if set(table) != {"labels"} or not whole or not 0 < len(numbers) == len(set(numbers)):
         raise InputError(

@@ -63,7 +63,9 @@ def read_voxels(
     stored = np.empty(needed, dtype=np.uint8)
     at = 0
     for piece in _plain(path, start, compressed):
-        piece, skip = piece[skip:], max(skip - len(piece), 0)
+        skipped = min(skip, len(piece))
+        skip -= skipped
+        piece = piece[skipped:]
         if at + len(piece) > needed:
             raise _sizes_differ(path, needed, "more")
         stored[at : at + len(piece)] = np.frombuffer(piece, dtype=np.uint8)

@@ -105,13 +105,3 @@ def test_labels_of_another_grid_go_to_the_nearest_voxels(tmp_path):
     assert on_grid_of(placed, image) is placed
     with pytest.raises(InputError, match="outside"):
         on_grid_of(labels, replace(image, origin_mm=(500.0, 0.0, 0.0)))
-
-
-def test_an_unknown_name_lists_those_that_are_near(tmp_path):
-    labels = read_labels(
-        write_named_labels(tmp_path / "a.seg.nrrd", volume(), {2: "femur_left", 7: "canal"})
-    )
-    with pytest.raises(InputError, match=r"got femur: use one of femur_left$"):
-        labels.mask("femur")
-    with pytest.raises(InputError, match=r"use one of femur_left, canal$"):
-        labels.mask("liver")

@@ -10,7 +10,6 @@ import image_writers
 import numpy as np
 import pytest
 
-from meshes.base.errors import InputError
 from meshes.images.reading import read_image
 
 SHAPE, SPACING, ORIGIN = (5, 4, 3), np.array([0.5, 0.75, 2.0]), np.array([-30.0, 12.0, 101.0])
@@ -282,16 +281,3 @@ def test_padding_of_dicom_is_no_bone(tmp_path):
     assert found.notes == (
         "3 voxels of ct are padding: they take the lowest value of their slice.",
     )
-
-
-def test_a_given_spacing_keeps_directions_and_origin(tmp_path):
-    array, axes, origin = stored(TURNS[13])
-    spacing = np.linalg.norm(axes, axis=0)
-    image_writers.write_nrrd(tmp_path / "i.nrrd", array, axes / spacing * 1.8e19, origin)
-    with pytest.raises(
-        InputError,
-        match=r"spacing must be in \[1e-05, 10000\] mm, got 1.8e\+19 x 1.8e\+19 x 1.8e\+19",
-    ):
-        read_image(tmp_path / "i.nrrd")
-    found = read_image(tmp_path / "i.nrrd", spacing_mm=0.25)
-    assert found.spacing_mm == (0.25, 0.25, 0.25) and np.array_equal(found.values, VALUES)

@@ -153,11 +153,3 @@ def test_monochrome1_of_a_ct_has_bone_above_air(tmp_path, stored, fields, note):
     found = read_image(tmp_path / "s")
     assert np.array_equal(found.values, ball_HU())
     assert any(note in sentence for sentence in found.notes)
-
-
-def test_monochrome1_without_a_rescale_is_inverted_back(tmp_path):
-    values = np.where(ball_HU() > 0, 100, 60000).astype(np.uint16)
-    left_out = [(0x28, 0x1052), (0x28, 0x1053)]
-    fields = {"photometric": "MONOCHROME1", "leave_out": left_out}
-    write_dicom(tmp_path / "s", values, np.diag([0.8, 0.8, 2.0]), (0.0, 0.0, 0.0), **fields)
-    assert np.array_equal(read_image(tmp_path / "s").values, np.where(ball_HU() > 0, 65435, 5535))

@@ -139,12 +139,6 @@ def test_nothing_of_a_person_leaves_the_files(tmp_path):
     assert "DOE" not in " ".join(made.sentences)
 
 
-def test_an_import_is_not_overwritten_unasked(reference):
-    made, _ = reference
-    with pytest.raises(InputError, match="another import"):
-        imported(made.folder.parent / "ct.nrrd", made.folder)
-
-
 def test_without_a_site_the_scene_asks_for_one(reference, tmp_path):
     made, _ = reference
     other = tissue.import_ct(

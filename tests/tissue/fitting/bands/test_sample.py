@@ -38,32 +38,6 @@ def test_correlated_constants_are_drawn_together_and_make_one_group():
     assert np.corrcoef(z[:, 0], z[:, 1])[0, 1] == pytest.approx(0.0, abs=0.02)
 
 
-def test_samples_converge_faster_than_at_random():
-    """Samples converge faster than at random.
-
-    The mean of a smooth function of 8 numbers, exact exp(0.5), has a root mean square error over 10
-    seeds.
-    """
-    weights = np.full(8, np.sqrt(1.0 / 8.0))
-    mean_error = {
-        count: np.sqrt(
-            np.mean(
-                [
-                    (np.exp(normals(count, 8, seed=s) @ weights).mean() / np.exp(0.5) - 1.0) ** 2
-                    for s in range(10)
-                ]
-            )
-        )
-        for count in (64, 1024)
-    }
-    at_random = {count: np.sqrt((np.e - 1.0) / count) for count in mean_error}
-    assert mean_error[1024] < 0.5 * at_random[1024]
-    assert mean_error[1024] < mean_error[64] / 4.0, (
-        "sixteen times the samples at random give a quarter"
-    )
-    print("root mean square error, at random:", mean_error, at_random)
-
-
 def test_counts_are_powers_of_two():
     assert [rounded(each) for each in (16, 200, 256, 257)] == [16, 256, 256, 512]
     for wrong in (3, 0, 1_000_000):
