@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
-from meshes.ct.attenuation import density_of, linear_attenuation
+from meshes.ct.calibration import density_of, linear_attenuation
 from meshes.ct.labels import Labels
 from meshes.images.frame import Image, StoredImage, along_lps
 

@@ -1,27 +1,11 @@
 """Types of arrays, points of a lattice, and triangles or cells that name points by number."""
 
-from typing import Any
-
+from numpy.typing import (ArrayLike, NDArray)
+from typing import (Any)
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-__all__ = [
-    "Array",
-    "Bytes",
-    "Flags",
-    "Floats",
-    "Int32s",
-    "Integers",
-    "Ints",
-    "Singles",
-    "Triangles",
-    "compact",
-    "cross_products",
-    "directed_edges",
-    "enclosed_volume",
-    "lattice",
-    "windings",
-]
+__all__ = ["Array", "Bytes", "Flags", "Floats", "Int32s", "Integers", "Ints", "Numbers", "Singles", "Triangles", "compact", "cross_products", "directed_edges", "enclosed_volume", "lattice", "windings"]
+
 
 
 Array = NDArray[np.float64]
@@ -29,6 +13,7 @@ Ints = NDArray[np.int64]
 Int32s = NDArray[np.int32]
 Integers = NDArray[np.integer]
 Floats = NDArray[np.floating]
+Numbers = NDArray[np.number]
 Flags = NDArray[np.bool_]
 Bytes = NDArray[np.uint8]
 Singles = NDArray[np.float32]

@@ -5,12 +5,11 @@ from statistics import NormalDist
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.arrays import Singles
-from meshes.base.errors import InputError, require_range, require_ranges
+from meshes.base.arrays import Numbers, Singles
+from meshes.base.errors import InputError, require_range
 
-__all__ = ["ASH_SHARE", "ASH_SHARE_SD", "CT_DENSITY", "DensityLaw", "scanner_law"]
+__all__ = ["ASH_SHARE", "ASH_SHARE_SD", "CT_DENSITY", "DENSITY_LAWS", "DensityLaw", "line_law"]
 
 ASH_SHARE = 0.598
 ASH_SHARE_SD = 0.004
@@ -38,8 +37,6 @@ class DensityLaw:
         Name of the line, and its source.
     covariance
         Variance of the slope, covariance of both, variance of the offset [(kg/m3)^2].
-    residual_sd_kg_m3
-        Standard deviation of the measured densities from the line [kg/m3].
     relative_sd
         Relative standard deviation of a factor of the whole density, such as the ratio of ash to
         apparent density.
@@ -52,45 +49,14 @@ class DensityLaw:
     name: str = "line"
     source: str = "given"
     covariance: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    residual_sd_kg_m3: float = 0.0
     relative_sd: float = 0.0
 
-    def __post_init__(self) -> None:
-        require_ranges(
-            ("slope_kg_m3", self.slope_kg_m3, -1e6, 1e6, "use about 1.48 for Hounsfield units"),
-            ("offset_kg_m3", self.offset_kg_m3, -1e6, 1e6, "use about 106 for Hounsfield units"),
-            ("highest_kg_m3", self.highest_kg_m3, 1.0, 20000.0, "use 2000"),
-            ("lowest_kg_m3", self.lowest_kg_m3, 0.0, self.highest_kg_m3, "use 50"),
-            (
-                "residual_sd_kg_m3",
-                self.residual_sd_kg_m3,
-                0.0,
-                20000.0,
-                "use 0 where it is not known",
-            ),
-            (
-                "relative_sd",
-                self.relative_sd,
-                0.0,
-                1.0,
-                "use 0.007 for the ratio of ash to apparent density",
-            ),
-        )
-        slope, both, offset = self.covariance
-        if not (slope >= 0.0 and offset >= 0.0 and both * both <= slope * offset * (1.0 + 1e-9)):
-            raise InputError(
-                "covariance",
-                "be of two numbers",
-                f"variances {slope:g} and {offset:g} with covariance {both:g}",
-                "use what a regression states, or zeros",
-            )
-
-    def __call__(self, values: NDArray[np.number]) -> Singles:
+    def __call__(self, values: Numbers) -> Singles:
         """Compute the density [kg/m3] of grey values, same shape."""
         density = np.float32(self.slope_kg_m3) * values + np.float32(self.offset_kg_m3)
         return np.clip(density, self.lowest_kg_m3, self.highest_kg_m3).astype(np.float32)
 
-    def sd(self, values: NDArray[np.number]) -> Singles:
+    def sd(self, values: Numbers) -> Singles:
         """Compute the standard uncertainty of the density [kg/m3] of mean grey values.
 
         It is the uncertainty before the limits are applied.
@@ -98,46 +64,30 @@ class DensityLaw:
         values = np.asarray(values, dtype=np.float64)
         slope, both, offset = self.covariance
         scaled = self.relative_sd * (self.slope_kg_m3 * values + self.offset_kg_m3)
-        variance = (
-            slope * values**2 + 2.0 * both * values + offset + self.residual_sd_kg_m3**2 + scaled**2
-        )
+        variance = slope * values**2 + 2.0 * both * values + offset + scaled**2
         return np.sqrt(np.maximum(variance, 0.0)).astype(np.float32)
 
-    def band(self, values: NDArray[np.number], share: float = 0.9) -> tuple[Singles, Singles]:
+    def band(self, values: Numbers, share: float = 0.9) -> tuple[Singles, Singles]:
         """Compute bounds [kg/m3] of the density of tissue of mean grey values.
 
         The density lies within the bounds with probability `share`.
-
-        Raises
-        ------
-        InputError
-            If `share` is not in [0.01, 0.999].
         """
-        share = require_range("share", share, 0.01, 0.999, "use 0.9")
         values = np.asarray(values, dtype=np.float64)
         half = NormalDist().inv_cdf(0.5 + 0.5 * share) * self.sd(values)
         middle = self.slope_kg_m3 * values + self.offset_kg_m3
-        low, high = (
-            np.clip(bound, self.lowest_kg_m3, self.highest_kg_m3)
-            for bound in (middle - half, middle + half)
-        )
-        return low.astype(np.float32), high.astype(np.float32)
+        limits = (self.lowest_kg_m3, self.highest_kg_m3)
+        low = np.clip(middle - half, *limits).astype(np.float32)
+        return low, np.clip(middle + half, *limits).astype(np.float32)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the law as a JSON object, densities in kg/m3."""
         return {**asdict(self), "covariance": list(self.covariance)}
 
 
-def scanner_law(
-    name: str,
-    ash_kg_m3: float,
-    offset_kg_m3: float,
-    *,
-    source: str,
-    slope_sd: float,
-    offset_sd_kg_m3: float,
+def _scanner_law(
+    name: str, ash: tuple[float, float], source: str, *, slope_sd: float, offset_sd_kg_m3: float
 ) -> DensityLaw:
-    """Return the law of one scanner's line to ash density [kg/m3].
+    """Return the law of one scanner's line to ash density.
 
     Its uncertainty includes the difference to other scanners.
 
@@ -145,37 +95,101 @@ def scanner_law(
     ----------
     name, source
         See `DensityLaw`.
-    ash_kg_m3, offset_kg_m3
+    ash
         Ash density per Hounsfield unit and at 0 [kg/m3].
     slope_sd
         Relative standard deviation of the slope.
     offset_sd_kg_m3
         Standard deviation of the apparent density at 0 Hounsfield units [kg/m3].
     """
-    slope = ash_kg_m3 / ASH_SHARE
+    slope, offset = (each / ASH_SHARE for each in ash)
     return DensityLaw(
         slope,
-        offset_kg_m3 / ASH_SHARE,
+        offset,
         name=name,
-        source=(
-            f"{source}; ash over apparent {ASH_SHARE} (Schileo 2008); uncertain as another "
-            "scanner's line"
-        ),
+        source=f"{source}; ash over apparent {ASH_SHARE} (Schileo 2008); uncertain as another "
+        "scanner's line",
         covariance=((slope_sd * slope) ** 2, 0.0, offset_sd_kg_m3**2),
         relative_sd=ASH_SHARE_SD / ASH_SHARE,
     )
 
 
-CT_DENSITY = scanner_law(
+CT_DENSITY = _scanner_law(
     "ct",
-    0.887,
-    63.3,
-    source="ash 0.887 HU + 63.3 kg/m3 of one scanner",
+    (0.887, 63.3),
+    "ash 0.887 HU + 63.3 kg/m3 of one scanner",
     slope_sd=0.27,
     offset_sd_kg_m3=60.0,
 )
 """Hounsfield units to apparent density by one scanner's line: calibrate before relying on it.
 
-Its band is wide enough to hold bone by the tables of `meshes.ct.attenuation` at 62 to 80 keV, which
-is 8 to 39 % less dense than the line.
+Its band is wide enough to hold bone by the tables of ``attenuation.toml`` at 62 to 80 keV, which is
+8 to 39 % less dense than the line.
 """
+_MAYO_DENSITY = _scanner_law(
+    "dragomir-daescu",
+    (0.7, -9.0),
+    "ash 0.7 HU - 9 kg/m3 of a Siemens Somatom Definition at 120 kVp with a Mindways phantom "
+    "(Cong 2011, Dragomir-Daescu 2011, table 1 of Knowles 2016)",
+    slope_sd=0.16,
+    offset_sd_kg_m3=55.0,
+)
+DENSITY_LAWS = {law.name: law for law in (CT_DENSITY, _MAYO_DENSITY)}
+"""Density laws by name, each of one scanner.
+
+The band of each law holds the tabulated values of bone at 62 to 80 keV, -10 to 47 % off the second
+line, see `CT_DENSITY`.
+"""
+
+_TO_ASH = {
+    "apparent": (ASH_SHARE, 0.0, 0.0, "apparent density as stated"),
+    "ash": (1.0, 0.0, ASH_SHARE_SD / ASH_SHARE, "ash density as stated"),
+    "HA": (0.877, 79.0, 0.03, "ash = 0.877 HA + 79 kg/m3 (Schileo 2008)"),
+    "K2HPO4": (
+        1.06,
+        38.9,
+        0.1,
+        "ash = 1.06 K2HPO4 + 38.9 kg/m3 (Keyak 1994; slopes of 0.9 to 1.22 are in use)",
+    ),
+}
+"""Conversion from a phantom's equivalent density to ash density.
+
+Each entry holds slope, offset [kg/m3], the relative standard deviation of apparent density, and its
+source. 1.22 K2HPO4 + 52.3 is from Les 1994 (table 1 of Knowles 2016). The factor 0.9 follows from
+the line of Dragomir-Daescu 2011. The 3 % for HA is the uncertainty of ICRU 44's calcium, see
+`meshes.ct.calibration`.
+"""
+
+
+def line_law(slope: float, offset: float, equivalent: str = "apparent") -> DensityLaw:
+    """Return the law of a line from Hounsfield units to a phantom's equivalent density.
+
+    Parameters
+    ----------
+    slope, offset
+        Density per Hounsfield unit and at 0 [kg/m3, which is mg/cm3].
+    equivalent
+        Substance of the density: ``K2HPO4`` or ``HA`` in water, ``ash``, or ``apparent``.
+
+    Raises
+    ------
+    InputError
+        If the slope is not positive, or the equivalent is unknown.
+    """
+    require_range("slope", slope, 0.05, 20.0, "use kg/m3 per Hounsfield unit, about 0.8 to 1.5")
+    require_range("offset", offset, -2000.0, 2000.0, "use kg/m3 at 0 Hounsfield units, -20 to 110")
+    kind = {name.lower(): name for name in _TO_ASH}.get(equivalent.lower())
+    if kind is None:
+        raise InputError(
+            "equivalent", f"be one of {', '.join(_TO_ASH)}", f"{equivalent!r}", "choose one"
+        )
+    ash_slope, ash_offset, relative_sd, source = _TO_ASH[kind]
+    if kind != "apparent":
+        source = f"{source}, ash over apparent {ASH_SHARE} +- {ASH_SHARE_SD} (Schileo)"
+    return DensityLaw(
+        ash_slope / ASH_SHARE * slope,
+        (ash_slope * offset + ash_offset) / ASH_SHARE,
+        name=f"line:{slope:g},{offset:g},{kind}",
+        source=source,
+        relative_sd=relative_sd,
+    )

@@ -7,9 +7,8 @@ values.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.arrays import Array, Flags, Ints
+from meshes.base.arrays import Array, Flags, Ints, Numbers
 from meshes.base.errors import InputError, by, in_brackets
 from meshes.images.frame import Image
 
@@ -174,7 +173,7 @@ class Inspection:
         return found
 
 
-def histogram_of(values: NDArray[np.number]) -> Histogram:
+def histogram_of(values: Numbers) -> Histogram:
     """Count the values, rounded to whole ones."""
     if np.issubdtype(values.dtype, np.integer):
         low = max(int(values.min()), _LOWEST)
@@ -217,7 +216,7 @@ def inspect(image: Image) -> Inspection:
     )
 
 
-def _noise(values: NDArray[np.number]) -> float | None:
+def _noise(values: Numbers) -> float | None:
     """Estimate the standard deviation of soft tissue between neighbours in a slice.
 
     The estimate is robust against edges.

@@ -19,8 +19,8 @@ from meshes.base.errors import InputError, by, is_folder, require_file
 from meshes.base.text_tables import read_toml
 from meshes.images.data import first_bytes
 from meshes.images.frame import Image
-from meshes.images.itk import header_lines
 from meshes.images.reading import read_image
+from meshes.images.text_headers import header_lines
 
 __all__ = ["Labels", "header_names", "label_sets", "on_grid_of", "read_labels"]
 
@@ -139,9 +139,7 @@ def read_labels(
             f"add them to {names}",
         )
     known = {number: stated.get(number, f"label {number}") for number in held}
-    return Labels(
-        replace(image, values=values, notes=(*image.notes, *_shared(known, image.source))), known
-    )
+    return Labels(replace(image, values=values), known)
 
 
 def on_grid_of(labels: Labels, image: Image) -> Labels:
@@ -239,22 +237,7 @@ def _of_masks(folder: Path) -> Labels:
             f"empty masks only in {folder.name}",
             "export the segmentation",
         )
-    return Labels(replace(whole, notes=(*notes, *_shared(names, folder.name))), names)
-
-
-def _shared(names: Mapping[int, str], source: str) -> list[str]:
-    """Return a note on each name that several labels have."""
-    numbers: dict[str, list[int]] = {}
-    for number, name in names.items():
-        numbers.setdefault(name, []).append(number)
-    return [
-        (
-            f"{source} has {len(each)} labels named {name} ({', '.join(map(str, each))}): they "
-            "are taken as one."
-        )
-        for name, each in numbers.items()
-        if len(each) > 1
-    ]
+    return Labels(replace(whole, notes=tuple(notes)), names)
 
 
 def _whole(image: Image) -> NDArray[np.integer]:
@@ -291,29 +274,18 @@ def _given(names: str | Path) -> dict[int, str]:
             "names", "be readable TOML", f"{file.name} which is not", str(problem)
         ) from problem
     labels = table.get("labels")
-    if set(table) != {"labels"} or not isinstance(labels, dict) or not labels:
+    if not isinstance(labels, dict):
+        labels = {}
+    numbers = list(labels.values())
+    whole = all(type(number) is int and 1 <= number <= _MOST_LABELS for number in numbers)
+    if set(table) != {"labels"} or not whole or not 0 < len(numbers) == len(set(numbers)):
         raise InputError(
             "names",
-            "be in one table [labels]",
-            f"{', '.join(table) or 'nothing'} in {file.name}",
+            f"be in one table [labels], each with a number of its own from 1 to {_MOST_LABELS}",
+            f"{numbers or ', '.join(table) or 'nothing'} in {file.name}",
             "write [labels] with a line such as cortical = 1",
         )
-    names_by_number: dict[int, str] = {}
-    for name, number in labels.items():
-        if (
-            not isinstance(number, int)
-            or isinstance(number, bool)
-            or not 1 <= number <= _MOST_LABELS
-        ):
-            raise InputError(
-                name, f"be a label from 1 to {_MOST_LABELS}", f"{number} in {file.name}", "fix it"
-            )
-        other = names_by_number.setdefault(number, name)
-        if other != name:
-            raise InputError(
-                f"{name} must have a label of its own, got {number} of {other} too in {file.name}"
-            )
-    return names_by_number
+    return {number: name for name, number in labels.items()}
 
 
 def header_names(path: Path) -> dict[int, str]:

@@ -4,16 +4,17 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
+from meshes.base.arrays import Array, Ints, Numbers, Singles
 from meshes.base.errors import InputError, require_positive, require_range
 from meshes.base.placement import Placement
 from meshes.images.frame import Image
 from meshes.voxels.volume import FULL, VoxelVolume
 
-__all__ = ["image_volume"]
+__all__ = ["image_cuts", "image_triangles", "image_volume", "spread_labels"]
 
-Density = Callable[[NDArray[np.number]], NDArray[np.float32]]
+Density = Callable[[Numbers], Singles]
 """Density [kg/m3] of grey values, same shape, such as a `meshes.ct.density.DensityLaw`."""
 
 _ISOTROPY = 1e-3
@@ -111,9 +112,7 @@ def _require_size(
         )
 
 
-def _refined(
-    values: NDArray[np.number], from_mm: tuple[float, float, float], to_mm: float
-) -> NDArray[np.number]:
+def _refined(values: Numbers, from_mm: tuple[float, float, float], to_mm: float) -> Numbers:
     """Interpolate linearly to `to_mm` along the axes with coarser spacing; keep the other axes."""
     for axis, size in enumerate(from_mm):
         if size <= (1.0 + _ISOTROPY) * to_mm:
@@ -131,7 +130,7 @@ def _refined(
     return values
 
 
-def _averaged(values: NDArray[np.float32], axis: int, ratio: float) -> NDArray[np.float32]:
+def _averaged(values: Singles, axis: int, ratio: float) -> Singles:
     """Average runs of `ratio` > 1 voxels along an axis; parts of voxels count as parts.
 
     A remainder is dropped.
@@ -154,3 +153,72 @@ def _averaged(values: NDArray[np.float32], axis: int, ratio: float) -> NDArray[n
     below = np.take(running, low, axis=axis)
     above = np.take(running, low + 1, axis=axis)
     return (np.diff(below + (above - below) * part, axis=axis) / ratio).astype(np.float32)
+
+
+def image_triangles(image: Image, *, threshold: float) -> tuple[Array, Ints]:
+    """Return vertices [mm] and triangles around the region above a grey value.
+
+    They have the shapes (n, 3) and (m, 3).
+
+    Raises
+    ------
+    InputError
+        If no voxel lies above the threshold.
+    """
+    from skimage.measure import marching_cubes
+
+    values = image.values.astype(np.float32)
+    if not values.max() > threshold:
+        raise InputError(
+            "anatomy.threshold",
+            "leave bone",
+            f"{threshold:g} where {image.source} holds {values.min():g} to {values.max():g}",
+            "use a value between",
+        )
+    outside = min(float(values.min()), 2.0 * threshold - float(values.max()))
+    padded = np.pad(values, 1, constant_values=outside)
+    vertices, faces, _, _ = marching_cubes(padded, threshold, spacing=image.spacing_mm)
+    return vertices - np.asarray(image.spacing_mm) + np.asarray(image.origin_mm), faces[
+        :, ::-1
+    ].astype(np.int64)
+
+
+def image_cuts(image: Image, *, threshold: float) -> tuple[Array, ...]:
+    """Return points on each face where the edge of an image cuts off the region above a grey value.
+
+    The points are in m, shape (k, 3).
+    """
+    from scipy.ndimage import find_objects, label
+
+    cuts = []
+    for axis in range(3):
+        for end in (0, image.values.shape[axis] - 1):
+            pieces, _ = label(np.take(image.values, end, axis=axis) > threshold)
+            for number, box in enumerate(find_objects(pieces), start=1):
+                first = [each.start for each in box]
+                index = np.insert(np.argwhere(pieces[box] == number) + first, axis, end, axis=1)
+                cuts.append(
+                    1e-3 * (index * np.asarray(image.spacing_mm) + np.asarray(image.origin_mm))
+                )
+    return tuple(cuts)
+
+
+def spread_labels(values: Singles, deviation_voxels: ArrayLike) -> Singles:
+    """Spread values, 1 inside and 0 outside, by the kernel; they are 0 outside the array.
+
+    Parameters
+    ----------
+    values
+        Shape (nx, ny, nz).
+    deviation_voxels
+        Standard deviation along each axis [voxel], one number or shape (3,).
+    """
+    from scipy.ndimage import correlate1d, gaussian_filter
+
+    deviations = np.broadcast_to(np.asarray(deviation_voxels, dtype=np.float64), (3,))
+    smooth = gaussian_filter(values, deviations, mode="constant")
+    result = smooth.copy()
+    for axis, deviation in enumerate(deviations):
+        second = np.array([1.0, -2.0, 1.0]) * deviation**2
+        result -= correlate1d(smooth, second, axis=axis, mode="constant")
+    return np.asarray(result, dtype=np.float32)

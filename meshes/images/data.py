@@ -5,12 +5,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Floats, Numbers
 from meshes.base.errors import InputError, by
 from meshes.base.file_limits import require_memory, require_regular
 
-__all__ = ["first_bytes", "is_gzip", "read_voxels", "require_size", "require_stated", "scaled"]
+__all__ = ["first_bytes", "is_gzip", "read_voxels", "scaled"]
 
 _GZIP = b"\x1f\x8b"
 _ZLIB_OR_GZIP = 47
@@ -40,7 +40,7 @@ def read_voxels(
     start: int = 0,
     skip: int = 0,
     compressed: bool,
-) -> NDArray[np.number]:
+) -> Numbers:
     """Read a file to its end as an array, first index fastest.
 
     Parameters
@@ -56,11 +56,16 @@ def read_voxels(
         If it holds fewer or more bytes than the array, or is damaged.
     """
     needed = dtype.itemsize * int(np.prod(shape, dtype=object))
-    require_stated(path, needed, by(shape), compressed=compressed)
+    require_regular(path)
+    if needed > (_DENSEST if compressed else 1) * path.stat().st_size:
+        raise _sizes_differ(path, needed, f"a file of {path.stat().st_size}")
+    require_memory(needed, path.name, f"{by(shape)} voxels")
     stored = np.empty(needed, dtype=np.uint8)
     at = 0
     for piece in _plain(path, start, compressed):
-        piece, skip = piece[skip:], max(skip - len(piece), 0)
+        skipped = min(skip, len(piece))
+        skip -= skipped
+        piece = piece[skipped:]
         if at + len(piece) > needed:
             raise _sizes_differ(path, needed, "more")
         stored[at : at + len(piece)] = np.frombuffer(piece, dtype=np.uint8)
@@ -70,48 +75,7 @@ def read_voxels(
     return stored.view(dtype).reshape(shape, order="F").astype(dtype.newbyteorder("="), copy=False)
 
 
-def require_stated(path: Path, needed: int, shape: str, *, compressed: bool) -> None:
-    """Refuse a header that states too many bytes of voxels.
-
-    They may exceed neither the content of the data file nor the memory limit.
-
-    Parameters
-    ----------
-    path
-        File that holds the voxels.
-    needed
-        Bytes of the voxels by the header.
-    shape
-        Voxels along the axes, for the message.
-    compressed
-        Whether the voxels are zlib or gzip.
-
-    Raises
-    ------
-    InputError
-        If the header states too many bytes, or the path leads to no regular file.
-    """
-    require_regular(path)
-    if needed > (_DENSEST if compressed else 1) * path.stat().st_size:
-        raise _sizes_differ(path, needed, f"a file of {path.stat().st_size}")
-    require_memory(needed, path.name, f"{shape} voxels")
-
-
-def require_size(path: Path, start: int, needed: int, *, compressed: bool) -> None:
-    """Refuse a file whose data from byte `start` are not `needed` bytes.
-
-    The data are zlib or gzip if `compressed`.
-    """
-    found = 0 if compressed else max(path.stat().st_size - start, 0)
-    for piece in _plain(path, start, True) if compressed else ():
-        found += len(piece)
-        if found > needed:
-            raise _sizes_differ(path, needed, "more")
-    if found != needed:
-        raise _sizes_differ(path, needed, str(found))
-
-
-def scaled(values: NDArray[np.number], slope: float, intercept: float) -> NDArray[np.number]:
+def scaled(values: Numbers, slope: float, intercept: float) -> Numbers:
     """Return values times slope plus intercept, in float32 or float64.
 
     The values are returned unchanged if slope and intercept have no effect.
@@ -119,7 +83,7 @@ def scaled(values: NDArray[np.number], slope: float, intercept: float) -> NDArra
     if (slope, intercept) == (1.0, 0.0):
         return values
     kind = np.float32 if values.dtype.itemsize <= 2 or values.dtype == np.float32 else np.float64
-    found: NDArray[np.floating] = values.astype(kind)
+    found: Floats = values.astype(kind)
     found *= kind(slope)
     found += kind(intercept)
     return found

@@ -14,6 +14,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Flags, Numbers, Singles
 from meshes.base.errors import InputError, by, in_brackets
 
 __all__ = ["Image", "StoredImage", "along_lps", "box_of", "part_of"]
@@ -51,7 +52,7 @@ class Image:
         Centre of voxel (0, 0, 0) [mm, LPS].
     """
 
-    values: NDArray[np.number]
+    values: Numbers
     spacing_mm: tuple[float, float, float]
     source: str
     notes: tuple[str, ...]
@@ -80,10 +81,10 @@ class StoredImage:
         Assumptions, a sentence each.
     """
 
-    values: NDArray[np.number]
+    values: Numbers
     spacing_mm: tuple[float, float, float]
-    directions: NDArray[np.float64]
-    origin_mm: NDArray[np.float64]
+    directions: Array
+    origin_mm: Array
     notes: tuple[str, ...] = ()
 
 
@@ -113,7 +114,7 @@ def along_lps(stored: StoredImage, source: str, *, labels: bool = False) -> Imag
     return Image(values, _triple(np.abs(steps)), source, stored.notes, _triple(origin))
 
 
-def _nearest_axes(directions: NDArray[np.float64]) -> tuple[int, ...]:
+def _nearest_axes(directions: Array) -> tuple[int, ...]:
     """Return for each axis of LPS the array's nearest axis, each axis once."""
     return max(
         permutations(range(3)),
@@ -157,11 +158,11 @@ def _resampled(stored: StoredImage, source: str, labels: bool) -> Image:
 
 
 def _interpolated(
-    values: NDArray[np.float32],
-    matrix: NDArray[np.float64],
-    offset: NDArray[np.float64],
+    values: Singles,
+    matrix: Array,
+    offset: Array,
     shape: tuple[int, ...],
-) -> NDArray[np.float32]:
+) -> Singles:
     """Interpolate grey values at the points `matrix @ index + offset` by cubic splines.
 
     Linear interpolation lowers the peaks that are thin bone: of a CT's bone surface 2 % are then
@@ -187,8 +188,8 @@ def _interpolated(
 
 def _sampled(
     values: NDArray[Kind],
-    matrix: NDArray[np.float64],
-    offset: NDArray[np.float64],
+    matrix: Array,
+    offset: Array,
     shape: tuple[int, ...],
     *,
     order: int,
@@ -248,12 +249,12 @@ def _require_frame(stored: StoredImage, source: str) -> None:
         )
 
 
-def _triple(numbers: NDArray[np.float64]) -> tuple[float, float, float]:
+def _triple(numbers: Array) -> tuple[float, float, float]:
     x, y, z = (float(number) + 0.0 for number in numbers)  # no minus before a zero
     return x, y, z
 
 
-def box_of(mask: NDArray[np.bool_], margin: int = 0) -> tuple[slice, ...]:
+def box_of(mask: Flags, margin: int = 0) -> tuple[slice, ...]:
     """Return slices around a nonempty mask, with a margin of voxels as far as there are any."""
     found = []
     for axis, count in enumerate(mask.shape):

@@ -4,14 +4,13 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from math import prod
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Numbers
 from meshes.base.errors import InputError, by, is_folder, require_file
 from meshes.base.file_limits import require_memory
 from meshes.images.frame import StoredImage
@@ -50,11 +49,6 @@ class _Planes:
     bits: int
     dtype: np.dtype[Any]
     reduced: int
-
-    @property
-    def nbytes(self) -> int:
-        """Size of the decoded planes [byte]."""
-        return prod(self.shape) * self.dtype.itemsize
 
 
 def tiff_slices(path: Path) -> list[Path]:
@@ -124,11 +118,8 @@ def read_tiff_slices(
                 f"{by(other.shape[:0:-1])} in {file.name} after {by(first.shape[:0:-1])}",
                 "keep other images out of the folder",
             )
-        if (other.photometric, other.bits, other.dtype) != (
-            first.photometric,
-            first.bits,
-            first.dtype,
-        ):
+        kinds = {(each.photometric, each.bits, each.dtype) for each in (other, first)}
+        if len(kinds) > 1:
             raise InputError(
                 "slices",
                 "all have the same type of values",
@@ -137,12 +128,10 @@ def read_tiff_slices(
             )
     count = sum(other.shape[0] for other in planes)
     where = files[0].name if len(files) == 1 else files[0].parent.name
-    require_memory(
-        sum(other.nbytes for other in planes), where, f"{by((*first.shape[:0:-1], count))} voxels"
-    )
-    values = np.concatenate(
-        [_decoded(file, each) for file, each in zip(files, planes, strict=True)], axis=2
-    )
+    needed = count * prod(first.shape[1:]) * first.dtype.itemsize
+    require_memory(needed, where, f"{by((*first.shape[:0:-1], count))} voxels")
+    decoded = [_decoded(file, each) for file, each in zip(files, planes, strict=True)]
+    values = np.concatenate(decoded, axis=2)
     notes = []
     if sum(other.reduced for other in planes):
         notes.append(f"Reduced pictures (thumbnails) in the TIFF files of {where} are left out.")
@@ -182,32 +171,23 @@ def _require_numbered(files: Sequence[Path], path: Path) -> None:
             f"{other.name} among names such as {files[texts.index(usual)].name} in {path.name}",
             "move it out of the folder, or give a pattern that leaves it out",
         )
-    numbers = np.array(
-        [[int(part) for part in re.findall(r"\d+", file.stem)] for file in files], dtype=object
-    )
-    varying = [k for k in range(numbers.shape[1]) if len(set(numbers[:, k])) > 1]
+    numbers = np.array([re.findall(r"\d+", file.stem) for file in files]).astype(object)
+    varying = [
+        column for column in numbers.T if len({int(number) for number in column.tolist()}) > 1
+    ]
     if len(varying) > 1:
         return  # it is unknown which of the numbers counts the slices
-    if not varying:
+    steps = np.diff([int(number) for number in varying[0]]) if varying else np.zeros(1, np.int64)
+    if not steps.all():
         raise InputError(
             "slices",
             "have numbers that differ",
-            f"{files[1].name} twice in {path.name}",
-            "rename one",
-        )
-    counted = numbers[:, varying[0]].tolist()
-    steps = [after - before for before, after in pairwise(counted)]
-    if 0 in steps:
-        twice = files[steps.index(0) + 1].name
-        raise InputError(
-            "slices",
-            "have numbers that differ",
-            f"that of {twice} twice in {path.name}",
+            f"that of {files[int(np.argmin(steps)) + 1].name} twice in {path.name}",
             "remove one",
         )
-    wide = next((k for k, step in enumerate(steps) if step != min(steps)), None)
-    if wide is not None:
-        missing = sum(steps) // min(steps) - len(steps)
+    wide = int(np.argmax(steps))
+    if steps[wide] > steps.min():
+        missing = int(steps.sum() // steps.min()) - len(steps)
         raise InputError(
             "slice numbers",
             "follow each other",
@@ -269,7 +249,7 @@ def _planes(file: Path) -> _Planes:
     return _Planes((count, rows, columns), photometric, bits, dtype, reduced)
 
 
-def _decoded(file: Path, planes: _Planes) -> NDArray[np.number]:
+def _decoded(file: Path, planes: _Planes) -> Numbers:
     """Return the values of a file, shape (columns, rows, planes)."""
     from skimage.io import imread
 
@@ -280,7 +260,7 @@ def _decoded(file: Path, planes: _Planes) -> NDArray[np.number]:
     return values.astype(np.uint8 if values.dtype == bool else values.dtype, copy=False).T
 
 
-def _inverted(values: NDArray[np.number], bits: int, source: str) -> NDArray[np.number]:
+def _inverted(values: Numbers, bits: int, source: str) -> Numbers:
     """Invert values whose lowest value is white, so that white is the highest."""
     if values.dtype.kind != "u":
         raise InputError(

@@ -4,31 +4,30 @@ The voxels are made by sub-samples, or by interpolated shares.
 
 `resampled` counts the labels at sub-samples of each voxel, quickly over a whole tooth.
 `LabelShares` is one function of the file, independent of the grid that samples it. Each layer's
-voxels are spread by the kernel of `meshes.images.label_spread` with a standard deviation of 1.5
+voxels are spread by the kernel of `meshes.images.bone_image` with a standard deviation of 1.5
 voxels, and interpolated. Labels of planes and balls give their surface back to 0.08 voxels rms,
 without bias. A layer of two voxels becomes a fifth of a voxel thicker on either side.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from functools import cached_property
-from itertools import product
-from math import ceil
-
+from __future__ import (annotations)
+from collections.abc import (Callable, Sequence)
+from concurrent.futures import (ThreadPoolExecutor)
+from dataclasses import (dataclass)
+from functools import (cached_property)
+from itertools import (product)
+from math import (ceil)
+from meshes.base.arrays import (Array, Bytes, Floats, Singles, lattice)
+from meshes.base.errors import (InputError)
+from meshes.base.placement import (Placement)
+from meshes.images.bone_image import (spread_labels)
+from meshes.tooth.layers import (EMPTY, LAYER_DENSITY_KG_M3, PRIORITY, TOOTH_LAYERS)
+from meshes.voxels.distances import (cube_fraction)
+from meshes.voxels.volume import (FULL, Grid, VoxelVolume)
 import numpy as np
 
-from meshes.base.arrays import Array, Bytes, Floats, Singles, lattice
-from meshes.base.errors import InputError
-from meshes.base.placement import Placement
-from meshes.images.label_spread import spread_labels
-from meshes.tooth.layers import EMPTY, LAYER_DENSITY_KG_M3, PRIORITY, TOOTH_LAYERS
-from meshes.voxels.distances import cube_fraction
-from meshes.voxels.volume import FULL, Grid, VoxelVolume
+__all__ = ["LabelShares", "MOST_SAMPLES", "PlacedLabels", "REACH", "resampled"]
 
-__all__ = ["MOST_SAMPLES", "REACH", "LabelShares", "PlacedLabels", "resampled"]
+
 
 MOST_SAMPLES = 6
 """Sub-samples along the edge of a voxel, at most: the 216 of a voxel still fit a byte."""

@@ -36,10 +36,9 @@ import numpy as np  # noqa: E402
 from scipy.signal import lfilter  # noqa: E402
 
 from tissue.fitting.cutting import CuttingForward, cutting_forward  # noqa: E402
-from tissue.fitting.forward import Parameter  # noqa: E402
 from tissue.fitting.identifiability import identified  # noqa: E402
-from tissue.fitting.measured import block_averages  # noqa: E402
 from tissue.fitting.posterior import maximum_posterior  # noqa: E402
+from tissue.fitting.problem import Parameter, block_averages  # noqa: E402
 from tissue.fitting.target import OFFSET_S  # noqa: E402
 from tissue.scene.load import load_scene  # noqa: E402
 

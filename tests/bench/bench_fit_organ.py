@@ -26,15 +26,15 @@ import numpy as np  # noqa: E402
 from scipy.signal import lfilter  # noqa: E402
 
 from meshes.base.progress import silent  # noqa: E402
-from tissue.fitting.cutting import CHANNELS  # noqa: E402
 from tissue.fitting.identifiability import identified  # noqa: E402
-from tissue.fitting.measured import block_averages, block_ticks  # noqa: E402
+from tissue.fitting.log_files import CHANNELS  # noqa: E402
 from tissue.fitting.organ_problem import EVERY, SETTLED, settled  # noqa: E402
 from tissue.fitting.organ_runs import (  # noqa: E402
     OrganRuns,
     Poses,
     organ_parameters,
 )
+from tissue.fitting.problem import block_averages, block_ticks  # noqa: E402
 from tissue.fitting.target import OFFSET_S  # noqa: E402
 from tissue.models.tissue_model import TICK_S  # noqa: E402
 from tissue.scene.load import load_scene  # noqa: E402

@@ -136,11 +136,11 @@ BAD = {
     ),
     "nifti sform against pixdim": (
         lambda f: nifti(f, pixdim=(1, 1.6, 0.5, 2)),
-        "pixdim and sform must state the same",
+        "pixdim and sform in the header must state",
     ),
     "nifti sform nan": (
         lambda f: nifti(f, sform=np.full((3, 4), np.nan)),
-        "pixdim and sform must state the same",
+        "pixdim and sform in the header must state",
     ),
     "nifti slope infinite": (
         lambda f: nifti(f, slope=np.inf),
@@ -156,11 +156,11 @@ BAD = {
     ),
     "nifti 4-D": (
         lambda f: nifti(f, dim=(4, 7, 5, 2, 2)),
-        "one image of three axes, got 7 x 5 x 2 x 2",
+        "count three axes.*got 7 x 5 x 2 x 2",
     ),
     "nifti 2-D": (
         lambda f: nifti(f, dim=(2, 35, 4)),
-        "dim in the header must count three or more axes",
+        "dim in the header must count three axes",
     ),
     "nifti colours": (lambda f: nifti(f, datatype=128, bitpix=24), "one real number per voxel"),
     "nifti complex": (lambda f: nifti(f, datatype=32, bitpix=64), "one real number per voxel"),
@@ -172,7 +172,7 @@ BAD = {
     "bit of a gzip": (lambda f: flipped_bit(f, "nii.gz"), "compressed data are damaged"),
     # NRRD
     "nrrd cut": (lambda f: nrrd(f, left=0.7), "must hold the 280 bytes"),
-    "nrrd cut in its header": (lambda f: nrrd(f, left=0.2), "file must "),
+    "nrrd cut in its header": (lambda f: nrrd(f, left=0.2), " must "),
     "nrrd gzip cut": (lambda f: nrrd(f, encoding="gzip", left=0.9), "damaged or cut off"),
     "nrrd larger than its data": (
         lambda f: nrrd(f, sizes="70 50 40"),

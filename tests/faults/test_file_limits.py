@@ -140,8 +140,6 @@ def dicom(path):
 CLAIMS = {
     "a.nrrd": ("image", lambda p: nrrd(p, sizes="4000 4000 600")),
     "b.nrrd": ("image", lambda p: nrrd(p, sizes="4000 4000 600", encoding="gzip")),
-    "c.nrrd": ("image", lambda p: nrrd(p, sizes="4000 4000 600", encoding="hex")),
-    "d.nrrd": ("image", lambda p: nrrd(p, sizes="4000 4000 600", encoding="ascii")),
     "e.nhdr": ("image", lambda p: nrrd(p, sizes="4000 4000 600", data_file="e.raw")),
     "f.nhdr": ("image", lambda p: nrrd(p, sizes="4000 4000 600", data_file="f.raw 1 1 1")),
     "g.nii": ("image", lambda p: write.write_nifti(p, FEW, AXES, ORIGIN, dim=(3, 4000, 4000, 600))),
@@ -321,16 +319,11 @@ def test_the_voxels_of_a_metaimage_lie_in_a_regular_file(tmp_path, reading, name
     assert reading.read("image", tmp_path / "image.mhd")[0] == "refused"
 
 
-@pytest.mark.parametrize(
-    "name", ["voxels.raw", "voxels%d.raw 0 1 1 2", "LIST\nvoxels0.raw\nvoxels1.raw"]
-)
-def test_voxels_in_files_of_their_own_are_read(tmp_path, reading, name):
+def test_voxels_in_a_file_of_their_own_are_read(tmp_path):
     values = np.arange(24, dtype=np.int16).reshape(4, 3, 2)
-    data = values.tobytes(order="F")
-    (tmp_path / "voxels.raw").write_bytes(data)
-    for k in range(2):
-        (tmp_path / f"voxels{k}.raw").write_bytes(data[24 * k : 24 * (k + 1)])
-    (tmp_path / "image.nhdr").write_text(write.nrrd_header(values, AXES, ORIGIN, data_file=name))
+    (tmp_path / "voxels.raw").write_bytes(values.tobytes(order="F"))
+    header = write.nrrd_header(values, AXES, ORIGIN, data_file="voxels.raw")
+    (tmp_path / "image.nhdr").write_text(header)
     from meshes.images.reading import read_image
 
     assert np.array_equal(read_image(tmp_path / "image.nhdr").values, values)

@@ -7,13 +7,16 @@ its surroundings.
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from meshes.base.arrays import lattice
 from meshes.base.errors import InputError, names_of_caller
 from meshes.base.progress import Progress
-from meshes.ct.density import CT_DENSITY, DensityLaw
+from meshes.ct.calibration import density_law
+from meshes.ct.density import CT_DENSITY, DENSITY_LAWS, DensityLaw
 from meshes.ct.extraction import BoneOfImage, by_label, by_threshold, cropped
 from meshes.ct.inspection import (
     Histogram,
@@ -24,9 +27,9 @@ from meshes.ct.inspection import (
     suggest_threshold,
 )
 from meshes.ct.labels import Labels, on_grid_of
-from meshes.ct.laws import DENSITY_LAWS, density_law
 from meshes.images.frame import Image
 from meshes.surfaces.surface import Surface, surface_from_triangles
+from meshes.voxels.mesh_sampling import triangle_distance
 from tissue.ct.draft import (
     Draft,
     Writer,
@@ -36,18 +39,20 @@ from tissue.ct.draft import (
     write_labels,
     write_surface,
 )
-from tissue.ct.pictures import BonePictures
-from tissue.ct.placing import Placed, import_path, kept_clear, placed
-from tissue.ct.request import ImportRequest
+from tissue.ct.request import ImportedPath, ImportRequest, Placed, import_path, kept_clear, placed
 from tissue.scene.load import load_scene
 from tissue.scene.tool import Tool
+from tissue.show.figures.ct_pictures import (
+    draw_ct_bone,
+    draw_ct_histogram,
+    draw_ct_slices,
+    draw_path_depth,
+)
 
 __all__ = ["bone_draft"]
 
 _SIDE_MM = (1.0, 1000.0)
 """Longest side of a bone."""
-_KEPT = 0.01
-"""Relative difference of volume up to which a label's volume counts as kept."""
 SHOWN_MM = 15.0
 """Width of the surroundings of a bone in pictures."""
 USUAL = {
@@ -64,7 +69,7 @@ PLUNGE: Mapping[str, Mapping[str, object]] = {
 }
 """Default at other sites: a ball burr moves 2 mm into the bone along the normal."""
 HOLE = ("guide_hole_diameter_mm", "guide_hole_depth_mm")
-HEAD = ("duration_s", "device", "hand", "renderer", "prediction", "perception", "seed")
+HEAD = ("duration_s", "seed")
 TABLES = ("voxels", "tool", "motion", "cutting", "output", "device", "fidelity")
 REMARKS = {
     "file": "mm, in the frame of the image (LPS)",
@@ -119,17 +124,10 @@ def bone_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
     at, sentence = placed(request, surface)
     sentences += [sentence, *kept]
     path = import_path(request, at, surface)
-    pictures = BonePictures(source.inspection.source, bone, surface, clear, at, path)
     if path is not None:
         sentences.append(path.sentence)
         files["path.csv"] = path.table.write
-    files["slices.png"] = partial(pictures.draw_slices, _around(source.image, surface))
-    files["histogram.png"] = partial(
-        pictures.draw_histogram, source.histogram, threshold, source.law
-    )
-    files["bone.png"] = partial(pictures.draw_bone, density)
-    if path is not None:
-        files["path.png"] = pictures.draw_path
+    files |= _pictures(source, bone, surface, clear, (at, path), (threshold, density))
     scene = _scene_text(
         {"name": name, "description": f"{request.region or 'bone'} of {source.inspection.source}"},
         tables | {"scale_mm": 1.0},
@@ -211,20 +209,12 @@ def _bone(request: ImportRequest, source: _Source) -> tuple[BoneOfImage, float |
         note = bone_label_note(source.image, mask, request.region)
         sentences += [note] if note else []
     bone = by_label(source.image, mask)
-    sentences.append(f"bone: label {request.region}, its steps smoothed{_kept_volume(bone)}")
-    return bone, None, sentences
-
-
-def _kept_volume(bone: BoneOfImage) -> str:
-    """Describe the difference between the volume within the surface and the volume of the label."""
-    change = bone.volume_mm3 / bone.label_mm3 - 1.0
-    if abs(change) <= _KEPT:
-        return f" and its volume of {1e-3 * bone.label_mm3:.4g} ml kept to {_KEPT:.0%}"
-    more = "more" if change > 0.0 else "less"
-    return (
-        f"; the surface encloses {abs(change):.1%} {more} than the label's volume of "
-        f"{1e-3 * bone.label_mm3:.4g} ml"
+    sentences.append(
+        f"bone: label {request.region}, its steps smoothed; volume "
+        f"{bone.volume_mm3 / bone.label_mm3 - 1.0:+.1%} against {1e-3 * bone.label_mm3:.4g} ml of "
+        "the label"
     )
+    return bone, None, sentences
 
 
 def _surface(bone: BoneOfImage, source: str) -> Surface:
@@ -240,13 +230,6 @@ def _surface(bone: BoneOfImage, source: str) -> Surface:
         )
     surface = surface_from_triangles(vertices, faces, source="bone.ply", scale_mm=1.0, cut_off=True)
     return replace(surface, caps_m=surface.caps_m + bone.cuts)
-
-
-def _around(image: Image, surface: Surface) -> Image:
-    """Return the part of an image around a surface."""
-    low = 1e3 * surface.vertices_m.min(axis=0) - SHOWN_MM
-    high = 1e3 * surface.vertices_m.max(axis=0) + SHOWN_MM
-    return cropped(image, (tuple(low.tolist()), tuple(high.tolist())))
 
 
 def _certainty(bone: BoneOfImage, density: Image, law: DensityLaw) -> str:
@@ -336,3 +319,91 @@ def _record(source: _Source, at: Placed | None) -> dict[str, Any]:
         "density_law": None if source.law is None else source.law.as_dict(),
         "site": site,
     }
+
+
+def _pictures(
+    source: _Source,
+    bone: BoneOfImage,
+    surface: Surface,
+    clear: Mapping[str, Surface],
+    work: tuple[Placed | None, ImportedPath | None],
+    found: tuple[float | None, Image | None],
+) -> dict[str, Writer]:
+    """Return the writers of the pictures of a bone with its site, its path and its surroundings.
+
+    `work` holds the site and the path, `found` the threshold and the density of the bone.
+    """
+    at, path = work
+    threshold, density = found
+    title = source.inspection.source
+    low_mm = 1e3 * surface.vertices_m.min(axis=0)
+    high_mm = 1e3 * surface.vertices_m.max(axis=0)
+    normal = None if at is None else at.site.rotation[:, 2]
+    points_mm = None if path is None else path.depth.points_mm
+    centre_mm = None if at is None else 1e3 * at.site.centre_m
+    low = tuple((low_mm - SHOWN_MM).tolist())
+    high = tuple((high_mm + SHOWN_MM).tolist())
+    around = cropped(source.image, (low, high))
+
+    def slices(file: Path) -> None:
+        depth = replace(bone.image, values=bone.field - np.float32(bone.level))
+        draw_ct_slices(
+            around,
+            file,
+            body=("bone", depth),
+            others={
+                f"{name}, to keep clear of": _depth(structure, bone.image)
+                for name, structure in clear.items()
+            },
+            centre_mm=0.5 * (low_mm + high_mm) if centre_mm is None else centre_mm,
+            normal=normal,
+            points_mm=points_mm,
+            title=title,
+        )
+
+    def histogram(file: Path) -> None:
+        law = source.law
+        draw_ct_histogram(
+            source.histogram.values,
+            source.histogram.counts,
+            bone.image.values[bone.field > bone.level],
+            file,
+            threshold=threshold,
+            density=None if law is None else (law.slope_kg_m3, law.offset_kg_m3),
+            title=title,
+        )
+
+    pictures: dict[str, Writer] = {
+        "slices.png": slices,
+        "histogram.png": histogram,
+        "bone.png": lambda file: draw_ct_bone(
+            surface,
+            file,
+            density=density,
+            centre_mm=centre_mm,
+            normal=normal,
+            points_mm=points_mm,
+            title=title,
+        ),
+    }
+    if path is not None and normal is not None:
+        pictures["path.png"] = lambda file: draw_path_depth(
+            surface, path.depth, file, normal=normal, title=surface.report.source
+        )
+    return pictures
+
+
+def _depth(surface: Surface, image: Image) -> Image:
+    """Return the depth of an image's voxels within a surface [m], negative outside."""
+    axes = [
+        o + s * np.arange(n)
+        for o, s, n in zip(image.origin_mm, image.spacing_mm, image.values.shape, strict=True)
+    ]
+    grid = lattice(*axes)
+    low = 1e3 * surface.vertices_m.min(axis=0)
+    high = 1e3 * surface.vertices_m.max(axis=0)
+    around = 2.0 * max(image.spacing_mm)
+    near = ((grid > low - around) & (grid < high + around)).all(axis=1)
+    depth = np.full(len(grid), -1.0, dtype=np.float32)
+    depth[near] = -triangle_distance(surface.vertices_m, surface.faces, 1e-3 * grid[near])
+    return replace(image, values=depth.reshape(image.values.shape))

@@ -87,8 +87,8 @@ def import_ct(
     spacing_mm : float
         Distance between neighbours [mm], for files without this information, such as TIFF slices.
     density : str
-        ``internal``, a named law, or ``line:SLOPE,OFFSET``, see `meshes.ct.laws.density_law`;
-        default: internal if the image allows it.
+        ``internal``, a named law, or ``line:SLOPE,OFFSET``, see
+        `meshes.ct.calibration.density_law`; default: internal if the image allows it.
     site : str or point
         ``glenoid``, ``femoral-head``, ``humeral-head``, ``vertebra`` (``:left``, ``:right``),
         ``tooth``, ``tooth:lesion``, a point [mm], or a file of 3D Slicer markups. Default: by the

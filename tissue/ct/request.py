@@ -1,12 +1,15 @@
-"""Options of an import: which image, which part of it, where to work, and which scene to make of
-it.
+"""Options of an import, and the places of work that follow from them: the site, the structures to
+keep clear of, and the toolpath.
 """
 
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import unicodedata
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import Literal
+
+import numpy as np
 
 from meshes.base.errors import (
     InputError,
@@ -16,14 +19,31 @@ from meshes.base.errors import (
     require_positive,
     require_range,
 )
-from meshes.ct.extraction import Box
+from meshes.base.progress import Progress
+from meshes.ct.extraction import Box, kept_label
 from meshes.ct.labels import Labels, on_grid_of, read_labels
 from meshes.images.frame import Image
 from meshes.images.reading import read_image
-from meshes.surfaces.markups import TO_LPS
+from meshes.paths.replay_table import ReplayTable, to_replay
+from meshes.paths.toolpath import PathDepth, depth_along, read_toolpath
+from meshes.surfaces.landmarks import find_site
+from meshes.surfaces.markups import TO_LPS, read_site
+from meshes.surfaces.site import Site, place_site
+from meshes.surfaces.surface import Surface, surface_from_triangles
 from tissue.scene.named_parts import nearest
 
-__all__ = ["NAMED_SITES", "Coordinates", "ImportRequest", "Point"]
+__all__ = [
+    "NAMED_SITES",
+    "Coordinates",
+    "ImportRequest",
+    "ImportedPath",
+    "Placed",
+    "Point",
+    "import_path",
+    "kept_clear",
+    "placed",
+    "plain_names",
+]
 
 Coordinates = Literal["LPS", "RAS"]
 Point = tuple[float, float, float]
@@ -75,37 +95,20 @@ class ImportRequest:
     like: str | None = None
     parts: Mapping[str, float] = field(default_factory=dict)
 
-    _IN_MESSAGES: ClassVar[Mapping[str, str]] = {"crop_mm": "crop", "parts": "part"}
-
     def __post_init__(self) -> None:
         if self.labels is None:
-            self._leave_out(
-                "without labels",
-                "label_names",
-                "region",
-                "keep_clear",
-                "parts",
-                remedy="give --labels FILE too",
-            )
+            self._leave_out("without labels", "label_names", "region", "keep_clear", "parts")
         if self.region is not None:
             self._leave_out("with a region, whose label is the bone", "threshold")
         if self.threshold is not None:
             require_range("threshold", self.threshold, -1e9, 1e9, "use about 226 for CT")
+        of_bone = ("density", "threshold", "path", "keep_clear", "crop_mm")
         if self.is_tooth:
+            self._leave_out("for a tooth", "region", "parts", *of_bone)
             if self.labels is None:
                 raise InputError(
                     "labels", f"be given for site {self.site}", "nothing", "give --labels FILE"
                 )
-            self._leave_out(
-                "for a tooth",
-                "region",
-                "density",
-                "threshold",
-                "path",
-                "keep_clear",
-                "parts",
-                "crop_mm",
-            )
         elif self.labels is not None and self.region is None:
             raise InputError(
                 "region",
@@ -114,10 +117,8 @@ class ImportRequest:
                 "name the label that is the bone, such as --region scapula_left",
             )
         self._require_points()
-        if self.normal is not None and self.point_mm is None:
-            self._leave_out(
-                "unless site is a point", "normal", remedy="give the point too, or leave it out"
-            )
+        if self.point_mm is None:
+            self._leave_out("unless site is a point", "normal")
         if isinstance(self.site, str) and not self.is_markups and self.site not in NAMED_SITES:
             raise InputError(
                 "site",
@@ -128,44 +129,39 @@ class ImportRequest:
         if self.feed_mm_s is not None:
             require_positive("feed_mm_s", self.feed_mm_s, "use about 2")
         if self.path is None:
-            self._leave_out("without a path", "feed_mm_s", remedy="give --path FILE")
+            self._leave_out("without a path", "feed_mm_s")
         else:
             self._leave_out("with a path, which is the motion", "like")
         if self.is_soft:
-            self._leave_out(
-                "for a soft organ", "density", "threshold", "path", "keep_clear", "like", "crop_mm"
-            )
+            self._leave_out("for a soft organ", "like", *of_bone)
             if isinstance(self.site, str):
                 raise InputError(
                     "site", "be a point for a soft organ", self.site, "give X,Y,Z in mm"
                 )
 
-    def _leave_out(self, when: str, *names: str, remedy: str = "leave it out") -> None:
+    def _leave_out(self, when: str, *names: str) -> None:
         """Raise for an option that is given where it has no effect."""
-        unset = {"density": "auto", "keep_clear": (), "parts": {}}
+        unset = {each.name: each.default for each in fields(self)} | {"parts": {}}
         for name in names:
             value = getattr(self, name)
-            if value != unset.get(name):
+            if value != unset[name]:
                 shown = ", ".join(value) if name in ("keep_clear", "parts") else value
-                shown_name = self._IN_MESSAGES.get(name, name)
-                raise InputError(shown_name, f"be left out {when}", shown, remedy)
+                raise InputError(name, f"be left out {when}", shown, "leave it out")
 
     def _require_points(self) -> None:
         """Refuse coordinates that are not finite, without a known frame, or in a wrong order.
 
         A frame without coordinates in numbers is refused too.
         """
-        for name, points in (
-            ("site", [self.site]),
-            ("normal", [self.normal]),
-            ("crop", self.crop_mm or ()),
-        ):
-            if any(
-                as_vector(each) is None
-                for each in points
-                if each is not None and not isinstance(each, str)
-            ):
-                raise InputError(name, "be of three finite numbers", points, "give x, y, z")
+        points: dict[str, Sequence[object]] = {
+            "site": [self.site],
+            "normal": [self.normal],
+            "crop": self.crop_mm or (),
+        }
+        for name, given in points.items():
+            for each in given:
+                if each is not None and not isinstance(each, str) and as_vector(each) is None:
+                    raise InputError(name, "be of three finite numbers", each, "give x, y, z")
         if self.coordinates not in TO_LPS:
             raise InputError(
                 "coordinates", "be LPS or RAS", self.coordinates, "give the frame of the numbers"
@@ -179,15 +175,11 @@ class ImportRequest:
                 "RAS",
                 "files of markups state their own frame; leave it out",
             )
-        if self.crop_mm is not None and any(
-            low >= high for low, high in zip(*self.crop_mm, strict=True)
-        ):
-            raise InputError(
-                "crop",
-                "have its lowest corner first",
-                f"{in_brackets(self.crop_mm[0])} and {in_brackets(self.crop_mm[1])}",
-                "exchange them along the axes where it has not",
-            )
+        if self.crop_mm is not None:
+            low, high = self.crop_mm
+            if any(a >= b for a, b in zip(low, high, strict=True)):
+                found = f"{in_brackets(low)} and {in_brackets(high)}"
+                raise InputError("crop", "have its lowest corner first", found, "exchange them")
 
     @property
     def is_tooth(self) -> bool:
@@ -240,3 +232,216 @@ class ImportRequest:
         with names_of_caller({"file": "labels", "names": "label_names"}):
             labels = read_labels(self.labels, names=self.label_names, spacing_mm=self.spacing_mm)
             return labels if image is None else on_grid_of(labels, image)
+
+
+USUAL = (
+    (r"scapula", "glenoid"),
+    (r"femur", "femoral-head"),
+    (r"humerus", "humeral-head"),
+    (r"vertebra", "vertebra"),
+)
+"""Site that is searched for by default, by a word in the name of the bone's label."""
+JOINTS_MM = {"glenoid": 18.0, "femoral-head": 20.0, "humeral-head": 18.0}
+"""Distance from the site across its normal within which the surface belongs to a joint [mm].
+
+It is half of the glenoid's height of 37 mm, and a cap of the heads, whose radii are 21 to 27 mm
+(`meshes.surfaces.glenoid`, `meshes.surfaces.landmarks`).
+"""
+KEYS = {
+    "anatomy.centre_mm": "site",
+    "anatomy.normal": "normal",
+    "anatomy.scale_mm": "spacing in the header",
+    "file": "source",
+}
+"""Options of an import by the keys of a scene."""
+FEED_MM_S = 2.0
+"""Feed of a path without a feed, between reaming (0.5) and milling (5) of the built-in scenes."""
+CLEARANCE_MM = 5.0
+"""Distance outside the first point of a path at which the tool begins."""
+LONGEST = 60
+"""Letters of a structure's name, which is part of a file's name."""
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Site on a bone.
+
+    Attributes
+    ----------
+    site
+        Centre and axes in the frame of the image.
+    kind
+        Name of the searched site. None for a point.
+    articular_radius_mm
+        Distance from the site within which the surface belongs to a joint. 0 without a joint.
+    """
+
+    site: Site
+    kind: str | None = None
+    articular_radius_mm: float = 0.0
+
+
+def placed(request: ImportRequest, surface: Surface) -> tuple[Placed | None, str]:
+    """Return the site of a request and a sentence on it.
+
+    The result is None if the request names no site and the usual site is not found.
+
+    Raises
+    ------
+    InputError
+        If the requested site cannot be used or is not found.
+    """
+    point = request.point_mm
+    normal = request.normal_lps
+    with names_of_caller(KEYS):
+        if isinstance(request.site, str) and request.is_markups:
+            marked = read_site(Path(request.site))
+            point = _three(marked.centre_mm)
+            normal = None if marked.normal is None else _three(marked.normal)
+        if point is not None:
+            site = place_site(surface, centre_mm=point, normal=normal)
+            return Placed(site), f"site: {site.confidence}"
+    if isinstance(request.site, str):
+        return _searched(request.site, surface)
+    usual = next((kind for word, kind in USUAL if re.search(word, request.region or "")), None)
+    pick = "pick one by `tissue view`, or give --site"
+    if usual is None:
+        return None, f"site: none was asked for; {pick}"
+    try:
+        return _searched(usual, surface)
+    except InputError as error:
+        return None, f"site: no {usual} was found ({error}); {pick}"
+
+
+def _three(numbers: Sequence[float] | np.ndarray) -> tuple[float, float, float]:
+    x, y, z = map(float, numbers)
+    return x, y, z
+
+
+def _searched(kind: str, surface: Surface) -> tuple[Placed, str]:
+    """Search for a site; report its score and the score of the second best."""
+    with names_of_caller(KEYS):
+        found = find_site(kind, surface)
+    second = found.second_centre_mm is not None
+    other = (
+        f"the next best place scores {found.second_score:.2f}"
+        if second
+        else "no other place came near"
+    )
+    site = Placed(found.site, kind, JOINTS_MM.get(kind, 0.0))
+    return site, f"site: {kind} {found.site.confidence}; {other}"
+
+
+def kept_clear(
+    request: ImportRequest, labels: Labels | None, report: Progress
+) -> tuple[dict[str, Surface], list[str]]:
+    """Return the surfaces of the labels that the tool must not touch, by plain name, and sentences.
+
+    Raises
+    ------
+    InputError
+        If there is no such label, it is named twice, or the image contains no voxel of it.
+    """
+    if labels is None or not request.keep_clear:
+        return {}, []
+    with names_of_caller({"label": "keep_clear"}):
+        wanted = [labels.names[labels.number(name)] for name in request.keep_clear]
+    if len(set(wanted)) < len(wanted):
+        raise InputError(
+            "keep_clear", "name each label once", ", ".join(request.keep_clear), "leave one out"
+        )
+    found = {}
+    sentences = []
+    for name, plain in zip(wanted, plain_names(wanted), strict=True):
+        report(f"finding {name}", 0.0)
+        triangles, notes = kept_label(labels.image, labels.mask(name), name)
+        with names_of_caller({"anatomy.scale_mm": f"keep_clear {name}"}):
+            found[plain] = surface_from_triangles(
+                *triangles, source=name, scale_mm=1.0, cut_off=True, every_piece=True
+            )
+        called = "" if plain == name else f", called {plain} in the scene"
+        sentences += [f"keep clear: {name}{called}", *notes]
+    return found, sentences
+
+
+def plain_names(names: Sequence[str]) -> list[str]:
+    """Convert names of labels to names that a scene accepts.
+
+    They consist of plain letters, digits and underscores, and each name is used once.
+    """
+    taken: list[str] = []
+    for name in names:
+        letters = (
+            unicodedata.normalize("NFKD", name.casefold())
+            .encode("ascii", "ignore")
+            .decode()
+            .lower()
+        )
+        first = re.sub("[^a-z0-9]+", "_", letters).strip("_")[:LONGEST] or "structure"
+        plain = first
+        number = 1
+        while plain in taken:
+            number += 1
+            plain = f"{first}_{number}"
+        taken.append(plain)
+    return taken
+
+
+@dataclass(frozen=True, eq=False)
+class ImportedPath:
+    """A path on a bone: its poses in the frame of the site, its depth under the surface, and a
+    sentence on it.
+    """
+
+    table: ReplayTable
+    depth: PathDepth
+    sentence: str
+
+
+def import_path(request: ImportRequest, at: Placed | None, surface: Surface) -> ImportedPath | None:
+    """Read the path of a request and move it to its site.
+
+    The result is None if the request has no path.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, never enters the bone, or there is no site.
+    """
+    if request.path is None:
+        return None
+    name = request.path.name
+    if at is None:
+        raise InputError(
+            "site",
+            "be given with a path",
+            f"none for {name}",
+            "give a point near its start by --site",
+        )
+    path = read_toolpath(request.path, request.coordinates)
+    if path.feeds_mm_s is not None and request.feed_mm_s is not None:
+        raise InputError(
+            "feed_mm_s",
+            "be left out for a path that states its own",
+            f"{request.feed_mm_s:g} for {name}",
+            "leave it out",
+        )
+    depth = depth_along(path, surface)
+    if depth.deepest_mm <= 0.0:
+        raise InputError(
+            "path",
+            "enter the bone",
+            f"{name}, which stays {-depth.deepest_mm:.3g} mm outside",
+            "check its frame by --coordinates LPS or RAS",
+        )
+    table = to_replay(
+        path, at.site, feed_mm_s=request.feed_mm_s or FEED_MM_S, clearance_mm=CLEARANCE_MM
+    )
+    length = float(np.linalg.norm(np.diff(path.points_mm, axis=0), axis=1).sum())
+    sentence = (
+        f"path: {len(path.points_mm)} points of {name}, {length:.4g} mm in "
+        f"{table.times_s[-1]:.3g} s, its tip at most "
+        f"{depth.deepest_mm:.3g} mm under the surface and {depth.share_inside:.0%} of it in "
+        "the bone"
+    )
+    return ImportedPath(table, depth, sentence)

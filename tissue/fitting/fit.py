@@ -1,27 +1,27 @@
 """Constants of a scene from a measured force log."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
-
+from collections.abc import (Mapping, Sequence)
+from dataclasses import (dataclass, replace)
+from functools import (cached_property)
+from meshes.base.errors import (InputError)
+from meshes.base.progress import (Progress, silent)
+from pathlib import (Path)
+from tissue.fitting.cutting import (cutting_problem)
+from tissue.fitting.identifiability import (Gain, Identified, expected_information, identified)
+from tissue.fitting.log import (MeasuredLog)
+from tissue.fitting.organ_problem import (organ_problem)
+from tissue.fitting.organ_runs import (KEYS)
+from tissue.fitting.posterior import (Posterior, maximum_posterior)
+from tissue.fitting.target import (OFFSET_S)
+from tissue.materials.constants import (Prior)
+from tissue.scene.anatomy import (CutAnatomy)
+from tissue.scene.organ import (SoftAnatomy)
+from tissue.scene.scene import (Scene)
 import numpy as np
 
-from meshes.base.arrays import Array
-from meshes.base.errors import InputError
-from meshes.base.progress import Progress, silent
-from tissue.fitting.cutting_problem import cutting_problem
-from tissue.fitting.identifiability import Gain, Identified, expected_information, identified
-from tissue.fitting.log import MeasuredLog
-from tissue.fitting.organ_problem import organ_problem
-from tissue.fitting.organ_runs import KEYS
-from tissue.fitting.posterior import Posterior, maximum_posterior
-from tissue.fitting.target import OFFSET_S
-from tissue.materials.constants import Prior
-from tissue.scene.anatomy import CutAnatomy
-from tissue.scene.organ import SoftAnatomy
-from tissue.scene.scene import Scene
-
 __all__ = ["ConstantFit", "SceneFit", "fit_scene"]
+
+
 
 FITTED = "fit a scene of bone, a tooth or an organ"
 NUISANCES = ("density.", KEYS)
@@ -36,8 +36,6 @@ FAR_TIMES = 10.0
 It is needed because some priors have a heavy tail towards zero. `FAR` is the limit in standard
 deviations of a prior; 0.3 % of constants lie beyond it by chance.
 """
-VISIBLE = 20.0
-"""Ratio of force to noise scale above which noise does not explain an undetermined log."""
 
 
 @dataclass(frozen=True)
@@ -115,37 +113,31 @@ class SceneFit:
     notes: tuple[str, ...]
     fixed: Mapping[str, float]
 
-    @property
+    @cached_property
     def constants(self) -> tuple[ConstantFit, ...]:
         """All free constants, in the order of the forward model."""
         found = []
         for at, parameter in enumerate(self.posterior.target.forward.parameters):
             low, value, high = self.posterior.interval(at)
             cited = parameter.cited or parameter.prior
-            z = parameter.prior.z([low, value, high, cited.low, cited.high]).tolist()
-            share = float(self.identified.contraction[at])
+            state = "narrowed"
+            if parameter.name in self.identified.determined:
+                state = "determined"
+            elif parameter.name in self.identified.at_prior:
+                state = "at its prior"
             each = ConstantFit(
                 parameter.name,
                 cited,
                 low,
                 value,
                 high,
-                tuple(z),
-                share,
-                self._state(parameter.name),
+                tuple(parameter.prior.z([low, value, high, cited.low, cited.high]).tolist()),
+                float(self.identified.contraction[at]),
+                state,
             )
-            is_doubtful = each.is_far or (each.state == "determined" and self.has_strange_clocks)
+            is_doubtful = each.is_far or (state == "determined" and abs(self.offset_sd) > FAR)
             found.append(replace(each, state="doubtful") if is_doubtful else each)
         return tuple(found)
-
-    def _state(self, name: str) -> str:
-        """Return the state of a constant by its contraction.
-
-        The state does not depend on whether the value agrees with its cited range.
-        """
-        if name in self.identified.determined:
-            return "determined"
-        return "at its prior" if name in self.identified.at_prior else "narrowed"
 
     @property
     def offset_sd(self) -> float:
@@ -153,41 +145,24 @@ class SceneFit:
         return self.posterior.nuisances.offset_s / OFFSET_S
 
     @property
-    def has_strange_clocks(self) -> bool:
-        """True if the offset of the clocks contradicts its prior."""
-        return abs(self.offset_sd) > FAR
-
-    @property
     def doubts(self) -> tuple[str, ...]:
         """Sentences about results that contradict the priors."""
         found = []
-        if self.has_strange_clocks:
+        if abs(self.offset_sd) > FAR:
             found.append(
                 f"the forces come {1e3 * self.posterior.nuisances.offset_s:.3g} ms after the "
-                "poses, "
-                f"{abs(self.offset_sd):.1f} standard deviations of the {1e3 * OFFSET_S:g} ms "
-                "that are expected. No "
-                "constant counts as determined. Check the times of poses and forces, and the "
-                "place where the tool "
-                "touches"
+                f"poses, {abs(self.offset_sd):.1f} standard deviations of the "
+                f"{1e3 * OFFSET_S:g} ms that are expected. No constant counts as determined. "
+                "Check the times of poses and forces, and the place where the tool touches"
             )
         for each in self.constants:
             if each.is_far:
-                end, side = (
-                    (each.prior.low, "below") if each.z[1] < 0.0 else (each.prior.high, "above")
-                )
-                times = (
-                    max(each.value, end) / min(each.value, end)
-                    if min(each.value, end) > 0.0
-                    else np.inf
-                )
-                by = f"{times:.3g} times {side}" if np.isfinite(times) else side
+                side = "below" if each.z[1] < 0.0 else "above"
                 found.append(
-                    f"{each.name} = {each.value:.3g} is {by} its range of {each.prior.low:g} "
-                    f"to {each.prior.high:g} "
-                    f"({abs(each.z[1]):.1f} standard deviations of the prior) and does not "
-                    "count as determined. Check "
-                    "the units and signs of the log, the scene and the tool"
+                    f"{each.name} = {each.value:.3g} is {side} its range of {each.prior.low:g} "
+                    f"to {each.prior.high:g} ({abs(each.z[1]):.1f} standard deviations of the "
+                    "prior) and does not count as determined. Check the units and signs of the "
+                    "log, the scene and the tool"
                 )
         return tuple(found)
 
@@ -204,26 +179,18 @@ class SceneFit:
         return {each.name: each.value for each in self.constants if each.name.startswith(KEYS)}
 
     @property
-    def offset_interval_s(self) -> tuple[float, float]:
-        """90 % interval of the offset of the clocks [s]."""
-        return self.posterior.offset_interval_s
-
-    @property
     def sentences(self) -> tuple[str, ...]:
         """Sentences that summarise the fit for the user."""
         each = self.posterior.nuisances
-        (low, high) = self.offset_interval_s
-        channels = self.posterior.target.log.channels
-        biases = ", ".join(
-            f"{value:.3g} {name.rpartition('_')[2].replace('Nm', 'N m')} along {name.split('_')[1]}"
-            for name, value in zip(channels, each.bias.tolist(), strict=True)
-        )
+        low, high = self.posterior.offset_interval_s
+        biases = []
+        for name, value in zip(self.posterior.target.log.channels, each.bias.tolist(), strict=True):
+            _, axis, unit = name.split("_")
+            biases.append(f"{value:.3g} {unit.replace('Nm', 'N m')} along {axis}")
         found = [
-            (
-                f"forces come {1e3 * each.offset_s:.1f} ms ({1e3 * low:.1f} to {1e3 * high:.1f}) "
-                "after the poses"
-            ),
-            f"bias of the sensor: {biases}",
+            f"forces come {1e3 * each.offset_s:.1f} ms ({1e3 * low:.1f} to {1e3 * high:.1f}) "
+            "after the poses",
+            f"bias of the sensor: {', '.join(biases)}",
             *self.notes,
         ]
         if not self.posterior.converged:
@@ -276,47 +243,21 @@ def fit_scene(
     report("fitting", 0.8)
     posterior = maximum_posterior(problem.forward, problem.measured)
     found = identified(posterior)
-    require_information(found, posterior)
-    report("what to measure next", 0.9)
-    material = [at for at, each in enumerate(posterior.names) if not each.startswith(NUISANCES)]
-    gains = expected_information(posterior, problem.candidates(posterior), among=material)
-    both = (*log.notes, *problem.notes)
-    return SceneFit(
-        scene.name, log.path, posterior, found, tuple(gains), problem.block_s, both, problem.fixed
-    )
-
-
-def require_information(found: Identified, posterior: Posterior) -> None:
-    """Refuse a log that determines nothing.
-
-    Raises
-    ------
-    InputError
-        With how large the forces and the noise are.
-    """
     if found.is_empty:
-        target = posterior.target
-        noise = posterior.nuisances
-        loads: Array = target.forward.loads(target.x(posterior.mean_z))
-        forces = [at for at, name in enumerate(target.log.channels) if name.endswith("_N")]
-        greatest = float(abs(loads[:, forces]).max())
-        scale = float(noise.scale[forces].max())
-        if greatest < VISIBLE * scale:
-            raise InputError(
-                "measured",
-                "determine a constant",
-                (
-                    f"a log in which noise of {scale:.2g} N hides what the tool would meet, "
-                    f"{greatest:.2g} N at most"
-                ),
-                "give one of a deeper or faster cut",
-            )
+        forces = [at for at, name in enumerate(log.channels) if name.startswith("force_")]
+        greatest = float(np.abs(posterior.simulated - posterior.nuisances.bias)[:, forces].max())
         raise InputError(
             "measured",
             "determine a constant",
-            (
-                f"a log that the scene explains to {scale:.2g} N and that leaves all of its "
-                "constants at their ranges"
-            ),
-            "check that the scene is what was cut, and choose others by free",
+            f"a log with a force of {greatest:.2g} N at most and noise of "
+            f"{posterior.nuisances.scale[forces].max():.2g} N, which leaves all of the scene's "
+            "constants at their ranges",
+            "give one of a deeper or faster cut, and check that the scene is what was cut",
         )
+    report("what to measure next", 0.9)
+    material = [at for at, name in enumerate(posterior.names) if not name.startswith(NUISANCES)]
+    gains = expected_information(posterior, problem.candidates(), among=material)
+    notes = (*log.notes, *problem.notes)
+    return SceneFit(
+        scene.name, log.path, posterior, found, tuple(gains), problem.block_s, notes, problem.fixed
+    )

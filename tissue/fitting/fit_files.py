@@ -2,29 +2,101 @@
 file.
 """
 
+from collections.abc import (Mapping, Sequence)
+from dataclasses import (asdict, dataclass)
+from hashlib import (sha256)
+from html import (escape)
+from meshes.base.arrays import (Array)
+from meshes.base.whole_file import (package_version, whole_file)
+from pathlib import (Path)
+from tissue.fitting.fit import (ConstantFit, SceneFit)
+from tissue.show.figures.fit_pictures import (FittedConstant, draw_constants, draw_measured, draw_residuals)
+from tissue.system.html import (html_page, html_picture)
+from tissue.system.outputs import (write_columns)
+from tissue.system.owned_folder import (owned_folder)
 import json
-from dataclasses import asdict
-from hashlib import sha256
-from html import escape
-from pathlib import Path
-
 import numpy as np
+import tomli_w
 
-from meshes.base.arrays import Array
-from meshes.base.whole_file import package_version, whole_file
-from tissue.fitting.fit import ConstantFit, SceneFit
-from tissue.fitting.fitted_file import FittedEntry, write_fitted
-from tissue.show.figures.fit_pictures import (
-    FittedConstant,
-    draw_constants,
-    draw_measured,
-    draw_residuals,
-)
-from tissue.system.html import html_page, html_picture
-from tissue.system.outputs import write_columns
-from tissue.system.owned_folder import owned_folder
+__all__ = ["FILES", "FittedEntry", "write_fit", "write_fitted"]
 
-__all__ = ["FILES", "write_fit"]
+
+
+DIGITS = 9
+"""Significant digits of a number: rounding is far below any interval."""
+
+
+@dataclass(frozen=True)
+class FittedEntry:
+    """Constant after a fit.
+
+    Attributes
+    ----------
+    name
+        ``TABLE.MATERIAL.NAME``.
+    value, low, high
+        Median, 5 and 95 % of the posterior, in the constant's unit.
+    source, confidence
+        Source of the numbers, and their confidence: H, M or L.
+    """
+
+    name: str
+    value: float
+    low: float
+    high: float
+    source: str
+    confidence: str
+
+
+def write_fitted(
+    path: Path,
+    entries: Sequence[FittedEntry],
+    correlation: Array,
+    *,
+    fixed: Sequence[FittedEntry] = (),
+    remark: Sequence[str],
+) -> None:
+    """Write fitted constants with their correlation.
+
+    Parameters
+    ----------
+    path
+        File to write.
+    entries
+        The n constants.
+    correlation
+        Correlation of their standard normal numbers, shape (n, n), see
+        `tissue.materials.prior.Prior`.
+    fixed
+        Constants without a range that the others depend on.
+    remark
+        Lines of comment at the top.
+    """
+    tables: dict[str, dict[str, dict[str, Mapping[str, object]]]] = {}
+    for entry in (*entries, *fixed):
+        table, material, name = entry.name.split(".", 2)
+        tables.setdefault(table, {}).setdefault(material, {})[name] = {
+            "value": _rounded(entry.value),
+            "range": [_rounded(entry.low), _rounded(entry.high)],
+            "source": entry.source,
+            "confidence": entry.confidence,
+        }
+    content: dict[str, object] = dict(tables)
+    if len(entries) > 1:
+        matrix = 0.5 * (correlation + correlation.T)
+        np.fill_diagonal(matrix, 1.0)
+        content["correlation"] = {
+            "names": [entry.name for entry in entries],
+            "matrix": [[round(float(value), DIGITS) for value in row] for row in matrix],
+        }
+    lines = "".join(f"# {line}\n" for line in remark)
+    with whole_file(path) as temporary:
+        temporary.write_text(f"{lines}\n{tomli_w.dumps(content)}", "utf-8")
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{DIGITS}g}")
+
 
 FILES = (
     "fitted.toml",
@@ -40,11 +112,7 @@ LAGS = 40
 """Samples over which the autocorrelation of residuals is drawn."""
 SHOWN_GAINS = SHOWN_COMBINATIONS = 5
 NATS = 0.1
-LITTLE = 0.95
-"""Gain below which another log is not recommended [nats].
-
-It is also the ratio of intervals above which an interval counts as unchanged.
-"""
+"""Gain below which another log is not recommended [nats]."""
 
 
 def write_fit(fit: SceneFit, folder: Path, *, overwrite: bool) -> list[Path]:
@@ -64,40 +132,28 @@ def write_fit(fit: SceneFit, folder: Path, *, overwrite: bool) -> list[Path]:
     InputError
         If the folder is a file, or holds another fit.
     """
-    with owned_folder(folder, "fit", FILES, overwrite=overwrite):
-        _write_files(fit, folder)
-    return [folder / name for name in FILES if (folder / name).exists()]
-
-
-def _write_files(fit: SceneFit, folder: Path) -> None:
-    """Write a fit's files into a folder that is held."""
-    digest = sha256(fit.path.read_bytes()).hexdigest()
-    _write_constants(fit, folder / "fitted.toml", digest)
     posterior = fit.posterior
     log = posterior.target.log
-    residuals = posterior.residuals
-    draw_measured(
-        log.times_s, log.values, posterior.simulated, log.channels, folder / "measured.png"
-    )
-    correlations = np.stack([_autocorrelation(each) for each in (residuals, posterior.innovations)])
-    draw_residuals(
-        posterior.innovations,
-        correlations,
-        float(np.median(posterior.nuisances.freedom)),
-        folder / "residuals.png",
-    )
-    draw_constants([_shown(each) for each in fit.constants], folder / "constants.png")
+    simulated = posterior.simulated
+    lagged = [_autocorrelation(each) for each in (posterior.residuals, posterior.innovations)]
+    freedom = float(np.median(posterior.nuisances.freedom))
     columns = {"time_s": log.times_s}
     for at, name in enumerate(log.channels):
-        columns |= {
-            f"measured_{name}": log.values[:, at],
-            f"simulated_{name}": posterior.simulated[:, at],
-        }
-    write_columns(folder / "loads.csv", columns)
-    with whole_file(folder / "fit.json") as temporary:
-        temporary.write_text(json.dumps(_numbers(fit, digest), indent=1) + "\n", "utf-8")
-    with whole_file(folder / "report.html") as temporary:
-        temporary.write_text(_page(fit, folder), "utf-8")
+        columns[f"measured_{name}"] = log.values[:, at]
+        columns[f"simulated_{name}"] = simulated[:, at]
+    digest = sha256(fit.path.read_bytes()).hexdigest()
+    with owned_folder(folder, "fit", FILES, overwrite=overwrite):
+        _write_constants(fit, folder / "fitted.toml", digest)
+        draw_measured(log.times_s, log.values, simulated, log.channels, folder / "measured.png")
+        residuals = folder / "residuals.png"
+        draw_residuals(posterior.innovations, np.stack(lagged), freedom, residuals)
+        draw_constants([_shown(each) for each in fit.constants], folder / "constants.png")
+        write_columns(folder / "loads.csv", columns)
+        with whole_file(folder / "fit.json") as temporary:
+            temporary.write_text(json.dumps(_numbers(fit, digest), indent=1) + "\n", "utf-8")
+        with whole_file(folder / "report.html") as temporary:
+            temporary.write_text(_page(fit, folder), "utf-8")
+    return [folder / name for name in FILES if (folder / name).exists()]
 
 
 def unit_of(name: str) -> tuple[str, str]:
@@ -113,71 +169,63 @@ def unit_of(name: str) -> tuple[str, str]:
 
 def _write_constants(fit: SceneFit, path: Path, digest: str) -> None:
     """Write the file for scenes: constants of the material with their correlation."""
-    posterior = fit.posterior
-    all_constants = fit.constants
     source = f"fitted to {fit.path.name} ({digest[:12]}) as {fit.name}"
-    entries: list[FittedEntry] = []
+    reservations = {
+        "at its prior": ", which does not narrow the cited range",
+        "doubtful": ", doubtful: it contradicts the cited range or the clocks of the log",
+    }
+    entries = []
     for at in fit.of_material:
-        each = all_constants[at]
-        how = "M" if each.state == "determined" else "L"
-        reservation = {
-            "at its prior": ", which does not narrow the cited range",
-            "doubtful": ", doubtful: it contradicts the cited range or the clocks of the log",
-        }
-        text = source + reservation.get(each.state, "")
-        entries.append(FittedEntry(each.name, each.value, each.low, each.high, text, how))
+        each = fit.constants[at]
+        text = source + reservations.get(each.state, "")
+        confidence = "M" if each.state == "determined" else "L"
+        entries.append(FittedEntry(each.name, each.value, each.low, each.high, text, confidence))
     text = "the density at which the fitted coefficients are stated"
     fixed = [FittedEntry(name, value, value, value, text, "H") for name, value in fit.fixed.items()]
     places = np.array(fit.of_material, dtype=np.int64)
-    covariance = posterior.covariance_z[np.ix_(places, places)]
+    covariance = fit.posterior.covariance_z[np.ix_(places, places)]
     spread = np.sqrt(np.diag(covariance))
-    correlation = covariance / np.outer(spread, spread)
     remark = (
-        (
-            f"Constants fitted by tissue {package_version()}; a scene takes them by: materials = "
-            f'"{path.name}"'
-        ),
-        (
-            "value: median; range: 5 and 95 % of the posterior; correlation: of the standard "
-            "normal numbers of each."
-        ),
+        f"Constants fitted by tissue {package_version()}; a scene takes them by: materials = "
+        f'"{path.name}"',
+        "value: median; range: 5 and 95 % of the posterior; correlation: of the standard normal "
+        "numbers of each.",
     )
-    write_fitted(path, entries, correlation, fixed=fixed, remark=remark)
+    write_fitted(path, entries, covariance / np.outer(spread, spread), fixed=fixed, remark=remark)
 
 
 def _shown(each: ConstantFit) -> FittedConstant:
     label, unit = unit_of(each.name)
-    label = f"{label} (doubtful)" if each.state == "doubtful" else label
-    fitted = (each.low, each.value, each.high)
-    low, middle, high, *ends = each.z
-    cited = (each.prior.low, each.prior.value, each.prior.high)
-    is_narrowed = each.state != "at its prior"
+    if each.state == "doubtful":
+        label = f"{label} (doubtful)"
+    low, middle, high, lowest, highest = each.z
     return FittedConstant(
-        label, unit, cited, fitted, (low, middle, high), (ends[0], ends[1]), is_narrowed
+        label,
+        unit,
+        (each.prior.low, each.prior.value, each.prior.high),
+        (each.low, each.value, each.high),
+        (low, middle, high),
+        (lowest, highest),
+        each.state != "at its prior",
     )
 
 
 def _autocorrelation(values: Array) -> Array:
-    """Return the mean over channels of the autocorrelation over lags, shape (LAGS + 1,)."""
-    found = []
-    for channel in values.T:
-        known = np.where(np.isfinite(channel), np.clip(channel, *_fences(channel)), 0.0)
-        whole = np.correlate(known, known, "full")[len(known) - 1 :]
-        found.append(whole[: LAGS + 1] / max(float(whole[0]), 1e-300))
-    return np.asarray(np.mean(found, axis=0))
+    """Return the mean over channels of the autocorrelation over lags, shape (LAGS + 1,).
 
-
-def _fences(channel: Array) -> tuple[float, float]:
-    """Return the limits beyond which samples are outliers: six robust standard deviations."""
-    middle = float(np.nanmedian(channel))
-    spread = 6.0 * 1.4826 * float(np.nanmedian(np.abs(channel - middle)))
-    return middle - spread, middle + spread
+    Outliers are clipped at six robust standard deviations.
+    """
+    middle = np.nanmedian(values, axis=0)
+    away = 6.0 * 1.4826 * np.nanmedian(np.abs(values - middle), axis=0)
+    known = np.nan_to_num(np.clip(values, middle - away, middle + away))
+    found = [np.correlate(each, each, "full")[len(each) - 1 :][: LAGS + 1] for each in known.T]
+    return np.asarray(np.mean([each / max(float(each[0]), 1e-300) for each in found], axis=0))
 
 
 def _numbers(fit: SceneFit, digest: str) -> dict[str, object]:
     """Return all results for programs."""
     each = fit.posterior.nuisances
-    low, high = fit.offset_interval_s
+    low, high = fit.posterior.offset_interval_s
     return {
         "format": 1,
         "tissue": package_version(),
@@ -227,31 +275,28 @@ def verdicts(fit: SceneFit) -> list[str]:
     stay at their priors, and the log to measure next.
     """
     found = [f"doubtful: {each}" for each in fit.doubts]
-    names = {each.name: " ".join(filter(None, unit_of(each.name))) for each in fit.constants}
     for each in fit.constants:
         if each.state == "determined":
             label, unit = unit_of(each.name)
-            found.append(
-                f"{label}: {each.value:.3g} ({each.low:.3g} to {each.high:.3g}) {unit}".rstrip()
-            )
+            interval = f"{each.value:.3g} ({each.low:.3g} to {each.high:.3g}) {unit}"
+            found.append(f"{label}: {interval}".rstrip())
     for combined in fit.identified.combinations[:SHOWN_COMBINATIONS]:
         terms = [f"{weight:.2g} {unit_of(name)[0]}" for name, weight in combined.weights.items()]
-        terms = [" + ".join(terms).replace("+ -", "- ")] if terms else []
-        terms += [f"({unit_of(name)[0]})^{power:.2g}" for name, power in combined.powers.items()]
+        factors = [" + ".join(terms).replace("+ -", "- ")] if terms else []
+        factors += [f"({unit_of(name)[0]})^{power:.2g}" for name, power in combined.powers.items()]
         found.append(
             "known better together, each over the median of its prior: "
-            f"{' times '.join(terms)} = {combined.value:.4g} "
+            f"{' times '.join(factors)} = {combined.value:.4g} "
             f"({combined.low:.4g} to {combined.high:.4g})"
         )
-    if at_prior := [unit_of(name)[0] for name in fit.identified.at_prior if name in names]:
+    if at_prior := [unit_of(name)[0] for name in fit.identified.at_prior]:
         found.append(f"not narrowed by this log, left at the cited range: {', '.join(at_prior)}")
     if fit.gains and fit.gains[0].nats > NATS:
         best = fit.gains[0]
-        widest = unit_of(fit.gains[0].widest)[0]
-        brings = f"brings the interval of {widest} to {100.0 * best.shrinks_to:.0f} % of that now"
-        if best.shrinks_to > LITTLE:
-            brings = f"leaves that of {widest}, the widest, as it is"
-        found.append(f"to measure next: {best.label}, which adds {best.nats:.2g} nats and {brings}")
+        found.append(
+            f"to measure next: {best.label}, which adds {best.nats:.2g} nats and brings the "
+            f"interval of {unit_of(best.widest)[0]} to {best.shrinks_to:.0%} of that now"
+        )
     return found
 
 
@@ -264,21 +309,19 @@ def _page(fit: SceneFit, folder: Path) -> str:
     def listed(lines: list[str]) -> str:
         return "<ul>" + "".join(f"<li>{escape(line)}</li>" for line in lines) + "</ul>"
 
-    rows = "".join(
-        (
+    better = ""
+    if fit.gains:
+        rows = "".join(
             f"<tr><td>{escape(one.label)}</td><td>{one.nats:.2g}</td>"
-            f"<td>{100.0 * one.shrinks_to:.0f} %</td></tr>"
+            f"<td>{one.shrinks_to:.0%}</td></tr>"
+            for one in fit.gains[:SHOWN_GAINS]
         )
-        for one in fit.gains[:SHOWN_GAINS]
-    )
-    widest = escape(unit_of(fit.gains[0].widest)[0]) if fit.gains else ""
-    better = (
-        "<h2>What to measure next</h2><table><tr><th>log of a second</th><th>expected "
-        "information / nats</th>"
-        f"<th>interval of {widest}, of that now</th></tr>{rows}</table>"
-        if rows
-        else ""
-    )
+        widest = escape(unit_of(fit.gains[0].widest)[0])
+        better = (
+            "<h2>What to measure next</h2><table><tr><th>log of a second</th>"
+            "<th>expected information / nats</th>"
+            f"<th>interval of {widest}, of that now</th></tr>{rows}</table>"
+        )
     body = (
         f"<p>{escape(fit.name)}, log {escape(fit.path.name)}, tissue {package_version()}. A scene "
         'takes the result by <code>materials = "fitted.toml"</code>.</p>'

@@ -4,16 +4,15 @@ It covers constants whose interval is narrower than their prior, and combination
 the log cannot separate.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from meshes.base.arrays import Array
-from tissue.fitting.forward import Forward
-from tissue.fitting.noise import innovations, place_information
 from tissue.fitting.posterior import Posterior
-from tissue.fitting.target import BIAS_SHARE, OFFSET_S
+from tissue.fitting.problem import Forward
+from tissue.fitting.target import BIAS_SHARE, OFFSET_S, innovations, place_information
 
 __all__ = [
     "AT_PRIOR",
@@ -248,7 +247,7 @@ class Gain:
 
 
 def expected_information(
-    posterior: Posterior, candidates: Sequence[tuple[str, Forward]], *, among: Sequence[int] = ()
+    posterior: Posterior, candidates: Mapping[str, Forward], *, among: Sequence[int] = ()
 ) -> list[Gain]:
     """Return the expected information of candidate logs, largest first.
 
@@ -272,7 +271,7 @@ def expected_information(
     values, vectors = np.linalg.eigh(now)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     gains = []
-    for label, forward in candidates:
+    for label, forward in candidates.items():
         grown, axes = np.linalg.eigh(
             np.eye(len(now)) + root.T @ _information(posterior, forward) @ root
         )

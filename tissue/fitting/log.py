@@ -1,23 +1,53 @@
-"""A measured log of poses and loads."""
+"""A measured log of poses and loads, and the map of its columns to quantities."""
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, counted
-from tissue.fitting.columns import QUANTITIES, ColumnMap, parse_columns
-from tissue.fitting.log_files import LogColumns, read_columns
+from tissue.fitting.log_files import CHANNELS, QUATERNION, TIPS, LogColumns, read_columns
+from tissue.fitting.problem import MeasuredLoads, block_averages, block_ticks
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.scene import Scene
 from tissue.simulation.builders.motions import motion_of
 
-__all__ = ["MeasuredLog", "pose_notes", "read_log", "without_saturation"]
+__all__ = ["MeasuredLog", "read_log"]
 
+UNITS: dict[str, dict[str, float]] = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
+    "length": {"m": 1.0, "mm": 1e-3, "um": 1e-6},
+    "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "gf": 9.80665e-3, "lbf": 4.4482216152605},
+    "torque": {"Nm": 1.0, "Nmm": 1e-3, "mNm": 1e-3},
+    "angle": {"rad": 1.0, "deg": 0.017453292519943295},
+    "number": {},
+}
+"""Factors to SI by quantity.
+
+The factors of gf and lbf are from BIPM and NIST SP 811 and are exact.
+"""
+ROTATION_VECTOR = tuple(f"tool_r{c}_rad" for c in "xyz")
+FORCES = CHANNELS[:3]
+TORQUES = CHANNELS[3:]
+QUANTITIES: dict[str, str] = {
+    **dict.fromkeys(("time_s", "load_time_s"), "time"),
+    **dict.fromkeys(TIPS, "length"),
+    **dict.fromkeys(QUATERNION, "number"),
+    **dict.fromkeys(ROTATION_VECTOR, "angle"),
+    **dict.fromkeys(FORCES, "force"),
+    **dict.fromkeys(TORQUES, "torque"),
+}
+"""Key of `UNITS` of each quantity that a fit of a cut can use.
+
+Poses are poses of the tool's tip in the scene's frame, as in a replayed motion. ``tool_r*_rad`` is
+a rotation vector that replaces a quaternion. Forces and torques act on the tool, in the scene's
+frame, torques about the tip. ``load_time_s`` is the clock of forces and torques if it differs from
+the clock of the poses.
+"""
 GREATEST = {"N": 1e5, "Nm": 1e4}
 """Loads beyond which a log is in another unit [N, N m]."""
 FARTHEST_M = 10.0
@@ -65,10 +95,11 @@ class MeasuredLog:
     channels: tuple[str, ...]
     notes: tuple[str, ...] = ()
 
-    @property
-    def load_period_s(self) -> float:
-        """Time between two samples of the loads [s]."""
-        return float(np.median(np.diff(self.load_times_s)))
+    def averaged(self) -> tuple[MeasuredLoads, int]:
+        """Return the loads averaged over blocks, and the ticks of a block."""
+        duration_s = float(self.load_times_s[-1] - self.load_times_s[0])
+        ticks = block_ticks(duration_s, float(np.median(np.diff(self.load_times_s))))
+        return block_averages(self.load_times_s, self.loads, self.channels, ticks), ticks
 
     def quaternions_of(self, scene: Scene) -> Array:
         """Return the orientations, shape (n, 4).
@@ -91,8 +122,8 @@ def read_log(path: Path, columns: Sequence[str] = ()) -> MeasuredLog:
         trace holds both ``model_force`` (the force of the tissue) and the force commanded to a
         device, ``model_force`` is used.
     columns
-        ``NAME=COLUMN[:UNIT]`` for quantities with another name, see
-        `tissue.fitting.columns.parse_column`.
+        ``NAME=COLUMN``, ``NAME=COLUMN:UNIT`` or ``NAME=-COLUMN:UNIT`` for quantities with another
+        name. A minus reverses the sign. Without a unit the column is in the unit of the name.
 
     Raises
     ------
@@ -100,132 +131,178 @@ def read_log(path: Path, columns: Sequence[str] = ()) -> MeasuredLog:
         If a column is missing or holds impossible values, times do not increase, or the log is too
         short.
     """
-    maps = parse_columns(columns)
+    asked = _parsed(columns)
     found = read_columns(path)
-    notes = []
+    notes = list(found.notes)
     if "model_force_x_N" in found.names:
-        for name in QUANTITIES:
-            if (
-                name.startswith(("force_", "torque_"))
-                and name not in maps
-                and f"model_{name}" in found.names
-            ):
-                maps[name] = ColumnMap(QUANTITIES[name], f"model_{name}")
+        for name in CHANNELS:
+            if f"model_{name}" in found.names:
+                asked.setdefault(name, f"model_{name}")
         notes.append("forces are those of the model (model_force), before low-pass and device")
-    taken, remarks = found.taken(maps, QUANTITIES)
-    notes += remarks
-    return _checked(path, taken, found, notes)
+    return _checked(path, _quantities(found, asked, notes), found.names, notes)
+
+
+def _parsed(texts: Sequence[str]) -> dict[str, str]:
+    """Return the column, with sign and unit, that each flag ``NAME=COLUMN`` gives a quantity."""
+    asked: dict[str, str] = {}
+    for text in texts:
+        name, _, column = (part.strip() for part in text.partition("="))
+        if name not in QUANTITIES or name in asked or not column.removeprefix("-"):
+            raise InputError(
+                "column",
+                "be NAME=COLUMN or NAME=COLUMN:UNIT, each name once",
+                f"{text!r}",
+                f"write for example force_x_N=Fx, with a name of {', '.join(QUANTITIES)}",
+            )
+        asked[name] = column
+    return asked
+
+
+def _quantities(found: LogColumns, asked: Mapping[str, str], notes: list[str]) -> dict[str, Array]:
+    """Return the available quantities in SI by name, and note the columns without a use."""
+    values: dict[str, Array] = {}
+    used = set[str]()
+    for name in QUANTITIES:
+        if name in asked or name in found.names:
+            column, factor = _column(name, asked.get(name, name), found.names)
+            values[name] = factor * found.numbers(column)
+            used.add(column)
+    if left := [name for name in found.names if name not in used]:
+        notes.append(f"not used: {', '.join(left[:12])}{' and others' if len(left) > 12 else ''}")
+    return values
+
+
+def _column(name: str, asked: str, known: Sequence[str]) -> tuple[str, float]:
+    """Return the column of a quantity, and the factor from its values to SI, sign included."""
+    for sign, text in ((1.0, asked), (-1.0, asked.removeprefix("-"))):
+        column, unit = (text, "") if text in known else _split(text)
+        if column in known:
+            return column, sign * _factor(name, asked, column, unit)
+    raise InputError(
+        "column",
+        f"map {name} to a column of the log",
+        _split(asked)[0].removeprefix("-"),
+        f"choose one of {', '.join(sorted(known)[:60])}",
+    )
+
+
+def _factor(name: str, asked: str, column: str, unit: str) -> float:
+    """Return the factor to SI of a column with a given unit, or with the unit of the name."""
+    measure = QUANTITIES[name]
+    factors = UNITS[measure]
+    if not factors and not unit:
+        return 1.0
+    default = name.rpartition("_")[2]
+    taken = _plain(unit) or default
+    if taken not in factors:
+        raise InputError(
+            "column", f"give {name} a unit of {measure}", unit, f"use one of {', '.join(factors)}"
+        )
+    # a header such as "Load (N)", "Load [N]" or "load_N" states a unit
+    stated = re.search(r"[\[(]([^\])]+)[\])]\s*$|_([A-Za-zµ]+)$", column)
+    header = _plain(stated[1] or stated[2]) if stated else default
+    if header in factors and header != taken and not unit:
+        raise InputError(
+            "column",
+            f"state the unit where the header of {column} has {header} and {name} has {default}",
+            "none",
+            f"write {name}={asked}:{header}",
+        )
+    return factors[taken]
+
+
+def _split(text: str) -> tuple[str, str]:
+    """Split ``COLUMN:UNIT`` into column and unit."""
+    column, found, unit = text.rpartition(":")
+    return (column.strip(), unit.strip()) if found and column else (text, "")
+
+
+def _plain(unit: str) -> str:
+    """Return a unit in the spelling of `UNITS`: N m, N*m and N·m become Nm."""
+    return re.sub(r"[\s*·.]", "", unit).replace("µ", "u").replace("μ", "u")
 
 
 def _checked(
-    path: Path, taken: dict[str, Array], found: LogColumns, notes: list[str]
+    path: Path, taken: dict[str, Array], names: Sequence[str], notes: list[str]
 ) -> MeasuredLog:
     """Return a checked log of the columns that were read."""
-    wanted = ["time_s", *(f"tool_{c}_mm" for c in "xyz")]
-    forces = [f"force_{c}_N" for c in "xyz"]
-    wanted += forces if not taken.keys() & set(forces) else []  # one axis of a sensor is enough
+
+    def refuse(requirement: str, found: str, remedy: str) -> InputError:
+        return InputError("measured", requirement, f"{found} in {path.name}", remedy)
+
+    wanted = ["time_s", *TIPS]
+    if not taken.keys() & set(FORCES):  # one axis of a sensor is enough
+        wanted += FORCES
     if missing := [name for name in wanted if name not in taken]:
-        have = ", ".join(found.names[:40])
-        raise InputError(
-            "measured",
+        raise refuse(
             f"hold {', '.join(missing)}",
-            f"{path.name} with {have}",
+            ", ".join(names[:40]),
             f"name the log's own columns by --column {missing[0]}=COLUMN[:UNIT]",
         )
-    times_s = _increasing(taken["time_s"], "time_s", path, notes)
-    load_times_s = taken.get("load_time_s")
-    load_times_s = (
-        times_s if load_times_s is None else _increasing(load_times_s, "load_time_s", path, notes)
-    )
-    channels = tuple(name for name in taken if name.startswith(("force_", "torque_")))
+    clocks = {name: taken[name] for name in ("time_s", "load_time_s") if name in taken}
+    for name, times_s in clocks.items():
+        steps = np.diff(times_s)
+        if not (np.isfinite(times_s).all() and (steps > 0.0).all()):
+            line = int(np.argmax(~(steps > 0.0))) + 2
+            raise refuse(
+                "hold times that increase", f"{name} that does not in row {line}", "sort it"
+            )
+        lasts_s = times_s[-1] - times_s[0]
+        if lasts_s < SHORTEST_S:
+            remedy = f"give a longer log, or the unit of its times by --column {name}={name}:ms"
+            raise refuse(f"last {SHORTEST_S:g} s or more", f"{lasts_s:.3g} s", remedy)
+        usual_s = float(np.median(steps))
+        if gaps := int((steps > GAP * usual_s).sum()):
+            notes.append(
+                f"{counted(gaps, 'gap')} of more than {1e3 * GAP * usual_s:.3g} ms in {name}"
+            )
+    times_s = taken["time_s"]
+    load_times_s = taken.get("load_time_s", times_s)
+    channels = tuple(name for name in taken if name in CHANNELS)
     loads = np.column_stack([taken[name] for name in channels])
-    tips_m = np.column_stack([taken[f"tool_{c}_mm"] for c in "xyz"])
+    tips_m = np.column_stack([taken[name] for name in TIPS])
     if len(tips_m) != len(times_s) or len(loads) != len(load_times_s):
-        raise InputError(
-            "measured",
+        raise refuse(
             "hold a pose and a load at each of its times",
-            (
-                f"{len(tips_m)} poses and {len(loads)} loads at {len(times_s)} and "
-                f"{len(load_times_s)} times in {path.name}"
-            ),
+            f"{len(tips_m)} poses and {len(loads)} loads at {len(times_s)} and "
+            f"{len(load_times_s)} times",
             "name the times of the loads load_time_s",
         )
-    if not np.isfinite(tips_m).all():
-        raise InputError(
-            "measured",
-            "hold finite positions",
-            f"one that is not in {path.name}",
-            "leave its row out",
-        )
-    if (farthest := float(np.abs(tips_m).max())) >= FARTHEST_M:
-        raise InputError(
-            "measured",
-            f"hold positions within {FARTHEST_M:g} m of the scene's origin",
-            f"{farthest:.3g} m in {path.name}",
+    far = tips_m[~(np.abs(tips_m) < FARTHEST_M)]
+    if far.size:
+        raise refuse(
+            f"hold finite positions within {FARTHEST_M:g} m of the scene's origin",
+            f"{far[0]:.3g} m",
             "leave damaged rows out, or give the unit, --column tool_x_mm=COLUMN:um for example",
         )
-    for name, values in zip(channels, loads.T, strict=True):
-        most = GREATEST[name.rpartition("_")[2]]
-        if (greatest := float(np.nanmax(np.abs(values), initial=0.0))) >= most:
-            raise InputError(
-                "measured",
-                f"hold loads below {most:g} in {name}",
-                f"{greatest:.3g} in {path.name}",
-                (
-                    "give its unit, --column "
-                    f"{name}=COLUMN:{('mN' if name.endswith('_N') else 'mNm')} for example"
-                ),
+    for channel, values in zip(channels, loads.T, strict=True):
+        unit = channel.rpartition("_")[2]
+        greatest = float(np.nanmax(np.abs(values), initial=0.0))
+        if greatest >= GREATEST[unit]:
+            raise refuse(
+                f"hold loads below {GREATEST[unit]:g} in {channel}",
+                f"{greatest:.3g}",
+                f"give its unit, --column {channel}=COLUMN:m{unit} for example",
             )
-    loads, remarks = without_saturation(loads, channels)
-    notes += remarks + pose_notes(times_s, tips_m, float(np.median(np.diff(load_times_s))))
-    return MeasuredLog(
-        path, times_s, tips_m, _turns(taken, path), load_times_s, loads, channels, tuple(notes)
-    )
+    loads = without_saturation(loads, channels, notes)
+    notes += pose_notes(times_s, tips_m, float(np.median(np.diff(load_times_s))))
+    turns = _turns(taken, path)
+    return MeasuredLog(path, times_s, tips_m, turns, load_times_s, loads, channels, tuple(notes))
 
 
-def _increasing(times_s: Array, name: str, path: Path, notes: list[str]) -> Array:
-    """Return increasing times and note gaps."""
-    steps = np.diff(times_s)
-    if not np.isfinite(times_s).all() or not (steps > 0.0).all():
-        line = 0 if not np.isfinite(times_s).all() else int(np.argmin(steps)) + 2
-        raise InputError(
-            "measured",
-            "hold times that increase",
-            f"{name} that does not in row {line} of {path.name}",
-            "sort it",
-        )
-    if times_s[-1] - times_s[0] < SHORTEST_S:
-        raise InputError(
-            "measured",
-            f"last {SHORTEST_S:g} s or more",
-            f"{times_s[-1] - times_s[0]:.3g} s in {path.name}",
-            f"give a longer log, or the unit of its times by --column {name}={name}:ms",
-        )
-    rate = float(np.median(steps))
-    if gaps := int((steps > GAP * rate).sum()):
-        notes.append(f"{counted(gaps, 'gap')} of more than {1e3 * GAP * rate:.3g} ms in {name}")
-    return times_s
-
-
-def _turns(taken: dict[str, Array], path: Path) -> Array | None:
+def _turns(taken: Mapping[str, Array], path: Path) -> Array | None:
     """Return orientations as quaternions, shape (n, 4), or None for a log without orientations."""
-    quaternion = [f"tool_q{c}" for c in "xyzw"]
-    if all(name in taken for name in quaternion):
-        found = np.column_stack([taken[name] for name in quaternion])
-        size = np.linalg.norm(found, axis=1)
-        if not (size > 1e-6).all():
+    if taken.keys() >= set(QUATERNION):
+        quaternions = np.column_stack([taken[name] for name in QUATERNION])
+        sizes = np.linalg.norm(quaternions, axis=1, keepdims=True)
+        if not (sizes > 1e-6).all():
             raise InputError(
-                "measured",
-                "hold unit quaternions",
-                f"a zero one in {path.name}",
-                "use 0, 0, 0, 1 there",
+                "measured", "hold unit quaternions", f"a zero one in {path.name}", "leave it out"
             )
-        return np.asarray(found / size[:, None])
-    vector = [f"tool_r{c}_rad" for c in "xyz"]
-    if all(name in taken for name in vector):
-        return np.asarray(
-            Rotation.from_rotvec(np.column_stack([taken[name] for name in vector])).as_quat()
-        )
+        return np.asarray(quaternions / sizes)
+    if taken.keys() >= set(ROTATION_VECTOR):
+        vectors = np.column_stack([taken[name] for name in ROTATION_VECTOR])
+        return np.asarray(Rotation.from_rotvec(vectors).as_quat())
     return None
 
 
@@ -254,10 +331,8 @@ SPEED_S = 0.1
 """Time over which the speed of a tool is computed [s]."""
 
 
-def without_saturation(loads: Array, channels: tuple[str, ...]) -> tuple[Array, list[str]]:
-    """Return loads without saturated values, shape (m, channels), and remarks.
-
-    The remarks are sentences on saturation and on coarse steps.
+def without_saturation(loads: Array, channels: Sequence[str], notes: list[str]) -> Array:
+    """Return loads without saturated values, shape (m, channels), and note their number.
 
     Parameters
     ----------
@@ -265,26 +340,37 @@ def without_saturation(loads: Array, channels: tuple[str, ...]) -> tuple[Array, 
         Loads [N, N m], shape (m, channels), NaN where missing.
     channels
         Their names.
+    notes
+        List to which a sentence on each saturated channel is appended.
     """
     kept = loads.copy()
-    notes = []
     for at, name in enumerate(channels):
-        values = loads[:, at]
         unit = name.rpartition("_")[2].replace("Nm", "N m")
-        for extreme in _saturated(values):
-            full = values == extreme
+        for extreme in _saturated(loads[:, at]):
+            full = loads[:, at] == extreme
             kept[full, at] = np.nan
-            notes.append(
-                f"{counted(int(full.sum()), 'sample')} of {name} at {extreme:.4g} {unit} "
-                "left out: saturated"
-            )
-        if (step := _coarse_step(values)) > 0.0:
-            notes.append(
-                f"{name} comes in steps of {step:.3g} {unit}, coarser than its noise: their "
-                "error of "
-                f"{step / np.sqrt(12.0):.2g} {unit} is part of the noise that is fitted"
-            )
-    return kept, notes
+            samples = counted(int(full.sum()), "sample")
+            notes.append(f"{samples} of {name} at {extreme:.4g} {unit} left out: saturated")
+    return kept
+
+
+def _saturated(values: Array) -> list[float]:
+    """Return the extreme values at which a channel stays, as a saturated sensor does."""
+    known = values[np.isfinite(values)]
+    if len(known) < PLATEAU:
+        return []
+    turns = np.diff(known)
+    if np.mean(turns[1:] * turns[:-1] < 0.0) < ROUGH:
+        return []
+    starts = np.flatnonzero(np.append(True, turns != 0.0))
+    lengths = np.diff(np.append(starts, len(known)))
+    around = np.concatenate([[1], lengths, [1]])
+    neighbours = np.maximum(around[:-2], around[2:])
+    long = (lengths >= PLATEAU) & (lengths >= SHARPER * neighbours)
+    plateaus = set(known[starts[long]].tolist())
+    greatest = float(np.abs(known).max())
+    ends = {float(known.min()), float(known.max())}
+    return sorted(each for each in ends & plateaus if abs(each) >= BASELINE * greatest > 0.0)
 
 
 def pose_notes(times_s: Array, tips_m: Array, load_period_s: float) -> list[str]:
@@ -297,7 +383,8 @@ def pose_notes(times_s: Array, tips_m: Array, load_period_s: float) -> list[str]
     load_period_s
         Time between two loads [s].
     """
-    new = np.concatenate([[0], np.flatnonzero(np.any(np.diff(tips_m, axis=0) != 0.0, axis=1)) + 1])
+    moved = np.any(np.diff(tips_m, axis=0) != 0.0, axis=1)
+    new: Ints = np.flatnonzero(np.append(True, moved))
     if len(new) < PLATEAU:
         return []
     times_s = times_s[new]
@@ -305,62 +392,23 @@ def pose_notes(times_s: Array, tips_m: Array, load_period_s: float) -> list[str]
     period_s = float(np.median(np.diff(times_s)))
     notes = []
     bend_m = float(np.linalg.norm(np.diff(tips_m, 2, axis=0), axis=1).max()) / 8.0
-    noise_m = float(
-        np.linalg.norm(1.4826 * np.median(np.abs(np.diff(tips_m, 3, axis=0)), axis=0))
-    ) / np.sqrt(20.0)
     if period_s > SLOWER * load_period_s and bend_m > CORNER_M:
         notes.append(
-            f"poses come every {1e3 * period_s:.3g} ms, loads every "
-            f"{1e3 * load_period_s:.3g} ms: the straight path "
-            f"between poses is off by {1e3 * bend_m:.2g} mm at the sharpest corner, log them faster"
+            f"poses come every {1e3 * period_s:.3g} ms, loads every {1e3 * load_period_s:.3g} ms: "
+            f"the straight path between poses is off by {1e3 * bend_m:.2g} mm at the sharpest "
+            "corner, log them faster"
         )
+    # third differences of independent noise have sqrt(20) times its standard deviation
+    deviations_m = 1.4826 * np.median(np.abs(np.diff(tips_m, 3, axis=0)), axis=0)
+    noise_m = float(np.linalg.norm(deviations_m)) / np.sqrt(20.0)
     lag = max(round(SPEED_S / period_s), 1)
     moved_m = np.linalg.norm(tips_m[lag:] - tips_m[:-lag], axis=1)
     fastest_m_s = float((moved_m / (times_s[lag:] - times_s[:-lag])).max(initial=0.0))
-    if (shaken_m_s := np.sqrt(2.0) * noise_m / period_s) > fastest_m_s:
+    shaken_m_s = np.sqrt(2.0) * noise_m / period_s
+    if shaken_m_s > fastest_m_s:
         notes.append(
-            f"poses have noise of {1e3 * noise_m:.2g} mm, which is a speed of "
-            f"{1e3 * shaken_m_s:.3g} mm/s from one to "
-            f"the next where the tool moves at {1e3 * fastest_m_s:.3g} mm/s at most: smooth "
-            "them first"
+            f"poses have noise of {1e3 * noise_m:.2g} mm, a speed of {1e3 * shaken_m_s:.3g} mm/s "
+            f"between neighbours where the tool moves at {1e3 * fastest_m_s:.3g} mm/s at most: "
+            "smooth them first"
         )
     return notes
-
-
-def _saturated(values: Array) -> list[float]:
-    """Return the extreme values at which a channel stays, as a saturated sensor does."""
-    known = values[np.isfinite(values)]
-    if len(known) < PLATEAU:
-        return []
-    turns = np.diff(known)
-    if np.mean(turns[1:] * turns[:-1] < 0.0) < ROUGH:
-        return []
-    greatest = float(np.abs(known).max())
-    starts, lengths = _rows(known)
-    found = []
-    for extreme in {float(known.min()), float(known.max())}:
-        if abs(extreme) < BASELINE * greatest or greatest == 0.0:
-            continue
-        around = np.concatenate([[1], lengths, [1]])
-        neighbours = np.maximum(around[:-2], around[2:])
-        long = (known[starts] == extreme) & (lengths >= PLATEAU) & (lengths >= SHARPER * neighbours)
-        found += [extreme] if long.any() else []
-    return sorted(found)
-
-
-def _coarse_step(values: Array) -> float:
-    """Return the step of a channel if it hides the noise, otherwise 0."""
-    known = values[np.isfinite(values)]
-    levels = np.unique(known)
-    if len(levels) < 3 or np.median(np.abs(np.diff(known))) > 0.0:
-        return 0.0
-    gaps = np.diff(levels)
-    step = float(gaps[gaps > 1e-9 * np.abs(levels).max()].min(initial=np.inf))
-    shares = gaps / step
-    return step if bool((np.abs(shares - np.round(shares)) < 0.05).all()) else 0.0
-
-
-def _rows(values: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the start indices and the lengths of rows of equal values."""
-    starts = np.concatenate([[0], np.flatnonzero(np.diff(values) != 0.0) + 1])
-    return starts, np.diff(np.concatenate([starts, [len(values)]]))

@@ -2,28 +2,40 @@
 volumetric_drilling.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
-
+from collections import (Counter)
+from collections.abc import (Callable, Mapping)
+from dataclasses import (dataclass, replace)
+from io import (StringIO)
+from meshes.base.arrays import (Array, Numbers)
+from meshes.base.errors import (DamagedFileError, InputError, counted, is_file)
+from meshes.base.file_limits import (read_npz, require_memory)
+from meshes.base.isolated_parser import (Answer, parse_isolated)
+from meshes.base.text_numbers import (number_in)
+from numpy.typing import (NDArray)
+from pathlib import (Path)
+from tissue.motion.replay import (read_drilling)
+from typing import (Any)
+import csv
 import numpy as np
-from numpy.typing import NDArray
+import re
 
-from meshes.base.arrays import Array
-from meshes.base.errors import DamagedFileError, InputError, is_file
-from meshes.base.file_limits import read_npz, require_memory
-from meshes.base.isolated_parser import Answer, parse_isolated
-from tissue.fitting.columns import ColumnMap, Quantity
-from tissue.fitting.log_text import read_text
-from tissue.motion.replay import read_drilling
+__all__ = ["CHANNELS", "LogColumns", "QUATERNION", "TIPS", "mat_columns", "parquet_columns", "read_columns"]
 
-__all__ = ["LogColumns", "mat_columns", "parquet_columns", "read_columns"]
+
+
+_DELIMITERS = (",", ";", "\t", " ")
+_LOOKED_AT = 50
+"""Number of lines at the end of a file that determine the form of a data line."""
+_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
+_AGAIN = "fix that line or export the log again"
+
 
 DRILLING = ("physics_data", "high_frequency_poses")
 """Groups that identify a recording of volumetric_drilling."""
-POSE_NAMES = ("tool_x_mm", "tool_y_mm", "tool_z_mm", "tool_qx", "tool_qy", "tool_qz", "tool_qw")
-LOAD_NAMES = ("force_x_N", "force_y_N", "force_z_N", "torque_x_Nm", "torque_y_Nm", "torque_z_Nm")
+TIPS = ("tool_x_mm", "tool_y_mm", "tool_z_mm")
+QUATERNION = ("tool_qx", "tool_qy", "tool_qz", "tool_qw")
+CHANNELS = ("force_x_N", "force_y_N", "force_z_N", "torque_x_Nm", "torque_y_Nm", "torque_z_Nm")
+"""Loads on the tool, in the scene's frame, torques about the tip."""
 
 
 @dataclass(frozen=True)
@@ -45,35 +57,143 @@ class LogColumns:
     numbers: Callable[[str], Array]
     notes: tuple[str, ...] = ()
 
-    def taken(
-        self, maps: Mapping[str, ColumnMap], quantities: Mapping[str, Quantity]
-    ) -> tuple[dict[str, Array], list[str]]:
-        """Return the available quantities in SI, by name, and remarks in sentences.
 
-        Raises
-        ------
-        InputError
-            If a mapped column is missing or holds no numbers.
-        """
-        values: dict[str, Array] = {}
-        used = set[str]()
-        notes = list(self.notes)
-        for name, quantity in quantities.items():
-            if name in maps:
-                column, factor, remark = maps[name].find(self.names)
-                notes += [remark] if remark else []
-            elif name in self.names:
-                column = name
-                factor = quantity.factor
-            else:
-                continue
-            values[name] = factor * self.numbers(column)
-            used.add(column)
-        if left := [name for name in self.names if name not in used]:
-            notes.append(
-                f"not used: {', '.join(left[:12])}{' and others' if len(left) > 12 else ''}"
+def _text(path: Path) -> LogColumns:
+    """Return the columns of a table of text, without any text before it.
+
+    Columns without a header line have numbers from 1 as names.
+    """
+    lines = _decoded(path).splitlines()
+    while lines and not lines[-1].strip():
+        lines.pop()
+    delimiter, width = _form(lines[-_LOOKED_AT:], path)
+    cells = [_cells(line, delimiter) for line in lines]
+    start = next(i for i, row in enumerate(cells) if len(row) == width and _is_data(row))
+    header, above, has_units = _header(cells[:start], width)
+    names = header or tuple(map(str, range(1, width + 1)))
+    notes = []
+    if above and header:
+        notes.append(f"{counted(above, 'line')} before the header line {above + 1}")
+    if has_units:
+        notes.append(f"the units of line {start}")
+    places = [at for at in range(start, len(lines)) if lines[at].strip()]
+    if blank := len(lines) - start - len(places):
+        notes.append(f"{counted(blank, 'blank line')} between the rows")
+    if len(cells[places[-1]]) < width:
+        places.pop()
+        notes.append("the last line, which is cut short, is left out")
+    for at in places:
+        if len(cells[at]) != width:
+            found = f"{len(cells[at])} in line {at + 1} of {path.name}"
+            raise InputError("log", f"hold {width} values a line", found, _AGAIN)
+
+    def numbers(name: str) -> Array:
+        if names.count(name) != 1:
+            raise InputError(
+                "column",
+                "name one column of the log",
+                f"{name}, which is there twice",
+                "rename one",
             )
-        return values, notes
+        column = names.index(name)
+        found = np.empty(len(places))
+        for row, at in enumerate(places):
+            cell = cells[at][column].strip()
+            try:
+                found[row] = number_in(cell.replace(",", ".")) if cell else np.nan
+            except ValueError:
+                text = f"{cell[:40]!r} for {name} in line {at + 1}"
+                raise InputError("log", "hold numbers", text, _AGAIN) from None
+        return found
+
+    return LogColumns(names, numbers, tuple(notes))
+
+
+def _decoded(path: Path) -> str:
+    """Return the text of a file, decoded as UTF-8, UTF-16 or Windows-1252.
+
+    A file that is not UTF-8 is read as UTF-16 if it begins like UTF-16, otherwise as Windows-1252.
+    """
+    content = path.read_bytes()
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return content.decode("utf-16", "replace")
+    if b"\0" in content[:4096]:
+        raise InputError(
+            "log", "be a table of text", f"other data in {path.name}", "export it as CSV"
+        )
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return content.decode("cp1252", "replace")
+
+
+def _form(lines: list[str], path: Path) -> tuple[str, int]:
+    """Return the delimiter and the number of cells of the lines that hold data.
+
+    The delimiter that yields the most numbers is chosen.
+    """
+    best = 0
+    form = (",", 0)
+    for delimiter in _DELIMITERS:
+        rows = [_cells(line, delimiter) for line in lines]
+        widths = Counter(len(row) for row in rows if len(row) > 1 and _is_data(row))
+        if not widths:
+            continue
+        width = widths.most_common(1)[0][0]
+        score = sum(2 * _count(row) - len(row) for row in rows if len(row) == width)
+        if score > best:
+            best = score
+            form = (delimiter, width)
+    if not form[1]:
+        raise InputError(
+            "log",
+            "hold a table with at least two columns of numbers",
+            f"none in {path.name}",
+            "export it as CSV",
+        )
+    return form
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    """Return the cells of a line. An empty cell after the last delimiter is dropped."""
+    if delimiter == " ":
+        return line.split()
+    row = next(csv.reader(StringIO(line), delimiter=delimiter), [])
+    return row[:-1] if len(row) > 1 and not row[-1].strip() and _count(row) == len(row) - 1 else row
+
+
+def _count(row: list[str]) -> int:
+    return sum(_NUMBER.fullmatch(cell.strip()) is not None for cell in row)
+
+
+def _is_data(row: list[str]) -> bool:
+    """Return whether at least half of the non-empty cells hold numbers."""
+    filled = sum(bool(cell.strip()) for cell in row)
+    return filled > 0 and 2 * _count(row) >= filled
+
+
+def _header(above: list[list[str]], width: int) -> tuple[tuple[str, ...], int, bool]:
+    """Return the column names, the number of lines before them, and a flag.
+
+    The flag is set if a line of units stands between the names and the data.
+    """
+    at = len(above) - 1
+    while at >= 0 and not any(cell.strip() for cell in above[at]):
+        at -= 1
+    if at < 0 or len(above[at]) != width:
+        return (), 0, False
+    names = [cell.strip().removeprefix("#").strip() for cell in above[at]]
+    units = [re.fullmatch(r"[\[(]?([A-Za-zµ°%/*· -]{0,6})[\])]?", name) for name in names]
+    if at > 0 and len(above[at - 1]) == width and all(units):
+        first = [cell.strip().removeprefix("#").strip() for cell in above[at - 1]]
+        if not _count(first):
+            stated = [unit[1].strip() if unit else "" for unit in units]
+            joined = [
+                f"{name} ({unit})" if unit else name
+                for name, unit in zip(first, stated, strict=True)
+            ]
+            return tuple(joined), at - 1, True
+    return tuple(names), at, False
 
 
 def read_columns(path: Path) -> LogColumns:
@@ -104,11 +224,6 @@ def read_columns(path: Path) -> LogColumns:
         ) from None
 
 
-def _text(path: Path) -> LogColumns:
-    table = read_text(path)
-    return LogColumns(table.names, lambda name: np.array(table.numbers(name)), table.notes)
-
-
 def _held(columns: Mapping[str, Any]) -> LogColumns:
     """Return columns of arrays. A matrix gives no columns."""
     flat = {name: np.squeeze(np.asarray(values)) for name, values in columns.items()}
@@ -127,11 +242,6 @@ def _held(columns: Mapping[str, Any]) -> LogColumns:
     return LogColumns(tuple(flat), numbers)
 
 
-def _parquet(path: Path) -> LogColumns:
-    _module("pyarrow.parquet", "parquet")
-    return _isolated("parquet_columns", path)
-
-
 def _isolated(parser: str, path: Path) -> LogColumns:
     """Return the columns that a parser finds in a separate process."""
     name = f"tissue.fitting.log_files:{parser}"
@@ -140,8 +250,9 @@ def _isolated(parser: str, path: Path) -> LogColumns:
     )
 
 
-def _npz(path: Path) -> LogColumns:
-    return _held(read_npz(path))
+def _parquet(path: Path) -> LogColumns:
+    _module("pyarrow.parquet", "parquet")
+    return _isolated("parquet_columns", path)
 
 
 def _mat(path: Path) -> LogColumns:
@@ -188,27 +299,22 @@ def _structs(path: Path) -> LogColumns:
 def _drilling(path: Path) -> LogColumns:
     """Return poses and loads of a recording of volumetric_drilling, each with separate times."""
     held = read_drilling(path, what="measured")
-    columns = {"time_s": held.times_s}
-    columns |= dict(
-        zip(POSE_NAMES, np.hstack([1e3 * held.tips_m, held.quaternions]).T, strict=True)
-    )
+    poses = np.hstack([1e3 * held.tips_m, held.quaternions])
+    columns = {"time_s": held.times_s, **dict(zip(TIPS + QUATERNION, poses.T, strict=True))}
     if held.load_times_s is not None and held.loads is not None and len(held.load_times_s):
         first, last = held.load_times_s[[0, -1]].tolist()
         if first > held.times_s[-1] or last < 0.0:
             raise InputError(
                 "measured",
                 "hold forces while the poses last",
-                (
-                    f"forces from {first:.6g} to {last:.6g} s after the first pose and poses for "
-                    f"{held.times_s[-1]:.6g} s in {path}"
-                ),
+                f"forces from {first:.6g} to {last:.6g} s after the first pose and poses for "
+                f"{held.times_s[-1]:.6g} s in {path}",
                 "bring its time_stamps to one clock",
             )
         columns["load_time_s"] = held.load_times_s
         # torques may have been left out
-        columns |= dict(zip(LOAD_NAMES, held.loads.T, strict=False))
-    found = _held(columns)
-    return LogColumns(found.names, found.numbers, held.notes)
+        columns |= dict(zip(CHANNELS, held.loads.T, strict=False))
+    return replace(_held(columns), notes=held.notes)
 
 
 def _module(name: str, extra: str) -> Any:
@@ -230,7 +336,7 @@ READERS: dict[str, Callable[[Path], LogColumns]] = {
     ".txt": _text,
     ".tsv": _text,
     ".parquet": _parquet,
-    ".npz": _npz,
+    ".npz": lambda path: _held(read_npz(path)),
     ".mat": _mat,
     ".h5": _h5,
     ".hdf5": _h5,
@@ -262,7 +368,7 @@ def parquet_columns(file: Path) -> Answer:
         f"{about.num_rows:.3g} rows",
     )
     table = pyarrow.parquet.read_table(file)
-    columns: dict[str, NDArray[np.number]] = {}
+    columns: dict[str, Numbers] = {}
     for name, values in zip(table.column_names, table.columns, strict=True):
         _require_new(name, columns)
         columns[name] = _numeric(values.to_numpy(zero_copy_only=False))
@@ -277,16 +383,14 @@ def mat_columns(file: Path) -> Answer:
     """
     from scipy.io import loadmat
 
-    columns: dict[str, NDArray[np.number]] = {}
+    columns: dict[str, Numbers] = {}
     for name, value in loadmat(file, squeeze_me=True).items():
         if name.startswith("__"):
             continue
+        held = {name: value}
         fields = getattr(getattr(value, "dtype", None), "names", None)
-        held = (
-            {inner: value[inner].item() for inner in fields}
-            if fields and value.ndim == 0
-            else {name: value}
-        )
+        if fields and value.ndim == 0:
+            held = {inner: value[inner].item() for inner in fields}
         for inner, each in held.items():
             _require_new(inner, columns)
             columns[inner] = _numeric(np.asarray(each))
@@ -299,6 +403,6 @@ def _require_new(name: str, columns: Mapping[str, object]) -> None:
         raise DamagedFileError(f"two columns named {name}")
 
 
-def _numeric(values: NDArray[Any]) -> NDArray[np.number]:
+def _numeric(values: NDArray[Any]) -> Numbers:
     """Return an array of numbers as it is, and an empty matrix for anything else."""
     return values if values.dtype.kind in "fiu" else np.zeros((0, 0))

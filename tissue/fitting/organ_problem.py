@@ -13,12 +13,10 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import names_of_caller
 from meshes.base.progress import Progress
-from tissue.fitting.forward import Parameter
 from tissue.fitting.log import MeasuredLog
-from tissue.fitting.measured import MeasuredLoads, block_averages, block_ticks
 from tissue.fitting.organ_runs import KEYS, OrganRuns, Poses, organ_parameters
-from tissue.fitting.posterior import Posterior, Problem, maximum_posterior
-from tissue.fitting.signs import require_signs
+from tissue.fitting.posterior import Posterior, maximum_posterior, require_signs
+from tissue.fitting.problem import MeasuredLoads, Parameter, Problem
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.scene import Scene
 
@@ -36,7 +34,7 @@ class OrganForward:
     Attributes
     ----------
     parameters, channels, times_s
-        See `tissue.fitting.forward.Forward`.
+        See `tissue.fitting.problem.Forward`.
     moduli
         Indices of the moduli to which loads are proportional together. Empty if another stiffness
         is fixed.
@@ -77,12 +75,12 @@ class OrganForward:
         return scale, same
 
     def loads(self, x: Array) -> Array:
-        """Return the loads, see `tissue.fitting.forward.Forward`."""
+        """Return the loads, see `tissue.fitting.problem.Forward`."""
         scale, same = self.reduced(x)
         return scale * self._of_run(self.distance(same))
 
     def jacobian(self, x: Array) -> Array:
-        """Return the derivatives of the loads, see `tissue.fitting.forward.Forward`."""
+        """Return the derivatives of the loads, see `tissue.fitting.problem.Forward`."""
         scale, same = self.reduced(x)
         distance = self.distance(same)
         found = self._slopes_at(distance) / np.where(self._logarithmic, same, 1.0)
@@ -202,8 +200,7 @@ def organ_problem(
     """
     poses = Poses(log.times_s, log.tips_m, log.quaternions_of(scene))
     parameters, moduli = organ_parameters(scene, free)
-    ticks = block_ticks(float(log.load_times_s[-1] - log.load_times_s[0]), log.load_period_s)
-    measured = block_averages(log.load_times_s, log.loads, log.channels, ticks)
+    measured, ticks = log.averaged()
     with (
         names_of_caller({"motion": "measured"}),
         OrganRuns(
@@ -211,7 +208,7 @@ def organ_problem(
         ) as runs,
     ):
         found = settled(parameters, moduli, runs, measured, progress)
-    return Problem(found.forward, measured, ticks * TICK_S, lambda _: [], _notes(found, runs.count))
+    return Problem(found.forward, measured, ticks * TICK_S, dict, _notes(found, runs.count))
 
 
 def settled(
@@ -324,18 +321,16 @@ def _named(parameters: Sequence[Parameter], x: Array) -> dict[str, float]:
 
 
 def _notes(found: Settled, count: int) -> tuple[str, ...]:
-    values = {
-        name: found.posterior.interval(at)[1]
+    notes = [
+        f"{count} runs of the organ, the last {found.away:.2g} standard deviations from the result"
+    ]
+    if found.away >= SETTLED:
+        notes.append(UNSETTLED)
+    keys = [
+        f"--set {name}={found.posterior.interval(at)[1]:.4g}"
         for at, name in enumerate(found.posterior.names)
         if name.startswith(KEYS)
-    }
-    keys = " ".join(f"--set {name}={value:.4g}" for name, value in values.items())
-    return (
-        f"{count} runs of the organ, the last {found.away:.2g} standard deviations from the result",
-        (
-            "what to measure next is not computed for an organ, whose every candidate would be "
-            "several runs"
-        ),
-        *([UNSETTLED] if found.away >= SETTLED else []),
-        *([f"keys of the scene, not in fitted.toml: {keys}"] if keys else []),
-    )
+    ]
+    if keys:
+        notes.append(f"keys of the scene, not in fitted.toml: {' '.join(keys)}")
+    return tuple(notes)

@@ -6,22 +6,20 @@ small steps that a load takes where the tool leaves an element or a shaft begins
 earlier.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
-
+from dataclasses import (dataclass, replace)
+from functools import (cached_property)
+from meshes.base.arrays import (Array)
+from meshes.base.errors import (InputError)
+from scipy.optimize import (minimize)
+from tissue.fitting.marginal import (Marginal, marginal)
+from tissue.fitting.problem import (Forward, MeasuredLoads)
+from tissue.fitting.target import (OFFSET_S, Restricted, Target, Unpacked, innovations)
+from tissue.materials.constants import (Prior)
 import numpy as np
-from scipy.optimize import minimize
 
-from meshes.base.arrays import Array
-from tissue.fitting.forward import Forward
-from tissue.fitting.marginal import Marginal, marginal
-from tissue.fitting.measured import MeasuredLoads
-from tissue.fitting.noise import innovations
-from tissue.fitting.target import OFFSET_S, Restricted, Target, Unpacked
-from tissue.materials.constants import Prior
+__all__ = ["Posterior", "climbed", "maximum_posterior", "require_signs", "reversed_channels", "starts"]
 
-__all__ = ["Posterior", "Problem", "climbed", "maximum_posterior", "starts"]
+
 
 OFFSETS_S = OFFSET_S * np.concatenate(
     [np.arange(-10.0, -3.0), np.linspace(-3.0, 3.0, 25), np.arange(4.0, 11.0)]
@@ -232,30 +230,82 @@ def _scored(target: Restricted, u: Array) -> tuple[Array, Array, bool]:
     return u, information, False
 
 
-@dataclass(frozen=True, eq=False)
-class Problem:
-    """Loads by constants, the log to compare them with, and candidate logs.
+# Constants of a fit have a known sign, so they cannot explain a channel of opposite sign. The fit
+# would treat it as a bias with noise and return wrong constants without a message. Each channel,
+# all forces, all torques and all loads are therefore fitted with their signs reversed as well.
+GAIN = 10.0
+"""Log density that reversed signs must add: odds of 2e4, where chance between two signs is one."""
+SCREENED = 50.0
+"""Deficit of the log density up to which reversed signs are searched further.
 
-    Attributes
+The search moves the noise too.
+"""
+EXPLAINED = 0.5
+"""Share of a channel's variance that the loads must explain once it is reversed: a channel of
+noise has no sign.
+"""
+
+
+def require_signs(forward: Forward, log: MeasuredLoads) -> None:
+    """Refuse a log with channels that are explained better with their signs reversed.
+
+    Raises
+    ------
+    InputError
+        With the names of these channels.
+    """
+    if wrong := reversed_channels(forward, log):
+        raise InputError(
+            "measured",
+            "hold loads on the tool, in the scene's frame",
+            f"{', '.join(wrong)} with the sign reversed, by which the scene explains more",
+            f"reverse the sign with --column {wrong[0]}=-COLUMN, or drop the column",
+        )
+
+
+def reversed_channels(forward: Forward, log: MeasuredLoads) -> tuple[str, ...]:
+    """Return the channels that the model explains better with reversed signs.
+
+    Parameters
     ----------
     forward
         Loads by the constants.
-    measured
-        The log, averaged over blocks.
-    block_s
-        Length of a block [s].
-    candidates
-        Return logs that could be measured next, each with a description, given the posterior of
-        this one.
-    notes
-        Remarks for the report.
-    fixed
-        Fixed constants that the free constants depend on, by their names.
+    log
+        Measured loads.
     """
+    signs = np.ones(len(log.channels))
+    best, _ = _search(forward, log, signs, -np.inf)
+    groups = [[at] for at in range(len(signs))]
+    for kind in ("force_", "torque_", ""):
+        places = [at for at, name in enumerate(log.channels) if name.startswith(kind)]
+        if len(places) > 1 and places not in groups:
+            groups.append(places)
+    while True:
+        found = signs
+        for places in groups:
+            tried = signs.copy()
+            tried[places] *= -1.0
+            density, explained = _search(forward, log, tried, best + GAIN)
+            if density > best + GAIN and (explained[places] > EXPLAINED).any():
+                best = density
+                found = tried
+        if found is signs:
+            return tuple(np.array(log.channels)[signs < 0.0].tolist())
+        signs = found
 
-    forward: Forward
-    measured: MeasuredLoads
-    block_s: float
-    candidates: Callable[[Posterior], Sequence[tuple[str, Forward]]]
-    notes: tuple[str, ...] = ()
-    fixed: Mapping[str, float] = field(default_factory=dict)
+
+def _search(
+    forward: Forward, log: MeasuredLoads, signs: Array, wanted: float
+) -> tuple[float, Array]:
+    """Return the largest log density of a log with these signs, and the explained variance.
+
+    The explained share of the variance is computed for each channel. If the first guess is far from
+    the wanted density, the results of the guess are returned.
+    """
+    target = Target(forward, replace(log, values=log.values * signs))
+    density, u = starts(target)[0]
+    if density > wanted - SCREENED:
+        density, u = climbed(target, u)
+    left = np.nanvar(target.log.values - target.simulated(u), axis=0)
+    whole = np.nanvar(target.log.values, axis=0)
+    return density, 1.0 - np.divide(left, whole, out=np.ones_like(whole), where=whole > 0.0)

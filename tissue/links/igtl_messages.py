@@ -13,16 +13,18 @@ from math import isfinite
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from meshes.base.errors import InputError
-from tissue.links.igtl_crc import crc64
+from meshes.base.arrays import Array, Floats
 
 __all__ = [
     "HEADER_BYTES",
+    "NEWTON",
+    "NEWTON_METRE",
     "STATUS_OK",
     "STATUS_SHUT_DOWN",
     "Header",
     "IgtlError",
     "content_of",
+    "crc64",
     "image_body",
     "ndarray_body",
     "packed",
@@ -30,11 +32,71 @@ __all__ = [
     "parse_transform",
     "polydata_body",
     "sensor_body",
-    "si_unit",
     "status_body",
     "string_body",
     "transform_body",
 ]
+
+POLYNOMIAL = 0x42F0E1EBA9EA3693
+"""Polynomial of ECMA-182, highest bit first, initial value zero, not inverted."""
+LANES = 4096
+"""Number of parts of a long body that are processed in parallel; a power of two."""
+LONG = 2 * LANES
+"""Body length from which the parallel method is faster than a loop over bytes [bytes]."""
+MASK = 0xFFFFFFFFFFFFFFFF
+Words = NDArray[np.uint64]
+
+
+def _entries() -> list[int]:
+    """Return the remainder of every byte followed by eight zero bytes."""
+    found = []
+    for byte in range(256):
+        value = byte << 56
+        for _ in range(8):
+            value = ((value << 1) ^ POLYNOMIAL if value >> 63 else value << 1) & MASK
+        found.append(value)
+    return found
+
+
+ENTRIES = _entries()
+TABLE: Words = np.array(ENTRIES, dtype=np.uint64)
+BYTE = np.uint64(8)
+TOP = np.uint64(56)
+BITS: Words = np.arange(64, dtype=np.uint64)
+
+
+def crc64(body: bytes | bytearray | memoryview) -> int:
+    """Return the checksum of a message body.
+
+    The remainder is linear in the body. A long body is split into `LANES` parts, whose remainders
+    are computed in parallel and then joined in pairs. The earlier of two remainders is first
+    advanced by the length of the later part.
+    """
+    if len(body) < LONG:
+        value = 0
+        for byte in body:
+            value = ((value << 8) & MASK) ^ ENTRIES[(value >> 56) ^ byte]
+        return value
+    width = -(-len(body) // LANES)
+    padded = np.zeros(LANES * width, dtype=np.uint8)
+    # leading zeros do not change the remainder
+    padded[len(padded) - len(body) :] = np.frombuffer(body, dtype=np.uint8)
+    found = np.zeros(LANES, dtype=np.uint64)
+    moved = np.uint64(1) << BITS
+    for column in np.ascontiguousarray(padded.reshape(LANES, width).T):
+        found = (found << BYTE) ^ TABLE[(found >> TOP) ^ column]
+        moved = (moved << BYTE) ^ TABLE[moved >> TOP]
+    while len(found) > 1:
+        found = _through(moved, found[0::2]) ^ found[1::2]
+        moved = _through(moved, moved)
+    return int(found[0])
+
+
+def _through(moved: Words, words: Words) -> Words:
+    """Apply the linear map that takes bit i to ``moved[i]`` to words."""
+    chosen = ((words[:, None] >> BITS) & np.uint64(1)) * moved
+    return np.asarray(np.bitwise_xor.reduce(chosen, axis=1))
+
 
 HEADER = struct.Struct(">H12s20sIIQQ")
 HEADER_BYTES = HEADER.size
@@ -44,16 +106,20 @@ ENTRY = struct.Struct(">HHI")
 """Length of a key, encoding and length of its value."""
 NEWEST = 3
 """Highest header version with a known layout; versions from 2 on have the extended header."""
-STATUS_OK, STATUS_SHUT_DOWN = 1, 19
-ASCII, UTF8 = 3, 106
+STATUS_OK = 1
+STATUS_SHUT_DOWN = 19
+ASCII = 3
+UTF8 = 106
 """IANA numbers of the encodings."""
 LONGEST_TEXT = 0xFFFF
 SCALARS = {"i1": 2, "u1": 3, "i2": 4, "u2": 5, "i4": 6, "u4": 7, "f4": 10, "f8": 11}
 """Type numbers of scalars."""
-UNITS = {"m": 0x01, "g": 0x02, "s": 0x03, "Hz": 0x0A, "N": 0x0B, "Pa": 0x0C}
-"""Codes of the supported units."""
+NEWTON = 0x0B << 54 | 1 << 50
+NEWTON_METRE = NEWTON | 0x01 << 44 | 1 << 40
+"""Codes of units: from the highest bits on, 6 bits of a unit and 4 bits of its power."""
 POINT_SCALARS = 0x00
-LITTLE, RAS = 2, 1
+LITTLE = 2
+RAS = 1
 """Byte order and frame of an image.
 
 The voxels of an image are the only numbers that are not big-endian.
@@ -64,7 +130,7 @@ class IgtlError(ValueError):
     """Error for bytes that are not an OpenIGTLink message; its text is half a sentence."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Header:
     """Header of a message.
 
@@ -114,7 +180,13 @@ def packed(
     fraction = int((time_s - seconds) * 2**32)
     return (
         HEADER.pack(
-            version, _short(kind, 12), _short(name, 20), seconds, fraction, len(body), crc64(body)
+            version,
+            kind.encode("ascii", "replace"),
+            name.encode("ascii", "replace"),
+            seconds,
+            fraction,
+            len(body),
+            crc64(body),
         )
         + body
     )
@@ -131,18 +203,10 @@ def parse_header(header: bytes | bytearray) -> Header:
     version, kind, name, seconds, fraction, size, crc = HEADER.unpack(header[:HEADER_BYTES])
     if not 1 <= version <= NEWEST:
         raise IgtlError(f"a header of version {version}")
-    texts = []
-    for text in (kind, name):
-        text = text.split(b"\0")[0]
-        if not (text.isascii() and text.decode("ascii").isprintable()):
-            raise IgtlError("a header whose type or name is no ASCII text")
-        texts.append(text.decode("ascii").strip())
-    if not texts[0]:
-        raise IgtlError("a header without a type")
-    time_s = seconds + fraction / 2**32
-    return Header(
-        version=version, kind=texts[0], name=texts[1], time_s=time_s, body_bytes=size, crc=crc
-    )
+    kind, name = (text.split(b"\0")[0].decode("ascii", "replace").strip() for text in (kind, name))
+    if not kind or not (kind + name).isascii() or not (kind + name).isprintable():
+        raise IgtlError("a header whose type or name is no ASCII text")
+    return Header(version, kind, name, seconds + fraction / 2**32, size, crc)
 
 
 def content_of(header: Header, body: bytes | bytearray) -> bytes:
@@ -157,9 +221,7 @@ def content_of(header: Header, body: bytes | bytearray) -> bytes:
         raise IgtlError("a message with another checksum than its body has")
     if header.version == 1:
         return bytes(body)
-    if len(body) < EXTENDED.size:
-        raise IgtlError("a message that ends within its extended header")
-    first, index, values, _ = EXTENDED.unpack(body[: EXTENDED.size])
+    first, index, values, _ = EXTENDED.unpack(body[: EXTENDED.size].ljust(EXTENDED.size, b"\0"))
     last = len(body) - index - values
     if not EXTENDED.size <= first <= last:
         raise IgtlError("an extended header with sizes that its message does not have")
@@ -174,7 +236,7 @@ def transform_body(matrix: ArrayLike) -> bytes:
     return np.asarray(matrix, dtype=float)[:3].T.astype(">f4").tobytes()
 
 
-def parse_transform(content: bytes) -> NDArray[np.float64]:
+def parse_transform(content: bytes) -> Array:
     """Return the homogeneous matrix of a TRANSFORM [mm], shape (4, 4).
 
     Raises
@@ -195,7 +257,7 @@ def parse_transform(content: bytes) -> NDArray[np.float64]:
 def status_body(code: int, message: str, *, subcode: int = 0, name: str = "") -> bytes:
     """Return a STATUS body with a code such as `STATUS_OK` and a message."""
     return (
-        struct.pack(">Hq20s", code, subcode, _short(name, 20))
+        struct.pack(">Hq20s", code, subcode, name.encode("ascii", "replace"))
         + message.encode("ascii", "replace")
         + b"\0"
     )
@@ -209,20 +271,9 @@ def string_body(text: str) -> bytes:
 
 
 def sensor_body(values: ArrayLike, unit: int) -> bytes:
-    """Return a SENSOR body of at most 255 values in one unit, see `si_unit`."""
+    """Return a SENSOR body of at most 255 values in one unit such as `NEWTON`."""
     data = np.asarray(values, dtype=">f8").ravel()
     return struct.pack(">BBQ", len(data), 0, unit) + data.tobytes()
-
-
-def si_unit(*powers: tuple[str, int]) -> int:
-    """Return the SENSOR code of a product of powers of units.
-
-    For example, ``si_unit(("N", 1), ("m", 1))`` is the code of N m.
-    """
-    held = 0
-    for place, (unit, exponent) in enumerate(powers):
-        held |= (UNITS[unit] << 4 | exponent & 0xF) << (10 * (5 - place))
-    return held
 
 
 def ndarray_body(values: ArrayLike) -> bytes:
@@ -236,7 +287,7 @@ def polydata_body(
     points_mm: ArrayLike,
     polygons: ArrayLike,
     *,
-    scalars: Mapping[str, NDArray[np.floating]] | None = None,
+    scalars: Mapping[str, Floats] | None = None,
 ) -> bytes:
     """Return a POLYDATA body of polygons that all have the same number of points.
 
@@ -277,10 +328,6 @@ def image_body(voxels: NDArray[np.generic], ijk_to_ras_mm: ArrayLike) -> bytes:
     """
     matrix = np.asarray(ijk_to_ras_mm, dtype=float)
     shape = voxels.shape
-    if len(shape) != 3 or max(shape) > 0xFFFF:
-        raise InputError(
-            "voxels", "have three axes of at most 65535", f"shape {shape}", "take fewer"
-        )
     middle = matrix @ [*(0.5 * (np.array(shape) - 1.0)), 1.0]
     placed = np.concatenate([matrix[:3, :3].T.ravel(), middle[:3]]).astype(">f4")
     head = struct.pack(">HBBBB3H", 1, 1, _scalar(voxels), LITTLE, RAS, *shape) + placed.tobytes()
@@ -292,22 +339,9 @@ def image_body(voxels: NDArray[np.generic], ijk_to_ras_mm: ArrayLike) -> bytes:
 
 def _scalar(values: NDArray[np.generic]) -> int:
     """Return the type number of the scalars of an array."""
-    kind = f"{values.dtype.kind}{values.dtype.itemsize}"
-    if kind not in SCALARS:
-        raise InputError("values", "be of a type that OpenIGTLink has", values.dtype, "use float64")
-    return SCALARS[kind]
+    return SCALARS[f"{values.dtype.kind}{values.dtype.itemsize}"]
 
 
 def _encoded(text: str) -> tuple[int, bytes]:
     """Return the encoding and the bytes of a text."""
     return (ASCII if text.isascii() else UTF8), text.encode()
-
-
-def _short(text: str, size: int) -> bytes:
-    """Return a text as a field of fixed size; a text that does not fit raises an error."""
-    field = text.encode("ascii", "replace")
-    if len(field) > size:
-        raise InputError(
-            "a name in a message", f"have at most {size} characters", f"{text!r}", "shorten it"
-        )
-    return field

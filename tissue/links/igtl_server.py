@@ -50,15 +50,12 @@ class Client:
 
     Attributes
     ----------
-    name
-        Address and port of the client.
     wants
         Message types that the client has requested.
     """
 
-    def __init__(self, connection: socket.socket, name: str) -> None:
+    def __init__(self, connection: socket.socket) -> None:
         self.connection = connection
-        self.name = name
         self.wants = set[str]()
         self._inbox = bytearray()
         self._outbox = deque[memoryview]()
@@ -151,9 +148,6 @@ class IgtlServer:
     ----------
     clients
         Connected clients.
-    happened
-        Connections and disconnections with their reasons, one sentence each. The caller empties the
-        list.
     accepted, refused
         Number of accepted clients. Number of clients that were refused, or disconnected for invalid
         messages or for taking no data.
@@ -179,7 +173,6 @@ class IgtlServer:
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._listener, selectors.EVENT_READ)
         self.clients: list[Client] = []
-        self.happened: list[str] = []
         self.accepted = self.refused = 0
 
     @property
@@ -235,35 +228,30 @@ class IgtlServer:
     def _accept(self) -> list[Client]:
         """Accept the next client that waits at the port."""
         try:
-            connection, (host, port) = self._listener.accept()
+            connection, _ = self._listener.accept()
         except OSError:  # the client has left in the meantime
             return []
         if len(self.clients) >= MOST_CLIENTS:
             connection.close()
             self.refused += 1
-            self.happened.append(f"{host}:{port} was refused: {MOST_CLIENTS} clients are connected")
             return []
         connection.setblocking(False)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        client = Client(connection, f"{host}:{port}")
+        client = Client(connection)
         self._selector.register(connection, selectors.EVENT_READ, client)
         self.clients.append(client)
         self.accepted += 1
-        self.happened.append(f"{client.name} connected")
         return [client]
 
     def _try(self, client: Client, call: Callable[[], Result]) -> Result | None:
         """Call a method of a client, and disconnect the client on failure."""
         try:
             return call()
-        except (IgtlError, TimeoutError) as error:
+        except OSError as error:
+            self.refused += isinstance(error, TimeoutError)
+        except IgtlError:
             self.refused += 1
-            problem = f"sent {error}" if isinstance(error, IgtlError) else str(error)
-            self._leave(client)
-            self.happened.append(f"{client.name} was disconnected: it {problem}")
-        except OSError:
-            self._leave(client)
-            self.happened.append(f"{client.name} disconnected")
+        self._leave(client)
         return None
 
     def _leave(self, client: Client) -> None:

@@ -1,34 +1,305 @@
-"""Publisher of a live run for 3D Slicer.
+"""Publisher of a live run for 3D Slicer: frame, messages, target of the tool, and process.
 
 Run in its own process by ``python -m tissue.links.slicer_process FOLDER``.
 """
 
-import json
-import os
-import signal
 import sys
 from pathlib import Path
 from time import perf_counter, time
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
-from meshes.base.errors import InputError
+from meshes.base.arrays import Array
 from meshes.base.placement import Placement
 from tissue.links import igtl_messages as igtl
+from tissue.links.igtl_messages import IgtlError, parse_transform
 from tissue.links.igtl_server import Client, IgtlServer, Received
-from tissue.links.slicer_content import SlicerContent
-from tissue.links.slicer_frame import SlicerFrame
-from tissue.links.slicer_target import SlicerTarget
+from tissue.links.publishing import RunPublisher, publish
+from tissue.motion.motion import matrix_of
 from tissue.scene.scene import Scene
-from tissue.simulation.live.shared import SharedArrays
-from tissue.simulation.live.surfaces import Start, tissue_surface
+from tissue.show.figures.faces import faces_of
+from tissue.show.figures.tool_mesh import tool_surface
+from tissue.simulation.bone_surface import with_layers
+from tissue.simulation.live.surfaces import BoneSurface, OrganSurface, Start, tissue_surface
 
-__all__ = ["Publisher"]
+if TYPE_CHECKING:
+    import pyvista
+
+__all__ = ["TARGET", "Publisher", "SlicerContent", "SlicerFrame", "SlicerTarget"]
+
+LPS_TO_RAS: Array = np.diag([-1.0, -1.0, 1.0, 1.0])
+"""Rotation by half a turn from LPS to RAS: left and back become right and front."""
+
+
+class SlicerFrame:
+    """Rigid transform between the scene frame [mm] and RAS [mm].
+
+    A scene whose anatomy comes from a file is aligned with that file. Any other scene has no
+    patient frame. It is placed where 3D Slicer shows the files of its run, such as ``bone.nrrd``,
+    which 3D Slicer interprets as LPS.
+
+    Parameters
+    ----------
+    placement
+        Placement of the scene frame in the frame of the file; None for a scene without a file.
+
+    Attributes
+    ----------
+    matrix
+        Homogeneous matrix from the scene [mm] to RAS [mm], shape (4, 4).
+    """
+
+    def __init__(self, placement: Placement | None) -> None:
+        self.matrix = LPS_TO_RAS.copy()
+        if placement is not None:
+            self.matrix = LPS_TO_RAS @ _pose(placement.origin_mm, placement.rotation)
+
+    def points(self, points_mm: ArrayLike) -> Array:
+        """Return points of the scene [mm], shape (n, 3), in RAS [mm]."""
+        return np.asarray(points_mm) @ self.matrix[:3, :3].T + self.matrix[:3, 3]
+
+    def vector(self, vector: Array) -> Array:
+        """Return a force, a torque or another vector of the scene in RAS, shape (3,)."""
+        return np.asarray(self.matrix[:3, :3] @ vector)
+
+    def pose(self, tip_mm: ArrayLike, rotation: ArrayLike) -> Array:
+        """Return the matrix from a tool frame to RAS [mm], shape (4, 4).
+
+        The arguments are the tip [mm] and the orientation, shape (3, 3), in the scene.
+        """
+        return np.asarray(self.matrix @ _pose(tip_mm, rotation))
+
+    def pose_in_scene(self, matrix: Array) -> tuple[Array, Array]:
+        """Return tip [mm] and orientation, shape (3, 3), in the scene from a tool pose in RAS.
+
+        The pose is a homogeneous matrix [mm], shape (4, 4).
+        """
+        pose = np.linalg.inv(self.matrix) @ matrix
+        return pose[:3, 3], pose[:3, :3]
+
+
+def _pose(origin: ArrayLike, rotation: ArrayLike) -> Array:
+    """Return a homogeneous matrix, shape (4, 4)."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation
+    matrix[:3, 3] = origin
+    return matrix
+
+
+# names of the messages, used by 3D Slicer as names of its nodes
+TOOL = "tissue-tool"
+SHAPE = "tissue-tool-shape"
+TISSUE = "tissue-anatomy"
+IMAGE = "tissue-image"
+FORCE = "tissue-force"
+TORQUE = "tissue-torque"
+WRENCH = "tissue-wrench"
+WORDS = "tissue-force-text"
+STATE = "tissue"
+
+
+class SlicerContent:
+    """Builder of the messages of a run.
+
+    Parameters
+    ----------
+    scene
+        Scene of the run.
+    columns
+        Names of the values of a row.
+    frame
+        Frame of the scene in RAS.
+    start
+        Initial data from the ticks.
+    """
+
+    def __init__(
+        self, scene: Scene, columns: tuple[str, ...], frame: SlicerFrame, start: Start
+    ) -> None:
+        self._scene = scene
+        self._frame = frame
+        self._start = start
+        self._number = 0
+        self._time = columns.index("time_s")
+        self._missed = columns.index("missed")
+        self._tip = [columns.index(f"tool_{c}_mm") for c in "xyz"]
+        self._turn = [columns.index(f"tool_q{c}") for c in "xyzw"]
+        self._force = [columns.index(f"model_force_{c}_N") for c in "xyz"]
+        self._torque = [columns.index(f"model_torque_{c}_Nm") for c in "xyz"]
+
+    def scene_messages(self) -> list[bytes]:
+        """Return the constant messages: tool shape, voxel image, and faces without a body.
+
+        The tool shape is in its own frame.
+        """
+        messages = []
+        tool = tool_surface(self._scene.tool)
+        if tool is not None:
+            triangles = tool.triangulate()
+            body = igtl.polydata_body(triangles.points, triangles.regular_faces)
+            messages.append(self._packed("POLYDATA", SHAPE, body))
+        density = self._start.get("density_kg_m3")
+        if density is not None:
+            spacing_mm = 1e3 * float(self._start["spacing_m"])
+            first_mm = 1e3 * self._start["origin_m"].astype(float) + 0.5 * spacing_mm
+            voxels = self._frame.matrix @ _pose(first_mm, spacing_mm * np.eye(3))
+            messages.append(self._packed("IMAGE", IMAGE, igtl.image_body(density, voxels)))
+        for name, face in faces_of(self._scene).items():
+            body = self._mesh(face.triangulate())
+            messages.append(self._packed("POLYDATA", f"tissue-{name}"[:20], body))
+        return messages
+
+    def surface_message(self, tissue: BoneSurface | OrganSurface) -> bytes:
+        """Return the current surface of the tissue.
+
+        The surface of a bone has the layer as values at the points.
+        """
+        surface = tissue.surface
+        if not isinstance(tissue, BoneSurface) or not surface.n_cells:
+            return self._packed("POLYDATA", TISSUE, self._mesh(surface.triangulate()))
+        layers = np.zeros(surface.n_points)
+        layers[surface.regular_faces] = with_layers(surface, tissue.volume).cell_data["layer"][
+            :, None
+        ]
+        return self._packed("POLYDATA", TISSUE, self._mesh(surface, layer=layers))
+
+    def pose_message(self, row: Array) -> bytes | None:
+        """Return the pose of the tool tip; None if the row has no pose yet."""
+        if not row[self._turn].any():
+            return None
+        pose = self._frame.pose(row[self._tip], matrix_of(row[self._turn]))
+        return self._packed("TRANSFORM", TOOL, igtl.transform_body(pose))
+
+    def force_messages(self, row: Array, kind: str) -> list[bytes]:
+        """Return the load of the tissue on the tool, with the simulated time.
+
+        The load is a SENSOR of force and a SENSOR of torque, or one NDARRAY.
+        """
+        force, torque = self._load(row)
+        self._number += 1
+        bodies = [
+            ("SENSOR", FORCE, igtl.sensor_body(force, igtl.NEWTON)),
+            ("SENSOR", TORQUE, igtl.sensor_body(torque, igtl.NEWTON_METRE)),
+        ]
+        if kind == "NDARRAY":
+            bodies = [("NDARRAY", WRENCH, igtl.ndarray_body(np.concatenate([force, torque])))]
+        metadata = {"time_s": f"{row[self._time]:.3f}"}
+        return [self._packed(*each, metadata=metadata, number=self._number) for each in bodies]
+
+    def words_message(self, row: Array) -> bytes:
+        """Return the load of the tissue on the tool as a text that 3D Slicer shows."""
+        force, torque = self._load(row)
+        x, y, z = force
+        text = (
+            f"{row[self._time]:.2f} s: force {np.linalg.norm(force):.2f} N, to the right {x:.2f}, "
+            f"to the front {y:.2f}, up {z:.2f} N; torque {1e3 * np.linalg.norm(torque):.1f} mN m"
+        )
+        return self._packed("STRING", WORDS, igtl.string_body(text))
+
+    def status_message(self, row: Array) -> bytes:
+        """Return a status message with the simulated time and the number of missed deadlines.
+
+        An empty row means that the first tick has not run yet.
+        """
+        text = "begins"
+        if row.size:
+            text = f"{row[self._time]:.2f} s, {row[self._missed]:.0f} deadlines of 1 ms missed"
+        body = igtl.status_body(igtl.STATUS_OK, f"{self._scene.name}: {text}", name="OK")
+        return self._packed("STATUS", STATE, body)
+
+    def event_message(self, text: str) -> bytes:
+        """Return the message of an event."""
+        return self._packed("STRING", "tissue-events", igtl.string_body(text))
+
+    def end_message(self) -> bytes:
+        """Return the message that the run has ended."""
+        body = igtl.status_body(
+            igtl.STATUS_SHUT_DOWN, f"{self._scene.name}: the run has ended", name="SHUT_DOWN"
+        )
+        return self._packed("STATUS", STATE, body)
+
+    def _load(self, row: Array) -> tuple[Array, Array]:
+        """Return force [N] and torque [N m] in RAS."""
+        return self._frame.vector(row[self._force]), self._frame.vector(row[self._torque])
+
+    def _mesh(self, mesh: "pyvista.PolyData", **scalars: Array) -> bytes:
+        triangles = mesh.regular_faces.reshape(-1, 3)  # an empty mesh loses its shape
+        return igtl.polydata_body(self._frame.points(mesh.points), triangles, scalars=scalars)
+
+    def _packed(self, kind: str, name: str, body: bytes, **options: Any) -> bytes:
+        return igtl.packed(kind, name, body, time_s=time(), **options)
+
+
+TARGET = "tissue-target"
+"""Name of the transform that moves the tool."""
+OFF = 0.01
+"""Largest deviation of a rotation times its transpose from the identity.
+
+Single precision has a deviation of 1e-7.
+"""
+
+
+class SlicerTarget:
+    """Receiver of transforms named `TARGET` from one client at a time.
+
+    Parameters
+    ----------
+    frame
+        Frame of the scene in RAS.
+    start
+        ``low_m``, ``high_m``: box of the tip [m]. ``start_turn``: first orientation of the tool,
+        shape (3, 3). ``drives``: True if a client may move the tool.
+
+    Attributes
+    ----------
+    ignored
+        Number of ignored transforms with that name.
+    """
+
+    def __init__(self, frame: SlicerFrame, start: Start) -> None:
+        self._frame = frame
+        self._turn = start["start_turn"].astype(np.float64)
+        self._low = 1e3 * start["low_m"].astype(float)
+        self._high = 1e3 * start["high_m"].astype(float)
+        self._drives = bool(start["drives"])
+        self._driver: Client | None = None
+        self.ignored = 0
+
+    def wanted(self, received: Received, clients: list[Client]) -> Array | None:
+        """Return the target pose of a transform, shape (7,), or None.
+
+        The pose is the tip [mm] in the scene and the rotation from the first orientation (x, y, z,
+        w). The result is None for a transform with another name, and for an ignored transform. A
+        transform is ignored if it is not a rigid motion, or comes from a second client while the
+        first client is connected, or the scene does not allow clients to move the tool.
+        """
+        if received.header.name != TARGET:
+            return None
+        if self._driver not in clients:
+            self._driver = received.client
+        try:
+            matrix = parse_transform(received.content)
+        except IgtlError:
+            matrix = np.zeros((4, 4))
+        turn = matrix[:3, :3]
+        rigid = np.abs(turn.T @ turn - np.eye(3)).max() < OFF and np.linalg.det(turn) > 0.0
+        if not (self._drives and rigid and self._driver is received.client):
+            self.ignored += 1
+            return None
+        from scipy.spatial.transform import Rotation
+
+        tip_mm, rotation = self._frame.pose_in_scene(matrix)
+        quaternion = Rotation.from_matrix(rotation @ self._turn.T).as_quat()
+        return np.concatenate([np.clip(tip_mm, self._low, self._high), quaternion])
+
 
 FRAME_S = 0.02
 """Interval between two poses [s]."""
-WORDS_S, STATUS_S, SURFACE_S = 0.2, 1.0, 1.0
+WORDS_S = 0.2
+STATUS_S = 1.0
+SURFACE_S = 1.0
 """Shortest interval between two force texts, two states and two surfaces [s]."""
 WAIT_S = 0.005
 """Longest wait for the server at a time [s]."""
@@ -36,18 +307,10 @@ LINGERS_S = 2.0
 """Longest time to send the last messages after the end of the run [s]."""
 STREAMS = ("SENSOR", "NDARRAY")
 """Streams that a client must request, because 3D Slicer would report each one as an error."""
-NICE = 5
-"""Niceness of the process, so that the ticks take precedence on a busy machine."""
-Array = NDArray[np.float64]
 
 
-class Publisher:
+class Publisher(RunPublisher):
     """Server of a live run: newest row, events and the changing surface of the tissue.
-
-    Parameters
-    ----------
-    folder
-        Folder that `tissue.simulation.live.slicer.SlicerProcess` has filled.
 
     Attributes
     ----------
@@ -61,32 +324,26 @@ class Publisher:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._arrays = SharedArrays(folder)
+        super().__init__(folder)
         with np.load(folder / "start.npz", allow_pickle=False) as file:
             start: Start = dict(file)
         scene = Scene.read_back((folder / "scene.json").read_text("utf-8"))
-        columns = tuple(json.loads((folder / "columns.json").read_text("utf-8")))
         self.server = IgtlServer(int(start["port"]))
+        self.address = "{}:{}".format(*self.server.address)
         placed = start.get("file_to_scene_mm")
         record = {"file_to_scene_mm": placed, "file_unit_mm": 1.0}
         frame = SlicerFrame(None if placed is None else Placement.from_record(record))
         self._tissue = tissue_surface(start, self._arrays)
-        self._content = SlicerContent(scene, columns, frame, start)
+        self._content = SlicerContent(scene, tuple(self._columns), frame, start)
         self._target = SlicerTarget(frame, start)
         self._lasting = self._content.scene_messages()
         self._surface = b"" if self._tissue is None else self._content.surface_message(self._tissue)
         self._behind: set[Client] = set()
         """Clients that do not have the newest surface yet."""
         self._row = np.zeros(0)
-        self._turn = 0
         self._event = 0
         self._posed = self._worded = self._stated = self._drawn = 0.0
         self._sent = 0
-
-    @property
-    def over(self) -> bool:
-        """True if the ticks have ended."""
-        return bool(self._arrays["ended"][0])
 
     def step(self) -> None:
         """Send due messages and handle received messages."""
@@ -121,8 +378,13 @@ class Publisher:
 
         The frame counter shows that this process works.
         """
-        counts = self._sent, self.server.accepted, self.server.refused, self._target.ignored
-        self._arrays["counts"][:] = counts
+        server = self.server
+        self._arrays["counts"][:] = (
+            self._sent,
+            server.accepted,
+            server.refused,
+            self._target.ignored,
+        )
         self._arrays["frames"][0] += 1
 
     def _take(self, received: Received) -> None:
@@ -196,23 +458,5 @@ class Publisher:
         self._sent += self.server.send(message, is_stream=is_stream)
 
 
-def _main(folder: str) -> None:
-    """Open the port, report it on standard output, and publish until the ticks end."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the ticks determine the end of this process
-    if hasattr(os, "nice"):
-        os.nice(NICE)
-    standard_output = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)
-    try:
-        publisher = Publisher(Path(folder))
-    except InputError as error:
-        sys.exit(str(error))
-    host, port = publisher.server.address
-    print(f"ready {host}:{port}", file=standard_output, flush=True)
-    while not publisher.over:
-        publisher.step()
-    publisher.end()
-
-
 if __name__ == "__main__":
-    _main(*sys.argv[1:])
+    publish(Publisher, *sys.argv[1:])

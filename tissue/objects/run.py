@@ -122,7 +122,7 @@ class Run(engine.Run):
     def _save_band(self, path: Path | None, pictures: bool | str) -> None:
         """Write the band into a folder of the run, if both exist."""
         if self._band is not None and path is not None:
-            from tissue.fitting.bands.band_files import save_band
+            from tissue.fitting.bands.band import save_band
 
             save_band(self._band, path, kind=picture_format(pictures))
 
@@ -257,7 +257,7 @@ class Run(engine.Run):
         """
         if samples is None:
             if self._band is None:
-                from tissue.fitting.bands.band_files import read_band
+                from tissue.fitting.bands.band import read_band
 
                 self._band = read_band(self._folder())
             return self._band

@@ -119,10 +119,3 @@ def test_a_pair_of_surfaces_is_cortical_around_trabecular(hollow):
     found = layers_of(voxelise(cored_anatomy(outer, core, site), spacing_m=0.5e-3))
     assert found["trabecular"] == pytest.approx(ball_mm3(inner), rel=0.01)
     assert found["cortical"] == pytest.approx(ball_mm3(RADIUS_MM) - ball_mm3(inner), rel=0.01)
-
-
-def test_a_core_elsewhere_is_refused():
-    outer, core = closed(sphere(RADIUS_MM)), closed(sphere(5.0, centre_mm=CENTRE_MM + 30.0))
-    site = place_site(outer, centre_mm=TOP.tolist(), normal=(0.0, 0.0, 1.0))
-    with pytest.raises(InputError, match="core_file must lie within"):
-        cored_anatomy(outer, core, site)

@@ -3,16 +3,19 @@
 The calibration uses tissues of the tables.
 """
 
-import json
-
 import numpy as np
 import pytest
 
 from meshes.base.errors import InputError
-from meshes.ct.attenuation import hounsfield, linear_attenuation, mass_attenuation
-from meshes.ct.calibration import Region, fit_regions
-from meshes.ct.density import ASH_SHARE, CT_DENSITY, DensityLaw
-from meshes.ct.laws import DENSITY_LAWS, density_law, rods_law
+from meshes.ct.calibration import (
+    Region,
+    density_law,
+    fit_regions,
+    hounsfield,
+    linear_attenuation,
+    mass_attenuation,
+)
+from meshes.ct.density import ASH_SHARE, CT_DENSITY, DENSITY_LAWS, DensityLaw
 from meshes.images.frame import Image
 
 ANY = Image(np.zeros((4, 4, 4), np.int16), (1.0, 1.0, 1.0), "any.nii.gz", ())
@@ -54,14 +57,8 @@ def test_between_energies_the_curve_is_that_of_finer_tables():
     assert 10.0 * mass_attenuation("cortex", 70.0) == pytest.approx(0.25705, rel=2e-3)
 
 
-@pytest.mark.parametrize("energy", [40.0, 72.0, 120.0])
-def test_water_is_zero_and_air_a_thousand_below(energy):
-    assert value_of("water", energy) == 0.0
-    assert value_of("air", energy) == pytest.approx(-999.0, abs=0.2)
-
-
 def test_density_and_band_stay_within_the_limits():
-    law = DensityLaw(1.0, 100.0, 50.0, 900.0, residual_sd_kg_m3=200.0)
+    law = DensityLaw(1.0, 100.0, 50.0, 900.0, covariance=(0.0, 0.0, 200.0**2))
     assert law(np.array([-1000.0, 0.0, 5000.0])).tolist() == [50.0, 100.0, 900.0]
     low, high = law.band(np.array([0.0, 5000.0]))
     assert low[0] == 50.0 and high[1] == 900.0
@@ -79,27 +76,6 @@ def test_the_band_covers_lines_drawn_from_the_covariance():
         drawn = (slope * hu + offset) + rng.normal(0.0, 0.01, 20000) * (1.4 * hu + 90.0)
         low, high = law.band(np.array([hu]))
         assert np.mean((drawn > low) & (drawn < high)) == pytest.approx(0.9, abs=0.01)
-
-
-def test_a_law_is_a_json_object():
-    stated = json.loads(json.dumps(CT_DENSITY.as_dict()))
-    assert DensityLaw(**{**stated, "covariance": tuple(stated["covariance"])}) == CT_DENSITY
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"covariance": (-1.0, 0.0, 1.0)},
-        {"covariance": (1.0, 3.0, 4.0)},
-        {"covariance": (float("nan"), 0.0, 1.0)},
-        {"relative_sd": -0.1},
-        {"residual_sd_kg_m3": float("inf")},
-        {"lowest_kg_m3": 3000.0},
-    ],
-)
-def test_refused_laws(options):
-    with pytest.raises(InputError, match=f"^{next(iter(options))} must be"):
-        DensityLaw(1.0, 0.0, **options)
 
 
 @pytest.mark.parametrize("name", DENSITY_LAWS)
@@ -142,41 +118,6 @@ def test_other_text_is_refused(text, argument):
         density_law(text, ANY)
 
 
-def test_rods_give_back_their_line_and_its_error():
-    """Rods give back their line and its error.
-
-    Known rods are read with known errors: 90 % of the bands hold the true line (400 fits, standard
-    error 1.5 %).
-    """
-    rng = np.random.default_rng(1)
-    density = np.array([0.0, 100.0, 200.0, 400.0, 800.0])
-    exact = rods_law(density, density / 0.8 + 5.0, equivalent="apparent")
-    assert (exact.slope_kg_m3, exact.offset_kg_m3) == pytest.approx((0.8, -4.0))
-    assert exact.sd(HU) == pytest.approx(0.0, abs=1e-3)
-    held = 0
-    for _ in range(400):
-        law = rods_law(
-            density, density / 0.8 + 5.0 + rng.normal(0.0, 4.0, 5), equivalent="apparent"
-        )
-        low, high = law.band(np.array([400.0]))
-        held += bool(low[0] < 316.0 < high[0])
-    assert held / 400 > 0.86
-
-
-def test_rods_are_weighted_by_their_errors():
-    hu = np.array([0.0, 250.0, 500.0, 1200.0])
-    law = rods_law(
-        [0.0, 200.0, 400.0, 800.0], hu, equivalent="apparent", sd_HU=[1.0, 1.0, 1.0, 1000.0]
-    )
-    assert law.slope_kg_m3 == pytest.approx(0.8, rel=1e-4)
-
-
-@pytest.mark.parametrize("rods", [([0.0, 1.0], [0.0, 1.0]), ([0.0, 1.0, 2.0], [5.0, 5.0, 5.0])])
-def test_too_few_or_equal_rods_are_refused(rods):
-    with pytest.raises(InputError, match="rods must"):
-        rods_law(*rods, equivalent="HA")
-
-
 @pytest.mark.parametrize("energy", [50.0, 60.0, 70.0, 85.0])
 def test_tissues_of_the_tables_give_their_energy_and_the_density_of_dense_bone(energy):
     """The prior of the energy, 72 +- 15 keV, draws it by a seventh of how far off it is."""
@@ -217,7 +158,7 @@ def test_values_that_fit_no_energy_are_refused():
 
 @pytest.mark.slow
 def test_the_band_covers_tissues_that_differ_between_persons():
-    """400 persons drawn from the priors at 60 to 100 keV: 90 % are held, standard error 1.5 %."""
+    """120 persons drawn from the priors at 60 to 100 keV: 90 % are held, standard error 2.7 %."""
     rng = np.random.default_rng(5)
     spread = {"air": 0.0, "adipose": 0.02, "muscle": 0.01, "cortex": 0.04}
     held = []
@@ -225,7 +166,7 @@ def test_the_band_covers_tissues_that_differ_between_persons():
     def read(attenuation, energy, scale, water):
         return scale * hounsfield(attenuation, energy) + water + rng.normal()
 
-    for _ in range(400):
+    for _ in range(120):
         energy = rng.uniform(60.0, 100.0)
         drawn = dict(
             zip(("air", "adipose", "muscle", "blood", "cortex"), rng.normal(size=5), strict=True)
@@ -253,4 +194,4 @@ def test_the_band_covers_tissues_that_differ_between_persons():
             held.append(low[0] < density < high[0])
     share = np.reshape(held, (-1, 3)).mean(axis=0)
     print("held at 300, 800, 1400 kg/m3:", share)
-    assert np.all((share > 0.86) & (share < 0.95))
+    assert np.all((share > 0.82) & (share < 0.98))

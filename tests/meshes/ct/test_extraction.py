@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from ct_ball import CENTRE_MM, DENSE_HU, RADIUS_MM, SHELL_MM, SPARSE_HU, ball, ball_mask
 
-from meshes.base.errors import InputError
-from meshes.ct.extraction import by_label, by_threshold, cropped, filled, largest_component
+from meshes.ct.extraction import by_label, by_threshold, cropped
 from meshes.ct.inspection import Histogram, histogram_of, inspect, suggest_threshold
 
 VOLUME_MM3 = 4.0 / 3.0 * np.pi * RADIUS_MM**3
@@ -116,33 +115,3 @@ def test_a_threshold_lies_in_the_middle_of_the_gap_between_two_values():
     assert suggest_threshold(Histogram(0, counts), is_hounsfield=False)[0] == pytest.approx(
         750.0, abs=1
     )
-
-
-@pytest.mark.parametrize("scale", [1.0, 4.0, -1.0])
-def test_a_threshold_follows_the_scale_and_sign_of_the_values(scale):
-    rng = np.random.default_rng(3)
-    samples = np.concatenate([rng.normal(100, 10, 20_000), rng.normal(300, 20, 10_000)]).round()
-    whole = (scale * samples).astype(np.int64)
-    first = int(whole.min())
-    threshold, _ = suggest_threshold(
-        Histogram(first, np.bincount(whole - first)), is_hounsfield=False
-    )
-    # Otsu's threshold of two parts is near the mean of their means (Otsu 1979).
-    assert threshold / scale == pytest.approx(200.0, abs=25.0)
-
-
-def test_nothing_above_the_threshold_is_refused():
-    with pytest.raises(InputError, match="threshold must leave bone"):
-        by_threshold(ball(), 5000.0)
-    with pytest.raises(InputError, match="crop must leave two voxels"):
-        cropped(ball(), ((100.0, 0.0, 0.0), (120.0, 10.0, 10.0)))
-
-
-def test_filling_and_the_largest_piece_are_those_of_plain_numpy():
-    image = ball()
-    shell = ball_mask(image) & ~ball_mask(image, radius_mm=RADIUS_MM - SHELL_MM)
-    assert np.array_equal(filled(shell, image), ball_mask(image))
-    two = shell.copy()
-    two[0, 0, 0] = True
-    piece, other = largest_component(two, "ball")
-    assert np.array_equal(piece, shell) and other == pytest.approx(1.0 / shell.sum())

@@ -42,14 +42,6 @@ def test_slices_follow_the_numbers_in_their_names(tmp_path, name, pattern):
     assert found.values[1, 0, 1] == BONE and found.values[0, 1, -1] == 0  # along rows first
 
 
-def test_every_second_number_is_a_whole_stack(tmp_path):
-    for k, plane in enumerate(steps()):
-        tifffile.imwrite(tmp_path / f"s{2 * k + 5}.tif", plane)
-    assert (read_image(tmp_path, spacing_mm=1.0).values > 0).sum(axis=(0, 1)).tolist() == list(
-        range(1, COUNT + 1)
-    )
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -161,28 +153,3 @@ def test_monochrome1_of_a_ct_has_bone_above_air(tmp_path, stored, fields, note):
     found = read_image(tmp_path / "s")
     assert np.array_equal(found.values, ball_HU())
     assert any(note in sentence for sentence in found.notes)
-
-
-def test_monochrome1_without_a_rescale_is_inverted_back(tmp_path):
-    values = np.where(ball_HU() > 0, 100, 60000).astype(np.uint16)
-    left_out = [(0x28, 0x1052), (0x28, 0x1053)]
-    fields = {"photometric": "MONOCHROME1", "leave_out": left_out}
-    write_dicom(tmp_path / "s", values, np.diag([0.8, 0.8, 2.0]), (0.0, 0.0, 0.0), **fields)
-    assert np.array_equal(read_image(tmp_path / "s").values, np.where(ball_HU() > 0, 65435, 5535))
-
-
-def test_a_bone_is_made_of_slices_at_their_spacing(tmp_path):
-    import tissue
-
-    bone = tissue.Bone.from_image(
-        written(tmp_path, steps()), threshold=500.0, spacing_mm=SPACING_MM
-    )
-    volume = bone._source.voxels()
-    assert 1e9 * volume.volume_m3() == pytest.approx(sum(range(1, COUNT + 1)) * SPACING_MM**3)
-    assert bone.spacing_mm == SPACING_MM
-    with pytest.raises(InputError, match="max_memory_GB must be positive"):
-        tissue.Bone.from_image(tmp_path, threshold=500.0, spacing_mm=SPACING_MM, max_memory_GB=-1.0)
-    with pytest.raises(
-        InputError, match=r"file must fit 1e-06 GB of memory \(as given\), got 16 x 16 x 12 voxels"
-    ):
-        tissue.Bone.from_image(tmp_path, threshold=500.0, spacing_mm=SPACING_MM, max_memory_GB=1e-6)

@@ -1,17 +1,14 @@
 """Names of labels as a scene's keys: valid, distinct, and reported where they differ."""
 
+from meshes.base.progress import (silent)
+from meshes.ct.labels import (Labels)
+from meshes.images.frame import (Image)
+from tissue.ct.request import (ImportRequest, kept_clear, plain_names)
+from tissue.scene.scene import (KeepClear)
+import numpy as np
 import re
 
-import numpy as np
-import pytest
 
-from meshes.base.errors import InputError
-from meshes.base.progress import silent
-from meshes.ct.labels import Labels
-from meshes.images.frame import Image
-from tissue.ct.placing import kept_clear, plain_names
-from tissue.ct.request import ImportRequest
-from tissue.scene.scene import KeepClear
 
 NAMES = (
     "Canal!",
@@ -68,9 +65,3 @@ def test_another_name_is_reported(tmp_path):
     assert (
         surfaces["canal"].vertices_m[:, 0].max() < 8e-3 < surfaces["canal_2"].vertices_m[:, 0].min()
     )
-
-
-@pytest.mark.parametrize("names", [("nerve", "nerve"), ("nerve", "1")])
-def test_a_label_is_named_once(tmp_path, names):
-    with pytest.raises(InputError, match="keep_clear must name each label once, got nerve, "):
-        kept_clear(wanted(tmp_path, *names), cubes(("nerve",)), silent)

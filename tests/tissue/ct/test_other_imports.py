@@ -95,41 +95,6 @@ def test_a_path_is_followed_on_the_bone(ct, tmp_path):
         tissue.import_ct(ct / "ct.nrrd", tmp_path / "b", threshold=threshold, path=file, **BONE)
 
 
-def test_another_import_takes_away_what_the_one_before_wrote_and_nothing_else(ct, tmp_path):
-    x, y, z = TOP
-    file, out = tmp_path / "path.csv", tmp_path / "out"
-    file.write_text(f"x_mm,y_mm,z_mm\n{x},{y},{z + 2}\n{x},{y},{z - 1}\n")
-    labelled = {"labels": ct / "a.seg.nrrd", "region": "bone", "keep_clear": ["facial nerve"]}
-    tissue.import_ct(ct / "ct.nrrd", out, path=file, **labelled, **BONE)
-    wrote = {each.name for each in out.iterdir()} - {".tissue.json"}
-    record = json.loads((out / "import.json").read_text())
-    assert (
-        set(record["files"])
-        == wrote
-        >= {"path.csv", "keep_clear_facial_nerve.ply", "labels.seg.nrrd"}
-    )
-    mine = {"notes.txt": "mine", "keep_clear_mine.ply": "mine", "../outside.csv": "mine"}
-    for name, text in mine.items():
-        (out / name).write_text(text)
-    (out / "import.json").write_text(
-        json.dumps(record | {"files": [*record["files"], "notes.txt", "../outside.csv", 3]})
-    )
-    made = tissue.import_ct(
-        ct / "ct.nrrd", out, threshold=0.5 * (DENSE_HU + SOFT_HU), overwrite=True, **BONE
-    )
-    left = {
-        ".tissue.json",
-        "scene.toml",
-        "import.json",
-        "bone.ply",
-        "density.nrrd",
-        "notes.txt",
-        "keep_clear_mine.ply",
-    }
-    assert {each.name for each in made.folder.iterdir()} == left
-    assert all((out / name).read_text() == text for name, text in mine.items())
-
-
 def tooth(folder):
     """Labels of a block tooth: enamel over dentin around a pulp, a lesion in the enamel."""
     values = np.zeros((50, 40, 64))

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from cut_logs import BLOCK, forward_along, plunging_cylinder
+from cut_logs import BLOCK, forward_along
 
 from meshes.base.errors import InputError
-from tissue.fitting.cutting_problem import cutting_candidates
-from tissue.fitting.measured import block_averages, shift_operators
+from tissue.fitting.cutting import cutting_candidates
+from tissue.fitting.problem import block_averages, shift_operators
 from tissue.materials.constants import constants
 from tissue.scene.load import changed
 from tissue.scene.scene import Scene
@@ -122,20 +122,6 @@ def test_names_that_fit_nothing_list_what_there_is_and_air_is_refused():
         forward_along(SLANT, [0.0, 0.05, 0.1], free=("cutting.enamel",))
     with pytest.raises(InputError, match="must bring the tool to the bone"):
         forward_along([[0, 0, 1.0], [0, 0, 2.0]], [0.0, 0.1])
-
-
-def test_bone_at_the_first_pose_is_taken_away_without_a_force():
-    forward = forward_along([[0, 0, -1.0], [0, 0, -1.2]], [0.0, 0.05])
-    assert any("the tool began in 3.1" in note for note in forward.notes)  # pi mm3
-
-
-def test_chip_and_edge_of_one_feed_are_in_one_ratio():
-    forward = plunging_cylinder()
-    # tangential, radial; chip, edge
-    slopes = forward.jacobian(values(forward)).reshape(-1, 7)[:, [0, 1, 3, 4]]
-    scaled = slopes / np.linalg.norm(slopes, axis=0)
-    assert scaled[:, 0] == pytest.approx(scaled[:, 2], abs=1e-6)
-    assert scaled[:, 1] == pytest.approx(scaled[:, 3], abs=1e-6)
 
 
 @pytest.mark.slow

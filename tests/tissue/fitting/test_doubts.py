@@ -83,14 +83,3 @@ def test_clocks_that_contradict_their_prior_determine_nothing(tmp_path):
     assert fit.offset_sd == pytest.approx(7.5, abs=0.1)
     assert set(states(fit).values()) == {"doubtful"}
     assert "150 ms after the poses, 7.5 standard deviations" in verdicts(fit)[0]
-
-
-def test_a_fit_of_scene_keys_alone_is_written(tmp_path):
-    forward = coarse_slot()
-    parameters = tuple(
-        replace(each, name=f"organ.parts.part_{at}") for at, each in enumerate(forward.parameters)
-    )
-    fit = fitted(tmp_path, forward=replace(forward, parameters=parameters))
-    assert fit.of_material == () and len(fit.scene_keys) == 4
-    write_fit(fit, tmp_path / "fit", overwrite=False)
-    assert tomllib.loads((tmp_path / "fit" / "fitted.toml").read_text("utf-8")) == {}

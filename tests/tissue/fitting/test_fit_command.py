@@ -36,9 +36,6 @@ def log(tmp_path_factory):
         force = np.interp(times - 0.006, times, table[f"model_force_{c}_N"])
         kept[f"force_{c}_N"] = force + 0.5 + 0.05 * rng.standard_t(4, size=len(times))
     kept.to_csv(folder / "log.csv", index=False)
-    torque = np.interp(times - 0.006, times, table["model_torque_z_Nm"])
-    kept["torque_z_Nm"] = -torque + 2e-4 * rng.standard_t(4, size=len(times))
-    kept.to_csv(folder / "reversed_torque.csv", index=False)
     return folder / "log.csv"
 
 
@@ -65,22 +62,6 @@ def test_planted_coefficients_come_back_as_a_file_for_scenes(log, tmp_path, comm
         "fit", "milling", *options, "--measured", log, "--out", tmp_path / "fit"
     )
     assert code == 2 and "--overwrite" in message
-
-
-@pytest.mark.slow
-def test_a_torque_of_reversed_sign_is_named(log, tmp_path, refused):
-    options = ["milling", *(f"--set={name}={value}" for name, value in SCENE.items())]
-    options += ["--measured", log.parent / "reversed_torque.csv", "--out", tmp_path / "fit"]
-    message = refused("fit", *options)
-    assert message.startswith("measured has torque_z_Nm with its sign reversed")
-    assert "--column torque_z_Nm=-COLUMN" in message
-    assert not (tmp_path / "fit" / "fitted.toml").exists()
-    scene = tissue.load_scene("milling", SCENE)
-    fit = tissue.fit(
-        scene, log.parent / "reversed_torque.csv", columns={"torque_z_Nm": "-torque_z_Nm"}
-    )
-    row = fit.to_pandas().loc["cutting.cortical.tangential_chip_N_mm2"]
-    assert row["p05"] < PLANTED["tangential_chip_N_mm2"] < row["p95"]
 
 
 def test_other_scenes_are_refused(log, tmp_path, refused):

@@ -3,22 +3,16 @@
 They are compared with the noise's covariance as one dense matrix.
 """
 
+from planted_logs import (LinearForward)
+from tissue.fitting.identifiability import (expected_information, identified)
+from tissue.fitting.posterior import (Posterior)
+from tissue.fitting.problem import (MeasuredLoads, Parameter)
+from tissue.fitting.target import (BIAS_SHARE, CORRELATION_SPREAD, FREEDOM, MOST_CORRELATED, OFFSET_S, Target)
+from tissue.materials.constants import (Prior)
 import numpy as np
 import pytest
 
-from tissue.fitting.forward import LinearForward, Parameter
-from tissue.fitting.identifiability import expected_information, identified
-from tissue.fitting.measured import MeasuredLoads
-from tissue.fitting.posterior import Posterior
-from tissue.fitting.target import (
-    BIAS_SHARE,
-    CORRELATION_SPREAD,
-    FREEDOM,
-    MOST_CORRELATED,
-    OFFSET_S,
-    Target,
-)
-from tissue.materials.constants import Prior
+
 
 TIMES_S = np.arange(0.0, 2.0, 0.01)
 PRIORS = (Prior(5.0, 2.0, 12.0), Prior(3.0, 1.0, 6.0))
@@ -79,7 +73,7 @@ def test_expected_information_of_a_candidate(posterior):
     now = posterior.covariance_z
     after = np.linalg.inv(np.linalg.inv(now) + matrix)
     widest = int(np.argmax(np.diag(now)))
-    (gain,) = expected_information(posterior, [("faster", cut(3.0))])
+    (gain,) = expected_information(posterior, {"faster": cut(3.0)})
     assert gain.nats == pytest.approx(
         0.5 * np.log(np.linalg.det(now) / np.linalg.det(after)), rel=1e-6
     )
@@ -100,7 +94,7 @@ def test_a_combination_that_is_known_for_certain_gains_nothing(posterior):
     covariance[:2, :2] = 0.5 * np.outer(free, free) - 1e-16 * np.outer(known, known)
     matrix = left(dense(posterior, by_z(posterior, cut(3.0))))
     certain = Posterior(posterior.target, posterior.maximum, covariance, converged=False)
-    (gain,) = expected_information(certain, [("faster", cut(3.0))])
+    (gain,) = expected_information(certain, {"faster": cut(3.0)})
     shrinks = 1.0 + 0.5 * free @ matrix @ free
     assert gain.nats == pytest.approx(0.5 * np.log(shrinks), rel=1e-6)
     assert gain.shrinks_to == pytest.approx(shrinks**-0.5, rel=1e-6)

@@ -7,7 +7,6 @@ import pytest
 
 from meshes.base.errors import InputError
 from tissue.fitting.log import read_log
-from tissue.fitting.measured import block_averages
 from tissue.simulation.trace import Table
 from tissue.simulation.trace_files import write_table
 
@@ -45,31 +44,17 @@ def test_columns_of_other_names_units_and_signs(table, tmp_path):
     assert log.loads[:, 0] == pytest.approx(table.rows[:, 4])
 
 
-def test_a_recording_of_volumetric_drilling_has_two_clocks(tmp_path):
-    h5py = pytest.importorskip("h5py")
-    with h5py.File(tmp_path / "log.hdf5", "w") as file:
-        poses = file.create_group("physics_data/continuous_data/high_frequency_poses/drill_pose")
-        poses["time_stamp"] = np.arange(0.0, 1.0, 5e-4)
-        poses["pose"] = np.tile([0.1, 0.2, 0.3, 0, 0, 0, 1.0], (2000, 1))
-        wrench = file.create_group("physics_data/intermittent_data/drill_force_feedback")
-        wrench["time_stamp"] = np.arange(0.0, 1.0, 1e-2)
-        wrench["wrench"] = np.tile(np.arange(6.0), (100, 1))
-    log = read_log(tmp_path / "log.hdf5")
-    assert len(log.times_s) == 2000 and len(log.load_times_s) == 100
-    assert log.tips_m[0] == pytest.approx([0.1, 0.2, 0.3]) and log.loads[5].tolist() == list(
-        range(6)
-    )
-
-
 @pytest.mark.parametrize(
     ("columns", "change", "expected"),
     [
         (["force_x_N=gone"], {}, "gone"),
         (["force_x_N=force_x_N:mm"], {}, "force, got mm"),
         (["force_x_N"], {}, "force_x_N"),
+        (["force_x_N=tool_y_mm", "force_x_N=tool_x_mm"], {}, "force_x_N"),
         (["insertion_mm=tool_x_mm"], {}, "insertion_mm"),
+        (["time_s=force_x_N"], {}, "time_s"),
         ([], {"force_x_N": 1e9}, "force_x_N"),
-        ([], {"tool_x_mm": np.nan}, "finite positions"),
+        ([], {"tool_x_mm": np.nan}, "10 m"),
         ([], {"tool_x_mm": 1e9}, "10 m"),  # carving along such a jump took hours
         ([], {"time_s": 0.3}, "time_s"),
     ],
@@ -82,22 +67,16 @@ def test_what_cannot_be_a_log_is_refused(table, tmp_path, columns, change, expec
         read_log(tmp_path / "log.csv", columns)
 
 
-def test_missing_columns_are_named(tmp_path):
-    write_table(Table(("time_s", "Fx"), np.column_stack([TIMES_S, TIMES_S])), tmp_path / "log.csv")
-    with pytest.raises(InputError, match="tool_x_mm"):
-        read_log(tmp_path / "log.csv")
-
-
 def test_blank_lines_are_skipped_counted_and_lines_keep_their_numbers(table, tmp_path):
     write_table(table, tmp_path / "log.csv")
     lines = (tmp_path / "log.csv").read_text().splitlines()
     (tmp_path / "log.csv").write_text("\n".join([*lines[:21], "", " ", *lines[21:], ""]))
     log = read_log(tmp_path / "log.csv")
-    assert len(log.times_s) == len(TIMES_S) and "2 blank lines between the rows" in log.notes
-    (tmp_path / "log.csv").write_text(
-        "\n".join([*lines[:21], "", *lines[21:30], lines[30][:-3] + "x", *lines[31:]])
-    )
-    with pytest.raises(InputError, match="in line 32"):
+    assert len(log.times_s) == len(TIMES_S)
+    assert "2 blank lines between the rows" in log.notes
+    lines[30] = lines[30][:-3] + "x"
+    (tmp_path / "log.csv").write_text("\n".join(lines))
+    with pytest.raises(InputError, match="in line 31"):
         read_log(tmp_path / "log.csv")
 
 
@@ -129,11 +108,8 @@ def test_a_saturated_sensor_is_noted_and_its_samples_left_out(tmp_path):
     write_table(Table(NAMES, rows), tmp_path / "log.npz")
     log = read_log(tmp_path / "log.npz")
     assert np.array_equal(np.isnan(log.loads), np.column_stack([full, 0 * full, 0 * full]))
-    assert (
-        f"{full.sum()} samples of force_x_N" in log.notes[0]
-        and "force_y_N comes in steps of 0.4 N" in log.notes[1]
-    )
-    assert len(log.notes) == 2
+    (note,) = log.notes
+    assert f"{full.sum()} samples of force_x_N" in note
 
 
 def test_slow_poses_and_noisy_ones_are_noted(tmp_path):
@@ -151,13 +127,3 @@ def test_slow_poses_and_noisy_ones_are_noted(tmp_path):
         assert len(notes) == len(noted) and all(
             part in note for part, note in zip(noted, notes, strict=True)
         )
-
-
-def test_means_over_blocks_keep_the_mean_and_fold_no_tone():
-    times_s = np.arange(0.0, 2.0, 1e-3)
-    tone = np.cos(2.0 * np.pi * 400.0 * times_s)  # two periods a block of 5 ms
-    found = block_averages(
-        times_s, np.column_stack([3.0 + tone, times_s]), ("force_x_N", "force_y_N"), 5
-    )
-    assert found.values[:, 0] == pytest.approx(3.0, abs=1e-12)
-    assert found.values[:, 1] == pytest.approx(found.times_s, abs=1e-12)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tissue.fitting.measured import block_averages, block_ticks, shift_operators
+from tissue.fitting.problem import block_averages, block_ticks, shift_operators
 
 
 @pytest.mark.parametrize(
@@ -15,6 +15,13 @@ def test_no_block_of_a_slow_log_is_empty(rate_Hz, ticks):
     log = block_averages(times, 2.0 * times[:, None], ("force_x_N",), ticks)
     assert np.isfinite(log.values[:-1]).all()
     assert log.values[:-1, 0] == pytest.approx(2.0 * log.times_s[:-1], abs=2.0 / rate_Hz)
+
+
+def test_means_over_blocks_keep_the_mean_and_fold_no_tone():
+    times_s = np.arange(0.0, 2.0, 1e-3)
+    tone = 3.0 + np.cos(2.0 * np.pi * 400.0 * times_s)  # two periods a block of 5 ms
+    found = block_averages(times_s, tone[:, None], ("force_x_N",), 5)
+    assert found.values[:, 0] == pytest.approx(3.0, abs=1e-12)
 
 
 def test_a_long_log_has_two_thousand_samples():

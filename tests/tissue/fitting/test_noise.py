@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import t as student
 
-from tissue.fitting.noise import freedom_information, innovations, noise_terms, place_information
+from tissue.fitting.target import freedom_information, noise_terms, place_information
 
 SCALE = np.array([0.3, 2.0])
 PHI = np.array([0.0, 0.8])
@@ -22,13 +22,6 @@ def residuals():
     values[12:15, 1] = np.nan
     values[0, 0] = np.nan
     return values
-
-
-def test_without_correlation_it_is_students_law(residuals):
-    expected = np.nansum(student.logpdf(residuals, FREEDOM, scale=SCALE))
-    assert noise_terms(residuals, SCALE, np.zeros(2), FREEDOM).log_density == pytest.approx(
-        expected, rel=1e-12
-    )
 
 
 def test_a_chain_is_a_product_of_conditional_densities_that_starts_anew_after_a_gap(residuals):
@@ -75,14 +68,6 @@ def test_the_gradient_is_that_of_the_density(residuals):
             slope(residuals_by=bump), rel=1e-6, abs=1e-8
         )
     assert not terms.by_residuals[12:15, 1].any()
-
-
-def test_weights_give_the_gradient_of_a_sum_of_squares(residuals):
-    terms = noise_terms(residuals, SCALE, PHI, FREEDOM)
-    direction = np.random.default_rng(5).normal(size=residuals.shape)
-    moved = innovations(np.where(np.isfinite(residuals), direction, np.nan), PHI)
-    expected = -np.nansum(terms.weights * innovations(residuals, PHI) * moved)
-    assert np.sum(terms.by_residuals * direction) == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize("freedom", [2.5, 4.0, 30.0])

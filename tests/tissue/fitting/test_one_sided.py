@@ -3,16 +3,17 @@
 They are compared with integrals over the prior that is cut off there.
 """
 
+from planted_logs import (LinearForward)
+from scipy.special import (gammaln)
+from scipy.stats import (multivariate_normal, norm)
+from tissue.fitting.marginal import (log_factor)
+from tissue.fitting.posterior import (maximum_posterior)
+from tissue.fitting.problem import (MeasuredLoads, Parameter)
+from tissue.materials.constants import (Prior)
 import numpy as np
 import pytest
-from scipy.special import gammaln
-from scipy.stats import multivariate_normal, norm
 
-from tissue.fitting.forward import LinearForward, Parameter
-from tissue.fitting.marginal import log_factor
-from tissue.fitting.measured import MeasuredLoads
-from tissue.fitting.posterior import maximum_posterior
-from tissue.materials.constants import Prior
+
 
 CITED = Prior(0.0, 0.0, 6.0)
 """Of an axial coefficient."""
@@ -27,13 +28,6 @@ def test_the_cited_value_is_the_median_and_the_range_holds_nine_tenths():
     assert np.quantile(x, 0.95) == pytest.approx(6.0, rel=0.02)
     inside = Parameter.of("cutting.bone.radial_chip_N_mm2", Prior(60.0, 15.0, 180.0))
     assert inside.side == 0.0 and inside.cited is None and inside.prior.low == 15.0
-
-
-def test_a_value_at_the_upper_end_is_mirrored_on_the_scale_of_its_prior():
-    parameter = Parameter.of("a.b.c", Prior(8.0, 2.0, 8.0))
-    assert parameter.side == -1.0
-    assert (parameter.prior.low, parameter.prior.high) == pytest.approx((2.0, 32.0))
-    assert float(parameter.prior.x(0.0)) == pytest.approx(8.0)
 
 
 @pytest.mark.parametrize("mean", [[0.4], [-2.0], [0.5, -0.7], [1.2, 0.1]])

@@ -3,14 +3,15 @@
 They are proportional to all moduli together.
 """
 
+from tissue.fitting.organ_problem import (OrganForward)
+from tissue.fitting.organ_runs import (OrganRuns, Poses)
+from tissue.fitting.problem import (Parameter)
+from tissue.materials.constants import (Prior)
+from tissue.scene.load import (load_scene)
 import numpy as np
 import pytest
 
-from tissue.fitting.forward import Parameter
-from tissue.fitting.organ_problem import OrganForward
-from tissue.fitting.organ_runs import OrganRuns, Poses, organ_parameters
-from tissue.materials.constants import Prior
-from tissue.scene.load import load_scene
+
 
 FIRST = 5.0
 SECOND = 50.0
@@ -91,14 +92,6 @@ def test_another_run_corrects_slopes_along_its_step_alone():
     np.testing.assert_array_equal(wrong.moved(near, closed(near), learnt=0.1).slopes, wrong.slopes)
 
 
-def test_slopes_move_with_the_run_along_parabolas():
-    model = forward((0, 1))
-    at = np.array([FIRST, 80.0, 0.6, 0.8])
-    moved = model.moved(at, closed(at), learnt=0.1)
-    x = np.array([4.0, 90.0, 0.2, 0.3])
-    np.testing.assert_allclose(moved.loads(x), closed(x), rtol=1e-12)
-
-
 @pytest.mark.parametrize("viscous", [False, True])
 def test_the_force_is_proportional_to_all_moduli_of_a_run(viscous):
     scene = load_scene("palpation", SLAB | {"organ.viscous": viscous})
@@ -108,26 +101,3 @@ def test_the_force_is_proportional_to_all_moduli_of_a_run(viscous):
     )
     assert once.shape == (150, 2) and once[-1, 1] > 0.05 and runs.count == 2
     np.testing.assert_allclose(thrice, 3.0 * once, atol=1e-9 * thrice.max())
-
-
-def test_stated_moduli_are_free_and_scale_together_where_nothing_else_is_stiff():
-    palpation = load_scene("palpation")
-    parameters, moduli = organ_parameters(palpation, ())
-    names = [each.name for each in parameters]
-    assert [names[at] for at in moduli] == [
-        "organ.young_kPa",
-        "organ.young_end_kPa",
-        "organ.parts.nodule",
-    ]
-    assert "organ.friction" in names and "soft.liver.modulus_kPa" not in names
-    _, moduli = organ_parameters(palpation, ["organ.young_kPa", "organ.friction"])
-    assert moduli == (), "the nodule keeps its modulus"
-    _, moduli = organ_parameters(load_scene("liver-press", {"organ.gravity": True}), ())
-    assert moduli == (), "the weight does not scale"
-    parameters, moduli = organ_parameters(
-        load_scene("liver-press", {"anatomy.nodule_diameter_mm": 40.0}), ()
-    )
-    assert [parameters[at].name for at in moduli] == [
-        "soft.liver.modulus_kPa",
-        "organ.parts.nodule",
-    ]

@@ -1,16 +1,14 @@
 """Planted constants come back with right intervals; what a log cannot determine is named."""
 
+from planted_logs import (LinearForward, NAMES, PRIORS, planted as plant, slot)
+from tissue.fitting.identifiability import (expected_information, identified)
+from tissue.fitting.posterior import (maximum_posterior)
+from tissue.fitting.problem import (MeasuredLoads)
+from tissue.fitting.target import (Restricted, Target)
+from tissue.materials.constants import (Prior)
 import numpy as np
 import pytest
-from planted_logs import NAMES, PRIORS, slot
-from planted_logs import planted as plant
 
-from tissue.fitting.forward import LinearForward, Parameter
-from tissue.fitting.identifiability import expected_information, identified
-from tissue.fitting.measured import MeasuredLoads
-from tissue.fitting.posterior import maximum_posterior
-from tissue.fitting.target import Restricted, Target
-from tissue.materials.constants import Prior
 
 
 @pytest.mark.parametrize("restricted", [False, True])
@@ -64,22 +62,6 @@ def test_planted_constants_bias_and_offset_come_back():
     assert np.abs(np.mean(fresh[1:] * fresh[:-1])) < 0.1 * np.mean(fresh**2)
 
 
-def test_normal_law_of_a_linear_problem_is_exact():
-    """The normal law of a linear problem is exact.
-
-    With linear priors and known noise the covariance is that of ridge regression: (J' W J + I)^-1,
-    within the share that the estimation of noise, bias and offset adds.
-    """
-    rng = np.random.default_rng(3)
-    log, _ = plant(slot(), rng, scale=0.05)
-    found = maximum_posterior(slot(), log)
-    gain = expected_information(found, [("again", slot())])[0]
-    values = np.linalg.eigvalsh(found.covariance_z)
-    # the same log again halves variances
-    assert gain.nats == pytest.approx(0.5 * len(values) * np.log(2.0), rel=0.05)
-    assert gain.shrinks_to == pytest.approx(np.sqrt(0.5), rel=0.02)
-
-
 def test_outliers_do_not_move_the_estimate():
     rng = np.random.default_rng(4)
     log, _ = plant(slot(), rng)
@@ -109,46 +91,9 @@ def test_one_feed_gives_combinations_and_no_single_constant():
         weights = np.array(list(each.weights.values()))
         assert weights == pytest.approx([w / sum(weights) for w in weights]) and each.powers == {}
         assert each.low < each.of(np.array(x)) < each.high
-    gains = expected_information(found, [("the same", slot(feeds=(1.0,))), ("three feeds", slot())])
+    gains = expected_information(found, {"the same": slot(feeds=(1.0,)), "three feeds": slot()})
     assert gains[0].label == "three feeds" and gains[0].shrinks_to < 0.1
     assert gains[1].shrinks_to > 0.99
-
-
-def test_density_and_coefficient_are_one_number():
-    """Density and coefficient act as one number.
-
-    A factor on the density, to the power of 1.5, multiplies a coefficient: their product is known,
-    neither factor is.
-    """
-    forward = slot()
-
-    class Denser(LinearForward):
-        def loads(self, x):
-            return x[4] ** 1.5 * (self.basis @ x[:4])
-
-        def jacobian(self, x):
-            found = np.empty((*self.basis.shape[:2], 5))
-            found[..., :4] = x[4] ** 1.5 * self.basis
-            found[..., 4] = 1.5 * x[4] ** 0.5 * (self.basis @ x[:4])
-            return found
-
-    parameters = (*forward.parameters, Parameter("density.bone", Prior(1.0, 0.85, 1.18)))
-    denser = Denser(parameters, forward.channels, forward.times_s, forward.basis)
-    log, _ = plant(denser, np.random.default_rng(6), z=[0.5, -0.3, 0.2, 0.4, 1.0], scale=0.02)
-    found = maximum_posterior(denser, log)
-    # The products are known, so that the density of the factor is that of its number times those of
-    # the coefficients.
-    products = found.target.x(found.mean_z)[:4] * found.target.x(found.mean_z)[4] ** 1.5
-    z = np.linspace(-5.0, 5.0, 1001)
-    factor = found.priors[4].x(z)
-    logs = -0.5 * z**2
-    for prior, product in zip(found.priors[:4], products, strict=True):
-        k = product / factor**1.5
-        logs += -0.5 * prior.z(k) ** 2 - np.log(prior.slope(prior.z(k)) * factor**1.5)
-    density = np.exp(logs - logs.max())
-    density /= density.sum()
-    spread = np.sqrt(density @ z**2 - (density @ z) ** 2)
-    assert identified(found).contraction[4] == pytest.approx(spread, rel=0.03)
 
 
 def test_a_log_without_load_determines_nothing():

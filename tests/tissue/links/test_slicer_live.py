@@ -1,25 +1,21 @@
 """Live runs that are published for 3D Slicer.
 
-Two clients read them, one of them pyigtl, and a pose drives the tool.
+A client reads them, and a pose drives the tool.
 """
 
 import socket
-import time
 
 import numpy as np
 import pytest
-import trimesh
 from igtl_client import IgtlClient
 
 from meshes.base.errors import InputError
 from tissue import load_scene, simulate
 from tissue.links import igtl_messages as igtl
-from tissue.links.slicer_content import SlicerContent
-from tissue.links.slicer_frame import SlicerFrame
+from tissue.links.slicer_process import SlicerFrame
 from tissue.simulation.live.clock import WallClock
 from tissue.simulation.live.run import LiveObserver, LiveSettings, live
 from tissue.simulation.live.slicer import PORT, SlicerLink, SlicerPublisher, require_link
-from tissue.simulation.live.window import CLOCK
 from tissue.simulation.observer import Observers
 
 pytest.importorskip("pyvista")
@@ -82,54 +78,6 @@ def test_a_client_sees_a_run_from_its_first_row_to_its_end_and_the_rows_are_thos
 def greeted_address(run):
     """The address in a run's note."""
     return run.summary["notes"]["slicer"].split(" at ")[1].split(" ")[0]
-
-
-@pytest.mark.slow
-def test_pyigtl_reads_what_is_sent():
-    """A client that is not ours; of POLYDATA, SENSOR, NDARRAY and STATUS it knows no reading."""
-    pyigtl = pytest.importorskip("pyigtl")
-    held, clients = {}, []
-
-    def opened(address):
-        host, port = address.split(":")
-        client = pyigtl.OpenIGTLinkClient(host, int(port))
-        clients.append(client)
-        while not client.is_connected():
-            time.sleep(0.01)
-
-    class Taking(SlicerPublisher):
-        def on_tick(self, index, row, times):
-            held.update({each.device_name: each for each in clients[0].get_latest_messages()})
-            return super().on_tick(index, row, times)
-
-    import tissue.simulation.live.run as live_run
-
-    before, live_run.SlicerPublisher = live_run.SlicerPublisher, Taking
-    try:
-        run = live(
-            load_scene("milling", {"voxels.spacing_mm": 0.4, "duration_s": 0.5}),
-            LiveSettings(slicer=SlicerLink(port=0, opened=opened)),
-        )
-    finally:
-        live_run.SlicerPublisher = before
-    held.update({each.device_name: each for each in clients[0].get_latest_messages()})
-    clients[0].stop()
-    volume = run.volume
-    image = held["tissue-image"]
-    density = np.rint(volume.density_kg_m3 * (volume.fraction / 255.0))
-    np.testing.assert_array_equal(image.image, density.transpose(2, 1, 0))
-    first = 1e3 * (volume.origin_m + 0.5 * volume.spacing_m)
-    np.testing.assert_allclose(
-        image.ijk_to_world_matrix[:3, 3], LPS_TO_RAS[:3, :3] @ first, atol=1e-4
-    )
-    assert image.world_coordinate_system == "ras"
-    pose = held["tissue-tool"].matrix
-    tips = (
-        run.trace.rows[:, [run.trace.columns.index(f"tool_{c}_mm") for c in "xyz"]]
-        @ LPS_TO_RAS[:3, :3]
-    )
-    assert np.abs(tips - pose[:3, 3]).max(axis=1).min() < 1e-4
-    assert held["tissue-force-text"].string.split(" s: force ")[1].endswith("mN m")
 
 
 def target(tip_mm, turn=None):
@@ -238,55 +186,11 @@ def test_what_the_tissue_reports_is_published_as_it_happens(monkeypatch):
     assert made[0].reported == [f"{time_s:.3f} s: {what}" for time_s, what in run.events]
 
 
-@pytest.mark.slow
-def test_a_process_that_cannot_publish_ends_the_run_before_its_first_tick(monkeypatch):
-    monkeypatch.setattr("tissue.simulation.live.run.require_link", lambda *_, **__: None)
-    with socket.create_server(("127.0.0.1", 0)) as other:
-        port = other.getsockname()[1]
-        with pytest.raises(InputError) as refused:
-            live(load_scene("wall"), LiveSettings(slicer=SlicerLink(port=port)))
-    assert str(refused.value).startswith(
-        "--live must publish the run for 3D Slicer, but port must be a free port of "
-        f"127.0.0.1, got {port} ("
-    )
-
-
-def test_an_observer_that_fails_to_begin_ends_the_process(monkeypatch):
-    made = []
-    monkeypatch.setattr(
-        "tissue.simulation.live.slicer.SlicerProcess",
-        lambda *a, **k: made.append(Fake(*a, **k)) or made[-1],
-    )
-
-    def fails(address):
-        raise OSError("the terminal is gone")
-
-    with pytest.raises(OSError, match="the terminal is gone"):
-        live(load_scene("wall"), LiveSettings(slicer=SlicerLink(port=0, opened=fails)))
-    assert made[0].ended == 1
-
-
-def test_a_second_mover_and_a_port_that_is_taken_are_refused_before_anything_is_built(monkeypatch):
-    scene = load_scene("wall")
+def test_a_second_mover_of_the_tool_is_refused_before_anything_is_built():
     link = SlicerLink(drives=True)
     assert link.port == PORT == 18944
-    with pytest.raises(
-        InputError,
-        match=r"--slicer-drives must be left out where .* got --web: leave one of both out",
-    ):
-        require_link(link, scene, web=True)
-    monkeypatch.setattr("tissue.simulation.live.slicer.opens_device", lambda scene: True)
-    with pytest.raises(
-        InputError, match=r"--slicer-drives must be left out where .* got touch: leave one"
-    ):
-        require_link(link, scene, web=False)
-    with socket.create_server(("127.0.0.1", 0)) as other:
-        port = other.getsockname()[1]
-        with pytest.raises(
-            InputError, match=rf"--slicer-port must be a free port of 127\.0\.0\.1, got {port} \("
-        ):
-            require_link(SlicerLink(port=port), scene, web=True)
-    assert LiveSettings(slicer=link).mover(scene)[0]
+    with pytest.raises(InputError, match=r"--slicer-drives must be left out where .* got --web"):
+        require_link(link, load_scene("wall"), web=True)
 
 
 def test_the_command_publishes_and_prints_where(command, here):
@@ -304,69 +208,4 @@ def test_the_command_publishes_and_prints_where(command, here):
     line = output.splitlines()[1]
     assert (
         line.startswith("3D Slicer: connect a client to 127.0.0.1:") and line.split(":")[-1] != "0"
-    )
-
-
-TURN = trimesh.transformations.rotation_matrix(1.1, (1, -2, 0.7))
-TURN[:3, 3] = 30.0, 60.0, -20.0
-
-
-def sent(path, motion):
-    """Mill a stored block that is moved by a matrix [mm], at its original site.
-
-    Returns pose, force and the anatomy's image in RAS.
-    """
-    block = trimesh.creation.box((20.0, 16.0, 8.0))
-    block.apply_transform(motion)
-    block.export(path)
-    frame = motion[:3, :3]
-    scene = {
-        "anatomy.file": str(path),
-        "anatomy.scale_mm": 1.0,
-        "anatomy.centre_mm": (frame @ [1.0, -2.0, 4.0] + motion[:3, 3]).tolist(),
-        "anatomy.normal": frame[:, 2].tolist(),
-        "anatomy.along": frame[:, 0].tolist(),
-        "voxels.spacing_mm": 0.5,
-        "motion.points_mm": [[-3, 1.5, 1.0], [-3, 1.5, -1.0], [3, 2.5, -1.0]],
-        "motion.feed_mm_s": 20.0,
-        "duration_s": 0.15,
-    }
-    run = simulate(load_scene("milling", scene))
-    frame_ras = SlicerFrame(run.parts.placement)
-    volume = run.volume
-    start = {
-        "density_kg_m3": volume.density_kg_m3,
-        "origin_m": volume.origin_m,
-        "spacing_m": volume.spacing_m,
-    }
-    content = SlicerContent(run.scene, (*run.trace.columns, *CLOCK), frame_ras, start)
-    loads = np.linalg.norm(run.trace.vectors("model_force", "N"), axis=1)
-    row = np.concatenate([run.trace.rows[loads.argmax()], np.zeros(len(CLOCK))])
-    pose = igtl.parse_transform(content.pose_message(row)[igtl.HEADER_BYTES :])
-    force = np.frombuffer(
-        content.force_messages(row, "NDARRAY")[0][igtl.HEADER_BYTES + 12 + 4 :], ">f8", 6
-    )
-    return pose, force, frame_ras.matrix, row, run.trace.columns, run.parts.placement
-
-
-def test_what_is_sent_moves_with_the_file_of_the_anatomy(tmp_path):
-    """Published data move with the file of the anatomy.
-
-    For a block that is stored elsewhere, pose, force and torque in RAS are the original ones, moved
-    like the file.
-    """
-    pose, load, placed, row, columns, placement = sent(tmp_path / "block.stl", np.eye(4))
-    pose_moved, load_moved, placed_moved, *_ = sent(tmp_path / "moved.stl", TURN)
-    assert np.linalg.norm(load[:3]) > 0.1
-    moved = LPS_TO_RAS @ TURN @ LPS_TO_RAS
-    np.testing.assert_allclose(placed_moved, moved @ placed, atol=1e-4)
-    np.testing.assert_allclose(pose_moved, moved @ pose, atol=1e-3)
-    # STL holds single precision, see STORED of test_file_frame.
-    turned = np.concatenate([moved[:3, :3] @ load[:3], moved[:3, :3] @ load[3:]])
-    np.testing.assert_allclose(load_moved, turned, atol=5e-3 * np.linalg.norm(load[:3]))
-    # The file's frame is LPS: the tip that a person reads off the file is the one that is sent,
-    # with x and y reversed.
-    tip_mm = np.array([row[columns.index(f"tool_{c}_mm")] for c in "xyz"])
-    np.testing.assert_allclose(
-        pose[:3, 3] * [-1.0, -1.0, 1.0], placement.to_file(tip_mm[None])[0], atol=1e-4
     )

@@ -6,7 +6,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 import tissue
-from tissue.fitting.fitted_file import FittedEntry, write_fitted
+from tissue.fitting.fit_files import FittedEntry, write_fitted
 
 BURR = tissue.cutters.ball_burr(diameter_mm=3, flutes=6, spin_rpm=20_000)
 PATH = [[-4, 0, 3], [-4, 0, -0.8], [3, 0.5, -0.8]]

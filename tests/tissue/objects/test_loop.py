@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tissue
-from tissue.fitting.fitted_file import FittedEntry, write_fitted
+from tissue.fitting.fit_files import FittedEntry, write_fitted
 from tissue.haptics.device.recorded import RecordedDevice
 
 BURR = tissue.cutters.ball_burr(diameter_mm=3, flutes=6, spin_rpm=20_000)

@@ -1,107 +1,57 @@
-"""The band of a run: its loads and figures over the ranges of its constants, and which constant
-matters.
+"""The band of a run: its loads and figures over the ranges of its constants, which constant
+matters, and its files in the folder of the run.
 """
 
+import csv
+import json
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, require_range
+from meshes.base.file_limits import require_regular
 from meshes.base.progress import Progress, silent
-from tissue.fitting.bands.figures import (
-    GREATEST,
-    LEVELS,
-    LOADS,
-    Figure,
-    intervals,
-    over_time,
-    table_of,
-)
-from tissue.fitting.bands.rerun import Workers, reruns
-from tissue.fitting.bands.reweighed import Reweighed, density_prior, with_sizes
+from meshes.base.whole_file import whole_file
 from tissue.fitting.bands.sample import (
     Ranges,
+    SobolIndices,
     normals,
     ranges_of,
     rounded,
     sample_name,
     sample_text,
+    sobol_indices,
+    surrogate_indices,
 )
-from tissue.fitting.bands.sobol import SobolIndices, sobol_indices, surrogate_indices
+from tissue.fitting.bands.sample_loads import (
+    CHANNELS,
+    GREATEST,
+    LEVELS,
+    LOADS,
+    Figure,
+    Reweighed,
+    Workers,
+    density_prior,
+    intervals,
+    loads_of,
+    over_time,
+    reruns,
+    table_of,
+    with_sizes,
+)
 from tissue.scene.scene import Scene
+from tissue.show.figures.fit_pictures import draw_band, draw_sobol
 from tissue.simulation.load_record import record_loads, why_not_linear
-from tissue.simulation.run_summary import Summary
+from tissue.simulation.run_folder import added_to_run, files_of_run
+from tissue.simulation.run_summary import Summary, read_summary
 from tissue.simulation.simulate import simulate
 
-__all__ = ["Band", "band_of", "require_band", "require_same"]
+__all__ = ["Band", "band_of", "read_band", "require_band", "require_same", "save_band"]
 
-SAME_EVERYWHERE = (
-    "does not vary with the constants: the path is given, so that the run's own figure holds in "
-    "every sample"
-)
-NEEDS_RUNS = (
-    "depends on constants, and the loads alone were reweighed: it needs a run of each sample, "
-    "--each-run"
-)
-
-
-def _about(
-    asked: int,
-    seed: int,
-    how: str,
-    ranges: Ranges,
-    indices: SobolIndices,
-    figures: tuple[Figure, ...] = LOADS,
-) -> Summary:
-    """Return the entries of ``summary.json`` on the method, the constants and their indices."""
-    return {
-        "asked": asked,
-        "seed": seed,
-        "how": how,
-        "constants": _constants(ranges),
-        "sobol": _indices(indices, ranges, figures),
-    }
-
-
-def _without(scene: Scene) -> dict[str, str]:
-    """Return the figures without an interval for reweighed loads, and the reason."""
-    names = ["removed_mm3", "contact_share"] + ["keep_clear"] * (scene.keep_clear is not None)
-    found = dict.fromkeys([*names, "break_through", "events"], SAME_EVERYWHERE)
-    if scene.heat:
-        found |= dict.fromkeys(("greatest_pulp_rise_K", "events"), NEEDS_RUNS)
-    if scene.stress is not None:
-        found["stress"] = NEEDS_RUNS
-    return found
-
-
-def _constants(ranges: Ranges) -> dict[str, dict[str, float]]:
-    return {
-        name: {"value": prior.value, "low": prior.low, "high": prior.high}
-        for name, prior in zip(ranges.names, ranges.priors, strict=True)
-    }
-
-
-def _indices(
-    found: SobolIndices, ranges: Ranges, figures: tuple[Figure, ...]
-) -> dict[str, dict[str, dict[str, object]]]:
-    """Return Sobol indices by figure and group, without figures that do not vary."""
-    return {
-        ".".join(figure): {
-            group: {
-                "first": float(found.first[row, column]),
-                "first_90": found.first_ends[:, row, column].tolist(),
-                "total": float(found.total[row, column]),
-                "total_90": found.total_ends[:, row, column].tolist(),
-            }
-            for row, group in enumerate(ranges.group_names)
-        }
-        for column, figure in enumerate(figures)
-        if np.isfinite(found.total[:, column]).all()
-    }
-
-
+SAME_EVERYWHERE = "is that of the run in every sample, whose path is given"
+NEEDS_RUNS = "depends on constants and needs a run of each sample, --each-run"
 HOW = (
     "the geometry was recorded once and reweighed, for the force is linear in the coefficients "
     "and the path is given"
@@ -132,13 +82,13 @@ class Band:
         Times of the ticks [s], shape (n,).
     nominal, quantiles
         Loads on the tool at the constants' nominal values and their quantiles `LEVELS`, columns
-        `tissue.fitting.bands.reweighed.CHANNELS`, shapes (n, 8) and (5, n, 8).
+        `tissue.fitting.bands.sample_loads.CHANNELS`, shapes (n, 8) and (5, n, 8).
     constants, values
         Names of the constants that vary, and their values in each sample, shape (samples, p).
     figure_names, figures
-        Names as in `tissue.fitting.bands.figures`, and the figures of each sample, shape (samples,
-        figures). NaN where a sample does not have the figure, such as an event that does not
-        happen.
+        Names of `tissue.fitting.bands.sample_loads`, and the figures of each sample, shape
+        (samples, figures). NaN where a sample does not have the figure, such as an event that does
+        not happen.
     numbers
         Index into `files` of each sample, shape (samples,).
     files
@@ -154,7 +104,7 @@ class Band:
     values: Array
     figure_names: tuple[Figure, ...]
     figures: Array
-    numbers: NDArray[np.int64]
+    numbers: Ints
     files: tuple[str, ...]
     summary: Summary
 
@@ -179,33 +129,23 @@ def require_band(
     Raises
     ------
     InputError
-        If the number of samples is not between 16 and 65536, if processes are requested although no
-        sample is run again or together with a scheduler, or if a run of each sample is requested
-        for a scene that always needs it.
+        If the number of samples is not between 16 and 65536, or an option has no effect: workers
+        where no sample is run again or next to a scheduler, or a run of each sample for a scene
+        that always needs it.
     """
     rounded(asked)
-    is_linear = not why_not_linear(scene)
-    if each_run and not is_linear:
-        raise InputError(
-            "each_run",
-            "be left out of a scene whose loads cannot be reweighed",
-            f"one where {why_not_linear(scene)}",
-            "every sample is a run of its own",
-        )
     if workers is not None:
         require_range("workers", workers, 1, 4096, "use one a core")
-    for name, given in (("workers", workers), ("scheduler", scheduler)):
-        if given is not None and is_linear and not each_run:
-            raise InputError(
-                name,
-                "be left out where the geometry is recorded once and reweighed",
-                given,
-                "remove it, or ask for a run of each sample (each_run)",
-            )
-    if workers is not None and scheduler is not None:
-        raise InputError(
-            "workers", "be left out with a scheduler, which has its own", workers, "remove it"
-        )
+    is_rerun = bool(why_not_linear(scene)) or each_run
+    without_effect = {
+        "each_run": each_run and bool(why_not_linear(scene)),
+        "workers": workers is not None and (scheduler is not None or not is_rerun),
+        "scheduler": scheduler is not None and not is_rerun,
+    }
+    for name, has_none in without_effect.items():
+        if has_none:
+            how = "every sample is run" if is_rerun else "the geometry is recorded once"
+            raise InputError(name, "be left out where it has no effect", "it", f"{how}; remove it")
 
 
 def band_of(
@@ -256,32 +196,68 @@ def band_of(
     reweighed = Reweighed(record_loads(scene, compute=compute, cores=cores, progress=progress))
     ranges = reweighed.ranges
     record = reweighed.record
-    _require_ranges(ranges)
+    values, files = _samples(scene, ranges, asked, seed)[1:]
     report("reweighing the loads", 0.0)
-    values = ranges.x(normals(rounded(asked), len(ranges.names), seed=seed))
     figures = reweighed.figures(values)
-    quantiles = reweighed.quantiles(values, tuple(LEVELS.values()))
-    nominal = with_sizes(record.loads(reweighed.coefficients(reweighed.nominal())))
     report("computing Sobol indices", 0.5)
     indices = sobol_indices(
         lambda free: reweighed.figures(ranges.x(free)), ranges.groups, count=SOBOL_ROWS, seed=seed
     )
-    files = tuple(sample_text(record.scene.constants, ranges.names, each) for each in values)
-    summary = _about(asked, seed, HOW, ranges, indices) | intervals(LOADS, figures)
-    summary |= {"samples": len(figures), "failed": 0, "problems": {}, "without": _without(scene)}
-    numbers = np.arange(len(files))
+    names = ["removed_mm3", "contact_share"] + ["keep_clear"] * (scene.keep_clear is not None)
+    without = dict.fromkeys([*names, "break_through", "events"], SAME_EVERYWHERE)
+    if scene.heat:
+        without |= dict.fromkeys(("greatest_pulp_rise_K", "events"), NEEDS_RUNS)
+    if scene.stress is not None:
+        without["stress"] = NEEDS_RUNS
+    summary = {"asked": asked, "seed": seed, "how": HOW, **_about(ranges, indices, LOADS)}
+    summary |= intervals(LOADS, figures)
+    summary |= {"samples": len(figures), "failed": 0, "problems": {}, "without": without}
     return Band(
         record.times_s,
-        nominal,
-        quantiles,
+        with_sizes(record.loads(reweighed.coefficients(reweighed.nominal()))),
+        reweighed.quantiles(values, tuple(LEVELS.values())),
         ranges.names,
         values,
         LOADS,
         figures,
-        numbers,
+        np.arange(len(files)),
         files,
         summary,
     )
+
+
+def _samples(
+    scene: Scene, ranges: Ranges, asked: int, seed: int
+) -> tuple[Array, Array, tuple[str, ...]]:
+    """Return independent normal numbers, values of the constants, and files of the samples."""
+    if not ranges.names:
+        raise InputError(
+            "band", "be of a scene that rests on constants with a range", "none", "leave it out"
+        )
+    free = normals(rounded(asked), len(ranges.names), seed=seed)
+    values = ranges.x(free)
+    return free, values, tuple(sample_text(scene.constants, ranges.names, x) for x in values)
+
+
+def _about(ranges: Ranges, indices: SobolIndices, figures: tuple[Figure, ...]) -> Summary:
+    """Return the constants, and Sobol indices by figure and group, without constant figures."""
+    constants = {
+        name: {"value": prior.value, "low": prior.low, "high": prior.high}
+        for name, prior in zip(ranges.names, ranges.priors, strict=True)
+    }
+    sobol: Summary = {}
+    for column, figure in enumerate(figures):
+        if np.isfinite(indices.total[:, column]).all():
+            sobol[".".join(figure)] = {
+                group: {
+                    "first": float(indices.first[row, column]),
+                    "first_90": indices.first_ends[:, row, column].tolist(),
+                    "total": float(indices.total[row, column]),
+                    "total_90": indices.total_ends[:, row, column].tolist(),
+                }
+                for row, group in enumerate(ranges.group_names)
+            }
+    return {"constants": constants, "sobol": sobol}
 
 
 def _rerun(
@@ -289,28 +265,18 @@ def _rerun(
 ) -> Band:
     """Compute a band whose samples are separate runs."""
     run = simulate(scene, compute=workers.compute, cores=cores, progress=report)
-    trace = run.trace
     is_linear = not why_not_linear(scene)
     if density_prior(run.parts.notes.get("density law", "")) is not None and is_linear:
         raise InputError(
-            "each_run must be left out where the density of an image varies within its law's "
-            "band, which a file of "
-            "materials cannot hold: reweigh the loads, whose density does vary"
+            "each_run",
+            "be left out where the density of an image varies within its law's band",
+            "it",
+            "reweigh the loads: a file of materials cannot hold that density",
         )
-    nominal = with_sizes(
-        np.hstack([trace.vectors("model_force", "N"), trace.vectors("model_torque", "Nm")])
-    )
-    ranges = ranges_of(scene, trace.layer_names)
-    _require_ranges(ranges)
-    free = normals(rounded(asked), len(ranges.names), seed=seed)
-    values = ranges.x(free)
-    files = tuple(sample_text(scene.constants, ranges.names, each) for each in values)
-    outcomes = dict(reruns(scene, files, workers=workers, report=report))
-    problems = {
-        sample_name(at, len(files)): each
-        for at, each in sorted(outcomes.items())
-        if isinstance(each, str)
-    }
+    ranges = ranges_of(scene, run.trace.layer_names)
+    free, values, files = _samples(scene, ranges, asked, seed)
+    outcomes = sorted(dict(reruns(scene, files, workers=workers, report=report)).items())
+    problems = {sample_name(at, len(files)): each for at, each in outcomes if isinstance(each, str)}
     if len(problems) > MOST_FAILED * len(files):
         reasons = "; ".join(f"{name}: {why}" for name, why in list(problems.items())[:3])
         raise InputError(
@@ -319,21 +285,17 @@ def _rerun(
             f"{len(problems)} of {len(files)} ({reasons})",
             "narrow the ranges in a file of materials",
         )
-    kept = np.array([at for at, each in sorted(outcomes.items()) if not isinstance(each, str)])
-    held = [each for _, each in sorted(outcomes.items()) if not isinstance(each, str)]
-    times_s = trace["time_s"]
+    kept = np.array([at for at, each in outcomes if not isinstance(each, str)])
+    held = [each for _, each in outcomes if not isinstance(each, str)]
+    times_s = run.trace["time_s"]
     quantiles, span = over_time([loads for loads, _ in held], times_s)
     names, figures = table_of([each for _, each in held])
-    explaining = [
-        at for at, name in enumerate(names) if name in LOADS or name[0].startswith(GREATEST)
-    ]
-    explained_names = tuple(names[at] for at in explaining)
-    indices, explained = surrogate_indices(
-        free[kept], figures[:, explaining], ranges.groups, seed=seed
-    )
-    summary = _about(
-        asked, seed, HOW_ASKED if is_linear else HOW_RERUN, ranges, indices, explained_names
-    ) | intervals(names, figures)
+    places = [at for at, name in enumerate(names) if name in LOADS or name[0].startswith(GREATEST)]
+    explained_names = tuple(names[at] for at in places)
+    indices, explained = surrogate_indices(free[kept], figures[:, places], ranges.groups, seed=seed)
+    how = HOW_ASKED if is_linear else HOW_RERUN
+    summary = {"asked": asked, "seed": seed, "how": how, **_about(ranges, indices, explained_names)}
+    summary |= intervals(names, figures)
     summary |= {"samples": len(kept), "failed": len(problems), "problems": problems, "span": span}
     summary["surrogate_explains"] = {
         ".".join(name): float(share)
@@ -343,7 +305,7 @@ def _rerun(
     last = quantiles.shape[1]
     return Band(
         times_s[:last],
-        nominal[:last],
+        loads_of(run)[:last],
         quantiles,
         ranges.names,
         values[kept],
@@ -353,13 +315,6 @@ def _rerun(
         files,
         summary,
     )
-
-
-def _require_ranges(ranges: Ranges) -> None:
-    if not ranges.names:
-        raise InputError(
-            "band", "be of a scene that rests on constants with a range", "none", "leave it out"
-        )
 
 
 def require_same(band: Band, loads: Array) -> None:
@@ -375,20 +330,130 @@ def require_same(band: Band, loads: Array) -> None:
     InputError
         If the run has fewer ticks, or loads differ by more than 1e-5 of the largest load.
     """
-    if len(loads) < len(band.times_s):
-        raise InputError(
-            "band",
-            "be of a whole run",
-            f"one that was stopped after {len(loads)} of {len(band.times_s)} ticks",
-            "run the scene again",
-        )
-    for first, columns in ((0, slice(0, 3)), (4, slice(3, 6))):
-        nominal = band.nominal[:, first : first + 3]
-        run = loads[: len(band.times_s), columns]
-        if np.abs(nominal - run).max(initial=0.0) > SAME * np.abs(run).max(initial=0.0):
-            raise InputError(
-                "band",
-                "be of a run whose scene is as it was",
-                "other loads from the same scene",
-                "run it again",
+    count = len(band.times_s)
+    if len(loads) >= count:
+        run = with_sizes(loads[:count])
+        scales = np.repeat(np.abs(run[:, [3, 7]]).max(axis=0, initial=0.0), 4)
+        if (np.abs(band.nominal - run) <= SAME * scales).all():
+            return
+    raise InputError(
+        "band",
+        "be of a whole run whose scene is as it was",
+        f"{len(loads)} ticks of a run, and a band of {count} ticks",
+        "run the scene again",
+    )
+
+
+OVER_TIME = "band.csv"
+SAMPLES = "band/samples.csv"
+SEPARATOR = "|"
+"""Between the entries of a figure's name in the header of the samples: a layer's name or a
+sentence may hold a dot.
+"""
+
+
+def save_band(band: Band, folder: Path, *, kind: str | None) -> None:
+    """Write a band into the folder of its run and replace an earlier band.
+
+    Pictures are drawn if `kind` names their format.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no run, or another process writes to it.
+    """
+    summary = read_summary(folder)
+    with added_to_run(folder):
+        for old in _earlier_samples(folder):
+            old.unlink()
+        names = [f"{channel}_{level}" for channel in CHANNELS for level in LEVELS]
+        quantiles = np.moveaxis(band.quantiles, 0, 2).reshape(len(band.times_s), -1)
+        rows = np.column_stack([band.times_s, band.nominal, quantiles])
+        _write(folder / OVER_TIME, ["time_s", *CHANNELS, *names], rows)
+        held = (folder / SAMPLES).parent
+        held.mkdir(exist_ok=True)
+        for number, text in enumerate(band.files):
+            with whole_file(held / sample_name(number, len(band.files))) as temporary:
+                temporary.write_text(text, "utf-8")
+        figures = [SEPARATOR.join(name) for name in band.figure_names]
+        table = np.column_stack([band.numbers, band.values, band.figures])
+        _write(folder / SAMPLES, ["sample", *band.constants, *figures], table)
+        if kind is not None:
+            (folder / "pictures").mkdir(exist_ok=True)
+            title = str(summary["scene"])
+            draw_band(
+                band.times_s,
+                band.nominal,
+                band.quantiles,
+                folder / "pictures" / f"band.{kind}",
+                title=title,
             )
+            draw_sobol(
+                band.summary["sobol"], folder / "pictures" / f"band_sobol.{kind}", title=title
+            )
+        with whole_file(folder / "summary.json") as temporary:
+            temporary.write_text(
+                json.dumps(summary | {"band": band.summary}, indent=2) + "\n", "utf-8"
+            )
+
+
+def _earlier_samples(folder: Path) -> list[Path]:
+    """Return the files of an earlier band's samples."""
+    held = (folder / SAMPLES).parent
+    names = (folder / name for name in files_of_run(folder))
+    return [path for path in names if path.parent == held and path.suffix == ".toml"]
+
+
+def read_band(folder: Path) -> Band:
+    """Read the band in a run's folder.
+
+    Raises
+    ------
+    InputError
+        If there is no band, or a file is damaged.
+    """
+    held = read_summary(folder).get("band")
+    if held is None:
+        raise InputError("run", "have a band", f"none in {folder}", "make one with run.band(200)")
+    (_, times) = _read(folder / OVER_TIME)
+    (header, samples) = _read(folder / SAMPLES)
+    constants = tuple(held["constants"])
+    width = 1 + len(constants)
+    nominal = times[:, 1 : 1 + len(CHANNELS)]
+    quantiles = times[:, 1 + len(CHANNELS) :]
+    if quantiles.shape[1] != len(CHANNELS) * len(LEVELS) or tuple(header[1:width]) != constants:
+        raise InputError(
+            "band.csv", "be as run.band wrote it", f"another one in {folder}", "make the band again"
+        )
+    over = np.moveaxis(quantiles.reshape(len(times), len(CHANNELS), len(LEVELS)), 2, 0)
+    names = tuple(tuple(name.split(SEPARATOR)) for name in header[width:])
+    numbers = samples[:, 0].astype(np.int64)
+    return Band(
+        times[:, 0],
+        nominal,
+        over,
+        constants,
+        samples[:, 1:width],
+        names,
+        samples[:, width:],
+        numbers,
+        (),
+        held,
+    )
+
+
+def _write(path: Path, names: list[str], rows: Array) -> None:
+    with whole_file(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerow(names)
+        np.savetxt(file, rows, fmt="%.9g", delimiter=",")
+
+
+def _read(path: Path) -> tuple[list[str], Array]:
+    require_regular(path)
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            return next(csv.reader(file)), np.loadtxt(file, delimiter=",", ndmin=2)
+    except (OSError, ValueError, StopIteration):
+        raise InputError(
+            path.name, "be a table of numbers", f"another one in {path}", "make the band again"
+        ) from None

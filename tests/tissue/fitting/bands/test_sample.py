@@ -1,11 +1,12 @@
 """Samples of constants: their laws, correlations and how fast sums converge."""
 
+from meshes.base.errors import (InputError)
+from tissue.fitting.bands.sample import (Ranges, normals, rounded)
+from tissue.materials.constants import (Prior)
 import numpy as np
 import pytest
 
-from meshes.base.errors import InputError
-from tissue.fitting.bands.sample import Ranges, normals, rounded
-from tissue.materials.constants import Prior
+
 
 PRIORS = {
     "cutting.bone.radial_chip_N_mm2": Prior(60.0, 15.0, 180.0),
@@ -36,32 +37,6 @@ def test_correlated_constants_are_drawn_together_and_make_one_group():
     z = np.column_stack([prior.z(x[:, at]) for at, prior in enumerate(ranges.priors)])
     assert np.corrcoef(z[:, 0], z[:, 2])[0, 1] == pytest.approx(-0.9, abs=0.01)
     assert np.corrcoef(z[:, 0], z[:, 1])[0, 1] == pytest.approx(0.0, abs=0.02)
-
-
-def test_samples_converge_faster_than_at_random():
-    """Samples converge faster than at random.
-
-    The mean of a smooth function of 8 numbers, exact exp(0.5), has a root mean square error over 10
-    seeds.
-    """
-    weights = np.full(8, np.sqrt(1.0 / 8.0))
-    mean_error = {
-        count: np.sqrt(
-            np.mean(
-                [
-                    (np.exp(normals(count, 8, seed=s) @ weights).mean() / np.exp(0.5) - 1.0) ** 2
-                    for s in range(10)
-                ]
-            )
-        )
-        for count in (64, 1024)
-    }
-    at_random = {count: np.sqrt((np.e - 1.0) / count) for count in mean_error}
-    assert mean_error[1024] < 0.5 * at_random[1024]
-    assert mean_error[1024] < mean_error[64] / 4.0, (
-        "sixteen times the samples at random give a quarter"
-    )
-    print("root mean square error, at random:", mean_error, at_random)
 
 
 def test_counts_are_powers_of_two():

@@ -1,16 +1,137 @@
-"""Measured loads as a fit takes them."""
+"""What a fit compares: loads by free constants, and measured loads averaged over blocks."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from scipy.sparse import csr_array
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
+from tissue.materials.prior import Prior
 from tissue.models.tissue_model import TICK_S
 
-__all__ = ["MeasuredLoads", "block_averages", "block_ticks", "shift_operators"]
+__all__ = [
+    "Forward",
+    "MeasuredLoads",
+    "Parameter",
+    "Problem",
+    "block_averages",
+    "block_ticks",
+    "chosen",
+    "shift_operators",
+]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """Free constant.
+
+    Attributes
+    ----------
+    name
+        Name in the files of constants, ``TABLE.MATERIAL.NAME``, such as
+        ``cutting.bone.radial_chip_N_mm2``. ``density.LAYER`` is the factor on the density map of a
+        layer.
+    prior
+        Prior of the constant before the log.
+    cited
+        The prior of a constant whose cited value is an end of its range, such as an axial
+        coefficient of 0. The fit uses the `mirrored` prior in its linear algebra and counts values
+        beyond the end as the end itself, see `tissue.fitting.marginal`. None for a constant whose
+        value lies inside its range.
+    """
+
+    name: str
+    prior: Prior
+    cited: Prior | None = None
+
+    @classmethod
+    def of(cls, name: str, cited: Prior) -> "Parameter":
+        """Return the parameter of a cited constant, its value inside its range or at an end."""
+        return cls(name, cited.mirrored(), cited) if cited.is_one_sided else cls(name, cited)
+
+    @property
+    def side(self) -> float:
+        """Side of the cited value on which values are possible.
+
+        The side is 1 above the cited value, -1 below it, and 0 if values on both sides are
+        possible.
+        """
+        if self.cited is None:
+            return 0.0
+        return 1.0 if self.cited.value == self.cited.low else -1.0
+
+
+def chosen(
+    free: Sequence[str],
+    possible: Sequence[Parameter],
+    tags: Mapping[str, str] | None = None,
+) -> list[Parameter]:
+    """Return the parameters that patterns select. Without a pattern, return all.
+
+    A pattern names the table first, then parts of the name, words of it, or a tag.
+
+    Parameters
+    ----------
+    free
+        Patterns.
+    possible
+        Parameters to choose from.
+    tags
+        Further word that selects a parameter, by its name.
+
+    Raises
+    ------
+    InputError
+        If a pattern selects no parameter.
+    """
+    words = {}
+    for each in possible:
+        table, material, *rest = each.name.split(".")
+        parts = [word for full in rest for word in (full, *full.split("_")[:2])]
+        words[each.name] = (table, {material, (tags or {}).get(each.name, material), *rest, *parts})
+    selected = set[str]()
+    for pattern in free:
+        table, *wanted = pattern.split(".")
+        found = [
+            name for name, (of, known) in words.items() if of == table and known >= set(wanted)
+        ]
+        if not found:
+            raise InputError(
+                "free", "name constants of this log", pattern, f"choose among {', '.join(words)}"
+            )
+        selected.update(found)
+    return [each for each in possible if not free or each.name in selected]
+
+
+class Forward(Protocol):
+    """Loads and their derivatives along the poses of a log, as functions of constants."""
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The p free constants."""
+        ...
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Measured channels, such as ``force_x_N``, on the tool in the world frame."""
+        ...
+
+    @property
+    def times_s(self) -> Array:
+        """Increasing times on the clock of the poses, shape (n,)."""
+        ...
+
+    def loads(self, x: Array) -> Array:
+        """Return loads [N, N m] for the constants x in their units, shape (n, channels)."""
+        ...
+
+    def jacobian(self, x: Array) -> Array:
+        """Return the derivatives of the loads by the constants, shape (n, channels, p)."""
+        ...
+
 
 FEWEST = 50
 """Minimum number of samples of a channel.
@@ -38,7 +159,7 @@ class MeasuredLoads:
     Raises
     ------
     InputError
-        If shapes disagree, times do not rise, or a channel has fewer than 50 samples.
+        If a channel has fewer than 50 samples.
     """
 
     times_s: Array
@@ -47,20 +168,6 @@ class MeasuredLoads:
     within_s: tuple[float, ...] = (0.0,)
 
     def __post_init__(self) -> None:
-        if self.values.shape != (len(self.times_s), len(self.channels)):
-            raise InputError(
-                "values",
-                f"have shape ({len(self.times_s)}, {len(self.channels)}), of times and channels",
-                self.values.shape,
-                "give one row a sample",
-            )
-        if not (np.diff(self.times_s) > 0.0).all():
-            raise InputError(
-                "times_s",
-                "increase",
-                "one that does not",
-                "sort the samples and drop repeated ones",
-            )
         counts = np.isfinite(self.values).sum(axis=0)
         if len(counts) and counts.min() < FEWEST:
             raise InputError(
@@ -83,6 +190,34 @@ class MeasuredLoads:
         size = np.sqrt(np.nanmean(np.where(spread > 0.0, cut, self.values) ** 2, axis=0))
         units = np.array([name.rpartition("_")[2] for name in self.channels])
         return np.array([size[units == unit].max() for unit in units])
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Loads by constants, the log to compare them with, and candidate logs.
+
+    Attributes
+    ----------
+    forward
+        Loads by the constants.
+    measured
+        The log, averaged over blocks.
+    block_s
+        Length of a block [s].
+    candidates
+        Return logs that could be measured next, by their descriptions.
+    notes
+        Remarks for the report.
+    fixed
+        Fixed constants that the free constants depend on, by their names.
+    """
+
+    forward: Forward
+    measured: MeasuredLoads
+    block_s: float
+    candidates: Callable[[], Mapping[str, Forward]]
+    notes: tuple[str, ...] = ()
+    fixed: Mapping[str, float] = field(default_factory=dict)
 
 
 MOST_SAMPLES = 2000
@@ -182,29 +317,24 @@ def shift_operators(
     before, start, end, after = times_s[places].T
     width = end - start
     u = (asked - start) / width
-    slope_start = width / (end - before)
-    slope_end = width / (after - start)
-    start_tangent = u * (1.0 - u) ** 2
-    end_tangent = u * u * (u - 1.0)
+    slopes = np.stack([width / (end - before), width / (after - start)])
     blend = u * u * (3.0 - 2.0 * u)
-    weights = _rows(1.0 - blend, blend, start_tangent * slope_start, end_tangent * slope_end)
+    weights = _hermite(1.0 - blend, blend, slopes * [u * (1.0 - u) ** 2, u * u * (u - 1.0)])
     blend = 6.0 * u * (1.0 - u)
-    start_tangent = (1.0 - u) * (1.0 - 3.0 * u)
-    end_tangent = u * (3.0 * u - 2.0)
-    rates = _rows(-blend, blend, start_tangent * slope_start, end_tangent * slope_end)
+    tangents = [(1.0 - u) * (1.0 - 3.0 * u), u * (3.0 * u - 2.0)]
+    rates = _hermite(-blend, blend, slopes * tangents)
     rates *= np.where(inside, -1.0 / width, 0.0)[:, None]
-    count = len(asked) // len(within_s)
     each = 4 * len(within_s)
-    shape = (count, last + 1)
-    starts = np.arange(0, each * count + 1, each)
-    return (
-        csr_array((weights.ravel() / len(within_s), places.ravel(), starts), shape=shape),
-        csr_array((rates.ravel() / len(within_s), places.ravel(), starts), shape=shape),
+    starts = np.arange(0, weights.size + 1, each)
+    shape = (len(wanted_s), last + 1)
+    values, derivatives = (
+        csr_array((found.ravel() / len(within_s), places.ravel(), starts), shape=shape)
+        for found in (weights, rates)
     )
+    return values, derivatives
 
 
-def _rows(at_start: Array, at_end: Array, start_tangent: Array, end_tangent: Array) -> Array:
+def _hermite(at_start: Array, at_end: Array, tangents: Array) -> Array:
     """Return the weights of the four neighbours in a cubic's Hermite form, shape (m, 4)."""
-    return np.stack(
-        [-start_tangent, at_start - end_tangent, at_end + start_tangent, end_tangent], axis=1
-    )
+    start, end = tangents
+    return np.stack([-start, at_start - end, at_end + start, end], axis=1)

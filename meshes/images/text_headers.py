@@ -1,0 +1,306 @@
+"""MetaImage and NRRD images: lines of text and an array, read without ITK.
+
+ITK returns uninitialised memory where compressed voxels are damaged or their size is missing from
+the header. It ignores slopes and units, reads invalid numbers as 0, and prints on the terminal.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from math import prod
+from pathlib import Path
+
+import numpy as np
+
+from meshes.base.arrays import Array, Numbers
+from meshes.base.errors import InputError
+from meshes.base.text_numbers import number_in
+from meshes.images.data import read_voxels, scaled
+from meshes.images.frame import StoredImage
+
+__all__ = ["header_lines", "numbers", "read_metaimage", "read_nrrd"]
+
+Fields = Mapping[str, str]
+_LONGEST_HEADER = 1 << 20
+_UNITS_MM = {
+    **dict.fromkeys(("", "?", "mm", "millimeter", "millimetre", "millimeters", "millimetres"), 1.0),
+    **dict.fromkeys(("um", "µm", "micrometer", "micrometre", "micron", "microns"), 1e-3),
+    **dict.fromkeys(("cm", "centimeter", "centimetre"), 10.0),
+    **dict.fromkeys(("m", "meter", "metre"), 1000.0),
+}
+
+
+def header_lines(path: Path, separator: str, last: str) -> tuple[dict[str, str], int]:
+    """Read the `key separator value` lines of a header, and the byte after it.
+
+    Keys are in small letters.
+
+    Parameters
+    ----------
+    last
+        Key of the header's last line; an empty line ends it as well. The first line without a
+        separator is kept under the key "first".
+    """
+    with path.open("rb") as stream:
+        data = stream.read(_LONGEST_HEADER)
+    fields: dict[str, str] = {}
+    at = 0
+    while (end := data.find(b"\n", at)) >= 0:
+        line = data[at:end].decode("utf-8", "replace").strip()
+        at = end + 1
+        if not line:
+            break
+        key, found, value = line.partition(separator)
+        key = key.strip().lower()
+        if not found:
+            fields.setdefault("first", line)
+        elif key in fields:
+            raise _fault(path, "a header", "state every key once", f"{_short(key)} twice")
+        elif not key.startswith("#"):
+            fields[key] = value.strip()
+        if key == last:
+            break
+    return fields, at
+
+
+def numbers(fields: Fields, key: str, path: Path, *, positive: bool = False) -> list[float] | None:
+    """Return the finite numbers of a header line, or None if the line is missing.
+
+    Raises
+    ------
+    InputError
+        If a word of the line is not a finite number, or not above 0 where it has to be.
+    """
+    if key not in fields:
+        return None
+    try:
+        found = [number_in(word) for word in re.sub("[(),]", " ", fields[key]).split()]
+    except ValueError:
+        found = [np.nan]
+    if not np.isfinite(found).all():
+        raise _fault(path, key, "be finite numbers", _short(fields[key]))
+    if positive and min(found, default=0.0) <= 0.0:
+        raise _fault(path, key, "be above 0", _short(fields[key]))
+    return found
+
+
+def _stated(
+    fields: Fields, keys: Sequence[str], absent: Array, path: Path, *, positive: bool = False
+) -> Array:
+    """Return the numbers of the first of several synonymous keys, shape of the default."""
+    key = next((key for key in keys if key in fields), "")
+    found = numbers(fields, key, path, positive=positive)
+    if found is None:
+        return absent
+    if len(found) != absent.size:
+        raise _fault(path, key, f"be {absent.size} numbers", str(len(found)))
+    return np.reshape(found, absent.shape)
+
+
+def _unit_mm(words: Sequence[str], path: Path) -> float:
+    """Return the length [mm] of the unit that a header states for its axes.
+
+    All axes must have the same unit; without one it is mm.
+    """
+    lengths = {_UNITS_MM.get(word.strip('"').lower(), 0.0) for word in words or [""]}
+    length = lengths.pop()
+    if lengths or not length:
+        raise _fault(path, "the unit of the axes", "be mm, um, cm or m", _short(" ".join(words)))
+    return length
+
+
+def _data_file(path: Path, name: str, start: int) -> tuple[Path, int]:
+    """Return the file that holds the voxels, and the byte at which they begin."""
+    if not name:
+        return path, start
+    data = path.parent / name
+    if not data.is_file():
+        raise InputError(
+            f"the voxels of {path.name}",
+            "lie in one file next to it",
+            f"{name[:60]}, which is not there",
+            "copy it there",
+        )
+    return data, 0
+
+
+def _voxels(
+    data: Path, dtype: str, shape: Sequence[float], start: int, *, skip: int, compressed: bool
+) -> Numbers:
+    """Read the voxels; they end the file if -1 bytes are skipped."""
+    kind = np.dtype(dtype)
+    count = (int(shape[0]), int(shape[1]), int(shape[2]))
+    if skip == -1:
+        start = max(data.stat().st_size - kind.itemsize * prod(count), 0)
+        skip = 0
+    return read_voxels(data, kind, count, start=start, skip=skip, compressed=compressed)
+
+
+def _fault(path: Path, field: str, requirement: str, found: str) -> InputError:
+    return InputError(field, requirement, f"{found} in {path.name}", "export it again")
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+_META_TYPES = {
+    "CHAR": "i1",
+    "SHORT": "i2",
+    "INT": "i4",
+    "LONG": "i4",
+    "LONG_LONG": "i8",
+    "FLOAT": "f4",
+    "DOUBLE": "f8",
+}
+_META_TYPES |= {f"U{name}": f"u{code[1]}" for name, code in _META_TYPES.items() if code[0] == "i"}
+_BYTE_ORDERS = ("binarydatabyteordermsb", "elementbyteordermsb")
+_DIRECTIONS = ("transformmatrix", "rotation", "orientation")
+_PLACES = ("offset", "position", "origin")
+_SPACINGS = ("elementspacing", "elementsize")
+_ALONG_LPS = ("RAI", "???")
+"""MetaImage names of axes that run from right, front (anterior) and feet (inferior)."""
+
+
+def read_metaimage(path: Path) -> StoredImage:
+    """Read a `.mhd` or `.mha` image of one number a voxel on three axes, its voxels in one file.
+
+    Raises
+    ------
+    InputError
+        If the file is cut off or damaged, or states values that cannot be applied.
+    """
+    fields, start = header_lines(path, "=", "elementdatafile")
+    if "ndims" not in fields or "elementdatafile" not in fields:
+        raise _fault(path, "file", "be a MetaImage", "a file without the lines of one")
+    channels = fields.get("elementnumberofchannels", "1")
+    if fields["ndims"] != "3" or channels != "1":
+        found = f"NDims {fields['ndims']} and {channels} channels"
+        raise _fault(path, "file", "hold one number per voxel on three axes", found)
+    values = _meta_voxels(fields, path, start)
+    notes = []
+    if not any(key in fields for key in _DIRECTIONS):
+        if fields.get("anatomicalorientation", "???") not in _ALONG_LPS:
+            found = "AnatomicalOrientation alone"
+            raise _fault(path, "directions", "be given as TransformMatrix", found)
+        notes.append(
+            f"{path.name} states no directions: its axes are taken as left, back and head."
+        )
+    unit = _unit_mm(fields.get("distanceunits", "").split(), path)
+    directions = _stated(fields, _DIRECTIONS, np.eye(3), path).T
+    x, y, z = (unit * _stated(fields, _SPACINGS, np.ones(3), path, positive=True)).tolist()
+    origin = unit * _stated(fields, _PLACES, np.zeros(3), path)
+    slope = numbers(fields, "elementtointensityfunctionslope", path) or [1.0]
+    intercept = numbers(fields, "elementtointensityfunctionoffset", path) or [0.0]
+    values = scaled(values, slope[0], intercept[0])
+    return StoredImage(values, (x, y, z), directions, origin, tuple(notes))
+
+
+def _meta_voxels(fields: Fields, path: Path, start: int) -> Numbers:
+    """Read the voxels of a MetaImage."""
+    name = fields["elementdatafile"]
+    data, start = _data_file(path, "" if name.upper() == "LOCAL" else name, start)
+    if not _is_true(fields, "binarydata", "True"):
+        raise _fault(path, "BinaryData", "be True", fields["binarydata"])
+    size = numbers(fields, "dimsize", path) or []
+    kind = _META_TYPES.get(fields.get("elementtype", "").removeprefix("MET_"))
+    if len(size) != 3 or any(n < 1 or n != int(n) for n in size) or kind is None:
+        found = f"{fields.get('dimsize')} and {fields.get('elementtype')}"
+        raise _fault(path, "DimSize", "be three counts and ElementType one real number", found)
+    skip = int((numbers(fields, "headersize", path) or [0])[0])
+    if skip < -1:
+        raise _fault(path, "HeaderSize", "be -1 or more", str(skip))
+    order = ">" if any(_is_true(fields, key, "False") for key in _BYTE_ORDERS) else "<"
+    compressed = _is_true(fields, "compresseddata", "False")
+    if skip > 0:
+        start += skip
+        skip = 0
+    return _voxels(data, order + kind, size, start, skip=skip, compressed=compressed)
+
+
+def _is_true(fields: Fields, key: str, absent: str) -> bool:
+    """Return whether a key of a header is true."""
+    return fields.get(key, absent).lower() in ("true", "1", "t")
+
+
+_NRRD_TYPES = {
+    **dict.fromkeys(("char", "int8", "int8_t"), "i1"),
+    **dict.fromkeys(("uchar", "unsigned char", "uint8", "uint8_t"), "u1"),
+    **dict.fromkeys(("short", "short int", "int16", "int16_t"), "i2"),
+    **dict.fromkeys(("ushort", "unsigned short", "unsigned short int", "uint16", "uint16_t"), "u2"),
+    **dict.fromkeys(("int", "int32", "int32_t"), "i4"),
+    **dict.fromkeys(("uint", "unsigned int", "uint32", "uint32_t"), "u4"),
+    **dict.fromkeys(("longlong", "long long", "long long int", "int64", "int64_t"), "i8"),
+    **dict.fromkeys(
+        ("ulonglong", "unsigned long long", "unsigned long long int", "uint64", "uint64_t"), "u8"
+    ),
+    "float": "f4",
+    "double": "f8",
+}
+_PATIENT = {
+    **dict.fromkeys(("left-posterior-superior", "lps"), (1.0, 1.0, 1.0)),
+    **dict.fromkeys(("right-anterior-superior", "ras"), (-1.0, -1.0, 1.0)),
+    **dict.fromkeys(("left-anterior-superior", "las"), (1.0, -1.0, 1.0)),
+}
+"""Signs of a patient's frame along the axes of LPS."""
+_NO_PATIENT = ("", "scanner-xyz", "3d-right-handed")
+_IN_SPACE = ("domain", "space", "none", "???")
+_NOT_APPLIED = ("old min", "oldmin", "old max", "oldmax", "axis mins", "line skip", "lineskip")
+
+
+def read_nrrd(path: Path) -> StoredImage:
+    """Read a `.nrrd` or `.nhdr` image of one number a voxel on three axes in space.
+
+    Its voxels lie in one file, raw or as gzip.
+
+    Raises
+    ------
+    InputError
+        If the file is cut off or damaged, or states values that cannot be applied.
+    """
+    fields, start = header_lines(path, ":", "")
+    if not fields.get("first", "").startswith("NRRD"):
+        raise _fault(path, "file", "be a NRRD image", "a file that does not start as one does")
+    kinds = fields.get("kinds", "").lower()
+    if fields.get("dimension") != "3" or any(kind not in _IN_SPACE for kind in kinds.split()):
+        found = f"dimension {fields.get('dimension')!r} and kinds {_short(kinds)!r}"
+        raise _fault(path, "file", "hold one number per voxel on three axes in space", found)
+    if found := ", ".join(key for key in _NOT_APPLIED if fields.get(key, "0") != "0"):
+        raise _fault(path, "a NRRD image", "hold its values unscaled", f"the key {found}")
+    unit = _unit_mm((fields.get("space units") or fields.get("units") or "").split(), path)
+    space = fields.get("space", "").lower()
+    if space not in _PATIENT and space not in _NO_PATIENT:
+        raise _fault(path, "space", f"be one of {', '.join(_PATIENT)}", _short(space))
+    notes: tuple[str, ...] = ()
+    if space in _NO_PATIENT:
+        notes = (
+            f"{path.name} states no frame of a patient: its axes are taken as left, back and head.",
+        )
+    signs = np.array(_PATIENT.get(space, (1.0, 1.0, 1.0)))
+    spacings = _stated(fields, ("spacings",), np.ones(3), path, positive=True)
+    steps = (
+        unit * signs[:, None] * _stated(fields, ("space directions",), np.diag(spacings), path).T
+    )
+    origin = unit * signs * _stated(fields, ("space origin",), np.zeros(3), path)
+    lengths = np.linalg.norm(steps, axis=0)
+    x, y, z = lengths.tolist()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        directions = steps / lengths
+    return StoredImage(_nrrd_voxels(fields, path, start), (x, y, z), directions, origin, notes)
+
+
+def _nrrd_voxels(fields: Fields, path: Path, start: int) -> Numbers:
+    """Read the voxels of a NRRD image."""
+    size = numbers(fields, "sizes", path, positive=True) or []
+    kind = _NRRD_TYPES.get(fields.get("type", "").lower().removeprefix("signed "))
+    if len(size) != 3 or any(n != int(n) for n in size) or kind is None:
+        found = f"{fields.get('sizes', 'nothing')} and {fields.get('type', 'nothing')}"
+        raise _fault(path, "sizes", "be three whole numbers and type one real number", found)
+    encoding = fields.get("encoding", "").lower()
+    if encoding not in ("raw", "gzip", "gz"):
+        raise _fault(path, "encoding", "be raw or gzip", _short(encoding) or "none")
+    data, start = _data_file(path, fields.get("data file", fields.get("datafile", "")), start)
+    skip = int((numbers(fields, "byte skip", path) or numbers(fields, "byteskip", path) or [0])[0])
+    if skip < -1:
+        raise _fault(path, "byte skip", "be -1 or more", str(skip))
+    order = ">" if fields.get("endian", "").lower() == "big" else "<"
+    return _voxels(data, order + kind, size, start, skip=skip, compressed=encoding != "raw")

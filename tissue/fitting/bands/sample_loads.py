@@ -1,0 +1,459 @@
+"""Loads and figures of samples of constants: by reweighing recorded loads, or one run a sample."""
+
+import re
+from collections.abc import Iterator
+from concurrent.futures import Future
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from meshes.base.arrays import Array, Ints
+from meshes.base.errors import InputError
+from meshes.base.progress import Progress
+from tissue.fitting.bands.sample import Ranges, ranges_of, sampled
+from tissue.materials.constants import CuttingCoefficients
+from tissue.materials.prior import Prior
+from tissue.models.tissue_model import SLOW
+from tissue.scene.load import changed
+from tissue.scene.scene import Scene
+from tissue.simulation.load_record import LoadRecord
+from tissue.simulation.run import Run
+from tissue.simulation.run_summary import Summary
+from tissue.simulation.simulate import simulate
+from tissue.system.pools import LOST, executor
+from tissue.system.workers import first_done
+
+__all__ = [
+    "CHANNELS",
+    "DENSITY",
+    "GREATEST",
+    "LEVELS",
+    "LOADS",
+    "Figure",
+    "Outcome",
+    "Reweighed",
+    "Workers",
+    "density_prior",
+    "figures_of",
+    "intervals",
+    "loads_of",
+    "over_time",
+    "reruns",
+    "table_of",
+]
+
+CHANNELS = (
+    "force_x_N",
+    "force_y_N",
+    "force_z_N",
+    "force_N",
+    "torque_x_Nm",
+    "torque_y_Nm",
+    "torque_z_Nm",
+    "torque_Nm",
+)
+"""Components and sizes of the loads on the tool in the world, as the model gives them."""
+DENSITY = "density.bone"
+BLOCK = 500_000
+"""Numbers of loads that are held at once: 4 MB, about a cache."""
+LAW = re.compile(r"median ([\d.]+) kg/m3, 90 % between ([\d.]+) and ([\d.]+)")
+
+
+class Reweighed:
+    """A run's loads as a function of the constants that vary.
+
+    Parameters
+    ----------
+    record
+        The geometry of the run, every tick of it.
+    """
+
+    def __init__(self, record: LoadRecord) -> None:
+        self.record = record
+        self._contact = record.trace["contact_mm2"] > 0.0
+        units = [layer.unit.any(axis=(0, 1, 3)) for layer in record.layers.values()]
+        self._loaded = (
+            np.flatnonzero(np.logical_or.reduce(units, axis=0))
+            if units
+            else np.zeros(0, dtype=np.int64)
+        )
+
+    @cached_property
+    def ranges(self) -> Ranges:
+        """Constants with a range, for the layers that the tool touched.
+
+        Constants that the scene sets itself are left out.
+        """
+        met = [self.record.layer_names[at] for at in sorted(self.record.layers)]
+        density = density_prior(self.record.notes.get("density law", ""))
+        further = {} if density is None else {DENSITY: density}
+        return ranges_of(self.record.scene, met, table="cutting.", further=further)
+
+    def coefficients(self, x: Array) -> tuple[CuttingCoefficients, ...]:
+        """Return cutting coefficients of each layer for values of the constants, shape (p,)."""
+        cutting = self.record.scene.cutting
+        changes = cutting.model_dump(exclude={"material"})
+        held = sampled(self.record.scene.constants, self.ranges.names, x)
+        return held.coefficients(self.record.layer_names, changes, bone=cutting.material)
+
+    def nominal(self) -> Array:
+        """Return the values of the constants at which the run was simulated, shape (p,)."""
+        return np.array([prior.value for prior in self.ranges.priors])
+
+    def weights(self, x: Array) -> Array:
+        """Return the factors of all unit loads, shape (samples, units).
+
+        The values `x` have shape (samples, p).
+        """
+        layers = len(self.record.layer_names)
+        place = self.ranges.names.index(DENSITY) if DENSITY in self.ranges.names else None
+        rows = []
+        for each in x:
+            factors = None if place is None else np.full(layers, each[place])
+            rows.append(
+                np.concatenate(list(self.record.weights(self.coefficients(each), factors).values()))
+            )
+        return np.array(rows)
+
+    def figures(self, x: Array) -> Array:
+        """Return `tissue.fitting.bands.sample_loads.LOADS` of samples, shape (samples, 4)."""
+        weights = self.weights(x)
+        peak = np.zeros((len(x), 2))
+        sums = np.zeros((len(x), 2))
+        for ticks, loads in self._blocks(weights):
+            parts = loads.reshape(*loads.shape[:2], 2, 3)
+            sizes = np.sqrt(np.einsum("sncd,sncd->snc", parts, parts))
+            peak = np.maximum(peak, sizes.max(axis=1))
+            sums += sizes[:, self._contact[ticks]].sum(axis=1)
+        means = sums / max(int(self._contact.sum()), 1)
+        return np.stack([peak[:, 0], means[:, 0], peak[:, 1], means[:, 1]], axis=1)
+
+    def quantiles(self, x: Array, levels: tuple[float, ...]) -> Array:
+        """Return quantiles over the samples of `CHANNELS` at each tick, shape (levels, n, 8)."""
+        found = np.zeros((len(levels), len(self.record.times_s), len(CHANNELS)))
+        for ticks, loads in self._blocks(self.weights(x)):
+            found[:, ticks] = np.quantile(with_sizes(loads), levels, axis=0)
+        return found
+
+    def _blocks(self, weights: Array) -> Iterator[tuple[Ints, Array]]:
+        """Yield blocks of loads, shape (samples, ticks, 6), and the indices of their ticks.
+
+        A block holds a few consecutive loaded ticks.
+        """
+        step = max(BLOCK // (6 * len(weights)), 1)
+        for first in range(0, len(self._loaded), step):
+            ticks = self._loaded[first : first + step]
+            unit = [layer.unit[:, :, ticks] for layer in self.record.layers.values()]
+            rows = np.concatenate(
+                [each.reshape(each.shape[0] * each.shape[1], -1) for each in unit]
+            )
+            yield ticks, (weights @ rows).reshape(len(weights), -1, 6)
+
+
+def with_sizes(loads: Array) -> Array:
+    """Return `CHANNELS` of forces and torques: shape (..., 8) from shape (..., 6)."""
+    force = loads[..., :3]
+    torque = loads[..., 3:]
+    sizes = [np.linalg.norm(each, axis=-1, keepdims=True) for each in (force, torque)]
+    return np.concatenate([force, sizes[0], torque, sizes[1]], axis=-1)
+
+
+def density_prior(law: str) -> Prior | None:
+    """Return the prior of a density factor from the law that an image of densities records.
+
+    The result is None if the image records no law. The band of the law is the band of the median
+    density; it is applied as a relative band to every voxel.
+    """
+    found = LAW.search(law)
+    if found is None:
+        return None
+    median, low, high = map(float, found.groups())
+    return Prior(1.0, low / median, high / median)
+
+
+Figure = tuple[str, ...]
+"""Name of a figure: its position in ``summary.json``, entry by entry.
+
+For an event it is ``events``, a sentence, ``time_s``.
+"""
+LEVELS = {"p05": 0.05, "p25": 0.25, "p50": 0.5, "p75": 0.75, "p95": 0.95}
+"""Quantiles by their names in files: the ends of the 90 and 50 % bands, and the median."""
+LOADS: tuple[Figure, ...] = tuple(
+    (name, figure) for name in ("force_N", "torque_Nm") for figure in ("peak", "mean_in_contact")
+)
+"""Figures that every run has, the first columns of a table. Sobol indices refer to them."""
+NUMBER = re.compile(r"-?\d+(\.\d+)?([eE][-+]?\d+)?(?![\d.]*%)")
+"""Pattern of a measured number in the sentence of an event.
+
+A percentage is not matched: it is a threshold, which distinguishes two events.
+"""
+PEAKS = "_K"
+STRESS = "von_mises_"
+GREATEST = "greatest_"
+"""Prefix of fields, and of the figure's name, whose largest value is a figure.
+
+`PEAKS` is the suffix of trace columns (temperatures) whose largest value is a figure.
+"""
+
+
+def figures_of(run: Run) -> dict[Figure, float]:
+    """Return the figures of a run.
+
+    The figures are loads, volumes, contact, clearances, largest temperature and stress, and events.
+    An event is named by its sentence without numbers, and only its first occurrence counts. Events
+    about a machine that was too slow are left out.
+    """
+    summary = run.summary
+    trace = run.trace
+    found: dict[Figure, float] = {name: summary[name[0]][name[1]] for name in LOADS}
+    found |= {
+        ("removed_mm3", layer): volume
+        for layer, volume in summary["removed_mm3"].items()
+        if summary["cuts"]
+    }
+    found["contact_share",] = float((trace["contact_mm2"] > 0.0).mean())
+    for structure, figures in summary.get("keep_clear", {}).items():
+        found |= {
+            ("keep_clear", structure, name): value
+            for name, value in figures.items()
+            if value is not None
+        }
+    for name in run.parts.tissue.measure_names:
+        if name.endswith(PEAKS):
+            found[f"{GREATEST}{name}",] = float(trace[name].max())
+    if (fields := run.parts.fields) is not None:
+        for frame in fields.frames:
+            for name, values in frame.cells.items():
+                if name.startswith(STRESS) and np.isfinite(values).any():
+                    greatest = f"{GREATEST}{name}"
+                    found[greatest,] = max(found.get((greatest,), 0.0), float(np.nanmax(values)))
+    for first in summary.get("break_through", ())[:1]:
+        found |= {("break_through", name): value for name, value in first.items()}
+    for event in summary["events"]:
+        if SLOW in event["what"]:
+            continue
+        found.setdefault(("events", NUMBER.sub("…", event["what"]), "time_s"), event["time_s"])
+    return found
+
+
+def table_of(runs: list[dict[Figure, float]]) -> tuple[tuple[Figure, ...], Array]:
+    """Return the names of all figures and their values in each run, shape (runs, figures).
+
+    A value is NaN where a run does not have the figure.
+    """
+    names = tuple(dict.fromkeys(name for run in runs for name in run))
+    return names, np.array([[run.get(name, np.nan) for name in names] for run in runs])
+
+
+def intervals(names: tuple[Figure, ...], values: Array) -> Summary:
+    """Return quantiles of figures, nested as in a run's summary.
+
+    A figure that only some runs have comes with the share of these runs.
+
+    Parameters
+    ----------
+    values
+        Shape (runs, figures), NaN where a run has no such figure.
+    """
+    found: Summary = {}
+    for name, column in zip(names, values.T, strict=True):
+        inside = found
+        for part in name[:-1]:
+            inside = inside.setdefault(part, {})
+        there = column[np.isfinite(column)]
+        inside[name[-1]] = _by_level(there)
+        if name[0] == "events":
+            inside["share"] = len(there) / len(column)
+        elif len(there) < len(column):
+            inside[name[-1]]["share"] = len(there) / len(column)
+    return found
+
+
+def _by_level(values: Array) -> dict[str, float]:
+    """Return quantiles of numbers by their names."""
+    return dict(zip(LEVELS, np.quantile(values, tuple(LEVELS.values())).tolist(), strict=True))
+
+
+REACH = 0.9
+"""Smallest share of the runs that a quantile over time may be computed from.
+
+The 5 and 95 % quantiles of fewer runs would describe only a part of them.
+"""
+
+
+def over_time(loads: list[Array], times_s: Array) -> tuple[Array, Summary]:
+    """Compute the quantiles `LEVELS` of the loads at each tick.
+
+    A tick counts as long as nine in ten runs reach it. The quantiles are computed from these runs.
+
+    Parameters
+    ----------
+    loads
+        Loads of each run, shape (ticks of the run, channels).
+    times_s
+        Times of the run at nominal constants, shape (n,). There are no quantiles beyond its end.
+
+    Returns
+    -------
+    Quantiles, shape (5, ticks, channels), and the span over which they are valid.
+    """
+    lengths = np.sort([len(each) for each in loads])
+    reached = len(lengths) - np.searchsorted(lengths, np.arange(len(times_s)), side="right")
+    last = int((reached >= REACH * len(lengths)).sum())
+    shortest = min(int(lengths[0]), last)
+    levels = tuple(LEVELS.values())
+    quantiles = np.empty((len(levels), last, loads[0].shape[1]))
+    quantiles[:, :shortest] = np.quantile(
+        np.stack([each[:shortest] for each in loads]), levels, axis=0
+    )
+    for tick in range(shortest, last):
+        quantiles[:, tick] = np.quantile(
+            [each[tick] for each in loads if len(each) > tick], levels, axis=0
+        )
+    step_s = times_s[0] if len(times_s) == 1 else times_s[1] - times_s[0]
+    return quantiles, {
+        "ticks": last,
+        "ends_s": float(times_s[last - 1]) if last else 0.0,
+        "run_ends_s": float(times_s[-1]),
+        "shortest_sample_s": float(step_s * lengths[0]),
+        "samples_at_end": int(reached[last - 1]) if last else 0,
+    }
+
+
+Outcome = tuple[Array, dict[Figure, float]] | str
+"""Loads, shape (n, 8), and figures of a run; or the reason of its failure."""
+PATIENCE_S = 30.0
+"""Time that a scheduler may take to answer [s], equal to the value of a study."""
+LOST_WORKER = "the process that ran it was lost"
+BARREN = 5
+"""Consecutive losses without a finished sample after which the workers are abandoned.
+
+The value is equal to the value of a study.
+"""
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Place where samples run: this process, several local processes or a Dask scheduler."""
+
+    count: int = 1
+    scheduler: str | None = None
+    compute: str = "cpu"
+
+
+def reruns(
+    scene: Scene, files: tuple[str, ...], *, workers: Workers, report: Progress
+) -> Iterator[tuple[int, Outcome]]:
+    """Yield the number and the outcome of the run of each file of materials, as each run ends.
+
+    If a worker is lost, its samples are run again, one at a time. A sample that is lost again is
+    counted as the cause of the loss.
+
+    Raises
+    ------
+    InputError
+        If no scheduler answers, or workers are lost again and again.
+    """
+    if workers.count <= 1 and workers.scheduler is None:
+        for number, text in enumerate(files):
+            report(f"sample {number + 1} of {len(files)}", number / len(files))
+            yield number, _outcome(scene, text, workers.compute)
+        return
+    waiting = list(range(len(files)))
+    suspects = list[int]()
+    barren = 0
+    while waiting or suspects:
+        alone = not waiting
+        numbers = [suspects.pop(0)] if alone else waiting
+        returned = set[int]()
+        given = set[int]()
+        for number, outcome in _in_pool(scene, files, numbers, workers, report):
+            if outcome is None:
+                given.add(number)
+            else:
+                given.remove(number)
+                returned.add(number)
+                yield number, outcome
+        barren = 0 if returned else barren + 1
+        if barren > BARREN:
+            raise InputError(
+                "workers", "stay alive", f"{barren} losses without a sample", "leave workers out"
+            )
+        if alone:
+            yield from ((number, LOST_WORKER) for number in given)
+        else:
+            suspects += sorted(given)
+            waiting = [number for number in waiting if number not in returned | given]
+
+
+def _in_pool(
+    scene: Scene, files: tuple[str, ...], numbers: list[int], workers: Workers, report: Progress
+) -> Iterator[tuple[int, Outcome | None]]:
+    """Yield outcomes of samples on one pool until it is lost.
+
+    The outcome of a sample is None when it is submitted.
+    """
+    most = 2 * min(workers.count, len(numbers)) if workers.scheduler is None else len(numbers)
+    connected = False
+    fresh = iter(numbers)
+    running = dict[Future[Outcome], int]()
+    try:
+        with executor(
+            min(workers.count, len(numbers)), workers.scheduler, patience_s=PATIENCE_S
+        ) as pool:
+            connected = True
+            while True:
+                while len(running) < most and (number := next(fresh, None)) is not None:
+                    running[pool.submit(_outcome, scene, files[number], workers.compute)] = number
+                    yield number, None
+                if not running:
+                    return
+                report(f"{len(running)} samples are running", min(running.values()) / len(files))
+                for future in first_done(pool, running, report):
+                    error = future.exception()
+                    number = running[future]
+                    if isinstance(error, LOST):
+                        raise error
+                    del running[future]
+                    yield number, future.result() if error is None else _sentence(error)
+    except LOST as error:
+        if not connected:
+            raise InputError(
+                "scheduler",
+                "answer",
+                f"{workers.scheduler} ({error})",
+                "start it with `dask scheduler`",
+            ) from error
+        report("workers were lost, the other samples go on", 0.0)
+
+
+def _outcome(scene: Scene, file: str, compute: str) -> Outcome:
+    """Run one file of materials and return the outcome, including any failure."""
+    with TemporaryDirectory(prefix="tissue-band-") as name:
+        path = Path(name, "sample.toml")
+        path.write_text(file, "utf-8")
+        try:
+            run = simulate(changed(scene, {"materials": str(path)}), compute=compute, cores=1)
+        except InputError as refused:
+            return str(refused)
+        except Exception as error:
+            # a solver that breaks down at one sample is no reason to lose the others
+            return _sentence(error)
+    loads = loads_of(run)
+    if not np.isfinite(loads).all():
+        return "its force is not finite"
+    return loads, figures_of(run)
+
+
+def loads_of(run: Run) -> Array:
+    """Return forces and torques of the model on the tool with their sizes, shape (n, 8)."""
+    trace = run.trace
+    loads = [trace.vectors("model_force", "N"), trace.vectors("model_torque", "Nm")]
+    return with_sizes(np.hstack(loads))
+
+
+def _sentence(error: BaseException) -> str:
+    return f"{type(error).__name__}: {error}"

@@ -1,0 +1,74 @@
+"""Process that publishes a live run: shared start, loop and end."""
+
+import json
+import os
+import signal
+import sys
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from pathlib import Path
+
+from meshes.base.errors import InputError
+from tissue.simulation.live.shared import SharedArrays
+
+__all__ = ["RunPublisher", "publish"]
+
+NICE = 5
+"""Niceness of the process, so that the ticks take precedence on a busy machine."""
+
+
+class RunPublisher(ABC):
+    """Publisher of the rows of a live run.
+
+    Parameters
+    ----------
+    folder
+        Folder that the run has filled, with shared arrays and the names of their columns.
+
+    Attributes
+    ----------
+    address
+        Address or topics of the data, which the run reports to the user.
+    """
+
+    address = ""
+
+    def __init__(self, folder: Path) -> None:
+        self._arrays = SharedArrays(folder)
+        self._columns: list[str] = json.loads((folder / "columns.json").read_text("utf-8"))
+        self._turn = 0
+
+    def _places(self, names: tuple[str, ...]) -> list[int]:
+        """Return the places of columns in a row."""
+        return [self._columns.index(name) for name in names]
+
+    @abstractmethod
+    def step(self) -> None:
+        """Publish what is due, and wait a moment."""
+
+    @abstractmethod
+    def end(self) -> None:
+        """Publish the remaining data and the end of the run."""
+
+    def run(self) -> None:
+        """Publish until the ticks end."""
+        while not self._arrays["ended"][0]:
+            self.step()
+        self.end()
+
+
+def publish(make: Callable[[Path], RunPublisher], folder: str) -> None:
+    """Make a publisher, report its address on standard output, and run it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the ticks determine the end of this process
+    if hasattr(os, "nice"):
+        os.nice(NICE)
+    standard_output = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+    try:
+        publisher = make(Path(folder))
+    except Exception as error:
+        # a middleware raises its own error types; the user reads the last printed line
+        words = " ".join(str(error).split())
+        sys.exit(words if isinstance(error, InputError) else f"{type(error).__name__}: {words}")
+    print(f"ready {publisher.address}", file=standard_output, flush=True)
+    publisher.run()
