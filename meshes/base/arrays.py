@@ -1,11 +1,28 @@
 """Types of arrays, points of a lattice, and triangles or cells that name points by number."""
 
-from numpy.typing import (ArrayLike, NDArray)
-from typing import (Any)
+from typing import Any
+
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Array", "Bytes", "Flags", "Floats", "Int32s", "Integers", "Ints", "Numbers", "Singles", "Triangles", "compact", "cross_products", "directed_edges", "enclosed_volume", "lattice", "windings"]
-
+__all__ = [
+    "Array",
+    "Bytes",
+    "Flags",
+    "Floats",
+    "Int32s",
+    "Integers",
+    "Ints",
+    "Numbers",
+    "Singles",
+    "Triangles",
+    "compact",
+    "cross_products",
+    "directed_edges",
+    "enclosed_volume",
+    "lattice",
+    "windings",
+]
 
 
 Array = NDArray[np.float64]

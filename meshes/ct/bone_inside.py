@@ -3,24 +3,32 @@
 The inside comes from the density of a CT, or from a second surface around the core.
 """
 
-from collections.abc import (Mapping)
-from meshes.base.arrays import (Bytes, Floats, Triangles)
-from meshes.base.errors import (InputError, require_ranges)
-from meshes.images.frame import (Image)
-from meshes.images.text_headers import (header_lines)
-from meshes.shapes.anatomy import (Anatomy, Classify)
-from meshes.shapes.sdf import (Shape)
-from meshes.surfaces.glenoid import (SURFACE_LAYERS)
-from meshes.surfaces.site import (Site)
-from meshes.surfaces.surface import (Surface)
-from meshes.tooth.layer_contact import (inside_surface)
-from meshes.tooth.layered_surfaces import (joined)
-from meshes.voxels.mesh_sampling import (TriangleSampler, triangle_distance)
-from pathlib import (Path)
+from collections.abc import Mapping
+from pathlib import Path
+
 import numpy as np
 
-__all__ = ["CORTICAL_ABOVE_KG_M3", "IMAGED_LAYERS", "LAW", "cored_anatomy", "imaged_anatomy", "stated_law"]
+from meshes.base.arrays import Bytes, Floats, Triangles
+from meshes.base.errors import InputError, require_ranges
+from meshes.images.frame import Image
+from meshes.images.text_headers import header_lines
+from meshes.shapes.anatomy import Anatomy, Classify
+from meshes.shapes.sdf import Shape
+from meshes.surfaces.glenoid import SURFACE_LAYERS
+from meshes.surfaces.site import Site
+from meshes.surfaces.surface import Surface
+from meshes.tooth.layer_contact import inside_surface
+from meshes.tooth.layered_surfaces import joined
+from meshes.voxels.mesh_sampling import TriangleSampler, triangle_distance
 
+__all__ = [
+    "CORTICAL_ABOVE_KG_M3",
+    "IMAGED_LAYERS",
+    "LAW",
+    "cored_anatomy",
+    "imaged_anatomy",
+    "stated_law",
+]
 
 
 IMAGED_LAYERS = ("cortical", "subchondral", "trabecular")

@@ -3,17 +3,27 @@
 The results are smooth surfaces and the density of bone.
 """
 
-from collections.abc import (Callable)
-from dataclasses import (dataclass, replace)
-from itertools import (product)
-from meshes.base.arrays import (Array, Flags, Floats, Ints, Singles, enclosed_volume)
-from meshes.base.errors import (InputError, counted)
-from meshes.images.bone_image import (image_cuts, image_triangles)
-from meshes.images.frame import (Image, box_of, part_of)
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import product
+
 import numpy as np
 
-__all__ = ["BoneOfImage", "Box", "by_label", "by_threshold", "cropped", "filled", "kept_label", "largest_component"]
+from meshes.base.arrays import Array, Flags, Floats, Ints, Singles, enclosed_volume
+from meshes.base.errors import InputError, counted
+from meshes.images.bone_image import image_cuts, image_triangles
+from meshes.images.frame import Image, box_of, part_of
 
+__all__ = [
+    "BoneOfImage",
+    "Box",
+    "by_label",
+    "by_threshold",
+    "cropped",
+    "filled",
+    "kept_label",
+    "largest_component",
+]
 
 
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]

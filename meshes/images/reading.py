@@ -4,22 +4,23 @@ The header of a NIfTI image is read by nibabel. Every number that places or scal
 checked or applied.
 """
 
-from contextlib import (suppress)
-from dataclasses import (replace)
-from meshes.base.arrays import (Array)
-from meshes.base.errors import (InputError, by, is_file, is_folder, require_positive)
-from meshes.base.isolated_parser import (Answer, parse_isolated)
-from meshes.images.data import (first_bytes, is_gzip, read_voxels, scaled)
-from meshes.images.dicom import (read_dicom)
-from meshes.images.frame import (Image, StoredImage, along_lps)
-from meshes.images.text_headers import (read_metaimage, read_nrrd)
-from meshes.images.tiff import (read_tiff_slices, tiff_slices)
-from pathlib import (Path)
-from typing import (Any)
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 
-__all__ = ["Image", "read_image", "read_nifti", "require_image_name", "vtk_voxels"]
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError, by, is_file, is_folder, require_positive
+from meshes.base.isolated_parser import Answer, parse_isolated
+from meshes.images.data import first_bytes, is_gzip, read_voxels, scaled
+from meshes.images.dicom import read_dicom
+from meshes.images.frame import Image, StoredImage, along_lps
+from meshes.images.text_headers import read_metaimage, read_nrrd
+from meshes.images.tiff import read_tiff_slices, tiff_slices
 
+__all__ = ["Image", "read_image", "read_nifti", "require_image_name", "vtk_voxels"]
 
 
 Header = Any

@@ -13,7 +13,7 @@ import numpy as np
 
 from meshes.base.arrays import Array, Numbers
 from meshes.base.errors import InputError
-from meshes.base.text_numbers import number_in
+from meshes.base.text_tables import number_in
 from meshes.images.data import read_voxels, scaled
 from meshes.images.frame import StoredImage
 

@@ -25,8 +25,8 @@ from meshes.base.arrays import (
 from meshes.base.errors import InputError, by, counted, names_of_caller, require_range
 from meshes.base.progress import Progress, silent
 from meshes.ct.labels import Labels
+from meshes.images.bone_image import spread_labels
 from meshes.images.frame import box_of
-from meshes.images.label_spread import spread_labels
 from meshes.surfaces.surface import Surface, surface_from_triangles
 from meshes.tets.quality import describe, repair_tets
 from meshes.tets.stuffing import with_inclusion

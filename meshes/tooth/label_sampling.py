@@ -9,24 +9,26 @@ voxels, and interpolated. Labels of planes and balls give their surface back to 
 without bias. A layer of two voxels becomes a fifth of a voxel thicker on either side.
 """
 
-from __future__ import (annotations)
-from collections.abc import (Callable, Sequence)
-from concurrent.futures import (ThreadPoolExecutor)
-from dataclasses import (dataclass)
-from functools import (cached_property)
-from itertools import (product)
-from math import (ceil)
-from meshes.base.arrays import (Array, Bytes, Floats, Singles, lattice)
-from meshes.base.errors import (InputError)
-from meshes.base.placement import (Placement)
-from meshes.images.bone_image import (spread_labels)
-from meshes.tooth.layers import (EMPTY, LAYER_DENSITY_KG_M3, PRIORITY, TOOTH_LAYERS)
-from meshes.voxels.distances import (cube_fraction)
-from meshes.voxels.volume import (FULL, Grid, VoxelVolume)
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from math import ceil
+
 import numpy as np
 
-__all__ = ["LabelShares", "MOST_SAMPLES", "PlacedLabels", "REACH", "resampled"]
+from meshes.base.arrays import Array, Bytes, Floats, Singles, lattice
+from meshes.base.errors import InputError
+from meshes.base.placement import Placement
+from meshes.images.bone_image import spread_labels
+from meshes.tooth.layers import EMPTY, LAYER_DENSITY_KG_M3, PRIORITY, TOOTH_LAYERS
+from meshes.voxels.distances import cube_fraction
+from meshes.voxels.volume import FULL, Grid, VoxelVolume
 
+__all__ = ["MOST_SAMPLES", "REACH", "LabelShares", "PlacedLabels", "resampled"]
 
 
 MOST_SAMPLES = 6

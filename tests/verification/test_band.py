@@ -5,16 +5,15 @@ the thrust is N R (pi / 4 K_rc h + K_re), with h = 60 v / (N n) the chip thickne
 a sum whose constants each have their own variance.
 """
 
-from scene_kinds import (BLOCK, BURR)
-from scipy.special import (ndtri)
-from tissue.fitting.bands.band import (band_of)
-from tissue.fitting.bands.sample_loads import (LEVELS)
-from tissue.materials.constants import (Prior, constants)
-from tissue.scene.scene import (Scene)
 import numpy as np
 import pytest
+from scene_kinds import BLOCK, BURR
+from scipy.special import ndtri
 
-
+from tissue.fitting.bands.band import band_of
+from tissue.fitting.bands.sample_loads import LEVELS
+from tissue.materials.constants import Prior, constants
+from tissue.scene.scene import Scene
 
 FLUTES, RADIUS_MM, FEED_MM_S, SPIN_RPM = 6, 1.0, 10.0, 5000.0
 CHIP_MM = 60.0 * FEED_MM_S / (FLUTES * SPIN_RPM)

@@ -24,8 +24,7 @@ from meshes.ct.extraction import Box, kept_label
 from meshes.ct.labels import Labels, on_grid_of, read_labels
 from meshes.images.frame import Image
 from meshes.images.reading import read_image
-from meshes.paths.replay_table import ReplayTable, to_replay
-from meshes.paths.toolpath import PathDepth, depth_along, read_toolpath
+from meshes.paths.toolpath import PathDepth, ReplayTable, depth_along, read_toolpath, to_replay
 from meshes.surfaces.landmarks import find_site
 from meshes.surfaces.markups import TO_LPS, read_site
 from meshes.surfaces.site import Site, place_site

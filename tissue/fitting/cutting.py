@@ -2,29 +2,30 @@
 recorded once.
 """
 
-from collections.abc import (Collection, Sequence)
-from dataclasses import (dataclass, replace)
-from itertools import (product)
-from meshes.base.arrays import (Array)
-from meshes.base.errors import (InputError, names_of_caller)
-from meshes.base.progress import (Progress)
-from tissue.fitting.log import (MeasuredLog)
-from tissue.fitting.log_files import (CHANNELS)
-from tissue.fitting.posterior import (require_signs)
-from tissue.fitting.problem import (MeasuredLoads, Parameter, Problem, chosen, shift_operators)
-from tissue.materials.constants import (CUT_AS, CuttingCoefficients, N_MM, N_MM2, Prior)
-from tissue.models.bone.density_nodes import (DensityNodes)
-from tissue.models.tissue_model import (TICK_S)
-from tissue.motion.motion import (FollowPath)
-from tissue.motion.replay import (ReplayPoses)
-from tissue.scene.anatomy import (BlockAnatomy)
-from tissue.scene.scene import (Cutting, Scene, Voxels)
-from tissue.scene.tool import (Tool)
-from tissue.simulation.load_record import (LayerLoads, LoadRecord, SENSITIVITIES, record_loads)
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
 import numpy as np
 
-__all__ = ["CuttingForward", "cutting_candidates", "cutting_forward", "cutting_problem"]
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError, names_of_caller
+from meshes.base.progress import Progress
+from tissue.fitting.log import MeasuredLog
+from tissue.fitting.log_files import CHANNELS
+from tissue.fitting.posterior import require_signs
+from tissue.fitting.problem import MeasuredLoads, Parameter, Problem, chosen, shift_operators
+from tissue.materials.constants import CUT_AS, N_MM, N_MM2, CuttingCoefficients, Prior
+from tissue.models.bone.engagement import DensityNodes
+from tissue.models.tissue_model import TICK_S
+from tissue.motion.motion import FollowPath
+from tissue.motion.replay import ReplayPoses
+from tissue.scene.anatomy import BlockAnatomy
+from tissue.scene.scene import Cutting, Scene, Voxels
+from tissue.scene.tool import Tool
+from tissue.simulation.load_record import SENSITIVITIES, LayerLoads, LoadRecord, record_loads
 
+__all__ = ["CuttingForward", "cutting_candidates", "cutting_forward", "cutting_problem"]
 
 
 DENSITY = Prior(1.0, 0.85, 1.18)

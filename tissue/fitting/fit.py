@@ -1,26 +1,27 @@
 """Constants of a scene from a measured force log."""
 
-from collections.abc import (Mapping, Sequence)
-from dataclasses import (dataclass, replace)
-from functools import (cached_property)
-from meshes.base.errors import (InputError)
-from meshes.base.progress import (Progress, silent)
-from pathlib import (Path)
-from tissue.fitting.cutting import (cutting_problem)
-from tissue.fitting.identifiability import (Gain, Identified, expected_information, identified)
-from tissue.fitting.log import (MeasuredLog)
-from tissue.fitting.organ_problem import (organ_problem)
-from tissue.fitting.organ_runs import (KEYS)
-from tissue.fitting.posterior import (Posterior, maximum_posterior)
-from tissue.fitting.target import (OFFSET_S)
-from tissue.materials.constants import (Prior)
-from tissue.scene.anatomy import (CutAnatomy)
-from tissue.scene.organ import (SoftAnatomy)
-from tissue.scene.scene import (Scene)
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
 import numpy as np
 
-__all__ = ["ConstantFit", "SceneFit", "fit_scene"]
+from meshes.base.errors import InputError
+from meshes.base.progress import Progress, silent
+from tissue.fitting.cutting import cutting_problem
+from tissue.fitting.identifiability import Gain, Identified, expected_information, identified
+from tissue.fitting.log import MeasuredLog
+from tissue.fitting.organ_problem import organ_problem
+from tissue.fitting.organ_runs import KEYS
+from tissue.fitting.posterior import Posterior, maximum_posterior
+from tissue.fitting.target import OFFSET_S
+from tissue.materials.constants import Prior
+from tissue.scene.anatomy import CutAnatomy
+from tissue.scene.organ import SoftAnatomy
+from tissue.scene.scene import Scene
 
+__all__ = ["ConstantFit", "SceneFit", "fit_scene"]
 
 
 FITTED = "fit a scene of bone, a tooth or an organ"

@@ -2,24 +2,30 @@
 file.
 """
 
-from collections.abc import (Mapping, Sequence)
-from dataclasses import (asdict, dataclass)
-from hashlib import (sha256)
-from html import (escape)
-from meshes.base.arrays import (Array)
-from meshes.base.whole_file import (package_version, whole_file)
-from pathlib import (Path)
-from tissue.fitting.fit import (ConstantFit, SceneFit)
-from tissue.show.figures.fit_pictures import (FittedConstant, draw_constants, draw_measured, draw_residuals)
-from tissue.system.html import (html_page, html_picture)
-from tissue.system.outputs import (write_columns)
-from tissue.system.owned_folder import (owned_folder)
 import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from hashlib import sha256
+from html import escape
+from pathlib import Path
+
 import numpy as np
 import tomli_w
 
-__all__ = ["FILES", "FittedEntry", "write_fit", "write_fitted"]
+from meshes.base.arrays import Array
+from meshes.base.whole_file import package_version, whole_file
+from tissue.fitting.fit import ConstantFit, SceneFit
+from tissue.show.figures.fit_pictures import (
+    FittedConstant,
+    draw_constants,
+    draw_measured,
+    draw_residuals,
+)
+from tissue.system.html import html_page, html_picture
+from tissue.system.outputs import write_columns
+from tissue.system.owned_folder import owned_folder
 
+__all__ = ["FILES", "FittedEntry", "write_fit", "write_fitted"]
 
 
 DIGITS = 9

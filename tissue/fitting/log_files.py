@@ -2,25 +2,34 @@
 volumetric_drilling.
 """
 
-from collections import (Counter)
-from collections.abc import (Callable, Mapping)
-from dataclasses import (dataclass, replace)
-from io import (StringIO)
-from meshes.base.arrays import (Array, Numbers)
-from meshes.base.errors import (DamagedFileError, InputError, counted, is_file)
-from meshes.base.file_limits import (read_npz, require_memory)
-from meshes.base.isolated_parser import (Answer, parse_isolated)
-from meshes.base.text_numbers import (number_in)
-from numpy.typing import (NDArray)
-from pathlib import (Path)
-from tissue.motion.replay import (read_drilling)
-from typing import (Any)
 import csv
-import numpy as np
 import re
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from io import StringIO
+from pathlib import Path
+from typing import Any
 
-__all__ = ["CHANNELS", "LogColumns", "QUATERNION", "TIPS", "mat_columns", "parquet_columns", "read_columns"]
+import numpy as np
+from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Numbers
+from meshes.base.errors import DamagedFileError, InputError, counted, is_file
+from meshes.base.file_limits import read_npz, require_memory
+from meshes.base.isolated_parser import Answer, parse_isolated
+from meshes.base.text_tables import number_in
+from tissue.motion.replay import read_drilling
+
+__all__ = [
+    "CHANNELS",
+    "QUATERNION",
+    "TIPS",
+    "LogColumns",
+    "mat_columns",
+    "parquet_columns",
+    "read_columns",
+]
 
 
 _DELIMITERS = (",", ";", "\t", " ")

@@ -24,21 +24,22 @@ are integrated by Laplace's approximation (Tierney and Kadane 1986):
       0.5 delta(z) / phi(0) + (1 where z > 0)
 """
 
-from collections.abc import (Mapping)
-from dataclasses import (dataclass)
-from functools import (cache)
-from itertools import (pairwise)
-from meshes.base.arrays import (Array)
-from numpy.typing import (NDArray)
-from scipy.integrate import (cumulative_trapezoid, trapezoid)
-from scipy.interpolate import (PchipInterpolator)
-from scipy.special import (log_ndtr, logsumexp, ndtri_exp)
-from scipy.stats.qmc import (Sobol)
-from tissue.fitting.target import (OFFSET_S, Target, innovations)
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
+
 import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid, trapezoid
+from scipy.interpolate import PchipInterpolator
+from scipy.special import log_ndtr, logsumexp, ndtri_exp
+from scipy.stats.qmc import Sobol
+
+from meshes.base.arrays import Array
+from tissue.fitting.target import OFFSET_S, Target, innovations
 
 __all__ = ["Marginal", "log_density_at", "log_factor", "marginal"]
-
 
 
 STEPS = np.cumsum(0.4 * 1.25 ** np.arange(16))

@@ -6,19 +6,27 @@ small steps that a load takes where the tool leaves an element or a shaft begins
 earlier.
 """
 
-from dataclasses import (dataclass, replace)
-from functools import (cached_property)
-from meshes.base.arrays import (Array)
-from meshes.base.errors import (InputError)
-from scipy.optimize import (minimize)
-from tissue.fitting.marginal import (Marginal, marginal)
-from tissue.fitting.problem import (Forward, MeasuredLoads)
-from tissue.fitting.target import (OFFSET_S, Restricted, Target, Unpacked, innovations)
-from tissue.materials.constants import (Prior)
+from dataclasses import dataclass, replace
+from functools import cached_property
+
 import numpy as np
+from scipy.optimize import minimize
 
-__all__ = ["Posterior", "climbed", "maximum_posterior", "require_signs", "reversed_channels", "starts"]
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from tissue.fitting.marginal import Marginal, marginal
+from tissue.fitting.problem import Forward, MeasuredLoads
+from tissue.fitting.target import OFFSET_S, Restricted, Target, Unpacked, innovations
+from tissue.materials.constants import Prior
 
+__all__ = [
+    "Posterior",
+    "climbed",
+    "maximum_posterior",
+    "require_signs",
+    "reversed_channels",
+    "starts",
+]
 
 
 OFFSETS_S = OFFSET_S * np.concatenate(

@@ -9,7 +9,7 @@ from scipy.sparse import csr_array
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from tissue.materials.prior import Prior
+from tissue.materials.constants import Prior
 from tissue.models.tissue_model import TICK_S
 
 __all__ = [

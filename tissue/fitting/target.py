@@ -3,15 +3,26 @@
 It is the density of a log and of the priors of constants, offset, biases and noise.
 """
 
-from dataclasses import (dataclass)
-from meshes.base.arrays import (Array)
-from scipy.sparse import (csr_array)
-from scipy.special import (digamma, gammaln, polygamma)
-from tissue.fitting.problem import (Forward, MeasuredLoads, shift_operators)
+from dataclasses import dataclass
+
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.special import digamma, gammaln, polygamma
 
-__all__ = ["NoiseTerms", "OFFSET_S", "Restricted", "Target", "Unpacked", "freedom_information", "innovations", "noise_terms", "place_information"]
+from meshes.base.arrays import Array
+from tissue.fitting.problem import Forward, MeasuredLoads, shift_operators
 
+__all__ = [
+    "OFFSET_S",
+    "NoiseTerms",
+    "Restricted",
+    "Target",
+    "Unpacked",
+    "freedom_information",
+    "innovations",
+    "noise_terms",
+    "place_information",
+]
 
 
 @dataclass(frozen=True)

@@ -3,22 +3,22 @@
 The site is equal on a moved, turned, mirrored or coarser bone, and refused where there is none.
 """
 
-from dataclasses import (replace)
-from functools import (cache)
-from joint_bones import (NECK, PEDICLE, Rod, as_surface, femur, humerus, solid, vertebra)
-from meshes.base.errors import (InputError)
-from meshes.images.bone_image import (image_triangles)
-from meshes.images.reading import (read_image)
-from meshes.surfaces.landmarks import (SITE_KINDS, find_site)
-from meshes.surfaces.surface import (read_surface, surface_from_triangles)
-from pathlib import (Path)
-from scipy.ndimage import (gaussian_filter)
-from scipy.spatial.transform import (Rotation)
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
 import numpy as np
 import pytest
 import trimesh
+from joint_bones import NECK, PEDICLE, Rod, as_surface, femur, humerus, solid, vertebra
+from scipy.ndimage import gaussian_filter
+from scipy.spatial.transform import Rotation
 
-
+from meshes.base.errors import InputError
+from meshes.images.bone_image import image_triangles
+from meshes.images.reading import read_image
+from meshes.surfaces.landmarks import SITE_KINDS, find_site
+from meshes.surfaces.surface import read_surface, surface_from_triangles
 
 ANATOMY = Path(__file__).resolve().parents[4] / "shared" / "anatomy"
 FEMURS = {"myosim_femur_r.stl": None, "openforge_femur_left.stl": 48.0}

@@ -1,14 +1,14 @@
 """Names of labels as a scene's keys: valid, distinct, and reported where they differ."""
 
-from meshes.base.progress import (silent)
-from meshes.ct.labels import (Labels)
-from meshes.images.frame import (Image)
-from tissue.ct.request import (ImportRequest, kept_clear, plain_names)
-from tissue.scene.scene import (KeepClear)
-import numpy as np
 import re
 
+import numpy as np
 
+from meshes.base.progress import silent
+from meshes.ct.labels import Labels
+from meshes.images.frame import Image
+from tissue.ct.request import ImportRequest, kept_clear, plain_names
+from tissue.scene.scene import KeepClear
 
 NAMES = (
     "Canal!",

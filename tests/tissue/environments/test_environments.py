@@ -1,19 +1,19 @@
 """Environments for learning: contract, seeds, scores of known policies, vectors, pictures."""
 
-from gymnasium.utils.env_checker import (check_env)
-from meshes.base.errors import (InputError)
-from pathlib import (Path)
-from tissue.fitting.fit_files import (FittedEntry, write_fitted)
-from tissue.materials.constants import (constants)
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
 import gymnasium
 import numpy as np
 import pytest
-import subprocess
-import sys
+from gymnasium.utils.env_checker import check_env
+
 import tissue.environments
-import warnings
-
-
+from meshes.base.errors import InputError
+from tissue.fitting.fit_files import FittedEntry, write_fitted
+from tissue.materials.constants import constants
 
 ROOT = Path(__file__).resolve().parents[3]
 NAMES = ["tissue/Drilling-v0", "tissue/Milling-v0", "tissue/Palpation-v0"]

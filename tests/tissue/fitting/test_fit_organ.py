@@ -3,16 +3,15 @@
 Modulus and friction of a slab are recovered from a run with noise, bias and delay.
 """
 
-from tissue.fitting.log_files import (CHANNELS)
-from tissue.fitting.organ_problem import (FARTHEST)
-from tissue.fitting.organ_runs import (OrganRuns, Poses, organ_parameters)
-from tissue.materials.constants import (Z_95)
-from tissue.scene.load import (changed)
 import numpy as np
 import pytest
+
 import tissue
-
-
+from tissue.fitting.log_files import CHANNELS
+from tissue.fitting.organ_problem import FARTHEST
+from tissue.fitting.organ_runs import OrganRuns, Poses, organ_parameters
+from tissue.materials.constants import Z_95
+from tissue.scene.load import changed
 
 SCENE = {
     "anatomy.size_mm": [50, 40, 20],

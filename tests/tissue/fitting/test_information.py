@@ -3,16 +3,22 @@
 They are compared with the noise's covariance as one dense matrix.
 """
 
-from planted_logs import (LinearForward)
-from tissue.fitting.identifiability import (expected_information, identified)
-from tissue.fitting.posterior import (Posterior)
-from tissue.fitting.problem import (MeasuredLoads, Parameter)
-from tissue.fitting.target import (BIAS_SHARE, CORRELATION_SPREAD, FREEDOM, MOST_CORRELATED, OFFSET_S, Target)
-from tissue.materials.constants import (Prior)
 import numpy as np
 import pytest
+from planted_logs import LinearForward
 
-
+from tissue.fitting.identifiability import expected_information, identified
+from tissue.fitting.posterior import Posterior
+from tissue.fitting.problem import MeasuredLoads, Parameter
+from tissue.fitting.target import (
+    BIAS_SHARE,
+    CORRELATION_SPREAD,
+    FREEDOM,
+    MOST_CORRELATED,
+    OFFSET_S,
+    Target,
+)
+from tissue.materials.constants import Prior
 
 TIMES_S = np.arange(0.0, 2.0, 0.01)
 PRIORS = (Prior(5.0, 2.0, 12.0), Prior(3.0, 1.0, 6.0))

@@ -3,14 +3,13 @@
 A normal law of its number is far off there.
 """
 
-from planted_logs import (LinearForward)
-from tissue.fitting.posterior import (maximum_posterior)
-from tissue.fitting.problem import (MeasuredLoads, Parameter)
-from tissue.materials.constants import (Prior)
 import numpy as np
 import pytest
+from planted_logs import LinearForward
 
-
+from tissue.fitting.posterior import maximum_posterior
+from tissue.fitting.problem import MeasuredLoads, Parameter
+from tissue.materials.constants import Prior
 
 TIMES_S = 0.01 * np.arange(400)
 WIDE = Prior(0.01, 0.0, 0.1)

@@ -3,17 +3,16 @@
 They are compared with integrals over the prior that is cut off there.
 """
 
-from planted_logs import (LinearForward)
-from scipy.special import (gammaln)
-from scipy.stats import (multivariate_normal, norm)
-from tissue.fitting.marginal import (log_factor)
-from tissue.fitting.posterior import (maximum_posterior)
-from tissue.fitting.problem import (MeasuredLoads, Parameter)
-from tissue.materials.constants import (Prior)
 import numpy as np
 import pytest
+from planted_logs import LinearForward
+from scipy.special import gammaln
+from scipy.stats import multivariate_normal, norm
 
-
+from tissue.fitting.marginal import log_factor
+from tissue.fitting.posterior import maximum_posterior
+from tissue.fitting.problem import MeasuredLoads, Parameter
+from tissue.materials.constants import Prior
 
 CITED = Prior(0.0, 0.0, 6.0)
 """Of an axial coefficient."""

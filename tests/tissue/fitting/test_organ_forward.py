@@ -3,15 +3,14 @@
 They are proportional to all moduli together.
 """
 
-from tissue.fitting.organ_problem import (OrganForward)
-from tissue.fitting.organ_runs import (OrganRuns, Poses)
-from tissue.fitting.problem import (Parameter)
-from tissue.materials.constants import (Prior)
-from tissue.scene.load import (load_scene)
 import numpy as np
 import pytest
 
-
+from tissue.fitting.organ_problem import OrganForward
+from tissue.fitting.organ_runs import OrganRuns, Poses
+from tissue.fitting.problem import Parameter
+from tissue.materials.constants import Prior
+from tissue.scene.load import load_scene
 
 FIRST = 5.0
 SECOND = 50.0

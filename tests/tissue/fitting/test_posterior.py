@@ -1,14 +1,14 @@
 """Planted constants come back with right intervals; what a log cannot determine is named."""
 
-from planted_logs import (LinearForward, NAMES, PRIORS, planted as plant, slot)
-from tissue.fitting.identifiability import (expected_information, identified)
-from tissue.fitting.posterior import (maximum_posterior)
-from tissue.fitting.problem import (MeasuredLoads)
-from tissue.fitting.target import (Restricted, Target)
-from tissue.materials.constants import (Prior)
 import numpy as np
 import pytest
+from planted_logs import NAMES, PRIORS, LinearForward, slot
+from planted_logs import planted as plant
 
+from tissue.fitting.identifiability import expected_information, identified
+from tissue.fitting.posterior import maximum_posterior
+from tissue.fitting.problem import MeasuredLoads
+from tissue.fitting.target import Restricted, Target
 
 
 @pytest.mark.parametrize("restricted", [False, True])

@@ -3,15 +3,14 @@
 The effect is tested by changing them.
 """
 
-from tissue.fitting.fit_files import (FittedEntry, write_fitted)
-from tissue.materials.constants import (constants, listed)
-from tissue.materials.scene_constants import (TABLES)
-from tissue.scene.used_constants import (used_constants)
 import numpy as np
 import pytest
+
 import tissue
-
-
+from tissue.fitting.fit_files import FittedEntry, write_fitted
+from tissue.materials.constants import constants, listed
+from tissue.materials.scene_constants import TABLES
+from tissue.scene.used_constants import used_constants
 
 PLAIN = {
     "organ.young_kPa": None,

@@ -1,23 +1,39 @@
 """Constants that vary, and samples of them by quasi-Monte Carlo."""
 
-from collections.abc import (Callable, Mapping, Sequence)
-from dataclasses import (dataclass, replace)
-from functools import (cached_property)
-from itertools import (combinations)
-from meshes.base.arrays import (Array, Ints)
-from meshes.base.errors import (InputError, require_range)
-from scipy.sparse.csgraph import (connected_components)
-from scipy.special import (ndtri)
-from scipy.stats import (qmc, sobol_indices as scipy_indices)
-from tissue.materials.constants import (Constant, Prior)
-from tissue.materials.scene_constants import (Materials)
-from tissue.scene.scene import (Scene)
-from tissue.scene.used_constants import (used_constants)
 import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import combinations
+
 import numpy as np
+from scipy.sparse.csgraph import connected_components
+from scipy.special import ndtri
+from scipy.stats import qmc
+from scipy.stats import sobol_indices as scipy_indices
 
-__all__ = ["LEAST", "LEAST_EXPLAINED", "MOST", "Ranges", "SobolIndices", "normals", "ranges_of", "rounded", "sample_name", "sample_text", "sampled", "sobol_indices", "surrogate_indices"]
+from meshes.base.arrays import Array, Ints
+from meshes.base.errors import InputError, require_range
+from tissue.materials.constants import Constant, Prior
+from tissue.materials.scene_constants import Materials
+from tissue.scene.scene import Scene
+from tissue.scene.used_constants import used_constants
 
+__all__ = [
+    "LEAST",
+    "LEAST_EXPLAINED",
+    "MOST",
+    "Ranges",
+    "SobolIndices",
+    "normals",
+    "ranges_of",
+    "rounded",
+    "sample_name",
+    "sample_text",
+    "sampled",
+    "sobol_indices",
+    "surrogate_indices",
+]
 
 
 LEAST = 16

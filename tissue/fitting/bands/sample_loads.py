@@ -14,8 +14,7 @@ from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress
 from tissue.fitting.bands.sample import Ranges, ranges_of, sampled
-from tissue.materials.constants import CuttingCoefficients
-from tissue.materials.prior import Prior
+from tissue.materials.constants import CuttingCoefficients, Prior
 from tissue.models.tissue_model import SLOW
 from tissue.scene.load import changed
 from tissue.scene.scene import Scene
@@ -23,8 +22,7 @@ from tissue.simulation.load_record import LoadRecord
 from tissue.simulation.run import Run
 from tissue.simulation.run_summary import Summary
 from tissue.simulation.simulate import simulate
-from tissue.system.pools import LOST, executor
-from tissue.system.workers import first_done
+from tissue.system.workers import LOST, executor, first_done
 
 __all__ = [
     "CHANNELS",

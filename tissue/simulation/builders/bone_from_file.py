@@ -3,27 +3,37 @@
 A surface is placed at its site; an image is used as it is.
 """
 
-from dataclasses import (replace)
-from functools import (lru_cache)
-from meshes.base.errors import (InputError, is_file, names_of_caller)
-from meshes.base.progress import (Progress)
-from meshes.shapes.anatomy import (Anatomy)
-from meshes.tooth import (label_volume)
-from meshes.tooth.layers import (TOOTH_LAYERS)
-from meshes.voxels.volume import (VoxelVolume)
-from numpy.typing import (NDArray)
-from pathlib import (Path)
-from tissue.scene.anatomy import (Block, BlockImage, Bone, Glenoid, ImageAnatomy, MolarLabels, Placed, SurfaceAnatomy)
-from tissue.simulation.builders.parts import (FILE_WORDS)
-from typing import (TYPE_CHECKING)
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
 import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError, is_file, names_of_caller
+from meshes.base.progress import Progress
+from meshes.shapes.anatomy import Anatomy
+from meshes.tooth import label_volume
+from meshes.tooth.layers import TOOTH_LAYERS
+from meshes.voxels.volume import VoxelVolume
+from tissue.scene.anatomy import (
+    Block,
+    BlockImage,
+    Bone,
+    Glenoid,
+    ImageAnatomy,
+    MolarLabels,
+    Placed,
+    SurfaceAnatomy,
+)
+from tissue.simulation.builders.parts import FILE_WORDS
 
 if TYPE_CHECKING:
-    from meshes.surfaces.site import (Site)
-    from meshes.surfaces.surface import (Surface)
+    from meshes.surfaces.site import Site
+    from meshes.surfaces.surface import Surface
 
 __all__ = ["Corners", "bone_from_file", "box_text", "labelled_tooth", "whole_image"]
-
 
 
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -34,7 +44,7 @@ def bone_from_file(parameters: Placed, notes: dict[str, str]) -> Anatomy:
     """Return the bone in a surface or image, placed at its site."""
     from meshes.images.bone_image import image_cuts, image_triangles
     from meshes.images.reading import read_image
-    from meshes.surfaces.bone_surface import surface_anatomy
+    from meshes.surfaces.glenoid import surface_anatomy
     from meshes.surfaces.surface import surface_from_triangles
     from meshes.surfaces.triangle_files import read_triangles
 

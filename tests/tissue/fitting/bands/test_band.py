@@ -1,21 +1,21 @@
 """The band of a milled scene, against closed forms, reruns and its files."""
 
-from meshes.base.errors import (InputError)
-from scene_kinds import (kinds, write_files)
-from scipy.special import (ndtri)
-from tissue.fitting.bands.band import (band_of, require_band)
-from tissue.fitting.bands.sample_loads import (LEVELS, LOADS, Reweighed)
-from tissue.materials.constants import (Prior, constants)
-from tissue.objects.run import (open_run)
-from tissue.objects.simulate import (simulate)
-from tissue.scene.load import (changed)
-from tissue.scene.scene import (Scene)
-from tissue.simulation.load_record import (record_loads)
 import json
+
 import numpy as np
 import pytest
+from scene_kinds import kinds, write_files
+from scipy.special import ndtri
 
-
+from meshes.base.errors import InputError
+from tissue.fitting.bands.band import band_of, require_band
+from tissue.fitting.bands.sample_loads import LEVELS, LOADS, Reweighed
+from tissue.materials.constants import constants
+from tissue.objects.run import open_run
+from tissue.objects.simulate import simulate
+from tissue.scene.load import changed
+from tissue.scene.scene import Scene
+from tissue.simulation.load_record import record_loads
 
 NAMES = tuple(constants("cutting", "bone"))
 

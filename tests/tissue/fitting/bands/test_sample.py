@@ -1,12 +1,11 @@
 """Samples of constants: their laws, correlations and how fast sums converge."""
 
-from meshes.base.errors import (InputError)
-from tissue.fitting.bands.sample import (Ranges, normals, rounded)
-from tissue.materials.constants import (Prior)
 import numpy as np
 import pytest
 
-
+from meshes.base.errors import InputError
+from tissue.fitting.bands.sample import Ranges, normals, rounded
+from tissue.materials.constants import Prior
 
 PRIORS = {
     "cutting.bone.radial_chip_N_mm2": Prior(60.0, 15.0, 180.0),
