@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 
 import tissue
 from tissue.evaluation.charts.settings import refined
-from tissue.evaluation.reference.grid_index import grid_index
+from tissue.evaluation.reference.history import grid_index
 from tissue.scene.load import changed, parse_override
 
 ROOT = Path(__file__).resolve().parents[3] / "shared" / "anatomy"

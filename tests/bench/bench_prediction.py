@@ -29,7 +29,7 @@ from motor_score import recorded_ideal_N
 from prediction_scores import FORCE_LIMIT_N, KNOWN, RECORDED_MS, Kept, scores
 
 from meshes.base.errors import InputError
-from tissue.evaluation.training.recording import Recorder, Recording, trial
+from tissue.evaluation.training import Recorder, Recording, trial
 from tissue.prediction.contact import Contact, SeesContact
 from tissue.prediction.predictor import Predictor
 from tissue.prediction.trained import Trained, shipped_file

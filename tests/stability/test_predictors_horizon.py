@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from tissue import load_scene, simulate
-from tissue.evaluation.training.recording import Recorder, trial
-from tissue.evaluation.training.train import forecast, forecast_errors
+from tissue.evaluation.training import Recorder, forecast, forecast_errors, trial
 from tissue.prediction.baselines import Linear
 from tissue.prediction.contact import Contact
 from tissue.prediction.guard import Guarded

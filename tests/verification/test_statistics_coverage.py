@@ -6,8 +6,7 @@ from scipy import stats
 from simulated_cells import simulated_cells
 
 from tissue.evaluation.statistics.hypothesis_test import cohens_d, partial_eta_squared
-from tissue.evaluation.statistics.mixed import Components, mixed_model
-from tissue.evaluation.statistics.regression import regression
+from tissue.evaluation.statistics.mixed import Components, mixed_model, regression
 from tissue.evaluation.statistics.strata import strata
 from tissue.evaluation.statistics.trials import TrialTable
 

@@ -11,12 +11,12 @@ from tissue.evaluation.statistics.hypothesis_test import (
     normal_residuals,
     partial_eta_squared,
 )
-from tissue.evaluation.statistics.manova import multivariate
 from tissue.evaluation.statistics.mixed import mixed_model
 from tissue.evaluation.statistics.strata import (
     hotelling,
     kruskal_wallis,
     mauchly,
+    multivariate,
     permutation,
     pillai,
     scores_of,

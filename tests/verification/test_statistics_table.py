@@ -8,12 +8,10 @@ import pytest
 
 from meshes.base.errors import InputError
 from tissue.evaluation.statistics.comparison import across_tasks, compare, tukey_groups
-from tissue.evaluation.statistics.hpi import composite_index, weights_of
+from tissue.evaluation.statistics.hpi import composite_index, redrawn_power, weights_of
 from tissue.evaluation.statistics.hypothesis_test import Assumption, HypothesisTest
-from tissue.evaluation.statistics.manova import manova
-from tissue.evaluation.statistics.mixed import mixed_model
-from tissue.evaluation.statistics.power import redrawn_power
-from tissue.evaluation.statistics.regression import regression, trial_regression
+from tissue.evaluation.statistics.mixed import mixed_model, regression, trial_regression
+from tissue.evaluation.statistics.strata import manova
 from tissue.evaluation.statistics.trials import TrialTable
 
 METHODS = ("energy", "koopman", "penalty", "perception")

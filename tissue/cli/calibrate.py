@@ -12,8 +12,7 @@ from tissue.system.stopping import Terminated
 
 if TYPE_CHECKING:
     from tissue.evaluation.calibration.answers import Answer
-    from tissue.evaluation.calibration.session import Plan, Session
-    from tissue.evaluation.calibration.trial_log import TrialLog
+    from tissue.evaluation.calibration.session import Plan, Session, TrialLog
 
 __all__ = ["calibrate"]
 
@@ -114,7 +113,7 @@ def _session(
     """Run a session from the end of its log, and write its files."""
     from meshes.base.whole_file import whole_file
     from tissue.evaluation.calibration.answers import begin
-    from tissue.evaluation.calibration.posterior_view import draw_session
+    from tissue.evaluation.calibration.population_fit import draw_session
     from tissue.perception.observer import write_observer
 
     log = begin(target, name, plan, overwrite=overwrite)
@@ -145,8 +144,8 @@ def _ask_all(log: "TrialLog", answer: "Answer", *, live: bool) -> None:
     from rich.live import Live
 
     from tissue.evaluation.calibration.answers import StoppedError
-    from tissue.evaluation.calibration.posterior_view import posterior_panel
-    from tissue.evaluation.calibration.trial_log import read_log
+    from tissue.evaluation.calibration.population_fit import posterior_panel
+    from tissue.evaluation.calibration.session import read_log
 
     session: Session = log.session
     moving = live and problems.is_terminal

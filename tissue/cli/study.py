@@ -64,9 +64,8 @@ def run(
     only
         Name of one trial, such as T1-novice-0007: run only this trial and print its result.
     """
-    from tissue.evaluation.study.folder import StudyFolder
+    from tissue.evaluation.study.folder import StudyFolder, run_study
     from tissue.evaluation.study.plan import TrialKey
-    from tissue.evaluation.study.runner import run_study
     from tissue.evaluation.study.trial import run_trial
 
     plan = _planned(trials, tasks, methods, groups, sensitivity, seed)

@@ -52,7 +52,7 @@ def train(
         raise InputError("out", "lie in a folder that exists", path, f"create {path.parent}")
     with output_locked(path, folder=False), progress() as report:
         report("starting Warp", 0.0)
-        from tissue.evaluation.training.train import train as trained_on
+        from tissue.evaluation.training import train as trained_on
 
         found = trained_on(loaded, trials=trials, cores=cores, progress=report)
         found.write(path, overwrite=overwrite)

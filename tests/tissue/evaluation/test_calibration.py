@@ -14,8 +14,7 @@ from calibration_sessions import answered
 
 from meshes.base.errors import InputError
 from tissue.evaluation.calibration.answers import questioner, simulated_observer
-from tissue.evaluation.calibration.session import Plan
-from tissue.evaluation.calibration.trial_log import TrialLog, read_log
+from tissue.evaluation.calibration.session import Plan, TrialLog, read_log
 from tissue.perception.observer import read_observer
 
 ROOT = Path(__file__).resolve().parents[3]

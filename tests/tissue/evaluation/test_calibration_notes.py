@@ -75,7 +75,7 @@ def test_no_numbers_leave_the_exponent_to_the_prior():
 def test_the_posterior_is_shown_as_text():
     from rich.console import Console
 
-    from tissue.evaluation.calibration.posterior_view import posterior_panel
+    from tissue.evaluation.calibration.population_fit import posterior_panel
 
     shown = Console(width=100, record=True, file=open(os.devnull, "w"))  # noqa: SIM115
     shown.print(posterior_panel(simulated(1, trials=60, numbers=6)))

@@ -9,8 +9,7 @@ from meshes.base.errors import InputError
 from tissue.evaluation.calibration.answers import simulated_answers, simulated_observer
 from tissue.evaluation.calibration.observers import draw_observers
 from tissue.evaluation.calibration.population_fit import fit_population, new_person, pooled_trials
-from tissue.evaluation.calibration.session import Plan
-from tissue.evaluation.calibration.trial_log import TrialLog
+from tissue.evaluation.calibration.session import Plan, TrialLog
 from tissue.perception.adaptive import MAGNITUDE_FORCES_N
 from tissue.perception.hierarchy import HYPER, PopulationFit, PopulationTrials, fit_hierarchy
 from tissue.perception.observer import read_observer

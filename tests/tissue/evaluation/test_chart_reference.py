@@ -7,9 +7,9 @@ index.
 import numpy as np
 import pytest
 
-from tissue.evaluation.charts.reference import grid_force_N, reference_gap, reference_words
+from tissue.evaluation.charts.measure import grid_force_N, reference_gap, reference_words
 from tissue.evaluation.charts.settings import finest, grids, shares
-from tissue.evaluation.reference.grid_index import grid_index
+from tissue.evaluation.reference.history import grid_index
 from tissue.scene.load import load_scene
 
 PRESSED = {

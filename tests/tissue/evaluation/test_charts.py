@@ -9,21 +9,29 @@ import tissue
 from meshes.base.errors import InputError
 from meshes.tets.structured import box
 from tissue.evaluation.charts import frontier as module
-from tissue.evaluation.charts.fidelity import SAFETY, _in_words, choose, with_fidelity
 from tissue.evaluation.charts.frontier import (
+    SAFETY,
     Frontier,
+    _in_words,
+    choose,
     frontier_of,
     measured_of,
     undominated,
+    with_fidelity,
     write_measured,
 )
-from tissue.evaluation.charts.keys import setting_key
 from tissue.evaluation.charts.law import LawError
-from tissue.evaluation.charts.measure import Measured, excerpt, measure, short_of
+from tissue.evaluation.charts.measure import Measured, excerpt, measure, reference_gap, short_of
 from tissue.evaluation.charts.pictures import draw_frontiers
-from tissue.evaluation.charts.reference import reference_gap
 from tissue.evaluation.charts.scenes import chart_lines, chart_scenes, charted, make_ready
-from tissue.evaluation.charts.settings import Setting, by_hand, finest, placed, settings_of
+from tissue.evaluation.charts.settings import (
+    Setting,
+    by_hand,
+    finest,
+    placed,
+    setting_key,
+    settings_of,
+)
 from tissue.fem.hyperelastic import Law, NonlinearBody
 from tissue.fem.newton import NewtonSolver, press_at
 from tissue.fem.space import Space

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from meshes.base.errors import InputError
-from tissue.evaluation.reference.grid_index import FORMAL_ORDER, SAFETY, grid_index
+from tissue.evaluation.reference.history import FORMAL_ORDER, SAFETY, grid_index
 
 SPACINGS = (0.1, 0.06, 0.033)
 """Not of one ratio, so that the order has to be solved for."""

@@ -9,7 +9,7 @@ from motor_score import motor_score, recorded_ideal_N
 
 from tissue import load_scene, simulate
 from tissue.evaluation.statistics.metrics import force_error
-from tissue.evaluation.training.recording import Recorder, trial
+from tissue.evaluation.training import Recorder, trial
 from tissue.prediction.predictor import Hold
 from tissue.simulation.reference_force import ideal_force_N, motor_forces
 

@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 
 from meshes.base.errors import InputError
-from tissue.evaluation.study import runner
-from tissue.evaluation.study.folder import StudyFolder
+from tissue.evaluation.study import folder as folder_module
+from tissue.evaluation.study.folder import StudyFolder, run_study
 from tissue.evaluation.study.plan import METHODS, TASKS, Plan, TrialKey
-from tissue.evaluation.study.runner import run_study
 from tissue.evaluation.study.trial import Trial, run_trial, trial_seed
 
 SMALL = Plan(trials=3, tasks=("T2", "needle"), sensitivity=False)
@@ -60,9 +59,9 @@ def pool(monkeypatch):
     def given(workers, scheduler, *, patience_s):
         yield held
 
-    monkeypatch.setattr(runner, "executor", given)
-    monkeypatch.setattr(runner, "run_trial", cheap)
-    monkeypatch.setattr(runner, "sleep", lambda seconds: None)
+    monkeypatch.setattr(folder_module, "executor", given)
+    monkeypatch.setattr(folder_module, "run_trial", cheap)
+    monkeypatch.setattr(folder_module, "sleep", lambda seconds: None)
     return held
 
 

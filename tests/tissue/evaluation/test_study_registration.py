@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from meshes.base.errors import InputError
-from tissue.evaluation.statistics.power import rejection_rates
+from tissue.evaluation.statistics.hpi import rejection_rates
 from tissue.evaluation.study import tested
 from tissue.evaluation.study.folder import StudyFolder
 from tissue.evaluation.study.plan import Plan, TrialKey

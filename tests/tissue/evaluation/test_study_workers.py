@@ -13,9 +13,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from tissue.evaluation.study.folder import StudyFolder
+from tissue.evaluation.study.folder import StudyFolder, run_study
 from tissue.evaluation.study.plan import Plan
-from tissue.evaluation.study.runner import run_study
 
 pytestmark = [
     pytest.mark.slow,

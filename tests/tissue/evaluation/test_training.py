@@ -8,8 +8,7 @@ import pytest
 from meshes.base.errors import InputError
 from tissue import load_scene, simulate
 from tissue.evaluation.statistics.metrics import force_error
-from tissue.evaluation.training.recording import Recorder, trial
-from tissue.evaluation.training.train import validated, with_fallback
+from tissue.evaluation.training import Recorder, trial, validated, with_fallback
 from tissue.prediction.edmd.lifted import Operator
 from tissue.prediction.trained import VALIDATED_AT, Trained, shipped_file
 from tissue.scene.registry import PREDICTORS

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from tissue import InputError, load_scene
-from tissue.evaluation.training.recording import Recording
-from tissue.evaluation.training.train import fit, forecast_errors, with_fallback
+from tissue.evaluation.training import Recording, fit, forecast_errors, with_fallback
 from tissue.prediction.baselines import Kalman, Linear, LinearControl, kalman_gains
 from tissue.prediction.contact import Contact, SeesContact
 from tissue.prediction.edmd.dictionary import Identity

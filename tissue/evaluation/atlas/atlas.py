@@ -14,22 +14,12 @@ from time import perf_counter
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
-from tissue.evaluation.atlas import (
-    bad_tetrahedra,
-    contrast,
-    cut_cells,
-    explicit_cutting,
-    horizon,
-    large_rotation,
-    locking,
-    lost_samples,
-    quantisation,
-    thin_walls,
-    trained_elsewhere,
-    wall_map,
-    wild_input,
-)
+from tissue.evaluation.atlas.bone_tooth import Contrast, CutCells, ExplicitCutting
+from tissue.evaluation.atlas.organs import BadTetrahedra, LargeRotation, Locking
 from tissue.evaluation.atlas.page import Answer, Conduct, Page, Verdict, picture
+from tissue.evaluation.atlas.prediction import Horizon, TrainedElsewhere
+from tissue.evaluation.atlas.samples import LostSamples, WildInput
+from tissue.evaluation.atlas.walls import Quantisation, ThinWalls, WallMap
 from tissue.system.html import html_page, html_picture
 from tissue.system.outputs import write_columns
 from tissue.system.owned_folder import owned_folder
@@ -38,19 +28,19 @@ __all__ = ["PAGES", "chosen_pages", "write_atlas"]
 
 INDEX = "index.html"
 PAGES: tuple[Page, ...] = (
-    wall_map.PAGE,
-    quantisation.PAGE,
-    explicit_cutting.PAGE,
-    thin_walls.PAGE,
-    locking.PAGE,
-    large_rotation.PAGE,
-    bad_tetrahedra.PAGE,
-    cut_cells.PAGE,
-    contrast.PAGE,
-    trained_elsewhere.PAGE,
-    horizon.PAGE,
-    lost_samples.PAGE,
-    wild_input.PAGE,
+    WallMap(),
+    Quantisation(),
+    ExplicitCutting(),
+    ThinWalls(),
+    Locking(),
+    LargeRotation(),
+    BadTetrahedra(),
+    CutCells(),
+    Contrast(),
+    TrainedElsewhere(),
+    Horizon(),
+    LostSamples(),
+    WildInput(),
 )
 """Pages in the order of the atlas."""
 
@@ -120,7 +110,7 @@ def write_atlas(
 def _written(page: Page, folder: Path) -> Entry:
     """Run a page and write its picture and data."""
     started = perf_counter()
-    data = page.measure(False)
+    data = page.measure()
     verdict = page.judge(data)
     answers = page.ask()
     drawn = picture(page, data)

@@ -1,11 +1,11 @@
 """Contract of an atlas page: sweep, verdict, answers of the engine, and panels that show them."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from io import BytesIO
 from math import sqrt
-from typing import TYPE_CHECKING, Literal
 
 import matplotlib
 import numpy as np
@@ -17,17 +17,13 @@ from numpy.typing import ArrayLike
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 
-if TYPE_CHECKING:
-    from matplotlib.typing import RcKeyType
-
 __all__ = [
-    "BLUE",
+    "ENGINE",
+    "FAILING",
     "GREEN",
     "GREY",
     "ORANGE",
-    "PINK",
-    "RED",
-    "TINTS",
+    "THEORY",
     "Answer",
     "Conduct",
     "Curve",
@@ -41,6 +37,7 @@ __all__ = [
     "panel",
     "picture",
     "refused",
+    "shade",
     "shown",
     "sweep",
 ]
@@ -49,6 +46,16 @@ Table = dict[str, Array]
 """Columns of equal length by name, with the unit in the name."""
 Data = dict[str, Table]
 """Tables of a sweep by name."""
+# The colours are those of Okabe and Ito (2008), distinct for colour-blind readers.
+ORANGE = "#E69F00"
+GREEN = "#009E73"
+GREY = "0.35"
+THEORY = ("-", GREY)
+FAILING = ("s", "#D55E00")
+ENGINE = ("o", "#0072B2")
+"""Format and colour of the curve of theory, of the failing method and of the engine."""
+Curve = tuple[str, ArrayLike, tuple[str, str]]
+"""Label, values over the sweep or one for all of it, and matplotlib's format and colour."""
 
 
 class Conduct(Enum):
@@ -58,6 +65,10 @@ class Conduct(Enum):
     FALLS_BACK = "falls back"
     REFUSES = "refuses"
     SILENT = "is silently wrong"
+
+
+TINTS = {Conduct.HOLDS: "#D6ECF8", Conduct.FALLS_BACK: "#FBEBC2", Conduct.REFUSES: "#F3CFBC"}
+"""Background of a region by the behaviour of the engine."""
 
 
 @dataclass(frozen=True)
@@ -98,8 +109,7 @@ class Verdict:
     sentence: str
 
 
-@dataclass(frozen=True)
-class Page:
+class Page(ABC):
     """One page of the atlas.
 
     Attributes
@@ -110,24 +120,28 @@ class Page:
         Text for the reader.
     source
         Source of the theory, and parameters of the sweep.
-    measure
-        Run the sweep. With True the sweep is coarser, for tests.
-    judge
-        Return the verdict, from the data alone.
-    ask
-        Put requests to the engine and return its answers.
-    draw
-        Draw the data into an empty figure.
     """
 
     name: str
     title: str
     question: str
     source: str
-    measure: Callable[[bool], Data]
-    judge: Callable[[Data], Verdict]
-    ask: Callable[[], list[Answer]]
-    draw: Callable[[Data, Figure], None]
+
+    @abstractmethod
+    def measure(self) -> Data:
+        """Run the sweep."""
+
+    @abstractmethod
+    def judge(self, data: Data) -> Verdict:
+        """Return the verdict, from the data alone."""
+
+    @abstractmethod
+    def ask(self) -> list[Answer]:
+        """Put requests to the engine and return its answers."""
+
+    @abstractmethod
+    def draw(self, data: Data, chart: Figure) -> None:
+        """Draw the data into an empty figure."""
 
 
 def refused(asked: str, call: Callable[[], object]) -> Answer:
@@ -139,7 +153,7 @@ def refused(asked: str, call: Callable[[], object]) -> Answer:
     return Answer(asked, Conduct.SILENT, "accepted without a report")
 
 
-def shown(asked: str, right: bool, result: str, *, conduct: Conduct = Conduct.HOLDS) -> Answer:
+def shown(asked: str, right: bool, result: str, conduct: Conduct = Conduct.HOLDS) -> Answer:
     """Return an answer whose figures the caller has checked.
 
     The answer is silently wrong if the figures are not right.
@@ -179,38 +193,20 @@ def error_of(found: Array, expected: Array) -> float:
     return float(np.abs(found / expected - 1.0).max())
 
 
-BLUE = "#0072B2"
-ORANGE = "#E69F00"
-GREEN = "#009E73"
-RED = "#D55E00"
-PINK = "#CC79A7"
-GREY = "0.35"
-# The colours are those of Okabe and Ito (2008), distinct for colour-blind readers.
-TINTS = {Conduct.HOLDS: "#D6ECF8", Conduct.FALLS_BACK: "#FBEBC2", Conduct.REFUSES: "#F3CFBC"}
-"""Background of a region by the behaviour of the engine."""
-LOOKS: "dict[RcKeyType, float]" = {
-    "font.size": 11.0,
-    "axes.titlesize": 11.5,
-    "axes.linewidth": 0.8,
-    "legend.fontsize": 9.5,
-    "lines.linewidth": 2.0,
-    "lines.markersize": 6.0,
-}
-Place = Literal[
-    "best", "upper left", "lower center", "lower right", "center left", "center right", ""
-]
-Curve = tuple[str, ArrayLike, str, str]
-"""Label, values over the sweep or one for all of it, format of matplotlib's `plot`, and colour."""
-
-
 def picture(page: Page, data: Data) -> bytes:
     """Return the figure of a page as PNG, drawn without a window."""
-    with matplotlib.rc_context(LOOKS):
+    with matplotlib.rc_context({"font.size": 11.0, "legend.fontsize": 9.5, "lines.linewidth": 2.0}):
         chart = Figure(figsize=(10.4, 4.4), dpi=130, layout="constrained")
         page.draw(data, chart)
         image = BytesIO()
         chart.savefig(image, format="png", metadata={"Software": None})
     return image.getvalue()
+
+
+def shade(axes: Axes, x: Array, low: ArrayLike, high: ArrayLike, conduct: Conduct) -> None:
+    """Tint the region between two curves by the behaviour of the engine."""
+    label = f"engine {conduct.value}"
+    axes.fill_between(x, low, high, color=TINTS[conduct], zorder=0, linewidth=0.0, label=label)
 
 
 def panel(
@@ -221,7 +217,7 @@ def panel(
     *,
     conduct: Sequence[tuple[Conduct, float, float]] | None = None,
     log: str = "xy",
-    legend: Place = "best",
+    legend: str = "best",
     **settings: object,
 ) -> None:
     """Draw curves over a sweep, with axes, grid and legend.
@@ -247,20 +243,16 @@ def panel(
     """
     axes.set(xscale="log" if "x" in log else "linear", yscale="log" if "y" in log else "linear")
     for behaviour, low, high in [(Conduct.HOLDS, x[0], x[-1])] if conduct is None else conduct:
-        known = axes.get_legend_handles_labels()[1]
         label = f"engine {behaviour.value}"
-        tint = TINTS[behaviour]
-        axes.axvspan(
-            low, high, color=tint, zorder=0, linewidth=0.0, label=None if label in known else label
-        )
-    for name, values, style, colour in curves:
+        axes.axvspan(low, high, color=TINTS[behaviour], zorder=0, linewidth=0.0, label=label)
+    for name, values, (style, colour) in curves:
         axes.plot(x, np.broadcast_to(np.asarray(values), x.shape), style, color=colour, label=name)
     axes.set(xlabel=labels[0], ylabel=labels[1], **({"xlim": (x.min(), x.max())} | settings))
     for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
         # Minor labels of an axis over several decades overlap.
         if axis.get_scale() == "log" and abs(np.log10(high / low)) > 1.0:
             axis.set_minor_formatter(NullFormatter())
-    axes.grid(alpha=0.3, which="major")
+    axes.grid(alpha=0.3)
     axes.set_axisbelow(False)
     if legend:
         axes.legend(loc=legend, framealpha=0.9)

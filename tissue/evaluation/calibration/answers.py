@@ -12,8 +12,14 @@ import numpy as np
 from meshes.base.errors import InputError
 from meshes.base.text_numbers import number_in
 from tissue.evaluation.calibration.observers import SimulatedObservers, draw_observers
-from tissue.evaluation.calibration.session import Comparison, Magnitude, Plan
-from tissue.evaluation.calibration.trial_log import TrialLog, log_path, read_log
+from tissue.evaluation.calibration.session import (
+    Comparison,
+    Magnitude,
+    Plan,
+    TrialLog,
+    log_path,
+    read_log,
+)
 from tissue.haptics.device.device import Device, device_parameters
 from tissue.haptics.device.recorded import MouseDevice
 from tissue.haptics.device.simulated import SimulatedDevice

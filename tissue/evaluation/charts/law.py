@@ -21,9 +21,8 @@ from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from meshes.shapes.polyline import arc_length, points_along
 from meshes.tets.regions import faces_of
-from tissue.evaluation.charts.keys import scene_text, sources
-from tissue.evaluation.charts.reference import of_model
-from tissue.evaluation.charts.settings import edge_mm, settings_of
+from tissue.evaluation.charts.measure import of_model
+from tissue.evaluation.charts.settings import edge_mm, scene_text, settings_of, sources
 from tissue.evaluation.statistics.metrics import force_error
 from tissue.models.organ.model import LINEAR_ERROR
 from tissue.scene.coupling import Fidelity

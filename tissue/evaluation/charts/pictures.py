@@ -8,7 +8,7 @@ import numpy as np
 
 from tissue.evaluation.charts.frontier import Frontier
 from tissue.evaluation.charts.measure import Measured
-from tissue.evaluation.training.train import HORIZONS
+from tissue.evaluation.training import HORIZONS
 from tissue.scene.registry import PREDICTORS
 from tissue.show.figures.figure import figure, save
 

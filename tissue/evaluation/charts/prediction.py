@@ -15,8 +15,15 @@ from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
 from tissue.evaluation.charts.pictures import draw_scene, draw_tasks
-from tissue.evaluation.training.recording import Recorder, Recording, trial
-from tissue.evaluation.training.train import HORIZONS, MOST_TRIALS, fit, forecast_errors
+from tissue.evaluation.training import (
+    HORIZONS,
+    MOST_TRIALS,
+    Recorder,
+    Recording,
+    fit,
+    forecast_errors,
+    trial,
+)
 from tissue.haptics.device.device import device_parameters
 from tissue.prediction.contact import Contact, SeesContact
 from tissue.prediction.predictor import Predictor

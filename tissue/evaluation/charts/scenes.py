@@ -14,11 +14,17 @@ from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
 from tissue.evaluation.charts.frontier import Frontier, frontier_of, unmeasured, write_measured
-from tissue.evaluation.charts.keys import machine
-from tissue.evaluation.charts.measure import short_of
+from tissue.evaluation.charts.measure import grid_force_N, of_model, reference_words, short_of
 from tissue.evaluation.charts.pictures import draw_frontiers, draw_overview
-from tissue.evaluation.charts.reference import grid_force_N, of_model, reference_words
-from tissue.evaluation.charts.settings import by_hand, finest, grids, placed, settings_of, untrained
+from tissue.evaluation.charts.settings import (
+    by_hand,
+    finest,
+    grids,
+    machine,
+    placed,
+    settings_of,
+    untrained,
+)
 from tissue.evaluation.reference.history import has_exact_geometry, reference_force
 from tissue.scene.load import changed, load_scene, scene_names
 from tissue.scene.organ import SoftAnatomy

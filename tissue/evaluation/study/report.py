@@ -13,8 +13,7 @@ from meshes.base.file_version import package_version
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
 from tissue.evaluation.statistics.trials import TrialTable
-from tissue.evaluation.study.cases import case_sections
-from tissue.evaluation.study.discrimination import discrimination_section
+from tissue.evaluation.study.discrimination import case_sections, discrimination_section
 from tissue.evaluation.study.fidelity import (
     force_section,
     latency_section,

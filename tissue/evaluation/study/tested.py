@@ -16,11 +16,10 @@ from tissue.evaluation.statistics.comparison import (
     compare,
     corrected,
 )
-from tissue.evaluation.statistics.hpi import composite_index
+from tissue.evaluation.statistics.hpi import composite_index, redrawn_power
 from tissue.evaluation.statistics.hypothesis_test import ALPHA, Effect, HypothesisTest, format_p
-from tissue.evaluation.statistics.manova import manova
-from tissue.evaluation.statistics.power import redrawn_power
-from tissue.evaluation.statistics.regression import trial_regression
+from tissue.evaluation.statistics.mixed import trial_regression
+from tissue.evaluation.statistics.strata import manova
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.plan import COMPARED, DIRECTIONS, USERS
 from tissue.evaluation.study.section import COMPOSITE, Section, drawing, image, methods_of, tasks_of
