@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tissue.evaluation.statistics.trials import TrialTable
-from tissue.evaluation.study.discrimination import median_interval, needle_section, travel_by_people
+from tissue.evaluation.study.cases import median_interval, needle_section, travel_by_people
 
 METHODS = ("penalty", "koopman")
 

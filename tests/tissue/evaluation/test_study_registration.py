@@ -62,15 +62,9 @@ def made(folder):
 
 def as_planned(plan):
     """A section that holds all planned tests."""
-    return [
-        Section(
-            "tests",
-            "Tests",
-            (),
-            ("task", "question"),
-            tuple(tuple(each.split(" ", 1)) for each in planned_tests(plan)),
-        )
-    ]
+    rows = [each.split(" ", 1) for each in planned_tests(plan)]
+    table = [{"task": task, "question": question} for task, question in rows]
+    return [Section("tests", "Tests", (), table)]
 
 
 def differences(folder, tests=None):
@@ -231,12 +225,14 @@ def test_missing_failed_and_unplanned_trials_are_listed(study):
 
 
 def test_tests_that_are_not_those_of_the_plan_are_listed_with_the_reason(study):
-    rows = as_planned(PLAN)[0].rows
-    kept = tuple(row for row in rows if row[0] != "T1" or not row[1].startswith("ratio_error"))
+    kept = [
+        row
+        for row in as_planned(PLAN)[0].table
+        if row["task"] != "T1" or not row["question"].startswith("ratio_error")
+    ]
     sentences = ("T1 ratio_error; T1 force could not be tested: it is constant.",)
-    section = Section(
-        "tests", "Tests", sentences, ("task", "question"), (*kept, ("T2", "time_s: method"))
-    )
+    kept.append({"task": "T2", "question": "time_s: method"})
+    section = Section("tests", "Tests", sentences, kept)
     found = differences(study, [section])
     assert found["tests planned and not made"].startswith(
         f"{sentences[0]}: 3: T1 ratio_error: group; "

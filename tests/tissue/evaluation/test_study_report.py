@@ -183,11 +183,12 @@ def test_forces_that_come_early_on_one_task_are_named(study):
 
 
 def test_the_first_section_counts_the_figures_that_agree_with_the_paper():
-    header = ("task", "method", "force error / %", "paper %", "against paper")
-    rows = tuple(("T1", "penalty", "", "", each) for each in ("agrees", "", "0.50 of it"))
-    found = found_section(
-        [Section("force", "Force", (), header, rows, headline="So it is."), Section("x", "X", ())]
-    )
+    table = [
+        {"task": "T1", "method": "penalty", "paper %": "", "against paper": each}
+        for each in ("agrees", "", "0.50 of it")
+    ]
+    force = Section("force", "Force", (), table, headline="So it is.")
+    found = found_section([force, Section("x", "X", ())])
     assert found.sentences[0] == "So it is." and len(found.sentences) == 2
     assert "2 figures" in found.sentences[1] and "force T1 penalty 0.50 of it" in found.sentences[1]
 

@@ -158,12 +158,6 @@ class Index:
     ----------
     metrics, weights
         Metrics and their weights with intervals over resampled users; weights sum to one.
-    loadings
-        Loadings of the oriented metrics on the first component. The sign is chosen so that they sum
-        to a positive number.
-    values
-        Index of every row of the table in standard deviations, NaN where a trial failed; higher is
-        better.
     means
         Mean of each method with an interval over resampled users, weights fitted anew in each.
     assumptions
@@ -173,8 +167,6 @@ class Index:
 
     metrics: tuple[str, ...]
     weights: tuple[Effect, ...]
-    loadings: tuple[float, ...]
-    values: Array
     means: tuple[Effect, ...]
     assumptions: tuple[Assumption, ...]
 
@@ -264,59 +256,39 @@ def composite_index(
     weights, loadings, variances = weights_of(scaled.T @ scaled / len(scaled))
     _, first_rows = np.unique(person, return_index=True)
     groups = np.unique(table.group[kept][first_rows], return_inverse=True)[1].astype(np.int64)
-    methods, method = np.unique(table.method[kept], return_inverse=True)
-    drawn = drawn_users(groups, count, rng)
-    times = np.stack([np.bincount(each, minlength=len(people)) for each in drawn]).astype(float)
-    again, sums = _resampled(scaled, person, method, times, len(methods))
-    tail = 100.0 * 0.5 * (1.0 - LEVEL)
-    chosen = (
-        np.stack([scaled[method == each].mean(axis=0) for each in range(len(methods))]) @ weights
-    )
-    spread = np.percentile(again, [tail, 100.0 - tail], axis=0)
-    reach = np.percentile(np.einsum("bmk,bk->bm", sums, again), [tail, 100.0 - tail], axis=0)
-    values = np.full(len(table), np.nan)
-    values[kept] = scaled @ weights
+    methods = np.unique(table.method[kept]).tolist()
+    member = np.stack([table.method[kept] == method for method in methods]).astype(float)
+    drawn_weights = []
+    drawn_means = []
+    for drawn in drawn_users(groups, count, rng):
+        times = np.bincount(drawn, minlength=len(people))[person].astype(float)
+        again, _, _ = weights_of(_correlation(scaled, times))
+        drawn_weights.append(again)
+        drawn_means.append(_means(scaled @ again, member * times))
+    tails = [50.0 * (1.0 - LEVEL), 50.0 * (1.0 + LEVEL)]
+    spread = np.percentile(drawn_weights, tails, axis=0)
+    reach = np.percentile(drawn_means, tails, axis=0)
     return Index(
         names,
         _effects(names, weights, spread),
-        tuple(loadings.tolist()),
-        values,
-        _effects(methods.tolist(), chosen, reach),
+        _effects(methods, _means(scaled @ weights, member), reach),
         _checks(loadings, variances, spread),
     )
 
 
-def _resampled(
-    scaled: Array, person: Ints, method: Ints, times: Array, method_count: int
-) -> tuple[Array, Array]:
-    """Return weights and means of each method's metrics in resampled populations.
+def _correlation(rows: Array, times: Array) -> Array:
+    """Return the correlation matrix of rows that count several times."""
+    covariance = np.atleast_2d(np.cov(rows.T, aweights=times, ddof=0))
+    size = np.sqrt(np.diag(covariance))
+    return covariance / size / size[:, None]
 
-    In population b, user u is drawn times[b, u] times.
+
+def _means(values: Array, shares: Array) -> Array:
+    """Return means of values by the shares of their rows, shape (k,), where shares is (k, rows).
+
+    A method that a drawn population does not hold gets zero; NaN would spread to every percentile.
     """
-    people = times.shape[1]
-    width = scaled.shape[1]
-    squares = np.stack([np.bincount(person, a * b) for a in scaled.T for b in scaled.T], axis=1)
-    total = times @ np.bincount(person)
-    middle = (
-        times
-        @ np.stack([np.bincount(person, column) for column in scaled.T], axis=1)
-        / total[:, None]
-    )
-    spread = (times @ squares / total[:, None]).reshape(-1, width, width) - middle[
-        :, :, None
-    ] * middle[:, None, :]
-    size = np.sqrt(np.diagonal(spread, axis1=1, axis2=2))
-    weights, _, _ = weights_of(spread / size[:, :, None] / size[:, None, :])
-    at = person * method_count + method
-    shape = (people, method_count)
-    counts = np.bincount(at, minlength=people * method_count).reshape(shape).astype(float)
-    sums = np.stack(
-        [np.bincount(at, each, people * method_count).reshape(shape) for each in scaled.T], axis=2
-    )
-    # A method that a drawn population does not hold keeps no mean; NaN would spread to every
-    # percentile.
-    means = np.einsum("bu,umk->bmk", times, sums) / np.maximum(times @ counts, 1.0)[:, :, None]
-    return weights, means
+    return shares @ values / np.maximum(shares.sum(axis=1), 1.0)
 
 
 def _checks(loadings: Array, variances: Array, spread: Array) -> tuple[Assumption, ...]:

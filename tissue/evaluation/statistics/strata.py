@@ -3,13 +3,13 @@ fewer assumptions.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import reduce
 from typing import Literal
 
 import numpy as np
 from scipy.linalg import helmert
-from scipy.stats import chi2, f, friedmanchisquare, kruskal
+from scipy.stats import chi2, f
 
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
@@ -18,18 +18,13 @@ from tissue.evaluation.statistics.hypothesis_test import (
     HypothesisTest,
     format_p,
     mardia,
-    require_statsmodels,
 )
 from tissue.evaluation.statistics.trials import TrialTable
 
 __all__ = [
-    "STATISTICS",
     "Pillai",
     "Strata",
-    "friedman",
     "group_means",
-    "hotelling",
-    "kruskal_wallis",
     "manova",
     "mauchly",
     "multivariate",
@@ -39,7 +34,6 @@ __all__ = [
     "shuffled_p",
     "shuffled_users",
     "strata",
-    "welch",
 ]
 
 
@@ -239,68 +233,6 @@ def pillai(scores: Array, groups: Ints, *, between: bool) -> Pillai:
     )
 
 
-def welch(values: Array, groups: Ints, *, question: str) -> HypothesisTest:
-    """Compare means of groups of unequal variance (Welch 1951).
-
-    Parameters
-    ----------
-    values
-        One value per user, shape (users,).
-    groups
-        Group of every user, 0 to G - 1, shape (users,).
-    question
-        Question of the test, for the sentence.
-    """
-    from statsmodels.stats.oneway import anova_oneway
-
-    samples = _samples(values, groups)
-    if min(np.ptp(each) for each in samples) == 0.0:
-        raise InputError(
-            "values", "vary in every group", "one that is constant", "leave that group out"
-        )
-    found = anova_oneway(samples, use_var="unequal", welch_correction=True)
-    degrees = (int(found.df_num), float(found.df_denom))
-    return HypothesisTest(
-        "Welch", question, "F", float(found.statistic), degrees, float(found.pvalue)
-    )
-
-
-def kruskal_wallis(values: Array, groups: Ints, *, question: str) -> HypothesisTest:
-    """Compare groups by ranks (Kruskal and Wallis 1952).
-
-    The arguments are those of :func:`welch`.
-    """
-    samples = _samples(values, groups)
-    statistic, p = map(float, kruskal(*samples))
-    return HypothesisTest("Kruskal-Wallis", question, "H", statistic, (len(samples) - 1,), p)
-
-
-def friedman(values: Array, *, question: str) -> HypothesisTest:
-    """Compare three levels or more within users by ranks (Friedman 1937).
-
-    `values` has shape (users, levels).
-    """
-    statistic, p = map(float, friedmanchisquare(*values.T))
-    return HypothesisTest("Friedman", question, "chi2", statistic, (values.shape[1] - 1,), p)
-
-
-def hotelling(scores: Array, groups: Ints, *, question: str) -> HypothesisTest:
-    """Test mean scores against zero without assuming sphericity (Hotelling 1931).
-
-    The groups have equal weight.
-
-    Parameters
-    ----------
-    scores
-        Scores of users on contrasts, shape (users, contrasts), from `scores_of`;
-        users outnumber groups and contrasts.
-    groups
-        Group of every user, shape (users,).
-    """
-    found = pillai(scores, groups, between=False)
-    return HypothesisTest("Hotelling", question, "F", float(found.F), found.degrees, float(found.p))
-
-
 def shuffled_users(values: Array, count: int, rng: np.random.Generator) -> Array:
     """Return values with the users in random order, shape (count, users, ...)."""
     return values[rng.permuted(np.tile(np.arange(len(values)), (count, 1)), axis=1)]
@@ -354,14 +286,6 @@ def permutation(
     return HypothesisTest("permutation", question, "F", measured, (), shuffled_p(measured, others))
 
 
-def _samples(values: Array, groups: Ints) -> list[Array]:
-    """Return the values of each group."""
-    return [values[groups == group] for group in range(groups.max() + 1)]
-
-
-STATISTICS = ("Pillai's trace", "Wilks' lambda", "Hotelling-Lawley trace", "Roy's greatest root")
-
-
 def manova(
     table: TrialTable,
     metrics: Sequence[str],
@@ -409,7 +333,7 @@ def multivariate(
     rng: np.random.Generator,
     permutations: int = 1999,
 ) -> HypothesisTest:
-    """Run a multivariate analysis of variance by statsmodels, with checks and a permutation test.
+    """Run a multivariate analysis of variance, with checks and a permutation test.
 
     Parameters
     ----------
@@ -426,25 +350,18 @@ def multivariate(
     Returns
     -------
     HypothesisTest
-        Pillai's trace, the most robust of the four statistics (Olson 1974), with the other three
-        and a permutation test as alternatives.
+        Pillai's trace, the most robust of the four statistics (Olson 1974), with a permutation test
+        as alternative.
     """
     counts = np.bincount(groups)
     width = scores.shape[1]
-    if len(scores) - len(counts) <= width:
+    if not width or len(scores) - len(counts) <= width or (between and len(counts) < 2):
         raise InputError(
             "users",
-            "outnumber groups and columns",
+            "outnumber groups and columns, with two groups or methods to compare",
             f"{len(scores)} users, {len(counts)} groups and {width} columns",
             "add users or drop metrics",
         )
-    if between and len(counts) < 2:
-        raise InputError(
-            "groups", "be at least two to be compared", "one", "leave the group's test out"
-        )
-    require_statsmodels()
-    from statsmodels.multivariate.manova import MANOVA
-
     scaled = scores / scores.std(axis=0)
     residuals = scaled - group_means(scaled, groups)[groups]
     if np.linalg.matrix_rank(residuals, tol=1e-8 * len(scores)) < width:
@@ -454,36 +371,28 @@ def multivariate(
             question,
             "drop a metric that repeats another",
         )
-    member = np.equal.outer(groups, np.arange(len(counts))).astype(float)
-    hypothesis = np.full((1, len(counts)), 1.0)
-    if between:
-        hypothesis = np.eye(len(counts))[:-1] - np.eye(len(counts))[1:]
-    frame = MANOVA(scaled, member).mv_test([("effect", hypothesis)])["effect"]["stat"]
-    first, *others = (
-        HypothesisTest(
-            f"MANOVA, {name} {row['Value']:.4g}",
-            question,
-            "F",
-            row["F Value"],
-            (row["Num DF"], row["Den DF"]),
-            row["Pr > F"],
-        )
-        for name, row in zip(
-            STATISTICS, frame.loc[list(STATISTICS)].astype(float).to_dict("records"), strict=True
-        )
-    )
     # Groups are shuffled among users; differences within users have their signs turned.
     if between:
         shuffled = shuffled_users(scaled, permutations, rng)
     else:
         shuffled = scaled * rng.choice([-1.0, 1.0], (permutations, len(groups), 1))
-    trace = float(pillai(scaled, groups, between=between).trace)
+    found = pillai(scaled, groups, between=between)
+    trace = float(found.trace)
     p = shuffled_p(trace, pillai(shuffled, groups, between=between).trace)
     permuted = HypothesisTest("permutation of Pillai's trace", question, "V", trace, (), p)
     assumptions = [mardia(residuals)]
     if len(counts) > 1:
         assumptions.append(_equal_covariances(scaled, groups))
-    return replace(first, assumptions=tuple(assumptions), alternatives=(permuted, *others))
+    return HypothesisTest(
+        f"MANOVA, Pillai's trace {trace:.4g}",
+        question,
+        "F",
+        float(found.F),
+        found.degrees,
+        float(found.p),
+        assumptions=tuple(assumptions),
+        alternatives=(permuted,),
+    )
 
 
 def _equal_covariances(scores: Array, groups: Ints) -> Assumption:

@@ -1,0 +1,257 @@
+"""Report sections on the case studies: needle, reaming and drilling."""
+
+from dataclasses import replace
+from itertools import product
+from math import inf, isfinite
+
+import numpy as np
+from scipy.stats import binom
+
+from meshes.base.arrays import Array
+from tissue.evaluation.calibration.observers import Stimulus, draw_observers, share_right
+from tissue.evaluation.statistics.trials import TrialTable
+from tissue.evaluation.study.discrimination import (
+    PEOPLE,
+    case_table,
+    right_percent,
+    sides,
+    specimens,
+)
+from tissue.evaluation.study.folder import StudyFolder
+from tissue.evaluation.study.section import (
+    CASES,
+    COLOURS,
+    Section,
+    against,
+    drawing,
+    image,
+    methods_of,
+    spread,
+)
+from tissue.haptics.loop.filters import ForceRange
+from tissue.materials.constants import constants
+from tissue.scene.registry import GROUPS
+
+__all__ = ["case_sections", "median_interval", "needle_section", "travel_by_people"]
+
+TEETH = ("carious", "sound")
+"""Specimens of the drilling task. Their errors differ by more than the errors of methods."""
+TORQUE_STEP_NM = CASES["torque_step_Nm"].mean
+PAPERS = {"penalty": CASES["overshoot_penalty_mm"], "koopman": CASES["overshoot_koopman_mm"]}
+"""Published travel by method, a mean with its standard deviation."""
+
+
+def case_sections(folder: StudyFolder, seed: int) -> list[Section]:
+    """Return the case studies that the folder holds."""
+    makers = {"needle": needle_section, "reaming": _reaming, "drilling": _drilling}
+    tables = {task: case_table(folder, task) for task in makers}
+    return [makers[task](table, seed) for task, table in tables.items() if table is not None]
+
+
+def _reaming(table: TrialTable, seed: int) -> Section:
+    """Report tracking error in newtons at the reamer, distance from its path, and torque steps."""
+    force = CASES["reaming_rms_N"]
+    position = CASES["reaming_position_mm"]
+    rows = []
+    for method in methods_of(table):
+        part = table.where(method=method)
+        rms = part.values("tracking_rms_N")
+        off = part.values("position_error_mm")
+        rows.append(
+            {
+                "method": method,
+                "tracking RMS N": spread(rms, 3),
+                "paper N": f"< {force}",
+                "force against paper": "agrees" if rms.max() < force.mean else "exceeds it",
+                "position error mm": spread(off, 3),
+                "paper mm": f"< {position}",
+                "position against paper": "agrees" if off.max() < position.mean else "exceeds it",
+                "trials": str(len(part)),
+            }
+        )
+    level, scatter = (
+        float(table.values(name).mean()) for name in ("torque_Nm", "torque_scatter_Nm")
+    )
+    torque = constants("perception", "torque")
+    # of force at the device
+    scale = float(np.median(table.values("force_rms_N") / table.values("tracking_rms_N")))
+    people = draw_observers("expert", PEOPLE, np.random.default_rng(seed))
+    kappa = torque["kappa"].value * people.kappa / np.median(people.kappa)
+    holders = replace(people, kappa=kappa, offset_N=np.full(PEOPLE, torque["offset_Nm"].value))
+    shares = []
+    for where, factor in (
+        ("at the tool", 1.0),
+        (f"scaled into the device's range by {scale:.2g}", scale),
+    ):
+        pair = [
+            Stimulus(factor * each, factor * scatter) for each in (level, level + TORQUE_STEP_NM)
+        ]
+        share = share_right(holders, *pair, seed=seed, limits=ForceRange(limit_N=1e3)).mean()
+        shares.append(f"{100.0 * share:.0f} % {where}")
+    sentences = (
+        f"RMS of the force's tracking error over {rows[0]['trials']} trials, in newtons at the "
+        f"reamer, of forces up to {float(table.values('peak_force_N').max()) / scale:.1f} N; the "
+        f"paper prints less than {force} N. The force changes slowly, so that this depends little "
+        "on latency. Bone guides the reamer: its distance from the path depends little on hands.",
+        f"A step of {TORQUE_STEP_NM} N m on {level:.3f} ± {scatter:.3f} N m is discriminated in "
+        f"{', '.join(shares)} of the answers, 75 % being the threshold; the paper states that it "
+        "is felt.",
+    )
+    return Section("case-reaming", "Case: reaming of a glenoid", sentences, rows)
+
+
+def _drilling(table: TrialTable, seed: int) -> Section:
+    """Report discrimination of carious and sound teeth, and latency at 400,000 rpm."""
+    paper = CASES["drilling_latency_ms"]
+    rows = []
+    late = []
+    for method in methods_of(table):
+        part = table.where(method=method)
+        lag = part.values("latency_ms")
+        if round(float(lag.mean()), 2) >= paper.mean:
+            late.append(method)
+        for number, tooth in enumerate(TEETH):
+            chosen = part.values("specimen") == number
+            if chosen.any():
+                rows.append(
+                    {
+                        "method": method,
+                        "tooth": tooth,
+                        "latency ms": spread(lag[chosen]),
+                        "paper ms": f"< {paper}",
+                        "force error %": spread(100.0 * part.values("force_error")[chosen]),
+                        "trials": str(chosen.sum()),
+                    }
+                )
+    pair = specimens(table.where(method=methods_of(table)[0]))
+    text = "there are too few trials to discriminate carious from sound"
+    if pair is not None:
+        shares = right_percent(pair, seed).values()
+        text = (
+            f"carious ({pair.less.stimulus.level_N:.3f} N at the skin) and sound "
+            f"({pair.more.stimulus.level_N:.3f} N) are discriminated in {min(shares):.0f} to "
+            f"{max(shares):.0f} % of answers; the paper prints {CASES['caries_right_percent']} %"
+        )
+    below = f"not below {paper} ms under {', '.join(late)}" if late else f"below {paper} ms"
+    sentences = (
+        f"At 400,000 rpm {text}. The latency is {below}: spin adds none, as the force is the mean "
+        "over a revolution.",
+    )
+    return Section("case-drilling", "Case: drilling of caries", sentences, rows)
+
+
+def travel_by_people(needle: TrialTable, method: str) -> Array:
+    """Return the median of each person's travel after the puncture [mm], shape (people,).
+
+    It is infinite if the person did not notice the puncture.
+    """
+    part = needle.where(method=method)
+    travel = np.where(part.values("noticed") > 0.0, part.values("excess_mm"), inf)
+    people = part.people()
+    with np.errstate(invalid="ignore"):  # between two that are infinite
+        medians = [_middle(np.sort(travel[people == each])) for each in np.unique(people)]
+    return np.array(medians)
+
+
+def median_interval(values: Array) -> tuple[float, float, float]:
+    """Return the median and its interval of at least 95 %, by ranks.
+
+    Values may be infinite. The interval reaches from the k-th smallest value to the k-th largest. k
+    is the largest number for which a binomial count of n at 0.5 lies below k with a probability of
+    at most 2.5 %. For fewer than six values no such interval exists, and the result is infinite.
+    """
+    ordered = np.sort(values)
+    rank = int(binom.ppf(0.025, len(ordered), 0.5))
+    if len(ordered) < 6:
+        return _middle(ordered), -inf, inf
+    return _middle(ordered), float(ordered[rank - 1]), float(ordered[len(ordered) - rank])
+
+
+def needle_section(table: TrialTable, seed: int) -> Section:
+    """Report travel by group and method, who notices the puncture, and capsule or parenchyma."""
+    rows = []
+    groups = (each for each in GROUPS if each in table.group)
+    for method, group in product(methods_of(table), groups):
+        part = table.where(method=method, group=group)
+        noticed = part.values("noticed") > 0.0
+        travel = part.values("excess_mm")
+        row = {
+            "group": group,
+            "method": method,
+            "noticed": f"{noticed.sum()} of {len(noticed)}",
+            "median": _travel_text(_middle(np.sort(np.where(noticed, travel, inf)))),
+        }
+        if noticed.any():
+            row["mean of noticed mm"] = spread(travel[noticed])
+            row |= against(travel[noticed], PAPERS.get(method), "mm")
+        rows.append(row)
+    pair = sides(table.where(method=methods_of(table)[0]))
+    sentences = ["There are too few trials to discriminate capsule from parenchyma."]
+    if pair is not None:
+        wrong = {group: 100.0 - share for group, share in right_percent(pair, seed).items()}
+        text = ", ".join(f"{group} {value:.1f} %" for group, value in wrong.items())
+        sentences = [
+            f"Capsule ({pair.more.stimulus.level_N:.2f} N at the skin in the tenth of a second "
+            f"before its puncture) and parenchyma ({pair.less.stimulus.level_N:.2f} N after) are "
+            f"confused by {text}; the paper prints less than 10 %."
+        ]
+    shared = table.shared()
+    headline = (
+        "There is no trial in which the capsule broke before the hand stopped under every method."
+    )
+    picture = b""
+    if len(shared):
+        text, picture = _travels(shared)
+        count = len(shared.where(method=methods_of(shared)[0]))
+        headline = (
+            f"Of {count} trials in which the capsule broke before the hand stopped under every "
+            f"method, {text}."
+        )
+    sentences.append(headline)
+    sentences.append(
+        "A puncture that nobody notices counts as the longest travel, so that the median is of "
+        "all; the mean is of those who noticed. The hand pushes with a rising force and stops a "
+        "reaction after it has felt the force fall. What the springs of grip and coupling give "
+        "back at the puncture is part of this travel, whatever the reaction."
+    )
+    return Section("case-needle", "Case: needle", sentences, rows, picture, headline)
+
+
+def _travel_text(travel_mm: float) -> str:
+    return f"{travel_mm:.2f} mm" if isfinite(travel_mm) else "not noticed"
+
+
+def _travels(shared: TrialTable) -> tuple[str, bytes]:
+    """Return median travel over people and share of noticed punctures by method.
+
+    The result is given as text and as a picture.
+    """
+    found = []
+    methods = methods_of(shared)
+    figure, (axes,) = drawing(9.0, 0.4 * len(methods) + 1.4)
+    for line, method in enumerate(methods):
+        middle, low, high = median_interval(travel_by_people(shared, method))
+        noticed = 100.0 * float(shared.where(method=method).values("noticed").mean())
+        bounds = f" [{_travel_text(low)}, {_travel_text(high)}]" if low > -inf else ""
+        found.append(
+            f"{method} lets {noticed:.0f} % notice, travel {_travel_text(middle)}{bounds} in the "
+            "median over people"
+        )
+        axes.plot([low, high], [line, line], color=COLOURS[method], lw=3)
+        axes.plot(middle, line, "o", color=COLOURS[method], mec="black")
+        if paper := PAPERS.get(method):
+            axes.errorbar(paper.mean, line + 0.25, xerr=paper.spread, fmt="x", color="black")
+    axes.set_yticks(range(len(methods)), methods)
+    axes.invert_yaxis()
+    axes.set_xlim(left=0.0)
+    axes.set_xlabel(
+        "travel after the puncture / mm, median over people with its 95 % interval (× paper ± sd)"
+    )
+    return "; ".join(found), image(figure)
+
+
+def _middle(ordered: Array) -> float:
+    """Return the median of sorted values, some of which may be infinite."""
+    low = ordered[(len(ordered) - 1) // 2]
+    high = ordered[len(ordered) // 2]
+    return float(low if low == high else 0.5 * (low + high))
