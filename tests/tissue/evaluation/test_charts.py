@@ -22,8 +22,13 @@ from tissue.evaluation.charts.frontier import (
 )
 from tissue.evaluation.charts.law import LawError
 from tissue.evaluation.charts.measure import Measured, excerpt, measure, reference_gap, short_of
-from tissue.evaluation.charts.pictures import draw_frontiers
-from tissue.evaluation.charts.scenes import chart_lines, chart_scenes, charted, make_ready
+from tissue.evaluation.charts.scenes import (
+    chart_lines,
+    chart_scenes,
+    charted,
+    draw_frontiers,
+    make_ready,
+)
 from tissue.evaluation.charts.settings import (
     Setting,
     by_hand,

@@ -12,8 +12,12 @@ from outside_tissue import CHANGES, Jelly, jelly
 
 from tissue import InputError, Scene, load_scene, register, scene_names, simulate
 from tissue.cutters.profile import Line, Profile, cylinder
-from tissue.evaluation.charts.pictures import draw_tasks
-from tissue.evaluation.charts.prediction import Interval, PredictorComparison, comparison_lines
+from tissue.evaluation.charts.prediction import (
+    Interval,
+    PredictorComparison,
+    comparison_lines,
+    draw_tasks,
+)
 from tissue.evaluation.charts.settings import sources
 from tissue.evaluation.stability_report import scene_stability
 from tissue.evaluation.training import HORIZONS

@@ -11,8 +11,12 @@ import pytest
 from tissue import InputError, Scene, load_scene, simulate
 from tissue.cli.calibrate import calibrate
 from tissue.cli.study import run
-from tissue.evaluation.charts.pictures import draw_tasks
-from tissue.evaluation.charts.prediction import Interval, PredictorComparison, comparison_lines
+from tissue.evaluation.charts.prediction import (
+    Interval,
+    PredictorComparison,
+    comparison_lines,
+    draw_tasks,
+)
 from tissue.evaluation.training import HORIZONS
 from tissue.materials.constants import listed
 from tissue.scene.named_parts import Registry

@@ -15,7 +15,7 @@ from pydantic import Field
 from tissue import InputError, Scene, load_scene, simulate
 from tissue.cutters.profile import cylinder
 from tissue.evaluation.charts.frontier import frontier_of
-from tissue.evaluation.charts.pictures import draw_frontiers
+from tissue.evaluation.charts.scenes import draw_frontiers
 from tissue.models.needle.parameters import needle_tissue
 from tissue.models.organ.probe import SphereProbe
 from tissue.motion.motion import Motion

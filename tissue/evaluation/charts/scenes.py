@@ -9,13 +9,13 @@ from concurrent.futures import BrokenExecutor, Executor
 from functools import partial
 from math import isnan
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
 from tissue.evaluation.charts.frontier import Frontier, frontier_of, unmeasured, write_measured
 from tissue.evaluation.charts.measure import grid_force_N, of_model, reference_words, short_of
-from tissue.evaluation.charts.pictures import draw_frontiers, draw_overview
 from tissue.evaluation.charts.settings import (
     by_hand,
     finest,
@@ -30,12 +30,16 @@ from tissue.scene.load import changed, load_scene, scene_names
 from tissue.scene.organ import SoftAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
+from tissue.show.figures.figure import figure, plain_numbers, save
 from tissue.simulation.reference_force import ideal_scene
 from tissue.simulation.simulate import TICK_S, simulate
 from tissue.system.owned_folder import owned_folder
 from tissue.system.workers import first_done
 
-__all__ = ["chart_lines", "chart_scenes", "charted", "make_ready", "notes_before"]
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["chart_lines", "chart_scenes", "charted", "draw_frontiers", "make_ready", "notes_before"]
 
 READY_SHARE = 0.3
 """Share of a chart's time that the preparation takes."""
@@ -126,8 +130,7 @@ def chart_lines(found: Sequence[Sequence[Frontier]]) -> list[str]:
     lines = []
     for each in (frontier for both in found for frontier in both):
         scene = each.scene
-        how = "by script" if scene.device is None else f"by hand on {scene.held.kind}"
-        lines.append(f"{scene.name} {how}, held to {reference_words(scene, each.gap)}")
+        lines.append(f"{scene.name} {_how(scene)}, held to {reference_words(scene, each.gap)}")
         if not isnan(each.rounding):
             lines.append(
                 "  float32: a path moved by a last place, 1 nm, changes the force by "
@@ -147,6 +150,11 @@ def chart_lines(found: Sequence[Sequence[Frontier]]) -> list[str]:
                 f"{point.p99_us:6.0f} µs"
             )
     return lines
+
+
+def _how(scene: Scene) -> str:
+    """Return how the tool of a scene is moved."""
+    return "by script" if scene.device is None else f"by hand on {scene.held.kind}"
 
 
 def make_ready(kinds: Sequence[Scene], pool: Executor, *, quick: bool, report: Progress) -> None:
@@ -222,3 +230,118 @@ def _done(
         for future in first_done(pool, names, report):
             future.result()
             yield names.pop(future), 1.0 - len(names) / count
+
+
+ORANGE = "#D55E00"
+FAMILIES = {
+    "voxels": ("#0072B2", "o", "voxels"),
+    "shell": ("#56B4E9", "s", "elements of the cutter"),
+    "stress": ("#CC79A7", "D", "with stress"),
+    "elements": ("#009E73", "p", "elements"),
+    "path": ("#E69F00", "H", "compliance"),
+    "cores": ("0.45", "h", "one core"),
+    "loop": (ORANGE, "o", "renderer, predictor, model rate"),
+    "model": ("0.2", "o", "the model"),
+}
+"""Colour, mark and label of each family of settings, after Okabe and Ito (2008) where possible."""
+LEAST = 1e-4
+"""Error that is drawn for zero [%], on logarithmic axes."""
+BY = {"script": ("#0072B2", "by script: model"), "hand": ("#B34700", "by hand: loop")}
+"""Looks in the overview. The second colour is dark enough for text."""
+COLUMNS = 4
+
+
+def draw_frontiers(found: Sequence[Frontier], path: Path) -> None:
+    """Draw a panel for each frontier: median tick with its 99th percentile against force error.
+
+    The uncertainty of the reference is shaded. Lines across are errors that no setting reduces: of
+    the linear law, dashed, and of float32, dotted.
+    """
+    chart = figure(7.0 * len(found), 4.6)
+    chart.set_layout_engine("constrained")
+    panels = chart.subplots(1, len(found), squeeze=False)[0]
+    for axes, each in zip(panels, found, strict=True):
+        _draw_frontier(axes, each)
+    save(chart, path)
+
+
+def draw_overview(found: Sequence[Sequence[Frontier]], path: Path) -> None:
+    """Draw a small panel for each scene with its Pareto-optimal settings by script and by hand."""
+    columns = min(COLUMNS, len(found))
+    rows = -(-len(found) // columns)
+    chart = figure(4.0 * columns, 2.6 * rows + 0.4)
+    chart.set_layout_engine("constrained")
+    panels = chart.subplots(rows, columns, squeeze=False).ravel()
+    for axes in panels[len(found) :]:
+        axes.set_axis_off()
+    for axes, both in zip(panels, found, strict=False):
+        for each in both:
+            colour, label = BY["script" if each.scene.device is None else "hand"]
+            _draw_best(axes, each, colour, label)
+        axes.axvline(1e3, color="0.2", linestyle="--", label="1 ms, the haptic tick")
+        _log_axes(axes, title=both[0].scene.name, xlabel="tick / µs", ylabel="force error / %")
+    lines = {str(line.get_label()): line for axes in panels for line in axes.lines}
+    named = {label: line for label, line in lines.items() if not label.startswith("_")}
+    chart.legend(
+        named.values(), named.keys(), loc="outside upper center", ncols=len(named), frameon=False
+    )
+    save(chart, path)
+
+
+def _draw_best(axes: "Axes", found: Frontier, colour: str, label: str) -> None:
+    """Draw the Pareto-optimal settings of a frontier with their names."""
+    ticks = [point.median_us for point in found.best]
+    errors = [_percent(point.force_error) for point in found.best]
+    axes.step(ticks, errors, "-o", where="post", color=colour, label=label)
+    for point, error in zip(found.best, errors, strict=True):
+        place = (point.median_us, error)
+        axes.annotate(
+            point.setting, place, (4, 4), textcoords="offset points", fontsize=7, color=colour
+        )
+
+
+def _draw_frontier(axes: "Axes", found: Frontier) -> None:
+    """Draw all settings of a scene."""
+    for point in found.points:
+        colour, mark, label = FAMILIES[point.family]
+        error = _percent(point.force_error)
+        over = _percent(point.error_50_ms)
+        axes.plot([point.median_us, point.p99_us], [error] * 2, color=colour, lw=0.8, alpha=0.5)
+        axes.plot([point.median_us] * 2, [error, over], color=colour, lw=0.8, alpha=0.5)
+        axes.plot(point.median_us, error, mark, color=colour, label=label)
+        axes.plot(point.median_us, over, mark, color=colour, ms=4.0, mfc="white")
+    _draw_best(axes, found, "0.15", "frontier")
+    for row in found.bounds:
+        error = _percent(row.force_error)
+        rounding = row.family == "rounding"
+        label = f"float32 rounding, {error:.1g} %"
+        if not rounding:
+            label = f"linear law: {error:.2g} % off neo-Hookean"
+        axes.axhline(error, color="#882255", linestyle=":" if rounding else "--", label=label)
+    axes.axvline(1e3, color=ORANGE, linestyle="--", label="1 ms")
+    errors = [_percent(point.force_error) for point in found.points]
+    low = 0.5 * min(*errors, *(_percent(point.error_50_ms) for point in found.points))
+    gap = "uncertainty of the reference"
+    axes.axhspan(low, max(100.0 * found.gap, low), color="0.9", zorder=0, label=gap)
+    _log_axes(
+        axes,
+        title=f"{found.scene.name}, {_how(found.scene)}",
+        xlabel="tick in contact / µs: median, line to its 99th percentile",
+        ylabel="force error / %, open: over 50 ms",
+    )
+    axes.set_ylim(low, 2.2 * max([*errors, 0.1]))
+    handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
+    axes.legend(handles.values(), handles.keys(), loc="upper left", bbox_to_anchor=(1.0, 1.0))
+
+
+def _percent(error: float) -> float:
+    """Return an error in per cent, large enough for a logarithmic axis."""
+    return max(100.0 * error, LEAST)
+
+
+def _log_axes(axes: "Axes", **settings: str) -> None:
+    """Use logarithmic axes with plain numbers."""
+    axes.set(xscale="log", yscale="log", **settings)
+    for axis in (axes.xaxis, axes.yaxis):
+        plain_numbers(axis)
+    axes.grid(alpha=0.3, which="both")

@@ -292,7 +292,7 @@ def _power(table: TrialTable, rng: np.random.Generator) -> Content:
     if loose:
         remarks.append(
             f"More false alarms than {100.0 * LOOSE:.0f} % for {', '.join(loose)}: where the "
-            "spread differs between groups or between pairs of methods, the usual F finds too much, "
+            "spread differs between groups or between pairs of methods, F finds too much, "
             "and the tests that rest on less, in the last column of Tests, are the ones to trust."
         )
     return remarks, rows
