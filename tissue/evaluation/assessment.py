@@ -4,7 +4,7 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Protocol, TypedDict
+from typing import Any
 
 import numpy as np
 
@@ -55,34 +55,15 @@ The value is a convention, not a standard.
 """
 
 
-class AssessedRun(Protocol):
-    """Run, saved or not. `path` is None without a folder."""
+@dataclass(frozen=True)
+class AssessedRun:
+    """What an assessment reads of a run. `path` is None without a folder."""
 
-    @property
-    def path(self) -> Path | None: ...
-    @property
-    def summary(self) -> Summary: ...
-    @property
-    def trace(self) -> Table | None: ...
-    @property
-    def complete(self) -> bool: ...
-    @property
-    def scene(self) -> Scene | None: ...
-
-
-class Figures(TypedDict):
-    scene: object
-    time_in_contact_s: dict[str, float]
-    deviation_mm: dict[str, float]
-    peak_force_N: dict[str, float]
-    force_error: float
-    overshoot_mm: float
-    acceleration_change_m_s2: dict[str, float]
-    spectral_arc_length: dict[str, float]
-    complete: dict[str, bool]
-
-
-"""Figures of an assessment by name, with the unit in the name."""
+    path: Path | None
+    summary: Summary
+    trace: Table | None
+    complete: bool
+    scene: Scene | None
 
 
 @dataclass(frozen=True)
@@ -168,7 +149,7 @@ class Assessment:
         Differences between the two runs that limit the meaning of the figures, a sentence each.
     """
 
-    figures: Figures
+    figures: dict[str, Any]
     breaches: tuple[Breach, ...]
     events: tuple[tuple[float, str], ...]
     time_s: Array
@@ -245,7 +226,7 @@ def assess(
         Quantity("depth", "mm", depth, deepest + overshoot_limit_mm, plan[rows]),
     )
     worst = int(apart.argmax())
-    figures: Figures = {
+    figures = {
         "scene": scenes[0],
         "time_in_contact_s": _both(_contact_s, mine, theirs),
         "deviation_mm": {
@@ -256,7 +237,7 @@ def assess(
         "peak_force_N": {"trainee": float(size.max()), "reference": float(ideal_size.max())},
         "force_error": force_error(force, ideal[rows]),
         "overshoot_mm": overshoot_mm(depth, target_mm=deepest),
-        "acceleration_change_m_s2": _both(_acceleration_change_m_s2, mine, theirs),
+        "acceleration_change_m_s2": _both(_roughness_m_s2, mine, theirs),
         "spectral_arc_length": _both(_arc_length, mine, theirs),
         "complete": {"trainee": trainee.complete, "reference": reference.complete},
     }
@@ -269,8 +250,11 @@ def assess(
     breaches = sorted(
         (each for one in quantities for each in one.breaches(time)), key=lambda each: each.start_s
     )
-    notes = (*scene_notes(trainee.scene, reference.scene), *_unfinished(trainee, reference))
-    return Assessment(figures, tuple(breaches), tuple(events), time, *quantities, notes)
+    notes = list(scene_notes(trainee.scene, reference.scene))
+    for who, run in (("trainee", trainee), ("reference", reference)):
+        if note := path_note(run.summary):
+            notes.append(f"the path of the {who} is {note}")
+    return Assessment(figures, tuple(breaches), tuple(events), time, *quantities, tuple(notes))
 
 
 def assessment_lines(found: Assessment) -> list[str]:
@@ -397,16 +381,6 @@ def _draw(found: Assessment, path: Path) -> None:
     save(chart, path)
 
 
-def _unfinished(trainee: AssessedRun, reference: AssessedRun) -> list[str]:
-    """Return sentences on runs that end before their paths do."""
-    runs = {"trainee": trainee, "reference": reference}
-    return [
-        f"the path of the {who} is {note}"
-        for who, run in runs.items()
-        if (note := path_note(run.summary))
-    ]
-
-
 def _trace(run: AssessedRun, name: str) -> Table:
     """Return the trace of a run, long enough to compare."""
     if run.trace is None or len(run.trace.rows) < 10:
@@ -422,7 +396,7 @@ def _both(of: Callable[[Table], float], mine: Table, theirs: Table) -> dict[str,
     return {"trainee": of(mine), "reference": of(theirs)}
 
 
-def _acceleration_change_m_s2(trace: Table) -> float:
+def _roughness_m_s2(trace: Table) -> float:
     return acceleration_change_m_s2(trace.vectors("velocity", "mm_s"), tick_s=TICK_S)
 
 

@@ -12,7 +12,6 @@ from tissue.evaluation.charts import frontier as module
 from tissue.evaluation.charts.frontier import (
     SAFETY,
     Frontier,
-    _in_words,
     choose,
     frontier_of,
     measured_of,
@@ -21,10 +20,9 @@ from tissue.evaluation.charts.frontier import (
     write_measured,
 )
 from tissue.evaluation.charts.law import LawError
-from tissue.evaluation.charts.measure import Measured, excerpt, measure, reference_gap, short_of
+from tissue.evaluation.charts.measure import Measured, measure, reference_gap, short_of
 from tissue.evaluation.charts.scenes import (
     chart_lines,
-    chart_scenes,
     charted,
     draw_frontiers,
     make_ready,
@@ -244,17 +242,6 @@ def test_an_interrupted_chart_goes_on_and_a_finished_one_is_not_measured_again(b
     assert run.parts.notes["fidelity"] and run.scene.fidelity is None
 
 
-@pytest.mark.slow
-def test_an_excerpt_ends_a_while_after_the_first_contact(block):
-    short = excerpt(block, {"voxels.spacing_mm": 0.4}, quick=True)
-    run = tissue.simulate(short)
-    touching = np.flatnonzero(run.trace["contact_mm2"] > 0.0)
-    assert (
-        0 < touching[0] < 100 and len(run.trace.rows) == touching[0] + 1200
-    ) or short.duration_s < 1.2
-    assert len(short.motion.points_mm) <= len(block.motion.points_mm)
-
-
 @pytest.mark.parametrize("name", scene_names())
 def test_a_scene_that_cuts_is_charted_by_script_alone(name):
     scene = load_scene(name)
@@ -264,19 +251,6 @@ def test_a_scene_that_cuts_is_charted_by_script_alone(name):
     assert [
         each.device and each.device.kind for each in charted(changed(scene, {"device": "touch"}))
     ] == ([None] if cuts else ["touch"])
-
-
-def test_a_loop_is_described_in_plain_words():
-    scene = by_hand(load_scene("milling"))
-    settings = settings_of(scene, quick=True)
-    message = {
-        each.name: _in_words(changed(scene, each.changes), each, settings) for each in settings
-    }
-    assert "koopman predictor" in message["koopman"] and "1000 Hz" in message["koopman"]
-    held = message["100 Hz, hold"]
-    assert (
-        "last force held" in held and "rather than proxy; kalman; koopman; 100 Hz, koopman" in held
-    )
 
 
 def test_places_keep_a_peg_in_its_hole_and_leave_hands_alone(block):
@@ -338,10 +312,3 @@ def test_what_is_made_ready_is_found(block, tmp_path, monkeypatch):
         found.force_error > found.error_50_ms > 0.0
         and set(tmp_path.glob("reference-force-*")) == made
     )
-
-
-def test_a_chart_is_not_overwritten(tmp_path):
-    (tmp_path / "wall.csv").write_text("mine", "utf-8")
-    with pytest.raises(InputError, match=r"wall\.csv"):
-        chart_scenes(["wall"], tmp_path, quick=True)
-    assert (tmp_path / "wall.csv").read_text("utf-8") == "mine"

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from meshes.base.errors import InputError
 from tissue.evaluation.reference.history import FORMAL_ORDER, SAFETY, grid_index
 
 SPACINGS = (0.1, 0.06, 0.033)
@@ -57,25 +56,6 @@ def test_errors_that_fall_but_share_no_shape_are_bounded_too(order, seed):
         assert size(force - exact) / size(forces[2]) < found.over_ticks.index[k]
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_noise_that_does_not_converge_is_no_asymptotic_range(seed):
-    """As large on every grid: order about 0, the larger safety factor, and still a bound."""
-    exact, rng = truth(), np.random.default_rng(seed)
-    forces = [exact + 0.05 * rng.normal(size=exact.shape) for _ in SPACINGS]
-    found = grid_index(forces, SPACINGS)
-    for each in (found.over_ticks, found.over_50_ms):
-        assert not each.asymptotic and abs(each.order) < 0.5
-    for k, force in enumerate(forces):
-        assert size(force - exact) / size(exact) < found.over_ticks.index[k]
-
-
-def test_differences_that_grow_have_a_negative_order():
-    exact, shape = truth(), error_shape()
-    found = grid_index([exact + shape * scale for scale in (0.0, 0.01, 0.1)], SPACINGS)
-    assert not found.over_ticks.asymptotic and found.over_ticks.order < 0.0
-    assert found.over_ticks.index[2] > 0.1 * size(shape) / size(exact)
-
-
 def test_an_order_that_is_too_good_is_not_used():
     """An order that is too good is not used.
 
@@ -112,19 +92,3 @@ def test_an_error_that_all_grids_share_is_not_seen():
     exact, shape = truth(), error_shape()
     found = grid_index([1.1 * exact + shape * h**2 for h in SPACINGS], SPACINGS)
     assert found.over_ticks.index[2] < 0.01
-
-
-def test_the_bias_is_signed_along_the_force():
-    exact = truth()
-    found = grid_index([0.97 * exact, 1.01 * exact, exact], SPACINGS)
-    assert found.bias == pytest.approx((-0.03, 0.01, 0.0), abs=1e-12)
-
-
-def test_two_grids_or_one_spacing_are_refused():
-    exact = truth(100)
-    with pytest.raises(InputError, match="forces_N must hold three forces"):
-        grid_index([exact, exact], SPACINGS[:2])
-    with pytest.raises(InputError, match="forces_N must hold three forces"):
-        grid_index([exact, exact, exact[:50]], SPACINGS)
-    with pytest.raises(InputError, match="spacings must be positive and differ"):
-        grid_index([exact] * 3, (0.1, 0.1, 0.05))

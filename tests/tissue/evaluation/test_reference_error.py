@@ -57,16 +57,6 @@ def test_a_perfect_force_scores_nothing_and_a_scaled_one_its_scale():
     assert scaled.reference_uncertainty == 1e-4
 
 
-def test_noise_counts_over_ticks_and_hardly_over_50_ms():
-    force = np.tile([3.0, 0.0, 4.0], (50 * 200, 1))
-    noise = np.random.default_rng(1).normal(0.0, 0.5, force.shape)
-    error = error_of_force(force + noise, ReferenceForce(np.hstack([force, force]), 0.0, 1))
-    wanted = 0.5 * np.sqrt(3.0) / 5.0
-    assert error.over_ticks == pytest.approx(wanted, rel=0.02)
-    assert error.over_50_ms == pytest.approx(wanted / np.sqrt(50.0), rel=0.1)
-    assert abs(error.bias) < 4.0 * 0.5 / 5.0 / np.sqrt(len(force))
-
-
 def test_what_is_interpolated_meets_what_would_be_evaluated(run, reference):
     cutter, solid = cutter_of(run.scene.tool), solid_of_scene(run.scene)
     path = path_of_trace(run.trace, cutter)

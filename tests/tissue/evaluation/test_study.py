@@ -231,31 +231,6 @@ def test_folders_of_another_kind_are_refused(tmp_path, pool):
         StudyFolder(tmp_path / "none").plan()
 
 
-def test_no_trial_yet_is_refused(tmp_path):
-    folder = StudyFolder(tmp_path)
-    folder.begin(SMALL)
-    with pytest.raises(InputError, match="study must hold trials of T2, got none"):
-        folder.table("T2")
-
-
-@pytest.mark.parametrize("workers", [0, -1, 5000])
-def test_a_number_of_workers_out_of_range_is_refused(tmp_path, workers):
-    with pytest.raises(InputError, match=r"workers must be .*\[1, 4096\]"):
-        run_study(SMALL, tmp_path / "study", workers=workers)
-
-
-@pytest.mark.parametrize("address", ["node:8786", "ssh://node", "tcp://", "dask://"])
-def test_a_scheduler_has_an_address(tmp_path, address):
-    with pytest.raises(
-        InputError,
-        match=(
-            "scheduler must be the address that Dask prints, tcp://HOST:PORT or tls://HOST:PORT, "
-            "got "
-        ),
-    ):
-        run_study(SMALL, tmp_path / "study", scheduler=address)
-
-
 @pytest.mark.slow
 def test_a_trial_alone_is_the_trial_of_its_study_and_fails_alone(monkeypatch):
     """One method on the quickest task, twice bit for bit; then one whose method cannot be run."""

@@ -102,14 +102,6 @@ def test_the_same_forces_change_nothing_and_a_planted_gain_is_found():
     assert changes_of(people, pair, wider)[1] == pytest.approx(np.full(3, 20.0), abs=1e-6)
 
 
-def test_a_gain_helps_less_where_the_scatter_grows_with_it():
-    rng = np.random.default_rng(1)
-    people = draw_observers("novice", 100, rng)
-    still, loose = (pair_of(0.3, 0.36, scatter, rng) for scatter in (0.0, 0.1))
-    gains = [changes_of(people, pair, doubled(pair))[1, 0] for pair in (still, loose)]
-    assert 0.0 < gains[1] < 0.5 * gains[0]
-
-
 def test_who_goes_by_force_is_wrong_where_the_stiffer_one_is_felt_as_weaker():
     """A person who judges by force is wrong where the stiffer specimen is felt as weaker.
 
@@ -180,36 +172,6 @@ def test_people_who_met_one_specimen_each_compare_nothing():
     assert specimens(trials(1)) is None and sides(trials(1)) is None
 
 
-def test_people_who_met_one_specimen_alone_are_left_out():
-    table = trials(9)
-    alone = TrialTable.from_rows(
-        [
-            {
-                "task": "T1",
-                "group": "expert",
-                "user": "00",
-                "trial": at,
-                "seed": 0,
-                "method": "koopman",
-                "specimen": 1.0,
-                "skin_N": 9.0,
-                "capsule_N": 9.0,
-                "parenchyma_N": 9.0,
-            }
-            for at in range(3)
-        ]
-        + [
-            {
-                name: getattr(table, name)[at]
-                for name in ("task", "group", "user", "trial", "seed", "method")
-            }
-            | {name: values[at] for name, values in table.metrics.items()}
-            for at in range(len(table))
-        ]
-    )
-    assert specimens(alone).more.stimulus == specimens(table).more.stimulus
-
-
 @pytest.mark.slow
 def test_null_changes_are_called_at_their_nominal_rate():
     """Null changes are called at their nominal rate.
@@ -256,22 +218,6 @@ def test_a_person_of_another_exponent_is_wrong_by_the_spread_of_the_force_and_ri
     mapped = np.repeat(size ** (beta / other.beta), 100)[:, None] * [0.0, 0.0, 1.0]
     assert intensity_ratios(mapped, held, held, other)["ratio_error"] == pytest.approx(
         0.0, abs=1e-12
-    )
-
-
-def test_errors_of_ratios_stand_between_a_perfect_force_and_one_that_never_changes():
-    ideal, beta = forces(), reference_observer().beta
-    other, silent = person(beta + 0.3), np.full_like(ideal, 0.2)
-    size = np.log([part.mean() for part in np.array_split(ideal[:, 2], 30)])
-    found = intensity_ratios(silent, ideal, ideal, other)
-    assert (
-        found["ratio_error"]
-        == pytest.approx(found["ratio_silent"])
-        == pytest.approx(beta * size.std())
-    )
-    assert found["ratio_unscaled"] == pytest.approx(0.3 * size.std())
-    assert intensity_ratios(ideal, ideal, ideal, other)["ratio_error"] == pytest.approx(
-        found["ratio_unscaled"]
     )
 
 

@@ -10,11 +10,9 @@ from tissue import load_scene, simulate
 from tissue.evaluation.statistics.metrics import force_error
 from tissue.evaluation.training import Recorder, trial, validated, with_fallback
 from tissue.prediction.edmd.lifted import Operator
-from tissue.prediction.trained import VALIDATED_AT, Trained, shipped_file
+from tissue.prediction.trained import Trained, shipped_file
 from tissue.scene.registry import PREDICTORS
 from tissue.simulation.builders.force_met import chosen_scale
-from tissue.simulation.builders.loop import lead_ticks
-from tissue.simulation.builders.loop_settings import loop_settings
 from tissue.simulation.builders.prediction import FALLBACKS
 from tissue.simulation.reference_force import ideal_force_N, motor_forces
 
@@ -40,13 +38,6 @@ def test_a_shipped_predictor_is_sound(scene):
     assert trained.fallback in FALLBACKS and not trained.operator.offset.any()
 
 
-def test_fallbacks_are_compared_at_the_lead_of_four_milliseconds():
-    for name in SCENES:
-        assert (
-            round(lead_ticks(loop_settings(trial(load_scene(name), 0, delay_ms=4)))) == VALIDATED_AT
-        )
-
-
 def test_trials_differ_in_hand_seed_and_latency():
     scene = load_scene("molar", {"prediction": "none"})
     scenes = [trial(scene, index) for index in range(9)]
@@ -56,14 +47,6 @@ def test_trials_differ_in_hand_seed_and_latency():
     assert trial(scene, 3, share=0.7).held.coupling.force_scale == pytest.approx(
         0.7 * chosen_scale(scene)[0]
     )
-
-
-@pytest.mark.parametrize("name", ["milling", "glenoid", "palpation"])
-def test_a_trial_has_the_scale_of_forces_that_its_scene_has_on_a_device(name):
-    scene = load_scene(name)
-    played = chosen_scale(load_scene(name, {"device": "touch"}))[0]
-    assert played != chosen_scale(scene)[0] == 1.0
-    assert trial(scene, 0, share=0.7).held.coupling.force_scale == pytest.approx(0.7 * played)
 
 
 def motor_error(prediction, **changes):
