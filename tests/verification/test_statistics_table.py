@@ -265,26 +265,17 @@ def test_a_whole_analysis_runs_without_a_warning_and_repeats():
 
 LONE = {"groups": ("novice",), "users": 1}
 REFUSED = {
-    "no rows": (lambda: TrialTable.from_rows([]), "rows must hold at least one trial, got none"),
-    "no seed": (
-        lambda: TrialTable.from_rows([{"task": "wall"}]),
-        "rows must each hold .* got one without group",
-    ),
     "twice": (
         lambda: TrialTable.from_rows(rows_of()[:1] * 2),
-        "trial must be given once a method, got task milling, group expert",
+        "trial must be given once, got task milling, group expert",
     ),
     "nan": (
         lambda: TrialTable.from_rows([row | {"latency_ms": np.nan} for row in rows_of()]),
-        "latency_ms must be finite in a trial that did not fail, got nan in task milling",
+        "latency_ms must be finite, got nan in task milling",
     ),
     "no such metric": (
         lambda: table_of().cells("error"),
         "metric must be one of force_error, latency_ms",
-    ),
-    "no such group": (
-        lambda: table_of().where(group="intermediate"),
-        "group 'intermediate' must have trials, got none: choose among expert, novice",
     ),
     "one user": (
         lambda: table_of(users=1).cells("latency_ms"),
@@ -347,16 +338,6 @@ REFUSED = {
             rng=np.random.default_rng(1),
         ),
         "columns must not be multiples of one another",
-    ),
-    "direction": (
-        lambda: composite_index(
-            table_of(), {"latency_ms": 0, "force_error": -1}, rng=np.random.default_rng(1)
-        ),
-        "direction of latency_ms must be 1 or -1",
-    ),
-    "index of one": (
-        lambda: composite_index(table_of(), {"latency_ms": -1}, rng=np.random.default_rng(1)),
-        "directions must name at least two metrics",
     ),
     "index of one user": (
         lambda: composite_index(table_of(**LONE), DIRECTIONS, rng=np.random.default_rng(1)),

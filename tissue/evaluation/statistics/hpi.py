@@ -226,13 +226,6 @@ def composite_index(
     count
         Number of resampled populations.
     """
-    if len(directions) < 2:
-        raise InputError(
-            "directions", "name at least two metrics", len(directions), "an index combines several"
-        )
-    for name, sign in directions.items():
-        if sign not in (-1, 1):
-            raise InputError(f"direction of {name}", "be 1 or -1", sign, "1 where higher is better")
     names = tuple(directions)
     kept = table.failure == ""
     raw = np.column_stack([sign * table.values(name) for name, sign in directions.items()])[kept]

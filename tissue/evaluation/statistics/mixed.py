@@ -307,13 +307,6 @@ def trial_regression(table: TrialTable, response: str, predictors: Sequence[str]
     Users are random effects.
     """
     kept = table.complete()
-    if not len(kept):
-        raise InputError(
-            "table",
-            "hold trials that did not fail",
-            f"{len(table)} failures",
-            "fix the study first",
-        )
     columns = {name: kept.values(name) for name in predictors}
     return regression(kept.values(response), columns, kept.people(), response=response)
 

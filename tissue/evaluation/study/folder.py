@@ -4,13 +4,14 @@ import gc
 import json
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Executor, Future
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import cache
+from itertools import islice
 from pathlib import Path
-from time import perf_counter, sleep
+from time import sleep
 
 from pydantic import TypeAdapter
 
@@ -388,20 +389,33 @@ def _run_trials(
     plan: Plan, folder: StudyFolder, count: int, scheduler: str | None, report: Progress
 ) -> None:
     """Run the trials that the folder does not hold yet, and replace workers that are lost."""
-    work = _Work(plan, folder, report)
+    keys = list(plan.all_trials())
+    waiting = dict.fromkeys(key for key in keys if not folder.has(key))
+    losses: Counter[TrialKey] = Counter()
     barren = 0
     connected = False
-    while work.waiting:
-        before = work.done
-        suspects = [key for key in work.waiting if work.losses[key] >= LOSSES]
+
+    def keep(trial: Trial) -> None:
+        """Write a trial that is still missing. A second copy is equal and ignored."""
+        folder.write(trial)
+        waiting.pop(trial.key, None)
+
+    def report_share(doing: str) -> None:
+        report(doing, 1.0 - len(waiting) / len(keys))
+
+    while waiting:
+        before = len(waiting)
+        suspects = [key for key in waiting if losses[key] >= LOSSES]
+        running: dict[Future[Trial], TrialKey] = {}
         try:
             with executor(1 if suspects else count, scheduler, patience_s=PATIENCE_S) as pool:
                 connected = True
-                work.drain(
-                    pool,
-                    suspects[:1] or list(work.waiting),
-                    1 if suspects else TRIALS_PER_WORKER * count,
-                )
+                most = 1 if suspects else TRIALS_PER_WORKER * count
+                wanted = suspects[:1] or list(waiting)
+                for trials in _results(pool, plan, wanted, running, most, report_share):
+                    for trial in trials:
+                        keep(trial)
+                    report_share(f"trial {len(keys) - len(waiting)} of {len(keys)}")
         except LOST as error:
             if not connected:
                 raise InputError(
@@ -410,25 +424,59 @@ def _run_trials(
                     f"{scheduler} ({error})",
                     "start it with `dask scheduler`",
                 ) from error
-            barren = barren + 1 if work.done == before else 1
+            barren = barren + 1 if len(waiting) == before else 1
             if barren > BARREN:
                 raise InputError(
                     "workers",
                     "stay alive",
-                    f"{barren} losses with {len(work.waiting)} trials left",
+                    f"{barren} losses with {len(waiting)} trials left",
                     "look for what kills them, memory for one, and run the study again to go on",
                 ) from error
-            report(
-                f"workers were lost ({type(error).__name__}), {len(work.waiting)} trials go on",
-                work.share,
-            )
-            if suspects and work.running:
-                work.give_up(
-                    suspects[0], "RuntimeError: the worker was lost each time this trial ran on it"
-                )
+            report_share(f"workers were lost ({type(error).__name__}), {len(waiting)} trials go on")
+            if suspects and running:
+                failure = "RuntimeError: the worker was lost each time this trial ran on it"
+                keep(_failed(plan, suspects[0], failure))
             else:
-                work.losses.update(work.running.values())
+                losses.update(running.values())
             sleep(min(2.0, 0.1 * barren))
+
+
+def _results(
+    pool: Executor,
+    plan: Plan,
+    keys: Iterable[TrialKey],
+    running: dict[Future[Trial], TrialKey],
+    most: int,
+    report: Callable[[str], None],
+) -> Iterator[list[Trial]]:
+    """Submit trials, a few ahead, and yield the results that are there at a time.
+
+    The trials under way are held in ``running``.
+    """
+    fresh = iter(keys)
+    while True:
+        for key in islice(fresh, most - len(running)):
+            running[pool.submit(_in_worker, plan, key)] = key
+        if not running:
+            return
+        done = []
+        for future in first_done(pool, running, lambda doing, _: report(doing)):
+            error = future.exception()
+            if isinstance(error, LOST):
+                raise error
+            key = running.pop(future)
+            # whatever a worker met, such as a trial that ends it each time
+            if isinstance(error, Exception):
+                done.append(_failed(plan, key, error_sentence(error)))
+            else:
+                done.append(future.result())
+        yield done
+
+
+def _failed(plan: Plan, key: TrialKey, failure: str) -> Trial:
+    """Return a trial that failed under every method."""
+    rows: list[Row] = [{"method": method, "failure": failure} for method in plan.methods]
+    return Trial(key, trial_seed(plan, key), tuple(rows), 0.0)
 
 
 def _in_worker(plan: Plan, key: TrialKey) -> Trial:
@@ -446,68 +494,3 @@ def _keep_what_stays() -> None:
     """
     gc.collect()
     gc.freeze()
-
-
-class _Work:
-    """Trials of a plan that are left."""
-
-    def __init__(self, plan: Plan, folder: StudyFolder, report: Progress) -> None:
-        self.plan = plan
-        self.folder = folder
-        self._report = report
-        keys = list(plan.all_trials())
-        self.total = len(keys)
-        self.waiting = dict.fromkeys(key for key in keys if not folder.has(key))
-        self.running: dict[Future[Trial], TrialKey] = {}
-        self.losses: Counter[TrialKey] = Counter()
-        self.done = 0
-        self._began = perf_counter()
-        self._at_first = len(self.waiting)
-
-    @property
-    def share(self) -> float:
-        """Share that is done."""
-        return 1.0 - len(self.waiting) / self.total
-
-    def drain(self, pool: Executor, keys: Iterable[TrialKey], most: int) -> None:
-        """Submit trials, a few ahead, and store the results."""
-        self.running = {}
-        fresh = iter(keys)
-        while True:
-            while len(self.running) < most and (key := next(fresh, None)) is not None:
-                self.running[pool.submit(_in_worker, self.plan, key)] = key
-            if not self.running:
-                return
-            for future in first_done(
-                pool, self.running, lambda doing, _: self._report(doing, self.share)
-            ):
-                error = future.exception()
-                if isinstance(error, LOST):
-                    raise error
-                key = self.running.pop(future)
-                # whatever a worker met, such as a trial that ends it each time
-                if isinstance(error, Exception):
-                    self.give_up(key, error_sentence(error))
-                else:
-                    self._keep(future.result())
-                    self.done += 1
-            self._report(
-                f"trial {self.total - len(self.waiting)} of {self.total}, {self._left()}",
-                self.share,
-            )
-
-    def give_up(self, key: TrialKey, failure: str) -> None:
-        """Keep a trial as failed."""
-        rows: list[Row] = [{"method": method, "failure": failure} for method in self.plan.methods]
-        self._keep(Trial(key, trial_seed(self.plan, key), tuple(rows), 0.0))
-
-    def _keep(self, trial: Trial) -> None:
-        """Write a trial that is still missing. A second copy is equal and ignored."""
-        self.folder.write(trial)
-        self.waiting.pop(trial.key, None)
-
-    def _left(self) -> str:
-        """Return the remaining time, estimated from this session's time for each trial."""
-        done = self._at_first - len(self.waiting)
-        seconds = (perf_counter() - self._began) / max(1, done) * len(self.waiting)
-        return f"{seconds:.0f} s left" if seconds < 100.0 else f"{seconds / 60.0:.0f} min left"
