@@ -342,17 +342,16 @@ def _draw(found: Assessment, path: Path) -> None:
     ):
         for breach in (breach for breach in found.breaches if breach.what == each.what):
             end = max(breach.end_s, breach.start_s + least)
-            axes.axvspan(breach.start_s, end, color=SHADE, alpha=0.35, lw=0)
+            axes.axvspan(breach.start_s, end, color=SHADE, alpha=0.35)
         if each.reference is not None:
             axes.plot(
                 time,
                 each.reference,
                 color=REFERENCE,
-                linewidth=1.4,
                 label="reference at that place",
             )
         axes.plot(time, each.values, color=TRAINEE, label="trainee")
-        axes.axhline(each.limit, color=LIMIT, linestyle="--", linewidth=1.4, label="limit")
+        axes.axhline(each.limit, color=LIMIT, linestyle="--", label="limit")
         axes.set_ylabel(label)
         axes.grid(alpha=0.3)
         high = max(each.limit, float(each.values.max()))

@@ -203,7 +203,7 @@ def _posterior(session: Session, axes: "Axes") -> None:
     prior = session.plan.prior
     masses = prior.parameters()[3].reshape(prior.cells, -1).sum(axis=1)
     edges = 100.0 * prior.weber_edges
-    axes.stairs(masses, edges, color=GREY, lw=1.5, label="prior")
+    axes.stairs(masses, edges, color=GREY, label="prior")
     axes.stairs(
         session.threshold.weber_masses()[:, 0],
         edges,
@@ -213,7 +213,7 @@ def _posterior(session: Session, axes: "Axes") -> None:
         label="posterior",
     )
     for quantile in session.threshold.weber_quantiles(np.array([0.025, 0.975]))[:, 0]:
-        axes.axvline(100.0 * quantile, color=BLUE, ls="--", lw=1.2)
+        axes.axvline(100.0 * quantile, color=BLUE, ls="--")
     axes.set_xscale("log")
     ticks = [tick for tick in (2.0, 5.0, 10.0, 20.0, 50.0) if edges[0] <= tick <= edges[-1]]
     _ticks(axes, ticks)
@@ -253,7 +253,7 @@ def _answers(session: Session, axes: "Axes") -> None:
     share = with_lapse(2.0 * correct_of_d_prime(D_PRIME_75 * at) - 1.0, lapse)
     axes.semilogx(at, 100.0 * share, color=BLUE)
     _ticks(axes, [0.1, 0.3, 1, 3, 10])
-    axes.axhline(75.0, color=GREY, lw=1.0, ls=":")
+    axes.axhline(75.0, color=GREY, ls=":")
     axes.set(
         xlabel="step / threshold",
         ylabel="right answers / %",

@@ -76,24 +76,19 @@ def _people(someone: Observer, path: Path) -> None:
     forces = np.geomspace(0.1, 10.0, 200)
     for name, entry in constants("perception", "exponent").items():
         if name != "muscle_force":
-            left.plot(forces, forces**entry.value, color=GREY, linewidth=0.8, linestyle=":")
+            left.plot(forces, forces**entry.value, color=GREY, linestyle=":")
             left.text(
                 10.3,
                 10.0**entry.value,
                 name.replace("_", " "),
                 color="0.3",
-                fontsize=9.5,
                 va="center",
             )
     drawn = population().draws(4000, np.random.default_rng(0))
     percent = 100.0 * drawn["kappa"] * (1.0 + drawn["offset_N"] / forces[:, None])
     low, high = np.quantile(percent, [0.1, 0.9], axis=1)
-    right.fill_between(
-        forces, low, high, color=POPULATION, alpha=0.18, linewidth=0, label="eight in ten people"
-    )
-    right.plot(
-        [2.5, 10.0], [7.0, 7.0], color="#009E73", linewidth=5, alpha=0.6, label="Pang et al. 1991"
-    )
+    right.fill_between(forces, low, high, color=POPULATION, alpha=0.18, label="eight in ten people")
+    right.plot([2.5, 10.0], [7.0, 7.0], color="#009E73", alpha=0.6, label="Pang et al. 1991")
     right.fill_between(
         [0.1, 0.5],
         10.0,
@@ -115,7 +110,6 @@ def _people(someone: Observer, path: Path) -> None:
             mean + spread,
             color=colour,
             alpha=0.18,
-            linewidth=0,
         )
         left.plot(forces, mean, color=colour, label=f"{label}: mean, ± 1 standard deviation")
         right.plot(
@@ -169,15 +163,14 @@ def _command(someone: Observer, path: Path) -> None:
             forces,
             plain,
             color=colour,
-            linewidth=1.0,
             linestyle="-.",
             label=f"{who.name}, physical force",
         )
     left.plot(forces, forces, "--", color=WANTED, label="physical force")
-    left.axhline(limit_N, color="0.3", linewidth=0.9)
-    left.text(0.055, 1.05 * limit_N, f"limit of {DEVICE}", fontsize=9.5)
+    left.axhline(limit_N, color="0.3")
+    left.text(0.055, 1.05 * limit_N, f"limit of {DEVICE}")
     for axes in (left, right):
-        axes.axvline(knee_N, color=GREY, linewidth=0.9, linestyle="--")
+        axes.axvline(knee_N, color=GREY, linestyle="--")
         axes.set(xscale="log", yscale="log", xlabel="force at the device / N", xlim=(0.05, 10.0))
     left.set(
         ylabel="force played / N",
@@ -213,22 +206,19 @@ def _deadband(someone: Observer, path: Path) -> None:
         shown + threshold,
         color=POPULATION,
         alpha=0.18,
-        linewidth=0,
         step="post",
         label="not perceived as a change",
     )
-    upper.plot(time, size, color=WANTED, linewidth=1.0, label="wanted")
-    upper.step(time, shown, color=POPULATION, linewidth=1.6, where="post", label="played")
-    upper.plot(time[changed], shown[changed], "o", color=PERSON, markersize=3.5, label="changes")
+    upper.plot(time, size, color=WANTED, label="wanted")
+    upper.step(time, shown, color=POPULATION, where="post", label="played")
+    upper.plot(time[changed], shown[changed], "o", color=PERSON, label="changes")
     upper.set(ylabel="force / N", ylim=(0.0, None))
     upper.set_title(
         f"{SCENE} by a novice, {someone.name}: {saved:.1f} % of the samples in contact are "
         "not needed"
     )
-    lower.plot(
-        time, np.linalg.norm(wanted - played, axis=1) / threshold, color=POPULATION, linewidth=1.0
-    )
-    lower.axhline(1.0, color="0.3", linestyle="--", linewidth=1.0)
+    lower.plot(time, np.linalg.norm(wanted - played, axis=1) / threshold, color=POPULATION)
+    lower.axhline(1.0, color="0.3", linestyle="--")
     inside = time[contact]
     lower.set(
         xlabel="time / s",

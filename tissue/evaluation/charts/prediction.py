@@ -328,30 +328,30 @@ def draw_scene(found: PredictorComparison, path: Path) -> None:
         colour = PREDICTORS[kind].colour
         mark = PREDICTORS[kind].marker
         mean, low, high = 100 * np.array([found.at(kind, each) for each in HORIZONS]).T
-        over_horizon.plot(HORIZONS, mean, "-" + mark, color=colour, label=kind, markersize=4)
+        over_horizon.plot(HORIZONS, mean, "-" + mark, color=colour, label=kind)
         over_horizon.fill_between(HORIZONS, low, high, color=colour, alpha=0.15)
         error = 100 * found.at(kind, DELAY_MS).mean
         median, p99 = found.cost_us[kind]
         over_cost.plot([median, p99], [error, error], color=colour, alpha=0.5)
-        over_cost.plot(median, error, mark, color=colour, markersize=6)
+        over_cost.plot(median, error, mark, color=colour)
         _whiskers(slow, found.slow[kind][1], found.slow[kind][0], color=colour, fmt=mark)
     over_horizon.set(xlabel="horizon / ms", ylabel="force error / %", yscale="log")
     plain_numbers(over_horizon.yaxis)
-    over_cost.axvline(LIMIT_US, color="#D55E00", linestyle="--", linewidth=1.0)
+    over_cost.axvline(LIMIT_US, color="#D55E00", linestyle="--")
     over_cost.set(xlabel="cost a tick / µs, median to 99 %", ylabel="force error 4 ms ahead / %")
-    slow.plot(found.slow["1 kHz"][1], 0.0, "*", color="0.1", markersize=11, clip_on=False)
+    slow.plot(found.slow["1 kHz"][1], 0.0, "*", color="0.1")
     slow.set(xlabel="model and prediction / µs a tick", ylabel="force error now / %")
-    slow.set_title("model at 100 Hz; star: at 1 kHz", fontsize=9)
+    slow.set_title("model at 100 Hz; star: at 1 kHz")
     for axes in (over_cost, slow):
         axes.set(xscale="log", ylim=(0, None))
         plain_numbers(axes.xaxis)
     turn = np.linspace(0.0, 2.0 * np.pi, 200)
     values = found.eigenvalues
-    spectrum.plot(np.cos(turn), np.sin(turn), color="0.6", linewidth=0.8)
-    spectrum.plot(values.real, values.imag, "o", markersize=3, alpha=0.7)
+    spectrum.plot(np.cos(turn), np.sin(turn), color="0.6")
+    spectrum.plot(values.real, values.imag, "o", alpha=0.7)
     spectrum.set(xlabel="real", ylabel="imaginary", aspect="equal")
     largest = np.abs(values).max()
-    spectrum.set_title(f"{len(values)} eigenvalues, largest {largest:.5f}", fontsize=9)
+    spectrum.set_title(f"{len(values)} eigenvalues, largest {largest:.5f}")
     for size, at in found.sizes.items():
         _whiskers(over_size, size, at, color=PREDICTORS["koopman"].colour, fmt="o")
     over_size.set(xlabel="training runs", ylabel="error 4 ms ahead / %", ylim=(0, None))
@@ -362,7 +362,6 @@ def draw_scene(found: PredictorComparison, path: Path) -> None:
     chart.suptitle(
         f"{found.scene}: {len(found.errors['hold'])} runs with other seeds, in tissue 30 % softer "
         "and stiffer; bars and bands are 95 %",
-        fontsize=11,
     )
     save(chart, path)
 
@@ -370,7 +369,7 @@ def draw_scene(found: PredictorComparison, path: Path) -> None:
 def _whiskers(axes: "Axes", x: float, at: Interval, *, color: str, fmt: str) -> None:
     """Draw a mean with its interval, in per cent."""
     mean, low, high = 100 * np.array(at)
-    axes.errorbar(x, mean, [[mean - low], [high - mean]], fmt=fmt, color=color, ms=6, capsize=3)
+    axes.errorbar(x, mean, [[mean - low], [high - mean]], fmt=fmt, color=color)
 
 
 def draw_tasks(found: Sequence[PredictorComparison], path: Path) -> None:
@@ -384,19 +383,19 @@ def draw_tasks(found: Sequence[PredictorComparison], path: Path) -> None:
         mean, low, high = 100 * np.array([each.at(kind, DELAY_MS) for each in found]).T
         along = places + index * width
         axes.bar(along, mean, width, color=PREDICTORS[kind].colour, label=kind)
-        axes.vlines(along, low, high, color="0.1", linewidth=1.0)
+        axes.vlines(along, low, high, color="0.1")
     names = []
     for place, each in zip(places, found, strict=True):
         task, *printed = PAPER.get(each.scene, ("", np.nan, np.nan))
         for index, (value, fill) in enumerate(zip(printed, ("none", "0.1"), strict=True)):
             along = place + (len(PREDICTORS) + index) * width
-            axes.plot(along, value, "*", color="0.1", markerfacecolor=fill, markersize=9)
+            axes.plot(along, value, "*", color="0.1", markerfacecolor=fill)
         names.append(f"{task} {each.scene}".strip())
     label = "force error 4 ms ahead / %"
-    axes.set_title("open and full stars: paper, raw and adjusted", fontsize=9)
+    axes.set_title("open and full stars: paper, raw and adjusted")
     axes.set(xticks=range(len(found)), xticklabels=names, ylabel=label, yscale="log")
     plain_numbers(axes.yaxis)
     axes.grid(axis="y", which="both", alpha=0.3)
     axes.set_axisbelow(True)
-    chart.legend(loc="outside upper center", ncols=5, frameon=False, fontsize=8.5)
+    chart.legend(loc="outside upper center", ncols=5, frameon=False)
     save(chart, path)

@@ -1,48 +1,30 @@
-"""Charts of scenes: frontiers by script and by hand, as pictures and tables.
+"""Charts of scenes: frontiers by script and by hand, as pictures and tables."""
 
-Before anything is timed, other processes compute references and condensed meshes. Their results go
-to the cache on disk, where measurements find them.
-"""
-
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, Executor
-from functools import partial
+from collections.abc import Sequence
 from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
-from tissue.evaluation.charts.frontier import Frontier, frontier_of, unmeasured, write_measured
-from tissue.evaluation.charts.measure import grid_force_N, of_model, reference_words, short_of
+from tissue.evaluation.charts.frontier import Frontier, frontier_of, write_measured
+from tissue.evaluation.charts.measure import of_model, reference_words
 from tissue.evaluation.charts.settings import (
     by_hand,
-    finest,
-    grids,
     machine,
-    placed,
-    settings_of,
     untrained,
 )
-from tissue.evaluation.reference.history import has_exact_geometry, reference_force
-from tissue.scene.load import changed, load_scene, scene_names
+from tissue.scene.load import load_scene, scene_names
 from tissue.scene.organ import SoftAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.show.figures.figure import figure, plain_numbers, save
-from tissue.simulation.reference_force import ideal_scene
-from tissue.simulation.simulate import TICK_S, simulate
 from tissue.system.owned_folder import owned_folder
-from tissue.system.workers import first_done
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["chart_lines", "chart_scenes", "charted", "draw_frontiers", "make_ready", "notes_before"]
-
-READY_SHARE = 0.3
-"""Share of a chart's time that the preparation takes."""
+__all__ = ["chart_lines", "chart_scenes", "charted", "draw_frontiers", "notes_before"]
 
 
 def chart_scenes(
@@ -51,7 +33,6 @@ def chart_scenes(
     *,
     quick: bool,
     overwrite: bool = False,
-    pool: Executor | None = None,
     report: Progress = silent,
 ) -> list[list[Frontier]]:
     """Chart some scenes, or all scenes if no names are given.
@@ -59,8 +40,7 @@ def chart_scenes(
     Each scene writes NAME.png and NAME.csv. All scenes together write frontier.png.
 
     Settings that were measured on this machine before are not measured again. An interrupted chart
-    therefore continues. The processes of ``pool`` prepare references and meshes, and are idle
-    during all timings.
+    therefore continues.
 
     Raises
     ------
@@ -72,19 +52,12 @@ def chart_scenes(
     with owned_folder(
         out, "chart", files, overwrite=overwrite, shared=("frontier.png", "machine.txt")
     ):
-        begin = 0.0
-        if pool is not None:
-            begin = READY_SHARE
-            kinds = [kind for scene in scenes for kind in charted(scene)]
-            make_ready(
-                kinds, pool, quick=quick, report=lambda doing, share: report(doing, begin * share)
-            )
         found = []
         drawn = []
         for index, scene in enumerate(scenes):
 
             def report_share(doing: str, share: float, index: int = index) -> None:
-                report(doing, begin + (1.0 - begin) * (index + share) / len(scenes))
+                report(doing, (index + share) / len(scenes))
 
             frontiers = [
                 frontier_of(kind, quick=quick, report=report_share) for kind in charted(scene)
@@ -157,81 +130,6 @@ def _how(scene: Scene) -> str:
     return "by script" if scene.device is None else f"by hand on {scene.held.kind}"
 
 
-def make_ready(kinds: Sequence[Scene], pool: Executor, *, quick: bool, report: Progress) -> None:
-    """Compute the inputs of settings not yet measured on this machine, in other processes."""
-    waiting = [kind for kind in kinds if unmeasured(kind, quick=quick)]
-    try:
-        for name, done in _done(
-            pool, [(kind.name, partial(short_of, kind, quick)) for kind in waiting], report
-        ):
-            report(f"{name}: first contact", 0.2 * done)
-        work = [(kind.name, call) for kind in waiting for call in _preparations(kind, quick=quick)]
-        for name, done in _done(pool, work, report):
-            report(f"{name}: references and meshes", 0.2 + 0.8 * done)
-    except BrokenExecutor:
-        report(
-            (
-                "the processes that make charts ready were lost: what is missing is made where "
-                "it is measured"
-            ),
-            1.0,
-        )
-
-
-def _preparations(scene: Scene, *, quick: bool) -> list[Callable[[], None]]:
-    """Return calls whose results the measurements of a scene will find in the cache."""
-    short = short_of(scene, quick)
-    model = short_of(of_model(scene), quick)
-    by_script = scene.device is None
-    references: list[Scene] = []
-    if by_script and has_exact_geometry(model):
-        coarse = settings_of(model, quick=quick)[0].changes
-        references = [changed(place, coarse) for place in placed(model)]
-    elif by_script:
-        three = grids(model, quick=quick)
-        references = [changed(model, each) for each in three]
-        references += [changed(place, each) for place in placed(model)[1:] for each in three[2:]]
-    meshes: list[Scene] = []
-    if isinstance(scene.anatomy, SoftAnatomy) and by_script:
-        wanted = unmeasured(scene, quick=quick)
-        meshes = [changed(place, setting.changes) for setting in wanted for place in placed(short)]
-    elif isinstance(scene.anatomy, SoftAnatomy):
-        meshes = [short, ideal_scene(short, finest(scene, quick=quick))]
-    calls = [partial(_reference, each) for each in references]
-    return [*calls, *(partial(_mesh, each) for each in meshes)]
-
-
-def _reference(scene: Scene) -> None:
-    """Compute a reference. A refused scene is refused again, and reported, where it is measured."""
-    try:
-        if has_exact_geometry(scene):
-            reference_force(scene, simulate(scene, allow_unstable=True).trace)
-        else:
-            grid_force_N(scene, {})
-    except InputError:
-        return
-
-
-def _mesh(scene: Scene) -> None:
-    """Condense a mesh by a run of one tick."""
-    try:
-        simulate(changed(scene, {"duration_s": TICK_S}), allow_unstable=True)
-    except InputError:
-        return
-
-
-def _done(
-    pool: Executor, work: Sequence[tuple[str, Callable[[], object]]], report: Progress
-) -> Iterator[tuple[str, float]]:
-    """Submit named calls; yield the name of each finished one and the finished share."""
-    names = {pool.submit(call): name for name, call in work}
-    count = len(names)
-    while names:
-        for future in first_done(pool, names, report):
-            future.result()
-            yield names.pop(future), 1.0 - len(names) / count
-
-
 ORANGE = "#D55E00"
 FAMILIES = {
     "voxels": ("#0072B2", "o", "voxels"),
@@ -295,9 +193,7 @@ def _draw_best(axes: "Axes", found: Frontier, colour: str, label: str) -> None:
     axes.step(ticks, errors, "-o", where="post", color=colour, label=label)
     for point, error in zip(found.best, errors, strict=True):
         place = (point.median_us, error)
-        axes.annotate(
-            point.setting, place, (4, 4), textcoords="offset points", fontsize=7, color=colour
-        )
+        axes.annotate(point.setting, place, (4, 4), textcoords="offset points", color=colour)
 
 
 def _draw_frontier(axes: "Axes", found: Frontier) -> None:
@@ -306,10 +202,10 @@ def _draw_frontier(axes: "Axes", found: Frontier) -> None:
         colour, mark, label = FAMILIES[point.family]
         error = _percent(point.force_error)
         over = _percent(point.error_50_ms)
-        axes.plot([point.median_us, point.p99_us], [error] * 2, color=colour, lw=0.8, alpha=0.5)
-        axes.plot([point.median_us] * 2, [error, over], color=colour, lw=0.8, alpha=0.5)
+        axes.plot([point.median_us, point.p99_us], [error] * 2, color=colour, alpha=0.5)
+        axes.plot([point.median_us] * 2, [error, over], color=colour, alpha=0.5)
         axes.plot(point.median_us, error, mark, color=colour, label=label)
-        axes.plot(point.median_us, over, mark, color=colour, ms=4.0, mfc="white")
+        axes.plot(point.median_us, over, mark, color=colour, mfc="white")
     _draw_best(axes, found, "0.15", "frontier")
     for row in found.bounds:
         error = _percent(row.force_error)
@@ -322,7 +218,7 @@ def _draw_frontier(axes: "Axes", found: Frontier) -> None:
     errors = [_percent(point.force_error) for point in found.points]
     low = 0.5 * min(*errors, *(_percent(point.error_50_ms) for point in found.points))
     gap = "uncertainty of the reference"
-    axes.axhspan(low, max(100.0 * found.gap, low), color="0.9", zorder=0, label=gap)
+    axes.axhspan(low, max(100.0 * found.gap, low), color="0.9", label=gap)
     _log_axes(
         axes,
         title=f"{found.scene.name}, {_how(found.scene)}",

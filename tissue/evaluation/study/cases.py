@@ -237,7 +237,7 @@ def _travels(shared: TrialTable) -> tuple[str, bytes]:
             f"{method} lets {noticed:.0f} % notice, travel {_travel_text(middle)}{bounds} in the "
             "median over people"
         )
-        axes.plot([low, high], [line, line], color=COLOURS[method], lw=3)
+        axes.plot([low, high], [line, line], color=COLOURS[method])
         axes.plot(middle, line, "o", color=COLOURS[method], mec="black")
         if paper := PAPERS.get(method):
             axes.errorbar(paper.mean, line + 0.25, xerr=paper.spread, fmt="x", color="black")

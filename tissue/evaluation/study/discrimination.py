@@ -317,7 +317,7 @@ def _right_answers(rows: Sequence[Mapping[str, str]]) -> bytes:
     bars = {place: (float(np.mean(each)), min(each), max(each)) for place, each in shown.items()}
     figure, (axes,) = drawing(11.0, 4.4)
     grouped_bars(axes, ["\n".join(wrap(name, WIDEST)) for name in names], bars)
-    axes.axhline(50.0, color="black", lw=0.8, ls=":")
+    axes.axhline(50.0, color="black", ls=":")
     axes.set_ylim(40.0, 100.0)
     axes.set_ylabel("right answers / %; dotted: by guessing")
     legend(figure, axes)

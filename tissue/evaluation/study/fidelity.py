@@ -374,10 +374,10 @@ def _picture(found: Mapping[str, Array], tasks: Sequence[str], usual: Array) -> 
         places = np.arange(len(found)) + APART * (at - 0.5 * (len(tasks) - 1))
         ratios = [each[at] for each in found.values()]
         axes.plot(ratios, places, mark, color=colour, label=task)
-        axes.axvline(usual[at], color=colour, lw=1.0, ls=":")
-    axes.axvline(1.0, color="black", lw=0.8)
+        axes.axvline(usual[at], color=colour, ls=":")
+    axes.axvline(1.0, color="black")
     labels = [f"{VARIANTS[name].parameter}: {VARIANTS[name].value}" for name in found]
-    axes.set_yticks(range(len(found)), labels, fontsize=8)
+    axes.set_yticks(range(len(found)), labels)
     axes.invert_yaxis()
     axes.set_xlabel("force error, Koopman over penalty (dotted: as in the study)")
     legend(figure, axes)

@@ -275,10 +275,10 @@ def grouped_bars(
         mine = {index + shift: bar for (index, name), bar in bars.items() if name == method}
         values, lows, highs = np.array(list(mine.values())).T
         axes.bar(list(mine), values, 0.92 * width, color=COLOURS[method], label=method)
-        axes.vlines(list(mine), lows, highs, color="#333333", lw=1.2)
+        axes.vlines(list(mine), lows, highs, color="#333333")
     for (index, method), paper in (papers or {}).items():
         place = index + width * (methods.index(method) - middle)
-        axes.errorbar(place, paper.mean, paper.spread, fmt="D", color="black", ms=4, capsize=2)
+        axes.errorbar(place, paper.mean, paper.spread, fmt="D", color="black")
     axes.set_xticks(range(len(groups)), groups)
 
 
@@ -289,7 +289,6 @@ def legend(figure: Drawing, axes: Axes) -> None:
         loc="outside upper center",
         ncols=5,
         frameon=False,
-        fontsize=9,
     )
 
 

@@ -195,12 +195,12 @@ def _sizes_picture(sizes: Sequence[tuple[str, Effect]]) -> bytes:
     figure, (axes,) = drawing(9.0, 0.24 * len(sizes) + 1.0)
     for line, (_, size) in enumerate(sizes):
         colour = "#0072B2" if size.low * size.high > 0.0 else "#999999"
-        axes.plot([size.low, size.high], [line, line], color=colour, lw=1.5)
-        axes.plot(size.value, line, "o", color=colour, ms=4)
-    axes.axvline(0.0, color="black", lw=0.8)
+        axes.plot([size.low, size.high], [line, line], color=colour)
+        axes.plot(size.value, line, "o", color=colour)
+    axes.axvline(0.0, color="black")
     axes.set_xscale("symlog", linthresh=1.0)
     axes.xaxis.set_major_formatter("{x:g}")
-    axes.set_yticks(range(len(sizes)), [name for name, _ in sizes], fontsize=8)
+    axes.set_yticks(range(len(sizes)), [name for name, _ in sizes])
     axes.invert_yaxis()
     axes.set_xlabel("Cohen's d of the force error, 95 % interval (linear within ±1)")
     return image(figure)
