@@ -136,7 +136,7 @@ def test_a_log_that_is_no_text_is_refused_without_the_words_of_a_decoder(tmp_pat
         (lambda lines: change(lines, 0, plan={}), "log must begin with a plan"),
         (
             lambda lines: change(lines, 0, observer="other"),
-            "got observer other instead of somebody",
+            "got one of another observer or plan (other)",
         ),
         (lambda lines: ["time,force", "0,1"], "which is something else"),
     ],
