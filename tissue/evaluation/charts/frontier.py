@@ -25,6 +25,7 @@ from tissue.evaluation.charts.measure import (
 )
 from tissue.evaluation.charts.settings import (
     Setting,
+    force_only,
     machine,
     scene_text,
     setting_key,
@@ -284,42 +285,18 @@ def with_fidelity(scene: Scene, *, report: Progress = silent) -> tuple[Scene, st
     setting = next(each for each in found.settings if each.name == point.setting)
     at, law = with_law(changed(plain, setting.changes), wanted)
     rank = "the cheapest" if wanted.force_error is not None else "the most accurate"
+    names = "; ".join(each.name for each in found.settings)
     sentence = (
-        f"{_in_words(at, setting, found.settings)}: force {100.0 * point.force_error:.2g} % "
-        "over ticks, "
+        f"{setting.name}, of {names}: force {100.0 * point.force_error:.2g} % over ticks, "
         f"{100.0 * point.error_50_ms:.2g} % over 50 ms, from {reference_words(scene, found.gap)}; "
         f"tick {point.median_us:.0f} µs, 99 % {point.p99_us:.0f} µs, {rank} of "
-        f"{len(found.points)} settings that meets "
-        f"{_asked(wanted)}{law}"
+        f"{len(found.points)} settings that meets {_asked(wanted)}{law}"
     )
-    leaves_out = [f"{point.leaves_out}, which no force needs"] if point.leaves_out else []
-    late_ms = (
-        0 if at.device is None else at.device.coupling.delay_ms + at.device.coupling.model_ms - 1
-    )
-    if at.device is not None and at.device.prediction in ("none", "hold") and late_ms > 0:
-        leaves_out.append(f"prediction, so that the force comes up to {late_ms} ms late")
-    if leaves_out:
-        sentence += f"; leaves out {'; and '.join(leaves_out)}"
+    if force_only(plain):
+        sentence += "; leaves out displacement and stress, which no force needs"
     return at, sentence
 
 
 def _asked(wanted: Fidelity) -> str:
     """Return a demand as it was written."""
     return ", ".join(f"{name} = {value:g}" for name, value in wanted if value is not None)
-
-
-def _in_words(scene: Scene, setting: Setting, among: Sequence[Setting]) -> str:
-    """Describe a setting and the settings that it was chosen from."""
-    if scene.device is None:
-        return f"{setting.name}, of {'; '.join(each.name for each in among)}"
-    foresight = {"none": "no prediction", "hold": "the tissue's last force held"}
-    predictor = foresight.get(
-        scene.held.prediction, f"forces predicted by the {scene.held.prediction} predictor"
-    )
-    others = "; ".join(each.name for each in among if each is not setting)
-    rate_Hz = 1e3 / scene.held.coupling.model_ms
-    return (
-        f"renderer {scene.held.renderer}, {predictor}, tissue asked at {rate_Hz:g} Hz "
-        f"({setting.name!r}, rather than "
-        f"{others}), the tissue itself as the scene has it"
-    )

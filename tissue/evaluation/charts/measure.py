@@ -183,7 +183,7 @@ class Measured:
     ----------
     key
         Hash of everything that was run.
-    scene, setting, family, leaves_out
+    scene, setting, family
         Scene and setting. Rows of the families in `BOUNDS` are not settings.
     force_error
         ||F - F_ref|| / ||F_ref|| over the run, the worst of all places. F_ref of a law is neo-Hookean.
@@ -209,7 +209,6 @@ class Measured:
     scene: str
     setting: str
     family: str
-    leaves_out: str = ""
     force_error: float
     error_50_ms: float = nan
     median_us: float = nan
@@ -352,7 +351,6 @@ def measure(scene: Scene, setting: Setting, *, quick: bool) -> Measured:
         scene=scene.name,
         setting=setting.name,
         family=setting.family,
-        leaves_out=setting.leaves_out,
         force_error=max(error for error, _ in errors),
         error_50_ms=max(error for _, error in errors),
         median_us=float(np.median(ticks[counted])),

@@ -33,6 +33,7 @@ __all__ = [
     "by_hand",
     "edge_mm",
     "finest",
+    "force_only",
     "grids",
     "machine",
     "moved",
@@ -50,7 +51,6 @@ LATENCY_MS = 4
 """Latency of the compared loops where a scene has none. The mean that the paper reports is 4.3
 ms.
 """
-LOST = "displacement and stress"
 VOXEL_SHARES = {True: (1.0, 0.5**0.5, 0.5), False: (1.0, 3.0**-0.5, 1.0 / 3.0)}
 """Lengths of the three grids of a grid-convergence index over the scene's lengths, quick or not."""
 TET_SHARES = {True: (1.0, 0.8, 0.64), False: (1.0, 0.5**0.5, 0.5)}
@@ -80,8 +80,6 @@ class Setting:
         Varied quantity: voxels, shell, elements, path, stress, loop or cores.
     changes
         Values by dotted key; None removes an entry.
-    leaves_out
-        Results that the scene loses with the setting, in words. May be empty.
     cores
         Number of processor cores. None for all cores.
     compute
@@ -94,7 +92,6 @@ class Setting:
     name: str
     family: str
     changes: Changes = field(default_factory=dict)
-    leaves_out: str = ""
     cores: int | None = None
     compute: str = "cpu"
     finer: bool = False
@@ -126,8 +123,8 @@ def settings_of(scene: Scene, *, quick: bool) -> list[Setting]:
         return list(_voxels(scene, scene.tool, quick=quick))
     if isinstance(scene.anatomy, SoftAnatomy):
         return list(_elements(scene, quick=quick))
-    plain, lost = _force_only(scene)
-    return [Setting("force alone" if plain else "as it is", "model", plain, lost)]
+    plain = force_only(scene)
+    return [Setting("force alone" if plain else "as it is", "model", plain)]
 
 
 def finest(scene: Scene, *, quick: bool) -> Changes:
@@ -171,7 +168,7 @@ def refined(scene: Scene, share: float) -> dict[str, object]:
         }
         # Without it edges away from the tool would hardly shrink.
         lengths["anatomy.edge_growth"] = scene.anatomy.edge_growth
-    return _force_only(scene)[0] | {key: share * value for key, value in lengths.items()}
+    return force_only(scene) | {key: share * value for key, value in lengths.items()}
 
 
 def placed(scene: Scene) -> list[Scene]:
@@ -208,17 +205,13 @@ def edge_mm(scene: Scene) -> float:
     return scene.anatomy.touch_edge_mm or 0.25 * scene.tool.size_mm
 
 
-def _force_only(scene: Scene) -> tuple[dict[str, object], str]:
-    """Return the changes that leave out everything without influence on the force.
-
-    The lost results are returned in words.
-    """
-    changes: dict[str, object] = {"stress": None} if scene.stress is not None else {}
+def force_only(scene: Scene) -> dict[str, object]:
+    """Return the changes that leave out everything without influence on the force."""
     if isinstance(scene.anatomy, SoftAnatomy):
-        changes = {"organ.interval_ms": 0.0} if scene.organ.interval_ms else {}
-    elif isinstance(scene.anatomy, LayersAnatomy):
-        changes = {"anatomy.interval_ms": 0.0} if scene.anatomy.interval_ms else {}
-    return changes, LOST if changes else ""
+        return {"organ.interval_ms": 0.0} if scene.organ.interval_ms else {}
+    if isinstance(scene.anatomy, LayersAnatomy):
+        return {"anatomy.interval_ms": 0.0} if scene.anatomy.interval_ms else {}
+    return {} if scene.stress is None else {"stress": None}
 
 
 def _shell_mm(tool: Tool) -> float:
@@ -232,7 +225,7 @@ def _shell_mm(tool: Tool) -> float:
 
 def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
     """Yield settings of spacing, kind of removal, elements of the cutter, stress and cores."""
-    plain, lost = _force_only(scene)
+    plain = force_only(scene)
     base = scene.voxels.spacing_mm
     shell = _shell_mm(tool)
     for factor in (4.0, 3.0, 2.0, 1.0) if quick else (5.0, 4.0, 3.0, 2.0, 1.5, 1.0):
@@ -245,16 +238,16 @@ def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
         for removal in ("subvoxel",) if quick else ("subvoxel", "binary"):
             name = f"{spacing:g} mm" + (" binary" if removal == "binary" else "")
             grid = {"voxels.spacing_mm": spacing, "voxels.removal": removal}
-            yield Setting(name, "voxels", {**plain, **grid, **coarse}, lost)
+            yield Setting(name, "voxels", {**plain, **grid, **coarse})
     for factor in (2.0,) if quick else (4.0, 3.0, 2.0, 1.5):
         wide = {"tool.shell_spacing_mm": round(factor * shell, 4)}
-        yield Setting(f"{base:g} mm, shell {factor * shell:.2g} mm", "shell", plain | wide, lost)
+        yield Setting(f"{base:g} mm, shell {factor * shell:.2g} mm", "shell", plain | wide)
     for share in (0.7,) if quick else (0.8, 0.6):
         name = f"{share * base:.3g} mm, shell {share * shell:.2g} mm"
-        yield Setting(name, "voxels", refined(scene, share), lost, finer=True)
+        yield Setting(name, "voxels", refined(scene, share), finer=True)
     if quick:
         return
-    yield from _cores(f"{base:g} mm, one core", plain, lost)
+    yield from _cores(f"{base:g} mm, one core", plain)
     if scene.stress is not None:
         for cell in (14.0, 10.0, 8.0):
             edge = round(cell * base, 4)
@@ -263,7 +256,7 @@ def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
 
 def _elements(scene: Scene, *, quick: bool) -> Iterator[Setting]:
     """Yield settings of order and edge of tetrahedra, compliance method and cores."""
-    plain, lost = _force_only(scene)
+    plain = force_only(scene)
     base = edge_mm(scene)
     linear, quadratic = (
         ((1.0,), (2.0, 1.4, 1.0)) if quick else ((2.0, 1.4, 1.0, 0.8), (2.0, 1.7, 1.4, 1.2, 1.0))
@@ -271,51 +264,49 @@ def _elements(scene: Scene, *, quick: bool) -> Iterator[Setting]:
     for order, factor in (*product((1,), linear), *product((2,), quadratic)):
         edge = round(factor * base, 3)
         changes = plain | {"organ.order": order, "anatomy.touch_edge_mm": edge}
-        yield Setting(f"P{order} {edge:g} mm", "elements", changes, lost)
+        yield Setting(f"P{order} {edge:g} mm", "elements", changes)
     if quick:
         return
     fine = refined(scene, 0.8) | {"organ.order": 2}
-    yield Setting(f"P2 {0.8 * base:.3g} mm", "elements", fine, lost, finer=True)
+    yield Setting(f"P2 {0.8 * base:.3g} mm", "elements", fine, finer=True)
     if scene.organ.law == "linear":
         for size in (100, 300, 1000):
             yield Setting(
                 f"reduced {size}",
                 "path",
                 plain | {"organ.path": "reduced", "organ.basis_size": size},
-                lost,
             )
-        yield Setting("lazy", "path", plain | {"organ.path": "lazy"}, lost)
-    yield from _cores("one core", plain, lost)
+        yield Setting("lazy", "path", plain | {"organ.path": "lazy"})
+    yield from _cores("one core", plain)
 
 
-def _cores(name: str, plain: Changes, lost: str) -> Iterator[Setting]:
+def _cores(name: str, plain: Changes) -> Iterator[Setting]:
     """Yield the scene on one core, and on every accelerator of the machine."""
     import warp as wp
 
     import kernels  # noqa: F401  starts Warp without its greeting
 
-    yield Setting(name, "cores", plain, lost, cores=1)
+    yield Setting(name, "cores", plain, cores=1)
     for device in wp.get_cuda_devices():
-        yield Setting(str(device), "cores", plain, lost, compute=str(device))
+        yield Setting(str(device), "cores", plain, compute=str(device))
 
 
 def _loops(scene: Scene, *, quick: bool) -> Iterator[Setting]:
     """Yield settings of renderer, predictor and rate of the model."""
-    plain, lost = _force_only(scene)
+    plain = force_only(scene)
     missing = untrained(scene)
     for law in RENDERERS:
         if not quick or law == "proxy":
-            yield Setting(law, "loop", plain | {"renderer": law, "prediction": "none"}, lost)
+            yield Setting(law, "loop", plain | {"renderer": law, "prediction": "none"})
     for kind in PREDICTORS.names[1:]:
         if kind not in missing and (not quick or kind in ("kalman", "koopman")):
-            yield Setting(kind, "loop", plain | {"prediction": kind}, lost)
+            yield Setting(kind, "loop", plain | {"prediction": kind})
     for kind in PREDICTORS:
         if kind not in missing and (not quick or kind in ("hold", "koopman")):
             yield Setting(
                 f"100 Hz, {kind}",
                 "loop",
                 plain | {"prediction": kind, "coupling.model_ms": 10},
-                lost,
             )
 
 
