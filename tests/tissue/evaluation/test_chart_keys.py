@@ -11,7 +11,7 @@ def test_a_change_of_any_file_of_the_code_makes_measurements_anew(tmp_path, monk
         (tmp_path / package / "inner").mkdir(parents=True)
     monkeypatch.setattr(settings, "files", lambda package: tmp_path / package)
     # not kept from one call to the next
-    monkeypatch.setattr(settings, "own_sources", settings.own_sources.__wrapped__)
+    monkeypatch.setattr(settings, "code_sha256", settings.code_sha256.__wrapped__)
     (tmp_path / "kernels" / "__pycache__").mkdir()
     found = [setting_key(scene, setting, quick=True)]
     for place, text in (

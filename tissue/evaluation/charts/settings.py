@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from hashlib import blake2b
+from hashlib import blake2b, sha256
 from importlib.metadata import version
 from importlib.resources import files
 from itertools import product
@@ -31,6 +31,7 @@ __all__ = [
     "Changes",
     "Setting",
     "by_hand",
+    "code_sha256",
     "edge_mm",
     "finest",
     "force_only",
@@ -339,7 +340,7 @@ def sources() -> str:
     Both the time of a tick and its error may change with any of them. External parts count by their
     names and by the code of their packages.
     """
-    digest = blake2b(own_sources().encode(), digest_size=8)
+    digest = blake2b(code_sha256().encode(), digest_size=8)
     for kind, table in ((kind, table) for kind, tables in TABLES.items() for table in tables):
         for name in table.known:
             if name not in table.built_in:
@@ -374,9 +375,9 @@ def _package_sum(name: str) -> str:
 
 
 @cache
-def own_sources() -> str:
-    """Return the checksum of all files in these packages."""
-    digest = blake2b(digest_size=8)
+def code_sha256() -> str:
+    """Return the SHA-256 of all files of this installation: code, constants and data."""
+    digest = sha256()
     for package in PACKAGES:
         for path in sorted(Path(str(files(package))).rglob("*")):
             if path.is_file() and path.parent.name != "__pycache__":

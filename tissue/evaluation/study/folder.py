@@ -21,12 +21,12 @@ from meshes.base.file_version import package_version, require_version
 from meshes.base.progress import Progress, silent
 from meshes.base.text_tables import read_json
 from meshes.base.whole_file import claim, whole_file
+from tissue.evaluation.charts.settings import code_sha256
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.plan import TASKS, Plan, TrialKey
 from tissue.evaluation.study.registration import (
     PLAN_FILE,
     Registration,
-    code_sha256,
     content_sha256,
     register,
     registered,

@@ -13,6 +13,7 @@ from meshes.base.errors import InputError
 from meshes.base.file_version import package_version
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
+from tissue.evaluation.charts.settings import code_sha256
 from tissue.evaluation.study.cases import case_sections
 from tissue.evaluation.study.discrimination import discrimination_section
 from tissue.evaluation.study.fidelity import (
@@ -25,7 +26,7 @@ from tissue.evaluation.study.fidelity import (
 )
 from tissue.evaluation.study.folder import StudyFolder
 from tissue.evaluation.study.plan import LATENCY_MS, METHODS, PERSONAL, TASKS, USERS, Plan
-from tissue.evaluation.study.registration import code_sha256, file_sha256
+from tissue.evaluation.study.registration import file_sha256
 from tissue.evaluation.study.section import CHOSEN_AFTER, SOURCE, Section
 from tissue.evaluation.study.tested import statistics_sections
 from tissue.evaluation.study.trial import (
