@@ -106,15 +106,6 @@ def change(lines, number, **entries):
     return [*lines[:number], json.dumps(entry), *lines[number + 1 :]]
 
 
-@pytest.mark.parametrize("content", [b"\xff\xfe\x00", b""], ids=["no text", "empty"])
-def test_a_log_that_is_no_text_is_refused_without_the_words_of_a_decoder(tmp_path, content):
-    path = tmp_path / "log.jsonl"
-    path.write_bytes(content)
-    with pytest.raises(InputError, match="log must be a file of trials, got ") as refused:
-        read_log(path)
-    assert "codec" not in str(refused.value)
-
-
 @pytest.mark.parametrize(
     ("fix", "message"),
     [

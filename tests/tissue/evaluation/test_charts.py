@@ -21,7 +21,6 @@ from tissue.evaluation.charts.law import LawError
 from tissue.evaluation.charts.measure import Measured, measure, reference_gap, short_of
 from tissue.evaluation.charts.scenes import (
     chart_lines,
-    charted,
     draw_frontiers,
 )
 from tissue.evaluation.charts.settings import (
@@ -199,7 +198,7 @@ def block(monkeypatch, tmp_path):
 
 
 @pytest.mark.slow
-def test_an_interrupted_chart_goes_on_and_a_finished_one_is_not_measured_again(block, monkeypatch):
+def test_a_finished_chart_is_not_measured_again_and_a_fidelity_chooses_from_it(block, monkeypatch):
     settings = [
         Setting("0.4 mm", "voxels", {"voxels.spacing_mm": 0.4, "tool.shell_spacing_mm": 0.6}),
         Setting("0.2 mm", "voxels"),
@@ -208,44 +207,18 @@ def test_an_interrupted_chart_goes_on_and_a_finished_one_is_not_measured_again(b
     monkeypatch.setattr(
         "tissue.evaluation.charts.frontier.settings_of", lambda scene, quick: settings
     )
-    real, ran = module.measure, []
-
-    def stops(scene, setting, *, quick):
-        ran.append(setting.name)
-        if len(ran) == 2:
-            raise KeyboardInterrupt
-        return real(scene, setting, quick=quick)
-
-    monkeypatch.setattr(module, "measure", stops)
-    with pytest.raises(KeyboardInterrupt):
-        frontier_of(block)
     found = frontier_of(block)
-    assert ran == ["0.4 mm", "0.2 mm", "0.2 mm"]
     coarse, fine = found.points
     assert coarse.force_error > 2.0 * fine.force_error > 0.0
     assert found.gap > 0.0 and fine.elements > coarse.elements
+    monkeypatch.setattr(module, "measure", lambda *given, **more: pytest.fail("measured again"))
     frontier_of(block)
-    assert len(ran) == 3
     wanted = changed(block, {"fidelity": {"force_error": 1.01 * SAFETY * coarse.force_error}})
     chosen, message = with_fidelity(wanted)
-    assert (
-        chosen.fidelity is None
-        and chosen.voxels.spacing_mm in (0.2, 0.4)
-        and "the cheapest of 2 settings" in message
-    )
+    assert chosen.fidelity is None and chosen.voxels.spacing_mm in (0.2, 0.4)
+    assert "the cheapest of 2 settings" in message
     run = tissue.simulate(wanted.model_copy(update={"duration_s": 0.01}))
     assert run.parts.notes["fidelity"] and run.scene.fidelity is None
-
-
-@pytest.mark.parametrize("name", scene_names())
-def test_a_scene_that_cuts_is_charted_by_script_alone(name):
-    scene = load_scene(name)
-    cuts = getattr(scene.tool, "spin_rpm", 0.0) != 0.0
-    devices = [each.device and each.device.kind for each in charted(scene)]
-    assert devices == ([None] if cuts else ["touch"] if name == "wall" else [None, "touch"])
-    assert [
-        each.device and each.device.kind for each in charted(changed(scene, {"device": "touch"}))
-    ] == ([None] if cuts else ["touch"])
 
 
 def test_places_keep_a_peg_in_its_hole_and_leave_hands_alone(block):

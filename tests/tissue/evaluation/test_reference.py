@@ -230,20 +230,6 @@ def test_a_turning_ball_cuts_as_its_centre_moves():
 
 
 @pytest.mark.parametrize("profile", PROFILES)
-def test_parts_have_the_distance_of_the_profile(profile):
-    """Against the profile's own distance, which takes the sign from crossings of its outline."""
-    points = np.random.default_rng(2).uniform(-1.5, 1.5, (4000, 3)) * [2 * R, 2 * R, 4 * R]
-    parts = convex_parts(PROFILES[profile])
-    found = np.min([part.distance(points) for part in parts], axis=0)
-    section = np.column_stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]])
-    wanted = PROFILES[profile].distance(section)[0]
-    outside = wanted > 0
-    # the outline is a polygon; a union is exact outside
-    assert np.abs(found - wanted)[outside].max() < 1e-5 * R
-    assert (found[~outside] < 1e-5 * R).all()
-
-
-@pytest.mark.parametrize("profile", PROFILES)
 def test_the_least_distance_on_a_path_is_that_of_its_nearest_place(profile):
     random = np.random.default_rng(4)
     start, end = random.uniform(-4 * R, 4 * R, (2, 300, 3))

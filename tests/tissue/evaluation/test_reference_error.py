@@ -67,17 +67,6 @@ def test_what_is_interpolated_meets_what_would_be_evaluated(run, reference):
     assert off.max() < 2.0 * history.INTERPOLATION * np.linalg.norm(reference.force_N, axis=1).max()
 
 
-def test_a_reference_is_computed_once(run, reference, monkeypatch):
-    monkeypatch.setattr(
-        history, "wrench_at", lambda *arguments, **options: pytest.fail("computed again")
-    )
-    again = reference_force(run.scene, run.trace)
-    assert (
-        np.array_equal(again.wrench, reference.wrench)
-        and again.uncertainty == reference.uncertainty
-    )
-
-
 def test_the_engine_is_near_the_reference(run, reference):
     """The engine is near the reference, within 0.5 % over 50 ms in coarse voxels.
 

@@ -10,7 +10,6 @@ from tissue.evaluation.calibration.observers import (
     Stimulus,
     chance_right,
     draw_observers,
-    sensitivity,
     share_right,
 )
 from tissue.evaluation.statistics.trials import TrialTable
@@ -37,18 +36,6 @@ def test_the_chance_is_the_share_of_answers_that_people_give(pair):
     people = draw_observers("novice", 300, np.random.default_rng(0))
     answered = share_right(people, *pair, seed=1, trials=300, limits=WIDE)
     assert chance_right(people, *pair).mean() == pytest.approx(answered.mean(), abs=0.01)
-
-
-def test_sensitivity_is_webers_and_three_quarters_are_right_at_the_threshold():
-    people = draw_observers("expert", 50, np.random.default_rng(2))
-    step = people.kappa * (1.0 + people.offset_N)
-    for who in range(3):
-        pair = Stimulus(1.0), Stimulus(1.0 + step[who])
-        assert sensitivity(people, *pair)[who] == pytest.approx(0.954, abs=1e-3)
-        right = chance_right(people, *pair)[who]
-        assert right == pytest.approx(
-            people.lapse[who] + (1.0 - 2.0 * people.lapse[who]) * 0.75, abs=1e-4
-        )
 
 
 PEOPLE, TRIALS = 12, 6

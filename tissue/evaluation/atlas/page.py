@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 from io import BytesIO
 from math import sqrt
+from typing import Literal
 
 import matplotlib
 import numpy as np
@@ -54,6 +55,7 @@ THEORY = ("-", GREY)
 FAILING = ("s", "#D55E00")
 ENGINE = ("o", "#0072B2")
 """Format and colour of the curve of theory, of the failing method and of the engine."""
+Place = Literal["best", "upper left", "lower right", "center right", ""]
 Curve = tuple[str, ArrayLike, tuple[str, str]]
 """Label, values over the sweep or one for all of it, and matplotlib's format and colour."""
 
@@ -217,7 +219,7 @@ def panel(
     *,
     conduct: Sequence[tuple[Conduct, float, float]] | None = None,
     log: str = "xy",
-    legend: str = "best",
+    legend: Place = "best",
     **settings: object,
 ) -> None:
     """Draw curves over a sweep, with axes, grid and legend.
