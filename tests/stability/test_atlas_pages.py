@@ -6,7 +6,7 @@ Checked are the verdict, the answers of the engine, and verdicts of spoilt data.
 import numpy as np
 import pytest
 
-from tissue.evaluation.atlas.atlas import PAGES
+from tissue.evaluation.atlas import PAGES
 from tissue.evaluation.atlas.page import Conduct, picture
 
 HEAVY = {each.name for each in PAGES} - {"wild_input", "explicit_cutting", "bad_tetrahedra"}

@@ -77,9 +77,11 @@ def _atlas(folder: Path, only: tuple[str, ...], *, overwrite: bool) -> None:
     """Make the atlas and report the result of every page."""
     with progress() as report:
         report("loading methods", 0.0)
-        from tissue.evaluation.atlas.atlas import chosen_pages, write_atlas
+        from tissue.evaluation.atlas import PAGES
+        from tissue.evaluation.atlas.page import chosen_pages, write_atlas
 
-        entries = write_atlas(folder, chosen_pages(only), overwrite=overwrite, progress=report)
+        pages = chosen_pages(PAGES, only)
+        entries = write_atlas(folder, pages, overwrite=overwrite, progress=report)
     for entry in entries:
         mark = "ok " if entry.shown else "OPEN"
         console.print(f"{mark:4} {entry.page.name:19} {entry.took_s:5.1f} s  {entry.page.title}")

@@ -1,4 +1,4 @@
-"""`tissue stability`: the verdict on a scene's loop, its map as picture and data, and refusals."""
+"""`tissue stability`: the verdict on a scene's loop, its map as picture and data."""
 
 import numpy as np
 import pytest

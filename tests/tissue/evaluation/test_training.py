@@ -50,7 +50,7 @@ def test_trials_differ_in_hand_seed_and_latency():
 
 
 def motor_error(prediction, **changes):
-    """Return the error at the motor, its noise floor and the trace of a run on the wall.
+    """Return the error at the motor, its smallest possible value and the trace of a run on the wall.
 
     The latency is 4 ms, the error ||F - F_ideal|| / ||F_ideal||.
     """
