@@ -126,12 +126,13 @@ class Horizon(Page):
         recording = tapped(HOME_N_M, seed=9, seconds=4.0)
         force = recording.force_N
         table = {"ahead_ms": 1e3 * TICK_S * AHEAD}
-        for name, each in {
+        predictors: dict[str, Predictor] = {
             "hold": Hold(),
             "linear": Linear(),
             "kalman": Kalman(),
             "koopman": guarded(fit("wall", recordings())),
-        }.items():
+        }
+        for name, each in predictors.items():
             forces, _ = forecast(each, recording, AHEAD.tolist())
             table[name] = np.array(
                 [relative_error(forces[:, row], force, steps) for row, steps in enumerate(AHEAD)]

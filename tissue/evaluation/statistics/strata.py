@@ -5,7 +5,6 @@ fewer assumptions.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
-from typing import Literal
 
 import numpy as np
 from scipy.linalg import helmert
@@ -290,7 +289,7 @@ def manova(
     table: TrialTable,
     metrics: Sequence[str],
     *,
-    factor: Literal["group", "method"],
+    factor: str,
     rng: np.random.Generator,
 ) -> HypothesisTest:
     """Compare groups or methods on several metrics at once.
@@ -306,7 +305,7 @@ def manova(
     metrics
         Two metrics or more.
     factor
-        Compared factor.
+        Compared factor, "group" or "method".
     rng
         Generator that shuffles labels for the additional permutation test.
 

@@ -162,9 +162,7 @@ def _bars(
     figure, panels = drawing(*size, len(metrics))
     for axes, (metric, (label, scale)) in zip(panels, metrics.items(), strict=True):
         bars = {
-            (tasks.index(task), method): tuple(
-                scale * each for each in interval_by_users(part, metric)
-            )
+            (tasks.index(task), method): [scale * each for each in interval_by_users(part, metric)]
             for (task, method), part in parts_of(table).items()
         }
         papers = {

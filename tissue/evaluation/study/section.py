@@ -249,7 +249,7 @@ def drawing(width: float, height: float, columns: int = 1) -> tuple[Drawing, lis
 def grouped_bars(
     axes: Axes,
     groups: Sequence[str],
-    bars: Mapping[tuple[int, str], tuple[float, float, float]],
+    bars: Mapping[tuple[int, str], Sequence[float]],
     papers: Mapping[tuple[int, str], Figure] | None = None,
 ) -> None:
     """Draw one bar with an error line for each group and method.
