@@ -23,6 +23,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from force_errors import error_of_force
 from harness import machine, table  # adds the fixtures to the path
 from scipy.spatial.transform import Rotation
 from voxel_cuts import BONE, VoxelCut, layered, over_50_ms, relative
@@ -32,7 +33,7 @@ from meshes.voxels.layer_changes import BOUNDARY_STEPS, FAR
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr
-from tissue.evaluation.reference.history import ReferenceForce, error_of_force
+from tissue.evaluation.reference.history import ReferenceForce
 
 RADIUS_M, FEED_M_S = 1.5e-3, 4e-3
 CUTTER = Cutter(ball_burr(diameter_m=2.0 * RADIUS_M), 6, 1000.0)

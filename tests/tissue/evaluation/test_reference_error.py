@@ -6,6 +6,7 @@ it.
 
 import numpy as np
 import pytest
+from force_errors import error_of_force
 
 import tissue
 from meshes.base.errors import InputError
@@ -13,7 +14,6 @@ from tissue.evaluation.reference import history
 from tissue.evaluation.reference.force import wrench_at
 from tissue.evaluation.reference.history import (
     ReferenceForce,
-    error_of_force,
     path_of_trace,
     reference_force,
     solid_of_scene,

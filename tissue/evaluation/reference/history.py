@@ -17,7 +17,6 @@ from meshes.base.progress import Progress, silent
 from tissue.cutters.cutter import Cutter
 from tissue.evaluation.reference.force import Resolution, Solid, wrench_at
 from tissue.evaluation.reference.path import ToolPath
-from tissue.evaluation.statistics.metrics import force_error
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
@@ -27,11 +26,9 @@ from tissue.simulation.builders.voxels import is_procedural, solid_of
 from tissue.simulation.trace import Table
 
 __all__ = [
-    "ForceError",
     "GridIndex",
     "Order",
     "ReferenceForce",
-    "error_of_force",
     "force_on_path",
     "grid_index",
     "has_exact_geometry",
@@ -81,29 +78,6 @@ class ReferenceForce:
     def force_N(self) -> Array:
         """Force on the tool [N], shape (n, 3)."""
         return self.wrench[:, :3]
-
-
-@dataclass(frozen=True)
-class ForceError:
-    """Error of a force against the reference, relative to the reference.
-
-    Attributes
-    ----------
-    over_ticks
-        ||F - F_ref|| / ||F_ref|| over all ticks.
-    over_50_ms
-        Error of means over 50 ms.
-    bias
-        Mean over the contact of the error along the reference force, by the mean size of the
-        reference force.
-    reference_uncertainty
-        Error of the reference itself, as `over_ticks`.
-    """
-
-    over_ticks: float
-    over_50_ms: float
-    bias: float
-    reference_uncertainty: float
 
 
 def path_of_trace(trace: Table, cutter: Cutter) -> ToolPath:
@@ -293,20 +267,6 @@ def _fill(wrench: Array, known: NDArray[np.bool_], first: int, last: int) -> Non
     """Interpolate between two evaluated ticks."""
     share = (np.arange(first + 1, last) - first)[:, None] / (last - first)
     wrench[first + 1 : last] = wrench[first] + share * (wrench[last] - wrench[first])
-
-
-def error_of_force(force_N: Array, reference: ReferenceForce) -> ForceError:
-    """Return the error of a force at every tick [N], shape (n, 3)."""
-    wanted = reference.force_N
-    size = np.linalg.norm(wanted, axis=1)
-    contact = size > 0.0
-    along = ((force_N - wanted)[contact] * wanted[contact]).sum(axis=1) / size[contact]
-    return ForceError(
-        force_error(force_N, wanted),
-        force_error(means_over_50_ms(force_N), means_over_50_ms(wanted)),
-        float(along.sum() / max(size.sum(), 1e-300)),
-        reference.uncertainty,
-    )
 
 
 def means_over_50_ms(values: Array) -> Array:
