@@ -30,12 +30,10 @@ def test_a_manufactured_error_gives_its_order_and_an_index_that_bounds_it(order)
     exact, shape = truth(), error_shape()
     forces = [exact + shape * h**order for h in SPACINGS]
     found = grid_index(forces, SPACINGS)
-    for each in (found.over_ticks, found.over_50_ms):
-        assert each.asymptotic and each.order == pytest.approx(order, abs=1e-6)
+    assert found.asymptotic and found.order == pytest.approx(order, abs=1e-6)
     for k, force in enumerate(forces):
         error = size(force - exact) / size(forces[2])
-        assert found.over_ticks.index[k] == pytest.approx(SAFETY * error, rel=1e-6)
-    assert found.over_50_ms.index[0] < found.over_ticks.index[0]
+        assert found.index[k] == pytest.approx(SAFETY * error, rel=1e-6)
     assert grid_index(forces[::-1], SPACINGS[::-1]) == found
 
 
@@ -51,9 +49,9 @@ def test_errors_that_fall_but_share_no_shape_are_bounded_too(order, seed):
     exact, rng, spacings = truth(), np.random.default_rng(seed), (0.09, 0.03 * 3.0**0.5, 0.03)
     forces = [exact + rng.normal(size=exact.shape) * h**order for h in spacings]
     found = grid_index(forces, spacings)
-    assert found.over_ticks.order == pytest.approx(order, abs=0.08)
+    assert found.order == pytest.approx(order, abs=0.08)
     for k, force in enumerate(forces):
-        assert size(force - exact) / size(forces[2]) < found.over_ticks.index[k]
+        assert size(force - exact) / size(forces[2]) < found.index[k]
 
 
 def test_an_order_that_is_too_good_is_not_used():
@@ -64,7 +62,7 @@ def test_an_order_that_is_too_good_is_not_used():
     """
     exact, shape = truth(), error_shape()
     forces = [exact + shape * h**4 for h in SPACINGS]
-    found = grid_index(forces, SPACINGS).over_ticks
+    found = grid_index(forces, SPACINGS)
     assert not found.asymptotic and found.order == pytest.approx(4.0, abs=1e-6)
     left = (
         size(forces[1] - forces[2])
@@ -77,18 +75,18 @@ def test_an_order_that_is_too_good_is_not_used():
 def test_equal_forces_have_no_error_and_the_finer_two_equal_leave_the_coarse_one():
     exact = truth()
     found = grid_index([exact] * 3, SPACINGS)
-    assert found.over_ticks.index == found.over_50_ms.index == (0.0, 0.0, 0.0) == found.bias
-    assert found.over_ticks.asymptotic and np.isnan(found.over_ticks.order)
-    late = grid_index([1.01 * exact, exact, exact], SPACINGS).over_ticks
+    assert found.index == (0.0, 0.0, 0.0)
+    assert found.asymptotic and np.isnan(found.order)
+    late = grid_index([1.01 * exact, exact, exact], SPACINGS)
     assert late.order == np.inf and not late.asymptotic
     assert late.distance == pytest.approx((0.01, 0.0, 0.0)) and late.index[2] == 0.0
-    early = grid_index([exact, exact, 1.01 * exact], SPACINGS).over_ticks
+    early = grid_index([exact, exact, 1.01 * exact], SPACINGS)
     assert early.order == -np.inf and early.index[2] > 0.01
-    assert grid_index([np.zeros((60, 3))] * 3, SPACINGS).over_ticks.index == (0.0, 0.0, 0.0)
+    assert grid_index([np.zeros((60, 3))] * 3, SPACINGS).index == (0.0, 0.0, 0.0)
 
 
 def test_an_error_that_all_grids_share_is_not_seen():
     """The index does not bound a bias that every grid has."""
     exact, shape = truth(), error_shape()
     found = grid_index([1.1 * exact + shape * h**2 for h in SPACINGS], SPACINGS)
-    assert found.over_ticks.index[2] < 0.01
+    assert found.index[2] < 0.01

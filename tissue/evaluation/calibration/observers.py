@@ -200,7 +200,6 @@ def share_right(
     trials: int = 100,
     commands: Sequence[Command] | None = None,
     limits: ForceRange | None = None,
-    texture_share: float = 0.0,
 ) -> Array:
     """Return the share of right answers of each person, shape (n,).
 
@@ -221,10 +220,6 @@ def share_right(
         Force to command for each person. None for the unchanged force.
     limits
         Range of the device, default 3.3 N. Forces above its knee are compressed.
-    texture_share
-        Amplitude of the accompanying vibration over the force (``output.vibration_share`` of a
-        scene). It is a second cue with separate noise: distances of cues add as squares. Its
-        threshold is assumed, see observers.toml.
     """
     if first.level_N > second.level_N:
         first, second = second, first
@@ -242,14 +237,6 @@ def share_right(
     less, more = felt
     threshold = people.kappa * (np.minimum(less, more) + people.offset_N)
     distance = D_PRIME_75 * (more - less) / threshold
-    if texture_share > 0.0:
-        vibration = {name: entry.value for name, entry in constants("observers", "texture").items()}
-        texture_noise = vibration["kappa"] * (
-            texture_share * np.minimum(less, more) + vibration["offset_N"]
-        )
-        distance = np.sign(distance) * np.hypot(
-            distance, D_PRIME_75 * texture_share * (more - less) / texture_noise
-        )
     return np.mean([people.discriminate(distance[trial], noise) for trial in range(trials)], axis=0)
 
 

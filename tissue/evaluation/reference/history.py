@@ -12,7 +12,6 @@ from scipy.optimize import brentq
 
 from meshes.base.arrays import Array
 from meshes.base.cache import cached_arrays
-from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from tissue.cutters.cutter import Cutter
 from tissue.evaluation.reference.force import Resolution, Solid, wrench_at
@@ -26,7 +25,6 @@ from tissue.simulation.builders.voxels import is_procedural, solid_of
 from tissue.simulation.trace import Table
 
 __all__ = [
-    "GridIndex",
     "Order",
     "ReferenceForce",
     "force_on_path",
@@ -315,28 +313,7 @@ class Order:
         return np.isnan(self.order) or ASYMPTOTIC[0] <= self.order <= ASYMPTOTIC[1]
 
 
-@dataclass(frozen=True)
-class GridIndex:
-    """Grid-convergence index of three forces.
-
-    Attributes
-    ----------
-    spacings
-        Spacing of each grid, coarsest first.
-    over_ticks, over_50_ms
-        Over all ticks, and over means of 50 ms.
-    bias
-        Mean of each force less the finest along the finest, by the mean size of the finest;
-        coarsest first.
-    """
-
-    spacings: tuple[float, ...]
-    over_ticks: Order
-    over_50_ms: Order
-    bias: tuple[float, ...]
-
-
-def grid_index(forces_N: Sequence[Array], spacings: Sequence[float]) -> GridIndex:
+def grid_index(forces_N: Sequence[Array], spacings: Sequence[float]) -> Order:
     """Compute the grid-convergence index of the forces of one motion on three grids.
 
     Parameters
@@ -344,56 +321,19 @@ def grid_index(forces_N: Sequence[Array], spacings: Sequence[float]) -> GridInde
     forces_N
         Force at every tick on each grid [N], each shape (n, 3).
     spacings
-        Spacing of each grid, in any unit. All other lengths of the grid must change by the same
-        factor.
-
-    Raises
-    ------
-    InputError
-        If there are not three forces of one length at three different spacings.
+        Different spacing of each grid, in any unit. All other lengths of the grid must change by
+        the same factor.
     """
-    if (
-        len(forces_N) != 3
-        or len(spacings) != 3
-        or len({np.shape(force) for force in forces_N}) != 1
-    ):
-        raise InputError(
-            "forces_N",
-            "hold three forces of one motion with a spacing each",
-            (
-                f"{len(forces_N)} of shapes {sorted({np.shape(force) for force in forces_N})} "
-                f"and {len(spacings)} spacings"
-            ),
-            "run the same motion on three grids",
-        )
     order = np.argsort(spacings)[::-1]
-    h = tuple(float(spacings[k]) for k in order)
-    if not h[0] > h[1] > h[2] > 0.0:
-        raise InputError(
-            "spacings", "be positive and differ", tuple(spacings), "use h, 0.58 h and h / 3"
-        )
-    forces = [np.asarray(forces_N[k], dtype=np.float64) for k in order]
-    sizes = np.linalg.norm(forces[2], axis=1)
-    unit = forces[2] / np.maximum(sizes, 1e-300)[:, None]
-    bias = [
-        float(((force - forces[2]) * unit).sum()) / max(float(sizes.sum()), 1e-300)
-        for force in forces
-    ]
-    windows = [means_over_50_ms(force) for force in forces]
-    return GridIndex(h, _convergence(forces, h), _convergence(windows, h), tuple(bias))
-
-
-def _convergence(forces: Sequence[Array], spacings: tuple[float, ...]) -> Order:
-    """Return observed order and index, grids coarsest first."""
-    coarse, middle, fine = forces
+    h = [float(spacings[k]) for k in order]
+    coarse, middle, fine = (np.asarray(forces_N[k], dtype=np.float64) for k in order)
     size = max(float(np.linalg.norm(fine)), 1e-300)
-    distance = tuple(float(np.linalg.norm(force - fine)) / size for force in forces)
-    order = observed_order(float(np.linalg.norm(coarse - middle)) / size, distance[1], spacings)
-    found = Order(order, (), distance)
-    safety = SAFETY if found.asymptotic else SAFETY_OUTSIDE
-    used = float(np.clip(np.nan_to_num(order, nan=FORMAL_ORDER), ASYMPTOTIC[0], FORMAL_ORDER))
-    left = distance[1] / ((spacings[1] / spacings[2]) ** used - 1.0)
-    return Order(order, tuple(safety * (each + left) for each in distance), distance)
+    distance = tuple(float(np.linalg.norm(each - fine)) / size for each in (coarse, middle, fine))
+    observed = observed_order(float(np.linalg.norm(coarse - middle)) / size, distance[1], h)
+    safety = SAFETY if Order(observed, (), distance).asymptotic else SAFETY_OUTSIDE
+    used = float(np.clip(np.nan_to_num(observed, nan=FORMAL_ORDER), ASYMPTOTIC[0], FORMAL_ORDER))
+    left = distance[1] / ((h[1] / h[2]) ** used - 1.0)
+    return Order(observed, tuple(safety * (each + left) for each in distance), distance)
 
 
 def observed_order(coarse: float, fine: float, spacings: Sequence[float]) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 from scipy.special import gammaln, stdtr
-from scipy.stats import f, t
+from scipy.stats import f
 
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
@@ -68,15 +68,11 @@ class MixedModel:
     ----------
     components
         Variances of users, of users by method, of trials and of the rest.
-    coefficients
-        Fixed effects as deviations from the grand mean, with intervals from t with the degrees of
-        freedom of their stratum.
     tests
         One of each fixed effect: F with the degrees of freedom of the stratum that it is tested in.
     """
 
     components: Components
-    coefficients: tuple[Effect, ...]
     tests: tuple[HypothesisTest, ...]
 
 
@@ -157,7 +153,6 @@ def mixed_model(table: TrialTable, metric: str) -> MixedModel:
     free = user_count - group_count
     return MixedModel(
         components,
-        _coefficients(fitted, scale, free),
         tuple(_tests(fitted, metric, free, assumptions)),
     )
 
@@ -193,21 +188,6 @@ def _freedom(fitted: "MixedLMResults", name: str, free: int) -> int:
     for factor in ("task", "method"):
         free *= int(levels[factor]) - 1 if f"C({factor}" in name else 1
     return free
-
-
-def _coefficients(fitted: "MixedLMResults", scale: float, free: int) -> tuple[Effect, ...]:
-    """Return the fixed effects in the metric's unit."""
-    found = []
-    for name, value, error in zip(
-        fitted.fe_params.index, fitted.fe_params, fitted.bse_fe, strict=True
-    ):
-        half = float(t.ppf(0.5 * (1.0 + LEVEL), _freedom(fitted, name, free))) * error
-        found.append(
-            Effect(
-                _plain(name), *(scale * float(each) for each in (value, value - half, value + half))
-            )
-        )
-    return tuple(found)
 
 
 def _tests(
