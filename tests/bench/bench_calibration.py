@@ -9,29 +9,22 @@ truth, next to staircases. (3) Interval coverage, and the bias that heavy tails 
 Run: python tests/bench/bench_calibration.py [trial] [staircase] [coverage] [scenes]
 """
 
-import sys
-from dataclasses import replace
-from time import perf_counter
-
+from dataclasses import (replace)
+from harness import (cost_of, machine, table)
+from scipy.special import (ndtri)
+from staircase import (Staircase)
+from time import (perf_counter)
+from tissue.evaluation.calibration.observers import (SimulatedObservers, Stimulus, calibrated_commands, draw_observers, gain_of, share_right)
+from tissue.haptics.loop.filters import (ForceRange)
+from tissue.materials.constants import (constants)
+from tissue.perception.adaptive import (AdaptiveThreshold, ThresholdPrior, comparisons)
+from tissue.perception.laws import (D_PRIME_75, two_interval)
+from tissue.scene.registry import (GROUPS)
+from tissue.simulation.trace import (Table)
 import numpy as np
-from harness import cost_of, machine, table
-from scipy.special import ndtri
-from staircase import Staircase
+import sys
 
-from tissue.evaluation.calibration.observers import (
-    SimulatedObservers,
-    Stimulus,
-    calibrated_commands,
-    draw_observers,
-    gain_of,
-    share_right,
-)
-from tissue.haptics.loop.filters import ForceRange
-from tissue.materials.constants import constants
-from tissue.perception.adaptive import AdaptiveThreshold, ThresholdPrior, comparisons
-from tissue.perception.laws import D_PRIME_75, two_interval
-from tissue.scene.registry import GROUPS
-from tissue.simulation.trace import Table
+
 
 PEOPLE = 100
 
@@ -260,7 +253,6 @@ def scene_stimuli() -> dict[str, tuple[Stimulus, Stimulus, str]]:
             stimulus_of(run.trace, 1.65, 1.86, scale=scale),
             "92 %",
         )
-    found["caries or dentin, texture, force x 0.1"] = found["caries or dentin, force x 0.1"]
     run = ran("glenoid", voxels__spacing_mm=0.3)
     torques = np.linalg.norm(run.trace.vectors("model_torque", "Nm"), axis=1)
     for scale in (1.0, 0.03):
@@ -290,12 +282,9 @@ def scenes() -> None:
                 right = share_right(people, one, two, seed=1, limits=ForceRange(limit_N=1e3))
                 result = ("no map of torque", "")
             else:
-                texture = 0.1 if "texture" in name else 0.0
-                right = share_right(people, one, two, seed=1, texture_share=texture)
+                right = share_right(people, one, two, seed=1)
                 commands = calibrated_commands(people, rng)
-                scaled = share_right(
-                    people, one, two, seed=1, commands=commands, texture_share=texture
-                )
+                scaled = share_right(people, one, two, seed=1, commands=commands)
                 gain = gain_of(right, scaled, rng)
                 result = (
                     f"{100 * scaled.mean():.1f}",

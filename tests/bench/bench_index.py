@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 
 import tissue
 from tissue.evaluation.charts.settings import refined
-from tissue.evaluation.reference.grid_index import grid_index
+from tissue.evaluation.reference.history import grid_index, means_over_50_ms
 from tissue.scene.load import changed, parse_override
 
 ROOT = Path(__file__).resolve().parents[3] / "shared" / "anatomy"
@@ -124,9 +124,13 @@ def main() -> None:
                 ),
                 flush=True,
             )
-    found = grid_index(forces, given.shares)
+    ticks_index = grid_index(forces, given.shares)
+    windows_index = grid_index([means_over_50_ms(force) for force in forces], given.shares)
+    finest = forces[int(np.argmin(given.shares))]
+    sizes = np.linalg.norm(finest, axis=1)
+    along = finest / np.maximum(sizes, 1e-300)[:, None]
     print(machine())
-    for norm, order in (("ticks", found.over_ticks), ("50 ms", found.over_50_ms)):
+    for norm, order in (("ticks", ticks_index), ("50 ms", windows_index)):
         print(
             f"{name}, {norm}: observed order "
             f"{order.order:.2f}{'' if order.asymptotic else ', not asymptotic'}"
@@ -134,11 +138,11 @@ def main() -> None:
     rows = []
     for k, share in enumerate(given.shares):
         values = (
-            found.over_ticks.index[k],
-            found.over_50_ms.index[k],
-            found.over_ticks.distance[k],
-            found.over_50_ms.distance[k],
-            found.bias[k],
+            ticks_index.index[k],
+            windows_index.index[k],
+            ticks_index.distance[k],
+            windows_index.distance[k],
+            ((forces[k] - finest) * along).sum() / max(sizes.sum(), 1e-300),
         )
         cost = f"{np.median(ticks[k]):.0f}", f"{np.percentile(ticks[k], 99):.0f}"
         lengths = ", ".join(

@@ -14,10 +14,11 @@ import sys
 from time import perf_counter
 
 import numpy as np
+from force_errors import error_of_force
 from harness import machine, table
 
 import tissue
-from tissue.evaluation.reference.history import error_of_force, reference_force
+from tissue.evaluation.reference.history import reference_force
 from tissue.scene.load import parse_override
 
 

@@ -24,9 +24,8 @@ import numpy as np
 import psutil
 from harness import machine, table
 
-from tissue.evaluation.study.folder import StudyFolder
+from tissue.evaluation.study.folder import StudyFolder, run_study
 from tissue.evaluation.study.plan import METHODS, Plan, TrialKey
-from tissue.evaluation.study.runner import run_study
 from tissue.evaluation.study.trial import run_trial
 
 TASKS = ("T1", "T2", "T3")

@@ -39,8 +39,8 @@ def run_here(names: list[str]) -> None:
 
     A line holds name, processor time [s] and rows, with their numbers as bits.
     """
+    from tissue.evaluation.study.folder import _in_worker
     from tissue.evaluation.study.plan import Plan, TrialKey
-    from tissue.evaluation.study.runner import _in_worker
 
     for name in names:
         start = process_time()

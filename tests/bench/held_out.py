@@ -25,8 +25,13 @@ from harness import machine, table
 from meshes.base.errors import InputError
 from tissue.evaluation.charts import fidelity, settings
 from tissue.evaluation.charts.frontier import Frontier, frontier_of, undominated
-from tissue.evaluation.charts.measure import SETTLED, Measured, counts, short_of
-from tissue.evaluation.charts.reference import force_and_reference_N
+from tissue.evaluation.charts.measure import (
+    SETTLED,
+    Measured,
+    counts,
+    force_and_reference_N,
+    short_of,
+)
 from tissue.evaluation.charts.settings import Setting, settings_of
 from tissue.evaluation.statistics.metrics import force_error
 from tissue.scene.coupling import Fidelity

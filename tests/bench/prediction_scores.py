@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from motor_score import motor_score
 
-from tissue.evaluation.training.recording import Recording, trial
+from tissue.evaluation.training import Recording, trial
 from tissue.prediction.look_ahead import LookAhead
 from tissue.prediction.predictor import Predictor
 from tissue.prediction.trained import Trained, shipped_file

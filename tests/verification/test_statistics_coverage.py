@@ -6,10 +6,8 @@ from scipy import stats
 from simulated_cells import simulated_cells
 
 from tissue.evaluation.statistics.hypothesis_test import cohens_d, partial_eta_squared
-from tissue.evaluation.statistics.mixed import Components, mixed_model
-from tissue.evaluation.statistics.regression import regression
+from tissue.evaluation.statistics.mixed import Components, regression
 from tissue.evaluation.statistics.strata import strata
-from tissue.evaluation.statistics.trials import TrialTable
 
 COVERAGE = pytest.approx(0.95, abs=0.03)
 """Three standard errors of 500 intervals."""
@@ -45,7 +43,7 @@ def test_interval_of_partial_eta_squared_covers():
 
 
 def test_intervals_of_the_mixed_model_cover():
-    """One fit has the closed form's interval; the closed form covers in 10,000 populations."""
+    """The closed form of the interval covers in 10,000 populations."""
     pytest.importorskip(
         "statsmodels", reason="statsmodels is not installed: pip install 'tissue-sim[study]'"
     )
@@ -63,38 +61,6 @@ def test_intervals_of_the_mixed_model_cover():
     half = stats.t.ppf(0.975, error.degrees[1]) * np.sqrt(error.error_square / 12 * 0.75)
     away = (many - many.mean(axis=2, keepdims=True)).mean(axis=1) - planted
     assert np.mean(np.abs(away) <= half[:, None], axis=0) == pytest.approx([0.95] * 4, abs=0.01)
-
-    one = simulated_trials(rng)
-    cells, model = one.cells("m"), mixed_model(one, "m")
-    found = strata(cells.values, cells.groups, (4,), (0,), between=False)
-    half = stats.t.ppf(0.975, found.degrees[1]) * np.sqrt(float(found.error_square) / 12 * 0.75)
-    effect = next(each for each in model.coefficients if each.name == "method a")
-    assert min(vars(model.components).values()) == 0.0 == model.components.user_task
-    assert 0.5 * (effect.high - effect.low) == pytest.approx(half, rel=5e-3)  # of the optimiser
-    middle = (cells.values - cells.values.mean(axis=1, keepdims=True)).mean(axis=0)[0]
-    assert effect.value == pytest.approx(middle, abs=1e-6)
-
-
-def simulated_trials(rng):
-    """Twelve users of two groups under four methods, four paired trials each."""
-    rows = []
-    for user in range(12):
-        user_level, tastes = rng.normal(), 0.9 * rng.normal(size=4)
-        for trial in range(4):
-            shared = 0.9 * rng.normal()
-            rows += [
-                {
-                    "task": "t",
-                    "group": "gh"[user // 6],
-                    "user": user,
-                    "trial": trial,
-                    "method": method,
-                    "seed": 0,
-                    "m": user_level + tastes[index] + shared + 0.7 * rng.normal(),
-                }
-                for index, method in enumerate("abcd")
-            ]
-    return TrialTable.from_rows(rows)
 
 
 def trials_of(rng, *, users=15, rows=20, slopes=(0.5, -0.3), between=1.0):

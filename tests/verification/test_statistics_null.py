@@ -5,12 +5,12 @@ import pytest
 from scipy import stats
 from simulated_cells import simulated_cells, simulated_power
 
+from tissue.evaluation.statistics.hpi import TESTS, redrawn_power
 from tissue.evaluation.statistics.hypothesis_test import mardia
-from tissue.evaluation.statistics.manova import multivariate
 from tissue.evaluation.statistics.mixed import Components
-from tissue.evaluation.statistics.power import TESTS, redrawn_power
 from tissue.evaluation.statistics.strata import (
     mauchly,
+    multivariate,
     permutation,
     pillai,
     scores_of,

@@ -11,17 +11,14 @@ from tissue.evaluation.statistics.hypothesis_test import (
     normal_residuals,
     partial_eta_squared,
 )
-from tissue.evaluation.statistics.manova import multivariate
 from tissue.evaluation.statistics.mixed import mixed_model
 from tissue.evaluation.statistics.strata import (
-    hotelling,
-    kruskal_wallis,
     mauchly,
+    multivariate,
     permutation,
     pillai,
     scores_of,
     strata,
-    welch,
 )
 from tissue.evaluation.statistics.trials import TrialTable
 
@@ -159,11 +156,6 @@ def test_mixed_model_of_the_machines():
     assert test.degrees == (2, 10)
     assert test.statistic == pytest.approx(20.58, abs=0.02)
     assert test.p == pytest.approx(0.0003, abs=5e-5)
-    mean = model.coefficients[0]
-    assert mean.value == pytest.approx(59.65, abs=1e-6)
-    # Machine A lies at 52.35556: the mean and the deviation of the first level.
-    first = next(each for each in model.coefficients if each.name == "method A")
-    assert mean.value + first.value == pytest.approx(52.35556, abs=1e-4)
 
 
 def test_strata_of_the_machines_are_the_same_test():
@@ -196,64 +188,35 @@ def test_comparison_of_children_names_what_fails():
         35.35,
         2.36,
     )
-    assert {each.test for each in method.alternatives} == {
-        "permutation",
-        "Greenhouse-Geisser",
-        "Hotelling",
-        "Friedman",
-    }
+    assert {each.test for each in method.alternatives} == {"permutation", "Greenhouse-Geisser"}
     normal = next(each for each in method.assumptions if each.name == "normal residuals")
     assert not normal.holds  # one boy shrinks by 5 mm from 12 to 14 years
     assert not method.sound and method.found
 
 
 def test_manova_of_skulls():
-    """SAS/STAT 9.2 User's Guide, figure 4.5."""
+    """SAS/STAT 9.2 User's Guide, figure 4.5: Pillai's trace 0.44702843, F 0.86."""
     found = multivariate(
         SKULLS, PLACE, between=True, question="skulls: place", rng=np.random.default_rng(RNG)
     )
-    published = {
-        "Pillai": (0.44702843, 0.86),
-        "Wilks": (0.60143661, 0.77),
-        "Hotelling": (0.58210348, 0.75),
-        "Roy": (0.35530890, 1.07),
-    }
-    for name, (value, statistic) in published.items():
-        each = next(
-            each for each in (found, *found.alternatives) if each.test.startswith(f"MANOVA, {name}")
-        )
-        assert each.test.endswith(f"{value:.4g}")
-        assert each.statistic == pytest.approx(statistic, abs=0.005)
-    ours = pillai(SKULLS, PLACE, between=True)
-    assert float(ours.trace) == pytest.approx(0.44702843, abs=1e-8)
-    assert float(ours.p) == pytest.approx(found.p, rel=1e-9)
+    assert found.test == "MANOVA, Pillai's trace 0.447"
+    assert found.statistic == pytest.approx(0.86, abs=0.005)
+    assert float(pillai(SKULLS, PLACE, between=True).trace) == pytest.approx(0.44702843, abs=1e-8)
 
 
 @pytest.mark.parametrize("between", [True, False], ids=["groups", "mean"])
-@pytest.mark.parametrize("width", [1, 2, 5])
+@pytest.mark.parametrize("width", [2, 5])
 def test_pillai_is_that_of_statsmodels(between, width):
+    from statsmodels.multivariate.manova import MANOVA
+
     rng = np.random.default_rng(width)
     scores, groups = rng.normal(0.3, 1.0, (24, width)), np.repeat([0, 1, 2], [9, 8, 7])
     ours = pillai(scores, groups, between=between)
-    if width > 1:
-        found = multivariate(
-            scores, groups, between=between, question="?", rng=rng, permutations=99
-        )
-        assert found.p == pytest.approx(float(ours.p), rel=1e-8)
-        assert found.test == f"MANOVA, Pillai's trace {float(ours.trace):.4g}"
-    elif between:
-        assert float(ours.p) == pytest.approx(
-            float(strata(scores, groups, (1,), between=True).p), rel=1e-9
-        )
-
-
-def test_hotelling_is_that_of_statsmodels():
-    from statsmodels.stats.multivariate import test_mvmean as of_the_mean
-
-    scores = np.random.default_rng(3).normal(0.3, 1.0, (20, 3))
-    ours = hotelling(scores, np.zeros(20, dtype=int), question="?")
-    theirs = of_the_mean(scores, np.zeros(3))
-    assert (ours.statistic, ours.p) == pytest.approx((theirs.statistic, theirs.pvalue), rel=1e-9)
+    hypothesis = np.array([[1.0, -1.0, 0.0], [0.0, 1.0, -1.0]]) if between else np.ones((1, 3))
+    model = MANOVA(scores, np.equal.outer(groups, np.arange(3)).astype(float))
+    theirs = model.mv_test([("effect", hypothesis)])["effect"]["stat"].loc["Pillai's trace"]
+    assert float(ours.trace) == pytest.approx(theirs["Value"], rel=1e-8)
+    assert float(ours.p) == pytest.approx(theirs["Pr > F"], rel=1e-8)
 
 
 def test_tukey_of_plants():
@@ -269,26 +232,11 @@ def test_tukey_of_plants():
     ):
         assert pair.effect.value == pytest.approx(difference, abs=1e-9)
         assert (pair.effect.low, pair.effect.high) == pytest.approx((low, high), abs=2e-6)
-        assert pair.p == pytest.approx(p, abs=2e-6) and pair.alternatives[0].test == "Games-Howell"
+        assert pair.p == pytest.approx(p, abs=2e-6)
 
 
-def test_groups_of_plants_by_tests_that_rest_on_less():
-    """Tests with fewer assumptions on groups of plants agree with R.
-
-    kruskal.test H = 7.9882, p = 0.01842; oneway.test F = 5.181, 17.128 degrees, p = 0.01739.
-    """
+def test_groups_of_plants_by_strata_and_by_permutation():
     values, groups = np.concatenate(PLANTS), np.repeat([0, 1, 2], 10)
-    ranks, uneven = (
-        kruskal_wallis(values, groups, question="g"),
-        welch(values, groups, question="g"),
-    )
-    assert ranks.statistic == pytest.approx(7.9882, abs=5e-5) and ranks.p == pytest.approx(
-        0.01842, abs=5e-6
-    )
-    assert uneven.statistic == pytest.approx(5.181, abs=5e-4) and uneven.p == pytest.approx(
-        0.01739, abs=5e-6
-    )
-    assert uneven.degrees[1] == pytest.approx(17.128, abs=5e-4)
     exact = strata(values[:, None], groups, (1,), between=True)
     assert float(exact.p) == pytest.approx(0.01591, abs=5e-6)  # R: anova, F = 4.8461
     shuffled = permutation(
@@ -318,9 +266,6 @@ def test_tukey_within_users_of_two_levels_is_the_paired_test():
         float(stats.ttest_rel(values[:, 0], values[:, 1]).pvalue), rel=1e-6
     )
     assert "b minus a" in pair.question and pair.effect.value > 0.0
-    assert pair.alternatives[0].statistic == pytest.approx(
-        float(stats.ttest_rel(values[:, 1], values[:, 0]).statistic)
-    )
 
 
 @pytest.mark.parametrize("within", [(0,), (1,), (0, 1)], ids=["first", "second", "both"])

@@ -1,20 +1,19 @@
 """``tissue calibrate``."""
 
+from meshes.base.errors import (InputError)
+from pathlib import (Path)
+from tissue.cli.terminal import (Flag, MaybeWhole, Whole, console, left_out, problems)
+from tissue.system.outputs import (output_locked)
+from tissue.system.stopping import (Terminated)
+from typing import (TYPE_CHECKING)
 import sys
-from pathlib import Path
-from typing import TYPE_CHECKING
-
-from meshes.base.errors import InputError
-from tissue.cli.terminal import Flag, MaybeWhole, Whole, console, left_out, problems
-from tissue.system.outputs import output_locked
-from tissue.system.stopping import Terminated
 
 if TYPE_CHECKING:
-    from tissue.evaluation.calibration.answers import Answer
-    from tissue.evaluation.calibration.session import Plan, Session
-    from tissue.evaluation.calibration.trial_log import TrialLog
+    from tissue.evaluation.calibration.answers import (Answer)
+    from tissue.evaluation.calibration.session import (Plan, Session, TrialLog)
 
 __all__ = ["calibrate"]
+
 
 
 TRIALS, NUMBERS = 120, 24
@@ -111,7 +110,7 @@ def _session(
     """Run a session from the end of its log, and write its files."""
     from meshes.base.whole_file import whole_file
     from tissue.evaluation.calibration.answers import begin
-    from tissue.evaluation.calibration.posterior_view import draw_session
+    from tissue.evaluation.calibration.population_fit import draw_session
     from tissue.perception.observer import write_observer
 
     log = begin(target, name, plan, overwrite=overwrite)
@@ -137,8 +136,8 @@ def _ask_all(log: "TrialLog", answer: "Answer", *, live: bool) -> None:
     from rich.live import Live
 
     from tissue.evaluation.calibration.answers import StoppedError
-    from tissue.evaluation.calibration.posterior_view import posterior_panel
-    from tissue.evaluation.calibration.trial_log import read_log
+    from tissue.evaluation.calibration.population_fit import posterior_panel
+    from tissue.evaluation.calibration.session import read_log
 
     session: Session = log.session
     moving = live and problems.is_terminal

@@ -1,21 +1,17 @@
 """``tissue chart``."""
 
-from pathlib import Path
-
-from meshes.base.errors import InputError
-from tissue.cli.terminal import Flag, MaybeWhole, console, left_out, progress
+from meshes.base.errors import (InputError)
+from pathlib import (Path)
+from tissue.cli.terminal import (Flag, MaybeWhole, console, left_out, progress)
 
 __all__ = ["chart"]
+
+
 
 TRIALS = 30
 """Default number of unseen runs of each scene for charts of predictors."""
 TASKS = ("palpation", "wall", "milling")
 """Scenes of the tasks T1 to T3."""
-MOST_WORKERS = 4
-"""Largest number of processes that prepare a chart.
-
-Each may take some gigabytes for the factor of an organ.
-"""
 
 
 def chart(
@@ -72,18 +68,12 @@ def chart(
 
 def _scenes(names: list[str], folder: Path, *, quick: bool, overwrite: bool) -> None:
     """Run `tissue chart [SCENE ...]`."""
-    import os
-
     from tissue.evaluation.charts.scenes import chart_lines, chart_scenes, notes_before
-    from tissue.system.workers import worker_pool
 
     for note in notes_before(names):
         console.print(note)
-    workers = min(os.cpu_count() or 1, MOST_WORKERS)
-    with progress() as report, worker_pool(workers) as pool:
-        found = chart_scenes(
-            names, folder, quick=quick, overwrite=overwrite, pool=pool, report=report
-        )
+    with progress() as report:
+        found = chart_scenes(names, folder, quick=quick, overwrite=overwrite, report=report)
     console.print(*chart_lines(found), sep="\n")
     console.print(f"pictures and tables in {folder}")
 

@@ -1,11 +1,11 @@
 """``tissue stability``."""
 
-from pathlib import Path
-
-from meshes.base.errors import InputError
-from tissue.cli.terminal import Flag, Overrides, Texts, console, left_out, problems, progress
+from meshes.base.errors import (InputError)
+from pathlib import (Path)
+from tissue.cli.terminal import (Flag, Overrides, Texts, console, left_out, problems, progress)
 
 __all__ = ["stability"]
+
 
 
 def stability(
@@ -73,9 +73,11 @@ def _atlas(folder: Path, only: tuple[str, ...], *, overwrite: bool) -> None:
     """Make the atlas and report the result of every page."""
     with progress() as report:
         report("loading methods", 0.0)
-        from tissue.evaluation.atlas.atlas import chosen_pages, write_atlas
+        from tissue.evaluation.atlas import PAGES
+        from tissue.evaluation.atlas.page import chosen_pages, write_atlas
 
-        entries = write_atlas(folder, chosen_pages(only), overwrite=overwrite, progress=report)
+        pages = chosen_pages(PAGES, only)
+        entries = write_atlas(folder, pages, overwrite=overwrite, progress=report)
     for entry in entries:
         mark = "ok " if entry.shown else "OPEN"
         console.print(f"{mark:4} {entry.page.name:19} {entry.took_s:5.1f} s  {entry.page.title}")

@@ -1,17 +1,17 @@
 """``tissue study plan``, ``tissue study run`` and ``tissue study report``."""
 
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-from cyclopts import App, Parameter
-
-from tissue.cli.terminal import Flag, MaybeWhole, Whole, console, left_out, problems, progress
+from cyclopts import (App, Parameter)
+from dataclasses import (dataclass)
+from pathlib import (Path)
+from tissue.cli.terminal import (Flag, MaybeWhole, Whole, console, left_out, problems, progress)
+from typing import (Annotated, TYPE_CHECKING)
 
 if TYPE_CHECKING:
-    from tissue.evaluation.study.plan import Plan
+    from tissue.evaluation.study.plan import (Plan)
 
 __all__ = ["study"]
+
+
 
 study = App(
     name="study",
@@ -93,9 +93,8 @@ def run(
     only
         Name of one trial, such as T1-novice-0007: run only this trial and print its result.
     """
-    from tissue.evaluation.study.folder import StudyFolder
+    from tissue.evaluation.study.folder import StudyFolder, run_study
     from tissue.evaluation.study.plan import TrialKey
-    from tissue.evaluation.study.runner import run_study
     from tissue.evaluation.study.trial import run_trial
 
     plan = options.plan()

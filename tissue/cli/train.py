@@ -1,11 +1,11 @@
 """``tissue train``."""
 
-from pathlib import Path
-
-from tissue.cli.terminal import Flag, MaybeWhole, Overrides, Whole, console, progress
-from tissue.system.outputs import output_locked
+from pathlib import (Path)
+from tissue.cli.terminal import (Flag, MaybeWhole, Overrides, Whole, console, progress)
+from tissue.system.outputs import (output_locked)
 
 __all__ = ["train"]
+
 
 
 def train(
@@ -46,7 +46,7 @@ def train(
     require_new_file(path, overwrite=overwrite)
     with output_locked(path, folder=False), progress() as report:
         report("starting Warp", 0.0)
-        from tissue.evaluation.training.train import train as trained_on
+        from tissue.evaluation.training import train as trained_on
 
         found = trained_on(loaded, trials=trials, cores=cores, progress=report)
         found.write(path, overwrite=overwrite)

@@ -1,17 +1,18 @@
 """Assessment of a trainee's run against a reference run of the same scene, as text and files."""
 
+import filecmp
 import json
-from collections.abc import Callable
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Protocol, TypedDict
+from typing import Any
 
 import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
 from meshes.base.whole_file import whole_file
-from tissue.evaluation.same_task import path_note, require_same_task, scene_notes
 from tissue.evaluation.statistics.metrics import (
     acceleration_change_m_s2,
     aligned_rows,
@@ -21,6 +22,8 @@ from tissue.evaluation.statistics.metrics import (
     spectral_arc_length,
 )
 from tissue.models.tissue_model import TICK_S
+from tissue.scene.named_parts import shown
+from tissue.scene.part import is_file_key
 from tissue.scene.scene import Scene
 from tissue.show.figures.figure import figure, save
 from tissue.simulation.depth_map import tool_axes
@@ -35,6 +38,7 @@ __all__ = [
     "Quantity",
     "assess",
     "assessment_lines",
+    "path_note",
     "require_assessment_folder",
     "write_assessment",
 ]
@@ -55,34 +59,15 @@ The value is a convention, not a standard.
 """
 
 
-class AssessedRun(Protocol):
-    """Run, saved or not. `path` is None without a folder."""
+@dataclass(frozen=True)
+class AssessedRun:
+    """What an assessment reads of a run. `path` is None without a folder."""
 
-    @property
-    def path(self) -> Path | None: ...
-    @property
-    def summary(self) -> Summary: ...
-    @property
-    def trace(self) -> Table | None: ...
-    @property
-    def complete(self) -> bool: ...
-    @property
-    def scene(self) -> Scene | None: ...
-
-
-class Figures(TypedDict):
-    scene: object
-    time_in_contact_s: dict[str, float]
-    deviation_mm: dict[str, float]
-    peak_force_N: dict[str, float]
-    force_error: float
-    overshoot_mm: float
-    acceleration_change_m_s2: dict[str, float]
-    spectral_arc_length: dict[str, float]
-    complete: dict[str, bool]
-
-
-"""Figures of an assessment by name, with the unit in the name."""
+    path: Path | None
+    summary: Summary
+    trace: Table | None
+    complete: bool
+    scene: Scene | None
 
 
 @dataclass(frozen=True)
@@ -168,7 +153,7 @@ class Assessment:
         Differences between the two runs that limit the meaning of the figures, a sentence each.
     """
 
-    figures: Figures
+    figures: dict[str, Any]
     breaches: tuple[Breach, ...]
     events: tuple[tuple[float, str], ...]
     time_s: Array
@@ -209,15 +194,7 @@ def assess(
         If the runs are of different tasks (another anatomy, tool or material), hold no trace, or
         have no contact.
     """
-    scenes = [each.summary.get("scene") for each in (trainee, reference)]
-    if scenes[0] != scenes[1]:
-        raise InputError(
-            "run and reference",
-            "be of one scene",
-            f"{scenes[0]} and {scenes[1]}",
-            "run the same scene",
-        )
-    require_same_task(trainee.scene, reference.scene)
+    _require_same_task(trainee, reference)
     mine = _trace(trainee, "run")
     theirs = _trace(reference, "reference")
     path = mine.vectors("tool", "mm")
@@ -245,8 +222,8 @@ def assess(
         Quantity("depth", "mm", depth, deepest + overshoot_limit_mm, plan[rows]),
     )
     worst = int(apart.argmax())
-    figures: Figures = {
-        "scene": scenes[0],
+    figures = {
+        "scene": trainee.summary.get("scene"),
         "time_in_contact_s": _both(_contact_s, mine, theirs),
         "deviation_mm": {
             "mean": float(apart.mean()),
@@ -256,7 +233,7 @@ def assess(
         "peak_force_N": {"trainee": float(size.max()), "reference": float(ideal_size.max())},
         "force_error": force_error(force, ideal[rows]),
         "overshoot_mm": overshoot_mm(depth, target_mm=deepest),
-        "acceleration_change_m_s2": _both(_acceleration_change_m_s2, mine, theirs),
+        "acceleration_change_m_s2": _both(_roughness_m_s2, mine, theirs),
         "spectral_arc_length": _both(_arc_length, mine, theirs),
         "complete": {"trainee": trainee.complete, "reference": reference.complete},
     }
@@ -269,8 +246,11 @@ def assess(
     breaches = sorted(
         (each for one in quantities for each in one.breaches(time)), key=lambda each: each.start_s
     )
-    notes = (*scene_notes(trainee.scene, reference.scene), *_unfinished(trainee, reference))
-    return Assessment(figures, tuple(breaches), tuple(events), time, *quantities, notes)
+    notes = list(_scene_notes(trainee.scene, reference.scene))
+    for who, run in (("trainee", trainee), ("reference", reference)):
+        if note := path_note(run.summary):
+            notes.append(f"the path of the {who} is {note}")
+    return Assessment(figures, tuple(breaches), tuple(events), time, *quantities, tuple(notes))
 
 
 def assessment_lines(found: Assessment) -> list[str]:
@@ -309,23 +289,14 @@ def assessment_lines(found: Assessment) -> list[str]:
 
 
 def require_assessment_folder(folder: Path, *, overwrite: bool) -> None:
-    """Check that a folder can take an assessment.
-
-    Raises
-    ------
-    InputError
-        If the folder is a file, or holds another assessment.
-    """
+    """Check that a folder can take an assessment."""
     require_folder(folder, "assessment", FILES, overwrite=overwrite)
 
 
 def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> list[Path]:
     """Write ``assessment.json`` and ``assessment.png``.
 
-    Raises
-    ------
-    InputError
-        If the folder is a file, or holds another assessment.
+    Raises InputError if the folder is a file, or holds another assessment.
     """
     data = {
         **found.figures,
@@ -358,17 +329,16 @@ def _draw(found: Assessment, path: Path) -> None:
     ):
         for breach in (breach for breach in found.breaches if breach.what == each.what):
             end = max(breach.end_s, breach.start_s + least)
-            axes.axvspan(breach.start_s, end, color=SHADE, alpha=0.35, lw=0)
+            axes.axvspan(breach.start_s, end, color=SHADE, alpha=0.35)
         if each.reference is not None:
             axes.plot(
                 time,
                 each.reference,
                 color=REFERENCE,
-                linewidth=1.4,
                 label="reference at that place",
             )
         axes.plot(time, each.values, color=TRAINEE, label="trainee")
-        axes.axhline(each.limit, color=LIMIT, linestyle="--", linewidth=1.4, label="limit")
+        axes.axhline(each.limit, color=LIMIT, linestyle="--", label="limit")
         axes.set_ylabel(label)
         axes.grid(alpha=0.3)
         high = max(each.limit, float(each.values.max()))
@@ -383,28 +353,14 @@ def _draw(found: Assessment, path: Path) -> None:
         ncols=3,
         frameon=False,
     )
-    count = len(found.breaches)
     figures = found.figures
-    summary = (
-        "no limit passed" if not count else f"{count} breach{'es' if count > 1 else ''}, shaded"
+    title = (
+        f"{figures['scene']}: a trainee against the reference, {len(found.breaches)} breaches; "
+        f"{figures['deviation_mm']['mean']:.2f} mm off the path on average, force "
+        f"{100.0 * figures['force_error']:.0f} % off"
     )
-    title = f"{figures['scene']}: a trainee against the reference, {summary}"
-    chart.text(0.09, 0.955, title, size=11, va="center")
-    mean = figures["deviation_mm"]["mean"]
-    percent = 100.0 * figures["force_error"]
-    below = f"{mean:.2f} mm off the path on average, force {percent:.0f} % off"
-    chart.text(0.09, 0.92, below, size=9, color="0.25", va="center")
+    chart.text(0.09, 0.955, title, size=10)
     save(chart, path)
-
-
-def _unfinished(trainee: AssessedRun, reference: AssessedRun) -> list[str]:
-    """Return sentences on runs that end before their paths do."""
-    runs = {"trainee": trainee, "reference": reference}
-    return [
-        f"the path of the {who} is {note}"
-        for who, run in runs.items()
-        if (note := path_note(run.summary))
-    ]
 
 
 def _trace(run: AssessedRun, name: str) -> Table:
@@ -422,7 +378,7 @@ def _both(of: Callable[[Table], float], mine: Table, theirs: Table) -> dict[str,
     return {"trainee": of(mine), "reference": of(theirs)}
 
 
-def _acceleration_change_m_s2(trace: Table) -> float:
+def _roughness_m_s2(trace: Table) -> float:
     return acceleration_change_m_s2(trace.vectors("velocity", "mm_s"), tick_s=TICK_S)
 
 
@@ -451,3 +407,93 @@ def _approach(trace: Table) -> tuple[Array, Array]:
     quaternions = np.column_stack([trace[f"tool_q{c}"][rows] for c in "xyzw"])
     axis = tool_axes(quaternions).mean(axis=0)
     return axis / np.linalg.norm(axis), trace.vectors("tool", "mm")[rows[0]]
+
+
+TASK = ("anatomy", "keep_clear", "organ", "cutting", "tool")
+"""Parts of a scene that make the task: in another tissue or with another tool, other forces and
+depths are right.
+"""
+NUMERICAL = frozenset(
+    f"organ.{name}"
+    for name in ("law_interval_ms", "law_edge_ratio", "order", "path", "basis_size", "interval_ms")
+)
+"""Keys of these parts that change the computation and not the task."""
+FREE = ("name", "description", "seed", "device", "output", "fidelity")
+"""Keys that may differ between a trainee and a reference without a note.
+
+They describe the user who moves the tool, and the device.
+"""
+
+
+def _require_same_task(trainee: AssessedRun, reference: AssessedRun) -> None:
+    """Check that two runs have the same scene, tissue, tool and material."""
+    names = [str(each.summary.get("scene")) for each in (trainee, reference)]
+    differences = [("scene", *names)] if names[0] != names[1] else []
+    if trainee.scene is not None and reference.scene is not None:
+        differences += [
+            (key, shown(mine), shown(theirs))
+            for key, mine, theirs in _differences(trainee.scene, reference.scene)
+            if key.partition(".")[0] in TASK and key not in NUMERICAL
+        ]
+        if trainee.scene.constants.key != reference.scene.constants.key:
+            files = [each.materials or "the library" for each in (trainee.scene, reference.scene)]
+            differences.append(("materials", *map(str, files)))
+    for key, first, second in differences:
+        raise InputError(
+            "run and reference",
+            "be of one task",
+            f"{key} = {first} and {second}",
+            "run the reference's scene",
+        )
+
+
+def _scene_notes(trainee: Scene | None, reference: Scene | None) -> Iterator[str]:
+    """Yield sentences on further differences between the two scenes."""
+    if trainee is None or reference is None:
+        yield "a run has no scene.toml: whether both are of one tissue and tool is not known"
+        return
+    for key, mine, theirs in _differences(trainee, reference):
+        part = key.partition(".")[0]
+        if part not in FREE and part != "materials" and (part not in TASK or key in NUMERICAL):
+            yield f"the scenes differ in {key}: trainee {shown(mine)}, reference {shown(theirs)}"
+
+
+def path_note(summary: Summary) -> str:
+    """Return the reason why a run did not finish its path, empty for a finished path."""
+    notes = summary.get("notes")
+    text = str(notes.get("path", "")) if isinstance(notes, Mapping) else ""
+    return text if text.startswith("not finished") else ""
+
+
+def _differences(one: Scene, other: Scene) -> Iterator[tuple[str, object, object]]:
+    """Yield keys of two scenes with their values where these differ, defaults included."""
+    first, second = (dict(_flat(tomllib.loads(each.to_toml()))) for each in (one, other))
+    for key in dict.fromkeys((*first, *second)):
+        if first.get(key) != second.get(key) and not _same_file(
+            key, first.get(key), second.get(key)
+        ):
+            yield key, first.get(key, "nothing"), second.get(key, "nothing")
+
+
+def _same_file(key: str, one: object, other: object) -> bool:
+    """Return whether a key names files of one name and content.
+
+    A file that is not on this machine is compared by its name. A trainee's run may come from
+    another machine with another path to the anatomy.
+    """
+    names_file = is_file_key(key.rpartition(".")[2]) or key.startswith("keep_clear.files.")
+    if not names_file or not isinstance(one, str) or not isinstance(other, str):
+        return False
+    first = Path(one)
+    second = Path(other)
+    if first.name != second.name:
+        return False
+    return not (first.is_file() and second.is_file()) or filecmp.cmp(first, second, shallow=False)
+
+
+def _flat(table: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:
+    for key, value in table.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value

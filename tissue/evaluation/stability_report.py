@@ -122,9 +122,7 @@ def _draw_stability(found: StabilityMap, path: Path, *, title: str) -> None:
     chart.subplots_adjust(left=0.09, right=0.98, top=0.84, bottom=0.25, wspace=0.24)
     for panel, data in zip(axes, (found.over_damping, found.over_delay), strict=True):
         _draw(panel, data, found)
-    chart.legend(
-        *axes[0].get_legend_handles_labels(), loc="lower center", ncols=3, frameon=False, fontsize=9
-    )
+    chart.legend(*axes[0].get_legend_handles_labels(), loc="lower center", ncols=3, frameon=False)
     chart.text(0.09, 0.95, title, va="center", size=11)
     chosen = f"chosen: {found.verdict.sentence(found.chosen.stiffness_N_m)}"
     chart.text(0.09, 0.895, chosen, va="center", size=9, color="0.25")
@@ -141,28 +139,25 @@ def _draw(panel: Axes, data: StabilityChart, found: StabilityMap) -> None:
     panel.pcolormesh(
         across, data.stiffnesses_N_m, grows, cmap="Greys", vmin=0.0, vmax=4.0, shading="nearest"
     )
-    panel.plot(across, data.exact_N_m, color="0.1", linewidth=2.0, label="eigenvalues, exact delay")
+    panel.plot(across, data.exact_N_m, color="0.1", label="eigenvalues, exact delay")
     panel.plot(
         across[::2],
         data.measured_N_m[::2],
         "o",
         color="#0072B2",
-        markersize=4.5,
         label="measured by running it",
     )
     for name, values in data.lines_N_m.items():
         colour, line = LINES[name]
         shown = np.where((values > low) & (values < high), values, np.nan)
-        panel.plot(across, shown, color=colour, linestyle=line, linewidth=1.6, label=name)
+        panel.plot(across, shown, color=colour, linestyle=line, label=name)
     x = scale * float(getattr(found.chosen, data.along))
     panel.plot(
         [x],
         [found.chosen.stiffness_N_m],
         "*",
         color="#D55E00",
-        markersize=14,
         label="chosen",
-        zorder=5,
     )
     panel.set(xlabel=label, ylabel="stiffness / N/m", yscale="log", ylim=(low, high))
     panel.grid(alpha=0.3, which="both")

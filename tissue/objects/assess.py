@@ -4,16 +4,12 @@ The command `tissue assess` does the same.
 """
 
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 from meshes.base.errors import InputError
 from tissue.evaluation import assessment as engine
 from tissue.evaluation.assessment import write_assessment
 from tissue.objects.run import Run, open_run
-from tissue.scene.scene import Scene
-from tissue.simulation.run_summary import Summary
-from tissue.simulation.trace import Table
 
 __all__ = ["Assessment", "assess"]
 
@@ -74,20 +70,9 @@ def assess(
     return Assessment(**vars(found))
 
 
-@dataclass(frozen=True)
-class _Held:
-    """Run with the attributes that an assessment reads."""
-
-    path: Path | None
-    summary: Summary
-    trace: Table
-    complete: bool
-    scene: Scene | None
-
-
-def _held(run: Run | str | Path) -> _Held:
+def _held(run: Run | str | Path) -> engine.AssessedRun:
     run = run if isinstance(run, Run) else open_run(run)
     scene = None
     with suppress(InputError):  # a run without scene.toml can be assessed too
         scene = run.scene
-    return _Held(run.path, run.summary, run.trace, run.status == "complete", scene)
+    return engine.AssessedRun(run.path, run.summary, run.trace, run.status == "complete", scene)

@@ -15,8 +15,7 @@ from tissue.evaluation.calibration.observers import (
     gain_of,
 )
 from tissue.evaluation.calibration.observers import share_right as shares_right
-from tissue.evaluation.calibration.session import Comparison, Magnitude, Plan, Session
-from tissue.evaluation.calibration.trial_log import TrialLog
+from tissue.evaluation.calibration.session import Comparison, Magnitude, Plan, Session, TrialLog
 from tissue.evaluation.statistics.hypothesis_test import Effect
 from tissue.perception.adaptive import AdaptiveThreshold
 from tissue.perception.observer import reference_observer

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from meshes.base.errors import InputError
-from tissue.evaluation.same_task import path_note
+from tissue.evaluation.assessment import path_note
 from tissue.objects.html import figures_of, table_html
 from tissue.objects.run import Run, open_run
 from tissue.objects.trace import needed

@@ -103,7 +103,7 @@ def simulate(
             "allow_unstable": allow_unstable,
         }
         if scene.fidelity is not None:
-            from tissue.evaluation.charts.fidelity import with_fidelity
+            from tissue.evaluation.charts.frontier import with_fidelity
 
             scene, notes["fidelity"] = with_fidelity(scene, report=report)
         if live is not None:

@@ -6,9 +6,8 @@ The command `tissue study run` does the same.
 from pathlib import Path
 
 from meshes.base.progress import Progress, silent
-from tissue.evaluation.study.folder import StudyFolder
+from tissue.evaluation.study.folder import StudyFolder, run_study
 from tissue.evaluation.study.plan import Plan, TrialKey
-from tissue.evaluation.study.runner import run_study
 from tissue.evaluation.study.trial import Trial, run_trial
 
 __all__ = ["Plan", "StudyFolder", "Trial", "register", "run", "trial"]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tissue.evaluation.same_task import path_note
+from tissue.evaluation.assessment import path_note
 from tissue.objects.comparison import Comparison
 from tissue.objects.html import figures_of, table_html
 from tissue.objects.run import Run

@@ -24,19 +24,6 @@ def test_an_atlas_of_two_pages_is_written_whole(command, here):
     assert f"{rows['bare_N'].max():.1e} N" in html  # the verdict is of these data
 
 
-def test_an_atlas_is_not_written_over(command, here):
-    only = ("--only", "wild_input")
-    (here / "kept").mkdir()
-    (here / "kept" / "index.html").write_text("mine")
-    assert command("stability", "--out", "kept", *only)[0] == 2
-    assert command("stability", "--out", "kept", *only, "--overwrite")[0] == 2
-    assert (here / "kept" / "index.html").read_text() == "mine"
-    assert command("stability", "--out", "made", *only)[0] == 0
-    assert command("stability", "--out", "made", *only)[0] == 2
-    assert command("stability", "--out", "made", *only, "--overwrite")[0] == 0
-    assert "<section" in (here / "made" / "index.html").read_text("utf-8")
-
-
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [

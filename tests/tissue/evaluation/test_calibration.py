@@ -1,22 +1,21 @@
 """`tissue calibrate`: sessions, their logs and interruptions, and what is refused."""
 
+from calibration_sessions import (answered)
+from meshes.base.errors import (InputError)
+from pathlib import (Path)
+from tissue.evaluation.calibration.answers import (questioner, simulated_observer)
+from tissue.evaluation.calibration.session import (Plan, TrialLog, read_log)
+from tissue.perception.observer import (read_observer)
 import json
+import numpy as np
 import os
+import pytest
 import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
-import numpy as np
-import pytest
-from calibration_sessions import answered
 
-from meshes.base.errors import InputError
-from tissue.evaluation.calibration.answers import questioner, simulated_observer
-from tissue.evaluation.calibration.session import Plan
-from tissue.evaluation.calibration.trial_log import TrialLog, read_log
-from tissue.perception.observer import read_observer
 
 ROOT = Path(__file__).resolve().parents[3]
 SHORT = Plan(trials=20, numbers=6)
@@ -56,13 +55,6 @@ def test_a_session_ends_with_observer_trials_and_picture(command, here):
     assert (here / "sub" / "one.json").read_bytes() == before
 
 
-def test_a_picture_that_is_there_is_kept(refused, here):
-    (here / "mine.png").write_text("mine")
-    message = refused("calibrate", "--observer", "simulated:4", "--out", "mine.json")
-    assert "got mine.png: pass --overwrite or choose another --out" in message
-    assert os.listdir(here) == ["mine.png"] and (here / "mine.png").read_text() == "mine"
-
-
 def test_a_session_goes_on_at_any_trial(tmp_path, log):
     """Cut after every line, and within one, the session ends with the same bits."""
     answers, whole = (
@@ -86,48 +78,23 @@ def test_a_session_goes_on_at_any_trial(tmp_path, log):
 
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
-@pytest.mark.parametrize("name", ["SIGINT", "SIGKILL"], ids=["ctrl-c", "kill"])
-def test_a_stopped_command_goes_on(tmp_path, name):
-    def run(out, **options):
-        arguments = [
-            "calibrate",
-            "--observer",
-            "simulated:2",
-            "--trials",
-            "600",
-            "--numbers",
-            "4",
-            "--out",
-            str(out),
-        ]
-        code = "from tissue.cli.main import main; main()"
-        return subprocess.Popen(
-            [sys.executable, "-c", code, *arguments],
-            cwd=ROOT,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            **options,
-        )
-
-    out, path = tmp_path / "stopped.json", tmp_path / "stopped.trials.jsonl"
-    first = run(out)
-    while not path.exists() or path.read_bytes().count(b"\n") < 10:
-        assert first.poll() is None, first.stderr.read()
-        time.sleep(0.001)
-    first.send_signal(getattr(signal, name))
-    _, message = first.communicate(timeout=60)
+def test_a_killed_command_goes_on(tmp_path):
+    out = tmp_path / "stopped.json"
+    path = tmp_path / "stopped.trials.jsonl"
+    code = "from tissue.cli.main import main; main()"
+    given = "calibrate --observer simulated:2 --trials 300 --numbers 4 --out"
+    command = [sys.executable, "-c", code, *given.split(), str(out)]
+    with subprocess.Popen(command, cwd=ROOT) as first:
+        while not path.exists() or path.read_bytes().count(b"\n") < 10:
+            assert first.poll() is None
+            time.sleep(0.001)
+        first.kill()
     done = path.read_bytes().count(b"\n") - 1
-    assert 9 <= done < 604 and not out.exists()
-    if name == "SIGINT":
-        assert first.returncode == 130 and f"stopped after trial {done}" in message
-    second = run(out)
-    _, message = second.communicate(timeout=120)
-    assert second.returncode == 0 and f"going on at trial {done + 1}" in message
-    session = answered(
-        Plan(trials=600, numbers=4),
-        questioner("simulated:2", "mouse", seed=0, read=input, show=print)[0],
-    )
+    assert 9 <= done < 304 and not out.exists()
+    again = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert again.returncode == 0 and f"going on at trial {done + 1}" in again.stderr
+    answers = questioner("simulated:2", "mouse", seed=0, read=input, show=print)[0]
+    session = answered(Plan(trials=300, numbers=4), answers)
     _, restored = read_log(path)
     assert restored.asked == session.asked and restored.given == session.given
     np.testing.assert_array_equal(read_observer(out).mean, session.observer("x").mean)
@@ -137,15 +104,6 @@ def change(lines, number, **entries):
     """Lines of a log with entries of one replaced."""
     entry = json.loads(lines[number]) | entries
     return [*lines[:number], json.dumps(entry), *lines[number + 1 :]]
-
-
-@pytest.mark.parametrize("content", [b"\xff\xfe\x00", b""], ids=["no text", "empty"])
-def test_a_log_that_is_no_text_is_refused_without_the_words_of_a_decoder(tmp_path, content):
-    path = tmp_path / "log.jsonl"
-    path.write_bytes(content)
-    with pytest.raises(InputError, match="log must be a file of trials, got ") as refused:
-        read_log(path)
-    assert "codec" not in str(refused.value)
 
 
 @pytest.mark.parametrize(
@@ -169,7 +127,7 @@ def test_a_log_that_is_no_text_is_refused_without_the_words_of_a_decoder(tmp_pat
         (lambda lines: change(lines, 0, plan={}), "log must begin with a plan"),
         (
             lambda lines: change(lines, 0, observer="other"),
-            "got observer other instead of somebody",
+            "got one of another observer or plan (other)",
         ),
         (lambda lines: ["time,force", "0,1"], "which is something else"),
     ],
@@ -198,11 +156,6 @@ def test_a_log_that_cannot_be_gone_on_with_is_refused_and_kept(log, damaged, mes
         TrialLog(log, "somebody", SHORT)
     assert message in str(refused.value)
     assert log.read_bytes() == before
-
-
-def test_another_plan_is_another_session(log):
-    with pytest.raises(InputError, match="got trials 20 instead of 30"):
-        TrialLog(log, "somebody", Plan(trials=30, numbers=6))
 
 
 @pytest.mark.parametrize(
@@ -245,9 +198,3 @@ def test_another_plan_is_another_session(log):
 def test_what_cannot_be_calibrated_is_refused(refused, here, arguments, sentence):
     assert sentence in refused("calibrate", *arguments)
     assert not os.listdir(here)
-
-
-@pytest.mark.parametrize("name", ["seed", "trials", "numbers"])
-def test_counts_of_a_plan_are_whole_numbers(name):
-    with pytest.raises(InputError, match=f"{name} must be a whole number, got 1.5"):
-        Plan(**{name: 1.5})

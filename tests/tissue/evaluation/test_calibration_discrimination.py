@@ -1,7 +1,5 @@
 """People who discriminate stimuli: null data, and what a mapping can and cannot do."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -16,7 +14,6 @@ from tissue.evaluation.calibration.observers import (
 from tissue.haptics.loop.filters import ForceRange
 from tissue.perception.laws import D_PRIME_75, correct_of_d_prime
 from tissue.perception.observer import reference_observer
-from tissue.scene.registry import GROUPS
 
 
 def people(count, **given):
@@ -32,21 +29,6 @@ def people(count, **given):
     return SimulatedObservers(
         **{name: np.full(count, given.get(name, value)) for name, value in usual.items()}
     )
-
-
-@pytest.mark.parametrize("group", GROUPS)
-def test_identical_stimuli_are_never_discriminated_better(group):
-    """Identical stimuli are never discriminated better.
-
-    Half of the answers are right, with and without calibration; four standard errors of 10,000
-    answers.
-    """
-    rng = np.random.default_rng(0)
-    crowd, same = draw_observers(group, 100, rng), Stimulus(1.0, 0.1)
-    for commands in (None, calibrated_commands(crowd, rng)):
-        assert share_right(crowd, same, same, seed=1, commands=commands).mean() == pytest.approx(
-            0.5, abs=0.02
-        )
 
 
 def test_no_false_gain_on_null_data():
@@ -135,33 +117,3 @@ def test_a_device_at_its_limit_makes_forces_alike():
     )
     wide = ForceRange(limit_N=100.0)
     assert share_right(crowd, *strong, seed=1, limits=wide).mean() > 0.9
-
-
-def test_texture_is_a_second_cue():
-    crowd, stimuli = people(200), (Stimulus(0.05), Stimulus(0.06))
-    alone, both = (
-        share_right(crowd, *stimuli, seed=1, texture_share=share).mean() for share in (0.0, 0.1)
-    )
-    force, vibration = 0.01 / (0.07 * 0.25), 0.001 / (0.15 * (0.005 + 0.005))
-    assert both == pytest.approx(
-        float(correct_of_d_prime(D_PRIME_75 * np.hypot(force, vibration))), abs=0.02
-    )
-    assert both > alone
-    same = Stimulus(0.05)
-    assert share_right(crowd, same, same, seed=1, texture_share=0.1).mean() == pytest.approx(
-        0.5, abs=0.02
-    )
-
-
-def test_a_wrong_noise_model_changes_shares_not_signs():
-    rng = np.random.default_rng(5)
-    crowd = draw_observers("expert", 100, rng)
-    commands = calibrated_commands(crowd, rng)
-    stimuli = Stimulus(1.0), Stimulus(1.1)
-    for each in (crowd, replace(crowd, freedom=3.0)):
-        gain = gain_of(
-            share_right(each, *stimuli, seed=1),
-            share_right(each, *stimuli, seed=1, commands=commands),
-            rng,
-        )
-        assert abs(gain.value) < 3.0

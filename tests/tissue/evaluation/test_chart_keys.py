@@ -1,18 +1,17 @@
 """Keys under which measurements are kept."""
 
-from tissue.evaluation.charts import keys
-from tissue.evaluation.charts.keys import setting_key
-from tissue.evaluation.charts.settings import Setting
+from tissue.evaluation.charts import settings
+from tissue.evaluation.charts.settings import Setting, setting_key
 from tissue.scene.load import load_scene
 
 
 def test_a_change_of_any_file_of_the_code_makes_measurements_anew(tmp_path, monkeypatch):
     scene, setting = load_scene("milling"), Setting("0.4 mm", "voxels", {"voxels.spacing_mm": 0.4})
-    for package in keys.PACKAGES:
+    for package in settings.PACKAGES:
         (tmp_path / package / "inner").mkdir(parents=True)
-    monkeypatch.setattr(keys, "files", lambda package: tmp_path / package)
+    monkeypatch.setattr(settings, "files", lambda package: tmp_path / package)
     # not kept from one call to the next
-    monkeypatch.setattr(keys, "own_sources", keys.own_sources.__wrapped__)
+    monkeypatch.setattr(settings, "code_sha256", settings.code_sha256.__wrapped__)
     (tmp_path / "kernels" / "__pycache__").mkdir()
     found = [setting_key(scene, setting, quick=True)]
     for place, text in (

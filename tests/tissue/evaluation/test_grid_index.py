@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from meshes.base.errors import InputError
-from tissue.evaluation.reference.grid_index import FORMAL_ORDER, SAFETY, grid_index
+from tissue.evaluation.reference.history import FORMAL_ORDER, SAFETY, grid_index
 
 SPACINGS = (0.1, 0.06, 0.033)
 """Not of one ratio, so that the order has to be solved for."""
@@ -31,12 +30,10 @@ def test_a_manufactured_error_gives_its_order_and_an_index_that_bounds_it(order)
     exact, shape = truth(), error_shape()
     forces = [exact + shape * h**order for h in SPACINGS]
     found = grid_index(forces, SPACINGS)
-    for each in (found.over_ticks, found.over_50_ms):
-        assert each.asymptotic and each.order == pytest.approx(order, abs=1e-6)
+    assert found.asymptotic and found.order == pytest.approx(order, abs=1e-6)
     for k, force in enumerate(forces):
         error = size(force - exact) / size(forces[2])
-        assert found.over_ticks.index[k] == pytest.approx(SAFETY * error, rel=1e-6)
-    assert found.over_50_ms.index[0] < found.over_ticks.index[0]
+        assert found.index[k] == pytest.approx(SAFETY * error, rel=1e-6)
     assert grid_index(forces[::-1], SPACINGS[::-1]) == found
 
 
@@ -52,28 +49,9 @@ def test_errors_that_fall_but_share_no_shape_are_bounded_too(order, seed):
     exact, rng, spacings = truth(), np.random.default_rng(seed), (0.09, 0.03 * 3.0**0.5, 0.03)
     forces = [exact + rng.normal(size=exact.shape) * h**order for h in spacings]
     found = grid_index(forces, spacings)
-    assert found.over_ticks.order == pytest.approx(order, abs=0.08)
+    assert found.order == pytest.approx(order, abs=0.08)
     for k, force in enumerate(forces):
-        assert size(force - exact) / size(forces[2]) < found.over_ticks.index[k]
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_noise_that_does_not_converge_is_no_asymptotic_range(seed):
-    """As large on every grid: order about 0, the larger safety factor, and still a bound."""
-    exact, rng = truth(), np.random.default_rng(seed)
-    forces = [exact + 0.05 * rng.normal(size=exact.shape) for _ in SPACINGS]
-    found = grid_index(forces, SPACINGS)
-    for each in (found.over_ticks, found.over_50_ms):
-        assert not each.asymptotic and abs(each.order) < 0.5
-    for k, force in enumerate(forces):
-        assert size(force - exact) / size(exact) < found.over_ticks.index[k]
-
-
-def test_differences_that_grow_have_a_negative_order():
-    exact, shape = truth(), error_shape()
-    found = grid_index([exact + shape * scale for scale in (0.0, 0.01, 0.1)], SPACINGS)
-    assert not found.over_ticks.asymptotic and found.over_ticks.order < 0.0
-    assert found.over_ticks.index[2] > 0.1 * size(shape) / size(exact)
+        assert size(force - exact) / size(forces[2]) < found.index[k]
 
 
 def test_an_order_that_is_too_good_is_not_used():
@@ -84,7 +62,7 @@ def test_an_order_that_is_too_good_is_not_used():
     """
     exact, shape = truth(), error_shape()
     forces = [exact + shape * h**4 for h in SPACINGS]
-    found = grid_index(forces, SPACINGS).over_ticks
+    found = grid_index(forces, SPACINGS)
     assert not found.asymptotic and found.order == pytest.approx(4.0, abs=1e-6)
     left = (
         size(forces[1] - forces[2])
@@ -97,34 +75,18 @@ def test_an_order_that_is_too_good_is_not_used():
 def test_equal_forces_have_no_error_and_the_finer_two_equal_leave_the_coarse_one():
     exact = truth()
     found = grid_index([exact] * 3, SPACINGS)
-    assert found.over_ticks.index == found.over_50_ms.index == (0.0, 0.0, 0.0) == found.bias
-    assert found.over_ticks.asymptotic and np.isnan(found.over_ticks.order)
-    late = grid_index([1.01 * exact, exact, exact], SPACINGS).over_ticks
+    assert found.index == (0.0, 0.0, 0.0)
+    assert found.asymptotic and np.isnan(found.order)
+    late = grid_index([1.01 * exact, exact, exact], SPACINGS)
     assert late.order == np.inf and not late.asymptotic
     assert late.distance == pytest.approx((0.01, 0.0, 0.0)) and late.index[2] == 0.0
-    early = grid_index([exact, exact, 1.01 * exact], SPACINGS).over_ticks
+    early = grid_index([exact, exact, 1.01 * exact], SPACINGS)
     assert early.order == -np.inf and early.index[2] > 0.01
-    assert grid_index([np.zeros((60, 3))] * 3, SPACINGS).over_ticks.index == (0.0, 0.0, 0.0)
+    assert grid_index([np.zeros((60, 3))] * 3, SPACINGS).index == (0.0, 0.0, 0.0)
 
 
 def test_an_error_that_all_grids_share_is_not_seen():
     """The index does not bound a bias that every grid has."""
     exact, shape = truth(), error_shape()
     found = grid_index([1.1 * exact + shape * h**2 for h in SPACINGS], SPACINGS)
-    assert found.over_ticks.index[2] < 0.01
-
-
-def test_the_bias_is_signed_along_the_force():
-    exact = truth()
-    found = grid_index([0.97 * exact, 1.01 * exact, exact], SPACINGS)
-    assert found.bias == pytest.approx((-0.03, 0.01, 0.0), abs=1e-12)
-
-
-def test_two_grids_or_one_spacing_are_refused():
-    exact = truth(100)
-    with pytest.raises(InputError, match="forces_N must hold three forces"):
-        grid_index([exact, exact], SPACINGS[:2])
-    with pytest.raises(InputError, match="forces_N must hold three forces"):
-        grid_index([exact, exact, exact[:50]], SPACINGS)
-    with pytest.raises(InputError, match="spacings must be positive and differ"):
-        grid_index([exact] * 3, (0.1, 0.1, 0.05))
+    assert found.index[2] < 0.01

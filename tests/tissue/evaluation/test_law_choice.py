@@ -5,7 +5,7 @@ import pytest
 from meshes.base.errors import InputError
 from tissue.evaluation.charts.law import linear_error, with_law
 from tissue.scene.coupling import Fidelity
-from tissue.scene.load import changed, load_scene
+from tissue.scene.load import load_scene
 
 PRESS = {
     "anatomy.size_mm": [50, 50, 30],
@@ -45,14 +45,6 @@ def test_a_law_is_taken_where_the_linear_one_is_too_far_off(scene):
         other.organ.law == "neo-hookean" and "for the linear one is 10 % off 0.57 radii deep" in why
     )
     assert with_law(scene, Fidelity(tick_ms=0.5)) == (scene, "")
-
-
-def test_what_keeps_the_linear_law_is_named(scene):
-    viscous = changed(scene, {"organ.viscous": True})
-    same, why = with_law(viscous, Fidelity(force_error=0.05))
-    assert same.organ.law == "linear" and "which organ.viscous leaves as it is" in why
-    by_hand = changed(scene, {"device": "touch"})
-    assert with_law(by_hand, Fidelity(force_error=0.05)) == (by_hand, "")
 
 
 def test_ticks_that_the_law_does_not_keep_are_refused(scene):

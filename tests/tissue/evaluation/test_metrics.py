@@ -11,7 +11,6 @@ from tissue.evaluation.statistics.metrics import (
     acceleration_change_m_s2,
     completion_time_s,
     excess_error,
-    excess_travel_mm,
     force_error,
     force_mae_N,
     force_rms_N,
@@ -110,26 +109,6 @@ def test_the_printed_smoothness_is_jerk_times_tick():
     assert acceleration_change_m_s2(even, tick_s=TICK_S) < 1e-9
 
 
-def test_the_printed_smoothness_is_lower_for_the_smoother():
-    """The printed smoothness is lower for the smoother motion (E13).
-
-    A trembling hand scores higher by the formula, while the published table has higher for better.
-    """
-    smooth = reach(1.0)
-    time = np.arange(len(smooth)) * TICK_S
-    trembling = smooth + 20.0 * (1.0 + np.sin(2.0 * np.pi * 9.0 * time)) * (smooth > 0.0)
-    assert acceleration_change_m_s2(trembling, tick_s=TICK_S) > 3.0 * acceleration_change_m_s2(
-        smooth, tick_s=TICK_S
-    )
-    assert (
-        spectral_arc_length(trembling, tick_s=TICK_S)
-        < spectral_arc_length(smooth, tick_s=TICK_S) - 0.05
-    )
-    # No speed profile of the study's length gives 0.92 by the formula unless it shakes: 100 mm in 1
-    # s gives 0.003.
-    assert acceleration_change_m_s2(smooth, tick_s=TICK_S) < 0.01
-
-
 def test_spectral_arc_length_of_a_bell():
     """The spectral arc length of a bell is exact.
 
@@ -186,7 +165,6 @@ def test_overshoot_and_time():
 FORCE = np.ones((200, 3))
 REFUSED = {
     "zero ideal": (lambda: force_error(FORCE, 0.0 * FORCE), "ideal_N must not be zero throughout"),
-    "shapes": (lambda: force_error(FORCE, FORCE[:-1]), "force_N must have the shape of ideal_N"),
     "not a number": (
         lambda: force_rms_N(FORCE * np.nan, FORCE),
         "force_N must be finite, got .* at tick 0",
@@ -200,14 +178,9 @@ REFUSED = {
         ),
         "longest_ms must exceed the lag",
     ),
-    "tick": (lambda: acceleration_change_m_s2(FORCE, tick_s=0.0), "tick_s must be positive"),
     "at rest": (
         lambda: spectral_arc_length(np.zeros(100), tick_s=TICK_S),
-        "speed_mm_s must be non-negative and not zero",
-    ),
-    "signed speed": (
-        lambda: spectral_arc_length(-np.ones(100), tick_s=TICK_S),
-        "speed_mm_s must be non-negative",
+        "speed_mm_s must hold a movement",
     ),
 }
 
@@ -223,9 +196,3 @@ def test_what_a_metric_refuses_is_reported(case):
 def test_errors_that_do_not_depend_on_each_other_add_in_squares():
     assert excess_error(0.5, 0.3) == pytest.approx(0.4)
     assert excess_error(0.3, 0.3) == 0.0 == excess_error(0.2, 0.3)
-
-
-def test_travel_after_a_puncture_is_counted_from_it():
-    depth = np.array([9.0, 1.0, 2.0, 4.5, 3.0])
-    assert excess_travel_mm(depth, puncture_tick=2) == pytest.approx(2.5)
-    assert excess_travel_mm(depth, puncture_tick=3) == 0.0

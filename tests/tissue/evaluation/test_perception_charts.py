@@ -2,7 +2,6 @@
 
 import pytest
 
-from tissue import InputError
 from tissue.evaluation.charts.perception import perception_charts
 from tissue.perception.observer import reference_observer, write_observer
 
@@ -15,10 +14,3 @@ def test_pictures_are_drawn_of_an_observer(tmp_path):
         f"perception-{n}.png" for n in ("people", "command", "deadband")
     ]
     assert all(path.stat().st_size > 50_000 for path in paths)
-
-
-def test_a_bad_observer_leaves_no_folder(tmp_path):
-    (tmp_path / "o.json").write_text("{}", "utf-8")
-    with pytest.raises(InputError, match="observer"):
-        perception_charts(tmp_path / "charts", tmp_path / "o.json")
-    assert not (tmp_path / "charts").exists()

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from needle_push import Organ, push
 
-from meshes.base.errors import InputError
 from tissue.evaluation.statistics.metrics import excess_travel_mm
 from tissue.evaluation.study.puncture import pierce
 from tissue.haptics.hand.hand import hand_parameters
@@ -127,10 +126,6 @@ def test_the_metric_knows_a_perfect_stop_from_a_wrong_one():
         )
     # what came before the puncture is no excess
     assert excess_travel_mm([30.0, 10.0, 11.0], puncture_tick=1) == 1.0
-    with pytest.raises(
-        InputError, match="puncture_tick must be one of 3 ticks, got 3: pass its row"
-    ):
-        excess_travel_mm([0.0, 1.0, 2.0], puncture_tick=3)
 
 
 def test_a_release_without_friction_is_that_of_a_mass_on_a_spring():
@@ -194,22 +189,9 @@ def test_an_earlier_stop_goes_less_far_and_none_less_than_what_the_springs_give_
     assert cued.excess_mm < 0.8 * by["force"] and not cued.early
 
 
-@pytest.mark.slow
-def test_a_fall_that_nobody_notices_has_no_stop_and_no_figure():
-    never = run("force", kappa=0.5)
-    assert never.stop_s == np.inf and np.isnan(never.excess_mm)
-
-
 def test_the_place_of_the_puncture_does_not_matter():
     there = run(motion__points_mm=[[3, -2, 0.05], [3, -2, -40]])
     assert there.excess_mm == pytest.approx(run().excess_mm, abs=1e-9)
-
-
-@pytest.mark.slow
-def test_the_same_seed_gives_the_same_push_and_another_one_another():
-    once, again, other = (run(hand="intermediate", seed=seed) for seed in (3, 3, 4))
-    np.testing.assert_array_equal(once.run.trace.rows, again.run.trace.rows)
-    assert abs(once.excess_mm - other.excess_mm) > 1e-3
 
 
 def test_a_step_is_noticed_when_its_mean_has_passed_the_threshold():

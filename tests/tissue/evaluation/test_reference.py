@@ -4,7 +4,7 @@ They are caps, slots, layers, old cuts and turned frames.
 """
 
 from itertools import pairwise
-from math import acos, cos, pi, sin, sqrt
+from math import acos, cos, pi, sin
 
 import numpy as np
 import pytest
@@ -229,37 +229,6 @@ def test_a_turning_ball_cuts_as_its_centre_moves():
     )
 
 
-def test_the_error_falls_with_the_size_of_the_cells():
-    cutter, route = burr(), path([-4, 0, 0.2], [-4, 0, -0.4], [1, 0, -0.4])
-    wanted, errors = slot_force(cutter, DEPTH), []
-    for divisions in (1, 3, 5):
-        shifts = [
-            relative(
-                wrench_at(k, route, cutter, block(), resolution=Resolution(c, divisions))[:3],
-                wanted,
-            )
-            for k, c in ((1300, 8), (1300, 9), (1300, 10), (1300, 11))
-        ]
-        errors.append(sqrt(np.mean(np.square(shifts))))
-    order = np.log(errors[0] / errors[2]) / np.log(16.0)
-    # 1.5 is expected of points that fall at random along a boundary
-    assert order > 1.2 and errors[2] < 1e-3, errors
-
-
-@pytest.mark.parametrize("profile", PROFILES)
-def test_parts_have_the_distance_of_the_profile(profile):
-    """Against the profile's own distance, which takes the sign from crossings of its outline."""
-    points = np.random.default_rng(2).uniform(-1.5, 1.5, (4000, 3)) * [2 * R, 2 * R, 4 * R]
-    parts = convex_parts(PROFILES[profile])
-    found = np.min([part.distance(points) for part in parts], axis=0)
-    section = np.column_stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]])
-    wanted = PROFILES[profile].distance(section)[0]
-    outside = wanted > 0
-    # the outline is a polygon; a union is exact outside
-    assert np.abs(found - wanted)[outside].max() < 1e-5 * R
-    assert (found[~outside] < 1e-5 * R).all()
-
-
 @pytest.mark.parametrize("profile", PROFILES)
 def test_the_least_distance_on_a_path_is_that_of_its_nearest_place(profile):
     random = np.random.default_rng(4)
@@ -275,16 +244,6 @@ def test_the_least_distance_on_a_path_is_that_of_its_nearest_place(profile):
         assert (bound <= found + 1e-9).all() and np.allclose(
             bound[found < 0], found[found < 0], atol=1e-12
         )
-
-
-def test_legs_end_where_a_path_turns_and_not_before():
-    route = path([0, 0, 1], [0, 0, -1], [0, 0, 1], [2, 0, 1])
-    assert route.legs.tolist() == [[0, 500], [500, 1000], [1000, 1500]]
-    turned = Rotation.from_rotvec(np.outer(np.linspace(0, 0.05, 201), [0, 0, 1]))
-    tips = np.column_stack([np.linspace(0, 1e-3, 201), np.zeros(201), np.zeros(201)])
-    curved = ToolPath(tips, turned.as_matrix(), np.zeros((201, 3)), np.zeros((201, 3)), 2 * R)
-    lengths = np.diff(curved.legs, axis=1)
-    assert curved.legs[0, 0] == 0 and curved.legs[-1, 1] == 200 and 1 < lengths.max() < 50
 
 
 def test_a_feed_that_changes_smoothly_is_interpolated():

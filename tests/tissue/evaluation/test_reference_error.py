@@ -6,6 +6,7 @@ it.
 
 import numpy as np
 import pytest
+from force_errors import error_of_force
 
 import tissue
 from meshes.base.errors import InputError
@@ -13,7 +14,6 @@ from tissue.evaluation.reference import history
 from tissue.evaluation.reference.force import wrench_at
 from tissue.evaluation.reference.history import (
     ReferenceForce,
-    error_of_force,
     path_of_trace,
     reference_force,
     solid_of_scene,
@@ -57,16 +57,6 @@ def test_a_perfect_force_scores_nothing_and_a_scaled_one_its_scale():
     assert scaled.reference_uncertainty == 1e-4
 
 
-def test_noise_counts_over_ticks_and_hardly_over_50_ms():
-    force = np.tile([3.0, 0.0, 4.0], (50 * 200, 1))
-    noise = np.random.default_rng(1).normal(0.0, 0.5, force.shape)
-    error = error_of_force(force + noise, ReferenceForce(np.hstack([force, force]), 0.0, 1))
-    wanted = 0.5 * np.sqrt(3.0) / 5.0
-    assert error.over_ticks == pytest.approx(wanted, rel=0.02)
-    assert error.over_50_ms == pytest.approx(wanted / np.sqrt(50.0), rel=0.1)
-    assert abs(error.bias) < 4.0 * 0.5 / 5.0 / np.sqrt(len(force))
-
-
 def test_what_is_interpolated_meets_what_would_be_evaluated(run, reference):
     cutter, solid = cutter_of(run.scene.tool), solid_of_scene(run.scene)
     path = path_of_trace(run.trace, cutter)
@@ -75,17 +65,6 @@ def test_what_is_interpolated_meets_what_would_be_evaluated(run, reference):
     exact = np.array([wrench_at(int(k), path, cutter, solid)[:3] for k in ticks])
     off = np.linalg.norm(exact - reference.force_N[ticks], axis=1)
     assert off.max() < 2.0 * history.INTERPOLATION * np.linalg.norm(reference.force_N, axis=1).max()
-
-
-def test_a_reference_is_computed_once(run, reference, monkeypatch):
-    monkeypatch.setattr(
-        history, "wrench_at", lambda *arguments, **options: pytest.fail("computed again")
-    )
-    again = reference_force(run.scene, run.trace)
-    assert (
-        np.array_equal(again.wrench, reference.wrench)
-        and again.uncertainty == reference.uncertainty
-    )
 
 
 def test_the_engine_is_near_the_reference(run, reference):

@@ -1,4 +1,4 @@
-"""`tissue stability`: the verdict on a scene's loop, its map as picture and data, and refusals."""
+"""`tissue stability`: the verdict on a scene's loop, its map as picture and data."""
 
 import numpy as np
 import pytest
@@ -16,28 +16,3 @@ def test_a_map_is_printed_and_kept(command, here):
     assert (rows["passive_N_m"] < rows["exact_N_m"]).all()
     code, _, error = command("stability", "wall", "--out", "map")
     assert code == 2 and "out must not hold another map" in error
-
-
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        (
-            ("glenoid",),
-            (
-                "device must be one of touch, omni, six-dof, haply, forcedimension, sigma-7, "
-                "openhaptics, network, recorded for a stability map, got none"
-            ),
-        ),
-        (("nowhere",), "scene must be a built-in name"),
-        (
-            ("wall", "--set", "device=phantom"),
-            (
-                "device.kind must be one of touch, omni, six-dof, haply, forcedimension, "
-                "sigma-7, openhaptics, network, recorded, got phantom"
-            ),
-        ),
-    ],
-)
-def test_what_has_no_map_is_refused(command, arguments, sentence):
-    code, _, error = command("stability", *arguments)
-    assert code == 2 and sentence in error

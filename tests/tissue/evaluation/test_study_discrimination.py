@@ -10,7 +10,6 @@ from tissue.evaluation.calibration.observers import (
     Stimulus,
     chance_right,
     draw_observers,
-    sensitivity,
     share_right,
 )
 from tissue.evaluation.statistics.trials import TrialTable
@@ -37,18 +36,6 @@ def test_the_chance_is_the_share_of_answers_that_people_give(pair):
     people = draw_observers("novice", 300, np.random.default_rng(0))
     answered = share_right(people, *pair, seed=1, trials=300, limits=WIDE)
     assert chance_right(people, *pair).mean() == pytest.approx(answered.mean(), abs=0.01)
-
-
-def test_sensitivity_is_webers_and_three_quarters_are_right_at_the_threshold():
-    people = draw_observers("expert", 50, np.random.default_rng(2))
-    step = people.kappa * (1.0 + people.offset_N)
-    for who in range(3):
-        pair = Stimulus(1.0), Stimulus(1.0 + step[who])
-        assert sensitivity(people, *pair)[who] == pytest.approx(0.954, abs=1e-3)
-        right = chance_right(people, *pair)[who]
-        assert right == pytest.approx(
-            people.lapse[who] + (1.0 - 2.0 * people.lapse[who]) * 0.75, abs=1e-4
-        )
 
 
 PEOPLE, TRIALS = 12, 6
@@ -100,14 +87,6 @@ def test_the_same_forces_change_nothing_and_a_planted_gain_is_found():
     # A fifth more of difference on the same weaker force is a fifth more of d'.
     wider = FeltPair(pair.less, felt(level(0.112, 0.0, rng)))
     assert changes_of(people, pair, wider)[1] == pytest.approx(np.full(3, 20.0), abs=1e-6)
-
-
-def test_a_gain_helps_less_where_the_scatter_grows_with_it():
-    rng = np.random.default_rng(1)
-    people = draw_observers("novice", 100, rng)
-    still, loose = (pair_of(0.3, 0.36, scatter, rng) for scatter in (0.0, 0.1))
-    gains = [changes_of(people, pair, doubled(pair))[1, 0] for pair in (still, loose)]
-    assert 0.0 < gains[1] < 0.5 * gains[0]
 
 
 def test_who_goes_by_force_is_wrong_where_the_stiffer_one_is_felt_as_weaker():
@@ -180,36 +159,6 @@ def test_people_who_met_one_specimen_each_compare_nothing():
     assert specimens(trials(1)) is None and sides(trials(1)) is None
 
 
-def test_people_who_met_one_specimen_alone_are_left_out():
-    table = trials(9)
-    alone = TrialTable.from_rows(
-        [
-            {
-                "task": "T1",
-                "group": "expert",
-                "user": "00",
-                "trial": at,
-                "seed": 0,
-                "method": "koopman",
-                "specimen": 1.0,
-                "skin_N": 9.0,
-                "capsule_N": 9.0,
-                "parenchyma_N": 9.0,
-            }
-            for at in range(3)
-        ]
-        + [
-            {
-                name: getattr(table, name)[at]
-                for name in ("task", "group", "user", "trial", "seed", "method")
-            }
-            | {name: values[at] for name, values in table.metrics.items()}
-            for at in range(len(table))
-        ]
-    )
-    assert specimens(alone).more.stimulus == specimens(table).more.stimulus
-
-
 @pytest.mark.slow
 def test_null_changes_are_called_at_their_nominal_rate():
     """Null changes are called at their nominal rate.
@@ -256,22 +205,6 @@ def test_a_person_of_another_exponent_is_wrong_by_the_spread_of_the_force_and_ri
     mapped = np.repeat(size ** (beta / other.beta), 100)[:, None] * [0.0, 0.0, 1.0]
     assert intensity_ratios(mapped, held, held, other)["ratio_error"] == pytest.approx(
         0.0, abs=1e-12
-    )
-
-
-def test_errors_of_ratios_stand_between_a_perfect_force_and_one_that_never_changes():
-    ideal, beta = forces(), reference_observer().beta
-    other, silent = person(beta + 0.3), np.full_like(ideal, 0.2)
-    size = np.log([part.mean() for part in np.array_split(ideal[:, 2], 30)])
-    found = intensity_ratios(silent, ideal, ideal, other)
-    assert (
-        found["ratio_error"]
-        == pytest.approx(found["ratio_silent"])
-        == pytest.approx(beta * size.std())
-    )
-    assert found["ratio_unscaled"] == pytest.approx(0.3 * size.std())
-    assert intensity_ratios(ideal, ideal, ideal, other)["ratio_error"] == pytest.approx(
-        found["ratio_unscaled"]
     )
 
 

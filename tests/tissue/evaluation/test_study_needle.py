@@ -103,10 +103,6 @@ def test_the_interval_of_a_median_holds_it_at_its_rate(people):
     assert closer.mean() < 0.955
 
 
-def test_few_people_have_no_interval():
-    assert median_interval(np.arange(5.0)) == (2.0, -inf, inf)
-
-
 def test_methods_are_compared_on_the_same_trials():
     """Methods are compared on equal trials.
 
@@ -120,12 +116,3 @@ def test_methods_are_compared_on_the_same_trials():
     shared = TrialTable.from_rows(rows).shared()
     for method in METHODS:
         assert shared.where(method=method).user.tolist() == ["00", "02", "03"]
-
-
-def test_where_no_trial_is_whole_it_is_stated():
-    rows = [row(0, 0, "penalty", 5.0), row(1, 0, "koopman", 5.0)]
-    assert (
-        needle_section(TrialTable.from_rows(rows), 0)
-        .sentences[1]
-        .startswith("There is no trial in which")
-    )

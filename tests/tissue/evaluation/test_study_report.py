@@ -1,22 +1,19 @@
 """Report of a study: tables next to the paper's, sentences from the data, missing parts."""
 
 import csv
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tissue.evaluation.study.fidelity import (
-    force_section,
-    latency_section,
     reference_section,
     sensitivity_section,
 )
 from tissue.evaluation.study.folder import StudyFolder
 from tissue.evaluation.study.plan import METHODS, Plan, TrialKey
-from tissue.evaluation.study.report import found_section, sections_of, write_report
-from tissue.evaluation.study.section import COLOURS, FORCE_ERROR, Figure, Section, agreement
+from tissue.evaluation.study.report import sections_of, write_report
+from tissue.evaluation.study.section import Figure, agreement
 from tissue.evaluation.study.trial import Trial, _from_path, failures_of
 
 PLAN = Plan(trials=4, tasks=("T1", "T2", "needle", "reaming", "drilling"))
@@ -161,39 +158,6 @@ def test_discrimination_is_reported_where_people_met_both_specimens_twice(tmp_pa
 def rows_of(path: Path):
     with path.open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
-
-
-def test_force_errors_are_compared_with_the_papers(study):
-    section = force_section(study.table("T1", "T2").complete())
-    rows = {row[:2]: row for row in section.rows}
-    assert set(rows) == {(task, method) for task in ("T1", "T2") for method in METHODS}
-    assert rows["T1", "penalty"][3] == str(FORCE_ERROR["T1"]["penalty"]) == "8.2 ± 2.1"
-    assert rows["T1", "penalty"][4] == "agrees" and rows["T2", "energy"][3] == ""
-    assert section.picture.startswith(b"\x89PNG")
-
-
-def test_forces_that_come_early_on_one_task_are_named(study):
-    table = study.table("T1", "T2").complete()
-    assert latency_section(table).sentences[0].endswith("comes early; none does.")
-    shift = np.where((table.task == "T2") & (table.method == "koopman"), 3.0, 0.0)
-    early = replace(
-        table, metrics=dict(table.metrics) | {"latency_ms": table.values("latency_ms") - shift}
-    )
-    assert latency_section(early).sentences[0].endswith("comes early (T2 koopman).")
-
-
-def test_the_first_section_counts_the_figures_that_agree_with_the_paper():
-    header = ("task", "method", "force error / %", "paper %", "against paper")
-    rows = tuple(("T1", "penalty", "", "", each) for each in ("agrees", "", "0.50 of it"))
-    found = found_section(
-        [Section("force", "Force", (), header, rows, headline="So it is."), Section("x", "X", ())]
-    )
-    assert found.sentences[0] == "So it is." and len(found.sentences) == 2
-    assert "2 figures" in found.sentences[1] and "force T1 penalty 0.50 of it" in found.sentences[1]
-
-
-def test_every_method_has_a_colour_of_its_own():
-    assert set(COLOURS) == set(METHODS) and len(set(COLOURS.values())) == len(METHODS)
 
 
 def test_agreement_is_within_the_spread_of_the_difference():

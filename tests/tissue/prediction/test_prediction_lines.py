@@ -9,7 +9,7 @@ from tissue.evaluation.charts.prediction import (
     PredictorComparison,
     comparison_lines,
 )
-from tissue.evaluation.training.train import HORIZONS
+from tissue.evaluation.training import HORIZONS
 from tissue.scene.registry import PREDICTORS
 
 

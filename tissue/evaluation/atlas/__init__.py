@@ -1,1 +1,27 @@
 """Stability atlas: regions where a method fails, one page each."""
+
+from tissue.evaluation.atlas.bone_tooth import Contrast, CutCells, ExplicitCutting
+from tissue.evaluation.atlas.organs import BadTetrahedra, LargeRotation, Locking
+from tissue.evaluation.atlas.page import Page
+from tissue.evaluation.atlas.prediction import Horizon, TrainedElsewhere
+from tissue.evaluation.atlas.samples import LostSamples, WildInput
+from tissue.evaluation.atlas.walls import Quantisation, ThinWalls, WallMap
+
+__all__ = ["PAGES"]
+
+PAGES: tuple[Page, ...] = (
+    WallMap(),
+    Quantisation(),
+    ExplicitCutting(),
+    ThinWalls(),
+    Locking(),
+    LargeRotation(),
+    BadTetrahedra(),
+    CutCells(),
+    Contrast(),
+    TrainedElsewhere(),
+    Horizon(),
+    LostSamples(),
+    WildInput(),
+)
+"""Pages in the order of the atlas."""

@@ -1,11 +1,18 @@
-"""Contract of an atlas page: sweep, verdict, answers of the engine, and panels that show them."""
+"""Pages of the atlas: sweep, verdict, answers of the engine, panels, and the files of all pages."""
 
+import platform
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from enum import Enum
+from html import escape
+from importlib.metadata import version
 from io import BytesIO
 from math import sqrt
-from typing import TYPE_CHECKING, Literal
+from pathlib import Path
+from time import perf_counter
+from typing import Literal
 
 import matplotlib
 import numpy as np
@@ -16,18 +23,19 @@ from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-
-if TYPE_CHECKING:
-    from matplotlib.typing import RcKeyType
+from meshes.base.progress import Progress, silent
+from meshes.base.whole_file import whole_file
+from tissue.system.html import html_page, html_picture
+from tissue.system.outputs import write_columns
+from tissue.system.owned_folder import owned_folder
 
 __all__ = [
-    "BLUE",
+    "ENGINE",
+    "FAILING",
     "GREEN",
     "GREY",
     "ORANGE",
-    "PINK",
-    "RED",
-    "TINTS",
+    "THEORY",
     "Answer",
     "Conduct",
     "Curve",
@@ -36,19 +44,33 @@ __all__ = [
     "Table",
     "Verdict",
     "boundary",
+    "chosen_pages",
     "error_of",
     "log_slope",
     "panel",
     "picture",
     "refused",
+    "shade",
     "shown",
     "sweep",
+    "write_atlas",
 ]
 
 Table = dict[str, Array]
 """Columns of equal length by name, with the unit in the name."""
 Data = dict[str, Table]
 """Tables of a sweep by name."""
+# The colours are those of Okabe and Ito (2008), distinct for colour-blind readers.
+ORANGE = "#E69F00"
+GREEN = "#009E73"
+GREY = "0.35"
+THEORY = ("-", GREY)
+FAILING = ("s", "#D55E00")
+ENGINE = ("o", "#0072B2")
+"""Format and colour of the curve of theory, of the failing method and of the engine."""
+Place = Literal["best", "upper left", "lower right", "center right", ""]
+Curve = tuple[str, ArrayLike, tuple[str, str]]
+"""Label, values over the sweep or one for all of it, and matplotlib's format and colour."""
 
 
 class Conduct(Enum):
@@ -58,6 +80,10 @@ class Conduct(Enum):
     FALLS_BACK = "falls back"
     REFUSES = "refuses"
     SILENT = "is silently wrong"
+
+
+TINTS = {Conduct.HOLDS: "#D6ECF8", Conduct.FALLS_BACK: "#FBEBC2", Conduct.REFUSES: "#F3CFBC"}
+"""Background of a region by the behaviour of the engine."""
 
 
 @dataclass(frozen=True)
@@ -98,8 +124,7 @@ class Verdict:
     sentence: str
 
 
-@dataclass(frozen=True)
-class Page:
+class Page(ABC):
     """One page of the atlas.
 
     Attributes
@@ -110,24 +135,28 @@ class Page:
         Text for the reader.
     source
         Source of the theory, and parameters of the sweep.
-    measure
-        Run the sweep. With True the sweep is coarser, for tests.
-    judge
-        Return the verdict, from the data alone.
-    ask
-        Put requests to the engine and return its answers.
-    draw
-        Draw the data into an empty figure.
     """
 
     name: str
     title: str
     question: str
     source: str
-    measure: Callable[[bool], Data]
-    judge: Callable[[Data], Verdict]
-    ask: Callable[[], list[Answer]]
-    draw: Callable[[Data, Figure], None]
+
+    @abstractmethod
+    def measure(self) -> Data:
+        """Run the sweep."""
+
+    @abstractmethod
+    def judge(self, data: Data) -> Verdict:
+        """Return the verdict, from the data alone."""
+
+    @abstractmethod
+    def ask(self) -> list[Answer]:
+        """Put requests to the engine and return its answers."""
+
+    @abstractmethod
+    def draw(self, data: Data, chart: Figure) -> None:
+        """Draw the data into an empty figure."""
 
 
 def refused(asked: str, call: Callable[[], object]) -> Answer:
@@ -139,7 +168,7 @@ def refused(asked: str, call: Callable[[], object]) -> Answer:
     return Answer(asked, Conduct.SILENT, "accepted without a report")
 
 
-def shown(asked: str, right: bool, result: str, *, conduct: Conduct = Conduct.HOLDS) -> Answer:
+def shown(asked: str, right: bool, result: str, conduct: Conduct = Conduct.HOLDS) -> Answer:
     """Return an answer whose figures the caller has checked.
 
     The answer is silently wrong if the figures are not right.
@@ -179,38 +208,20 @@ def error_of(found: Array, expected: Array) -> float:
     return float(np.abs(found / expected - 1.0).max())
 
 
-BLUE = "#0072B2"
-ORANGE = "#E69F00"
-GREEN = "#009E73"
-RED = "#D55E00"
-PINK = "#CC79A7"
-GREY = "0.35"
-# The colours are those of Okabe and Ito (2008), distinct for colour-blind readers.
-TINTS = {Conduct.HOLDS: "#D6ECF8", Conduct.FALLS_BACK: "#FBEBC2", Conduct.REFUSES: "#F3CFBC"}
-"""Background of a region by the behaviour of the engine."""
-LOOKS: "dict[RcKeyType, float]" = {
-    "font.size": 11.0,
-    "axes.titlesize": 11.5,
-    "axes.linewidth": 0.8,
-    "legend.fontsize": 9.5,
-    "lines.linewidth": 2.0,
-    "lines.markersize": 6.0,
-}
-Place = Literal[
-    "best", "upper left", "lower center", "lower right", "center left", "center right", ""
-]
-Curve = tuple[str, ArrayLike, str, str]
-"""Label, values over the sweep or one for all of it, format of matplotlib's `plot`, and colour."""
-
-
 def picture(page: Page, data: Data) -> bytes:
     """Return the figure of a page as PNG, drawn without a window."""
-    with matplotlib.rc_context(LOOKS):
+    with matplotlib.rc_context({"font.size": 11.0, "legend.fontsize": 9.5, "lines.linewidth": 2.0}):
         chart = Figure(figsize=(10.4, 4.4), dpi=130, layout="constrained")
         page.draw(data, chart)
         image = BytesIO()
         chart.savefig(image, format="png", metadata={"Software": None})
     return image.getvalue()
+
+
+def shade(axes: Axes, x: Array, low: ArrayLike, high: ArrayLike, conduct: Conduct) -> None:
+    """Tint the region between two curves by the behaviour of the engine."""
+    label = f"engine {conduct.value}"
+    axes.fill_between(x, low, high, color=TINTS[conduct], zorder=0, linewidth=0.0, label=label)
 
 
 def panel(
@@ -247,20 +258,159 @@ def panel(
     """
     axes.set(xscale="log" if "x" in log else "linear", yscale="log" if "y" in log else "linear")
     for behaviour, low, high in [(Conduct.HOLDS, x[0], x[-1])] if conduct is None else conduct:
-        known = axes.get_legend_handles_labels()[1]
         label = f"engine {behaviour.value}"
-        tint = TINTS[behaviour]
-        axes.axvspan(
-            low, high, color=tint, zorder=0, linewidth=0.0, label=None if label in known else label
-        )
-    for name, values, style, colour in curves:
+        axes.axvspan(low, high, color=TINTS[behaviour], zorder=0, linewidth=0.0, label=label)
+    for name, values, (style, colour) in curves:
         axes.plot(x, np.broadcast_to(np.asarray(values), x.shape), style, color=colour, label=name)
     axes.set(xlabel=labels[0], ylabel=labels[1], **({"xlim": (x.min(), x.max())} | settings))
     for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
         # Minor labels of an axis over several decades overlap.
         if axis.get_scale() == "log" and abs(np.log10(high / low)) > 1.0:
             axis.set_minor_formatter(NullFormatter())
-    axes.grid(alpha=0.3, which="major")
+    axes.grid(alpha=0.3)
     axes.set_axisbelow(False)
     if legend:
         axes.legend(loc=legend, framealpha=0.9)
+
+
+INDEX = "index.html"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A page with its results: verdict, answers, picture as PNG, names of data files, duration
+    [s].
+    """
+
+    page: Page
+    verdict: Verdict
+    answers: Sequence[Answer]
+    picture: bytes
+    files: Sequence[str]
+    took_s: float
+
+    @property
+    def shown(self) -> bool:
+        """True if the questioned method failed, the engine held, and no answer was silent.
+
+        A silent answer is a wrong answer without a message.
+        """
+        silent = any(answer.conduct is Conduct.SILENT for answer in self.answers)
+        return self.verdict.fails and self.verdict.holds and not silent
+
+
+def chosen_pages(pages: Sequence[Page], only: Sequence[str]) -> list[Page]:
+    """Return the pages of these names, or all pages if there are no names.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown.
+    """
+    names = [page.name for page in pages]
+    if unknown := [name for name in only if name not in names]:
+        raise InputError("only", f"be one of {', '.join(names)}", unknown[0], "choose one of these")
+    return [page for page in pages if not only or page.name in only]
+
+
+def write_atlas(
+    folder: Path,
+    pages: Sequence[Page],
+    *,
+    overwrite: bool = False,
+    progress: Progress = silent,
+) -> list[Entry]:
+    """Run pages and write ``index.html``, with a picture and the data (CSV) of each page.
+
+    Raises
+    ------
+    InputError
+        If the folder is a file, or holds an atlas and `overwrite` is false.
+    """
+    names = [INDEX, *(f"{page.name}{end}" for page in pages for end in (".png", "_*.csv"))]
+    entries = []
+    with owned_folder(folder, "atlas", names, overwrite=overwrite):
+        for number, page in enumerate(pages):
+            progress(page.title, number / len(pages))
+            entries.append(_written(page, folder))
+        with whole_file(folder / INDEX) as temporary:
+            temporary.write_text(_document(entries), "utf-8")
+    return entries
+
+
+def _written(page: Page, folder: Path) -> Entry:
+    """Run a page and write its picture and data."""
+    started = perf_counter()
+    data = page.measure()
+    verdict = page.judge(data)
+    answers = page.ask()
+    drawn = picture(page, data)
+    took_s = perf_counter() - started
+    with whole_file(folder / f"{page.name}.png") as temporary:
+        temporary.write_bytes(drawn)
+    for table, columns in data.items():
+        write_columns(folder / f"{page.name}_{table}.csv", columns)
+    files = [f"{page.name}.png", *(f"{page.name}_{table}.csv" for table in data)]
+    return Entry(page, verdict, answers, drawn, files, took_s)
+
+
+def _document(entries: Sequence[Entry]) -> str:
+    """Return the whole atlas as HTML."""
+    good = sum(entry.shown for entry in entries)
+    rows = "".join(
+        (
+            f'<tr><td><a href="#{escape(e.page.name)}">{escape(e.page.title)}</a></td><td '
+            f'class="what">{_mark(e)}</td></tr>'
+        )
+        for e in entries
+    )
+    facts: Mapping[str, str] = {
+        "made": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "machine": f"{platform.machine()}, {platform.system()}",
+        "Python": platform.python_version(),
+        **{name: version(name) for name in ("numpy", "scipy", "warp-lang")},
+    }
+    made = "; ".join(f"{escape(name)} {escape(value)}" for name, value in facts.items())
+    return html_page(
+        "Stability atlas",
+        "<p>Each page takes a method past its region of failure. Points are measured, lines "
+        "are theory, and the "
+        "background shows the behaviour of the engine. Verdicts and answers are computed "
+        "from the runs of this atlas."
+        f"</p>\n<p>{good} of {len(entries)} pages show their boundary, with the engine "
+        "holding, falling back or "
+        f'refusing.</p>\n<p class="soft">{made}</p>\n<table><tr><th>page</th><th>behaviour '
+        "of the engine</th></tr>"
+        f"{rows}</table>\n" + "\n".join(map(_section, entries)),
+    )
+
+
+def _mark(entry: Entry) -> str:
+    """Return the behaviour of the engine on a page, or that the page is open."""
+    found = {answer.conduct for answer in entry.answers}
+    return (
+        ", ".join(kind.value for kind in Conduct if kind in found)
+        if entry.shown
+        else "open: not as it should be"
+    )
+
+
+def _section(entry: Entry) -> str:
+    """Return one page as HTML."""
+    page = entry.page
+    answers = "".join(
+        (
+            f"<tr><td>{escape(a.asked)}</td><td "
+            f'class="what">{escape(a.conduct.value)}</td><td>{escape(a.result)}</td></tr>'
+        )
+        for a in entry.answers
+    )
+    files = ", ".join(f'<a href="{escape(name)}">{escape(name)}</a>' for name in entry.files)
+    return (
+        "<section "
+        f'id="{escape(page.name)}"><h2>{escape(page.title)}</h2>\n<p>{escape(page.question)}</p>\n'
+        f"{html_picture(page.title, entry.picture)}"
+        f'<p class="verdict{"" if entry.shown else " open"}">{escape(entry.verdict.sentence)}</p>\n'
+        f"<table><tr><th>request</th><th>the engine</th><th>report</th></tr>{answers}</table>\n"
+        f'<p class="soft">{escape(page.source)}. Data: {files}; {entry.took_s:.1f} s.</p></section>'
+    )

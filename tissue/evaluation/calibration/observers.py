@@ -11,33 +11,23 @@ the reference. People with a lower exponent gain and people with a higher expone
 over a population may rise or fall.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from math import sqrt
-
+from collections.abc import (Callable, Sequence)
+from dataclasses import (dataclass, replace)
+from math import (sqrt)
+from meshes.base.arrays import (Array)
+from numpy.typing import (ArrayLike, NDArray)
+from scipy.special import (ndtr)
+from tissue.evaluation.statistics.hypothesis_test import (Effect)
+from tissue.haptics.loop.filters import (ForceRange)
+from tissue.materials.constants import (constants)
+from tissue.perception.adaptive import (MAGNITUDE_FORCES_N, fit_magnitudes)
+from tissue.perception.laws import (D_PRIME_75, ForceMap, Intensity, intensity_of)
+from tissue.perception.observer import (population, reference_observer)
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.special import ndtr
 
-from meshes.base.arrays import Array
-from tissue.evaluation.statistics.hypothesis_test import Effect
-from tissue.haptics.loop.filters import ForceRange
-from tissue.materials.constants import constants
-from tissue.perception.adaptive import MAGNITUDE_FORCES_N, fit_magnitudes
-from tissue.perception.laws import D_PRIME_75, ForceMap, Intensity, intensity_of
-from tissue.perception.observer import population, reference_observer
+__all__ = ["Command", "SimulatedObservers", "Stimulus", "calibrated_commands", "chance_right", "draw_observers", "gain_of", "sensitivity", "share_right"]
 
-__all__ = [
-    "Command",
-    "SimulatedObservers",
-    "Stimulus",
-    "calibrated_commands",
-    "chance_right",
-    "draw_observers",
-    "gain_of",
-    "sensitivity",
-    "share_right",
-]
+
 
 RESAMPLES = 2000
 """Number of resampled groups of people for an interval."""
@@ -199,7 +189,6 @@ def share_right(
     trials: int = 100,
     commands: Sequence[Command] | None = None,
     limits: ForceRange | None = None,
-    texture_share: float = 0.0,
 ) -> Array:
     """Return the share of right answers of each person, shape (n,).
 
@@ -220,10 +209,6 @@ def share_right(
         Force to command for each person. None for the unchanged force.
     limits
         Range of the device, default 3.3 N. Forces above its knee are compressed.
-    texture_share
-        Amplitude of the accompanying vibration over the force (``output.vibration_share`` of a
-        scene). It is a second cue with separate noise: distances of cues add as squares. Its
-        threshold is assumed, see observers.toml.
     """
     if first.level_N > second.level_N:
         first, second = second, first
@@ -241,14 +226,6 @@ def share_right(
     less, more = felt
     threshold = people.kappa * (np.minimum(less, more) + people.offset_N)
     distance = D_PRIME_75 * (more - less) / threshold
-    if texture_share > 0.0:
-        vibration = {name: entry.value for name, entry in constants("observers", "texture").items()}
-        texture_noise = vibration["kappa"] * (
-            texture_share * np.minimum(less, more) + vibration["offset_N"]
-        )
-        distance = np.sign(distance) * np.hypot(
-            distance, D_PRIME_75 * texture_share * (more - less) / texture_noise
-        )
     return np.mean([people.discriminate(distance[trial], noise) for trial in range(trials)], axis=0)
 
 

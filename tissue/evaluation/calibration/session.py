@@ -1,12 +1,18 @@
 """Calibration session: next question, current result, and limits of the result."""
 
-from dataclasses import dataclass, field
+import json
+import os
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
 
 import numpy as np
 from scipy.special import logit
 from scipy.stats import binom
 
 from meshes.base.errors import InputError, require_range
+from meshes.base.file_limits import require_regular
+from meshes.base.file_version import package_version, require_version
+from meshes.base.text_tables import read_json
 from tissue.perception.adaptive import (
     EDGE_MASS,
     MAGNITUDE_FORCES_N,
@@ -16,15 +22,12 @@ from tissue.perception.adaptive import (
     comparisons,
     fit_magnitudes,
 )
-from tissue.perception.laws import two_interval
 from tissue.perception.observer import Observer
 
-__all__ = ["Comparison", "Magnitude", "Plan", "Session"]
+__all__ = ["Comparison", "Magnitude", "Plan", "Session", "TrialLog", "log_path", "read_log"]
 
 REPORTED_N = 2.0
 """Force at which a threshold is reported with the Weber fraction [N]."""
-ODD = 0.01
-"""Probability below which answers count as contradicting the estimate."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,13 +62,9 @@ class Plan:
         require_range(
             "force_limit_N", self.force_limit_N, 0.5, 1000.0, "give the device's greatest force"
         )
-        for name, value in (
-            ("seed", self.seed),
-            ("trials", self.trials),
-            ("numbers", self.numbers),
-        ):
-            if not isinstance(value, int):
-                raise InputError(name, "be a whole number", value, "leave out the decimal point")
+        counts = (self.seed, self.trials, self.numbers)
+        if not all(isinstance(each, int) for each in counts):
+            raise InputError("plan", "count in whole numbers", counts, "leave out decimal points")
         if self.trials + self.numbers == 0:
             raise InputError("trials and numbers", "not both be 0", "0 and 0", "use 120 and 24")
 
@@ -150,29 +149,21 @@ class Session:
             If the answer is impossible, or the trial is not in this plan. The state is then
             unchanged.
         """
+        foreign = InputError("trial", "be one of the plan's", asked, "use the plan's own log")
         if isinstance(asked, Magnitude):
             if not 0.0 < answer < np.inf:
                 raise InputError(
                     "answer", "be a number above 0", f"{answer:g}", "how strong was it?"
                 )
-            if (
-                self.trial >= self.plan.trials + self.plan.numbers
-                or asked.force_N not in self._forces
-            ):
-                raise InputError(
-                    "trial", "be one of the plan's", asked, "it belongs to another session"
-                )
+            if self.complete or asked.force_N not in self._forces:
+                raise foreign
             self.given.append((asked.force_N, float(answer)))
             return
         if answer not in (1, 2):
-            raise InputError(
-                "answer", "be 1 or 2", f"{answer:g}", "in which interval was the force greater?"
-            )
+            raise InputError("answer", "be 1 or 2", f"{answer:g}", "which force was greater?")
         stimuli = (self.threshold.base_N == asked.base_N) & (self.threshold.step_N == asked.step_N)
         if not stimuli.any() or asked.greater not in (1, 2) or len(self.asked) == self.plan.trials:
-            raise InputError(
-                "trial", "be one of the plan's", asked, "it belongs to another session"
-            )
+            raise foreign
         self.threshold.answer(np.flatnonzero(stimuli)[:1], np.array([answer == asked.greater]))
         self.asked.append((asked, int(answer)))
 
@@ -235,17 +226,10 @@ class Session:
                 f"lies below {100 * high:.1f} % with a probability of 95 %; ask more trials"
             )
         if count >= 10 and binom.sf(right - 1, count, 0.5) > 0.05:
-            if binom.cdf(right, count, 0.5) < ODD:
-                found.append(
-                    f"only {right} of {count} comparisons were right, fewer than by chance: "
-                    "were 1 and 2 mixed up?"
-                )
-            else:
-                found.append(
-                    f"{right} of {count} comparisons were right, no more than by guessing: "
-                    "the threshold lies above "
-                    "what was asked, or nothing was felt"
-                )
+            found.append(
+                f"{right} of {count} comparisons were right, no more than by guessing: the "
+                "threshold lies above what was asked, nothing was felt, or 1 and 2 were mixed up"
+            )
         prior = self.plan.prior
         lower, upper = (float(mass[0]) for mass in self.threshold.edge_mass())
         for mass, bound, word, side in (
@@ -259,34 +243,174 @@ class Session:
                     f"%: the threshold may lie {word} it, and the prior decides; calibrate "
                     "again with a wider one"
                 )
-        if count >= 10 and (surprise := self._surprise()) < -4.0:
-            found.append(
-                f"the answers fit no threshold of the prior ({-surprise:.1f} standard "
-                "deviations too unlikely): "
-                "the prior excludes the data; calibrate again with a wider one"
-            )
         if len({force for force, _ in self.given}) < 2:
             found.append(
                 "fewer than two forces were given numbers: Stevens' exponent is the prior's"
             )
         return found
 
-    def _surprise(self) -> float:
-        """Return the log-likelihood of the answers at the most likely point of the grid.
 
-        It is given in standard deviations from its mean.
-        """
-        weber, offset, lapse, _ = self.plan.prior.parameters()
-        likeliest = int(np.argmax(self.threshold.posterior[:, 0]))
-        base, step = (
-            np.array([getattr(asked, name) for asked, _ in self.asked])
-            for name in ("base_N", "step_N")
+FORMAT = "tissue trials"
+VERSION = 1
+
+
+def log_path(out: Path) -> Path:
+    """Return the path of the trial log next to an observer's file: observer.json has
+    observer.trials.jsonl.
+    """
+    return out.with_name(out.stem + ".trials.jsonl")
+
+
+class TrialLog:
+    """Writer that appends trials to a file and syncs each one to disk before it returns.
+
+    Parameters
+    ----------
+    path
+        Log file. An existing file is continued if it belongs to this observer and this plan.
+    observer
+        Observer who answers, as given to the command.
+    plan
+        Plan of the session.
+
+    Attributes
+    ----------
+    session
+        Session with all trials that the file held.
+    mended
+        True if the file ended within a line, for example after a loss of power. This one trial is
+        asked again.
+
+    Raises
+    ------
+    InputError
+        If the file is of another origin, observer or plan, or holds a line that is not a trial. The
+        file is left unchanged.
+    """
+
+    def __init__(self, path: Path, observer: str, plan: Plan) -> None:
+        about = {
+            "format": FORMAT,
+            "version": VERSION,
+            "tissue": package_version(),
+            "observer": observer,
+        }
+        head = json.dumps(about | {"plan": asdict(plan)}) + "\n"
+        self.path = require_regular(path)
+        self.mended = False
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            text = path.read_bytes() if path.exists() else b""
+            if head.encode().startswith(text):
+                self.mended = 0 < len(text) < len(head)
+                self.session = Session(plan)
+                kept = head.encode()
+            else:
+                who, self.session = read_log(path)
+                if who != observer or self.session.plan != plan:
+                    raise InputError(
+                        "out",
+                        "go on with the session it began",
+                        f"one of another observer or plan ({who}) in {path}",
+                        "use the same again, another --out, or --overwrite",
+                    )
+                kept = text[: text.rfind(b"\n") + 1]
+                self.mended = kept != text
+            if kept != text:
+                with path.open("r+b" if path.exists() else "xb") as file:
+                    file.write(kept)
+                    file.truncate()
+                    os.fsync(file.fileno())
+            self._file = path.open("ab")
+        except OSError as problem:
+            raise InputError(
+                "out",
+                "be a file that can be written",
+                f"{path} ({problem.strerror})",
+                "choose another folder",
+            ) from problem
+
+    def take(self, asked: Comparison | Magnitude, answer: float) -> None:
+        """Take an answer into the session and bring it to disk."""
+        trial = self.session.trial
+        self.session.take(asked, answer)
+        entry = {
+            "trial": trial,
+            "ask": type(asked).__name__.lower(),
+            **vars(asked),
+            "answer": answer,
+        }
+        self._file.write(json.dumps(entry).encode() + b"\n")
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+def read_log(path: Path) -> tuple[str, Session]:
+    """Read a log; return its observer and the session without an incomplete last line.
+
+    Raises
+    ------
+    InputError
+        If the file is not the log of a session, or a line of it is not a trial of the session. The
+        message names the line.
+    """
+    require_regular(path)
+    try:
+        text = path.read_bytes().decode()
+    except (OSError, UnicodeDecodeError) as problem:
+        found = str(problem.strerror) if isinstance(problem, OSError) else "other data"
+        raise InputError(
+            "log", "be a file of trials", f"{found} in {path}", "give one that tissue wrote"
+        ) from problem
+    lines = text[: text.rfind("\n") + 1].splitlines()
+    try:
+        head = read_json(lines[0])
+        known = head["format"] == FORMAT
+    except (IndexError, ValueError, TypeError, KeyError):
+        known = False
+    if not known:
+        raise InputError(
+            "log", "be a file of trials", f"{path}, which is something else", "choose another --out"
         )
-        right = two_interval(base, step, weber[likeliest], offset[likeliest], lapse[likeliest])
-        was = np.array([answer == asked.greater for asked, answer in self.asked])
-        logs = np.log(np.where(was, right, 1.0 - right))
-        other = np.log(np.where(was, 1.0 - right, right))
-        chance = np.where(was, right, 1.0 - right)
-        mean = chance * logs + (1.0 - chance) * other
-        variance = chance * (1.0 - chance) * (logs - other) ** 2
-        return float((logs - mean).sum() / np.sqrt(max(variance.sum(), 1e-12)))
+    require_version("log", head, VERSION, key="version", where=path, remedy="begin anew")
+    try:
+        plan = Plan(**(head["plan"] | {"prior": ThresholdPrior(**head["plan"]["prior"])}))
+        who = str(head["observer"])
+    except (KeyError, TypeError, InputError) as problem:
+        raise InputError(
+            "log", "begin with a plan", f"another first line in {path}", "begin anew"
+        ) from problem
+    session = Session(plan)
+    for number, line in enumerate(lines[1:], start=2):
+        try:
+            asked, answer, trial = _entry(line)
+            if trial != session.trial:
+                raise InputError(f"trial must be {session.trial}, got {trial}")
+            session.take(asked, answer)
+        except (ValueError, KeyError, TypeError) as problem:
+            wrong = problem if isinstance(problem, InputError) else "something else"
+            raise InputError(
+                "log",
+                "hold one trial of its session a line",
+                f"{wrong} in line {number} of {path}",
+                "fix that line or choose another --out",
+            ) from problem
+    return who, session
+
+
+def _entry(line: str) -> tuple[Comparison | Magnitude, float, int]:
+    """Return a line's trial, answer and number."""
+    entry = read_json(line)
+    if not isinstance(entry, dict):
+        raise ValueError(f"{line[:40]}")
+    trial = entry.pop("trial")
+    answer = entry.pop("answer")
+    what = entry.pop("ask")
+    if isinstance(answer, bool) or not isinstance(answer, int | float):
+        raise InputError(f"answer must be a number, got {answer!r}")
+    kinds = {"comparison": Comparison, "magnitude": Magnitude}
+    return kinds[what](**entry), answer, trial

@@ -62,134 +62,62 @@ def perception_charts(out: Path, observer: Path | None, *, overwrite: bool = Fal
     return [out / name for name in pictures]
 
 
-def _two_panels() -> "tuple[Figure, Axes, Axes]":
-    """Return a figure with two panels."""
-    chart = figure(10.0, 4.2)
-    left, right = chart.subplots(1, 2)
-    chart.subplots_adjust(left=0.075, right=0.985, top=0.93, bottom=0.13, wspace=0.22)
-    return chart, left, right
-
-
 def _people(someone: Observer, path: Path) -> None:
     """Draw intensity and threshold over force, of the population and of one observer."""
-    chart, left, right = _two_panels()
+    chart, (left, right) = _panels(1, 2)
     forces = np.geomspace(0.1, 10.0, 200)
     for name, entry in constants("perception", "exponent").items():
-        if name != "muscle_force":
-            left.plot(forces, forces**entry.value, color=GREY, linewidth=0.8, linestyle=":")
-            left.text(
-                10.3,
-                10.0**entry.value,
-                name.replace("_", " "),
-                color="0.3",
-                fontsize=9.5,
-                va="center",
-            )
+        left.plot(forces, forces**entry.value, ":", color=GREY)
+        left.text(10.3, 10.0**entry.value, name.replace("_", " "), color="0.3")
     drawn = population().draws(4000, np.random.default_rng(0))
     percent = 100.0 * drawn["kappa"] * (1.0 + drawn["offset_N"] / forces[:, None])
     low, high = np.quantile(percent, [0.1, 0.9], axis=1)
-    right.fill_between(
-        forces, low, high, color=POPULATION, alpha=0.18, linewidth=0, label="eight in ten people"
-    )
-    right.plot(
-        [2.5, 10.0], [7.0, 7.0], color="#009E73", linewidth=5, alpha=0.6, label="Pang et al. 1991"
-    )
-    right.fill_between(
-        [0.1, 0.5],
-        10.0,
-        28.0,
-        color="#E69F00",
-        alpha=0.35,
-        label="published below 0.5 N, uncertain",
-    )
-    for who, colour, label in (
-        (population_observer(), POPULATION, "population"),
-        (someone, PERSON, someone.name),
-    ):
+    right.fill_between(forces, low, high, color=POPULATION, alpha=0.18, label="eight in ten people")
+    right.plot([2.5, 10.0], [7.0, 7.0], color="#009E73", label="Pang et al. 1991")
+    for who, colour in ((population_observer(), POPULATION), (someone, PERSON)):
         law = intensity_of(who)
         mean = law.expected(forces)
         spread = law.spread(forces)
-        left.fill_between(
-            forces,
-            np.maximum(mean - spread, 1e-4),
-            mean + spread,
-            color=colour,
-            alpha=0.18,
-            linewidth=0,
-        )
-        left.plot(forces, mean, color=colour, label=f"{label}: mean, ± 1 standard deviation")
-        right.plot(
-            forces, 100.0 * weber_of(who).threshold(forces) / forces, color=colour, label=label
-        )
-    left.plot(
-        forces,
-        intensity_of(reference_observer()).expected(forces),
-        "--",
-        color=WANTED,
-        label="reference",
-    )
-    left.set(
-        xscale="log",
-        yscale="log",
-        ylim=(0.01, 200.0),
-        xlim=(0.1, 45.0),
-        title="intensity of a force",
-    )
+        low = np.maximum(mean - spread, 1e-4)
+        left.fill_between(forces, low, mean + spread, color=colour, alpha=0.18)
+        left.plot(forces, mean, color=colour, label=f"{who.name}: mean, ± 1 standard deviation")
+        threshold = 100.0 * weber_of(who).threshold(forces) / forces
+        right.plot(forces, threshold, color=colour, label=who.name)
+    wanted = intensity_of(reference_observer()).expected(forces)
+    left.plot(forces, wanted, "--", color=WANTED, label="reference")
+    left.set(xscale="log", yscale="log", ylim=(0.01, 200.0), xlim=(0.1, 45.0))
     left.set(xlabel="force / N", ylabel="intensity / reference's at 1 N")
-    right.set(
-        xscale="log", xlabel="force / N", ylabel="threshold / % of the force", ylim=(0.0, 46.0)
-    )
-    right.set_title("smallest perceived change")
-    _finish(chart, (left, right), path)
+    right.set(xscale="log", xlabel="force / N", ylabel="threshold / % of the force", ylim=(0, 46))
+    _finish(chart, path)
 
 
 def _command(someone: Observer, path: Path) -> None:
     """Draw the command and its intensity over force."""
-    chart, left, right = _two_panels()
+    chart, (left, right) = _panels(1, 2)
     limit_N = device_parameters(DEVICE).force_limit_N
     device = ForceRange(limit_N=limit_N)
     forces = np.geomspace(0.02, 3.0 * limit_N, 600)
-    knee_N = device.knee_share * limit_N
     right.plot(forces, forces**1.7, "--", color=WANTED, label="wanted: reference, physical force")
     for who, colour in ((population_observer(), POPULATION), (someone, PERSON)):
-        law = perception_for(
-            who, rng=np.random.default_rng(0), force_limit_N=limit_N, tick_s=1e-3
-        ).law
+        rng = np.random.default_rng(0)
+        law = perception_for(who, rng=rng, force_limit_N=limit_N, tick_s=1e-3).law
         commands = law.command_N(forces)
         played = np.array([device.play(np.array([force, 0.0, 0.0]))[0][0] for force in commands])
-        left.plot(forces, commands, ":", color=colour)
         left.plot(forces, played, color=colour, label=f"{who.name}, gain {law.gain:.2f}")
         felt = intensity_of(who)
-        unit = float(felt.expected(law.command_N(1.0)))
-        right.plot(
-            forces, felt.expected(played) / unit, color=colour, label=f"{who.name}, commanded"
-        )
+        shown = felt.expected(played) / float(felt.expected(law.command_N(1.0)))
         plain = felt.expected(forces) / felt.expected(1.0)
-        right.plot(
-            forces,
-            plain,
-            color=colour,
-            linewidth=1.0,
-            linestyle="-.",
-            label=f"{who.name}, physical force",
-        )
+        right.plot(forces, shown, color=colour, label=f"{who.name}, commanded")
+        right.plot(forces, plain, "-.", color=colour, label=f"{who.name}, physical force")
     left.plot(forces, forces, "--", color=WANTED, label="physical force")
-    left.axhline(limit_N, color="0.3", linewidth=0.9)
-    left.text(0.055, 1.05 * limit_N, f"limit of {DEVICE}", fontsize=9.5)
+    left.axhline(limit_N, color=GREY, label=f"limit of {DEVICE}")
     for axes in (left, right):
-        axes.axvline(knee_N, color=GREY, linewidth=0.9, linestyle="--")
+        axes.axvline(device.knee_share * limit_N, color=GREY, linestyle="--")
         axes.set(xscale="log", yscale="log", xlabel="force at the device / N", xlim=(0.05, 10.0))
-    left.set(
-        ylabel="force played / N",
-        ylim=(0.02, 8.0),
-        title="command; dotted before the device's range",
-    )
-    right.set(
-        ylabel="intensity / that at 1 N",
-        ylim=(0.005, 60.0),
-        title="ratios are kept up to the dashed knee",
-    )
-    _finish(chart, (left, right), path)
+    left.set(ylabel="force played / N", ylim=(0.02, 8.0))
+    right.set(ylabel="intensity / that at 1 N", ylim=(0.005, 60.0))
+    right.set_title("ratios are kept up to the dashed knee")
+    _finish(chart, path)
 
 
 def _deadband(someone: Observer, path: Path) -> None:
@@ -203,46 +131,39 @@ def _deadband(someone: Observer, path: Path) -> None:
     shown = np.linalg.norm(played, axis=1)
     threshold = law.threshold(shown)
     contact = size > law.kappa * law.offset
-    saved = 100.0 * (1.0 - changed[contact].mean())
-    chart = figure(10.0, 5.2)
-    upper, lower = chart.subplots(2, 1, sharex=True, height_ratios=(2.2, 1.0))
-    chart.subplots_adjust(left=0.075, right=0.985, top=0.93, bottom=0.1, hspace=0.08)
+    chart, (upper, lower) = _panels(2, 1)
     upper.fill_between(
-        time,
-        shown - threshold,
-        shown + threshold,
-        color=POPULATION,
-        alpha=0.18,
-        linewidth=0,
-        step="post",
-        label="not perceived as a change",
+        time, shown - threshold, shown + threshold, alpha=0.18, label="not perceived as a change"
     )
-    upper.plot(time, size, color=WANTED, linewidth=1.0, label="wanted")
-    upper.step(time, shown, color=POPULATION, linewidth=1.6, where="post", label="played")
+    upper.plot(time, size, color=WANTED, label="wanted")
+    upper.step(time, shown, color=POPULATION, where="post", label="played")
     upper.plot(time[changed], shown[changed], "o", color=PERSON, markersize=3.5, label="changes")
     upper.set(ylabel="force / N", ylim=(0.0, None))
+    saved = 100.0 * (1.0 - changed[contact].mean())
     upper.set_title(
-        f"{SCENE} by a novice, {someone.name}: {saved:.1f} % of the samples in contact are "
-        "not needed"
+        f"{SCENE} by a novice, {someone.name}: {saved:.1f} % of the samples in contact are not "
+        "needed"
     )
-    lower.plot(
-        time, np.linalg.norm(wanted - played, axis=1) / threshold, color=POPULATION, linewidth=1.0
-    )
-    lower.axhline(1.0, color="0.3", linestyle="--", linewidth=1.0)
-    inside = time[contact]
-    lower.set(
-        xlabel="time / s",
-        ylabel="error / threshold",
-        ylim=(0.0, 1.15),
-        xlim=inside[[0, -1]] + [-0.02, 0.02],
-    )
-    lower.grid(alpha=0.3)
-    _finish(chart, (upper,), path)
+    error = np.linalg.norm(wanted - played, axis=1) / threshold
+    lower.plot(time, error, color=POPULATION, label="error / threshold")
+    lower.axhline(1.0, color="0.3", linestyle="--")
+    lower.set(xlabel="time / s", ylim=(0.0, 1.15))
+    for axes in (upper, lower):
+        axes.set_xlim(time[contact][[0, -1]] + [-0.02, 0.02])
+    _finish(chart, path)
 
 
-def _finish(chart: "Figure", panels: "tuple[Axes, ...]", path: Path) -> None:
+def _panels(rows: int, columns: int) -> "tuple[Figure, tuple[Axes, Axes]]":
+    """Return a figure with two panels."""
+    chart = figure(10.0, 4.6)
+    chart.set_layout_engine("constrained")
+    first, second = chart.subplots(rows, columns)
+    return chart, (first, second)
+
+
+def _finish(chart: "Figure", path: Path) -> None:
     """Add grids and legends, and write the file."""
-    for axes in panels:
-        axes.grid(alpha=0.3, which="major")
+    for axes in chart.axes:
+        axes.grid(alpha=0.3)
         axes.legend(loc="best")
     save(chart, path)

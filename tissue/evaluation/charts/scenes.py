@@ -1,38 +1,30 @@
-"""Charts of scenes: frontiers by script and by hand, as pictures and tables.
+"""Charts of scenes: frontiers by script and by hand, as pictures and tables."""
 
-Before anything is timed, other processes compute references and condensed meshes. Their results go
-to the cache on disk, where measurements find them.
-"""
-
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, Executor
-from functools import partial
+from collections.abc import Sequence
 from math import isnan
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
-from tissue.evaluation.charts.frontier import Frontier, frontier_of, unmeasured, write_measured
-from tissue.evaluation.charts.keys import machine
-from tissue.evaluation.charts.measure import short_of
-from tissue.evaluation.charts.pictures import draw_frontiers, draw_overview
-from tissue.evaluation.charts.reference import grid_force_N, of_model, reference_words
-from tissue.evaluation.charts.settings import by_hand, finest, grids, placed, settings_of, untrained
-from tissue.evaluation.reference.history import has_exact_geometry, reference_force
-from tissue.scene.load import changed, load_scene, scene_names
+from tissue.evaluation.charts.frontier import Frontier, frontier_of, write_measured
+from tissue.evaluation.charts.measure import of_model, reference_words
+from tissue.evaluation.charts.settings import (
+    by_hand,
+    machine,
+    untrained,
+)
+from tissue.scene.load import load_scene, scene_names
 from tissue.scene.organ import SoftAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
-from tissue.simulation.reference_force import ideal_scene
-from tissue.simulation.simulate import TICK_S, simulate
+from tissue.show.figures.figure import figure, plain_numbers, save
 from tissue.system.owned_folder import owned_folder
-from tissue.system.workers import first_done
 
-__all__ = ["chart_lines", "chart_scenes", "charted", "make_ready", "notes_before"]
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
-READY_SHARE = 0.3
-"""Share of a chart's time that the preparation takes."""
+__all__ = ["chart_lines", "chart_scenes", "charted", "draw_frontiers", "notes_before"]
 
 
 def chart_scenes(
@@ -41,7 +33,6 @@ def chart_scenes(
     *,
     quick: bool,
     overwrite: bool = False,
-    pool: Executor | None = None,
     report: Progress = silent,
 ) -> list[list[Frontier]]:
     """Chart some scenes, or all scenes if no names are given.
@@ -49,8 +40,7 @@ def chart_scenes(
     Each scene writes NAME.png and NAME.csv. All scenes together write frontier.png.
 
     Settings that were measured on this machine before are not measured again. An interrupted chart
-    therefore continues. The processes of ``pool`` prepare references and meshes, and are idle
-    during all timings.
+    therefore continues.
 
     Raises
     ------
@@ -62,19 +52,12 @@ def chart_scenes(
     with owned_folder(
         out, "chart", files, overwrite=overwrite, shared=("frontier.png", "machine.txt")
     ):
-        begin = 0.0
-        if pool is not None:
-            begin = READY_SHARE
-            kinds = [kind for scene in scenes for kind in charted(scene)]
-            make_ready(
-                kinds, pool, quick=quick, report=lambda doing, share: report(doing, begin * share)
-            )
         found = []
         drawn = []
         for index, scene in enumerate(scenes):
 
             def report_share(doing: str, share: float, index: int = index) -> None:
-                report(doing, begin + (1.0 - begin) * (index + share) / len(scenes))
+                report(doing, (index + share) / len(scenes))
 
             frontiers = [
                 frontier_of(kind, quick=quick, report=report_share) for kind in charted(scene)
@@ -120,8 +103,7 @@ def chart_lines(found: Sequence[Sequence[Frontier]]) -> list[str]:
     lines = []
     for each in (frontier for both in found for frontier in both):
         scene = each.scene
-        how = "by script" if scene.device is None else f"by hand on {scene.held.kind}"
-        lines.append(f"{scene.name} {how}, held to {reference_words(scene, each.gap)}")
+        lines.append(f"{scene.name} {_how(scene)}, held to {reference_words(scene, each.gap)}")
         if not isnan(each.rounding):
             lines.append(
                 "  float32: a path moved by a last place, 1 nm, changes the force by "
@@ -143,76 +125,119 @@ def chart_lines(found: Sequence[Sequence[Frontier]]) -> list[str]:
     return lines
 
 
-def make_ready(kinds: Sequence[Scene], pool: Executor, *, quick: bool, report: Progress) -> None:
-    """Compute the inputs of settings not yet measured on this machine, in other processes."""
-    waiting = [kind for kind in kinds if unmeasured(kind, quick=quick)]
-    try:
-        for name, done in _done(
-            pool, [(kind.name, partial(short_of, kind, quick)) for kind in waiting], report
-        ):
-            report(f"{name}: first contact", 0.2 * done)
-        work = [(kind.name, call) for kind in waiting for call in _preparations(kind, quick=quick)]
-        for name, done in _done(pool, work, report):
-            report(f"{name}: references and meshes", 0.2 + 0.8 * done)
-    except BrokenExecutor:
-        report(
-            (
-                "the processes that make charts ready were lost: what is missing is made where "
-                "it is measured"
-            ),
-            1.0,
-        )
+def _how(scene: Scene) -> str:
+    """Return how the tool of a scene is moved."""
+    return "by script" if scene.device is None else f"by hand on {scene.held.kind}"
 
 
-def _preparations(scene: Scene, *, quick: bool) -> list[Callable[[], None]]:
-    """Return calls whose results the measurements of a scene will find in the cache."""
-    short = short_of(scene, quick)
-    model = short_of(of_model(scene), quick)
-    by_script = scene.device is None
-    references: list[Scene] = []
-    if by_script and has_exact_geometry(model):
-        coarse = settings_of(model, quick=quick)[0].changes
-        references = [changed(place, coarse) for place in placed(model)]
-    elif by_script:
-        three = grids(model, quick=quick)
-        references = [changed(model, each) for each in three]
-        references += [changed(place, each) for place in placed(model)[1:] for each in three[2:]]
-    meshes: list[Scene] = []
-    if isinstance(scene.anatomy, SoftAnatomy) and by_script:
-        wanted = unmeasured(scene, quick=quick)
-        meshes = [changed(place, setting.changes) for setting in wanted for place in placed(short)]
-    elif isinstance(scene.anatomy, SoftAnatomy):
-        meshes = [short, ideal_scene(short, finest(scene, quick=quick))]
-    calls = [partial(_reference, each) for each in references]
-    return [*calls, *(partial(_mesh, each) for each in meshes)]
+ORANGE = "#D55E00"
+FAMILIES = {
+    "voxels": ("#0072B2", "o", "voxels"),
+    "shell": ("#56B4E9", "s", "elements of the cutter"),
+    "stress": ("#CC79A7", "D", "with stress"),
+    "elements": ("#009E73", "p", "elements"),
+    "path": ("#E69F00", "H", "compliance"),
+    "cores": ("0.45", "h", "one core"),
+    "loop": (ORANGE, "o", "renderer, predictor, model rate"),
+    "model": ("0.2", "o", "the model"),
+}
+"""Colour, mark and label of each family of settings, after Okabe and Ito (2008) where possible."""
+LEAST = 1e-4
+"""Error that is drawn for zero [%], on logarithmic axes."""
+BY = {"script": ("#0072B2", "by script: model"), "hand": ("#B34700", "by hand: loop")}
+"""Looks in the overview. The second colour is dark enough for text."""
+COLUMNS = 4
 
 
-def _reference(scene: Scene) -> None:
-    """Compute a reference. A refused scene is refused again, and reported, where it is measured."""
-    try:
-        if has_exact_geometry(scene):
-            reference_force(scene, simulate(scene, allow_unstable=True).trace)
-        else:
-            grid_force_N(scene, {})
-    except InputError:
-        return
+def draw_frontiers(found: Sequence[Frontier], path: Path) -> None:
+    """Draw a panel for each frontier: median tick with its 99th percentile against force error.
+
+    The uncertainty of the reference is shaded. Lines across are errors that no setting reduces: of
+    the linear law, dashed, and of float32, dotted.
+    """
+    chart = figure(7.0 * len(found), 4.6)
+    chart.set_layout_engine("constrained")
+    panels = chart.subplots(1, len(found), squeeze=False)[0]
+    for axes, each in zip(panels, found, strict=True):
+        _draw_frontier(axes, each)
+    save(chart, path)
 
 
-def _mesh(scene: Scene) -> None:
-    """Condense a mesh by a run of one tick."""
-    try:
-        simulate(changed(scene, {"duration_s": TICK_S}), allow_unstable=True)
-    except InputError:
-        return
+def draw_overview(found: Sequence[Sequence[Frontier]], path: Path) -> None:
+    """Draw a small panel for each scene with its Pareto-optimal settings by script and by hand."""
+    columns = min(COLUMNS, len(found))
+    rows = -(-len(found) // columns)
+    chart = figure(4.0 * columns, 2.6 * rows + 0.4)
+    chart.set_layout_engine("constrained")
+    panels = chart.subplots(rows, columns, squeeze=False).ravel()
+    for axes in panels[len(found) :]:
+        axes.set_axis_off()
+    for axes, both in zip(panels, found, strict=False):
+        for each in both:
+            colour, label = BY["script" if each.scene.device is None else "hand"]
+            _draw_best(axes, each, colour, label)
+        axes.axvline(1e3, color="0.2", linestyle="--", label="1 ms, the haptic tick")
+        _log_axes(axes, title=both[0].scene.name, xlabel="tick / µs", ylabel="force error / %")
+    lines = {str(line.get_label()): line for axes in panels for line in axes.lines}
+    named = {label: line for label, line in lines.items() if not label.startswith("_")}
+    chart.legend(
+        named.values(), named.keys(), loc="outside upper center", ncols=len(named), frameon=False
+    )
+    save(chart, path)
 
 
-def _done(
-    pool: Executor, work: Sequence[tuple[str, Callable[[], object]]], report: Progress
-) -> Iterator[tuple[str, float]]:
-    """Submit named calls; yield the name of each finished one and the finished share."""
-    names = {pool.submit(call): name for name, call in work}
-    count = len(names)
-    while names:
-        for future in first_done(pool, names, report):
-            future.result()
-            yield names.pop(future), 1.0 - len(names) / count
+def _draw_best(axes: "Axes", found: Frontier, colour: str, label: str) -> None:
+    """Draw the Pareto-optimal settings of a frontier with their names."""
+    ticks = [point.median_us for point in found.best]
+    errors = [_percent(point.force_error) for point in found.best]
+    axes.step(ticks, errors, "-o", where="post", color=colour, label=label)
+    for point, error in zip(found.best, errors, strict=True):
+        place = (point.median_us, error)
+        axes.annotate(point.setting, place, (4, 4), textcoords="offset points", color=colour)
+
+
+def _draw_frontier(axes: "Axes", found: Frontier) -> None:
+    """Draw all settings of a scene."""
+    for point in found.points:
+        colour, mark, label = FAMILIES[point.family]
+        error = _percent(point.force_error)
+        over = _percent(point.error_50_ms)
+        axes.plot([point.median_us, point.p99_us], [error] * 2, color=colour, alpha=0.5)
+        axes.plot([point.median_us] * 2, [error, over], color=colour, alpha=0.5)
+        axes.plot(point.median_us, error, mark, color=colour, label=label)
+        axes.plot(point.median_us, over, mark, color=colour, mfc="white")
+    _draw_best(axes, found, "0.15", "frontier")
+    for row in found.bounds:
+        error = _percent(row.force_error)
+        rounding = row.family == "rounding"
+        label = f"float32 rounding, {error:.1g} %"
+        if not rounding:
+            label = f"linear law: {error:.2g} % off neo-Hookean"
+        axes.axhline(error, color="#882255", linestyle=":" if rounding else "--", label=label)
+    axes.axvline(1e3, color=ORANGE, linestyle="--", label="1 ms")
+    errors = [_percent(point.force_error) for point in found.points]
+    low = 0.5 * min(*errors, *(_percent(point.error_50_ms) for point in found.points))
+    gap = "uncertainty of the reference"
+    axes.axhspan(low, max(100.0 * found.gap, low), color="0.9", label=gap)
+    _log_axes(
+        axes,
+        title=f"{found.scene.name}, {_how(found.scene)}",
+        xlabel="tick in contact / µs: median, line to its 99th percentile",
+        ylabel="force error / %, open: over 50 ms",
+    )
+    axes.set_ylim(low, 2.2 * max([*errors, 0.1]))
+    handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
+    axes.legend(handles.values(), handles.keys(), loc="upper left", bbox_to_anchor=(1.0, 1.0))
+
+
+def _percent(error: float) -> float:
+    """Return an error in per cent, large enough for a logarithmic axis."""
+    return max(100.0 * error, LEAST)
+
+
+def _log_axes(axes: "Axes", **settings: str) -> None:
+    """Use logarithmic axes with plain numbers."""
+    axes.set(xscale="log", yscale="log", **settings)
+    for axis in (axes.xaxis, axes.yaxis):
+        plain_numbers(axis)
+    axes.grid(alpha=0.3, which="both")

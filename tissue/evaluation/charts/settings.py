@@ -1,15 +1,27 @@
 """Settings of a scene from coarse to fine, grids of its convergence, and places on a grid."""
 
+import os
+import platform
+import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cache
+from hashlib import blake2b, sha256
+from importlib.metadata import version
+from importlib.resources import files
 from itertools import product
+from pathlib import Path
+from time import time_ns
+from typing import Any
 
 import numpy as np
 
+from tissue.materials.constants import constants
+from tissue.prediction.outside import GuardedMaker
 from tissue.prediction.trained import is_trained
 from tissue.scene.load import changed
 from tissue.scene.organ import LayersAnatomy, SoftAnatomy
-from tissue.scene.registry import PREDICTORS, RENDERERS
+from tissue.scene.registry import PREDICTORS, RENDERERS, TABLES
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion, Probe, Tool
 from tissue.simulation.builders.cutting import cutter_of
@@ -19,14 +31,20 @@ __all__ = [
     "Changes",
     "Setting",
     "by_hand",
+    "code_sha256",
     "edge_mm",
     "finest",
+    "force_only",
     "grids",
+    "machine",
     "moved",
     "placed",
     "refined",
+    "scene_text",
+    "setting_key",
     "settings_of",
     "shares",
+    "sources",
     "untrained",
 ]
 
@@ -34,7 +52,6 @@ LATENCY_MS = 4
 """Latency of the compared loops where a scene has none. The mean that the paper reports is 4.3
 ms.
 """
-LOST = "displacement and stress"
 VOXEL_SHARES = {True: (1.0, 0.5**0.5, 0.5), False: (1.0, 3.0**-0.5, 1.0 / 3.0)}
 """Lengths of the three grids of a grid-convergence index over the scene's lengths, quick or not."""
 TET_SHARES = {True: (1.0, 0.8, 0.64), False: (1.0, 0.5**0.5, 0.5)}
@@ -64,8 +81,6 @@ class Setting:
         Varied quantity: voxels, shell, elements, path, stress, loop or cores.
     changes
         Values by dotted key; None removes an entry.
-    leaves_out
-        Results that the scene loses with the setting, in words. May be empty.
     cores
         Number of processor cores. None for all cores.
     compute
@@ -78,7 +93,6 @@ class Setting:
     name: str
     family: str
     changes: Changes = field(default_factory=dict)
-    leaves_out: str = ""
     cores: int | None = None
     compute: str = "cpu"
     finer: bool = False
@@ -110,8 +124,8 @@ def settings_of(scene: Scene, *, quick: bool) -> list[Setting]:
         return list(_voxels(scene, scene.tool, quick=quick))
     if isinstance(scene.anatomy, SoftAnatomy):
         return list(_elements(scene, quick=quick))
-    plain, lost = _force_only(scene)
-    return [Setting("force alone" if plain else "as it is", "model", plain, lost)]
+    plain = force_only(scene)
+    return [Setting("force alone" if plain else "as it is", "model", plain)]
 
 
 def finest(scene: Scene, *, quick: bool) -> Changes:
@@ -155,7 +169,7 @@ def refined(scene: Scene, share: float) -> dict[str, object]:
         }
         # Without it edges away from the tool would hardly shrink.
         lengths["anatomy.edge_growth"] = scene.anatomy.edge_growth
-    return _force_only(scene)[0] | {key: share * value for key, value in lengths.items()}
+    return force_only(scene) | {key: share * value for key, value in lengths.items()}
 
 
 def placed(scene: Scene) -> list[Scene]:
@@ -192,17 +206,13 @@ def edge_mm(scene: Scene) -> float:
     return scene.anatomy.touch_edge_mm or 0.25 * scene.tool.size_mm
 
 
-def _force_only(scene: Scene) -> tuple[dict[str, object], str]:
-    """Return the changes that leave out everything without influence on the force.
-
-    The lost results are returned in words.
-    """
-    changes: dict[str, object] = {"stress": None} if scene.stress is not None else {}
+def force_only(scene: Scene) -> dict[str, object]:
+    """Return the changes that leave out everything without influence on the force."""
     if isinstance(scene.anatomy, SoftAnatomy):
-        changes = {"organ.interval_ms": 0.0} if scene.organ.interval_ms else {}
-    elif isinstance(scene.anatomy, LayersAnatomy):
-        changes = {"anatomy.interval_ms": 0.0} if scene.anatomy.interval_ms else {}
-    return changes, LOST if changes else ""
+        return {"organ.interval_ms": 0.0} if scene.organ.interval_ms else {}
+    if isinstance(scene.anatomy, LayersAnatomy):
+        return {"anatomy.interval_ms": 0.0} if scene.anatomy.interval_ms else {}
+    return {} if scene.stress is None else {"stress": None}
 
 
 def _shell_mm(tool: Tool) -> float:
@@ -216,7 +226,7 @@ def _shell_mm(tool: Tool) -> float:
 
 def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
     """Yield settings of spacing, kind of removal, elements of the cutter, stress and cores."""
-    plain, lost = _force_only(scene)
+    plain = force_only(scene)
     base = scene.voxels.spacing_mm
     shell = _shell_mm(tool)
     for factor in (4.0, 3.0, 2.0, 1.0) if quick else (5.0, 4.0, 3.0, 2.0, 1.5, 1.0):
@@ -229,16 +239,16 @@ def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
         for removal in ("subvoxel",) if quick else ("subvoxel", "binary"):
             name = f"{spacing:g} mm" + (" binary" if removal == "binary" else "")
             grid = {"voxels.spacing_mm": spacing, "voxels.removal": removal}
-            yield Setting(name, "voxels", {**plain, **grid, **coarse}, lost)
+            yield Setting(name, "voxels", {**plain, **grid, **coarse})
     for factor in (2.0,) if quick else (4.0, 3.0, 2.0, 1.5):
         wide = {"tool.shell_spacing_mm": round(factor * shell, 4)}
-        yield Setting(f"{base:g} mm, shell {factor * shell:.2g} mm", "shell", plain | wide, lost)
+        yield Setting(f"{base:g} mm, shell {factor * shell:.2g} mm", "shell", plain | wide)
     for share in (0.7,) if quick else (0.8, 0.6):
         name = f"{share * base:.3g} mm, shell {share * shell:.2g} mm"
-        yield Setting(name, "voxels", refined(scene, share), lost, finer=True)
+        yield Setting(name, "voxels", refined(scene, share), finer=True)
     if quick:
         return
-    yield from _cores(f"{base:g} mm, one core", plain, lost)
+    yield from _cores(f"{base:g} mm, one core", plain)
     if scene.stress is not None:
         for cell in (14.0, 10.0, 8.0):
             edge = round(cell * base, 4)
@@ -247,7 +257,7 @@ def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
 
 def _elements(scene: Scene, *, quick: bool) -> Iterator[Setting]:
     """Yield settings of order and edge of tetrahedra, compliance method and cores."""
-    plain, lost = _force_only(scene)
+    plain = force_only(scene)
     base = edge_mm(scene)
     linear, quadratic = (
         ((1.0,), (2.0, 1.4, 1.0)) if quick else ((2.0, 1.4, 1.0, 0.8), (2.0, 1.7, 1.4, 1.2, 1.0))
@@ -255,49 +265,128 @@ def _elements(scene: Scene, *, quick: bool) -> Iterator[Setting]:
     for order, factor in (*product((1,), linear), *product((2,), quadratic)):
         edge = round(factor * base, 3)
         changes = plain | {"organ.order": order, "anatomy.touch_edge_mm": edge}
-        yield Setting(f"P{order} {edge:g} mm", "elements", changes, lost)
+        yield Setting(f"P{order} {edge:g} mm", "elements", changes)
     if quick:
         return
     fine = refined(scene, 0.8) | {"organ.order": 2}
-    yield Setting(f"P2 {0.8 * base:.3g} mm", "elements", fine, lost, finer=True)
+    yield Setting(f"P2 {0.8 * base:.3g} mm", "elements", fine, finer=True)
     if scene.organ.law == "linear":
         for size in (100, 300, 1000):
             yield Setting(
                 f"reduced {size}",
                 "path",
                 plain | {"organ.path": "reduced", "organ.basis_size": size},
-                lost,
             )
-        yield Setting("lazy", "path", plain | {"organ.path": "lazy"}, lost)
-    yield from _cores("one core", plain, lost)
+        yield Setting("lazy", "path", plain | {"organ.path": "lazy"})
+    yield from _cores("one core", plain)
 
 
-def _cores(name: str, plain: Changes, lost: str) -> Iterator[Setting]:
+def _cores(name: str, plain: Changes) -> Iterator[Setting]:
     """Yield the scene on one core, and on every accelerator of the machine."""
     import warp as wp
 
     import kernels  # noqa: F401  starts Warp without its greeting
 
-    yield Setting(name, "cores", plain, lost, cores=1)
+    yield Setting(name, "cores", plain, cores=1)
     for device in wp.get_cuda_devices():
-        yield Setting(str(device), "cores", plain, lost, compute=str(device))
+        yield Setting(str(device), "cores", plain, compute=str(device))
 
 
 def _loops(scene: Scene, *, quick: bool) -> Iterator[Setting]:
     """Yield settings of renderer, predictor and rate of the model."""
-    plain, lost = _force_only(scene)
+    plain = force_only(scene)
     missing = untrained(scene)
     for law in RENDERERS:
         if not quick or law == "proxy":
-            yield Setting(law, "loop", plain | {"renderer": law, "prediction": "none"}, lost)
+            yield Setting(law, "loop", plain | {"renderer": law, "prediction": "none"})
     for kind in PREDICTORS.names[1:]:
         if kind not in missing and (not quick or kind in ("kalman", "koopman")):
-            yield Setting(kind, "loop", plain | {"prediction": kind}, lost)
+            yield Setting(kind, "loop", plain | {"prediction": kind})
     for kind in PREDICTORS:
         if kind not in missing and (not quick or kind in ("hold", "koopman")):
             yield Setting(
                 f"100 Hz, {kind}",
                 "loop",
                 plain | {"prediction": kind, "coupling.model_ms": 10},
-                lost,
             )
+
+
+PACKAGES = ("meshes", "kernels", "tissue")
+
+
+def scene_text(scene: Scene) -> str:
+    """Return the part of a scene that its numbers depend on, as text.
+
+    Description and fidelity are left out.
+    """
+    words = {"description": "", "fidelity": None, "materials": ""}
+    return scene.model_copy(update=words).to_toml() + scene.constants.key
+
+
+def machine() -> str:
+    """Return the key of a measured time: processor, cores, and versions of the libraries."""
+    import psutil
+
+    return (
+        f"{platform.machine()} {psutil.cpu_count()} cores {platform.system()}; tissue "
+        f"{version('tissue-sim')}, "
+        f"warp {version('warp-lang')}, numpy {version('numpy')}, Python {platform.python_version()}"
+    )
+
+
+def sources() -> str:
+    """Return the checksum of all code and constants.
+
+    Both the time of a tick and its error may change with any of them. External parts count by their
+    names and by the code of their packages.
+    """
+    digest = blake2b(code_sha256().encode(), digest_size=8)
+    for kind, table in ((kind, table) for kind, tables in TABLES.items() for table in tables):
+        for name in table.known:
+            if name not in table.built_in:
+                digest.update(f"{kind} {name} {_code_of(table[name])}".encode())
+    return digest.hexdigest()
+
+
+def _code_of(part: Any) -> str:
+    """Return the numbers of an external part and the checksum of the package that it calls."""
+    if isinstance(part, Mapping):
+        return " ".join(f"{name} {_code_of(inner)}" for name, inner in part.items())
+    if hasattr(part, "__dataclass_fields__") or isinstance(part, GuardedMaker):
+        return _code_of(vars(part))
+    if isinstance(part, Path):
+        return part.read_text("utf-8") if part.is_file() else ""
+    if isinstance(part, tuple) and part[:1] in (("cutting",), ("soft",)):
+        return repr(constants(*part))
+    return _package_sum(part.__module__.partition(".")[0]) if callable(part) else repr(part)
+
+
+def _package_sum(name: str) -> str:
+    """Return the checksum of all Python files of a package, or of a module.
+
+    Without a file, the result is unique to the call.
+    """
+    file = getattr(sys.modules.get(name), "__file__", None)
+    if file is None:
+        return f"{os.getpid()} {time_ns()}"
+    path = Path(file)
+    files = sorted(path.parent.rglob("*.py")) if path.name == "__init__.py" else [path]
+    return blake2b(b"".join(each.read_bytes() for each in files), digest_size=8).hexdigest()
+
+
+@cache
+def code_sha256() -> str:
+    """Return the SHA-256 of all files of this installation: code, constants and data."""
+    digest = sha256()
+    for package in PACKAGES:
+        for path in sorted(Path(str(files(package))).rglob("*")):
+            if path.is_file() and path.parent.name != "__pycache__":
+                digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def setting_key(scene: Scene, setting: Setting, *, quick: bool) -> str:
+    """Return the hash of a scene at a setting, of the machine and of the code."""
+    at = scene_text(changed(scene, setting.changes))
+    text = f"{at}|{setting.cores}|{setting.compute}|{quick}|{machine()}|{sources()}"
+    return blake2b(text.encode(), digest_size=12).hexdigest()

@@ -3,11 +3,12 @@
 The force is interpolated between evaluated ticks and kept on disk.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from meshes.base.arrays import Array
 from meshes.base.cache import cached_arrays
@@ -15,7 +16,6 @@ from meshes.base.progress import Progress, silent
 from tissue.cutters.cutter import Cutter
 from tissue.evaluation.reference.force import Resolution, Solid, wrench_at
 from tissue.evaluation.reference.path import ToolPath
-from tissue.evaluation.statistics.metrics import force_error
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
@@ -25,12 +25,13 @@ from tissue.simulation.builders.voxels import is_procedural, solid_of
 from tissue.simulation.trace import Table
 
 __all__ = [
-    "ForceError",
+    "Order",
     "ReferenceForce",
-    "error_of_force",
     "force_on_path",
+    "grid_index",
     "has_exact_geometry",
     "means_over_50_ms",
+    "observed_order",
     "path_of_trace",
     "reference_force",
     "solid_of_scene",
@@ -75,29 +76,6 @@ class ReferenceForce:
     def force_N(self) -> Array:
         """Force on the tool [N], shape (n, 3)."""
         return self.wrench[:, :3]
-
-
-@dataclass(frozen=True)
-class ForceError:
-    """Error of a force against the reference, relative to the reference.
-
-    Attributes
-    ----------
-    over_ticks
-        ||F - F_ref|| / ||F_ref|| over all ticks.
-    over_50_ms
-        Error of means over 50 ms.
-    bias
-        Mean over the contact of the error along the reference force, by the mean size of the
-        reference force.
-    reference_uncertainty
-        Error of the reference itself, as `over_ticks`.
-    """
-
-    over_ticks: float
-    over_50_ms: float
-    bias: float
-    reference_uncertainty: float
 
 
 def path_of_trace(trace: Table, cutter: Cutter) -> ToolPath:
@@ -289,21 +267,97 @@ def _fill(wrench: Array, known: NDArray[np.bool_], first: int, last: int) -> Non
     wrench[first + 1 : last] = wrench[first] + share * (wrench[last] - wrench[first])
 
 
-def error_of_force(force_N: Array, reference: ReferenceForce) -> ForceError:
-    """Return the error of a force at every tick [N], shape (n, 3)."""
-    wanted = reference.force_N
-    size = np.linalg.norm(wanted, axis=1)
-    contact = size > 0.0
-    along = ((force_N - wanted)[contact] * wanted[contact]).sum(axis=1) / size[contact]
-    return ForceError(
-        force_error(force_N, wanted),
-        force_error(means_over_50_ms(force_N), means_over_50_ms(wanted)),
-        float(along.sum() / max(size.sum(), 1e-300)),
-        reference.uncertainty,
-    )
-
-
 def means_over_50_ms(values: Array) -> Array:
     """Return means over 50 ms, shape (n // 50, 3), or the mean of a shorter run."""
     count = max(len(values) // WINDOW_TICKS, 1)
     return np.array([part.mean(axis=0) for part in np.split(values[: count * WINDOW_TICKS], count)])
+
+
+FORMAL_ORDER = 2.0
+"""Order of the force in the spacing, and the highest that an index is computed with."""
+ASYMPTOTIC = 0.5, 2.2
+"""Observed orders that count as asymptotic.
+
+The range is from 0.5 (Eça and Hoekstra 2014, J. Comput. Phys. 262, 104-130) to a tenth above the
+formal order (Oberkampf and Roy 2010, Verification and Validation in Scientific Computing).
+"""
+SAFETY = 1.25
+SAFETY_OUTSIDE = 3.0
+"""Roache's safety factors, within the asymptotic range and outside it."""
+STEEPEST = 30.0
+"""Largest searched order, of either sign. Larger orders count as infinite."""
+
+
+@dataclass(frozen=True)
+class Order:
+    """Convergence in one norm, as shares of the norm of the finest force.
+
+    Attributes
+    ----------
+    order
+        Observed order. Infinite if the two finer forces agree, negative if they lie farther apart
+        than the two coarser ones, NaN if all three agree.
+    index
+        Index of each grid, coarsest first.
+    distance
+        Distance of each grid to the finest, coarsest first.
+    """
+
+    order: float
+    index: tuple[float, ...]
+    distance: tuple[float, ...]
+
+    @property
+    def asymptotic(self) -> bool:
+        """True if an extrapolation may use the observed order, or the three forces are equal."""
+        return np.isnan(self.order) or ASYMPTOTIC[0] <= self.order <= ASYMPTOTIC[1]
+
+
+def grid_index(forces_N: Sequence[Array], spacings: Sequence[float]) -> Order:
+    """Compute the grid-convergence index of the forces of one motion on three grids.
+
+    Parameters
+    ----------
+    forces_N
+        Force at every tick on each grid [N], each shape (n, 3).
+    spacings
+        Different spacing of each grid, in any unit. All other lengths of the grid must change by
+        the same factor.
+    """
+    order = np.argsort(spacings)[::-1]
+    h = [float(spacings[k]) for k in order]
+    coarse, middle, fine = (np.asarray(forces_N[k], dtype=np.float64) for k in order)
+    size = max(float(np.linalg.norm(fine)), 1e-300)
+    distance = tuple(float(np.linalg.norm(each - fine)) / size for each in (coarse, middle, fine))
+    observed = observed_order(float(np.linalg.norm(coarse - middle)) / size, distance[1], h)
+    safety = SAFETY if Order(observed, (), distance).asymptotic else SAFETY_OUTSIDE
+    used = float(np.clip(np.nan_to_num(observed, nan=FORMAL_ORDER), ASYMPTOTIC[0], FORMAL_ORDER))
+    left = distance[1] / ((h[1] / h[2]) ** used - 1.0)
+    return Order(observed, tuple(safety * (each + left) for each in distance), distance)
+
+
+def observed_order(coarse: float, fine: float, spacings: Sequence[float]) -> float:
+    """Return the order p of an error C h^p from two differences of forces.
+
+    The differences are ``coarse`` (h3 to h2) and ``fine`` (h2 to h1).
+
+    Parameters
+    ----------
+    spacings
+        h3 > h2 > h1.
+    """
+    if coarse == fine == 0.0:
+        return float("nan")
+    if fine == 0.0 or coarse == 0.0:
+        return float("inf") if fine == 0.0 else float("-inf")
+    h = np.log(np.array(spacings) / spacings[1])  # the middle one has h^p = 1
+
+    def excess(p: float) -> float:
+        ratio = -np.expm1(p * h[0]) / np.expm1(p * h[2]) if abs(p) > 1e-9 else -h[0] / h[2]
+        return float(np.log(ratio) - np.log(coarse / fine))
+
+    if excess(STEEPEST) < 0.0:
+        return float("inf")
+    if excess(-STEEPEST) > 0.0:
+        return float("-inf")
+    return float(brentq(excess, -STEEPEST, STEEPEST, xtol=1e-10))

@@ -4,14 +4,144 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import binomtest
 
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
-from tissue.evaluation.statistics.hypothesis_test import LEVEL, Assumption, Effect
-from tissue.evaluation.statistics.power import drawn_users
-from tissue.evaluation.statistics.trials import TrialTable
+from tissue.evaluation.statistics.hypothesis_test import ALPHA, LEVEL, Assumption, Effect
+from tissue.evaluation.statistics.strata import group_means, strata
+from tissue.evaluation.statistics.trials import Cells, TrialTable
 
-__all__ = ["Index", "composite_index", "weights_of"]
+__all__ = [
+    "Index",
+    "Power",
+    "composite_index",
+    "drawn_users",
+    "redrawn_power",
+    "rejection_rates",
+    "weights_of",
+]
+
+POPULATIONS = 10_000
+"""Number of populations. It resolves an error rate of 5 % to 0.4 %."""
+TESTS = {"method": ((0,), False), "group": ((), True), "group x method": ((0,), True)}
+
+
+@dataclass(frozen=True)
+class Power:
+    """Rejection rates of one test.
+
+    Attributes
+    ----------
+    test
+        "method", "group" or "group x method".
+    users_per_group, populations
+        Size of the study and number of populations.
+    false_alarms
+        Share of rejections without a difference (type I), with its interval.
+    hits
+        Share of rejections with the effect (power), with its interval. 1 - hits is the type II
+        error rate.
+    """
+
+    test: str
+    users_per_group: int
+    populations: int
+    false_alarms: Effect
+    hits: Effect
+
+    @property
+    def sentence(self) -> str:
+        """Both error rates in words."""
+        return (
+            f"{self.test}: with {self.users_per_group} users a group, false alarms "
+            f"{_percent(self.false_alarms)}, "
+            f"power {_percent(self.hits)} in {self.populations} populations."
+        )
+
+
+def drawn_users(groups: Ints, count: int, rng: np.random.Generator) -> Ints:
+    """Draw users with replacement within each group, in the order of groups.
+
+    Parameters
+    ----------
+    groups
+        Group of every user, 0 to G - 1, shape (users,).
+    count
+        Number of populations. Each has the size of the original groups.
+
+    Returns
+    -------
+    Ints
+        Indices of users, shape (count, users).
+    """
+    members = (np.flatnonzero(groups == group) for group in range(int(groups.max()) + 1))
+    return np.concatenate(
+        [each[rng.integers(len(each), size=(count, len(each)))] for each in members], axis=1
+    )
+
+
+def redrawn_power(
+    cells: Cells, *, rng: np.random.Generator, populations: int = POPULATIONS
+) -> tuple[Power, ...]:
+    """Estimate the error rates with users redrawn from a study of any distribution.
+
+    The null hypothesis is made true by subtracting the means of each group and method. The
+    residuals of n users are scaled by sqrt(n / (n - 1)), since redrawn users vary less than new
+    ones by this factor. Power refers to an effect of the measured size, which includes the error of
+    the measurement. The power is too high if the true effect is zero or small.
+
+    Parameters
+    ----------
+    cells
+        Means of a metric by one factor within users.
+    rng
+        Generator that draws the users.
+    populations
+        Number of populations.
+    """
+    order = np.argsort(cells.groups, kind="stable")
+    values = cells.values[order]
+    groups = cells.groups[order]
+    means = group_means(values, groups)[groups]
+    counts = np.bincount(groups)[groups][:, None]
+    null = (values - means) * np.sqrt(counts / (counts - 1.0))
+    drawn = drawn_users(groups, populations, rng)
+    return rejection_rates(null[drawn], (means + null)[drawn], groups)
+
+
+def rejection_rates(null: Array, planted: Array, groups: Ints) -> tuple[Power, ...]:
+    """Return the shares of populations in which each test rejects.
+
+    Parameters
+    ----------
+    null, planted
+        Populations without and with an effect, each of shape (populations, users, methods).
+    groups
+        Group of every user, shape (users,).
+    """
+    found = []
+    for name, (chosen, between) in TESTS.items():
+        if (between and groups.max() == 0) or (chosen and null.shape[-1] < 2):
+            continue
+        false_alarms, hits = (
+            _share(strata(values, groups, (values.shape[-1],), chosen, between=between).p < ALPHA)
+            for values in (null, planted)
+        )
+        found.append(Power(name, int(np.bincount(groups).min()), len(null), false_alarms, hits))
+    return tuple(found)
+
+
+def _share(rejects: NDArray[np.bool_]) -> Effect:
+    """Return the share of populations with Wilson's interval (Wilson 1927)."""
+    found = binomtest(int(rejects.sum()), len(rejects))
+    return Effect("share", found.statistic, *map(float, found.proportion_ci(LEVEL, "wilson")))
+
+
+def _percent(share: Effect) -> str:
+    return f"{100.0 * share.value:.1f} % [{100.0 * share.low:.1f}, {100.0 * share.high:.1f}]"
+
 
 SMALLEST_GAP = 1.25
 """Ratio of the first two variances below which the first direction is not distinct.
@@ -28,12 +158,6 @@ class Index:
     ----------
     metrics, weights
         Metrics and their weights with intervals over resampled users; weights sum to one.
-    loadings
-        Loadings of the oriented metrics on the first component. The sign is chosen so that they sum
-        to a positive number.
-    values
-        Index of every row of the table in standard deviations, NaN where a trial failed; higher is
-        better.
     means
         Mean of each method with an interval over resampled users, weights fitted anew in each.
     assumptions
@@ -43,8 +167,6 @@ class Index:
 
     metrics: tuple[str, ...]
     weights: tuple[Effect, ...]
-    loadings: tuple[float, ...]
-    values: Array
     means: tuple[Effect, ...]
     assumptions: tuple[Assumption, ...]
 
@@ -104,13 +226,6 @@ def composite_index(
     count
         Number of resampled populations.
     """
-    if len(directions) < 2:
-        raise InputError(
-            "directions", "name at least two metrics", len(directions), "an index combines several"
-        )
-    for name, sign in directions.items():
-        if sign not in (-1, 1):
-            raise InputError(f"direction of {name}", "be 1 or -1", sign, "1 where higher is better")
     names = tuple(directions)
     kept = table.failure == ""
     raw = np.column_stack([sign * table.values(name) for name, sign in directions.items()])[kept]
@@ -134,59 +249,39 @@ def composite_index(
     weights, loadings, variances = weights_of(scaled.T @ scaled / len(scaled))
     _, first_rows = np.unique(person, return_index=True)
     groups = np.unique(table.group[kept][first_rows], return_inverse=True)[1].astype(np.int64)
-    methods, method = np.unique(table.method[kept], return_inverse=True)
-    drawn = drawn_users(groups, count, rng)
-    times = np.stack([np.bincount(each, minlength=len(people)) for each in drawn]).astype(float)
-    again, sums = _resampled(scaled, person, method, times, len(methods))
-    tail = 100.0 * 0.5 * (1.0 - LEVEL)
-    chosen = (
-        np.stack([scaled[method == each].mean(axis=0) for each in range(len(methods))]) @ weights
-    )
-    spread = np.percentile(again, [tail, 100.0 - tail], axis=0)
-    reach = np.percentile(np.einsum("bmk,bk->bm", sums, again), [tail, 100.0 - tail], axis=0)
-    values = np.full(len(table), np.nan)
-    values[kept] = scaled @ weights
+    methods = np.unique(table.method[kept]).tolist()
+    member = np.stack([table.method[kept] == method for method in methods]).astype(float)
+    drawn_weights = []
+    drawn_means = []
+    for drawn in drawn_users(groups, count, rng):
+        times = np.bincount(drawn, minlength=len(people))[person].astype(float)
+        again, _, _ = weights_of(_correlation(scaled, times))
+        drawn_weights.append(again)
+        drawn_means.append(_means(scaled @ again, member * times))
+    tails = [50.0 * (1.0 - LEVEL), 50.0 * (1.0 + LEVEL)]
+    spread = np.percentile(drawn_weights, tails, axis=0)
+    reach = np.percentile(drawn_means, tails, axis=0)
     return Index(
         names,
         _effects(names, weights, spread),
-        tuple(loadings.tolist()),
-        values,
-        _effects(methods.tolist(), chosen, reach),
+        _effects(methods, _means(scaled @ weights, member), reach),
         _checks(loadings, variances, spread),
     )
 
 
-def _resampled(
-    scaled: Array, person: Ints, method: Ints, times: Array, method_count: int
-) -> tuple[Array, Array]:
-    """Return weights and means of each method's metrics in resampled populations.
+def _correlation(rows: Array, times: Array) -> Array:
+    """Return the correlation matrix of rows that count several times."""
+    covariance = np.atleast_2d(np.cov(rows.T, aweights=times, ddof=0))
+    size = np.sqrt(np.diag(covariance))
+    return covariance / size / size[:, None]
 
-    In population b, user u is drawn times[b, u] times.
+
+def _means(values: Array, shares: Array) -> Array:
+    """Return means of values by the shares of their rows, shape (k,), where shares is (k, rows).
+
+    A method that a drawn population does not hold gets zero; NaN would spread to every percentile.
     """
-    people = times.shape[1]
-    width = scaled.shape[1]
-    squares = np.stack([np.bincount(person, a * b) for a in scaled.T for b in scaled.T], axis=1)
-    total = times @ np.bincount(person)
-    middle = (
-        times
-        @ np.stack([np.bincount(person, column) for column in scaled.T], axis=1)
-        / total[:, None]
-    )
-    spread = (times @ squares / total[:, None]).reshape(-1, width, width) - middle[
-        :, :, None
-    ] * middle[:, None, :]
-    size = np.sqrt(np.diagonal(spread, axis1=1, axis2=2))
-    weights, _, _ = weights_of(spread / size[:, :, None] / size[:, None, :])
-    at = person * method_count + method
-    shape = (people, method_count)
-    counts = np.bincount(at, minlength=people * method_count).reshape(shape).astype(float)
-    sums = np.stack(
-        [np.bincount(at, each, people * method_count).reshape(shape) for each in scaled.T], axis=2
-    )
-    # A method that a drawn population does not hold keeps no mean; NaN would spread to every
-    # percentile.
-    means = np.einsum("bu,umk->bmk", times, sums) / np.maximum(times @ counts, 1.0)[:, :, None]
-    return weights, means
+    return shares @ values / np.maximum(shares.sum(axis=1), 1.0)
 
 
 def _checks(loadings: Array, variances: Array, spread: Array) -> tuple[Assumption, ...]:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array, Ints
-from meshes.base.errors import InputError, require_positive
+from meshes.base.errors import InputError
 
 __all__ = [
     "acceleration_change_m_s2",
@@ -47,9 +47,9 @@ def force_error(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
     Raises
     ------
     InputError
-        If a force is not finite, the shapes differ, or the ideal force is zero throughout.
+        If a force is not finite, or the ideal force is zero throughout.
     """
-    force, ideal = _pair("force_N", force_N, "ideal_N", ideal_N)
+    force, ideal = _pair(force_N, ideal_N)
     size = float(np.linalg.norm(ideal))
     if size == 0.0:
         raise InputError(
@@ -73,7 +73,7 @@ def force_mae_N(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
 
     The arguments are the same as for :func:`force_error`.
     """
-    force, ideal = _pair("force_N", force_N, "ideal_N", ideal_N)
+    force, ideal = _pair(force_N, ideal_N)
     return float(np.linalg.norm(force - ideal, axis=1).mean())
 
 
@@ -82,7 +82,7 @@ def force_rms_N(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
 
     The arguments are the same as for :func:`force_error`.
     """
-    force, ideal = _pair("force_N", force_N, "ideal_N", ideal_N)
+    force, ideal = _pair(force_N, ideal_N)
     return float(np.sqrt(((force - ideal) ** 2).sum(axis=1).mean()))
 
 
@@ -110,9 +110,8 @@ def latency_ms(
         If a force is constant, or the best shift lies at the end of the range, where a better shift
         may lie outside.
     """
-    force, ideal = _pair("force_N", force_N, "ideal_N", ideal_N)
-    require_positive("tick_s", tick_s, "use 0.001")
-    reach = round(1e-3 * require_positive("longest_ms", longest_ms, "use 50") / tick_s)
+    force, ideal = _pair(force_N, ideal_N)
+    reach = round(1e-3 * longest_ms / tick_s)
     if not 1 <= reach < len(force) // 2:
         raise InputError(
             "longest_ms",
@@ -149,7 +148,7 @@ def acceleration_change_m_s2(velocity_mm_s: ArrayLike, *, tick_s: float) -> floa
         Time from tick to tick [s].
     """
     velocity = _signal("velocity_mm_s", velocity_mm_s, at_least=3)
-    second = np.diff(velocity, 2, axis=0) / require_positive("tick_s", tick_s, "use 0.001")
+    second = np.diff(velocity, 2, axis=0) / tick_s
     return float(np.linalg.norm(second, axis=1).mean()) * 1e-3
 
 
@@ -169,27 +168,20 @@ def spectral_arc_length(speed_mm_s: ArrayLike, *, tick_s: float) -> float:
         Time from tick to tick [s].
     """
     speed = _signal("speed_mm_s", speed_mm_s, at_least=3)[:, 0]
-    if speed.min() < 0.0 or speed.max() == 0.0:
-        raise InputError(
-            "speed_mm_s",
-            "be non-negative and not zero throughout",
-            f"{speed.min():g} to {speed.max():g}",
-            "pass the size of the velocity while the tool moves",
-        )
     count = 2 ** (int(np.ceil(np.log2(len(speed)))) + SPARC_PADDING)
-    frequencies = np.fft.rfftfreq(count, require_positive("tick_s", tick_s, "use 0.001"))
+    frequencies = np.fft.rfftfreq(count, tick_s)
     spectrum = np.abs(np.fft.rfft(speed, count))
-    spectrum /= spectrum.max()
+    spectrum /= max(float(spectrum.max()), 1e-300)
     loud = np.flatnonzero((frequencies <= SPARC_CUTOFF_HZ) & (spectrum >= SPARC_AMPLITUDE))
-    chosen = slice(loud[0], loud[-1] + 1)
-    span = frequencies[chosen][-1] - frequencies[chosen][0]
-    if span == 0.0:
+    if len(loud) < 2:
         raise InputError(
             "speed_mm_s",
             "hold a movement",
-            f"one frequency below {SPARC_CUTOFF_HZ:g} Hz",
+            f"{len(loud)} frequencies below {SPARC_CUTOFF_HZ:g} Hz",
             "use a longer one",
         )
+    chosen = slice(loud[0], loud[-1] + 1)
+    span = frequencies[chosen][-1] - frequencies[chosen][0]
     steps = np.hypot(np.diff(frequencies[chosen]) / span, np.diff(spectrum[chosen]))
     return -float(steps.sum())
 
@@ -226,17 +218,8 @@ def excess_travel_mm(depth_mm: ArrayLike, *, puncture_tick: int) -> float:
     """Compute the travel of the tip beyond its depth at a puncture [mm].
 
     `depth_mm` has shape (ticks,).
-
-    Raises
-    ------
-    InputError
-        If the tick is outside the trial.
     """
     depth = _signal("depth_mm", depth_mm, at_least=1)[:, 0]
-    if not 0 <= puncture_tick < len(depth):
-        raise InputError(
-            "puncture_tick", f"be one of {len(depth)} ticks", puncture_tick, "pass its row"
-        )
     return float(depth[puncture_tick:].max() - depth[puncture_tick])
 
 
@@ -271,20 +254,9 @@ def _signal(name: str, values: ArrayLike, *, at_least: int) -> Array:
     return array.reshape(len(array), -1)
 
 
-def _pair(
-    first_name: str, first: ArrayLike, second_name: str, second: ArrayLike
-) -> tuple[Array, Array]:
-    """Return two signals of one shape."""
-    one = _signal(first_name, first, at_least=1)
-    other = _signal(second_name, second, at_least=1)
-    if one.shape != other.shape:
-        raise InputError(
-            first_name,
-            f"have the shape of {second_name}",
-            f"{one.shape} and {other.shape}",
-            "pass both on the same ticks",
-        )
-    return one, other
+def _pair(force_N: ArrayLike, ideal_N: ArrayLike) -> tuple[Array, Array]:
+    """Return a force and the ideal force as arrays of shape (ticks, components)."""
+    return _signal("force_N", force_N, at_least=1), _signal("ideal_N", ideal_N, at_least=1)
 
 
 def aligned_rows(path: Array, model: Array) -> Ints:
@@ -304,25 +276,7 @@ def aligned_rows(path: Array, model: Array) -> Ints:
     -------
     NDArray
         Shape (n,), from 0 to m - 1.
-
-    Raises
-    ------
-    InputError
-        If a path is empty, or they differ in their dimension.
     """
-    if (
-        path.ndim != 2
-        or model.ndim != 2
-        or not len(path)
-        or not len(model)
-        or path.shape[1] != model.shape[1]
-    ):
-        raise InputError(
-            "path and model",
-            "have shapes (n, d) and (m, d)",
-            f"{path.shape} and {model.shape}",
-            "cut both",
-        )
     ours, theirs = (
         np.unique(np.linspace(0, len(each) - 1, min(POINTS, len(each))).round().astype(int))
         for each in (path, model)

@@ -1,10 +1,11 @@
-"""Sections of a report on the case studies: needle, reaming and drilling."""
+"""Report sections on the case studies: needle, reaming and drilling."""
 
 from dataclasses import replace
 from itertools import product
 from math import inf, isfinite
 
 import numpy as np
+from scipy.stats import binom
 
 from meshes.base.arrays import Array
 from tissue.evaluation.calibration.observers import Stimulus, draw_observers, share_right
@@ -49,21 +50,25 @@ def case_sections(folder: StudyFolder, seed: int) -> list[Section]:
 
 def _reaming(table: TrialTable, seed: int) -> Section:
     """Report tracking error in newtons at the reamer, distance from its path, and torque steps."""
+    force = CASES["reaming_rms_N"]
+    position = CASES["reaming_position_mm"]
     rows = []
-    papers = {
-        "tracking_rms_N": CASES["reaming_rms_N"],
-        "position_error_mm": CASES["reaming_position_mm"],
-    }
     for method in methods_of(table):
-        row = [method]
-        for metric, paper in papers.items():
-            part = table.where(method=method).values(metric)
-            row += [
-                spread(part, 3),
-                f"< {paper}",
-                "agrees" if part.max() < paper.mean else "exceeds it",
-            ]
-        rows.append((*row, str(len(table.where(method=method)))))
+        part = table.where(method=method)
+        rms = part.values("tracking_rms_N")
+        off = part.values("position_error_mm")
+        rows.append(
+            {
+                "method": method,
+                "tracking RMS N": spread(rms, 3),
+                "paper N": f"< {force}",
+                "force against paper": "agrees" if rms.max() < force.mean else "exceeds it",
+                "position error mm": spread(off, 3),
+                "paper mm": f"< {position}",
+                "position against paper": "agrees" if off.max() < position.mean else "exceeds it",
+                "trials": str(len(part)),
+            }
+        )
     level, scatter = (
         float(table.values(name).mean()) for name in ("torque_Nm", "torque_scatter_Nm")
     )
@@ -84,67 +89,55 @@ def _reaming(table: TrialTable, seed: int) -> Section:
         share = share_right(holders, *pair, seed=seed, limits=ForceRange(limit_N=1e3)).mean()
         shares.append(f"{100.0 * share:.0f} % {where}")
     sentences = (
-        f"RMS of the force's tracking error over {rows[0][-1]} trials, in newtons at the "
-        "reamer, of forces up to "
-        f"{float(table.values('peak_force_N').max()) / scale:.1f} N; the paper prints less than "
-        f"{papers['tracking_rms_N']} N. The force changes slowly, so that this "
-        "depends little on latency. Bone guides the reamer: its distance from the path "
-        "depends little on hands.",
-        f"A step of {TORQUE_STEP_NM} N m on {level:.3f} ± {scatter:.3f} N m is discriminated "
-        f"in {', '.join(shares)} of "
-        "the answers, 75 % being the threshold; the paper states that it is felt.",
+        f"RMS of the force's tracking error over {rows[0]['trials']} trials, in newtons at the "
+        f"reamer, of forces up to {float(table.values('peak_force_N').max()) / scale:.1f} N; the "
+        f"paper prints less than {force} N. The force changes slowly, so that this depends little "
+        "on latency. Bone guides the reamer: its distance from the path depends little on hands.",
+        f"A step of {TORQUE_STEP_NM} N m on {level:.3f} ± {scatter:.3f} N m is discriminated in "
+        f"{', '.join(shares)} of the answers, 75 % being the threshold; the paper states that it "
+        "is felt.",
     )
-    return Section(
-        "case-reaming",
-        "Case: reaming of a glenoid",
-        sentences,
-        (
-            "method",
-            "tracking RMS N",
-            "paper N",
-            "force against paper",
-            "position error mm",
-            "paper mm",
-            "position against paper",
-            "trials",
-        ),
-        tuple(rows),
-    )
+    return Section("case-reaming", "Case: reaming of a glenoid", sentences, rows)
 
 
 def _drilling(table: TrialTable, seed: int) -> Section:
     """Report discrimination of carious and sound teeth, and latency at 400,000 rpm."""
     paper = CASES["drilling_latency_ms"]
-    lags = {method: table.where(method=method).values("latency_ms") for method in methods_of(table)}
     rows = []
-    for method, tooth in product(lags, TEETH):
+    late = []
+    for method in methods_of(table):
         part = table.where(method=method)
-        chosen = part.values("specimen") == TEETH.index(tooth)
-        if chosen.any():
-            lag = part.values("latency_ms")[chosen]
-            error = 100.0 * part.values("force_error")[chosen]
-            rows.append(
-                (method, tooth, spread(lag), f"< {paper}", spread(error), str(chosen.sum()))
-            )
+        lag = part.values("latency_ms")
+        if round(float(lag.mean()), 2) >= paper.mean:
+            late.append(method)
+        for number, tooth in enumerate(TEETH):
+            chosen = part.values("specimen") == number
+            if chosen.any():
+                rows.append(
+                    {
+                        "method": method,
+                        "tooth": tooth,
+                        "latency ms": spread(lag[chosen]),
+                        "paper ms": f"< {paper}",
+                        "force error %": spread(100.0 * part.values("force_error")[chosen]),
+                        "trials": str(chosen.sum()),
+                    }
+                )
     pair = specimens(table.where(method=methods_of(table)[0]))
     text = "there are too few trials to discriminate carious from sound"
     if pair is not None:
         shares = right_percent(pair, seed).values()
-        carious = pair.less.stimulus.level_N
-        sound = pair.more.stimulus.level_N
         text = (
-            f"carious ({carious:.3f} N at the skin) and sound ({sound:.3f} N) are discriminated in "
-            f"{min(shares):.0f} to {max(shares):.0f} % of answers; the paper prints "
-            f"{CASES['caries_right_percent']} %"
+            f"carious ({pair.less.stimulus.level_N:.3f} N at the skin) and sound "
+            f"({pair.more.stimulus.level_N:.3f} N) are discriminated in {min(shares):.0f} to "
+            f"{max(shares):.0f} % of answers; the paper prints {CASES['caries_right_percent']} %"
         )
-    late = [method for method, lag in lags.items() if round(float(lag.mean()), 2) >= paper.mean]
+    below = f"not below {paper} ms under {', '.join(late)}" if late else f"below {paper} ms"
     sentences = (
-        f"At 400,000 rpm {text}. The latency is {'not ' if late else ''}below {paper} ms"
-        + (f" under {', '.join(late)}" if late else " under every method")
-        + ": spin adds none, as the force is the mean over a revolution.",
+        f"At 400,000 rpm {text}. The latency is {below}: spin adds none, as the force is the mean "
+        "over a revolution.",
     )
-    header = ("method", "tooth", "latency ms", "paper ms", "force error %", "trials")
-    return Section("case-drilling", "Case: drilling of caries", sentences, header, tuple(rows))
+    return Section("case-drilling", "Case: drilling of caries", sentences, rows)
 
 
 def travel_by_people(needle: TrialTable, method: str) -> Array:
@@ -167,8 +160,6 @@ def median_interval(values: Array) -> tuple[float, float, float]:
     is the largest number for which a binomial count of n at 0.5 lies below k with a probability of
     at most 2.5 %. For fewer than six values no such interval exists, and the result is infinite.
     """
-    from scipy.stats import binom
-
     ordered = np.sort(values)
     rank = int(binom.ppf(0.025, len(ordered), 0.5))
     if len(ordered) < 6:
@@ -179,27 +170,30 @@ def median_interval(values: Array) -> tuple[float, float, float]:
 def needle_section(table: TrialTable, seed: int) -> Section:
     """Report travel by group and method, who notices the puncture, and capsule or parenchyma."""
     rows = []
-    for method, group in product(
-        methods_of(table), (each for each in GROUPS if each in table.group)
-    ):
+    groups = (each for each in GROUPS if each in table.group)
+    for method, group in product(methods_of(table), groups):
         part = table.where(method=method, group=group)
         noticed = part.values("noticed") > 0.0
-        felt = part.values("excess_mm")[noticed]
-        middle = _travel_text(_middle(np.sort(np.where(noticed, part.values("excess_mm"), inf))))
-        means = (spread(felt), *against(felt, PAPERS.get(method))) if len(felt) else ("", "", "")
-        rows.append((group, method, f"{noticed.sum()} of {len(noticed)}", middle, *means))
+        travel = part.values("excess_mm")
+        row = {
+            "group": group,
+            "method": method,
+            "noticed": f"{noticed.sum()} of {len(noticed)}",
+            "median": _travel_text(_middle(np.sort(np.where(noticed, travel, inf)))),
+        }
+        if noticed.any():
+            row["mean of noticed mm"] = spread(travel[noticed])
+            row |= against(travel[noticed], PAPERS.get(method), "mm")
+        rows.append(row)
     pair = sides(table.where(method=methods_of(table)[0]))
     sentences = ["There are too few trials to discriminate capsule from parenchyma."]
     if pair is not None:
         wrong = {group: 100.0 - share for group, share in right_percent(pair, seed).items()}
         text = ", ".join(f"{group} {value:.1f} %" for group, value in wrong.items())
         sentences = [
-            f"Capsule ({pair.more.stimulus.level_N:.2f} N at the skin in the tenth of a "
-            "second before its puncture) "
-            f"and parenchyma ({pair.less.stimulus.level_N:.2f} N after) are confused by "
-            f"{text}; the paper prints less "
-            "than 10 %: "
-            + ("so it is here." if max(wrong.values()) < 10.0 else "here it is more."),
+            f"Capsule ({pair.more.stimulus.level_N:.2f} N at the skin in the tenth of a second "
+            f"before its puncture) and parenchyma ({pair.less.stimulus.level_N:.2f} N after) are "
+            f"confused by {text}; the paper prints less than 10 %."
         ]
     shared = table.shared()
     headline = (
@@ -215,29 +209,15 @@ def needle_section(table: TrialTable, seed: int) -> Section:
         )
     sentences.append(headline)
     sentences.append(
-        "A puncture that nobody notices counts as the longest travel, so that the median is "
-        "of all; the mean is of "
-        "those who noticed. The hand pushes with a rising force and stops a reaction after "
-        "it has felt the force fall. "
-        "What the springs of grip and coupling give back at the puncture is part of this "
-        "travel, whatever the reaction."
+        "A puncture that nobody notices counts as the longest travel, so that the median is of "
+        "all; the mean is of those who noticed. The hand pushes with a rising force and stops a "
+        "reaction after it has felt the force fall. What the springs of grip and coupling give "
+        "back at the puncture is part of this travel, whatever the reaction."
     )
-    header = (
-        "group",
-        "method",
-        "noticed",
-        "median",
-        "mean of noticed mm",
-        "paper mm",
-        "against paper",
-    )
-    return Section(
-        "case-needle", "Case: needle", tuple(sentences), header, tuple(rows), picture, headline
-    )
+    return Section("case-needle", "Case: needle", sentences, rows, picture, headline)
 
 
 def _travel_text(travel_mm: float) -> str:
-    """Return a travel as text."""
     return f"{travel_mm:.2f} mm" if isfinite(travel_mm) else "not noticed"
 
 
@@ -254,14 +234,11 @@ def _travels(shared: TrialTable) -> tuple[str, bytes]:
         noticed = 100.0 * float(shared.where(method=method).values("noticed").mean())
         bounds = f" [{_travel_text(low)}, {_travel_text(high)}]" if low > -inf else ""
         found.append(
-            f"{method} lets {noticed:.0f} % notice, travel {_travel_text(middle)}{bounds} in "
-            "the median "
-            "over people"
+            f"{method} lets {noticed:.0f} % notice, travel {_travel_text(middle)}{bounds} in the "
+            "median over people"
         )
-        finite = [each for each in (low, high) if isfinite(each)]
-        axes.plot(finite, [line] * len(finite), color=COLOURS[method], lw=3)
-        if isfinite(middle):
-            axes.plot(middle, line, "o", color=COLOURS[method], mec="black")
+        axes.plot([low, high], [line, line], color=COLOURS[method])
+        axes.plot(middle, line, "o", color=COLOURS[method], mec="black")
         if paper := PAPERS.get(method):
             axes.errorbar(paper.mean, line + 0.25, xerr=paper.spread, fmt="x", color="black")
     axes.set_yticks(range(len(methods)), methods)

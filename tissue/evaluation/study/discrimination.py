@@ -2,14 +2,15 @@
 and their changes.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from textwrap import wrap
 
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 from tissue.evaluation.calibration.observers import (
     SimulatedObservers,
@@ -54,7 +55,8 @@ LEAST_D = 0.5
 
 A change in percent would be a division by almost zero.
 """
-Picked = NDArray[np.int64]
+CHANGES = (("change of d′", 2), ("in %", 1), ("change of right, points", 1))
+"""Names and digits of the columns on changes."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ class Felt:
     free: Array
 
     @classmethod
-    def over(cls, forces_N: Array, person: Picked, count: int) -> "Felt":
+    def over(cls, forces_N: Array, person: Ints, count: int) -> "Felt":
         """Return the summary of trials, each by a person number below ``count``, shape (n,).
 
         Every person has at least one trial.
@@ -86,7 +88,7 @@ class Felt:
         squares = np.bincount(person, (forces_N - means[person]) ** 2, count)
         return cls(np.asarray(means), np.asarray(squares, dtype=np.float64), trials - 1.0)
 
-    def of(self, who: Picked) -> "Felt":
+    def of(self, who: Ints) -> "Felt":
         """Return the forces of some people. A person may occur several times."""
         return Felt(self.means_N[who], self.squares_N2[who], self.free[who])
 
@@ -114,7 +116,7 @@ class FeltPair:
     less: Felt
     more: Felt
 
-    def of(self, who: Picked) -> "FeltPair":
+    def of(self, who: Ints) -> "FeltPair":
         """Return the pair of some people. A person may occur several times."""
         return FeltPair(self.less.of(who), self.more.of(who))
 
@@ -186,9 +188,9 @@ def sides(needle: TrialTable) -> FeltPair | None:
 
 def right_percent(pair: FeltPair, seed: int) -> dict[str, float]:
     """Return the right answers of simulated people by group [%]."""
-    rngs = {group: np.random.default_rng([seed, index]) for index, group in enumerate(GROUPS)}
-    people = {group: draw_observers(group, PEOPLE, rng) for group, rng in rngs.items()}
-    return {group: 100.0 * float(pair.felt_by(each)[1].mean()) for group, each in people.items()}
+    return {
+        group: 100.0 * float(pair.felt_by(people_of(group, seed))[1].mean()) for group in GROUPS
+    }
 
 
 def _pair(
@@ -211,66 +213,56 @@ def discrimination_section(folder: StudyFolder, table: TrialTable, seed: int) ->
 
     Their change against plain scaling is included.
     """
-    taken: list[tuple[str, Callable[[TrialTable], FeltPair | None], TrialTable]] = [
+    taken: list[tuple[str, Callable[[TrialTable], FeltPair | None], TrialTable | None]] = [
         (f"{task}: softer or usual", specimens, table.where(task=task)) for task in tasks_of(table)
     ]
-    if (needle := case_table(folder, "needle")) is not None:
-        taken.append(("capsule or parenchyma", sides, needle))
-    if (drilling := case_table(folder, "drilling")) is not None:
-        taken.append(("carious or sound", specimens, drilling))
-    rows: list[tuple[str, ...]] = []
-    shown: dict[tuple[str, str, str], float] = {}
+    taken.append(("capsule or parenchyma", sides, case_table(folder, "needle")))
+    taken.append(("carious or sound", specimens, case_table(folder, "drilling")))
+    rows = []
     changes: dict[tuple[str, str, str], Array] = {}
     for what, pair_of, part in taken:
-        part = part.shared()
-        pairs = {method: pair_of(part.where(method=method)) for method in methods_of(part)}
+        if part is None:
+            continue
+        shared = part.shared()
+        pairs = {method: pair_of(shared.where(method=method)) for method in methods_of(shared)}
         found = {method: pair for method, pair in pairs.items() if pair is not None}
-        for group in GROUPS if found else ():
-            people = draw_observers(
-                group, PEOPLE, np.random.default_rng([seed, GROUPS.index(group)])
-            )
-            plain = found[PLAIN].felt_by(people)[0].mean() if PLAIN in found else 0.0
-            for method, pair in found.items():
-                d, right = (float(each.mean()) for each in pair.felt_by(people))
-                shown[what, group, method] = 100.0 * right
-                stimuli = (pair.less.stimulus, pair.more.stimulus)
-                levels = [f"{each.level_N:.3f} ± {each.scatter_N:.3f}" for each in stimuli]
-                row = [what, group, method, *levels, f"{d:.2f}", f"{100.0 * right:.1f}"]
-                if method != PLAIN and PLAIN in found:
-                    change = changes_of(people, found[PLAIN], pair)
-                    if plain < LEAST_D:
-                        change[1] = np.nan
-                    changes[what, group, method] = change
-                    row += [
-                        f"{value:+.{digits}f} [{low:+.{digits}f}, {high:+.{digits}f}]"
-                        if np.isfinite(value)
-                        else ""
-                        for digits, (value, low, high) in zip((2, 1, 1), change, strict=True)
-                    ]
-                rows.append((*row, *[""] * (10 - len(row))))
+        for group, method in product(GROUPS, found):
+            people = people_of(group, seed)
+            d, right = (float(each.mean()) for each in found[method].felt_by(people))
+            levels = [found[method].less.stimulus, found[method].more.stimulus]
+            softer, stiffer = (f"{each.level_N:.3f} ± {each.scatter_N:.3f}" for each in levels)
+            row = {
+                "what": what,
+                "group": group,
+                "method": method,
+                "softer N": softer,
+                "stiffer N": stiffer,
+                "d′": f"{d:.2f}",
+                "right %": f"{100.0 * right:.1f}",
+            }
+            if method != PLAIN and PLAIN in found:
+                change = changes_of(people, found[PLAIN], found[method])
+                if found[PLAIN].felt_by(people)[0].mean() < LEAST_D:
+                    change[1] = np.nan
+                changes[what, group, method] = change
+                row |= {
+                    name: f"{value:+.{digits}f} [{low:+.{digits}f}, {high:+.{digits}f}]"
+                    if np.isfinite(value)
+                    else ""
+                    for (name, digits), (value, low, high) in zip(CHANGES, change, strict=True)
+                }
+            rows.append(row)
     if not rows:
-        return Section(
-            "discrimination",
-            "Discrimination",
-            ("People have too few trials on two specimens each.",),
-        )
-    header = (
-        "what",
-        "group",
-        "method",
-        "softer N",
-        "stiffer N",
-        "d′",
-        "right %",
-        "change of d′",
-        "in %",
-        "change of right, points",
-    )
+        reason = "People have too few trials on two specimens each."
+        return Section("discrimination", "Discrimination", (reason,))
     sentences, headline = _sentences(changes)
-    picture = _right_answers(shown)
-    return Section(
-        "discrimination", "Discrimination", sentences, header, tuple(rows), picture, headline
-    )
+    picture = _right_answers(rows)
+    return Section("discrimination", "Discrimination", sentences, rows, picture, headline)
+
+
+def people_of(group: str, seed: int) -> SimulatedObservers:
+    """Return the simulated people of a group who compare forces."""
+    return draw_observers(group, PEOPLE, np.random.default_rng([seed, GROUPS.index(group)]))
 
 
 def case_table(folder: StudyFolder, task: str) -> TrialTable | None:
@@ -282,70 +274,50 @@ def case_table(folder: StudyFolder, task: str) -> TrialTable | None:
     return table if len(table) else None
 
 
-def _sentences(changes: dict[tuple[str, str, str], Array]) -> tuple[tuple[str, ...], str]:
+def _sentences(changes: Mapping[tuple[str, str, str], Array]) -> tuple[list[str], str]:
     """Return the findings and the main finding from the changes by pair, group and method."""
     short = []
     sentences = [
-        f"Right answers of {PEOPLE} simulated people of each group in two intervals, 50 % "
-        "being chance. Forces are "
-        "those that reach the hand in the runs of each method: after latency, low-pass, "
-        "range, amplifier and friction "
-        "of the device. Their scatter is that over a person's trials, and the person's own "
-        "noise comes after it."
+        f"Right answers of {PEOPLE} simulated people of each group in two intervals, 50 % being "
+        "chance. Forces are those that reach the hand in the runs of each method: after latency, "
+        "low-pass, range, amplifier and friction of the device. Their scatter is that over a "
+        "person's trials, and the person's own noise comes after it."
     ]
-    for method in dict.fromkeys(key[2] for key in changes):
-        part = {key: each for key, each in changes.items() if key[2] == method}
-        d, percent, right = (np.array([each[row] for each in part.values()]) for row in range(3))
-        more = int((d[:, 1] > 0.0).sum())
-        fewer = int((d[:, 2] < 0.0).sum())
-        known = percent[np.isfinite(percent[:, 0]), 0]
-        shares = f" ({known.min():+.0f} to {known.max():+.0f} %)" if len(known) else ""
-        short.append(f"under {method} by {d[:, 0].min():+.2f} to {d[:, 0].max():+.2f}{shares}")
+    for method in dict.fromkeys(method for _, _, method in changes):
+        part = np.array([each for (*_, name), each in changes.items() if name == method])
+        d, percent, right = part.transpose(1, 2, 0)
+        shares = ""
+        if np.isfinite(percent).any():
+            shares = f" ({np.nanmin(percent[0]):+.0f} to {np.nanmax(percent[0]):+.0f} %)"
+        move = f"by {d[0].min():+.2f} to {d[0].max():+.2f}{shares}"
+        short.append(f"under {method} {move}")
         sentences.append(
-            f"{method} changes d′ by {d[:, 0].min():+.2f} to {d[:, 0].max():+.2f}{shares} "
-            f"against {PLAIN} and right "
-            f"answers by {right[:, 0].min():+.1f} to {right[:, 0].max():+.1f} points; by its "
-            "interval d′ is greater in "
-            f"{more} and smaller in {fewer} of {len(part)} pairs and groups; the paper "
-            "prints +18 to +22 %."
+            f"{method} changes d′ {move} against {PLAIN} and right answers by "
+            f"{right[0].min():+.1f} to {right[0].max():+.1f} points; by its interval d′ is greater "
+            f"in {(d[1] > 0.0).sum()} and smaller in {(d[2] < 0.0).sum()} of {len(part)} pairs and "
+            "groups; the paper prints +18 to +22 %."
         )
-    if weak := list(
-        dict.fromkeys(key[0] for key, each in changes.items() if not np.isfinite(each[1, 0]))
-    ):
+    weak = dict.fromkeys(key[0] for key, each in changes.items() if not np.isfinite(each[1, 0]))
+    if weak:
         sentences.append(
             f"No change in percent is given for {', '.join(weak)}: under {PLAIN} d′ is below "
-            f"{LEAST_D} there, so that "
-            "hardly anybody discriminates the two by force."
+            f"{LEAST_D} there, so that hardly anybody discriminates the two by force."
         )
-    sentences.append(
-        "A map that rises with the force adds no information to the scatter of tissue, hand "
-        "and device, which goes "
-        "through it. It changes how far a difference lies above the person's own noise."
-    )
-    headline = (
-        f"Sensitivity d′ at the skin changes against {PLAIN} {', '.join(short)}." if short else ""
-    )
-    return tuple(sentences), headline
+    headline = f"Sensitivity d′ at the skin changes against {PLAIN} {', '.join(short)}."
+    return sentences, headline if short else ""
 
 
-def _right_answers(shown: dict[tuple[str, str, str], float]) -> bytes:
-    """Draw right answers by pair, group and method: means over groups, and lines that span the
-    groups.
-    """
-    names = list(dict.fromkeys(key[0] for key in shown))
-    methods = list(dict.fromkeys(key[2] for key in shown))
-
-    def over_groups(index: int, method: str) -> tuple[float, float, float] | None:
-        values = [
-            shown[names[index], group, method]
-            for group in GROUPS
-            if (names[index], group, method) in shown
-        ]
-        return (float(np.mean(values)), min(values), max(values)) if values else None
-
+def _right_answers(rows: Sequence[Mapping[str, str]]) -> bytes:
+    """Draw right answers by pair and method: means over groups, and lines that span the groups."""
+    names = list(dict.fromkeys(row["what"] for row in rows))
+    shown: dict[tuple[int, str], list[float]] = {}
+    for row in rows:
+        place = names.index(row["what"]), row["method"]
+        shown.setdefault(place, []).append(float(row["right %"]))
+    bars = {place: (float(np.mean(each)), min(each), max(each)) for place, each in shown.items()}
     figure, (axes,) = drawing(11.0, 4.4)
-    grouped_bars(axes, ["\n".join(wrap(name, WIDEST)) for name in names], methods, over_groups)
-    axes.axhline(50.0, color="black", lw=0.8, ls=":")
+    grouped_bars(axes, ["\n".join(wrap(name, WIDEST)) for name in names], bars)
+    axes.axhline(50.0, color="black", ls=":")
     axes.set_ylim(40.0, 100.0)
     axes.set_ylabel("right answers / %; dotted: by guessing")
     legend(figure, axes)

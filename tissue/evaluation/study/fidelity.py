@@ -3,7 +3,7 @@
 The errors are force errors.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -63,49 +63,49 @@ def force_section(table: TrialTable) -> Section:
     table
         Trials that did not fail.
     """
+    ratios = {each: name for each, name in RATIOS.items() if each in table.metrics}
     rows = []
     for (task, method), part in parts_of(table).items():
-        error = 100.0 * part.values("force_error")
-        felt = [spread(100.0 * part.values(each), 1) for each in RATIOS if each in part.metrics]
-        shares = (spread(100.0 * part.values(each)) for each in ("least_error", "excess_error"))
-        paper = against(error, FORCE_ERROR[task].get(method))
-        rows.append((task, method, spread(error), *paper, *shares, *felt, str(len(part))))
+        percent = {name: 100.0 * values for name, values in part.metrics.items()}
+        rows.append(
+            {"task": task, "method": method, "force error / %": spread(percent["force_error"])}
+            | against(percent["force_error"], FORCE_ERROR[task].get(method), "%")
+            | {
+                "least error %": spread(percent["least_error"]),
+                "excess %": spread(percent["excess_error"]),
+            }
+            | {name: spread(percent[each], 1) for each, name in ratios.items()}
+            | {"trials": str(len(part))}
+        )
     left = _left_over(table)
     sentences = (
-        "Error of the played force, ||F - F_ideal|| / ||F_ideal|| over all ticks at the "
-        "motor. F_ideal is the prompt "
-        "force at the device's true position at that time. The least error is that of a "
-        "perfect force through the same "
-        "encoder steps, low-pass and amplifier; the excess is sqrt(error² - least²). The "
-        "force is taken before it is "
-        "scaled for a person, in newtons.",
-        "Ratios of intensity show the effect of scaling: the spread, over windows of 0.1 s, "
-        "of the logarithm of this "
-        "person's intensity of the force at the skin over the reference's intensity of the "
-        "ideal force. Beside it "
-        "stand the same of a perfect force through the encoder, of the ideal force by this "
-        "person's exponent, and of a "
-        "force that never changes. That a calibration brings a person to the reference's "
-        "exponent is a recovery of "
+        "Error of the played force, ||F - F_ideal|| / ||F_ideal|| over all ticks at the motor. "
+        "F_ideal is the prompt force at the device's true position at that time. The least error "
+        "is that of a perfect force through the same encoder steps, low-pass and amplifier; the "
+        "excess is sqrt(error² - least²). The force is taken before it is scaled for a person, in "
+        "newtons.",
+        "Ratios of intensity show the effect of scaling: the spread, over windows of 0.1 s, of the "
+        "logarithm of this person's intensity of the force at the skin over the reference's "
+        "intensity of the ideal force. The other columns hold the same of a perfect force through "
+        "the encoder, of the ideal force by this person's exponent, and of a force that never "
+        "changes. That a calibration brings a person to the reference's exponent is a recovery of "
         "the parameters by which these people were made, no finding on people.",
         *_unresolved(table),
         *left,
     )
-    header = (
-        "task",
-        "method",
-        "force error / %",
-        "paper %",
-        "against paper",
-        "least error %",
-        "excess %",
-        *(name for each, name in RATIOS.items() if each in table.metrics),
-        "trials",
+    means = ", ".join(
+        f"{row['task']} {row['method']} {row['force error / %'].split()[0]}" for row in rows
     )
-    means = ", ".join(f"{task} {method} {text.split()[0]}" for task, method, text, *_ in rows)
-    headline = " ".join([f"Force error at the motor in %: {means}.", *left])
+    metrics = {"force_error": ("force error % (◆ paper ± sd)", 100.0)}
+    if "ratio_error" in table.metrics:
+        metrics["ratio_error"] = ("error of intensity ratios / %", 100.0)
     return Section(
-        "force", "Force fidelity", sentences, header, tuple(rows), _force_picture(table), headline
+        "force",
+        "Force fidelity",
+        sentences,
+        rows,
+        _bars(table, metrics, (11.0, 4.2)),
+        " ".join([f"Force error at the motor in %: {means}.", *left]),
     )
 
 
@@ -114,20 +114,18 @@ def _unresolved(table: TrialTable) -> list[str]:
 
     This happens where a tool takes a different course.
     """
-    shares = {}
+    above = []
     for task in tasks_of(table):
         part = table.where(task=task)
-        shares[task] = float((part.values("least_error") >= part.values("force_error")).mean())
-    above = ", ".join(
-        f"{task} {100.0 * share:.0f} %" for task, share in shares.items() if share > UNRESOLVED
-    )
+        share = float((part.values("least_error") >= part.values("force_error")).mean())
+        if share > UNRESOLVED:
+            above.append(f"{task} {100.0 * share:.0f} %")
     if not above:
         return []
     return [
-        "The least error is no bound where a tool cuts its own course, which the perfect "
-        "force's does not share: it "
-        f"exceeds the error in {above} of the rows, so that there the excess, then set to 0, "
-        "is no measure of methods."
+        "The least error is no bound where a tool cuts its own course, which the perfect force's "
+        f"does not share: it exceeds the error in {', '.join(above)} of the rows, so that there "
+        "the excess, then set to 0, is no measure of methods."
     ]
 
 
@@ -154,50 +152,29 @@ def _left_over(table: TrialTable) -> list[str]:
 
 
 def _bars(
-    table: TrialTable,
-    metrics: dict[str, tuple[str, float]],
-    size: tuple[float, float],
-    *,
-    papers: bool = False,
+    table: TrialTable, metrics: Mapping[str, tuple[str, float]], size: tuple[float, float]
 ) -> bytes:
-    """Draw metrics with 95 % intervals over users, a panel each: name of the metric, its label
-    and factor.
+    """Draw metrics with 95 % intervals over users, a panel each: name, label and factor.
+
+    Published force errors are drawn as diamonds.
     """
     tasks = tasks_of(table)
     figure, panels = drawing(*size, len(metrics))
-    labels = [f"{task}\n{TASKS[task].scene}" for task in tasks]
     for axes, (metric, (label, scale)) in zip(panels, metrics.items(), strict=True):
-        grouped_bars(
-            axes,
-            labels,
-            methods_of(table),
-            lambda index, method, metric=metric, scale=scale: tuple(  # type: ignore[misc]
-                scale * each
-                for each in interval_by_users(table.where(task=tasks[index]), metric, method)
-            ),
-            lambda index, method, metric=metric: (  # type: ignore[misc]
-                FORCE_ERROR[tasks[index]].get(method)
-                if papers and metric == "force_error"
-                else None
-            ),
-        )
+        bars = {
+            (tasks.index(task), method): [scale * each for each in interval_by_users(part, metric)]
+            for (task, method), part in parts_of(table).items()
+        }
+        papers = {
+            (tasks.index(task), method): paper
+            for task in tasks
+            for method, paper in FORCE_ERROR[task].items()
+            if metric == "force_error" and method in methods_of(table)
+        }
+        grouped_bars(axes, [f"{task}\n{TASKS[task].scene}" for task in tasks], bars, papers)
         axes.set_ylabel(label)
     legend(figure, panels[0])
     return image(figure)
-
-
-def _force_picture(table: TrialTable) -> bytes:
-    """Draw errors of force and of ratios, with the published force errors as diamonds."""
-    metrics = {
-        "force_error": ("force error % (◆ paper ± sd)", 100.0),
-        "ratio_error": ("error of intensity ratios / %", 100.0),
-    }
-    return _bars(
-        table,
-        {each: metrics[each] for each in metrics if each in table.metrics},
-        (11.0, 4.2),
-        papers=True,
-    )
 
 
 def latency_section(table: TrialTable) -> Section:
@@ -206,23 +183,24 @@ def latency_section(table: TrialTable) -> Section:
     Failed trials are left out.
     """
     lags = {key: part.values("latency_ms") for key, part in parts_of(table).items()}
-    rows = tuple((*key, spread(lag), *against(lag, LATENCY)) for key, lag in lags.items())
+    rows = [
+        {"task": task, "method": method, "latency ms": spread(lag)} | against(lag, LATENCY, "ms")
+        for (task, method), lag in lags.items()
+    ]
     means = {
         each: table.where(method=each).values("latency_ms").mean() for each in methods_of(table)
     }
     shifts = ", ".join(f"{name} {value:.1f} ms" for name, value in means.items())
     early = ", ".join(" ".join(key) for key, lag in lags.items() if lag.mean() < 0.0)
     sentences = (
-        "Shift at which the force at the motor correlates best with that of a perfect "
-        "prediction through the same "
-        f"encoder steps, over all tasks: {shifts}. The loop is late by 4 ms and its path to "
-        "the motor in every trial "
-        f"by construction, the paper's mean being {LATENCY} ms. A value below zero is a "
-        "force that comes early" + (f" ({early})." if early else "; none does."),
+        "Shift at which the force at the motor correlates best with that of a perfect prediction "
+        f"through the same encoder steps, over all tasks: {shifts}. The loop is late by 4 ms and "
+        f"its path to the motor in every trial by construction, the paper's mean being {LATENCY} "
+        "ms. A value below zero is a force that comes early"
+        + (f" ({early})." if early else "; none does."),
     )
-    header = ("task", "method", "latency ms", "paper ms", "against paper")
     headline = f"Residual latency at the motor: {shifts}; the paper prints {LATENCY} ms."
-    return Section("latency", "Latency", sentences, header, rows, headline=headline)
+    return Section("latency", "Latency", sentences, rows, headline=headline)
 
 
 def task_section(table: TrialTable) -> Section:
@@ -230,21 +208,23 @@ def task_section(table: TrialTable) -> Section:
 
     Failed trials are left out.
     """
-    rows = tuple(
-        (
-            task,
-            method,
-            spread(part.values("time_s")),
-            str(TASK_METRICS[task]["time_s"]),
-            spread(part.values("position_error_mm")),
-            str(TASK_METRICS[task]["position_error_mm"]),
-            spread(part.values("acceleration_change_m_s2")),
-            spread(part.values("spectral_arc_length")),
-            str(TASK_METRICS[task]["smoothness"]),
-            f"{100.0 * part.values('completed').mean():.0f}",
+    rows = []
+    for (task, method), part in parts_of(table).items():
+        paper = TASK_METRICS[task]
+        rows.append(
+            {
+                "task": task,
+                "method": method,
+                "time s": spread(part.values("time_s")),
+                "paper s": str(paper["time_s"]),
+                "position error mm": spread(part.values("position_error_mm")),
+                "paper mm": str(paper["position_error_mm"]),
+                "acceleration change m/s2": spread(part.values("acceleration_change_m_s2")),
+                "spectral arc length": spread(part.values("spectral_arc_length")),
+                "paper's index": str(paper["smoothness"]),
+                "completed %": f"{100.0 * part.values('completed').mean():.0f}",
+            }
         )
-        for (task, method), part in parts_of(table).items()
-    )
     remarks = []
     for task in tasks_of(table):
         time, position = (
@@ -253,35 +233,20 @@ def task_section(table: TrialTable) -> Section:
         )
         remarks.append(f"{task}: time {time}, position error {position}")
     sentences = (
-        f"Against the paper, {'; '.join(remarks)}. Our tasks are a few seconds long, so that "
-        "their time is not the "
-        "paper's; the position error is the mean distance of the tool from its wanted path.",
+        f"Against the paper, {'; '.join(remarks)}. Our tasks are a few seconds long, so that their "
+        "time is not the paper's; the position error is the mean distance of the tool from its "
+        "wanted path.",
         "The paper's index of smoothness cannot be compared: its formula, a mean change of "
-        "acceleration [m/s2], is "
-        "lower for smoother motion, its table reads as if higher were better. Both that "
-        "formula and the spectral arc "
-        "length (nearer to zero is smoother) are given.",
-    )
-    header = (
-        "task",
-        "method",
-        "time s",
-        "paper s",
-        "position error mm",
-        "paper mm",
-        "acceleration change m/s2",
-        "spectral arc length",
-        "paper's index",
-        "completed %",
+        "acceleration [m/s2], is lower for smoother motion, its table reads as if higher were "
+        "better. Both that formula and the spectral arc length (nearer to zero is smoother) are "
+        "given.",
     )
     metrics = {
         "time_s": ("time / s", 1.0),
         "position_error_mm": ("position error / mm", 1.0),
         "spectral_arc_length": ("spectral arc length", 1.0),
     }
-    return Section(
-        "tasks", "Task metrics", sentences, header, rows, _bars(table, metrics, (12.0, 3.6))
-    )
+    return Section("tasks", "Task metrics", sentences, rows, _bars(table, metrics, (12.0, 3.6)))
 
 
 def sensitivity_section(folder: StudyFolder) -> Section | None:
@@ -297,34 +262,37 @@ def sensitivity_section(folder: StudyFolder) -> Section | None:
     found = {name: ratios for name, ratios in found.items() if np.isfinite(ratios).any()}
     if not found:
         return None
-    moves = {name: _mean_over(ratios / usual) for name, ratios in found.items()}
-    percent = {name: f"{100.0 * (move - 1.0):+.0f} %" for name, move in moves.items()}
-    rows = [
-        (VARIANTS[name].parameter, VARIANTS[name].value, *map(_as_text, ratios), percent[name])
-        for name, ratios in found.items()
-    ]
+    rows = [{"parameter": "as in the study", "value": MIDDLE} | _as_texts(tasks, usual)]
+    moves = {}
+    harm = []
+    for name, ratios in found.items():
+        variant = VARIANTS[name]
+        known = (ratios / usual)[np.isfinite(ratios / usual)]
+        moves[name] = float(known.mean()) if len(known) else 1.0
+        rows.append(
+            {"parameter": variant.parameter, "value": variant.value}
+            | _as_texts(tasks, ratios)
+            | {"change": _percent(moves[name])}
+        )
+        for task, ratio in zip(tasks, ratios, strict=True):
+            if ratio >= 1.0:
+                harm.append(f"{variant.parameter}, {variant.value} ({task})")
     most = max(moves, key=lambda name: abs(np.log(moves[name])))
-    above = [
-        f"{row[0]}, {row[1]} ({task})"
-        for row in rows
-        for task, value in zip(tasks, row[2:], strict=False)
-        if value and float(value) >= 1.0
-    ]
     count = min(SENSITIVITY_TRIALS, folder.plan().trials)
     sentences = (
-        f"Force error under Koopman over that under penalty, {count} trials each with the "
-        "seeds of the study. It moves "
-        f"most with {VARIANTS[most].parameter} ({VARIANTS[most].value}: {percent[most]} on the "
-        "average over tasks).",
-        f"Prediction does harm at: {'; '.join(above)}."
-        if above
+        f"Force error under Koopman over that under penalty, {count} trials each with the seeds of "
+        f"the study. It moves most with {VARIANTS[most].parameter} ({VARIANTS[most].value}: "
+        f"{_percent(moves[most])} on the average over tasks).",
+        f"Prediction does harm at: {'; '.join(harm)}."
+        if harm
         else "Prediction does no harm at any of these values.",
     )
-    header = ("parameter", "value", *tasks, "change")
-    whole = (("as in the study", MIDDLE, *map(_as_text, usual), ""), *rows)
-    return Section(
-        "sensitivity", "Sensitivity", sentences, header, whole, _picture(rows, tasks, usual)
-    )
+    picture = _picture(found, tasks, usual)
+    return Section("sensitivity", "Sensitivity", sentences, rows, picture)
+
+
+def _percent(ratio: float) -> str:
+    return f"{100.0 * (ratio - 1.0):+.0f} %"
 
 
 def reference_section(folder: StudyFolder) -> Section | None:
@@ -337,19 +305,18 @@ def reference_section(folder: StudyFolder) -> Section | None:
     found = {task: np.array(errors[task]) for task in folder.plan().compared if errors.get(task)}
     if not found:
         return None
+    means = ", ".join(f"{task} {each.mean():.1f} %" for task, each in found.items())
     sentences = (
-        "F_ideal is the prompt force on the study's own model; against the finest model on "
-        "the same motion it is off "
-        f"by {', '.join(f'{task} {each.mean():.1f} %' for task, each in found.items())}. "
-        "That error is the model's, "
-        "common to all methods, and not in their errors above: a method whose error lies "
-        "below it is better than the "
-        "model that it renders. Where it is zero there is no finer model.",
+        "F_ideal is the prompt force on the study's own model; against the finest model on the "
+        f"same motion it is off by {means}. That error is the model's, common to all methods, and "
+        "not in their errors above: a method whose error lies below it is better than the model "
+        "that it renders. Where it is zero there is no finer model.",
     )
-    rows = tuple((task, spread(each), str(len(each))) for task, each in found.items())
-    return Section(
-        "reference", "The reference's own error", sentences, ("task", "error %", "trials"), rows
-    )
+    rows = [
+        {"task": task, "error %": spread(each), "trials": str(len(each))}
+        for task, each in found.items()
+    ]
+    return Section("reference", "The reference's own error", sentences, rows)
 
 
 def speed_section(folder: StudyFolder) -> Section:
@@ -358,20 +325,22 @@ def speed_section(folder: StudyFolder) -> Section:
     times: dict[str, list[float]] = {}
     for trial in folder.trials():
         times.setdefault(trial.key.task, []).append(trial.took_s)
-    rows = tuple(
-        (task, f"{np.median(took):.2f}", f"{max(took):.2f}", str(len(plan.methods)), str(len(took)))
+    rows = [
+        {
+            "task": task,
+            "median s": f"{np.median(times[task]):.2f}",
+            "longest s": f"{max(times[task]):.2f}",
+            "methods": str(len(plan.methods)),
+            "trials": str(len(times[task])),
+        }
         for task in plan.tasks
-        if (took := times.get(task))
-    )
-    total = sum(float(np.median(times[task])) for task in plan.compared if task in times)
+        if task in times
+    ]
     sentences = (
-        "Seconds on one worker for a trial under all its methods, with whatever else the "
-        "machine did. 900 trials of "
-        f"T1 to T3 on two workers take {300.0 * total / 2.0 / 60.0:.0f} min at these medians.",
+        "Seconds on one worker for a trial under all its methods, with whatever else the machine "
+        "did.",
     )
-    return Section(
-        "speed", "Speed", sentences, ("task", "median s", "longest s", "methods", "trials"), rows
-    )
+    return Section("speed", "Speed", sentences, rows)
 
 
 def _ratios(trials: Iterable[Trial], tasks: Sequence[str]) -> Array:
@@ -384,35 +353,29 @@ def _ratios(trials: Iterable[Trial], tasks: Sequence[str]) -> Array:
         errors = trial.values("force_error")
         if trial.key.task in tasks and {"koopman", "penalty"} <= errors.keys():
             sums[tasks.index(trial.key.task)] += errors["koopman"], errors["penalty"]
-    return np.array(
-        [koopman / penalty if penalty > 0.0 else np.nan for koopman, penalty in sums.tolist()]
-    )
+    koopman, penalty = sums.T
+    return np.divide(koopman, penalty, out=np.full(len(tasks), np.nan), where=penalty > 0.0)
 
 
-def _mean_over(quotients: Array) -> float:
-    """Return the mean of the quotients that there are, one without any."""
-    known = quotients[np.isfinite(quotients)]
-    return float(known.mean()) if len(known) else 1.0
+def _as_texts(tasks: Sequence[str], ratios: Array) -> dict[str, str]:
+    return {
+        task: f"{ratio:.2f}" if np.isfinite(ratio) else ""
+        for task, ratio in zip(tasks, ratios, strict=True)
+    }
 
 
-def _as_text(ratio: float) -> str:
-    return f"{ratio:.2f}" if np.isfinite(ratio) else ""
-
-
-def _picture(rows: Sequence[tuple[str, ...]], tasks: Sequence[str], usual: Array) -> bytes:
+def _picture(found: Mapping[str, Array], tasks: Sequence[str], usual: Array) -> bytes:
     """Draw the ratios by variant, one colour a task, the study's own as lines."""
-    figure, (axes,) = drawing(9.0, 0.32 * len(rows) + 1.2)
-    for at, (task, colour, mark) in enumerate(
-        zip(tasks, ("#0072B2", "#D55E00", "#009E73"), "os^", strict=False)
-    ):
-        places = np.arange(len(rows)) + APART * (at - 0.5 * (len(tasks) - 1))
-        axes.plot(
-            [float(row[2 + at] or "nan") for row in rows], places, mark, color=colour, label=task
-        )
-        if np.isfinite(usual[at]):
-            axes.axvline(usual[at], color=colour, lw=1.0, ls=":")
-    axes.axvline(1.0, color="black", lw=0.8)
-    axes.set_yticks(range(len(rows)), [f"{row[0]}: {row[1]}" for row in rows], fontsize=8)
+    figure, (axes,) = drawing(9.0, 0.32 * len(found) + 1.2)
+    looks = zip(("#0072B2", "#D55E00", "#009E73"), "os^", strict=True)
+    for at, (task, (colour, mark)) in enumerate(zip(tasks, looks, strict=False)):
+        places = np.arange(len(found)) + APART * (at - 0.5 * (len(tasks) - 1))
+        ratios = [each[at] for each in found.values()]
+        axes.plot(ratios, places, mark, color=colour, label=task)
+        axes.axvline(usual[at], color=colour, ls=":")
+    axes.axvline(1.0, color="black")
+    labels = [f"{VARIANTS[name].parameter}: {VARIANTS[name].value}" for name in found]
+    axes.set_yticks(range(len(found)), labels)
     axes.invert_yaxis()
     axes.set_xlabel("force error, Koopman over penalty (dotted: as in the study)")
     legend(figure, axes)

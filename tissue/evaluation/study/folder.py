@@ -1,33 +1,36 @@
 """Folder of a study: its plan, one file per trial, and the tables of its trials."""
 
+from collections import (Counter)
+from collections.abc import (Callable, Iterable, Iterator, Mapping)
+from concurrent.futures import (Executor, Future)
+from contextlib import (contextmanager)
+from dataclasses import (asdict, dataclass)
+from functools import (cache)
+from itertools import (islice)
+from meshes.base.errors import (InputError, require_range)
+from meshes.base.file_limits import (require_regular)
+from meshes.base.progress import (Progress, silent)
+from meshes.base.text_tables import (read_json)
+from meshes.base.whole_file import (claim, package_version, require_version, whole_file)
+from pathlib import (Path)
+from pydantic import (TypeAdapter)
+from time import (sleep)
+from tissue.evaluation.charts.settings import (code_sha256)
+from tissue.evaluation.statistics.trials import (TrialTable)
+from tissue.evaluation.study.plan import (Plan, TASKS, TrialKey)
+from tissue.evaluation.study.registration import (PLAN_FILE, Registration, content_sha256, register, registered, require_unchanged)
+from tissue.evaluation.study.trial import (Row, Trial, error_sentence, run_trial, trial_seed)
+from tissue.system.outputs import (LOCK)
+from tissue.system.owned_folder import (MARKER, OwnedFolder, require_listed)
+from tissue.system.pools import (LOST, executor)
+from tissue.system.workers import (first_done)
+import gc
 import json
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass
-from pathlib import Path
+import os
 
-from pydantic import TypeAdapter
+__all__ = ["Stamp", "StudyFolder", "run_study"]
 
-from meshes.base.errors import InputError
-from meshes.base.file_limits import require_regular
-from meshes.base.text_tables import read_json
-from meshes.base.whole_file import claim, package_version, require_version, whole_file
-from tissue.evaluation.statistics.trials import TrialTable
-from tissue.evaluation.study.plan import TASKS, Plan, TrialKey
-from tissue.evaluation.study.registration import (
-    PLAN_FILE,
-    Registration,
-    code_sha256,
-    content_sha256,
-    register,
-    registered,
-    require_unchanged,
-)
-from tissue.evaluation.study.trial import Row, Trial
-from tissue.system.outputs import LOCK
-from tissue.system.owned_folder import MARKER, OwnedFolder, require_listed
 
-__all__ = ["Stamp", "StudyFolder"]
 
 FORMAT = 2
 """Version of a study's folder."""
@@ -301,3 +304,185 @@ def _write(path: Path, content: Mapping[str, object]) -> None:
     """Write JSON so that a reader never sees half of it."""
     with whole_file(path) as temporary:
         temporary.write_text(json.dumps(content, indent=1), "utf-8")
+
+
+TRIALS_PER_WORKER = 3
+"""Trials submitted for each worker.
+
+No worker waits, and memory does not grow with the number of trials.
+"""
+LOSSES = 3
+"""Losses after which a running trial is run alone to check whether it ends its worker."""
+BARREN = 20
+"""Losses without a trial in between after which a study gives up."""
+PATIENCE_S = 30.0
+"""Time that a scheduler may take to answer [s]."""
+
+
+def run_study(
+    plan: Plan,
+    out: Path,
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    retry: bool = False,
+    report: Progress = silent,
+) -> StudyFolder:
+    """Run the missing trials of a plan and write the tables of all trials.
+
+    The tables are sorted, so that they do not depend on the workers, their number or interruptions.
+    A lost worker is replaced and its trials are run again. A trial that always ends its worker is
+    kept as failed.
+
+    Parameters
+    ----------
+    plan
+        Plan of the study.
+    out
+        Folder of the study. A folder with a part of the study is continued.
+    workers
+        Number of processes. Default: one per core. A scheduler has its own workers; the number is
+        then the number of submitted trials.
+    scheduler
+        Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``, instead of own
+        processes.
+    retry
+        Run failed trials again.
+    report
+        Called with the progress and with problems.
+
+    Raises
+    ------
+    InputError
+        If the folder holds another study, no scheduler answers, or workers are lost again and
+        again.
+    """
+    count = int(
+        require_range(
+            "workers",
+            (os.cpu_count() or 1) if workers is None else workers,
+            1,
+            4096,
+            "use one a core",
+        )
+    )
+    folder = StudyFolder(out)
+    with folder.held(plan) as sentences:
+        for sentence in sentences:
+            report(sentence, 0.0)
+        if retry:
+            folder.forget_failures()
+        _run_trials(plan, folder, count, scheduler, report)
+        folder.write_tables()
+    return folder
+
+
+def _run_trials(
+    plan: Plan, folder: StudyFolder, count: int, scheduler: str | None, report: Progress
+) -> None:
+    """Run the trials that the folder does not hold yet, and replace workers that are lost."""
+    keys = list(plan.all_trials())
+    waiting = dict.fromkeys(key for key in keys if not folder.has(key))
+    losses: Counter[TrialKey] = Counter()
+    barren = 0
+    connected = False
+
+    def keep(trial: Trial) -> None:
+        """Write a trial that is still missing. A second copy is equal and ignored."""
+        folder.write(trial)
+        waiting.pop(trial.key, None)
+
+    def report_share(doing: str) -> None:
+        report(doing, 1.0 - len(waiting) / len(keys))
+
+    while waiting:
+        before = len(waiting)
+        suspects = [key for key in waiting if losses[key] >= LOSSES]
+        running: dict[Future[Trial], TrialKey] = {}
+        try:
+            with executor(1 if suspects else count, scheduler, patience_s=PATIENCE_S) as pool:
+                connected = True
+                most = 1 if suspects else TRIALS_PER_WORKER * count
+                wanted = suspects[:1] or list(waiting)
+                for trials in _results(pool, plan, wanted, running, most, report_share):
+                    for trial in trials:
+                        keep(trial)
+                    report_share(f"trial {len(keys) - len(waiting)} of {len(keys)}")
+        except LOST as error:
+            if not connected:
+                raise InputError(
+                    "scheduler",
+                    "answer",
+                    f"{scheduler} ({error})",
+                    "start it with `dask scheduler`",
+                ) from error
+            barren = barren + 1 if len(waiting) == before else 1
+            if barren > BARREN:
+                raise InputError(
+                    "workers",
+                    "stay alive",
+                    f"{barren} losses with {len(waiting)} trials left",
+                    "look for what kills them, memory for one, and run the study again to go on",
+                ) from error
+            report_share(f"workers were lost ({type(error).__name__}), {len(waiting)} trials go on")
+            if suspects and running:
+                failure = "RuntimeError: the worker was lost each time this trial ran on it"
+                keep(_failed(plan, suspects[0], failure))
+            else:
+                losses.update(running.values())
+            sleep(min(2.0, 0.1 * barren))
+
+
+def _results(
+    pool: Executor,
+    plan: Plan,
+    keys: Iterable[TrialKey],
+    running: dict[Future[Trial], TrialKey],
+    most: int,
+    report: Callable[[str], None],
+) -> Iterator[list[Trial]]:
+    """Submit trials, a few ahead, and yield the results that are there at a time.
+
+    The trials under way are held in ``running``.
+    """
+    fresh = iter(keys)
+    while True:
+        for key in islice(fresh, most - len(running)):
+            running[pool.submit(_in_worker, plan, key)] = key
+        if not running:
+            return
+        done = []
+        for future in first_done(pool, running, lambda doing, _: report(doing)):
+            error = future.exception()
+            if isinstance(error, LOST):
+                raise error
+            key = running.pop(future)
+            # whatever a worker met, such as a trial that ends it each time
+            if isinstance(error, Exception):
+                done.append(_failed(plan, key, error_sentence(error)))
+            else:
+                done.append(future.result())
+        yield done
+
+
+def _failed(plan: Plan, key: TrialKey, failure: str) -> Trial:
+    """Return a trial that failed under every method."""
+    rows: list[Row] = [{"method": method, "failure": failure} for method in plan.methods]
+    return Trial(key, trial_seed(plan, key), tuple(rows), 0.0)
+
+
+def _in_worker(plan: Plan, key: TrialKey) -> Trial:
+    """Run a trial in a process that does nothing else."""
+    trial = run_trial(plan, key)
+    _keep_what_stays()
+    return trial
+
+
+@cache
+def _keep_what_stays() -> None:
+    """Exclude modules and kernels from garbage collection in all further runs.
+
+    They exist until all trials are done.
+    """
+    gc.collect()
+    gc.freeze()

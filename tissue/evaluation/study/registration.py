@@ -2,47 +2,23 @@
 code that runs it.
 """
 
+from collections.abc import (Mapping)
+from hashlib import (sha256)
+from itertools import (combinations)
+from meshes.base.errors import (InputError, require_range)
+from meshes.base.whole_file import (claim, package_version, whole_file)
+from pathlib import (Path)
+from tissue.evaluation.statistics.hypothesis_test import (ALPHA)
+from tissue.evaluation.study.plan import (COMPARED, DIRECTIONS, LATENCY_MS, METHODS, PERSONAL, Plan, TASKS, USERS)
+from typing import (Any)
 import json
-from collections.abc import Mapping
-from functools import cache
-from hashlib import sha256
-from itertools import combinations
-from pathlib import Path
-from typing import Any
-
 import tomli_w
 
-from meshes.base.errors import InputError, require_range
-from meshes.base.whole_file import claim, package_version, whole_file
-from tissue.evaluation.statistics.hypothesis_test import ALPHA
-from tissue.evaluation.study.plan import (
-    COMPARED,
-    DIRECTIONS,
-    LATENCY_MS,
-    METHODS,
-    PERSONAL,
-    TASKS,
-    USERS,
-    Plan,
-)
+__all__ = ["PLAN_FILE", "Registration", "content_sha256", "file_sha256", "plan_text", "planned_power", "planned_tests", "register", "registered", "require_unchanged"]
 
-__all__ = [
-    "PLAN_FILE",
-    "Registration",
-    "code_sha256",
-    "content_sha256",
-    "file_sha256",
-    "plan_text",
-    "planned_power",
-    "planned_tests",
-    "register",
-    "registered",
-    "require_unchanged",
-]
+
 
 PLAN_FILE = "plan.toml"
-SOURCES = (".py", ".toml", ".npz")
-"""Endings of the files of code and constants that figures can depend on."""
 Registration = dict[str, str | int]
 """One registered plan: ``file``, ``sha256`` and ``trials_before``, the number of trials that
 were there before it.
@@ -182,24 +158,6 @@ def content_sha256(content: Mapping[str, object]) -> str:
     return sha256(json.dumps(content, sort_keys=True).encode("utf-8")).hexdigest()
 
 
-@cache
-def code_sha256() -> str:
-    """Return SHA-256 over the names and bytes of all code and constants of this installation."""
-    import kernels
-    import meshes
-    import tissue
-
-    found = sha256()
-    for package in (kernels, meshes, tissue):
-        root = Path(package.__path__[0])
-        for path in sorted(
-            each for each in root.rglob("*") if each.suffix in SOURCES and each.is_file()
-        ):
-            name = f"{package.__name__}/{path.relative_to(root).as_posix()}"
-            found.update(name.encode("utf-8") + b"\0" + sha256(path.read_bytes()).digest())
-    return found.hexdigest()
-
-
 def planned_tests(plan: Plan) -> list[str]:
     """Return the tests that the report of a plan makes, as task and question.
 
@@ -258,15 +216,14 @@ def plan_text(plan: Plan) -> str:
         "seeds": {
             "seed": plan.seed,
             "rule": "a trial's seed follows from this seed, its task, its group and its number "
-            "alone, and is written "
-            "into its file; a trial is the same under every method",
+            "alone, and is written into its file; a trial is the same under every method",
         },
         "measures": {
             "primary": [
                 {
                     "name": name,
                     "unit": UNITS.get(name, name.rsplit("_", 1)[-1]),
-                    "better": _better(name),
+                    "better": "less" if DIRECTIONS[name] < 0 else "more",
                 }
                 for name in COMPARED
             ],
@@ -274,9 +231,8 @@ def plan_text(plan: Plan) -> str:
         },
         "tests": {
             "method": "analysis of strata with people as the unit; multivariate analysis of "
-            "metrics "
-            "together; a mixed "
-            "model over all tasks; tests that rest on less stand beside them and decide nothing",
+            "metrics together; a mixed model over all tasks; tests that rest on less stand beside "
+            "them and decide nothing",
             "correction": f"Bonferroni over all {len(tests)} tests"
             if tests
             else "none, as nothing is tested",
@@ -288,21 +244,14 @@ def plan_text(plan: Plan) -> str:
         "power": {
             "effect_of_interest_sd": EFFECT,
             "effect": "one method, group, or method in one group differs from the rest, which are "
-            "equal; in standard "
-            "deviations of differences within people, or of people",
+            "equal; in standard deviations of differences within people, or of people",
             "method": "noncentral F distribution, Cohen 1988, chapter 8; normal values and "
-            "sphericity; "
-            "for one metric "
-            "on one task",
+            "sphericity; for one metric on one task",
             "corrected": _rounded(planned_power(people, *design, alpha=alpha)) if tests else {},
             "uncorrected": _rounded(planned_power(people, *design, alpha=ALPHA)) if tests else {},
         },
     }
     return HEAD + tomli_w.dumps(table)
-
-
-def _better(metric: str) -> str:
-    return "less" if DIRECTIONS[metric] < 0 else "more"
 
 
 def _effects(factors: list[str]) -> list[str]:

@@ -1,57 +1,38 @@
 """Report of a study: sections as one HTML file that needs no other file, and as CSV."""
 
-import tomllib
-from collections import Counter
-from collections.abc import Iterator, Sequence
-from html import escape
-from pathlib import Path
-
+from collections import (Counter)
+from collections.abc import (Iterator, Sequence)
+from html import (escape)
+from itertools import (product)
+from meshes.base.errors import (InputError)
+from meshes.base.progress import (Progress, silent)
+from meshes.base.whole_file import (package_version, whole_file)
+from pathlib import (Path)
+from tissue.evaluation.charts.settings import (code_sha256)
+from tissue.evaluation.study.cases import (case_sections)
+from tissue.evaluation.study.discrimination import (discrimination_section)
+from tissue.evaluation.study.fidelity import (force_section, latency_section, reference_section, sensitivity_section, speed_section, task_section)
+from tissue.evaluation.study.folder import (StudyFolder)
+from tissue.evaluation.study.plan import (LATENCY_MS, METHODS, PERSONAL, Plan, TASKS, USERS)
+from tissue.evaluation.study.registration import (file_sha256)
+from tissue.evaluation.study.section import (CHOSEN_AFTER, SOURCE, Section)
+from tissue.evaluation.study.tested import (statistics_sections)
+from tissue.evaluation.study.trial import (NUMBERS, PACE_SPREAD, Trial, WITHIN_SPREAD, failures_of, trial_seed)
+from tissue.materials.constants import (constants)
+from tissue.system.html import (html_page, html_picture)
+from tissue.system.owned_folder import (owned_folder)
 import numpy as np
-
-from meshes.base.errors import InputError
-from meshes.base.progress import Progress, silent
-from meshes.base.whole_file import package_version, whole_file
-from tissue.evaluation.statistics.trials import TrialTable
-from tissue.evaluation.study.cases import case_sections
-from tissue.evaluation.study.discrimination import discrimination_section
-from tissue.evaluation.study.fidelity import (
-    force_section,
-    latency_section,
-    reference_section,
-    sensitivity_section,
-    speed_section,
-    task_section,
-)
-from tissue.evaluation.study.folder import StudyFolder
-from tissue.evaluation.study.plan import LATENCY_MS, METHODS, PERSONAL, TASKS, USERS, Plan
-from tissue.evaluation.study.registration import code_sha256, file_sha256
-from tissue.evaluation.study.section import CHOSEN_AFTER, SOURCE, Section
-from tissue.evaluation.study.tested import (
-    composite_section,
-    power_section,
-    regression_section,
-    tests_sections,
-)
-from tissue.evaluation.study.trial import (
-    NUMBERS,
-    PACE_SPREAD,
-    WITHIN_SPREAD,
-    Trial,
-    failures_of,
-    trial_seed,
-)
-from tissue.materials.constants import constants
-from tissue.system.html import html_page, html_picture
-from tissue.system.owned_folder import owned_folder
+import tomllib
 
 __all__ = ["found_section", "registration_section", "sections_of", "write_report"]
+
+
 
 WIDE = ".wide { overflow-x: auto; } .wide td { overflow-wrap: break-word; }"
 NAMED = 5
 """Names that a row gives before it stops."""
 Difference = tuple[str, str, str]
 """Kind, object and detail of a difference from the registered plan."""
-Row = tuple[str, str, str, str, str, str]
 TISSUES = {
     "T3": (("cutting", "bone"),),
     "needle": (("needle", "liver"),),
@@ -62,19 +43,13 @@ TISSUES = {
 
 T1 and T2 have their stiffness only in the scene.
 """
-STUDY: tuple[Row, ...] = (
-    (
-        "study",
-        "latency ms",
-        f"{LATENCY_MS}",
-        "2 to 8, see the sensitivity",
-        "M",
-        "near the paper's mean of 4.3 ms",
-    ),
-    ("study", "people a group", f"{USERS}", "", "", "trials go round among them"),
-    ("study", "spread of the logarithm of pace, people", f"{PACE_SPREAD:g}", "", "L", "assumed"),
-    ("study", "spread of the logarithm of pace, trials", f"{WITHIN_SPREAD:g}", "", "L", "assumed"),
-    ("study", "numbers given to forces in a calibration", f"{NUMBERS}", "", "L", "assumed"),
+PARAMETER = ("of", "parameter", "value", "range", "confidence", "source")
+STUDY = (
+    ("latency ms", LATENCY_MS, "2 to 8, see the sensitivity", "M", "near the paper's 4.3 ms"),
+    ("people a group", USERS, "", "", "trials go round among them"),
+    ("spread of the logarithm of pace, people", PACE_SPREAD, "", "L", "assumed"),
+    ("spread of the logarithm of pace, trials", WITHIN_SPREAD, "", "L", "assumed"),
+    ("numbers given to forces in a calibration", NUMBERS, "", "L", "assumed"),
 )
 """The study's own parameters."""
 
@@ -127,7 +102,7 @@ def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Secti
         report("discrimination", 0.2)
         sections.append(discrimination_section(folder, whole, plan.seed))
         report("tests", 0.4)
-        sections += _tested(table, np.random.default_rng(plan.seed))
+        sections += statistics_sections(table, np.random.default_rng(plan.seed))
     report("case studies", 0.9)
     sections += case_sections(folder, plan.seed)
     sections += [
@@ -154,35 +129,16 @@ def found_section(sections: Sequence[Section]) -> Section:
     compared = 0
     apart = []
     for section in sections:
-        for column in (
-            at for at, name in enumerate(section.header) if name.endswith("against paper")
-        ):
-            for row in section.rows:
-                compared += bool(row[column])
-                if row[column] not in ("", "agrees"):
-                    apart.append(f"{section.title.lower()} {row[0]} {row[1]} {row[column]}")
+        for row, column in product(section.table, section.header):
+            found = row.get(column, "") if column.endswith("against paper") else ""
+            compared += bool(found)
+            if found not in ("", "agrees"):
+                first, second, *_ = row.values()
+                apart.append(f"{section.title.lower()} {first} {second} {found}")
     papers = f"Of {compared} figures compared with the paper, {compared - len(apart)} agree"
     papers += f"; the first that do not: {', '.join(apart[:NAMED])}." if apart else "."
     headlines = [each.headline for each in sections if each.headline]
     return Section("found", "What was found", (*headlines, papers))
-
-
-def _tested(table: TrialTable, rng: np.random.Generator) -> list[Section]:
-    """Return the sections that need several people per group, or a reason for their absence."""
-    try:
-        sections = tests_sections(table, rng)
-    except InputError as error:
-        return [Section("tests", "Tests", (f"Nothing could be tested: {error}.",))]
-    for name, title, make in (
-        ("index", "Composite index", composite_section),
-        ("regression", "Task error against force error and latency", regression_section),
-        ("power", "Power and error rates", power_section),
-    ):
-        try:
-            sections.append(Section(name, title, *make(table, rng)))
-        except InputError as error:
-            sections.append(Section(name, title, (f"This could not be tested: {error}.",)))
-    return sections
 
 
 def _overview(folder: StudyFolder) -> Section:
@@ -190,31 +146,25 @@ def _overview(folder: StudyFolder) -> Section:
     plan = folder.plan()
     kept = list(folder.trials(variant=None))
     counts = Counter((trial.key.task, trial.key.group) for trial in kept if not trial.key.variant)
-    rows = tuple(
-        (
-            task,
-            TASKS[task].title,
-            _describe(task),
-            ", ".join(f"{group} {counts[task, group]}" for group in plan.groups),
-        )
+    rows = [
+        {
+            "task": task,
+            "what": TASKS[task].title,
+            "scene and changes": _describe(task),
+            "trials": ", ".join(f"{group} {counts[task, group]}" for group in plan.groups),
+        }
         for task in plan.tasks
-    )
+    ]
     empty = [group for group in plan.groups if not any(counts[task, group] for task in plan.tasks)]
     sentences = [
-        f"{len(kept)} of {sum(1 for _ in plan.all_trials())} trials are there, seed "
-        f"{plan.seed}, version "
-        f"{package_version()}; methods {', '.join(plan.methods)}. Every trial has a latency "
-        f"of {LATENCY_MS} ms on the "
-        "device touch.",
-        f"{USERS} simulated people a group differ in pace, exponent and threshold, groups in "
-        "hand and threshold. "
-        "No person took part, and nothing here is a measure of physical fidelity: forces are "
-        "held against the "
-        "engine's own ideal, as the paper's are against its own.",
-        (
-            f"Figures of the paper: {SOURCE}. Chosen after results had been seen: "
-            f"{'; '.join(CHOSEN_AFTER)}."
-        ),
+        f"{len(kept)} of {sum(1 for _ in plan.all_trials())} trials are there, seed {plan.seed}, "
+        f"version {package_version()}; methods {', '.join(plan.methods)}. Every trial has a "
+        f"latency of {LATENCY_MS} ms on the device touch.",
+        f"{USERS} simulated people a group differ in pace, exponent and threshold, groups in hand "
+        "and threshold. No person took part, and nothing here is a measure of physical fidelity: "
+        "forces are held against the engine's own ideal, as the paper's are against its own.",
+        f"Figures of the paper: {SOURCE}. Chosen after results had been seen: "
+        f"{'; '.join(CHOSEN_AFTER)}.",
     ]
     if empty:
         sentences.append(
@@ -222,35 +172,21 @@ def _overview(folder: StudyFolder) -> Section:
         )
     for what, names in failures_of(kept).items():
         sentences.append(f"{len(names)} failed, {what} ({names[0]}{', ...' * (len(names) > 1)}).")
-    return Section(
-        "overview",
-        "What was run",
-        tuple(sentences),
-        ("task", "what", "scene and changes", "trials"),
-        rows,
-    )
+    return Section("overview", "What was run", sentences, rows)
 
 
 def _describe(task: str) -> str:
     """Return the changes of a task's scene as text."""
     changes, *specimens = (
-        ", ".join(map(_entry, each.items()))
+        ", ".join(
+            f"{name} {'left out' if value is None else value}" for name, value in each.items()
+        )
         for each in (TASKS[task].changes, *TASKS[task].specimens)
     )
     text = f"{TASKS[task].scene}: {changes}"
-    return (
-        f"{text}; specimens: {' or '.join(each or 'as it is' for each in specimens)}"
-        if len(specimens) > 1
-        else text
-    )
-
-
-def _entry(item: tuple[str, object]) -> str:
-    """Return an entry of a scene as text."""
-    name, value = item
-    if value is None:
-        return f"{name} left out"
-    return f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}"
+    if len(specimens) == 1:
+        return text
+    return f"{text}; specimens: {' or '.join(each or 'as it is' for each in specimens)}"
 
 
 def registration_section(folder: StudyFolder, tests: Sequence[Section]) -> Section:
@@ -272,30 +208,22 @@ def registration_section(folder: StudyFolder, tests: Sequence[Section]) -> Secti
         *_tests(folder, tests),
     ]
     newest = folder.registrations()[-1]
-    when = (
-        f"after {newest['trials_before']} trials"
-        if newest["trials_before"]
-        else "before the first trial"
-    )
-    kinds = list(dict.fromkeys(kind for kind, _, _ in found))
-    differs = (
-        f"{len(found)} differences from it: {', '.join(kinds)}."
-        if found
-        else "Nothing differs from it."
-    )
+    before = newest["trials_before"]
+    when = f"after {before} trials" if before else "before the first trial"
+    differs = "Nothing differs from it."
+    if found:
+        kinds = ", ".join(dict.fromkeys(kind for kind, _, _ in found))
+        differs = f"{len(found)} differences from it: {kinds}."
     headline = (
         f"{newest['file']} was registered {when} (SHA-256 {str(newest['sha256'])[:16]}). {differs}"
     )
     limits = (
-        "Hashes find slips and changes made in passing; they prove nothing against a person "
-        "who computes them anew, "
-        "which a copy of the plan in other hands would."
+        "Hashes find slips and changes made in passing; they prove nothing against a person who "
+        "computes them anew, which a copy of the plan in other hands would."
     )
-    header = ("kind", "what", "detail") if found else ()
+    rows = [dict(zip(("kind", "what", "detail"), each, strict=True)) for each in found]
     title = "What differs from the registered plan"
-    return Section(
-        "registration", title, (headline, limits), header, tuple(found), headline=headline
-    )
+    return Section("registration", title, (headline, limits), rows, headline=headline)
 
 
 def _plans(folder: StudyFolder) -> Iterator[Difference]:
@@ -371,19 +299,12 @@ def _tests(folder: StudyFolder, tests: Sequence[Section]) -> Iterator[Difference
         planned = {_unordered(each): str(each) for each in plan["tests"]["planned"]}
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return  # a spoilt plan is a difference of its own
-    made = {
-        _unordered(test): test
-        for section in tests
-        for row in section.rows
-        if (test := f"{row[0]} {row[1]}")
-    }
+    rows = [f"{row['task']} {row['question']}" for section in tests for row in section.table]
+    made = {_unordered(test): test for test in rows}
     sentences = [sentence for section in tests for sentence in section.sentences]
     if names := [test for key, test in planned.items() if key not in made]:
-        why = " ".join(
-            each
-            for each in sentences
-            if "could not be tested" in each or "Nothing could be" in each
-        )
+        reasons = ("could not be tested", "Nothing could be")
+        why = " ".join(each for each in sentences if any(reason in each for reason in reasons))
         yield "tests planned and not made", why, _named(names, "; ")
     if names := [test for key, test in made.items() if key not in planned]:
         yield "tests made and not planned", "", _named(names, "; ")
@@ -408,40 +329,29 @@ def _parameters(plan: Plan) -> Section:
 
     The parameters of the scenes are listed in the overview.
     """
-    rows = list(STUDY)
+    rows = [("study", *map(str, each)) for each in STUDY]
     for method in plan.methods:
-        keys = dict(METHODS[method]) | (
-            {"perception": "the person's own"} if method in PERSONAL else {}
-        )
-        rows += [
-            (f"method {method}", name, str(value), "", "", "definition")
-            for name, value in keys.items()
-        ]
+        personal = {"perception": "the person's own"} if method in PERSONAL else {}
+        for name, value in {**METHODS[method], **personal}.items():
+            rows.append((f"method {method}", name, str(value), "", "", "definition"))
     tables = [("devices", "touch"), ("hands", "any"), *(("hands", group) for group in plan.groups)]
     tables += [("perception", "force"), *(("observers", group) for group in plan.groups)]
     tables += [each for task in plan.tasks for each in TISSUES.get(task, ())]
     for table, name in dict.fromkeys(tables):
-        rows += [
-            (
-                f"{table}, {name}",
-                entry,
-                f"{one.value:g}",
-                f"{one.low:g} to {one.high:g}",
-                one.confidence,
-                one.source,
+        for entry, one in constants(table, name).items():
+            span = f"{one.low:g} to {one.high:g}"
+            rows.append(
+                (f"{table}, {name}", entry, f"{one.value:g}", span, one.confidence, one.source)
             )
-            for entry, one in constants(table, name).items()
-        ]
     unsure = sum(row[4] == "L" for row in rows)
-    sentences = (
+    sentence = (
         f"{len(rows)} parameters; {unsure} of them are of low confidence (L: memory of the "
-        "literature or assumed), "
-        "most of what distinguishes people and groups among them. None was chosen by a "
-        "figure of the paper but the "
-        "latency and the depth that the needle aims at, as its section states.",
+        "literature or assumed), most of what distinguishes people and groups among them. None was "
+        "chosen by a figure of the paper but the latency and the depth that the needle aims at, as "
+        "its section states."
     )
-    header = ("of", "parameter", "value", "range", "confidence", "source")
-    return Section("parameters", "Parameters", sentences, header, tuple(rows))
+    table_rows = [dict(zip(PARAMETER, row, strict=True)) for row in rows]
+    return Section("parameters", "Parameters", (sentence,), table_rows)
 
 
 def _as_html(section: Section, file: str) -> str:

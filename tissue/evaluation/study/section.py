@@ -2,8 +2,9 @@
 
 import csv
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -41,26 +42,19 @@ __all__ = [
 
 SOURCE = (
     "A Koopman-Bayesian Framework for High-Fidelity, Perceptually Optimized Haptic Surgical "
-    "Simulation, "
-    "N = 900 trials (3 tasks x 3 expertise groups x 100)"
+    "Simulation, N = 900 trials (3 tasks x 3 expertise groups x 100)"
 )
 CHOSEN_AFTER = (
-    "the needle is pushed by a rising force and stopped by a reaction, where a first study "
-    "turned it round at a depth "
-    "of its script",
-    (
-        "what of a run counts as its error of force acts at the motor, where earlier studies "
-        "took the force before it"
-    ),
-    "ratios of intensity are taken in windows that lie in contact whole, where a study of "
-    "180 trials took those half "
-    "in contact too",
-    "a puncture that nobody notices counts as the longest travel and a push ends at a depth "
-    "of 60 mm, where a study of "
-    "180 trials left such trials out",
-    "hands aim below the bone in T3 and in reaming, so that they mill and ream it, where "
-    "those of a study of 180 "
-    "trials aimed at the wanted depth and skimmed it",
+    "the needle is pushed by a rising force and stopped by a reaction, where a first study turned "
+    "it round at a depth of its script",
+    "what of a run counts as its error of force acts at the motor, where earlier studies took the "
+    "force before it",
+    "ratios of intensity are taken in windows that lie in contact whole, where a study of 180 "
+    "trials took those half in contact too",
+    "a puncture that nobody notices counts as the longest travel and a push ends at a depth of 60 "
+    "mm, where a study of 180 trials left such trials out",
+    "hands aim below the bone in T3 and in reaming, so that they mill and ream it, where those of "
+    "a study of 180 trials aimed at the wanted depth and skimmed it",
 )
 """Choices of the study that were made with knowledge of an earlier version's figures.
 
@@ -79,43 +73,26 @@ class Figure:
         return f"{self.mean:g} ± {self.spread:g}" if self.spread else f"{self.mean:g}"
 
 
+PRINTED = ("penalty", "koopman", "koopman-perception")
 FORCE_ERROR = {
-    "T1": {
-        "penalty": Figure(8.2, 2.1),
-        "koopman": Figure(3.5, 1.0),
-        "koopman-perception": Figure(2.1, 0.7),
-    },
-    "T2": {
-        "penalty": Figure(7.1, 1.8),
-        "koopman": Figure(3.0, 0.9),
-        "koopman-perception": Figure(1.8, 0.6),
-    },
-    "T3": {
-        "penalty": Figure(9.5, 2.4),
-        "koopman": Figure(4.2, 1.2),
-        "koopman-perception": Figure(2.8, 0.8),
-    },
+    task: dict(zip(PRINTED, map(Figure, means, spreads), strict=True))
+    for task, means, spreads in (
+        ("T1", (8.2, 3.5, 2.1), (2.1, 1.0, 0.7)),
+        ("T2", (7.1, 3.0, 1.8), (1.8, 0.9, 0.6)),
+        ("T3", (9.5, 4.2, 2.8), (2.4, 1.2, 0.8)),
+    )
 }
 """Normalised L2 error of force [%] in the paper.
 
 The columns of the paper are raw, Koopman-adjusted and perceptual.
 """
 TASK_METRICS = {
-    "T1": {
-        "time_s": Figure(14.2, 1.8),
-        "position_error_mm": Figure(0.71, 0.12),
-        "smoothness": Figure(0.92, 0.03),
-    },
-    "T2": {
-        "time_s": Figure(12.5, 1.2),
-        "position_error_mm": Figure(0.63, 0.10),
-        "smoothness": Figure(0.95, 0.02),
-    },
-    "T3": {
-        "time_s": Figure(18.3, 2.1),
-        "position_error_mm": Figure(0.85, 0.15),
-        "smoothness": Figure(0.88, 0.04),
-    },
+    task: {"time_s": time, "position_error_mm": position, "smoothness": smoothness}
+    for task, time, position, smoothness in (
+        ("T1", Figure(14.2, 1.8), Figure(0.71, 0.12), Figure(0.92, 0.03)),
+        ("T2", Figure(12.5, 1.2), Figure(0.63, 0.10), Figure(0.95, 0.02)),
+        ("T3", Figure(18.3, 2.1), Figure(0.85, 0.15), Figure(0.88, 0.04)),
+    )
 }
 """Completion time [s], position error [mm] and smoothness index in the paper.
 
@@ -160,25 +137,35 @@ class Section:
         Title for the reader.
     sentences
         Findings, computed from the data.
-    header, rows
-        The table.
+    table
+        Rows by the name of the column. A row may leave out columns.
     picture
-        PNG picture, or None.
+        PNG picture. May be empty.
     headline
         Main finding in one sentence, for the first section of the report.
     """
 
     name: str
     title: str
-    sentences: tuple[str, ...]
-    header: tuple[str, ...] = ()
-    rows: tuple[tuple[str, ...], ...] = ()
+    sentences: Sequence[str]
+    table: Sequence[Mapping[str, str]] = ()
     picture: bytes = b""
     headline: str = ""
 
+    @property
+    def header(self) -> tuple[str, ...]:
+        """Names of the columns."""
+        return tuple(dict.fromkeys(name for row in self.table for name in row))
+
+    @property
+    def rows(self) -> tuple[tuple[str, ...], ...]:
+        """Entries of the table, empty where a row has none."""
+        header = self.header
+        return tuple(tuple(row.get(name, "") for name in header) for row in self.table)
+
     def write_csv(self, folder: Path) -> str:
         """Write the table and return the name of its file; return an empty text without a table."""
-        if not self.rows:
+        if not self.table:
             return ""
         name = f"{self.name}.csv"
         with (
@@ -191,9 +178,11 @@ class Section:
 
 def spread(values: Array, digits: int = 2) -> str:
     """Return mean and standard deviation as text."""
-    return (
-        f"{values.mean():.{digits}f} ± {values.std(ddof=1) if len(values) > 1 else 0.0:.{digits}f}"
-    )
+    return f"{values.mean():.{digits}f} ± {_deviation(values):.{digits}f}"
+
+
+def _deviation(values: Array) -> float:
+    return float(values.std(ddof=1)) if len(values) > 1 else 0.0
 
 
 def agreement(ours: Array, paper: Figure) -> str:
@@ -202,17 +191,18 @@ def agreement(ours: Array, paper: Figure) -> str:
     The text is "agrees" if they lie within the standard deviation of their difference, otherwise
     their ratio.
     """
-    our_mean = float(ours.mean())
-    our_spread = ours.std(ddof=1) if len(ours) > 1 else 0.0
-    reach = float(np.hypot(our_spread, paper.spread or ROUNDED * paper.mean))
-    if abs(our_mean - paper.mean) <= reach:
+    reach = np.hypot(_deviation(ours), paper.spread or ROUNDED * paper.mean)
+    if abs(ours.mean() - paper.mean) <= reach:
         return "agrees"
-    return f"{our_mean / paper.mean:.2f} of it"
+    return f"{ours.mean() / paper.mean:.2f} of it"
 
 
-def against(ours: Array, paper: Figure | None) -> tuple[str, str]:
+def against(ours: Array, paper: Figure | None, unit: str) -> dict[str, str]:
     """Return the published figure and the agreement with it, both empty if there is none."""
-    return (str(paper), agreement(ours, paper)) if paper else ("", "")
+    return {
+        f"paper {unit}": str(paper or ""),
+        "against paper": agreement(ours, paper) if paper else "",
+    }
 
 
 def tasks_of(table: TrialTable) -> list[str]:
@@ -227,24 +217,19 @@ def methods_of(table: TrialTable) -> list[str]:
 
 def parts_of(table: TrialTable) -> dict[tuple[str, str], TrialTable]:
     """Return the trials by task and method."""
-    methods = methods_of(table)
-    return {
-        (task, method): table.where(task=task, method=method)
-        for task in tasks_of(table)
-        for method in methods
-    }
+    pairs = product(tasks_of(table), methods_of(table))
+    return {(task, method): table.where(task=task, method=method) for task, method in pairs}
 
 
-def interval_by_users(table: TrialTable, metric: str, method: str) -> tuple[float, float, float]:
-    """Return the mean of users' means of a metric under a method.
+def interval_by_users(table: TrialTable, metric: str) -> tuple[float, float, float]:
+    """Return the mean of users' means of a metric under one method.
 
     Its 95 % t interval over users is returned too.
     """
     from scipy.stats import ttest_1samp
 
-    kept = table.where(method=method)
-    people, person = np.unique(kept.people(), return_inverse=True)
-    means = np.bincount(person, kept.values(metric)) / np.bincount(person)
+    people, person = np.unique(table.people(), return_inverse=True)
+    means = np.bincount(person, table.values(metric)) / np.bincount(person)
     centre = float(means.mean())
     if len(people) < 2:
         return centre, centre, centre
@@ -264,9 +249,8 @@ def drawing(width: float, height: float, columns: int = 1) -> tuple[Drawing, lis
 def grouped_bars(
     axes: Axes,
     groups: Sequence[str],
-    methods: Sequence[str],
-    value_of: Callable[[int, str], tuple[float, float, float] | None],
-    marks: Callable[[int, str], Figure | None] = lambda group, method: None,
+    bars: Mapping[tuple[int, str], Sequence[float]],
+    papers: Mapping[tuple[int, str], Figure] | None = None,
 ) -> None:
     """Draw one bar with an error line for each group and method.
 
@@ -278,27 +262,23 @@ def grouped_bars(
         Axes for the bars.
     groups
         Labels of the groups along the axis.
-    methods
-        Methods, side by side in each group.
-    value_of
-        Value, low and high end for a group's index and a method; None for no bar.
-    marks
-        Published figure for a group's index and a method.
+    bars
+        Value, low and high end by the group's index and the method.
+    papers
+        Published figures by the group's index and the method.
     """
+    methods = list(dict.fromkeys(method for _, method in bars))
     width = 0.84 / len(methods)
-    for shift, method in enumerate(methods):
-        label: str | None = method
-        for index in range(len(groups)):
-            place = index + width * (shift - 0.5 * (len(methods) - 1))
-            if (held := value_of(index, method)) is not None:
-                value, low, high = held
-                axes.bar(place, value, 0.92 * width, color=COLOURS[method], label=label)
-                axes.plot([place, place], [low, high], color="#333333", lw=1.2)
-                label = None
-            if (paper := marks(index, method)) is not None:
-                axes.errorbar(
-                    place, paper.mean, paper.spread, fmt="D", color="black", ms=4, capsize=2, lw=0.8
-                )
+    middle = 0.5 * (len(methods) - 1)
+    for method in methods:
+        shift = width * (methods.index(method) - middle)
+        mine = {index + shift: bar for (index, name), bar in bars.items() if name == method}
+        values, lows, highs = np.array(list(mine.values())).T
+        axes.bar(list(mine), values, 0.92 * width, color=COLOURS[method], label=method)
+        axes.vlines(list(mine), lows, highs, color="#333333")
+    for (index, method), paper in (papers or {}).items():
+        place = index + width * (methods.index(method) - middle)
+        axes.errorbar(place, paper.mean, paper.spread, fmt="D", color="black")
     axes.set_xticks(range(len(groups)), groups)
 
 
@@ -309,7 +289,6 @@ def legend(figure: Drawing, axes: Axes) -> None:
         loc="outside upper center",
         ncols=5,
         frameon=False,
-        fontsize=9,
     )
 
 

@@ -13,6 +13,7 @@ from meshes.base.whole_file import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
     from matplotlib.patheffects import AbstractPathEffect
     from matplotlib.typing import LineStyleType, RcKeyType
@@ -39,6 +40,7 @@ __all__ = [
     "is_vector",
     "layer_colours",
     "plain",
+    "plain_numbers",
     "save",
     "styled",
 ]
@@ -121,6 +123,19 @@ def plain(panels: "Iterable[Axes]") -> None:
         axes.grid(axis="y", color="0.92", linewidth=0.6)
         axes.set_axisbelow(True)
         axes.margins(x=0.0)
+
+
+def plain_numbers(axis: "Axis") -> None:
+    """Write numbers instead of powers of ten on a logarithmic axis.
+
+    Few numbers are written over many decades.
+    """
+    from matplotlib.ticker import LogLocator
+
+    low, high = axis.get_view_interval()
+    axis.set_major_locator(LogLocator(subs=(1.0,) if high > 2e3 * low else (1.0, 2.0, 5.0)))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter("")
 
 
 EDGE: dict[str, Any] = {"edgecolor": "0.3", "linewidth": 0.5}

@@ -1,0 +1,497 @@
+"""Pages on bone and teeth: feed steps of a cutting tool, cut cells, and contrast of moduli."""
+
+from functools import cache
+
+import numpy as np
+from matplotlib.figure import Figure
+from scipy.sparse import csr_array, diags_array
+from scipy.sparse.linalg import cg
+
+from meshes.base.arrays import Array
+from meshes.shapes.anatomy import cortical_block
+from meshes.voxels.voxelise import voxelise
+from tissue.cutters.cutter import Cutter
+from tissue.cutters.profile import Profile, ball_burr, cylinder
+from tissue.evaluation.atlas.page import (
+    ENGINE,
+    FAILING,
+    GREY,
+    ORANGE,
+    THEORY,
+    Answer,
+    Conduct,
+    Data,
+    Page,
+    Verdict,
+    boundary,
+    error_of,
+    log_slope,
+    panel,
+    refused,
+    shown,
+    sweep,
+)
+from tissue.fem.conjugate_gradients import SolverOutcome
+from tissue.materials.constants import cutting_coefficients
+from tissue.models.bone.model import BoneModel
+from tissue.models.tissue_model import ToolMotion
+from tissue.models.tooth.body import INNER_STRENGTH, LEAST_FILL, ParticleBody
+from tissue.models.tooth.grid import HexGrid, ParticleSet
+from tissue.models.tooth.supports import NodeSupports
+from tissue.motion.thrust import PushAlongAxis, implicit_speed
+from tissue.scene.load import load_scene
+
+__all__ = ["Contrast", "CutCells", "ExplicitCutting"]
+
+THRUST_N = 20.0
+"""Thrust above the edge force."""
+STEPS = 400
+"""Steps after which a mode of 2 % growth is a thousand times as large."""
+MASS_KG = 0.05
+"""Mass in the sweep of the step."""
+
+
+def bone_model(size_mm: tuple[float, float, float], profile: Profile, flutes: int) -> BoneModel:
+    """Return a cutter at 1,000 rpm in a block of cortical bone."""
+    volume = voxelise(cortical_block(size_mm=size_mm), spacing_m=1e-4)
+    return BoneModel(volume, Cutter(profile, flutes, 100.0), (cutting_coefficients("bone"),))
+
+
+@cache
+def drag_N_s_m() -> float:
+    """Measure the resistance of a blunt burr that plunges 1 mm deep into cortical bone [N s/m].
+
+    The force is computed by the bone model.
+    """
+    model = bone_model((7, 7, 2), ball_burr(diameter_m=6e-3), 2)
+    motion = ToolMotion(speed_m_s=1e-3)
+    motion.heading[0] = (0.0, 0.0, -1.0)
+    model.place(motion)
+    for depth in np.arange(0.0, 1e-3, 1e-5):
+        motion.tip_m[2] = -depth
+        model.advance(motion)
+        response = model.respond(motion)
+    return float(response.resistance[2])
+
+
+def left_over(step_s: float, mass_kg: float, *, implicit: bool) -> float:
+    """Compute the distance of the speed to the steady one after 400 steps, relative to it."""
+    drag = drag_N_s_m()
+    settled = THRUST_N / drag
+    speed = 0.0
+    for _ in range(STEPS):
+        if implicit:
+            speed = implicit_speed(speed, thrust=THRUST_N, drag=drag, mass=mass_kg, step_s=step_s)
+        else:
+            speed += step_s / mass_kg * (THRUST_N - drag * speed)
+        if abs(speed) > 1e12 * settled:
+            break
+    return abs(speed / settled - 1.0)
+
+
+def plunge(mass_kg: float, thrust_N: float) -> tuple[float, float]:
+    """Push a drill into bone for 0.5 s; return the late mean axial force and the largest speed.
+
+    The force is in N and the speed in m/s.
+    """
+    model = bone_model((6, 6, 5), cylinder(diameter_m=4e-3, length_m=8e-3), 4)
+    push = PushAlongAxis(
+        np.array([0.0, 0.0, 1e-4]),
+        axis=(0, 0, 1),
+        thrust_N=thrust_N,
+        mass_kg=mass_kg,
+        max_feed_m_s=5e-3,
+        depth_m=4e-3,
+    )
+    motion = ToolMotion()
+    push.begin(motion)
+    model.place(motion)
+    response = model.respond(motion)
+    axial = []
+    speed = []
+    for tick in range(500):
+        push.advance(1e-3 * tick, 1e-3, response, motion)
+        model.advance(motion)
+        response = model.respond(motion)
+        axial.append(float(response.wrench[2]))
+        speed.append(motion.speed_m_s)
+    return float(np.mean(axial[-200:])), max(speed)
+
+
+class ExplicitCutting(Page):
+    """Explicit feed steps diverge because the cutting force acts as a strong damper."""
+
+    name = "explicit_cutting"
+    title = "Explicit step of a cutting tool"
+    question = (
+        "The cutting force increases with the feed so fast that it acts as a damper c. How long "
+        "may a step of a tool be that is pushed into bone?"
+    )
+    source = (
+        "Euler's explicit rule on m dv/dt = F − cv needs Δt < 2m/c; c of a burr of 6 mm, 1 mm deep "
+        "at 100 rad/s"
+    )
+
+    def measure(self) -> Data:
+        """Find the longest stable step over mass, and sweep the step at one mass."""
+        steps = 2.0 * MASS_KG / drag_N_s_m() * np.geomspace(0.05, 200.0, 24)
+
+        def limit_s(mass: float) -> dict[str, float]:
+            """Return the step above which the explicit feed grows, measured and by theory."""
+            runs_away = boundary(
+                lambda step: left_over(step, mass, implicit=False) > 1.0, 1e-8, 1.0, steps=30
+            )
+            return {"explicit_s": runs_away, "theory_s": 2.0 * mass / drag_N_s_m()}
+
+        def left(step: float) -> dict[str, float]:
+            """Return the remaining error of both rules."""
+            return {
+                "explicit": left_over(step, MASS_KG, implicit=False),
+                "implicit": left_over(step, MASS_KG, implicit=True),
+            }
+
+        masses = np.geomspace(0.01, 5.0, 9)
+        return {"mass": sweep("mass_kg", masses, limit_s), "step": sweep("step_s", steps, left)}
+
+    def judge(self, data: Data) -> Verdict:
+        """Compare the longest explicit step with 2 m / c, and the implicit rule with a steady feed.
+
+        The implicit rule is used with steps beyond the limit of the explicit one.
+        """
+        step = data["step"]
+        off = error_of(data["mass"]["explicit_s"], data["mass"]["theory_s"])
+        beyond = step["step_s"] > 2.1 * MASS_KG / drag_N_s_m()
+        worst = float(step["implicit"][beyond].max())
+        return Verdict(
+            bool(off < 0.01 and (step["explicit"][beyond] > 1e3).all()),
+            worst < 1e-6,
+            f"The burr resists with {drag_N_s_m():.0f} N s/m, so an explicit step must be shorter "
+            f"than 2m/c (measured to {100 * off:.2f} %). At 1 ms a tool below "
+            f"{0.5e-3 * drag_N_s_m():.1f} kg runs away. The implicit step is within {worst:.0e} of "
+            f"the steady feed up to {1e3 * step['step_s'].max():.0f} ms.",
+        )
+
+    def ask(self) -> list[Answer]:
+        """Push a tool too light for an explicit step, and give a scene a thrust that is NaN."""
+        force, speed = plunge(0.01, 40.0)
+        scene = {"motion.kind": "thrust", "motion.thrust_N": float("nan")}
+        return [
+            shown(
+                "a drill of 10 g pushed with 40 N at the tick of 1 ms",
+                abs(force / 40.0 - 1.0) < 0.01 and speed <= 5e-3,
+                f"cuts with {force:.2f} N, at no time faster than its limit of "
+                f"{1e3 * speed:.1f} mm/s",
+            ),
+            refused("a scene with a thrust that is NaN", lambda: load_scene("glenoid", scene)),
+        ]
+
+    def draw(self, data: Data, chart: Figure) -> None:
+        """Draw the longest step over mass."""
+        mass = data["mass"]
+        panel(
+            chart.subplots(),
+            mass["mass_kg"],
+            ("moving mass / kg", "longest step / ms"),
+            [
+                ("theory: 2m/c", 1e3 * mass["theory_s"], THEORY),
+                ("explicit step runs away above", 1e3 * mass["explicit_s"], FAILING),
+                ("tick of the engine (implicit)", 1.0, ("--", ENGINE[1])),
+            ],
+        )
+
+
+CUT_EDGE_M = 1e-3
+CELLS = 3
+SINGULAR = 1e14
+"""Condition number above which a matrix of doubles is indistinguishable from a singular one."""
+
+
+def body_of(particles: ParticleSet, edge_m: float, strength: float) -> ParticleBody:
+    """Return a body on cells of an edge, held at its base."""
+    grid = HexGrid.around(particles.position_m, edge_m=edge_m, origin_m=np.zeros(3))
+    supports = NodeSupports.of(grid.node_count, held=grid.node_place[:, 2] == 0)
+    return ParticleBody(particles, grid, supports, inner_strength=strength)
+
+
+def cut_block(fill: float, strength: float) -> ParticleBody:
+    """Return a block of full cells, 8 particles each, under a layer of cut cells.
+
+    A cut cell has one particle of a volume ``fill``.
+    """
+    places = 0.25 + 0.5 * np.argwhere(np.ones((2, 2, 2)))
+    cells = np.argwhere(np.ones((CELLS, CELLS, CELLS + 1)))
+    full = cells[cells[:, 2] < CELLS]
+    cut = cells[cells[:, 2] == CELLS]
+    inside = (full[:, None] + places).reshape(-1, 3)
+    position = CUT_EDGE_M * np.concatenate([inside, cut + np.array([0.5, 0.5, 0.5 * fill])])
+    volume = np.concatenate([np.full(len(inside), 0.125), np.full(len(cut), fill)])
+    particles = ParticleSet.uniform(position, volume_m3=CUT_EDGE_M**3, modulus_Pa=1e9)
+    particles.volume_m3[:] *= volume
+    return body_of(particles, CUT_EDGE_M, strength)
+
+
+def conditions(body: ParticleBody) -> tuple[float, float]:
+    """Compute the condition number of the stiffness, plain and scaled by its diagonal.
+
+    It is limited to 1e17.
+    """
+    matrix = body.matrix().toarray()
+    kept = np.flatnonzero(np.diag(matrix) > 0.0)
+    inner = matrix[np.ix_(kept, kept)]
+    scale = 1.0 / np.sqrt(np.diag(inner))
+    plain, scaled = (np.linalg.eigvalsh(each) for each in (inner, scale[:, None] * inner * scale))
+    return (
+        float(plain[-1] / max(plain[0], 1e-17 * plain[-1])),
+        float(scaled[-1] / max(scaled[0], 1e-17 * scaled[-1])),
+    )
+
+
+def compliance_m_N(body: ParticleBody, fill: float) -> float:
+    """Compute the compliance at a force on the top [m/N]."""
+    place = CUT_EDGE_M * np.array([1.5, 1.5, CELLS + 0.999 * fill])
+    load = body.spread(place, np.array([0.0, 0.0, -1.0]))
+    return float((load * body.solve(load, tolerance=1e-10).displacement_m).sum())
+
+
+def at_fill(fill: float) -> dict[str, float]:
+    """Measure condition numbers and compliance with and without inner stiffness."""
+    stabilised = cut_block(fill, INNER_STRENGTH)
+    condition, scaled = conditions(stabilised)
+    # A thousandth of the inner stiffness closes the matrix and adds next to nothing to the
+    # compliance.
+    exact = compliance_m_N(cut_block(fill, 1e-3), fill)
+    return {
+        "bare_scaled": conditions(cut_block(fill, 0.0))[1],
+        "condition": condition,
+        "scaled": scaled,
+        "carried": stabilised.cells.live.sum() == stabilised.grid.cell_count,
+        "cost": abs(compliance_m_N(stabilised, fill) / exact - 1.0),
+    }
+
+
+class CutCells(Page):
+    """Singular stiffness of a cell with few particles, and inner stiffness that closes it."""
+
+    name = "cut_cells"
+    title = "Cut cells: how little may a cell hold?"
+    question = (
+        "A block of particle finite elements ends in cells that hold one particle of decreasing "
+        "volume. How does the condition number of the stiffness grow, and what does the "
+        "stabilisation cost?"
+    )
+    source = (
+        "Hourglass control of Flanagan and Belytschko (1981), scaled by the missing part of the "
+        "cell; cells of 1 mm"
+    )
+
+    def measure(self) -> Data:
+        """Sweep the fill of the cut cells."""
+        return {"fill": sweep("fill", np.geomspace(1.0, 2e-4, 13), at_fill)}
+
+    def judge(self, data: Data) -> Verdict:
+        """Compare the condition number with and without inner stiffness, and report its cost."""
+        table = data["fill"]
+        carried = table["carried"] > 0.0
+        worst = float(table["scaled"].max())
+        cost = float(table["cost"].max())
+        slope = log_slope(table["fill"][carried], table["condition"][carried])
+        return Verdict(
+            bool((table["bare_scaled"][carried] > SINGULAR).all() and -1.2 < slope < -0.7),
+            worst < 1e3 and cost < 0.1 and bool((table["fill"][carried] >= LEAST_FILL).all()),
+            "With one particle in a cell the stiffness is singular at every fill. With "
+            f"{INNER_STRENGTH:g} of the inner stiffness of a full cell its condition number grows "
+            f"as the fill to the power {slope:.2f} (theory: −1). Scaled by the diagonal it stays "
+            f"below {worst:.0f}. The compliance at a force on top decreases by up to "
+            f"{100 * cost:.1f} %. Cells with a fill below {LEAST_FILL:g} are dropped.",
+        )
+
+    def ask(self) -> list[Answer]:
+        """Load a singular body, and build cells of debris."""
+        random = np.random.default_rng(0)
+        body = cut_block(0.1, 0.0)
+        load = random.normal(size=(body.grid.node_count, 3)) * body.carrying[:, None]
+        outcome = body.solve(load).outcome
+        dropped = int((cut_block(0.5 * LEAST_FILL, INNER_STRENGTH).cells.live == 0).sum())
+        return [
+            shown(
+                "a load on cells without inner stiffness",
+                outcome is not SolverOutcome.CONVERGED,
+                f"{outcome.name}: {outcome.value}",
+                Conduct.REFUSES,
+            ),
+            shown(
+                f"cells filled to {0.5 * LEAST_FILL:g}",
+                dropped == CELLS**2,
+                f"{dropped} cells carry no load and are left out",
+                Conduct.FALLS_BACK,
+            ),
+        ]
+
+    def draw(self, data: Data, chart: Figure) -> None:
+        """Draw the condition number over the fill."""
+        table = data["fill"]
+        fill = table["fill"]
+        carried = np.where(table["carried"] > 0.0, 1.0, np.nan)
+        panel(
+            chart.subplots(),
+            fill,
+            ("fill of the cut cells", "condition number"),
+            [
+                ("no inner stiffness: singular", carried * table["bare_scaled"], FAILING),
+                ("theory: 1 / fill", carried * table["condition"][0] / fill, THEORY),
+                ("0.1 inner stiffness", carried * table["condition"], ("^", ORANGE)),
+                ("0.1, scaled (engine)", table["scaled"], ENGINE),
+            ],
+            conduct=[
+                (Conduct.HOLDS, LEAST_FILL, 1.0),
+                (Conduct.FALLS_BACK, fill.min(), LEAST_FILL),
+            ],
+            ylim=(10.0, 1e19),
+            legend="center right",
+        )
+
+
+EDGE_M = 8e-3
+TOLERANCE = 1e-6
+REAL = 42e3
+"""Contrast of enamel (84 GPa) to pulp (2 MPa)."""
+CONTRASTS = np.array([1.0, 10.0, 1e2, 1e3, 4200.0, REAL, 1e6])
+MOST = 5000
+"""Iterations after which a plain solve stops."""
+
+
+def soft_middle(cells: int, contrast: float) -> ParticleBody:
+    """Return a block of 84 GPa, held at its base, with a soft ball and a soft bottom layer.
+
+    Both are softer than the block by the contrast.
+    """
+    position = (np.argwhere(np.ones((2 * cells,) * 3)) + 0.5) * 0.5 * EDGE_M / cells
+    soft = (np.linalg.norm(position - 0.5 * EDGE_M, axis=1) < 0.25 * EDGE_M) | (
+        position[:, 2] < 0.125 * EDGE_M
+    )
+    particles = ParticleSet.uniform(
+        position, volume_m3=(0.5 * EDGE_M / cells) ** 3, modulus_Pa=84e9
+    )
+    particles.modulus_Pa[soft] /= contrast
+    return body_of(particles, EDGE_M / cells, INNER_STRENGTH)
+
+
+def pushed(body: ParticleBody) -> Array:
+    """Return the load of an oblique force on the top."""
+    return body.spread(np.array([0.5, 0.4, 1.0]) * EDGE_M, np.array([0.3, 0.0, -1.0]))
+
+
+def plain_iterations(body: ParticleBody, *, scaled: bool) -> float:
+    """Count iterations of SciPy's conjugate gradients to 1e-6 of the initial error in energy.
+
+    The count is in steps of five.
+    """
+    matrix = csr_array(body.matrix())
+    kept = np.flatnonzero(matrix.diagonal() > 0.0)
+    free = kept[body.grid.node_place[kept // 3, 2] > 0]
+    inner = csr_array(matrix[free][:, free])
+    exact = body.solve(pushed(body), tolerance=1e-12, cold=True).displacement_m.ravel()[free]
+    goal = TOLERANCE**2 * float(exact @ (inner @ exact))
+    count = 0
+
+    def stop_at_goal(iterate: Array) -> None:
+        """Stop at the goal, which every fifth iterate is compared with."""
+        nonlocal count
+        count += 1
+        left = iterate - exact
+        if count % 5 == 0 and float(left @ (inner @ left)) <= goal:
+            raise StopIteration
+
+    scale = diags_array(1.0 / inner.diagonal()) if scaled else None
+    load = pushed(body).ravel()[free]
+    try:
+        cg(inner, load, rtol=0.0, maxiter=MOST, M=scale, callback=stop_at_goal)
+    except StopIteration:
+        return float(count)
+    return float(MOST)
+
+
+class Contrast(Page):
+    """Contrast of moduli: its effect on conjugate gradients with and without a multigrid."""
+
+    name = "contrast"
+    title = "Modulus contrast: do iterations follow it?"
+    question = (
+        "A block with a soft ball on a soft layer, as a tooth with its pulp in its ligament. How "
+        "many iterations does a solve take as the contrast increases to 42,000 and beyond?"
+    )
+    source = (
+        "√κ bounds the iterations of plain conjugate gradients, a few soft parts take fewer; "
+        "multigrid of Trottenberg et al. (2001)"
+    )
+
+    def measure(self) -> Data:
+        """Sweep the contrast, with the multigrid on two grids."""
+        table = {"contrast": CONTRASTS}
+        for cells in (8, 12):
+            bodies = [soft_middle(cells, contrast) for contrast in CONTRASTS.tolist()]
+            solutions = [
+                each.solve(pushed(each), tolerance=TOLERANCE, cold=True) for each in bodies
+            ]
+            iterations = [each.iterations for each in solutions]
+            table[f"multigrid_{cells}"] = np.array(iterations, dtype=float)
+            if cells == 8:
+                for name, scaled in (("diagonal", True), ("plain", False)):
+                    counts = [plain_iterations(each, scaled=scaled) for each in bodies]
+                    table[name] = np.array(counts)
+        return {"contrast": table}
+
+    def judge(self, data: Data) -> Verdict:
+        """Compare the growth of plain iterations with the range of the multigrid's."""
+        table = data["contrast"]
+        plain = table["plain"]
+        multigrid = np.concatenate([table["multigrid_8"], table["multigrid_12"]])
+        return Verdict(
+            float(plain[-1] / plain[0]) > 3.0,
+            float(multigrid.max()) <= 25.0 and float(np.ptp(multigrid)) <= 12.0,
+            f"From a contrast of 1 to {table['contrast'][-1]:.0e} plain conjugate gradients take "
+            f"{plain[0]:.0f} to {plain[-1]:.0f} iterations (at most {MOST} are run), and "
+            f"{table['diagonal'][0]:.0f} to {table['diagonal'][-1]:.0f} scaled by the diagonal. "
+            f"The multigrid takes {multigrid.min():.0f} to {multigrid.max():.0f}.",
+        )
+
+    def ask(self) -> list[Answer]:
+        """Request a solve in too few iterations, and without supports."""
+        body = soft_middle(8, REAL)
+        short = body.solve(pushed(body), limit=2, cold=True)
+        loose = ParticleBody(body.particles, body.grid, NodeSupports.of(body.grid.node_count))
+        unheld = loose.solve(pushed(loose))
+        return [
+            shown(
+                "a solve in two iterations",
+                short.outcome is SolverOutcome.NOT_CONVERGED,
+                f"{short.outcome.name}, error {short.error:.0e}: {short.outcome.value}",
+                Conduct.REFUSES,
+            ),
+            shown(
+                "a body without supports",
+                unheld.outcome is SolverOutcome.UNSUPPORTED,
+                f"{unheld.outcome.name}: {unheld.outcome.value}",
+                Conduct.REFUSES,
+            ),
+        ]
+
+    def draw(self, data: Data, chart: Figure) -> None:
+        """Draw iterations over the contrast."""
+        axes = chart.subplots()
+        table = data["contrast"]
+        axes.axvline(REAL, color=GREY, linestyle=":", label="enamel to pulp")
+        bound = table["plain"][0] * np.sqrt(CONTRASTS)
+        panel(
+            axes,
+            CONTRASTS,
+            ("contrast of moduli", "iterations to 1e-6 in energy"),
+            [
+                ("theory: bound by the condition number, √contrast", bound, THEORY),
+                ("plain", table["plain"], FAILING),
+                ("scaled by the diagonal", table["diagonal"], ("^", ORANGE)),
+                ("multigrid (engine), 8³ cells", table["multigrid_8"], ENGINE),
+                ("multigrid (engine), 12³ cells", table["multigrid_12"], ("D", ENGINE[1])),
+            ],
+            ylim=(1.0, 3e5),
+        )

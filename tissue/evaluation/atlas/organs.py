@@ -1,0 +1,398 @@
+"""Pages on tetrahedra of organs: locking, large rotation, and inverted or sliver cells."""
+
+import numpy as np
+from matplotlib.figure import Figure
+from scipy.linalg import eigvalsh
+from scipy.spatial.transform import Rotation
+
+from meshes.base.arrays import Array, Ints
+from meshes.tets.checks import mean_ratio, signed_volumes
+from meshes.tets.quality import SLIVER, repair_tets
+from meshes.tets.structured import box
+from meshes.tets.tetrahedra import TetMesh
+from tissue.evaluation.atlas.page import (
+    ENGINE,
+    FAILING,
+    GREEN,
+    ORANGE,
+    THEORY,
+    Answer,
+    Conduct,
+    Curve,
+    Data,
+    Page,
+    Verdict,
+    error_of,
+    log_slope,
+    panel,
+    refused,
+    shown,
+    sweep,
+)
+from tissue.fem.assembly import assemble
+from tissue.fem.conjugate_gradients import SolverOutcome
+from tissue.fem.hyperelastic import Law, NonlinearBody
+from tissue.fem.loads import traction
+from tissue.fem.newton import NewtonSolver
+from tissue.fem.solvers.direct import DirectSolver
+from tissue.fem.solvers.held_body import HeldBody
+from tissue.fem.space import Space
+from tissue.materials.elasticity import lame
+from tissue.scene.load import load_scene
+from tissue.scene.organ import Organ, SlabAnatomy
+from tissue.simulation.builders.organ import elasticity_of
+from tissue.simulation.simulate import simulate
+
+__all__ = ["BadTetrahedra", "LargeRotation", "Locking"]
+
+LENGTH = 10.0
+YOUNG = 1000.0
+"""Bar of 10 m x 1 m x 1 m and 1 kPa under 1 N at its end, as the published cantilever. The
+result is scale-free.
+"""
+MESHES = {
+    "quadratic": (2, (16, 2, 2), ENGINE),
+    "linear_fine": (1, (30, 4, 4), ("^", ORANGE)),
+    "linear_coarse": (1, (20, 2, 2), FAILING),
+}
+"""Order of the tetrahedra, bricks of six tetrahedra along the bar and across it, and look."""
+
+
+def deflection(order: int, cells: tuple[int, int, int], ratio: float) -> tuple[float, float]:
+    """Compute the tip deflection of the clamped bar [m], and the solver's trust in it.
+
+    The trust is 1 if the solver reports a valid result and 0 otherwise.
+    """
+    space = Space(box((LENGTH, 1.0, 1.0), cells), order)
+    held = np.repeat(space.nodes_m[:, :1] < 1e-9, 3, axis=1)
+    faces = space.faces[(space.nodes_m[space.faces[:, :3], 0] > LENGTH - 1e-9).all(axis=1)]
+    body = HeldBody(assemble(space, lame(YOUNG, ratio)), space.nodes_m, held)
+    solution = DirectSolver(body).solve(traction(space, (0.0, 0.0, 1.0), faces=faces))
+    tip = solution.displacement_m[space.nodes_m[:, 0] > LENGTH - 1e-9, 2].mean()
+    return float(tip), float(solution.outcome is SolverOutcome.CONVERGED)
+
+
+class Locking(Page):
+    """Poisson's ratio towards 0.5: linear tetrahedra lock, quadratic ones do not."""
+
+    name = "locking"
+    title = "ν → 0.5: do linear tetrahedra lock?"
+    question = (
+        "A cantilever of a nearly incompressible material under a force at its end. How far does "
+        "it bend with linear and with quadratic tetrahedra?"
+    )
+    source = (
+        "Timoshenko's beam with κ = 5/6; Benzley et al. (1995) report 71.7 % error of linear "
+        "tetrahedra at ν = 0.49"
+    )
+
+    def measure(self) -> Data:
+        """Sweep 1 - 2 nu."""
+        ratios = 0.5 * (1.0 - np.geomspace(0.4, 2e-4, 8))
+        shear = YOUNG / (2.0 * (1.0 + ratios))
+        # P L^3 / (3 E I) + P L / (kappa G A) with kappa = 5/6, for a force of 1 N
+        beam = LENGTH**3 / (3.0 * YOUNG / 12.0) + LENGTH / (5.0 / 6.0 * shear)
+        bar = {"poisson_ratio": ratios, "timoshenko_m": beam}
+        for name, (order, cells, _) in MESHES.items():
+            found = np.array([deflection(order, cells, ratio) for ratio in ratios.tolist()])
+            bar[f"{name}_m"], bar[f"{name}_trusted"] = found.T
+        return {"bar": bar}
+
+    def judge(self, data: Data) -> Verdict:
+        """Compare linear and quadratic cells with the beam."""
+        bar = data["bar"]
+        ratio = bar["poisson_ratio"]
+        linear = bar["linear_coarse_m"] / bar["timoshenko_m"]
+        trusted = bar["quadratic_trusted"] > 0.0
+        off = error_of(bar["quadratic_m"][trusted], bar["timoshenko_m"][trusted])
+        last = ratio[trusted].max()
+        lost = "" if trusted.all() else "; above that the solver reports a loss of precision"
+        return Verdict(
+            bool(linear[-1] < 0.5 and linear[-1] < 0.7 * linear[0]),
+            # A clamp that stops bulging takes 1 to 4 % off a beam that may bulge, increasing
+            # towards 0.5. The coarse cells take off a few per cent more.
+            off < 0.1 and last > 0.49,
+            f"Linear tetrahedra bend {100 * linear[0]:.0f} % as far as the beam at ν = "
+            f"{ratio[0]:.2f} and {100 * linear[-1]:.0f} % at {ratio[-1]:.4f}. Quadratic tetrahedra "
+            f"stay within {100 * off:.1f} % up to {last:.4f}{lost}.",
+        )
+
+    def ask(self) -> list[Answer]:
+        """Request the limit itself, and an organ of locking cells."""
+        _, note = elasticity_of(
+            box((0.02, 0.02, 0.02), (1, 1, 1)),
+            SlabAnatomy(kind="slab", nodule_diameter_mm=0.0),
+            Organ(order=1, poisson_ratio=0.49),
+        )
+        return [
+            refused("ν = 0.5", lambda: lame(YOUNG, 0.5)),
+            shown(
+                "an organ of linear tetrahedra at ν = 0.49",
+                "lock" in note,
+                f"runs, and its summary states: {note}",
+                Conduct.FALLS_BACK,
+            ),
+        ]
+
+    def draw(self, data: Data, chart: Figure) -> None:
+        """Draw the ratio of the deflection to the beam's deflection, over 1 - 2 nu."""
+        bar = data["bar"]
+        gap = 1.0 - 2.0 * bar["poisson_ratio"]
+        limit = gap[bar["quadratic_trusted"] > 0.0].min()
+        curves: list[Curve] = [("theory: Timoshenko beam", 1.0, THEORY)]
+        for name, (_, bricks, look) in MESHES.items():
+            label = f"{name.replace('_', ' ')}, {' × '.join(map(str, bricks))} bricks of 6"
+            curves.append((label, bar[f"{name}_m"] / bar["timoshenko_m"], look))
+        panel(
+            chart.subplots(),
+            gap,
+            ("1 − 2ν  (0: incompressible)", "deflection / that of the beam"),
+            curves,
+            conduct=[(Conduct.HOLDS, limit, gap[0]), (Conduct.REFUSES, gap[-1], limit)],
+            log="x",
+            xlim=gap[[0, -1]],
+            ylim=(0.0, 1.15),
+            legend="center right",
+        )
+
+
+YOUNG_PA = 5e3
+WIDTH_M = 0.015
+LENGTH_M = 0.06
+ANGLES = np.array([1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 90.0])
+LAW_LOOKS = {Law.LINEAR: FAILING, Law.COROTATIONAL: ("^", GREEN), Law.NEO_HOOKEAN: ENGINE}
+
+
+def bar_solver(law: Law, poisson_ratio: float) -> NewtonSolver:
+    """Return the solver of a bar with all components held at both ends."""
+    space = Space(box((LENGTH_M, WIDTH_M, WIDTH_M), (6, 2, 2)))
+    ends = (space.nodes_m[:, 0] < 1e-9) | (space.nodes_m[:, 0] > LENGTH_M - 1e-9)
+    body = NonlinearBody(space, lame(YOUNG_PA, poisson_ratio), law=law)
+    return NewtonSolver(body, np.repeat(ends[:, None], 3, axis=1))
+
+
+def turned(nodes_m: Array, degrees: float) -> Array:
+    """Return the displacements of a rotation about z [m]."""
+    turn = Rotation.from_euler("z", degrees, degrees=True)
+    return turn.apply(nodes_m) - nodes_m
+
+
+def false_stress_Pa(law: Law) -> Array:
+    """Compute the pull on an end over its area with both ends rotated [Pa].
+
+    The result is NaN where a solve does not converge.
+    """
+    solver = bar_solver(law, 0.0)
+    nodes = solver.body.nodes_m
+    reached = 0.0
+    moved = None
+    stresses = []
+    for angle in ANGLES.tolist():
+        # Newton's method follows a rotation in steps of at most ten degrees.
+        for part in np.linspace(reached, angle, 2 + int((angle - reached) / 10.0))[1:]:
+            solution = solver.solve(turned(nodes, part), start_m=moved)
+            moved = solution.displacement_m
+        reached = angle
+        pull_N = np.linalg.norm(solution.force_N[nodes[:, 0] < 1e-9].sum(axis=0))
+        stresses.append(float(pull_N) / WIDTH_M**2 if solution.converged else np.nan)
+    return np.array(stresses)
+
+
+class LargeRotation(Page):
+    """The linear law finds stress in a bar that is only rotated."""
+
+    name = "large_rotation"
+    title = "Large rotation: linear against corotational"
+    question = "A bar is rotated as a whole, without strain. Which stress do the elastic laws find?"
+    source = (
+        "The small strain of a rotation is cos θ − 1 along both axes of its plane; bar 60 × 15 × "
+        "15 mm, ν = 0"
+    )
+
+    def measure(self) -> Data:
+        """Sweep the angle for all laws."""
+        stresses = {f"{law.name.lower()}_pa": false_stress_Pa(law) for law in Law}
+        theory = YOUNG_PA * (1.0 - np.cos(np.deg2rad(ANGLES)))
+        return {"turn": {"angle_deg": ANGLES, **stresses, "theory_pa": theory}}
+
+    def judge(self, data: Data) -> Verdict:
+        """Compare the linear law with E (1 - cos θ) and the other laws with zero."""
+        turn = data["turn"]
+        off = error_of(turn["linear_pa"], turn["theory_pa"])
+        worst = float(np.max([turn["corotational_pa"], turn["neo_hookean_pa"]]))
+        return Verdict(
+            off < 1e-3,  # exact for ν = 0 by Betti's theorem, up to the tolerance of the solve
+            worst < 1e-4 * YOUNG_PA,
+            f"Rotated by {turn['angle_deg'][-1]:.0f}° without strain, the bar has a stress of "
+            f"{100 * turn['linear_pa'][-1] / YOUNG_PA:.0f} % of E by the linear law. It is E(1 − "
+            f"cos θ) to {off:.0e}. By the corotational and the neo-Hookean law it is at most "
+            f"{worst / YOUNG_PA:.0e} of E.",
+        )
+
+    def ask(self) -> list[Answer]:
+        """Rotate too far in one step, and press a linear organ deep in a scene."""
+        solver = bar_solver(Law.NEO_HOOKEAN, 0.45)
+        nodes = solver.body.nodes_m
+        goal = np.where(nodes[:, :1] > LENGTH_M - 1e-9, turned(nodes, 180.0), 0.0)
+        outcome = solver.solve(goal).outcome
+        small_slab = {
+            "anatomy.size_mm": [60, 60, 30],
+            "anatomy.edge_mm": 15,
+            "anatomy.touch_edge_mm": 6,
+            "anatomy.nodule_diameter_mm": 0,
+            "organ.interval_ms": 10_000,
+            "motion.points_mm": [[0, 0, 1], [0, 0, -4]],
+            "motion.feed_mm_s": 50,
+        }
+        run = simulate(load_scene("palpation", small_slab))
+        events = "; ".join(event for _, event in run.events)
+        return [
+            shown(
+                "one end rotated by 180° in one step",
+                outcome is not SolverOutcome.CONVERGED,
+                f"{outcome.name}: {outcome.value}",
+                Conduct.REFUSES,
+            ),
+            shown(
+                "a ball pressed 4 mm into a linear organ",
+                "linear elasticity" in events,
+                f"runs and reports: {events}",
+                Conduct.FALLS_BACK,
+            ),
+        ]
+
+    def draw(self, data: Data, chart: Figure) -> None:
+        """Draw the false stress over the angle."""
+        turn = data["turn"]
+        least = 1e-13
+        curves = [
+            (
+                law.name.lower().replace("_", "-"),
+                np.maximum(turn[f"{law.name.lower()}_pa"] / YOUNG_PA, least),
+                look,
+            )
+            for law, look in LAW_LOOKS.items()
+        ]
+        panel(
+            chart.subplots(),
+            turn["angle_deg"],
+            ("rotation θ of both ends / degrees", "false stress / E"),
+            [
+                ("theory of the linear law: 1 − cos θ", turn["theory_pa"] / YOUNG_PA, THEORY),
+                *curves,
+            ],
+            ylim=(least, 10.0),
+        )
+
+
+SIZE_M = 0.1
+
+
+def middle_node(nodes_m: Array) -> int:
+    """Return the node in the middle of the cube."""
+    return int(np.argmin(np.linalg.norm(nodes_m - 0.5 * SIZE_M, axis=1)))
+
+
+def squashed(height: float) -> tuple[Array, Ints]:
+    """Return a cube of 4 x 4 x 4 bricks with a middle node lowered to a fraction of its height."""
+    good = box((SIZE_M,) * 3, (4, 4, 4))
+    nodes = good.nodes_m.copy()
+    inner = middle_node(nodes)
+    cell = good.cells[(good.cells == inner).any(axis=1)][0]
+    foot = nodes[cell[cell != inner]].mean(axis=0)
+    nodes[inner] = foot + height * (nodes[inner] - foot)
+    return nodes, good.cells
+
+
+def condition(nodes_m: Array, cells: Ints) -> float:
+    """Compute the condition number of the stiffness with the base held."""
+    space = Space(TetMesh(nodes_m, cells))
+    free = np.repeat(nodes_m[:, 2] > 1e-9, 3)
+    values = eigvalsh(assemble(space, lame(5e3, 0.3)).toarray()[np.ix_(free, free)])
+    return float(values[-1] / values[0])
+
+
+def at_height(height: float) -> dict[str, float]:
+    """Measure quality and condition number at a height, before and after repair."""
+    nodes, cells = squashed(height)
+    mesh, _ = repair_tets(nodes, cells)
+    return {
+        "quality": mean_ratio(nodes, cells).min(),
+        "condition": condition(nodes, cells),
+        "repaired_quality": mean_ratio(mesh.nodes_m, mesh.cells).min(),
+        "repaired_condition": condition(mesh.nodes_m, mesh.cells),
+    }
+
+
+class BadTetrahedra(Page):
+    """Inverted and sliver tetrahedra: condition number of the stiffness matrix, and repair."""
+
+    name = "bad_tetrahedra"
+    title = "Inverted and sliver tetrahedra"
+    question = (
+        "One node of a good mesh is moved towards the opposite face. How does the condition number "
+        "of the stiffness matrix grow, and how are flat or inverted cells repaired?"
+    )
+    source = "Mean ratio of Liu and Joe (1994); rules of the repair in meshes.tets.quality"
+
+    def measure(self) -> Data:
+        """Sweep the remaining height of the cell."""
+        return {"sliver": sweep("height", np.geomspace(1.0, 1e-5, 11), at_height)}
+
+    def judge(self, data: Data) -> Verdict:
+        """Compare the growth of the condition number with 1 / height, before and after repair."""
+        table = data["sliver"]
+        flat = table["height"] < 0.03
+        slope = log_slope(table["height"][flat], table["condition"][flat])
+        first = table["condition"][0]
+        worst = float(table["repaired_condition"].max())
+        quality = float(table["repaired_quality"].min())
+        return Verdict(
+            -1.15 < slope < -0.85 and table["condition"].max() > 100.0 * first,
+            # Cells just above the sliver limit stay as they are: a tenth of the quality is a tenth
+            # of the height.
+            worst < 10.0 * first and quality > SLIVER,
+            f"The condition number grows as the height of the cell to the power {slope:.2f} "
+            f"(theory: −1), from {first:.0f} to {table['condition'].max():.1e}. After repair it is "
+            f"at most {worst:.0f}, and the worst quality is {quality:.2f}.",
+        )
+
+    def ask(self) -> list[Answer]:
+        """Give the engine meshes with inverted, folded and flat cells."""
+        nodes, cells = squashed(1.0)
+        turned_cells = cells.copy()
+        turned_cells[[17, 200, 301]] = cells[[17, 200, 301]][:, [1, 0, 2, 3]]
+        repaired, report = repair_tets(nodes, turned_cells)
+        volume = float(signed_volumes(repaired.nodes_m, repaired.cells).sum())
+        whole = report.inverted == 3 and abs(volume / SIZE_M**3 - 1.0) < 1e-12
+        folded = nodes.copy()
+        folded[middle_node(nodes)] += [0.4 * SIZE_M, 0.0, 0.0]
+        _, sliver = repair_tets(*squashed(1e-4))
+        flat = sliver.slivers > 0 and sliver.slivers_left == 0
+        return [
+            shown(
+                "three inverted cells, from a file",
+                whole,
+                " ".join(report.sentences()),
+                Conduct.FALLS_BACK,
+            ),
+            refused("a mesh that folds over itself", lambda: repair_tets(folded, cells)),
+            shown("a sliver", flat, " ".join(sliver.sentences()), Conduct.FALLS_BACK),
+        ]
+
+    def draw(self, data: Data, chart: Figure) -> None:
+        """Draw the condition number over the height."""
+        table = data["sliver"]
+        height = table["height"]
+        bad = height[table["quality"] < SLIVER].max()
+        panel(
+            chart.subplots(),
+            height,
+            ("remaining height of a cell / original height", "condition number of the stiffness"),
+            [
+                ("theory: 1 / height", table["condition"][-1] * height[-1] / height, THEORY),
+                ("not repaired", table["condition"], FAILING),
+                ("repaired (engine)", table["repaired_condition"], ENGINE),
+            ],
+            conduct=[(Conduct.HOLDS, bad, height[0]), (Conduct.FALLS_BACK, height[-1], bad)],
+        )

@@ -1,0 +1,305 @@
+"""Pages on bad samples of a device: lost, late and repeated ones, and implausible ones."""
+
+from collections.abc import Callable
+from math import nan
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from meshes.base.arrays import Array
+from tissue.evaluation.atlas.page import (
+    ENGINE,
+    FAILING,
+    GREEN,
+    GREY,
+    ORANGE,
+    THEORY,
+    Answer,
+    Conduct,
+    Data,
+    Page,
+    Table,
+    Verdict,
+    error_of,
+    panel,
+    refused,
+    shown,
+)
+from tissue.haptics.device.device import Device, Sample, device_parameters
+from tissue.haptics.device.faulty import Fault, FaultKind, FaultyDevice
+from tissue.haptics.device.sample_guard import GuardLimits, SampleGuard
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.hand.hand import Hand, hand_parameters
+from tissue.haptics.hand.minimum_jerk import waypoints
+from tissue.haptics.loop.filters import ForceRange
+from tissue.haptics.renderer import renderer
+from tissue.haptics.rigid_wall import press_wall
+
+__all__ = ["LostSamples", "WildInput"]
+
+OMNI = device_parameters("omni")
+TICK_S = 1e-3
+STIFFNESS_N_M = 1500.0
+"""Stiffness of the wall that is pressed [N/m]."""
+FAULT_S = 0.15
+"""Start of the faults [s], when the hand is at rest in the wall."""
+FIRST = round(FAULT_S / TICK_S)
+LIMITS = GuardLimits()
+STYLES: dict[FaultKind, tuple[str, str]] = {
+    "dropped": ENGINE,
+    "late": ("s", ORANGE),
+    "duplicated": ("^", GREEN),
+}
+VALID_M = LIMITS.fastest_m_s * (TICK_S + LIMITS.oldest_s)
+"""Longest plausible jump in a tick [m]."""
+
+
+class _Jumping:
+    """Device with one sample that lies deeper by a jump."""
+
+    in_process = True
+
+    def __init__(self, device: Device, jump_m: float) -> None:
+        self._device = device
+        self._jump_m = jump_m
+        self.command = device.command
+
+    def read(self, time_s: float) -> Sample | None:
+        """Return the sample, deeper at `FAULT_S`."""
+        sample = self._device.read(time_s)
+        if sample is None or abs(time_s - FAULT_S) > 0.5 * TICK_S:
+            return sample
+        x, y, z = sample.position_m
+        return sample._replace(position_m=(x, y, z - self._jump_m))
+
+
+def pressed(
+    make: Callable[[Device], Device], *, seconds: float, guarded: bool
+) -> tuple[Array, SampleGuard | None]:
+    """Let an expert lean on a wall, 5 mm deep, with a device that has faults.
+
+    Return the force in every tick [N] and the sample guard. With a guard, samples pass it as in the
+    engine.
+    """
+    path = waypoints(np.array([0.0, 1e-3]), np.full((2, 3), (0.0, 0.0, -5e-3)))
+    hand = Hand(hand_parameters("expert"), path, rng=np.random.default_rng(7))
+    device = make(SimulatedDevice(OMNI, hand, position_m=(0.0, 0.0, 0.0)))
+    guard = SampleGuard(force_limit_N=OMNI.force_limit_N) if guarded else None
+    wall = renderer("penalty", OMNI.loop(STIFFNESS_N_M))
+    run = press_wall(device, wall, duration_s=seconds, guard=guard)
+    return np.linalg.norm(run.force_N, axis=1), guard
+
+
+def shares(kind: FaultKind, gap_s: float, *, guarded: bool) -> list[float]:
+    """Measure the force relative to that before a gap.
+
+    Return the force in the last tick of the gap, the largest after it, and the largest step in it.
+    """
+    fault = Fault(kind, FAULT_S, FAULT_S + gap_s)
+    size, _ = pressed(
+        lambda device: FaultyDevice(device, [fault]),
+        seconds=FAULT_S + gap_s + 0.08,
+        guarded=guarded,
+    )
+    last = round((FAULT_S + gap_s) / TICK_S) - 1
+    step = np.abs(np.diff(size[FIRST - 1 : last + 1])).max()
+    return (np.array([size[last], size[last + 1 :].max(), step]) / size[FIRST - 1]).tolist()
+
+
+def over_gap(kind: FaultKind, gaps: Array) -> Table:
+    """Sweep the length of the gap, with the guard and without it."""
+    guarded = np.array([shares(kind, gap, guarded=True) for gap in gaps.tolist()])
+    bare = np.array([shares(kind, gap, guarded=False) for gap in gaps.tolist()])
+    # A repeated sample is accepted until it is too old, a late one is too old at once. Then each
+    # tick takes 1/20.
+    young_s = 2.0 * TICK_S if kind == "duplicated" else 0.0
+    return {
+        "gap_s": gaps,
+        "guarded_at_end": guarded[:, 0],
+        "guarded_after": guarded[:, 1],
+        "guarded_step": guarded[:, 2],
+        "bare_at_end": bare[:, 0],
+        "bare_step": bare[:, 2],
+        "theory_at_end": np.clip(1.0 - (gaps - young_s) / LIMITS.fade_s, 0.0, 1.0),
+    }
+
+
+class LostSamples(Page):
+    """Without a guard a stale force stays, with it the force fades and returns."""
+
+    name = "lost_samples"
+    title = "Dropped, late and repeated samples"
+    question = (
+        "A hand presses a device onto a wall. Its samples are lost, come 5 ms late, or are "
+        "repeated. Which force does the hand feel during the fault?"
+    )
+    source = (
+        "Sample guard: samples older than 2.5 ms are missing, a missing one takes 1/20 of the "
+        "force; Omni, wall of 1.5 kN/m"
+    )
+
+    def measure(self) -> Data:
+        """Sweep the length of the gap for every kind of fault."""
+        gaps = 1e-3 * np.array([1, 2, 5, 8, 12, 16, 20, 30, 60])
+        return {kind: over_gap(kind, gaps) for kind in STYLES}
+
+    def judge(self, data: Data) -> Verdict:
+        """Compare stale or stepping forces without the guard with the fading force with it."""
+        tables = data.values()
+        off = max(float(np.abs(t["guarded_at_end"] - t["theory_at_end"]).max()) for t in tables)
+        gone = max(float(t["guarded_at_end"][t["gap_s"] > 0.025].max()) for t in tables)
+        back = min(float(t["guarded_after"].min()) for t in tables)
+        step = max(float(t["guarded_step"].max()) for t in tables)
+        stale = float(data["duplicated"]["bare_at_end"].min())
+        jump = float(data["dropped"]["bare_step"].max())
+        return Verdict(
+            stale > 0.5 and jump > 0.9,
+            gone < 1e-9 and back > 0.5 and step < 0.1 and off < 0.1,
+            f"Without a guard repeated samples keep at least {100 * stale:.0f} % of the force as "
+            f"long as they last, and dropped samples step it by {100 * jump:.0f} % in a tick. With "
+            f"the guard the force decreases in 20 ms to {gone:.0e}, by at most {100 * step:.0f} % "
+            f"a tick, as the line predicts to {100 * off:.0f} %. It is back 80 ms after the fault.",
+        )
+
+    def ask(self) -> list[Answer]:
+        """Read the report of the guard for every kind of fault."""
+        answers = []
+        for kind in STYLES:
+            fault = Fault(kind, FAULT_S, FAULT_S + 0.04)
+            size, guard = pressed(
+                lambda device, fault=fault: FaultyDevice(device, [fault]),  # type: ignore[misc]
+                seconds=FAULT_S + 0.1,
+                guarded=True,
+            )
+            assert guard is not None
+            events = [event for time_s, event in guard.events if time_s > 0.1]
+            right = events[-1] == "samples are good again" and bool(np.isfinite(size).all())
+            asked = f"40 ms of {kind} samples"
+            answers.append(shown(asked, right, "; ".join(events), Conduct.FALLS_BACK))
+        return answers
+
+    def draw(self, data: Data, chart: Figure) -> None:
+        """Draw the force at the end of the gap, with and without the guard."""
+        panels = chart.subplots(1, 2, sharey=True)
+        gap = 1e3 * data["late"]["gap_s"]
+        for axes, column, title in (
+            (panels[0], "guarded_at_end", "with the sample guard (engine)"),
+            (panels[1], "bare_at_end", "every sample accepted"),
+        ):
+            guarded = column == "guarded_at_end"
+            if guarded:
+                axes.plot([0.0, 20.0, 60.0], [1.0, 0.0, 0.0], color=GREY, label="theory")
+            panel(
+                axes,
+                gap,
+                ("length of the gap / ms", "force at its end / force before" if guarded else ""),
+                [(kind, data[kind][column], style) for kind, style in STYLES.items()],
+                conduct=[(Conduct.FALLS_BACK, 0.0, 60.0)] if guarded else (),
+                log="",
+                xlim=(0.0, 60.0),
+                ylim=(-0.05, 1.25),
+                title=title,
+            )
+
+
+def forced(jump_m: float, *, guarded: bool) -> tuple[float, float, int]:
+    """Measure the force before and at a sample that lies deeper by a jump [N].
+
+    The number of rejected samples is returned too.
+    """
+    size, guard = pressed(
+        lambda device: _Jumping(device, jump_m), seconds=FAULT_S + 3e-3, guarded=guarded
+    )
+    return float(size[FIRST - 1]), float(size[FIRST]), 0 if guard is None else guard.bad_ticks
+
+
+class WildInput(Page):
+    """NaN and implausible device samples: commanded force with and without the sample guard."""
+
+    name = "wild_input"
+    title = "NaN and wild device input"
+    question = (
+        "One sample of a device that is pressed onto a wall lies 0.1 mm to 1e9 m deeper than the "
+        "last, or is NaN. Which force does the loop command?"
+    )
+    source = "Sample guard: 5 m/s over a tick and 2.5 ms of age; Omni, wall of 1.5 kN/m"
+
+    def measure(self) -> Data:
+        """Sweep the size of the jump."""
+        near = VALID_M * np.array([0.9, 1.1])
+        far = 10.0 ** np.array([-1, 0, 2, 4, 6, 9])
+        jumps = np.sort(np.concatenate([np.geomspace(1e-4, 1e-2, 6), near, far]))
+        bare = np.array([forced(jump, guarded=False) for jump in jumps.tolist()])
+        guarded = np.array([forced(jump, guarded=True) for jump in jumps.tolist()])
+        return {
+            "jump": {
+                "jump_m": jumps,
+                "bare_N": bare[:, 1],
+                "guarded_N": guarded[:, 1],
+                "theory_N": bare[:, 0] + STIFFNESS_N_M * jumps,
+                "before_N": guarded[:, 0],
+                "not_believed": guarded[:, 2],
+            }
+        }
+
+    def judge(self, data: Data) -> Verdict:
+        """Compare the force of one sample without the guard with that in its bounds."""
+        table = data["jump"]
+        beyond = table["jump_m"] > VALID_M
+        off = error_of(table["bare_N"], table["theory_N"])
+        worst = float(table["guarded_N"].max())
+        bridged = error_of(table["guarded_N"][beyond], 0.95 * table["before_N"][beyond])
+        return Verdict(
+            bool(table["bare_N"].max() > 1e6 and off < 0.01),
+            bool((table["not_believed"] == beyond).all())
+            and worst <= OMNI.force_limit_N * (1.0 + 1e-12)
+            and bridged < 1e-6,
+            f"Without a guard one sample commands k·jump, up to {table['bare_N'].max():.1e} N. The "
+            f"guard accepts jumps below {1e3 * VALID_M:.1f} mm (5 m/s over a tick and the allowed "
+            f"age) and rejects longer ones. It never commands more than {worst:.2f} N, and a "
+            "rejected sample takes 5 % of the force.",
+        )
+
+    def ask(self) -> list[Answer]:
+        """Give the engine NaN, from the device and from a model."""
+        first = SampleGuard(force_limit_N=OMNI.force_limit_N)
+        valid = first.validate_sample(Sample(0.0, (0.0, nan, 0.0)), 0.0)
+        guard = SampleGuard(force_limit_N=OMNI.force_limit_N)
+        for tick in range(40):
+            guard.validate_sample(Sample(TICK_S * tick, (0.0, 0.0, 0.0)), TICK_S * tick)
+            force, _ = guard.limit_force(np.array([0.0, nan if tick >= 30 else 1.0, 0.0]))
+        return [
+            shown(
+                "a first sample that is NaN",
+                valid is None,
+                first.events[0][1],
+                Conduct.FALLS_BACK,
+            ),
+            shown(
+                "a model that returns NaN for 10 ms",
+                bool(np.isfinite(force).all()) and 0.0 < force[1] < 1.0,
+                f"{guard.events[-1][1]}; {force[1]:.2f} of 1 N is left",
+                Conduct.FALLS_BACK,
+            ),
+            refused(
+                "the device's range for a force that is NaN",
+                lambda: ForceRange(limit_N=3.3).play(np.array([nan, 0.0, 0.0])),
+            ),
+        ]
+
+    def draw(self, data: Data, chart: Figure) -> None:
+        """Draw the force over the jump."""
+        table = data["jump"]
+        jump = table["jump_m"]
+        panel(
+            chart.subplots(),
+            jump,
+            ("jump of one sample into the wall / m", "commanded force / N"),
+            [
+                ("theory: force before + k·jump", table["theory_N"], THEORY),
+                ("every sample accepted", table["bare_N"], FAILING),
+                ("with the sample guard (engine)", table["guarded_N"], ENGINE),
+                ("limit of the device", OMNI.force_limit_N, (":", GREY)),
+            ],
+            conduct=[(Conduct.HOLDS, jump[0], VALID_M), (Conduct.FALLS_BACK, VALID_M, jump[-1])],
+        )

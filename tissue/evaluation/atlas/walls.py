@@ -1,0 +1,451 @@
+"""Pages on virtual walls: critical stiffness, encoder steps, and walls that a fast tool crosses."""
+
+from dataclasses import replace
+from itertools import product
+from math import sqrt
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from meshes.base.arrays import Array
+from tissue.evaluation.atlas.page import (
+    ENGINE,
+    FAILING,
+    GREEN,
+    ORANGE,
+    THEORY,
+    Answer,
+    Conduct,
+    Data,
+    Page,
+    Verdict,
+    boundary,
+    error_of,
+    panel,
+    refused,
+    shade,
+    shown,
+    sweep,
+)
+from tissue.haptics.device.device import DeviceParameters, device_parameters
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.hand.hand import HandAction, hand_parameters
+from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands
+from tissue.haptics.loop.filters import ForceRange
+from tissue.haptics.loop.sampled_loop import WallLoop
+from tissue.haptics.loop.stability_bounds import (
+    delay_bound_N_m,
+    pade_bound_N_m,
+    passive_bound_N_m,
+    quantised_bound_N_m,
+)
+from tissue.haptics.loop.stability_map import measured_critical_N_m
+from tissue.haptics.proxy.proxy import Proxy
+from tissue.haptics.proxy.tool_shell import ToolShell
+from tissue.haptics.proxy.voxmap import Box, ContactField
+from tissue.haptics.rigid_wall import knock
+from tissue.scene.load import load_scene
+from tissue.simulation.simulate import simulate
+
+__all__ = ["Quantisation", "ThinWalls", "WallMap"]
+
+LOOP = in_hands(device_parameters("six-dof").loop(1.0), [hand_parameters("expert").grip[:3]])[0]
+"""Device with six degrees of freedom in an expert's hand."""
+AXES = {
+    "damping": ("virtual damping / (N s/m)", 1.0, np.linspace(0.0, 60.0, 7)),
+    "delay": ("delay added to the hold / ms", 1e3, np.linspace(0.0, 8e-3, 7)),
+    "rate": ("rate / Hz", 1.0, np.geomspace(250.0, 8000.0, 5)),
+}
+"""Label, factor to its unit, and values of each axis."""
+BOUNDS = {
+    "exact_N_m": ("eigenvalues", THEORY, critical_stiffness_N_m),
+    "passive_N_m": ("passive", ("--", GREEN), passive_bound_N_m),
+    "first_order_N_m": ("first order in delay", ("-.", ORANGE), delay_bound_N_m),
+    "pade_N_m": ("Padé", (":", "#CC79A7"), pade_bound_N_m),
+}
+"""Label, look and function of each predicted boundary."""
+
+
+def loops(along: str, values: Array) -> list[WallLoop]:
+    """Return the loop with one parameter at each value."""
+    if along == "rate":
+        return [replace(LOOP, tick_s=1.0 / value) for value in values.tolist()]
+    name = {"damping": "wall_damping_N_s_m", "delay": "delay_s"}[along]
+    return [replace(LOOP, **{name: value}) for value in values.tolist()]
+
+
+class WallMap(Page):
+    """Critical stiffness over damping, delay and rate: measured, by eigenvalues and by bounds."""
+
+    name = "wall_map"
+    title = "Stiffness × delay × damping × rate"
+    question = (
+        "A device with six degrees of freedom in an expert's hand touches a virtual wall. From "
+        "which stiffness on does it ring, over damping, delay and rate? Which bound predicts it?"
+    )
+    source = (
+        "Colgate and Schenkel (1997), Gil et al. (2009); device and hand of the engine's data files"
+    )
+
+    def measure(self) -> Data:
+        """Sweep damping, delay and rate."""
+        data: Data = {}
+        for along, (_, _, values) in AXES.items():
+            swept = loops(along, values)
+            # Loops that run together share a tick.
+            groups = [[each] for each in swept] if along == "rate" else [swept]
+            measured = [measured_critical_N_m(group, ticks=1600) for group in groups]
+            data[along] = {along: values, "measured_N_m": np.concatenate(measured)} | {
+                name: np.array([bound(each) for each in swept])
+                for name, (_, _, bound) in BOUNDS.items()
+            }
+        return data
+
+    def judge(self, data: Data) -> Verdict:
+        """Compare every bound with the measured critical stiffness."""
+        measured, exact, *bounds = (
+            np.concatenate([table[name] for table in data.values()])
+            for name in ("measured_N_m", *BOUNDS)
+        )
+        off = error_of(exact, measured)
+        passive, first_order, pade = (float((bound / measured).max()) for bound in bounds)
+        return Verdict(
+            max(first_order, pade) > 1.05 and measured.max() > 2.0 * measured.min(),
+            off < 0.01 and passive <= 1.001,
+            f"The wall rings from {measured.min():.0f} to {measured.max():.0f} N/m on. "
+            f"Eigenvalues predict this to {100 * off:.2f} %. The passive bound never exceeds it. "
+            f"K = (b+B)/(T/2+t) allows up to {first_order:.1f} times, Padé up to {pade:.1f} times "
+            "the measured stiffness.",
+        )
+
+    def ask(self) -> list[Answer]:
+        """Run a scene beyond its critical stiffness, and exceed a device's force limit."""
+        stiff = {"device": "six-dof", "hand": "expert", "coupling.stiffness_N_m": 6000.0}
+        limit = device_parameters("six-dof").force_limit_N
+        played, compressed = ForceRange(limit_N=limit).play(np.array([0.0, 0.0, 5.0 * limit]))
+        return [
+            refused("the scene wall at 6 kN/m", lambda: simulate(load_scene("wall", stiff))),
+            shown(
+                "five times the force limit of the device",
+                compressed and float(played[2]) < limit,
+                f"compressed to {played[2]:.2f} of {limit:g} N, and reported",
+                Conduct.FALLS_BACK,
+            ),
+        ]
+
+    def draw(self, data: Data, chart: Figure) -> None:
+        """Draw one panel each for damping, delay and rate."""
+        panels = chart.subplots(1, len(data), sharey=True)
+        for axes, (along, table) in zip(panels, data.items(), strict=True):
+            label, scale, _ = AXES[along]
+            across = scale * table[along]
+            is_first = axes is panels[0]
+            shade(axes, across, 10.0, table["exact_N_m"], Conduct.HOLDS)
+            shade(axes, across, table["exact_N_m"], 1e5, Conduct.REFUSES)
+            panel(
+                axes,
+                across,
+                (label, "stiffness / (N/m)" if is_first else ""),
+                [
+                    *((text, table[name], look) for name, (text, look, _) in BOUNDS.items()),
+                    ("measured", table["measured_N_m"], ENGINE),
+                ],
+                conduct=(),
+                log="xy" if along == "rate" else "y",
+                legend="lower right" if is_first else "",
+                ylim=(10.0, 1e5),
+            )
+
+
+TICK_S = 1e-3
+ENCODER_M = 1e-4
+DEVICE = DeviceParameters(mass_kg=0.05, damping_N_s_m=1.0, encoder_step_m=ENCODER_M)
+"""Device with coarse encoders whose viscous friction alone allows 2 b / T = 2 kN/m."""
+BUZZ_STEPS = 0.1
+"""Swing that counts as buzzing [encoder steps]. A resting device has none."""
+PUSHES_N = (0.11, 0.37)
+"""Steady pushes onto the wall [N]. They bring the device to rest at different places between two
+encoder steps.
+"""
+FRICTIONS_N = np.array([0.003, 0.008, 0.02, 0.04, 0.08])
+LADDER_N_M = np.geomspace(40.0, 1950.0, 9)
+
+
+class Push:
+    """Steady push, with a knock of 2 N in the first tick."""
+
+    def __init__(self, steady_N: float) -> None:
+        self._steady = steady_N
+
+    def act(self, time_s: float, position_m: tuple[float, float, float]) -> HandAction:
+        """Return the push."""
+        knock_N = 2.0 if time_s < 0.5 * TICK_S else 0.0
+        return HandAction(push_N=(0.0, 0.0, -self._steady - knock_N))
+
+
+def swing_steps(stiffness: float, friction: float) -> float:
+    """Measure the peak-to-peak position in the last third of the worst push [encoder steps].
+
+    The wall also pulls.
+    """
+    worst = 0.0
+    for steady in PUSHES_N:
+        device = SimulatedDevice(replace(DEVICE, friction_N=friction), Push(steady), substeps=3)
+        depth = []
+        for tick in range(1000):
+            sample = device.read(tick * TICK_S)
+            assert sample is not None
+            depth.append(device.translation.position[2])
+            device.command(np.array([0.0, 0.0, -stiffness * sample.position_m[2]]), np.zeros(3))
+        worst = max(worst, float(np.ptp(depth[-333:])) / ENCODER_M)
+    return worst
+
+
+def at_vendors_limit(name: str) -> Answer:
+    """Knock a device onto a wall of its vendor's stiffness limit."""
+    device = device_parameters(name)
+    allowed = 2.0 * device.friction_N / device.encoder_step_m
+    run, _ = knock(device, hand_parameters("expert"), "proxy", device.stiffness_limit_N_m)
+    ripple = run.ripple_N(0.2)
+    return shown(
+        f"{name} at its vendor's limit of {device.stiffness_limit_N_m:g} N/m",
+        device.stiffness_limit_N_m < allowed and ripple < 0.05,
+        f"after a knock the force ripples by {ripple:.3f} N",
+    )
+
+
+class Quantisation(Page):
+    """Encoder steps: without friction that dissipates their energy the device keeps buzzing."""
+
+    name = "quantisation"
+    title = "Quantisation: encoder steps against friction"
+    question = (
+        "A device with encoder steps of 0.1 mm is knocked onto a stiff wall. Does it come to rest, "
+        "or does it keep buzzing by some steps?"
+    )
+    source = (
+        "Abbott and Okamura (2005), in the plane of Diolaiti et al. (2006); 50 g, 1 N s/m, 1 kHz, "
+        "two steady pushes"
+    )
+
+    def measure(self) -> Data:
+        """Sweep friction and stiffness."""
+        swings = np.array(
+            [[swing_steps(k, f) for k in LADDER_N_M.tolist()] for f in FRICTIONS_N.tolist()]
+        )
+        loop = DEVICE.loop(1.0)
+        critical = critical_stiffness_N_m(loop)
+
+        def buzzing(friction: float) -> dict[str, float]:
+            """Return the lowest stiffness with buzzing, the highest without, and both bounds."""
+            rungs = [0.0, *LADDER_N_M.tolist(), critical, critical]
+            buzzes = [*(swings[friction == FRICTIONS_N][0] > BUZZ_STEPS), True]
+            first = int(np.argmax(buzzes))
+            return {
+                "buzzes_from_N_m": rungs[first + 1],
+                "quiet_to_N_m": rungs[first],
+                "bound_N_m": quantised_bound_N_m(loop, friction_N=friction, encoder_m=ENCODER_M),
+                "critical_N_m": critical,
+            }
+
+        return {
+            "friction": sweep("friction_N", FRICTIONS_N, buzzing),
+            "swing": {
+                "stiffness_N_m": np.tile(LADDER_N_M, len(FRICTIONS_N)),
+                "friction_N": np.repeat(FRICTIONS_N, len(LADDER_N_M)),
+                "swing_steps": swings.ravel(),
+            },
+        }
+
+    def judge(self, data: Data) -> Verdict:
+        """Check for buzzing below the critical stiffness and for quiet below the bound.
+
+        The bound follows from encoder and friction.
+        """
+        table = data["friction"]
+        swing = data["swing"]
+        early = float((table["buzzes_from_N_m"] / table["critical_N_m"]).min())
+        bound = np.interp(swing["friction_N"], table["friction_N"], table["bound_N_m"])
+        inside = swing["stiffness_N_m"] <= bound
+        worst = float(swing["swing_steps"][inside].max(initial=0.0))
+        return Verdict(
+            early < 0.5,
+            worst <= BUZZ_STEPS,
+            f"With little friction the device buzzes from {100 * early:.0f} % of the critical "
+            f"stiffness of the eigenvalues on ({table['critical_N_m'][0]:.0f} N/m), because these "
+            f"do not include encoder steps. In none of {int(inside.sum())} runs within "
+            f"min(2b/T, 2f_c/Δ) is the swing larger than {worst:.2f} steps. The bound is safe and, "
+            "with some friction, far from tight.",
+        )
+
+    def ask(self) -> list[Answer]:
+        """Run the devices of the engine at and beyond their limits."""
+        touch = device_parameters("touch")
+        allowed = 2.0 * touch.friction_N / touch.encoder_step_m
+        beyond = {"device": "touch", "coupling.stiffness_N_m": allowed, "duration_s": 0.3}
+        return [
+            refused(
+                f"the scene wall on touch at {allowed:.0f} N/m, the limit of friction over "
+                "encoder step",
+                lambda: simulate(load_scene("wall", beyond)),
+            ),
+            *map(at_vendors_limit, ("touch", "omni", "six-dof")),
+        ]
+
+    def draw(self, data: Data, chart: Figure) -> None:
+        """Draw stiffness over friction."""
+        axes = chart.subplots()
+        table = data["friction"]
+        friction = table["friction_N"]
+        shade(axes, friction, 20.0, table["bound_N_m"], Conduct.HOLDS)
+        shade(axes, friction, table["critical_N_m"], 6e3, Conduct.REFUSES)
+        panel(
+            axes,
+            friction,
+            ("Coulomb friction / N", "stiffness / (N/m)"),
+            [
+                ("eigenvalues: no encoder", table["critical_N_m"], THEORY),
+                ("min(2b/T, 2f_c/Δ)", table["bound_N_m"], ("--", GREEN)),
+                ("measured: quiet to", table["quiet_to_N_m"], ENGINE),
+                ("measured: buzzes from", table["buzzes_from_N_m"], FAILING),
+            ],
+            conduct=(),
+            legend="lower right",
+            ylim=(20.0, 6e3),
+        )
+
+
+STIFFNESS_N_M = 1000.0
+MASS_KG = 0.05
+SHORT_TICK_S = 2.5e-4
+"""Wall and device whose contact lasts 22 ms. At this tick the hold leaks little energy in that
+time.
+"""
+
+
+def point_proxy(thickness_m: float, *, start_m: float) -> Proxy:
+    """Return a point proxy above a wall about z = 0."""
+    wall = Box(np.zeros(3), np.array([0.1, 0.1, thickness_m]))
+    proxy = Proxy(ToolShell.ball(), ContactField(wall))
+    proxy.place(np.array([0.0, 0.0, start_m]))
+    return proxy
+
+
+def end_m(speed_m_s: float, thickness_m: float, proxy: Proxy | None) -> float:
+    """Compute the final height of a device thrown at a wall from just above it [m].
+
+    Without a proxy the force is a penalty that pushes to the nearest face.
+    """
+    half = 0.5 * thickness_m
+    device = SimulatedDevice(
+        DeviceParameters(
+            mass_kg=MASS_KG, damping_N_s_m=0.0, rate_Hz=1.0 / SHORT_TICK_S, force_limit_N=1e6
+        ),
+        position_m=(0.0, 0.0, half + 1e-6),
+        substeps=1,
+    )
+    device.translation.velocity = (0.0, 0.0, -speed_m_s)
+    for tick in range(400):
+        sample = device.read(tick * SHORT_TICK_S)
+        assert sample is not None
+        height = sample.position_m[2]
+        if proxy is None:
+            foot = height if abs(height) >= half else float(np.copysign(half, height))
+        else:
+            foot = float(proxy.advance(np.array([0.0, 0.0, height])).position_m[2])
+        if abs(foot) > half + 1e-9 and abs(height) > 0.1:
+            break
+        device.command(np.array([0.0, 0.0, STIFFNESS_N_M * (foot - height)]), np.zeros(3))
+    return height
+
+
+class ThinWalls(Page):
+    """A fast tool crosses a penalty wall, but not one that a proxy renders."""
+
+    name = "thin_walls"
+    title = "Thin walls and fast tools"
+    question = (
+        "A device is thrown at a wall. From which speed on does a penalty that pushes to the "
+        "nearest face let it through, and does a proxy hold it?"
+    )
+    source = (
+        "Energy of half a wall, ½mv² = ½K(h/2)²; god-object of Zilles and Salisbury (1995); tick "
+        "0.25 ms, no hand"
+    )
+
+    def measure(self) -> Data:
+        """Find the crossing speed of the penalty wall, and throw devices at proxies."""
+        thickness = np.geomspace(1e-4, 2e-2, 8)
+
+        def penalty(thick: float) -> dict[str, float]:
+            """Return the crossing speed: measured, by energy, and by sampling alone."""
+            return {
+                "crossed_from_m_s": boundary(
+                    lambda speed: end_m(speed, thick, None) < 0.0, 1e-3, 20.0, steps=11
+                ),
+                "theory_m_s": 0.5 * thick * sqrt(STIFFNESS_N_M / MASS_KG),
+                "sampling_m_s": thick / SHORT_TICK_S,
+            }
+
+        pairs = np.array(list(product(thickness.tolist(), [0.05, 0.2, 1.0, 5.0])))
+        ends = [
+            end_m(speed, thick, point_proxy(thick, start_m=thick))
+            for thick, speed in pairs.tolist()
+        ]
+        proxy = {"thickness_m": pairs[:, 0], "speed_m_s": pairs[:, 1], "end_m": np.array(ends)}
+        return {"penalty": sweep("thickness_m", thickness, penalty), "proxy": proxy}
+
+    def judge(self, data: Data) -> Verdict:
+        """Compare the crossing speed with the energy of half a wall, and count rejected devices.
+
+        A rejected device is thrown back by a proxy.
+        """
+        penalty = data["penalty"]
+        thrown = data["proxy"]
+        ratio = penalty["crossed_from_m_s"] / penalty["theory_m_s"]
+        kept = int((thrown["end_m"] > 0.0).sum())
+        return Verdict(
+            # The sampling moves the crossing speed: a device may enter at a sample and leave before
+            # it was pushed much.
+            bool((np.abs(ratio - 1.0) < 0.25).all()),
+            kept == len(thrown["end_m"]),
+            f"Devices cross the penalty wall from {ratio.min():.2f} to {ratio.max():.2f} times the "
+            f"speed (h/2)√(K/m) on: a wall of {1e3 * penalty['thickness_m'][0]:.1f} mm at "
+            f"{1e3 * penalty['crossed_from_m_s'][0]:.0f} mm/s. With the proxy {kept} of "
+            f"{len(thrown['end_m'])} devices come back, up to {thrown['speed_m_s'].max():g} m/s.",
+        )
+
+    def ask(self) -> list[Answer]:
+        """Move a proxy fast onto a thin wall, and place one inside a wall."""
+        rest = point_proxy(2e-5, start_m=1e-3).advance(np.array([0.0, 0.0, -5e-2])).position_m[2]
+        return [
+            shown(
+                "a point at 50 m/s onto 20 µm of wall",
+                abs(rest - 1e-5) < 1e-9,
+                f"stops {1e6 * rest:.0f} µm above its middle",
+            ),
+            refused("a proxy placed inside a wall", lambda: point_proxy(1e-3, start_m=0.0)),
+        ]
+
+    def draw(self, data: Data, chart: Figure) -> None:
+        """Draw the speed over the thickness."""
+        axes = chart.subplots()
+        penalty = data["penalty"]
+        thrown = data["proxy"]
+        back = thrown["end_m"] > 0.0
+        for chosen, style, label in ((back, "o", "thrown back"), (~back, "x", "crossed")):
+            across = 1e3 * thrown["thickness_m"][chosen]
+            speed = thrown["speed_m_s"][chosen]
+            axes.plot(across, speed, style, color=ENGINE[1], label=f"proxy: {label}")
+        panel(
+            axes,
+            1e3 * penalty["thickness_m"],
+            ("thickness of the wall / mm", "speed of the device / (m/s)"),
+            [
+                ("theory: (h/2)√(K/m)", penalty["theory_m_s"], THEORY),
+                ("penalty wall is crossed from here up", penalty["crossed_from_m_s"], FAILING),
+                ("one tick is longer than the wall", penalty["sampling_m_s"], (":", ORANGE)),
+            ],
+            title="device of 50 g, wall of 1 kN/m",
+            ylim=(0.5e-3, 20.0),
+        )

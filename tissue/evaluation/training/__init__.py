@@ -1,1 +1,0 @@
-"""Training of a scene's predictors on runs by simulated hands, and tests on unseen runs."""
