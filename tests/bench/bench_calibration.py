@@ -9,22 +9,29 @@ truth, next to staircases. (3) Interval coverage, and the bias that heavy tails 
 Run: python tests/bench/bench_calibration.py [trial] [staircase] [coverage] [scenes]
 """
 
-from dataclasses import (replace)
-from harness import (cost_of, machine, table)
-from scipy.special import (ndtri)
-from staircase import (Staircase)
-from time import (perf_counter)
-from tissue.evaluation.calibration.observers import (SimulatedObservers, Stimulus, calibrated_commands, draw_observers, gain_of, share_right)
-from tissue.haptics.loop.filters import (ForceRange)
-from tissue.materials.constants import (constants)
-from tissue.perception.adaptive import (AdaptiveThreshold, ThresholdPrior, comparisons)
-from tissue.perception.laws import (D_PRIME_75, two_interval)
-from tissue.scene.registry import (GROUPS)
-from tissue.simulation.trace import (Table)
-import numpy as np
 import sys
+from dataclasses import replace
+from time import perf_counter
 
+import numpy as np
+from harness import cost_of, machine, table
+from scipy.special import ndtri
+from staircase import Staircase
 
+from tissue.evaluation.calibration.observers import (
+    SimulatedObservers,
+    Stimulus,
+    calibrated_commands,
+    draw_observers,
+    gain_of,
+    share_right,
+)
+from tissue.haptics.loop.filters import ForceRange
+from tissue.materials.constants import constants
+from tissue.perception.adaptive import AdaptiveThreshold, ThresholdPrior, comparisons
+from tissue.perception.laws import D_PRIME_75, two_interval
+from tissue.scene.registry import GROUPS
+from tissue.simulation.trace import Table
 
 PEOPLE = 100
 

@@ -12,26 +12,26 @@ misses its target, its components are printed. Two processes record and score. W
 best three of every scene, or `--predictors`, run in closed loop.
 """
 
-from closed_loop import (close)
-from collections.abc import (Callable, Collection)
-from concurrent.futures import (ProcessPoolExecutor)
-from harness import (cost_of, machine, table)
-from meshes.base.errors import (InputError)
-from motor_score import (recorded_ideal_N)
-from pathlib import (Path)
-from prediction_scores import (FORCE_LIMIT_N, KNOWN, Kept, RECORDED_MS, scores)
-from tissue.evaluation.training import (Recorder, Recording, trial)
-from tissue.prediction.predictor import (Contact, Predictor, SeesContact)
-from tissue.prediction.trained import (Trained, shipped_file)
-from tissue.scene.load import (changed, load_scene)
-from tissue.scene.registry import (PREDICTORS)
-from tissue.scene.scene import (Scene)
-from tissue.simulation.builders.prediction import (trained_predictor)
 import argparse
-import numpy as np
 import os
+from collections.abc import Callable, Collection
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
 
+import numpy as np
+from closed_loop import close
+from harness import cost_of, machine, table
+from motor_score import recorded_ideal_N
+from prediction_scores import FORCE_LIMIT_N, KNOWN, RECORDED_MS, Kept, scores
 
+from meshes.base.errors import InputError
+from tissue.evaluation.training import Recorder, Recording, trial
+from tissue.prediction.predictor import Contact, Predictor, SeesContact
+from tissue.prediction.trained import Trained, shipped_file
+from tissue.scene.load import changed, load_scene
+from tissue.scene.registry import PREDICTORS
+from tissue.scene.scene import Scene
+from tissue.simulation.builders.prediction import trained_predictor
 
 os.environ.update(
     dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")

@@ -1,19 +1,19 @@
 """``tissue calibrate``."""
 
-from meshes.base.errors import (InputError)
-from pathlib import (Path)
-from tissue.cli.terminal import (Flag, MaybeWhole, Whole, console, left_out, problems)
-from tissue.system.outputs import (output_locked)
-from tissue.system.stopping import (Terminated)
-from typing import (TYPE_CHECKING)
 import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from meshes.base.errors import InputError
+from tissue.cli.terminal import Flag, MaybeWhole, Whole, console, left_out, problems
+from tissue.system.outputs import output_locked
+from tissue.system.stopping import Terminated
 
 if TYPE_CHECKING:
-    from tissue.evaluation.calibration.answers import (Answer)
-    from tissue.evaluation.calibration.session import (Plan, Session, TrialLog)
+    from tissue.evaluation.calibration.answers import Answer
+    from tissue.evaluation.calibration.session import Plan, Session, TrialLog
 
 __all__ = ["calibrate"]
-
 
 
 TRIALS, NUMBERS = 120, 24

@@ -1,11 +1,11 @@
 """``tissue chart``."""
 
-from meshes.base.errors import (InputError)
-from pathlib import (Path)
-from tissue.cli.terminal import (Flag, MaybeWhole, console, left_out, progress)
+from pathlib import Path
+
+from meshes.base.errors import InputError
+from tissue.cli.terminal import Flag, MaybeWhole, console, left_out, progress
 
 __all__ = ["chart"]
-
 
 
 TRIALS = 30

@@ -1,11 +1,11 @@
 """``tissue stability``."""
 
-from meshes.base.errors import (InputError)
-from pathlib import (Path)
-from tissue.cli.terminal import (Flag, Overrides, Texts, console, left_out, problems, progress)
+from pathlib import Path
+
+from meshes.base.errors import InputError
+from tissue.cli.terminal import Flag, Overrides, Texts, console, left_out, problems, progress
 
 __all__ = ["stability"]
-
 
 
 def stability(

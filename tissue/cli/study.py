@@ -1,16 +1,17 @@
 """``tissue study plan``, ``tissue study run`` and ``tissue study report``."""
 
-from cyclopts import (App, Parameter)
-from dataclasses import (dataclass)
-from pathlib import (Path)
-from tissue.cli.terminal import (Flag, MaybeWhole, Whole, console, left_out, problems, progress)
-from typing import (Annotated, TYPE_CHECKING)
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import App, Parameter
+
+from tissue.cli.terminal import Flag, MaybeWhole, Whole, console, left_out, problems, progress
 
 if TYPE_CHECKING:
-    from tissue.evaluation.study.plan import (Plan)
+    from tissue.evaluation.study.plan import Plan
 
 __all__ = ["study"]
-
 
 
 study = App(

@@ -1,11 +1,11 @@
 """``tissue train``."""
 
-from pathlib import (Path)
-from tissue.cli.terminal import (Flag, MaybeWhole, Overrides, Whole, console, progress)
-from tissue.system.outputs import (output_locked)
+from pathlib import Path
+
+from tissue.cli.terminal import Flag, MaybeWhole, Overrides, Whole, console, progress
+from tissue.system.outputs import output_locked
 
 __all__ = ["train"]
-
 
 
 def train(

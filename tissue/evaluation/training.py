@@ -2,44 +2,61 @@
 held out.
 """
 
-from collections.abc import (Callable, Sequence)
-from dataclasses import (dataclass, replace)
-from functools import (partial)
-from math import (ceil)
-from meshes.base.arrays import (Array)
-from meshes.base.errors import (InputError)
-from meshes.base.progress import (Progress, silent)
-from time import (perf_counter)
-from tissue.evaluation.statistics.metrics import (force_error)
-from tissue.haptics.device.device import (device_parameters)
-from tissue.haptics.hand_measures import (TRUE)
-from tissue.haptics.hand_motion import (HandMotion)
-from tissue.haptics.loop.filters import (ConstantAcceleration, VELOCITY_MEMORY)
-from tissue.haptics.loop.sampled_loop import (force_later_N)
-from tissue.models.tissue_model import (Response, TissueModel, ToolMotion, WaitsForBackground)
-from tissue.prediction.contact import (CONTACT_WIDTH)
-from tissue.prediction.edmd import (Edmd, window)
-from tissue.prediction.edmd.episodes import (Episode)
-from tissue.prediction.operator import (Delays, Identity, Operator)
-from tissue.prediction.predictor import (Contact, Predictor, SeesContact)
-from tissue.prediction.trained import (Trained, VALIDATED_AT)
-from tissue.scene.coupling import (WallAnatomy)
-from tissue.scene.load import (changed)
-from tissue.scene.registry import (GROUPS, PREDICTORS)
-from tissue.scene.scene import (Scene)
-from tissue.scene.tool import (Probe)
-from tissue.simulation.builders.force_met import (chosen_scale)
-from tissue.simulation.builders.hand import (hand_motion)
-from tissue.simulation.builders.loop import (judged_loop)
-from tissue.simulation.builders.loop_settings import (loop_settings)
-from tissue.simulation.builders.motions import (motion_of)
-from tissue.simulation.builders.prediction import (FALLBACKS, trained_predictor)
-from tissue.simulation.builders.registry import (build)
-from tissue.simulation.simulate import (TICK_S)
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from math import ceil
+from time import perf_counter
+
 import numpy as np
 
-__all__ = ["DELAYS_MS", "HORIZONS", "LAGS", "LEAST_TRIALS", "MOST_TRIALS", "Recorder", "Recording", "TRIALS", "fit", "forecast", "forecast_errors", "growth_of", "touching", "train", "trial", "validated", "with_fallback"]
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from meshes.base.progress import Progress, silent
+from tissue.evaluation.statistics.metrics import force_error
+from tissue.haptics.device.device import device_parameters
+from tissue.haptics.hand_measures import TRUE
+from tissue.haptics.hand_motion import HandMotion
+from tissue.haptics.loop.filters import VELOCITY_MEMORY, ConstantAcceleration
+from tissue.haptics.loop.sampled_loop import force_later_N
+from tissue.models.tissue_model import Response, TissueModel, ToolMotion, WaitsForBackground
+from tissue.prediction.edmd import Edmd, Episode, window
+from tissue.prediction.operator import Delays, Identity, Operator
+from tissue.prediction.predictor import CONTACT_WIDTH, Contact, Predictor, SeesContact
+from tissue.prediction.trained import VALIDATED_AT, Trained
+from tissue.scene.coupling import WallAnatomy
+from tissue.scene.load import changed
+from tissue.scene.registry import GROUPS, PREDICTORS
+from tissue.scene.scene import Scene
+from tissue.scene.tool import Probe
+from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.hand import hand_motion
+from tissue.simulation.builders.loop import judged_loop
+from tissue.simulation.builders.loop_settings import loop_settings
+from tissue.simulation.builders.motions import motion_of
+from tissue.simulation.builders.prediction import FALLBACKS, trained_predictor
+from tissue.simulation.builders.registry import build
+from tissue.simulation.simulate import TICK_S
 
+__all__ = [
+    "DELAYS_MS",
+    "HORIZONS",
+    "LAGS",
+    "LEAST_TRIALS",
+    "MOST_TRIALS",
+    "TRIALS",
+    "Recorder",
+    "Recording",
+    "fit",
+    "forecast",
+    "forecast_errors",
+    "growth_of",
+    "touching",
+    "train",
+    "trial",
+    "validated",
+    "with_fallback",
+]
 
 
 DELAYS_MS = (0, 4, 8)

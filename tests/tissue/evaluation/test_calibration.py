@@ -1,21 +1,21 @@
 """`tissue calibrate`: sessions, their logs and interruptions, and what is refused."""
 
-from calibration_sessions import (answered)
-from meshes.base.errors import (InputError)
-from pathlib import (Path)
-from tissue.evaluation.calibration.answers import (questioner, simulated_observer)
-from tissue.evaluation.calibration.session import (Plan, TrialLog, read_log)
-from tissue.perception.observer import (read_observer)
 import json
-import numpy as np
 import os
-import pytest
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
+import numpy as np
+import pytest
+from calibration_sessions import answered
 
+from meshes.base.errors import InputError
+from tissue.evaluation.calibration.answers import questioner, simulated_observer
+from tissue.evaluation.calibration.session import Plan, TrialLog, read_log
+from tissue.perception.observer import read_observer
 
 ROOT = Path(__file__).resolve().parents[3]
 SHORT = Plan(trials=20, numbers=6)

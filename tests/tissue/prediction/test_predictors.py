@@ -1,19 +1,27 @@
 """Predictors in the loop: laws of all of them, exact signals, what ends trust, and files."""
 
-from dataclasses import (replace)
-from koopman_systems import (predict)
-from tissue.evaluation.training import (Recording, fit, forecast_errors, with_fallback)
-from tissue.prediction.edmd import (Edmd)
-from tissue.prediction.guard import (Guarded)
-from tissue.prediction.koopman import (OperatorPath)
-from tissue.prediction.operator import (Identity)
-from tissue.prediction.predictor import (Contact, Hold, Kalman, Linear, LinearControl, SeesContact, kalman_gains)
-from tissue.scene.registry import (PREDICTORS)
-from tissue.simulation.builders.prediction import (trained_predictor)
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from koopman_systems import predict
 
-
+from tissue.evaluation.training import Recording, fit, forecast_errors, with_fallback
+from tissue.prediction.edmd import Edmd
+from tissue.prediction.guard import Guarded
+from tissue.prediction.koopman import OperatorPath
+from tissue.prediction.operator import Identity
+from tissue.prediction.predictor import (
+    Contact,
+    Hold,
+    Kalman,
+    Linear,
+    LinearControl,
+    SeesContact,
+    kalman_gains,
+)
+from tissue.scene.registry import PREDICTORS
+from tissue.simulation.builders.prediction import trained_predictor
 
 STIFFNESS_N_M = 400.0
 ENCODER_M = 5.5e-5

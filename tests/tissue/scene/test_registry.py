@@ -3,18 +3,17 @@
 These are devices, hands, renderers, predictors and perceptual maps.
 """
 
-from pathlib import (Path)
-from tissue import (InputError, Scene, load_scene, simulate)
-from tissue.cli.calibrate import (calibrate)
-from tissue.cli.study import (PlanOptions)
-from tissue.evaluation.charts.prediction import (draw_tasks)
-from tissue.evaluation.training import (HORIZONS)
-from tissue.materials.constants import (listed)
-from tissue.scene.named_parts import (Registry)
-from tissue.scene.registry import (CUTTING_MATERIALS, DEVICES, GROUPS, RENDERERS, SCENES, TABLES)
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from tissue import InputError, Scene, load_scene, simulate
+from tissue.cli.calibrate import calibrate
+from tissue.cli.study import PlanOptions
+from tissue.materials.constants import listed
+from tissue.scene.named_parts import Registry
+from tissue.scene.registry import CUTTING_MATERIALS, DEVICES, GROUPS, RENDERERS, SCENES, TABLES
 
 
 def run_of(**changes):

@@ -36,8 +36,7 @@ from tissue.materials.constants import cutting_coefficients
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import ToolMotion
 from tissue.models.tooth.body import INNER_STRENGTH, LEAST_FILL, ParticleBody
-from tissue.models.tooth.grid import HexGrid, ParticleSet
-from tissue.models.tooth.supports import NodeSupports
+from tissue.models.tooth.grid import HexGrid, NodeSupports, ParticleSet
 from tissue.motion.thrust import PushAlongAxis, implicit_speed
 from tissue.scene.load import load_scene
 

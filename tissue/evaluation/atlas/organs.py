@@ -6,10 +6,9 @@ from scipy.linalg import eigvalsh
 from scipy.spatial.transform import Rotation
 
 from meshes.base.arrays import Array, Ints
-from meshes.tets.checks import mean_ratio, signed_volumes
 from meshes.tets.quality import SLIVER, repair_tets
 from meshes.tets.structured import box
-from meshes.tets.tetrahedra import TetMesh
+from meshes.tets.tetrahedra import TetMesh, mean_ratio, signed_volumes
 from tissue.evaluation.atlas.page import (
     ENGINE,
     FAILING,
@@ -29,10 +28,9 @@ from tissue.evaluation.atlas.page import (
     shown,
     sweep,
 )
-from tissue.fem.assembly import assemble
+from tissue.fem.assembly import assemble, traction
 from tissue.fem.conjugate_gradients import SolverOutcome
 from tissue.fem.hyperelastic import Law, NonlinearBody
-from tissue.fem.loads import traction
 from tissue.fem.newton import NewtonSolver
 from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.held_body import HeldBody

@@ -29,19 +29,14 @@ from tissue.evaluation.atlas.page import (
 from tissue.evaluation.training import Recording, fit, forecast
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.hand.hand import Hand, hand_parameters
-from tissue.haptics.hand.minimum_jerk import waypoints
+from tissue.haptics.hand.hand import Hand, hand_parameters, waypoints
 from tissue.haptics.renderer import renderer
 from tissue.haptics.rigid_wall import press_wall
-from tissue.prediction.baselines import Kalman, Linear
-from tissue.prediction.contact import Contact
-from tissue.prediction.edmd.dictionary import Delays, GapProducts
-from tissue.prediction.edmd.edmd import Edmd
-from tissue.prediction.edmd.episodes import Episode, window
+from tissue.prediction.edmd import Edmd, Episode, window
 from tissue.prediction.guard import Guarded
-from tissue.prediction.koopman import Koopman
-from tissue.prediction.paths import OperatorPath
-from tissue.prediction.predictor import Hold, Predictor
+from tissue.prediction.koopman import Koopman, OperatorPath
+from tissue.prediction.operator import Delays, GapProducts
+from tissue.prediction.predictor import Contact, Hold, Kalman, Linear, Predictor
 from tissue.prediction.trained import Trained
 from tissue.scene.registry import PREDICTORS
 from tissue.simulation.builders.prediction import maker_of

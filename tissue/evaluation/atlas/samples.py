@@ -26,11 +26,10 @@ from tissue.evaluation.atlas.page import (
     shown,
 )
 from tissue.haptics.device.device import Device, Sample, device_parameters
-from tissue.haptics.device.faulty import Fault, FaultKind, FaultyDevice
+from tissue.haptics.device.recorded import Fault, FaultKind, FaultyDevice
 from tissue.haptics.device.sample_guard import GuardLimits, SampleGuard
 from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.hand.hand import Hand, hand_parameters
-from tissue.haptics.hand.minimum_jerk import waypoints
+from tissue.haptics.hand.hand import Hand, hand_parameters, waypoints
 from tissue.haptics.loop.filters import ForceRange
 from tissue.haptics.renderer import renderer
 from tissue.haptics.rigid_wall import press_wall

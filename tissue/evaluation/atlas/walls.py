@@ -30,19 +30,18 @@ from tissue.evaluation.atlas.page import (
 from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand.hand import HandAction, hand_parameters
-from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands
-from tissue.haptics.loop.filters import ForceRange
-from tissue.haptics.loop.sampled_loop import WallLoop
-from tissue.haptics.loop.stability_bounds import (
+from tissue.haptics.loop.critical_stiffness import (
+    critical_stiffness_N_m,
     delay_bound_N_m,
+    in_hands,
     pade_bound_N_m,
     passive_bound_N_m,
     quantised_bound_N_m,
 )
+from tissue.haptics.loop.filters import ForceRange
+from tissue.haptics.loop.sampled_loop import WallLoop
 from tissue.haptics.loop.stability_map import measured_critical_N_m
-from tissue.haptics.proxy.proxy import Proxy
-from tissue.haptics.proxy.tool_shell import ToolShell
-from tissue.haptics.proxy.voxmap import Box, ContactField
+from tissue.haptics.proxy.proxy import Box, ContactField, Proxy, ToolShell
 from tissue.haptics.rigid_wall import knock
 from tissue.scene.load import load_scene
 from tissue.simulation.simulate import simulate

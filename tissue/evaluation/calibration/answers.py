@@ -2,24 +2,41 @@
 device.
 """
 
-from collections.abc import (Callable)
-from math import (cos, inf, pi)
-from meshes.base.errors import (InputError)
-from meshes.base.text_tables import (number_in)
-from pathlib import (Path)
-from time import (perf_counter, sleep)
-from tissue.evaluation.calibration.observers import (SimulatedObservers, draw_observers)
-from tissue.evaluation.calibration.session import (Comparison, Magnitude, Plan, TrialLog, log_path, read_log)
-from tissue.haptics.device.device import (Device, device_parameters)
-from tissue.haptics.device.recorded import (MouseDevice)
-from tissue.haptics.device.simulated import (SimulatedDevice)
-from tissue.models.tissue_model import (TICK_S)
-from tissue.scene.registry import (DEVICES, GROUPS)
-from tissue.system.outputs import (require_new_file)
+from collections.abc import Callable
+from math import cos, inf, pi
+from pathlib import Path
+from time import perf_counter, sleep
+
 import numpy as np
 
-__all__ = ["Answer", "Person", "StoppedError", "begin", "play", "questioner", "simulated_answers", "simulated_observer"]
+from meshes.base.errors import InputError
+from meshes.base.text_tables import number_in
+from tissue.evaluation.calibration.observers import SimulatedObservers, draw_observers
+from tissue.evaluation.calibration.session import (
+    Comparison,
+    Magnitude,
+    Plan,
+    TrialLog,
+    log_path,
+    read_log,
+)
+from tissue.haptics.device.device import Device, device_parameters
+from tissue.haptics.device.recorded import MouseDevice
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.models.tissue_model import TICK_S
+from tissue.scene.registry import DEVICES, GROUPS
+from tissue.system.outputs import require_new_file
 
+__all__ = [
+    "Answer",
+    "Person",
+    "StoppedError",
+    "begin",
+    "play",
+    "questioner",
+    "simulated_answers",
+    "simulated_observer",
+]
 
 
 Answer = Callable[[Comparison | Magnitude, int], float]

@@ -11,22 +11,33 @@ the reference. People with a lower exponent gain and people with a higher expone
 over a population may rise or fall.
 """
 
-from collections.abc import (Callable, Sequence)
-from dataclasses import (dataclass, replace)
-from math import (sqrt)
-from meshes.base.arrays import (Array)
-from numpy.typing import (ArrayLike, NDArray)
-from scipy.special import (ndtr)
-from tissue.evaluation.statistics.hypothesis_test import (Effect)
-from tissue.haptics.loop.filters import (ForceRange)
-from tissue.materials.constants import (constants)
-from tissue.perception.adaptive import (MAGNITUDE_FORCES_N, fit_magnitudes)
-from tissue.perception.laws import (D_PRIME_75, ForceMap, Intensity, intensity_of)
-from tissue.perception.observer import (population, reference_observer)
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from math import sqrt
+
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtr
 
-__all__ = ["Command", "SimulatedObservers", "Stimulus", "calibrated_commands", "chance_right", "draw_observers", "gain_of", "sensitivity", "share_right"]
+from meshes.base.arrays import Array
+from tissue.evaluation.statistics.hypothesis_test import Effect
+from tissue.haptics.loop.filters import ForceRange
+from tissue.materials.constants import constants
+from tissue.perception.adaptive import MAGNITUDE_FORCES_N, fit_magnitudes
+from tissue.perception.laws import D_PRIME_75, ForceMap, Intensity, intensity_of
+from tissue.perception.observer import population, reference_observer
 
+__all__ = [
+    "Command",
+    "SimulatedObservers",
+    "Stimulus",
+    "calibrated_commands",
+    "chance_right",
+    "draw_observers",
+    "gain_of",
+    "sensitivity",
+    "share_right",
+]
 
 
 RESAMPLES = 2000

@@ -11,8 +11,8 @@ from scipy.stats import binom
 
 from meshes.base.errors import InputError, require_range
 from meshes.base.file_limits import require_regular
-from meshes.base.file_version import package_version, require_version
 from meshes.base.text_tables import read_json
+from meshes.base.whole_file import package_version, require_version
 from tissue.perception.adaptive import (
     EDGE_MASS,
     MAGNITUDE_FORCES_N,

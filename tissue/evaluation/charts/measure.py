@@ -1,28 +1,61 @@
 """Measurement of a setting: time of a tick, and force error against the reference."""
 
-from dataclasses import (asdict, dataclass, fields)
-from importlib.metadata import (version)
-from math import (nan)
-from meshes.base.arrays import (Array)
-from meshes.base.cache import (cached_arrays)
-from meshes.base.errors import (InputError)
-from meshes.paths.toolpath import (arc_length, points_along)
-from numpy.typing import (NDArray)
-from time import (perf_counter)
-from tissue.evaluation.charts.settings import (Changes, Setting, edge_mm, finest, grids, machine, placed, scene_text, setting_key, settings_of, shares, sources)
-from tissue.evaluation.reference.history import (grid_index, has_exact_geometry, means_over_50_ms, reference_force)
-from tissue.evaluation.statistics.metrics import (force_error)
-from tissue.scene.load import (changed)
-from tissue.scene.organ import (SoftAnatomy)
-from tissue.scene.scene import (Scene)
-from tissue.scene.tool import (PathMotion, Probe, Tool)
-from tissue.simulation.reference_force import (ideal_force_N, played_force_N)
-from tissue.simulation.run import (Run)
-from tissue.simulation.simulate import (TICK_S, simulate)
+from dataclasses import asdict, dataclass, fields
+from importlib.metadata import version
+from math import nan
+from time import perf_counter
+
 import numpy as np
+from numpy.typing import NDArray
 
-__all__ = ["BOUNDS", "Measured", "SETTLED", "counts", "excerpt", "float32_error", "force_and_reference_N", "grid_force_N", "measure", "of_model", "reference_gap", "reference_words", "short_of"]
+from meshes.base.arrays import Array
+from meshes.base.cache import cached_arrays
+from meshes.base.errors import InputError
+from meshes.paths.toolpath import arc_length, points_along
+from tissue.evaluation.charts.settings import (
+    Changes,
+    Setting,
+    edge_mm,
+    finest,
+    grids,
+    machine,
+    placed,
+    scene_text,
+    setting_key,
+    settings_of,
+    shares,
+    sources,
+)
+from tissue.evaluation.reference.history import (
+    grid_index,
+    has_exact_geometry,
+    means_over_50_ms,
+    reference_force,
+)
+from tissue.evaluation.statistics.metrics import force_error
+from tissue.scene.load import changed
+from tissue.scene.organ import SoftAnatomy
+from tissue.scene.scene import Scene
+from tissue.scene.tool import PathMotion, Probe, Tool
+from tissue.simulation.reference_force import ideal_force_N, played_force_N
+from tissue.simulation.run import Run
+from tissue.simulation.simulate import TICK_S, simulate
 
+__all__ = [
+    "BOUNDS",
+    "SETTLED",
+    "Measured",
+    "counts",
+    "excerpt",
+    "float32_error",
+    "force_and_reference_N",
+    "grid_force_N",
+    "measure",
+    "of_model",
+    "reference_gap",
+    "reference_words",
+    "short_of",
+]
 
 
 LAST_PLACE_MM = float(np.spacing(np.float32(10.0)))

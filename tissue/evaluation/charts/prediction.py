@@ -1,32 +1,50 @@
 """Comparison of all predictors on unseen runs: horizon, cost, training size, slow models."""
 
-from collections.abc import (Sequence)
-from dataclasses import (dataclass, replace)
-from functools import (partial)
-from meshes.base.arrays import (Array)
-from meshes.base.errors import (InputError)
-from meshes.base.progress import (Progress, silent)
-from meshes.base.whole_file import (whole_file)
-from numpy.typing import (NDArray)
-from pathlib import (Path)
-from time import (perf_counter)
-from tissue.evaluation.training import (HORIZONS, MOST_TRIALS, Recorder, Recording, fit, forecast_errors, trial)
-from tissue.haptics.device.device import (device_parameters)
-from tissue.prediction.predictor import (Contact, Predictor, SeesContact)
-from tissue.prediction.trained import (Trained, is_trained, shipped_file)
-from tissue.scene.registry import (PREDICTORS)
-from tissue.scene.scene import (Scene)
-from tissue.show.figures.figure import (figure, plain_numbers, save)
-from tissue.simulation.builders.prediction import (trained_predictor)
-from tissue.system.owned_folder import (owned_folder)
-from typing import (NamedTuple, TYPE_CHECKING)
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from meshes.base.progress import Progress, silent
+from meshes.base.whole_file import whole_file
+from tissue.evaluation.training import (
+    HORIZONS,
+    MOST_TRIALS,
+    Recorder,
+    Recording,
+    fit,
+    forecast_errors,
+    trial,
+)
+from tissue.haptics.device.device import device_parameters
+from tissue.prediction.predictor import Contact, Predictor, SeesContact
+from tissue.prediction.trained import Trained, is_trained, shipped_file
+from tissue.scene.registry import PREDICTORS
+from tissue.scene.scene import Scene
+from tissue.show.figures.figure import figure, plain_numbers, save
+from tissue.simulation.builders.prediction import trained_predictor
+from tissue.system.owned_folder import owned_folder
 
 if TYPE_CHECKING:
-    from matplotlib.axes import (Axes)
+    from matplotlib.axes import Axes
 
-__all__ = ["Interval", "OURS", "PredictorComparison", "chart_prediction", "comparison_lines", "draw_tasks", "interval", "predictable"]
-
+__all__ = [
+    "OURS",
+    "Interval",
+    "PredictorComparison",
+    "chart_prediction",
+    "comparison_lines",
+    "draw_tasks",
+    "interval",
+    "predictable",
+]
 
 
 FIRST_SEED = 10_000

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from tissue.materials.constants import constants
-from tissue.prediction.outside import GuardedMaker
+from tissue.prediction.guard import GuardedMaker
 from tissue.prediction.trained import is_trained
 from tissue.scene.load import changed
 from tissue.scene.organ import LayersAnatomy, SoftAnatomy

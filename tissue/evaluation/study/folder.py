@@ -1,35 +1,42 @@
 """Folder of a study: its plan, one file per trial, and the tables of its trials."""
 
-from collections import (Counter)
-from collections.abc import (Callable, Iterable, Iterator, Mapping)
-from concurrent.futures import (Executor, Future)
-from contextlib import (contextmanager)
-from dataclasses import (asdict, dataclass)
-from functools import (cache)
-from itertools import (islice)
-from meshes.base.errors import (InputError, require_range)
-from meshes.base.file_limits import (require_regular)
-from meshes.base.progress import (Progress, silent)
-from meshes.base.text_tables import (read_json)
-from meshes.base.whole_file import (claim, package_version, require_version, whole_file)
-from pathlib import (Path)
-from pydantic import (TypeAdapter)
-from time import (sleep)
-from tissue.evaluation.charts.settings import (code_sha256)
-from tissue.evaluation.statistics.trials import (TrialTable)
-from tissue.evaluation.study.plan import (Plan, TASKS, TrialKey)
-from tissue.evaluation.study.registration import (PLAN_FILE, Registration, content_sha256, register, registered, require_unchanged)
-from tissue.evaluation.study.trial import (Row, Trial, error_sentence, run_trial, trial_seed)
-from tissue.system.outputs import (LOCK)
-from tissue.system.owned_folder import (MARKER, OwnedFolder, require_listed)
-from tissue.system.pools import (LOST, executor)
-from tissue.system.workers import (first_done)
 import gc
 import json
 import os
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import Executor, Future
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from functools import cache
+from itertools import islice
+from pathlib import Path
+from time import sleep
+
+from pydantic import TypeAdapter
+
+from meshes.base.errors import InputError, require_range
+from meshes.base.file_limits import require_regular
+from meshes.base.progress import Progress, silent
+from meshes.base.text_tables import read_json
+from meshes.base.whole_file import claim, package_version, require_version, whole_file
+from tissue.evaluation.charts.settings import code_sha256
+from tissue.evaluation.statistics.trials import TrialTable
+from tissue.evaluation.study.plan import TASKS, Plan, TrialKey
+from tissue.evaluation.study.registration import (
+    PLAN_FILE,
+    Registration,
+    content_sha256,
+    register,
+    registered,
+    require_unchanged,
+)
+from tissue.evaluation.study.trial import Row, Trial, error_sentence, run_trial, trial_seed
+from tissue.system.outputs import LOCK
+from tissue.system.owned_folder import MARKER, OwnedFolder, require_listed
+from tissue.system.workers import LOST, executor, first_done
 
 __all__ = ["Stamp", "StudyFolder", "run_study"]
-
 
 
 FORMAT = 2

@@ -2,20 +2,41 @@
 code that runs it.
 """
 
-from collections.abc import (Mapping)
-from hashlib import (sha256)
-from itertools import (combinations)
-from meshes.base.errors import (InputError, require_range)
-from meshes.base.whole_file import (claim, package_version, whole_file)
-from pathlib import (Path)
-from tissue.evaluation.statistics.hypothesis_test import (ALPHA)
-from tissue.evaluation.study.plan import (COMPARED, DIRECTIONS, LATENCY_MS, METHODS, PERSONAL, Plan, TASKS, USERS)
-from typing import (Any)
 import json
+from collections.abc import Mapping
+from hashlib import sha256
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
 import tomli_w
 
-__all__ = ["PLAN_FILE", "Registration", "content_sha256", "file_sha256", "plan_text", "planned_power", "planned_tests", "register", "registered", "require_unchanged"]
+from meshes.base.errors import InputError, require_range
+from meshes.base.whole_file import claim, package_version, whole_file
+from tissue.evaluation.statistics.hypothesis_test import ALPHA
+from tissue.evaluation.study.plan import (
+    COMPARED,
+    DIRECTIONS,
+    LATENCY_MS,
+    METHODS,
+    PERSONAL,
+    TASKS,
+    USERS,
+    Plan,
+)
 
+__all__ = [
+    "PLAN_FILE",
+    "Registration",
+    "content_sha256",
+    "file_sha256",
+    "plan_text",
+    "planned_power",
+    "planned_tests",
+    "register",
+    "registered",
+    "require_unchanged",
+]
 
 
 PLAN_FILE = "plan.toml"

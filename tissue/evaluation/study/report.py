@@ -1,31 +1,46 @@
 """Report of a study: sections as one HTML file that needs no other file, and as CSV."""
 
-from collections import (Counter)
-from collections.abc import (Iterator, Sequence)
-from html import (escape)
-from itertools import (product)
-from meshes.base.errors import (InputError)
-from meshes.base.progress import (Progress, silent)
-from meshes.base.whole_file import (package_version, whole_file)
-from pathlib import (Path)
-from tissue.evaluation.charts.settings import (code_sha256)
-from tissue.evaluation.study.cases import (case_sections)
-from tissue.evaluation.study.discrimination import (discrimination_section)
-from tissue.evaluation.study.fidelity import (force_section, latency_section, reference_section, sensitivity_section, speed_section, task_section)
-from tissue.evaluation.study.folder import (StudyFolder)
-from tissue.evaluation.study.plan import (LATENCY_MS, METHODS, PERSONAL, Plan, TASKS, USERS)
-from tissue.evaluation.study.registration import (file_sha256)
-from tissue.evaluation.study.section import (CHOSEN_AFTER, SOURCE, Section)
-from tissue.evaluation.study.tested import (statistics_sections)
-from tissue.evaluation.study.trial import (NUMBERS, PACE_SPREAD, Trial, WITHIN_SPREAD, failures_of, trial_seed)
-from tissue.materials.constants import (constants)
-from tissue.system.html import (html_page, html_picture)
-from tissue.system.owned_folder import (owned_folder)
-import numpy as np
 import tomllib
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from html import escape
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+
+from meshes.base.errors import InputError
+from meshes.base.progress import Progress, silent
+from meshes.base.whole_file import package_version, whole_file
+from tissue.evaluation.charts.settings import code_sha256
+from tissue.evaluation.study.cases import case_sections
+from tissue.evaluation.study.discrimination import discrimination_section
+from tissue.evaluation.study.fidelity import (
+    force_section,
+    latency_section,
+    reference_section,
+    sensitivity_section,
+    speed_section,
+    task_section,
+)
+from tissue.evaluation.study.folder import StudyFolder
+from tissue.evaluation.study.plan import LATENCY_MS, METHODS, PERSONAL, TASKS, USERS, Plan
+from tissue.evaluation.study.registration import file_sha256
+from tissue.evaluation.study.section import CHOSEN_AFTER, SOURCE, Section
+from tissue.evaluation.study.tested import statistics_sections
+from tissue.evaluation.study.trial import (
+    NUMBERS,
+    PACE_SPREAD,
+    WITHIN_SPREAD,
+    Trial,
+    failures_of,
+    trial_seed,
+)
+from tissue.materials.constants import constants
+from tissue.system.html import html_page, html_picture
+from tissue.system.owned_folder import owned_folder
 
 __all__ = ["found_section", "registration_section", "sections_of", "write_report"]
-
 
 
 WIDE = ".wide { overflow-x: auto; } .wide td { overflow-wrap: break-word; }"
