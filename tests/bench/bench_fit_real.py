@@ -1,6 +1,6 @@
 """Constants fitted to one half of a real log predict the other half.
 
-`python tests/bench/bench_fit_real.py --data ForceCalculation [--figure FILE.png]` after `git clone
+`python tests/bench/bench_fit_real.py --data ForceCalculation` after `git clone
 https://github.com/leekunhwee/ForceCalculation`. The repository states no licence: files are read
 where they are, and none of them is copied here.
 
@@ -115,41 +115,6 @@ def predicted(scene: tissue.Scene, fit: tissue.Fit) -> tuple[np.ndarray, np.ndar
     return np.array([best - half, best, best + half]), means(np.zeros(posterior.target.size))
 
 
-def plots():
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    return plt
-
-
-def drawn(figure: Path, results: dict[str, np.ndarray], measured: np.ndarray) -> None:
-    whole, axes = plots().subplots(1, len(results), figsize=(10, 4.5), sharey=True)
-    for panel, (split, bands) in zip(axes, results.items(), strict=True):
-        for at, name in enumerate(("along the feed", "across", "along the axis")):
-            is_fitted = np.isin(FEEDS, SPLITS[split])
-            panel.fill_between(
-                FEEDS, bands[0, :, at], bands[2, :, at], color=f"C{at}", alpha=0.3, lw=0
-            )
-            panel.plot(FEEDS, bands[1, :, at], color=f"C{at}", lw=1)
-            for chosen, marker in ((is_fitted, "o"), (~is_fitted, "x")):
-                label = name if marker == "o" else None
-                panel.plot(
-                    np.array(FEEDS)[chosen],
-                    measured[chosen, at],
-                    marker,
-                    color=f"C{at}",
-                    label=label,
-                )
-        panel.set_title(f"{split} the fitted feeds (o fitted, x predicted)", fontsize=10)
-        panel.set_xlabel("feed [mm/min]")
-    axes[0].set_ylabel("mean force on the tool [N]")
-    axes[0].legend()
-    whole.tight_layout()
-    whole.savefig(figure, dpi=110)
-
-
 def stated(material: str, ranges: dict[str, tuple[float, float, float]]) -> str:
     """A file of constants for a scene."""
     return "".join(
@@ -161,7 +126,7 @@ def stated(material: str, ranges: dict[str, tuple[float, float, float]]) -> str:
     )
 
 
-def milling(data: Path, figure: Path | None) -> None:
+def milling(data: Path) -> None:
     """Fit some feeds, predict the others, print."""
     turns = np.array([forces(data, feed).reshape(-1, REVOLUTION, 3).mean(axis=1) for feed in FEEDS])
     measured, scatter = turns.mean(axis=1), turns.std(axis=1, ddof=1)
@@ -201,8 +166,6 @@ def milling(data: Path, figure: Path | None) -> None:
                 f"{np.sqrt(np.mean(each**2)):.1f} N against a scatter of "
                 f"{np.sqrt(np.mean(scatter[left] ** 2)):.1f} N"
             )
-    if figure:
-        drawn(figure, results, measured)
 
 
 def main() -> None:
@@ -210,11 +173,10 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--data", type=Path, required=True)
-    parser.add_argument("--figure", type=Path)
     options = parser.parse_args()
     if not options.data.is_dir():
         parser.exit(0, f"skipped: no folder {options.data}; see above for where the logs are\n")
-    milling(options.data, options.figure)
+    milling(options.data)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ force threshold, pace, noise and tremor; all cells have the same persons. At eac
 have the coupling that is stable with every predictor, except for rows that name another one.
 
 Run: python tests/bench/bench_puncture.py [--seeds 20] [--workers 2] [--out FOLDER]. It prints a
-table with means and 95 % intervals over seeds (t), and draws puncture.png. It writes every run to
+table with means and 95 % intervals over seeds (t). It writes every run to
 runs.csv, from which an interrupted call continues.
 """
 
@@ -179,95 +179,6 @@ def report(listed: Sequence[Cell], found: dict[tuple[Cell, int], list[float]], s
     print(table(rows, head))
 
 
-def draw(
-    listed: Sequence[Cell], found: dict[tuple[Cell, int], list[float]], seeds: int, path: Path
-) -> None:
-    """The tip's travel of one person around the puncture, and the excess over latency."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11.0, 4.6), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    colours = {"force": "#D55E00", "sight": "#0072B2", "at once": "#555555"}
-    chosen = [each for each in listed if each.prediction == "none"]
-    shared = {each.latency_ms: each.stiffness_N_m for each in chosen if each.notice == "at once"}
-    for cell in (
-        each for each in chosen if each.latency_ms == 4 and each.stiffness_N_m == shared[4]
-    ):
-        run = pushed(cell, 0)
-        since = 1e3 * (run.run.trace["time_s"] - run.puncture_s)
-        depth = -run.run.trace["tool_z_mm"]
-        depth = depth - depth[round(run.puncture_s / TICK_S)]
-        style = "--" if cell.cue else "-"
-        label = {
-            "force": "by force",
-            "sight": "by force or sight",
-            "at once": "stopped at the puncture",
-        }[cell.notice]
-        left.plot(
-            since,
-            depth,
-            style,
-            color=colours[cell.notice],
-            label=label + ", after a cue" * cell.cue,
-        )
-        if cell.notice != "at once":
-            at = 1e3 * (run.stop_s - run.puncture_s)
-            left.plot(
-                at,
-                np.interp(at, since, depth),
-                "o",
-                color=colours[cell.notice],
-                mfc="none" if cell.cue else None,
-            )
-    left.set(
-        xlim=(-200, 700),
-        ylim=(-2, 9),
-        xlabel="time since the puncture ms",
-        ylabel="travel of the tip since the puncture mm",
-        title="one person, 4 ms; a circle is the stop",
-    )
-    left.legend(frameon=False, fontsize=8)
-    lines = (
-        ("force", False, "none"),
-        ("force", False, "koopman"),
-        ("force", True, "none"),
-        ("sight", False, "none"),
-        ("sight", True, "none"),
-        ("at once", False, "none"),
-    )
-    for index, (notice, cue, prediction) in enumerate(lines):
-        means = [
-            interval(
-                found[Cell(notice, cue, prediction, each, shared[each]), seed][0]
-                for seed in range(seeds)
-            )
-            for each in LATENCIES_MS
-        ]
-        name = {"force": "by force", "sight": "by force or sight", "at once": "at the puncture"}[
-            notice
-        ]
-        right.errorbar(
-            np.array(LATENCIES_MS) + 0.12 * (index - 2.5),
-            [each[0] for each in means],
-            [each[1] for each in means],
-            color="#009E73" if prediction != "none" else colours[notice],
-            ls="--" if cue else "-",
-            marker="o",
-            ms=4,
-            capsize=2,
-            label=name + ", after a cue" * cue + ", Koopman" * (prediction != "none"),
-        )
-    right.set(
-        xlabel="latency ms",
-        ylabel="excess travel mm (95 %)",
-        title=f"{seeds} people",
-        ylim=(0, None),
-    )
-    right.set_xticks(LATENCIES_MS, [f"{each}\n{shared[each]} N/m" for each in LATENCIES_MS])
-    right.legend(frameon=False, fontsize=8)
-    figure.savefig(path, dpi=110)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -281,7 +192,6 @@ def main() -> None:
     listed = cells()
     found = all_runs(listed, given.seeds, given.workers, given.out / "runs.csv")
     report(listed, found, given.seeds)
-    draw(listed, found, given.seeds, given.out / "puncture.png")
 
 
 if __name__ == "__main__":

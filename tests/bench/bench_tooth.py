@@ -7,10 +7,9 @@ cell.
 
 1. Stiffness of all cells from their particles, compared with scikit-fem's assembly of the same
    cells in the same run.
-2. Product: over cells, and scipy's with the assembled matrix.
-3. A ball of 1 mm cuts 20 um deeper: update, warm solve, stress where it cuts; against the number of
+2. A ball of 1 mm cuts 20 um deeper: update, warm solve, stress where it cuts; against the number of
    unknowns.
-4. A cold solve compared with smoothed aggregation (pyamg, six rigid-body modes), set-up and solve
+3. A cold solve compared with smoothed aggregation (pyamg, six rigid-body modes), set-up and solve
    timed separately.
 """
 
@@ -72,22 +71,6 @@ def assembly(cells: int) -> None:
     print(
         f"scikit-fem {theirs.median / 1e3:8.1f} ms to the matrix ({theirs.median / both:.0f} x), "
         f"{cells_only.median / 1e3:8.1f} ms to the cells ({cells_only.median / ours.median:.0f} x)"
-    )
-
-
-def products(cells: int) -> None:
-    body = body_of(cells)
-    vector = np.random.default_rng(0).normal(size=(body.grid.node_count, 3))
-    matrix = body.matrix()
-    body._hierarchy.refresh()
-    ours = cost_of(lambda _: body.cells.product(vector), count=200)
-    theirs = cost_of(lambda _: matrix @ vector.ravel(), count=200)
-    cycle = cost_of(lambda _: body._hierarchy(vector), count=100)
-    unknowns = 3 * body.grid.node_count
-    print(
-        f"\n{unknowns} unknowns: product over cells {ours.median / 1e3:.2f} ms, scipy's with "
-        "the matrix "
-        f"{theirs.median / 1e3:.2f} ms, V-cycle {cycle.median / 1e3:.2f} ms"
     )
 
 
@@ -184,7 +167,6 @@ def main() -> None:
     print(machine())
     middle = 12 if quick else 24
     assembly(middle)
-    products(middle)
     sizes = (8, 12) if quick else (12, 16, 20, 24, 32, 40)
     rows, unknowns, times = zip(*(incremental(n, 40) for n in sizes), strict=True)
     head = (

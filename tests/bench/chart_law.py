@@ -6,7 +6,7 @@ A ball of 16 mm is pressed 6.4 mm into a slab at 20 mm/s and rests there, neo-Ho
 law, by the compliance at rest with an offset solved on coarser meshes and at other intervals, and
 by Newton's method, which is the reference. Force while it moves and at rest, displacement of the
 surface at rest, time of a solve between ticks and of a tick, both processor time of one core.
-Writes `law.csv` and `law.png`.
+Writes `law.csv`.
 """
 
 import argparse
@@ -77,54 +77,6 @@ def row_of(name, scene, exact):
     ]
 
 
-def draw(rows, path):
-    """Errors over the time of a solve, a line for each interval."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    pyplot.rcParams.update({"font.size": 13})
-    figure, axes = pyplot.subplots(1, 3, figsize=(18, 6), layout="constrained", sharex=True)
-    shown = (
-        ("force while it moves, error / %", 8),
-        ("force at rest, error / %", 9),
-        ("surface at rest, error / %", 10),
-    )
-    for axis, (label, column) in zip(axes, shown, strict=True):
-        for interval, colour, marker in zip(
-            INTERVALS_MS, ("#0072B2", "#E69F00", "#CC79A7"), "os^", strict=True
-        ):
-            some = [row for row in rows if row[0] == "neo-Hookean" and row[2] == interval]
-            axis.plot(
-                [row[4] for row in some],
-                [row[column] for row in some],
-                color=colour,
-                marker=marker,
-                markersize=9,
-                label=f"solved every {interval:g} ms",
-            )
-            for row in some:
-                axis.annotate(
-                    f"{row[1]:g}", (row[4], row[column]), textcoords="offset points", xytext=(8, 4)
-                )
-        linear = next(row[column] for row in rows if row[0] == "linear")
-        axis.axhline(linear, color="0.4", linestyle="--")
-        axis.text(
-            0.98,
-            linear,
-            "linear law",
-            color="0.3",
-            ha="right",
-            va="bottom",
-            transform=axis.get_yaxis_transform(),
-        )
-        axis.set(xscale="log", yscale="log", xlabel="time of a solve, median / ms", ylabel=label)
-        axis.grid(True, which="major", color="0.9")
-    axes[0].legend(title="numbers: edges over the organ's", frameon=False)
-    figure.savefig(path, dpi=80)
-
-
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, required=True)
@@ -150,7 +102,6 @@ def main():
             HEAD,
         )
     )
-    draw(rows, asked.out / "law.png")
 
 
 if __name__ == "__main__":

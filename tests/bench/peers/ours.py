@@ -26,8 +26,6 @@ from works import (
     burr_tip,
     contacts,
     print_result,
-    right_share,
-    steps_N,
     timed,
 )
 
@@ -84,7 +82,7 @@ def stiffness() -> None:
 
 
 def soft() -> None:
-    """Measure the work of MuJoCo and Newton.
+    """Measure the work of MuJoCo.
 
     It is contact with friction, quasi-static, on the compliance of the slab's top.
     """
@@ -177,33 +175,8 @@ def prediction() -> None:
     )
 
 
-def threshold() -> None:
-    """Measure the work of questplus."""
-    from tissue.perception.adaptive import AdaptiveThreshold, ThresholdPrior
-
-    steps, rng = steps_N(), np.random.default_rng(0)
-    found = AdaptiveThreshold(
-        ThresholdPrior(cells=60, offset_cells=8, lapse_cells=5), (np.ones(len(steps)), steps)
-    )
-
-    def trial(_: int) -> None:
-        asked = found.propose()
-        found.answer(asked, rng.random(1) < right_share(float(found.step_N[asked][0])))
-
-    times = timed(trial, count=60, warm_up=10)
-    print_result(
-        "tissue",
-        "trial of a threshold",
-        f"{len(steps)} x {len(found.posterior)}",
-        times,
-        PACKAGES,
-        value=float(found.threshold_N(1.0)[0][0]),
-        unit="N, threshold after 70 trials",
-    )
-
-
 def milling() -> None:
-    """Measure the work of mesh booleans and brute force: voxel bricks with the cutting force."""
+    """Measure the work of mesh booleans: voxel bricks with the cutting force."""
     from meshes.shapes.anatomy import cortical_block
     from meshes.voxels.voxelise import voxelise
     from tissue.cutters.cutter import Cutter
@@ -245,13 +218,8 @@ def milling() -> None:
 WORKS = {
     "scikit-fem": stiffness,
     "mujoco": soft,
-    "newton": soft,
     "pykoop": prediction,
-    "questplus": threshold,
     "manifold": milling,
-    "trimesh": milling,
-    "warp": milling,
-    "numpy": milling,
 }
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ import platform
 from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
 from itertools import permutations
-from math import erf
 from time import process_time
 
 import numpy as np
@@ -33,8 +32,6 @@ __all__ = [
     "burr_tip",
     "contacts",
     "print_result",
-    "right_share",
-    "steps_N",
     "timed",
 ]
 
@@ -160,17 +157,3 @@ def contacts(seed: int, seconds: float = 2.0) -> np.ndarray:
     press = (depth > 0.0) * np.maximum(800.0 * depth - 2.0 * speed[:, 2], 0.0)
     force = np.column_stack([-0.3 * press[:, None] * np.tanh(speed[:, :2] / 1e-3), press])
     return np.hstack([at, force + rng.normal(0.0, 5e-3, force.shape)])
-
-
-def steps_N() -> np.ndarray:
-    """Differences of force that a trial may ask for, at 1 N."""
-    return 1.2 * np.geomspace(0.005, 1.5, 50)
-
-
-def right_share(step_N: float) -> float:
-    """Return the share of right answers of a person in a task of two intervals.
-
-    The person has a Weber fraction of 7 %, an offset of 0.2 N and 2 % lapses.
-    """
-    distance = 0.954 * step_N / (0.07 * 1.2)
-    return 0.01 + 0.98 * 0.5 * (1.0 + erf(0.5 * distance))

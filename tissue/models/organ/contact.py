@@ -129,8 +129,7 @@ class SurfaceContact:
         Coulomb's coefficient.
     tolerance
         Step of a contact point in the last sweep, relative to the largest displacement. On a slab
-        under a sphere the force is within 1 % at 1e-3 and 0.2 % at 1e-4; `bench_liver_contact`
-        shows error and cost.
+        under a sphere the force is within 1 % at 1e-3 and 0.2 % at 1e-4.
     sweeps
         Largest number of Gauss-Seidel sweeps in a solve.
     spacing_m
