@@ -121,7 +121,7 @@ NEAR_2_MM = {
     "tool.spin_rpm": 2000.0,
     "duration_s": 1.0,
 }
-"""The glenoid of tests/verification/test_glenoid_plausible.py."""
+"""The glenoid of tests/verification/test_cutting_forces.py."""
 STRAIGHT_DOWN = {
     "voxels.margin_mm": 1.5,
     "motion.points_mm": [[0, 0, 0.2], [0, 0, -4.4]],

@@ -6,12 +6,16 @@ one (if its file lies next to the checkout). The reference is the neo-Hookean la
 """
 
 import argparse
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 from harness import machine, table
-from linear_limits import LinearLimits, linear_limits, press
+from numpy.typing import ArrayLike, NDArray
 
+from meshes.base.errors import InputError
 from meshes.organs.liver import liver, liver_region
 from meshes.surfaces.surface import read_surface
 from meshes.tets.bisection import bisected
@@ -19,9 +23,152 @@ from meshes.tets.regions import nodes_facing
 from meshes.tets.structured import grid
 from meshes.tets.tetrahedralise import tetrahedralise
 from tissue.fem.hyperelastic import Law, NonlinearBody
-from tissue.fem.newton import NewtonSolver
+from tissue.fem.newton import LONGEST, NODES, NewtonSolution, NewtonSolver, resting_sphere
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
+
+Array = NDArray[np.float64]
+
+
+TOLERANCE = 1e-6
+"""Residual of a solve; with nodes `NODES` off, forces hold to about 1e-5."""
+
+
+@dataclass(frozen=True, eq=False)
+class LinearLimits:
+    """Forces on a sphere by depth under each law.
+
+    Attributes
+    ----------
+    depth_m
+        Depths pressed to [m], shape (d,), rising.
+    force_N
+        Force against the press [N], shape (d,), of each law; NaN where a solve did not converge.
+    """
+
+    depth_m: Array
+    force_N: dict[Law, Array]
+
+    def error(self, law: Law) -> Array:
+        """Force over the neo-Hookean one, less 1, shape (d,)."""
+        return self.force_N[law] / self.force_N[Law.NEO_HOOKEAN] - 1.0
+
+    def passed_at_m(self, share: float, law: Law = Law.LINEAR) -> float:
+        """Return the depth [m] at which the error first passes a share.
+
+        It is interpolated linearly between two depths, and NaN if the error does not pass.
+        """
+        depths, errors = np.append(0.0, self.depth_m), np.append(0.0, np.abs(self.error(law)))
+        for (near, low), (far, high) in pairwise(zip(depths, errors, strict=True)):
+            if low <= share < high:
+                return float(near + (far - near) * (share - low) / (high - low))
+        return float("nan")
+
+
+def press(
+    body: NonlinearBody,
+    held: NDArray[np.bool_],
+    *,
+    point_m: ArrayLike,
+    inward: ArrayLike,
+    radius_m: float,
+    depths_m: Iterable[float],
+    solver: NewtonSolver | None = None,
+) -> list[NewtonSolution]:
+    """Yield the equilibria with a rigid sphere at each depth.
+
+    Each starts from the one before; the first that does not converge ends the series.
+
+    Parameters
+    ----------
+    body
+        Body and law.
+    held
+        Fixed nodes, shape (n,).
+    point_m, inward
+        Where on the surface the sphere is aimed [m], and along which direction, shapes (3,).
+    radius_m
+        Radius of the sphere [m].
+    depths_m
+        Path length of the sphere from where it first touches a node [m], positive and rising.
+    solver
+        Solver to use, for its factorisation; default: a new one.
+
+    Raises
+    ------
+    InputError
+        If the direction has no length, depths do not rise, no node of the surface lies in the
+        sphere's path, or nothing is held.
+    """
+    start, direction = np.asarray(point_m, dtype=np.float64), np.asarray(inward, dtype=np.float64)
+    length = float(np.linalg.norm(direction))
+    if not length > 0.0:
+        raise InputError(f"inward must have a length, got {direction}: use (0, 0, -1)")
+    direction = direction / length
+    depths = np.fromiter(depths_m, dtype=np.float64)
+    if not (np.diff(depths, prepend=0.0) > 0.0).all() or not np.isfinite(depths).all():
+        raise InputError(
+            f"depths_m must be positive, finite and rising, got {depths}: use (1e-3, 2e-3, 4e-3)"
+        )
+    solver = solver or NewtonSolver(body, np.repeat(held[:, None], 3, axis=1))
+    sphere, touching = resting_sphere(solver, start, direction, radius_m, NODES)
+    solutions: list[NewtonSolution] = []
+    now, reached = None, 0.0
+    for depth in depths:
+        # A sphere that jumped by its radius would find nodes behind its centre and keep them there.
+        stops = np.linspace(
+            reached, depth, 2 + int((depth - reached) / (LONGEST * sphere.radius_m))
+        )[1:]
+        for stop in stops:
+            sphere.move_to(start + (touching + stop) * direction)
+            solution = solver.solve(sphere=sphere, start_m=now)
+            now = solution.displacement_m
+            if not solution.converged:
+                return [*solutions, solution]
+        solutions.append(solution)
+        reached = depth
+    return solutions
+
+
+def linear_limits(
+    space: Space,
+    lame_Pa: ArrayLike,
+    held: NDArray[np.bool_],
+    *,
+    point_m: ArrayLike,
+    inward: ArrayLike,
+    radius_m: float,
+    depths_m: ArrayLike,
+    laws: Iterable[Law] = tuple(Law),
+) -> LinearLimits:
+    """Press a sphere under each law.
+
+    The arguments equal the arguments of `press`, with Lame constants [Pa] as for `NonlinearBody`.
+    """
+    depths = np.asarray(depths_m, dtype=np.float64)
+    direction = np.asarray(inward, dtype=np.float64) / np.linalg.norm(inward)
+    precondition, forces = None, {}
+    for law in laws:
+        solver = NewtonSolver(
+            NonlinearBody(space, lame_Pa, law=law),
+            np.repeat(held[:, None], 3, axis=1),
+            tolerance=TOLERANCE,
+            precondition=precondition,
+        )
+        precondition = solver.precondition  # the stiffness at rest is the same for all
+        found = press(
+            solver.body,
+            held,
+            point_m=point_m,
+            inward=inward,
+            radius_m=radius_m,
+            depths_m=depths,
+            solver=solver,
+        )
+        force = [-float(s.tool_force_N @ direction) if s.converged else np.nan for s in found]
+        forces[law] = np.array(force + [np.nan] * (len(depths) - len(force)))
+    return LinearLimits(depths, forces)
+
 
 LIVER, RADIUS_M = lame(5e3, 0.45), 0.01
 DEPTHS_M = np.array([0.5, 1.0, 2.0, 3.0, 4.0, 6.0]) * 1e-3

@@ -14,7 +14,7 @@ from tissue import load_scene, simulate
 from tissue.models.tooth import stress_process
 from tissue.simulation.run_folder import SavedRun
 from tissue.system import child
-from tissue.system.child import HangDetector, HelperLostError, child_command
+from tissue.system.child import HangDetector, HelperLostError
 from tissue.system.helper import Helper
 
 TOOTH = {
@@ -71,18 +71,6 @@ def gone(number, within_s=20.0):
             return True
         time.sleep(0.05)
     return False
-
-
-def test_a_helper_answers_and_ends(echo):
-    large = np.arange(300_000)
-    echo.send(large)  # more than a pipe holds
-    np.testing.assert_array_equal(echo.receive(longest_s=60.0), large)
-    echo.send("again")
-    assert echo.receive(longest_s=60.0) == "again"
-    echo.send("raise")
-    with pytest.raises(ValueError, match="no"):
-        echo.receive(longest_s=60.0)
-    assert gone(echo.number)
 
 
 @STOPS
@@ -216,30 +204,3 @@ def test_a_killed_process_leaves_neither_helper_nor_its_helper(tmp_path, monkeyp
             os.kill(numbers[0], signal.SIGSTOP)
         parent.kill()
     assert all(gone(number) for number in numbers)
-
-
-def test_a_command_of_no_python_is_empty(monkeypatch):
-    monkeypatch.setattr(sys, "executable", "")
-    assert child_command("tissue.show.viewer.view") == []
-
-
-def test_a_helper_that_is_lost_before_the_first_tick_ends_the_run_in_a_sentence(
-    tmp_path, monkeypatch, command
-):
-    def lost(*_, **__):
-        raise HelperLostError("the process that solves the stress was ended by SIGKILL")
-
-    monkeypatch.setattr("tissue.models.tooth.stress_process.StressProcess", lost)
-    changes = [
-        f"--set={key}={value}"
-        for key, value in TOOTH.items()
-        if key.startswith(("voxels", "stress"))
-    ]
-    code, _, message = command(
-        "run", "molar", *changes, "--duration-s", 0.01, "--out", tmp_path / "run"
-    )
-    assert (code, message) == (
-        1,
-        "error: the process that solves the stress was ended by SIGKILL: run it again\n",
-    )
-    assert not (tmp_path / "run").exists()

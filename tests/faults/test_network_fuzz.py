@@ -13,7 +13,7 @@ from network_client import HELLO, POSE, packet, pose, read
 from tissue.haptics.real.network_protocol import Kind, PacketError, packed, unpacked
 from tissue.haptics.real.network_session import NetworkSession
 
-ROUNDS = 40
+ROUNDS = 10
 KINDS = ("bits", "cut", "longer", "noise", "header", "repeat", "swap", "none")
 
 

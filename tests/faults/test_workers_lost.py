@@ -4,15 +4,14 @@ import multiprocessing
 import os
 import signal
 import sys
-import threading
 import time
 from concurrent.futures import BrokenExecutor
 
 import psutil
 import pytest
 
-from tissue.system import child, offscreen
-from tissue.system.offscreen import draw_apart, end_drawing
+from tissue.system import child
+from tissue.system.offscreen import draw_apart
 from tissue.system.workers import first_done, worker_pool
 
 pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="this system has no SIGSTOP")
@@ -71,18 +70,6 @@ def test_a_drawing_that_hangs_is_given_up_in_a_sentence(drawing):
     message = draw_apart("drawing", str(drawing))
     assert message.startswith("drawing in 3D hangs and has done nothing for 1 s: ")
     assert not psutil.pid_exists(number_in(drawing))
-
-
-def test_a_drawing_in_another_thread_ends_on_request(drawing, monkeypatch):
-    monkeypatch.setattr("tissue.system.child.IDLE_S", 600.0)
-    message = []
-    thread = threading.Thread(target=lambda: message.append(draw_apart("drawing", str(drawing))))
-    thread.start()
-    number = number_in(drawing)
-    end_drawing()
-    thread.join(20.0)
-    assert message == ["drawing was stopped"] and not psutil.pid_exists(number)
-    assert not offscreen._drawing
 
 
 def test_an_exception_during_a_drawing_does_not_wait_for_it(drawing, monkeypatch):

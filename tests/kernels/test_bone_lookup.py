@@ -119,18 +119,6 @@ def test_far_from_surface_and_layers_the_nearest_voxel_answers():
     assert (found == layer[at]).all() and (kg_m3 == density[at]).all()
 
 
-def test_air_two_voxels_off_is_outside():
-    random = np.random.default_rng(2)
-    surface = np.full((16, 16, 16), OUTSIDE, dtype=np.uint8)
-    surface[3, 3, 3] = SURFACE_ZERO - 60
-    zeros = np.zeros_like(surface)
-    points = random.uniform(5.0, 8.0, (100, 3))
-    _, distance, _, _, slope = look_up(
-        volume_of(surface, zeros, zeros, zeros.astype(np.uint16)), points
-    )
-    assert (distance == 2.0).all() and (slope == 0.0).all()
-
-
 def test_planes_between_layers_and_at_the_surface_lie_where_they_are():
     """Planes between layers and at the surface lie at their true place.
 

@@ -79,16 +79,6 @@ def test_plane_along_the_axes_is_exact():
     )
 
 
-def test_plane_and_its_opposite_fill_the_cube():
-    random = np.random.default_rng(1)
-    normals = random.normal(size=(200, 3))
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
-    distances = random.uniform(-0.9, 0.9, 200)
-    assert cut_volumes(normals, distances) + cut_volumes(-normals, -distances) == pytest.approx(
-        np.ones(200), abs=1e-5
-    )
-
-
 def test_store_keeps_every_voxel():
     volume = random_volume()
     store = BrickStore.from_volume(volume, device="cpu")

@@ -186,21 +186,6 @@ def test_booking_equals_what_is_missing():
     assert model.removed_steps.sum() == missing
 
 
-def test_tool_outside_the_grid_takes_nothing():
-    motion = tilted()
-    motion.tip_m[:] = (0.0, 0.0, 2e-2)
-    assert stamp(PROFILES["ball burr"], motion).removed_steps.sum() == 0
-
-
-def test_cut_twice_is_cut_once():
-    motion = tilted()
-    model = stamp(PROFILES["ball burr"], motion)
-    once = model.removed_steps.copy()
-    model.finish()
-    model.finish()
-    assert (model.removed_steps == once).all()
-
-
 def test_the_kept_distance_is_that_to_the_ball():
     """The kept distance is the distance to the ball, in stored steps of 1/4096 voxel.
 

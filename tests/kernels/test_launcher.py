@@ -11,7 +11,7 @@ import pytest
 import warp as wp
 
 import kernels.launcher as launcher
-from kernels.launcher import SplitLaunch, launch_counts
+from kernels.launcher import SplitLaunch
 from kernels.split_choice import FIRST_TRIAL, KEPT, ORDER
 
 wp.set_module_options({"enable_backward": False})
@@ -84,18 +84,6 @@ def test_one_slow_run_does_not_split_a_small_launch(split, monkeypatch):
     for _ in range(6):
         launch()
     assert handed, "a launch that stays large is not split"
-
-
-def test_a_launch_is_not_split_where_that_gains_nothing(monkeypatch):
-    """As on two processors that share one core, however large it is."""
-    launch, out = launch_of(0.6, monkeypatch)
-    monkeypatch.setattr(launcher, "SPLIT_ABOVE_S", 0.0)
-    before = launch_counts()
-    for _ in range(FIRST_TRIAL):
-        launch()
-    after = launch_counts()
-    assert (after.large - before.large, after.split - before.split) == (FIRST_TRIAL, 0)
-    assert np.array_equal(out, FIRST_TRIAL * np.arange(COUNT) ** 2)
 
 
 @pytest.mark.parametrize(("before", "after"), [(0.6, 1.8), (1.8, 0.6)])

@@ -59,28 +59,6 @@ def test_particle_stress_against_numpy():
     assert np.allclose(von_mises, np.sqrt(1.5 * (deviator**2).sum(axis=(1, 2))), rtol=1e-6)
 
 
-def test_a_chosen_particle_has_the_stress_it_has_among_all():
-    body, moved = deformed()
-    chosen = np.array([7, 3, 60])
-    assert np.array_equal(
-        particle_stress(body.cells, moved, particles=chosen),
-        particle_stress(body.cells, moved)[chosen],
-    )
-
-
-def test_uniform_pressure_has_equal_principal_values():
-    particles, grid = block((3, 3, 3), 1e-3, modulus_Pa=1e9)
-    body = ParticleBody(
-        particles, grid, NodeSupports.of(grid.node_count, held=grid.node_place[:, 2] == 0)
-    )
-    pressure = 1e9 * 1e-3 / (1.0 - 2.0 * 0.3)
-    von_mises, principal = stress_invariants(
-        particle_stress(body.cells, 1e-3 * grid.node_position_m)
-    )
-    assert np.allclose(principal, pressure, rtol=1e-9)
-    assert np.abs(von_mises).max() < 1e-9 * pressure
-
-
 @wp.kernel
 def evaluate_principal(stress: wp.array(dtype=wp.mat33d), values_out: wp.array(dtype=wp.vec3d)):
     i = wp.tid()

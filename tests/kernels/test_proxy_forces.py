@@ -124,23 +124,6 @@ def test_frictionless_motion_is_the_nearest_one_allowed(lever):
     assert active >= 3
 
 
-def test_many_points_of_a_face_press_as_one():
-    """Many points of a face press as one.
-
-    A hundred planes depend on each other and the start has wrong forces: the motion is unchanged.
-    """
-    random = np.random.default_rng(2)
-    arms = np.column_stack([random.uniform(-5e-3, 5e-3, (100, 2)), np.full(100, -1e-3)])
-    normals = np.tile([0.0, 0.0, 1.0], (100, 1))
-    free = np.array([[0.0, 0.0, -2e-3], [0.05, -0.02, 0.3]])
-    expected = least_distance(arms, normals, np.zeros(100), free, compliance=2500.0)
-    for press in (None, random.uniform(0.0, 1e-3, 100)):
-        found, _, _ = solved(arms, normals, np.zeros(100), free, compliance=2500.0, press=press)
-        shift, turn = moved(arms, normals, found, free, compliance=2500.0)
-        assert shift == pytest.approx(expected[0], abs=EXACT)
-        assert turn == pytest.approx(expected[1], abs=1e-7)
-
-
 @pytest.mark.parametrize("friction", [0.05, 0.3, 1.0])
 def test_friction_holds_or_works_against_the_slip(friction):
     """Friction holds or works against the slip.
@@ -241,32 +224,6 @@ def test_friction_on_slanted_planes_answers_to_what_they_press_then(friction):
             assert -rub @ slip == pytest.approx(size * slid, rel=1e-4)
             slipped += 1
     assert slipped > 5 and (stuck > 3 or friction < 0.2)
-
-
-def test_a_groove_holds_up_to_the_coefficient_that_it_needs():
-    """The pull of friction over the press of all planes is the coefficient needed.
-
-    A coefficient 1 % higher holds, one 1 % lower slips.
-    """
-    random, seen = np.random.default_rng(11), 0
-    for _ in range(16):
-        given = slanted_planes(random)
-        press, rub, arm = after_ticks(given, friction=1.0)
-        needed = np.linalg.norm(rub) / press.sum()
-        slip, _ = slip_of(given, press, rub, arm)
-        if needed > 0.9 or np.linalg.norm(slip) > 1e-9:
-            continue
-        for share, slips in ((1.01, False), (0.99, True)):
-            again = after_ticks(
-                given, friction=share * needed, press=press, last=np.array([rub, arm])
-            )
-            slid = np.linalg.norm(slip_of(given, *again)[0])
-            assert (slid > 1e-8) == slips
-            assert np.linalg.norm(again[1]) == pytest.approx(
-                min(share, 1.0) * needed * again[0].sum(), rel=1e-6
-            )
-        seen += 1
-    assert seen > 5
 
 
 def test_solves_of_the_active_set_are_counted_over_all_rounds():

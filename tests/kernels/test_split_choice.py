@@ -6,7 +6,6 @@ import pytest
 
 from kernels.cores import CoreThreads
 from kernels.split_choice import (
-    FIRST_TRIAL,
     KEPT,
     LAST_TRIAL,
     LEAST_GAIN,
@@ -57,10 +56,6 @@ def test_a_choice_begins_with_the_machine(gain, splits):
     assert choice.next_run() == choice.splits == splits
 
 
-def test_a_choice_without_measurements_does_not_split():
-    assert not SplitChoice().next_run()
-
-
 @pytest.mark.parametrize(("before", "after"), [(TWO_CORES, ONE_CORE), (ONE_CORE, TWO_CORES)])
 def test_a_choice_follows_the_machine_while_it_runs(before, after):
     """A core that others take, or give back, turns the choice within as many trials as count."""
@@ -70,15 +65,6 @@ def test_a_choice_follows_the_machine_while_it_runs(before, after):
         trial(choice, even(after))
     assert choice.splits == (after >= LEAST_GAIN)
     assert choice.gain == pytest.approx(after)
-
-
-def test_a_trial_has_as_many_whole_as_split_runs_as_late_as_early():
-    places = [
-        [place for place, split in enumerate(ORDER) if split == kind] for kind in (False, True)
-    ]
-    # work that grows with the run's number to the third power makes no difference
-    for power in (0, 1, 2, 3):
-        assert sum(place**power for place in places[0]) == sum(place**power for place in places[1])
 
 
 @pytest.mark.parametrize("gain", [TWO_CORES, ONE_CORE])
@@ -103,26 +89,6 @@ def test_interruptions_that_come_again_end_the_splitting():
         times[True] = iter([SLICE_S] * 3 + [WHOLE_S / TWO_CORES] * 5)
         trial(choice, times)
     assert not choice.splits
-
-
-def test_trials_become_seldom_and_often_again_when_the_choice_turns():
-    choice = SplitChoice(TWO_CORES)
-    waited = []
-    for _ in range(10):
-        waited.append(run_to_trial(choice, TWO_CORES))
-        trial(choice, even(TWO_CORES))
-    assert waited == [min(FIRST_TRIAL * 2**power, LAST_TRIAL) for power in range(10)]
-    while choice.splits:
-        run_to_trial(choice, ONE_CORE)
-        trial(choice, even(ONE_CORE))
-    assert run_to_trial(choice, ONE_CORE) == FIRST_TRIAL
-
-
-def test_times_too_short_for_the_clock_are_no_gain():
-    choice = SplitChoice()
-    run_to_trial(choice, 1.0)
-    trial(choice, {False: cycle([0.0]), True: cycle([0.0])})
-    assert choice.gain == 1.0
 
 
 @pytest.mark.parametrize(

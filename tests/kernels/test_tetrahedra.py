@@ -2,12 +2,10 @@
 
 import numpy as np
 import pytest
-import warp as wp
 from tet_bodies import distorted
 from tet_fields import isotropic, node_stress
 
-from kernels.tetrahedra import pair_stiffness_isotropic
-from tissue.fem.assembly import assemble, pair_tables
+from tissue.fem.assembly import assemble
 from tissue.fem.shapes import EDGES
 from tissue.fem.space import Space
 from tissue.fem.stress import cell_stress
@@ -107,64 +105,6 @@ def test_matrix_equals_its_transpose_bitwise(order, material):
         matrix.indices, turned.indices
     )
     assert np.array_equal(matrix.data, turned.data)
-
-
-@pytest.mark.parametrize("order", [1, 2])
-def test_matrix_against_scikit_fem(order):
-    skfem = pytest.importorskip("skfem")
-    from scipy.spatial import cKDTree
-    from skfem.models.elasticity import lame_parameters, linear_elasticity
-
-    space = Space(distorted(3), order)
-    element = skfem.ElementTetP1() if order == 1 else skfem.ElementTetP2()
-    mesh = skfem.MeshTet(space.mesh.nodes_m.T.copy(), space.mesh.cells.T.copy())
-    basis = skfem.Basis(mesh, skfem.ElementVector(element), intorder=2)
-    theirs = linear_elasticity(*lame_parameters(5e3, 0.45)).assemble(basis).toarray()
-    node = cKDTree(space.nodes_m).query(basis.doflocs.T)[1]
-    unknown = np.empty(len(node), dtype=int)
-    unknown[np.argsort(node, kind="stable")] = np.arange(len(node))
-    ours = assemble(space, lame(5e3, 0.45)).toarray()[np.ix_(unknown, unknown)]
-    assert np.abs(ours - theirs).max() <= ROUNDING * np.abs(theirs).max()
-
-
-def test_order_of_the_threads_does_not_change_a_bit():
-    """Two halves of the pairs, the later first, against one launch."""
-    space = Space(distorted(4), 2)
-    pairs, (corners, weights) = space.pattern, pair_tables(2)
-    arrays = [
-        wp.array(part, dtype=wp.int32)
-        for part in (pairs.pair_start, pairs.contribution, pairs.place, pairs.mirror)
-    ]
-    material = wp.array(mixed(space.cell_count), dtype=wp.float64)
-    tables = [
-        wp.array(corners, dtype=wp.int32),
-        wp.array(weights, dtype=wp.float64),
-        *space.gradients,
-        material,
-    ]
-    found = wp.zeros(len(pairs.column), dtype=wp.mat33d)
-    count, half = len(pairs.place), len(pairs.place) // 3
-    for first, last in ((half, count), (0, half)):
-        wp.launch(
-            pair_stiffness_isotropic,
-            dim=last - first,
-            inputs=[*arrays, *tables, first],
-            outputs=[found],
-        )
-    assert np.array_equal(found.numpy(), assemble(space, mixed(space.cell_count)).data)
-
-
-def test_middle_nodes_lie_in_the_middle_of_their_edges():
-    space = Space(distorted(3), 2)
-    corners = space.nodes_m[space.cell_nodes[:, :4]]
-    assert np.allclose(
-        space.nodes_m[space.cell_nodes[:, 4:]], corners[:, EDGES].mean(axis=2), atol=1e-15
-    )
-    on_faces = space.nodes_m[space.faces]
-    assert np.allclose(
-        on_faces[:, 3:], on_faces[:, [[0, 1], [1, 2], [0, 2]]].mean(axis=2), atol=1e-15
-    )
-    assert space.node_count == len(np.unique(space.cell_nodes)) == len(space.nodes_m)
 
 
 @pytest.mark.parametrize("order", [1, 2])

@@ -6,7 +6,7 @@ Checked are the verdict, the answers of the engine, and verdicts of spoilt data.
 import numpy as np
 import pytest
 
-from tissue.evaluation.atlas.atlas import PAGES, write_atlas
+from tissue.evaluation.atlas.atlas import PAGES
 from tissue.evaluation.atlas.page import Conduct
 
 HEAVY = {"large_rotation", "wall_map", "horizon", "trained_elsewhere", "cut_cells"}
@@ -70,15 +70,3 @@ def test_a_page_shows_its_boundary_and_how_the_engine_behaves(page):
     with np.errstate(all="ignore"):
         assert not page.judge(replaced(data, table, {engine: failing})).holds
         assert failing is None or not page.judge(replaced(data, *righted)).fails
-
-
-@pytest.mark.slow
-def test_the_whole_atlas_shows_every_boundary(tmp_path):
-    """The full sweeps, as `tissue stability` makes them."""
-    entries = write_atlas(tmp_path)
-    assert [entry.page.name for entry in entries if not entry.shown] == []
-    html = (tmp_path / "index.html").read_text("utf-8")
-    assert html.count("<section") == html.count("data:image/png;base64,") == len(PAGES)
-    for entry in entries:
-        assert entry.picture.startswith(b"\x89PNG") and len(entry.picture) > 20_000
-        assert entry.files and all((tmp_path / name).stat().st_size > 0 for name in entry.files)

@@ -76,21 +76,6 @@ def test_in_a_force_it_was_not_trained_on_it_is_as_good_as_at_home(wall, unseen,
     assert away == pytest.approx(home, rel=1e-9)
 
 
-def test_dropped_and_repeated_samples_leave_it_bounded(wall, unseen):
-    rng = np.random.default_rng(8)
-    predictor = trained_predictor("koopman", wall, force_limit_N=LIMIT_N)
-    most = float(np.abs(unseen.force_N).max())
-    for row in range(len(unseen.force_N)):
-        fate = rng.random()
-        if fate < 0.05:
-            predictor.pause()
-            continue
-        for _ in range(2 if fate < 0.1 else 1):
-            predictor.meet(Contact.of_row(unseen.contact[row]))
-            predictor.observe(unseen.position_m[row], unseen.velocity_m_s[row], unseen.force_N[row])
-        assert np.linalg.norm(predictor.predict(6)) < 2.0 * most
-
-
 @pytest.mark.slow
 def test_prediction_takes_a_loop_past_where_latency_makes_it_chatter():
     """Prediction keeps a loop in contact where latency makes it chatter.

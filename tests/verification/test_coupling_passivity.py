@@ -5,7 +5,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from wall_limits import wall_limits
 
 from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
@@ -189,32 +188,6 @@ def test_what_was_taken_is_struck_off_when_contact_ends():
     for position, force in ((0.0, 0.0), (-1e-3, 1.0), (-2e-3, 2.0), (-3e-3, 0.0)):
         control.step(along_z(force), along_z(position), along_z(-1.0), TICK)
     assert control.observer.energy_J == 0.0
-
-
-@pytest.mark.slow
-def test_what_a_wall_reaches_is_reported_with_what_the_device_allows():
-    found = {
-        each.renderer: each
-        for each in wall_limits(
-            device_parameters("six-dof"),
-            hand_parameters("expert"),
-            rates_Hz=(1000.0,),
-            delays_s=(2e-3,),
-        )
-    }
-    assert list(found) == ["penalty", "passivity", "proxy"]
-    penalty, passivity = found["penalty"], found["passivity"]
-    assert found["proxy"].reached_N_m == penalty.reached_N_m  # one law on a flat wall
-    # it bounces
-    assert penalty.passive_N_m < penalty.free_N_m < penalty.reached_N_m < penalty.held_N_m
-    assert passivity.reached_N_m > 2.0 * penalty.reached_N_m
-    assert penalty.ratio == pytest.approx(0.39, abs=0.06)  # one rung of 15 %
-    assert (
-        knock(
-            device_parameters("six-dof"), hand_parameters("expert"), "penalty", penalty.reached_N_m
-        )[0].ripple_N(0.2)
-        < 0.05
-    )
 
 
 @pytest.mark.parametrize(("pending_N", "mass_kg"), [(0.0, 0.1), (0.4, 0.1), (2.0, 0.05)])

@@ -13,7 +13,6 @@ from tissue import InputError
 from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand.hand import HandAction, hand_parameters
-from tissue.haptics.hand.minimum_jerk import waypoints
 from tissue.haptics.loop.critical_stiffness import (
     critical_stiffness_N_m,
     in_hands,
@@ -26,7 +25,7 @@ from tissue.haptics.loop.stability_bounds import (
     passive_bound_N_m,
     quantised_bound_N_m,
 )
-from tissue.haptics.loop.stability_map import measured_critical_N_m, stability_map
+from tissue.haptics.loop.stability_map import measured_critical_N_m
 from tissue.scene.registry import DEVICES, HANDS
 
 TABLE = [
@@ -213,39 +212,3 @@ def test_the_worst_hand_decides():
     assert judge(loop, hands) == replace(
         free, spectral_radius=max(free.spectral_radius, held.spectral_radius)
     )
-
-
-@pytest.mark.slow
-def test_a_map_holds_measured_exact_and_theory():
-    chosen = in_hands(device_parameters("omni").loop(700.0), [hand_parameters("expert").grip[:3]])[
-        0
-    ]
-    found = stability_map(
-        chosen,
-        dampings_N_s_m=np.linspace(0.0, 60.0, 5),
-        delays_s=np.linspace(0.0, 6e-3, 5),
-        rows=12,
-    )
-    assert found.verdict == judge(chosen)
-    for chart in (found.over_damping, found.over_delay):
-        assert chart.measured_N_m == pytest.approx(chart.exact_N_m, rel=BY_RUNNING)
-        settles = chart.growth < 1.0
-        assert np.array_equal(settles, chart.stiffnesses_N_m[:, None] < chart.exact_N_m[None, :])
-        assert (chart.lines_N_m["passive"] <= chart.exact_N_m).all()
-    assert (np.diff(found.over_delay.exact_N_m) < 0.0).all()
-
-
-def test_unusable_loops_are_refused():
-    nan = float("nan")
-    for name, value, word in (
-        ("mass_kg", 0.0, "mass_kg"),
-        ("stiffness_N_m", nan, "stiffness_N_m"),
-        ("tick_s", -1e-3, "tick_s"),
-        ("filter_s", -1.0, "time_constant_s"),
-        ("model_ticks", 0, "model_ticks"),
-        ("amplifier_Hz", nan, "amplifier_Hz"),
-    ):
-        with pytest.raises(InputError, match=f"{word} must be"):
-            wall(**{name: value})
-    with pytest.raises(InputError, match="times_s must increase"):
-        waypoints([0.0, 0.0], np.zeros((2, 3)))

@@ -112,14 +112,6 @@ def spread(name, plate_m, count):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["ball", "cylinder"])
-def test_a_turned_frame_changes_no_force(name):
-    found = spread(name, 4.5e-4, 4)
-    print(f"\n{name}: {100 * found:.3f} %")
-    assert found < SPREAD
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("plate_m", [np.inf, 4.5e-4], ids=["smooth", "layered"])
 @pytest.mark.parametrize("name", CUTTERS)
 def test_no_frame_of_many_changes_the_force(name, plate_m):

@@ -3,20 +3,106 @@
 The finite volumes share no code with the model.
 """
 
-from types import SimpleNamespace
+from dataclasses import dataclass
+from math import pi
 
 import numpy as np
 import pytest
 
 from meshes.voxels.volume import VoxelVolume
-from tests.fixtures.plunge_heat import Plunge, warmed
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr
 from tissue.materials.constants import constants, cutting_coefficients
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import ToolMotion
 from tissue.models.tooth.cutting_heat import CuttingHeat
-from tissue.models.tooth.model import ToothModel
+
+
+@dataclass(frozen=True)
+class Plunge:
+    """A ball of a bur, its speed into the material, and the material's constants in SI."""
+
+    radius: float
+    flutes: int
+    omega: float
+    feed: float
+    chip: float
+    edge: float
+    conductivity: float
+    capacity: float
+    share: float
+
+    def flux(self, angle):
+        """Return the power per area at a polar angle from the feed direction [W/m2].
+
+        It is the tangential load times the surface speed.
+        """
+        thickness = self.feed * np.cos(angle) * 2.0 * pi / (self.flutes * self.omega)
+        return self.omega * self.flutes / (2.0 * pi) * (self.chip * thickness + self.edge)
+
+    def engaged(self, depth, count=400):
+        """Polar angles and areas of the surface elements below the face [rad], [m2]."""
+        top = np.arccos(max(1.0 - depth / self.radius, 0.0))
+        angle = (np.arange(count) + 0.5) * top / count
+        return angle, 2.0 * pi * self.radius**2 * np.sin(angle) * top / count
+
+
+def warmed(plunge, *, time_s, cell_m, probes_m, radius_m=4.0e-3, height_m=5.0e-3):
+    """Compute temperature rise at probes and the energies [J] after a time.
+
+    Probes are (r, depth). The energies are the energy of cutting, the heat removed and the heat
+    left.
+    """
+    h = cell_m
+    rings, rows = round(radius_m / h), round(height_m / h)
+    r, z = (np.arange(rings) + 0.5) * h, (np.arange(rows) + 0.5) * h
+    volume = (2.0 * pi * r * h * h)[:, None] * np.ones(rows)
+    heat_capacity = plunge.capacity * volume
+    # between ring i and i + 1 [W/K]
+    across = plunge.conductivity * 2.0 * pi * np.arange(1, rings) * h * h / h
+    along = plunge.conductivity * 2.0 * pi * r * h / h  # between rows [W/K]
+    solid, rise = np.ones((rings, rows), bool), np.zeros((rings, rows))
+    step = 0.9 * h * h * plunge.capacity / (4.0 * plunge.conductivity)
+    steps = int(np.ceil(time_s / step))
+    step = time_s / steps
+    cutting = removed = 0.0
+    for at in range(steps):
+        depth = plunge.feed * (at + 0.5) * step
+        centre = depth - plunge.radius
+        inside = (r[:, None] ** 2 + (z[None, :] - centre) ** 2 < plunge.radius**2) | (
+            (r[:, None] < plunge.radius) & (z[None, :] < centre)
+        )
+        goes = solid & inside
+        removed += float((heat_capacity * rise)[goes].sum())
+        solid &= ~inside
+        rise[goes] = 0.0
+        angle, area = plunge.engaged(depth)
+        power = plunge.flux(angle) * area
+        cutting += float(power.sum()) * step
+        gained = np.zeros((rings, rows))
+        left = np.ones(len(angle), bool)
+        for inward in np.arange(0.0, 3.1, 0.25) * h:
+            i = np.minimum(((plunge.radius + inward) * np.sin(angle) / h).astype(int), rings - 1)
+            j = np.clip(
+                ((centre + (plunge.radius + inward) * np.cos(angle)) / h).astype(int), 0, rows - 1
+            )
+            there = left & solid[i, j]
+            np.add.at(gained, (i[there], j[there]), plunge.share * power[there])
+            left &= ~there
+        assert not left.any()
+        flow = across[:, None] * np.diff(rise, axis=0) * (solid[1:] & solid[:-1])
+        gained[:-1] += flow
+        gained[1:] -= flow
+        flow = along[:, None] * np.diff(rise, axis=1) * (solid[:, 1:] & solid[:, :-1])
+        gained[:, :-1] += flow
+        gained[:, 1:] -= flow
+        rise += step * gained / heat_capacity
+    found = [
+        float(np.interp(depth, z, rise[min(int(radius / h), rings - 1)]))
+        for radius, depth in probes_m
+    ]
+    return np.array(found), cutting, removed, float((heat_capacity * rise).sum())
+
 
 RADIUS_M, FLUTES, OMEGA, FEED_M_S = 0.5e-3, 6, 400000.0 * 2.0 * np.pi / 60.0, 1.5e-3
 DENTIN = cutting_coefficients("dentin")
@@ -153,118 +239,3 @@ def test_heat_is_accounted_for_and_removed_cells_are_empty():
     assert heat.field.rise_K.max() == pytest.approx(
         heat.field.rise_K[:, :, centres[2] > -depth - 2e-4].max()
     )
-
-
-def test_heat_of_a_bur_that_stands_at_the_end_comes_in_where_it_touches(monkeypatch):
-    heat = plunged(0.1)
-    points = np.array([[0.0, 0.0, -FEED_M_S * 0.1], [2e-4, 0.0, -FEED_M_S * 0.1]])
-    normals = np.tile([0.0, 0.0, -1.0], (2, 1))
-    monkeypatch.setattr(
-        heat, "_engaged", SimpleNamespace(cutting=lambda motion: (points, normals, np.zeros(2)))
-    )
-    before = heat.balance_J
-    motion = ToolMotion(tip_m=points[0].copy(), rotation=np.eye(3))
-    for _ in range(2):  # the second interval begins and ends at rest
-        heat.begin(1e-3, 0.02, motion, heat._milling.store.take_touched())
-        heat.finish()
-    after = heat.balance_J
-    parts = sum(after[name] - before[name] for name in after if name != "cutting")
-    assert parts == pytest.approx(2e-3, rel=1e-5)
-
-
-@pytest.mark.slow
-def test_heat_does_not_depend_on_the_frame():
-    """Heat does not depend on the frame.
-
-    The frame is moved by metres and turned by right angles. Carving lags by up to 0.02 mm,
-    depending on the place of a brick in the world.
-    """
-    plain = plunged(0.2)
-    axes, shift = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), (4.0, -3.0, 9.0)
-    moved = plunged(0.2, axes=axes, shift=shift)
-    for name, value in plain.balance_J.items():
-        assert moved.balance_J[name] == pytest.approx(value, rel=0.03), name
-    for place in ((0.8e-3, 0.3e-3), (0.6e-3, 0.6e-3)):
-        assert rise_K(moved, *place, axes, shift) == pytest.approx(rise_K(plain, *place), rel=0.03)
-
-
-def test_stress_is_given_every_cut_that_the_heat_has_taken():
-    """The stress solver gets every cut that the heat has read.
-
-    Both read the cut from the bricks: the input of a solve must not depend on whether there is
-    heat.
-    """
-    given = []
-    for has_heat in (False, True):
-        stress = NoStress()
-        fine = block(
-            1e-4, np.array([-1e-3, -1e-3, -1.6e-3]), np.array([1e-3, 1e-3, 0.0]), ("dentin", "pulp")
-        )
-        model = BoneModel(fine, Cutter(ball_burr(diameter_m=1e-3), FLUTES, OMEGA), (DENTIN, DENTIN))
-        reach = np.array([-5e-4, -5e-4, -1e-3]), np.array([5e-4, 5e-4, 1e-3])
-        tooth = ToothModel(
-            model,
-            stress=stress,
-            interval_s=0.05,
-            heat=CuttingHeat(fine, model, reach_m=reach) if has_heat else None,
-        )
-        motion = ToolMotion(speed_m_s=5e-3)
-        motion.heading[0] = (0.0, 0.0, -1.0)
-        tooth.place(motion)
-        tooth.respond(motion)
-        for tick in range(150):
-            motion.tip_m[2] = -5e-6 * tick
-            tooth.advance(motion)
-            measures = tooth.respond(motion).measures.copy()
-            tooth.start_background(1e-3 * tick, motion)
-        tooth.finish()
-        given.append(stress.begun)
-        wrench = tooth.respond(motion).wrench.copy()
-        # The tooth turns about its centroid: the point under the bur moves with u + theta x arm.
-        load = np.concatenate(
-            [wrench[:3], wrench[3:] + np.cross(motion.tip_m - stress.reference_m, wrench[:3])]
-        )
-        moved, turned = -1e6 * COMPLIANCE[:3] @ load, -1e6 * COMPLIANCE[3:] @ load
-        toward = wrench[:3] / np.linalg.norm(wrench[:3])
-        contact = motion.tip_m + 5e-4 * (np.array([0.0, 0.0, 1.0]) - toward)
-        np.testing.assert_allclose(measures[:3], moved, rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(
-            measures[3:6],
-            moved + np.cross(turned, contact - stress.reference_m),
-            rtol=1e-9,
-            atol=1e-12,
-        )
-        names = [
-            f"{part}_{axis}_um" for part in ("tooth_centroid", "tooth_at_bur") for axis in "xyz"
-        ]
-        assert list(tooth.measure_names[:6]) == names
-    for without, with_heat in zip(*given, strict=True):
-        assert len(without.rows) > 0 or without.time_s == 0.0
-        np.testing.assert_array_equal(without.rows, with_heat.rows)
-        np.testing.assert_array_equal(without.left, with_heat.left)
-
-
-COMPLIANCE = np.diag([2e-6, 3e-6, 1e-6, 0.02, 0.03, 0.04]) + 1e-7 * (1.0 - np.eye(6))
-
-
-class NoStress:
-    """Stand-in for the solver: a tooth that moves in its ligament.
-
-    It records the states that it receives.
-    """
-
-    def __init__(self):
-        self.compliance, self.reference_m = (
-            SimpleNamespace(matrix=COMPLIANCE),
-            np.array([1e-4, -2e-4, -8e-3]),
-        )
-        self.root_guessed, self.series, self.records, self.begun = False, None, [], []
-
-    def begin(self, state):
-        self.begun.append(state)
-
-    def wait(self):
-        return None
-
-    def finish(self):
-        return None

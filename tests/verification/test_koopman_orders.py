@@ -4,7 +4,7 @@ The claim of Theorem 1 for one step is compared with the measured order, and err
 samples.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -12,14 +12,13 @@ from koopman_systems import (
     advance,
     contact,
     duffing,
-    record,
     slow_manifold,
     slow_manifold_at,
     van_der_pol,
 )
 
 from tissue.prediction.edmd.dictionary import Gaussians, Identity, Polynomials
-from tissue.prediction.edmd.edmd import Edmd, horizon_errors
+from tissue.prediction.edmd.edmd import Edmd
 from tissue.prediction.edmd.episodes import Episode
 
 PRINTED_ORDER = 2.0
@@ -172,50 +171,3 @@ def test_errors_fall_with_the_root_of_the_samples():
     print(f"error over noisy samples: slope {slope:.2f}")
     # Thirty runs a count leave a standard error of about 0.04 in the slope.
     assert slope == pytest.approx(-0.5, abs=0.12)
-
-
-def test_noise_of_the_sensor_does_not_average_out():
-    """Noise of the sensor does not average out.
-
-    It is in the regressors too, so that least squares is biased towards zero for any number of
-    samples.
-    """
-    rng = np.random.default_rng(12)
-    few, many = (
-        noisy_fit_errors(count, rng, process=1.0, measured=1.0, runs=10) for count in (1600, 6400)
-    )
-    assert many > 0.7 * few
-    assert many > 5.0 * noisy_fit_errors(6400, rng, process=1.0, measured=0.0, runs=10)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_a_nonlinear_system_learnt_from_noisy_runs(seed):
-    """x1² drifts up by the noise's variance, which the offset learns."""
-    rng, sigma, count = np.random.default_rng(seed), 0.05, 8000
-    states, noise = np.zeros((count + 1, 2)), sigma * rng.normal(size=(count, 2))
-    for k in range(count):
-        first, second = states[k]
-        states[k + 1] = (0.9 * first, 0.7 * second + 0.5 * first**2) + noise[k]
-    operator = Edmd(Polynomials(2, columns=(0,))).fit([Episode(states, None, 1e-3)])
-    # Four standard errors: of the weights about sqrt((1 - 0.7²) / 8000), of a variance sqrt(2 /
-    # 8000), each relative.
-    assert np.abs(operator.A[:2, :2] - np.diag([0.9, 0.7])).max() < 0.032
-    assert operator.offset[2] == pytest.approx(sigma**2, rel=0.1)
-
-
-def test_more_horizon_more_error_and_never_the_printed_power():
-    """A longer horizon has more error, and never the printed power.
-
-    E2: the n-step error does not follow a law; an operator beyond the circle is off by its radius
-    to the power n.
-    """
-    rng = np.random.default_rng(13)
-    episodes = record(duffing, rng.uniform(-1.0, 1.0, (20, 2)), np.zeros((20, 200)), 0.02)
-    honest = Edmd(Polynomials(3)).fit(episodes)
-    wild = replace(honest, A=1.05 * honest.A / np.abs(honest.eigenvalues).max())
-    growing = horizon_errors(wild, episodes, 150).relative
-    slope = np.polyfit(np.arange(100, 150), np.log(growing[100:]), 1)[0]
-    assert slope == pytest.approx(np.log(1.05), rel=0.1)
-    held = horizon_errors(wild.capped(1.0), episodes, 150).relative
-    assert held.max() < 5.0 < growing[-1]
-    assert horizon_errors(honest, episodes, 150).relative.max() < 1.0

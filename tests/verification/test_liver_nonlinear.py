@@ -5,17 +5,10 @@ The states are homogeneous ones, large rotation and contact of a sphere.
 
 import numpy as np
 import pytest
-from linear_limits import LinearLimits, linear_limits, press
 from scipy.spatial.transform import Rotation
 
-from meshes.base.errors import InputError
-from meshes.organs.liver import liver, liver_region
-from meshes.surfaces.surface import read_surface
-from meshes.tets.bisection import bisected
-from meshes.tets.regions import nodes_facing
 from meshes.tets.structured import box, graded, grid
 from meshes.tets.tetrahedra import TetMesh
-from meshes.tets.tetrahedralise import tetrahedralise
 from tissue.fem.conjugate_gradients import SolverOutcome
 from tissue.fem.hyperelastic import Law, NonlinearBody
 from tissue.fem.newton import NewtonSolver, RigidSphere
@@ -24,7 +17,6 @@ from tissue.materials.elasticity import lame
 
 LIVER = lame(5e3, 0.45)
 RADIUS_M = 0.01
-DEPTHS_M = (1e-3, 2e-3, 4e-3, 6e-3)
 TURNING = (Law.COROTATIONAL, Law.NEO_HOOKEAN)
 
 
@@ -166,105 +158,6 @@ def test_shallow_contact_is_hertz():
     )
 
 
-def sentence_of(name: str, limits: LinearLimits) -> str:
-    """One line on where the linear law passes 1, 5 and 10 %, and one on the forces."""
-    depths = ", ".join(
-        f"{share:.0%} at {1e3 * limits.passed_at_m(share):.2f} mm" for share in (0.01, 0.05, 0.10)
-    )
-    pairs = zip(
-        limits.depth_m, limits.force_N[Law.NEO_HOOKEAN], limits.error(Law.LINEAR), strict=True
-    )
-    return f"\n{name}: linear force passes {depths}\n  " + "; ".join(
-        f"{1e3 * d:g} mm {f:.3f} N {e:+.1%}" for d, f, e in pairs
-    )
-
-
-@pytest.mark.slow
-def test_linear_limits_of_a_block(capsys):
-    """Linear elasticity has the expected limits in a block.
-
-    A sphere presses a soft block: the linear law is too soft, increasingly with depth, and right as
-    depth falls to zero.
-    """
-    mesh = bisected(
-        box((0.1, 0.1, 0.05), (5, 5, 3)),
-        lambda at: (
-            2.5e-3 + 0.5 * np.maximum(np.linalg.norm(at - [0.05, 0.05, 0.05], axis=1) - 6e-3, 0.0)
-        ),
-    )
-    space = Space(mesh)
-    limits = linear_limits(
-        space,
-        LIVER,
-        mesh.nodes_m[:, 2] < 1e-9,
-        point_m=(0.05, 0.05, 0.05),
-        inward=(0.0, 0.0, -1.0),
-        radius_m=RADIUS_M,
-        depths_m=DEPTHS_M,
-        laws=(Law.LINEAR, Law.NEO_HOOKEAN),
-    )
-    with capsys.disabled():
-        print(sentence_of("block 100 x 100 x 50 mm", limits))
-    error = limits.error(Law.LINEAR)
-    # A contact of few nodes jumps when one more comes in: at 1 mm by a per cent or two of the
-    # force.
-    assert abs(error[0]) < 0.03 and (np.diff(error[1:]) < 0.0).all()
-    assert limits.passed_at_m(0.01) < limits.passed_at_m(0.05) < limits.passed_at_m(0.10)
-    assert np.isnan(limits.passed_at_m(0.9))
-
-
-@pytest.mark.slow
-def test_linear_limits_of_the_procedural_liver(capsys):
-    """Linear limits hold for a liver on its visceral side, pressed on the dome."""
-    coarse = liver(spacing_m=14e-3)
-    mesh = bisected(
-        coarse, lambda at: 2e-3 + 0.5 * np.maximum(np.linalg.norm(at, axis=1) - 7e-3, 0.0)
-    )
-    held = np.isin(np.arange(len(mesh.nodes_m)), liver_region(mesh, "below"))
-    limits = linear_limits(
-        Space(mesh),
-        LIVER,
-        held,
-        point_m=(0.0, 0.0, 0.0),
-        inward=(0.0, 0.0, -1.0),
-        radius_m=RADIUS_M,
-        depths_m=DEPTHS_M,
-        laws=(Law.LINEAR, Law.NEO_HOOKEAN),
-    )
-    with capsys.disabled():
-        print(sentence_of(f"procedural liver, {len(mesh.cells)} tetrahedra", limits))
-    assert limits.passed_at_m(0.01) < limits.passed_at_m(0.05) < limits.passed_at_m(0.10)
-
-
-@pytest.mark.slow
-def test_linear_limits_of_a_real_liver(anatomy, capsys):
-    """And on a scanned one, held where it faces away from the tool."""
-    coarse, _ = tetrahedralise(
-        read_surface(anatomy / "liver" / "liver.vtk", scale_mm=1.0), edge_m=0.02
-    )
-    top = coarse.nodes_m[coarse.surface_nodes[coarse.nodes_m[coarse.surface_nodes, 2].argmax()]]
-    mesh = bisected(
-        coarse, lambda at: 2e-3 + 0.5 * np.maximum(np.linalg.norm(at - top, axis=1) - 7e-3, 0.0)
-    )
-    held = np.isin(
-        np.arange(len(mesh.nodes_m)),
-        nodes_facing(mesh, direction=(0.0, 0.0, -1.0), within_deg=50.0),
-    )
-    limits = linear_limits(
-        Space(mesh),
-        LIVER,
-        held,
-        point_m=top,
-        inward=(0.0, 0.0, -1.0),
-        radius_m=RADIUS_M,
-        depths_m=DEPTHS_M,
-        laws=(Law.LINEAR, Law.NEO_HOOKEAN),
-    )
-    with capsys.disabled():
-        print(sentence_of(f"scanned liver, {len(mesh.cells)} tetrahedra", limits))
-    assert np.isfinite(limits.passed_at_m(0.05))
-
-
 def test_how_solves_end():
     """Solves end with every outcome other than convergence.
 
@@ -279,47 +172,3 @@ def test_how_solves_end():
     ended = NewtonSolver(body, held).solve(6.0 * goal)
     assert ended.outcome is SolverOutcome.INVERTED and not ended.converged
     assert NewtonSolver(body, held).solve(goal).converged
-
-
-def test_corotational_cells_can_be_pressed_flat():
-    """Corotational cells can be pressed flat.
-
-    The law has a finite energy up to a flat cell: a sphere reaches it at its radius of depth, and
-    the solve reports it.
-    """
-    space, base = block(first=3e-3)
-    body = quarter_solver(space, base, Law.COROTATIONAL).body
-    found = press(
-        body,
-        base,
-        point_m=(0.0, 0.0, 0.0),
-        inward=(0.0, 0.0, -1.0),
-        radius_m=RADIUS_M,
-        depths_m=np.arange(4e-3, 21e-3, 4e-3),
-    )
-    assert len(found) > 1 and found[-2].converged
-    assert found[-1].outcome is SolverOutcome.STALLED
-
-
-def test_bad_input():
-    """Refused where it enters."""
-    space = shaken_box(1)
-    body, shape = NonlinearBody(space, LIVER, law=Law.LINEAR), space.nodes_m.shape
-    with pytest.raises(InputError, match="held must mark"):
-        NewtonSolver(body, np.zeros(shape, dtype=bool))
-    with pytest.raises(InputError, match="tolerance must be positive"):
-        NewtonSolver(body, np.ones(shape, dtype=bool), tolerance=0.0)
-    base = space.nodes_m[:, 2] < 1e-9
-    for words, change in {
-        "inward must": {"inward": (0.0, 0.0, 0.0)},
-        "point_m must": {"point_m": (1.0, 1.0, 1.0)},
-        "depths_m must": {"depths_m": (2e-3, 1e-3)},
-    }.items():
-        asked = {
-            "point_m": (0.015, 0.015, 0.03),
-            "inward": (0.0, 0.0, -1.0),
-            "depths_m": (1e-3,),
-            **change,
-        }
-        with pytest.raises(InputError, match=words):
-            press(body, base, radius_m=RADIUS_M, **asked)

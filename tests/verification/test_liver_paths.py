@@ -108,21 +108,6 @@ def test_paths_agree_on_a_tetrahedral_liver(anatomy, name, unit_mm):
     assert_paths_agree(body, above(mesh, body))
 
 
-@pytest.mark.slow
-def test_paths_agree_on_the_surface_of_a_liver_filled_with_tetrahedra(
-    anatomy, tmp_path, monkeypatch
-):
-    # Filling takes half a minute: once for all tests, from the machine's own cache; the compliance
-    # is found afresh.
-    mesh = read_tets(anatomy / "liver" / "liver.vtk", edge_m=0.02).mesh
-    assert len(mesh.cells) > 2000
-    monkeypatch.setenv("TISSUE_CACHE", str(tmp_path))
-    for ratio in (0.45, 0.49):
-        body = organ(mesh, ratio)
-        top = above(mesh, body)
-        assert_paths_agree(body, top[:: len(top) // 150 + 1])
-
-
 def test_iterations_follow_refinement_little_and_the_ratio_as_stated():
     """Iterations depend little on refinement and on Poisson's ratio as stated.
 

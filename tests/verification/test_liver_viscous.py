@@ -3,8 +3,6 @@
 It is compared with closed forms, the direct hereditary integral, and Lee and Radok's limit.
 """
 
-import tracemalloc
-
 import numpy as np
 import pytest
 from prony_series import compliance_of, modulus_of, relaxation_of, started
@@ -106,36 +104,6 @@ def test_second_order_in_time(surface):
     assert errors[-1] < 1e-4
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_against_the_hereditary_integral(seed):
-    """Creep agrees with the hereditary integral.
-
-    Forces that appear and vanish at changing nodes are compared with the integral over the whole
-    past, term by term.
-    """
-    random = np.random.default_rng(seed)
-    share = random.dirichlet(np.ones(4))[:-1]
-    series = Prony(tuple(share), tuple(10.0 ** random.uniform(-2.0, 1.0, 3)))
-    spread = random.normal(size=(12, 12))
-    compliance = spread @ spread.T
-    forces = random.normal(size=(60, 12)) * (random.random((60, 12)) < 0.3)
-    elastic = forces @ compliance
-    creep, found = HereditaryIntegral(series.retardation, (4, 3), step_s=STEP_S), []
-    for value in elastic.reshape(-1, 4, 3):
-        found.append((creep.instant_factor * value + creep.history).ravel())
-        creep.advance(value)
-    spectrum = series.retardation
-    edge = STEP_S * np.arange(61)[:, None]
-    # integral of the creep compliance from 0 to t
-    whole = edge[:, 0] + (
-        (edge - spectrum.time_s * -np.expm1(-edge / spectrum.time_s)) * spectrum.amplitude
-    ).sum(axis=1)
-    mean = np.diff(whole) / STEP_S
-    steps = np.diff(elastic, axis=0, prepend=0.0)
-    direct = [sum(mean[n - m] * steps[m] for m in range(n + 1)) for n in range(60)]
-    np.testing.assert_allclose(found, direct, atol=1e-11 * np.abs(direct).max())
-
-
 def sphere_forces(surface, depths):
     """Return elastic and creeping force [N] on a frictionless sphere, and the nodes in contact.
 
@@ -188,20 +156,3 @@ def test_growing_contact_is_lee_and_radok(surface):
     lost = np.flatnonzero(forces[100:, 2] == 0)
     assert len(lost) and depths[100 + lost[0]] > 2e-4  # it lets go of a dent that is still there
     assert (forces[100 + lost[0] :, 2] == 0).all()
-
-
-def test_a_tick_allocates_nothing():
-    """A thousand ticks on 2,000 nodes leave memory as it was; the offset stays in place."""
-    creep, value = (
-        HereditaryIntegral(SERIES.retardation, (2000, 3), step_s=1e-3),
-        np.ones((2000, 3)),
-    )
-    place = creep.history
-    creep.advance(value)
-    tracemalloc.start()
-    for _ in range(1000):
-        creep.advance(value)
-    _, peak = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert peak < value.nbytes / 4
-    assert creep.history is place

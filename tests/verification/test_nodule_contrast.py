@@ -1,6 +1,6 @@
 """Force over the nodule of `palpation`, with and without it, against another finite element code.
 
-The reference (`tests/bench/nodule_reference.py`) has hexahedra that follow the ball exactly and a
+The reference (`nodule_reference.py` in commit cfbcf61c) has hexahedra that follow the ball exactly and a
 contact of its own. Counts of 4, 5 and 6 elements give an excess of 12.7, 12.8, 12.8 % at 3 mm and
 11.0, 11.3, 11.1 % at 4 mm; the mean of the last two is taken. Its own scatter there is 1.1 % of the
 excess.

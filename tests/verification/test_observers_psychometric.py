@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from staircase import Staircase
 
-from meshes.base.errors import InputError
 from tissue.evaluation.calibration.observers import SimulatedObservers, draw_observers
 from tissue.perception.laws import D_PRIME_75, correct_of_d_prime, two_interval, with_lapse
 from tissue.scene.registry import GROUPS
@@ -93,14 +92,3 @@ def test_a_staircase_settles_at_its_target(down, target):
     settled = two_interval(2.0, middle, 0.07, 0.2)
     print(f"staircase for {100 * target:.1f} %: settles at {100 * settled:.1f} %")
     assert settled == pytest.approx(target, abs=0.015)
-
-
-@pytest.mark.parametrize(
-    ("call", "sentence"),
-    [
-        (lambda: Staircase(-1.0, down=2), "start must be positive"),
-    ],
-)
-def test_what_makes_no_sense_is_refused(call, sentence):
-    with pytest.raises(InputError, match=sentence):
-        call()

@@ -170,32 +170,3 @@ def test_flat_end_cuts_at_the_feed_of_the_closed_form():
     torques = np.abs(run.trace["model_torque_z_Nm"])
     assert torques[-1] == pytest.approx(torque, rel=0.01)
     assert torques.max() < 1.1 * torque  # no spike at the first contact
-
-
-def test_feed_limit_is_an_event_and_in_the_summary():
-    """The feed limit is an event and in the summary.
-
-    30 and 60 N give one force at a limit of 1 mm/s, and both report how long it acted; a reamer
-    never reaches it.
-    """
-    runs = [
-        pushed(TOOLS["drill"], thrust_N, duration_s=1.0, max_mm_s=1.0) for thrust_N in (30.0, 60.0)
-    ]
-    for run, thrust_N in zip(runs, ("30", "60"), strict=True):
-        limit = run.summary["feed_limit"]
-        touching = run.trace["contact_mm2"] > 0.0
-        active = touching & (np.abs(run.trace["velocity_z_mm_s"] + 1.0) < 1e-9)
-        assert limit["active_s"] == pytest.approx(1e-3 * active.sum(), abs=3e-3)
-        assert limit["first_s"] == pytest.approx(
-            run.trace["time_s"][np.flatnonzero(active)[0]], abs=3e-3
-        )
-        (event,) = [each for each in run.summary["events"] if "max_feed_mm_s" in each["what"]]
-        assert event["time_s"] == limit["first_s"] and f"{limit['active_s']:.3f} s" in event["what"]
-        assert f"the thrust of {thrust_N} N" in event["what"]
-    free = pushed(TOOLS["flat reamer"], 40.0)
-    assert free.summary["feed_limit"] == {
-        "max_feed_mm_s": MAX_MM_S,
-        "active_s": 0.0,
-        "first_s": None,
-    }
-    assert not any("max_feed" in event["what"] for event in free.summary["events"])
