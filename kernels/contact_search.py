@@ -8,16 +8,19 @@ import warp as wp
 from kernels.contact_state import (
     LARGEST,
     NEARBY,
+    SHELL,
     TICK,
     WORKING,
     Body,
     Lists,
     Points,
+    Pose,
+    axis_distance,
     block,
     distance_to,
     pose_of,
+    safe_inverse,
 )
-from kernels.friction_cone import safe_inverse
 from kernels.near_compliance import (
     LOADED,
     SLOTS,
@@ -31,7 +34,6 @@ from kernels.near_compliance import (
     move_all,
     moved_at,
 )
-from kernels.probe_distance import SHELL, Pose, axis_distance
 
 __all__ = ["find_near", "join_touching", "start_over"]
 

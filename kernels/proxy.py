@@ -18,9 +18,9 @@ from kernels.proxy_descent import (
     Reaction,
     accept_trial,
     halve_motion,
+    pose_distance,
     take_step,
 )
-from kernels.rigid_motion import pose_distance
 from kernels.voxmap import Field
 
 __all__ = [

@@ -46,7 +46,7 @@ WORDS = {
     r"undelayed": "reference, without latency",
     r"(?<!half )(?<!gives )(?<!gave )(?<!under )ways?": "path, path length, direction, method",
     r"rooms?|houses?": "memory, space; package, module",
-    r"(?<!\.)(?<!import )floors?(?!\()": "base, ground; layer",
+    r"(?<!\.)(?<!import )(?<!noise )floors?(?!\()": "base, ground; layer",
     r"worth": "fidelity, error; verification",
     r"in its hand": "closed-loop stability",
     r"overdo\w*": "over-compensates",

@@ -6,7 +6,7 @@ Run: python tests/bench/bench_prediction.py --out DIR [--runs N] [--latency MS .
 Every run is recorded once and kept in DIR, with the force that its coupling gives without delay at
 the device's true positions. Predictors are scored again on the recorded runs. Printed for each
 scene, latency and predictor are the error at the motor, its noise floor (the force of the encoder's
-steps, predicted without error), the excess over the floor, the excess as a share of that of
+steps, predicted without error), the excess over this noise floor, the excess as a share of that of
 zero-order hold, the residual latency, and the worst share over the held-out moves. Where a share
 misses its target, its components are printed. Two processes record and score.
 """

@@ -394,33 +394,6 @@ def test_known_bad_image_is_refused(tmp_path, name, capfd):
     assert capfd.readouterr().err == ""
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("form", ["ascii", "binary", "appended"])
-def test_vtk_image_cut_to_any_length_is_refused(tmp_path, form):
-    import pyvista
-
-    path = tmp_path / "image.vti"
-    if form == "ascii":
-        write.write_vti(path, VALUES, AXES, ORIGIN)
-    else:
-        grid = pyvista.ImageData(dimensions=SHAPE, spacing=np.diag(AXES), origin=ORIGIN)
-        grid.point_data["grey"] = VALUES.ravel(order="F")
-        if form == "appended":
-            grid.save(path)
-        else:
-            import vtk
-
-            writer = vtk.vtkXMLImageDataWriter()
-            writer.SetFileName(str(path))
-            writer.SetInputData(grid)
-            writer.SetDataModeToBinary()
-            writer.Write()
-    whole = path.read_bytes()
-    for share in (0.3, 0.6, 0.9):
-        path.write_bytes(whole[: int(share * len(whole))])
-        assert refusal(path).startswith("file must ")
-
-
 def test_tiff_slices_that_are_cut_are_refused(tmp_path):
     from skimage.io import imsave
 

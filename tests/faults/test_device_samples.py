@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tissue import load_scene, simulate
-from tissue.haptics.device.device import ComputedDevice, Sample, device_parameters
+from tissue.haptics.device.device import Sample, device_parameters
 from tissue.haptics.device.roughness import Roughness
 from tissue.haptics.device.sample_guard import GuardLimits, SampleGuard
 from tissue.haptics.device.simulated import SimulatedDevice
@@ -175,49 +174,3 @@ def test_a_force_changes_no_faster_than_its_device_states(name):
     assert limit.limited == whole and (steps[-1] == wanted).all()
     assert limit.step(wanted) is wanted  # nothing is rounded where it does not act
     np.testing.assert_allclose(np.cross(steps[0], wanted), 0.0, atol=1e-12)
-
-
-class Missing(ComputedDevice):
-    """Mass that a hand presses onto the wall to and fro, with some samples missing.
-
-    It sums the forces that were played.
-    """
-
-    def __init__(self):
-        self.depth_m, self.speed_m_s, self.force_N, self.time_s = 0.01, 0.0, 0.0, 0.0
-        self.work_J = self.most_J = 0.0
-        self._rng, self._gap = np.random.default_rng(1), 0
-
-    def read(self, time_s):
-        step_s = 5e-5
-        while self.time_s < time_s - 1e-9:
-            push = -0.8 - 1.2 * np.sin(10.0 * np.pi * self.time_s)
-            before = self.speed_m_s
-            self.speed_m_s += step_s * (push + self.force_N - 0.2 * before) / 0.045
-            travel = 0.5 * step_s * (before + self.speed_m_s)
-            self.depth_m += travel
-            self.work_J += self.force_N * travel
-            self.time_s += step_s
-        self.most_J = max(self.most_J, self.work_J)
-        if self._gap == 0 and self._rng.random() < 0.02:
-            self._gap = self._rng.integers(1, 21)
-        self._gap = max(self._gap - 1, 0)
-        return (
-            None
-            if self._gap
-            else Sample(time_s, (0.0, 0.0, float(self.depth_m)), (0.0, 0.0, float(self.speed_m_s)))
-        )
-
-    def command(self, force_N, torque_Nm):
-        self.force_N = float(force_N[2])
-
-
-@pytest.mark.parametrize("delay_ms", [0, 2])
-def test_a_passive_wall_creates_nothing_though_samples_are_missing(delay_ms):
-    device = Missing()
-    scene = load_scene(
-        "wall", {"duration_s": 0.8, "renderer": "passivity", "coupling.delay_ms": delay_ms}
-    )
-    run = simulate(scene, device=device, allow_unstable=True)
-    assert any("no sample" in what for _, what in run.events) and device.work_J < -0.02
-    assert device.most_J < 3e-4

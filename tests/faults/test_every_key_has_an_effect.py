@@ -285,11 +285,11 @@ def signature(table, key):
     part, anatomy = key.split(".")[0], table["anatomy"]
     files = {name: file for name, file in anatomy.items() if name.endswith("file")}
     source = sorted(f"{name} {Path(file).suffix}" for name, file in files.items())
-    own = table.get(part) if isinstance(table.get(part), dict) else {}
+    section = table.get(part) if isinstance(table.get(part), dict) else {}
     by_hand = "device" in table
     if part in ("anatomy", "voxels", "stress", "organ", "keep_clear"):
-        return key, anatomy["kind"], *source, "stress" in table, own.get("law")
-    return key, own.get("kind"), by_hand
+        return key, anatomy["kind"], *source, "stress" in table, section.get("law")
+    return key, section.get("kind"), by_hand
 
 
 def checked_keys(files):

@@ -19,7 +19,6 @@ import pytest
 from haply_service import RemoteService
 
 from tissue import InputError, load_scene, simulate
-from tissue.haptics.hand_motion import HandMotion
 from tissue.simulation.run_folder import SavedRun
 
 PUSHING_N = 0.5
@@ -205,29 +204,6 @@ def test_a_restart_of_the_service_begins_without_force_and_the_run_goes_on():
     assert not any(first[2]), "the first force of the new session is zero"
     assert not any(commands[-1][2])
     assert any("the service closed the connection" in what for _, what in run.events)
-
-
-def after_exception(monkeypatch):
-    raised = []
-    with RemoteService(press_m=0.03) as service, monkeypatch.context() as patch:
-        play, pressing = HandMotion.play, Pressing(service, lambda: 1.0)
-
-        def fails(motion, response):
-            play(motion, response)
-            if pressing.began_s is not None:
-                raised.append(time.perf_counter())
-                raise RuntimeError("the process that solves the stress ended")
-
-        patch.setattr(HandMotion, "play", fails)
-        with pytest.raises(RuntimeError, match="solves the stress"):
-            simulate(scene_on(service), on_tick=pressing)
-        pressing.over.wait(PATIENCE_S)
-        return zeroed(service.commands(), raised[0])
-
-
-@pytest.mark.slow
-def test_zero_follows_an_exception_soon(monkeypatch):
-    assert best_of(5, lambda: after_exception(monkeypatch)) <= WITHIN_S
 
 
 def after_standstill():

@@ -5,7 +5,6 @@ The status is reported truly whatever ended the run, and two processes never wri
 
 import json
 import os
-import signal
 import subprocess
 import sys
 
@@ -17,7 +16,7 @@ from tissue.show.viewer.view import _about
 from tissue.simulation.observer import RunObserver
 from tissue.simulation.run_folder import RunFolder, SavedRun
 from tissue.system.outputs import OutputLock, identity, is_alive, output_locked
-from tissue.system.stopping import Terminated, terminated_as_exception
+from tissue.system.stopping import Terminated
 
 QUICK = {"voxels.spacing_mm": 0.8, "duration_s": 0.02}
 HOLD = "import sys; from pathlib import Path; from tissue.system.outputs import OutputLock; \
@@ -150,24 +149,6 @@ def test_what_ends_a_run_is_in_its_summary_and_its_trace_is_kept(
     monkeypatch.undo()
     simulate(scene, out=out, overwrite=True).save(out, pictures=False)
     assert SavedRun(out).status == "complete" and "process" not in SavedRun(out).summary
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="os.kill ends a process at once on Windows")
-@pytest.mark.parametrize(("name", "code"), [("SIGTERM", 143), ("SIGHUP", 129), ("SIGQUIT", 131)])
-def test_a_request_to_end_is_an_exception_inside_and_what_it_was_outside(name, code):
-    number = getattr(signal, name)
-    before = signal.signal(number, signal.default_int_handler)
-    try:
-        with pytest.raises(Terminated) as caught, terminated_as_exception():
-            os.kill(os.getpid(), number)
-        assert (caught.value.name, caught.value.exit_code) == (name, code)
-        assert signal.getsignal(number) is signal.default_int_handler
-        signal.signal(number, signal.SIG_IGN)
-        with terminated_as_exception():
-            os.kill(os.getpid(), number)  # as under nohup
-        assert signal.getsignal(number) is signal.SIG_IGN
-    finally:
-        signal.signal(number, before)
 
 
 @pytest.mark.parametrize(

@@ -12,14 +12,14 @@ from pathlib import Path
 import pytest
 import warp as wp
 
-import kernels.sampling
+import kernels.bricks
 from kernels.cache_check import MANIFEST, remove_damaged
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = """
 import warp as wp
-import kernels.sampling
-wp.load_module(kernels.sampling, device="cpu")
+import kernels.bricks
+wp.load_module(kernels.bricks, device="cpu")
 print("loaded")
 """
 
@@ -41,7 +41,7 @@ def run(cache):
 @pytest.fixture
 def cache(tmp_path):
     """Cache with one compiled module, copied from the cache of the tests, with its checksums."""
-    wp.load_module(kernels.sampling, device="cpu")
+    wp.load_module(kernels.bricks, device="cpu")
     whole = Path(wp.config.kernel_cache_dir)
     entry = max(whole.glob("wp_kernels.sampling_*"), key=lambda each: each.stat().st_mtime)
     copied = tmp_path / whole.name  # Warp adds its version to the folder that it is given

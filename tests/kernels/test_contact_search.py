@@ -6,9 +6,18 @@ import warp as wp
 from scipy.spatial.transform import Rotation
 
 from kernels.contact_search import find_near, join_touching, start_over
-from kernels.contact_state import LARGEST, NEARBY, RESULTS, WORKING, Body, Lists, Points, pose_of
+from kernels.contact_state import (
+    LARGEST,
+    NEARBY,
+    RESULTS,
+    SPHERE,
+    WORKING,
+    Body,
+    Lists,
+    Points,
+    pose_of,
+)
 from kernels.near_compliance import LOADED, SLOTS, Patch
-from kernels.probe_distance import SPHERE
 from tissue.models.organ.contact import SurfaceContact
 from tissue.models.organ.probe import SphereProbe
 

@@ -5,23 +5,16 @@ the thrust is N R (pi / 4 K_rc h + K_re), with h = 60 v / (N n) the chip thickne
 a sum whose constants each have their own variance.
 """
 
-from dataclasses import fields, replace
-
 import numpy as np
 import pytest
 from scene_kinds import BLOCK, BURR
 from scipy.special import ndtri
 
-from tissue.evaluation.reference.force import wrench_at
-from tissue.evaluation.reference.history import path_of_trace, solid_of_scene
 from tissue.fitting.bands.band import band_of
 from tissue.fitting.bands.figures import LEVELS
-from tissue.materials.constants import CuttingCoefficients, constants
+from tissue.materials.constants import constants
 from tissue.materials.prior import Prior
-from tissue.scene.load import load_scene
 from tissue.scene.scene import Scene
-from tissue.simulation.builders.cutting import cutter_of
-from tissue.simulation.load_record import record_loads
 
 FLUTES, RADIUS_MM, FEED_MM_S, SPIN_RPM = 6, 1.0, 10.0, 5000.0
 CHIP_MM = 60.0 * FEED_MM_S / (FLUTES * SPIN_RPM)
@@ -96,32 +89,3 @@ def test_the_indices_of_a_sum_are_the_shares_of_its_variance(band):
         ), "its exponent is 0"
         print(kind, found, exact)
         assert found == pytest.approx(exact, abs=0.05)
-
-
-COEFFICIENTS = CuttingCoefficients.CHIP + CuttingCoefficients.EDGE
-
-
-CLOSE = 0.02
-"""Of the force: voxels of a tenth of the bur's radius are off by half a per cent here."""
-
-
-@pytest.mark.slow
-def test_each_coefficient_of_each_layer_against_the_quadrature():
-    """A bur that goes down into a lesion, whose density varies."""
-    scene = load_scene("caries", {"duration_s": 1.3}).model_copy(update={"stress": None})
-    record = record_loads(scene)
-    solid, cutter = solid_of_scene(scene), cutter_of(scene.tool)
-    path, tick = path_of_trace(record.trace, cutter), len(record.times_s) - 1
-    nothing = CuttingCoefficients(**{each.name: 0.0 for each in fields(CuttingCoefficients)})
-    for at in np.flatnonzero(record.engaged_m2[tick] > 0.1 * record.engaged_m2[tick].sum()):
-        layer = replace(nothing, reference_density_kg_m3=2100.0, density_exponent=2.2)
-        for name in COEFFICIENTS:
-            zero = [replace(nothing, reference_density_kg_m3=2100.0) for _ in record.layer_names]
-            zero[at] = replace(layer, **{name: 1e3})
-            want = wrench_at(tick, path, cutter, replace(solid, coefficients=tuple(zero)))
-            got = record.loads(tuple(zero))[tick]
-            # where the forces of a coefficient cancel, as those around a bur do, its torque is what
-            # it is held to
-            size = max(np.linalg.norm(want[:3]), np.linalg.norm(want[3:]) / cutter.profile.radius_m)
-            assert got[:3] == pytest.approx(want[:3], abs=CLOSE * size)
-            assert got[3:] == pytest.approx(want[3:], abs=CLOSE * size * cutter.profile.radius_m)

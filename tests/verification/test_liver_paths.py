@@ -106,25 +106,3 @@ def test_paths_agree_on_a_tetrahedral_liver(anatomy, name, unit_mm):
     mesh = read_tets(anatomy / "liver" / name, unit_mm=unit_mm).mesh
     body = organ(mesh, 0.45)
     assert_paths_agree(body, above(mesh, body))
-
-
-def test_iterations_follow_refinement_little_and_the_ratio_as_stated():
-    """Iterations depend little on refinement and on Poisson's ratio as stated.
-
-    To 1e-8 from rest there are at most twice as many on eight times the cells, and the number grows
-    as the ratio nears 0.5.
-    """
-    counts = {}
-    for cells in (6, 12):
-        mesh = box((0.1, 0.1, 0.1), (cells,) * 3)
-        for ratio in RATIOS:
-            body = organ(mesh, ratio)
-            load = np.zeros(mesh.nodes_m.shape)
-            load[mesh.nodes_m[:, 2] > 0.1 - 1e-9, 2] = -1e-3
-            found = MultigridSolver(body).solve(load)
-            assert found.converged
-            counts[cells, ratio] = found.iterations
-    print("iterations", counts)
-    for ratio in RATIOS:
-        assert counts[12, ratio] <= 2 * counts[6, ratio]
-    assert counts[12, 0.3] <= 25 and counts[12, 0.45] <= 35 and counts[12, 0.49] <= 75

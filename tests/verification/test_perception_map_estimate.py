@@ -97,29 +97,6 @@ def test_bimodal_posteriors_are_among_them_and_both_sides_win():
     assert 0.05 < upper[both].mean() < 0.95
 
 
-def test_e7_a_climb_from_one_start_ends_on_the_lower_maximum_of_some():
-    """A climb from one start ends on the lower maximum in some cases (E7).
-
-    It moves uphill from the prior's median, or from the observation, along the exact slope, in
-    steps of at most 0.02.
-    """
-    given = two_maxima(1000, 4)
-    both = maxima(*given) == 2
-    seen, noise, middle, spread = (each[both] for each in given)
-    best = np.log(map_force_N(seen, noise, median_N=1.0, log_spread=spread))
-    for start in (middle, np.log(seen)):
-        u = start.copy()
-        for _ in range(600):
-            w = np.exp(u)
-            slope = -(u - middle) / spread**2 - 1.0 + (seen - w) * w / noise**2
-            u += 0.02 * np.tanh(slope)
-        lower = (
-            log_posterior(u, seen, noise, middle, spread)
-            < log_posterior(best, seen, noise, middle, spread) - 0.1
-        )
-        assert lower.mean() > 0.05
-
-
 def test_it_is_defined_for_every_real_observation():
     seen = np.array([-1e6, -3.0, -1e-9, 0.0, 1e-12, 1.0, 1e6])
     found = map_force_N(seen, 0.2)

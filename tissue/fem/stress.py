@@ -4,7 +4,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from kernels import tet_stress
+from kernels import tetrahedra
 from kernels.launcher import SplitLaunch
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
@@ -47,7 +47,7 @@ def group_stress(
 ) -> StressState:
     """Return the mean stress of groups of cells at points in them, weighted by the cells' volumes.
 
-    Parameters as of `kernels.tet_stress.group_stress`, errors as of `cell_stress`.
+    Parameters as of `kernels.tetrahedra.group_stress`, errors as of `cell_stress`.
     """
     moved = np.ascontiguousarray(displacement_m, dtype=np.float64)
     if moved.shape != (space.node_count, 3) or not np.isfinite(moved).all():
@@ -77,7 +77,7 @@ def group_stress(
     principal = wp.empty(count, dtype=wp.vec3d, device=device)
     outputs = [strain, stress, von_mises, principal]
     SplitLaunch(
-        tet_stress.group_stress,
+        tetrahedra.group_stress,
         dim=count,
         inputs=inputs,
         outputs=outputs,

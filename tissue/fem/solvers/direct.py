@@ -1,8 +1,9 @@
 """Sparse factorisation: exact to rounding, many right sides for one factor.
 
 Multifrontal Cholesky over nested dissection of the coordinates. At 35,000 unknowns it takes a
-quarter of the time of SuperLU with an equal order of elimination (docs/decisions.md). A stiffness that is not positive definite to rounding is factorised
-by SciPy's SuperLU on diagonal pivots. The check of the residual applies to its solutions too.
+quarter of the time of SuperLU with an equal order of elimination (docs/decisions.md). A stiffness
+that is not positive definite to rounding is factorised by SciPy's SuperLU on diagonal pivots. The
+check of the residual applies to its solutions too.
 
 The order of elimination is nested dissection by coordinates, which keeps a factor sparse (George
 1973, SIAM J. Numer. Anal. 10:345).

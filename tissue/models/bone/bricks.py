@@ -8,8 +8,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from kernels.bone_lookup import BEYOND, SURFACE_STEPS
-from kernels.bricks import BRICK, BRICK_VOXELS, FULL
-from kernels.sampling import sample
+from kernels.bricks import BRICK, BRICK_VOXELS, FULL, sample
 from meshes.voxels.distances import OUTSIDE, near_the_surface
 from meshes.voxels.volume import VoxelVolume
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kernels.probe_distance import CYLINDER, SHELL, SPHERE
+from kernels.contact_state import CYLINDER, SHELL, SPHERE
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, require_positive
 from meshes.surfaces.triangle_files import read_triangles
@@ -27,7 +27,7 @@ class ProbeShape(ABC):
     """Interface of a tool in contact."""
 
     kind: int
-    """Kind of distance, see `kernels.probe_distance`."""
+    """Kind of distance, see `kernels.contact_state`."""
 
     @property
     @abstractmethod

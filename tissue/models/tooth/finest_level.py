@@ -11,9 +11,9 @@ import warp as wp
 from numpy.typing import NDArray
 from scipy.sparse import bsr_matrix, csr_matrix
 
+from kernels.grid_transfer import assemble_rows, invert_diagonal, to_single
 from kernels.lane_vectors import from_lanes, node_diagonals, smooth, to_lanes
 from kernels.launcher import SplitLaunch
-from kernels.node_blocks import assemble_rows, invert_diagonal, to_single
 from tissue.models.tooth.grid import HexGrid
 from tissue.models.tooth.stiffness import CellStiffness
 from tissue.models.tooth.strips import LaneVector, StripProduct

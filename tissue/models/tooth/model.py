@@ -4,10 +4,10 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from kernels.clearance import clearance
 from kernels.elements import CHUNK
 from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror
+from kernels.structure_distance import clearance
 from tissue.fem.fields import FieldSeries
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import SLOW, TICK_S, Response, ToolMotion

@@ -13,10 +13,16 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from kernels.grid_transfer import coarse_stiffness, interpolate, restrict
+from kernels.grid_transfer import (
+    coarse_stiffness,
+    first_residuals,
+    first_sweep,
+    interpolate,
+    restrict,
+    sweep_colour,
+)
 from kernels.hexahedra import BLOCKS
 from kernels.launcher import SplitLaunch
-from kernels.node_blocks import first_residuals, first_sweep, sweep_colour
 from tissue.models.tooth.finest_level import FinestLevel, NodeBlocks
 from tissue.models.tooth.grid import CORNERS, NEIGHBOURS, HexGrid
 from tissue.models.tooth.stiffness import CellStiffness

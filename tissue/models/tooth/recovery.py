@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
-from kernels.particle_stress import invariants, point_stress
+from kernels.particle_stiffness import invariants, point_stress
 from meshes.base.arrays import Array
 from tissue.models.tooth.grid import ParticleSet
 from tissue.models.tooth.stiffness import CellStiffness
