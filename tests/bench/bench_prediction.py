@@ -13,7 +13,7 @@ misses its target, its components are printed. Two processes record and score.
 
 import argparse
 import os
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,12 +23,11 @@ os.environ.update(
 )  # threads of a norm waited for 80 % of the time
 
 import numpy as np
-from harness import cost_of, machine, table
+from harness import machine, table
 from motor_score import motor_score, recorded_ideal_N
 
 from meshes.base.errors import InputError
 from tissue.evaluation.training.recording import Recorder, Recording, trial
-from tissue.prediction.contact import Contact, SeesContact
 from tissue.prediction.look_ahead import LookAhead
 from tissue.prediction.predictor import Predictor
 from tissue.prediction.trained import Trained, shipped_file
@@ -303,37 +302,6 @@ def decompose(mean: dict[str, dict[str, np.ndarray]], best: str, target: float) 
         print(table(rows, head), flush=True)
 
 
-def costs(name: str, folder: Path) -> None:
-    """A tick of every predictor."""
-    trained = Trained.read(shipped_file(name), scene=name)
-    paths = sorted(folder.glob(f"{name}-same-*.npz"))
-    if not paths:
-        return
-    run, rows = Kept.read(paths[0]).run, []
-    for kind in PREDICTORS:
-        cost = cost_of(
-            ticks_of(trained_predictor(kind, trained, force_limit_N=FORCE_LIMIT_N), run),
-            count=len(run.force_N),
-        )
-        rows.append((kind, f"{cost.median:.1f}", f"{cost.p99:.1f}", f"{cost.worst:.1f}"))
-    print(f"\n{name}: meet, observe and predict [us]; {len(trained.operator.offset)} observables")
-    print(table(rows, ("predictor", "median", "99 %", "worst")), flush=True)
-
-
-def ticks_of(predictor: Predictor, run: Recording) -> Callable[[int], object]:
-    """One tick of a predictor on a recorded run."""
-    shown = predictor if isinstance(predictor, SeesContact) else None
-    contacts = [Contact.of_row(row) for row in run.contact]
-
-    def tick(index: int) -> object:
-        if shown is not None:
-            shown.meet(contacts[index])
-        predictor.observe(run.position_m[index], run.velocity_m_s[index], run.force_N[index])
-        return predictor.predict(6.11)
-
-    return tick
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -359,7 +327,6 @@ def main() -> None:
             found = scored(name, given.latency, given.out, pool)
             for late in given.latency if "same" in found else []:
                 report(name, late, found)
-            costs(name, given.out)
 
 
 if __name__ == "__main__":

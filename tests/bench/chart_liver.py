@@ -15,7 +15,6 @@ import numpy as np
 from harness import machine, table
 from numpy.typing import ArrayLike, NDArray
 
-from meshes.base.errors import InputError
 from meshes.organs.liver import liver, liver_region
 from meshes.surfaces.surface import read_surface
 from meshes.tets.bisection import bisected
@@ -93,23 +92,10 @@ def press(
         Path length of the sphere from where it first touches a node [m], positive and rising.
     solver
         Solver to use, for its factorisation; default: a new one.
-
-    Raises
-    ------
-    InputError
-        If the direction has no length, depths do not rise, no node of the surface lies in the
-        sphere's path, or nothing is held.
     """
     start, direction = np.asarray(point_m, dtype=np.float64), np.asarray(inward, dtype=np.float64)
-    length = float(np.linalg.norm(direction))
-    if not length > 0.0:
-        raise InputError(f"inward must have a length, got {direction}: use (0, 0, -1)")
-    direction = direction / length
+    direction = direction / np.linalg.norm(direction)
     depths = np.fromiter(depths_m, dtype=np.float64)
-    if not (np.diff(depths, prepend=0.0) > 0.0).all() or not np.isfinite(depths).all():
-        raise InputError(
-            f"depths_m must be positive, finite and rising, got {depths}: use (1e-3, 2e-3, 4e-3)"
-        )
     solver = solver or NewtonSolver(body, np.repeat(held[:, None], 3, axis=1))
     sphere, touching = resting_sphere(solver, start, direction, radius_m, NODES)
     solutions: list[NewtonSolution] = []

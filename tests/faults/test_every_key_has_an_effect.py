@@ -366,21 +366,3 @@ def test_a_saved_scene_is_the_same_scene_and_is_not_refused(kind, files, tmp_pat
     scene = load_scene(base)
     (tmp_path / "saved.toml").write_text(saved_text(scene))
     assert load_scene(tmp_path / "saved.toml") == scene
-
-
-def test_a_key_that_the_file_leaves_without_effect_is_refused_unless_it_is_a_default(
-    files, tmp_path
-):
-    from tissue.simulation.builders.organ import held_mesh
-
-    base, kept = tmp_path / "base.toml", tmp_path / "kept.toml"
-    base.write_text(tomli_w.dumps(kinds(files)["liver, tetrahedra"]))
-    asked = load_scene(base, {"anatomy.edge_mm": 12.0})
-    kept.write_text(saved_text(load_scene(base)))
-    assert "edge_mm = 20" in kept.read_text()
-    place = {"path_m": np.zeros((2, 3)), "touch_edge_m": 0.02, "report": lambda what, share: None}
-    with pytest.raises(
-        InputError, match="edge_mm must be left out for tetrahedra from a file, got 12: "
-    ):
-        held_mesh(asked.anatomy, **place)
-    assert held_mesh(load_scene(kept).anatomy, **place).mesh.cells.size

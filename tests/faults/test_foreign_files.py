@@ -11,7 +11,6 @@ import shutil
 import pytest
 from coarse_run import COARSE
 
-from tissue import InputError
 from tissue.simulation.run_folder import SavedRun
 from tissue.system.owned_folder import MARKER, OwnedFolder
 
@@ -130,25 +129,6 @@ def test_single_files_are_replaced_on_request_and_only_where_they_are_regular(
         assert "must lie in a folder that exists" in refused(*arguments, option, f"no/such/{file}")
 
 
-def test_a_run_of_the_user_is_not_a_run_by_its_summary_alone(refused, tmp_path):
-    """A run of the user is not recognised by its summary alone.
-
-    A file with that name and a version in it is no proof, nor is a folder that an older version did
-    not write.
-    """
-    folder = tmp_path / "mine"
-    put(folder, ["bone.stl", "pictures/mine.png"])
-    for held in (
-        {},
-        {"format": 1},
-        {"format": 1, "scene": "x", "status": "interrupted", "tissue": "0.2.0"},
-    ):
-        (folder / "summary.json").write_text(json.dumps(held))
-        before = content(folder)
-        assert "files of other origin" in refused("run", *WALL, "--out", folder, "--overwrite")
-        assert content(folder) == before
-
-
 def test_a_run_of_version_0_2_is_replaced_and_nothing_beside_it(command, made, tmp_path):
     folder = shutil.copytree(made, tmp_path / "old")
     (folder / MARKER).unlink()
@@ -164,33 +144,6 @@ def test_a_run_of_version_0_2_is_replaced_and_nothing_beside_it(command, made, t
     } == mine
     listed = json.loads((folder / MARKER).read_text())["files"]["run"]
     assert set(listed) == {"trace.csv", "timing.csv", "scene.toml", "summary.json"}
-
-
-@pytest.mark.parametrize(
-    "marker",
-    [
-        "[]",
-        "{",
-        '{"format": "tissue output folder", "version": 2, "tissue": "9", "files": {}}',
-        (
-            '{"format": "tissue output folder", "version": 1, "tissue": "0", "files": {"run": '
-            '["../target"]}}'
-        ),
-        (
-            '{"format": "tissue output folder", "version": 1, "tissue": "0", "files": {"run": '
-            '["/etc/hostname"]}}'
-        ),
-        "[" * 5000,
-    ],
-)
-def test_a_marker_that_does_not_validate_is_refused(tmp_path, marker):
-    (tmp_path / "out").mkdir()
-    put(tmp_path, ["target", "out/trace.csv"])
-    (tmp_path / "out" / MARKER).write_text(marker)
-    before = content(tmp_path)
-    with pytest.raises(InputError, match=r"out must hold no \.tissue\.json of other origin"):
-        OwnedFolder(tmp_path / "out", "run", ["trace.csv"], overwrite=True)
-    assert content(tmp_path) == before
 
 
 def test_a_lock_of_the_user_is_kept(refused, tmp_path):

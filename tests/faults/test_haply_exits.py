@@ -187,25 +187,6 @@ def test_zero_follows_states_in_a_wrong_order_soon(states):
     assert best_of(8, lambda: after_shuffling(states)[0]) <= WITHIN_S
 
 
-def test_a_restart_of_the_service_begins_without_force_and_the_run_goes_on():
-    with RemoteService(press_m=0.03) as service:
-
-        def restart():
-            began_s = service.stop()
-            time.sleep(0.1)
-            service.start()
-            return began_s
-
-        pressing = Pressing(service, restart, lambda session, force: session > 1 and any(force))
-        run = simulate(scene_on(service), on_tick=pressing)
-        commands = service.commands()
-    assert max(number for _, number, _ in commands) > 1
-    first = next(each for each in commands if each[1] > 1)
-    assert not any(first[2]), "the first force of the new session is zero"
-    assert not any(commands[-1][2])
-    assert any("the service closed the connection" in what for _, what in run.events)
-
-
 def after_standstill():
     """Check that zero is sent before the ticks continue after a standstill of half a second."""
     stood = []

@@ -234,14 +234,3 @@ def test_broken_scenes_that_load_are_built_or_refused_in_a_sentence(count, table
         if built == count:
             return
     raise AssertionError("too few scenes loaded")
-
-
-def test_a_broken_scene_ends_the_command_with_2(tables, tmp_path, refused):
-    broken = 0
-    for number in range(40_000, 40_020):
-        path = written(number, tables, tmp_path)
-        if isinstance(found := outcome(path), str):
-            assert refused("run", path, "--out", tmp_path / "out") == found
-            assert not (tmp_path / "out").exists()
-            broken += 1
-    assert broken > 5

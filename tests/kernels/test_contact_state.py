@@ -81,7 +81,7 @@ def test_readings():
     np.testing.assert_array_equal(direction, normal)
 
 
-ROUNDING_FRICTION_CONE = 1e-9
+CONE_ROUNDING = 1e-9
 """Tolerance of forces on the cone.
 
 Newton on the cone stops at 1e-13; systems of condition up to 1e3 add the rest.
@@ -144,17 +144,17 @@ def test_a_contact_obeys_signorini_and_coulomb(seed, friction):
     tangential = force - press[:, None] * normal
     size, direction = np.linalg.norm(tangential, axis=1), np.linalg.norm(sideways, axis=1)
     scale = 1.0 + np.abs(change).max(axis=1) + np.abs(slip).max(axis=1)
-    assert press.min() >= -ROUNDING_FRICTION_CONE
-    assert (left / scale).min() >= -ROUNDING_FRICTION_CONE
-    assert np.abs(press * left / (scale * (1.0 + press))).max() < ROUNDING_FRICTION_CONE
-    assert ((size - friction * press) / (1.0 + press)).max() <= ROUNDING_FRICTION_CONE
+    assert press.min() >= -CONE_ROUNDING
+    assert (left / scale).min() >= -CONE_ROUNDING
+    assert np.abs(press * left / (scale * (1.0 + press))).max() < CONE_ROUNDING
+    assert ((size - friction * press) / (1.0 + press)).max() <= CONE_ROUNDING
     sticking = (press > 0.0) & (size < friction * press * (1.0 - 1e-9))
     slipping = (press > 0.0) & ~sticking
-    assert (direction[sticking] / scale[sticking] < ROUNDING_FRICTION_CONE).all()
+    assert (direction[sticking] / scale[sticking] < CONE_ROUNDING).all()
     opposed = np.einsum("ni,ni->n", tangential, sideways)[slipping]
     assert (
         np.abs(opposed + size[slipping] * direction[slipping]).max()
-        < ROUNDING_FRICTION_CONE * ((1.0 + size) * scale).max()
+        < CONE_ROUNDING * ((1.0 + size) * scale).max()
     )
     assert (press == 0.0).sum() > 100 and slipping.sum() > 100
     assert friction == 0.0 or sticking.sum() > 10

@@ -104,7 +104,7 @@ def test_residuals_go_up_and_corrections_down_by_the_interpolation():
     assert out.numpy() == pytest.approx(vector + free * (matrix @ correction), abs=SINGLE * 8.0)
 
 
-SINGLE_NODE_BLOCKS = 1e-5
+SWEEP_SINGLE = 1e-5
 """Of the largest value: sums of 27 blocks in float32, and inverses of condition up to ten."""
 
 
@@ -211,7 +211,7 @@ def test_rows_are_those_of_the_assembled_matrix(seed):
     middle = middle + (1.0 - grid.free)[:, :, None] * np.eye(3)
     assert diagonal.numpy() == pytest.approx(middle, abs=ROUNDING * np.abs(right).max())
     unit = grid.carries()[:, :, None] * np.eye(3)
-    assert inverse.numpy() @ middle == pytest.approx(unit, abs=SINGLE_NODE_BLOCKS)
+    assert inverse.numpy() @ middle == pytest.approx(unit, abs=SWEEP_SINGLE)
 
 
 def test_sweeps_are_gauss_seidel_by_colours():
@@ -241,17 +241,13 @@ def test_sweeps_are_gauss_seidel_by_colours():
     )
     right = np.linalg.solve(lower, load.ravel())
     remainder = load.ravel() - matrix @ right
-    assert vector.numpy().ravel() == pytest.approx(
-        right, abs=SINGLE_NODE_BLOCKS * np.abs(right).max()
-    )
+    assert vector.numpy().ravel() == pytest.approx(right, abs=SWEEP_SINGLE * np.abs(right).max())
     assert left.numpy().ravel() == pytest.approx(
-        remainder, abs=SINGLE_NODE_BLOCKS * np.abs(remainder).max()
+        remainder, abs=SWEEP_SINGLE * np.abs(remainder).max()
     )
     for nodes in colours:
         inputs = [nodes, start, column, single, inverse, given, 0]
         wp.launch(sweep_colour, dim=len(nodes), inputs=inputs, outputs=[vector], device="cpu")
     again = right + np.linalg.solve(lower, remainder)
-    assert vector.numpy().ravel() == pytest.approx(
-        again, abs=SINGLE_NODE_BLOCKS * np.abs(again).max()
-    )
+    assert vector.numpy().ravel() == pytest.approx(again, abs=SWEEP_SINGLE * np.abs(again).max())
     assert np.linalg.norm(again - right) > 0.01 * np.linalg.norm(right)

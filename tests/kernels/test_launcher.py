@@ -12,17 +12,13 @@ import pytest
 import warp as wp
 
 import kernels.launcher as launcher
-from kernels.cores import CoreThreads
 from kernels.launcher import (
-    FIRST_TRIAL,
     KEPT,
     LAST_TRIAL,
     LEAST_GAIN,
     ORDER,
-    SAMPLES,
     SplitChoice,
     SplitLaunch,
-    calibrate,
 )
 
 wp.set_module_options({"enable_backward": False})
@@ -95,27 +91,6 @@ def test_one_slow_run_does_not_split_a_small_launch(split, monkeypatch):
     for _ in range(6):
         launch()
     assert handed, "a launch that stays large is not split"
-
-
-@pytest.mark.parametrize(("before", "after"), [(0.6, 1.8), (1.8, 0.6)])
-def test_trials_while_it_runs_turn_the_choice_and_change_no_result(before, after, monkeypatch):
-    """A clock makes splitting gain nothing at first and then much, or the opposite."""
-    launch, out = launch_of(before, monkeypatch)
-    monkeypatch.setattr(launcher, "SPLIT_ABOVE_S", 0.0)
-    choice = launch._choice
-    add = choice.add
-
-    def timed(seconds):
-        add(1e-3 / after if choice.next_run() else 1e-3)
-
-    monkeypatch.setattr(choice, "add", timed)
-    runs = 0
-    most = sum(FIRST_TRIAL * 2**trial + len(ORDER) for trial in range(KEPT))
-    while choice.splits == (before > 1.0) and runs <= most:
-        launch()
-        runs += 1
-    assert FIRST_TRIAL + len(ORDER) <= runs <= most
-    assert np.array_equal(out, runs * np.arange(COUNT) ** 2)
 
 
 TWO_CORES, ONE_CORE = 1.8, 0.6
@@ -194,27 +169,3 @@ def test_interruptions_that_come_again_end_the_splitting():
         times[True] = iter([SLICE_S] * 3 + [WHOLE_S / TWO_CORES] * 5)
         trial(choice, times)
     assert not choice.splits
-
-
-@pytest.mark.parametrize(
-    ("whole_s", "split_s", "gain"), [(3e-4, 2e-4, 1.5), (3e-4, 3.6e-4, 1 / 1.2)]
-)
-def test_the_calibration_compares_whole_with_split_work(whole_s, split_s, gain):
-    """The calibration compares whole with split work.
-
-    A clock shows the given times: three looks at the duration of hashing, then whole and split in
-    turn.
-    """
-    steps = [1e-4] * 3
-    times, shown = cycle([whole_s, split_s]), [0.0]
-    for step in steps:
-        shown += [shown[-1] + step, shown[-1] + step]
-    for _ in range(SAMPLES):
-        start = shown.pop()
-        shown += [start, start + next(times)]
-        shown.append(shown[-1] + next(times))
-        shown.append(shown[-1])
-    clock = iter(shown)
-    with CoreThreads(1) as pool:
-        found = calibrate(pool, 2, now=lambda: next(clock))
-    assert found == pytest.approx(gain)

@@ -179,7 +179,7 @@ def test_quadratic_field_has_its_linear_stress_at_nodes():
     assert np.abs(found - wanted).max() < 1e-12
 
 
-ROUNDING_TET_STRESS = 1e-12
+STRESS_ROUNDING = 1e-12
 """Of the largest value: sums of at most a few hundred products in float64."""
 
 
@@ -241,7 +241,7 @@ def test_groups_against_numpy(functions, laws):
         cell, place = np.divmod(member[start[group] : start[group + 1]], PLACES)
         weight = volume[cell] / volume[cell].sum() if len(cell) else np.zeros(0)
         mean = weight @ stress[cell, place]
-        scale = ROUNDING_TET_STRESS * max(np.abs(mean).max(), 1.0)
+        scale = STRESS_ROUNDING * max(np.abs(mean).max(), 1.0)
         assert out[0].numpy()[group] == pytest.approx(weight @ voigt[cell, place], abs=scale)
         assert out[1].numpy()[group] == pytest.approx(mean, abs=scale)
         tensor = np.empty((3, 3))

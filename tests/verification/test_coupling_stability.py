@@ -9,7 +9,6 @@ from math import inf
 import numpy as np
 import pytest
 
-from tissue import InputError
 from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand.hand import HandAction, hand_parameters
@@ -17,7 +16,6 @@ from tissue.haptics.loop.critical_stiffness import (
     critical_stiffness_N_m,
     in_hands,
     judge,
-    require_stable,
 )
 from tissue.haptics.loop.sampled_loop import WallLoop, loop_matrix, spectral_radius
 from tissue.haptics.loop.stability_bounds import (
@@ -181,28 +179,6 @@ def test_the_map_of_the_loop_is_what_the_loop_does():
         filtered += (1.0 - np.exp(-0.5)) * (force - filtered)
         simulated.command((0.0, 0.0, filtered), (0.0, 0.0, 0.0))
     assert depth == pytest.approx(state[0], rel=1e-10)
-
-
-def test_a_verdict_names_margin_and_nearest_stable_value():
-    good, bad = judge(wall(stiffness_N_m=150.0)), judge(wall(stiffness_N_m=400.0))
-    assert (
-        good.stable and good.margin == pytest.approx(0.2503, abs=1e-4) and good.nearest_N_m == 150.0
-    )
-    assert good.spectral_radius < 1.0 < bad.spectral_radius
-    assert (
-        not bad.stable and bad.margin == pytest.approx(-1.0, abs=1e-3) and bad.nearest_N_m == 200.0
-    )
-    assert bad.sentence(400.0).endswith("the nearest stable value is 200 N/m")
-    assert judge(wall(stiffness_N_m=bad.nearest_N_m)).stable
-    with pytest.raises(
-        InputError, match=r"stiffness_N_m must be below 200.1 to be stable, got 400 .*: use 200"
-    ):
-        require_stable(wall(stiffness_N_m=400.0))
-    with pytest.raises(
-        InputError, match="wall_damping_N_s_m must leave some stiffness stable, got 120"
-    ):
-        require_stable(wall(120.0))
-    assert require_stable(wall(stiffness_N_m=150.0)) == good
 
 
 def test_the_worst_hand_decides():

@@ -63,23 +63,6 @@ def forces(anatomy, *corners_mm, frame=None, spacing_m=1e-4):
     return frame.inv().apply(found), np.array(lines)
 
 
-@pytest.mark.parametrize("frame", [Rotation.identity(), TURNED], ids=["lattice", "turned"])
-def test_a_pass_back_through_an_old_slot_meets_little(frame):
-    """A pass back through an old slot has little force.
-
-    It is at most 1 % of the full cut: elements that graze the old surface read the next voxel,
-    which lies deeper in it.
-    """
-    there, back = [-1.2, 0, -0.3], [1.2, 0, -0.3]
-    force, line = forces(
-        plate(frame.apply([0.0, 0.0, 1.0])), [-1.2, 0, 0.1], there, back, there, frame=frame
-    )
-    full = np.linalg.norm(force[line == 1][100:], axis=1).mean()
-    again = np.linalg.norm(force[line == 2], axis=1)
-    print(f"\nfull {full:.3f} N, again {again.mean() / full:.4f}, worst {again.max() / full:.4f}")
-    assert again.mean() < 0.01 * full and again[:-20].max() < 0.02 * full
-
-
 def slot_force(depth):
     """Return the force [N] on a ball that moves along x in solid bone under a face.
 

@@ -11,7 +11,6 @@ from koopman_systems import (
     SLOW_GENERATOR,
     SLOW_OPERATOR,
     SLOW_STEP_S,
-    duffing,
     record,
     slow_manifold,
     slow_manifold_at,
@@ -104,40 +103,6 @@ def test_held_inputs_are_exact_in_both_directions():
         assert np.abs(there.B - operator.B).max() < EXACT
 
 
-def test_generator_and_discrete_form_agree_ever_better_with_shorter_steps():
-    """Generator and discrete form agree better with shorter steps.
-
-    Where observables are not closed, the logarithm of EDMD differs from gEDMD by O(h), with the
-    same states for both.
-    """
-    steps, apart = np.array([0.04, 0.02, 0.01, 0.005]), []
-    starts = np.random.default_rng(3).uniform(-1.0, 1.0, (300, 2))
-    for step in steps:
-        # Two rows an episode, so that both fits weigh the same states whatever the step.
-        episodes = record(duffing, starts, np.zeros((300, 2)), step, substeps=4)
-        generator = Edmd(Polynomials(3)).fit_generator(episodes)
-        logarithm = Edmd(Polynomials(3), cap=None).fit(episodes).generator()
-        apart.append(np.abs(generator.A - logarithm.A).max())
-    slope = np.polyfit(np.log(steps), np.log(apart), 1)[0]
-    assert slope == pytest.approx(1.0, abs=0.1)
-    assert apart[-1] < 0.1
-
-
-def test_delays_make_up_for_a_speed_that_is_not_measured():
-    """A linear system of second order is closed over two samples of its place."""
-    _, _, whole, _ = driven(np.random.default_rng(0), 0.02)
-    states = [np.array([[1.0, 0.0], [0.2, 3.0]])]
-    for _ in range(60):
-        states.append(states[-1] @ whole[:2, :2].T)
-    table = np.stack(states, axis=1)
-    operator = Edmd(Delays(1)).fit([Episode(each[:, :1], None, 0.02) for each in table])
-    predicted = operator.predict(table[0, :2, :1], None, 40)
-    assert np.abs(predicted - table[0, 2:42, :1]).max() < 1e-9
-    assert np.sort(operator.eigenvalues) == pytest.approx(
-        np.sort(np.linalg.eigvals(whole[:2, :2])), abs=EXACT
-    )
-
-
 @pytest.mark.slow
 def test_van_der_pol_as_korda_and_mezic():
     """Van der Pol is predicted as by Korda and Mezic.
@@ -173,7 +138,6 @@ def test_van_der_pol_as_korda_and_mezic():
 
 
 # pykoop takes seconds to import; test_koopman_exact holds the same operators
-pytestmark = pytest.mark.slow
 
 
 SAME = 1e-8
@@ -234,6 +198,7 @@ def split(pykoop, function):
     return [("of the state", pykoop.SplitPipeline(lifting_functions_state=[("it", function)]))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("order", [2, 3])
 def test_polynomials(pykoop, seed, order):
@@ -244,6 +209,7 @@ def test_polynomials(pykoop, seed, order):
     assert off < SAME
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lags", [1, 2, 3])
 def test_delays(pykoop, lags):
     episodes, table = recorded(0)

@@ -7,16 +7,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from meshes.tets.structured import box, graded, grid
+from meshes.tets.structured import box
 from meshes.tets.tetrahedra import TetMesh
 from tissue.fem.conjugate_gradients import SolverOutcome
 from tissue.fem.hyperelastic import Law, NonlinearBody
-from tissue.fem.newton import NewtonSolver, RigidSphere
+from tissue.fem.newton import NewtonSolver
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 
 LIVER = lame(5e3, 0.45)
-RADIUS_M = 0.01
 TURNING = (Law.COROTATIONAL, Law.NEO_HOOKEAN)
 
 
@@ -81,52 +80,3 @@ def test_large_rotation(capsys):
             "\nfalse stress of the linear law in a bar turned by 60 degrees: "
             f"{stretched[Law.LINEAR] / 5e3:.0%} of E"
         )
-
-
-def block(
-    order: int = 1, *, first: float, growth: float = 1.4, deep: float = 0.05
-) -> tuple[Space, np.ndarray]:
-    """Return a quarter of a block and its base.
-
-    It is twice as wide as deep, and fine at its top corner (the axis of the sphere).
-    """
-    aside = graded(0.0, deep, first, growth)
-    space = Space(grid(aside, aside, graded(0.0, -deep, first, growth)[::-1]), order)
-    return space, space.nodes_m[:, 2] < -deep + 1e-9
-
-
-def quarter_solver(space: Space, base: np.ndarray, law: Law, **options) -> NewtonSolver:
-    """Base held, and the planes of symmetry."""
-    held = (np.abs(space.nodes_m) < 1e-12) & np.array([True, True, False])
-    held[base] = True
-    return NewtonSolver(NonlinearBody(space, LIVER, law=law), held, **options)
-
-
-@pytest.mark.parametrize("law", list(Law))
-def test_sphere_contact(law):
-    """Contact with a sphere obeys Signorini's conditions to the sphere's tolerance.
-
-    It is in equilibrium with the supports, and the penalty has no influence.
-    """
-    space, base = block(first=3e-3)
-    solver = quarter_solver(space, base, law)
-    top = np.flatnonzero(space.nodes_m[:, 2] > -1e-12)
-    compliance = solver.rest_diagonal.reshape(-1, 3)[top].mean(axis=1)
-    forces = []
-    for stiffer in (3.0, 30.0):
-        sphere = RigidSphere(
-            top, stiffer * compliance, radius_m=RADIUS_M, centre_m=(0.0, 0.0, RADIUS_M - 5e-3)
-        )
-        solution = solver.solve(sphere=sphere)
-        assert solution.outcome is SolverOutcome.CONVERGED
-        away = np.linalg.norm(
-            space.nodes_m[top] + solution.displacement_m[top] - sphere.centre_m, axis=1
-        )
-        push = np.linalg.norm(solution.force_N[top], axis=1)
-        pressed = push > 1e-6 * push.max()
-        assert pressed.sum() > 5 and away.min() > RADIUS_M * (1.0 - 1.1e-6)
-        assert away[pressed & ~solver.held[top].any(axis=1)].max() < RADIUS_M * (1.0 + 1.1e-6)
-        assert solution.force_N[base, 2].sum() == pytest.approx(solution.tool_force_N[2], rel=1e-6)
-        forces.append(solution.tool_force_N[2])
-    # Nodes may lie 1e-6 of the radius, 2e-6 of the depth, off: the force follows to about as much.
-    assert forces[0] == pytest.approx(forces[1], rel=1e-5)

@@ -5,15 +5,13 @@ It is compared with closed forms, the direct hereditary integral, and Lee and Ra
 
 import numpy as np
 import pytest
-from prony_series import compliance_of, modulus_of, relaxation_of, started
-from scipy.linalg import cholesky, solve_triangular
-from scipy.optimize import nnls
+from prony_series import compliance_of, modulus_of, started
 
 from meshes.tets.structured import box
 from tissue.fem.assembly import assemble
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
-from tissue.materials.prony import HereditaryIntegral, Prony
+from tissue.materials.prony import Prony
 
 SERIES = Prony(g=(0.3, 0.3), tau_s=(0.5, 10.0))
 STEP_S = 1e-2
@@ -102,57 +100,3 @@ def test_second_order_in_time(surface):
     errors = np.abs(np.array(last) - 0.815187)
     assert np.polyfit(np.log(steps), np.log(errors), 1)[0] == pytest.approx(2.0, abs=0.2)
     assert errors[-1] < 1e-4
-
-
-def sphere_forces(surface, depths):
-    """Return elastic and creeping force [N] on a frictionless sphere, and the nodes in contact.
-
-    The sphere of 20 mm is pressed to these depths [m].
-    """
-    nodes, compliance = surface
-    up = compliance[2::3, 2::3]
-    factor = cholesky(up)
-    rise = np.sum((nodes[:, :2] - SIDE_M / 2) ** 2, axis=1) / 0.04
-    creep, found = HereditaryIntegral(SERIES.retardation, (len(nodes), 3), step_s=STEP_S), []
-
-    def nodal(clearance, scale):
-        """Return non-negative pushes f down that leave no node in the sphere.
-
-        They satisfy scale W f >= clearance, with equality where f > 0.
-        """
-        return nnls(
-            np.sqrt(scale) * factor,
-            solve_triangular(factor.T, clearance, lower=True) / np.sqrt(scale),
-        )[0]
-
-    for depth in depths:
-        elastic = nodal(depth - rise, 1.0)
-        push = nodal(depth - rise + creep.history[:, 2], creep.instant_factor)
-        creep.advance(-(compliance[:, 2::3] @ push).reshape(-1, 3))
-        found.append((elastic.sum(), push.sum(), np.count_nonzero(push > 0.0)))
-    return np.array(found)
-
-
-def test_growing_contact_is_lee_and_radok(surface):
-    """Growing contact follows Lee and Radok.
-
-    While the contact grows, the relaxed elastic force is right; when it shrinks, this force pulls
-    where the contact has opened.
-    """
-    ticks = np.arange(1, 101)
-    depths = 4e-3 * np.concatenate([ticks / 100.0, 1.0 - ticks / 100.0])
-    forces = sphere_forces(surface, depths)
-    assert forces[99, 2] > 4 * forces[19, 2] > 0
-    relaxed, shortcut = HereditaryIntegral(relaxation_of(SERIES), (1,), step_s=STEP_S), []
-    for elastic in forces[:, 0]:
-        shortcut.append(relaxed.instant_factor * elastic + relaxed.history[0])
-        relaxed.advance(elastic)
-    shortcut = np.array(shortcut)
-    # Nodes come in between two ticks, which is of first order: 0.3 % of the largest force at 100
-    # ticks.
-    np.testing.assert_allclose(forces[:100, 1], shortcut[:100], atol=3e-3 * shortcut.max())
-    assert shortcut[-1] < -0.02 * shortcut.max()
-    assert (forces[:, 1] >= 0.0).all()
-    lost = np.flatnonzero(forces[100:, 2] == 0)
-    assert len(lost) and depths[100 + lost[0]] > 2e-4  # it lets go of a dent that is still there
-    assert (forces[100 + lost[0] :, 2] == 0).all()

@@ -91,15 +91,6 @@ def test_fast_plunge_is_carved_in_parts_of_a_tick():
     assert model.removed_m3.sum() == pytest.approx(CAP_M3, rel=1e-3)
 
 
-def test_slot_leaves_a_capsule():
-    """A ball drawn along x removes a cap's two halves and a circular segment times the length."""
-    model = sweep(ball(block(0.1e-3)), (-0.8e-3, 0, -0.5e-3), (0.8e-3, 0, -0.5e-3), step_m=5e-6)
-    angle = 2.0 * np.arccos(1.0 - 0.5e-3 / RADIUS_M)
-    segment = 0.5 * RADIUS_M**2 * (angle - np.sin(angle))
-    cap = pi * 0.5e-3**2 * (3.0 * RADIUS_M - 0.5e-3) / 3.0
-    assert model.removed_m3.sum() == pytest.approx(cap + 1.6e-3 * segment, rel=2e-3)  # binary: 1e-2
-
-
 def test_removed_and_remaining_add_up_exactly_in_every_layer():
     volume = block(0.1e-3)
     layered = type(volume)(

@@ -5,7 +5,7 @@ A linear field is exact on full cells, and where particles lie at random the err
 
 import numpy as np
 import pytest
-from tooth_bodies import GAUSS, block, lattice, on_boundary, slope
+from tooth_bodies import GAUSS, block, lattice, on_boundary
 
 from tissue.models.tooth.body import ParticleBody
 from tissue.models.tooth.recovery import particle_stress
@@ -55,30 +55,6 @@ def test_full_cells_are_exact(places):
     )
     assert found.converged
     assert moved <= EXACT and stress <= EXACT
-
-
-def random_patch(cells, per_cell, seed):
-    random = np.random.default_rng(seed)
-    places = random.uniform(size=(cells**3, per_cell, 3))
-    return held_patch(*block((cells,) * 3, 1.0 / cells, modulus_Pa=1e9, places=places))
-
-
-def test_random_particles_err_with_the_root_of_their_number():
-    """The error of random particles falls with the root of their number.
-
-    By Monte Carlo quadrature, the stress error falls as N^-1/2 (0.15: scatter of four points over
-    12 seeds).
-    """
-    counts = np.array([8, 32, 128, 512])
-    errors = [
-        np.mean([patch_error(random_patch(4, int(n), seed))[1] for seed in range(3)])
-        for n in counts
-    ]
-    print(
-        "\nparticles a cell, largest stress error:",
-        dict(zip(counts.tolist(), np.round(errors, 4), strict=True)),
-    )
-    assert slope(counts, errors) == pytest.approx(-0.5, abs=0.15)
 
 
 def test_bars_in_series_are_exact():
