@@ -11,6 +11,7 @@ from kernels.contact_state import (
     SHELL,
     TICK,
     WORKING,
+    ZERO,
     Body,
     Lists,
     Points,
@@ -39,7 +40,6 @@ __all__ = ["find_near", "join_touching", "start_over"]
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-ZERO = wp.constant(wp.float64(0.0))
 SLACK = wp.constant(wp.float64(1.25))
 """Largest growth of a triangle, relative to its size at rest, that the contact search allows for.
 

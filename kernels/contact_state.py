@@ -44,6 +44,7 @@ __all__ = [
     "TICK",
     "TORQUE",
     "WORKING",
+    "ZERO",
     "Body",
     "Lists",
     "Points",

@@ -9,7 +9,7 @@ Rigid motions: rotations as unit quaternions, and the path lengths of points.
 
 import warp as wp
 
-from kernels.proxy_contacts import Contacts
+from kernels.proxy_contacts import ZERO, Contacts
 from kernels.proxy_forces import resolve
 
 __all__ = [
@@ -97,7 +97,6 @@ LITTLE = wp.constant(wp.float64(1.0e-4))
 """Share of the springs' energy that a step near voxels must remove at least."""
 TOO_DEEP = wp.constant(wp.float64(0.1))
 """Share of a step's length that a point may sink in before the step is taken back."""
-ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
 HALF = wp.constant(wp.float64(0.5))
 TWO = wp.constant(wp.float64(2.0))

@@ -21,7 +21,7 @@ a spin about its own normal.
 
 import warp as wp
 
-from kernels.proxy_contacts import Contacts
+from kernels.proxy_contacts import ZERO, Contacts
 
 __all__ = ["MEMBERS", "factorise", "friction_force", "normal_forces", "resolve", "solve_set"]
 
@@ -30,7 +30,6 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 MEMBERS = 8
 """Planes in the set: six hold a rigid body, and one more waits while another leaves."""
 ROUNDS = 64
-ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
 TINY = wp.constant(wp.float64(1.0e-13))
 """Relative increase of the set's matrix that makes dependent planes solvable."""

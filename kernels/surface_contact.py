@@ -28,6 +28,7 @@ from kernels.contact_state import (
     SWEEPS,
     TORQUE,
     WORKING,
+    ZERO,
     Body,
     Lists,
     Points,
@@ -41,8 +42,6 @@ from kernels.near_compliance import LOADED, SLOTS, Patch, move_all, moved_at, pu
 __all__ = ["solve_contact"]
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
-
-ZERO = wp.constant(wp.float64(0.0))
 
 
 @wp.func
