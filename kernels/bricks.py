@@ -1,4 +1,4 @@
-"""Layout of brick storage and the few functions every brick kernel shares.
+"""Layout of brick storage, the functions every brick kernel shares, and sampling of points.
 
 A voxel grid is cut into bricks of 8 x 8 x 8 voxels; only bricks that hold material are stored.
 ``brick_of`` maps a brick's grid position to its row in the stored arrays, -1 where nothing is
@@ -27,6 +27,7 @@ __all__ = [
     "density_of",
     "layer_of",
     "plane_of",
+    "sample",
     "stored",
     "trilinear",
     "voxel_column",
@@ -242,3 +243,25 @@ def cube_behind_plane(plane: Plane, distance: float):
     else:
         volume = (a - 0.5 * m12) / m3
     return wp.where(whole > 0.5, 1.0 - volume, volume)
+
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def sample(
+    # points
+    point: wp.array(dtype=wp.vec3),  # [voxel]
+    offset: int,
+    # grid
+    brick_of: wp.array3d(dtype=wp.int32),
+    remaining: wp.array2d(dtype=wp.uint16),
+    # out
+    fraction_out: wp.array(dtype=wp.float32),
+):
+    """Sample the filled fraction at each point, trilinear between voxel centres.
+
+    The fraction is 0 where no brick is stored.
+    """
+    i = wp.tid() + offset
+    fraction_out[i] = trilinear(brick_of, remaining, point[i])

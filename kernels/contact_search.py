@@ -8,16 +8,20 @@ import warp as wp
 from kernels.contact_state import (
     LARGEST,
     NEARBY,
+    SHELL,
     TICK,
     WORKING,
+    ZERO,
     Body,
     Lists,
     Points,
+    Pose,
+    axis_distance,
     block,
     distance_to,
     pose_of,
+    safe_inverse,
 )
-from kernels.friction_cone import safe_inverse
 from kernels.near_compliance import (
     LOADED,
     SLOTS,
@@ -31,13 +35,11 @@ from kernels.near_compliance import (
     move_all,
     moved_at,
 )
-from kernels.probe_distance import SHELL, Pose, axis_distance
 
 __all__ = ["find_near", "join_touching", "start_over"]
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-ZERO = wp.constant(wp.float64(0.0))
 SLACK = wp.constant(wp.float64(1.25))
 """Largest growth of a triangle, relative to its size at rest, that the contact search allows for.
 

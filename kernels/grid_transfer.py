@@ -1,4 +1,4 @@
-"""Transfer between a grid and a grid of twice its edge length.
+"""Transfer between a grid and a grid of twice its edge length, and smoothing by node blocks.
 
 Cell stiffness and residuals go up to the coarse grid, corrections go down to the fine grid.
 
@@ -6,13 +6,34 @@ A coarse cell's trilinear functions are trilinear on each of its eight children,
 exactly the sum of its children's through the interpolation P: ``K = sum P_c^T M K_c M P_c`` with M
 the mask of the components that may move. The coarse operator is the fine one's Galerkin projection,
 and one changed cell changes one coarse cell.
+
+Node blocks: stiffness of a grid gathered node by node.
+
+The module has rows of 3 x 3 blocks, their product with a vector, and Gauss-Seidel sweeps over eight
+colours.
+
+A row holds one block for each of a node's up to 27 neighbours: first the neighbours of lower
+colour, then the node itself, then the neighbours of higher colour. With K = L + D + U so split, the
+first sweep from rest solves ``(L + D) v = f`` and leaves ``f - K v = -U v``. Solve and residual
+together read K once. Sums run in fixed order. A sweep changes only nodes of one colour, which are
+never neighbours. The result has the same bits on any number of threads.
 """
 
 import warp as wp
 
 from kernels.hexahedra import block_of, carries, cell_block
 
-__all__ = ["coarse_stiffness", "interpolate", "restrict"]
+__all__ = [
+    "assemble_rows",
+    "coarse_stiffness",
+    "first_residuals",
+    "first_sweep",
+    "interpolate",
+    "invert_diagonal",
+    "restrict",
+    "sweep_colour",
+    "to_single",
+]
 
 # nested loops over corners, compiled once
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -122,3 +143,160 @@ def interpolate(
         if coarse >= 0:
             total += correction[coarse]
     vector_out[fine] = vector_out[fine] + weight[fine] * wp.cw_mul(free[fine], total)
+
+
+# nested loops over corners, compiled once
+@wp.kernel
+def assemble_rows(
+    # nodes
+    rows: wp.array(dtype=wp.int32),  # nodes whose rows are gathered again
+    row_start: wp.array(dtype=wp.int32),  # [node + 1], first block of each row
+    node_cells: wp.array2d(dtype=wp.int32),  # [node, corner]
+    # [node, 27]: block of the neighbour at 9 (dx+1) + 3 (dy+1) + dz+1
+    neighbour_block: wp.array2d(dtype=wp.int32),
+    free: wp.array(dtype=wp.vec3d),  # [node], 1 where a component may move, 0 where it is held
+    # cells
+    cell_nodes: wp.array2d(dtype=wp.int32),
+    live: wp.array(dtype=wp.uint8),  # [cell]
+    stiffness: wp.array2d(dtype=wp.mat33d),  # [cell, block] [N/m]
+    offset: int,
+    # out
+    block_out: wp.array(dtype=wp.mat33d),  # [block] [N/m]
+    # [node], a copy of the node's own block, 1 on held components
+    diagonal_out: wp.array(dtype=wp.mat33d),
+):
+    """Gather rows ``M K M``, with M the mask of the components that may move.
+
+    Held components get no stiffness.
+    """
+    node = rows[wp.tid() + offset]
+    for place in range(row_start[node], row_start[node + 1]):
+        block_out[place] = wp.mat33d()
+    free_here = free[node]
+    for a in range(8):
+        cell = node_cells[node, a]
+        if carries(live, cell):
+            for b in range(8):
+                step = (
+                    9 * ((b >> 2) - (a >> 2))
+                    + 3 * (((b >> 1) & 1) - ((a >> 1) & 1))
+                    + (b & 1)
+                    - (a & 1)
+                    + 13
+                )
+                mask = wp.outer(free_here, free[cell_nodes[cell, b]])
+                place = neighbour_block[node, step]
+                block_out[place] = block_out[place] + wp.cw_mul(
+                    mask, cell_block(stiffness, cell, a, b)
+                )
+    centre = neighbour_block[node, 13]
+    diagonal_out[node] = block_out[centre] + wp.diag(
+        wp.vec3d(wp.float64(1.0), wp.float64(1.0), wp.float64(1.0)) - free_here
+    )
+
+
+@wp.kernel
+def invert_diagonal(
+    rows: wp.array(dtype=wp.int32),
+    diagonal: wp.array(dtype=wp.mat33d),  # [node] [N/m]
+    offset: int,
+    # out
+    inverse_out: wp.array(dtype=wp.mat33f),  # [node] [m/N]
+):
+    """Invert each node's own block; the inverse is zero where a node carries no load.
+
+    A small multiple of the trace keeps half-empty blocks regular.
+    """
+    node = rows[wp.tid() + offset]
+    block = diagonal[node]
+    size = wp.trace(block)
+    inverse = wp.mat33d()
+    if size > wp.float64(0.0):
+        tiny = wp.float64(1e-9) * size
+        inverse = wp.inverse(block + wp.diag(wp.vec3d(tiny, tiny, tiny)))
+    inverse_out[node] = wp.mat33f(inverse)
+
+
+@wp.kernel
+def to_single(
+    rows: wp.array(dtype=wp.int32),
+    row_start: wp.array(dtype=wp.int32),
+    block: wp.array(dtype=wp.mat33d),
+    offset: int,
+    # out
+    block_out: wp.array(dtype=wp.mat33f),
+):
+    """Round rows to single precision, for the preconditioner."""
+    node = rows[wp.tid() + offset]
+    for place in range(row_start[node], row_start[node + 1]):
+        block_out[place] = wp.mat33f(block[place])
+
+
+@wp.kernel
+def first_sweep(
+    nodes: wp.array(dtype=wp.int32),  # nodes of one colour
+    row_start: wp.array(dtype=wp.int32),
+    # [node], the node's own block: lower colours before, higher behind
+    diagonal_block: wp.array(dtype=wp.int32),
+    column: wp.array(dtype=wp.int32),
+    block: wp.array(dtype=wp.mat33f),
+    inverse: wp.array(dtype=wp.mat33f),  # [node], inverse of the node's own block
+    load: wp.array(dtype=wp.vec3f),
+    offset: int,
+    # out
+    vector_out: wp.array(dtype=wp.vec3f),  # [node]
+):
+    """Run the first Gauss-Seidel sweep, from zero displacements.
+
+    Only nodes of lower colours have moved before a node.
+    """
+    node = nodes[wp.tid() + offset]
+    left = load[node]
+    for place in range(row_start[node], diagonal_block[node]):
+        left -= block[place] * vector_out[column[place]]
+    vector_out[node] = inverse[node] * left
+
+
+@wp.kernel
+def first_residuals(
+    row_start: wp.array(dtype=wp.int32),
+    diagonal_block: wp.array(dtype=wp.int32),
+    column: wp.array(dtype=wp.int32),
+    block: wp.array(dtype=wp.mat33f),
+    vector: wp.array(dtype=wp.vec3f),  # [node]
+    offset: int,
+    # out
+    residual_out: wp.array(dtype=wp.vec3f),  # [node]
+):
+    """Compute the residual of the load after the first sweep.
+
+    It is not zero because nodes of higher colours moved after the node had.
+    """
+    node = wp.tid() + offset
+    total = wp.vec3f()
+    for place in range(diagonal_block[node] + 1, row_start[node + 1]):
+        total -= block[place] * vector[column[place]]
+    residual_out[node] = total
+
+
+@wp.kernel
+def sweep_colour(
+    nodes: wp.array(dtype=wp.int32),  # nodes of one colour
+    row_start: wp.array(dtype=wp.int32),
+    column: wp.array(dtype=wp.int32),
+    block: wp.array(dtype=wp.mat33f),
+    inverse: wp.array(dtype=wp.mat33f),  # [node], inverse of the node's own block
+    load: wp.array(dtype=wp.vec3f),
+    offset: int,
+    # out
+    vector_out: wp.array(dtype=wp.vec3f),  # [node], corrected in place
+):
+    """Run a Gauss-Seidel sweep over one colour.
+
+    Every node of the colour moves so that its own three equations hold.
+    """
+    node = nodes[wp.tid() + offset]
+    left = load[node]
+    for place in range(row_start[node], row_start[node + 1]):
+        left -= block[place] * vector_out[column[place]]
+    vector_out[node] = vector_out[node] + inverse[node] * left

@@ -9,7 +9,7 @@ SIGGRAPH).
 
 import warp as wp
 
-from kernels.proxy_contacts import Contacts, Shell, collect
+from kernels.proxy_contacts import ZERO, Contacts, Shell, collect
 from kernels.proxy_descent import (
     AT_REST,
     GOES_ON,
@@ -18,9 +18,9 @@ from kernels.proxy_descent import (
     Reaction,
     accept_trial,
     halve_motion,
+    pose_distance,
     take_step,
 )
-from kernels.rigid_motion import pose_distance
 from kernels.voxmap import Field
 
 __all__ = [
@@ -53,7 +53,6 @@ In order: 1 if converged; number of pressing contacts, of steps and of solves; t
 for force over stiffness [m], moment over stiffness [m2], and centre of pressure from the tool's
 origin in world axes [m]; number of entries.
 """
-ZERO = wp.constant(wp.float64(0.0))
 HALVINGS = 8
 """Number of times that a step is halved before the proxy stays where it is."""
 

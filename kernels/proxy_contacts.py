@@ -11,7 +11,7 @@ import warp as wp
 
 from kernels.voxmap import Field, solid_distance, voxel_clearance, voxel_level
 
-__all__ = ["VOXEL_PLANES", "Contacts", "Shell", "collect"]
+__all__ = ["VOXEL_PLANES", "ZERO", "Contacts", "Shell", "collect"]
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 

@@ -3,13 +3,14 @@
 A step is a motion that the contacts allow, and may be shortened or taken back.
 
 A trial pose is one motion away from the last pose that was found to be free.
+
+Rigid motions: rotations as unit quaternions, and the path lengths of points.
 """
 
 import warp as wp
 
-from kernels.proxy_contacts import Contacts
-from kernels.proxy_friction import resolve
-from kernels.rigid_motion import motion_length, turn_between, turned_by
+from kernels.proxy_contacts import ZERO, Contacts
+from kernels.proxy_forces import resolve
 
 __all__ = [
     "AT_REST",
@@ -19,10 +20,71 @@ __all__ = [
     "Reaction",
     "accept_trial",
     "halve_motion",
+    "motion_length",
+    "pose_distance",
     "take_step",
+    "turn_between",
+    "turned_by",
 ]
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+SMALL = wp.constant(wp.float64(1.0e-8))
+"""Angle [rad] or its sine below which a ratio of sines is its limit."""
+
+
+@wp.func
+def turned_by(turn: wp.vec3d, rotation: wp.quatd):
+    """Return a rotation followed by a rotation about the vector ``turn`` [rad]."""
+    angle = wp.length(turn)
+    share = HALF
+    if angle > SMALL:
+        share = wp.sin(HALF * angle) / angle
+    imaginary = share * turn
+    return wp.normalize(
+        wp.quatd(imaginary[0], imaginary[1], imaginary[2], wp.cos(HALF * angle)) * rotation
+    )
+
+
+@wp.func
+def turn_between(start: wp.quatd, goal: wp.quatd):
+    """Compute the rotation vector [rad] of the shortest turn from one rotation to another."""
+    turn = goal * wp.quat_inverse(start)
+    imaginary = wp.vec3d(turn[0], turn[1], turn[2])
+    cosine = turn[3]
+    if cosine < ZERO:
+        imaginary = -imaginary
+        cosine = -cosine
+    sine = wp.length(imaginary)
+    share = wp.float64(2.0)
+    if sine > SMALL:
+        share = wp.float64(2.0) * wp.atan2(sine, cosine) / sine
+    return share * imaginary
+
+
+@wp.func
+def motion_length(shift: wp.vec3d, turn: wp.vec3d, reach: wp.float64):
+    """Return the largest path length of a point within ``reach`` [m] of the tool's origin [m]."""
+    return wp.length(shift) + reach * wp.length(turn)
+
+
+@wp.func
+def pose_distance(
+    position: wp.vec3d,
+    rotation: wp.quatd,
+    goal_position: wp.vec3d,
+    goal: wp.quatd,
+    reach: wp.float64,
+):
+    """Return the largest path length of a point within ``reach`` [m] to its wanted position [m].
+
+    A ``reach`` of 0 ignores rotations.
+    """
+    length = wp.length(goal_position - position)
+    if reach > ZERO:
+        length += reach * wp.length(turn_between(rotation, goal))
+    return length
+
 
 GOES_ON, AT_REST, OUT_OF_SOLVES = 0, 1, 2
 """End states of a step."""
@@ -35,7 +97,6 @@ LITTLE = wp.constant(wp.float64(1.0e-4))
 """Share of the springs' energy that a step near voxels must remove at least."""
 TOO_DEEP = wp.constant(wp.float64(0.1))
 """Share of a step's length that a point may sink in before the step is taken back."""
-ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
 HALF = wp.constant(wp.float64(0.5))
 TWO = wp.constant(wp.float64(2.0))

@@ -11,7 +11,6 @@ __all__ = ["link_points", "project_shell"]
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
 TWICE = wp.constant(wp.float64(2.0))
 """Multiple of a triangle's radius within which each corner lies from any of its points."""

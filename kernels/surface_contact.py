@@ -4,7 +4,7 @@ The solver is a nonlinear Gauss-Seidel iteration on one thread.
 
 The unknowns are the forces at contact points, given on the triangles by barycentric weights. In a
 triangle's turn, the force of one contact after the other is solved at its points
-(``kernels.friction_cone``). Distance and normal of the tool are taken at the present position of
+(``kernels.contact_state``). Distance and normal of the tool are taken at the present position of
 the point, so normals need no outer loop. Then each of its nodes whose force F_a changed adds to the
 displacements of all loaded nodes, ``u_b += W_ba dF_a`` (``kernels.near_compliance``). Only
 triangles that touch or carry force take turns. When their points rest, all other nearby triangles
@@ -28,21 +28,20 @@ from kernels.contact_state import (
     SWEEPS,
     TORQUE,
     WORKING,
+    ZERO,
     Body,
     Lists,
     Points,
+    Pose,
+    coulomb_force,
     distance_to,
     pose_of,
 )
-from kernels.friction_cone import coulomb_force
 from kernels.near_compliance import LOADED, SLOTS, Patch, move_all, moved_at, push
-from kernels.probe_distance import Pose
 
 __all__ = ["solve_contact"]
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
-
-ZERO = wp.constant(wp.float64(0.0))
 
 
 @wp.func

@@ -14,7 +14,7 @@ energy is infinite.
 
 import warp as wp
 
-from kernels.tet_nonlinear import deformation, gradient_of
+from kernels.tet_nonlinear import HALF, IDENTITY, TWO, deformation, gradient_of
 
 __all__ = ["stretch_force", "stretch_stiffness"]
 
@@ -24,10 +24,7 @@ SWEEPS = wp.constant(12)
 EQUAL = wp.constant(wp.float64(1.0e-5))  # as in tissue.materials.hyperelasticity
 ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
-TWO = wp.constant(wp.float64(2.0))
 THREE = wp.constant(wp.float64(3.0))
-HALF = wp.constant(wp.float64(0.5))
-IDENTITY = wp.constant(wp.mat33d(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0))
 
 
 @wp.func

@@ -21,8 +21,11 @@ from kernels.tetrahedra import write_pair
 
 __all__ = [
     "COROTATIONAL",
+    "HALF",
+    "IDENTITY",
     "LINEAR",
     "NEO_HOOKEAN",
+    "TWO",
     "gather_blocks",
     "gather_forces",
     "tet_force",
@@ -35,7 +38,6 @@ LINEAR = wp.constant(0)
 COROTATIONAL = wp.constant(1)
 NEO_HOOKEAN = wp.constant(2)
 POLAR_STEPS = wp.constant(30)
-ONE = wp.constant(wp.float64(1.0))
 TWO = wp.constant(wp.float64(2.0))
 HALF = wp.constant(wp.float64(0.5))
 IDENTITY = wp.constant(wp.mat33d(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0))

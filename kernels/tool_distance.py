@@ -6,7 +6,7 @@ it from below over the whole triangle.
 
 import warp as wp
 
-__all__ = ["TOLERANCE_M", "Outline", "bounds_over", "distance_to_part", "distance_to_tool"]
+__all__ = ["TOLERANCE_M", "Outline", "bounds_over", "distance_to_part"]
 
 wp.set_module_options({"enable_backward": False})
 
@@ -106,16 +106,6 @@ def distance_to_part(outline: Outline, part: int, point: wp.vec3d):
     if slope[0] > wp.float64(0.0):
         bend = wp.min(bend, radius / slope[0])
     return value, gradient, bend
-
-
-@wp.func
-def distance_to_tool(outline: Outline, point: wp.vec3d):
-    """Compute the signed distance of a point from all parts."""
-    least = wp.float64(1.0e9)
-    for part in range(outline.convex.shape[0]):
-        value, _gradient, _bend = distance_to_part(outline, part, point)
-        least = wp.min(least, value)
-    return least
 
 
 @wp.func

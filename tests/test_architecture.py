@@ -17,11 +17,6 @@ from own_imports import PACKAGES, imports, modules_in_strings, sources
 ROOT = Path(__file__).resolve().parents[1]
 MODULES = list(sources(ROOT))
 FILES = list(sources(ROOT).values())
-QUICK_EXAMPLES = {"07_a_hand_on_the_wall"}
-EXAMPLES = [
-    pytest.param(path, id=path.stem, marks=() if path.stem in QUICK_EXAMPLES else pytest.mark.slow)
-    for path in sorted((ROOT / "examples").glob("*.py"))
-]
 LAYERS = (
     ("meshes", "kernels"),
     ("tissue.system", "tissue.materials", "tissue.cutters"),
@@ -268,22 +263,4 @@ def test_a_foreign_package_of_the_same_name_is_reported(tmp_path, name, module):
         f"ImportError: tissue needs its own package {name} at {ROOT / name}, got {found}: "
         f"uninstall the other {name} "
         "or reinstall tissue-sim in a fresh environment"
-    )
-
-
-@pytest.mark.parametrize("path", EXAMPLES)
-def test_an_example_runs_and_gives_its_number(path, tmp_path):
-    """An example checks its own number and fails where it is another."""
-    ended = subprocess.run(
-        [sys.executable, str(path)],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-    )
-    assert ended.returncode == 0, ended.stderr
-    assert any(letter.isdigit() for letter in ended.stdout)
-    assert (
-        next(picture.name[:3] for picture in (tmp_path / "figures").glob("*.png")) == path.stem[:3]
     )

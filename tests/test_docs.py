@@ -71,18 +71,6 @@ def test_links_of_a_page_lead_to_files(page):
     assert not {link for link in links if "://" not in link and not (page.parent / link).exists()}
 
 
-def test_the_checks_of_names_find_what_is_missing():
-    words = code_of("see `tissue/nothing.py`, or\n```\npython tests/bench/none.py --out DIR\n```\n")
-    assert {"tissue/nothing.py", "tests/bench/none.py"} <= words
-    assert (
-        not exists("tissue/nothing.py")
-        and not exists("tissue/materials/*.none")
-        and exists("tissue/materials/*.toml")
-    )
-    assert is_had("tissue.simulate") and is_had("meshes.base.progress.Progress")
-    assert not is_had("tissue.nothing") and not is_had("tissue.scene.load.nothing")
-
-
 def test_names_in_code_of_contributing_are_defined():
     """Classes and constants, which a rename would leave behind."""
     words = code_of((ROOT / "CONTRIBUTING.md").read_text("utf-8"))
@@ -102,26 +90,6 @@ def test_names_in_code_of_contributing_are_defined():
         for name in wanted
         if not re.search(rf"^(class {name}\b|{name}\b.* = )", source, re.MULTILINE)
     }
-
-
-def test_the_readme_stays_short():
-    text = (ROOT / "README.md").read_text("utf-8")
-    assert len(text.splitlines()) < 110 and len(text.split()) < 800
-
-
-def test_the_first_lines_of_the_readme_install_run_and_test():
-    lines = [
-        line
-        for line in (ROOT / "README.md").read_text("utf-8").splitlines()
-        if line.startswith("python3 -m venv")
-    ]
-    assert lines == [
-        "python3 -m venv .venv && .venv/bin/pip install -e . && .venv/bin/tissue run glenoid",
-        (
-            "python3 -m venv .venv && .venv/bin/pip install --no-compile -e '.[test]' && "
-            ".venv/bin/pytest -n logical --dist worksteal"
-        ),
-    ]
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ They write pictures and check figures.
 """
 
 import ast
+import os
 import re
 from pathlib import Path
 
@@ -57,3 +58,27 @@ def test_an_example_is_a_page_with_a_picture_and_a_check(path):
     assert len(re.findall(r"^# %%$", text, re.MULTILINE)) >= 2 and "assert " in text
     pictures = re.findall(r'FIGURES / "(.+?\.png)"', text)
     assert pictures and all(name.startswith(path.stem[:3]) for name in pictures)
+
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+NOTEBOOKS = sorted((ROOT / "examples" / "notebooks").glob("*.ipynb"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_runs(path, tmp_path, monkeypatch):
+    nbclient = pytest.importorskip("nbclient", reason="nbclient is in the extra dev")
+    pytest.importorskip("ipykernel", reason="ipykernel is in the extra dev")
+    import nbformat
+
+    book = nbformat.read(path, as_version=4)
+    code = [cell for cell in book.cells if cell.cell_type == "code"]
+    assert len(book.cells) <= 10 and not any(cell.outputs or cell.execution_count for cell in code)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]))
+    nbclient.NotebookClient(
+        book, timeout=240, kernel_name="python3", resources={"metadata": {"path": tmp_path}}
+    ).execute()
+    shown = {kind for cell in code for output in cell.outputs for kind in output.get("data", {})}
+    assert {"image/png", "text/html"} <= shown

@@ -27,7 +27,7 @@ PAGES = sorted(
 )
 SCRIPT = re.compile(r"python ((?:tests/bench|examples)/[\w/]+\.py)")
 TEST = re.compile(r"pytest ([^`#\n]+)")
-START_S = 6.0
+START_S = 4.0
 """Time for which a bench without a quick form is observed [s].
 
 In this time it imports, builds its first case and computes.
@@ -36,14 +36,7 @@ FINISH_S = 240.0
 """Longest time of a bench in its quick form [s] on a loaded machine."""
 
 FINISHED: dict[str, str] = {
-    "bench_bone": "--quick",
-    "bench_build": "",
-    "bench_force_law": "--quick --part 4",
-    "bench_liver_assembly": "--quick",
     "bench_perception": "--quick",
-    "bench_tooth": "--quick",
-    "chart_growth": "--quick --out {out}",
-    "chart_wall": "--quick --out {out}",
     "import_graph": "{out}/imports.png",
     "profile_ticks": "--added wall",
 }
@@ -51,47 +44,26 @@ FINISHED: dict[str, str] = {
 STARTED: dict[str, str] = {
     "bench_band": "",
     "bench_band_integrals": "",
+    "bench_bone": "--quick",
     "bench_calibration": "coverage",
-    "bench_environments": "--seeds 1 --steps 20",
-    "bench_factor": "",
     "bench_fit_cutting": "bone --fits 2 --processes 1",
-    "bench_fit_law": "ogden --fits 1",
     "bench_fit_organ": "elastic --fits 1 --processes 1",
-    "bench_fit_real": "--help",
-    "bench_fit_time": "",
-    "bench_haply_soak": "--minutes 0.05",
-    "bench_import": "",
-    "bench_import_formats": "",
+    "bench_force_law": "--quick",
     "bench_index": "milling voxels.spacing_mm=0.8 duration_s=0.05",
     "bench_jitter": "--minutes 0.02",
-    "bench_learning": "",
-    "bench_liver_contact": "--quick",
-    "bench_liver_solvers": "--quick",
-    "bench_objects": "",
-    "bench_organ": "--edge-mm 12",
-    "bench_page": "",
     "bench_prediction": "wall --runs 2 --out {out}",
-    "bench_puncture": "--seeds 1 --workers 1 --out {out}",
     "bench_reference": "milling voxels.spacing_mm=0.8 duration_s=0.05",
-    "bench_slicer": "milling",
-    "bench_stress": "1.0",
-    "bench_study": "--trials 1 --workers 1 --tasks T1 --out {out}/cost.png",
-    "bench_tail": "milling --rounds 1 --seconds 0.1",
-    "bench_throughput": "--tasks T1 --trials 1",
+    "bench_tooth": "--quick",
     "bench_velocity": "wall",
-    "chart_law": "--out {out}",
-    "chart_liver": "--quick --out {out}",
-    "chart_tooth": "--out {out}/tooth.png",
+    "chart_liver": "--quick",
+    "chart_wall": "--quick --out {out}",
     "golden": "--only wall",
-    "held_out": "--cost --out {out}",
+    "held_out": "--out {out}",
     "mutants": "--count 1",
-    "peers/run": "--help",
     "public_surface": "",
     "structure": "",
 }
 """Benches that are watched for `START_S`, with their arguments: they may end, and must not fail."""
-NEEDS_DATA = {"bench_fit_silicone"}
-"""Benches that read recordings which are no part of the project."""
 
 
 def printed(pattern):
@@ -107,7 +79,7 @@ def name_of(script):
 
 
 BENCHES = sorted(
-    {name_of(script) for script in printed(SCRIPT) if script.startswith("tests/bench")} - NEEDS_DATA
+    {name_of(script) for script in printed(SCRIPT) if script.startswith("tests/bench")}
 )
 
 

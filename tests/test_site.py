@@ -1,17 +1,17 @@
 """Inputs of the site: tables of scene keys, examples as pages, code of its pages, link checks."""
 
+from pathlib import (Path)
+from tissue.scene.texts import (schema_text)
 import importlib.util
 import json
 import os
+import pytest
 import re
 import subprocess
 import sys
-from pathlib import Path
-
-import pytest
-
 import tissue
-from tissue.scene.texts import schema_text
+
+
 
 ROOT = Path(__file__).resolve().parents[1]
 LESSONS = [ROOT / "docs/start.md", *sorted((ROOT / "docs/guide").glob("*.md"))]
@@ -67,43 +67,6 @@ def test_the_tables_hold_every_key_of_the_schema_once_for_each_kind():
     assert set(rows) == wanted and len(rows) > 150
 
 
-def test_a_row_states_unit_range_and_default():
-    rows = {
-        f"{part.name}.{key.name}": key
-        for part in tables.parts()
-        for group in part.groups
-        for key in group.keys
-    }
-    spacing, flutes = rows["voxels.spacing_mm"], rows["tool.flutes"]
-    assert spacing[1:4] == ("mm", "(0, 2]", "`0.1`") and spacing.text == "Edge of a voxel."
-    assert flutes[1:4] == ("", "[1, 200] whole", "`4`") and rows["tool.point_angle_deg"].unit == "°"
-    assert rows["motion.feed_mm_s"].default == "required"
-    assert rows["device.coupling.force_scale"].takes == "[0.0001, 100] or `auto`"
-    assert rows["device.perception"].takes == "`none`, `population`, `observer:FILE`"
-    assert (
-        rows["anatomy.size_mm"].takes == "3 numbers, each [0.1, 500]"
-        and rows[".heat"].default == "`false`"
-    )
-
-
-@pytest.mark.parametrize(
-    ("name", "unit"),
-    [
-        ("feed_mm_s", "mm/s"),
-        ("damping_N_s_m", "N·s/m"),
-        ("stiffness_Nm_rad", "N·m/rad"),
-        ("edge_N_mm", "N/mm"),
-        ("chip_N_mm2", "N/mm²"),
-        ("density_kg_m3", "kg/m³"),
-        ("delay_ms", "ms"),
-        ("seed", ""),
-        ("mm", ""),
-    ],
-)
-def test_the_unit_is_the_end_of_a_name(name, unit):
-    assert tables.unit_of(name) == unit
-
-
 def test_every_public_name_is_on_the_page_of_the_reference():
     page = (ROOT / "docs/api/index.rst").read_text("utf-8")
     missing = [
@@ -141,16 +104,6 @@ def test_the_code_of_a_page_runs_in_order(page, tmp_path):
         },
     )
     assert ended.returncode == 0, ended.stderr
-
-
-def test_commands_of_a_page_are_run_and_their_failures_raised(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    page_code.run_commands("python -c \"open('made.txt', 'w').write('x')\"  # a file\n")
-    assert (tmp_path / "made.txt").read_text() == "x"
-    with pytest.raises(subprocess.CalledProcessError):
-        page_code.run_commands("python -c 'raise SystemExit(3)'\n")
-    with pytest.raises(ValueError, match="must begin with tissue or python"):
-        page_code.run_commands("rm -r data\n")
 
 
 def test_the_check_of_links_finds_what_leads_nowhere(tmp_path):

@@ -6,21 +6,21 @@ The error is taken against many samples.
 its band.
 """
 
+from harness import (machine)
+from scipy.optimize import (brentq)
+from scipy.special import (ndtri)
+from time import (process_time)
+from tissue.fitting.bands.band import (band_of)
+from tissue.fitting.bands.sample import (Ranges, normals)
+from tissue.fitting.bands.sample_loads import (LEVELS, Reweighed)
+from tissue.materials.constants import (Prior, constants)
+from tissue.scene.load import (load_scene)
+from tissue.simulation.load_record import (record_loads)
+from tissue.simulation.simulate import (simulate)
 import argparse
-from time import process_time
-
 import numpy as np
-from harness import machine
-from scipy.optimize import brentq
-from scipy.special import ndtri
 
-from tissue.fitting.bands.band import band_of
-from tissue.fitting.bands.sample import Ranges, normals
-from tissue.fitting.bands.sample_loads import LEVELS, Reweighed
-from tissue.materials.constants import Prior, constants
-from tissue.scene.load import load_scene
-from tissue.simulation.load_record import record_loads
-from tissue.simulation.simulate import simulate
+
 
 ENDS = (0.05, 0.5, 0.95)
 SEEDS = range(10)
@@ -119,7 +119,7 @@ NEAR_2_MM = {
     "tool.spin_rpm": 2000.0,
     "duration_s": 1.0,
 }
-"""The glenoid of tests/verification/test_glenoid_plausible.py."""
+"""The glenoid of tests/verification/test_cutting_forces.py."""
 STRAIGHT_DOWN = {
     "voxels.margin_mm": 1.5,
     "motion.points_mm": [[0, 0, 0.2], [0, 0, -4.4]],

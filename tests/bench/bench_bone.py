@@ -18,7 +18,6 @@ from time import perf_counter
 import numpy as np
 import warp as wp
 from harness import Cost, cost_of, machine, table
-from peers.brute_force import carve
 
 import tissue
 from meshes.shapes.anatomy import cortical_block
@@ -33,6 +32,26 @@ SPACING_M, RADIUS_M, FEED_M_S, TICK_S = 1e-4, 3e-3, 1e-3, 1e-3
 START_M = np.array([-8e-3, 2e-5, -1.3e-2])
 UP_M = np.array([0.0, 0.0, RADIUS_M])
 BOX = int(2 * RADIUS_M / SPACING_M) + 4
+
+
+@wp.kernel
+def carve(
+    centre: wp.array(dtype=wp.vec3),
+    low: wp.array(dtype=wp.vec3i),
+    radius: float,
+    remaining: wp.array3d(dtype=wp.uint16),
+    removed: wp.array(dtype=wp.int64),
+):
+    """Every voxel of the burr's box loses what lies inside the ball by a linear ramp."""
+    i, j, k = wp.tid()
+    x, y, z = low[0][0] + i, low[0][1] + j, low[0][2] + k
+    at = wp.vec3(float(x) + 0.5, float(y) + 0.5, float(z) + 0.5)
+    inside = wp.clamp(0.5 - (wp.length(at - centre[0]) - radius), 0.0, 1.0)
+    left = int(65535.0 * (1.0 - inside))
+    old = int(remaining[x, y, z])
+    if left < old:
+        remaining[x, y, z] = wp.uint16(left)
+        wp.atomic_add(removed, 0, wp.int64(old - left))
 
 
 def position(index: int) -> np.ndarray:

@@ -1,37 +1,36 @@
 """Errors and costs of all predictors on the same recorded motions, scored at the motor.
 
-Run: python tests/bench/bench_prediction.py --out DIR [--runs N] [--latency MS ...] [--closed]
+Run: python tests/bench/bench_prediction.py --out DIR [--runs N] [--latency MS ...]
 [SCENE ...]
 
 Every run is recorded once and kept in DIR, with the force that its coupling gives without delay at
 the device's true positions. Predictors are scored again on the recorded runs. Printed for each
 scene, latency and predictor are the error at the motor, its noise floor (the force of the encoder's
-steps, predicted without error), the excess over the noise floor, the excess as a share of that of
+steps, predicted without error), the excess over this noise floor, the excess as a share of that of
 zero-order hold, the residual latency, and the worst share over the held-out moves. Where a share
-misses its target, its components are printed. Two processes record and score. With `--closed` the
-best three of every scene, or `--predictors`, run in closed loop.
+misses its target, its components are printed. Two processes record and score.
 """
 
+from collections.abc import (Collection)
+from concurrent.futures import (ProcessPoolExecutor)
+from dataclasses import (dataclass)
+from harness import (machine, table)
+from meshes.base.errors import (InputError)
+from motor_score import (motor_score, recorded_ideal_N)
+from pathlib import (Path)
+from tissue.evaluation.training import (Recorder, Recording, trial)
+from tissue.prediction.look_ahead import (LookAhead)
+from tissue.prediction.predictor import (Contact, Predictor, SeesContact)
+from tissue.prediction.trained import (Trained, shipped_file)
+from tissue.scene.load import (changed, load_scene)
+from tissue.scene.registry import (PREDICTORS)
+from tissue.scene.scene import (Scene)
+from tissue.simulation.builders.prediction import (trained_predictor)
 import argparse
-import os
-from collections.abc import Callable, Collection
-from concurrent.futures import ProcessPoolExecutor
-from pathlib import Path
-
 import numpy as np
-from closed_loop import close
-from harness import cost_of, machine, table
-from motor_score import recorded_ideal_N
-from prediction_scores import FORCE_LIMIT_N, KNOWN, RECORDED_MS, Kept, scores
+import os
 
-from meshes.base.errors import InputError
-from tissue.evaluation.training import Recorder, Recording, trial
-from tissue.prediction.predictor import Contact, Predictor, SeesContact
-from tissue.prediction.trained import Trained, shipped_file
-from tissue.scene.load import changed, load_scene
-from tissue.scene.registry import PREDICTORS
-from tissue.scene.scene import Scene
-from tissue.simulation.builders.prediction import trained_predictor
+
 
 os.environ.update(
     dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
@@ -62,10 +61,83 @@ TARGETS = {
     "caries": 0.6,
 }
 """Share of hold's excess that the best predictor is to keep to, in every move; 1 elsewhere."""
-BEST = 3
 
 Scores = dict[tuple[str, int], np.ndarray]
-"""Of a run, see `prediction_scores.scores`."""
+"""Of a run, see `scores`."""
+RECORDED_MS = 4
+"""Latency under which runs are recorded; predictors are scored on them as if it were another."""
+FORCE_LIMIT_N = 3.3
+KNOWN = "(path known)"
+"""Name of look-ahead on the device's true path, without a guard.
+
+Its error is that of the law; it is not a predictor.
+"""
+
+
+class KnownPath:
+    """Path along which a recorded device moves; the stretch stays."""
+
+    trusted = True
+
+    def __init__(self, run: Recording) -> None:
+        self._places, self._at = run.position_m, -1
+        self._stretch = np.zeros(3)
+
+    def observe(self, position_m: np.ndarray, stretch_m: np.ndarray) -> None:
+        self._at += 1
+        self._stretch = stretch_m.copy()
+
+    def displacement_m(self, ticks: float) -> np.ndarray:
+        count = np.arange(len(self._places))
+        there = [np.interp(self._at + ticks, count, axis) for axis in self._places.T]
+        return np.array(there) - self._places[self._at]
+
+    def stretch_m(self, ticks: float) -> np.ndarray:
+        return self._stretch
+
+    def pause(self) -> None:
+        pass
+
+
+@dataclass(frozen=True)
+class Kept:
+    """A run that was recorded, and the force of its coupling without delay [N]."""
+
+    run: Recording
+    ideal_N: np.ndarray
+
+    @classmethod
+    def read(cls, path: Path) -> "Kept":
+        """The run of a file, whose name ends with its seed."""
+        with np.load(path) as kept:
+            seed = int(path.stem.rsplit("-", 1)[1])
+            run = Recording(
+                kept["position"], kept["velocity"], kept["force"], kept["contact"], "", seed
+            )
+            return cls(run, kept["ideal"])
+
+
+def scores(
+    path: Path, variant: Scene, share: float, latencies_ms: list[int]
+) -> dict[tuple[str, int], np.ndarray]:
+    """Return error, noise floor, excess and residual latency [ms] by predictor and latency.
+
+    Every latency has a pass of its own: a guard judges the one lead that it is asked for first.
+    """
+    kept, trained = Kept.read(path), Trained.read(shipped_file(variant.name), scene=variant.name)
+    one = trial(variant, kept.run.seed, delay_ms=RECORDED_MS, share=share)
+    found = {}
+    for kind in (*PREDICTORS, KNOWN):
+        for late in latencies_ms:
+            if kind == KNOWN:
+                made: Predictor = LookAhead(KnownPath(kept.run))
+            else:
+                made = trained_predictor(kind, trained, force_limit_N=FORCE_LIMIT_N)
+            score = motor_score(made, one, kept.run, kept.ideal_N, delay_ms=late)
+            found[kind, late] = np.array(
+                (score.error, score.least_error, score.excess, score.latency_ms)
+            )
+    return found
 
 
 def moves(scene: Scene) -> dict[str, tuple[Scene, float]]:
@@ -145,10 +217,10 @@ def scored(
     return {move: [task.result() for task in each] for move, each in tasks.items() if each}
 
 
-def report(name: str, late_ms: int, found: dict[str, list[Scores]]) -> list[str]:
-    """Print the table of a scene at a latency and return its best predictors.
+def report(name: str, late_ms: int, found: dict[str, list[Scores]]) -> None:
+    """Print the table of a scene at a latency.
 
-    They are ranked by their mean share of the excess error of zero-order hold over all moves.
+    The best predictor by its mean share of the excess error of zero-order hold is decomposed.
     """
     mean = {
         kind: {
@@ -189,11 +261,8 @@ def report(name: str, late_ms: int, found: dict[str, list[Scores]]) -> list[str]
         "over hold %",
     )
     print(table(rows, head), flush=True)
-    best = sorted((kind for kind in PREDICTORS if kind != "hold"), key=lambda kind: shown[kind])[
-        :BEST
-    ]
-    decompose(mean, best[0], TARGETS.get(name, 1.0))
-    return best
+    best = min((kind for kind in PREDICTORS if kind != "hold"), key=lambda kind: shown[kind])
+    decompose(mean, best, TARGETS.get(name, 1.0))
 
 
 def share_of(excess: float, held: float) -> float:
@@ -234,37 +303,6 @@ def decompose(mean: dict[str, dict[str, np.ndarray]], best: str, target: float) 
         print(table(rows, head), flush=True)
 
 
-def costs(name: str, folder: Path) -> None:
-    """A tick of every predictor."""
-    trained = Trained.read(shipped_file(name), scene=name)
-    paths = sorted(folder.glob(f"{name}-same-*.npz"))
-    if not paths:
-        return
-    run, rows = Kept.read(paths[0]).run, []
-    for kind in PREDICTORS:
-        cost = cost_of(
-            ticks_of(trained_predictor(kind, trained, force_limit_N=FORCE_LIMIT_N), run),
-            count=len(run.force_N),
-        )
-        rows.append((kind, f"{cost.median:.1f}", f"{cost.p99:.1f}", f"{cost.worst:.1f}"))
-    print(f"\n{name}: meet, observe and predict [us]; {len(trained.operator.offset)} observables")
-    print(table(rows, ("predictor", "median", "99 %", "worst")), flush=True)
-
-
-def ticks_of(predictor: Predictor, run: Recording) -> Callable[[int], object]:
-    """One tick of a predictor on a recorded run."""
-    shown = predictor if isinstance(predictor, SeesContact) else None
-    contacts = [Contact.of_row(row) for row in run.contact]
-
-    def tick(index: int) -> object:
-        if shown is not None:
-            shown.meet(contacts[index])
-        predictor.observe(run.position_m[index], run.velocity_m_s[index], run.force_N[index])
-        return predictor.predict(6.11)
-
-    return tick
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -274,24 +312,12 @@ def main() -> None:
         "--runs", type=int, default=14, help="recorded runs of a scene, moves included"
     )
     parser.add_argument("--latency", type=int, nargs="*", default=list(LATENCIES_MS))
-    parser.add_argument("--closed", action="store_true", help="run in closed loop, too")
-    parser.add_argument(
-        "--predictors",
-        nargs="*",
-        choices=PREDICTORS.names,
-        help="for --closed; nothing is recorded",
-    )
     parser.add_argument(
         "--out", type=Path, default=Path("predictions"), help="folder of the recordings"
     )
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     print(machine())
-    if given.closed and given.predictors:
-        others = [kind for kind in given.predictors if kind != "hold"]
-        close({name: ["hold", *others] for name in given.scenes}, given.runs, given.out)
-        return
-    best: dict[str, list[str]] = {}
     with ProcessPoolExecutor(2) as pool:
         for name in given.scenes:
             shared = runs_of(moves(load_scene(name)), given.runs)
@@ -299,15 +325,9 @@ def main() -> None:
                 pool.submit(record, name, move, count, given.out) for move, count in shared.items()
             ]:
                 done.result()
-            latencies = sorted({*given.latency, *([RECORDED_MS] if given.closed else [])})
-            found = scored(name, latencies, given.out, pool)
-            for late in latencies if "same" in found else []:
-                leading = report(name, late, found)
-                if late == RECORDED_MS:
-                    best[name] = ["hold", *leading]
-            costs(name, given.out)
-    if given.closed:
-        close(best, given.runs, given.out)
+            found = scored(name, given.latency, given.out, pool)
+            for late in given.latency if "same" in found else []:
+                report(name, late, found)
 
 
 if __name__ == "__main__":

@@ -7,24 +7,19 @@ cell.
 
 1. Stiffness of all cells from their particles, compared with scikit-fem's assembly of the same
    cells in the same run.
-2. Product: over cells, and scipy's with the assembled matrix.
-3. A ball of 1 mm cuts 20 um deeper: update, warm solve, stress where it cuts; against the number of
+2. A ball of 1 mm cuts 20 um deeper: update, warm solve, stress where it cuts; against the number of
    unknowns.
-4. A cold solve compared with smoothed aggregation (pyamg, six rigid-body modes), set-up and solve
-   timed separately.
 """
 
+from harness import (Cost, cost_of, machine, table)
+from time import (perf_counter)
+from tissue.fem.solvers.held_body import (rigid_modes)
+from tissue.models.tooth.body import (ParticleBody)
+from tooth_bodies import (at_bottom, block, particle_stress)
 import argparse
-from time import perf_counter
-
 import numpy as np
-from harness import Cost, cost_of, machine, table  # adds the fixtures to the path
-from scipy.sparse import diags
-from scipy.sparse.linalg import cg
-from tooth_bodies import at_bottom, block, particle_stress
 
-from tissue.fem.solvers.held_body import rigid_modes
-from tissue.models.tooth.body import ParticleBody
+
 
 SIDE_M, BALL_M, FEED_M, TOLERANCE = 8e-3, 0.5e-3, 2e-5, 1e-4
 
@@ -74,22 +69,6 @@ def assembly(cells: int) -> None:
     )
 
 
-def products(cells: int) -> None:
-    body = body_of(cells)
-    vector = np.random.default_rng(0).normal(size=(body.grid.node_count, 3))
-    matrix = body.matrix()
-    body._hierarchy.refresh()
-    ours = cost_of(lambda _: body.cells.product(vector), count=200)
-    theirs = cost_of(lambda _: matrix @ vector.ravel(), count=200)
-    cycle = cost_of(lambda _: body._hierarchy(vector), count=100)
-    unknowns = 3 * body.grid.node_count
-    print(
-        f"\n{unknowns} unknowns: product over cells {ours.median / 1e3:.2f} ms, scipy's with "
-        "the matrix "
-        f"{theirs.median / 1e3:.2f} ms, V-cycle {cycle.median / 1e3:.2f} ms"
-    )
-
-
 def incremental(cells: int, steps: int) -> tuple[tuple[str, ...], float, float]:
     start = perf_counter()
     body = body_of(cells)
@@ -129,51 +108,6 @@ def incremental(cells: int, steps: int) -> tuple[tuple[str, ...], float, float]:
     return row, float(unknowns), total.median
 
 
-def against_aggregation(cells: int) -> None:
-    body = body_of(cells)
-    load = body.spread(np.array([0.5, 0.5, 1.0]) * SIDE_M, np.array([0.2, 0.0, -1.0]))
-    start = perf_counter()
-    found = body.solve(load, tolerance=1e-6)
-    print(
-        f"\ncold solve to 1e-6: {found.iterations} iterations, {perf_counter() - start:.2f} "
-        "s (set-up above)"
-    )
-    try:
-        from pyamg import smoothed_aggregation_solver
-    except ImportError:
-        print("pyamg is not installed: pip install pyamg")
-        return
-    free = np.flatnonzero((~body.supports.fixed).ravel())
-    matrix = body.matrix().tocsr()[free][:, free]
-    scale = 1.0 / np.sqrt(matrix.diagonal())
-    modes = rigid_modes(body.grid.node_position_m, body.grid.node_position_m.mean(axis=0)).reshape(
-        -1, 6
-    )[free]
-    scaled = (diags(scale) @ matrix @ diags(scale)).tocsr()
-    scaled.indices, scaled.indptr = scaled.indices.astype(np.int32), scaled.indptr.astype(np.int32)
-    start = perf_counter()
-    hierarchy = smoothed_aggregation_solver(scaled, B=modes / scale[:, None])
-    built = perf_counter()
-    counted: list[int] = []
-    wanted = found.displacement_m.ravel()[free] / scale
-    answer, _ = cg(
-        scaled,
-        scale * load.ravel()[free],
-        rtol=1e-6,
-        maxiter=300,
-        M=hierarchy.aspreconditioner(),
-        callback=lambda _: counted.append(1),
-    )
-    off = answer - wanted
-    error = np.sqrt((off @ (scaled @ off)) / (wanted @ (scaled @ wanted)))
-    solved = perf_counter() - built
-    print(
-        f"smoothed aggregation: set-up {built - start:.2f} s, {len(counted)} iterations, "
-        f"{solved:.2f} s, "
-        f"{error:.1e} from ours in the energy norm"
-    )
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -183,7 +117,6 @@ def main() -> None:
     print(machine())
     middle = 12 if quick else 24
     assembly(middle)
-    products(middle)
     sizes = (8, 12) if quick else (12, 16, 20, 24, 32, 40)
     rows, unknowns, times = zip(*(incremental(n, 40) for n in sizes), strict=True)
     head = (
@@ -203,7 +136,6 @@ def main() -> None:
         "total grows with unknowns to the power "
         f"{np.polyfit(np.log(unknowns), np.log(times), 1)[0]:.2f}"
     )
-    against_aggregation(middle)
 
 
 if __name__ == "__main__":

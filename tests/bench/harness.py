@@ -12,7 +12,7 @@ from time import perf_counter
 
 import numpy as np
 
-__all__ = ["Cost", "cost_of", "machine", "memory_bytes", "table"]
+__all__ = ["Cost", "cost_of", "machine", "table"]
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "fixtures"))
 
@@ -86,17 +86,3 @@ def table(rows: list[tuple[str, ...]], head: tuple[str, ...]) -> str:
     widths = [max(len(row[c]) for row in [head, *rows]) for c in range(len(head))]
     line = lambda row: "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))  # noqa: E731
     return "\n".join([line(head), line(tuple("-" * width for width in widths)), *map(line, rows)])
-
-
-def memory_bytes(solver) -> int:
-    """Memory of a solver: of a factor 8 bytes an entry, of multigrid the matrices of all levels."""
-    if hasattr(solver, "_factor"):
-        return 8 * int(solver._factor.entries)
-    levels = solver._hierarchy.levels
-    matrices = [
-        part
-        for level in levels
-        for name in "APR"
-        if (part := getattr(level, name, None)) is not None
-    ]
-    return sum(m.data.nbytes + m.indices.nbytes + m.indptr.nbytes for m in matrices)

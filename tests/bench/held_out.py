@@ -2,43 +2,33 @@
 
 Run: `python tests/bench/held_out.py --out DIR [--seeds N] [SCENE ...]`.
 
-1. Every setting of a scene is measured on the scene's own motion, as `fidelity` does it, then on
-   others: feed x 0.8-1.25, depth x 0.9-1.1, the path moved sideways by up to half a voxel (half a
-   millimetre where no hole guides the tool). Imaged anatomy is measured in the same manner where
-   `../shared/anatomy` is available. Printed: the number of runs in which the choice of `fidelity`
-   keeps the demanded error, for several factors of safety.
-2. `--cost`: the tick of each setting predicted from all other settings of its scene, the smallest
-   of several medians.
+Every setting of a scene is measured on the scene's own motion, as `fidelity` does it, then on
+others: feed x 0.8-1.25, depth x 0.9-1.1, the path moved sideways by up to half a voxel (half a
+millimetre where no hole guides the tool). Imaged anatomy is measured in the same manner where
+`../shared/anatomy` is available. Printed: the number of runs in which the choice of `fidelity`
+keeps the demanded error, for several factors of safety.
 """
 
+from collections import (defaultdict)
+from collections.abc import (Iterator)
+from harness import (machine, table)
+from meshes.base.errors import (InputError)
+from pathlib import (Path)
+from tissue.evaluation.charts import (fidelity, settings)
+from tissue.evaluation.charts.frontier import (Frontier, frontier_of, undominated)
+from tissue.evaluation.charts.measure import (force_and_reference_N, short_of)
+from tissue.evaluation.statistics.metrics import (force_error)
+from tissue.scene.coupling import (Fidelity)
+from tissue.scene.load import (changed, load_scene)
+from tissue.scene.scene import (Scene)
+from tissue.scene.tool import (PathMotion)
+from tissue.simulation.simulate import (simulate)
+from typing import (Any)
 import argparse
 import csv
-from collections import defaultdict
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
-
 import numpy as np
-from cost_model import CostModel
-from harness import machine, table
 
-from meshes.base.errors import InputError
-from tissue.evaluation.charts import fidelity, settings
-from tissue.evaluation.charts.frontier import Frontier, frontier_of, undominated
-from tissue.evaluation.charts.measure import (
-    SETTLED,
-    Measured,
-    counts,
-    force_and_reference_N,
-    short_of,
-)
-from tissue.evaluation.charts.settings import Setting, settings_of
-from tissue.evaluation.statistics.metrics import force_error
-from tissue.scene.coupling import Fidelity
-from tissue.scene.load import changed, load_scene
-from tissue.scene.scene import Scene
-from tissue.scene.tool import PathMotion
-from tissue.simulation.simulate import simulate
+
 
 SCENES = ("milling", "molar", "caries", "glenoid", "liver-press", "palpation")
 ASIDE_MM = {"milling": 0.5, "molar": 0.5, "caries": 0.5, "liver-press": 0.5, "palpation": 0.5}
@@ -71,7 +61,6 @@ REAL: dict[str, dict[str, dict[str, Any]]] = {
 """Anatomy that was imaged, by scene."""
 FIRST_SEED = 21
 """Seeds before this one set the factor of safety."""
-COST_RUNS = 3
 
 
 def moved(scene: Scene, seed: int) -> Scene:
@@ -190,86 +179,18 @@ def report(
     return verdicts
 
 
-def cost_settings(scene: Scene) -> list[Setting]:
-    """Return the settings whose ticks are compared.
-
-    They belong to a full chart on one compute device, without the stress.
-    """
-    return [
-        each
-        for each in settings_of(scene, quick=False)
-        if each.family in ("voxels", "shell", "elements") and "binary" not in each.name
-    ]
-
-
-def timed(short: Scene, setting: Setting) -> Measured:
-    """Return the tick and the counts of a setting on the scene's own motion.
-
-    Its error is not measured.
-    """
-    run = simulate(changed(short, setting.changes), allow_unstable=True)
-    counted = np.flatnonzero(run.trace["contact_mm2"] > 0.0)[SETTLED:]
-    elements, met, step = counts(run, counted)
-    tick = float(np.median(run.timing["tick_us"][counted]))
-    return Measured(
-        scene=short.name,
-        setting=setting.name,
-        family=setting.family,
-        force_error=float("nan"),
-        median_us=tick,
-        elements=elements,
-        step_mm=step,
-        met=met,
-        machine="",
-    )
-
-
-def cost(name: str) -> list[float]:
-    """Each setting's tick predicted from the others; ratios of predicted to measured."""
-    scene = load_scene(name)
-    settings, short = cost_settings(scene), short_of(scene, True)
-    rounds = [[timed(short, setting) for setting in settings] for _ in range(COST_RUNS)]
-    points = [min(each, key=lambda point: point.median_us) for each in zip(*rounds, strict=True)]
-    ratios, rows = [], []
-    for index, point in enumerate(points):
-        predicted_us = CostModel.fitted(points[:index] + points[index + 1 :]).tick_us(point)
-        ratios.append(predicted_us / point.median_us)
-        rows.append(
-            (
-                point.setting,
-                f"{point.elements}",
-                f"{point.met:.0f}",
-                f"{point.median_us:.0f}",
-                f"{predicted_us:.0f}",
-                f"{100 * (ratios[-1] - 1):+.0f} %",
-            )
-        )
-    print(f"\n{name}: {CostModel.fitted(points)}")
-    print(table(rows, ("setting", "elements", "met", "tick us", "predicted", "off")), flush=True)
-    return ratios
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("scenes", nargs="*", help="default: " + ", ".join(SCENES))
     parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--cost", action="store_true", help="the cost model instead")
     parser.add_argument(
         "--out", type=Path, default=Path("held_out"), help="folder of what was found"
     )
     given = parser.parse_args()
     print(machine())
     names = given.scenes or SCENES
-    if given.cost:
-        ratios = np.array([ratio for name in names for ratio in cost(name)])
-        within = np.mean(np.abs(ratios - 1.0) <= 0.25)
-        print(
-            f"\n{100 * within:.0f} % of {len(ratios)} ticks within 25 %, worst "
-            f"{100 * np.abs(ratios - 1.0).max():.0f} % off"
-        )
-        return
     together: dict[float, list[bool]] = defaultdict(list)
     given.out.mkdir(parents=True, exist_ok=True)
     for name in names:

@@ -11,7 +11,6 @@ holds mutants by address, so that the same errors can be planted after files hav
 import argparse
 import os
 import shutil
-import subprocess
 import sys
 import tempfile
 import time
@@ -257,43 +256,6 @@ def _require_sound(runs: Runs, score: Score, table: Table) -> None:
         )
 
 
-def coverage(table: Table, folder: Path) -> None:
-    """Print the branch coverage of the guarded modules by their guarding tests.
-
-    Kernels are compiled and not measured.
-    """
-    modules = [module for module in table.guards if not module.startswith("kernels.")]
-    tests = sorted({test for module in modules for test in table.guards[module]})
-    paths = [file_of(module, ROOT) for module in modules]
-    include = ",".join(str(path.relative_to(ROOT)) for path in paths if path is not None)
-    data = f"--data-file={folder / 'coverage'}"
-    command = [sys.executable, "-m", "coverage"]
-    environment = {
-        **os.environ,
-        "PYTHONPATH": f"{ROOT}{os.pathsep}{os.environ.get('PYTHONPATH', '')}",
-    }
-    pytest_options = ["-q", "-p", "no:cacheprovider"]
-    subprocess.run(
-        [
-            *command,
-            "run",
-            "--branch",
-            f"--include={include}",
-            data,
-            "-m",
-            "pytest",
-            *pytest_options,
-            *tests,
-        ],
-        cwd=ROOT,
-        env=environment,
-        check=True,
-    )
-    subprocess.run(
-        [*command, "report", data, "--skip-covered"], cwd=ROOT, env=environment, check=True
-    )
-
-
 def _take_kernels(folder: Path) -> None:
     """Use a kernel cache of this run alone, which starts with what the user's cache holds."""
     held = Path(os.environ.get("WARP_CACHE_PATH") or Path.home() / ".cache" / "warp")
@@ -325,9 +287,6 @@ def main() -> None:
         "--limit-s", type=float, default=90.0, help="processor time of one mutant (default: 90 s)"
     )
     parser.add_argument("--record", type=Path, help="file to write the counted addresses to")
-    parser.add_argument(
-        "--coverage", action="store_true", help="measure branch coverage too (needs coverage)"
-    )
     options = parser.parse_args()
 
     table = Table()
@@ -369,8 +328,6 @@ def main() -> None:
                 if verdict.outcome != "void"
             ]
             options.record.write_text("".join(f"{each}\n" for each in sorted(counted)))
-        if options.coverage:
-            coverage(table, folder)
 
 
 if __name__ == "__main__":

@@ -1,21 +1,16 @@
 """Time of a tick by stage and scene, for scripted motion and for a hand.
 
-Run: `python tests/bench/profile_ticks.py [--deep | --added] [SCENE ...]`.
+Run: `python tests/bench/profile_ticks.py [--added] [SCENE ...]`.
 
 Stages are medians over ticks in contact [us], of the faster of two runs. For a hand, the stage
-`motion` includes the simulated device and hand, which a real device does not need. `--deep` runs
-once more under cProfile and names the functions with the most time of their own. These times are
-shares, since a profiler makes small functions look larger than they are. `--added` prints the time
+`motion` includes the simulated device and hand, which a real device does not need. `--added` prints the time
 that hand, coupling, prediction by koopman-look-ahead and perception add to the same scripted scene.
 It is given as percentiles of ticks with a hand minus ticks with a script. The smallest time over
 some runs is used for every tick, since another process on the machine can only add time.
 """
 
 import argparse
-import cProfile
-import pstats
 from collections.abc import Sequence
-from pathlib import Path
 from time import thread_time
 from typing import Any
 
@@ -32,32 +27,8 @@ from tissue.simulation.simulate import simulate
 from tissue.simulation.trace import TIMING_COLUMNS
 
 STAGES = tuple(name.removesuffix("_us") for name in TIMING_COLUMNS[1:])
-SHOWN = 6
 ADDED_RUNS, GAP_US = 3, 200.0
 HANDED = {"prediction": "koopman-look-ahead", "perception": "population"}
-
-
-class Profiled(RunObserver):
-    """Goes along with a run and profiles its ticks from the first contact on."""
-
-    def __init__(self) -> None:
-        self.profile, self.ticks, self._contact = cProfile.Profile(), 0, 0
-
-    def on_begin(self, parts: Any, columns: tuple[str, ...]) -> None:
-        self._contact = columns.index("contact_mm2")
-
-    def before_tick(self, index: int) -> None:
-        if self.ticks:
-            self.profile.enable()
-
-    def on_tick(self, index: int, row: np.ndarray, times: np.ndarray) -> bool:
-        self.profile.disable()
-        self.ticks += int(self.ticks > 0 or row[self._contact] > 0.0)
-        return True
-
-    def on_end(self) -> list[tuple[float, str]]:
-        self.profile.disable()
-        return []
 
 
 def ran(scene: Scene) -> Run:
@@ -76,20 +47,6 @@ def stages(run: Run) -> dict[str, float]:
         name: float(np.median(run.timing[f"{name}_us"][counted])) for name in ("tick", *STAGES)
     }
     return found | {"p99": float(np.percentile(run.timing["tick_us"][counted], 99))}
-
-
-def deepest(scene: Scene) -> list[tuple[str, float, float]]:
-    """Functions with the most time of their own: name, share of the ticks, calls a tick."""
-    observer = Profiled()
-    simulate(scene, allow_unstable=True, observer=observer)
-    found = pstats.Stats(observer.profile).stats  # type: ignore[attr-defined]
-    total = sum(entry[2] for entry in found.values())
-    ranked = sorted(found.items(), key=lambda entry: -entry[1][2])[:SHOWN]
-    names = [f"{Path(file).stem}.{what}" if file != "~" else what for (file, _, what), _ in ranked]
-    return [
-        (name, entry[2] / total, entry[1] / max(observer.ticks, 1))
-        for name, (_, entry) in zip(names, ranked, strict=True)
-    ]
 
 
 class Clocked(RunObserver):
@@ -192,14 +149,13 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("scenes", nargs="*", help="default: all")
-    parser.add_argument("--deep", action="store_true", help="name functions, too")
     parser.add_argument("--added", action="store_true", help="what a hand adds to the script")
     given = parser.parse_args()
     print(machine())
     if given.added:
         added(given.scenes or scene_names())
         return
-    rows, deep = [], []
+    rows = []
     for name in given.scenes or scene_names():
         scene = load_scene(name)
         kinds = {"hand": by_hand(scene)} | ({"script": scene} if scene.device is None else {})
@@ -217,15 +173,8 @@ def main() -> None:
                     largest,
                 )
             )
-            if given.deep:
-                shares = [
-                    f"{100 * share:.0f} % {what} ({calls:.3g} calls)"
-                    for what, share, calls in deepest(short)
-                ]
-                deep.append(f"{name}, {kind}: " + "; ".join(shares))
             print(f"{name}, {kind}", flush=True)
     print("\n" + table(rows, ("scene", "moved by", "tick", "99 %", *STAGES, "largest")))
-    print("\n" + "\n".join(deep))
 
 
 if __name__ == "__main__":

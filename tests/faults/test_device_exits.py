@@ -1,27 +1,26 @@
 """Whatever ends a run, a device is left without force: every exit, for every kind of device."""
 
+from device_doubles import (Computed, Managed, PRESSED_S, Recording, block)
+from pathlib import (Path)
+from tissue import (load_scene, simulate)
+from tissue.haptics.device.device import (DeviceError, device_parameters)
+from tissue.haptics.device.recorded import (FaultyDevice)
+from tissue.haptics.device.safe_device import (RAMP_S, SafeDevice)
+from tissue.haptics.hand_motion import (HandMotion)
+from tissue.models.tissue_model import (TICK_S)
+from tissue.simulation.run_folder import (SavedRun)
+from tissue.system.stopping import (STOPS)
 import json
+import numpy as np
 import os
+import pytest
 import signal
 import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
 
-import numpy as np
-import pytest
-from device_doubles import PRESSED_S, Computed, Managed, Recording, block
 
-from tissue import InputError, load_scene, simulate
-from tissue.haptics.device import safe_device
-from tissue.haptics.device.device import DeviceError, device_parameters
-from tissue.haptics.device.recorded import FaultyDevice
-from tissue.haptics.device.safe_device import RAMP_S, SafeDevice
-from tissue.haptics.hand_motion import HandMotion
-from tissue.models.tissue_model import TICK_S
-from tissue.simulation.run_folder import SavedRun
-from tissue.system.stopping import STOPS
 
 KINDS = (Recording, Managed, Computed)
 SECONDS = 0.4
@@ -188,58 +187,6 @@ def test_a_loop_that_hangs_lets_the_device_go_and_takes_it_up_again(monkeypatch)
     assert_left_alone(device)
 
 
-class Slow(Managed):
-    """A device that is opened more slowly than a read may take."""
-
-    def __enter__(self):
-        self.opening.wait(safe_device.OPENING_S + 60.0)
-        return super().__enter__()
-
-
-def test_opening_may_take_longer_than_a_read(monkeypatch):
-    monkeypatch.setattr(safe_device, "GIVE_UP_S", 0.01)
-    device = Slow()
-    device.opening = threading.Event()
-    threading.Timer(0.2, device.opening.set).start()
-    held, found = SafeDevice(device), []
-    thread = threading.Thread(
-        target=lambda: held.__enter__() and held.__exit__(None, None, None), daemon=True
-    )
-    thread.start()
-    while not device.opening.is_set():
-        found.append(held.stop_if_stuck())
-        time.sleep(0.005)
-    thread.join()
-    assert set(found) == {None} and len(found) > 3
-    assert_left_alone(device, pushed=False)
-
-
-def test_opening_that_never_ends_is_given_up(monkeypatch):
-    monkeypatch.setattr(safe_device, "OPENING_S", 0.1)
-    device = Slow()
-    device.opening = threading.Event()
-    with pytest.raises(
-        DeviceError,
-        match=r"device\.__enter__ must return within 0\.1 s, got no answer for 0\.1 s: check",
-    ):
-        pressed(device)
-    device.opening.set()
-
-
-def test_a_read_that_is_slow_counts_as_none(monkeypatch):
-    device = Recording()
-
-    def read(time_s):
-        if abs(time_s - PRESSED_S) < 0.5 * TICK_S:
-            time.sleep(0.01)
-        return Recording.read(device, time_s)
-
-    monkeypatch.setattr(device, "read", read)
-    events = [what for _, what in pressed(device).events]
-    assert any(what.startswith("no sample") for what in events)
-    assert any("took longer than a tick, the slowest" in what for what in events)
-
-
 CHILD = """
 import json, sys, threading
 from pathlib import Path
@@ -320,52 +267,7 @@ def test_a_device_that_is_held_is_opened_once_for_many_runs(tmp_path):
     assert_left_alone(device)
 
 
-def test_a_device_of_which_nothing_is_held_is_opened_by_the_run():
-    device = Port()
-    pressed(SafeDevice(device))
-    assert_left_alone(device)
-
-
-def test_a_device_that_is_open_already_gets_its_remedy():
-    device = Port()
-    with (
-        device,
-        pytest.raises(
-            DeviceError, match=r"port already open.*give it without `with`: the run opens"
-        ),
-    ):
-        pressed(device)
-
-
 def test_signals_are_handled_as_before_after_a_run():
     before = [signal.getsignal(number) for number in (signal.SIGINT, *STOPS)]
     simulate(load_scene("wall", {"duration_s": 0.01}), device=Recording())
     assert [signal.getsignal(number) for number in (signal.SIGINT, *STOPS)] == before
-
-
-def test_a_faulty_device_passes_on_that_it_is_entered_and_left():
-    device = Managed()
-    simulate(load_scene("wall", {"duration_s": SECONDS}), device=FaultyDevice(device, ()))
-    assert_left_alone(device)
-
-
-@pytest.mark.parametrize(
-    ("sample", "message"),
-    [
-        (
-            (0.0, 0.0, 0.02),
-            "device.read must return a Sample or None, got tuple: use tissue.haptics.Sample",
-        ),
-        (None, ""),
-    ],
-)
-def test_what_is_no_sample_is_an_error(sample, message):
-    device = Recording()
-    device.read = lambda time_s: sample
-    if message:
-        with pytest.raises(InputError) as raised:
-            pressed(device)
-        assert str(raised.value).startswith(message)
-    else:
-        assert not pressed(device).trace["raw_force_z_N"].any()
-    assert_left_alone(device, pushed=False)

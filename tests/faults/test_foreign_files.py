@@ -7,14 +7,12 @@ import hashlib
 import json
 import os
 import shutil
-import stat
 
 import pytest
 from coarse_run import COARSE
 
-from tissue import InputError
 from tissue.simulation.run_folder import SavedRun
-from tissue.system.owned_folder import MARKER, OwnedFolder, owned_folder, require_folder
+from tissue.system.owned_folder import MARKER, OwnedFolder
 
 WALL = ("wall", "--set", "duration_s=0.05")
 FOLDERS = {
@@ -131,41 +129,6 @@ def test_single_files_are_replaced_on_request_and_only_where_they_are_regular(
         assert "must lie in a folder that exists" in refused(*arguments, option, f"no/such/{file}")
 
 
-@pytest.mark.parametrize("arguments", [("schema",), ("train", "wall")])
-def test_a_device_node_is_never_replaced(refused, tmp_path, arguments):
-    """A device node is never replaced.
-
-    The test uses a node like /dev/null of its own, since a failing command would remove that of the
-    machine.
-    """
-    node = tmp_path / "null"
-    try:
-        os.mknod(node, stat.S_IFCHR | 0o666, os.makedev(1, 3))
-    except (AttributeError, OSError):
-        pytest.skip("only a superuser may make a device node")
-    assert "must be a regular file" in refused(*arguments, "--out", node, "--overwrite")
-    assert stat.S_ISCHR(os.stat(node).st_mode)
-
-
-def test_a_run_of_the_user_is_not_a_run_by_its_summary_alone(refused, tmp_path):
-    """A run of the user is not recognised by its summary alone.
-
-    A file with that name and a version in it is no proof, nor is a folder that an older version did
-    not write.
-    """
-    folder = tmp_path / "mine"
-    put(folder, ["bone.stl", "pictures/mine.png"])
-    for held in (
-        {},
-        {"format": 1},
-        {"format": 1, "scene": "x", "status": "interrupted", "tissue": "0.2.0"},
-    ):
-        (folder / "summary.json").write_text(json.dumps(held))
-        before = content(folder)
-        assert "files of other origin" in refused("run", *WALL, "--out", folder, "--overwrite")
-        assert content(folder) == before
-
-
 def test_a_run_of_version_0_2_is_replaced_and_nothing_beside_it(command, made, tmp_path):
     folder = shutil.copytree(made, tmp_path / "old")
     (folder / MARKER).unlink()
@@ -181,83 +144,6 @@ def test_a_run_of_version_0_2_is_replaced_and_nothing_beside_it(command, made, t
     } == mine
     listed = json.loads((folder / MARKER).read_text())["files"]["run"]
     assert set(listed) == {"trace.csv", "timing.csv", "scene.toml", "summary.json"}
-
-
-def test_an_import_keeps_off_a_run(refused, made, tmp_path):
-    folder = shutil.copytree(made, tmp_path / "run")
-    before = content(folder)
-    message = refused("import", "ct.nrrd", "--out", folder, "--overwrite")
-    assert message.endswith(
-        "scene.toml, which belongs to another kind of output (run): choose another --out"
-    )
-    assert content(folder) == before
-
-
-def test_a_sweep_keeps_off_a_run_that_is_not_its_own(command, made, tmp_path):
-    folder = shutil.copytree(made, tmp_path / "out" / "seed=1")
-    before = content(folder)
-    for _ in range(2):  # the first must not make it one of the sweep
-        code, _, error = command(
-            "sweep", *WALL, "--set", "seed=1,2", "--workers", 1, "--out", tmp_path / "out"
-        )
-        assert code == 1 and "seed=1: out must not hold another run" in error
-        assert content(folder) == before
-
-
-@pytest.mark.parametrize(
-    "marker",
-    [
-        "[]",
-        "{",
-        '{"format": "tissue output folder", "version": 2, "tissue": "9", "files": {}}',
-        (
-            '{"format": "tissue output folder", "version": 1, "tissue": "0", "files": {"run": '
-            '["../target"]}}'
-        ),
-        (
-            '{"format": "tissue output folder", "version": 1, "tissue": "0", "files": {"run": '
-            '["/etc/hostname"]}}'
-        ),
-        "[" * 5000,
-    ],
-)
-def test_a_marker_that_does_not_validate_is_refused(tmp_path, marker):
-    (tmp_path / "out").mkdir()
-    put(tmp_path, ["target", "out/trace.csv"])
-    (tmp_path / "out" / MARKER).write_text(marker)
-    before = content(tmp_path)
-    with pytest.raises(InputError, match=r"out must hold no \.tissue\.json of other origin"):
-        OwnedFolder(tmp_path / "out", "run", ["trace.csv"], overwrite=True)
-    assert content(tmp_path) == before
-
-
-def test_what_took_the_place_of_a_listed_file_is_kept(tmp_path):
-    out = tmp_path / "out"
-    with owned_folder(out, "run", ["a.txt", "sub/b.txt"]):
-        from meshes.base.whole_file import whole_file
-
-        (out / "sub").mkdir()
-        for name in ("a.txt", "sub/b.txt"):
-            with whole_file(out / name) as temporary:
-                temporary.write_text("ours")
-        put(out, ["c.txt"])
-        with (
-            pytest.raises(InputError, match=r"files of other origin, got .* with c\.txt"),
-            whole_file(out / "c.txt"),
-        ):
-            pass
-    put(tmp_path, ["target/b.txt", "target/a.txt"])
-    shutil.rmtree(out / "sub")
-    (out / "sub").symlink_to(tmp_path / "target")  # a folder of the user under the name of ours
-    (out / "a.txt").unlink()
-    (out / "a.txt").symlink_to(tmp_path / "target" / "a.txt")
-    before = content(tmp_path)
-    for names in (["a.txt"], ["sub/b.txt"]):
-        with pytest.raises(InputError, match="files of other origin"):
-            require_folder(out, "run", names, overwrite=True)
-        with pytest.raises(InputError, match="files of other origin"):
-            OwnedFolder(out, "run", names, overwrite=True)
-    assert content(tmp_path) == before
 
 
 def test_a_lock_of_the_user_is_kept(refused, tmp_path):

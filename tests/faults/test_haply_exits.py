@@ -19,7 +19,6 @@ import pytest
 from haply_service import RemoteService
 
 from tissue import InputError, load_scene, simulate
-from tissue.haptics.hand_motion import HandMotion
 from tissue.simulation.run_folder import SavedRun
 
 PUSHING_N = 0.5
@@ -137,16 +136,6 @@ def test_a_wall_is_pressed_in_closed_loop_until_hand_and_wall_balance(version):
     assert max(np.linalg.norm(force) for *_, force in commands) <= 10.0 and not any(commands[-1][2])
 
 
-def test_a_coupling_that_the_judge_refuses_does_not_come_to_rest():
-    with RemoteService(press_m=0.03) as service:
-        stiff = scene_on(service, **{"coupling.stiffness_N_m": 8000.0, "duration_s": 1.5})
-        with pytest.raises(InputError, match=r"coupling\.stiffness_N_m must be"):
-            simulate(stiff)
-        at_rest = AtRest(150, 0.2)
-        simulate(stiff, on_tick=at_rest, allow_unstable=True)
-        assert not at_rest.reached and not any(service.commands()[-1][2])
-
-
 FAULTS = {
     "dropped": lambda service: service.set(dropped=1.0),
     "late": lambda service: service.set(late_s=0.08),
@@ -192,62 +181,10 @@ def after_shuffling(states):
         return zeroed(service.commands(), pressing.began_s, pressing.over_s), run.events
 
 
-@pytest.mark.parametrize("states", [2, pytest.param(10, marks=pytest.mark.slow), 40])
-def test_states_in_a_wrong_order_take_the_force_off(states):
-    _, events = after_shuffling(states)
-    assert any("come in a wrong order" in what or "no hand" in what for _, what in events), events
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("states", [2, 10])
 def test_zero_follows_states_in_a_wrong_order_soon(states):
     assert best_of(8, lambda: after_shuffling(states)[0]) <= WITHIN_S
-
-
-def test_a_restart_of_the_service_begins_without_force_and_the_run_goes_on():
-    with RemoteService(press_m=0.03) as service:
-
-        def restart():
-            began_s = service.stop()
-            time.sleep(0.1)
-            service.start()
-            return began_s
-
-        pressing = Pressing(service, restart, lambda session, force: session > 1 and any(force))
-        run = simulate(scene_on(service), on_tick=pressing)
-        commands = service.commands()
-    assert max(number for _, number, _ in commands) > 1
-    first = next(each for each in commands if each[1] > 1)
-    assert not any(first[2]), "the first force of the new session is zero"
-    assert not any(commands[-1][2])
-    assert any("the service closed the connection" in what for _, what in run.events)
-
-
-def after_exception(monkeypatch):
-    raised = []
-    with RemoteService(press_m=0.03) as service, monkeypatch.context() as patch:
-        play, pressing = HandMotion.play, Pressing(service, lambda: 1.0)
-
-        def fails(motion, response):
-            play(motion, response)
-            if pressing.began_s is not None:
-                raised.append(time.perf_counter())
-                raise RuntimeError("the process that solves the stress ended")
-
-        patch.setattr(HandMotion, "play", fails)
-        with pytest.raises(RuntimeError, match="solves the stress"):
-            simulate(scene_on(service), on_tick=pressing)
-        pressing.over.wait(PATIENCE_S)
-        return zeroed(service.commands(), raised[0])
-
-
-def test_an_exception_in_the_run_ends_at_zero(monkeypatch):
-    after_exception(monkeypatch)
-
-
-@pytest.mark.slow
-def test_zero_follows_an_exception_soon(monkeypatch):
-    assert best_of(5, lambda: after_exception(monkeypatch)) <= WITHIN_S
 
 
 def after_standstill():
@@ -266,10 +203,6 @@ def after_standstill():
 
         simulate(scene_on(service), on_tick=stands)
         return zeroed(service.commands(), stood[0], until_s=stood[1])
-
-
-def test_ticks_that_stand_still_leave_no_force():
-    after_standstill()
 
 
 @pytest.mark.slow
@@ -316,19 +249,3 @@ def test_a_signal_ends_at_zero_soon(name, tmp_path):
     runs = iter(range(100))
     folder = lambda: Path(tmp_path / str(next(runs)))  # noqa: E731
     assert best_of(6, lambda: after_signal(name, folder())) <= WITHIN_S
-
-
-def test_a_device_that_is_not_calibrated_is_refused_before_the_run(tmp_path):
-    status = {"calibrated": False, "power_supply": True, "ready": True, "in_use": False}
-    with RemoteService(status=status) as service:
-        with pytest.raises(
-            InputError,
-            match=r"^haply must be calibrated, got calibrated = false of 049D: calibrate it",
-        ):
-            simulate(scene_on(service), out=tmp_path / "run")
-        assert service.commands() == []
-    with pytest.raises(
-        InputError,
-        match=r"haply must be reached at ws://127\.0\.0\.1:.*: start the Inverse Service",
-    ):
-        simulate(scene_on(service))

@@ -1,20 +1,24 @@
 """Helper processes that are killed, stopped, or left behind by a killed run."""
 
+from concurrent.futures import (BrokenExecutor)
+from tissue import (load_scene, simulate)
+from tissue.models.tooth import (stress_process)
+from tissue.simulation.run_folder import (SavedRun)
+from tissue.system import (child)
+from tissue.system.child import (Helper, HelperLostError)
+from tissue.system.offscreen import (draw_apart)
+from tissue.system.workers import (first_done, worker_pool)
+import multiprocessing
+import numpy as np
 import os
+import psutil
+import pytest
 import signal
 import subprocess
 import sys
 import time
 
-import numpy as np
-import psutil
-import pytest
 
-from tissue import load_scene, simulate
-from tissue.models.tooth import stress_process
-from tissue.simulation.run_folder import SavedRun
-from tissue.system import child
-from tissue.system.child import HangDetector, Helper, HelperLostError, child_command
 
 TOOTH = {
     "voxels.spacing_mm": 0.2,
@@ -72,18 +76,6 @@ def gone(number, within_s=20.0):
     return False
 
 
-def test_a_helper_answers_and_ends(echo):
-    large = np.arange(300_000)
-    echo.send(large)  # more than a pipe holds
-    np.testing.assert_array_equal(echo.receive(longest_s=60.0), large)
-    echo.send("again")
-    assert echo.receive(longest_s=60.0) == "again"
-    echo.send("raise")
-    with pytest.raises(ValueError, match="no"):
-        echo.receive(longest_s=60.0)
-    assert gone(echo.number)
-
-
 @STOPS
 def test_a_helper_that_is_stopped_is_given_up_and_sending_to_it_does_not_block(echo):
     echo.send(1)
@@ -119,22 +111,6 @@ def test_a_helper_that_is_killed_is_named_by_its_signal(echo):
         match=r"the process that echoes was ended by SIGKILL \(memory may have run out\)",
     ):
         echo.receive(longest_s=60.0)
-
-
-def test_patience_does_not_pass_while_this_process_is_stopped(monkeypatch):
-    """It counts looks and no time of the clock, and work begins it anew."""
-    work_s = [0.0]
-    monkeypatch.setattr("tissue.system.child._work_of", lambda _: (work_s[0], False))
-    detector = HangDetector(lambda: [1], longest_s=12.0, idle_s=3.0)
-    assert [detector.check() for _ in range(3)] == [None] * 3
-    work_s[0] = 1.0
-    assert [detector.check() for _ in range(3)] == [None] * 3
-    assert detector.check() == "hangs and has done nothing for 3 s"
-    for _ in range(4):
-        work_s[0] += 1.0
-        assert detector.check() is None
-    work_s[0] += 1.0
-    assert detector.check() == "took longer than 12 s"
 
 
 @pytest.fixture(scope="module")
@@ -217,28 +193,70 @@ def test_a_killed_process_leaves_neither_helper_nor_its_helper(tmp_path, monkeyp
     assert all(gone(number) for number in numbers)
 
 
-def test_a_command_of_no_python_is_empty(monkeypatch):
-    monkeypatch.setattr(sys, "executable", "")
-    assert child_command("tissue.show.viewer.view") == []
+def stop_oneself(how):
+    os.kill(os.getpid(), how)
+    return "it went on"
 
 
-def test_a_helper_that_is_lost_before_the_first_tick_ends_the_run_in_a_sentence(
-    tmp_path, monkeypatch, command
-):
-    def lost(*_, **__):
-        raise HelperLostError("the process that solves the stress was ended by SIGKILL")
-
-    monkeypatch.setattr("tissue.models.tooth.stress_process.StressProcess", lost)
-    changes = [
-        f"--set={key}={value}"
-        for key, value in TOOTH.items()
-        if key.startswith(("voxels", "stress"))
-    ]
-    code, _, message = command(
-        "run", "molar", *changes, "--duration-s", 0.01, "--out", tmp_path / "run"
+@STOPS
+@pytest.mark.parametrize("how", ["SIGSTOP", "SIGKILL"])
+def test_a_worker_that_does_not_work_is_ended_and_reported(monkeypatch, how):
+    monkeypatch.setattr("tissue.system.child.IDLE_S", 1.0)
+    monkeypatch.setattr("tissue.system.workers.CHECK_S", 0.25)
+    monkeypatch.setattr("tissue.system.child.CHECK_S", 0.25)
+    message = []
+    with pytest.raises(BrokenExecutor), worker_pool(1) as pool:
+        assert first_done(pool, [pool.submit(abs, -3)], lambda *_: None).pop().result() == 3
+        futures = [pool.submit(stop_oneself, getattr(signal, how)), pool.submit(abs, -4)]
+        first_done(pool, futures, lambda doing, _: message.append(doing)).pop().result()
+    assert message == (
+        ["a worker was stopped and has done nothing for 1 s: it is ended"]
+        if how == "SIGSTOP"
+        else []
     )
-    assert (code, message) == (
-        1,
-        "error: the process that solves the stress was ended by SIGKILL: run it again\n",
+    assert not multiprocessing.active_children()
+
+
+@pytest.fixture
+def drawing(tmp_path, monkeypatch):
+    """Return a module that draws endlessly in one kind of window, and its process id's path."""
+    (tmp_path / "drawing.py").write_text(
+        "import os, sys, time\nfrom pathlib import "
+        "Path\nPath(sys.argv[1]).write_text(str(os.getpid()))\n"
+        "time.sleep(1000)\n"
     )
-    assert not (tmp_path / "run").exists()
+    start = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); {child.START}"
+    monkeypatch.setattr("tissue.system.child.START", start)
+    monkeypatch.setattr("tissue.system.child.IDLE_S", 1.0)
+    monkeypatch.setattr("tissue.system.child.CHECK_S", 0.25)
+    monkeypatch.setattr("tissue.system.offscreen.CHECK_S", 0.25)
+    monkeypatch.setattr("tissue.system.offscreen._windows", lambda: iter([""]))
+    return tmp_path / "number"
+
+
+def number_in(path):
+    until = time.monotonic() + 60.0
+    while time.monotonic() < until:
+        if path.exists() and (text := path.read_text()):
+            return int(text)
+        time.sleep(0.02)
+    raise AssertionError("it did not start")
+
+
+@STOPS
+def test_a_drawing_that_hangs_is_given_up_in_a_sentence(drawing):
+    message = draw_apart("drawing", str(drawing))
+    assert message.startswith("drawing in 3D hangs and has done nothing for 1 s: ")
+    assert not psutil.pid_exists(number_in(drawing))
+
+
+@STOPS
+def test_an_exception_during_a_drawing_does_not_wait_for_it(drawing, monkeypatch):
+    from tissue.show.figures.pictures import _background
+
+    monkeypatch.setattr("tissue.system.child.IDLE_S", 600.0)
+    with pytest.raises(KeyboardInterrupt), _background() as thread:
+        thread.submit(draw_apart, "drawing", str(drawing))
+        number_in(drawing)
+        raise KeyboardInterrupt
+    assert not psutil.pid_exists(number_in(drawing)) or sys.platform == "win32"

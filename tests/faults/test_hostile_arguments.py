@@ -7,13 +7,13 @@ import json
 import os
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
-import tissue
 from meshes.base.text_tables import DEEPEST, read_json, read_toml
-from tissue import InputError, load_scene
+from tissue import InputError, load_scene, scene_names, scene_text
 from tissue.scene.load import changed
 
 MAIN = [sys.executable, "-c", "from tissue.cli.main import main; main()"]
@@ -52,17 +52,6 @@ def test_a_value_that_is_nested_or_long_is_refused(refused, tmp_path, key, value
 @pytest.mark.parametrize("option", ["--band", "--cores", "--seed", "--duration-s"])
 def test_an_option_of_hundreds_of_digits_is_refused(refused, tmp_path, option):
     assert refused("run", "milling", option, DIGITS, "--out", tmp_path / "out")
-
-
-def test_arguments_of_hundreds_of_digits_are_refused():
-    number = int(DIGITS)
-    for call in (
-        lambda: tissue.Bone.block((number, 1, 1)),
-        lambda: tissue.Bone.block((4, 4, 4), spacing_mm=number),
-        lambda: tissue.cutters.ball_burr(diameter_mm=number, flutes=2, spin_rpm=10),
-    ):
-        with pytest.raises(tissue.InputError):
-            call()
 
 
 def test_a_whole_number_of_hundreds_of_digits_in_a_file_is_infinite():
@@ -170,31 +159,6 @@ def test_a_place_that_cannot_be_used_is_refused_before_anything_is_computed(
     assert sorted(os.listdir(nowhere)) == before
 
 
-@pytest.mark.parametrize("place", ["dangling.html", "no/such/x.html", "x\udcff.html"])
-def test_a_report_is_refused_where_it_cannot_be_written(refused, nowhere, place):
-    import tissue
-
-    os.symlink("nothing", "dangling.html")
-    tissue.simulate(tissue.load_scene("wall", {"duration_s": 0.05})).save("run", pictures=False)
-    assert refused("report", "run", "--out", place).startswith("out must ")
-
-
-def test_a_sweep_of_millions_is_refused_at_once(refused, tmp_path):
-    numbers = ",".join(map(str, range(1, 161)))
-    changes = [
-        ("--set", f"{key}={numbers}")
-        for key in ("seed", "motion.feed_mm_s", "coupling.stiffness_N_m")
-    ]
-    message = refused(
-        "sweep", "wall", *(word for change in changes for word in change), "--out", tmp_path / "out"
-    )
-    assert "got 4096000 combinations" in message and not (tmp_path / "out").exists()
-    with pytest.raises(InputError, match="at most"):
-        import tissue
-
-        tissue.sweep("wall", {"seed": iter(int, 1)}, out=tmp_path / "out")
-
-
 def ended(command, **options):
     """Exit code, standard output and standard error of a process."""
     options = {"env": ENVIRONMENT, "capture_output": True, "text": True} | options
@@ -212,22 +176,6 @@ def test_a_working_directory_that_is_gone_is_named(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_stream_that_takes_ascii_alone_is_served(tmp_path):
-    arguments = (
-        "run",
-        "milling",
-        "--set",
-        "voxels.spacing_mm=0.8",
-        "--duration-s",
-        "0.02",
-        "--no-pictures",
-    )
-    command = [MAIN[2], *arguments, "--out", str(tmp_path / "out")]
-    code, out, error = ended(command, env=ENVIRONMENT | {"PYTHONIOENCODING": "ascii"})
-    assert code == 0 and error == "" and "removed" in out and out.isascii()
-
-
-@pytest.mark.slow
 def test_streams_that_are_closed_are_no_place_for_files(tmp_path):
     """A library's output to a closed stream does not go into the file that was opened first."""
     out = tmp_path / "out"
@@ -241,3 +189,165 @@ def test_streams_that_are_closed_are_no_place_for_files(tmp_path):
     lines = (out / "trace.csv").read_text().splitlines()
     assert held["status"] == "complete" and len(lines) == 51 and lines[0].startswith("time_s,")
     assert ended(command, capture_output=False)[0] == 2  # the folder holds a run now
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """An empty working directory."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (
+            ("run", "wall", "--cores", "2"),
+            "--cores must be left out for a wall, which no kernel computes, got 2: remove it",
+        ),
+        (
+            ("run", "milling", "--allow-unstable"),
+            (
+                "--allow-unstable must be left out without a device, got it: set device = touch, "
+                "or remove it"
+            ),
+        ),
+        (
+            ("run", "milling", "--seed", "3"),
+            (
+                "seed must be left out without a device, for nothing is drawn at random then, "
+                "got 3: set device = touch, or remove it"
+            ),
+        ),
+        (
+            ("run", "milling", "--fidelity", "force_error=0.1", "--set", "voxels.removal=binary"),
+            (
+                "voxels.removal must be left out with fidelity, which chooses it, got binary: "
+                "leave fidelity out, or remove it"
+            ),
+        ),
+        (
+            ("run", "wall", "--fidelity", "force_error=0.1", "--set", "prediction=hold"),
+            (
+                "device.prediction must be left out with fidelity, which chooses it, got hold: "
+                "leave fidelity out, or remove it"
+            ),
+        ),
+        (
+            ("run", "liver-press", "--fidelity", "force_error=0.1", "--set", "organ.order=1"),
+            (
+                "organ.order must be left out with fidelity, which chooses it, got 1: leave "
+                "fidelity out, or remove it"
+            ),
+        ),
+        (
+            ("run", "wall", "--slicer"),
+            (
+                "--slicer must be left out without --live, got it: give --live, or open the "
+                "files of a run that has ended"
+            ),
+        ),
+        (
+            ("run", "wall", "--live", "--slicer-port", "5"),
+            (
+                "--slicer-port must be left out without --slicer, got 5: give --live --slicer, "
+                "or remove it"
+            ),
+        ),
+        (
+            ("run", "wall", "--live", "--slicer-drives"),
+            (
+                "--slicer-drives must be left out without --slicer, got it: give --live "
+                "--slicer, or remove it"
+            ),
+        ),
+        (
+            ("run", "wall", "--web"),
+            (
+                "--web must be left out without --live, got it: give --live, or see a run that "
+                "has ended by `tissue view DIR --web`"
+            ),
+        ),
+        (
+            ("view", "run", "--web", "--screenshot", "a.png"),
+            (
+                "web must be left out with a screenshot, which is a file, got a.png: leave one "
+                "of them out"
+            ),
+        ),
+        (
+            ("view", "run", "--web", "--movie", "a.gif"),
+            "web must be left out with a movie, which is a file, got a.gif: leave one of them out",
+        ),
+        (
+            ("run", "wall", "--live", "--web", "--band", "20"),
+            "--band must be left out with --live, got 20: run the scene without it",
+        ),
+        (
+            ("chart", "wall", "--trials", "5"),
+            (
+                "--trials must be left out unless predictors are charted, got 5: add prediction "
+                "before the scenes, or remove it"
+            ),
+        ),
+        (
+            ("chart", "perception", "--quick"),
+            "--quick must be left out with perception, got it: remove it",
+        ),
+        (
+            ("calibrate", "--population", "x", "--trials", "5"),
+            (
+                "--trials must be left out with --population, which fits sessions that are over, "
+                "got 5: remove it"
+            ),
+        ),
+        (
+            ("study", "run", "--only", "T1-novice-0001", "--workers", "2"),
+            (
+                "--workers must be left out with --only, which runs one trial here and keeps "
+                "nothing, got 2: remove it"
+            ),
+        ),
+        (
+            ("assess", "a", "--against", "b", "--overwrite"),
+            "--overwrite must be left out without --out, for nothing is written, got it: remove it",
+        ),
+        (
+            ("stability", "wall", "--overwrite"),
+            (
+                "--overwrite must be left out with a scene and no --out, for nothing is written, "
+                "got it: remove it"
+            ),
+        ),
+    ],
+    ids=lambda value: " ".join(value[:2]) if isinstance(value, tuple) else "",
+)
+def test_an_option_without_effect_is_refused(refused, here, arguments, sentence):
+    assert refused(*arguments) == sentence
+
+
+@pytest.mark.parametrize("name", scene_names())
+def test_a_built_in_scene_holds_no_key_without_effect_and_lasts_as_long_as_its_motion(
+    name, tmp_path
+):
+    scene = load_scene(name)
+
+    if scene.duration_s is not None and scene.motion.kind == "path":
+        points = scene.motion.points_mm
+        length = sum(
+            sum((a - b) ** 2 for a, b in zip(p, q, strict=True)) ** 0.5 for p, q in pairwise(points)
+        )
+        assert scene.duration_s >= length / scene.motion.feed_mm_s - 1e-9
+
+
+def test_what_an_override_makes_idle_is_left_out_and_what_a_file_holds_idle_is_refused(tmp_path):
+    assert load_scene("wall", {"device": "none"}).device is None
+    text = scene_text("wall").replace('kind = "touch" ', "# ")
+    (tmp_path / "mine.toml").write_text(
+        text.replace("[motion]", "[device.coupling]\nforce_scale = 1.0\n\n[motion]")
+    )
+    with pytest.raises(InputError, match=r"device must be given for .*coupling\.force_scale = 1"):
+        load_scene(tmp_path / "mine.toml")
+    assert load_scene(tmp_path / "mine.toml", {"device": "omni"}).held.renderer == "proxy"
+    with pytest.raises(InputError, match="force_scale"):
+        load_scene(tmp_path / "mine.toml", {"duration_s": 1.0})

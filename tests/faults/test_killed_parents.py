@@ -101,15 +101,3 @@ def test_a_drawing_leaves_no_mesh_behind(tmp_path):
     process.kill()
     process.wait()
     assert gone(drawing, within_s=10.0)
-
-
-def test_a_command_that_is_killed_ends_its_drawing(tmp_path):
-    process = started(
-        tmp_path, "run", "milling", "--set", "voxels.spacing_mm=0.4", "--duration-s", 0.02
-    )
-    drawing = children(process, "tissue.show.figures.rendering", 1)
-    process.kill()
-    process.wait()
-    assert gone(drawing, within_s=10.0)
-    left = files(tmp_path)
-    assert max(left.values(), default=0) < MESH_BYTES, left

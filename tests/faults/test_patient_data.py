@@ -137,12 +137,3 @@ def test_several_series_are_named_by_number_and_slices(refused, here):
     sentence = refused(*RUN)
     assert "got 2 in scan (number 7 of 6 slices, number 8 of 6 slices)" in sentence
     require_none(sentence.encode())
-
-
-def test_a_series_number_that_holds_a_name_is_left_out(refused, here):
-    write_block(
-        here, each=lambda k: {"series": UIDS[k % 2], "series_number": "Aurelia" if k % 2 else 1}
-    )
-    sentence = refused(*RUN)
-    assert "number ? of 6 slices" in sentence
-    require_none(sentence.encode())

@@ -201,13 +201,13 @@ def test_some_hundred_broken_scenes_load_or_are_refused_in_a_sentence(tables, tm
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_ten_thousand_broken_scenes_load_or_are_refused_in_a_sentence(tables, tmp_path):
-    assert 0.3 < share_refused(range(10_000), tables, tmp_path) < 1.0, (
+def test_two_thousand_broken_scenes_load_or_are_refused_in_a_sentence(tables, tmp_path):
+    assert 0.3 < share_refused(range(2_000), tables, tmp_path) < 1.0, (
         "mutations that break some and not all"
     )
 
 
-@pytest.mark.parametrize("count", [4, pytest.param(120, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [4, pytest.param(30, marks=pytest.mark.slow)])
 @pytest.mark.timeout(1800)
 def test_broken_scenes_that_load_are_built_or_refused_in_a_sentence(count, tables, tmp_path):
     cheap = count < 10
@@ -234,19 +234,3 @@ def test_broken_scenes_that_load_are_built_or_refused_in_a_sentence(count, table
         if built == count:
             return
     raise AssertionError("too few scenes loaded")
-
-
-def test_a_broken_scene_ends_the_command_with_2(tables, tmp_path, refused):
-    broken = 0
-    for number in range(40_000, 40_020):
-        path = written(number, tables, tmp_path)
-        if isinstance(found := outcome(path), str):
-            assert refused("run", path, "--out", tmp_path / "out") == found
-            assert not (tmp_path / "out").exists()
-            broken += 1
-    assert broken > 5
-
-
-def test_a_number_always_gives_the_same_mutation(tables, tmp_path):
-    texts = [written(number, tables, tmp_path).read_bytes() for number in (7, 8, 7)]
-    assert texts[0] == texts[2] != texts[1]

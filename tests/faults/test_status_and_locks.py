@@ -5,11 +5,8 @@ The status is reported truly whatever ended the run, and two processes never wri
 
 import json
 import os
-import signal
 import subprocess
 import sys
-import time
-import weakref
 
 import psutil
 import pytest
@@ -19,7 +16,7 @@ from tissue.show.viewer.view import _about
 from tissue.simulation.observer import RunObserver
 from tissue.simulation.run_folder import RunFolder, SavedRun
 from tissue.system.outputs import OutputLock, identity, is_alive, output_locked
-from tissue.system.stopping import Terminated, terminated_as_exception
+from tissue.system.stopping import Terminated
 
 QUICK = {"voxels.spacing_mm": 0.8, "duration_s": 0.02}
 HOLD = "import sys; from pathlib import Path; from tissue.system.outputs import OutputLock; \
@@ -62,19 +59,6 @@ def test_a_second_process_is_kept_off_and_the_owner_is_named(tmp_path, holder, k
     with output_locked(out, folder=kind == "folder"):
         pass
     assert not out.exists() or not list(out.iterdir())
-
-
-def test_a_lock_leaves_nothing_and_excludes_its_own_process(tmp_path):
-    out = tmp_path / "a" / "b"
-    lock = OutputLock(out, folder=True)
-    with pytest.raises(InputError, match=f"process {os.getpid()} is writing"):
-        OutputLock(out, folder=True)
-    lock.release()
-    lock.release()
-    assert not (tmp_path / "a").exists()
-    with output_locked(tmp_path / "file.npz", folder=False):
-        assert [each.name for each in tmp_path.iterdir()] == [".file.npz.lock"]
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
@@ -165,70 +149,6 @@ def test_what_ends_a_run_is_in_its_summary_and_its_trace_is_kept(
     monkeypatch.undo()
     simulate(scene, out=out, overwrite=True).save(out, pictures=False)
     assert SavedRun(out).status == "complete" and "process" not in SavedRun(out).summary
-
-
-def test_a_refused_scene_leaves_the_old_run_and_no_new_folder(tmp_path, monkeypatch):
-    def refuse(*_, **__):
-        raise InputError("it cannot be built")
-
-    out = tmp_path / "run"
-    simulate(load_scene("milling", QUICK), out=out).save(out, pictures=False)
-    before = {each.relative_to(out): each.read_bytes() for each in out.rglob("*") if each.is_file()}
-    monkeypatch.setattr("tissue.simulation.simulate.build", refuse)
-    for folder, overwrite in ((out, True), (tmp_path / "new", False)):
-        with pytest.raises(InputError):
-            simulate(load_scene("milling", QUICK), out=folder, overwrite=overwrite)
-    assert {
-        each.relative_to(out): each.read_bytes() for each in out.rglob("*") if each.is_file()
-    } == before
-    assert [each.name for each in tmp_path.iterdir()] == ["run"]
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="os.kill ends a process at once on Windows")
-@pytest.mark.parametrize(("name", "code"), [("SIGTERM", 143), ("SIGHUP", 129), ("SIGQUIT", 131)])
-def test_a_request_to_end_is_an_exception_inside_and_what_it_was_outside(name, code):
-    number = getattr(signal, name)
-    before = signal.signal(number, signal.default_int_handler)
-    try:
-        with pytest.raises(Terminated) as caught, terminated_as_exception():
-            os.kill(os.getpid(), number)
-        assert (caught.value.name, caught.value.exit_code) == (name, code)
-        assert signal.getsignal(number) is signal.default_int_handler
-        signal.signal(number, signal.SIG_IGN)
-        with terminated_as_exception():
-            os.kill(os.getpid(), number)  # as under nohup
-        assert signal.getsignal(number) is signal.SIG_IGN
-    finally:
-        signal.signal(number, before)
-
-
-class Held:
-    """A thing that a weak reference can be kept of."""
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="os.kill ends a process at once on Windows")
-@pytest.mark.parametrize(
-    ("name", "raised"), [("SIGTERM", Terminated), ("SIGINT", KeyboardInterrupt)]
-)
-def test_a_stop_that_native_code_makes_an_error_of_its_own_is_still_a_stop(name, raised):
-    number = getattr(signal, name)
-    before = signal.signal(number, signal.default_int_handler)
-    try:
-        with pytest.raises(raised), terminated_as_exception():
-            try:
-                os.kill(os.getpid(), number)
-            except KeyboardInterrupt as stop:
-                raise ValueError("as a parser puts it") from stop
-        with pytest.raises(raised), terminated_as_exception():
-            thing = Held()
-            fate = weakref.ref(thing, lambda _: os.kill(os.getpid(), number))
-            del thing
-            assert fate() is None
-            time.sleep(5.0)
-        with pytest.raises(ValueError, match="of its own"), terminated_as_exception():
-            raise ValueError("of its own")
-    finally:
-        signal.signal(number, before)
 
 
 @pytest.mark.parametrize(

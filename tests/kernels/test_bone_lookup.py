@@ -3,16 +3,17 @@
 The cases are random bytes, three layers that touch, and missing bricks.
 """
 
+from bone_in_numpy import (bone_of, stored_voxels)
+from kernels.bone_lookup import (Bone, bone_at)
+from kernels.bricks import (voxel_column, voxel_row)
+from meshes.voxels.distances import (FAR, INSIDE, OUTSIDE, SURFACE_ZERO, surface_steps)
+from meshes.voxels.volume import (VoxelVolume)
+from tissue.models.bone.bricks import (BrickStore)
 import numpy as np
 import pytest
 import warp as wp
-from bone_in_numpy import bone_of, stored_voxels
 
-from kernels.bone_lookup import Bone, bone_at
-from kernels.bricks import voxel_column, voxel_row
-from meshes.voxels.distances import FAR, INSIDE, OUTSIDE, SURFACE_ZERO, surface_steps
-from meshes.voxels.volume import VoxelVolume
-from tissue.models.bone.bricks import BrickStore
+
 
 SINGLE = 2e-5
 """[voxel]: places of up to 24 voxels in float32, distances that change by up to 4 a voxel."""
@@ -116,18 +117,6 @@ def test_far_from_surface_and_layers_the_nearest_voxel_answers():
     at = tuple(points.astype(int).T)
     assert (distance == -2.0).all() and (slope == 0.0).all()
     assert (found == layer[at]).all() and (kg_m3 == density[at]).all()
-
-
-def test_air_two_voxels_off_is_outside():
-    random = np.random.default_rng(2)
-    surface = np.full((16, 16, 16), OUTSIDE, dtype=np.uint8)
-    surface[3, 3, 3] = SURFACE_ZERO - 60
-    zeros = np.zeros_like(surface)
-    points = random.uniform(5.0, 8.0, (100, 3))
-    _, distance, _, _, slope = look_up(
-        volume_of(surface, zeros, zeros, zeros.astype(np.uint16)), points
-    )
-    assert (distance == 2.0).all() and (slope == 0.0).all()
 
 
 def test_planes_between_layers_and_at_the_surface_lie_where_they_are():

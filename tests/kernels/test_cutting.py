@@ -1,18 +1,19 @@
 """The force kernel against plain NumPy, element by element."""
 
+from bone_in_numpy import (bone_of, stored_voxels)
+from kernels.revolution import (EDGE_BEND)
+from meshes.voxels.distances import (FAR, INSIDE, OUTSIDE, surface_steps)
+from meshes.voxels.volume import (VoxelVolume)
+from scipy.spatial.transform import (Rotation)
+from tissue.cutters.cutter import (Cutter)
+from tissue.cutters.profile import (ball_burr, twist_drill)
+from tissue.materials.constants import (CuttingCoefficients)
+from tissue.models.bone.model import (BoneModel)
+from tissue.models.tissue_model import (ToolMotion)
 import numpy as np
 import pytest
-from bone_in_numpy import bone_of, stored_voxels
-from scipy.spatial.transform import Rotation
 
-from kernels.revolution import EDGE_BEND
-from meshes.voxels.distances import FAR, INSIDE, OUTSIDE, surface_steps
-from meshes.voxels.volume import VoxelVolume
-from tissue.cutters.cutter import Cutter
-from tissue.cutters.profile import ball_burr, twist_drill
-from tissue.materials.constants import CuttingCoefficients
-from tissue.models.bone.model import BoneModel
-from tissue.models.tissue_model import ToolMotion
+
 
 NEVER = 65535
 """Kept where the tool has not come near."""
@@ -260,42 +261,3 @@ def test_an_older_cut_as_deep_disengages_and_one_less_deep_does_not():
     fresh.place(motion_of_the_cut)
     # its own cut, carved by the kernel
     assert engaged_m2(fresh, motion) == pytest.approx(half, rel=1e-6)
-
-
-def test_a_chunk_over_bricks_without_bone_is_left_out():
-    model = BoneModel(solid(48), Cutter(ball_burr(diameter_m=3e-3), 5, 700.0), (SOFT,))
-    motion = ToolMotion(speed_m_s=1e-3)
-    motion.tip_m[:], motion.heading[0] = (0.0, 0.0, -1e-3), (0.0, 0.0, -1.0)
-    assert engaged_m2(model, motion) > 0.0
-    model.store.alive.zero_()
-    assert engaged_m2(model, motion) == 0.0
-
-
-def test_the_engaged_area_grows_smoothly_as_a_ball_enters():
-    """The engaged area grows smoothly as a ball enters.
-
-    Its cap below the surface is 2 pi R depth. A surface read by the voxel would show steps.
-    """
-    model = BoneModel(
-        solid(24), Cutter(ball_burr(diameter_m=3e-3), 5, 700.0), (SOFT,), shell_spacing_m=5e-5
-    )
-    motion = ToolMotion(speed_m_s=1e-3)
-    motion.heading[0] = (0.0, 0.0, -1.0)
-    depth = np.linspace(0.0, 8e-4, 161)
-    areas = []
-    for each in depth:
-        motion.tip_m[2] = -each
-        areas.append(engaged_m2(model, motion))
-    closed = 2.0 * np.pi * 1.5e-3 * depth
-    assert np.abs(np.array(areas) - closed).max() < 0.005 * closed[-1]
-
-
-def test_tool_that_backs_off_does_not_cut():
-    # bone below the ball only
-    model = BoneModel(solid(20), Cutter(ball_burr(diameter_m=3e-3), 5, 700.0), (SOFT,))
-    motion = ToolMotion(speed_m_s=1e-3)
-    motion.tip_m[:] = (0, 0, -6e-4)
-    motion.heading[0] = (0, 0, 1)
-    assert np.abs(model.respond(motion).wrench).max() == 0.0
-    motion.heading[0] = (0, 0, -1)
-    assert model.respond(motion).wrench[2] > 0.0

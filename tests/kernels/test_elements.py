@@ -57,44 +57,6 @@ def layer_of_bone():
     )
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("turning", [0.0, 300.0])
-@pytest.mark.parametrize(
-    "profile", [ball_burr(diameter_m=3e-3), pear_bur(diameter_m=2e-3, length_m=3e-3)]
-)
-def test_a_chunk_that_is_passed_over_holds_no_element_that_cuts(profile, turning):
-    random, passed = np.random.default_rng(6), 0
-    model = BoneModel(layer_of_bone(), Cutter(profile, 4, 500.0), (cutting_coefficients("bone"),))
-    store, shell = model.store, model.shell
-    for _ in range(20):
-        motion = ToolMotion(speed_m_s=1e-3)
-        motion.tip_m[:] = random.uniform(-1.5e-3, 1.5e-3, 3)
-        motion.rotation[:] = Rotation.random(random_state=int(random.integers(1 << 30))).as_matrix()
-        velocity = random.normal(size=3)
-        motion.heading[0] = velocity / np.linalg.norm(velocity)
-        motion.heading[1] = turning * random.normal(size=3)
-        model.respond(motion)
-        advance = wp.zeros(len(shell.areas_m2), dtype=float, device="cpu")
-        place = wp.zeros((len(shell.areas_m2), 3), dtype=float, device="cpu")
-        may = wp.zeros(len(shell.areas_m2), dtype=int, device="cpu")
-        inputs = [model.elements, model.motion_rows, SPACING_M, store.brick_of, store.alive]
-        wp.launch(
-            ask, dim=len(shell.areas_m2), inputs=inputs, outputs=[advance, place, may], device="cpu"
-        )
-        normal, arm = shell.normals @ motion.rotation.T, shell.points_m @ motion.rotation.T
-        expected = ((motion.heading[0] + np.cross(motion.heading[1], arm)) * normal).sum(axis=1)
-        assert advance.numpy() == pytest.approx(expected, abs=SINGLE * (1.0 + turning * 5e-3))
-        point = (motion.tip_m + arm) / SPACING_M + 24
-        assert place.numpy() == pytest.approx(point, abs=SINGLE * 48)
-        at = np.floor(point).astype(int)
-        held = ((at >= 0) & (at < 48)).all(axis=1)
-        held[held] = store.volume.fraction[tuple(at[held].T)] > 0
-        cuts = held & (expected > 1e-5)
-        assert (may.numpy()[cuts] == 1).all()
-        passed += (may.numpy() == 0).sum()
-    assert passed > 0
-
-
 @wp.kernel
 def ask_box(
     brick_of: wp.array3d(dtype=wp.int32),

@@ -3,6 +3,7 @@
 The result is unchanged, also where no thread is free, and only large launches are split.
 """
 
+from itertools import cycle
 from threading import Event
 from time import sleep
 
@@ -11,8 +12,14 @@ import pytest
 import warp as wp
 
 import kernels.launcher as launcher
-from kernels.launcher import SplitLaunch, launch_counts
-from kernels.split_choice import FIRST_TRIAL, KEPT, ORDER
+from kernels.launcher import (
+    KEPT,
+    LAST_TRIAL,
+    LEAST_GAIN,
+    ORDER,
+    SplitChoice,
+    SplitLaunch,
+)
 
 wp.set_module_options({"enable_backward": False})
 COUNT = 1000
@@ -86,34 +93,79 @@ def test_one_slow_run_does_not_split_a_small_launch(split, monkeypatch):
     assert handed, "a launch that stays large is not split"
 
 
-def test_a_launch_is_not_split_where_that_gains_nothing(monkeypatch):
-    """As on two processors that share one core, however large it is."""
-    launch, out = launch_of(0.6, monkeypatch)
-    monkeypatch.setattr(launcher, "SPLIT_ABOVE_S", 0.0)
-    before = launch_counts()
-    for _ in range(FIRST_TRIAL):
-        launch()
-    after = launch_counts()
-    assert (after.large - before.large, after.split - before.split) == (FIRST_TRIAL, 0)
-    assert np.array_equal(out, FIRST_TRIAL * np.arange(COUNT) ** 2)
+TWO_CORES, ONE_CORE = 1.8, 0.6
+"""Gain from splitting on two cores, and on two processors that share one core."""
 
 
-@pytest.mark.parametrize(("before", "after"), [(0.6, 1.8), (1.8, 0.6)])
-def test_trials_while_it_runs_turn_the_choice_and_change_no_result(before, after, monkeypatch):
-    """A clock makes splitting gain nothing at first and then much, or the opposite."""
-    launch, out = launch_of(before, monkeypatch)
-    monkeypatch.setattr(launcher, "SPLIT_ABOVE_S", 0.0)
-    choice = launch._choice
-    add = choice.add
+WHOLE_S, SLICE_S = 4e-4, 8e-3
+"""Time of a whole run, and of a time slice that another process takes."""
 
-    def timed(seconds):
-        add(1e-3 / after if choice.next_run() else 1e-3)
 
-    monkeypatch.setattr(choice, "add", timed)
-    runs = 0
-    most = sum(FIRST_TRIAL * 2**trial + len(ORDER) for trial in range(KEPT))
-    while choice.splits == (before > 1.0) and runs <= most:
-        launch()
-        runs += 1
-    assert FIRST_TRIAL + len(ORDER) <= runs <= most
-    assert np.array_equal(out, runs * np.arange(COUNT) ** 2)
+def run(choice, gain):
+    """One large run on a machine where splitting gains so much; whether it was split."""
+    was_split = choice.next_run()
+    choice.add(WHOLE_S / gain if was_split else WHOLE_S)
+    return was_split
+
+
+def run_to_trial(choice, gain):
+    """Run until a trial begins; how many runs that took."""
+    for count in range(2 * LAST_TRIAL):
+        if choice._due == 0:
+            return count
+        assert run(choice, gain) == choice.splits
+    raise AssertionError("no trial begins")
+
+
+def trial(choice, times):
+    """One trial with the given times of whole and split runs."""
+    for was_split in ORDER:
+        assert choice.next_run() == was_split
+        choice.add(next(times[was_split]))
+
+
+def even(gain):
+    """Times of whole and split runs of the same work."""
+    return {False: cycle([WHOLE_S]), True: cycle([WHOLE_S / gain])}
+
+
+@pytest.mark.parametrize(("gain", "splits"), [(TWO_CORES, True), (ONE_CORE, False), (1.0, False)])
+def test_a_choice_begins_with_the_machine(gain, splits):
+    choice = SplitChoice(gain)
+    assert choice.gain == pytest.approx(gain)
+    assert choice.next_run() == choice.splits == splits
+
+
+@pytest.mark.parametrize(("before", "after"), [(TWO_CORES, ONE_CORE), (ONE_CORE, TWO_CORES)])
+def test_a_choice_follows_the_machine_while_it_runs(before, after):
+    """A core that others take, or give back, turns the choice within as many trials as count."""
+    choice = SplitChoice(before)
+    for _ in range(KEPT):
+        run_to_trial(choice, after)
+        trial(choice, even(after))
+    assert choice.splits == (after >= LEAST_GAIN)
+    assert choice.gain == pytest.approx(after)
+
+
+@pytest.mark.parametrize("gain", [TWO_CORES, ONE_CORE])
+def test_one_interruption_decides_nothing(gain):
+    """Neither a split run that lost a time slice, nor a whole one."""
+    for interrupted in (False, True):
+        choice = SplitChoice(gain)
+        run_to_trial(choice, gain)
+        times = even(gain)
+        usual = next(times[interrupted])
+        times[interrupted] = iter([SLICE_S] + [usual] * 7)
+        trial(choice, times)
+        assert choice.splits == (gain >= LEAST_GAIN)
+
+
+def test_interruptions_that_come_again_end_the_splitting():
+    """The mean counts, not the median: threads that often lose their core make late ticks."""
+    choice = SplitChoice(TWO_CORES)
+    for _ in range(KEPT):
+        run_to_trial(choice, TWO_CORES)
+        times = even(TWO_CORES)
+        times[True] = iter([SLICE_S] * 3 + [WHOLE_S / TWO_CORES] * 5)
+        trial(choice, times)
+    assert not choice.splits

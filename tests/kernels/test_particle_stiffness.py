@@ -3,14 +3,19 @@
 The reference is plain NumPy and SciPy.
 """
 
+from kernels.particle_stiffness import (principal_values)
+from scipy.spatial.transform import (Rotation)
+from tissue.fem.solvers.held_body import (rigid_modes)
+from tissue.models.tooth.body import (ParticleBody)
+from tissue.models.tooth.grid import (HexGrid, NodeSupports, ParticleSet, PointSprings, shape_values)
+from tissue.models.tooth.recovery import (particle_stress, stress_invariants)
+from tissue.models.tooth.stiffness import (CellStiffness, full_cell_stiffness, strain_matrix)
+from tooth_bodies import (GAUSS, block)
 import numpy as np
 import pytest
-from tooth_bodies import GAUSS, at_bottom, block
+import warp as wp
 
-from tissue.fem.solvers.held_body import rigid_modes
-from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.grid import HexGrid, NodeSupports, ParticleSet, PointSprings, shape_values
-from tissue.models.tooth.stiffness import CellStiffness, full_cell_stiffness, strain_matrix
+
 
 ROUNDING = 1e-13  # relative to the largest entry: sums of a few hundred terms in double precision
 
@@ -76,30 +81,6 @@ def test_full_cell_is_symmetric_to_the_bit_with_six_rigid_modes():
     assert np.abs(matrices[0] @ rigid).max() <= ROUNDING * np.abs(matrices[0]).max()
 
 
-def test_random_cells_are_symmetric_to_the_bit():
-    particles, grid = random_body(seed=4)
-    matrices = CellStiffness(particles, grid, inner_strength=1.0).cell_matrices()
-    assert np.array_equal(matrices, matrices.transpose(0, 2, 1))
-
-
-def test_full_cell_against_scikit_fem():
-    """A cell with particles at its Gauss points is the element that scikit-fem integrates."""
-    skfem = pytest.importorskip("skfem")
-    from skfem.models.elasticity import lame_parameters, linear_elasticity
-
-    particles, grid = block((1, 1, 1), 1e-3, modulus_Pa=18.6e9, poisson_ratio=0.31)
-    ours = CellStiffness(particles, grid, inner_strength=1.0).cell_matrices()[0]
-    mesh = skfem.MeshHex.init_tensor(*([0.0, 1e-3],) * 3)
-    basis = skfem.Basis(mesh, skfem.ElementVector(skfem.ElementHex1()), intorder=3)
-    theirs = linear_elasticity(*lame_parameters(18.6e9, 0.31)).assemble(basis).toarray()
-    nodes = [
-        int(np.argmin(np.linalg.norm(mesh.p.T - at, axis=1)))
-        for at in grid.node_position_m[grid.cell_nodes[0]]
-    ]
-    rows = basis.nodal_dofs[:, nodes].T.ravel()
-    assert np.abs(ours - theirs[np.ix_(rows, rows)]).max() <= ROUNDING * np.abs(theirs).max()
-
-
 def test_a_single_particle_leaves_twelve_more_modes_that_the_inner_stiffness_closes():
     particles = ParticleSet.uniform(np.full((1, 3), 0.3e-3), volume_m3=1e-10, modulus_Pa=18.6e9)
     grid = HexGrid.around(particles.position_m, edge_m=1e-3, origin_m=np.zeros(3))
@@ -108,27 +89,6 @@ def test_a_single_particle_leaves_twelve_more_modes_that_the_inner_stiffness_clo
             CellStiffness(particles, grid, inner_strength=strength).cell_matrices()[0]
         )
         assert int((values > 1e-10 * values[-1]).sum()) == rank
-
-
-def test_a_centre_particle_of_the_full_volume_is_closed_to_the_exact_cell():
-    """One particle with the full volume at the centre gives the exact stiffness of the cell.
-
-    The rest of the cell's integral, which one particle in the middle misses, is added. Here it is
-    checked by 3 x 3 x 3 Gauss points. The rest is exact for equal Lame constants, which means a
-    Poisson's ratio of 1/4 and E = 2.5 mu.
-    """
-    edge, first, shear = 1e-3, 5e9, 5e9
-    modulus, ratio = 2.5 * shear, 0.25
-    particles = ParticleSet.uniform(
-        np.full((1, 3), 0.5 * edge), volume_m3=edge**3, modulus_Pa=modulus, poisson_ratio=ratio
-    )
-    grid = HexGrid.around(particles.position_m, edge_m=edge, origin_m=np.zeros(3))
-    found = CellStiffness(particles, grid, inner_strength=1.0).cell_matrices()[0]
-    line, weight = np.polynomial.legendre.leggauss(3)
-    places = np.stack(np.meshgrid(*[0.5 + 0.5 * line] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    weights = np.einsum("i,j,k->ijk", weight, weight, weight).ravel() / 8.0
-    exact = full_cell_stiffness(edge, places, weights * edge**3, first_Pa=first, shear_Pa=shear)
-    assert np.abs(found - exact).max() <= 1e-12 * np.abs(exact).max()
 
 
 def test_inner_stiffness_vanishes_on_linear_fields():
@@ -198,36 +158,6 @@ def test_coarse_grid_is_the_galerkin_projection():
     assert np.abs(coarse.blocks.matrix().toarray() - wanted).max() <= 1e-12 * np.abs(wanted).max()
 
 
-def test_preconditioner_is_symmetric_and_positive():
-    """Single precision leaves 1e-6 of asymmetry; the form is positive on random loads."""
-    particles, grid = block(
-        (6, 6, 6), 1e-3, modulus_Pa=lambda x: np.where(x[:, 0] < 2.5e-3, 2e6, 84e9)
-    )
-    body = ParticleBody(particles, grid, at_bottom(grid))
-    body.solve(body.spread(np.full(3, 5.9e-3), np.array([0.0, 0.0, -1.0])))
-    a, b = np.random.default_rng(3).normal(size=(2, grid.node_count, 3)) * ~body.supports.fixed
-    to_b, to_a = (
-        (left * body._hierarchy(right) * body._free).sum() for left, right in ((a, b), (b, a))
-    )
-    size = np.sqrt(
-        (a * (body._hierarchy(a) * body._free)).sum()
-        * (b * (body._hierarchy(b) * body._free)).sum()
-    )
-    assert abs(to_a - to_b) <= 1e-6 * size
-
-
-def test_one_and_two_cores_give_the_same_bits():
-    particles, grid = block(
-        (17, 17, 17), 1e-3, modulus_Pa=lambda x: np.where(x[:, 0] < 8.5e-3, 2e6, 84e9)
-    )
-    fields = []
-    for cores in (1, 2, 2):
-        body = ParticleBody(particles, grid, at_bottom(grid), cores=cores)
-        load = body.spread(np.array([9e-3, 9e-3, 17e-3]), np.array([1.0, 0.0, -2.0]))
-        fields.append(body.solve(load).displacement_m)
-    assert np.array_equal(fields[0], fields[1]) and np.array_equal(fields[1], fields[2])
-
-
 def test_strain_matrix_of_gauss_points_sums_to_the_volume():
     """A uniform stretch has energy modulus x volume / 2 (Poisson's ratio 0)."""
     edge = 2e-3
@@ -238,3 +168,79 @@ def test_strain_matrix_of_gauss_points_sums_to_the_volume():
     assert np.allclose(
         strain_matrix(np.full(3, 0.5), edge) @ stretch.ravel(), [1, 0, 0, 0, 0, 0], atol=1e-12
     )
+
+
+def deformed():
+    random = np.random.default_rng(0)
+    particles, grid = block(
+        (3, 2, 2), 1e-3, modulus_Pa=lambda x: 10.0 ** random.uniform(6, 11, len(x))
+    )
+    body = ParticleBody(
+        particles, grid, NodeSupports.of(grid.node_count, held=grid.node_place[:, 2] == 0)
+    )
+    return body, 1e-6 * random.normal(size=(grid.node_count, 3))
+
+
+def test_particle_stress_against_numpy():
+    body, moved = deformed()
+    grid, edge = body.grid, body.grid.edge_m
+    found = particle_stress(body.cells, moved)
+    cell, place = grid.locate(body.particles.position_m)
+    nodes = moved[grid.cell_nodes[cell]]
+    step = 1e-7
+    from tissue.models.tooth.grid import shape_values
+
+    gradient = np.stack(
+        [
+            np.einsum(
+                "pa,pai->pi",
+                shape_values(place + step * axis) - shape_values(place - step * axis),
+                nodes,
+            )
+            / (2.0 * step * edge)
+            for axis in np.eye(3)
+        ],
+        axis=2,
+    )
+    strain = 0.5 * (gradient + gradient.transpose(0, 2, 1))
+    first, shear = body.particles.lame_Pa.T[:, :, None, None]
+    stress = 2.0 * shear * strain + first * np.trace(strain, axis1=1, axis2=2)[
+        :, None, None
+    ] * np.eye(3)
+    order = ([0, 1, 2, 1, 0, 0], [0, 1, 2, 2, 2, 1])
+    # 1e-7 of it: the central difference of a cubic, and rounding
+    scale = np.abs(stress).max(axis=(1, 2))[:, None]
+    assert (np.abs(found - stress[:, *order]) <= 1e-7 * scale).all()
+    von_mises, principal = stress_invariants(found)
+    assert (np.abs(principal - np.linalg.eigvalsh(stress)[:, ::-1]) <= 1e-6 * scale).all()
+    deviator = stress - np.trace(stress, axis1=1, axis2=2)[:, None, None] / 3.0 * np.eye(3)
+    assert np.allclose(von_mises, np.sqrt(1.5 * (deviator**2).sum(axis=(1, 2))), rtol=1e-6)
+
+
+@wp.kernel
+def evaluate_principal(stress: wp.array(dtype=wp.mat33d), values_out: wp.array(dtype=wp.vec3d)):
+    i = wp.tid()
+    values_out[i] = principal_values(stress[i])
+
+
+@pytest.mark.parametrize(
+    "wanted",
+    [(2.0, -1.0, -1.0), (1.0, 1.0, -2.0), (3.0, 0.0, 0.0), (5.0, 2.0, -4.0), (0.0, 0.0, 0.0)],
+)
+def test_principal_values_of_turned_matrices(wanted):
+    """Principal values of turned matrices agree for 2,000 rotations.
+
+    Where two values are equal, the cosine lies at the end of its range, where it may round over.
+    """
+    turns = Rotation.random(2000, random_state=0).as_matrix()
+    stress = np.einsum("nij,j,nkj->nik", turns, wanted, turns)
+    out = wp.zeros(len(stress), dtype=wp.vec3d, device="cpu")
+    wp.launch(
+        evaluate_principal,
+        dim=len(stress),
+        inputs=[wp.array(stress, dtype=wp.mat33d)],
+        outputs=[out],
+        device="cpu",
+    )
+    # the root of rounding
+    assert out.numpy() == pytest.approx(np.broadcast_to(wanted, (2000, 3)), abs=1e-7)

@@ -3,16 +3,17 @@
 The shell lies next to exact solids and at an inner corner of voxels.
 """
 
+from kernels.proxy_contacts import (Contacts, Shell, collect, keep_plane)
+from kernels.voxmap import (Field, SURFACE)
+from meshes.voxels.volume import (VoxelVolume)
+from scipy.spatial.transform import (Rotation)
+from tissue.haptics.proxy.proxy import (Ball, Box, ContactField, HalfSpace, Proxy, ToolShell)
+from tissue.models.bone.bricks import (BrickStore)
 import numpy as np
 import pytest
 import warp as wp
-from scipy.spatial.transform import Rotation
 
-from kernels.proxy_contacts import Contacts, Shell, collect, keep_plane
-from kernels.voxmap import SURFACE, Field
-from meshes.voxels.volume import VoxelVolume
-from tissue.haptics.proxy.proxy import Ball, Box, ContactField, HalfSpace, Proxy, ToolShell
-from tissue.models.bone.bricks import BrickStore
+
 
 ROUNDING_M = 1e-15
 """Places of a few mm in float64."""
@@ -222,31 +223,3 @@ def test_a_plane_that_is_kept_takes_the_place_of_the_weaker_of_the_older_two(pre
     normals[1, place], offsets[1, place] = normals[1, 0], offsets[1, 0]
     np.testing.assert_array_equal(looker.read("plane_normal"), normals)
     np.testing.assert_array_equal(looker.read("plane_offset"), offsets)
-
-
-def test_a_point_that_goes_along_a_face_keeps_no_second_plane():
-    """A point that moves along a face keeps no second plane.
-
-    The face is one plane wherever the point stands, so the earlier plane is not another one.
-    """
-    spacing, count = 2e-4, 32
-    fraction = np.where(np.indices((count,) * 3)[2] < 10, 255, 0).astype(np.uint8)
-    volume = VoxelVolume(
-        np.zeros(3),
-        spacing,
-        fraction,
-        np.zeros_like(fraction),
-        np.full(fraction.shape, 1800, np.uint16),
-        ("bone",),
-    )
-    looker = Looker(
-        np.zeros((1, 3)), ContactField(store=BrickStore.from_volume(volume, device="cpu"))
-    )
-    for x in (20.0, 20.4, 21.3):
-        found, _, _ = looker.look(
-            (x * spacing, 20.3 * spacing, 10.3 * spacing), step_m=0.5 * spacing
-        )
-        assert found == 1
-        assert not looker.read("plane_normal")[0, 1:].any()
-        assert looker.read("press")[1:].tolist() == [0.0, 0.0]
-        looker.contacts.press.assign([1e-4, 0.0, 0.0])

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 import warp as wp
-from scipy.optimize import nnls
+from scipy.optimize import brentq, nnls
 
 from kernels.proxy_contacts import Contacts
-from kernels.proxy_forces import MEMBERS
-from kernels.proxy_friction import resolve
+from kernels.proxy_forces import MEMBERS, holding_force, resolve, slipping_force
 
 NOTHING = np.zeros((2, 3))
 EXACT = 1e-9
@@ -124,23 +123,6 @@ def test_frictionless_motion_is_the_nearest_one_allowed(lever):
     assert active >= 3
 
 
-def test_many_points_of_a_face_press_as_one():
-    """Many points of a face press as one.
-
-    A hundred planes depend on each other and the start has wrong forces: the motion is unchanged.
-    """
-    random = np.random.default_rng(2)
-    arms = np.column_stack([random.uniform(-5e-3, 5e-3, (100, 2)), np.full(100, -1e-3)])
-    normals = np.tile([0.0, 0.0, 1.0], (100, 1))
-    free = np.array([[0.0, 0.0, -2e-3], [0.05, -0.02, 0.3]])
-    expected = least_distance(arms, normals, np.zeros(100), free, compliance=2500.0)
-    for press in (None, random.uniform(0.0, 1e-3, 100)):
-        found, _, _ = solved(arms, normals, np.zeros(100), free, compliance=2500.0, press=press)
-        shift, turn = moved(arms, normals, found, free, compliance=2500.0)
-        assert shift == pytest.approx(expected[0], abs=EXACT)
-        assert turn == pytest.approx(expected[1], abs=1e-7)
-
-
 @pytest.mark.parametrize("friction", [0.05, 0.3, 1.0])
 def test_friction_holds_or_works_against_the_slip(friction):
     """Friction holds or works against the slip.
@@ -243,32 +225,6 @@ def test_friction_on_slanted_planes_answers_to_what_they_press_then(friction):
     assert slipped > 5 and (stuck > 3 or friction < 0.2)
 
 
-def test_a_groove_holds_up_to_the_coefficient_that_it_needs():
-    """The pull of friction over the press of all planes is the coefficient needed.
-
-    A coefficient 1 % higher holds, one 1 % lower slips.
-    """
-    random, seen = np.random.default_rng(11), 0
-    for _ in range(16):
-        given = slanted_planes(random)
-        press, rub, arm = after_ticks(given, friction=1.0)
-        needed = np.linalg.norm(rub) / press.sum()
-        slip, _ = slip_of(given, press, rub, arm)
-        if needed > 0.9 or np.linalg.norm(slip) > 1e-9:
-            continue
-        for share, slips in ((1.01, False), (0.99, True)):
-            again = after_ticks(
-                given, friction=share * needed, press=press, last=np.array([rub, arm])
-            )
-            slid = np.linalg.norm(slip_of(given, *again)[0])
-            assert (slid > 1e-8) == slips
-            assert np.linalg.norm(again[1]) == pytest.approx(
-                min(share, 1.0) * needed * again[0].sum(), rel=1e-6
-            )
-        seen += 1
-    assert seen > 5
-
-
 def test_solves_of_the_active_set_are_counted_over_all_rounds():
     """Solves of the active set are counted over all rounds.
 
@@ -280,3 +236,66 @@ def test_solves_of_the_active_set_are_counted_over_all_rounds():
     for friction in (0.0, 0.4):
         solved(*given, compliance=GROOVE, friction=friction, solves=counts)
     assert 1 <= counts[0] < counts[1]
+
+
+COUNT = 200
+
+
+@wp.kernel
+def evaluate(
+    compliance: wp.array(dtype=wp.vec3d),  # w00, w01, w11
+    slip: wp.array(dtype=wp.vec2d),
+    bound: wp.array(dtype=wp.float64),
+    force_out: wp.array2d(dtype=wp.vec2d),
+):
+    i = wp.tid()
+    w = compliance[i]
+    v = slip[i]
+    f0, f1 = holding_force(w[0], w[1], w[2], v[0], v[1], wp.float64(0.0))
+    force_out[i, 0] = wp.vec2d(f0, f1)
+    f0, f1 = slipping_force(w[0], w[1], w[2], v[0], v[1], bound[i])
+    force_out[i, 1] = wp.vec2d(f0, f1)
+
+
+def test_holding_and_slipping_forces():
+    """Holding and slipping forces solve their equations.
+
+    W f = -v where the bound allows it; else (W + s I) f = -v with the s >= 0 for which |f| is the
+    bound.
+    """
+    random = np.random.default_rng(0)
+    half = random.normal(size=(COUNT, 2, 2))
+    compliance = half @ half.transpose(0, 2, 1) + 0.1 * np.eye(2)
+    slip = random.normal(size=(COUNT, 2))
+    hold = -np.linalg.solve(compliance, slip[..., None])[..., 0]
+    bound = np.linalg.norm(hold, axis=1) * random.uniform(0.05, 1.5, COUNT)
+    bound[0] = 0.0
+    out = wp.zeros((COUNT, 2), dtype=wp.vec2d, device="cpu")
+    inputs = [
+        wp.array(compliance.reshape(COUNT, 4)[:, [0, 1, 3]], dtype=wp.vec3d, device="cpu"),
+        wp.array(slip, dtype=wp.vec2d, device="cpu"),
+        wp.array(bound, dtype=wp.float64, device="cpu"),
+    ]
+    wp.launch(evaluate, dim=COUNT, inputs=inputs, outputs=[out], device="cpu")
+    found = out.numpy()
+    assert found[:, 0] == pytest.approx(hold, rel=EXACT, abs=EXACT)
+    assert not found[0, 1].any()
+    for i in range(1, COUNT):
+
+        def force(softer, i=i):
+            return -np.linalg.solve(compliance[i] + softer * np.eye(2), slip[i])
+
+        right = hold[i]
+        if np.linalg.norm(right) > bound[i]:
+            most = np.linalg.norm(slip[i]) / bound[i]
+            right = force(
+                brentq(
+                    lambda s, i=i: np.linalg.norm(force(s)) - bound[i],
+                    0.0,
+                    most,
+                    xtol=1e-14,
+                    rtol=1e-14,
+                )
+            )
+        assert found[i, 1] == pytest.approx(right, abs=EXACT * np.linalg.norm(hold[i]))
+    assert 50 < (np.linalg.norm(hold, axis=1) > bound).sum() < COUNT - 20

@@ -1,16 +1,17 @@
 """Stiffness and stress of tetrahedra against plain NumPy and against scikit-fem."""
 
+from kernels.tetrahedra import (group_stress)
+from tet_bodies import (distorted)
+from tet_fields import (isotropic, node_stress)
+from tissue.fem.assembly import (assemble)
+from tissue.fem.fields import (cell_stress)
+from tissue.fem.space import (EDGES, Space)
+from tissue.materials.elasticity import (lame, orthotropic, rotated)
 import numpy as np
 import pytest
 import warp as wp
-from tet_bodies import distorted
-from tet_fields import isotropic, node_stress
 
-from kernels.tetrahedra import pair_stiffness_isotropic
-from tissue.fem.assembly import assemble, pair_tables
-from tissue.fem.fields import cell_stress
-from tissue.fem.space import EDGES, Space
-from tissue.materials.elasticity import lame, orthotropic, rotated
+
 
 ROUNDING = 1e-13
 """Relative to the largest entry: sums of a few hundred terms in double precision."""
@@ -109,64 +110,6 @@ def test_matrix_equals_its_transpose_bitwise(order, material):
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_matrix_against_scikit_fem(order):
-    skfem = pytest.importorskip("skfem")
-    from scipy.spatial import cKDTree
-    from skfem.models.elasticity import lame_parameters, linear_elasticity
-
-    space = Space(distorted(3), order)
-    element = skfem.ElementTetP1() if order == 1 else skfem.ElementTetP2()
-    mesh = skfem.MeshTet(space.mesh.nodes_m.T.copy(), space.mesh.cells.T.copy())
-    basis = skfem.Basis(mesh, skfem.ElementVector(element), intorder=2)
-    theirs = linear_elasticity(*lame_parameters(5e3, 0.45)).assemble(basis).toarray()
-    node = cKDTree(space.nodes_m).query(basis.doflocs.T)[1]
-    unknown = np.empty(len(node), dtype=int)
-    unknown[np.argsort(node, kind="stable")] = np.arange(len(node))
-    ours = assemble(space, lame(5e3, 0.45)).toarray()[np.ix_(unknown, unknown)]
-    assert np.abs(ours - theirs).max() <= ROUNDING * np.abs(theirs).max()
-
-
-def test_order_of_the_threads_does_not_change_a_bit():
-    """Two halves of the pairs, the later first, against one launch."""
-    space = Space(distorted(4), 2)
-    pairs, (corners, weights) = space.pattern, pair_tables(2)
-    arrays = [
-        wp.array(part, dtype=wp.int32)
-        for part in (pairs.pair_start, pairs.contribution, pairs.place, pairs.mirror)
-    ]
-    material = wp.array(mixed(space.cell_count), dtype=wp.float64)
-    tables = [
-        wp.array(corners, dtype=wp.int32),
-        wp.array(weights, dtype=wp.float64),
-        *space.gradients,
-        material,
-    ]
-    found = wp.zeros(len(pairs.column), dtype=wp.mat33d)
-    count, half = len(pairs.place), len(pairs.place) // 3
-    for first, last in ((half, count), (0, half)):
-        wp.launch(
-            pair_stiffness_isotropic,
-            dim=last - first,
-            inputs=[*arrays, *tables, first],
-            outputs=[found],
-        )
-    assert np.array_equal(found.numpy(), assemble(space, mixed(space.cell_count)).data)
-
-
-def test_middle_nodes_lie_in_the_middle_of_their_edges():
-    space = Space(distorted(3), 2)
-    corners = space.nodes_m[space.cell_nodes[:, :4]]
-    assert np.allclose(
-        space.nodes_m[space.cell_nodes[:, 4:]], corners[:, EDGES].mean(axis=2), atol=1e-15
-    )
-    on_faces = space.nodes_m[space.faces]
-    assert np.allclose(
-        on_faces[:, 3:], on_faces[:, [[0, 1], [1, 2], [0, 2]]].mean(axis=2), atol=1e-15
-    )
-    assert space.node_count == len(np.unique(space.cell_nodes)) == len(space.nodes_m)
-
-
-@pytest.mark.parametrize("order", [1, 2])
 def test_stress_against_numpy(order):
     space = Space(distorted(2), order)
     material = fibrous(space.cell_count)
@@ -234,3 +177,79 @@ def test_quadratic_field_has_its_linear_stress_at_nodes():
     found = node_stress(space, np.column_stack([x * x, x * y, 0.5 * z * z]), lame(1.0, 0.25)).strain
     wanted = np.column_stack([2 * x, x, z, 0 * x, 0 * x, 0.5 * y])
     assert np.abs(found - wanted).max() < 1e-12
+
+
+STRESS_ROUNDING = 1e-12
+"""Of the largest value: sums of at most a few hundred products in float64."""
+
+
+CELLS, PLACES, NODES, GROUPS = 12, 3, 20, 9
+
+
+PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+
+
+def put(values, dtype):
+    return wp.array(np.ascontiguousarray(values), dtype=dtype, device="cpu")
+
+
+@pytest.mark.parametrize(("functions", "laws"), [(4, 1), (10, CELLS)], ids=["linear", "quadratic"])
+def test_groups_against_numpy(functions, laws):
+    """grad u = sum u_A (sum (slope_Ac . l) g_c)^T; von Mises from the deviator, principal values
+    by eigvalsh.
+    """
+    random = np.random.default_rng(functions)
+    at = random.dirichlet(np.ones(4), PLACES)
+    slope = random.normal(size=(functions, 4, 4))
+    nodes = random.integers(0, NODES, (CELLS, functions))
+    gradient, volume = random.normal(size=(CELLS, 4, 3)), random.uniform(0.5, 2.0, CELLS)
+    law = random.normal(size=(laws, 6, 6))
+    law = law + law.transpose(0, 2, 1)
+    moved = random.normal(size=(NODES, 3))
+    sizes = random.integers(1, 6, GROUPS)
+    sizes[3] = 0
+    start = np.concatenate([[0], np.cumsum(sizes)])
+    member = random.integers(0, CELLS * PLACES, start[-1])
+    shapes = [
+        ((GROUPS, 6), wp.float64),
+        ((GROUPS, 6), wp.float64),
+        (GROUPS, wp.float64),
+        (GROUPS, wp.vec3d),
+    ]
+    out = [wp.zeros(shape, dtype=dtype, device="cpu") for shape, dtype in shapes]
+    inputs = [
+        put(start, wp.int32),
+        put(member, wp.int32),
+        put(at, wp.vec4d),
+        put(slope, wp.vec4d),
+        put(nodes, wp.int32),
+        put(gradient, wp.vec3d),
+        put(volume, wp.float64),
+        put(law, wp.float64),
+        put(moved, wp.vec3d),
+        0,
+    ]
+    wp.launch(group_stress, dim=GROUPS, inputs=inputs, outputs=out, device="cpu")
+    along = np.einsum("acl,pl,ncx->npax", slope, at, gradient)
+    grad = np.einsum("nax,npay->npxy", moved[nodes], along)
+    strain = 0.5 * (grad + grad.transpose(0, 1, 3, 2))
+    voigt = np.stack([strain[..., i, j] for i, j in PAIRS], axis=-1)
+    stress = np.einsum(
+        "nij,npj->npi", np.broadcast_to(law, (CELLS, 6, 6)), voigt * [1, 1, 1, 2, 2, 2]
+    )
+    for group in range(GROUPS):
+        cell, place = np.divmod(member[start[group] : start[group + 1]], PLACES)
+        weight = volume[cell] / volume[cell].sum() if len(cell) else np.zeros(0)
+        mean = weight @ stress[cell, place]
+        scale = STRESS_ROUNDING * max(np.abs(mean).max(), 1.0)
+        assert out[0].numpy()[group] == pytest.approx(weight @ voigt[cell, place], abs=scale)
+        assert out[1].numpy()[group] == pytest.approx(mean, abs=scale)
+        tensor = np.empty((3, 3))
+        for value, (i, j) in zip(mean, PAIRS, strict=True):
+            tensor[i, j] = tensor[j, i] = value
+        deviator = tensor - np.trace(tensor) / 3.0 * np.eye(3)
+        assert out[2].numpy()[group] == pytest.approx(np.sqrt(1.5 * (deviator**2).sum()), abs=scale)
+        # acos loses half the digits where two principal values nearly meet
+        assert out[3].numpy()[group] == pytest.approx(
+            np.linalg.eigvalsh(tensor)[::-1], abs=1e4 * scale
+        )

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from kernels.tool_distance import Outline, bounds_over, distance_to_tool, nearest_on_triangle
+from kernels.tool_distance import Outline, bounds_over, distance_to_part, nearest_on_triangle
 
 RADIUS, HEIGHT = 1.5, 4.0
 
@@ -17,7 +17,11 @@ def distances(
     outline: Outline, points: wp.array(dtype=wp.vec3d), distance_out: wp.array(dtype=wp.float64)
 ):
     i = wp.tid()
-    distance_out[i] = distance_to_tool(outline, points[i])
+    least = wp.float64(1.0e9)
+    for part in range(outline.convex.shape[0]):
+        value, _gradient, _bend = distance_to_part(outline, part, points[i])
+        least = wp.min(least, value)
+    distance_out[i] = least
 
 
 @wp.kernel

@@ -3,11 +3,12 @@
 Checked are the verdict, the answers of the engine, and verdicts of spoilt data.
 """
 
+from tissue.evaluation.atlas import (PAGES)
+from tissue.evaluation.atlas.page import (Conduct, picture)
 import numpy as np
 import pytest
 
-from tissue.evaluation.atlas import PAGES
-from tissue.evaluation.atlas.page import Conduct, picture
+
 
 HEAVY = {each.name for each in PAGES} - {"wild_input", "explicit_cutting", "bad_tetrahedra"}
 """Pages that take about a second and more."""
@@ -72,5 +73,5 @@ def test_a_page_shows_its_boundary_and_how_the_engine_behaves(page):
     if page.name == "wall_map":
         righted["pade_N_m"] = engine
     with np.errstate(all="ignore"):
-        assert not page.judge(replaced(data, {engine: failing})).holds
-        assert failing is None or not page.judge(replaced(data, righted)).fails
+        assert not page.judge(replaced(data, table, {engine: failing})).holds
+        assert failing is None or not page.judge(replaced(data, *righted)).fails

@@ -3,24 +3,23 @@
 The tests show their effect on a wall that was stable, and the measures that restore stability.
 """
 
-from dataclasses import replace
-
+from dataclasses import (replace)
+from tissue.haptics.device.device import (device_parameters)
+from tissue.haptics.device.recorded import (Fault, FaultyDevice)
+from tissue.haptics.device.sample_guard import (SampleGuard)
+from tissue.haptics.device.simulated import (SimulatedDevice)
+from tissue.haptics.hand.hand import (HandAction, waypoints)
+from tissue.haptics.loop.critical_stiffness import (critical_stiffness_N_m, in_hands)
+from tissue.haptics.renderer import (ProxyRenderer)
+from tissue.haptics.rigid_wall import (press_wall)
+from tissue.perception.laws import (ForceMap, weber_of)
+from tissue.perception.observer import (population_observer)
+from tissue.perception.perceived import (held_back)
+from tissue.simulation.builders.perception import (CAUTION, perception_for)
 import numpy as np
 import pytest
 
-from tissue.haptics.device.device import device_parameters
-from tissue.haptics.device.recorded import Fault, FaultyDevice
-from tissue.haptics.device.sample_guard import SampleGuard
-from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.hand.hand import Hand, HandAction, hand_parameters, waypoints
-from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands
-from tissue.haptics.loop.sampled_loop import spectral_radius
-from tissue.haptics.renderer import ProxyRenderer
-from tissue.haptics.rigid_wall import press_wall
-from tissue.perception.laws import ForceMap, Intensity, intensity_of, weber_of
-from tissue.perception.observer import population_observer, reference_observer
-from tissue.perception.perceived import held_back
-from tissue.simulation.builders.perception import CAUTION, perception_for
+
 
 TICK = 1e-3
 LAW = weber_of(population_observer(), quantile=CAUTION)
@@ -137,26 +136,6 @@ def test_a_deadband_that_knows_the_friction_does_not_ring():
     assert np.abs(mapped - size).max() <= parameters.friction_N + 1e-6
 
 
-@pytest.mark.parametrize("group", ["nobody", "novice", "expert"])
-@pytest.mark.parametrize("name", ["touch", "omni", "six-dof"])
-def test_published_friction_and_a_hand_leave_less_than_the_threshold(name, group):
-    """Real devices in a hand, pressed with 1 N, ripple by less than the threshold.
-
-    Tremor and noise are left out.
-    """
-    parameters, person = device_parameters(name), None
-    if group == "nobody":
-        stiffness, hand = half_of_critical(parameters), Push(1.0)
-    else:
-        person = replace(hand_parameters(group), tremor_m=0.0, force_noise=0.0, endpoint_noise=0.0)
-        stiffness = half_of_critical(parameters, person.grip[:3])
-        depth = 1.0 / stiffness + 1.0 / person.stiffness_N_m
-        path = waypoints([0.0, 0.3], [[0.0, 0.0, 1e-3], [0.0, 0.0, -depth]])
-        hand = Hand(person, path, rng=np.random.default_rng(0))
-    run, _ = pressed(parameters, stiffness, hand)
-    assert run.ripple_N(0.5) < float(LAW.threshold(1.0))
-
-
 def test_a_deadband_never_creates_more_than_its_threshold_times_the_path_length():
     """A deadband never creates more than its threshold times the path length.
 
@@ -192,40 +171,3 @@ def test_a_faulty_device_is_survived(fault):
     assert np.isfinite(run.force_N).all() and size.max() <= parameters.force_limit_N * (1.0 + 1e-12)
     assert (size[430:499] == 0.0).all() or fault == "late"
     assert size[-1] > 0.5 and all(np.isfinite(played).all() for _, played in law.kept)
-
-
-def test_a_steep_map_makes_the_wall_as_much_stiffer():
-    """A steep map makes the wall stiffer by its slope.
-
-    For an observer with exponent 1.2, stiffness times slope decides, by eigenvalues and by the run
-    that they predict.
-    """
-    law = ForceMap(
-        intensity_of(reference_observer()),
-        Intensity(log_alpha=0.0, beta=1.2),
-        lowest_N=0.2,
-        knee_N=2.31,
-    )
-    assert law.steepest == pytest.approx(1.7 / 1.2, rel=2e-3)
-    parameters = replace(device_parameters("touch"), friction_N=0.0, encoder_step_m=0.0)
-    loop = parameters.loop(1.0)
-    critical = critical_stiffness_N_m(loop)
-
-    class Mapped(ProxyRenderer):
-        def render(self, *given):
-            force = super().render(*given)
-            size = float(np.linalg.norm(force))
-            return force * (law.table.at(size) / size) if size > 0.0 else force
-
-    forces = np.linspace(0.05, 2.3, 4000)
-    slope = np.interp(2.0, law.command_N(forces), np.gradient(law.command_N(forces), forces))
-    assert 1.3 < slope <= law.steepest
-    start_N = float(np.interp(2.0, law.command_N(forces), forces))
-    for share, grows in ((0.9 / slope, False), (1.1 / slope, True)):
-        assert (spectral_radius(loop.with_stiffness(share * slope * critical)) > 1.0) is grows
-        device = SimulatedDevice(
-            parameters, Push(2.0), position_m=(0.0, 0.0, -0.98 * start_N / (share * critical))
-        )
-        run = press_wall(device, Mapped(share * critical, 0.0), duration_s=1.5)
-        swings = np.abs(run.force_N[:, 2] - 2.0)
-        assert bool(swings[1200:].max() > swings[100:400].max()) is grows

@@ -1,17 +1,17 @@
 """Predictors beyond their limits: far ahead, in another tissue, uncapped, on a chattering loop."""
 
-from dataclasses import replace
-
+from dataclasses import (replace)
+from tissue import (load_scene, simulate)
+from tissue.evaluation.training import (Recorder, forecast, forecast_errors, trial)
+from tissue.prediction.guard import (Guarded)
+from tissue.prediction.koopman import (Koopman, OperatorPath)
+from tissue.prediction.predictor import (Contact, Linear)
+from tissue.prediction.trained import (Trained, shipped_file)
+from tissue.simulation.builders.prediction import (trained_predictor)
 import numpy as np
 import pytest
 
-from tissue import load_scene, simulate
-from tissue.evaluation.training import Recorder, forecast, forecast_errors, trial
-from tissue.prediction.guard import Guarded
-from tissue.prediction.koopman import Koopman, OperatorPath
-from tissue.prediction.predictor import Contact, Linear
-from tissue.prediction.trained import Trained, shipped_file
-from tissue.simulation.builders.prediction import trained_predictor
+
 
 LIMIT_N = 3.3
 
@@ -71,21 +71,6 @@ def test_in_a_force_it_was_not_trained_on_it_is_as_good_as_at_home(wall, unseen,
     make = lambda: trained_predictor(kind, wall, force_limit_N=LIMIT_N * factor).inner  # noqa: E731
     home, away = (forecast_errors(make, [run], horizons=(4,))[0, 0] for run in (unseen, other))
     assert away == pytest.approx(home, rel=1e-9)
-
-
-def test_dropped_and_repeated_samples_leave_it_bounded(wall, unseen):
-    rng = np.random.default_rng(8)
-    predictor = trained_predictor("koopman", wall, force_limit_N=LIMIT_N)
-    most = float(np.abs(unseen.force_N).max())
-    for row in range(len(unseen.force_N)):
-        fate = rng.random()
-        if fate < 0.05:
-            predictor.pause()
-            continue
-        for _ in range(2 if fate < 0.1 else 1):
-            predictor.meet(Contact.of_row(unseen.contact[row]))
-            predictor.observe(unseen.position_m[row], unseen.velocity_m_s[row], unseen.force_N[row])
-        assert np.linalg.norm(predictor.predict(6)) < 2.0 * most
 
 
 @pytest.mark.slow

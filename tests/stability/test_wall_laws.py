@@ -4,28 +4,17 @@ The numbers E3, E4, E9, E10 and E11 refer to the project's list of errors in a p
 framework.
 """
 
-from math import pi, sqrt
-
+from math import (pi, sqrt)
+from tissue.haptics.hand.hand import (waypoints)
+from tissue.haptics.loop.critical_stiffness import (critical_stiffness_N_m, delay_bound_N_m, in_hands, pade_bound_N_m, passive_bound_N_m)
+from tissue.haptics.loop.filters import (LowPass)
+from tissue.haptics.loop.sampled_loop import (WallLoop, spectral_radius)
+from tissue.haptics.loop.stability_map import (growth_while_running)
+from tissue.haptics.renderer import (PassivityControl, ProxyRenderer)
 import numpy as np
 import pytest
 
-from tissue.haptics.device.device import device_parameters
-from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.hand.hand import Hand, hand_parameters, waypoints
-from tissue.haptics.loop.critical_stiffness import (
-    critical_stiffness_N_m,
-    delay_bound_N_m,
-    in_hands,
-    pade_bound_N_m,
-    passive_bound_N_m,
-)
-from tissue.haptics.loop.filters import (
-    LowPass,
-    low_pass_gain,
-)
-from tissue.haptics.loop.sampled_loop import WallLoop, spectral_radius
-from tissue.haptics.loop.stability_map import growth_while_running
-from tissue.haptics.renderer import PassivityControl, ProxyRenderer, renderer
+
 
 TICK = 1e-3
 
@@ -50,22 +39,6 @@ def test_e3_the_filter_parameter_is_a_time_and_no_frequency():
     printed = 1.0 / sqrt(1.0 + (1.0 / time_constant) ** 2)  # of 1 Hz, were the cutoff 0.005 Hz
     assert printed < 0.01
     assert amplitude(time_constant, 1.0) > 0.999
-
-
-@pytest.mark.parametrize("step_s", [1e-4, 1e-3, 2e-2])
-def test_e3_is_exact_for_a_held_input_at_any_step(step_s):
-    time_constant, low_pass = 5e-3, LowPass(5e-3, step_s=step_s)
-    for tick in range(1, 6):
-        reached = low_pass.step(np.array([1.0, -2.0, 0.0]))
-        assert reached == pytest.approx(
-            (1.0 - np.exp(-tick * step_s / time_constant)) * np.array([1.0, -2.0, 0.0])
-        )
-    assert low_pass_gain(0.0, step_s) == 1.0
-    explicit = 0.0
-    for _ in range(200):
-        explicit += step_s / time_constant * (1.0 - explicit)
-    # the usual explicit step runs away
-    assert (abs(explicit - 1.0) > 1e3) == (step_s > 2.0 * time_constant)
 
 
 UNSAFE = [
@@ -123,14 +96,6 @@ def test_e9_a_damper_with_the_printed_sign_feeds_the_device():
     ) == pytest.approx(-expected, rel=1e-3)
 
 
-def test_e9_the_damper_is_at_rest_where_both_move_alike():
-    law = ProxyRenderer(500.0, 2.0)
-    speed = np.array([0.3, 0.0, 0.0])
-    force = law.render(np.array([0.0, 0.0, -1e-3]), speed, np.zeros(3), speed, TICK)
-    assert force == pytest.approx([0.0, 0.0, 0.5], abs=1e-15)
-    assert not law.render(speed, speed, speed, np.zeros(3), TICK).any()
-
-
 @pytest.mark.parametrize("rate_Hz", [1000.0, 2000.0, 5000.0])
 def test_e10_positive_gains_at_1_khz_are_not_enough(rate_Hz):
     """Positive gains at 1 kHz or more do not make a loop passive.
@@ -170,60 +135,3 @@ def test_a_controller_without_bound_would_itself_ring():
         at = np.array([0.0, 0.0, speed * TICK])
         played = control.step(np.array([0.0, 0.0, 3.0]), at, np.array([0.0, 0.0, speed]), TICK)
         assert -limit * speed - 1e-12 <= played[2] <= 1e-12
-
-
-def test_a_hand_of_every_group_stiffens_what_a_free_device_can_hold():
-    for name in ("touch", "omni", "six-dof"):
-        loop = device_parameters(name).loop(1.0)
-        free = critical_stiffness_N_m(loop)
-        for group in ("novice", "intermediate", "expert"):
-            held = in_hands(loop, [hand_parameters(group).grip[:3]])[0]
-            assert critical_stiffness_N_m(held) > 5.0 * free
-
-
-def let_go(name, stiffness_N_m, *, two_sided, kind="proxy", aim_m=5e-3):
-    """Return positions along z [m] after a hand has opened at 0.8 s.
-
-    Before, it pressed the middle of a spring, or a wall.
-    """
-    limits = device_parameters(name)
-    path = waypoints(np.array([0.0, 0.3]), np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -aim_m]]))
-    hand = Hand(hand_parameters("expert"), path, rng=np.random.default_rng(0), let_go_s=0.8)
-    device, low_pass = SimulatedDevice(limits, hand), LowPass(1e-3, step_s=TICK)
-    law = renderer(kind, limits.loop(stiffness_N_m, filter_s=1e-3))
-    found = []
-    for tick in range(2500):
-        sample = device.read(tick * TICK)
-        at, speed = np.array(sample.position_m), np.array(sample.velocity_m_s)
-        free = not two_sided and at[2] >= 0.0
-        proxy = at if free else np.zeros(3)
-        force = low_pass.step(law.render(at, speed, proxy, speed if free else np.zeros(3), TICK))
-        device.command(
-            force * min(limits.force_limit_N / max(float(np.linalg.norm(force)), 1e-12), 1.0),
-            np.zeros(3),
-        )
-        found.append(device.translation.position[2])
-    return np.array(found[800:])
-
-
-def test_let_go_at_the_default_a_wall_is_left_and_between_two_walls_only_friction_helps():
-    """A released device leaves a wall at the default stiffness; between walls only friction helps.
-
-    The default is chosen for a device in a hand. This test shows the cost of being safe without a
-    hand, and the case in which that matters. Half of the critical value without a hand is a seventh
-    to a ninth of the default. It is not needed on a wall, because a released device leaves it
-    within some hundredths of a second. Between two walls, a Touch fades by its friction. A six-dof
-    device has a sixth of that friction, and grows until its force limit bounds it.
-    """
-    for name in ("touch", "omni", "six-dof"):
-        limits = device_parameters(name)
-        default, safe = (
-            limits.stiffness_limit_N_m,
-            0.5 * critical_stiffness_N_m(limits.loop(1.0, filter_s=1e-3)),
-        )
-        assert 7.0 < default / safe < 9.0
-        after = let_go(name, default, two_sided=False)
-        assert (after[50:] > 0.0).all() and np.ptp(after[1000:]) < 1e-4
-    assert np.ptp(let_go("touch", 400.0, two_sided=True)[1000:]) < 1e-5
-    assert np.ptp(let_go("six-dof", 800.0, two_sided=True)[1000:]) > 5e-2
-    assert np.ptp(let_go("six-dof", 95.0, two_sided=True)[1000:]) < 1e-5

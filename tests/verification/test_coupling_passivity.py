@@ -1,17 +1,16 @@
 """Energy of a sampled wall: leak of the hold, observed energy, repayment by the controller."""
 
-from dataclasses import replace
-from itertools import pairwise
-
+from dataclasses import (replace)
+from itertools import (pairwise)
+from tissue.haptics.device.device import (DeviceParameters, device_parameters)
+from tissue.haptics.device.simulated import (SimulatedDevice)
+from tissue.haptics.hand.hand import (Hand, hand_parameters, waypoints)
+from tissue.haptics.renderer import (PassivityControl, PassivityObserver, renderer)
+from tissue.haptics.rigid_wall import (press_wall)
 import numpy as np
 import pytest
-from wall_limits import wall_limits
 
-from tissue.haptics.device.device import DeviceParameters, device_parameters
-from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.hand.hand import Hand, hand_parameters, waypoints
-from tissue.haptics.renderer import PassivityControl, PassivityObserver, renderer
-from tissue.haptics.rigid_wall import knock, press_wall
+
 
 STIFFNESS, SPEED, TICK, SAMPLES = 1000.0, 0.1, 1e-3, 100
 LEAK_J = SAMPLES * STIFFNESS * (SPEED * TICK) ** 2
@@ -87,19 +86,6 @@ def test_a_delayed_force_is_booked_where_it_acts(delay_ticks):
     )
 
 
-@pytest.mark.parametrize("name", ["six-dof", "omni"])
-def test_a_wall_that_feeds_a_knocked_device_is_stopped_by_the_controller(name):
-    """A penalty wall creates energy and rings; the supervised wall absorbs it and is quiet."""
-    device, hand = device_parameters(name), hand_parameters("expert")
-    stiffness = 3000.0 if name == "six-dof" else 8000.0
-    bare, bare_device = knock(device, hand, "penalty", stiffness)
-    supervised, supervised_device = knock(device, hand, "passivity", stiffness)
-    assert bare.taken_J.min() < -1e-3 and -bare_device.translation.motor_work_J < -2e-3
-    assert supervised.taken_J.min() > 0.5 * bare.taken_J.min()
-    assert bare.ripple_N(0.2) > 0.3 and supervised.ripple_N(0.2) < 0.05
-    assert supervised_device.translation.motor_work_J < 0.3 * bare_device.translation.motor_work_J
-
-
 def tapping(seconds, kind, *, seed=1, name="six-dof", stiffness_N_m=1500.0, delay_s=0.0):
     """A novice taps and presses a wall; the run and the energy that the motors have taken."""
     device = device_parameters(name)
@@ -150,33 +136,6 @@ def test_ten_minutes_of_contact_never_create_energy():
     assert (np.diff(every_minute) > 0.0).all()
 
 
-@pytest.mark.parametrize(
-    ("name", "stiffness_N_m", "delay_ms"),
-    [
-        ("six-dof", 1500.0, 4),
-        *(
-            pytest.param(name, stiffness, delay, marks=pytest.mark.slow)
-            for name, stiffness in (("six-dof", 1500.0), ("six-dof", 400.0), ("touch", 400.0))
-            for delay in (0, 1, 2, 4, 8)
-        ),
-    ],
-)
-def test_a_latency_does_not_let_a_supervised_wall_create_energy(name, stiffness_N_m, delay_ms):
-    """A latency does not let a supervised wall create energy, counted at the motors.
-
-    The bare wall of 1.5 kN/m emits 136 mJ in 10 s at 4 ms, and 2.4 J at 8 ms.
-    """
-    at = {"name": name, "stiffness_N_m": stiffness_N_m, "delay_s": 1e-3 * delay_ms}
-    for seed in (1, 2):
-        run, energies = tapping(10.0, "passivity", seed=seed, **at)
-        print(
-            f"{name}, {stiffness_N_m:.0f} N/m, {delay_ms} ms: never below "
-            f"{1e3 * energies.min():.2f} mJ"
-        )
-        assert np.linalg.norm(run.force_N, axis=1).max() > 1.0
-        assert energies.min() >= -1.5 * DIP_J
-
-
 def test_the_same_contact_creates_energy_without_the_controller():
     _, energies = tapping(20.0, "penalty")
     assert energies.min() < -3.0 * DIP_J
@@ -187,32 +146,6 @@ def test_what_was_taken_is_struck_off_when_contact_ends():
     for position, force in ((0.0, 0.0), (-1e-3, 1.0), (-2e-3, 2.0), (-3e-3, 0.0)):
         control.step(along_z(force), along_z(position), along_z(-1.0), TICK)
     assert control.observer.energy_J == 0.0
-
-
-@pytest.mark.slow
-def test_what_a_wall_reaches_is_reported_with_what_the_device_allows():
-    found = {
-        each.renderer: each
-        for each in wall_limits(
-            device_parameters("six-dof"),
-            hand_parameters("expert"),
-            rates_Hz=(1000.0,),
-            delays_s=(2e-3,),
-        )
-    }
-    assert list(found) == ["penalty", "passivity", "proxy"]
-    penalty, passivity = found["penalty"], found["passivity"]
-    assert found["proxy"].reached_N_m == penalty.reached_N_m  # one law on a flat wall
-    # it bounces
-    assert penalty.passive_N_m < penalty.free_N_m < penalty.reached_N_m < penalty.held_N_m
-    assert passivity.reached_N_m > 2.0 * penalty.reached_N_m
-    assert penalty.ratio == pytest.approx(0.39, abs=0.06)  # one rung of 15 %
-    assert (
-        knock(
-            device_parameters("six-dof"), hand_parameters("expert"), "penalty", penalty.reached_N_m
-        )[0].ripple_N(0.2)
-        < 0.05
-    )
 
 
 @pytest.mark.parametrize(("pending_N", "mass_kg"), [(0.0, 0.1), (0.4, 0.1), (2.0, 0.05)])

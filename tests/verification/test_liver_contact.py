@@ -7,10 +7,32 @@ closed forms with tetrahedra.
 
 import numpy as np
 import pytest
-from pressed_part import pressed
+from scipy.sparse import csr_array
+from scipy.sparse.linalg import splu
+from tet_bodies import wedge
 
+from tissue.fem.assembly import assemble
+from tissue.fem.space import Space
+from tissue.materials.elasticity import lame
 from tissue.models.organ.contact import ContactOutcome, SurfaceContact
-from tissue.models.organ.probe import ShellProbe, SphereProbe
+from tissue.models.organ.probe import CylinderProbe, ShellProbe, SphereProbe
+
+
+def pressed(body, probe, depths, *, times):
+    """Return `times` times the force [N] on a part at each of the rising depths [m].
+
+    The body consists of nodes, triangles and compliance of the part.
+    """
+    contact = SurfaceContact(
+        *body, probe, friction=0.0, spacing_m=1.0, tolerance=1e-6, sweeps=20000
+    )
+    forces = []
+    for depth in depths:
+        result = contact.solve(np.array([0.0, 0.0, -depth]), np.eye(3))
+        assert result.outcome is ContactOutcome.CONVERGED
+        forces.append(times * result.force_N[2])
+    return np.array(forces)
+
 
 YOUNG_PA = 5e3
 TILE_M = 1e-4
@@ -93,38 +115,6 @@ def quarter_half_space(count, tile, poisson_ratio):
     compliance = full.reshape(3 * len(nodes), -1)
     assert np.abs(compliance - compliance.T).max() < 1e-12 * compliance.max()
     return nodes, triangles(count), 0.5 * (compliance + compliance.T)
-
-
-def test_a_sphere_on_tiles_follows_hertz_and_converges():
-    """A sphere on tiles follows Hertz and converges.
-
-    With a/R = 0.02 it is so shallow that sphere and paraboloid agree to 1e-4. The radius has 3
-    tiles or more.
-    """
-    errors = []
-    for count in (9, 17, 31):
-        tile = 31 * TILE_M / count
-        nodes, faces, compliance = half_space(count, tile, 0.49, 0.0)
-        radius = 0.0012 / 0.02
-        contact = SurfaceContact(
-            nodes,
-            faces,
-            compliance,
-            SphereProbe(radius),
-            friction=0.0,
-            spacing_m=1.0,
-            tolerance=1e-8,
-            sweeps=2000,
-        )
-        depths = 0.02**2 * radius * np.linspace(0.4, 1.0, 7)
-        found = [contact.solve(np.array([0.0, 0.0, -d]), np.eye(3)).force_N[2] for d in depths]
-        exact = hertz_N(radius, depths, 0.49)
-        errors.append(np.abs(np.array(found) / exact - 1.0).mean())
-    slope = np.polyfit(np.log(depths), np.log(found), 1)[0]
-    assert abs(slope - 1.5) < 0.03
-    # The edge of the contact is found to a tile, where the pressure is zero: order above one.
-    assert errors[-1] < 0.005
-    assert -np.polyfit(np.log([9, 17, 31]), np.log(errors), 1)[0] > 1.0
 
 
 def upright(nodes, height):
@@ -214,3 +204,169 @@ def test_a_drag_follows_its_own_normal_curve():
         assert result.outcome is ContactOutcome.CONVERGED
         expected = friction * (whole - normal_N(depth - travel / (friction * 1.21)))
         assert abs(-result.force_N[0] - expected) < 0.01 * friction * whole
+
+
+TIMES = 72
+
+
+ANGLE = 2.0 * np.pi / TIMES
+
+
+def growing(first, growth, end):
+    """Places behind steps that grow from the first until they pass the end."""
+    count = int(np.ceil(np.log(1.0 + end * (growth - 1.0) / first) / np.log(growth)))
+    return first * np.cumsum(growth ** np.arange(count))
+
+
+def touchable(space, within_m):
+    """Nodes of the top near the axis, and the triangles between them, four to a quadratic face."""
+    near = np.hypot(space.nodes_m[:, 0], space.nodes_m[:, 1]) < within_m
+    top = np.flatnonzero((space.nodes_m[:, 2] > -1e-9) & near)
+    number = np.full(space.node_count, -1)
+    number[top] = np.arange(len(top))
+    faces = number[space.faces[:, [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]].reshape(-1, 3)]
+    return top, faces[(faces >= 0).all(axis=1)]
+
+
+def condensed(radii, depths, poisson_ratio, *, touch_m, rim_held):
+    """Nodes, triangles and compliance of the top of a wedge under z = 0, bonded at its base."""
+    space = Space(wedge(radii, -depths[::-1], ANGLE), 2)
+    nodes, tiny = space.nodes_m, 1e-7 * radii[1]
+    round_m = np.hypot(nodes[:, 0], nodes[:, 1])
+    axis = round_m < tiny
+    turn = np.array(
+        [[np.cos(ANGLE), np.sin(ANGLE), 0.0], [-np.sin(ANGLE), np.cos(ANGLE), 0.0], [0.0, 0.0, 1.0]]
+    )
+    second = (np.abs(nodes @ turn[1]) < tiny) & ~axis
+    held = np.zeros(nodes.shape, dtype=bool)
+    held[second | (nodes[:, 1] < tiny), 1] = True
+    held[axis, :2] = True
+    held[nodes[:, 2] < -depths[-1] * (1.0 - 1e-9)] = True
+    held[rim_held & (round_m > 0.999 * radii[-1])] = True
+    frame = np.tile(np.eye(3), (len(nodes), 1, 1))
+    frame[second] = turn
+    rows, columns = (np.broadcast_to(i, frame.shape).ravel() for i in np.indices((3, 3)))
+    start = np.repeat(3 * np.arange(len(nodes)), 9)
+    turned = csr_array((frame.ravel(), (start + rows, start + columns)))
+    free = np.flatnonzero(~held.ravel())
+    stiffness = (turned @ assemble(space, lame(YOUNG_PA, poisson_ratio)).tocsr() @ turned.T)[free][
+        :, free
+    ].tocsc()
+    factor = splu(
+        stiffness,
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
+    top, faces = touchable(space, touch_m)
+    place = np.full(held.size, -1)
+    place[free] = np.arange(len(free))
+    rows = place[(3 * top[:, None] + np.arange(3)).ravel()]
+    compliance = np.zeros((len(rows), len(rows)))
+    moving = np.flatnonzero(rows >= 0)
+    for column in moving:
+        load = np.zeros(len(free))
+        load[rows[column]] = 1.0
+        compliance[moving, column] = factor.solve(load)[rows[moving]]
+    axes, count = frame[top], len(top)
+    compliance = np.einsum(
+        "aji,ajbk,bkl->aibl", axes, compliance.reshape(count, 3, count, 3), axes, optimize=True
+    )
+    compliance = compliance.reshape(3 * count, -1)
+    return nodes[top], faces, 0.5 * (compliance + compliance.T)
+
+
+def graded_half_space(contact, poisson_ratio, cells=10):
+    """Return a half space with `cells` cells to 1.2 radii of the contact.
+
+    The far end lies at 300, where 0.2 % of the depth is lost.
+    """
+    first = 1.2 * contact / cells
+    radii = np.concatenate(
+        [np.arange(cells + 1) * first, 1.2 * contact + growing(1.3 * first, 1.7, 300.0 * contact)]
+    )
+    depths = np.concatenate([[0.0], growing(0.5 * first, 1.5, 300.0 * contact)])
+    return condensed(radii, depths, poisson_ratio, touch_m=1.4 * contact, rim_held=True), radii[-1]
+
+
+def test_shallow_sphere_and_point_load():
+    """A shallow sphere and a point load follow their closed forms.
+
+    Case 13: E = 5 kPa, nu = 0.49; 2 %, at a/R up to 0.05, where a sphere is Hertz' paraboloid;
+    Boussinesq 1885.
+    """
+    a = 0.00316
+    body, far = graded_half_space(a, 0.49)
+    shallow = 0.05
+    radius = a / shallow
+    at = shallow**2 * radius * np.linspace(0.3, 1.0, 15)
+    found = pressed(body, SphereProbe(radius), at, times=TIMES)
+    assert abs(found / hertz_N(radius, at, 0.49) - 1.0).mean() < 0.02
+    assert abs(found[-1] / hertz_N(radius, at[-1], 0.49) - 1.0) < 0.02
+    assert abs(np.polyfit(np.log(at), np.log(found), 1)[0] - 1.5) < 0.05
+    nodes, _, compliance = body
+    distance = np.linalg.norm(nodes, axis=1)
+    centre = int(np.argmin(distance))
+    ring = np.flatnonzero((distance > 0.75 * a) & (distance < 1.3 * a))
+    # The wedge's share of a newton acts on its own axis; the far end is held, which takes its
+    # deflection off everywhere.
+    deflection = compliance[3 * ring + 2, 3 * centre + 2] / TIMES
+    exact = (1.0 / distance[ring] - 1.0 / far) / (np.pi * plane_modulus(0.49))
+    assert abs(deflection / exact - 1.0).max() < 0.03
+
+
+EDGE = np.array([0.0, 0.25, 0.45, 0.62, 0.75, 0.84, 0.9, 0.94, 0.97, 0.985, 1.0])
+"""Rings that close in on the edge of a punch, where the pressure is singular."""
+
+
+@pytest.mark.parametrize("poisson_ratio", [pytest.param(0.3, marks=pytest.mark.slow), 0.49])
+def test_flat_punch(poisson_ratio):
+    """Case 13, Boussinesq 1885: a = 5 mm, 2 mm deep, 0.1316 N at nu = 0.49; 3 %."""
+    a, fine = 0.005, 0.005 * (1.0 - EDGE[-2])
+    radii = np.concatenate([a * EDGE, a + growing(1.3 * fine, 1.6, 300.0 * a)])
+    depths = np.concatenate([[0.0], growing(fine, 1.5, 300.0 * a)])
+    body = condensed(radii, depths, poisson_ratio, touch_m=1.01 * a, rim_held=True)
+    found = pressed(
+        body, CylinderProbe(1.001 * a, 1e-6 * a), np.linspace(1e-4, 2e-3, 20), times=TIMES
+    )[-1]
+    exact = 2.0 * plane_modulus(poisson_ratio) * a * 0.002
+    assert poisson_ratio != 0.49 or exact == pytest.approx(0.1316, abs=5e-5)
+    assert abs(found / exact - 1.0) < 0.03
+
+
+KAPPA = {
+    0.3: {0.2: 1.207, 0.4: 1.473, 0.6: 1.785, 0.8: 2.126, 1.0: 2.484, 1.5: 3.409, 2.0: 4.353},
+    0.45: {0.2: 1.252, 0.4: 1.599, 0.6: 2.033, 0.8: 2.535, 1.0: 3.091, 1.5: 4.658, 2.0: 6.421},
+    0.49: {0.2: 1.274, 0.4: 1.664, 0.6: 2.169, 0.8: 2.780, 1.0: 3.484, 1.5: 5.632, 2.0: 8.337},
+}
+"""Stiffening by a bonded base, by Poisson's ratio and a/h."""
+
+
+CELLS = [(ratio, share) for ratio, row in KAPPA.items() for share in row]
+
+
+QUICK = {(0.3, 0.2), (0.45, 0.6), (0.49, 1.0), (0.49, 2.0)}
+
+
+@pytest.mark.parametrize(
+    ("poisson_ratio", "share"),
+    [pytest.param(*c, marks=() if c in QUICK else pytest.mark.slow) for c in CELLS],
+)
+def test_flat_punch_on_a_bonded_layer(poisson_ratio, share):
+    """A flat punch on a bonded layer follows case 14.
+
+    Hayes 1972: P = 2 E* a kappa d; 1 %. Linear theory leaves the rim's material under the edge,
+    while a squeezed layer flows out. Therefore the press is shallow, and the punch is wider by its
+    depth.
+    """
+    a, fine = 0.005, 0.005 * (1.0 - EDGE[-2])
+    height = a / share
+    radii = np.concatenate([a * EDGE, a + growing(1.3 * fine, 1.4, 12.0 * max(a, height))])
+    depths = np.concatenate([[0.0], growing(fine, 1.4, height)])
+    depths *= height / depths[-1]
+    body = condensed(radii, depths, poisson_ratio, touch_m=1.01 * a, rim_held=False)
+    found = pressed(
+        body, CylinderProbe(1.001 * a, 1e-6 * a), height * np.linspace(2e-4, 1e-3, 5), times=TIMES
+    )[-1]
+    kappa = found / (2.0 * plane_modulus(poisson_ratio) * a * 1e-3 * height)
+    assert abs(kappa / KAPPA[poisson_ratio][share] - 1.0) < 0.01

@@ -3,27 +3,21 @@
 The states are homogeneous ones, large rotation and contact of a sphere.
 """
 
+from meshes.tets.structured import (box)
+from meshes.tets.stuffing import (bisected)
+from meshes.tets.tetrahedra import (TetMesh)
+from scipy.spatial.transform import (Rotation)
+from tissue.fem.conjugate_gradients import (SolverOutcome)
+from tissue.fem.hyperelastic import (Law, NonlinearBody)
+from tissue.fem.newton import (NewtonSolver)
+from tissue.fem.space import (Space)
+from tissue.materials.elasticity import (lame)
 import numpy as np
 import pytest
-from linear_limits import LinearLimits, linear_limits, press
-from scipy.spatial.transform import Rotation
 
-from meshes.organs.liver import liver, liver_region
-from meshes.surfaces.surface import read_surface
-from meshes.tets.regions import nodes_facing
-from meshes.tets.structured import box, graded, grid
-from meshes.tets.stuffing import bisected
-from meshes.tets.tetrahedra import TetMesh
-from meshes.tets.tetrahedralise import tetrahedralise
-from tissue.fem.conjugate_gradients import SolverOutcome
-from tissue.fem.hyperelastic import Law, NonlinearBody
-from tissue.fem.newton import NewtonSolver, RigidSphere
-from tissue.fem.space import Space
-from tissue.materials.elasticity import lame
+
 
 LIVER = lame(5e3, 0.45)
-RADIUS_M = 0.01
-DEPTHS_M = (1e-3, 2e-3, 4e-3, 6e-3)
 TURNING = (Law.COROTATIONAL, Law.NEO_HOOKEAN)
 
 
@@ -88,213 +82,3 @@ def test_large_rotation(capsys):
             "\nfalse stress of the linear law in a bar turned by 60 degrees: "
             f"{stretched[Law.LINEAR] / 5e3:.0%} of E"
         )
-
-
-def block(
-    order: int = 1, *, first: float, growth: float = 1.4, deep: float = 0.05
-) -> tuple[Space, np.ndarray]:
-    """Return a quarter of a block and its base.
-
-    It is twice as wide as deep, and fine at its top corner (the axis of the sphere).
-    """
-    aside = graded(0.0, deep, first, growth)
-    space = Space(grid(aside, aside, graded(0.0, -deep, first, growth)[::-1]), order)
-    return space, space.nodes_m[:, 2] < -deep + 1e-9
-
-
-def quarter_solver(space: Space, base: np.ndarray, law: Law, **options) -> NewtonSolver:
-    """Base held, and the planes of symmetry."""
-    held = (np.abs(space.nodes_m) < 1e-12) & np.array([True, True, False])
-    held[base] = True
-    return NewtonSolver(NonlinearBody(space, LIVER, law=law), held, **options)
-
-
-@pytest.mark.parametrize("law", list(Law))
-def test_sphere_contact(law):
-    """Contact with a sphere obeys Signorini's conditions to the sphere's tolerance.
-
-    It is in equilibrium with the supports, and the penalty has no influence.
-    """
-    space, base = block(first=3e-3)
-    solver = quarter_solver(space, base, law)
-    top = np.flatnonzero(space.nodes_m[:, 2] > -1e-12)
-    compliance = solver.rest_diagonal.reshape(-1, 3)[top].mean(axis=1)
-    forces = []
-    for stiffer in (3.0, 30.0):
-        sphere = RigidSphere(
-            top, stiffer * compliance, radius_m=RADIUS_M, centre_m=(0.0, 0.0, RADIUS_M - 5e-3)
-        )
-        solution = solver.solve(sphere=sphere)
-        assert solution.outcome is SolverOutcome.CONVERGED
-        away = np.linalg.norm(
-            space.nodes_m[top] + solution.displacement_m[top] - sphere.centre_m, axis=1
-        )
-        push = np.linalg.norm(solution.force_N[top], axis=1)
-        pressed = push > 1e-6 * push.max()
-        assert pressed.sum() > 5 and away.min() > RADIUS_M * (1.0 - 1.1e-6)
-        assert away[pressed & ~solver.held[top].any(axis=1)].max() < RADIUS_M * (1.0 + 1.1e-6)
-        assert solution.force_N[base, 2].sum() == pytest.approx(solution.tool_force_N[2], rel=1e-6)
-        forces.append(solution.tool_force_N[2])
-    # Nodes may lie 1e-6 of the radius, 2e-6 of the depth, off: the force follows to about as much.
-    assert forces[0] == pytest.approx(forces[1], rel=1e-5)
-
-
-@pytest.mark.slow
-def test_shallow_contact_is_hertz():
-    """Shallow contact follows Hertz.
-
-    With the linear law, 1 mm deep in a block 31 contact radii thick, it agrees with Hertz (1882)
-    within 5 %, at quadratic cells of a third of the contact radius.
-    """
-    space, base = block(2, first=1.2e-3, growth=1.6, deep=0.1)
-    solver = quarter_solver(space, base, Law.LINEAR, tolerance=1e-6)
-    top = np.flatnonzero(
-        (space.nodes_m[:, 2] > -1e-12) & (np.linalg.norm(space.nodes_m, axis=1) < RADIUS_M)
-    )
-    compliance = solver.rest_diagonal.reshape(-1, 3)[top].mean(axis=1)
-    sphere = RigidSphere(
-        top,
-        10.0 * compliance,
-        radius_m=RADIUS_M,
-        centre_m=(0.0, 0.0, RADIUS_M - 1e-3),
-        tolerance=1e-4,
-    )
-    force = 4.0 * solver.solve(sphere=sphere).tool_force_N[2]
-    assert force == pytest.approx(
-        4.0 / 3.0 * 5e3 / (1.0 - 0.45**2) * np.sqrt(RADIUS_M) * 1e-3**1.5, rel=0.05
-    )
-
-
-def sentence_of(name: str, limits: LinearLimits) -> str:
-    """One line on where the linear law passes 1, 5 and 10 %, and one on the forces."""
-    depths = ", ".join(
-        f"{share:.0%} at {1e3 * limits.passed_at_m(share):.2f} mm" for share in (0.01, 0.05, 0.10)
-    )
-    pairs = zip(
-        limits.depth_m, limits.force_N[Law.NEO_HOOKEAN], limits.error(Law.LINEAR), strict=True
-    )
-    return f"\n{name}: linear force passes {depths}\n  " + "; ".join(
-        f"{1e3 * d:g} mm {f:.3f} N {e:+.1%}" for d, f, e in pairs
-    )
-
-
-@pytest.mark.slow
-def test_linear_limits_of_a_block(capsys):
-    """Linear elasticity has the expected limits in a block.
-
-    A sphere presses a soft block: the linear law is too soft, increasingly with depth, and right as
-    depth falls to zero.
-    """
-    mesh = bisected(
-        box((0.1, 0.1, 0.05), (5, 5, 3)),
-        lambda at: (
-            2.5e-3 + 0.5 * np.maximum(np.linalg.norm(at - [0.05, 0.05, 0.05], axis=1) - 6e-3, 0.0)
-        ),
-    )
-    space = Space(mesh)
-    limits = linear_limits(
-        space,
-        LIVER,
-        mesh.nodes_m[:, 2] < 1e-9,
-        point_m=(0.05, 0.05, 0.05),
-        inward=(0.0, 0.0, -1.0),
-        radius_m=RADIUS_M,
-        depths_m=DEPTHS_M,
-        laws=(Law.LINEAR, Law.NEO_HOOKEAN),
-    )
-    with capsys.disabled():
-        print(sentence_of("block 100 x 100 x 50 mm", limits))
-    error = limits.error(Law.LINEAR)
-    # A contact of few nodes jumps when one more comes in: at 1 mm by a per cent or two of the
-    # force.
-    assert abs(error[0]) < 0.03 and (np.diff(error[1:]) < 0.0).all()
-    assert limits.passed_at_m(0.01) < limits.passed_at_m(0.05) < limits.passed_at_m(0.10)
-    assert np.isnan(limits.passed_at_m(0.9))
-
-
-@pytest.mark.slow
-def test_linear_limits_of_the_procedural_liver(capsys):
-    """Linear limits hold for a liver on its visceral side, pressed on the dome."""
-    coarse = liver(spacing_m=14e-3)
-    mesh = bisected(
-        coarse, lambda at: 2e-3 + 0.5 * np.maximum(np.linalg.norm(at, axis=1) - 7e-3, 0.0)
-    )
-    held = np.isin(np.arange(len(mesh.nodes_m)), liver_region(mesh, "below"))
-    limits = linear_limits(
-        Space(mesh),
-        LIVER,
-        held,
-        point_m=(0.0, 0.0, 0.0),
-        inward=(0.0, 0.0, -1.0),
-        radius_m=RADIUS_M,
-        depths_m=DEPTHS_M,
-        laws=(Law.LINEAR, Law.NEO_HOOKEAN),
-    )
-    with capsys.disabled():
-        print(sentence_of(f"procedural liver, {len(mesh.cells)} tetrahedra", limits))
-    assert limits.passed_at_m(0.01) < limits.passed_at_m(0.05) < limits.passed_at_m(0.10)
-
-
-@pytest.mark.slow
-def test_linear_limits_of_a_real_liver(anatomy, capsys):
-    """And on a scanned one, held where it faces away from the tool."""
-    coarse, _ = tetrahedralise(
-        read_surface(anatomy / "liver" / "liver.vtk", scale_mm=1.0), edge_m=0.02
-    )
-    top = coarse.nodes_m[coarse.surface_nodes[coarse.nodes_m[coarse.surface_nodes, 2].argmax()]]
-    mesh = bisected(
-        coarse, lambda at: 2e-3 + 0.5 * np.maximum(np.linalg.norm(at - top, axis=1) - 7e-3, 0.0)
-    )
-    held = np.isin(
-        np.arange(len(mesh.nodes_m)),
-        nodes_facing(mesh, direction=(0.0, 0.0, -1.0), within_deg=50.0),
-    )
-    limits = linear_limits(
-        Space(mesh),
-        LIVER,
-        held,
-        point_m=top,
-        inward=(0.0, 0.0, -1.0),
-        radius_m=RADIUS_M,
-        depths_m=DEPTHS_M,
-        laws=(Law.LINEAR, Law.NEO_HOOKEAN),
-    )
-    with capsys.disabled():
-        print(sentence_of(f"scanned liver, {len(mesh.cells)} tetrahedra", limits))
-    assert np.isfinite(limits.passed_at_m(0.05))
-
-
-def test_how_solves_end():
-    """Solves end with every outcome other than convergence.
-
-    The causes are too few steps, and held nodes that turn cells over.
-    """
-    space = shaken_box(1)
-    held = np.repeat((np.abs(space.nodes_m[:, 2] - 0.015) > 0.015 - 1e-9)[:, None], 3, axis=1)
-    goal = np.zeros(held.shape)
-    goal[space.nodes_m[:, 2] > 0.015, 2] = -6e-3
-    body = NonlinearBody(space, LIVER, law=Law.NEO_HOOKEAN)
-    assert NewtonSolver(body, held, step_limit=1).solve(goal).outcome is SolverOutcome.NOT_CONVERGED
-    ended = NewtonSolver(body, held).solve(6.0 * goal)
-    assert ended.outcome is SolverOutcome.INVERTED and not ended.converged
-    assert NewtonSolver(body, held).solve(goal).converged
-
-
-def test_corotational_cells_can_be_pressed_flat():
-    """Corotational cells can be pressed flat.
-
-    The law has a finite energy up to a flat cell: a sphere reaches it at its radius of depth, and
-    the solve reports it.
-    """
-    space, base = block(first=3e-3)
-    body = quarter_solver(space, base, Law.COROTATIONAL).body
-    found = press(
-        body,
-        base,
-        point_m=(0.0, 0.0, 0.0),
-        inward=(0.0, 0.0, -1.0),
-        radius_m=RADIUS_M,
-        depths_m=np.arange(4e-3, 21e-3, 4e-3),
-    )
-    assert len(found) > 1 and found[-2].converged
-    assert found[-1].outcome is SolverOutcome.STALLED

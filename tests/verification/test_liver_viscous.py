@@ -3,19 +3,15 @@
 It is compared with closed forms, the direct hereditary integral, and Lee and Radok's limit.
 """
 
-import tracemalloc
-
 import numpy as np
 import pytest
-from prony_series import compliance_of, modulus_of, relaxation_of, started
-from scipy.linalg import cholesky, solve_triangular
-from scipy.optimize import nnls
+from prony_series import compliance_of, modulus_of, started
 
 from meshes.tets.structured import box
 from tissue.fem.assembly import assemble
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
-from tissue.materials.prony import HereditaryIntegral, Prony
+from tissue.materials.prony import Prony
 
 SERIES = Prony(g=(0.3, 0.3), tau_s=(0.5, 10.0))
 STEP_S = 1e-2
@@ -104,104 +100,3 @@ def test_second_order_in_time(surface):
     errors = np.abs(np.array(last) - 0.815187)
     assert np.polyfit(np.log(steps), np.log(errors), 1)[0] == pytest.approx(2.0, abs=0.2)
     assert errors[-1] < 1e-4
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_against_the_hereditary_integral(seed):
-    """Creep agrees with the hereditary integral.
-
-    Forces that appear and vanish at changing nodes are compared with the integral over the whole
-    past, term by term.
-    """
-    random = np.random.default_rng(seed)
-    share = random.dirichlet(np.ones(4))[:-1]
-    series = Prony(tuple(share), tuple(10.0 ** random.uniform(-2.0, 1.0, 3)))
-    spread = random.normal(size=(12, 12))
-    compliance = spread @ spread.T
-    forces = random.normal(size=(60, 12)) * (random.random((60, 12)) < 0.3)
-    elastic = forces @ compliance
-    creep, found = HereditaryIntegral(series.retardation, (4, 3), step_s=STEP_S), []
-    for value in elastic.reshape(-1, 4, 3):
-        found.append((creep.instant_factor * value + creep.history).ravel())
-        creep.advance(value)
-    spectrum = series.retardation
-    edge = STEP_S * np.arange(61)[:, None]
-    # integral of the creep compliance from 0 to t
-    whole = edge[:, 0] + (
-        (edge - spectrum.time_s * -np.expm1(-edge / spectrum.time_s)) * spectrum.amplitude
-    ).sum(axis=1)
-    mean = np.diff(whole) / STEP_S
-    steps = np.diff(elastic, axis=0, prepend=0.0)
-    direct = [sum(mean[n - m] * steps[m] for m in range(n + 1)) for n in range(60)]
-    np.testing.assert_allclose(found, direct, atol=1e-11 * np.abs(direct).max())
-
-
-def sphere_forces(surface, depths):
-    """Return elastic and creeping force [N] on a frictionless sphere, and the nodes in contact.
-
-    The sphere of 20 mm is pressed to these depths [m].
-    """
-    nodes, compliance = surface
-    up = compliance[2::3, 2::3]
-    factor = cholesky(up)
-    rise = np.sum((nodes[:, :2] - SIDE_M / 2) ** 2, axis=1) / 0.04
-    creep, found = HereditaryIntegral(SERIES.retardation, (len(nodes), 3), step_s=STEP_S), []
-
-    def nodal(clearance, scale):
-        """Return non-negative pushes f down that leave no node in the sphere.
-
-        They satisfy scale W f >= clearance, with equality where f > 0.
-        """
-        return nnls(
-            np.sqrt(scale) * factor,
-            solve_triangular(factor.T, clearance, lower=True) / np.sqrt(scale),
-        )[0]
-
-    for depth in depths:
-        elastic = nodal(depth - rise, 1.0)
-        push = nodal(depth - rise + creep.history[:, 2], creep.instant_factor)
-        creep.advance(-(compliance[:, 2::3] @ push).reshape(-1, 3))
-        found.append((elastic.sum(), push.sum(), np.count_nonzero(push > 0.0)))
-    return np.array(found)
-
-
-def test_growing_contact_is_lee_and_radok(surface):
-    """Growing contact follows Lee and Radok.
-
-    While the contact grows, the relaxed elastic force is right; when it shrinks, this force pulls
-    where the contact has opened.
-    """
-    ticks = np.arange(1, 101)
-    depths = 4e-3 * np.concatenate([ticks / 100.0, 1.0 - ticks / 100.0])
-    forces = sphere_forces(surface, depths)
-    assert forces[99, 2] > 4 * forces[19, 2] > 0
-    relaxed, shortcut = HereditaryIntegral(relaxation_of(SERIES), (1,), step_s=STEP_S), []
-    for elastic in forces[:, 0]:
-        shortcut.append(relaxed.instant_factor * elastic + relaxed.history[0])
-        relaxed.advance(elastic)
-    shortcut = np.array(shortcut)
-    # Nodes come in between two ticks, which is of first order: 0.3 % of the largest force at 100
-    # ticks.
-    np.testing.assert_allclose(forces[:100, 1], shortcut[:100], atol=3e-3 * shortcut.max())
-    assert shortcut[-1] < -0.02 * shortcut.max()
-    assert (forces[:, 1] >= 0.0).all()
-    lost = np.flatnonzero(forces[100:, 2] == 0)
-    assert len(lost) and depths[100 + lost[0]] > 2e-4  # it lets go of a dent that is still there
-    assert (forces[100 + lost[0] :, 2] == 0).all()
-
-
-def test_a_tick_allocates_nothing():
-    """A thousand ticks on 2,000 nodes leave memory as it was; the offset stays in place."""
-    creep, value = (
-        HereditaryIntegral(SERIES.retardation, (2000, 3), step_s=1e-3),
-        np.ones((2000, 3)),
-    )
-    place = creep.history
-    creep.advance(value)
-    tracemalloc.start()
-    for _ in range(1000):
-        creep.advance(value)
-    _, peak = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert peak < value.nbytes / 4
-    assert creep.history is place

@@ -5,15 +5,92 @@ is available for comparison. Tested are the published fit to one needle in bovin
 consequences of the model's own laws.
 """
 
-from dataclasses import replace
-from math import pi
-
+from dataclasses import (replace)
+from scipy.signal import (find_peaks)
+from tissue.models.needle.model import (Insertion, NeedleModel)
+from tissue.models.needle.parameters import (Membrane, NeedleTissue, needle_tissue, vessel_wall)
+from tissue.models.tissue_model import (ToolMotion)
+from tissue.motion.motion import (FollowPath)
+from tissue.scene.load import (load_scene)
+from tissue.simulation.simulate import (simulate)
 import numpy as np
 import pytest
-from needle_drives import CAPSULE, EXACT, FRICTION, LIVER, SPEED_M_S, drive, energy_J, pushed, trace
 
-from tissue.models.needle.model import Insertion
-from tissue.models.needle.parameters import Membrane, NeedleTissue, needle_tissue, vessel_wall
+
+
+STEP_S = 1e-3
+
+
+SPEED_M_S = 3e-3
+"""Of the needle: at a hand's pace [m/s]."""
+
+
+EXACT = 1e-12
+"""Tolerance of closed forms of a few newtons and centimetres [N], [m].
+
+They are solved once a step, so roundings do not add up.
+"""
+
+
+LIVER = needle_tissue()
+
+
+FRICTION = LIVER.friction
+
+
+CAPSULE = LIVER.membranes[0]
+
+
+def energy_J(tissue, deflection_m):
+    """Elastic energy of the deflected organ: the pull integrated."""
+    size = abs(deflection_m)
+    return (0.5 * tissue.linear_N_m + tissue.quadratic_N_m2 * size / 3.0) * size * size
+
+
+def drive(insertion, to_m, *, step_m=1e-5, speed_m_s=SPEED_M_S):
+    """Return travel, inserted length, pull and stored energy on the path to a travel.
+
+    The path starts at the present travel of the needle.
+    """
+
+    def row():
+        stored_J = energy_J(insertion.tissue, insertion.deflection_m)
+        return insertion.travel_m, insertion.inserted_m, insertion.pull_N, stored_J
+
+    count = max(round(abs(to_m - insertion.travel_m) / step_m), 1)
+    rows = [row()]
+    for travel in np.linspace(insertion.travel_m, to_m, count + 1)[1:].tolist():
+        insertion.advance(travel, speed_m_s)
+        rows.append(row())
+    return np.array(rows)
+
+
+def pushed(to_m, tissue=LIVER):
+    """A needle pushed in at the usual speed."""
+    insertion = Insertion(tissue)
+    drive(insertion, to_m)
+    return insertion
+
+
+def trace(tissue, corners_mm, *, feed_m_s=SPEED_M_S, diameter_m=1.27e-3):
+    """Drive a model along a straight path at 1 kHz.
+
+    Returns depth of the tip [mm], axial force [N] and measures.
+    """
+    points = np.zeros((len(corners_mm), 3))
+    points[:, 2] = -1e-3 * np.array(corners_mm)
+    path, motion = FollowPath(points, feed_m_s=feed_m_s, axis=(0.0, 0.0, 1.0)), ToolMotion()
+    model = NeedleModel(tissue, diameter_m=diameter_m)
+    path.begin(motion)
+    model.place(motion)
+    rows = []
+    for tick in range(int(path.duration_s / STEP_S) + 1):
+        path.advance(tick * STEP_S, STEP_S, model.respond(motion), motion)
+        model.advance(motion)
+        response = model.respond(motion)
+        rows.append((-1e3 * motion.tip_m[2], response.wrench[2], *response.measures))
+    return np.array(rows).T
+
 
 FITTED = 0.15
 """Share by which a fitted curve may miss a published number; scatter between livers is larger."""
@@ -65,18 +142,6 @@ def test_okamura_liver():
         np.diff(force[late]) / np.diff(1e-3 * insertion[late]), per_length, rtol=1e-6
     )
     assert np.abs(force[late] - start - slope * 1e-3 * mm[late]).max() < 1e-3
-
-
-def test_a_hole_that_does_not_cling_misses_the_drop():
-    """A hole that does not cling misses the drop.
-
-    With a puncture and a cutting force alone, and no hold, the force falls twice as far as
-    measured.
-    """
-    letting_go = replace(LIVER, membranes=(replace(CAPSULE, hold_N=0.0),))
-    _, force, *_ = trace(letting_go, [-1.0, 20.0])
-    peak = int(np.argmax(force))
-    assert force[peak] - force[peak + 1] > 1.8 * 0.66
 
 
 def test_the_force_after_the_puncture_balances_in_closed_form():
@@ -206,54 +271,150 @@ def test_pull_energy_and_deflection_agree(sign):
         assert LIVER.deflection_m(LIVER.pull_N(deflection)) == pytest.approx(deflection, rel=EXACT)
 
 
-def two_insertions(tissue, depth_mm):
-    """Return the work of two insertions [J] and the track's length [m].
+def test_friction_turns_round_with_a_band_in_which_the_shaft_sticks():
+    insertion = pushed(60e-3)
+    deflection, length, pull = insertion.deflection_m, insertion.inserted_m, insertion.pull_N
+    back = drive(insertion, 0.0, step_m=1e-6)
+    stuck = back[:, 1] == length
+    breakaway = CAPSULE.hold_N + FRICTION.static_out_N_m * length
+    band_m = deflection + LIVER.deflection_m(breakaway)
+    assert 60e-3 - back[stuck, 0].min() == pytest.approx(band_m, abs=1e-6)  # one step
+    assert back[0, 2] == pytest.approx(pull, rel=EXACT)
+    np.testing.assert_allclose(
+        back[stuck, 2], [LIVER.pull_N(z - length) for z in back[stuck, 0]], atol=EXACT
+    )
+    assert back[:, 2].min() == pytest.approx(-breakaway, abs=3e-4)  # 250 N/m over one step
+    sliding = ~stuck
+    np.testing.assert_allclose(
+        back[sliding, 2], -(CAPSULE.hold_N + FRICTION.sliding_out_N_m * back[sliding, 1]), atol=1e-9
+    )
 
-    The second insertion follows the track of the first to the same depth.
+
+def test_a_needle_that_stops_breaks_away_with_the_static_friction():
+    insertion = pushed(60e-3)
+    insertion.advance(60e-3, 0.0)
+    held, length = insertion.pull_N, insertion.inserted_m
+    assert insertion.drag_N_s_m == 0.0
+    assert held == pytest.approx(0.94 + 0.65 + FRICTION.sliding_in_N_m * length, rel=1e-9)
+    on = drive(insertion, 65e-3, step_m=1e-6)
+    peak = 0.94 + 0.65 + FRICTION.static_in_N_m * length
+    assert on[:, 2].max() == pytest.approx(peak, abs=3e-4)
+    assert on[np.argmax(on[:, 2]) + 1, 2] == pytest.approx(
+        0.94 + 0.65 + FRICTION.sliding_in_N_m * length, rel=0.02
+    )
+    np.testing.assert_allclose(insertion.pull_N, pushed(65e-3).pull_N, rtol=EXACT)
+
+
+def test_a_needle_that_turns_round_twice_breaks_away_with_the_static_friction():
+    insertion = pushed(60e-3)
+    length = insertion.inserted_m
+    assert insertion.drag_N_s_m > 0.0
+    drive(insertion, 58e-3)
+    assert insertion.drag_N_s_m == 0.0
+    on = drive(insertion, 65e-3, step_m=1e-6)
+    assert on[:, 2].max() == pytest.approx(0.94 + 0.65 + FRICTION.static_in_N_m * length, abs=3e-4)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.999, 1.001, 20.0])
+def test_slower_than_half_the_band_it_creeps_under_static_friction(share):
+    insertion = pushed(40e-3)
+    speed, creeping = 0.5 * share * FRICTION.stick_band_m_s, share < 1.0
+    drive(insertion, 45e-3, speed_m_s=speed)
+    per_length = FRICTION.static_in_N_m if creeping else FRICTION.sliding_in_N_m
+    assert insertion.pull_N == pytest.approx(
+        0.94 + 0.65 + per_length * insertion.inserted_m, rel=1e-9
+    )
+    assert insertion.drag_N_s_m == (
+        0.0 if creeping else FRICTION.viscous_in_N_s_m2 * insertion.inserted_m
+    )
+    drive(insertion, 10e-3, speed_m_s=speed)
+    per_length = FRICTION.static_out_N_m if creeping else FRICTION.sliding_out_N_m
+    assert insertion.pull_N == pytest.approx(-0.65 - per_length * insertion.inserted_m, rel=1e-9)
+    assert insertion.drag_N_s_m == (
+        0.0 if creeping else FRICTION.viscous_out_N_s_m2 * insertion.inserted_m
+    )
+
+
+PEAKS_MM = np.array([19.0, 28.0, 32.0, 36.0])
+
+
+PEAKS_N = np.array([2.3, 1.9, 1.6, 1.4])
+
+
+FIFTH = 0.2
+
+
+STIFF = {
+    "linear_N_mm": 0.45,
+    "quadratic_N_mm2": 0.0,
+    "capsule_puncture_N": 0.3,
+    "capsule_hold_N": 0.0,
+    "cutting_N": 0.27,
+    "sliding_in_N_m": 2.5,
+    "static_in_N_m": 3.0,
+    "viscous_in_N_s_m2": 0.0,
+}
+"""Organ of 0.45 N/mm whose holes do not cling.
+
+It is as stiff at every deflection as the cited one at 39 mm.
+"""
+
+
+def scene_of(folder):
+    """Return the scene whose membranes lie in front of the peaks by the organ's deflection.
+
+    The tip touches each membrane one deflection before it breaks.
     """
-    mm, force, length, *_ = trace(tissue, [-1.0, depth_mm, -30.0, depth_mm], feed_m_s=20e-3)
-    deep = int(np.flatnonzero(mm > depth_mm - 1e-6)[0])
-    out = deep + int(np.argmin(mm[deep:]))
-    works = [
-        np.sum(0.5e-3 * (force[part][1:] + force[part][:-1]) * np.diff(mm[part]))
-        for part in (slice(0, deep + 1), slice(out, None))
+    lines = [
+        f'[needle.liver.{k}]\nvalue = {v}\nrange = [{v}, {v}]\nsource = "t"\nconfidence = "L"'
+        for k, v in STIFF.items()
     ]
-    return *works, 1e-3 * length[deep]
+    (folder / "organ.toml").write_text("\n".join(lines), "utf-8")
+    names = [f"membrane {number}" for number in range(1, 5)]
+    friction_N = 1e-3 * STIFF["static_in_N_m"] * (PEAKS_MM - PEAKS_N / STIFF["linear_N_mm"])
+    return load_scene(
+        "needle",
+        {
+            "materials": str(folder / "organ.toml"),
+            "anatomy.interval_ms": 0.0,
+            "anatomy.membrane_depths_mm": dict(
+                zip(names, PEAKS_MM - PEAKS_N / STIFF["linear_N_mm"], strict=True)
+            ),
+            "anatomy.membrane_punctures_N": dict(zip(names, PEAKS_N - friction_N, strict=True)),
+            "anatomy.membrane_holds_N": dict.fromkeys(names, 0.0),
+            "motion.points_mm": [[0, 0, 2], [0, 0, -45]],
+            "motion.feed_mm_s": 5.0,
+            "duration_s": None,
+        },
+    )
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("toughness_J_m2", [76.0, 164.0, 225.0])
-def test_toughness_is_recovered_from_the_work_of_two_insertions(toughness_J_m2):
-    """Toughness is recovered from the work of two insertions.
+def test_a_stiff_organ_with_four_membranes_has_the_shape(tmp_path):
+    trace = simulate(scene_of(tmp_path)).trace
+    force, mm = trace["model_force_z_N"], -trace["tool_z_mm"]
+    at, _ = find_peaks(force, prominence=0.5)
+    left = force[at + 1] / force[at]
+    print("peaks", mm[at], "mm", force[at], "N, left of them", left)
+    np.testing.assert_allclose(mm[at], PEAKS_MM, atol=0.02)
+    np.testing.assert_allclose(force[at], PEAKS_N, rtol=5e-3)
+    assert left.mean() == pytest.approx(FIFTH, abs=0.01)
+    np.testing.assert_allclose(left, FIFTH, atol=0.07)
 
-    It is the work of a first insertion less the work of a second along its track, per area of the
-    crack (Gokgol 2012). The difference between two depths leaves the steady part, without the cost
-    of the capsule. The trapezium over ticks of 20 µm in a force of a newton is good to 1e-3; the
-    case asks for 5 %.
+
+def test_the_cited_organ_comes_to_the_first_two_only():
+    """The cited organ has the first two peaks only.
+
+    Between two peaks the tip moves at most as far as the organ's deflection grows: closed form of
+    the polynomial. Even where every fall to a fifth is granted, the third peak, 4 mm farther, is
+    below 1.4 N. To reach 1.4 N the force may not have fallen below a third.
     """
-    width_m = 1.27e-3
-    tissue = replace(LIVER, cutting_N=toughness_J_m2 * width_m)
-    (first, second, short_m), (first_deep, second_deep, long_m) = (
-        two_insertions(tissue, at) for at in (40.0, 60.0)
-    )
-    work_J = (first_deep - second_deep) - (first - second)
-    found = work_J / ((long_m - short_m) * width_m)
-    print(
-        f"\n{toughness_J_m2:g} J/m2 put in, {found:.1f} recovered; "
-        f"{work_J / (20e-3 * width_m):.1f} per tip travel"
-    )
-    assert found == pytest.approx(toughness_J_m2, rel=0.05)
-    assert work_J / (20e-3 * width_m) < found, (
-        "the organ yields: the track is shorter than the tip's travel"
-    )
-
-
-def test_the_cutting_force_of_liver_is_more_than_its_fracture():
-    """The cutting force of liver is more than its fracture.
-
-    0.94 N over a crack as wide as the needle would be 740 J/m2, or 236 J/m2 over a crack around its
-    whole circumference.
-    """
-    diameter_m = 1.27e-3
-    assert 740.0 * diameter_m == pytest.approx(LIVER.cutting_N, rel=1e-2)
-    assert 225.0 * pi * diameter_m < LIVER.cutting_N
+    tissue = needle_tissue()
+    for fallen_N in FIFTH * np.array([1.4, 2.3]):
+        deflections = tissue.deflection_m(float(fallen_N)) + 1e-3 * np.diff(PEAKS_MM)
+        reached = [tissue.pull_N(float(each)) for each in deflections]
+        print(f"from {fallen_N:.2f} N the next peak comes to", np.round(reached, 2), "N at most")
+        assert reached[0] > 1.2 and max(reached[1:]) < 1.0
+    least = tissue.pull_N(tissue.deflection_m(1.4) - 4e-3)
+    print(f"4 mm before 1.4 N the force is {least:.2f} N, {least / 1.9:.0%} of the peak before it")
+    assert least / 2.3 > 1.4 * FIFTH
+    assert least == pytest.approx(0.78, abs=0.05)

@@ -5,16 +5,15 @@ tolerance of the validation case (case 23: 1e-9). Lengths are in metres, so it s
 nanometre.
 """
 
-from itertools import pairwise
-
+from itertools import (pairwise)
+from scipy.optimize import (brentq)
+from scipy.spatial.transform import (Rotation)
+from tissue.haptics.proxy.proxy import (Ball, Box, ContactField, HalfSpace, Proxy, ToolShell)
+from tissue.motion.quaternion import (turn_between)
 import numpy as np
 import pytest
-from scipy.optimize import brentq
-from scipy.spatial.transform import Rotation
 
-from tissue.haptics.proxy.proxy import Ball, Box, ContactField, HalfSpace, Proxy, ToolShell
-from tissue.haptics.renderer import ProxyRenderer
-from tissue.motion.quaternion import turn_between
+
 
 EXACT = 1e-9
 STIFFNESS = 1000.0
@@ -73,22 +72,6 @@ def test_inner_corner_of_two_and_three_planes():
             assert result.position_m == pytest.approx(expected, abs=EXACT)
 
 
-def test_sharp_inner_corner_needs_both_planes_at_once():
-    """A sharp inner corner needs both planes at once.
-
-    In a wedge of 30 degrees, a device below its apex, inside both walls, leaves the proxy in the
-    apex.
-    """
-    half = np.radians(15.0)
-    walls = [
-        HalfSpace((0.0, 0.0, 0.0), (side * np.cos(half), 0.0, np.sin(half))) for side in (-1.0, 1.0)
-    ]
-    proxy = point_on(*walls, start=(0.0, 0.0, 5e-3))
-    result = walk(proxy, (0.0, 0.0, 5e-3), (1e-4, 1e-3, -3e-3))
-    assert result.position_m == pytest.approx(at(0.0, 1e-3, 0.0), abs=EXACT)
-    assert result.contacts == 2
-
-
 @pytest.mark.parametrize("radius", [0.5e-3, 2e-3])
 def test_ball_on_a_convex_edge_and_corner(radius):
     """A ball's proxy on a convex edge or corner lies at its radius from it.
@@ -106,22 +89,6 @@ def test_ball_on_a_convex_edge_and_corner(radius):
     proxy.place(3.0 * radius * direction)
     result = walk(proxy, 3.0 * radius * direction, 0.7 * radius * direction)
     assert result.position_m == pytest.approx(radius * direction, abs=EXACT)
-
-
-def test_point_slides_off_a_convex_edge_and_is_free():
-    """A point slides off a convex edge and is free.
-
-    Dragged under the surface past an edge, the proxy leaves the top face there and joins the
-    device.
-    """
-    proxy = point_on(Box((0.0, 0.0, -5e-3), (10e-3, 10e-3, 10e-3)), start=(0.0, 0.0, 1e-3))
-    walk(proxy, (0.0, 0.0, 1e-3), (0.0, 0.0, -1e-3))
-    assert walk(proxy, (0.0, 0.0, -1e-3), (4.9e-3, 0.0, -1e-3)).position_m == pytest.approx(
-        at(4.9e-3, 0.0, 0.0), abs=EXACT
-    )
-    result = walk(proxy, (4.9e-3, 0.0, -1e-3), (5.2e-3, 0.0, -1e-3))
-    assert (result.position_m == at(5.2e-3, 0.0, -1e-3)).all()
-    assert result.settled and not result.contacts
 
 
 def test_thin_wall_holds_where_the_nearest_point_pops_through():
@@ -183,61 +150,6 @@ def test_friction_sticks_if_and_only_if_the_pull_is_inside_the_cone():
             )
 
 
-def test_friction_changes_nothing_where_planes_hold_every_direction():
-    """Friction changes nothing where planes hold every direction.
-
-    In a corner of three planes the friction is not determined, and the proxy rests there all the
-    same.
-    """
-    planes = [HalfSpace((0.0, 0.0, 0.0), normal) for normal in np.eye(3)]
-    proxy = point_on(*planes, start=(1e-3, 2e-3, 1e-3), friction=0.1)
-    for device in ((-1e-3, -2e-3, -3e-3), (-2e-3, -1e-3, -1e-3), (-3e-3, -2e-3, -4e-3)):
-        result = walk(proxy, (1e-3, 2e-3, 1e-3), device)
-        assert result.position_m == pytest.approx(STILL, abs=EXACT)
-        assert result.push_m == pytest.approx(-at(*device), abs=EXACT)
-
-
-def test_friction_starts_where_the_surface_is_met():
-    """Friction starts where the device touches the surface.
-
-    A device that comes down at a slant sticks where its path crosses the plane, not below its
-    start.
-    """
-    proxy = point_on(PLANE, start=(0.0, 0.0, 1.03e-3), friction=2.0)
-    result = walk(
-        proxy, (0.0, 0.0, 1.03e-3), (1.03e-3, 0.0, 0.0), (1.33e-3, 0.0, -0.3e-3), feed=0.17e-3
-    )
-    assert result.position_m == pytest.approx(at(1.03e-3, 0.0, 0.0), abs=EXACT)
-
-
-def test_friction_on_a_slope_holds_below_its_angle():
-    """Pushed straight down on a slope a point stays if the slope is not steeper than arctan(mu)."""
-    for angle, stays in ((0.28, True), (0.31, False)):
-        slope = HalfSpace((0.0, 0.0, 0.0), (np.sin(angle), 0.0, np.cos(angle)))
-        proxy = point_on(slope, start=(0.0, 0.0, 1e-6), friction=0.3)
-        result = walk(proxy, (0.0, 0.0, 1e-6), (0.0, 0.0, -5e-3))
-        assert (np.linalg.norm(result.position_m) < 1e-6) == stays  # arctan(0.3) = 0.2915
-
-
-def sphere_shell(radius, count=800):
-    """Points of a Fibonacci lattice on a sphere about the origin, the lowest one exactly below."""
-    height = 1.0 - 2.0 * np.arange(count) / (count - 1)
-    angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
-    ring = np.sqrt(np.maximum(1.0 - height**2, 0.0))
-    normals = np.column_stack([ring * np.cos(angle), ring * np.sin(angle), height])
-    return ToolShell(radius * normals, normals)
-
-
-def test_sphere_of_shell_points_on_a_plane():
-    """The exact depth, and no torque about the centre."""
-    proxy = Proxy(sphere_shell(3e-3), ContactField(PLANE), lever_m=0.02)
-    proxy.place(at(0.0, 0.0, 4e-3))
-    result = walk(proxy, (0.0, 0.0, 4e-3), (1e-3, 0.0, 2.2e-3), quaternion=at(0.0, 0.0, 0.0, 1.0))
-    assert result.position_m == pytest.approx(at(1e-3, 0.0, 3e-3), abs=EXACT)
-    assert result.push_m == pytest.approx(at(0.0, 0.0, 0.8e-3), abs=EXACT)
-    assert result.push_moment_m2 == pytest.approx(STILL, abs=1e-12)
-
-
 def box_shell(half, *, spacing=1e-3):
     """Points over a box's lower and upper face, and its edges between them."""
     rows = [np.linspace(-h, h, int(np.ceil(2 * h / spacing)) + 1) for h in half]
@@ -258,33 +170,6 @@ def box_on_plane(device, turn):
         pose = Rotation.from_rotvec(share * np.asarray(turn)).as_quat()
         result = proxy.advance(at(0, 0, 0.02) + share * (device - at(0, 0, 0.02)), pose)
     return result, pose
-
-
-def test_box_flat_on_a_plane_is_balanced():
-    """Pushed straight down: the depth is exact, the torque zero, however many points touch."""
-    result, _ = box_on_plane(at(1e-3, 0.0, HALF[2] - 1e-3), (0.0, 0.0, 0.0))
-    assert result.position_m == pytest.approx(at(1e-3, 0.0, HALF[2]), abs=EXACT)
-    assert result.push_m == pytest.approx(at(0.0, 0.0, 1e-3), abs=EXACT)
-    assert result.push_moment_m2 == pytest.approx(STILL, abs=1e-12)
-
-
-def test_tilted_device_of_a_box_that_lies_flat():
-    """A box that lies flat resists a tilted device.
-
-    While the push lies within the base the box is flat, and the torque is the rotational spring's:
-    k l^2 theta.
-    """
-    tilt = 0.04  # l^2 theta = 1.6e-5 < depth x half width = 2.4e-5
-    result, pose = box_on_plane(at(0.0, 0.0, HALF[2] - 4e-3), (0.0, tilt, 0.0))
-    assert np.array(turn_between(result.quaternion, at(0.0, 0.0, 0.0, 1.0))) == pytest.approx(
-        STILL, abs=EXACT
-    )
-    assert result.position_m[2] == pytest.approx(HALF[2], abs=EXACT)
-    torque = STIFFNESS * LEVER**2 * np.array(turn_between(pose, result.quaternion))
-    assert torque == pytest.approx(
-        at(0.0, -STIFFNESS * LEVER**2 * tilt, 0.0), abs=STIFFNESS * EXACT
-    )
-    assert STIFFNESS * result.push_moment_m2 == pytest.approx(torque, abs=1e-9)
 
 
 def test_tilted_box_on_its_edge():
@@ -310,29 +195,3 @@ def test_tilted_box_on_its_edge():
     assert result.push_moment_m2[1] == pytest.approx(
         -(low(phi)[0] - height) * low(phi)[1], abs=1e-12
     )
-
-
-def test_one_ball_rolls_off_another():
-    """One ball rolls off another.
-
-    Pressed next to the top of a ball, the proxy ends on the line through the device (a smooth,
-    convex surface).
-    """
-    proxy = point_on(Ball((0.0, 0.0, 0.0), 5e-3), start=(0.0, 0.0, 8e-3), radius=2e-3)
-    device = 6e-3 * at(0.28, 0.0, 0.96)
-    result = walk(proxy, (0.0, 0.0, 8e-3), (0.0, 0.0, 6.5e-3), device)
-    assert result.position_m == pytest.approx(7e-3 * device / np.linalg.norm(device), abs=EXACT)
-
-
-def test_coupling_and_wall_in_series():
-    """Coupling and wall act in series.
-
-    Case 22: 1200 N/m against 1e4 N/m feels like 1071 N/m; two springs in a row share the force.
-    """
-    felt, push = 1.0 / (1.0 / 1200.0 + 1.0 / 1e4), 2e-3
-    assert felt == pytest.approx(1071.4, abs=0.1)
-    wall_gives = push - push * felt / 1200.0
-    moved = at(0.0, 0.0, -wall_gives), at(0.0, 0.0, -push)
-    force = ProxyRenderer(1200.0).render(moved[1], STILL, moved[0], STILL, 1e-3)
-    assert force[2] == pytest.approx(1e4 * wall_gives, rel=1e-12)
-    assert force[2] == pytest.approx(felt * push, rel=1e-12)

@@ -105,14 +105,6 @@ def test_where_nothing_is_left_nothing_is_felt(name, frame):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["across 45", "deeper 0.05", "aside 0.1"])
-def test_what_little_is_left_is_felt(name):
-    error, true = second_pass(LITTLE[name], FRAMES["turned"])
-    print(f"\n{name}: {100 * error:.2f} % of the full cut, true force {100 * true:.1f} %")
-    assert true > 0.1 and error < LITTLE_LEFT
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("name", [*NOTHING, *LITTLE])
 def test_every_second_pass_in_turned_and_shifted_frames(name):
     corners, frames = (NOTHING | LITTLE)[name], Rotation.random(4, random_state=4)

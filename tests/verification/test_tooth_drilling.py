@@ -1,24 +1,13 @@
 """A drilled tooth: what is booked as removed, stress after warm starts, dentin over the pulp."""
 
+from tissue.models.tooth import (stress_process)
+from tissue.models.tooth.field import (StressField)
 import numpy as np
 import pytest
-
 import tissue
-from meshes.voxels.volume import VoxelVolume
-from tissue.cutters.cutter import Cutter
-from tissue.cutters.profile import ball_burr
-from tissue.materials.constants import cutting_coefficients
-from tissue.models.bone.bricks import voxels_of
-from tissue.models.bone.model import BoneModel
-from tissue.models.tissue_model import ToolMotion
-from tissue.models.tooth import stress_process
-from tissue.models.tooth.field import TOOTH, StressField
-from tissue.models.tooth.grid import FULL_STEPS
-from tissue.models.tooth.model import ToothModel
 
-MM = 1e-3
-SPACING_M = 0.05 * MM
-RADIUS_M = 0.5 * MM
+
+
 DEEP = {
     "voxels.spacing_mm": 0.1,
     "stress.cell_mm": 0.8,
@@ -73,24 +62,6 @@ def drilled():
         return Drilled(patch)
 
 
-def test_the_tooth_gives_by_micrometres_per_newton(drilled):
-    """The tooth moves by micrometres per newton.
-
-    In its ligament it moves by 1 to 20 um/N, the smallest along its axis; the compliance is that of
-    a passive body.
-    """
-    compliance = drilled.model.stress.compliance
-    assert np.array_equal(compliance.matrix, compliance.matrix.T)
-    assert np.linalg.eigvalsh(compliance.matrix)[0] > 0.0
-    assert compliance.asymmetry < 1e-3
-    give = 1e6 * np.diag(compliance.matrix)[:3]
-    assert ((give > 0.5) & (give < 20.0)).all() and give[2] == give.min()
-    moved = drilled.trace["tooth_centroid_z_um"][drilled.inside("enamel")].mean()
-    assert moved == pytest.approx(
-        -give[2] * drilled.force[drilled.inside("enamel")].mean(), rel=0.05
-    )
-
-
 def test_what_is_booked_is_what_is_missing(drilled):
     """Removed volume per layer equals the missing volume in the voxels, exactly."""
     bone = drilled.model.milling
@@ -100,28 +71,6 @@ def test_what_is_booked_is_what_is_missing(drilled):
     lost = dict(zip(bone.layer_names, bone.removed_steps, strict=True))
     assert min(lost["enamel"], lost["dentin"], lost["pulp"]) > 0
     assert lost["caries"] == lost["ligament"] == lost["bone"] == 0
-
-
-def test_particles_lose_what_the_voxels_lose(drilled):
-    """Particles lose the volume that the voxels lose, within 1 %.
-
-    A particle at the surface holds less than the finer voxels in its place, or more.
-    """
-    model = drilled.model
-    volume, field = model.milling.store.volume, model.stress.field
-    left = model.remaining()
-    store = model.milling.store
-    rows, now = store.take_touched()
-    voxels, steps = voxels_of(store.places, rows, model.stress._before[rows].astype(np.int64) - now)
-    field.remove(voxels, steps, origin_m=volume.origin_m, spacing_m=volume.spacing_m)
-    body = field.body
-    share = 1.0 - body.cells.remaining / FULL_STEPS
-    particles = float((body.particles.volume_m3[body.cells.order] * share).sum())
-    tooth = np.isin(volume.layer, [volume.layer_names.index(name) for name in TOOTH])
-    voxels = (
-        float((volume.fraction - left)[tooth].sum(dtype=np.int64)) / 255 * volume.voxel_volume_m3
-    )
-    assert particles == pytest.approx(voxels, rel=0.01)
 
 
 def test_stress_after_warm_starts_is_that_of_a_cold_solve(drilled):
@@ -161,94 +110,3 @@ def test_the_pulp_is_reported_before_it_is_hit(drilled):
     assert drilled.trace["removed_pulp_mm3"][-1] > 0.0
     over = drilled.trace["dentin_over_pulp_mm"]
     assert (np.diff(over) <= 0.0).all() and over[0] > 3.0 and over[-1] == 0.0
-
-
-def test_forces_are_those_of_preparing_a_tooth(drilled):
-    """Forces are those of preparing a tooth.
-
-    Enamel lies within the published 0.1 to 4.9 N of tooth preparation, and is more than three times
-    dentin's force.
-    """
-    enamel, dentin = (
-        drilled.force[drilled.inside("enamel")],
-        drilled.force[drilled.inside("dentin")],
-    )
-    assert len(enamel) > 400 and len(dentin) > 1000
-    for force in (enamel, dentin):
-        assert force.min() > 0.1 and force.max() < 4.9
-    assert enamel.mean() / dentin.mean() > 3.0
-
-
-def dentin_over(pulp_distance):
-    """Return a bur over a pulp, in a block of dentin with its top at z = 0.
-
-    The pulp is given by its distance function of points [m].
-    """
-    shape = (60, 40, 70)
-    origin = SPACING_M * np.array([-30.0, -20.0, -70.0])
-    centres = origin + SPACING_M * (np.stack(np.indices(shape), axis=-1) + 0.5)
-    layer = (pulp_distance(centres) < 0.0).astype(np.uint8)
-    volume = VoxelVolume(
-        origin,
-        SPACING_M,
-        np.full(shape, 255, np.uint8),
-        layer,
-        np.full(shape, 2100, np.uint16),
-        ("dentin", "pulp"),
-    )
-    model = ToothModel(
-        BoneModel(
-            volume,
-            Cutter(ball_burr(diameter_m=2.0 * RADIUS_M), 6, 41888.0),
-            (cutting_coefficients("dentin"), cutting_coefficients("soft")),
-        )
-    )
-    motion = ToolMotion(tip_m=np.array([0.0, 0.0, 1.0 * MM]))
-    model.place(motion)
-
-    def at(tip_mm):
-        motion.tip_m[:] = MM * np.array(tip_mm)
-        model.advance(motion)
-        return float(model.respond(motion).measures[0])
-
-    return model, at
-
-
-def test_dentin_over_a_flat_pulp():
-    """The dentin over a flat pulp is the tip's height over it, within half a voxel.
-
-    Once the bur moves up again it stays at the smallest height.
-    """
-    model, at = dentin_over(lambda x: x[..., 2] + 2.0 * MM)
-    for depth in np.linspace(0.05, 1.95, 39):
-        assert at((0.3, 0.1, -depth)) == pytest.approx(2.0 - depth, abs=0.5e3 * SPACING_M)
-    least = at((0.3, 0.1, -1.95))
-    assert at((0.3, 0.1, 0.0)) == at((-0.2, 0.0, -1.0)) == least
-    assert model.notices == [
-        f"less than {limit} mm of dentin is left over the pulp" for limit in ("1", "0.5")
-    ]
-
-
-def test_dentin_over_a_round_pulp():
-    """The dentin over a round pulp is the gap between two spheres as the bur comes down next to it.
-
-    The tolerance is half a voxel.
-    """
-    centre, radius = np.array([0.1, 0.0, -2.2]), 0.8
-    _, at = dentin_over(lambda x: np.linalg.norm(x - MM * centre, axis=-1) - radius * MM)
-    before = np.inf
-    for depth in np.linspace(0.05, 1.3, 26):
-        tip = np.array([0.4, -0.2, -depth])
-        ball = tip + np.array([0.0, 0.0, 1e3 * RADIUS_M])
-        found = at(tip)
-        exact = np.linalg.norm(ball - centre) - radius - 1e3 * RADIUS_M
-        assert found == pytest.approx(exact, abs=0.5e3 * SPACING_M)
-        assert found <= before
-        before = found
-
-
-def test_exposure_is_reported_once():
-    model, at = dentin_over(lambda x: x[..., 2] + 1.0 * MM)
-    for depth in (0.2, 0.6, 0.9, 1.1, 1.3, 0.5, 1.2):
-        at((0, 0, -depth))
-    assert model.notices.count("the pulp is exposed") == 1 and len(model.notices) == 3

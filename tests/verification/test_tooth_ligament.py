@@ -3,14 +3,16 @@
 The closed forms depend neither on the voxels nor on the frame.
 """
 
+from scipy.spatial.transform import (Rotation)
+from tissue.models.tooth.body import (ParticleBody)
+from tissue.models.tooth.grid import (HexGrid, NodeSupports, ParticleSet, bed_springs, bed_stiffness)
+from tissue.models.tooth.recovery import (support_compliance)
+from tissue.models.tooth.supports import (PointSprings)
+from tooth_bodies import (block)
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
-from tooth_bodies import block
 
-from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.grid import HexGrid, NodeSupports, ParticleSet, bed_springs, bed_stiffness
-from tissue.models.tooth.recovery import support_compliance
+
 
 MM = 1e-3
 ACROSS, ALONG = 11e9, 1e9  # [N/m3], their ratio that of a Poisson's ratio of 0.45
@@ -146,22 +148,34 @@ def test_a_turned_frame_gives_the_same_compliance_turned():
     assert worst < 0.03
 
 
-def test_rigid_block_on_a_bed():
-    """It gives by 1 / (k A) along each axis. The bed acts at the voxels' centres, half of one
-    above the border.
+EDGE = 1e-3
+
+
+STIFF = 1e15  # [Pa], a million times what the supports are: the block moves as a rigid one to 1e-6
+
+
+def test_stiff_block_on_springs():
+    """A stiff block on springs has the exact stiffness.
+
+    With springs S in any direction at random points it is K = sum R^T S R over them, about a point
+    above, where the motions couple.
     """
-    particles, grid = block((4, 4, 3), 1 * MM, modulus_Pa=RIGID_PA)
-    tooth, bed = np.zeros((2, 16, 16, 13), dtype=bool)
-    tooth[:, :, 1:], bed[:, :, :1] = True, True
-    spacing = 0.25 * MM
-    springs, area = springs_on(tooth, bed, spacing_m=spacing, origin_m=(0, 0, -spacing))
+    particles, grid = block((4, 4, 4), EDGE, modulus_Pa=STIFF)
+    random = np.random.default_rng(3)
+    points = EDGE * random.uniform(0.0, 4.0, (25, 3)) * [1.0, 1.0, 0.3]
+    half = 100.0 * random.normal(size=(25, 3, 3))
+    springs = PointSprings(points, half @ half.transpose(0, 2, 1))
     body = ParticleBody(particles, grid, NodeSupports.of(grid.node_count), springs=springs)
+    reference = np.array([1e-3, 2e-3, 5e-3])
     found = support_compliance(
-        body,
-        weights=np.ones(grid.node_count),
-        reference_m=np.array([2, 2, 0.125]) * MM,
-        tolerance=1e-8,
+        body, weights=np.ones(grid.node_count), reference_m=reference, tolerance=1e-8
     )
-    assert found.converged and area == pytest.approx(16 * MM**2, rel=1e-6)
-    wanted = 1.0 / (16 * MM**2 * np.array([ALONG, ALONG, ACROSS]))
-    assert np.diag(found.matrix)[:3] == pytest.approx(wanted, rel=0.02)
+    assert found.converged
+    from tissue.models.tooth.compliance import rigid_motions
+
+    motions = rigid_motions(points, reference)
+    wanted = np.linalg.inv(np.einsum("nik,nij,njl->kl", motions, springs.stiffness_N_m, motions))
+    size = np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))
+    assert np.abs((found.matrix - wanted) / size).max() <= 1e-4
+    assert np.array_equal(found.matrix, found.matrix.T)
+    assert found.asymmetry <= 1e-6

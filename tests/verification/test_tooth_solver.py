@@ -3,14 +3,16 @@
 The tests also cover islands, removal and warm starts.
 """
 
+from functools import (cache)
+from time import (perf_counter)
+from tissue.fem.conjugate_gradients import (SolverOutcome)
+from tissue.models.tooth.body import (ParticleBody)
+from tissue.models.tooth.grid import (HexGrid, NodeSupports, ParticleSet)
+from tooth_bodies import (at_bottom, block, lattice, particle_stress)
 import numpy as np
 import pytest
-from tooth_bodies import at_bottom, block, lattice, particle_stress
 
-from tissue.fem.conjugate_gradients import SolverOutcome
-from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.grid import HexGrid, NodeSupports, ParticleSet
-from tissue.models.tooth.recovery import stress_invariants
+
 
 EDGE = 8e-3
 CONTRASTS = (1.0, 100.0, 4200.0, 42000.0)
@@ -82,47 +84,6 @@ def test_islands_and_hinges_are_debris_and_the_rest_solves():
     assert values[0] > 1e-6 * values[-1]
 
 
-@pytest.mark.parametrize(
-    "at", [(4.5e-3, 1.9e-3, 0.5e-3), (2.5e-3, 4.9e-3, 0.3e-3)], ids=["hinge", "island"]
-)
-def test_plain_assembly_is_singular_and_reports_it(at):
-    body = ParticleBody(*with_pieces(), drop_islands=False)
-    matrix = body.matrix().toarray()
-    kept = np.flatnonzero(np.diag(matrix) > 0.0)
-    values = np.linalg.eigvalsh(matrix[np.ix_(kept, kept)])
-    assert int((values < 1e-10 * values[-1]).sum()) == 7  # six of the island, one of the hinge
-    found = body.solve(body.spread(np.array(at), np.array([0.0, 1.0, -1.0])))
-    assert found.outcome in (SolverOutcome.INDEFINITE, SolverOutcome.NOT_CONVERGED)
-
-
-def test_a_load_on_debris_and_a_body_without_support_are_reported():
-    body = ParticleBody(*with_pieces())
-    load = np.zeros((body.grid.node_count, 3))
-    load[body.grid.cell_nodes[-1][-1], 2] = 1.0
-    assert body.solve(load).outcome is SolverOutcome.UNSUPPORTED
-    particles, grid, _ = with_pieces()
-    loose = ParticleBody(particles, grid, NodeSupports.of(grid.node_count))
-    assert len(loose.debris) == len(particles.layer)
-    assert loose.solve(load).outcome is SolverOutcome.UNSUPPORTED
-
-
-def test_too_few_iterations_are_reported():
-    body = ball_in_block(8, 42000.0)
-    found = body.solve(push(body), limit=2)
-    assert (
-        found.outcome is SolverOutcome.NOT_CONVERGED
-        and found.iterations == 2
-        and found.error > 1e-4
-    )
-    assert not body.displacement_m.any()
-
-
-def test_no_load_needs_no_iteration():
-    body = ball_in_block(8, 1.0)
-    found = body.solve(np.zeros((body.grid.node_count, 3)))
-    assert found.converged and found.iterations == 0 and not found.displacement_m.any()
-
-
 @pytest.mark.slow
 def test_removed_particles_leave_the_stiffness_of_a_fresh_assembly():
     """Removed particles leave the stiffness of a fresh assembly.
@@ -160,31 +121,134 @@ def test_removed_particles_leave_the_stiffness_of_a_fresh_assembly():
         assert abs(difference).max() <= 1e-10 * abs(other.blocks.matrix()).max()
 
 
-def test_stress_after_warm_starts_is_that_of_a_cold_solve():
-    """Stress after warm starts equals that of a cold solve.
+LAYERS = ("Enamel", "Dentin", "Pulp", "PDL")
 
-    A ball cuts 20 steps deep, every solve from the last: the largest stress difference is below 0.5
-    % of the largest stress.
+
+MODULUS = np.array([84e9, 18.6e9, 2e6, 50e6])
+
+
+RATIO = np.array([0.3, 0.31, 0.45, 0.45])
+
+
+MEASURED_LIGAMENT = 0.5e6  # within the measured 0.05-1 MPa; finite element papers take 50 MPa
+
+
+def inside(vertices, faces, axes):
+    """Return True for the lattice points inside a closed surface.
+
+    The winding number along vertical lines decides.
     """
-    body = ball_in_block(16, 42000.0)
-    position = body.particles.position_m
-    warm = []
-    for step in range(20):
-        tip = np.array([0.5, 0.4, 1.0]) * EDGE - [0.0, 0.0, 5e-5 * step]
-        cut = np.flatnonzero(np.linalg.norm(position - tip, axis=1) < 0.9e-3)
-        body.set_remaining(cut, np.zeros(len(cut), dtype=int))
-        body.update()
-        load = body.spread(tip - [0.0, 0.0, 0.9e-3], np.array([0.0, 0.0, -1.0]))
-        warm.append(body.solve(load))
-    cold = body.solve(load, tolerance=1e-10, cold=True)
-    kept = np.flatnonzero(body.cells.remaining[body.cells.rank])
-    ours, exact = (
-        particle_stress(body.cells, s.displacement_m, particles=kept) for s in (warm[-1], cold)
+    from meshes.voxels.column_crossings import column_crossings
+
+    x, y, z = axes
+    crossed = column_crossings(vertices, faces, x, y)
+    turns = np.zeros((len(x) * len(y), len(z) + 1), dtype=np.int64)
+    np.add.at(turns, (crossed.line, np.searchsorted(z, crossed.height)), crossed.entering)
+    return (np.cumsum(turns, axis=1)[:, :-1] > 0).reshape(len(x), len(y), len(z))
+
+
+@cache
+def labels(folder, spacing_m):
+    """Layer at every point of a lattice, -1 outside, and the lattice's lowest corner."""
+    import trimesh
+
+    meshes = [trimesh.load(folder / "tooth" / f"openmandible_L6_{name}.stl") for name in LAYERS]
+    bounds = 1e-3 * np.array([mesh.bounds for mesh in meshes])
+    low = bounds[:, 0].min(axis=0)
+    axes = [
+        np.arange(a + 0.5 * spacing_m, b, spacing_m)
+        for a, b in zip(low, bounds[:, 1].max(axis=0), strict=True)
+    ]
+    label = np.full([len(axis) for axis in axes], -1)
+    # where two overlap, pulp before enamel before dentin before ligament
+    for layer in (3, 1, 0, 2):
+        vertices, faces = (
+            1e-3 * np.asarray(meshes[layer].vertices),
+            np.asarray(meshes[layer].faces, dtype=np.int64),
+        )
+        label[inside(vertices, faces, axes)] = layer
+    return label, low
+
+
+def molar(folder, edge_m, *, ligament_Pa, shift=0.0):
+    """Return the tooth at two particles along a cell's edge.
+
+    Held are the nodes outside it that are surrounded by ligament only.
+    """
+    spacing = edge_m / 2.0
+    label, low = labels(folder, spacing)
+    layer = label[label >= 0]
+    position = low + spacing * (np.argwhere(label >= 0) + 0.5)
+    modulus = np.where(layer == 3, ligament_Pa, MODULUS[layer])
+    particles = ParticleSet(
+        position,
+        np.full(len(layer), spacing**3),
+        modulus,
+        RATIO[layer],
+        layer.astype(np.uint8),
+        np.full(len(layer), 65535, dtype=np.uint16),
     )
-    error = np.abs(ours - exact).max() / stress_invariants(exact)[0].max()
+    grid = HexGrid.around(position, edge_m=edge_m, origin_m=low - edge_m * (1.0 + shift))
+    cell, _ = grid.locate(position)
+    ligament, stiff = (
+        np.bincount(cell[m], minlength=grid.cell_count) > 0 for m in (layer == 3, layer < 3)
+    )
+    around, there = np.maximum(grid.node_cells, 0), grid.node_cells >= 0
+    count = np.where(there, np.bincount(cell, minlength=grid.cell_count)[around], 0)
+    held = (
+        (count < 8).any(axis=1)
+        & (there & ligament[around]).any(axis=1)
+        & ~(there & stiff[around]).any(axis=1)
+    )
+    return ParticleBody(particles, grid, NodeSupports.of(grid.node_count, held=held))
+
+
+def press_cusp(body):
+    enamel = np.flatnonzero(body.particles.layer == 0)
+    top = body.particles.position_m[enamel[np.argmax(body.particles.position_m[enamel, 2])]]
+    return body.spread(top, np.array([0.0, 0.0, -1.0]))
+
+
+def check(folder, edge_mm, ligament_Pa):
+    start = perf_counter()
+    body = molar(folder, 1e-3 * edge_mm, ligament_Pa=ligament_Pa)
+    built = perf_counter()
+    found = body.solve(press_cusp(body), tolerance=1e-6)
+    solved = perf_counter()
+    tooth = body.grid.cell_nodes[
+        body.cells.particle_cell[body.cells.rank[body.particles.layer < 2]]
+    ]
+    moved = np.linalg.norm(found.displacement_m[np.unique(tooth)], axis=1) * 1e6
     print(
-        f"\nwarm {[s.iterations for s in warm]} iterations, cold {cold.iterations}; stress "
-        f"off by {100 * error:.3f} %"
+        f"\n{edge_mm} mm, ligament {ligament_Pa / 1e6:g} MPa: {3 * body.grid.node_count} unknowns, "
+        f"{found.iterations} iterations, read and built in {built - start:.2f} s, solved in "
+        f"{solved - built:.2f} s; "
+        f"moves {np.median(moved):.2f} um (median), {moved.max():.2f} um (most); "
+        f"{len(body.debris)} particles loose"
     )
-    assert all(s.converged for s in warm) and cold.converged
-    assert error <= 5e-3
+    assert found.outcome.name == "CONVERGED"
+    assert found.iterations <= 30
+    return moved
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("edge_mm", [0.7, 0.4])
+@pytest.mark.parametrize("ligament_Pa", [50e6, MEASURED_LIGAMENT])
+def test_molar_solves(anatomy, edge_mm, ligament_Pa):
+    moved = check(anatomy, edge_mm, ligament_Pa)
+    if ligament_Pa == MEASURED_LIGAMENT:
+        assert 1.0 < np.median(moved) < 50.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shift", [0.13, 0.31, 0.57, 0.83])
+def test_molar_solves_wherever_the_grid_lies(anatomy, shift):
+    """The molar solves for every position of the grid.
+
+    The position cuts other cells, leaves other islands and moves particles in their cells: 13 to 15
+    iterations.
+    """
+    body = molar(anatomy, 4e-4, ligament_Pa=50e6, shift=shift)
+    found = body.solve(press_cusp(body), tolerance=1e-6)
+    print(f"\nshift {shift}: {found.iterations} iterations, {len(body.debris)} loose particles")
+    assert found.converged and found.iterations <= 20

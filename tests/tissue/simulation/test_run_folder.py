@@ -81,10 +81,7 @@ def test_a_run_is_made_again_bit_for_bit_on_any_number_of_cores(made, tmp_path, 
     themselves.
     """
     split = (
-        (
-            "import kernels.launcher as l, kernels.split_choice as c; l.SPLIT_ABOVE_S = "
-            "c.LEAST_GAIN = 0.0; "
-        )
+        ("import kernels.launcher as l; l.SPLIT_ABOVE_S = l.LEAST_GAIN = 0.0; ")
         if cores > 1
         else ""
     )

@@ -1,8 +1,14 @@
 """Sparse factorisation: exact to rounding, many right sides for one factor.
 
 Multifrontal Cholesky over nested dissection of the coordinates. At 35,000 unknowns it takes a
+<<<<<<< ours
 quarter of the time of SciPy's SuperLU with an equal order of elimination (`python
 tests/bench/bench_factor.py`).
+=======
+quarter of the time of SuperLU with an equal order of elimination (docs/decisions.md). A stiffness
+that is not positive definite to rounding is factorised by SciPy's SuperLU on diagonal pivots. The
+check of the residual applies to its solutions too.
+>>>>>>> theirs
 
 The order of elimination is nested dissection by coordinates, which keeps a factor sparse (George
 1973, SIAM J. Numer. Anal. 10:345).
@@ -15,29 +21,21 @@ is kept, and ``C - B A^-1 B^T`` is added to the front that eliminates the first 
 unknowns. Nearly all of the time is then spent in LAPACK and in BLAS of level 3.
 """
 
-from dataclasses import dataclass
-from functools import cached_property
-from itertools import pairwise
-
+from dataclasses import (dataclass)
+from functools import (cached_property)
+from itertools import (pairwise)
+from meshes.base.arrays import (Array, Flags, Ints)
+from meshes.base.errors import (InputError)
+from scipy.linalg.blas import (dsyrk, dtrsm)
+from scipy.linalg.lapack import (dpotrf, dpotri)
+from scipy.sparse import (csc_array, csr_array, tril)
+from threadpoolctl import (threadpool_limits)
+from tissue.fem.conjugate_gradients import (Solution, SolverOutcome)
+from tissue.fem.solvers.held_body import (HeldBody, components_of, pointwise_graph)
 import numpy as np
-from scipy.linalg.blas import dsyrk, dtrsm
-from scipy.linalg.lapack import dpotrf, dpotri
-from scipy.sparse import csc_array, csr_array, tril
-from threadpoolctl import threadpool_limits
 
-from meshes.base.arrays import Array, Flags, Ints
-from meshes.base.errors import InputError
-from tissue.fem.conjugate_gradients import Solution, SolverOutcome
-from tissue.fem.solvers.held_body import HeldBody, components_of, pointwise_graph
+__all__ = ["DirectSolver", "Front", "Multifrontal", "NotPositiveDefiniteError", "dissected", "fronts_of"]
 
-__all__ = [
-    "DirectSolver",
-    "Front",
-    "Multifrontal",
-    "NotPositiveDefiniteError",
-    "dissected",
-    "fronts_of",
-]
 
 
 @dataclass(frozen=True, eq=False)
