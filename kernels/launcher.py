@@ -15,20 +15,30 @@ calibration before the first launch. It is measured again while the launches run
 then less and less often.
 """
 
-from collections import (deque)
-from collections.abc import (Callable, Sequence)
-from dataclasses import (dataclass)
-from functools import (cache)
-from itertools import (pairwise)
-from kernels.cores import (CoreThreads, core_count, current_core)
-from statistics import (geometric_mean, median)
-from time import (perf_counter)
-from typing import (Any)
 import hashlib
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
+from statistics import geometric_mean, median
+from time import perf_counter
+from typing import Any
+
 import warp as wp
 
-__all__ = ["LEAST_GAIN", "LaunchCounts", "SPLIT_ABOVE_S", "SplitChoice", "SplitLaunch", "calibrate", "launch_counts", "run_split"]
+from kernels.cores import CoreThreads, core_count, current_core
 
+__all__ = [
+    "LEAST_GAIN",
+    "SPLIT_ABOVE_S",
+    "LaunchCounts",
+    "SplitChoice",
+    "SplitLaunch",
+    "calibrate",
+    "launch_counts",
+    "run_split",
+]
 
 
 LEAST_GAIN = 1.1

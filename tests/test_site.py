@@ -1,17 +1,17 @@
 """Inputs of the site: tables of scene keys, examples as pages, code of its pages, link checks."""
 
-from pathlib import (Path)
-from tissue.scene.texts import (schema_text)
 import importlib.util
 import json
 import os
-import pytest
 import re
 import subprocess
 import sys
+from pathlib import Path
+
+import pytest
+
 import tissue
-
-
+from tissue.scene.texts import schema_text
 
 ROOT = Path(__file__).resolve().parents[1]
 LESSONS = [ROOT / "docs/start.md", *sorted((ROOT / "docs/guide").glob("*.md"))]

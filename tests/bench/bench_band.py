@@ -6,21 +6,21 @@ The error is taken against many samples.
 its band.
 """
 
-from harness import (machine)
-from scipy.optimize import (brentq)
-from scipy.special import (ndtri)
-from time import (process_time)
-from tissue.fitting.bands.band import (band_of)
-from tissue.fitting.bands.sample import (Ranges, normals)
-from tissue.fitting.bands.sample_loads import (LEVELS, Reweighed)
-from tissue.materials.constants import (Prior, constants)
-from tissue.scene.load import (load_scene)
-from tissue.simulation.load_record import (record_loads)
-from tissue.simulation.simulate import (simulate)
 import argparse
+from time import process_time
+
 import numpy as np
+from harness import machine
+from scipy.optimize import brentq
+from scipy.special import ndtri
 
-
+from tissue.fitting.bands.band import band_of
+from tissue.fitting.bands.sample import Ranges, normals
+from tissue.fitting.bands.sample_loads import LEVELS, Reweighed
+from tissue.materials.constants import Prior, constants
+from tissue.scene.load import load_scene
+from tissue.simulation.load_record import record_loads
+from tissue.simulation.simulate import simulate
 
 ENDS = (0.05, 0.5, 0.95)
 SEEDS = range(10)

@@ -7,15 +7,16 @@ truth, next to staircases. (3) Interval coverage, and the bias that heavy tails 
 Run: python tests/bench/bench_calibration.py [trial] [staircase] [coverage]
 """
 
-from harness import (cost_of, machine, table)
-from scipy.special import (ndtri)
-from staircase import (Staircase)
-from tissue.evaluation.calibration.observers import (SimulatedObservers, draw_observers)
-from tissue.perception.adaptive import (AdaptiveThreshold, ThresholdPrior, comparisons)
-from tissue.perception.laws import (D_PRIME_75, two_interval)
-import numpy as np
 import sys
 
+import numpy as np
+from harness import cost_of, machine, table
+from scipy.special import ndtri
+from staircase import Staircase
+
+from tissue.evaluation.calibration.observers import SimulatedObservers, draw_observers
+from tissue.perception.adaptive import AdaptiveThreshold, ThresholdPrior, comparisons
+from tissue.perception.laws import D_PRIME_75, two_interval
 
 
 def equal_people(count: int, **given: float) -> SimulatedObservers:

@@ -9,21 +9,20 @@ distances kept in steps four times as coarse (what that adds, in squares, is 15 
 part), and with layer distances along the normal.
 """
 
-from collections.abc import (Callable)
-from dataclasses import (replace)
-from force_errors import (error_of_force)
-from harness import (machine, table)
-from meshes.voxels.distances import (BOUNDARY_STEPS, FAR, INSIDE, OUTSIDE, SURFACE_ZERO)
-from meshes.voxels.volume import (VoxelVolume)
-from scipy.spatial.transform import (Rotation)
-from tissue.cutters.cutter import (Cutter)
-from tissue.cutters.profile import (ball_burr)
-from tissue.evaluation.reference.history import (ReferenceForce)
-from voxel_cuts import (BONE, VoxelCut, layered, over_50_ms, relative)
 import argparse
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
+from harness import machine, table
+from scipy.spatial.transform import Rotation
+from voxel_cuts import BONE, VoxelCut, layered, over_50_ms, relative
 
-
+from meshes.voxels.distances import BOUNDARY_STEPS, FAR, INSIDE, OUTSIDE, SURFACE_ZERO
+from meshes.voxels.volume import VoxelVolume
+from tissue.cutters.cutter import Cutter
+from tissue.cutters.profile import ball_burr
+from tissue.evaluation.reference.history import ReferenceForce
 
 RADIUS_M, FEED_M_S = 1.5e-3, 4e-3
 CUTTER = Cutter(ball_burr(diameter_m=2.0 * RADIUS_M), 6, 1000.0)

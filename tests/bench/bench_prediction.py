@@ -11,26 +11,26 @@ zero-order hold, the residual latency, and the worst share over the held-out mov
 misses its target, its components are printed. Two processes record and score.
 """
 
-from collections.abc import (Collection)
-from concurrent.futures import (ProcessPoolExecutor)
-from dataclasses import (dataclass)
-from harness import (machine, table)
-from meshes.base.errors import (InputError)
-from motor_score import (motor_score, recorded_ideal_N)
-from pathlib import (Path)
-from tissue.evaluation.training import (Recorder, Recording, trial)
-from tissue.prediction.look_ahead import (LookAhead)
-from tissue.prediction.predictor import (Contact, Predictor, SeesContact)
-from tissue.prediction.trained import (Trained, shipped_file)
-from tissue.scene.load import (changed, load_scene)
-from tissue.scene.registry import (PREDICTORS)
-from tissue.scene.scene import (Scene)
-from tissue.simulation.builders.prediction import (trained_predictor)
 import argparse
-import numpy as np
 import os
+from collections.abc import Collection
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
 
+import numpy as np
+from harness import machine, table
+from motor_score import motor_score, recorded_ideal_N
 
+from meshes.base.errors import InputError
+from tissue.evaluation.training import Recorder, Recording, trial
+from tissue.prediction.look_ahead import LookAhead
+from tissue.prediction.predictor import Predictor
+from tissue.prediction.trained import Trained, shipped_file
+from tissue.scene.load import changed, load_scene
+from tissue.scene.registry import PREDICTORS
+from tissue.scene.scene import Scene
+from tissue.simulation.builders.prediction import trained_predictor
 
 os.environ.update(
     dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")

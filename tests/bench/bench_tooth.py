@@ -11,15 +11,14 @@ cell.
    unknowns.
 """
 
-from harness import (Cost, cost_of, machine, table)
-from time import (perf_counter)
-from tissue.fem.solvers.held_body import (rigid_modes)
-from tissue.models.tooth.body import (ParticleBody)
-from tooth_bodies import (at_bottom, block, particle_stress)
 import argparse
+from time import perf_counter
+
 import numpy as np
+from harness import Cost, cost_of, machine, table
+from tooth_bodies import at_bottom, block, particle_stress
 
-
+from tissue.models.tooth.body import ParticleBody
 
 SIDE_M, BALL_M, FEED_M, TOLERANCE = 8e-3, 0.5e-3, 2e-5, 1e-4
 

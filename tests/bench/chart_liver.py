@@ -5,27 +5,26 @@ mm, 5 kPa, Poisson's ratio 0.45, a quarter of it by symmetry), the procedural li
 one (if its file lies next to the checkout). The reference is the neo-Hookean law on the same mesh.
 """
 
-from collections.abc import (Iterable)
-from dataclasses import (dataclass)
-from harness import (machine, table)
-from itertools import (pairwise)
-from meshes.organs.liver import (liver, liver_region)
-from meshes.surfaces.surface import (read_surface)
-from meshes.tets.regions import (nodes_facing)
-from meshes.tets.structured import (grid)
-from meshes.tets.stuffing import (bisected)
-from meshes.tets.tetrahedralise import (tetrahedralise)
-from numpy.typing import (ArrayLike, NDArray)
-from pathlib import (Path)
-from tissue.fem.hyperelastic import (Law, NonlinearBody)
-from tissue.fem.newton import (LONGEST, NODES, NewtonSolution, NewtonSolver, resting_sphere)
-from tissue.fem.solvers.compliance import (surface_compliance_m_N)
-from tissue.fem.space import (Space)
-from tissue.materials.elasticity import (lame)
 import argparse
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
 import numpy as np
+from harness import machine, table
+from numpy.typing import ArrayLike, NDArray
 
-
+from meshes.organs.liver import liver, liver_region
+from meshes.surfaces.surface import read_surface
+from meshes.tets.regions import nodes_facing
+from meshes.tets.structured import grid
+from meshes.tets.stuffing import bisected
+from meshes.tets.tetrahedralise import tetrahedralise
+from tissue.fem.hyperelastic import Law, NonlinearBody
+from tissue.fem.newton import LONGEST, NODES, NewtonSolution, NewtonSolver, resting_sphere
+from tissue.fem.space import Space
+from tissue.materials.elasticity import lame
 
 Array = NDArray[np.float64]
 

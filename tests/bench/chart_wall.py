@@ -19,8 +19,11 @@ from harness import machine, table
 
 from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.haptics.hand.hand import HandParameters, hand_parameters
-from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands
-from tissue.haptics.loop.stability_bounds import passive_bound_N_m
+from tissue.haptics.loop.critical_stiffness import (
+    critical_stiffness_N_m,
+    in_hands,
+    passive_bound_N_m,
+)
 from tissue.haptics.rigid_wall import knock
 from tissue.scene.registry import DEVICES, RENDERERS
 

@@ -9,26 +9,26 @@ millimetre where no hole guides the tool). Imaged anatomy is measured in the sam
 keeps the demanded error, for several factors of safety.
 """
 
-from collections import (defaultdict)
-from collections.abc import (Iterator)
-from harness import (machine, table)
-from meshes.base.errors import (InputError)
-from pathlib import (Path)
-from tissue.evaluation.charts import (fidelity, settings)
-from tissue.evaluation.charts.frontier import (Frontier, frontier_of, undominated)
-from tissue.evaluation.charts.measure import (force_and_reference_N, short_of)
-from tissue.evaluation.statistics.metrics import (force_error)
-from tissue.scene.coupling import (Fidelity)
-from tissue.scene.load import (changed, load_scene)
-from tissue.scene.scene import (Scene)
-from tissue.scene.tool import (PathMotion)
-from tissue.simulation.simulate import (simulate)
-from typing import (Any)
 import argparse
 import csv
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
 import numpy as np
+from harness import machine, table
 
-
+from meshes.base.errors import InputError
+from tissue.evaluation.charts import fidelity, settings
+from tissue.evaluation.charts.frontier import Frontier, frontier_of, undominated
+from tissue.evaluation.charts.measure import force_and_reference_N, short_of
+from tissue.evaluation.statistics.metrics import force_error
+from tissue.scene.coupling import Fidelity
+from tissue.scene.load import changed, load_scene
+from tissue.scene.scene import Scene
+from tissue.scene.tool import PathMotion
+from tissue.simulation.simulate import simulate
 
 SCENES = ("milling", "molar", "caries", "glenoid", "liver-press", "palpation")
 ASIDE_MM = {"milling": 0.5, "molar": 0.5, "caries": 0.5, "liver-press": 0.5, "palpation": 0.5}

@@ -3,14 +3,14 @@
 Each is refused in one sentence that names the error, and none is run.
 """
 
-from meshes.base.errors import (InputError)
-from meshes.images.reading import (read_image)
+import re
+
 import image_writers as write
 import numpy as np
 import pytest
-import re
 
-
+from meshes.base.errors import InputError
+from meshes.images.reading import read_image
 
 SHAPE = (7, 5, 4)
 VALUES = np.random.default_rng(0).integers(0, 3000, SHAPE).astype(np.int16)

@@ -1,26 +1,25 @@
 """Whatever ends a run, a device is left without force: every exit, for every kind of device."""
 
-from device_doubles import (Computed, Managed, PRESSED_S, Recording, block)
-from pathlib import (Path)
-from tissue import (load_scene, simulate)
-from tissue.haptics.device.device import (DeviceError, device_parameters)
-from tissue.haptics.device.recorded import (FaultyDevice)
-from tissue.haptics.device.safe_device import (RAMP_S, SafeDevice)
-from tissue.haptics.hand_motion import (HandMotion)
-from tissue.models.tissue_model import (TICK_S)
-from tissue.simulation.run_folder import (SavedRun)
-from tissue.system.stopping import (STOPS)
 import json
-import numpy as np
 import os
-import pytest
 import signal
 import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
+import numpy as np
+import pytest
+from device_doubles import PRESSED_S, Computed, Managed, Recording, block
 
+from tissue import load_scene, simulate
+from tissue.haptics.device.device import DeviceError, device_parameters
+from tissue.haptics.device.safe_device import RAMP_S, SafeDevice
+from tissue.haptics.hand_motion import HandMotion
+from tissue.models.tissue_model import TICK_S
+from tissue.simulation.run_folder import SavedRun
+from tissue.system.stopping import STOPS
 
 KINDS = (Recording, Managed, Computed)
 SECONDS = 0.4

@@ -3,25 +3,31 @@
 A hand is never taken for noise.
 """
 
-from dataclasses import (replace)
-from tissue import (load_scene)
-from tissue.haptics.device.device import (ComputedDevice, DeviceError, DeviceParameters, Sample, device_parameters)
-from tissue.haptics.device.reach import (Reach)
-from tissue.haptics.device.sample_guard import (GuardLimits, Roughness, SampleGuard)
-from tissue.haptics.device.simulated import (SimulatedDevice)
-from tissue.haptics.hand.hand import (Hand, hand_parameters, waypoints)
-from tissue.haptics.loop.filters import (SlewLimit)
-from tissue.haptics.real.adapter import (HardwareSample)
-from tissue.haptics.real.mapped import (MappedDevice)
-from tissue.haptics.renderer import (renderer)
-from tissue.haptics.rigid_wall import (press_wall)
-from tissue.scene.hardware import (Hardware)
-from tissue.scene.registry import (DEVICES, HANDS)
+from dataclasses import replace
+
 import numpy as np
 import pytest
+
 import tissue
-
-
+from tissue import load_scene
+from tissue.haptics.device.device import (
+    ComputedDevice,
+    DeviceError,
+    DeviceParameters,
+    Reach,
+    Sample,
+    device_parameters,
+)
+from tissue.haptics.device.sample_guard import GuardLimits, Roughness, SampleGuard
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.hand.hand import Hand, hand_parameters, waypoints
+from tissue.haptics.loop.filters import SlewLimit
+from tissue.haptics.real.adapter import HardwareSample
+from tissue.haptics.real.mapped import MappedDevice
+from tissue.haptics.renderer import renderer
+from tissue.haptics.rigid_wall import press_wall
+from tissue.scene.coupling import Hardware
+from tissue.scene.registry import DEVICES, HANDS
 
 TICK = 1e-3
 NOISE_M = 2e-3

@@ -18,10 +18,9 @@ from scene_kinds import kinds, write_files
 from tissue import InputError, load_scene, simulate
 from tissue.scene.anatomy import Part
 from tissue.scene.coupling import Fidelity
-from tissue.scene.keep_clear import KeepClear
 from tissue.scene.load import saved_text
 from tissue.scene.messages import choices_of
-from tissue.scene.scene import Scene, Stress
+from tissue.scene.scene import KeepClear, Scene, Stress
 
 VALUES = {
     "device.coupling.force_scale": 0.5,

@@ -3,17 +3,16 @@
 They are refused before anything is decoded.
 """
 
-from fuzz_files import (Reading)
 import gzip
-import image_writers as write
-import numpy as np
 import os
-import pytest
 import struct
 import sys
 import zlib
 
-
+import image_writers as write
+import numpy as np
+import pytest
+from fuzz_files import Reading
 
 pytestmark = pytest.mark.skipif(
     not sys.platform.startswith("linux"), reason="limits of the address space"

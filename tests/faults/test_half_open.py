@@ -3,16 +3,15 @@
 A finished run stays finished, without an error.
 """
 
-from network_client import (HELLO, packet, pose)
-from tissue import (load_scene, simulate)
-from tissue.scene.coupling import (Hardware)
-import pytest
 import socket
 import struct
 import threading
 import time
 
+import pytest
+from network_client import HELLO, packet, pose
 
+from tissue import load_scene, simulate
 
 KEY = "dGhlIHNhbXBsZSBub25jZQ=="
 REQUEST = (

@@ -1,24 +1,24 @@
 """Helper processes that are killed, stopped, or left behind by a killed run."""
 
-from concurrent.futures import (BrokenExecutor)
-from tissue import (load_scene, simulate)
-from tissue.models.tooth import (stress_process)
-from tissue.simulation.run_folder import (SavedRun)
-from tissue.system import (child)
-from tissue.system.child import (Helper, HelperLostError)
-from tissue.system.offscreen import (draw_apart)
-from tissue.system.workers import (first_done, worker_pool)
 import multiprocessing
-import numpy as np
 import os
-import psutil
-import pytest
 import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import BrokenExecutor
 
+import numpy as np
+import psutil
+import pytest
 
+from tissue import load_scene, simulate
+from tissue.models.tooth import stress_process
+from tissue.simulation.run_folder import SavedRun
+from tissue.system import child
+from tissue.system.child import Helper, HelperLostError
+from tissue.system.offscreen import draw_apart
+from tissue.system.workers import first_done, worker_pool
 
 TOOTH = {
     "voxels.spacing_mm": 0.2,

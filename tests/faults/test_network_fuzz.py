@@ -3,14 +3,14 @@
 Nothing false passes, and no session ends.
 """
 
-from network_client import (HELLO, packet, pose, read)
-from tissue.haptics.real.network_session import (Kind, NetworkSession, PacketError, packed, unpacked)
-import numpy as np
-import pytest
 import struct
 import zlib
 
+import numpy as np
+import pytest
+from network_client import HELLO, packet, pose, read
 
+from tissue.haptics.real.network_session import Kind, NetworkSession, PacketError, packed, unpacked
 
 ROUNDS = 10
 KINDS = ("bits", "cut", "longer", "noise", "header", "repeat", "swap", "none")

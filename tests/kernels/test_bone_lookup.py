@@ -3,17 +3,16 @@
 The cases are random bytes, three layers that touch, and missing bricks.
 """
 
-from bone_in_numpy import (bone_of, stored_voxels)
-from kernels.bone_lookup import (Bone, bone_at)
-from kernels.bricks import (voxel_column, voxel_row)
-from meshes.voxels.distances import (FAR, INSIDE, OUTSIDE, SURFACE_ZERO, surface_steps)
-from meshes.voxels.volume import (VoxelVolume)
-from tissue.models.bone.bricks import (BrickStore)
 import numpy as np
 import pytest
 import warp as wp
+from bone_in_numpy import bone_of, stored_voxels
 
-
+from kernels.bone_lookup import Bone, bone_at
+from kernels.bricks import voxel_column, voxel_row
+from meshes.voxels.distances import FAR, INSIDE, OUTSIDE, SURFACE_ZERO, surface_steps
+from meshes.voxels.volume import VoxelVolume
+from tissue.models.bone.bricks import BrickStore
 
 SINGLE = 2e-5
 """[voxel]: places of up to 24 voxels in float32, distances that change by up to 4 a voxel."""

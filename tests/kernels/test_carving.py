@@ -1,18 +1,25 @@
 """The carving kernel against plain NumPy, voxel by voxel."""
 
-from dataclasses import (replace)
-from meshes.voxels.distances import (cube_fraction)
-from meshes.voxels.volume import (VoxelVolume)
-from scipy.spatial.transform import (Rotation)
-from tissue.cutters.cutter import (Cutter)
-from tissue.cutters.profile import (ball_burr, cylinder, flat_reamer, hemispherical_reamer, pear_bur, twist_drill)
-from tissue.materials.constants import (cutting_coefficients)
-from tissue.models.bone.model import (BoneModel)
-from tissue.models.tissue_model import (ToolMotion)
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-
+from meshes.voxels.distances import cube_fraction
+from meshes.voxels.volume import VoxelVolume
+from tissue.cutters.cutter import Cutter
+from tissue.cutters.profile import (
+    ball_burr,
+    cylinder,
+    flat_reamer,
+    hemispherical_reamer,
+    pear_bur,
+    twist_drill,
+)
+from tissue.materials.constants import cutting_coefficients
+from tissue.models.bone.model import BoneModel
+from tissue.models.tissue_model import ToolMotion
 
 SPACING_M = 1e-4
 PROFILES = {

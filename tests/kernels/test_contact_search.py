@@ -1,16 +1,25 @@
 """Triangles near a tool and those it enters against brute force, and what they bring with them."""
 
-from kernels.contact_search import (find_near, join_touching, start_over)
-from kernels.contact_state import (Body, LARGEST, Lists, NEARBY, Points, RESULTS, SPHERE, WORKING, pose_of)
-from kernels.near_compliance import (LOADED, Patch, SLOTS)
-from scipy.spatial.transform import (Rotation)
-from tissue.models.organ.contact import (SurfaceContact)
-from tissue.models.organ.probe import (SphereProbe)
 import numpy as np
 import pytest
 import warp as wp
+from scipy.spatial.transform import Rotation
 
-
+from kernels.contact_search import find_near, join_touching, start_over
+from kernels.contact_state import (
+    LARGEST,
+    NEARBY,
+    RESULTS,
+    SPHERE,
+    WORKING,
+    Body,
+    Lists,
+    Points,
+    pose_of,
+)
+from kernels.near_compliance import LOADED, SLOTS, Patch
+from tissue.models.organ.contact import SurfaceContact
+from tissue.models.organ.probe import SphereProbe
 
 ROUNDING = 1e-12
 """Of the largest value: sums of nine blocks, and forces of a few dozen points."""

@@ -1,19 +1,18 @@
 """The force kernel against plain NumPy, element by element."""
 
-from bone_in_numpy import (bone_of, stored_voxels)
-from kernels.revolution import (EDGE_BEND)
-from meshes.voxels.distances import (FAR, INSIDE, OUTSIDE, surface_steps)
-from meshes.voxels.volume import (VoxelVolume)
-from scipy.spatial.transform import (Rotation)
-from tissue.cutters.cutter import (Cutter)
-from tissue.cutters.profile import (ball_burr, twist_drill)
-from tissue.materials.constants import (CuttingCoefficients)
-from tissue.models.bone.model import (BoneModel)
-from tissue.models.tissue_model import (ToolMotion)
 import numpy as np
 import pytest
+from bone_in_numpy import bone_of, stored_voxels
+from scipy.spatial.transform import Rotation
 
-
+from kernels.revolution import EDGE_BEND
+from meshes.voxels.distances import FAR, INSIDE, OUTSIDE, surface_steps
+from meshes.voxels.volume import VoxelVolume
+from tissue.cutters.cutter import Cutter
+from tissue.cutters.profile import ball_burr, twist_drill
+from tissue.materials.constants import CuttingCoefficients
+from tissue.models.bone.model import BoneModel
+from tissue.models.tissue_model import ToolMotion
 
 NEVER = 65535
 """Kept where the tool has not come near."""

@@ -3,17 +3,16 @@
 The shell lies next to exact solids and at an inner corner of voxels.
 """
 
-from kernels.proxy_contacts import (Contacts, Shell, collect, keep_plane)
-from kernels.voxmap import (Field, SURFACE)
-from meshes.voxels.volume import (VoxelVolume)
-from scipy.spatial.transform import (Rotation)
-from tissue.haptics.proxy.proxy import (Ball, Box, ContactField, HalfSpace, Proxy, ToolShell)
-from tissue.models.bone.bricks import (BrickStore)
 import numpy as np
 import pytest
 import warp as wp
+from scipy.spatial.transform import Rotation
 
-
+from kernels.proxy_contacts import Contacts, Shell, collect, keep_plane
+from kernels.voxmap import SURFACE, Field
+from meshes.voxels.volume import VoxelVolume
+from tissue.haptics.proxy.proxy import Ball, Box, ContactField, HalfSpace, Proxy, ToolShell
+from tissue.models.bone.bricks import BrickStore
 
 ROUNDING_M = 1e-15
 """Places of a few mm in float64."""

@@ -3,18 +3,18 @@
 They are compared with NumPy, closed forms, differences, turns, work and a mirror.
 """
 
-from hyperelastic_law import (energy as energy_of, tangent as tangent_of)
-from meshes.tets.structured import (box)
-from meshes.tets.tetrahedra import (TetMesh)
-from scipy.spatial.transform import (Rotation)
-from tissue.fem.hyperelastic import (NonlinearBody)
-from tissue.fem.newton import (NewtonSolver)
-from tissue.fem.space import (Space)
-from tissue.materials.hyperelasticity import (Hyperelastic)
 import numpy as np
 import pytest
+from hyperelastic_law import energy as energy_of
+from hyperelastic_law import tangent as tangent_of
+from scipy.spatial.transform import Rotation
 
-
+from meshes.tets.structured import box
+from meshes.tets.tetrahedra import TetMesh
+from tissue.fem.hyperelastic import NonlinearBody
+from tissue.fem.newton import NewtonSolver
+from tissue.fem.space import Space
+from tissue.materials.hyperelasticity import Hyperelastic
 
 BULK = 97e3
 OGDEN = ((1200.0, 1.3), (300.0, 5.0), (-80.0, -2.0))

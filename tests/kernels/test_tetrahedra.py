@@ -1,17 +1,16 @@
 """Stiffness and stress of tetrahedra against plain NumPy and against scikit-fem."""
 
-from kernels.tetrahedra import (group_stress)
-from tet_bodies import (distorted)
-from tet_fields import (isotropic, node_stress)
-from tissue.fem.assembly import (assemble)
-from tissue.fem.fields import (cell_stress)
-from tissue.fem.space import (EDGES, Space)
-from tissue.materials.elasticity import (lame, orthotropic, rotated)
 import numpy as np
 import pytest
 import warp as wp
+from tet_bodies import distorted
+from tet_fields import isotropic, node_stress
 
-
+from kernels.tetrahedra import group_stress
+from tissue.fem.assembly import assemble
+from tissue.fem.fields import cell_stress
+from tissue.fem.space import EDGES, Space
+from tissue.materials.elasticity import lame, orthotropic, rotated
 
 ROUNDING = 1e-13
 """Relative to the largest entry: sums of a few hundred terms in double precision."""

@@ -3,12 +3,11 @@
 Checked are the verdict, the answers of the engine, and verdicts of spoilt data.
 """
 
-from tissue.evaluation.atlas import (PAGES)
-from tissue.evaluation.atlas.page import (Conduct, picture)
 import numpy as np
 import pytest
 
-
+from tissue.evaluation.atlas import PAGES
+from tissue.evaluation.atlas.page import Conduct, picture
 
 HEAVY = {each.name for each in PAGES} - {"wild_input", "explicit_cutting", "bad_tetrahedra"}
 """Pages that take about a second and more."""

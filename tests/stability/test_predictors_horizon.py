@@ -1,17 +1,17 @@
 """Predictors beyond their limits: far ahead, in another tissue, uncapped, on a chattering loop."""
 
-from dataclasses import (replace)
-from tissue import (load_scene, simulate)
-from tissue.evaluation.training import (Recorder, forecast, forecast_errors, trial)
-from tissue.prediction.guard import (Guarded)
-from tissue.prediction.koopman import (Koopman, OperatorPath)
-from tissue.prediction.predictor import (Contact, Linear)
-from tissue.prediction.trained import (Trained, shipped_file)
-from tissue.simulation.builders.prediction import (trained_predictor)
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-
+from tissue import load_scene, simulate
+from tissue.evaluation.training import Recorder, forecast, forecast_errors, trial
+from tissue.prediction.guard import Guarded
+from tissue.prediction.koopman import Koopman, OperatorPath
+from tissue.prediction.predictor import Contact, Linear
+from tissue.prediction.trained import Trained, shipped_file
+from tissue.simulation.builders.prediction import trained_predictor
 
 LIMIT_N = 3.3
 

@@ -4,17 +4,22 @@ The numbers E3, E4, E9, E10 and E11 refer to the project's list of errors in a p
 framework.
 """
 
-from math import (pi, sqrt)
-from tissue.haptics.hand.hand import (waypoints)
-from tissue.haptics.loop.critical_stiffness import (critical_stiffness_N_m, delay_bound_N_m, in_hands, pade_bound_N_m, passive_bound_N_m)
-from tissue.haptics.loop.filters import (LowPass)
-from tissue.haptics.loop.sampled_loop import (WallLoop, spectral_radius)
-from tissue.haptics.loop.stability_map import (growth_while_running)
-from tissue.haptics.renderer import (PassivityControl, ProxyRenderer)
+from math import pi, sqrt
+
 import numpy as np
 import pytest
 
-
+from tissue.haptics.loop.critical_stiffness import (
+    critical_stiffness_N_m,
+    delay_bound_N_m,
+    in_hands,
+    pade_bound_N_m,
+    passive_bound_N_m,
+)
+from tissue.haptics.loop.filters import LowPass
+from tissue.haptics.loop.sampled_loop import WallLoop, spectral_radius
+from tissue.haptics.loop.stability_map import growth_while_running
+from tissue.haptics.renderer import PassivityControl, ProxyRenderer
 
 TICK = 1e-3
 

@@ -3,18 +3,17 @@
 The force stays bounded and does not stay stale.
 """
 
-from tissue.haptics.device.device import (Sample, device_parameters)
-from tissue.haptics.device.recorded import (Fault, FaultyDevice)
-from tissue.haptics.device.sample_guard import (SampleGuard)
-from tissue.haptics.device.simulated import (SimulatedDevice)
-from tissue.haptics.hand.hand import (Hand, hand_parameters, waypoints)
-from tissue.haptics.renderer import (renderer)
-from tissue.haptics.rigid_wall import (press_wall)
-from tissue.scene.registry import (RENDERERS)
 import numpy as np
 import pytest
 
-
+from tissue.haptics.device.device import Sample, device_parameters
+from tissue.haptics.device.recorded import Fault, FaultyDevice
+from tissue.haptics.device.sample_guard import SampleGuard
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.hand.hand import Hand, hand_parameters, waypoints
+from tissue.haptics.renderer import renderer
+from tissue.haptics.rigid_wall import press_wall
+from tissue.scene.registry import RENDERERS
 
 TICK, SECONDS, STIFFNESS_N_M = 1e-3, 1.2, 1500.0
 FAULT_S = (0.8, 0.9)

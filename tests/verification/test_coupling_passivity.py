@@ -1,16 +1,16 @@
 """Energy of a sampled wall: leak of the hold, observed energy, repayment by the controller."""
 
-from dataclasses import (replace)
-from itertools import (pairwise)
-from tissue.haptics.device.device import (DeviceParameters, device_parameters)
-from tissue.haptics.device.simulated import (SimulatedDevice)
-from tissue.haptics.hand.hand import (Hand, hand_parameters, waypoints)
-from tissue.haptics.renderer import (PassivityControl, PassivityObserver, renderer)
-from tissue.haptics.rigid_wall import (press_wall)
+from dataclasses import replace
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
-
+from tissue.haptics.device.device import DeviceParameters, device_parameters
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.hand.hand import Hand, hand_parameters, waypoints
+from tissue.haptics.renderer import PassivityControl, PassivityObserver, renderer
+from tissue.haptics.rigid_wall import press_wall
 
 STIFFNESS, SPEED, TICK, SAMPLES = 1000.0, 0.1, 1e-3, 100
 LEAK_J = SAMPLES * STIFFNESS * (SPEED * TICK) ** 2

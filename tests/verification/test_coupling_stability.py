@@ -3,19 +3,26 @@
 It is compared with the published table, closed forms, and the simulated loop.
 """
 
-from dataclasses import (replace)
-from math import (inf)
-from tissue.haptics.device.device import (DeviceParameters, device_parameters)
-from tissue.haptics.device.simulated import (SimulatedDevice)
-from tissue.haptics.hand.hand import (HandAction, hand_parameters)
-from tissue.haptics.loop.critical_stiffness import (critical_stiffness_N_m, delay_bound_N_m, in_hands, judge, passive_bound_N_m, quantised_bound_N_m)
-from tissue.haptics.loop.sampled_loop import (WallLoop, loop_matrix, spectral_radius)
-from tissue.haptics.loop.stability_map import (measured_critical_N_m)
-from tissue.scene.registry import (DEVICES, HANDS)
+from dataclasses import replace
+from math import inf
+
 import numpy as np
 import pytest
 
-
+from tissue.haptics.device.device import DeviceParameters, device_parameters
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.hand.hand import HandAction, hand_parameters
+from tissue.haptics.loop.critical_stiffness import (
+    critical_stiffness_N_m,
+    delay_bound_N_m,
+    in_hands,
+    judge,
+    passive_bound_N_m,
+    quantised_bound_N_m,
+)
+from tissue.haptics.loop.sampled_loop import WallLoop, loop_matrix, spectral_radius
+from tissue.haptics.loop.stability_map import measured_critical_N_m
+from tissue.scene.registry import DEVICES, HANDS
 
 TABLE = [
     (wall_damping, delay, critical)

@@ -3,15 +3,26 @@
 They are the slow manifold, generators and their exponentials, and Van der Pol as published.
 """
 
-from koopman_systems import (Generator, SLOW_GENERATOR, SLOW_OPERATOR, SLOW_STEP_S, ThinPlates, predict, record, slow_manifold, slow_manifold_at, van_der_pol)
-from scipy.linalg import (expm)
-from tissue.prediction.edmd import (Edmd, Episode)
-from tissue.prediction.operator import (Delays, Identity, Polynomials)
-import numpy as np
-import pytest
 import warnings
 
+import numpy as np
+import pytest
+from koopman_systems import (
+    SLOW_GENERATOR,
+    SLOW_OPERATOR,
+    SLOW_STEP_S,
+    Generator,
+    ThinPlates,
+    predict,
+    record,
+    slow_manifold,
+    slow_manifold_at,
+    van_der_pol,
+)
+from scipy.linalg import expm
 
+from tissue.prediction.edmd import Edmd, Episode
+from tissue.prediction.operator import Delays, Identity, Polynomials
 
 CLOSED = Polynomials(2, columns=(0,))
 """x1, x2 and x1²: closed under the slow manifold's flow."""

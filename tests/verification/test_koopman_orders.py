@@ -4,16 +4,33 @@ The claim of Theorem 1 for one step is compared with the measured order, and err
 samples.
 """
 
-from dataclasses import (dataclass)
-from koopman_systems import (Gaussians, Generator, advance, contact, duffing, horizon_errors, lifted_rates, record, slow_manifold, slow_manifold_at, van_der_pol)
-from tissue.prediction.edmd import (Edmd, Episode)
-from tissue.prediction.edmd.dictionary import (Delays, GapProducts)
-from tissue.prediction.edmd.lifted import (cap_spectrum, spectral_radius)
-from tissue.prediction.operator import (Identity, Polynomials)
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
+from koopman_systems import (
+    Gaussians,
+    Generator,
+    advance,
+    contact,
+    duffing,
+    horizon_errors,
+    lifted_rates,
+    record,
+    slow_manifold,
+    slow_manifold_at,
+    van_der_pol,
+)
 
-
+from tissue.prediction.edmd import Edmd, Episode
+from tissue.prediction.operator import (
+    Delays,
+    GapProducts,
+    Identity,
+    Polynomials,
+    cap_spectrum,
+    spectral_radius,
+)
 
 PRINTED_ORDER = 2.0
 """Order that the paper's Theorem 1 claims for every dictionary."""

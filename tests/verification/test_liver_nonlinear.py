@@ -3,19 +3,17 @@
 The states are homogeneous ones, large rotation and contact of a sphere.
 """
 
-from meshes.tets.structured import (box)
-from meshes.tets.stuffing import (bisected)
-from meshes.tets.tetrahedra import (TetMesh)
-from scipy.spatial.transform import (Rotation)
-from tissue.fem.conjugate_gradients import (SolverOutcome)
-from tissue.fem.hyperelastic import (Law, NonlinearBody)
-from tissue.fem.newton import (NewtonSolver)
-from tissue.fem.space import (Space)
-from tissue.materials.elasticity import (lame)
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-
+from meshes.tets.structured import box
+from meshes.tets.tetrahedra import TetMesh
+from tissue.fem.conjugate_gradients import SolverOutcome
+from tissue.fem.hyperelastic import Law, NonlinearBody
+from tissue.fem.newton import NewtonSolver
+from tissue.fem.space import Space
+from tissue.materials.elasticity import lame
 
 LIVER = lame(5e3, 0.45)
 TURNING = (Law.COROTATIONAL, Law.NEO_HOOKEAN)

@@ -3,17 +3,15 @@
 Energy is compared with force and stiffness, and frame invariance is checked.
 """
 
-from meshes.tets.structured import (box)
-from tet_bodies import (distorted, planes, slope, solve, solve_iteratively)
-from tissue.fem.assembly import (assemble, capsule_stiffness)
-from tissue.fem.fields import (cell_stress)
-from tissue.fem.shapes import (EDGES, gradient_slopes)
-from tissue.fem.space import (Space)
-from tissue.materials.elasticity import (lame, orthotropic, rotated, transversely_isotropic)
 import numpy as np
 import pytest
+from tet_bodies import distorted, planes, slope, solve, solve_iteratively
 
-
+from meshes.tets.structured import box
+from tissue.fem.assembly import assemble, capsule_stiffness
+from tissue.fem.fields import cell_stress
+from tissue.fem.space import EDGES, Space, gradient_slopes
+from tissue.materials.elasticity import lame, orthotropic, rotated, transversely_isotropic
 
 FIELD = np.array([[1.0, 0.3, -0.2], [0.1, -0.7, 0.4], [-0.5, 0.2, 0.6]]) * 1e-3
 EXACT = 1e-12

@@ -3,19 +3,22 @@
 All give equal answers, each to its stated tolerance.
 """
 
-from meshes.tets.files import (read_tets)
-from meshes.tets.structured import (box)
-from tissue.fem.assembly import (assemble)
-from tissue.fem.solvers.compliance import (LazyCompliance, reduced_compliance_m_N, surface_compliance_m_N)
-from tissue.fem.solvers.direct import (DirectSolver)
-from tissue.fem.solvers.held_body import (HeldBody, held_nodes)
-from tissue.fem.solvers.multigrid import (MultigridSolver)
-from tissue.fem.space import (Space)
-from tissue.materials.elasticity import (lame)
 import numpy as np
 import pytest
 
-
+from meshes.tets.files import read_tets
+from meshes.tets.structured import box
+from tissue.fem.assembly import assemble
+from tissue.fem.solvers.compliance import (
+    LazyCompliance,
+    reduced_compliance_m_N,
+    surface_compliance_m_N,
+)
+from tissue.fem.solvers.direct import DirectSolver
+from tissue.fem.solvers.held_body import HeldBody, held_nodes
+from tissue.fem.solvers.multigrid import MultigridSolver
+from tissue.fem.space import Space
+from tissue.materials.elasticity import lame
 
 RATIOS = (0.3, 0.45, 0.49)
 

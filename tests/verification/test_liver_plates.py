@@ -3,17 +3,16 @@
 They are Kirsch's hole, Cook's membrane in plane stress and in plane strain, and NAFEMS LE10.
 """
 
-from meshes.tets.structured import (box, graded)
-from round_bodies import (mapped, sphere_shell)
-from tet_bodies import (faces_where, planes, slab, solve, solve_iteratively, wedge)
-from tet_fields import (node_stress, pressure)
-from tissue.fem.assembly import (assemble, traction)
-from tissue.fem.capsule import (capsule_stiffness)
-from tissue.fem.space import (Space)
-from tissue.materials.elasticity import (lame)
 import numpy as np
 import pytest
+from round_bodies import mapped, sphere_shell
+from tet_bodies import faces_where, planes, slab, solve, solve_iteratively, wedge
+from tet_fields import node_stress, pressure
 
+from meshes.tets.structured import box, graded
+from tissue.fem.assembly import assemble, capsule_stiffness, traction
+from tissue.fem.space import Space
+from tissue.materials.elasticity import lame
 
 
 def test_hole_in_a_plate():

@@ -1,17 +1,17 @@
 """Volumes that a ball removes from a block, against the exact volume of a spherical cap."""
 
-from math import (pi)
-from meshes.shapes.anatomy import (cortical_block)
-from meshes.voxels.voxelise import (voxelise)
-from tissue.cutters.cutter import (Cutter)
-from tissue.cutters.profile import (ball_burr)
-from tissue.materials.constants import (cutting_coefficients)
-from tissue.models.bone.model import (BoneModel)
-from tissue.models.tissue_model import (ToolMotion)
+from math import pi
+
 import numpy as np
 import pytest
 
-
+from meshes.shapes.anatomy import cortical_block
+from meshes.voxels.voxelise import voxelise
+from tissue.cutters.cutter import Cutter
+from tissue.cutters.profile import ball_burr
+from tissue.materials.constants import cutting_coefficients
+from tissue.models.bone.model import BoneModel
+from tissue.models.tissue_model import ToolMotion
 
 RADIUS_M, DEPTH_M = 3e-3, 1e-3
 CAP_M3 = pi * DEPTH_M**2 * (3.0 * RADIUS_M - DEPTH_M) / 3.0

@@ -5,18 +5,18 @@ is available for comparison. Tested are the published fit to one needle in bovin
 consequences of the model's own laws.
 """
 
-from dataclasses import (replace)
-from scipy.signal import (find_peaks)
-from tissue.models.needle.model import (Insertion, NeedleModel)
-from tissue.models.needle.parameters import (Membrane, NeedleTissue, needle_tissue, vessel_wall)
-from tissue.models.tissue_model import (ToolMotion)
-from tissue.motion.motion import (FollowPath)
-from tissue.scene.load import (load_scene)
-from tissue.simulation.simulate import (simulate)
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.signal import find_peaks
 
-
+from tissue.models.needle.model import Insertion, NeedleModel
+from tissue.models.needle.parameters import Membrane, NeedleTissue, needle_tissue, vessel_wall
+from tissue.models.tissue_model import ToolMotion
+from tissue.motion.motion import FollowPath
+from tissue.scene.load import load_scene
+from tissue.simulation.simulate import simulate
 
 STEP_S = 1e-3
 

@@ -3,14 +3,22 @@
 They are Weber, Stevens' predictive, the inverse map and the recursive filter.
 """
 
-from perceived_estimates import (LocalLevel)
-from tissue.perception.laws import (ForceMap, Intensity, LogTable, Weber, correct_of_d_prime, intensity_of, two_interval, weber_of)
-from tissue.perception.observer import (Observer, population, population_observer, reference_observer)
-from tissue.perception.perceived import (Sense)
 import numpy as np
 import pytest
+from perceived_estimates import LocalLevel
 
-
+from tissue.perception.laws import (
+    ForceMap,
+    Intensity,
+    LogTable,
+    Weber,
+    correct_of_d_prime,
+    intensity_of,
+    two_interval,
+    weber_of,
+)
+from tissue.perception.observer import Observer, population, population_observer, reference_observer
+from tissue.perception.perceived import Sense
 
 KNEE_N = 2.31
 """Strongest force that a Touch plays uncompressed [N]: 0.7 of 3.3."""

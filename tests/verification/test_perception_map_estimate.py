@@ -1,11 +1,17 @@
 """Maximum-posterior estimate against a brute-force grid (E7)."""
 
-from perceived_estimates import (log_posterior, map_force_N)
-from tissue.perception.estimate import (FATIGUE, LOG_SPREAD, MEDIAN_N, NOISE_N, TAIL, map_estimate_errors, recursive_estimate_errors)
 import numpy as np
 import pytest
-
-
+from perceived_estimates import log_posterior, map_force_N
+from tissue.perception.estimate import (
+    FATIGUE,
+    LOG_SPREAD,
+    MEDIAN_N,
+    NOISE_N,
+    TAIL,
+    map_estimate_errors,
+    recursive_estimate_errors,
+)
 
 NODES = 2000
 

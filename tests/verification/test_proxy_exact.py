@@ -5,15 +5,15 @@ tolerance of the validation case (case 23: 1e-9). Lengths are in metres, so it s
 nanometre.
 """
 
-from itertools import (pairwise)
-from scipy.optimize import (brentq)
-from scipy.spatial.transform import (Rotation)
-from tissue.haptics.proxy.proxy import (Ball, Box, ContactField, HalfSpace, Proxy, ToolShell)
-from tissue.motion.quaternion import (turn_between)
+from itertools import pairwise
+
 import numpy as np
 import pytest
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
 
-
+from tissue.haptics.proxy.proxy import Box, ContactField, HalfSpace, Proxy, ToolShell
+from tissue.motion.quaternion import turn_between
 
 EXACT = 1e-9
 STIFFNESS = 1000.0

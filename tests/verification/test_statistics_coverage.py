@@ -1,14 +1,23 @@
 """Planted effects are recovered, and intervals hold the truth as often as they claim."""
 
-from scipy import (stats)
-from tissue.evaluation.statistics.hypothesis_test import (cohens_d, mardia, partial_eta_squared)
-from tissue.evaluation.statistics.manova import (multivariate)
-from tissue.evaluation.statistics.mixed import (Components, regression)
-from tissue.evaluation.statistics.power import (TESTS, rejection_rates)
-from tissue.evaluation.statistics.strata import (mauchly, permutation, pillai, scores_of, shuffled_p, shuffled_users, strata)
 import numpy as np
 import pytest
+from scipy import stats
+from tissue.evaluation.statistics.power import TESTS
 
+from tissue.evaluation.statistics.hpi import rejection_rates
+from tissue.evaluation.statistics.hypothesis_test import cohens_d, mardia, partial_eta_squared
+from tissue.evaluation.statistics.mixed import Components, regression
+from tissue.evaluation.statistics.strata import (
+    mauchly,
+    multivariate,
+    permutation,
+    pillai,
+    scores_of,
+    shuffled_p,
+    shuffled_users,
+    strata,
+)
 
 
 def simulated_cells(components, means, *, users_per_group, trials, populations, rng):

@@ -1,17 +1,24 @@
 """Tests of a study against published worked data and against other codes."""
 
-from scipy import (stats)
-from tissue.evaluation.statistics.comparison import (tukey_groups)
-from tissue.evaluation.statistics.hpi import (composite_index, weights_of)
-from tissue.evaluation.statistics.hypothesis_test import (cohens_d, partial_eta_squared)
-from tissue.evaluation.statistics.mixed import (mixed_model)
-from tissue.evaluation.statistics.strata import (mauchly, multivariate, permutation, pillai, scores_of, strata)
-from tissue.evaluation.statistics.trials import (TrialTable)
 import csv
+
 import numpy as np
 import pytest
+from scipy import stats
 
-
+from tissue.evaluation.statistics.comparison import tukey_groups
+from tissue.evaluation.statistics.hpi import composite_index, weights_of
+from tissue.evaluation.statistics.hypothesis_test import cohens_d, partial_eta_squared
+from tissue.evaluation.statistics.mixed import mixed_model
+from tissue.evaluation.statistics.strata import (
+    mauchly,
+    multivariate,
+    permutation,
+    pillai,
+    scores_of,
+    strata,
+)
+from tissue.evaluation.statistics.trials import TrialTable
 
 pytest.importorskip(
     "statsmodels", reason="statsmodels is not installed: pip install 'tissue-sim[study]'"

@@ -1,12 +1,11 @@
 """A drilled tooth: what is booked as removed, stress after warm starts, dentin over the pulp."""
 
-from tissue.models.tooth import (stress_process)
-from tissue.models.tooth.field import (StressField)
 import numpy as np
 import pytest
+
 import tissue
-
-
+from tissue.models.tooth import stress_process
+from tissue.models.tooth.field import StressField
 
 DEEP = {
     "voxels.spacing_mm": 0.1,

@@ -3,16 +3,21 @@
 The closed forms depend neither on the voxels nor on the frame.
 """
 
-from scipy.spatial.transform import (Rotation)
-from tissue.models.tooth.body import (ParticleBody)
-from tissue.models.tooth.grid import (HexGrid, NodeSupports, ParticleSet, bed_springs, bed_stiffness)
-from tissue.models.tooth.recovery import (support_compliance)
-from tissue.models.tooth.supports import (PointSprings)
-from tooth_bodies import (block)
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+from tooth_bodies import block
 
-
+from tissue.models.tooth.body import ParticleBody
+from tissue.models.tooth.grid import (
+    HexGrid,
+    NodeSupports,
+    ParticleSet,
+    PointSprings,
+    bed_springs,
+    bed_stiffness,
+)
+from tissue.models.tooth.recovery import support_compliance
 
 MM = 1e-3
 ACROSS, ALONG = 11e9, 1e9  # [N/m3], their ratio that of a Poisson's ratio of 0.45

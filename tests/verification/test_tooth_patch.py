@@ -3,13 +3,12 @@
 A linear field is exact on full cells, and where particles lie at random the error has its order.
 """
 
-from tissue.models.tooth.body import (ParticleBody)
-from tissue.models.tooth.grid import (NodeSupports)
-from tooth_bodies import (GAUSS, block, lattice, on_boundary, particle_stress)
 import numpy as np
 import pytest
+from tooth_bodies import GAUSS, block, lattice, on_boundary, particle_stress
 
-
+from tissue.models.tooth.body import ParticleBody
+from tissue.models.tooth.grid import NodeSupports
 
 FIELD = np.array([[1.0, 0.3, -0.2], [0.1, -0.5, 0.4], [0.2, 0.6, 0.8]]) * 1e-3
 EXACT = 1e-10

@@ -3,16 +3,16 @@
 The tests also cover islands, removal and warm starts.
 """
 
-from functools import (cache)
-from time import (perf_counter)
-from tissue.fem.conjugate_gradients import (SolverOutcome)
-from tissue.models.tooth.body import (ParticleBody)
-from tissue.models.tooth.grid import (HexGrid, NodeSupports, ParticleSet)
-from tooth_bodies import (at_bottom, block, lattice, particle_stress)
+from functools import cache
+from time import perf_counter
+
 import numpy as np
 import pytest
+from tooth_bodies import at_bottom, block, lattice
 
-
+from tissue.fem.conjugate_gradients import SolverOutcome
+from tissue.models.tooth.body import ParticleBody
+from tissue.models.tooth.grid import HexGrid, NodeSupports, ParticleSet
 
 EDGE = 8e-3
 CONTRASTS = (1.0, 100.0, 4200.0, 42000.0)
@@ -138,7 +138,7 @@ def inside(vertices, faces, axes):
 
     The winding number along vertical lines decides.
     """
-    from meshes.voxels.column_crossings import column_crossings
+    from meshes.voxels.mesh_sampling import column_crossings
 
     x, y, z = axes
     crossed = column_crossings(vertices, faces, x, y)

@@ -3,15 +3,13 @@
 It is compared with body-fitted tetrahedra.
 """
 
-from tissue.models.tooth.body import (ParticleBody)
-from tissue.models.tooth.grid import (HexGrid, ParticleSet)
-from tissue.models.tooth.recovery import (StressRecovery, ball_weight)
-from tissue.models.tooth.supports import (NodeSupports)
-from tooth_bodies import (block, lattice, on_boundary, particle_stress, slope)
 import numpy as np
 import pytest
+from tooth_bodies import block, lattice, on_boundary, particle_stress, slope
 
-
+from tissue.models.tooth.body import ParticleBody
+from tissue.models.tooth.grid import HexGrid, NodeSupports, ParticleSet
+from tissue.models.tooth.recovery import StressRecovery, ball_weight
 
 INNER, OUTER, PRESSURE, MODULUS, RATIO = 1.0, 2.0, 1.0, 1000.0, 0.3
 

@@ -21,21 +21,29 @@ is kept, and ``C - B A^-1 B^T`` is added to the front that eliminates the first 
 unknowns. Nearly all of the time is then spent in LAPACK and in BLAS of level 3.
 """
 
-from dataclasses import (dataclass)
-from functools import (cached_property)
-from itertools import (pairwise)
-from meshes.base.arrays import (Array, Flags, Ints)
-from meshes.base.errors import (InputError)
-from scipy.linalg.blas import (dsyrk, dtrsm)
-from scipy.linalg.lapack import (dpotrf, dpotri)
-from scipy.sparse import (csc_array, csr_array, tril)
-from threadpoolctl import (threadpool_limits)
-from tissue.fem.conjugate_gradients import (Solution, SolverOutcome)
-from tissue.fem.solvers.held_body import (HeldBody, components_of, pointwise_graph)
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
 import numpy as np
+from scipy.linalg.blas import dsyrk, dtrsm
+from scipy.linalg.lapack import dpotrf, dpotri
+from scipy.sparse import csc_array, csr_array, tril
+from threadpoolctl import threadpool_limits
 
-__all__ = ["DirectSolver", "Front", "Multifrontal", "NotPositiveDefiniteError", "dissected", "fronts_of"]
+from meshes.base.arrays import Array, Flags, Ints
+from meshes.base.errors import InputError
+from tissue.fem.conjugate_gradients import Solution, SolverOutcome
+from tissue.fem.solvers.held_body import HeldBody, components_of, pointwise_graph
 
+__all__ = [
+    "DirectSolver",
+    "Front",
+    "Multifrontal",
+    "NotPositiveDefiniteError",
+    "dissected",
+    "fronts_of",
+]
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,19 +1,20 @@
 """Voxels cut into bricks: only bricks that hold bone are stored."""
 
-from dataclasses import (dataclass)
-from kernels.bone_lookup import (BEYOND, SURFACE_STEPS)
-from kernels.bricks import (BRICK, BRICK_VOXELS, FULL, sample)
-from kernels.mirror import (put)
-from meshes.base.arrays import (Array, Bytes, Flags, Ints, Singles)
-from meshes.voxels.distances import (OUTSIDE, near_the_surface)
-from meshes.voxels.volume import (VoxelVolume)
-from numpy.typing import (NDArray)
-from typing import (Any)
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
+
+from kernels.bone_lookup import BEYOND, SURFACE_STEPS
+from kernels.bricks import BRICK, BRICK_VOXELS, FULL, sample
+from kernels.mirror import put
+from meshes.base.arrays import Array, Bytes, Flags, Ints, Singles
+from meshes.voxels.distances import OUTSIDE, near_the_surface
+from meshes.voxels.volume import VoxelVolume
 
 __all__ = ["BYTES_PER_VOXEL", "BrickGrid", "BrickStore", "voxels_of"]
-
 
 
 BYTES_PER_VOXEL = 12

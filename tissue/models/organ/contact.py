@@ -1,25 +1,47 @@
 """Contact of a tool with an elastic organ on the compliance of the nodes that may be touched."""
 
-from collections.abc import (Callable)
-from dataclasses import (dataclass, field)
-from enum import (Enum)
-from kernels.contact_search import (find_near)
-from kernels.contact_state import (AREA, Body, CONTACTS, DEEPEST, FORCE, LARGEST, Lists, Points, RESULTS, STATE, SWEEPS, TORQUE)
-from kernels.launcher import (SplitLaunch)
-from kernels.mirror import (Mirror, put)
-from kernels.near_compliance import (gather_all_again, new_patch)
-from kernels.shell_projection import (link_points, project_shell)
-from kernels.surface_contact import (solve_contact)
-from math import (isfinite)
-from meshes.base.arrays import (Array, Int32s, Ints)
-from meshes.base.errors import (InputError, require_positive, require_range)
-from tissue.fem.solvers.held_body import (components_of)
-from tissue.models.organ.probe import (ProbeShape, ShellProbe)
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum
+from math import isfinite
+
 import numpy as np
 import warp as wp
 
-__all__ = ["ContactOutcome", "ContactResult", "SurfaceContact", "body_arrays", "contact_points", "list_arrays", "point_arrays"]
+from kernels.contact_search import find_near
+from kernels.contact_state import (
+    AREA,
+    CONTACTS,
+    DEEPEST,
+    FORCE,
+    LARGEST,
+    RESULTS,
+    STATE,
+    SWEEPS,
+    TORQUE,
+    Body,
+    Lists,
+    Points,
+)
+from kernels.launcher import SplitLaunch
+from kernels.mirror import Mirror, put
+from kernels.near_compliance import gather_all_again, new_patch
+from kernels.shell_projection import link_points, project_shell
+from kernels.surface_contact import solve_contact
+from meshes.base.arrays import Array, Int32s, Ints
+from meshes.base.errors import InputError, require_positive, require_range
+from tissue.fem.solvers.held_body import components_of
+from tissue.models.organ.probe import ProbeShape, ShellProbe
 
+__all__ = [
+    "ContactOutcome",
+    "ContactResult",
+    "SurfaceContact",
+    "body_arrays",
+    "contact_points",
+    "list_arrays",
+    "point_arrays",
+]
 
 
 MOST_DIVISIONS = 16

@@ -6,18 +6,19 @@ organ's contact points at which the tool does not slip between them (`spacing_m`
 the ball that bounds the part of it that may touch first.
 """
 
-from abc import (ABC, abstractmethod)
-from dataclasses import (dataclass)
-from kernels.contact_state import (CYLINDER, SHELL, SPHERE)
-from meshes.base.arrays import (Array, Ints)
-from meshes.base.errors import (InputError, require_positive)
-from meshes.surfaces.triangle_files import (read_triangles)
-from pathlib import (Path)
-from typing import (Any)
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 
-__all__ = ["CylinderProbe", "ProbeShape", "ShellProbe", "SphereProbe"]
+from kernels.contact_state import CYLINDER, SHELL, SPHERE
+from meshes.base.arrays import Array, Ints
+from meshes.base.errors import InputError, require_positive
+from meshes.surfaces.triangle_files import read_triangles
 
+__all__ = ["CylinderProbe", "ProbeShape", "ShellProbe", "SphereProbe"]
 
 
 SPACINGS = 2.0

@@ -3,22 +3,23 @@
 The stiffness of the coarser grids is assembled.
 """
 
-from collections.abc import (Callable)
-from kernels.grid_transfer import (assemble_rows, invert_diagonal, to_single)
-from kernels.lane_vectors import (from_lanes, node_diagonals, smooth, to_lanes)
-from kernels.launcher import (SplitLaunch)
-from kernels.mirror import (put)
-from meshes.base.arrays import (Array, Int32s)
-from scipy.sparse import (bsr_matrix)
-from tissue.models.tooth.grid import (HexGrid, NodeSupports)
-from tissue.models.tooth.stiffness import (CellStiffness)
-from tissue.models.tooth.strips import (LaneVector, StripProduct)
-from typing import (Any)
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import warp as wp
+from scipy.sparse import bsr_matrix
+
+from kernels.grid_transfer import assemble_rows, invert_diagonal, to_single
+from kernels.lane_vectors import from_lanes, node_diagonals, smooth, to_lanes
+from kernels.launcher import SplitLaunch
+from kernels.mirror import put
+from meshes.base.arrays import Array, Int32s
+from tissue.models.tooth.grid import HexGrid, NodeSupports
+from tissue.models.tooth.stiffness import CellStiffness
+from tissue.models.tooth.strips import LaneVector, StripProduct
 
 __all__ = ["FinestLevel", "NodeBlocks"]
-
 
 
 class NodeBlocks:

@@ -1,22 +1,22 @@
 """Tooth under a bur: milled like bone, with the distance to the pulp and optional stress."""
 
-from kernels.elements import (CHUNK)
-from kernels.launcher import (SplitLaunch)
-from kernels.mirror import (Mirror, put)
-from kernels.structure_distance import (clearance)
-from meshes.base.arrays import (Array, Bytes, Flags, Ints, Singles)
-from numpy.typing import (NDArray)
-from tissue.fem.fields import (FieldSeries)
-from tissue.models.bone.model import (BoneModel)
-from tissue.models.tissue_model import (Response, SLOW, TICK_S, ToolMotion)
-from tissue.models.tooth.cutting_heat import (CuttingHeat, PULP_LIMIT_K)
-from tissue.models.tooth.stress_process import (Drilled, StressSolver)
-from tissue.system.child import (HelperLostError)
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
+
+from kernels.elements import CHUNK
+from kernels.launcher import SplitLaunch
+from kernels.mirror import Mirror, put
+from kernels.structure_distance import clearance
+from meshes.base.arrays import Array, Bytes, Flags, Ints, Singles
+from tissue.fem.fields import FieldSeries
+from tissue.models.bone.model import BoneModel
+from tissue.models.tissue_model import SLOW, TICK_S, Response, ToolMotion
+from tissue.models.tooth.cutting_heat import PULP_LIMIT_K, CuttingHeat
+from tissue.models.tooth.stress_process import Drilled, StressSolver
+from tissue.system.child import HelperLostError
 
 __all__ = ["ToothModel"]
-
 
 
 CENTROID_COLUMNS = ("tooth_centroid_x_um", "tooth_centroid_y_um", "tooth_centroid_z_um")

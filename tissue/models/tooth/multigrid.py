@@ -7,20 +7,28 @@ which has no assembled rows. On the coarser grids it smooths by Gauss-Seidel ove
 reverse order afterwards. (Trottenberg, Oosterlee, Schueller 2001, Multigrid, ch. 2.)
 """
 
-from kernels.grid_transfer import (coarse_stiffness, first_residuals, first_sweep, interpolate, restrict, sweep_colour)
-from kernels.hexahedra import (BLOCKS)
-from kernels.launcher import (SplitLaunch)
-from kernels.mirror import (put)
-from meshes.base.arrays import (Array, Int32s)
-from tissue.models.tooth.finest_level import (FinestLevel, NodeBlocks)
-from tissue.models.tooth.grid import (CORNERS, HexGrid, NEIGHBOURS, NodeSupports)
-from tissue.models.tooth.stiffness import (CellStiffness)
-from typing import (Any)
+from typing import Any
+
 import numpy as np
 import warp as wp
 
-__all__ = ["GridHierarchy", "GridTransfer"]
+from kernels.grid_transfer import (
+    coarse_stiffness,
+    first_residuals,
+    first_sweep,
+    interpolate,
+    restrict,
+    sweep_colour,
+)
+from kernels.hexahedra import BLOCKS
+from kernels.launcher import SplitLaunch
+from kernels.mirror import put
+from meshes.base.arrays import Array, Int32s
+from tissue.models.tooth.finest_level import FinestLevel, NodeBlocks
+from tissue.models.tooth.grid import CORNERS, NEIGHBOURS, HexGrid, NodeSupports
+from tissue.models.tooth.stiffness import CellStiffness
 
+__all__ = ["GridHierarchy", "GridTransfer"]
 
 
 class GridTransfer:

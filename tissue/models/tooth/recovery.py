@@ -4,23 +4,32 @@ Stress is averaged over particles within a fixed length. It converges where the 
 does not.
 """
 
-from dataclasses import (dataclass)
-from kernels.mirror import (put)
-from kernels.particle_stiffness import (invariants, point_stress)
-from meshes.base.arrays import (Array, Integers)
-from scipy.sparse import (csr_matrix)
-from scipy.spatial import (cKDTree)
-from tissue.fem.conjugate_gradients import (Solution, dot)
-from tissue.fem.solvers.held_body import (rigid_modes)
-from tissue.models.tooth.body import (ParticleBody)
-from tissue.models.tooth.grid import (ParticleSet, ball_weight)
-from tissue.models.tooth.stiffness import (CellStiffness)
-from typing import (Any)
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 import warp as wp
+from scipy.sparse import csr_matrix
+from scipy.spatial import cKDTree
 
-__all__ = ["FirstGuess", "REACH_M", "StressPoints", "StressRecovery", "SupportCompliance", "stress_invariants", "support_compliance"]
+from kernels.mirror import put
+from kernels.particle_stiffness import invariants, point_stress
+from meshes.base.arrays import Array, Integers
+from tissue.fem.conjugate_gradients import Solution, dot
+from tissue.fem.solvers.held_body import rigid_modes
+from tissue.models.tooth.body import ParticleBody
+from tissue.models.tooth.grid import ParticleSet, ball_weight
+from tissue.models.tooth.stiffness import CellStiffness
 
+__all__ = [
+    "REACH_M",
+    "FirstGuess",
+    "StressPoints",
+    "StressRecovery",
+    "SupportCompliance",
+    "stress_invariants",
+    "support_compliance",
+]
 
 
 class StressPoints:
