@@ -86,7 +86,7 @@ def test_a_drawing_in_another_thread_ends_on_request(drawing, monkeypatch):
 
 
 def test_an_exception_during_a_drawing_does_not_wait_for_it(drawing, monkeypatch):
-    from tissue.show.figures.pictures import _background
+    from tissue.show.figures import _background
 
     monkeypatch.setattr("tissue.system.child.IDLE_S", 600.0)
     with pytest.raises(KeyboardInterrupt), _background() as thread:

@@ -61,7 +61,7 @@ def print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s: 
     for name, note in summary["notes"].items():
         console.print(f"{name}: {note}")
     if band is not None:
-        from tissue.show.report.band_text import band_lines
+        from tissue.show.report.page import band_lines
 
         for line in band_lines(band):
             console.print(f"band: {line}")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from meshes.base.arrays import Array, lattice
+from meshes.base.arrays import lattice
 from meshes.ct.density import DensityLaw
 from meshes.ct.extraction import BoneOfImage
 from meshes.ct.inspection import Histogram
@@ -15,6 +15,7 @@ from meshes.surfaces.surface import Surface
 from meshes.voxels.mesh_sampling import triangle_distance
 from tissue.ct.placing import ImportedPath, Placed
 from tissue.show.figures.ct_pictures import (
+    Marks,
     draw_ct_bone,
     draw_ct_histogram,
     draw_ct_slices,
@@ -36,34 +37,22 @@ class BonePictures:
     path: ImportedPath | None
 
     @property
-    def _centre_mm(self) -> Array | None:
-        return None if self.at is None else 1e3 * self.at.site.centre_m
-
-    @property
-    def _normal(self) -> Array | None:
-        return None if self.at is None else self.at.site.rotation[:, 2]
-
-    @property
-    def _points_mm(self) -> Array | None:
-        return None if self.path is None else self.path.depth.points_mm
+    def _marks(self) -> Marks:
+        return Marks(
+            None if self.at is None else 1e3 * self.at.site.centre_m,
+            None if self.at is None else self.at.site.rotation[:, 2],
+            None if self.path is None else self.path.depth.points_mm,
+        )
 
     def draw_slices(self, around: Image, file: Path) -> None:
         """Draw slices of the image around the bone through the site or the bone's middle."""
         middle = 0.5e3 * (self.surface.vertices_m.min(axis=0) + self.surface.vertices_m.max(axis=0))
         part = self.bone.image
-        draw_ct_slices(
-            around,
-            file,
-            body=("bone", replace(part, values=self.bone.field - np.float32(self.bone.level))),
-            others={
-                f"{name}, to keep clear of": _depth(surface, part)
-                for name, surface in self.clear.items()
-            },
-            centre_mm=middle if self._centre_mm is None else self._centre_mm,
-            normal=self._normal,
-            points_mm=self._points_mm,
-            title=self.title,
-        )
+        outlines = {"bone": replace(part, values=self.bone.field - np.float32(self.bone.level))}
+        for name, surface in self.clear.items():
+            outlines[f"{name}, to keep clear of"] = _depth(surface, part)
+        marks = self._marks if self.at is not None else replace(self._marks, centre_mm=middle)
+        draw_ct_slices(around, file, outlines, marks, title=self.title)
 
     def draw_histogram(
         self, histogram: Histogram, threshold: float | None, law: DensityLaw | None, file: Path
@@ -81,23 +70,14 @@ class BonePictures:
 
     def draw_bone(self, density: Image | None, file: Path) -> str | None:
         """Draw the bone in 3D; return an error text on failure."""
-        return draw_ct_bone(
-            self.surface,
-            file,
-            density=density,
-            centre_mm=self._centre_mm,
-            normal=self._normal,
-            points_mm=self._points_mm,
-            title=self.title,
-        )
+        return draw_ct_bone(self.surface, file, self._marks, density=density, title=self.title)
 
     def draw_path(self, file: Path) -> str | None:
         """Draw the path on the bone, coloured by depth; return an error text on failure."""
-        assert self.path is not None and self._normal is not None
+        normal = self._marks.normal
+        assert self.path is not None and normal is not None
         title = self.surface.report.source
-        return draw_path_depth(
-            self.surface, self.path.depth, file, normal=self._normal, title=title
-        )
+        return draw_path_depth(self.surface, self.path.depth, file, normal=normal, title=title)
 
 
 def _depth(surface: Surface, image: Image) -> Image:

@@ -10,7 +10,7 @@ from tissue.haptics.device.safe_device import SafeDevice
 from tissue.objects.progress import Bar, reporting
 from tissue.objects.run import Run
 from tissue.scene.scene import Scene
-from tissue.show.figures.pictures import draw_pictures
+from tissue.show.figures import draw_pictures
 from tissue.simulation import simulate as engine
 from tissue.simulation.builders.device import opened_device
 from tissue.simulation.live.clock import Paced, Prioritised

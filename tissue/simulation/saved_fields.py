@@ -34,29 +34,35 @@ SPAN = 1e-3
 FAINT = 5.0
 """Percentile at which the scale may begin, for the frame with the largest stress."""
 UNITS = {
-    **{unit: unit for unit in ("mm", "m", "Pa", "kPa", "MPa", "mN", "N", "J", "mJ", "K")},
+    "mm3_s": "mm³/s",
+    "mm_s": "mm/s",
+    "rad_s": "rad/s",
+    "N_mm": "N/mm",
+    "N_m": "N/m",
+    "Nm": "N m",
     "um": "µm",
+    "us": "µs",
     "mm2": "mm²",
     "mm3": "mm³",
     "percent": "%",
     "C": "°C",
     "degC": "°C",
+    **{unit: unit for unit in ("mm", "m", "Pa", "kPa", "MPa", "mN", "N", "J", "mJ", "K")},
+    **{unit: unit for unit in ("s", "ms", "W", "Hz")},
 }
-"""Units that end a field's name, and their notation."""
+"""Units that end the name of a field or a column, compound ones first, and their notation."""
 IN_MM = {"um": 1e-3, "mm": 1.0, "m": 1e3}
 DISPLACEMENT = "displacement_"
 STRESS = "von_mises_"
 
 
 def field_label(name: str) -> tuple[str, str]:
-    """Return words and unit of a field: ``("von Mises", "kPa")`` for ``von_mises_kPa``.
+    """Return words and unit of a field or column: ``("von Mises", "kPa")`` for ``von_mises_kPa``.
 
-    The unit is empty for a field without one.
+    The unit is empty for a name without one.
     """
-    words, _, unit = name.rpartition("_")
-    if unit not in UNITS:
-        words = name
-        unit = ""
+    unit = next((unit for unit in UNITS if name.endswith(f"_{unit}")), "")
+    words = name.removesuffix(f"_{unit}") if unit else name
     return words.replace("_", " ").replace("mises", "Mises"), UNITS.get(unit, "")
 
 

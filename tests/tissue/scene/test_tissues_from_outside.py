@@ -30,7 +30,7 @@ from tissue.scene.registry import (
     MotionEntry,
     ProbeEntry,
 )
-from tissue.show.figures.faces import faces_of
+from tissue.show.figures.tool_mesh import faces_of
 from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.run_folder import SavedRun
 from tissue.system.offscreen import draw_apart

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Probe
-from tissue.show.figures.faces import faces_of
 from tissue.show.figures.figure import BONE, COMPONENTS, DEPTH_COLOURS, field_colours, layer_colours
 from tissue.show.figures.organ_surface import with_normals
-from tissue.show.figures.tool_mesh import tool_turns, turning_tool
-from tissue.show.report.packing import Record, packed, packed_mesh, packed_shares, packed_vectors
+from tissue.show.figures.tool_mesh import faces_of, tool_turns, turning_tool
+from tissue.show.report.charts import Record, packed, packed_mesh, packed_shares, packed_vectors
 from tissue.show.viewer.saved_surfaces import bone_of, cut_plane, saved_fields, tool_force
 from tissue.simulation.run_folder import SavedRun, saved_placement
 from tissue.simulation.saved_fields import SavedFields, field_label, field_values

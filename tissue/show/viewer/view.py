@@ -19,11 +19,10 @@ from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
 from tissue.models.tissue_model import TICK_S
-from tissue.show.viewer.export import check_movie, write_clean, write_movie
 from tissue.show.viewer.run_scene import Choice, times_of
 from tissue.show.viewer.saved_surfaces import saved_fields
 from tissue.show.viewer.site_window import is_imported, show_site
-from tissue.show.viewer.window import Window
+from tissue.show.viewer.window import Window, check_movie, write_clean, write_movie
 from tissue.simulation.builders.motions import motion_of
 from tissue.simulation.live.window import require_web
 from tissue.simulation.run_folder import SavedRun

@@ -9,8 +9,8 @@ from recording_plotter import RecordingPlotter
 
 from tissue import InputError, load_scene, simulate
 from tissue.motion.pose_file import write_poses
-from tissue.show.viewer.bone import BoneShown
 from tissue.show.viewer.controls import LayerKeys
+from tissue.show.viewer.fields import BoneShown
 from tissue.show.viewer.saved_surfaces import bone_of
 from tissue.simulation.bone_files import read_voxels
 from tissue.simulation.run_folder import SavedRun

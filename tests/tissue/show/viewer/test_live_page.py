@@ -5,8 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tissue.show.viewer.live.live_scene import Readings
-from tissue.show.viewer.live.target import KEY_MM, NOTCH_MM
+from tissue.show.viewer.live.live_scene import KEY_MM, NOTCH_MM, Readings
 from tissue.show.viewer.web import live_page
 from tissue.show.viewer.web.live_page import LivePage
 from tissue.simulation.live.shared import SharedArrays

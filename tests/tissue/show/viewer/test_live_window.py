@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from tissue import load_scene, simulate
-from tissue.show.figures.faces import faces_of
 from tissue.show.figures.force_depth import draw_wall
-from tissue.show.viewer.live.live_scene import LiveBone, LiveOrgan
-from tissue.show.viewer.live.target import KEY_MM, NOTCH_MM, Pointer
+from tissue.show.figures.tool_mesh import faces_of
+from tissue.show.viewer.live.live_scene import KEY_MM, NOTCH_MM, LiveBone, LiveOrgan, Pointer
 from tissue.simulation.live.shared import BoneShared, OrganShared, SharedArrays
 from tissue.simulation.live.surfaces import FADES_MM, BoneSurface, OrganSurface
 

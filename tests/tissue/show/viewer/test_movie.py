@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from tissue import InputError
-from tissue.show.viewer.export import FRAMES_PER_S, check_movie, movie_times_s, write_movie
+from tissue.show.viewer.window import FRAMES_PER_S, check_movie, movie_times_s, write_movie
 
 
 def pictures(count, size=(64, 96)):

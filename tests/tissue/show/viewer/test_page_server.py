@@ -11,8 +11,16 @@ import aiohttp
 import psutil
 
 from tissue.show.viewer.web import server as served
-from tissue.show.viewer.web.messages import LARGEST, MessageError, Pace, parse
-from tissue.show.viewer.web.server import HOST, PageServer, page_text, refusal
+from tissue.show.viewer.web.server import (
+    HOST,
+    LARGEST,
+    MessageError,
+    Pace,
+    PageServer,
+    page_text,
+    parse,
+    refusal,
+)
 
 HOME = {
     "host": "127.0.0.1:80",

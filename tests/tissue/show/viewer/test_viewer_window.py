@@ -12,10 +12,9 @@ from fake_fields import pressed_run, pressed_series
 
 from tissue import InputError, load_scene
 from tissue.scene.tool import Needle, probe_part
-from tissue.show.figures.faces import faces_of
 from tissue.show.figures.figure import field_colours
 from tissue.show.figures.organ_pictures import draw_press
-from tissue.show.figures.tool_mesh import tool_surface
+from tissue.show.figures.tool_mesh import faces_of, tool_surface
 from tissue.show.viewer.view import view
 from tissue.simulation.run_folder import SavedRun
 

@@ -11,8 +11,7 @@ from time import perf_counter, sleep
 
 import numpy as np
 
-from tissue.show.viewer.live.live_scene import LiveScene, Readings
-from tissue.show.viewer.live.target import HELP, Pointer
+from tissue.show.viewer.live.live_scene import HELP, LiveScene, Pointer, Readings
 from tissue.show.viewer.plotter import add_names, add_text
 
 __all__ = ["NICE", "LiveWindow"]

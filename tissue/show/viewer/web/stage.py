@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tissue.show.viewer.plotter import Plotter
-from tissue.show.viewer.web.messages import Values
+from tissue.show.viewer.web.server import Values
 
 __all__ = ["Stage", "taken_scale"]
 

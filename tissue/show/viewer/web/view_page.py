@@ -16,8 +16,7 @@ from tissue.show.figures.figure import field_words
 from tissue.show.viewer.plotter import aim, new_plotter
 from tissue.show.viewer.run_scene import Choice, RunScene
 from tissue.show.viewer.saved_surfaces import tool_force
-from tissue.show.viewer.web.messages import Values
-from tissue.show.viewer.web.server import serve
+from tissue.show.viewer.web.server import Values, serve
 from tissue.show.viewer.web.stage import Stage, taken_scale
 from tissue.simulation.run_folder import SavedRun
 
