@@ -51,21 +51,19 @@ def view(
     overwrite
         Replace the file of the screenshot or movie.
     """
+    from meshes.base.progress import silent
+    from tissue.show.viewer.run_scene import Choice
     from tissue.show.viewer.view import view as show
 
     opened = (lambda address: console.print(f"open {address}; Ctrl-C ends it")) if web else None
     with nullcontext() if movie is None else progress() as report:
         shown = show(
             folder,
+            Choice(hide=hide, field=field, scale=scale, time_s=time_s, clean=clean),
             screenshot=screenshot,
             movie=movie,
-            hide=hide,
-            field=field,
-            scale=scale,
-            time_s=time_s,
-            clean=clean,
             overwrite=overwrite,
-            progress=report,
+            progress=report or silent,
             opened=opened,
         )
     console.print(shown)

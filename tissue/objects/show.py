@@ -108,6 +108,7 @@ def show_folder(
 
     See `tissue.objects.run.Run.show`.
     """
+    from tissue.show.viewer.run_scene import Choice
     from tissue.show.viewer.view import view
 
     notebook = in_notebook()
@@ -120,7 +121,7 @@ def show_folder(
             "screenshot", "be left out with interactive", screenshot, "leave one of them out"
         )
     if interactive and not notebook:
-        view(folder, **chosen)
+        view(folder, Choice(**chosen))
         return None
     if interactive and not is_interactive():
         raise InputError(
@@ -132,7 +133,7 @@ def show_folder(
     with TemporaryDirectory(prefix="tissue-") as place:
         file = screenshot or Path(place) / "shown.png"
         # `view` draws in a separate process, which also checks whether this machine can draw.
-        view(folder, screenshot=file, overwrite=True, **chosen)
+        view(folder, Choice(**chosen), screenshot=file, overwrite=True)
         still = Picture(file.read_bytes())
     return _turned(folder, chosen) if interactive else still
 

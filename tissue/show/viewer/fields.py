@@ -1,20 +1,20 @@
-"""The fields in the window of `tissue view`: the deformed mesh of the moment, cut open where the
-clip plane lies.
+"""Tissue in the window of `tissue view`: the deformed mesh of the moment with its fields, and the
+bone by layer or by removed depth.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tissue.show.figures.figure import BONE, field_colours, layer_colours
+from meshes.base.arrays import Array
+from tissue.show.figures.figure import BONE, field_colours, field_words, layer_colours
 from tissue.show.figures.organ_surface import SHOWN as DRAWN
 from tissue.show.figures.organ_surface import at_nodes, drawn_surface
 from tissue.show.viewer.plotter import Plotter, add_colour_scale
 from tissue.show.viewer.saved_surfaces import BoneOverTime, Plane
-from tissue.simulation.saved_fields import SavedFields, field_label, field_values
+from tissue.simulation.saved_fields import SavedFields, field_values
 
 if TYPE_CHECKING:
     import pyvista
@@ -46,8 +46,8 @@ class PointValues:
         Layer of the point. Empty without layers.
     """
 
-    place_mm: NDArray[np.float64]
-    values: dict[str, NDArray[np.float64]]
+    place_mm: Array
+    values: dict[str, Array]
     layer: str
 
 
@@ -131,7 +131,7 @@ class FieldsShown:
         self._hidden = hidden
         self._draw()
 
-    def read(self, reference_mm: NDArray[np.float64]) -> PointValues | None:
+    def read(self, reference_mm: Array) -> PointValues | None:
         """Return the values at a point of the material, or None if no cell is left.
 
         The point is given before loading [mm].
@@ -139,14 +139,12 @@ class FieldsShown:
         mesh, _ = self._fields.at(self._time_s)
         if not mesh.n_cells:
             return None
-        found: object = mesh.find_closest_cell(reference_mm, return_closest_point=True)
-        assert isinstance(found, tuple)
-        index, closest = found
+        found: Any = mesh.find_closest_cell(reference_mm, return_closest_point=True)
+        cell, closest = found
         if np.linalg.norm(closest - reference_mm) > 1e-3 * self._fields.size_mm:
             return None
-        cell = int(index)
         layers = self._fields.layer_names
-        values: dict[str, NDArray[np.float64]] = {}
+        values: dict[str, Array] = {}
         for name in self._fields.names:
             if name in mesh.cell_data:
                 values[name] = np.asarray(mesh.cell_data[name][cell])
@@ -157,26 +155,19 @@ class FieldsShown:
         return PointValues(reference_mm + self.scale * moved, values, layer)
 
     def _draw(self) -> None:
-        key = (self.name, self.scale, self.clip, self._hidden)
-        if self.name is None:
-            if self.actor is not None:
-                self._clear()
-        else:
-            mesh, shown_s = self._fields.at(self._time_s)
-            if (*key, shown_s) == self._last:
-                return
-            self._clear()
-            self._last = (*key, shown_s)
-            self._add(mesh, shown_s, self.name)
-        for call in self.drawn:
-            call()
-
-    def _clear(self) -> None:
+        mesh, shown_s = self._fields.at(self._time_s)
+        key = (self.name, self.scale, self.clip, self._hidden, shown_s)
+        if key == self._last:
+            return
+        self._last = key
         self._plotter.remove_actor("field", reset_camera=False, render=False)
         if self._title in self._plotter.scalar_bars:
             self._plotter.remove_scalar_bar(self._title, render=False)
         self.actor = None
-        self._last = None
+        if self.name is not None:
+            self._add(mesh, shown_s, self.name)
+        for call in self.drawn:
+            call()
 
     def _part(self, mesh: "pyvista.DataSet") -> "pyvista.DataSet":
         """Return the deformed mesh without hidden layers, cut at the clip plane."""
@@ -233,25 +224,21 @@ class FieldsShown:
             reset_camera=False,
             render=False,
         )
-        words, unit = field_label(name)
-        self._title = f"{words}{f' / {unit}' if unit else ''}\nat {shown_s:.3f} s"
+        self._title = f"{field_words(name)}\nat {shown_s:.3f} s"
         if self.scale != 1.0 and self._fields.displacement is not None:
             self._title += f"\ndrawn × {self.scale:.3g}"
         add_colour_scale(self._plotter, self._title, self.actor.mapper, bottom=0.42, fmt="%.2g")
 
 
-def interpolated(
-    mesh: "pyvista.DataSet", cell: int, place_mm: NDArray[np.float64], name: str
-) -> NDArray[np.float64]:
+def interpolated(mesh: "pyvista.DataSet", cell: int, place_mm: Array, name: str) -> Array:
     """Interpolate a point array in one cell of a mesh by the cell's own shape functions."""
     from vtkmodules.vtkCommonCore import reference
 
     one = mesh.GetCell(cell)
     nodes = [one.GetPointId(i) for i in range(one.GetNumberOfPoints())]
     shares = [0.0] * len(nodes)
-    one.EvaluatePosition(
-        list(map(float, place_mm)), [0.0] * 3, reference(0), [0.0] * 3, reference(0.0), shares
-    )
+    unused = [0.0] * 3
+    one.EvaluatePosition(place_mm.tolist(), unused, reference(0), unused, reference(0.0), shares)
     return np.asarray(np.array(shares) @ np.asarray(mesh.point_data[name], dtype=np.float64)[nodes])
 
 

@@ -1,20 +1,26 @@
 """The window of `tissue view`, and the same view off screen for stills and movies."""
 
-import subprocess
 from collections.abc import Collection, Iterable, Iterator
-from importlib.util import find_spec
 from pathlib import Path
+from subprocess import DEVNULL, SubprocessError, run
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Bytes
 from meshes.base.errors import InputError
 from meshes.base.whole_file import whole_file
 from tissue.show.figures.figure import field_words
 from tissue.show.figures.rendering import round_length
 from tissue.show.viewer.controls import HELP as CLIP_HELP
-from tissue.show.viewer.controls import ClipPlane, LayerKeys, NameList, Playback, PointRead
+from tissue.show.viewer.controls import (
+    ClipPlane,
+    LayerKeys,
+    NameList,
+    Playback,
+    PlaybackWidgets,
+    PointRead,
+)
 from tissue.show.viewer.plotter import (
     Plotter,
     add_names,
@@ -74,7 +80,7 @@ def add_scale_bar(plotter: Plotter) -> None:
     plotter.add_text(f"{length:g} mm", position=(x, y + 8), font_size=11, color="black")
 
 
-def leave_alone(plotter: Plotter, kept: Collection[object], points_mm: NDArray[np.float64]) -> None:
+def leave_alone(plotter: Plotter, kept: Collection[object], points_mm: Array) -> None:
     """Remove text, widgets, scales and most actors, and let the points fill the window.
 
     The actors in `kept` stay.
@@ -121,37 +127,24 @@ def check_movie(path: Path) -> None:
     kind = path.suffix.lower()
     if kind not in KINDS:
         raise InputError("movie", "be a .mp4 or .gif file", path, f"use {path.with_suffix('.gif')}")
-    problem = _encoder_problem() if kind == ".mp4" else None
-    if problem is not None:
-        raise InputError(
-            "movie",
-            f"be a .gif where {problem}",
-            path,
-            f"use {path.with_suffix('.gif')} or pip install imageio imageio-ffmpeg",
-        )
+    if kind == ".mp4":
+        try:
+            import imageio.v2  # noqa: F401
+            import imageio_ffmpeg
+
+            encoder = imageio_ffmpeg.get_ffmpeg_exe()
+            # an encoder that IMAGEIO_FFMPEG_EXE names is not tried
+            run([encoder, "-version"], check=True, capture_output=True, stdin=DEVNULL, timeout=60.0)
+        except (ImportError, RuntimeError, OSError, SubprocessError):
+            raise InputError(
+                "movie",
+                "be a .gif where imageio and imageio-ffmpeg have no ffmpeg that runs",
+                path,
+                f"use {path.with_suffix('.gif')} or pip install imageio imageio-ffmpeg",
+            ) from None
 
 
-def _encoder_problem() -> str | None:
-    """Return why no MP4 can be encoded here, or None."""
-    if find_spec("imageio") is None or find_spec("imageio_ffmpeg") is None:
-        return "imageio and imageio-ffmpeg are not installed"
-    import imageio_ffmpeg
-
-    try:
-        encoder = imageio_ffmpeg.get_ffmpeg_exe()
-        subprocess.run(
-            [encoder, "-version"],
-            check=True,
-            capture_output=True,
-            stdin=subprocess.DEVNULL,
-            timeout=60.0,
-        )
-    except (RuntimeError, OSError, subprocess.SubprocessError):
-        return "imageio-ffmpeg has no ffmpeg that runs"
-    return None
-
-
-def movie_times_s(first_s: float, last_s: float) -> NDArray[np.float64]:
+def movie_times_s(first_s: float, last_s: float) -> Array:
     """Return the times of a movie's frames [s].
 
     The movie lasts as long as the run, but at least 4 and at most 12 s.
@@ -160,7 +153,7 @@ def movie_times_s(first_s: float, last_s: float) -> NDArray[np.float64]:
     return np.linspace(first_s, last_s, round(lasts * FRAMES_PER_S) + 1)
 
 
-def write_movie(path: Path, pictures: Iterable[NDArray[np.uint8]]) -> None:
+def write_movie(path: Path, pictures: Iterable[Bytes]) -> None:
     """Write a movie and replace an existing file once the new file is complete.
 
     Parameters
@@ -174,10 +167,10 @@ def write_movie(path: Path, pictures: Iterable[NDArray[np.uint8]]) -> None:
         (_write_mp4 if path.suffix.lower() == ".mp4" else _write_gif)(temporary, pictures)
 
 
-def _write_gif(path: Path, pictures: Iterable[NDArray[np.uint8]]) -> None:
+def _write_gif(path: Path, pictures: Iterable[Bytes]) -> None:
     from PIL import Image
 
-    def small(picture: NDArray[np.uint8]) -> "Picture":
+    def small(picture: Bytes) -> "Picture":
         return Image.fromarray(picture).reduce(2).quantize(256, dither=Image.Dither.NONE)
 
     each = iter(pictures)
@@ -191,7 +184,7 @@ def _write_gif(path: Path, pictures: Iterable[NDArray[np.uint8]]) -> None:
     )
 
 
-def _write_mp4(path: Path, pictures: Iterable[NDArray[np.uint8]]) -> None:
+def _write_mp4(path: Path, pictures: Iterable[Bytes]) -> None:
     import imageio.v2
     from imageio.core.format import Format
 
@@ -226,7 +219,7 @@ class Window:
     ----------
     plotter
         PyVista's plotter.
-    fields, point, names, playback, bone, layers
+    fields, point, names, playback, widgets, bone, layers
         Parts of the window. None if the run, or a picture, does not have the part.
     """
 
@@ -240,7 +233,8 @@ class Window:
         self.fields = shown.fields
         self.names: NameList | None = None
         self.point: PointRead | None = None
-        self.playback: Playback | None = None
+        self.playback = Playback(shown.span_s, shown.start_s)
+        self.widgets: PlaybackWidgets | None = None
         add_names(self.plotter, shown.face_colours)
         self.layers = LayerKeys(
             self.plotter, list(shown.colours), hidden=choice.hide, hide=shown.hide
@@ -274,23 +268,23 @@ class Window:
         at = choices.index(self.fields.name) if self.fields.name in choices else -1
         self.choose(choices[(at + 1) % len(choices)])
 
-    def pictures(self) -> Iterator[NDArray[np.uint8]]:
+    def pictures(self) -> Iterator[Bytes]:
         """Yield the pictures of a movie over the whole run.
 
         The finished share, 0 to 1, is printed once per picture, one line each.
         """
-        assert self.playback is not None
+        assert self.widgets is not None
         times_s = movie_times_s(*self.playback.span_s)
         for index, time_s in enumerate(times_s.tolist(), 1):
-            self.playback.to(time_s)
+            self.widgets.to(time_s)
             yield self.plotter.screenshot(None, return_img=True)[..., :3]
             print(index / len(times_s), flush=True)
 
     def open(self) -> None:
         """Open the window, and return when it was closed."""
         free_keys(self.plotter)
-        if self.playback is not None:
-            self.playback.start()
+        if self.widgets is not None:
+            self.widgets.start()
         self.plotter.show()
 
     def _add_time(self) -> None:
@@ -301,9 +295,7 @@ class Window:
             left = 0.03 if self._off_screen else 0.1
             right = 0.97 if shown.series is None or self._off_screen else 0.66
             slider = (left, right, SLIDERS)
-            self.playback = Playback(
-                self.plotter, shown.at, span_s=shown.span_s, begin_s=shown.start_s, slider=slider
-            )
+            self.widgets = PlaybackWidgets(self.plotter, self.playback, shown.at, slider=slider)
 
     def _add_controls(self) -> None:
         """Add the controls of a window: list of fields, point values, clip plane, scale of the
@@ -324,7 +316,7 @@ class Window:
         point = self.point = PointRead(plotter, fields, size_mm=0.02 * self._shown.size_mm)
         ClipPlane(plotter, fields, start=cut_plane(self._saved, series))
         if series.displacement is not None and series.greatest_mm() > 0.0:
-            top = max(_round_up(LARGEST * series.size_mm / series.greatest_mm()), fields.scale, 2.0)
+            top = max(LARGEST * series.size_mm / series.greatest_mm(), fields.scale, 2.0)
             place = (0.72, 0.97, SLIDERS)
             add_slider(
                 plotter,
@@ -341,16 +333,8 @@ class Window:
         if not self._off_screen:
             first = [self.bone.help if self.bone is not None else "", self.layers.help]
             second = [CLIP_HELP, "click: read a point"] if self.fields is not None else []
-            second += ["space: play or pause"] if self.playback is not None else []
+            second += ["space: play or pause"] if self.widgets is not None else []
             for keys, height in ((first, 0.898), ([*second, "q: close"], 0.87)):
                 lines.append(("    ".join(key for key in keys if key), 9, height))
         for words, size, height in lines:
             add_text(self.plotter, words, (0.012, height), size=size)
-
-
-def _round_up(value: float) -> float:
-    """Return the next of 1, 2, 5, 10, 20 and so on."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(
-        next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= value * (1.0 - 1e-9))
-    )

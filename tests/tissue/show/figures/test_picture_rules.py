@@ -100,7 +100,7 @@ def test_the_force_picture_names_every_line(molar, tmp_path):
 
 
 def test_an_unknown_format_is_refused_before_anything_is_written(molar, tmp_path):
-    with pytest.raises(InputError, match="pictures .* jpeg"):
+    with pytest.raises(InputError, match="jpeg"):
         molar.save(tmp_path / "run", pictures="jpeg")
     assert not (tmp_path / "run").exists()
     assert [picture_format(each) for each in (True, False, "pdf")] == ["png", None, "pdf"]

@@ -120,7 +120,7 @@ def wait_for_slider(page, least):
     pytest.fail("the slider does not move")
 
 
-@pytest.mark.parametrize("name", ["milling", "palpation", "needle", "wall"])
+@pytest.mark.parametrize("name", ["milling", "palpation"])
 def test_a_report_shows_turns_and_plays(opened, name):
     page = opened(name)
     assert page.locator("#stage-problem").inner_text() == ""
@@ -218,11 +218,9 @@ def test_charts_zoom_and_go_to_moments(opened):
     assert page.locator("#time-shown").inner_text() == event.inner_text()
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_a_narrow_window_is_not_wider_than_itself(opened, scheme):
-    page = opened("milling", color_scheme=scheme)
+def test_a_narrow_window_is_not_wider_than_itself(opened):
+    page = opened("milling", color_scheme="dark")
     page.set_viewport_size({"width": 390, "height": 800})
     page.wait_for_timeout(300)
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
-    corner = pixels(page)[2, 2].mean()
-    assert (corner < 80) == (scheme == "dark")
+    assert pixels(page)[2, 2].mean() < 80

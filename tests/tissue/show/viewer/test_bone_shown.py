@@ -111,11 +111,7 @@ def test_keys_switch_layers_and_colours(layered):
     bone = BoneShown(plotter, carved_bone(layered))
     cells = lambda: sum(mesh.n_cells for mesh, _, _ in plotter.meshes.values())  # noqa: E731
     keys = LayerKeys(plotter, bone.layers, hide=bone.hide)
-    assert bone.help == "c: removed depth or layer"
-    assert (
-        keys.help
-        == "  ".join(f"{n}: {name}" for n, name in enumerate(bone.layers, 1)) + " on or off"
-    )
+    assert bone.help and all(name in keys.help for name in bone.layers)
     assert list(plotter.scalar_bars) == ["removed depth / mm"] and not plotter.legend
     whole = cells()
     plotter.keys["1"]()

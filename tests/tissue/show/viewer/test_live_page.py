@@ -125,17 +125,6 @@ def test_the_tool_stays_where_it_is_while_the_run_is_paused(page):
     assert pointer(page)[2] == -3 * NOTCH_MM and page.arrays["paused"][0] == 0
 
 
-def test_the_ticks_wait_while_no_page_is_open_and_a_pause_outlasts_a_new_page(page):
-    page.attend(False)
-    assert page.arrays["paused"][0] == 1
-    page.attend(True)
-    assert page.arrays["paused"][0] == 0
-    page.take("pause", {"on": True})
-    page.attend(False)
-    page.attend(True)
-    assert page.arrays["paused"][0] == 1
-
-
 def test_a_reset_is_asked_for_once_and_the_tool_begins_where_it_did(page):
     page.take("depth", {"notches": -3})
     page.take("pause", {"on": True})
