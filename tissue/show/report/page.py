@@ -64,11 +64,11 @@ def figures_of(saved: SavedRun, text: Text) -> str:
         cards.append(
             ("ticks that took longer than 1 ms", f"{summary['missed_deadlines']} of {count}")
         )
-    return (
-        '<div class="cards">'
-        + "".join(_card(text(label), text(value)) for label, value in cards)
-        + "</div>"
+    shown = (
+        f'<div class="card"><span>{text(label)}</span><b>{text(value)}</b></div>'
+        for label, value in cards
     )
+    return f'<div class="cards">{"".join(shown)}</div>'
 
 
 def events_table(summary: Summary, text: Text) -> str:
@@ -142,11 +142,6 @@ def reproduce(scene_text: str, versions: Iterable[tuple[str, str]], text: Text) 
     )
 
 
-def _card(label: str, value: str) -> str:
-    """Return a card with a label and a value, both HTML already."""
-    return f'<div class="card"><span>{label}</span><b>{value}</b></div>'
-
-
 def _torque(torque_Nm: float) -> str:
     return f"{torque_Nm:.3g} N·m" if torque_Nm >= 0.02 else f"{1e3 * torque_Nm:.3g} mN·m"
 
@@ -155,16 +150,17 @@ def _table(
     header: Sequence[str], rows: Sequence[Sequence[str]], *, numbers: Sequence[int] = ()
 ) -> str:
     """Return a table of cells that are HTML already. Columns of numbers align to the right."""
-    look = [' class="number"' if column in numbers else "" for column in range(len(header))]
-    head = "".join(f"<th{look[column]}>{name}</th>" for column, name in enumerate(header))
-    body = "".join(
-        "<tr>"
-        + "".join(f"<td{look[column]}>{cell}</td>" for column, cell in enumerate(row))
-        + "</tr>"
-        for row in rows
-    )
-    headed = f"<thead><tr>{head}</tr></thead>" if any(header) else ""
-    return f'<div class="scroll"><table>{headed}<tbody>{body}</tbody></table></div>'
+
+    def line(cells: Sequence[str], element: str) -> str:
+        shown = ""
+        for column, cell in enumerate(cells):
+            look = ' class="number"' if column in numbers else ""
+            shown += f"<{element}{look}>{cell}</{element}>"
+        return f"<tr>{shown}</tr>"
+
+    head = f"<thead>{line(header, 'th')}</thead>" if any(header) else ""
+    body = "".join(line(row, "td") for row in rows)
+    return f'<div class="scroll"><table>{head}<tbody>{body}</tbody></table></div>'
 
 
 ROWS = (
@@ -175,53 +171,42 @@ ROWS = (
 )
 ENDS = ("p25", "p75"), ("p05", "p95")
 """Ends of the bands of 50 and 90 %."""
+BAND_PICTURES = {
+    "band": "loads over time with their bands",
+    "band_sobol": "which constant matters",
+}
 PICTURES = {"png": "image/png", "svg": "image/svg+xml"}
 """Formats that a page shows, with their types."""
 
 
-def band_section(saved: SavedRun, text: Callable[[str], str]) -> str:
-    """Return heading, table and pictures of a run's band, or an empty string without a band.
-
-    `text` converts a plain text to HTML.
-    """
+def band_section(saved: SavedRun, text: Text) -> str:
+    """Return heading, table and pictures of a run's band, or an empty string without a band."""
     band: dict[str, Any] | None = saved.summary.get("band")
     if band is None or not saved.complete:
         return ""
     rows = []
     for label, outer, inner, unit in ROWS:
         at = band[outer][inner]
+        spans = (f"{at[low]:.3g} to {at[high]:.3g}" for low, high in ENDS)
         value = saved.summary[outer].get(inner, 0.0)
-        cells = [
-            f"{value:.3g}",
-            f"{at['p50']:.3g}",
-            *(f"{at[low]:.3g} to {at[high]:.3g}" for low, high in ENDS),
-        ]
-        rows.append(
-            f"<tr><td>{label} / {unit}</td>"
-            + "".join(f"<td>{cell}</td>" for cell in cells)
-            + "</tr>"
-        )
-    head = "".join(f"<th>{name}</th>" for name in ("figure", "this run", "median", "50 %", "90 %"))
+        rows.append((f"{label} / {unit}", f"{value:.3g}", f"{at['p50']:.3g}", *spans))
     sentence = (
         f"{len(band['constants'])} constants in their ranges. The error of the model itself is "
         "not in it."
     )
     lines = "".join(f"<li>{text(line)}</li>" for line in band_lines(band))
-    table = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
+    table = _table(("figure", "this run", "median", "50 %", "90 %"), rows)
     return f"<h2>Bands</h2><p>{sentence}</p>{table}<ul>{lines}</ul>{_pictures(saved)}"
 
 
 def _pictures(saved: SavedRun) -> str:
     found = []
-    for name, words in (
-        ("band", "loads over time with their bands"),
-        ("band_sobol", "which constant matters"),
-    ):
+    for name in ("band", "band_sobol"):
         for ending, kind in PICTURES.items():
             path = saved.path / "pictures" / f"{name}.{ending}"
             if path.is_file():
                 data = b64encode(path.read_bytes()).decode()
-                found.append(f'<img src="data:{kind};base64,{data}" alt="{words}">')
+                found.append(f'<img src="data:{kind};base64,{data}" alt="{BAND_PICTURES[name]}">')
     return "".join(found)
 
 
@@ -231,20 +216,12 @@ GREATEST = "greatest_"
 
 def _band_text(band: Summary) -> str:
     """Describe the method of a band and the most important constants for the peak force."""
-    asked = (
-        f", {band['asked']} rounded up to a power of two"
-        if band["asked"] & (band["asked"] - 1)
-        else ""
-    )
+    asked = f", {band['asked']} asked for" if band["asked"] != band["samples"] else ""
     totals = {name: index["total"] for name, index in band["sobol"].get("force_N.peak", {}).items()}
     first = sorted(totals, key=lambda name: -totals[name])[:3]
     shares = ", ".join(f"{name} {100.0 * totals[name]:.0f} %" for name in first)
-    none = (
-        "; no Sobol indices of the peak force: it does not vary, or a polynomial explains too "
-        "little of it"
-    )
-    matters = f"; of the variance of the peak force: {shares}" if shares else none
-    return f"{band['samples']} samples{asked}; {band['how']}{matters}"
+    matters = f"of the variance of the peak force: {shares or 'no Sobol indices'}"
+    return f"{band['samples']} samples{asked}; {band['how']}; {matters}"
 
 
 def band_lines(band: Summary) -> Iterator[str]:
@@ -264,17 +241,10 @@ def band_lines(band: Summary) -> Iterator[str]:
             f"{sentence}: in {event['share']:.0%} of the samples, 90 % at "
             f"{_between(event['time_s'])} s"
         )
-    if "without" in band:
-        names = ", ".join(name for name, why in band["without"].items() if "not vary" in why)
-        yield f"on a given path these do not vary: {names}"
-        if names := ", ".join(
-            name for name, why in band["without"].items() if "not vary" not in why
-        ):
-            yield (
-                "these depend on the constants and have no band, for the loads alone were "
-                "reweighed (--each-run gives "
-                f"one): {names}"
-            )
+    without = band.get("without", {})
+    for why in dict.fromkeys(without.values()):
+        names = ", ".join(name for name, reason in without.items() if reason == why)
+        yield f"without a band: {names}, {why}"
     for name, why in band["problems"].items():
         yield f"{name} failed and is left out: {why}"
     if (span := band.get("span")) is not None and span["shortest_sample_s"] < span[

@@ -3,8 +3,8 @@
 import json
 import re
 from base64 import b64encode
-from collections.abc import Callable
-from contextlib import nullcontext
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext, suppress
 from html import escape
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
@@ -21,7 +21,7 @@ from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
 from tissue.scene.texts import folders_of
 from tissue.scene.used_constants import used_constants
-from tissue.show.report.charts import charts, columns
+from tissue.show.report.charts import Record, charts, columns
 from tissue.show.report.page import (
     band_section,
     events_table,
@@ -37,7 +37,7 @@ from tissue.simulation.saved_fields import require_whole
 from tissue.system.html import html_page
 from tissue.system.outputs import require_new_file
 
-__all__ = ["NAME", "empty_scene", "viewer_scripts", "write_report"]
+__all__ = ["NAME", "write_report"]
 
 NAME = "report.html"
 """File in a run's folder."""
@@ -130,9 +130,7 @@ def _trace(saved: SavedRun) -> dict[str, object]:
     }
 
 
-def _html(
-    saved: SavedRun, data: dict[str, Any], viewer: tuple[list[str], list[str]], clean: Clean
-) -> str:
+def _html(saved: SavedRun, data: Record, viewer: tuple[list[str], list[str]], clean: Clean) -> str:
     """Return the whole file."""
     scene = saved.scene
     used = used_constants(scene, saved.summary.get("layers", ())) if scene is not None else []
@@ -202,7 +200,7 @@ def _cleaned(value: Any, clean: Clean) -> Any:
     return value
 
 
-def _data_element(data: dict[str, Any]) -> str:
+def _data_element(data: Record) -> str:
     """Return the element that holds the data as JSON. No text of the run can end it."""
     written = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     return f'<script type="application/json" id="report-data">{written}</script>'
@@ -255,12 +253,11 @@ def viewer_scripts() -> tuple[list[str], list[str]]:
         If trame-vtk is missing, or its version ships no such viewer (2.11.0 does not).
     """
     found = find_spec("trame_vtk")
-    file = (
-        None
-        if found is None or found.origin is None
-        else Path(found.origin).parent / "tools" / "static_viewer.html"
-    )
-    text = file.read_text("utf-8") if file is not None and file.is_file() else ""
+    text = ""
+    if found is not None and found.origin is not None:
+        with suppress(FileNotFoundError):
+            file = Path(found.origin).parent / "tools" / "static_viewer.html"
+            text = file.read_text("utf-8")
     if "OfflineLocalView" not in text:
         raise InputError(
             "report", "have the vtk.js viewer of trame-vtk", "none", "pip install -U trame-vtk"
@@ -280,35 +277,32 @@ def empty_scene(parts: int) -> str:
     The browser's script gives them their points: vtk.js makes objects only from such a scene.
     """
     actors = [_actor(index) for index in range(parts)]
-    camera = {"id": "camera", "type": "vtkCamera", "properties": {}}
-    renderer = {
-        "id": "renderer",
-        "type": "vtkRenderer",
-        "properties": {"background": [1.0, 1.0, 1.0]},
-        "dependencies": [camera, *actors],
-        "calls": [
-            ["setActiveCamera", ["instance:${camera}"]],
-            *(["addViewProp", [f"instance:${{{actor['id']}}}"]] for actor in actors),
-        ],
-    }
-    window = {
-        "id": "window",
-        "type": "vtkRenderWindow",
-        "mtime": 1,
-        "properties": {},
-        "dependencies": [renderer],
-        "calls": [["addRenderer", ["instance:${renderer}"]]],
-    }
+    camera = _instance("camera", "vtkCamera")
+    calls = [["setActiveCamera", ["instance:${camera}"]]]
+    calls += [["addViewProp", [f"instance:${{{actor['id']}}}"]] for actor in actors]
+    renderer = _instance("renderer", "vtkRenderer", [camera, *actors], calls)
+    renderer["properties"] = {"background": [1.0, 1.0, 1.0]}
+    window = _instance(
+        "window", "vtkRenderWindow", [renderer], [["addRenderer", ["instance:${renderer}"]]]
+    )
     content = {
         name: {"content": b64encode(bytes(12)).decode()} for name in ("Uint8Array", "Float32Array")
     }
     kept = BytesIO()
     with ZipFile(kept, "w", ZIP_DEFLATED) as archive:
-        archive.writestr("index.json", json.dumps({"scene": window, "hashes": content}))
+        scene = window | {"mtime": 1}
+        archive.writestr("index.json", json.dumps({"scene": scene, "hashes": content}))
     return b64encode(kept.getvalue()).decode("ascii")
 
 
-def _actor(index: int) -> dict[str, object]:
+def _instance(
+    name: str, kind: str, parts: Sequence[Record] = (), calls: Sequence[Sequence[Any]] = ()
+) -> Record:
+    """Return a VTK object of a scene of vtk.js, with the calls that join it and its parts."""
+    return {"id": name, "type": kind, "properties": {}, "dependencies": parts, "calls": calls}
+
+
+def _actor(index: int) -> Record:
     arrays = (
         ("pointData", "setScalars", "Uint8Array"),
         ("cellData", "setScalars", "Uint8Array"),
@@ -327,21 +321,13 @@ def _actor(index: int) -> dict[str, object]:
         for location, setter, kind in arrays
     ]
     data = {"id": f"data{index}", "type": "vtkPolyData", "properties": {"fields": fields}}
-    mapper = {
-        "id": f"mapper{index}",
-        "type": "vtkMapper",
-        "properties": {},
-        "dependencies": [data],
-        "calls": [["setInputData", [f"instance:${{data{index}}}"]]],
-    }
-    property_ = {"id": f"property{index}", "type": "vtkProperty", "properties": {}}
-    return {
-        "id": f"actor{index}",
-        "type": "vtkActor",
-        "properties": {},
-        "dependencies": [mapper, property_],
-        "calls": [
-            ["setMapper", [f"instance:${{mapper{index}}}"]],
-            ["setProperty", [f"instance:${{property{index}}}"]],
-        ],
-    }
+    given = [["setInputData", [f"instance:${{data{index}}}"]]]
+    parts = [
+        _instance(f"mapper{index}", "vtkMapper", [data], given),
+        {"id": f"property{index}", "type": "vtkProperty", "properties": {}},
+    ]
+    calls = [
+        ["setMapper", [f"instance:${{mapper{index}}}"]],
+        ["setProperty", [f"instance:${{property{index}}}"]],
+    ]
+    return _instance(f"actor{index}", "vtkActor", parts, calls)
