@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from tissue.objects.poses import feed_along
     from tissue.objects.press import Press
     from tissue.objects.register import register
-    from tissue.objects.report import report
+    from tissue.objects.run import report
     from tissue.objects.run import Run, open_run
     from tissue.objects.simulate import simulate
     from tissue.objects.sweep import sweep
@@ -109,7 +109,7 @@ _HOMES = {
     "open_run": "tissue.objects.run",
     "probe_from_file": "tissue.objects.tools",
     "register": "tissue.objects.register",
-    "report": "tissue.objects.report",
+    "report": "tissue.objects.run",
     "scene_names": "tissue.scene.load",
     "scene_text": "tissue.scene.load",
     "simulate": "tissue.objects.simulate",

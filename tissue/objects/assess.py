@@ -4,16 +4,14 @@ The command `tissue assess` does the same.
 """
 
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 from meshes.base.errors import InputError
 from tissue.evaluation import assessment as engine
 from tissue.evaluation.assessment import write_assessment
-from tissue.objects.run import Run, open_run
-from tissue.scene.scene import Scene
-from tissue.simulation.run_summary import Summary
-from tissue.simulation.trace import Table
+from tissue.objects.run import Run
 
 __all__ = ["Assessment", "assess"]
 
@@ -74,20 +72,13 @@ def assess(
     return Assessment(**vars(found))
 
 
-@dataclass(frozen=True)
-class _Held:
-    """Run with the attributes that an assessment reads."""
-
-    path: Path | None
-    summary: Summary
-    trace: Table
-    complete: bool
-    scene: Scene | None
-
-
-def _held(run: Run | str | Path) -> _Held:
-    run = run if isinstance(run, Run) else open_run(run)
+def _held(run: Run | str | Path) -> Any:
+    """Return the parts of a run that an assessment reads."""
+    run = run if isinstance(run, Run) else Run.load(run)
     scene = None
     with suppress(InputError):  # a run without scene.toml can be assessed too
         scene = run.scene
-    return _Held(run.path, run.summary, run.trace, run.status == "complete", scene)
+    complete = run.status == "complete"
+    return SimpleNamespace(
+        path=run.path, summary=run.summary, trace=run.trace, complete=complete, scene=scene
+    )

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from meshes.surfaces.holes import close_seams
 from meshes.voxels.volume import FULL, VoxelVolume
-from tissue.objects.quiet import quiet_without_display
+from tissue.objects.progress import quiet_without_display
 from tissue.simulation.bone_surface import smooth_normals, with_layers
 from tissue.simulation.builders.bone import VoxelBone
 

@@ -1,7 +1,7 @@
 """Run in 3D: a window in a script, an interactive view in a notebook, or a still picture."""
 
-import sys
 import warnings
+from contextlib import suppress
 from importlib import import_module
 from io import BytesIO
 from pathlib import Path
@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 from meshes.base.whole_file import whole_file
+from tissue.objects.progress import in_notebook
 from tissue.simulation.depth_map import HALF
 from tissue.system.offscreen import display_problem
 
-__all__ = ["Picture", "in_notebook", "is_interactive", "show_folder", "with_empty_hidden"]
+__all__ = ["Picture", "show_folder", "with_empty_hidden"]
 
 BACKENDS = ("trame_pyvista", "pyvista.trame.jupyter")
 """Modules of pyvista for interactive views in a notebook: the extra ``notebook``.
@@ -25,23 +26,13 @@ The first is used by pyvista 0.49, the second by older versions.
 """
 
 
-def in_notebook() -> bool:
-    """Return whether a Jupyter kernel runs this code."""
-    module = sys.modules.get("IPython")
-    shell: Any = module.get_ipython() if module is not None else None
-    return shell is not None and hasattr(shell, "kernel")
-
-
 def is_interactive() -> bool:
     """Return whether the packages for interactive views in a notebook are installed."""
     for name in BACKENDS:
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # the second name is an old one
-                import_module(name)
-        except ImportError:
-            continue
-        return True
+        with suppress(ImportError), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the second name is an old one
+            import_module(name)
+            return True
     return False
 
 

@@ -108,7 +108,9 @@ def event_footnotes(events: list[tuple[float, str]]) -> list[str]:
     ]
 
 
-def mark_events(panels: "Sequence[Axes]", events: list[tuple[float, str]]) -> None:
+def mark_events(
+    panels: "Sequence[Axes]", events: list[tuple[float, str]], *, listed: bool = True
+) -> None:
     """Draw a numbered line through all panels at every event, and list the events below them."""
     low, high = panels[0].get_xlim()
     place = -np.inf
@@ -128,7 +130,7 @@ def mark_events(panels: "Sequence[Axes]", events: list[tuple[float, str]]) -> No
             bbox={"boxstyle": "circle,pad=0.15", "facecolor": "white", "linewidth": 0.7},
             zorder=4,
         )
-    if events:
+    if listed and events:
         lines = "\n".join(event_footnotes(events))
         panels[0].figure.supxlabel(lines, x=0.02, ha="left", size=8.5, parse_math=False)
 

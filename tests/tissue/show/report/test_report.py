@@ -16,7 +16,7 @@ import tomli_w
 import tissue
 from meshes.base.errors import InputError
 from tissue.materials.constants import constants
-from tissue.objects.report import report
+from tissue.objects.run import report
 from tissue.scene.load import load_scene
 from tissue.scene.used_constants import used_constants
 

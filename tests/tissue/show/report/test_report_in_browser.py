@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import tomli_w
 
-from tissue.objects.report import report
+from tissue.objects.run import report
 
 CHROMIUM = (
     shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
