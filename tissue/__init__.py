@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from tissue.objects.poses import feed_along
     from tissue.objects.press import Press
     from tissue.objects.register import register
-    from tissue.objects.run import report
-    from tissue.objects.run import Run, open_run
+    from tissue.objects.run import Run, open_run, report
     from tissue.objects.simulate import simulate
     from tissue.objects.sweep import sweep
     from tissue.objects.tools import ball, flat_punch, probe_from_file

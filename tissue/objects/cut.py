@@ -183,7 +183,8 @@ class Cut:
             panel.set_ylabel(what)
         panels[0].legend(ncols=4, frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0))
         panels[-1].set_xlabel("time / s")
-        return panels[0].figure
+        figure: Figure = panels[0].figure
+        return figure
 
     def __repr__(self) -> str:
         force = self.force_magnitude_N

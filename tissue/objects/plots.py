@@ -69,7 +69,7 @@ def plot_columns(
     panels[0].set_title(title, loc="left", size=10.5, parse_math=False)
     panels[-1].set_xlabel("time / s")
     plain(panels)
-    mark_events(list(panels), events, listed=ax is None)
+    mark_events(panels, events, listed=ax is None)
     return panels
 
 

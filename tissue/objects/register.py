@@ -84,10 +84,7 @@ class register:
 
     @staticmethod
     def probe(name: str, make: F | None = None, *, keys: tuple[str, ...] = ("diameter_mm",)) -> Any:
-        """Register a smooth tool that presses.
-
-        ``make(tool)`` returns the `ProbeShape` of a scene's tool.
-        """
+        """Register a smooth tool that presses; ``make(tool)`` returns its `ProbeShape`."""
 
         return _added("probe", name, make, PROBES, lambda part: ProbeEntry(part, tuple(keys)))
 
@@ -384,7 +381,7 @@ def _check_profile(given: str, part: Any, keys: Sequence[str]) -> None:
         ) from None
 
 
-def _check_parameters(kind: str, given: str, part: object) -> None:
+def _check_parameters(kind: str, given: str, part: Any) -> None:
     """Refuse parameters that are no subclass of `Part` whose kind is the name."""
     from tissue.scene.anatomy import Part
     from tissue.scene.choices import kinds_of

@@ -9,8 +9,8 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Bytes
 from meshes.base.errors import InputError
 from meshes.base.whole_file import whole_file
 from tissue.objects.progress import in_notebook
@@ -53,7 +53,7 @@ class Picture:
         self._png = png
 
     @property
-    def array(self) -> NDArray[np.uint8]:
+    def array(self) -> Bytes:
         """Red, green and blue of its pixels, 0 to 255, shape (height, width, 3)."""
         from matplotlib.image import imread
 

@@ -263,7 +263,7 @@ class Sweep:
         return f"<div>{shown}</div>"
 
 
-def _place(value: object) -> float | str:
+def _place(value: Any) -> float | str:
     """Return a swept value as a place on an axis: a number, or a text for any other value."""
     is_number = isinstance(value, float | int) and not isinstance(value, bool)
     return value if is_number else str(value)

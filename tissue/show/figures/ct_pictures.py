@@ -2,9 +2,10 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import cycle, product
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,8 +121,8 @@ def draw_ct_slices(
     at = np.rint((marks.centre_mm - origin) / spacing).astype(int).clip(0, shape - 1)
     hounsfield = float(image.values.min()) < -100.0
     low, high = window_HU if hounsfield else np.percentile(image.values, (1, 99.8))
-    looks = [{"color": colour, "linestyle": line} for line, colour in product(LINES, OTHERS)]
-    looks = [{"color": BODY, "linestyle": "solid"}, *looks]
+    looks: list[dict[str, Any]] = [{"color": BODY, "linestyle": "solid"}]
+    looks += [{"color": colour, "linestyle": line} for line, colour in product(LINES, OTHERS)]
     chart, panels = panelled(title, (9.0, 3.9), 1, 3)
     for axes, (u, v, through, name) in zip(panels, VIEWS, strict=True):
         plane = [u, v]
@@ -138,7 +139,7 @@ def draw_ct_slices(
         place = float(origin[through] + spacing[through] * at[through])
         for field, look in zip(outlines.values(), cycle(looks), strict=False):
             _outline(axes, field, (u, v, through), place, look)
-        marks.draw(axes, lambda points, plane=plane: points[:, plane], NORMAL_MM)
+        marks.draw(axes, partial(np.take, indices=plane, axis=1), NORMAL_MM)
         axes.set(xlabel=f"{AXES[u]} [mm]", ylabel=f"{AXES[v]} [mm]", aspect="equal")
         axes.set(xlim=ends[:, 0], ylim=ends[:, 1])
         if v == 1:  # the patient's front is up, as radiologists have it

@@ -137,13 +137,14 @@ def save(chart: "Figure", path: Path) -> None:
     kind = path.suffix.removeprefix(".")
     changing = {"png": "Software", "svg": "Date", "pdf": "CreationDate"}[kind]
     look: dict[RcKeyType, object] = {"svg.fonttype": "none", "svg.hashsalt": "tissue"}
+    packed: dict[str, Any] = {} if is_vector(path) else {"pil_kwargs": {"compress_level": 3}}
     with whole_file(path) as temporary, matplotlib.rc_context(look):
         chart.savefig(
             temporary,
             format=kind,
             dpi=VECTOR_DPI if is_vector(path) else DPI,
             metadata={changing: None},
-            **({} if is_vector(path) else {"pil_kwargs": {"compress_level": 3}}),
+            **packed,
         )
 
 
@@ -277,10 +278,11 @@ def draw_arrow(
     """Draw an arrow between two points of a panel."""
     from matplotlib.patches import FancyArrowPatch
 
+    (x, y), (to_x, to_y) = np.array([start, end], dtype=np.float64).tolist()
     axes.add_patch(
         FancyArrowPatch(
-            np.asarray(start),
-            np.asarray(end),
+            (x, y),
+            (to_x, to_y),
             arrowstyle="-|>",
             color=colour,
             linewidth=width,

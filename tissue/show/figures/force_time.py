@@ -1,6 +1,5 @@
 """Figures over time: force and torque with events, and the force that a device displayed."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
@@ -109,7 +108,7 @@ def event_footnotes(events: list[tuple[float, str]]) -> list[str]:
 
 
 def mark_events(
-    panels: "Sequence[Axes]", events: list[tuple[float, str]], *, listed: bool = True
+    panels: NDArray[np.object_], events: list[tuple[float, str]], *, listed: bool = True
 ) -> None:
     """Draw a numbered line through all panels at every event, and list the events below them."""
     low, high = panels[0].get_xlim()

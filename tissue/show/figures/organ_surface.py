@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Array, Singles
+from meshes.base.arrays import Array, Floats, Singles
 from tissue.fem.fields import FieldSeries
 from tissue.simulation.saved_fields import field_values
 
@@ -173,7 +173,7 @@ def _sampled(mesh: "pyvista.DataSet", places: Array) -> Array:
     return values
 
 
-def inclusions(corners: NDArray[np.floating], layer: NDArray[np.integer]) -> NDArray[np.intp]:
+def inclusions(corners: Floats, layer: NDArray[np.integer]) -> NDArray[np.intp]:
     """Return the cells of the smallest layer inside the others, such as a nodule.
 
     The result is empty if there is no such layer.
@@ -198,7 +198,7 @@ def inclusions(corners: NDArray[np.floating], layer: NDArray[np.integer]) -> NDA
 
 
 def interpolate_in_layers(
-    series: FieldSeries, values: NDArray[np.floating], place_m: Array, layer: NDArray[np.integer]
+    series: FieldSeries, values: Floats, place_m: Array, layer: NDArray[np.integer]
 ) -> Array:
     """Interpolate values trilinearly between the centres of the cells of each place's layer.
 

@@ -12,8 +12,9 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from meshes.base.arrays import Array, Bytes
 from tissue.show.figures.figure import DPI, DRAWING, draw_arrow, figure, halo, is_vector, save
 from tissue.system.offscreen import draw_apart
 
@@ -83,7 +84,7 @@ class Camera:
             size=(PANEL_PX, tall),
         )
 
-    def pixels(self, points_mm: ArrayLike) -> NDArray[np.float64]:
+    def pixels(self, points_mm: ArrayLike) -> Array:
         """Return the pixels of points, right and down from the upper left corner, shape (n, 2)."""
         axes = np.stack([np.cross(self.up, self.towards_eye), self.up])
         right, upward = (
@@ -92,7 +93,7 @@ class Camera:
         return np.column_stack([0.5 * self.size[0] + right, 0.5 * self.size[1] - upward])
 
 
-def paint(surface: "pyvista.PolyData", colours: NDArray[np.float64]) -> "pyvista.PolyData":
+def paint(surface: "pyvista.PolyData", colours: Array) -> "pyvista.PolyData":
     """Give every point or every triangle a colour: red, green and blue from 0 to 1, shape (n,
     3).
     """
@@ -103,7 +104,7 @@ def paint(surface: "pyvista.PolyData", colours: NDArray[np.float64]) -> "pyvista
 
 def render(
     make: "Callable[[], list[tuple[pyvista.PolyData, Camera]]]", *, averaged: int, ambient: float
-) -> list[NDArray[np.uint8]] | str:
+) -> list[Bytes] | str:
     """Render each surface on white in a subprocess.
 
     Parameters
@@ -241,9 +242,7 @@ def _main(name: str, averaged: str, ambient: str) -> None:
     np.savez(Path(name) / "pictures.npz", *drawn, allow_pickle=False)
 
 
-def _draw(
-    mesh: "pyvista.PolyData", camera: Camera, averaged: int, ambient: float
-) -> NDArray[np.uint8]:
+def _draw(mesh: "pyvista.PolyData", camera: Camera, averaged: int, ambient: float) -> Bytes:
     """Render one surface. Squares of `averaged` pixels along each edge are averaged."""
     import pyvista
 

@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.surfaces.triangle_files import read_triangles
 from tissue.models.tissue_model import TICK_S
@@ -92,14 +93,14 @@ def turning_tool(tool: Tool | Probe | Needle | None) -> "pyvista.PolyData | None
     return surface.append_polydata(pyvista.MultipleLines(arc).tube(radius=thick), head)
 
 
-def spin_arc_mm(tool: Tool) -> NDArray[np.float64]:
+def spin_arc_mm(tool: Tool) -> Array:
     """Return an arc around the tool tip in the sense of rotation, in the tool's own frame [mm]."""
     turned = -np.sign(tool.spin_rpm) * np.linspace(0.0, ARC, SIDES)
     radius = 0.575 * tool.diameter_mm
     return np.column_stack([radius * np.cos(turned), radius * np.sin(turned), np.zeros(SIDES)])
 
 
-def pose(tip_mm: ArrayLike, quaternion: ArrayLike) -> NDArray[np.float64]:
+def pose(tip_mm: ArrayLike, quaternion: ArrayLike) -> Array:
     """Return the transform from a tool frame to the world [mm], shape (4, 4).
 
     It follows from tip and quaternion (x, y, z, w).
@@ -118,7 +119,7 @@ def row_at(trace: "Table", time_s: float) -> int:
     return int(np.clip(np.searchsorted(times, time_s - 1e-9), 0, len(times) - 1))
 
 
-def tool_turns(trace: "Table") -> NDArray[np.float64]:
+def tool_turns(trace: "Table") -> Array:
     """Return the tool's orientations in a trace as quaternions (x, y, z, w), shape (rows, 4)."""
     return np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"])
 
@@ -133,7 +134,7 @@ def _rod(radius_mm: float, length_mm: float, *, point_mm: float = 0.0) -> "pyvis
     return _turned(np.array(around))
 
 
-def _turned(line_mm: NDArray[np.float64]) -> "pyvista.PolyData":
+def _turned(line_mm: Array) -> "pyvista.PolyData":
     """Return the surface of revolution of a line in the half plane y = 0 around z."""
     import pyvista
 

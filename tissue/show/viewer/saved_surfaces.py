@@ -6,8 +6,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Bytes
 from meshes.base.errors import InputError
 from meshes.voxels.volume import VoxelVolume
 from tissue.motion.pose_file import poses_of_trace, read_poses
@@ -63,7 +63,7 @@ def cut_plane(saved: SavedRun, fields: SavedFields) -> Plane:
     return (0.0, -1.0, 0.0), (x, y + INSIDE_MM, z)
 
 
-def tool_force(trace: Table) -> NDArray[np.float64]:
+def tool_force(trace: Table) -> Array:
     """Return the force of the tissue on the tool [N], shape (rows, 3)."""
     return trace.vectors("model_force" if "model_force_x_N" in trace else "force", "N")
 
@@ -97,7 +97,7 @@ class BoneOverTime:
     def __init__(
         self,
         volume: VoxelVolume,
-        end: NDArray[np.uint8],
+        end: Bytes,
         replay: "CarvingReplay | None" = None,
         *,
         axis: int = 2,
@@ -186,8 +186,8 @@ def _over_time(
     trace: Table,
     scene: Scene,
     *,
-    end: NDArray[np.uint8] | None = None,
-    poses: NDArray[np.float64] | None = None,
+    end: Bytes | None = None,
+    poses: Array | None = None,
     compute: str = "cpu",
 ) -> BoneOverTime:
     """Return the bone carved along poses, by default the poses of the trace.

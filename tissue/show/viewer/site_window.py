@@ -6,8 +6,8 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.surfaces.site import normal_near, sample_surface
 from meshes.surfaces.surface import Surface, read_surface
@@ -189,7 +189,7 @@ def _bone(folder: Path, anatomy: dict[str, object]) -> Surface:
     )
 
 
-def _numbers(value: object) -> NDArray[np.float64] | None:
+def _numbers(value: object) -> Array | None:
     if not isinstance(value, list) or len(value) != 3:
         return None
     numbers = np.array(value, dtype=np.float64)

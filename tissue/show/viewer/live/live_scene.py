@@ -6,7 +6,6 @@ from pathlib import Path
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
 from tissue.scene.scene import Scene
@@ -259,7 +258,7 @@ class LiveScene:
         seen = [1e3 * start["start_m"][None], *(np.asarray(face.points) for face in faces.values())]
         if self.tissue is not None:
             seen.append(self.tissue.points_mm)
-        self.points_mm: NDArray[np.float64] = np.vstack(seen)
+        self.points_mm: Array = np.vstack(seen)
         self._add_tool()
         aim(self.plotter, self.points_mm, margins=margins)
         self.target_options = {
@@ -282,7 +281,7 @@ class LiveScene:
         self._took = perf_counter() - now
         return changed
 
-    def show(self, target_mm: NDArray[np.float64]) -> Readings | None:
+    def show(self, target_mm: Array) -> Readings | None:
         """Show the newest row and the wanted position of the tool [mm]; return the row's readings.
 
         The result is None if there is no row yet.
