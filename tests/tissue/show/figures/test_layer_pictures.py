@@ -119,12 +119,3 @@ def test_a_tissue_with_measures_gets_its_pictures(run, tmp_path, monkeypatch, fi
             pixels = np.asarray(picture.convert("RGB"), dtype=float)
         assert pixels.std() > 15.0, name
         assert len(np.unique(pixels.reshape(-1, 3)[::97], axis=0)) > 30, name
-
-
-def test_a_tool_that_never_touches_has_no_force_over_depth(run, tmp_path, monkeypatch):
-    monkeypatch.setattr("tissue.show.figures.bone_pictures.draw_before_after", lambda *_: None)
-    still = with_measures(run, fields=False)
-    still.trace.rows[:, still.trace.columns.index("contact_mm2")] = 0.0
-    assert draw_pictures(still, tmp_path) == [
-        "force_depth.png was not drawn: the tool did not go down into the tissue"
-    ]

@@ -12,7 +12,6 @@ import pytest
 import tissue
 from meshes.base.errors import InputError
 from tissue.show.figures.bone_pictures import _View, shown_mm
-from tissue.show.figures.figure import figure, save
 from tissue.show.figures.force_time import draw_force_torque, joined_events, spells
 from tissue.simulation.depth_map import depth_map
 from tissue.simulation.run_folder import picture_format
@@ -104,17 +103,6 @@ def test_an_unknown_format_is_refused_before_anything_is_written(molar, tmp_path
         molar.save(tmp_path / "run", pictures="jpeg")
     assert not (tmp_path / "run").exists()
     assert [picture_format(each) for each in (True, False, "pdf")] == ["png", None, "pdf"]
-
-
-def test_pdf_is_the_same_for_the_same_figure(tmp_path):
-    files = [tmp_path / name for name in ("a.pdf", "b.pdf")]
-    for file in files:
-        chart = figure(2.0, 1.0)
-        chart.text(0.5, 0.5, "words")
-        save(chart, file)
-    assert files[0].read_bytes() == files[1].read_bytes() and files[0].read_bytes().startswith(
-        b"%PDF"
-    )
 
 
 def _words(file):

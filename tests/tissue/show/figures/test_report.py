@@ -10,8 +10,7 @@ from tissue import load_scene, simulate
 from tissue.show.figures import draw_pictures
 from tissue.simulation.bone_files import write_bone
 from tissue.simulation.bone_surface import bone_surface, cut_out, smooth_normals
-from tissue.simulation.depth_map import depth_map, tool_axes
-from tissue.system.offscreen import draw_apart
+from tissue.simulation.depth_map import depth_map
 
 pyvista = pytest.importorskip("pyvista")
 
@@ -160,13 +159,6 @@ def test_depth_on_the_surface_is_that_of_the_map(run, folder):
     )
 
 
-def test_tool_axis_is_the_third_column_of_the_rotation():
-    from scipy.spatial.transform import Rotation
-
-    turns = Rotation.random(20, rng=np.random.default_rng(1))
-    np.testing.assert_allclose(tool_axes(turns.as_quat()), turns.as_matrix()[:, :, 2], atol=1e-12)
-
-
 @pytest.mark.slow
 def test_pictures_show_something(run, tmp_path):
     from PIL import Image
@@ -189,10 +181,3 @@ def test_pictures_without_opengl_name_what_to_install(run, tmp_path, monkeypatch
     (note,) = draw_pictures(run, tmp_path)
     assert note.startswith("bone_before_after.png was not drawn: ") and "libegl1" in note
     assert {path.name for path in tmp_path.iterdir()} == {*PICTURES} - {"bone_before_after.png"}
-
-
-def test_a_drawing_process_that_dies_leaves_this_one_alive(tmp_path, monkeypatch):
-    monkeypatch.setattr("tissue.system.offscreen._windows", lambda: iter(("",)))
-    monkeypatch.setattr("tissue.system.child.START", "import os; os.abort()")
-    problem = draw_apart("tissue.show.figures.rendering")
-    assert problem is not None and "OpenGL does not work on this machine (exit code" in problem

@@ -124,25 +124,6 @@ def described(run_folder, tmp_path, description, **summary):
     return folder
 
 
-def test_a_description_that_looks_like_a_folder_removes_no_markup(run_folder, tmp_path):
-    """A description that looks like a folder removes no markup.
-
-    An absolute path in a scene is removed from texts; it must never be removed from the page's own
-    markup.
-    """
-    plain = report(run_folder("wall"), tmp_path / "plain.html").read_text("utf-8")
-    start = plain.index('/json" id="report-data">')
-    markup = plain[start : plain.index("/", start + 1) + 1]
-    folder = described(
-        run_folder, tmp_path, f"{markup}x", events=[{"time_s": 0.1, "what": f"{markup} here"}]
-    )
-    page = report(folder).read_text("utf-8")
-    types = [each.get("type") for tag, each in Elements(page).found if tag == "script"]
-    assert types.count("application/json") == 1
-    assert data_of(page)["trace"]["rows"] > 100
-    assert data_of(page)["events"][0]["what"] == " here"
-
-
 @pytest.mark.parametrize("folder", ["/s/", "/json/"])
 def test_a_short_folder_leaves_the_data_of_the_page_alone(run_folder, tmp_path, folder):
     named = described(
@@ -169,12 +150,6 @@ def test_a_file_that_is_there_is_kept(run_folder, tmp_path):
     )
     with pytest.raises(InputError, match=r"out .*run\.txt"):
         report(run_folder("wall"), tmp_path / "run.txt")
-
-
-def test_a_run_that_was_not_saved_needs_a_file():
-    run = tissue.simulate(load_scene("wall", {"duration_s": 0.05, "device": "none"}))
-    with pytest.raises(InputError, match="out must be given"):
-        report(run)
 
 
 def test_a_run_that_was_stopped_has_a_report(run_folder, tmp_path):

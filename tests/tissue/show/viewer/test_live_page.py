@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tissue.show.viewer.live.live_scene import KEY_MM, NOTCH_MM, Readings
+from tissue.show.viewer.live.live_scene import NOTCH_MM, Readings
 from tissue.show.viewer.web import live_page
 from tissue.show.viewer.web.live_page import LivePage
 from tissue.simulation.live.shared import SharedArrays
@@ -104,15 +104,6 @@ def test_a_drag_moves_the_shared_pointer_by_what_is_under_the_mouse(page):
     page.take("move", {"right": 0.1, "up": -0.2})
     tall_mm = 2.0 * 100.0 * np.tan(np.radians(15.0))
     np.testing.assert_allclose(pointer(page), [0.1 * tall_mm, 0.0, -0.2 * tall_mm], atol=1e-12)
-
-
-def test_wheel_and_keys_move_it_as_in_the_window(page):
-    page.take("depth", {"notches": -3})
-    page.take("key", {"name": "PageDown"})
-    page.take("key", {"name": "s"})
-    page.take("key", {"name": "ArrowRight"})
-    page.take("key", {"name": "F5"})
-    np.testing.assert_allclose(pointer(page), [KEY_MM, 0.0, -3 * NOTCH_MM - 2 * KEY_MM], atol=1e-12)
 
 
 def test_the_tool_stays_where_it_is_while_the_run_is_paused(page):

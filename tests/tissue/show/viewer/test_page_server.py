@@ -14,7 +14,6 @@ import psutil
 from tissue.show.viewer.web import server as served
 from tissue.show.viewer.web.server import (
     HOST,
-    LARGEST,
     MessageError,
     Pace,
     PageServer,
@@ -186,21 +185,6 @@ def test_figures_and_pictures_arrive_and_the_next_picture_waits_until_the_last_w
         True,
         False,
     ]
-
-
-@pytest.mark.parametrize(("sent", "code"), [(b"x", 1008), ("x" * (LARGEST + 1), 1009)])
-def test_bytes_and_long_messages_close_the_socket_and_do_nothing(sent, code):
-    async def ask():
-        session = Counted()
-        async with connected(session) as page_socket:
-            await (page_socket.send_bytes if isinstance(sent, bytes) else page_socket.send_str)(
-                sent
-            )
-            async for _ in page_socket:
-                pass
-            return page_socket.close_code, session.taken
-
-    assert asyncio.run(ask()) == (code, [])
 
 
 HOSTILE = {

@@ -74,13 +74,6 @@ def test_stress_follows_the_time(layered):
     assert not plotter.meshes and not plotter.scalar_bars
 
 
-@pytest.mark.slow
-def test_a_stopped_run_is_named_so_and_shows_what_it_has(stopped, tmp_path):
-    report = _screenshot(stopped, tmp_path / "view.png")
-    assert "at 0.149 s of 0.3 s" in report
-    assert _colours(tmp_path / "view.png") > 100
-
-
 def test_a_run_stopped_while_its_files_were_written_is_reported(whole, tmp_path):
     folder = tmp_path / "stopped"
     shutil.copytree(whole, folder)
@@ -152,13 +145,3 @@ def test_what_is_not_drawn_to_its_end_leaves_no_file_and_keeps_an_older_one(
     assert reported == [(f"drawing the {kind}", 0.0), (f"drawing the {kind}", 0.5)]
     assert [one.name for one in tmp_path.iterdir()] == ([] if older is None else [name])
     assert older is None or file.read_bytes() == older
-
-
-@pytest.mark.slow
-def test_what_is_wrong_with_a_run_is_reported_by_its_renderer(layered, tmp_path):
-    folder = tmp_path / "run"
-    shutil.copytree(layered, folder)
-    (folder / "carving" / "poses.npz").write_bytes(b"PK")
-    with pytest.raises(InputError, match=r"^poses must be a whole file"):
-        _screenshot(folder, tmp_path / "view.png")
-    assert not (tmp_path / "view.png").exists()
