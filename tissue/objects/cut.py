@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -183,8 +183,8 @@ class Cut:
             panel.set_ylabel(what)
         panels[0].legend(ncols=4, frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0))
         panels[-1].set_xlabel("time / s")
-        figure: Figure = panels[0].figure
-        return figure
+        chart: Any = panels[0].figure
+        return chart
 
     def __repr__(self) -> str:
         force = self.force_magnitude_N

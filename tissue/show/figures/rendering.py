@@ -102,38 +102,6 @@ def paint(surface: "pyvista.PolyData", colours: Array) -> "pyvista.PolyData":
     return surface
 
 
-def render(
-    make: "Callable[[], list[tuple[pyvista.PolyData, Camera]]]", *, averaged: int, ambient: float
-) -> list[Bytes] | str:
-    """Render each surface on white in a subprocess.
-
-    Parameters
-    ----------
-    make
-        See `draw_shaded`.
-    averaged
-        Pixels along each edge that are averaged to one. With 1 all `OVERSAMPLING` pixels are kept.
-    ambient
-        Share of the light that comes from everywhere.
-
-    Returns
-    -------
-    Pictures of shape (height, width, 3), or the reason why they could not be drawn.
-    """
-    with TemporaryDirectory(prefix="tissue-") as name:
-
-        def prepare() -> bytes:
-            return pickle.dumps([(surface, asdict(camera)) for surface, camera in make()])
-
-        problem = draw_apart(
-            "tissue.show.figures.rendering", name, str(averaged), str(ambient), prepare=prepare
-        )
-        if problem is not None:
-            return problem
-        with np.load(Path(name) / "pictures.npz") as drawn:
-            return list(drawn.values())
-
-
 @dataclass(frozen=True)
 class Shaded:
     """Figure of renderings side by side, ready for annotations.
@@ -190,15 +158,21 @@ def draw_shaded(
     """
     cameras: list[Camera] = []
 
-    def prepare() -> "list[tuple[pyvista.PolyData, Camera]]":
+    def prepare() -> bytes:
         made = make()
         cameras.extend(camera for _, camera in made)
-        return made
+        return pickle.dumps([(surface, asdict(camera)) for surface, camera in made])
 
-    scale = OVERSAMPLING if is_vector(path) else 1
-    pictures = render(prepare, averaged=OVERSAMPLING // scale, ambient=ambient)
-    if isinstance(pictures, str):
-        return pictures
+    # pixels along each edge that are averaged to one; a vector file keeps all of them
+    averaged = 1 if is_vector(path) else OVERSAMPLING
+    scale = OVERSAMPLING // averaged
+    module = "tissue.show.figures.rendering"
+    with TemporaryDirectory(prefix="tissue-") as folder:
+        problem = draw_apart(module, folder, str(averaged), str(ambient), prepare=prepare)
+        if problem is not None:
+            return problem
+        with np.load(Path(folder) / "pictures.npz") as drawn:
+            pictures = list(drawn.values())
     head, foot = margins_px
     tall = max(len(picture) for picture in pictures) // scale
     wide = pictures[0].shape[1] // scale
@@ -211,9 +185,8 @@ def draw_shaded(
             left = index * (wide + GAP_PX)
             low = foot + tall - high
             axes = chart.add_axes((left / size[0], low / size[1], wide / size[0], high / size[1]))
-            axes.imshow(
-                picture, interpolation="nearest", extent=(-0.5, wide - 0.5, high - 0.5, -0.5)
-            )
+            ends = (-0.5, wide - 0.5, high - 0.5, -0.5)
+            axes.imshow(picture, interpolation="nearest", extent=ends)
             axes.set_axis_off()
             _draw_scale(axes, camera)
             panels.append(axes)
@@ -269,14 +242,8 @@ def _draw(mesh: "pyvista.PolyData", camera: Camera, averaged: int, ambient: floa
     axes = np.stack([np.cross(up, towards), up, towards])
     for direction, strength in LIGHTS:
         place = centre + 1e3 * np.array(direction) @ axes
-        plotter.add_light(
-            pyvista.Light(
-                position=place, focal_point=centre, light_type="scene light", intensity=strength
-            )
-        )
-    plotter.camera.position = centre + 1e3 * towards
-    plotter.camera.focal_point = centre
-    plotter.camera.up = up
+        plotter.add_light(pyvista.Light(place, centre, intensity=strength))
+    plotter.camera_position = [centre + 1e3 * towards, centre, up]
     plotter.camera.parallel_projection = True
     plotter.camera.parallel_scale = 0.5 * camera.height_mm
     plotter.camera.clipping_range = (1.0, 2e3)
@@ -303,18 +270,10 @@ def _draw_scale(axes: "Axes", camera: Camera) -> None:
     right = camera.size[0] - 20.0
     left = right - length * per_mm
     y = camera.size[1] - 16.0
-    axes.plot(
-        [left, right],
-        [y, y],
-        color="0.1",
-        linewidth=2.2,
-        solid_capstyle="butt",
-        path_effects=halo(),
-    )
+    axes.plot([left, right], [y, y], color="0.1", linewidth=2.2, path_effects=halo())
+    middle = 0.5 * (left + right)
     words = f"{length:g} mm"
-    axes.text(
-        0.5 * (left + right), y - 8.0, words, ha="center", va="bottom", size=9, path_effects=halo()
-    )
+    axes.text(middle, y - 8.0, words, ha="center", va="bottom", size=9, path_effects=halo())
 
 
 def draw_axes(axes: "Axes", names: Sequence[str], camera: Camera) -> None:

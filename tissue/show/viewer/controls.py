@@ -122,7 +122,7 @@ class ClipPlane:
 
     def move(self, normal: Sequence[float], origin: Sequence[float]) -> None:
         """Bring the plane elsewhere."""
-        (a, b, c), (x, y, z) = np.array((normal, origin)).tolist()
+        a, b, c, x, y, z = map(float, (*normal, *origin))
         self._plane = (a, b, c), (x, y, z)
         if self._on:
             self._fields.cut(self._plane)
@@ -130,8 +130,7 @@ class ClipPlane:
     def push(self, share: float) -> None:
         """Move the plane along its normal, by a share of the mesh's diagonal."""
         normal, origin = self._plane
-        size = np.linalg.norm(np.diff(np.reshape(self._fields.bounds_mm, (3, 2)), axis=1))
-        moved = np.add(origin, share * size * np.array(normal)).tolist()
+        moved = np.add(origin, share * self._fields.size_mm * np.array(normal)).tolist()
         if self._widget is not None:
             self._widget.SetOrigin(*moved)
         self.move(normal, moved)

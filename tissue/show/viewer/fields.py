@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from meshes.base.arrays import Array
-from tissue.show.figures.figure import BONE, field_colours, field_words, layer_colours
+from tissue.show.figures.figure import (
+    BONE,
+    DEPTH_COLOURS,
+    field_colours,
+    field_words,
+    layer_colours,
+)
 from tissue.show.figures.organ_surface import SHOWN as DRAWN
 from tissue.show.figures.organ_surface import at_nodes, drawn_surface
 from tissue.show.viewer.plotter import Plotter, add_colour_scale
@@ -105,6 +111,11 @@ class FieldsShown:
     def bounds_mm(self) -> tuple[float, ...]:
         """Ends of the box around the first frame, x, y, z, low and high each [mm]."""
         return tuple(self._fields.frames[0].bounds)
+
+    @property
+    def size_mm(self) -> float:
+        """Diagonal of this box [mm]."""
+        return self._fields.size_mm
 
     def show(self, name: str | None) -> None:
         """Show a field, or none."""
@@ -296,8 +307,7 @@ class BoneShown:
         self._plotter = plotter
         self._bone = bone
         self._legend = legend
-        names = bone.layer_names
-        self._names = names
+        names = self._names = bone.layer_names
         self.colours = layer_colours(names)
         self._index = {names[i]: i for i in bone.layers}
         self.layers = list(self._index)
@@ -378,9 +388,9 @@ class BoneShown:
         part = self._parts[name].copy(deep=False)
         if not self._visible or not part.n_cells:
             return None
-        if not self.by_depth:
-            return self._plotter.add_mesh(part, name=name, **layer_look(self._names))
-        limits = (0.02 * self._limit, self._limit)
-        return self._plotter.add_mesh(
-            part, name=name, scalars=DEPTH, cmap="viridis", clim=limits, below_color=BONE, **SHADING
-        )
+        look = layer_look(self._names)
+        if self.by_depth:
+            limits = (0.02 * self._limit, self._limit)
+            look = {"scalars": DEPTH, "cmap": DEPTH_COLOURS, "clim": limits, **SHADING}
+            look["below_color"] = BONE
+        return self._plotter.add_mesh(part, name=name, **look)

@@ -118,9 +118,8 @@ class BoneOverTime:
         if box is not None:
             carved = CarvedSurface(volume, box, axis=axis)
             cut = carved.of(end[carved.part])
-            self.deepest_mm = (
-                float(cut.point_data["removed_depth_mm"].max()) if cut.n_cells else 0.0
-            )
+            if cut.n_cells:
+                self.deepest_mm = float(cut.point_data["removed_depth_mm"].max())
 
     def at(self, tick: int) -> bool:
         """Move the bone to the end of a tick; return whether the bone may have changed."""
@@ -162,7 +161,7 @@ def bone_of(saved: SavedRun, scene: Scene | None) -> BoneOverTime | None:
             return None
         volume, end = read_voxels(file, saved_placement(saved.path))
         poses = saved.path / "carving" / "poses.npz"
-        if saved.trace is None or scene is None or not isinstance(scene.tool, Tool):
+        if saved.trace is None or scene is None:
             return BoneOverTime(volume, end)
         if not poses.is_file():
             return _over_time(volume, saved.trace, scene, end=end)
@@ -197,13 +196,10 @@ def _over_time(
     from tissue.simulation.builders.cutting import cutter_of
 
     uncut = end is not None and np.array_equal(end, volume.fraction)
-    if (
-        not isinstance(scene.tool, Tool)
-        or scene.tool.spin_rpm == 0.0
-        or uncut
-        or not len(trace.rows)
-    ):
+    cuts = isinstance(scene.tool, Tool) and scene.tool.spin_rpm != 0.0
+    if uncut or not cuts or not len(trace.rows):
         return BoneOverTime(volume, volume.fraction if end is None else end)
+    assert isinstance(scene.tool, Tool)
     if poses is None:
         axes = tool_axes(tool_turns(trace))
         velocities = np.hstack(
@@ -214,18 +210,13 @@ def _over_time(
 
     from tissue.models.bone.replay import CarvingReplay
 
-    known = [str(one) for one in wp.get_devices()]
-    replay = CarvingReplay(
-        volume,
-        cutter_of(scene.tool),
-        poses,
-        removal=scene.voxels.removal,
-        device=compute if compute in known else "cpu",
-    )
+    device = compute if compute in map(str, wp.get_devices()) else "cpu"
+    removal = scene.voxels.removal
+    replay = CarvingReplay(volume, cutter_of(scene.tool), poses, removal=removal, device=device)
     axis, _ = facing(trace)
-    return BoneOverTime(
-        volume, replay.at(len(trace.rows) - 1).copy() if end is None else end, replay, axis=axis
-    )
+    if end is None:
+        end = replay.at(len(trace.rows) - 1).copy()
+    return BoneOverTime(volume, end, replay, axis=axis)
 
 
 def _coarse(scene: Scene) -> VoxelVolume | None:
@@ -233,12 +224,9 @@ def _coarse(scene: Scene) -> VoxelVolume | None:
     if not isinstance(scene.anatomy, CutAnatomy) or scene.anatomy.from_file is not None:
         return None
     spacing = max(COARSE_MM, scene.voxels.spacing_mm)
+    coarse = scene.voxels.model_copy(update={"spacing_mm": spacing})
     with suppress(InputError):
-        return milled_voxels(
-            scene.model_copy(
-                update={"voxels": scene.voxels.model_copy(update={"spacing_mm": spacing})}
-            )
-        )
+        return milled_voxels(scene.model_copy(update={"voxels": coarse}))
     return None
 
 
