@@ -24,7 +24,7 @@ FOLDERS = {
     ),
     "sweep": (
         ("sweep", "wall", "--set", "duration_s=0.05,0.06"),
-        "sweep.csv sweep.png compare.png sweep.json",
+        "sweep.csv sweep.png compare.png",
     ),
     "compare": (("compare", "a", "b"), "compare.csv compare.png"),
     "assess": (("assess", "a", "--against", "b"), "assessment.json assessment.png"),

@@ -101,7 +101,6 @@ def test_tables_are_read_to_a_stated_depth():
 @pytest.mark.parametrize(
     ("file", "arguments"),
     [
-        ("out/sweep.json", ("sweep", "wall", "--set", "seed=1,2", "--out", "out")),
         ("out/summary.json", ("view", "out", "--screenshot", "x.png")),
         ("out/summary.json", ("report", "out")),
         ("out/study.json", ("study", "report", "out")),
