@@ -3,7 +3,7 @@
 import json
 import re
 from base64 import b64encode
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from html import escape
 from importlib.metadata import PackageNotFoundError, version
@@ -276,58 +276,12 @@ def empty_scene(parts: int) -> str:
 
     The browser's script gives them their points: vtk.js makes objects only from such a scene.
     """
-    actors = [_actor(index) for index in range(parts)]
-    camera = _instance("camera", "vtkCamera")
-    calls = [["setActiveCamera", ["instance:${camera}"]]]
-    calls += [["addViewProp", [f"instance:${{{actor['id']}}}"]] for actor in actors]
-    renderer = _instance("renderer", "vtkRenderer", [camera, *actors], calls)
-    renderer["properties"] = {"background": [1.0, 1.0, 1.0]}
-    window = _instance(
-        "window", "vtkRenderWindow", [renderer], [["addRenderer", ["instance:${renderer}"]]]
-    )
-    content = {
-        name: {"content": b64encode(bytes(12)).decode()} for name in ("Uint8Array", "Float32Array")
-    }
+    record = json.loads(_own("scene.json"))
+    (renderer,) = record["scene"]["dependencies"]
+    for index in range(parts):
+        renderer["dependencies"].append(json.loads(_own("actor.json").replace("INDEX", str(index))))
+        renderer["calls"].append(["addViewProp", [f"instance:${{actor{index}}}"]])
     kept = BytesIO()
     with ZipFile(kept, "w", ZIP_DEFLATED) as archive:
-        scene = window | {"mtime": 1}
-        archive.writestr("index.json", json.dumps({"scene": scene, "hashes": content}))
+        archive.writestr("index.json", json.dumps(record))
     return b64encode(kept.getvalue()).decode("ascii")
-
-
-def _instance(
-    name: str, kind: str, parts: Sequence[Record] = (), calls: Sequence[Sequence[Any]] = ()
-) -> Record:
-    """Return a VTK object of a scene of vtk.js, with the calls that join it and its parts."""
-    return {"id": name, "type": kind, "properties": {}, "dependencies": parts, "calls": calls}
-
-
-def _actor(index: int) -> Record:
-    arrays = (
-        ("pointData", "setScalars", "Uint8Array"),
-        ("cellData", "setScalars", "Uint8Array"),
-        ("pointData", "setNormals", "Float32Array"),
-    )
-    fields = [
-        {
-            "name": f"{location} {setter}",
-            "hash": kind,
-            "vtkClass": "vtkDataArray",
-            "dataType": kind,
-            "numberOfComponents": 3,
-            "location": location,
-            "registration": setter,
-        }
-        for location, setter, kind in arrays
-    ]
-    data = {"id": f"data{index}", "type": "vtkPolyData", "properties": {"fields": fields}}
-    given = [["setInputData", [f"instance:${{data{index}}}"]]]
-    parts = [
-        _instance(f"mapper{index}", "vtkMapper", [data], given),
-        {"id": f"property{index}", "type": "vtkProperty", "properties": {}},
-    ]
-    calls = [
-        ["setMapper", [f"instance:${{mapper{index}}}"]],
-        ["setProperty", [f"instance:${{property{index}}}"]],
-    ]
-    return _instance(f"actor{index}", "vtkActor", parts, calls)

@@ -152,38 +152,48 @@ def _view_site(folder: Path, screenshot: Path | None) -> str:
     if screenshot is None:
         _require_display("--screenshot FILE")
         return show_site(folder)
-    with whole_file(screenshot) as temporary, TemporaryDirectory(prefix="tissue-") as apart:
-        drawn = Path(apart) / "site.png"
-        problem = draw_apart("tissue.show.viewer.site_window", str(folder), str(drawn))
-        if problem is not None:
-            raise InputError(f"screenshot must be drawn in 3D, but {problem}")
-        shutil.copyfile(drawn, temporary)
+    _draw_apart("screenshot", screenshot, "tissue.show.viewer.site_window", str(folder))
     return f"imported bone in {folder}\nscreenshot in {screenshot}"
 
 
-def _draw(saved: SavedRun, choice: Choice, kind: str, file: Path, report: Progress) -> None:
-    """Draw a file in a separate process. The file is complete, or unchanged on failure."""
-    doing = f"drawing the {kind}"
-    report(doing, 0.0)
+def _draw_apart(
+    kind: str,
+    file: Path,
+    *command: str,
+    longest_s: float = LONGEST_S,
+    drawn: Callable[[float], None] | None = None,
+) -> None:
+    """Draw a file in a separate process. The file is complete, or unchanged on failure.
+
+    The command is a module and its arguments, without the file, which comes last.
+    """
     with (
         whole_file(file) as temporary,
         TemporaryDirectory(prefix="tissue-", ignore_cleanup_errors=True) as folder,
     ):
         temporary.touch()
         temporary.unlink()  # a folder that takes no file is refused before anything is drawn
-        drawn = Path(folder) / file.name
-        problem = draw_apart(
-            "tissue.show.viewer.view",
-            str(saved.path),
-            kind,
-            str(drawn),
-            json.dumps(asdict(choice)),
-            longest_s=LONGEST_MOVIE_S if kind == "movie" else LONGEST_S,
-            drawn=lambda share: report(doing, share),
-        )
+        apart = Path(folder) / file.name
+        problem = draw_apart(*command, str(apart), longest_s=longest_s, drawn=drawn)
         if problem is not None:
             raise InputError(f"{kind} must be drawn in 3D, but {problem}")
-        shutil.copyfile(drawn, temporary)
+        shutil.copyfile(apart, temporary)
+
+
+def _draw(saved: SavedRun, choice: Choice, kind: str, file: Path, report: Progress) -> None:
+    """Draw a view of a run into a file."""
+    doing = f"drawing the {kind}"
+    report(doing, 0.0)
+    _draw_apart(
+        kind,
+        file,
+        "tissue.show.viewer.view",
+        str(saved.path),
+        kind,
+        json.dumps(asdict(choice)),
+        longest_s=LONGEST_MOVIE_S if kind == "movie" else LONGEST_S,
+        drawn=lambda share: report(doing, share),
+    )
 
 
 def _check(saved: SavedRun, choice: Choice, series: SavedFields | None) -> None:
@@ -334,5 +344,5 @@ def _start(
 
 if __name__ == "__main__":
     finished = SavedRun(sys.argv[1])
-    wanted, into, chosen = sys.argv[2:]
+    wanted, chosen, into = sys.argv[2:]
     show(finished, _about(finished), Choice.of_json(chosen), **{wanted: Path(into)})

@@ -158,6 +158,7 @@ def test_a_script_that_reaches_the_body_is_not_run(browser, report_of, tmp_path)
 def test_charts_zoom_and_go_to_moments(opened):
     page = opened("needle")
     chart = page.locator("#charts svg").first
+    chart.scroll_into_view_if_needed()
     ends = lambda: chart.locator("text[text-anchor=middle]").all_inner_texts()  # noqa: E731
     whole = ends()
     box = chart.bounding_box()

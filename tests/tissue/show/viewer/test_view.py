@@ -124,7 +124,7 @@ def test_what_is_not_drawn_to_its_end_leaves_no_file_and_keeps_an_older_one(
     if older is not None:
         file.write_bytes(older)
 
-    def half(module, folder, kind, into, *rest, **options):
+    def half(module, folder, kind, choice, into, **options):
         Path(into).write_bytes(b"half of it")
         options["drawn"](0.5)
         if isinstance(ends, str):
