@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
-__all__ = ["draw_before_after", "draw_removed_depth", "shown_mm"]
+__all__ = ["draw_before_after", "draw_removed_depth"]
 
 HEIGHTS_PX = 64, 170
 """Above and below the renderings [pixel]."""

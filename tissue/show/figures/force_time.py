@@ -29,16 +29,7 @@ from tissue.simulation.trace import NO_LAYER
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = [
-    "FLICKER_S",
-    "draw_force_torque",
-    "draw_played",
-    "event_footnotes",
-    "event_lines",
-    "joined_events",
-    "mark_events",
-    "spells",
-]
+__all__ = ["FLICKER_S", "draw_force_torque", "draw_played", "event_lines", "mark_events", "spells"]
 
 MOST_EVENTS = 6
 FOOTNOTE_LETTERS = 92

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.cm import ScalarMappable
 
-__all__ = ["draw_held", "draw_press", "moment_of_press"]
+__all__ = ["draw_held", "draw_press"]
 
 EYE, ACROSS = (0.25, -0.75, 0.62), (0.0, -1.0, 0.0)
 """Directions towards the eye: lower than in `tissue view`, and at right angles to a section."""

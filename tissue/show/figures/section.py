@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.image import AxesImage
 
-__all__ = ["draw_section", "loaded_frame", "moment_of", "nearest_places", "plane_of", "section_of"]
+__all__ = ["draw_section", "plane_of"]
 
 STRESS = "von_mises_MPa"
 REMOVED_TINT = 0.28

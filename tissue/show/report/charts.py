@@ -18,7 +18,6 @@ __all__ = [
     "charts",
     "columns",
     "packed",
-    "packed_column",
     "packed_mesh",
     "packed_shares",
     "packed_vectors",

@@ -25,7 +25,7 @@ from tissue.simulation.saved_fields import SavedFields, field_values
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["REFERENCE", "BoneShown", "FieldsShown", "PointValues", "interpolated", "layer_look"]
+__all__ = ["REFERENCE", "BoneShown", "FieldsShown", "interpolated", "layer_look"]
 
 TETRAHEDRON = 10
 """VTK's number of the cell."""

@@ -22,7 +22,7 @@ from tissue.simulation.trace import Table
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["CHART_SHARE", "Choice", "MomentShown", "RunScene", "ToolShown", "times_of"]
+__all__ = ["CHART_SHARE", "Choice", "RunScene", "ToolShown", "times_of"]
 
 CHART_SHARE = 0.27
 """Height of the chart in the window."""

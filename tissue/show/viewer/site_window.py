@@ -14,7 +14,7 @@ from tissue.scene.site_text import anatomy_of, save_site
 from tissue.show.figures.figure import BONE
 from tissue.show.viewer.plotter import add_text, free_keys, in_words, new_plotter, on_click, picked
 
-__all__ = ["SiteWindow", "is_imported", "show_site"]
+__all__ = ["is_imported", "show_site"]
 
 SIZE = (1400, 950)
 SITE, UNSAVED = "#0072B2", "#D55E00"

@@ -37,7 +37,7 @@ from tissue.system.offscreen import (
 from tissue.system.outputs import require_new_file
 from tissue.system.stopping import Terminated
 
-__all__ = ["serve_view", "show", "view"]
+__all__ = ["view"]
 
 LONGEST_MOVIE_S = 3600.0
 """Maximum time for drawing a movie [s]."""

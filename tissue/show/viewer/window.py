@@ -38,16 +38,7 @@ from tissue.simulation.run_folder import SavedRun
 if TYPE_CHECKING:
     from PIL.Image import Image as Picture
 
-__all__ = [
-    "FRAMES_PER_S",
-    "Window",
-    "add_scale_bar",
-    "check_movie",
-    "leave_alone",
-    "movie_times_s",
-    "write_clean",
-    "write_movie",
-]
+__all__ = ["Window", "check_movie", "write_clean", "write_movie"]
 
 PLACE_PX = (40, 380)
 """Lower left end of a scale bar [pixel]."""

@@ -20,19 +20,7 @@ from tissue.simulation.live.surfaces import BoneSurface, OrganSurface, Start, ti
 from tissue.simulation.live.window import CLOCK
 from tissue.simulation.trace import Table
 
-__all__ = [
-    "DEVICE",
-    "HELP",
-    "KEY_MM",
-    "NOTCH_MM",
-    "LiveBone",
-    "LiveOrgan",
-    "LiveScene",
-    "Pointer",
-    "Readings",
-    "Target",
-    "live_tissue",
-]
+__all__ = ["HELP", "NOTCH_MM", "LiveScene", "Pointer", "Readings", "Target"]
 
 TISSUE_S = 0.2
 """Minimum time between two updates of the tissue [s].

@@ -14,19 +14,7 @@ from tissue.show.viewer.plotter import own_process
 if TYPE_CHECKING:
     from aiohttp.typedefs import Handler
 
-__all__ = [
-    "HOST",
-    "SOCKET",
-    "MessageError",
-    "Pace",
-    "PageServer",
-    "Session",
-    "Values",
-    "page_text",
-    "parse",
-    "refusal",
-    "serve",
-]
+__all__ = ["Values", "serve"]
 
 LARGEST = 1024
 """Longest message [byte]."""
