@@ -6,50 +6,13 @@ it.
 >>> run.trace["force_z_N"]  # doctest: +SKIP
 """
 
-from importlib import import_module
-from importlib.util import find_spec
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from importlib import (import_module)
+from importlib.util import (find_spec)
+from pathlib import (Path)
+from typing import (Any, TYPE_CHECKING)
 
-__all__ = [
-    "Assessment",
-    "Bone",
-    "Cut",
-    "DeviceParameters",
-    "Fit",
-    "Imported",
-    "InputError",
-    "Loop",
-    "Organ",
-    "Press",
-    "Run",
-    "Sample",
-    "Scene",
-    "assess",
-    "ball",
-    "calibration",
-    "compare",
-    "cutters",
-    "devices",
-    "feed_along",
-    "fit",
-    "flat_punch",
-    "import_ct",
-    "load_scene",
-    "material",
-    "material_names",
-    "motor_forces",
-    "open_run",
-    "probe_from_file",
-    "register",
-    "report",
-    "scene_names",
-    "scene_text",
-    "simulate",
-    "stability",
-    "study",
-    "sweep",
-]
+__all__ = ["Assessment", "Bone", "Cut", "DeviceParameters", "Fit", "Imported", "InputError", "Loop", "Organ", "Press", "Run", "Sample", "Scene", "assess", "ball", "calibration", "compare", "cutters", "devices", "feed_along", "fit", "flat_punch", "import_ct", "load_scene", "material", "material_names", "motor_forces", "open_run", "probe_from_file", "register", "report", "scene_names", "scene_text", "simulate", "stability", "study", "sweep"]
+
 
 
 if TYPE_CHECKING:
@@ -71,8 +34,7 @@ if TYPE_CHECKING:
     from tissue.objects.poses import feed_along
     from tissue.objects.press import Press
     from tissue.objects.register import register
-    from tissue.objects.report import report
-    from tissue.objects.run import Run, open_run
+    from tissue.objects.run import Run, open_run, report
     from tissue.objects.simulate import simulate
     from tissue.objects.sweep import sweep
     from tissue.objects.tools import ball, flat_punch, probe_from_file
@@ -111,7 +73,7 @@ _HOMES = {
     "open_run": "tissue.objects.run",
     "probe_from_file": "tissue.objects.tools",
     "register": "tissue.objects.register",
-    "report": "tissue.objects.report",
+    "report": "tissue.objects.run",
     "scene_names": "tissue.scene.load",
     "scene_text": "tissue.scene.load",
     "simulate": "tissue.objects.simulate",

@@ -22,7 +22,7 @@ from meshes.tooth.layers import TOOTH_LAYERS
 from tissue.ct.draft import Draft, Writer, scene_tables, toml, write_labels
 from tissue.ct.request import ImportRequest
 from tissue.scene.load import load_scene
-from tissue.show.figures.ct_pictures import draw_ct_organ, draw_ct_slices
+from tissue.show.figures.ct_pictures import Marks, draw_ct_organ, draw_ct_slices
 
 __all__ = ["organ_draft", "tooth_draft"]
 
@@ -155,17 +155,12 @@ def _draw_tooth(image: Image, tooth: Labels, centre_mm: Array, file: Path) -> No
     masks = sorted(
         ((name, tooth.mask(name)) for name in tooth.names.values()), key=lambda each: -each[1].sum()
     )
-    outer, *inner = (
-        (name, replace(tooth.image, values=mask - np.float32(0.5))) for name, mask in masks
-    )
+    outlines = {name: replace(tooth.image, values=mask - np.float32(0.5)) for name, mask in masks}
     draw_ct_slices(
         cropped(image, (tuple(low.tolist()), tuple(high.tolist()))),
         file,
-        body=outer,
-        others=dict(inner),
-        centre_mm=centre_mm,
-        normal=None,
-        points_mm=None,
+        outlines,
+        Marks(centre_mm),
         title=image.source,
     )
 

@@ -3,15 +3,17 @@
 The command `tissue assess` does the same.
 """
 
-from contextlib import suppress
-from pathlib import Path
-
-from meshes.base.errors import InputError
-from tissue.evaluation import assessment as engine
-from tissue.evaluation.assessment import write_assessment
-from tissue.objects.run import Run, open_run
+from contextlib import (suppress)
+from meshes.base.errors import (InputError)
+from pathlib import (Path)
+from tissue.evaluation import (assessment as engine)
+from tissue.evaluation.assessment import (write_assessment)
+from tissue.objects.run import (Run)
+from types import (SimpleNamespace)
+from typing import (Any)
 
 __all__ = ["Assessment", "assess"]
+
 
 
 class Assessment(engine.Assessment):
@@ -71,7 +73,8 @@ def assess(
 
 
 def _held(run: Run | str | Path) -> engine.AssessedRun:
-    run = run if isinstance(run, Run) else open_run(run)
+    """Return the parts of a run that an assessment reads."""
+    run = run if isinstance(run, Run) else Run.load(run)
     scene = None
     with suppress(InputError):  # a run without scene.toml can be assessed too
         scene = run.scene

@@ -1,25 +1,29 @@
 """Comparison of several runs: differences of their scenes and figures, and plotted forces."""
 
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise
-from pathlib import Path
-from typing import TYPE_CHECKING, Literal
-
-from meshes.base.errors import InputError
-from tissue.evaluation.assessment import path_note
-from tissue.objects.html import figures_of, table_html
-from tissue.objects.run import Run, open_run
-from tissue.objects.trace import needed
-from tissue.scene.scene import Scene
-from tissue.system.owned_folder import owned_folder, require_folder
+from collections import (Counter)
+from collections.abc import (Iterable, Iterator, Mapping, Sequence)
+from io import (StringIO)
+from meshes.base.errors import (InputError)
+from meshes.base.whole_file import (whole_file)
+from pathlib import (Path)
+from tissue.evaluation.assessment import (path_note)
+from tissue.objects.html import (figures_of, table_html)
+from tissue.objects.run import (Run)
+from tissue.objects.trace import (needed)
+from tissue.scene.scene import (Scene)
+from tissue.system.owned_folder import (owned_folder, require_folder)
+from typing import (Literal, TYPE_CHECKING)
+import csv
+import tomllib
 
 if TYPE_CHECKING:
+    from numpy.typing import (NDArray)
     import numpy as np
     import pandas
-    from numpy.typing import NDArray
 
-__all__ = ["Comparison", "Over", "compare", "entries_of"]
+__all__ = ["Comparison", "Over", "compare", "entries_of", "write_rows"]
+
+
 
 Over = Literal["time", "depth"]
 FILES = ("compare.csv", "compare.png")
@@ -67,14 +71,9 @@ class Comparison:
         first, and the ratio of the difference to the first.
         """
         first, *others = self.runs
-        titles = [
-            first,
-            *(
-                title
-                for name in others
-                for title in (name, f"{name} - {first}", f"{name} / {first} - 1")
-            ),
-        ]
+        titles = [first]
+        for name in others:
+            titles += [name, f"{name} - {first}", f"{name} / {first} - 1"]
         found = []
         for figure in dict.fromkeys(figure for one in self.figures.values() for figure in one):
             base = self.figures[first].get(figure)
@@ -153,7 +152,6 @@ class Comparison:
         """
         from matplotlib import pyplot
 
-        from tissue.objects.tables import write_table
         from tissue.show.figures.figure import save
 
         out = Path(out)
@@ -161,23 +159,17 @@ class Comparison:
         panels = self.plot(over)
         titles, rows = self.rows()
         with owned_folder(out, KIND, FILES, overwrite=overwrite):
-            write_table(
-                out / FILES[0], ["figure", *titles], [[figure, *values] for figure, values in rows]
-            )
+            lines = [[figure, *values] for figure, values in rows]
+            write_rows(out / FILES[0], ["figure", *titles], lines)
             save(panels[0].figure, out / FILES[1])
         pyplot.close(panels[0].figure)
         return [out / name for name in FILES]
 
     def lines(self) -> list[str]:
         """Return the differences other than figures, a line each."""
-        found = []
-        for key, values in self.scene_differences.items():
-            found.append(
-                f"{key}: "
-                + ", ".join(
-                    f"{name} {_short(each)}" for name, each in zip(self.runs, values, strict=True)
-                )
-            )
+        found = [
+            f"{key}: {_each(self.runs, values)}" for key, values in self.scene_differences.items()
+        ]
         return [*(found or ["the scenes are the same"]), *self.notes]
 
     def __repr__(self) -> str:
@@ -186,13 +178,13 @@ class Comparison:
     def _repr_html_(self) -> str:
         titles, rows = self.texts()
         keys = [[key, *map(_short, values)] for key, values in self.scene_differences.items()]
-        differ = (
-            table_html(keys, titles=("key", *self.runs), caption="keys of the scenes that differ")
-            if keys
-            else ""
-        )
-        notes = table_html([(note,) for note in self.notes]) if self.notes else ""
-        return f"<div>{table_html(rows, titles=titles)}{differ}{notes}</div>"
+        shown = table_html(rows, titles=titles)
+        if keys:
+            caption = "keys of the scenes that differ"
+            shown += table_html(keys, titles=("key", *self.runs), caption=caption)
+        if self.notes:
+            shown += table_html([(note,) for note in self.notes])
+        return f"<div>{shown}</div>"
 
 
 def compare(*runs: Run | str | Path, names: Sequence[str] | None = None) -> Comparison:
@@ -210,7 +202,7 @@ def compare(*runs: Run | str | Path, names: Sequence[str] | None = None) -> Comp
     InputError
         If there are fewer than two runs, a folder holds no run, or the names are not distinct.
     """
-    held = [each if isinstance(each, Run) else open_run(each) for each in runs]
+    held = [each if isinstance(each, Run) else Run.load(each) for each in runs]
     called = _names(held) if names is None else [*names]
     if len(called) != len(held) or len(set(called)) != len(called):
         raise InputError(
@@ -224,13 +216,16 @@ def entries_of(scene: Scene) -> dict[str, object]:
 
     Name and description are left out.
     """
-    import tomllib
+    entries = dict(_flat(tomllib.loads(scene.to_toml())))
+    return {key: value for key, value in entries.items() if key not in ("name", "description")}
 
-    return {
-        key: value
-        for key, value in _flat(tomllib.loads(scene.to_toml()))
-        if key not in ("name", "description")
-    }
+
+def write_rows(path: Path, titles: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Write a table as CSV with all digits; None becomes an empty cell."""
+    text = StringIO()
+    csv.writer(text, lineterminator="\n").writerows([titles, *rows])
+    with whole_file(path) as temporary:
+        temporary.write_text(text.getvalue(), "utf-8")
 
 
 def _number(value: float | None) -> str:
@@ -242,9 +237,7 @@ def _differences(scenes: list[Scene]) -> dict[str, tuple[object, ...]]:
     entries = [entries_of(scene) for scene in scenes]
     keys = dict.fromkeys(key for each in entries for key in each)
     found = {key: tuple(each.get(key) for each in entries) for key in keys}
-    return {
-        key: values for key, values in found.items() if any(a != b for a, b in pairwise(values))
-    }
+    return {key: values for key, values in found.items() if values != values[:1] * len(values)}
 
 
 def _notes(runs: Mapping[str, Run]) -> Iterator[str]:
@@ -254,42 +247,37 @@ def _notes(runs: Mapping[str, Run]) -> Iterator[str]:
             yield f"{name} did not come to its end: it is {run.status}"
         if note := path_note(run.summary):
             yield f"the path of {name} is {note}"
-    lasted = {
-        name: round(float(run.summary.get("simulated_s", 0.0)), 3) for name, run in runs.items()
+    outside: dict[str, list[object]] = {
+        "simulated time, which peaks, means and volumes depend on,": [
+            f"{run.summary.get('simulated_s', 0.0):.3g} s" for run in runs.values()
+        ],
+        "scene": [run.scene.name for run in runs.values()],
+        **{
+            words: [run.summary.get(entry) for run in runs.values()]
+            for entry, words in OUTSIDE.items()
+        },
     }
-    if len(set(lasted.values())) > 1:
-        yield (
-            (
-                "simulated time differs, so that peaks, means and volumes are of runs of "
-                "different lengths: "
-            )
-            + ", ".join(f"{name} {time_s:g} s" for name, time_s in lasted.items())
-        )
-    names = {name: run.scene.name for name, run in runs.items()}
-    if len(set(names.values())) > 1:
-        yield "the runs are of different scenes: " + ", ".join(
-            f"{name} {scene}" for name, scene in names.items()
-        )
+    for words, values in outside.items():
+        if len(set(map(str, values))) > 1:
+            yield f"{words} differs: {_each(runs, values)}"
     if len({run.scene.constants.key for run in runs.values()}) > 1:
         yield "the constants of the materials differ: see the key materials of each scene"
-    for entry, words in OUTSIDE.items():
-        values = [str(run.summary.get(entry)) for run in runs.values()]
-        if len(set(values)) > 1:
-            yield f"{words} differs: " + ", ".join(
-                f"{name} {each}" for name, each in zip(runs, values, strict=True)
-            )
+
+
+def _each(names: Iterable[str], values: Iterable[object]) -> str:
+    """Return the value of each run as text."""
+    pairs = zip(names, values, strict=True)
+    return ", ".join(f"{name} {_short(value)}" for name, value in pairs)
 
 
 def _names(runs: list[Run]) -> list[str]:
     """Return the names of runs by their folders or scenes; equal names are numbered."""
     plain = [run.scene.name if run.path is None else run.path.resolve().name for run in runs]
     count = Counter(plain)
-    seen = Counter[str]()
-    found = []
-    for name in plain:
-        seen[name] += 1
-        found.append(f"{name} {seen[name]}" if count[name] > 1 else name)
-    return found
+    return [
+        f"{name} {plain[: at + 1].count(name)}" if count[name] > 1 else name
+        for at, name in enumerate(plain)
+    ]
 
 
 def _flat(table: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -169,17 +169,10 @@ class Cut:
         label
             Name of this cut in the legend.
         """
-        import matplotlib.pyplot as plt
-
+        from tissue.objects.plots import new_panels
         from tissue.show.figures.figure import COMPONENTS
 
-        if over is None:
-            figure, panels = plt.subplots(
-                2, 1, sharex=True, figsize=(7.0, 4.5), layout="constrained"
-            )
-        else:
-            figure = over
-            panels = over.axes
+        panels = new_panels(2) if over is None else over.axes
         shown = (self.force_N, "force / N"), (self.torque_Nm, "torque / N m")
         for panel, (values, what) in zip(panels, shown, strict=True):
             if label is None:
@@ -188,10 +181,10 @@ class Cut:
             look = {"color": "0.2", "label": "size"} if label is None else {"label": label}
             panel.plot(self.times_s, np.linalg.norm(values, axis=1), linewidth=1.0, **look)
             panel.set_ylabel(what)
-            panel.grid(visible=True, alpha=0.3)
         panels[0].legend(ncols=4, frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0))
         panels[-1].set_xlabel("time / s")
-        return figure
+        chart: Any = panels[0].figure
+        return chart
 
     def __repr__(self) -> str:
         force = self.force_magnitude_N

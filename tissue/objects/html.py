@@ -4,8 +4,8 @@ from collections.abc import Iterable, Sequence
 from html import escape
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from tissue.show.figures.force_time import event_lines
 from tissue.simulation.run_summary import Summary
 
@@ -153,9 +153,7 @@ def figures_of(summary: Summary) -> dict[str, float]:
     }
 
 
-def run_html(
-    summary: Summary, events: list[tuple[float, str]], force_N: NDArray[np.float64]
-) -> str:
+def run_html(summary: Summary, events: list[tuple[float, str]], force_N: Array) -> str:
     """Return a short table and the force over time, with events and notes folded below."""
     shown = table_html(run_rows(summary), caption=f"run of {summary.get('scene')}")
     if len(force_N):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from meshes.base.errors import InputError
-from tissue.objects.quiet import quiet_without_display
+from tissue.objects.progress import quiet_without_display
 
 if TYPE_CHECKING:
     import pyvista

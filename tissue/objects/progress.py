@@ -1,19 +1,21 @@
-"""Progress bar in a notebook or in a terminal."""
+"""Progress in a notebook or in a terminal, and VTK's warnings there."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from html import escape
-from time import perf_counter
-from typing import TYPE_CHECKING, Any
-
-from meshes.base.progress import Progress, silent
-from meshes.base.text_tables import visible
-from tissue.objects.show import in_notebook
+from collections.abc import (Iterator)
+from contextlib import (contextmanager)
+from html import (escape)
+from meshes.base.progress import (Progress, silent)
+from meshes.base.text_tables import (visible)
+from time import (perf_counter)
+from typing import (Any, TYPE_CHECKING)
+import os
+import sys
 
 if TYPE_CHECKING:
-    from rich.console import Console
+    from rich.console import (Console)
 
-__all__ = ["Bar", "reporting", "terminal_bar"]
+__all__ = ["Bar", "in_notebook", "quiet_without_display", "reporting", "terminal_bar"]
+
+
 
 Bar = Progress | bool | None
 """Argument ``progress`` of a call: a function, or whether to show a bar.
@@ -22,6 +24,28 @@ The default None shows a bar in a notebook only.
 """
 EVERY_S = 0.2
 """Time between two updates of a notebook's bar [s]."""
+
+
+def in_notebook() -> bool:
+    """Return whether a Jupyter kernel runs this code."""
+    module = sys.modules.get("IPython")
+    shell: Any = module.get_ipython() if module is not None else None
+    return shell is not None and hasattr(shell, "kernel")
+
+
+@contextmanager
+def quiet_without_display() -> Iterator[None]:
+    """Restrict VTK's output to errors if no display is set.
+
+    VTK warns about a missing display, and then draws without one.
+    """
+    if os.environ.get("DISPLAY"):
+        yield
+        return
+    import pyvista
+
+    with pyvista.vtk_verbosity("error"):
+        yield
 
 
 @contextmanager

@@ -1,37 +1,28 @@
 """Registration of user-defined parts by the names that scenes use: `tissue.register`."""
 
-from collections.abc import Callable, Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
-
-from meshes.base.errors import InputError
-from tissue.objects import registering as check
-from tissue.scene.registry import (
-    ANATOMIES,
-    CUTTERS,
-    DEVICES,
-    HANDS,
-    MOTIONS,
-    NEEDLES,
-    PERCEPTIONS,
-    PREDICTORS,
-    PROBES,
-    RENDERERS,
-    SCENES,
-    TABLES,
-    AnatomyEntry,
-    CutterEntry,
-    DeviceEntry,
-    MotionEntry,
-    PredictorEntry,
-    ProbeEntry,
-)
+from collections.abc import (Callable, Mapping, Sequence)
+from dataclasses import (asdict, fields)
+from itertools import (chain)
+from meshes.base.errors import (InputError)
+from meshes.base.file_limits import (require_regular)
+from meshes.base.text_tables import (read_toml)
+from pathlib import (Path)
+from tissue.materials.constants import (Entry, add_material, constants, listed)
+from tissue.materials.scene_constants import (checked_constant)
+from tissue.scene.named_parts import (nearest, shown)
+from tissue.scene.registry import (ANATOMIES, AnatomyEntry, CUTTERS, CUTTING_MATERIALS, CutterEntry, DEVICES, DeviceEntry, HANDS, MOTIONS, MotionEntry, NEEDLES, ORGAN_MATERIALS, PERCEPTIONS, PREDICTORS, PROBES, PredictorEntry, ProbeEntry, RENDERERS, SCENES, TABLES)
+from typing import (Any, TYPE_CHECKING, TypeVar)
+import inspect
+import re
+import tomllib
 
 if TYPE_CHECKING:
-    from tissue.haptics.device.device import DeviceParameters
-    from tissue.scene.anatomy import Part
+    from tissue.haptics.device.device import (DeviceParameters)
+    from tissue.scene.anatomy import (Part)
 
 __all__ = ["register"]
+
+
 
 F = TypeVar("F")
 COLOUR = "#D55E00"
@@ -43,10 +34,10 @@ class register:
 
     Scenes, messages, the schema, charts and the stability check then accept the name.
 
-    Each function takes the class or function that makes a part, or without it returns a decorator
-    for one. A name that is taken is refused in one sentence, and so is a part without a method that
-    a run calls. A registered part is available in this process. An installed package offers parts
-    to all processes by entry points, in groups such as ``tissue.predictors``.
+    Each function takes the class or function that makes a part, or without it returns a decorator.
+    A taken name and a part without a method that a run calls are refused. A registered part is
+    available in this process. An installed package offers parts to all processes by entry points,
+    in groups such as ``tissue.predictors``.
     """
 
     @staticmethod
@@ -66,17 +57,14 @@ class register:
         """
 
         def entry(part: Any) -> CutterEntry:
-            check.profile(name, part, keys)
+            _check_profile(name, part, keys)
             return CutterEntry(part, tuple(keys))
 
         return _added("tool", name, profile, CUTTERS, entry)
 
     @staticmethod
     def probe(name: str, make: F | None = None, *, keys: tuple[str, ...] = ("diameter_mm",)) -> Any:
-        """Register a smooth tool that presses.
-
-        ``make(tool)`` returns the `ProbeShape` of a scene's tool.
-        """
+        """Register a smooth tool that presses; ``make(tool)`` returns its `ProbeShape`."""
 
         return _added("probe", name, make, PROBES, lambda part: ProbeEntry(part, tuple(keys)))
 
@@ -107,17 +95,11 @@ class register:
         """
 
         def entry(part: Any) -> MotionEntry:
-            check.parameters("motion", name, parameters)
+            _check_parameters("motion", name, parameters)
             return MotionEntry(parameters, part)
 
-        return _added(
-            "motion",
-            name,
-            make,
-            MOTIONS,
-            entry,
-            methods=("sweep_m", "rotations", "begin", "advance"),
-        )
+        methods = ("sweep_m", "rotations", "begin", "advance")
+        return _added("motion", name, make, MOTIONS, entry, methods=methods)
 
     @staticmethod
     def tissue(
@@ -152,7 +134,7 @@ class register:
         """
 
         def entry(part: Any) -> AnatomyEntry:
-            check.parameters("tissue", name, parameters)
+            _check_parameters("tissue", name, parameters)
             return AnatomyEntry(parameters, tool, part, force_N, pictures or {}, faces)
 
         return _added("tissue", name, build, ANATOMIES, entry)
@@ -186,11 +168,11 @@ class register:
         """
         from tissue.haptics.device.device import DeviceParameters
 
-        check.name("device", name)
-        given = check.numbers_of(DeviceParameters, numbers, needed=("mass_kg", "damping_N_s_m"))
+        _check_name("device", name)
+        given = _check_numbers_of(DeviceParameters, numbers, needed=("mass_kg", "damping_N_s_m"))
 
         def opens(part: Any) -> Any:
-            check.callable_part("device", name, part, ("read", "command"))
+            _check_callable_part("device", name, part, ("read", "command"))
             DEVICES.put(name, DeviceEntry(given, part))
             return part
 
@@ -202,23 +184,18 @@ class register:
 
     @staticmethod
     def hand(name: str, numbers: Mapping[str, float], *, like: str = "expert") -> None:
-        """Register a hand by values of `HandParameters` in SI.
-
-        The other values are taken from a known hand.
-        """
+        """Register a hand by values of `HandParameters` in SI; a known hand has the others."""
         from tissue.haptics.hand.hand import HandParameters
 
-        check.name("hand", name)
-        HANDS.add(name, check.numbers_of(HandParameters, {**HANDS[like], **numbers}))
+        _check_name("hand", name)
+        HANDS.add(name, _check_numbers_of(HandParameters, {**HANDS[like], **numbers}))
 
     @staticmethod
     def renderer(name: str, make: F | None = None) -> Any:
         """Register a rendering law with `render` and `pause`; ``make(loop)`` takes a `WallLoop`.
 
-        The stability check uses ``loop.stiffness_N_m``. It does not detect a law that is stiffer
-        than that.
+        The stability check uses ``loop.stiffness_N_m`` and does not detect a stiffer law.
         """
-
         return _added("renderer", name, make, RENDERERS, methods=("render", "pause"))
 
     @staticmethod
@@ -251,7 +228,7 @@ class register:
         def entry(part: Any) -> PredictorEntry:
             from tissue.prediction.guard import GuardedMaker
 
-            check.looks(colour, marker)
+            _check_looks(colour, marker)
             return PredictorEntry(
                 GuardedMaker(name, part, trained=trained), trained, colour, marker
             )
@@ -265,7 +242,6 @@ class register:
         ``make(argument, *, rng, force_limit_N, tick_s, friction_N)`` returns a `Perception`. A name
         such as ``share:NUMBER`` stands for all texts with an argument after the colon.
         """
-
         return _added("perception", name, make, PERCEPTIONS, methods=("step", "pause"))
 
     @staticmethod
@@ -301,23 +277,15 @@ class register:
         The tables are ``[cutting.NAME.CONSTANT]`` for cutting and ``[soft...]`` for organs. Each
         constant has value, range, source and confidence, as in `tissue/materials`.
         """
-        return check.add_materials(Path(file))
+        return _add_materials(Path(file))
 
     @staticmethod
     def scene(file: str | Path) -> str:
-        """Register the scene of a TOML file by its name.
-
-        The name is available to `load_scene`, ``tissue scenes`` and ``tissue run``.
-        """
+        """Register the scene of a TOML file by its name, for `load_scene` and the command."""
         path = Path(file).resolve()
-        name = check.scene_name(path)
+        name = _scene_name(path)
         SCENES.add(name, path)
         return name
-
-
-def _same(part: Any) -> Any:
-    """Return the part itself, as the entry of a table without details."""
-    return part
 
 
 def _added(
@@ -325,15 +293,187 @@ def _added(
     name: str,
     part: Any,
     table: Any,
-    entry: Callable[[Any], Any] = _same,
+    entry: Callable[[Any], Any] = lambda part: part,
     methods: tuple[str, ...] = (),
 ) -> Any:
     """Check a part and add its entry to a table; without a part, return a decorator."""
 
     def add(each: Any) -> Any:
-        check.name(kind, name, argument=kind == "perception")
-        check.callable_part(kind, name, each, methods)
+        _check_name(kind, name, argument=kind == "perception")
+        _check_callable_part(kind, name, each, methods)
         table.add(name, entry(each))
         return each
 
     return add if part is None else add(part)
+
+
+NAME = "[a-z0-9][a-z0-9_-]*"
+SOFT = ("modulus_kPa", "poisson_ratio", "density_kg_m3")
+"""Constants that every soft material has."""
+CAPSULE = "_capsule"
+"""End of the name of a capsule, which lies on an organ and is no organ's material."""
+
+
+def _check_name(kind: str, given: object, *, argument: bool = False) -> None:
+    """Refuse a name that is invalid or taken."""
+    pattern = f"{NAME}(:[A-Z]+)?" if argument else NAME
+    if not isinstance(given, str) or not re.fullmatch(pattern, given):
+        raise InputError(
+            "name",
+            "be of lower-case letters, digits, - and _",
+            shown(given),
+            f"choose such a one for the {kind}",
+        )
+    taken = ["none", *(each for table in TABLES[kind] for each in table.known)]
+    if given in taken:
+        raise InputError(
+            "name", f"be none of {', '.join(taken)}", given, f"choose another name for this {kind}"
+        )
+
+
+def _check_callable_part(kind: str, given: str, part: object, methods: Sequence[str] = ()) -> None:
+    """Refuse a part that is not callable, or a class without the required methods."""
+    wanted = f"be a class with {' and '.join(methods)}, or a function"
+    is_class = isinstance(part, type)
+    if not callable(part) or (
+        is_class and not all(callable(getattr(part, method, None)) for method in methods)
+    ):
+        raise InputError(f"{kind} {given}", wanted, shown(part), "add what is missing")
+
+
+def _check_profile(given: str, part: Any, keys: Sequence[str]) -> None:
+    """Refuse a half section that cannot be called with a tool's sizes."""
+    known = dict.fromkeys(chain.from_iterable(CUTTERS[each].keys for each in CUTTERS.built_in))
+    for key in keys:
+        if key not in known:
+            raise InputError(
+                "keys", f"be of {', '.join(sorted(known))}", shown(key), "use one of a tool's keys"
+            )
+    sizes = ["diameter_m", *(key.replace("_mm", "_m").replace("_deg", "_rad") for key in keys)]
+    try:
+        inspect.signature(part).bind(**dict.fromkeys(sizes, 1.0))
+    except TypeError as error:
+        raise InputError(
+            f"tool {given}",
+            f"take {' and '.join(sizes)}",
+            f"one that does not ({error})",
+            "name its arguments so",
+        ) from None
+
+
+def _check_parameters(kind: str, given: str, part: Any) -> None:
+    """Refuse parameters that are no subclass of `Part` whose kind is the name."""
+    from tissue.scene.anatomy import Part
+    from tissue.scene.choices import kinds_of
+
+    is_part = isinstance(part, type) and issubclass(part, Part)
+    if not is_part or "kind" not in part.model_fields or kinds_of(part) != (given,):
+        raise InputError(
+            f"parameters of the {kind} {given}",
+            "be a subclass of tissue.scene.anatomy.Part of this kind",
+            shown(part),
+            f'derive it from that and write kind: Literal["{given}"] = "{given}"',
+        )
+
+
+def _check_numbers_of(kind: Any, numbers: Any, *, needed: Sequence[str] = ()) -> dict[str, float]:
+    """Return the values of a class of parameters, from an instance or a checked mapping."""
+    if isinstance(numbers, kind):
+        return asdict(numbers)
+    known = [field.name for field in fields(kind)]
+    names = list(numbers) if isinstance(numbers, Mapping) else []
+    if strange := [each for each in names if each not in known]:
+        given = f"{strange[0]}{nearest(strange[0], known)}"
+        raise InputError("numbers", f"be of {', '.join(known)}", given, "rename or remove it")
+    if (not names and numbers) or not set(needed) <= set(names):
+        wanted = f"be a mapping with {' and '.join(needed) or 'numbers by name'}"
+        raise InputError("numbers", wanted, shown(numbers), "add what is missing")
+    for each, value in numbers.items():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise InputError(each, "be a number", shown(value), "give it in the unit of its name")
+    kind(**numbers)
+    return dict(numbers)
+
+
+def _check_looks(colour: str, marker: str) -> None:
+    """Refuse a colour or a marker that matplotlib cannot draw."""
+    from matplotlib.colors import is_color_like
+    from matplotlib.markers import MarkerStyle
+
+    if not is_color_like(colour):
+        raise InputError("colour", "be one of matplotlib's", shown(colour), "use for example red")
+    if marker not in MarkerStyle.markers:
+        raise InputError("marker", "be one of matplotlib's", shown(marker), "use for example o")
+
+
+def _scene_name(path: Path) -> str:
+    """Return the name in a scene's file; refuse a name that is taken."""
+    from tissue.scene.load import library_names
+
+    found = _table(path, "scene").get("name")
+    _check_name("scene", found)
+    taken = [*library_names(), *SCENES.known]
+    if found in taken:
+        raise InputError(
+            "name",
+            f"be none of {', '.join(taken)}",
+            f"{found} in {path}",
+            "choose another for this scene",
+        )
+    return str(found)
+
+
+def _add_materials(path: Path) -> tuple[str, ...]:
+    """Add the materials of a file: all of them, or none if one is refused."""
+    found = _table(path, "material")
+    if not found or any(table not in ("cutting", "soft") for table in found):
+        raise InputError(
+            "material",
+            "have tables cutting and soft",
+            f"{', '.join(found) or 'none'} in {path}",
+            "use these",
+        )
+    for table, materials in found.items():
+        for material, entries in materials.items():
+            _require_material(path, table, material, entries)
+    for table, materials in found.items():
+        for material, entries in materials.items():
+            add_material(table, material, entries)
+            if not material.endswith(CAPSULE):
+                (CUTTING_MATERIALS if table == "cutting" else ORGAN_MATERIALS).add(
+                    material, (table, material)
+                )
+    return tuple(dict.fromkeys(material for materials in found.values() for material in materials))
+
+
+def _require_material(path: Path, table: str, material: str, entries: dict[str, Entry]) -> None:
+    """Refuse a material whose name is taken, or that lacks a constant or its source."""
+    where = f"{table}.{material}"
+    if not re.fullmatch(NAME, material) or material in listed(table):
+        known = ", ".join(listed(table))
+        raise InputError(
+            table, f"name materials other than {known}", f"{material} in {path}", "rename it"
+        )
+    needed = tuple(constants("cutting", "bone")) if table == "cutting" else SOFT
+    wrong = set(needed) - set(entries) or set(entries) - set(needed)
+    if wrong and (table == "cutting" or not set(needed) <= set(entries)):
+        raise InputError(
+            where,
+            f"have {', '.join(needed)}",
+            f"{', '.join(entries)} in {path}",
+            f"add or remove {', '.join(sorted(wrong))}",
+        )
+    for constant, entry in entries.items():
+        checked_constant(f"{where}.{constant}", entry, str(path))
+
+
+def _table(path: Path, kind: str) -> dict[str, Any]:
+    """Read a TOML file."""
+    require_regular(path)
+    try:
+        return read_toml(path.read_text("utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError(
+            kind, "be a TOML file", f"{path} ({reason})", "check the path and fix it"
+        ) from None

@@ -1,33 +1,31 @@
 """Run with its plots, 3D view and bands: `tissue.Run`."""
 
-from collections.abc import Iterable
-from contextlib import suppress
-from functools import cached_property
-from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
-
+from collections.abc import (Iterable)
+from contextlib import (suppress)
+from functools import (cached_property)
+from meshes.base.errors import (InputError)
+from meshes.base.progress import (Progress)
+from numpy.typing import (NDArray)
+from pathlib import (Path)
+from tempfile import (TemporaryDirectory)
+from tissue.objects.html import (run_html, run_line)
+from tissue.objects.progress import (Bar, reporting)
+from tissue.objects.trace import (Trace)
+from tissue.simulation import (run as engine)
+from tissue.simulation.run_folder import (picture_format)
+from tissue.simulation.run_summary import (Summary, summary_of)
+from typing import (Any, TYPE_CHECKING)
 import numpy as np
-from numpy.typing import NDArray
-
-from meshes.base.errors import InputError
-from meshes.base.progress import Progress
-from tissue.objects.html import run_html, run_line
-from tissue.objects.progress import Bar, reporting
-from tissue.objects.trace import Trace
-from tissue.simulation import run as engine
-from tissue.simulation.run_folder import picture_format
-from tissue.simulation.run_summary import Summary, summary_of
 
 if TYPE_CHECKING:
+    from matplotlib.axes import (Axes)
+    from tissue.fitting.bands.band import (Band)
     import pandas
     import pyvista
     import xarray
-    from matplotlib.axes import Axes
 
-    from tissue.fitting.bands.band import Band
+__all__ = ["Run", "open_run", "report"]
 
-__all__ = ["Run", "open_run"]
 
 
 class Run(engine.Run):
@@ -318,3 +316,46 @@ class Run(engine.Run):
 def open_run(path: str | Path) -> Run:
     """Read a run from its folder, as `Run.load`."""
     return Run.load(path)
+
+
+def report(
+    run: Run | str | Path,
+    out: str | Path | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Path:
+    """Write a run as one HTML file that needs no network.
+
+    It shows figures, forces, and the bone or organ in 3D over time.
+
+    Parameters
+    ----------
+    run
+        Run, or the folder that it was saved to.
+    out
+        HTML file to write; default ``report.html`` in the run's folder.
+    overwrite
+        Replace an existing file.
+    progress
+        Called with the present work.
+
+    Returns
+    -------
+    The file.
+
+    Raises
+    ------
+    InputError
+        If ``out`` is missing for a run that was not saved, the folder holds no run or damaged
+        files, or the file exists.
+    """
+    from tissue.show.report.report import NAME, write_report
+
+    if not isinstance(run, Run):
+        return write_report(run, out, overwrite=overwrite, progress=progress)
+    if out is None:
+        if run.path is None:
+            raise InputError("out", "be given for a run that was not saved", out, "name a file")
+        out = run.path / NAME
+    return write_report(run._folder(), out, overwrite=overwrite, progress=progress)

@@ -1,7 +1,7 @@
 """Run in 3D: a window in a script, an interactive view in a notebook, or a still picture."""
 
-import sys
 import warnings
+from contextlib import suppress
 from importlib import import_module
 from io import BytesIO
 from pathlib import Path
@@ -9,14 +9,15 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Bytes
 from meshes.base.errors import InputError
 from meshes.base.whole_file import whole_file
+from tissue.objects.progress import in_notebook
 from tissue.simulation.depth_map import HALF
 from tissue.system.offscreen import display_problem
 
-__all__ = ["Picture", "in_notebook", "is_interactive", "show_folder", "with_empty_hidden"]
+__all__ = ["Picture", "show_folder", "with_empty_hidden"]
 
 BACKENDS = ("trame_pyvista", "pyvista.trame.jupyter")
 """Modules of pyvista for interactive views in a notebook: the extra ``notebook``.
@@ -25,23 +26,13 @@ The first is used by pyvista 0.49, the second by older versions.
 """
 
 
-def in_notebook() -> bool:
-    """Return whether a Jupyter kernel runs this code."""
-    module = sys.modules.get("IPython")
-    shell: Any = module.get_ipython() if module is not None else None
-    return shell is not None and hasattr(shell, "kernel")
-
-
 def is_interactive() -> bool:
     """Return whether the packages for interactive views in a notebook are installed."""
     for name in BACKENDS:
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # the second name is an old one
-                import_module(name)
-        except ImportError:
-            continue
-        return True
+        with suppress(ImportError), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the second name is an old one
+            import_module(name)
+            return True
     return False
 
 
@@ -62,7 +53,7 @@ class Picture:
         self._png = png
 
     @property
-    def array(self) -> NDArray[np.uint8]:
+    def array(self) -> Bytes:
         """Red, green and blue of its pixels, 0 to 255, shape (height, width, 3)."""
         from matplotlib.image import imread
 
@@ -108,6 +99,7 @@ def show_folder(
 
     See `tissue.objects.run.Run.show`.
     """
+    from tissue.show.viewer.run_scene import Choice
     from tissue.show.viewer.view import view
 
     notebook = in_notebook()
@@ -120,7 +112,7 @@ def show_folder(
             "screenshot", "be left out with interactive", screenshot, "leave one of them out"
         )
     if interactive and not notebook:
-        view(folder, **chosen)
+        view(folder, Choice(**chosen))
         return None
     if interactive and not is_interactive():
         raise InputError(
@@ -132,7 +124,7 @@ def show_folder(
     with TemporaryDirectory(prefix="tissue-") as place:
         file = screenshot or Path(place) / "shown.png"
         # `view` draws in a separate process, which also checks whether this machine can draw.
-        view(folder, screenshot=file, overwrite=True, **chosen)
+        view(folder, Choice(**chosen), screenshot=file, overwrite=True)
         still = Picture(file.read_bytes())
     return _turned(folder, chosen) if interactive else still
 

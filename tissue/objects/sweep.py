@@ -1,51 +1,273 @@
 """Sweep: a scene run at all combinations of some values: `tissue.sweep`."""
 
+from collections.abc import (Iterable, Iterator, Mapping, Sequence)
+from concurrent.futures import (BrokenExecutor)
+from dataclasses import (dataclass, replace)
+from functools import (cached_property, partial)
+from itertools import (islice, product)
+from math import (prod)
+from meshes.base.errors import (InputError, require_range)
+from meshes.base.progress import (Progress)
+from meshes.base.text_tables import (read_toml)
+from meshes.base.whole_file import (package_version)
+from numpy.typing import (NDArray)
+from pathlib import (Path)
+from tissue.evaluation.same_task import (path_note)
+from tissue.objects.comparison import (Comparison, write_rows)
+from tissue.objects.html import (figures_of, table_html)
+from tissue.objects.plots import (COLOURS)
+from tissue.objects.progress import (Bar, reporting)
+from tissue.objects.run import (Run)
+from tissue.objects.simulate import (simulate)
+from tissue.objects.trace import (needed)
+from tissue.scene.load import (changed, load_scene, parse_override)
+from tissue.scene.scene import (Scene)
+from tissue.scene.texts import (registered_parts, unknown_parts)
+from tissue.show.figures.figure import (field_words, plain, save, styled)
+from tissue.simulation.run_summary import (summary_of)
+from tissue.system.owned_folder import (owned_folder)
+from tissue.system.workers import (first_done, worker_pool)
+from typing import (Any, TYPE_CHECKING)
 import csv
-import json
+import numpy as np
 import re
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import BrokenExecutor
-from functools import partial
-from itertools import islice, product
-from math import prod
-from pathlib import Path
-from typing import Any
 
-import numpy as np
+if TYPE_CHECKING:
+    import pandas
 
-from meshes.base.errors import InputError, require_range
-from meshes.base.progress import Progress
-from meshes.base.text_tables import read_json, read_toml
-from meshes.base.whole_file import package_version, whole_file
-from tissue.objects.progress import Bar, reporting
-from tissue.objects.simulate import simulate
-from tissue.objects.sweep_table import Sweep, SweptRun
-from tissue.scene.load import changed, load_scene, parse_override
-from tissue.scene.scene import Scene
-from tissue.scene.texts import registered_parts, unknown_parts
-from tissue.simulation.run_summary import summary_of
-from tissue.system.owned_folder import owned_folder
-from tissue.system.workers import first_done, worker_pool
+__all__ = ["Sweep", "SweptRun", "parse_values", "planned", "sweep"]
 
-__all__ = ["parse_values", "planned", "sweep"]
 
-RECORD = "sweep.json"
+
 FILES = ("sweep.csv", "sweep.png", "compare.png")
-"""Files of a sweep in addition to its record and its runs."""
-FORMAT = 1
-"""Version of the record."""
+"""Files of a sweep in addition to its runs."""
 LONGEST_NAME = 24
-"""Largest number of letters of a value in a folder name.
-
-Longer values, and lists, are numbered.
-"""
+"""Letters of a value in a folder name; longer values, and lists, are numbered."""
 MOST_RUNS = 10_000
-"""Largest number of runs of a sweep.
-
-They take three hours at a second each, and their scenes are checked in a minute.
-"""
+"""Runs of a sweep: three hours at a second each, and a minute to check their scenes."""
 LOST = "the process that ran it was lost: run the sweep again to go on"
+FIRST_FIGURES = ("peak_force_N", "mean_force_N", "removed_mm3", "tick_median_us")
+"""Figures of the printed table; the file has all figures."""
+
+
+@dataclass(frozen=True)
+class SweptRun:
+    """One run of a sweep.
+
+    Attributes
+    ----------
+    name
+        Name of its folder, by the swept keys.
+    values
+        Values of the swept keys.
+    path
+        Folder of the run.
+    problem
+        Error that ended it or makes its scene invalid; empty for a finished run.
+    scene
+        Scene; None if the values make none.
+    """
+
+    name: str
+    values: dict[str, object]
+    path: Path
+    problem: str = ""
+    scene: Scene | None = None
+
+    @cached_property
+    def figures(self) -> dict[str, float]:
+        """Figures of the run by names with units; empty for a run with a problem."""
+        return {} if self.problem else figures_of(summary_of(self.path))
+
+    @cached_property
+    def note(self) -> str:
+        """Reason why the run did not finish its path; else empty.
+
+        It is also empty for a run with a problem.
+        """
+        return "" if self.problem else path_note(summary_of(self.path))
+
+    def open(self) -> Run:
+        """Read the run from its folder."""
+        return Run.load(self.path)
+
+
+class Sweep:
+    """Results of a scene at all combinations of some values.
+
+    Attributes
+    ----------
+    keys
+        Keys that were swept.
+    runs
+        All runs, including runs with a problem.
+    """
+
+    def __init__(self, keys: list[str], runs: list[SweptRun]) -> None:
+        self.keys = keys
+        self.runs = runs
+
+    @property
+    def finished(self) -> list[SweptRun]:
+        """Runs without a problem."""
+        return [each for each in self.runs if not each.problem]
+
+    @property
+    def failures(self) -> dict[str, str]:
+        """Problems by run."""
+        return {each.name: each.problem for each in self.runs if each.problem}
+
+    @property
+    def notes(self) -> dict[str, str]:
+        """Reasons why runs did not finish their paths, by run."""
+        return {each.name: f"the path is {each.note}" for each in self.runs if each.note}
+
+    @property
+    def figure_names(self) -> list[str]:
+        """Names of the figures that the runs have, with units."""
+        return list(dict.fromkeys(name for each in self.runs for name in each.figures))
+
+    def rows(self) -> tuple[list[str], list[list[object]]]:
+        """Return titles and rows of a table with one row per run.
+
+        A row has the values, the figures, the problem, the folder and the note of the run.
+        """
+        names = self.figure_names
+        rows = []
+        for each in self.runs:
+            figures = [each.figures.get(name) for name in names]
+            rows.append([*each.values.values(), *figures, each.problem, each.name, each.note])
+        return [*self.keys, *names, "problem", "run", "note"], rows
+
+    def texts(self) -> tuple[list[str], list[list[str]]]:
+        """Return titles and rows of a short table: the values and the first figures."""
+        names = [name for name in FIRST_FIGURES if name in self.figure_names]
+        rows = []
+        for each in self.runs:
+            figures = (each.figures.get(name) for name in names)
+            shown = ["" if value is None else f"{value:.4g}" for value in figures]
+            rows.append([*map(str, each.values.values()), *shown])
+        return [*(key.rpartition(".")[2] for key in self.keys), *names], rows
+
+    def to_pandas(self) -> "pandas.DataFrame":
+        """Return the table of `rows`; raises `InputError` if pandas is not installed."""
+        titles, rows = self.rows()
+        return needed("pandas", extra="pandas").DataFrame(rows, columns=titles)
+
+    def compare(self) -> Comparison:
+        """Compare the finished runs; raises `InputError` if there are fewer than two."""
+        return Comparison({each.name: each.open() for each in self.finished})
+
+    def plot(self, figures: list[str] | None = None) -> NDArray[np.object_]:
+        """Plot figures over the first swept key, with a line for each value of the second.
+
+        Parameters
+        ----------
+        figures
+            Some of `figure_names`; default the figures that differ among the runs.
+
+        Returns
+        -------
+        The panels, shape (figures,).
+
+        Raises
+        ------
+        InputError
+            If there is nothing to plot, or not one or two keys were swept.
+        """
+        names = self._differing() if figures is None else figures
+        known = self.figure_names
+        if unknown := [name for name in names if name not in known]:
+            raise InputError(
+                "figures", f"be of {', '.join(known)}", unknown[0], "use some of these"
+            )
+        if not names or len(self.keys) not in (1, 2):
+            raise InputError(
+                "plot",
+                "have figures that differ and one key or two",
+                f"{len(names)} figures and {len(self.keys)} keys",
+                "see the table",
+            )
+        return self._plotted(names)
+
+    def _differing(self) -> list[str]:
+        """Return the figures that differ between finished runs."""
+        values = {
+            name: {each.figures.get(name) for each in self.finished} for name in self.figure_names
+        }
+        return [name for name, found in values.items() if len(found) > 1]
+
+    @styled
+    def _plotted(self, names: list[str]) -> NDArray[np.object_]:
+        from matplotlib import pyplot
+
+        columns = min(len(names), 3)
+        rows = -(-len(names) // columns)
+        size = 3.2 * columns, 2.4 * rows + 0.3
+        chart, grid = pyplot.subplots(
+            rows, columns, squeeze=False, figsize=size, layout="constrained"
+        )
+        panels, empty = np.split(grid.ravel(), [len(names)])
+        for axes in empty:
+            axes.remove()
+        first, *second = self.keys
+        lines: dict[str, list[SweptRun]] = {}
+        for each in self.finished:
+            label = str(each.values[second[0]]) if second else ""
+            lines.setdefault(label, []).append(each)
+        for axes, name in zip(panels, names, strict=True):
+            for number, (label, runs) in enumerate(lines.items()):
+                points = [
+                    (_place(run.values[first]), run.figures[name])
+                    for run in runs
+                    if name in run.figures
+                ]
+                if not any(isinstance(place, str) for place, _ in points):
+                    points.sort()
+                look = {"marker": "o", "markersize": 3.5, "color": COLOURS[number % len(COLOURS)]}
+                axes.plot(*zip(*points, strict=True), label=label, **look)
+            axes.set_title(field_words(name), loc="left")
+            axes.set_xlabel(first, parse_math=False)
+        plain(panels)
+        for axes in panels:
+            axes.margins(x=0.05)
+        if second:
+            entries = panels[0].get_legend_handles_labels()
+            chart.legend(*entries, loc="outside upper left", ncols=6, title=second[0])
+        return np.asarray(panels)
+
+    def write(self, out: Path) -> None:
+        """Write ``sweep.csv``, and with several finished runs ``compare.png`` and ``sweep.png``."""
+        from matplotlib import pyplot
+
+        write_rows(out / "sweep.csv", *self.rows())
+        pictures = {}
+        if len(self.finished) > 1:
+            pictures["compare.png"] = self.compare().plot()
+        if len(self.keys) in (1, 2) and self._differing():
+            pictures["sweep.png"] = self.plot()
+        for name, panels in pictures.items():
+            save(panels[0].figure, out / name)
+            pyplot.close(panels[0].figure)
+
+    def __repr__(self) -> str:
+        keys = " and ".join(self.keys)
+        return f"<sweep of {keys}: {len(self.finished)} of {len(self.runs)} runs finished>"
+
+    def _repr_html_(self) -> str:
+        titles, rows = self.texts()
+        shown = table_html(rows, titles=titles, caption=repr(self).strip("<>"))
+        for title, texts in (("problem", self.failures), ("note", self.notes)):
+            if texts:
+                shown += table_html(texts.items(), titles=("run", title))
+        return f"<div>{shown}</div>"
+
+
+def _place(value: Any) -> float | str:
+    """Return a swept value as a place on an axis: a number, or a text for any other value."""
+    is_number = isinstance(value, float | int) and not isinstance(value, bool)
+    return value if is_number else str(value)
 
 
 def sweep(
@@ -104,15 +326,10 @@ def sweep(
     run = partial(
         _run, pictures=pictures, compute=compute, cores=cores, allow_unstable=allow_unstable
     )
-    with owned_folder(out, "sweep", (), shared=(RECORD, *FILES)), reporting(progress) as report:
-        left = _begin(out, runs, overwrite=overwrite)
+    with owned_folder(out, "sweep", (), shared=FILES), reporting(progress) as report:
+        left = _unfinished(runs, overwrite=overwrite)
         problems = dict(_results(run, left, workers=min(workers, len(left)), report=report))
-        runs = [
-            SweptRun(
-                each.name, each.values, each.path, problems.get(each.name, each.problem), each.scene
-            )
-            for each in runs
-        ]
+        runs = [replace(each, problem=problems.get(each.name, each.problem)) for each in runs]
         found = Sweep(list(runs[0].values), runs)
         report("drawing pictures", 1.0)
         found.write(out)
@@ -132,28 +349,20 @@ def planned(
     """
     listed = {key: _listed(key, values) for key, values in changes.items()}
     count = prod(len(values) for values in listed.values())
-    if count > MOST_RUNS:
-        raise InputError(
-            "a sweep",
-            f"have at most {MOST_RUNS} runs",
-            f"{count} combinations",
-            "give fewer values",
-        )
+    require_range("runs of a sweep", count, 1, MOST_RUNS, "give fewer values")
     fixed = {key: values[0] for key, values in listed.items() if len(values) == 1}
     swept = {key: values for key, values in listed.items() if len(values) > 1}
     base = scene if isinstance(scene, Scene) else load_scene(scene)
-    named = [
-        list(zip(_words(key, values, swept), values, strict=True)) for key, values in swept.items()
-    ]
+    words = [_words(key, values, swept) for key, values in swept.items()]
     found: dict[str, SweptRun] = {}
-    for combination in product(*named):
-        name = ",".join(word for word, _ in combination) or base.name
-        values = dict(zip(swept, (value for _, value in combination), strict=True))
+    for combination, named in zip(product(*swept.values()), product(*words), strict=True):
+        name = ",".join(named) or base.name
+        values = dict(zip(swept, combination, strict=True))
+        each = SweptRun(name, values, out / name)
         try:
-            made = changed(base, fixed | values)
-            found[name] = SweptRun(name, values, out / name, scene=made)
+            found[name] = replace(each, scene=changed(base, fixed | values))
         except InputError as refused:
-            found[name] = SweptRun(name, values, out / name, str(refused))
+            found[name] = replace(each, problem=str(refused))
     if all(each.problem for each in found.values()):
         raise InputError(next(iter(found.values())).problem)
     return list(found.values())
@@ -171,25 +380,23 @@ def parse_values(texts: Sequence[str]) -> dict[str, list[object]]:
     """
     found: dict[str, list[object]] = {}
     for text in texts:
-        key, sign, listed = text.partition("=")
+        key, _, listed = text.partition("=")
+        key = key.strip()
         try:
             pieces = next(csv.reader([listed], skipinitialspace=True), [])
         except csv.Error:  # such as a line break
             pieces = []
+        if not pieces or not all(pieces) or key in found:
+            raise InputError(
+                "--set",
+                "be key=value,value, each key once",
+                text,
+                "use for example voxels.spacing_mm=0.2,0.4",
+            )
         try:
-            values = read_toml(f"values = [{listed}]")["values"]
+            found[key] = read_toml(f"values = [{listed}]")["values"]
         except tomllib.TOMLDecodeError:  # such as words without quotes
-            values = [parse_override(f"{key}={piece}")[1] for piece in pieces if piece]
-        if not sign or not all(pieces) or not pieces:
-            raise InputError(
-                "--set", "be key=value,value", text, "use for example voxels.spacing_mm=0.2,0.4"
-            )
-        key = key.strip()
-        if key in found:
-            raise InputError(
-                "--set", "name a key once", f"{key} twice", "give its values in one, by commas"
-            )
-        found[key] = values
+            found[key] = [parse_override(f"{key}={piece}")[1] for piece in pieces]
     return found
 
 
@@ -211,77 +418,45 @@ def _words(key: str, values: Sequence[object], swept: Mapping[str, object]) -> l
     last = key.rpartition(".")[2]
     short = last if sum(other.rpartition(".")[2] == last for other in swept) == 1 else key
     texts = [f"{value:g}" if isinstance(value, float) else str(value) for value in values]
-    plain = [re.sub(r"[^\w.+-]+", "-", text) for text in texts]
+    words = [re.sub(r"[^\w.+-]+", "-", text) for text in texts]
     nested = any(isinstance(value, list | tuple | dict) for value in values)
-    if (
-        nested
-        or not all(plain)
-        or len(set(plain)) < len(plain)
-        or max(map(len, plain)) > LONGEST_NAME
-    ):
-        plain = [f"no{number}" for number in range(1, len(plain) + 1)]
-    return [f"{short}={word}" for word in plain]
+    usable = all(0 < len(word) <= LONGEST_NAME for word in words) and len({*words}) == len(words)
+    if nested or not usable:
+        words = [f"no{number}" for number in range(1, len(words) + 1)]
+    return [f"{short}={word}" for word in words]
 
 
-def _begin(out: Path, runs: list[SweptRun], *, overwrite: bool) -> list[tuple[SweptRun, bool]]:
-    """Record the scenes by folder; return the remaining runs.
-
-    Each is returned with whether it may replace a run of this sweep.
+def _unfinished(runs: list[SweptRun], *, overwrite: bool) -> list[tuple[SweptRun, bool]]:
+    """Return the remaining runs, and for each whether it may replace a run of the same scene.
 
     Raises
     ------
     InputError
         If a folder holds a run of another scene.
     """
-    record = _read(out / RECORD)
     left: list[tuple[SweptRun, bool]] = []
     for each in runs:
         if each.scene is None:
             continue
-        text = each.scene.to_toml()
-        recorded = record.get(each.name)
-        if recorded not in (None, text) and not overwrite:
+        kept = each.path / "scene.toml"
+        begun = kept.is_file()
+        same = begun and each.scene.to_toml() in kept.read_text("utf-8")
+        if begun and not (same or overwrite):
             raise InputError(
                 "out",
                 "hold runs of this scene",
                 f"another one in {each.path}",
                 "pass --overwrite to replace it or choose another --out",
             )
-        summary = summary_of(each.path)
-        if overwrite or recorded != text or summary.get("status") != "complete":
-            left.append((each, overwrite or recorded is not None))
-        if recorded is not None or overwrite or not summary:
-            # a run of other origin in the folder does not become part of the sweep
-            record[each.name] = text
-    with whole_file(out / RECORD) as temporary:
-        data = {"format": FORMAT, "tissue": package_version(), "scenes": record}
-        temporary.write_text(json.dumps(data, indent=2) + "\n", "utf-8")
+        if overwrite or not begun or summary_of(each.path).get("status") != "complete":
+            left.append((each, overwrite or begun))
     return left
-
-
-def _read(path: Path) -> dict[str, str]:
-    """Read the recorded scenes by folder; empty if there is no sweep yet."""
-    if not path.is_file():
-        return {}
-    try:
-        held: Any = read_json(path.read_text("utf-8"))
-        scenes = held["scenes"]
-        if held["format"] != FORMAT or not all(isinstance(text, str) for text in scenes.values()):
-            raise ValueError(path)
-    except (ValueError, LookupError, TypeError, AttributeError):
-        raise InputError(
-            "sweep.json", "be as a sweep wrote it", f"another one in {path}", "choose another --out"
-        ) from None
-    return dict(scenes)
 
 
 def _results(
     run: "partial[str]", left: list[tuple[SweptRun, bool]], *, workers: int, report: Progress
 ) -> Iterator[tuple[str, str]]:
-    """Run the remaining runs; yield name and problem of each run that ends.
-
-    The problem is empty for a run without an error.
-    """
+    """Run the remaining runs; yield name and problem, or an empty text, of each that ends."""
     total = len(left)
     if workers <= 1:
         for number, (each, replaces) in enumerate(left):

@@ -7,41 +7,15 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 from tissue.objects.html import scrolled, table_html
+from tissue.simulation.saved_fields import field_label
 from tissue.simulation.trace import NO_LAYER, Table
 
 if TYPE_CHECKING:
     import pandas
     import xarray
 
-__all__ = ["Trace", "label_of", "needed", "unit_of"]
+__all__ = ["Trace", "needed"]
 
-UNITS = {
-    "mm3_s": "mm³/s",
-    "mm_s": "mm/s",
-    "rad_s": "rad/s",
-    "N_mm": "N/mm",
-    "mm3": "mm³",
-    "mm2": "mm²",
-    "mm": "mm",
-    "um": "µm",
-    "Nm": "N m",
-    "mN": "mN",
-    "N": "N",
-    "mJ": "mJ",
-    "J": "J",
-    "us": "µs",
-    "ms": "ms",
-    "s": "s",
-    "W": "W",
-    "kPa": "kPa",
-    "MPa": "MPa",
-    "Pa": "Pa",
-    "C": "°C",
-    "K": "K",
-    "Hz": "Hz",
-    "percent": "%",
-}
-"""Units that end a column's name, longer ones first, and their notation."""
 SHOWN_ROWS = 5
 """Number of first and of last rows that a notebook shows."""
 
@@ -104,15 +78,13 @@ class Trace(dict[str, NDArray[Any]], Table):
         over = "time_s" if "time_s" in self else "tick"
         found = xarray.Dataset(
             {
-                name: (over, values, {"long_name": label_of(name), **_units(name)})
+                name: (over, values, _attributes(name))
                 for name, values in self.items()
                 if name != over
             },
             coords={over: self[over] if over in self else np.arange(len(self.rows))},
         )
-        found[over].attrs.update(
-            {"long_name": "time", "units": "s"} if over == "time_s" else {"long_name": "tick"}
-        )
+        found[over].attrs.update(_attributes(over))
         return found
 
     def __repr__(self) -> str:
@@ -127,30 +99,11 @@ class Trace(dict[str, NDArray[Any]], Table):
         rows = [[_cell(values[row]) for values in self.values()] for row in picked]
         if cut:
             rows.insert(SHOWN_ROWS, ["…"] * len(self))
-        titles = [
-            label_of(name) + (f" / {unit}" if (unit := unit_of(name)) else "") for name in self
-        ]
+        titles = [" / ".join(filter(None, field_label(name))) for name in self]
         return (
             scrolled(table_html(rows, titles=titles, numbers=True))
             + f"<p>{count} ticks, {len(self)} columns</p>"
         )
-
-
-def unit_of(column: str) -> str:
-    """Return the unit of a column by the end of its name; empty without one.
-
-    For ``velocity_x_mm_s`` it is ``mm/s``.
-    """
-    return next((shown for unit, shown in UNITS.items() if column.endswith(f"_{unit}")), "")
-
-
-def label_of(column: str) -> str:
-    """Return a column's name in words, without its unit.
-
-    For ``model_force_z_N`` it is ``model force z``.
-    """
-    unit = next((unit for unit in UNITS if column.endswith(f"_{unit}")), "")
-    return column.removesuffix(f"_{unit}" if unit else "").replace("_", " ")
 
 
 def needed(name: str, *, extra: str) -> Any:
@@ -173,9 +126,10 @@ def needed(name: str, *, extra: str) -> Any:
         ) from None
 
 
-def _units(column: str) -> dict[str, str]:
-    unit = unit_of(column)
-    return {"units": unit} if unit else {}
+def _attributes(column: str) -> dict[str, str]:
+    """Return name and unit of a column as attributes of xarray."""
+    words, unit = field_label(column)
+    return {"long_name": words, **({"units": unit} if unit else {})}
 
 
 def _cell(value: object) -> str:

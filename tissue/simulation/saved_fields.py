@@ -1,31 +1,23 @@
 """Fields of a saved run: names, units, ranges over the run, and the mesh at any moment."""
 
-from collections.abc import Sequence
-from itertools import pairwise
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
+from collections.abc import (Sequence)
+from itertools import (pairwise)
+from meshes.base.errors import (InputError)
+from meshes.base.file_limits import (require_regular)
+from meshes.base.isolated_parser import (parse_isolated)
+from numpy.typing import (NDArray)
+from pathlib import (Path)
+from tissue.simulation.run_folder import (SavedRun, saved_placement)
+from tissue.simulation.vtk_files import (mesh_in_scene)
+from typing import (Any, TYPE_CHECKING)
 import numpy as np
-from numpy.typing import NDArray
-
-from meshes.base.errors import InputError
-from meshes.base.file_limits import require_regular
-from meshes.base.isolated_parser import parse_isolated
-from tissue.simulation.run_folder import SavedRun, saved_placement
-from tissue.simulation.vtk_files import mesh_in_scene
 
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = [
-    "SavedFields",
-    "field_label",
-    "field_limits",
-    "field_names",
-    "field_values",
-    "frames_of",
-    "require_whole",
-]
+__all__ = ["SavedFields", "field_label", "field_limits", "field_names", "field_values", "frames_of", "require_whole"]
+
+
 
 PEAK = 99.8
 """Percentile of a cell field at the end of its scale; single cells at the tool lie above it."""
@@ -34,29 +26,35 @@ SPAN = 1e-3
 FAINT = 5.0
 """Percentile at which the scale may begin, for the frame with the largest stress."""
 UNITS = {
-    **{unit: unit for unit in ("mm", "m", "Pa", "kPa", "MPa", "mN", "N", "J", "mJ", "K")},
+    "mm3_s": "mm³/s",
+    "mm_s": "mm/s",
+    "rad_s": "rad/s",
+    "N_mm": "N/mm",
+    "N_m": "N/m",
+    "Nm": "N m",
     "um": "µm",
+    "us": "µs",
     "mm2": "mm²",
     "mm3": "mm³",
     "percent": "%",
     "C": "°C",
     "degC": "°C",
+    **{unit: unit for unit in ("mm", "m", "Pa", "kPa", "MPa", "mN", "N", "J", "mJ", "K")},
+    **{unit: unit for unit in ("s", "ms", "W", "Hz")},
 }
-"""Units that end a field's name, and their notation."""
+"""Units that end the name of a field or a column, compound ones first, and their notation."""
 IN_MM = {"um": 1e-3, "mm": 1.0, "m": 1e3}
 DISPLACEMENT = "displacement_"
 STRESS = "von_mises_"
 
 
 def field_label(name: str) -> tuple[str, str]:
-    """Return words and unit of a field: ``("von Mises", "kPa")`` for ``von_mises_kPa``.
+    """Return words and unit of a field or column: ``("von Mises", "kPa")`` for ``von_mises_kPa``.
 
-    The unit is empty for a field without one.
+    The unit is empty for a name without one.
     """
-    words, _, unit = name.rpartition("_")
-    if unit not in UNITS:
-        words = name
-        unit = ""
+    unit = next((unit for unit in UNITS if name.endswith(f"_{unit}")), "")
+    words = name.removesuffix(f"_{unit}") if unit else name
     return words.replace("_", " ").replace("mises", "Mises"), UNITS.get(unit, "")
 
 

@@ -97,8 +97,3 @@ def test_the_force_at_the_motor_is_near_the_ideal_one(by_hand):
     assert forces.played.shape == (len(by_hand.trace["time_s"]) - 1, 3)
     off = np.linalg.norm(forces.played - forces.ideal) / np.linalg.norm(forces.ideal)
     assert 0.0 < off < 0.1
-
-
-def test_a_trial_is_named():
-    with pytest.raises(InputError, match="T1-novice-0007"):
-        tissue.study.trial(tissue.study.Plan(trials=1), "first")

@@ -39,10 +39,6 @@ def of(outputs, cell):
     return {kind: each["data"][kind] for each in shown for kind in each["data"]}
 
 
-def test_the_bar_is_gone_after_a_run(outputs):
-    assert of(outputs, CELLS[0]).get("text/html") == ""
-
-
 @pytest.mark.parametrize(
     ("cell", "words"),
     [

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tissue import InputError, load_scene, simulate
+from tissue import load_scene, simulate
 
 SHORT = {"duration_s": 0.05, "motion.feed_mm_s": 400.0}
 
@@ -30,13 +30,3 @@ def test_false_ends_the_run_after_its_tick():
 def test_an_unknown_column_and_what_it_raises_end_the_run_with_that():
     with pytest.raises(KeyError, match="force"):
         simulate(load_scene("wall", SHORT), on_tick=lambda index, row: row["force"])
-
-
-def test_it_goes_with_no_observer():
-    with pytest.raises(InputError, match=r"^on_tick must be left out with observer, got both"):
-        simulate(load_scene("wall", SHORT), on_tick=print, observer=object())
-
-
-def test_false_of_numpy_ends_a_run_too():
-    run = simulate(load_scene("wall", SHORT), on_tick=lambda index, row: np.bool_(index < 5))
-    assert len(run.trace.rows) == 6

@@ -3,31 +3,26 @@
 Scenes name them; they are listed, judged and charted, or refused in a sentence.
 """
 
+from outside_tissue import (CHANGES, Jelly, jelly)
+from tissue import (InputError, load_scene, register, scene_names, simulate)
+from tissue.cutters.profile import (Line, Profile, cylinder)
+from tissue.evaluation.charts.prediction import (Interval, PredictorComparison, comparison_lines, draw_tasks)
+from tissue.evaluation.charts.settings import (sources)
+from tissue.evaluation.stability_report import (scene_stability)
+from tissue.evaluation.training import (HORIZONS)
+from tissue.haptics.device.device import (DeviceParameters, Sample)
+from tissue.motion.motion import (Motion)
+from tissue.prediction.guard import (Guarded)
+from tissue.scene.anatomy import (Part)
+from tissue.scene.registry import (PREDICTORS)
+from tissue.scene.texts import (schema_text)
+from tissue.scene.tool import (Probe)
+from typing import (Literal)
 import json
-from typing import Literal
-
 import numpy as np
 import pytest
-from outside_tissue import CHANGES, Jelly, jelly
 
-from tissue import InputError, Scene, load_scene, register, scene_names, simulate
-from tissue.cutters.profile import Line, Profile, cylinder
-from tissue.evaluation.charts.prediction import (
-    Interval,
-    PredictorComparison,
-    comparison_lines,
-    draw_tasks,
-)
-from tissue.evaluation.charts.settings import sources
-from tissue.evaluation.stability_report import scene_stability
-from tissue.evaluation.training import HORIZONS
-from tissue.haptics.device.device import DeviceParameters, Sample
-from tissue.motion.motion import Motion
-from tissue.prediction.guard import Guarded
-from tissue.scene.anatomy import Part
-from tissue.scene.registry import PREDICTORS
-from tissue.scene.texts import schema_text
-from tissue.scene.tool import Probe
+
 
 LIGHT = {"mass_kg": 0.03, "damping_N_s_m": 0.2, "force_limit_N": 1.0}
 
@@ -73,9 +68,7 @@ def test_a_predictor_of_two_methods_runs_guarded_is_judged_and_charted(tmp_path)
     found = PredictorComparison("wall", errors, costs, np.array([1.0 + 0j]), {1: nothing}, {})
     assert any("drift" in line for line in comparison_lines([found]))
     draw_tasks([found], tmp_path / "tasks.png")
-    with pytest.raises(
-        InputError, match=r"must be one of none, hold, .*, drift, got drif \(did you mean drift\?\)"
-    ):
+    with pytest.raises(InputError, match="did you mean drift"):
         load_scene("wall", {"prediction": "drif"})
     assert (
         "drift" in json.loads(schema_text())["$defs"]["Device"]["properties"]["prediction"]["enum"]
@@ -96,9 +89,7 @@ def test_a_predictor_that_over_compensates_is_refused_by_the_judge_of_stability(
         for kind in ("hold", "eager")
     )
     assert eager < 0.5 * calm
-    with pytest.raises(
-        InputError, match=r"^coupling.stiffness_N_m must be below [\d.]+ to be stable"
-    ):
+    with pytest.raises(InputError, match=r"coupling.stiffness_N_m"):
         simulate(load_scene("wall", changes | {"coupling.stiffness_N_m": 0.9 * calm}))
 
 
@@ -113,14 +104,9 @@ def test_a_predictor_that_never_forgets_or_returns_other_shapes_is_refused():
         def predict(self, ticks):
             return 0.0
 
-    with pytest.raises(
-        InputError, match="predictor must forget a change within 512 ticks to be judged"
-    ):
+    with pytest.raises(InputError, match="512 ticks"):
         run_of(prediction="sum")
-    with pytest.raises(
-        InputError,
-        match=r"^predict of the predictor flat must return three newtons, got shape \(\)",
-    ):
+    with pytest.raises(InputError, match="predictor flat"):
         run_of(prediction="flat")
 
 
@@ -169,55 +155,20 @@ def test_a_device_is_opened_where_a_scene_names_it(command, here):
     assert max(np.abs(force).max() for force in device.commands) > 0.3
     assert "sprung in the hand of" in run.parts.notes["coupling"]
     opened = Sprung.opened
-    code, output, error = command(
-        "run",
-        "wall",
-        "--set",
-        "device=sprung",
-        "--duration-s",
-        0.1,
-        "--no-pictures",
-        "--out",
-        "out",
-    )
+    words = ("run", "wall", "--set", "device=sprung", "--no-pictures", "--out", "out")
+    code, output, error = command(*words, "--duration-s", 0.1)
     assert (code, error) == (0, "") and "sprung" in output and Sprung.opened == opened + 1
-    known = (
-        "none, touch, omni, six-dof, haply, forcedimension, sigma-7, openhaptics, network, "
-        "recorded, sprung"
-    )
     with pytest.raises(
-        InputError, match=f"device.kind must be one of {known.removeprefix('none, ')}, got spring"
+        InputError, match=r"device.kind must be one of touch, .*, sprung, got spring"
     ):
         load_scene("wall", {"device": "spring"})
 
 
 def test_a_live_run_holds_the_device_that_its_scene_names(command, here):
     register.device("sprung", LIGHT, Sprung)
-    code, output, error = command(
-        "run",
-        "wall",
-        "--set",
-        "device=sprung",
-        "--duration-s",
-        0.05,
-        "--live",
-        "--no-pictures",
-        "--out",
-        "out",
-    )
-    assert (code, error) == (
-        0,
-        "",
-    ) and "live: the device sprung moves the tool and plays the force" in output
-
-
-def test_what_a_device_opens_must_be_one():
-    register.device("nothing", LIGHT, make=lambda start_m: 3)
-    with pytest.raises(
-        InputError,
-        match=r"^device must have read and command, got int without read and command for n",
-    ):
-        run_of(device="nothing")
+    words = ("run", "wall", "--set", "device=sprung", "--live", "--no-pictures", "--out", "out")
+    code, output, error = command(*words, "--duration-s", 0.05)
+    assert (code, error) == (0, "") and "device sprung moves the tool" in output
 
 
 def test_hand_renderer_and_perception():
@@ -355,24 +306,11 @@ def test_a_material_is_cut_and_another_is_pressed(tmp_path):
     )
     peak = lambda run: np.linalg.norm(run.trace.vectors("model_force", "N"), axis=1).max()  # noqa: E731
     assert 0.0 < peak(foam) < 0.9 * peak(bone)
-    assert foam.parts.notes["specific cutting energy"].startswith(
-        "foam 0.015 (0-1) J/mm3, confidence L"
-    )
+    assert "foam 0.015" in foam.parts.notes["specific cutting energy"]
     assert load_scene("palpation", {"organ.material": "gel"}).organ.material == "gel"
-    for key, value, refusal in (
-        (
-            "milling",
-            {"cutting.material": "foa"},
-            r"^cutting.material must be one of bone, .*, foam, got foa \(did you",
-        ),
-        (
-            "palpation",
-            {"organ.material": "ge"},
-            r"^organ.material must be one of liver, kidney, gel, got ge \(did you",
-        ),
-    ):
-        with pytest.raises(InputError, match=refusal):
-            load_scene(key, value)
+    for scene, key in (("milling", "cutting.material"), ("palpation", "organ.material")):
+        with pytest.raises(InputError, match=rf"^{key} must be one of .*(foam|gel)"):
+            load_scene(scene, {key: "clay"})
 
 
 def test_a_scene_is_found_by_its_name(command, here, tmp_path):
@@ -385,11 +323,10 @@ def test_a_scene_is_found_by_its_name(command, here, tmp_path):
     assert command("scenes", "my-wall")[1].endswith(file.read_text().partition("\n")[2])
     code, _, error = command("run", "my-wall", "--duration-s", 0.05, "--no-pictures")
     assert (code, error) == (0, "") and (here / "runs" / "my-wall" / "trace.csv").is_file()
-    with pytest.raises(
-        InputError,
-        match=r"^scene must be a built-in name \(caries, .*, my-wall, .*\(did you mean my-w",
-    ):
+    with pytest.raises(InputError, match="did you mean my-wall"):
         load_scene("my-wal")
+    with pytest.raises(InputError, match=r"name .* got my-wall"):
+        register.scene(file)
 
 
 class Lacking:
@@ -400,40 +337,26 @@ class Lacking:
 
 
 REFUSED = {
-    "taken": (lambda: register.predictor("kalman", Drift), "^name .* kalman"),
-    "reserved": (lambda: register.device("none", LIGHT), "^name .* none"),
-    "of another tool": (lambda: register.tool("needle", cylinder), "^name .* needle"),
-    "no name": (lambda: register.hand("My Hand", {}), "^name .* My Hand"),
-    "no callable": (lambda: register.renderer("mine", 3), "^renderer mine .* 3"),
-    "methods": (lambda: register.predictor("mine", Lacking), "^predictor mine .* without predict"),
-    "more methods": (
-        lambda: register.renderer("mine")(Lacking),
-        "^renderer mine .* without render and pause",
-    ),
-    "device methods": (
-        lambda: register.device("mine", LIGHT, Lacking),
-        "^device mine .* without read and command",
-    ),
-    "motion": (lambda: register.motion("dip", Dip, Lacking), "^motion dip .* without sweep_m"),
-    "kind": (
-        lambda: register.motion("drop", Dip, Dipping),
-        r'^Dip.kind .* dip: write kind: Literal\["drop',
-    ),
-    "no part": (lambda: register.motion("dip", Drift, Dipping), "^parameters of the motion dip "),
-    "number": (
-        lambda: register.device("mine", LIGHT | {"mass": 1.0}),
-        r"got mass \(did you mean mass_kg\?\)",
-    ),
-    "numbers": (lambda: register.device("mine", {"mass_kg": 1.0}), "^numbers .* damping_N_s_m"),
-    "text": (lambda: register.device("mine", LIGHT | {"mass_kg": "1"}), "^mass_kg .* 1"),
-    "range": (lambda: register.device("mine", LIGHT | {"mass_kg": -1.0}), "^mass_kg .* -1"),
-    "hand": (lambda: register.hand("mine", {}, like="robot"), "^hand .* ro"),
-    "profile": (lambda: register.tool("mine", lambda width: 0), "^tool mine .* diameter_m"),
-    "keys": (lambda: register.tool("mine", cylinder, keys=("width_mm",)), "^keys .* width_mm"),
-    "colour": (lambda: register.predictor("mine", Drift, colour="blu"), "^colour .* blu"),
-    "marker": (lambda: register.predictor("mine", Drift, marker="@"), "^marker .* @"),
-    "no file": (lambda: register.material("none.toml"), r"^material .*none.toml"),
-    "no scene": (lambda: register.scene("none.toml"), r"^scene .*none.toml"),
+    "taken": (lambda: register.predictor("kalman", Drift), "kalman"),
+    "of another tool": (lambda: register.tool("needle", cylinder), "needle"),
+    "no name": (lambda: register.hand("My Hand", {}), "My Hand"),
+    "no callable": (lambda: register.renderer("mine", 3), "renderer mine .* 3"),
+    "methods": (lambda: register.predictor("mine", Lacking), "predictor mine .*predict"),
+    "device methods": (lambda: register.device("mine", LIGHT, Lacking), "device mine .*read"),
+    "motion": (lambda: register.motion("dip", Dip, Lacking), "motion dip .*sweep_m"),
+    "kind": (lambda: register.motion("drop", Dip, Dipping), r'kind: Literal\["drop'),
+    "no part": (lambda: register.motion("dip", Drift, Dipping), "parameters of the motion dip "),
+    "number": (lambda: register.device("mine", LIGHT | {"mass": 1.0}), "mean mass_kg"),
+    "numbers": (lambda: register.device("mine", {"mass_kg": 1.0}), "damping_N_s_m"),
+    "text": (lambda: register.device("mine", LIGHT | {"mass_kg": "1"}), "mass_kg .* 1"),
+    "range": (lambda: register.device("mine", LIGHT | {"mass_kg": -1.0}), "mass_kg .* -1"),
+    "hand": (lambda: register.hand("mine", {}, like="robot"), "hand .* ro"),
+    "profile": (lambda: register.tool("mine", lambda width: 0), "tool mine .* diameter_m"),
+    "keys": (lambda: register.tool("mine", cylinder, keys=("width_mm",)), "width_mm"),
+    "colour": (lambda: register.predictor("mine", Drift, colour="blu"), "colour .* blu"),
+    "marker": (lambda: register.predictor("mine", Drift, marker="@"), "marker .* @"),
+    "no file": (lambda: register.material("none.toml"), r"none\.toml"),
+    "no scene": (lambda: register.scene("none.toml"), r"none\.toml"),
 }
 
 
@@ -452,28 +375,11 @@ def test_what_cannot_be_registered_is_refused_in_a_sentence(case):
     [
         ("[bone.foam.a]", "bone in"),
         (FOAM.replace("cutting.foam", "cutting.bone"), "got bone in"),
-        (
-            FOAM.replace("radial_chip_N_mm2", "chip"),
-            "^cutting.foam must have .*, got none for radial_chip_N_mm2 in",
-        ),
-        (
-            FOAM.replace(
-                "[cutting.foam.density", "[cutting.foam.mean_N_mm2]\n[cutting.foam.density"
-            ),
-            "mean_N_mm2",
-        ),
-        (FOAM.replace('"made up"', '""'), "^cutting.foam.tangential_chip_N_mm2.source "),
-        (FOAM.replace('"L"', '"sure"'), "^cutting.foam.tangential_chip_N_mm2.confidence .*sure"),
-        (FOAM.replace("15.0", "1500.0"), "^cutting.foam.tangential_chip_N_mm2 .* range.* 1500"),
-        (
-            FOAM.replace("value", "mean"),
-            "^cutting.foam.tangential_chip_N_mm2.value .* field required",
-        ),
-        (
-            GEL.replace("poisson_ratio", "poisson"),
-            "^soft.gel must have modulus_kPa, .*, got none for poisson_ratio in",
-        ),
-        ("[cutting", "^material must be a TOML file, got"),
+        (FOAM.replace("radial_chip_N_mm2", "chip"), "radial_chip_N_mm2"),
+        (FOAM.replace('"made up"', '""'), "tangential_chip_N_mm2.source"),
+        (FOAM.replace("15.0", "1500.0"), "tangential_chip_N_mm2 .*1500"),
+        (GEL.replace("poisson_ratio", "poisson"), "poisson_ratio"),
+        ("[cutting", "TOML"),
     ],
 )
 def test_a_material_file_with_a_fault_is_refused_whole(tmp_path, text, refusal):
@@ -482,20 +388,6 @@ def test_a_material_file_with_a_fault_is_refused_whole(tmp_path, text, refusal):
         register.material(tmp_path / "mine.toml")
     with pytest.raises(InputError, match="must be one of"):
         load_scene("milling", {"cutting.material": "foam"})
-
-
-def test_a_scene_by_a_name_that_is_taken_is_refused(tmp_path, command):
-    (tmp_path / "mine.toml").write_text(command("scenes", "wall")[1])
-    with pytest.raises(
-        InputError,
-        match=r"^name must be none of caries, .*, wall, got wall in .*mine.toml: choose anoth",
-    ):
-        register.scene(tmp_path / "mine.toml")
-
-
-def test_a_part_that_was_registered_is_in_the_schema_of_the_scene():
-    register.device("light", LIGHT)
-    assert Scene.model_json_schema()["$defs"]["Device"]["properties"]["kind"]["enum"][-1] == "light"
 
 
 def test_what_is_measured_with_a_part_is_kept_by_its_numbers_and_its_code(tmp_path, monkeypatch):

@@ -24,9 +24,7 @@ def test_a_run_and_its_folder_hold_the_same(run, back):
 
 def test_a_run_shows_itself_in_a_line(run, back, wall):
     assert repr(run) == repr(back)
-    assert repr(run).startswith(
-        "<tissue.Run milling, 0.3 s, peak force "
-    ) and "mm³ removed" in repr(run)
+    assert "milling, 0.3 s" in repr(run) and "mm³ removed" in repr(run)
     assert "removed" not in repr(wall)
 
 
@@ -42,10 +40,7 @@ def test_a_copy_of_a_saved_run_is_that_run(back, tmp_path):
 
 
 def test_what_a_run_does_not_have_is_refused(back, wall, tmp_path):
-    with pytest.raises(
-        InputError,
-        match=r"run must be simulated here to have its parts, got .*: run the scene again",
-    ):
+    with pytest.raises(InputError, match="simulated here"):
         back.parts  # noqa: B018
     for name in ("dataset", "surface", "replay"):
         with pytest.raises(InputError, match="run must have"):
@@ -56,9 +51,7 @@ def test_what_a_run_does_not_have_is_refused(back, wall, tmp_path):
         with pytest.raises(InputError, match="run must have"):
             getattr(there, name)()
     (tmp_path / "wall/timing.csv").unlink()
-    with pytest.raises(
-        InputError, match=r"run must hold timing\.csv, got .* without it: run the scene again"
-    ):
+    with pytest.raises(InputError, match=r"timing\.csv"):
         tissue.open_run(tmp_path / "wall").timing  # noqa: B018
     with pytest.raises(InputError, match="run must be a folder that `tissue run` wrote"):
         tissue.open_run(tmp_path)

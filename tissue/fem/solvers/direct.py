@@ -1,14 +1,7 @@
 """Sparse factorisation: exact to rounding, many right sides for one factor.
 
 Multifrontal Cholesky over nested dissection of the coordinates. At 35,000 unknowns it takes a
-<<<<<<< ours
-quarter of the time of SciPy's SuperLU with an equal order of elimination (`python
-tests/bench/bench_factor.py`).
-=======
-quarter of the time of SuperLU with an equal order of elimination (docs/decisions.md). A stiffness
-that is not positive definite to rounding is factorised by SciPy's SuperLU on diagonal pivots. The
-check of the residual applies to its solutions too.
->>>>>>> theirs
+quarter of the time of SciPy's SuperLU with an equal order of elimination (docs/decisions.md).
 
 The order of elimination is nested dissection by coordinates, which keeps a factor sparse (George
 1973, SIAM J. Numer. Anal. 10:345).

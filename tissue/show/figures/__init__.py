@@ -1,1 +1,98 @@
 """Still pictures of a run."""
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tissue.scene.registry import ANATOMIES
+from tissue.scene.tool import Needle
+from tissue.system.offscreen import end_drawing
+
+if TYPE_CHECKING:
+    from tissue.simulation.run import Run
+
+__all__ = ["draw_pictures"]
+
+
+def draw_pictures(run: "Run", folder: Path, kind: str = "png") -> list[str]:
+    """Draw a run's pictures as png, svg or pdf.
+
+    ``force_torque`` is drawn for every run. The other pictures depend on the run:
+
+    - ``bone_before_after`` and ``removed_depth`` for voxels,
+    - ``section`` and ``force_depth`` for a tissue of several layers that reports more than volumes,
+      such as a tooth,
+    - ``press`` and ``held`` for fields,
+    - ``played`` for a run by a hand on a device,
+    - pictures that the table of anatomies adds, such as ``insertion``.
+
+    Returns
+    -------
+    A sentence for every picture that could not be drawn.
+    """
+    import matplotlib.figure  # noqa: F401  here, for two threads must not import modules that import each other
+
+    from tissue.show.figures.bone_pictures import draw_before_after, draw_removed_depth
+    from tissue.show.figures.force_depth import draw_force_depth, draw_insertion, draw_wall
+    from tissue.show.figures.force_time import draw_force_torque, draw_played
+    from tissue.show.figures.organ_pictures import draw_held, draw_press
+    from tissue.show.figures.section import draw_section
+    from tissue.show.figures.tool_mesh import tool_surface
+    from tissue.simulation.depth_map import depth_map
+
+    folder.mkdir(parents=True, exist_ok=True)
+
+    def path(name: str) -> Path:
+        return folder / f"{name}.{kind}"
+
+    scene = run.scene
+    parts = run.parts
+    fields = run.parts.fields
+    depth = None if parts.volume is None else depth_map(run)
+    notes: dict[str, str | None] = {}
+    with _background() as pool:
+        if depth is not None:
+            shaded = pool.submit(draw_before_after, run, depth, path("bone_before_after"))
+            draw_removed_depth(run, depth, path("removed_depth"))
+            has_measures = len(parts.tissue.layer_names) > 1 and parts.tissue.measure_names
+            side = {"axis": depth.axis, "outward": depth.outward}
+            is_drilled = bool(has_measures) and run.cutter.spin_rad_s != 0.0
+            if is_drilled or parts.keep_clear is not None:
+                draw_section(run, path("section"), **side)
+            if is_drilled:
+                notes["force_depth"] = draw_force_depth(run, path("force_depth"), **side)
+            notes["bone_before_after"] = shaded.result()
+        elif fields is not None and fields.frames:
+            shaded = pool.submit(draw_held, fields, path("held"), title=scene.name)
+            tool = tool_surface(scene.tool)
+            flat = isinstance(scene.tool, Needle)
+            notes["press"] = draw_press(
+                fields, run.trace, path("press"), title=scene.name, tool=tool, flat=flat
+            )
+            notes["held"] = shaded.result()
+    draw_force_torque(run, path("force_torque"))
+    if scene.device is not None:
+        draw_played(run, path("played"))
+    built_in = {"layers": {"insertion": draw_insertion}, "wall": {"wall": draw_wall}}.get(
+        scene.anatomy.kind, {}
+    )
+    for name, draw in {**built_in, **ANATOMIES[scene.anatomy.kind].pictures}.items():
+        draw(run, path(Path(name).stem))
+    return [
+        f"{name}.{kind} was not drawn: {note}" for name, note in notes.items() if note is not None
+    ]
+
+
+@contextmanager
+def _background() -> Iterator[ThreadPoolExecutor]:
+    """Provide a thread that renders in 3D. An exception in the block, such as Ctrl-C, does not
+    wait for it.
+    """
+    with ThreadPoolExecutor(1) as thread:
+        try:
+            yield thread
+        except BaseException:
+            end_drawing()
+            raise

@@ -1,12 +1,13 @@
 """Figures of carved bone: before and after in 3D, and the map of removed depth."""
 
 from dataclasses import dataclass, replace
+from itertools import cycle
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Bytes, Flags, Singles
 from meshes.voxels.volume import VoxelVolume
 from tissue.scene.tool import Tool
 from tissue.show.figures.figure import (
@@ -17,9 +18,9 @@ from tissue.show.figures.figure import (
     depth_limit,
     draw_arrow,
     draw_outline,
-    figure,
     halo,
     layer_colours,
+    panelled,
     save,
     styled,
 )
@@ -41,9 +42,8 @@ if TYPE_CHECKING:
     import pyvista
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
-    from matplotlib.typing import LineStyleType
 
-__all__ = ["draw_before_after", "draw_removed_depth", "shown_mm"]
+__all__ = ["draw_before_after", "draw_removed_depth"]
 
 HEIGHTS_PX = 64, 170
 """Above and below the renderings [pixel]."""
@@ -76,7 +76,7 @@ class _View:
     """
 
     volume: VoxelVolume
-    remaining: NDArray[np.uint8]
+    remaining: Bytes
     depth: DepthMap
     plane: tuple[int, float] | None
 
@@ -94,14 +94,9 @@ class _View:
         _, normal, place = plane_of(
             run, axis=depth.axis, outward=depth.outward, row=len(run.trace.rows) - 1
         )
-        first = int(
-            np.clip(
-                (place * 1e-3 - volume.origin_m[normal]) / volume.spacing_m,
-                0,
-                volume.shape[normal] - 1,
-            )
-        )
-        behind = np.arange(volume.shape[normal]) >= first
+        first = int((place * 1e-3 - volume.origin_m[normal]) / volume.spacing_m)
+        count = volume.shape[normal]
+        behind = np.arange(count) >= np.clip(first, 0, count - 1)
         keep = behind.reshape([-1 if axis == normal else 1 for axis in range(3)])
         half = replace(volume, fraction=np.where(keep, volume.fraction, np.uint8(0)))
         return cls(half, np.where(keep, remaining, np.uint8(0)), depth, (normal, place))
@@ -124,7 +119,7 @@ class _View:
             np.asarray(surface.points)[:: max(surface.n_points // MOST_POINTS, 1)], towards, v
         )
 
-    def opened(self, surface: "pyvista.PolyData") -> NDArray[np.bool_]:
+    def opened(self, surface: "pyvista.PolyData") -> Flags:
         """Return which triangles lie in the plane."""
         if self.plane is None:
             return np.zeros(surface.n_cells, dtype=bool)
@@ -183,7 +178,7 @@ def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
     return draw_shaded(make, path, annotate, margins_px=HEIGHTS_PX, names=names)
 
 
-def _depth_paint(depth_mm: NDArray[np.float32], limit: float) -> NDArray[np.float64]:
+def _depth_paint(depth_mm: Singles, limit: float) -> Array:
     """Return colours of points by removed depth. They blend into the colour of bone over the
     first few hundredths.
     """
@@ -232,8 +227,6 @@ def _annotate(shaded: Shaded, run: Run, view: _View, limit: float) -> None:
             loc="center",
             bbox_to_anchor=(left + 0.2 * wide, 0.5 * foot),
             frameon=False,
-            handlelength=1.2,
-            labelspacing=0.3,
         )
     camera = shaded.cameras[0]
     _draw_spin(shaded.panels[0], run, camera)
@@ -261,7 +254,7 @@ def _draw_spin(axes: "Axes", run: Run, camera: Camera) -> None:
     axes.text(x, y - 8.0, "spin", ha="center", va="bottom", size=9, path_effects=halo())
 
 
-EXPOSED: "tuple[LineStyleType, ...]" = ("--", ":", "-.")
+EXPOSED: tuple[Any, ...] = ("--", ":", "-.")
 """Line styles around the layers that a run exposed."""
 SMALL, AROUND = 0.5, 0.4
 """Share of the region along both axes below which a cut is drawn enlarged, and its margin.
@@ -278,6 +271,7 @@ def shown_mm(depth: DepthMap) -> tuple[float, float, float, float]:
     cut = np.argwhere(depth.depth_mm > 0.0)
     if not len(cut):
         return u0, u1, v0, v1
+    start = np.array([u0, v0])
     size = np.array([u1 - u0, v1 - v0])
     edge = size / depth.depth_mm.shape
     low = cut.min(axis=0) * edge
@@ -285,8 +279,8 @@ def shown_mm(depth: DepthMap) -> tuple[float, float, float, float]:
     if ((high - low) > SMALL * size).any():
         return u0, u1, v0, v1
     around = AROUND * float((high - low).max())
-    (a, b), (c, d) = (np.clip([low[i] - around, high[i] + around], 0.0, size[i]) for i in range(2))
-    return float(u0 + a), float(u0 + b), float(v0 + c), float(v0 + d)
+    (u0, v0), (u1, v1) = start + np.clip([low - around, high + around], 0.0, size)
+    return float(u0), float(u1), float(v0), float(v1)
 
 
 @styled
@@ -297,48 +291,8 @@ def draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
 
     u0, u1, v0, v1 = shown_mm(depth)
     per_mm = min(6.0 / (u1 - u0), 6.4 / (v1 - v0))
-    wide = per_mm * (u1 - u0)
-    tall = per_mm * (v1 - v0)
-    full = tall + 1.35
-    left = 0.5 * (8.0 - wide - 0.4)
-    chart = figure(8.0, full)
-    axes = chart.add_axes((left / 8.0, 0.6 / full, wide / 8.0, tall / full))
     spacing = run.volume.spacing_m * 1e3
     least = 0.01 * spacing
-    shade = _hillshade(depth.height_mm * depth.outward, spacing)
-    ground = np.clip(np.array(BONE) * shade[..., None], 0.0, 1.0)
-    ground[~(depth.bone & np.isfinite(depth.height_mm))] = 1.0
-    axes.imshow(
-        ground.swapaxes(0, 1), origin="lower", extent=depth.extent_mm, interpolation="nearest"
-    )
-    image = axes.imshow(
-        np.ma.masked_less(depth.depth_mm, least).T,
-        origin="lower",
-        extent=depth.extent_mm,
-        cmap=DEPTH_COLOURS,
-        vmin=0.0,
-        vmax=depth_limit(depth),
-        interpolation="nearest",
-    )
-    handles: list[Artist] = [Patch(facecolor=BONE, label="not cut", **EDGE)]
-    draw_outline(axes, depth.bone, depth.extent_mm, color="0.15", linewidth=1.0)
-    handles.append(
-        Line2D([], [], color="0.15", linewidth=1.0, label="bone in the simulated region")
-    )
-    for name, mask in depth.exposed.items():
-        dashes = EXPOSED[len(handles) % len(EXPOSED)]
-        draw_outline(axes, mask, depth.extent_mm, color="white", linewidth=2.6)
-        draw_outline(axes, mask, depth.extent_mm, color="black", linewidth=1.3, linestyle=dashes)
-        handles.append(
-            Line2D(
-                [], [], color="black", linewidth=1.3, linestyle=dashes, label=f"{name} laid bare"
-            )
-        )
-    axes.set(xlim=(u0, u1), ylim=(v0, v1))
-    x, y = (f"{axis_names(run)[axis]} / mm" for axis in depth.across)
-    axes.set(xlabel=x, ylabel=y, aspect="equal")
-    bar = chart.add_axes(((left + wide + 0.15) / 8.0, 0.6 / full, 0.16 / 8.0, tall / full))
-    chart.colorbar(image, cax=bar, label="removed depth / mm")
     cut = depth.depth_mm[depth.depth_mm >= least]
     summary = "nothing removed"
     if cut.size:
@@ -346,21 +300,40 @@ def draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
             f"removed depth, peak {cut.max():.2f} mm, median {np.median(cut):.2f} mm over "
             f"{cut.size * spacing**2:.3g} mm²"
         )
-    title = f"{run.scene.name}: {summary}"
-    chart.text(
-        (left + 0.5 * wide) / 8.0, 1.0 - 0.2 / full, title, ha="center", va="center", size=10.5
+    chart, (axes,) = panelled(
+        f"{run.scene.name}: {summary}", (8.0, per_mm * (v1 - v0) + 1.35), layout="compressed"
     )
-    chart.legend(
-        handles=handles,
-        loc="center",
-        bbox_to_anchor=((left + 0.5 * wide) / 8.0, 1.0 - 0.5 / full),
-        ncols=4,
-        frameon=False,
+    placed = {"origin": "lower", "extent": depth.extent_mm, "interpolation": "nearest"}
+    shade = _hillshade(depth.height_mm * depth.outward, spacing)
+    ground = np.clip(np.array(BONE) * shade[..., None], 0.0, 1.0)
+    ground[~(depth.bone & np.isfinite(depth.height_mm))] = 1.0
+    axes.imshow(ground.swapaxes(0, 1), **placed)
+    image = axes.imshow(
+        np.ma.masked_less(depth.depth_mm, least).T,
+        cmap=DEPTH_COLOURS,
+        vmin=0.0,
+        vmax=depth_limit(depth),
+        **placed,
     )
+    chart.colorbar(image, ax=axes, label="removed depth / mm")
+    draw_outline(axes, depth.bone, depth.extent_mm, color="0.15", linewidth=1.0)
+    handles: list[Artist] = [
+        Patch(facecolor=BONE, label="not cut", **EDGE),
+        Line2D([], [], color="0.15", linewidth=1.0, label="bone in the simulated region"),
+    ]
+    for (name, mask), dashes in zip(depth.exposed.items(), cycle(EXPOSED), strict=False):
+        draw_outline(axes, mask, depth.extent_mm, color="white", linewidth=2.6)
+        look = {"color": "black", "linewidth": 1.3, "linestyle": dashes}
+        draw_outline(axes, mask, depth.extent_mm, **look)
+        handles.append(Line2D([], [], label=f"{name} laid bare", **look))
+    axes.set(xlim=(u0, u1), ylim=(v0, v1), aspect="equal")
+    x, y = (f"{axis_names(run)[axis]} / mm" for axis in depth.across)
+    axes.set(xlabel=x, ylabel=y)
+    chart.legend(handles=handles, loc="outside lower center", ncols=4)
     save(chart, path)
 
 
-def _hillshade(height_mm: NDArray[np.float64], spacing_mm: float) -> NDArray[np.float64]:
+def _hillshade(height_mm: Array, spacing_mm: float) -> Array:
     """Compute the brightness of a face lit from the upper left, darker where it lies deep."""
     from scipy.ndimage import gaussian_filter
 

@@ -1,19 +1,22 @@
 """Figures of a CT import: slices, histogram, bone, organ and the depth of a path."""
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import cycle, product
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Flags, Ints, lattice
 from meshes.images.frame import Image, part_of
 from meshes.paths.toolpath import PathDepth
 from meshes.surfaces.surface import Surface
 from meshes.tets.tetrahedra import TetMesh
 from meshes.voxels.mesh_sampling import triangle_distance
-from tissue.show.figures.figure import BONE, draw_arrow, figure, save, styled
+from tissue.show.figures.figure import BONE, draw_arrow, panelled, save, styled
 from tissue.show.figures.rendering import Camera, Shaded, draw_axes, draw_shaded, paint
 
 if TYPE_CHECKING:
@@ -21,7 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __all__ = [
-    "SOFT_HU",
+    "Marks",
     "draw_ct_bone",
     "draw_ct_histogram",
     "draw_ct_organ",
@@ -29,7 +32,6 @@ __all__ = [
     "draw_path_depth",
 ]
 
-Line = Literal["solid", "dashed", "dotted"]
 BONE_HU, SOFT_HU = (-200.0, 1300.0), (-160.0, 240.0)
 """Grey values from black to white for bone and for soft tissue.
 
@@ -41,21 +43,58 @@ AXES = ("left", "back", "head")
 BODY, SITE, PATH = "#E69F00", "#D55E00", "#CC79A7"
 OTHERS = ("#56B4E9", "#009E73", "#F0E442", "#0072B2")
 """Colours of outlines after Okabe and Ito (2008)."""
-LINES: tuple[Line, ...] = ("solid", "dashed", "dotted")
+LINES = ("solid", "dashed", "dotted")
 """Strokes of the outlines. The next stroke is used after all colours."""
 NORMAL_MM = 12.0
+
+
+@dataclass(frozen=True, eq=False)
+class Marks:
+    """Site and path in pictures of a bone.
+
+    Attributes
+    ----------
+    centre_mm
+        Site [mm, LPS], or the middle of the bone. None without a place.
+    normal
+        Outward direction at the site. None without a site.
+    points_mm
+        Corners of a path [mm, LPS], shape (n, 3). None without a path.
+    """
+
+    centre_mm: Array | None
+    normal: Array | None = None
+    points_mm: Array | None = None
+
+    def draw(self, axes: "Axes", projected: Callable[[Array], Array], length_mm: float) -> None:
+        """Draw the path, and the site as a dot with an arrow along its normal.
+
+        Parameters
+        ----------
+        axes
+            Panel.
+        projected
+            Returns coordinates in the panel of points in space, shape (n, 2).
+        length_mm
+            Length of the arrow.
+        """
+        if self.points_mm is not None:
+            label = "path of the tip"
+            axes.plot(*projected(self.points_mm).T, color=PATH, linewidth=1.3, label=label)
+        if self.normal is not None and self.centre_mm is not None:
+            tip = self.centre_mm + length_mm * self.normal
+            start, end = projected(np.stack([self.centre_mm, tip]))
+            draw_arrow(axes, start, end, SITE)
+            axes.plot(*start, "o", color=SITE, markersize=4, label="site and normal")
 
 
 @styled
 def draw_ct_slices(
     image: Image,
     path: Path,
+    outlines: Mapping[str, Image],
+    marks: Marks,
     *,
-    body: tuple[str, Image],
-    others: Mapping[str, Image],
-    centre_mm: NDArray[np.float64],
-    normal: NDArray[np.float64] | None,
-    points_mm: NDArray[np.float64] | None,
     title: str,
     window_HU: tuple[float, float] = BONE_HU,
 ) -> None:
@@ -65,119 +104,80 @@ def draw_ct_slices(
     ----------
     image
         Grey values around the bone.
-    body
-        Name of the bone, and an image that is above 0 inside it. The image lies on the same voxels,
-        within its own extent.
-    others
-        Images of other structures in the same form, by name.
-    centre_mm
-        Intersection of the slices [mm, LPS]: the site, or the middle of the bone.
-    normal
-        Outward direction at the site. None without a site.
-    points_mm
-        Corners of a path [mm, LPS], shape (n, 3). None without a path.
+    outlines
+        Images that are above 0 inside a structure, by its name; the bone first. An image lies on
+        the same voxels, within its own extent.
+    marks
+        The slices intersect at its centre.
     window_HU
         Hounsfield units from black to white. Images in other units use their own range.
     """
     from matplotlib.lines import Line2D
 
+    assert marks.centre_mm is not None
     origin = np.array(image.origin_mm)
     spacing = np.array(image.spacing_mm)
-    shape = image.values.shape
-    at = np.rint((centre_mm - origin) / spacing).astype(int).clip(0, np.array(shape) - 1)
+    shape = np.array(image.values.shape)
+    at = np.rint((marks.centre_mm - origin) / spacing).astype(int).clip(0, shape - 1)
     hounsfield = float(image.values.min()) < -100.0
     low, high = window_HU if hounsfield else np.percentile(image.values, (1, 99.8))
-    outlined = [(body[1], BODY, LINES[0])]
-    for number, field in enumerate(others.values()):
-        outlined.append(
-            (field, OTHERS[number % len(OTHERS)], LINES[number // len(OTHERS) % len(LINES)])
-        )
-    chart = figure(9.0, 3.7)
-    panels = chart.subplots(
-        1, 3, gridspec_kw={"wspace": 0.3, "left": 0.07, "right": 0.98, "bottom": 0.22, "top": 0.85}
-    )
+    looks: list[dict[str, Any]] = [{"color": BODY, "linestyle": "solid"}]
+    looks += [{"color": colour, "linestyle": line} for line, colour in product(LINES, OTHERS)]
+    chart, panels = panelled(title, (9.0, 3.9), 1, 3)
     for axes, (u, v, through, name) in zip(panels, VIEWS, strict=True):
-        ends = [
-            (origin[a] - 0.5 * spacing[a], origin[a] + spacing[a] * (shape[a] - 0.5))
-            for a in (u, v)
-        ]
-        grey = np.take(image.values, int(at[through]), axis=through).T
-        extent = (*ends[0], *ends[1])
+        plane = [u, v]
+        ends = np.stack([origin - 0.5 * spacing, origin + spacing * (shape - 0.5)])[:, plane]
         axes.imshow(
-            grey,
+            np.take(image.values, int(at[through]), axis=through).T,
             cmap="gray",
             vmin=low,
             vmax=high,
             origin="lower",
-            extent=extent,
+            extent=ends.T.ravel(),
             interpolation="nearest",
         )
         place = float(origin[through] + spacing[through] * at[through])
-        for field, colour, line in outlined:
-            _outline(axes, field, (u, v, through), place, colour, line)
-        if points_mm is not None:
-            axes.plot(points_mm[:, u], points_mm[:, v], color=PATH, linewidth=1.2)
-        if normal is not None:
-            _draw_site(axes, centre_mm[[u, v]], (centre_mm + NORMAL_MM * normal)[[u, v]])
-        axes.set(
-            xlabel=f"{AXES[u]} [mm]",
-            ylabel=f"{AXES[v]} [mm]",
-            xlim=ends[0],
-            ylim=ends[1],
-            aspect="equal",
-        )
+        for field, look in zip(outlines.values(), cycle(looks), strict=False):
+            _outline(axes, field, (u, v, through), place, look)
+        marks.draw(axes, partial(np.take, indices=plane, axis=1), NORMAL_MM)
+        axes.set(xlabel=f"{AXES[u]} [mm]", ylabel=f"{AXES[v]} [mm]", aspect="equal")
+        axes.set(xlim=ends[:, 0], ylim=ends[:, 1])
         if v == 1:  # the patient's front is up, as radiologists have it
             axes.invert_yaxis()
-        axes.set_title(f"{name}, {AXES[through]} {place:.1f} mm", size=9)
-    chart.suptitle(title, size=10, y=0.98)
+        axes.set_title(f"{name}, {AXES[through]} {place:.1f} mm")
     handles = [
-        Line2D([], [], color=colour, linestyle=line, label=name)
-        for name, (_, colour, line) in zip((body[0], *others), outlined, strict=True)
+        Line2D([], [], label=name, **look)
+        for name, look in zip(outlines, cycle(looks), strict=False)
     ]
-    if normal is not None:
-        handles.append(
-            Line2D([], [], color=SITE, marker="o", markersize=4, label="site and normal")
-        )
-    if points_mm is not None:
-        handles.append(Line2D([], [], color=PATH, label="path of the tip"))
-    chart.legend(handles=handles, loc="lower center", ncols=min(len(handles), 5), frameon=False)
+    handles += panels[0].get_legend_handles_labels()[0]
+    chart.legend(handles=handles, loc="outside lower center", ncols=5)
     save(chart, path)
 
 
 def _outline(
-    axes: "Axes",
-    field: Image,
-    order: tuple[int, int, int],
-    place_mm: float,
-    colour: str,
-    line: Line,
+    axes: "Axes", field: Image, order: tuple[int, int, int], place_mm: float, look: dict[str, str]
 ) -> None:
     """Draw the line where a field is 0 in the slice at a place along its axis."""
-    u, v, through = order
+    through = order[2]
     at = round((place_mm - field.origin_mm[through]) / field.spacing_mm[through])
     if not 0 <= at < field.values.shape[through]:
         return
     values = np.take(field.values, at, axis=through).T
     x, y = (
-        field.origin_mm[a] + field.spacing_mm[a] * np.arange(field.values.shape[a]) for a in (u, v)
+        field.origin_mm[a] + field.spacing_mm[a] * np.arange(field.values.shape[a])
+        for a in order[:2]
     )
     if values.min() < 0.0 < values.max():
         axes.contour(
-            x, y, values, levels=[0.0], colors=[colour], linestyles=[line], linewidths=[1.1]
+            x, y, values, [0.0], colors=look["color"], linestyles=look["linestyle"], linewidths=1.1
         )
-
-
-def _draw_site(axes: "Axes", centre: NDArray[np.float64], tip: NDArray[np.float64]) -> None:
-    """Draw the site as a dot with an arrow along its normal."""
-    draw_arrow(axes, centre, tip, SITE)
-    axes.plot(*centre, "o", color=SITE, markersize=4)
 
 
 AROUND_ORGAN_MM = 10.0
 
 
 def draw_ct_organ(
-    image: Image, path: Path, *, masks: Mapping[str, NDArray[np.bool_]], mesh: TetMesh, title: str
+    image: Image, path: Path, *, masks: Mapping[str, Flags], mesh: TetMesh, title: str
 ) -> None:
     """Draw slices through the middle of the smallest part with outlines.
 
@@ -193,36 +193,21 @@ def draw_ct_organ(
     organ, *parts = masks
     spacing = np.array(image.spacing_mm)
     origin = np.array(image.origin_mm)
-    low = (
-        np.floor((1e3 * mesh.nodes_m.min(axis=0) - AROUND_ORGAN_MM - origin) / spacing)
-        .astype(int)
-        .clip(0)
-    )
-    high = (
-        np.ceil((1e3 * mesh.nodes_m.max(axis=0) + AROUND_ORGAN_MM - origin) / spacing).astype(int)
-        + 1
-    )
-    part = tuple(map(slice, low.tolist(), np.minimum(high, image.values.shape).tolist()))
+    nodes_mm = 1e3 * mesh.nodes_m
+    low = np.floor((nodes_mm.min(axis=0) - AROUND_ORGAN_MM - origin) / spacing).clip(0)
+    high = np.ceil((nodes_mm.max(axis=0) + AROUND_ORGAN_MM - origin) / spacing) + 1
+    high = np.minimum(high, image.values.shape)
+    part = tuple(map(slice, low.astype(int).tolist(), high.astype(int).tolist()))
     around = part_of(image, part)
     smallest = min(parts or [organ], key=lambda name: int(np.count_nonzero(masks[name])))
     middle = origin + spacing * np.argwhere(masks[smallest]).mean(axis=0)
     sizes = zip(around.origin_mm, around.spacing_mm, around.values.shape, strict=True)
-    axes = [o + s * np.arange(n) for o, s, n in sizes]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    grid = lattice(*(o + s * np.arange(n) for o, s, n in sizes))
     depth = -triangle_distance(mesh.nodes_m, mesh.surface, 1e-3 * grid).reshape(around.values.shape)
-    draw_ct_slices(
-        around,
-        path,
-        body=(f"{organ}, meshed", replace(around, values=depth.astype(np.float32))),
-        others={
-            name: replace(around, values=masks[name][part] - np.float32(0.5)) for name in parts
-        },
-        centre_mm=middle,
-        normal=None,
-        points_mm=None,
-        title=title,
-        window_HU=SOFT_HU,
-    )
+    outlines = {f"{organ}, meshed": replace(around, values=depth.astype(np.float32))}
+    for name in parts:
+        outlines[name] = replace(around, values=masks[name][part] - np.float32(0.5))
+    draw_ct_slices(around, path, outlines, Marks(middle), title=title, window_HU=SOFT_HU)
 
 
 HEAD_PX, FOOT_PX, PATH_FOOT_PX, AXES_PX = 110, 150, 330, 150
@@ -240,14 +225,7 @@ FRONT = (0.3, -1.0, 0.25)
 
 
 def draw_ct_bone(
-    surface: Surface,
-    path: Path,
-    *,
-    density: Image | None,
-    centre_mm: NDArray[np.float64] | None,
-    normal: NDArray[np.float64] | None,
-    points_mm: NDArray[np.float64] | None,
-    title: str,
+    surface: Surface, path: Path, marks: Marks, *, density: Image | None, title: str
 ) -> str | None:
     """Draw the bone to a file.
 
@@ -255,19 +233,17 @@ def draw_ct_bone(
     ----------
     surface
         Bone in the frame of its image.
+    marks
+        Site and path.
     density
         Apparent density [kg/m3]. None if it is unknown.
-    centre_mm, normal
-        Site [mm, LPS]. None without a site.
-    points_mm
-        Corners of a path [mm, LPS], shape (n, 3).
 
     Returns
     -------
     None, or the reason why it could not be drawn.
     """
     mesh = _painted(surface, density)
-    eyes = _eyes(normal)
+    eyes = _eyes(marks.normal)
 
     def make() -> "list[tuple[pyvista.PolyData, Camera]]":
         return [(mesh, Camera.seeing(mesh.points, eye, up)) for eye, up in eyes.values()]
@@ -279,10 +255,7 @@ def draw_ct_bone(
         wide, tall = shaded.size_px
         foot = FOOT_PX / tall
         for axes, camera, left in zip(shaded.panels, shaded.cameras, (0.06, 0.84), strict=True):
-            if points_mm is not None:
-                axes.plot(*camera.pixels(points_mm).T, color=PATH, linewidth=1.5)
-            if centre_mm is not None and normal is not None:
-                _draw_site(axes, *camera.pixels(np.stack([centre_mm, centre_mm + 15.0 * normal])))
+            marks.draw(axes, camera.pixels, 15.0)
             draw_axes(shaded.chart.add_axes((left, 0.02, AXES_PX / wide, 0.9 * foot)), AXES, camera)
         if density is not None:
             bar = shaded.chart.add_axes((0.32, 0.62 * foot, 0.36, 0.13 * foot))
@@ -295,20 +268,15 @@ def draw_ct_bone(
     )
 
 
-def _eyes(
-    normal: NDArray[np.float64] | None,
-) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
+def _eyes(normal: Array | None) -> dict[str, tuple[Array, Array]]:
     """Return the directions to the eye and upward of each panel, by its title."""
     head = np.array([0.0, 0.0, 1.0])
     if normal is None:
         front = np.array(FRONT)
         return {"from the front": (front, head), "from the back": (front * [1.0, -1.0, 1.0], head)}
     upright = head if abs(normal[2]) < 0.9 else np.array([0.0, -1.0, 0.0])
-    aside = np.cross(upright, normal)
-    return {
-        "along the site's axis": (normal, upright),
-        "from aside": (aside + 0.25 * upright, upright),
-    }
+    aside = np.cross(upright, normal) + 0.25 * upright
+    return {"along the site's axis": (normal, upright), "from aside": (aside, upright)}
 
 
 def _painted(surface: Surface, density: Image | None) -> "pyvista.PolyData":
@@ -337,7 +305,7 @@ AROUND_PATH_MM = 40.0
 
 
 def draw_path_depth(
-    surface: Surface, found: PathDepth, path: Path, *, normal: NDArray[np.float64], title: str
+    surface: Surface, found: PathDepth, path: Path, *, normal: Array, title: str
 ) -> str | None:
     """Draw a path over the bone around it, seen along the site's axis and from the side.
 
@@ -358,9 +326,7 @@ def draw_path_depth(
     """
     points = found.points_mm
     half = max(AROUND_PATH_MM, 0.7 * float(np.ptp(points, axis=0).max()))
-    corners = points.mean(axis=0) + half * (
-        np.stack(np.meshgrid(*[[-1, 1]] * 3), axis=-1).reshape(-1, 3) * 0.6
-    )
+    corners = points.mean(axis=0) + 0.6 * half * lattice(*[[-1.0, 1.0]] * 3)
     mesh = _painted(surface, None)
     eyes = _eyes(normal)
 
@@ -376,7 +342,7 @@ def draw_path_depth(
         shades = colormaps[PATH_COLOURS](0.15 + 0.85 * np.clip(middle / deepest, 0.0, 1.0))
         inside = middle > 0.0
 
-        def add_line(axes: "Axes", line: NDArray[np.float64]) -> None:
+        def add_line(axes: "Axes", line: Array) -> None:
             pieces = np.stack([line[:-1], line[1:]], axis=1)
             axes.add_collection(
                 LineCollection(list(pieces[~inside]), colors=OUTSIDE, linewidths=1.1)
@@ -417,8 +383,8 @@ RANGE_HU = (-1100.0, 2200.0)
 
 @styled
 def draw_ct_histogram(
-    values: NDArray[np.int64],
-    counts: NDArray[np.int64],
+    values: Ints,
+    counts: Ints,
     inside: NDArray[np.number],
     path: Path,
     *,
@@ -442,34 +408,25 @@ def draw_ct_histogram(
     low = max(RANGE_HU[0], float(values[0]))
     high = min(RANGE_HU[1], float(values[-1]))
     edges = np.linspace(low, high, BINS)
-    chart = figure(6.4, 3.4)
-    axes = chart.add_axes((0.11, 0.16, 0.86, 0.62))
-    axes.stairs(
-        np.histogram(values, edges, weights=counts)[0], edges, color=ALL, fill=True, label="image"
-    )
-    axes.stairs(np.histogram(inside, edges)[0], edges, color=INSIDE, linewidth=1.4, label="bone")
+    chart, (axes,) = panelled(title, (6.4, 3.4))
+    shown, _ = np.histogram(values, edges, weights=counts)
+    axes.stairs(shown, edges, color=ALL, fill=True, label="image")
+    shown, _ = np.histogram(inside, edges)
+    axes.stairs(shown, edges, color=INSIDE, linewidth=1.4, label="bone")
     if threshold is not None:
         axes.axvline(threshold, color=LEVEL, linestyle="--", label=f"threshold {threshold:g}")
     axes.set_yscale("log")
-    axes.set(xlim=(low, high), ylim=(0.7, None), xlabel="grey value [HU]", ylabel="voxels")
-    axes.spines["right"].set_visible(False)
-    axes.legend(frameon=False, loc="upper right")
+    axes.set(xlim=(low, high), ylim=(0.7, None), xlabel="grey value", ylabel="voxels")
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(loc="upper right")
     if density is not None:
         slope, offset = density
-
-        def to_density(x: ArrayLike) -> NDArray[np.float64]:
-            return slope * np.asarray(x, dtype=np.float64) + offset
-
-        def to_value(y: ArrayLike) -> NDArray[np.float64]:
-            return (np.asarray(y, dtype=np.float64) - offset) / slope
-
-        upper = axes.secondary_xaxis("top", functions=(to_density, to_value))
+        axes.set_xlabel("grey value [HU]")
+        upper = axes.secondary_xaxis(
+            "top", functions=(lambda x: slope * x + offset, lambda y: (y - offset) / slope)
+        )
         upper.set_xlabel("apparent density of bone [kg/m³]")
         upper.set_xticks(
             [ticks for ticks in range(0, 4000, 500) if offset <= ticks <= slope * high + offset]
         )
-    else:
-        axes.set_xlabel("grey value")
-        axes.spines["top"].set_visible(False)
-    chart.suptitle(title, size=10, y=0.98)
     save(chart, path)

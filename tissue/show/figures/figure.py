@@ -1,49 +1,29 @@
-"""Style of all figures: matplotlib settings, colours, axis names, outlines and image files."""
+"""Style of all figures: matplotlib settings, panels, colours, axis names, outlines and files."""
 
-from collections.abc import Callable, Iterable
-from functools import wraps
-from pathlib import Path
-from threading import RLock
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
-
+from collections.abc import (Callable, Iterable)
+from functools import (wraps)
+from meshes.base.arrays import (Array, Flags)
+from meshes.base.whole_file import (whole_file)
+from numpy.typing import (ArrayLike, NDArray)
+from pathlib import (Path)
+from threading import (RLock)
+from tissue.simulation.saved_fields import (field_label)
+from typing import (Any, Literal, ParamSpec, TYPE_CHECKING, TypeVar)
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
-from meshes.base.whole_file import whole_file
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.axis import Axis
-    from matplotlib.figure import Figure
-    from matplotlib.patheffects import AbstractPathEffect
-    from matplotlib.typing import LineStyleType, RcKeyType
+    from matplotlib.artist import (Artist)
+    from matplotlib.axes import (Axes)
+    from matplotlib.axis import (Axis)
+    from matplotlib.figure import (Figure)
+    from matplotlib.patheffects import (AbstractPathEffect)
+    from matplotlib.typing import (LineStyleType, RcKeyType)
+    from tissue.simulation.depth_map import (DepthMap)
+    from tissue.simulation.run import (Run)
 
-    from tissue.simulation.depth_map import DepthMap
-    from tissue.simulation.run import Run
+__all__ = ["BONE", "COMPONENTS", "DEPTH_COLOURS", "DPI", "DRAWING", "EDGE", "axis_names", "depth_limit", "draw_arrow", "draw_outline", "field_colours", "field_words", "figure", "halo", "is_vector", "layer_colours", "legend_above", "panelled", "plain", "plain_numbers", "save", "styled"]
 
-__all__ = [
-    "BONE",
-    "DEPTH_COLOURS",
-    "DPI",
-    "DRAWING",
-    "EDGE",
-    "STYLE",
-    "VECTOR_DPI",
-    "axis_names",
-    "depth_limit",
-    "draw_arrow",
-    "draw_outline",
-    "field_colours",
-    "field_words",
-    "figure",
-    "halo",
-    "is_vector",
-    "layer_colours",
-    "plain",
-    "plain_numbers",
-    "save",
-    "styled",
-]
+
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -57,7 +37,11 @@ Raster parts are everything except lines and text. The value is the resolution o
 STYLE: "dict[RcKeyType, float]" = {
     "font.size": 9.0,
     "axes.linewidth": 0.7,
+    "axes.titlesize": 9.5,
+    "legend.columnspacing": 1.4,
     "legend.fontsize": 8.5,
+    "legend.frameon": False,
+    "legend.handlelength": 1.6,
     "lines.linewidth": 1.2,
 }
 DRAWING = RLock()
@@ -86,6 +70,40 @@ def figure(width_in: float, height_in: float) -> "Figure":
 
 
 @styled
+def panelled(
+    title: str,
+    size_in: tuple[float, float],
+    rows: int = 1,
+    columns: int = 1,
+    *,
+    layout: Literal["constrained", "compressed"] = "constrained",
+    **options: Any,
+) -> "tuple[Figure, NDArray[np.object_]]":
+    """Return a titled figure, and its panels row by row.
+
+    Parameters
+    ----------
+    title
+        Text above all panels.
+    size_in
+        Width and height [in].
+    rows, columns, options
+        As for `matplotlib.figure.Figure.subplots`.
+    layout
+        Layout engine of matplotlib; ``compressed`` for panels of a fixed aspect ratio.
+    """
+    chart = figure(*size_in)
+    chart.set_layout_engine(layout)
+    chart.suptitle(title, size=10.5, parse_math=False)
+    return chart, chart.subplots(rows, columns, squeeze=False, **options).ravel()
+
+
+def legend_above(axes: "Axes", columns: int, handles: "list[Artist] | None" = None) -> None:
+    """Put the legend of a panel above it."""
+    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=columns)
+
+
+@styled
 def save(chart: "Figure", path: Path) -> None:
     """Write a figure as png, svg or pdf, by the ending of its file.
 
@@ -95,20 +113,17 @@ def save(chart: "Figure", path: Path) -> None:
     import matplotlib
 
     kind = path.suffix.removeprefix(".")
-    metadata: dict[str, dict[str, str | None]] = {
-        "png": {"Software": None},
-        "svg": {"Date": None},
-        "pdf": {"CreationDate": None},
-    }
+    changing = {"png": "Software", "svg": "Date", "pdf": "CreationDate"}[kind]
     look: dict[RcKeyType, object] = {"svg.fonttype": "none", "svg.hashsalt": "tissue"}
+    packed: dict[str, Any] = {} if is_vector(path) else {"pil_kwargs": {"compress_level": 3}}
     with whole_file(path) as temporary, matplotlib.rc_context(look):
-        if is_vector(path):
-            chart.savefig(temporary, format=kind, dpi=VECTOR_DPI, metadata=metadata[kind])
-        else:
-            packed = {"compress_level": 3}
-            chart.savefig(
-                temporary, format=kind, dpi=DPI, metadata=metadata[kind], pil_kwargs=packed
-            )
+        chart.savefig(
+            temporary,
+            format=kind,
+            dpi=VECTOR_DPI if is_vector(path) else DPI,
+            metadata={changing: None},
+            **packed,
+        )
 
 
 def is_vector(path: Path) -> bool:
@@ -213,11 +228,11 @@ def field_colours(low: float, high: float) -> str:
     return STRESS if low > 0.0 else OTHER
 
 
-def field_words(name: str) -> str:
-    """Return a field's name in words with its unit, such as ``von Mises / kPa``."""
-    from tissue.simulation.saved_fields import field_label
-
-    return " / ".join(filter(None, field_label(name)))
+def field_words(*names: str) -> str:
+    """Return the words that fields or columns share, with the unit, such as ``von Mises / kPa``."""
+    words = [field_label(name)[0].split() for name in names]
+    shared = [first for first, *others in zip(*words, strict=False) if set(others) <= {first}]
+    return " / ".join(filter(None, (" ".join(shared), field_label(names[0])[1])))
 
 
 def depth_limit(depth: "DepthMap") -> float:
@@ -228,7 +243,7 @@ def depth_limit(depth: "DepthMap") -> float:
 
 def draw_outline(
     axes: "Axes",
-    values: NDArray[np.float64] | NDArray[np.bool_],
+    values: Array | Flags,
     extent: tuple[float, float, float, float],
     *,
     color: str,
@@ -252,17 +267,21 @@ def draw_arrow(
     axes: "Axes", start: ArrayLike, end: ArrayLike, colour: str, *, width: float = 1.6
 ) -> None:
     """Draw an arrow between two points of a panel."""
-    head = 6.0 + 5.0 * width  # a thicker line needs a larger head to show its direction
-    look = {
-        "arrowstyle": "-|>",
-        "color": colour,
-        "linewidth": width,
-        "mutation_scale": head,
-        "shrinkA": 0,
-        "shrinkB": 0,
-    }
+    from matplotlib.patches import FancyArrowPatch
+
     (x, y), (to_x, to_y) = np.array([start, end], dtype=np.float64).tolist()
-    axes.annotate("", (to_x, to_y), (x, y), arrowprops=look)
+    axes.add_patch(
+        FancyArrowPatch(
+            (x, y),
+            (to_x, to_y),
+            arrowstyle="-|>",
+            color=colour,
+            linewidth=width,
+            mutation_scale=6.0 + 5.0 * width,  # a thicker line needs a larger head
+            shrinkA=0,
+            shrinkB=0,
+        )
+    )
 
 
 def halo(width: float = 4.0) -> "list[AbstractPathEffect]":

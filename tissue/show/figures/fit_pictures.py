@@ -7,9 +7,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tissue.show.figures.figure import COMPONENTS, SMALL_NM, figure, plain, save, styled
+from meshes.base.arrays import Array
+from tissue.show.figures.figure import (
+    COMPONENTS,
+    SMALL_NM,
+    legend_above,
+    panelled,
+    plain,
+    save,
+    styled,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,8 +30,6 @@ __all__ = [
     "draw_residuals",
     "draw_sobol",
 ]
-
-Array = NDArray[np.float64]
 
 MEASURED, SIMULATED, PRIOR = "0.55", "#0072B2", "0.75"
 ROW, FRAME = 0.44, 1.0
@@ -58,6 +64,7 @@ class FittedConstant:
     is_identified: bool
 
 
+@styled
 def draw_measured(
     times_s: Array, measured: Array, simulated: Array, channels: Sequence[str], path: Path
 ) -> None:
@@ -76,36 +83,35 @@ def draw_measured(
     path
         File to write.
     """
-    whats = list(dict.fromkeys(name.partition("_")[0] for name in channels))
-    groups = [
-        (what, [at for at, name in enumerate(channels) if name.startswith(f"{what}_")])
-        for what in whats
-    ]
-    chart = figure(8.0, 0.9 + 2.9 * len(groups))
-    rows = 2 * len(groups)
-    panels = chart.subplots(
-        rows, 1, sharex=True, height_ratios=(2.0, 1.0) * len(groups), squeeze=False
-    )[:, 0]
-    chart.subplots_adjust(
-        left=0.11, right=0.98, top=0.93, bottom=0.5 / (0.9 + 2.9 * len(groups)), hspace=0.22
+    groups: dict[str, list[int]] = {}
+    for at, name in enumerate(channels):
+        groups.setdefault(name.partition("_")[0], []).append(at)
+    chart, panels = panelled(
+        "measured and simulated loads",
+        (8.0, 0.9 + 2.9 * len(groups)),
+        2 * len(groups),
+        sharex=True,
+        height_ratios=(2.0, 1.0) * len(groups),
     )
-    for (what, places), loads, rest in zip(groups, panels[::2], panels[1::2], strict=True):
+    for (what, places), loads, rest in zip(groups.items(), panels[::2], panels[1::2], strict=True):
         unit = channels[places[0]].rpartition("_")[2]
-        shown = "N m" if unit == "Nm" else unit
-        for colour, at in zip(_colours(len(places)), places, strict=True):
+        colours = COMPONENTS if len(places) > 1 else (SIMULATED,)
+        for colour, at in zip(colours, places, strict=False):
             axis = channels[at].removesuffix(f"_{unit}").rpartition("_")[2]
             loads.plot(times_s, measured[:, at], color=MEASURED, linewidth=2.2, zorder=1)
             loads.plot(times_s, simulated[:, at], color=colour, linewidth=1.1, label=axis, zorder=2)
             rest.plot(times_s, measured[:, at] - simulated[:, at], color=colour, linewidth=0.8)
         loads.plot([], [], color=MEASURED, linewidth=2.2, label="measured")
+        shown = unit.replace("Nm", "N m")
         loads.set_ylabel(f"{what} / {shown}")
         rest.set_ylabel(f"residual / {shown}")
-    panels[0].legend(frameon=False, ncols=4, loc="lower left", bbox_to_anchor=(0.0, 0.98))
+    legend_above(panels[0], 4)
     panels[-1].set_xlabel("time / s")
     plain(panels)
     save(chart, path)
 
 
+@styled
 def draw_residuals(innovations: Array, correlations: Array, freedom: float, path: Path) -> None:
     """Draw the distribution of innovations over the assumed density, and the autocorrelations.
 
@@ -123,48 +129,33 @@ def draw_residuals(innovations: Array, correlations: Array, freedom: float, path
     """
     from scipy.stats import t
 
-    chart = figure(8.0, 3.2)
-    spread, over = chart.subplots(1, 2)
-    chart.subplots_adjust(left=0.09, right=0.98, top=0.9, bottom=0.18, wspace=0.28)
+    chart, (spread, over) = panelled("residuals and noise model", (8.0, 3.4), 1, 2)
     known = innovations[np.isfinite(innovations)]
     at = np.linspace(-6.0, 6.0, 121)
     spread.hist(np.clip(known, -6.0, 6.0), bins=60, range=(-6.0, 6.0), density=True, color="0.8")
-    spread.plot(
-        at,
-        t.pdf(at, freedom),
-        color=SIMULATED,
-        label=f"Student's t, {freedom:.3g} degrees of freedom",
-    )
-    spread.set(
-        xlabel="noise added in a sample / its scale",
-        ylabel="density",
-        yscale="log",
-        ylim=(1e-4, 1.0),
-    )
-    spread.legend(frameon=False, loc="upper left", bbox_to_anchor=(0.0, 1.14))
+    label = f"Student's t, {freedom:.3g} degrees of freedom"
+    spread.plot(at, t.pdf(at, freedom), color=SIMULATED, label=label)
+    spread.set(xlabel="noise added in a sample / its scale", ylabel="density")
+    spread.set(yscale="log", ylim=(1e-4, 1.0))
+    legend_above(spread, 1)
     lags = np.arange(correlations.shape[1])
-    over.axhspan(
-        *np.array([-1.96, 1.96]) / np.sqrt(max(len(innovations), 1)),
-        color="0.9",
-        label="95 % of white noise",
-    )
+    white = 1.96 / np.sqrt(max(len(innovations), 1))
+    over.axhspan(-white, white, color="0.9", label="95 % of white noise")
     over.plot(lags, correlations[0], color=MEASURED, label="residual")
     over.plot(lags, correlations[1], color=SIMULATED, label="after the noise model")
     over.set(xlabel="lag / samples", ylabel="autocorrelation")
-    over.legend(frameon=False)
+    over.legend()
     plain((spread, over))
     save(chart, path)
 
 
+@styled
 def draw_constants(constants: Sequence[FittedConstant], path: Path) -> None:
     """Draw the 90 % intervals of constants before and after the fit, with their values.
 
     The scale is that of the cited range.
     """
-    height = FRAME + ROW * len(constants)
-    chart = figure(8.0, height)
-    axes = chart.subplots()
-    chart.subplots_adjust(left=0.34, right=0.7, top=1.0 - 0.4 / height, bottom=0.55 / height)
+    chart, (axes,) = panelled("constants of the fit", (8.0, FRAME + ROW * len(constants)))
     for row, one in enumerate(constants):
         least, most = one.cited_z
         axes.barh(row, most - least, left=least, height=0.7, color=PRIOR, linewidth=0.0)
@@ -173,41 +164,23 @@ def draw_constants(constants: Sequence[FittedConstant], path: Path) -> None:
         axes.plot([low, high], [row, row], color=colour, linewidth=3.2, solid_capstyle="butt")
         axes.plot(middle, row, "o", color=colour, markersize=5.0)
         cited, found = (
-            f"{value:.3g} ({least:.3g} to {most:.3g})"
+            f"{value:.3g} ({least:.3g} to {most:.3g}) {one.unit}"
             for least, value, most in (one.cited, one.fitted)
         )
-        across = axes.get_yaxis_transform()
-        result = f"{found} {one.unit}" if one.is_identified else "not narrowed by this log"
-        axes.text(
-            1.03, row - 0.2, result, transform=across, va="center", fontsize=8.0, color=colour
-        )
-        axes.text(
-            1.03,
-            row + 0.22,
-            f"cited {cited} {one.unit}",
-            transform=across,
-            va="center",
-            fontsize=7.5,
-            color="0.45",
-        )
+        lines = found if one.is_identified else "not narrowed by this log", f"cited {cited}"
+        for shift, line, look in zip((-0.2, 0.22), lines, (colour, "0.45"), strict=True):
+            across = axes.get_yaxis_transform()
+            axes.text(1.03, row + shift, line, transform=across, va="center", size=8, color=look)
     axes.barh(0, 0, color=PRIOR, label="cited")
     axes.plot([], [], "o-", color=SIMULATED, linewidth=3.2, label="fitted")
-    axes.legend(frameon=False, ncols=2, loc="lower left", bbox_to_anchor=(0.0, 1.0))
+    legend_above(axes, 2)
     axes.set_yticks(range(len(constants)), [one.label for one in constants])
     axes.set_ylim(len(constants) - 0.4, -0.6)
-    axes.set_xlim(*_ends(constants))
+    reach = 1.05 * max(2.2, *(abs(z) for one in constants for z in one.fitted_z))
+    axes.set_xlim(-reach, reach)
     axes.set_xlabel("standard deviations of the cited range")
     axes.spines[["top", "right"]].set_visible(False)
     save(chart, path)
-
-
-def _ends(constants: Sequence[FittedConstant]) -> tuple[float, float]:
-    reach = [2.2, *(abs(z) for one in constants for z in one.fitted_z)]
-    return -1.05 * max(reach), 1.05 * max(reach)
-
-
-def _colours(count: int) -> tuple[str, ...]:
-    return COMPONENTS[:count] if count > 1 else (SIMULATED,)
 
 
 OUTER, INNER = 0.22, 0.4
@@ -243,82 +216,43 @@ def draw_band(times_s: Array, nominal: Array, quantiles: Array, path: Path, *, t
     title
         Name of the scene.
     """
-    turns = bool(np.abs(quantiles[..., 4:]).max(initial=0.0) > 0.0)
-    small = bool(np.abs(quantiles[..., 4:]).max(initial=0.0) < SMALL_NM)
+    torque = np.abs(quantiles[..., 4:]).max(initial=0.0)
     groups = [("force", "N", 0, 1.0)]
-    if turns:
-        groups.append(("torque", *(("mN·m", 4, 1e3) if small else ("N·m", 4, 1.0))))
-    height = 1.3 + 3.9 * len(groups)
-    chart = figure(8.0, height)
-    panels = chart.subplots(
-        2 * len(groups), 1, sharex=True, height_ratios=(1.0, 1.15) * len(groups)
-    )
-    chart.subplots_adjust(
-        left=0.11, right=0.98, top=1.0 - 0.6 / height, bottom=0.5 / height, hspace=0.16
+    if torque > 0.0:
+        unit, scale = ("mN·m", 1e3) if torque < SMALL_NM else ("N·m", 1.0)
+        groups.append(("torque", unit, 4, scale))
+    chart, panels = panelled(
+        f"{title}: loads on the tool over the ranges of constants",
+        (8.0, 1.3 + 3.9 * len(groups)),
+        2 * len(groups),
+        sharex=True,
+        height_ratios=(1.0, 1.15) * len(groups),
     )
     for (name, unit, first, scale), size, components in zip(
         groups, panels[::2], panels[1::2], strict=True
     ):
-        _draw(
-            size, times_s, scale * nominal[:, first + 3], scale * quantiles[..., first + 3], "0.25"
-        )
+        for axes, at, colour in (
+            (size, first + 3, "0.25"),
+            *((components, first + c, COMPONENTS[c]) for c in range(3)),
+        ):
+            low, low_half, median, high_half, high = scale * quantiles[..., at]
+            look = {"color": colour, "linewidth": 0.0}
+            axes.fill_between(times_s, low, high, alpha=OUTER, label="90 %", **look)
+            axes.fill_between(times_s, low_half, high_half, alpha=INNER, label="50 %", **look)
+            dashes = (0, (3, 2))
+            axes.plot(times_s, median, color=colour, linestyle=dashes, label="median")
+            axes.plot(times_s, scale * nominal[:, at], color=colour, label="run itself")
         size.set_ylabel(f"size of {name}\n/ {unit}")
         size.set_ylim(bottom=0.0)
-        for axis in range(3):
-            at = first + axis
-            _draw(
-                components,
-                times_s,
-                scale * nominal[:, at],
-                scale * quantiles[..., at],
-                COMPONENTS[axis],
-            )
         components.axhline(0.0, color="0.7", linewidth=0.6, zorder=0)
         components.set_ylabel(f"{name} / {unit}")
-    chart.text(
-        0.11,
-        1.0 - 0.16 / height,
-        f"{title}: loads on the tool over the ranges of constants",
-        va="center",
-        size=10.5,
-    )
-    _legend(panels[0])
+    for c, colour in enumerate(COMPONENTS):
+        panels[0].plot([], [], color=colour, linewidth=3.0, label="xyz"[c])
+    legend_above(panels[0], 7)
     panels[-1].set_xlabel("time / s")
     plain(panels)
     chart.align_ylabels(panels)
     save(chart, path)
-
-
-def _draw(axes: "Axes", times_s: Array, nominal: Array, quantiles: Array, colour: str) -> None:
-    """Draw one channel: bands, the median dashed, and the run's nominal value as a line."""
-    axes.fill_between(times_s, quantiles[0], quantiles[4], color=colour, alpha=OUTER, linewidth=0.0)
-    axes.fill_between(times_s, quantiles[1], quantiles[3], color=colour, alpha=INNER, linewidth=0.0)
-    axes.plot(times_s, quantiles[2], color=colour, linewidth=0.9, linestyle=(0, (3, 2)))
-    axes.plot(times_s, nominal, color=colour, linewidth=1.2)
-
-
-def _legend(axes: "Axes") -> None:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    handles = [
-        Line2D([], [], color="0.25", label="run itself"),
-        Line2D([], [], color="0.25", linewidth=0.9, linestyle=(0, (3, 2)), label="median"),
-        Patch(color="0.25", alpha=OUTER + INNER, linewidth=0.0, label="50 %"),
-        Patch(color="0.25", alpha=OUTER, linewidth=0.0, label="90 %"),
-        *(
-            Line2D([], [], color=COMPONENTS[axis], linewidth=3.0, label="xyz"[axis])
-            for axis in range(3)
-        ),
-    ]
-    axes.legend(
-        handles=handles,
-        ncols=7,
-        frameon=False,
-        loc="lower left",
-        bbox_to_anchor=(-0.02, 0.98),
-        columnspacing=1.2,
-    )
 
 
 @styled
@@ -343,49 +277,33 @@ def draw_sobol(
     most = {group: max(each[group]["total"] for each in indices.values()) for group in groups}
     shown = sorted(groups, key=lambda group: -most[group])[:SHOWN]
     rows = -(-len(indices) // 2)
-    each_in = 0.75 + 0.36 * len(shown)
-    height = 0.75 + rows * each_in
-    chart = figure(8.0, height)
-    panels = chart.subplots(rows, 2, sharey=True, sharex=True, squeeze=False)
-    chart.subplots_adjust(
-        left=0.27,
-        right=0.98,
-        top=1.0 - 0.85 / height,
-        bottom=0.5 / height,
-        hspace=0.25,
-        wspace=0.08,
+    left = len(groups) - len(shown)
+    more = f"; {left} that matter less are left out" if left else ""
+    chart, panels = panelled(
+        f"{title}: which constant matters{more}",
+        (8.0, 0.75 + rows * (0.75 + 0.36 * len(shown))),
+        rows,
+        2,
+        sharey=True,
+        sharex=True,
     )
-    for axes, (figure_name, of) in zip(panels.ravel(), indices.items(), strict=False):
+    for axes, (name, of) in zip(panels, indices.items(), strict=False):
         _bars(axes, [of[group] for group in shown])
-        axes.set_title(
-            WORDS.get(figure_name) or UNIT.sub("", figure_name).replace("_", " "),
-            size=9.5,
-            loc="left",
-        )
+        words = WORDS.get(name) or UNIT.sub("", name).replace("_", " ")
+        axes.set_title(words, loc="left")
         axes.set_yticks(range(len(shown)), [_label(group) for group in shown])
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(axis="x", color="0.92", linewidth=0.6)
         axes.set_axisbelow(True)
-    for axes in panels.ravel()[len(indices) :]:
+    for axes in panels[len(indices) :]:
         axes.set_visible(False)
-    panels[0, 0].set_ylim(len(shown) - 0.5, -0.5)
-    panels[0, 0].set_xlim(0.0, 1.05)
+    panels[0].set(xlim=(0.0, 1.05), ylim=(len(shown) - 0.5, -0.5))
     # the lowest of each column
-    for axes in panels.ravel()[max(len(indices) - 2, 0) : len(indices)]:
+    for axes in panels[max(len(indices) - 2, 0) : len(indices)]:
         axes.tick_params(labelbottom=True)
         axes.set_xlabel("share of the variance")
-    left = len(groups) - len(shown)
-    more = f"; {left} that matter less are left out" if left else ""
-    chart.text(
-        0.02, 1.0 - 0.17 / height, f"{title}: which constant matters{more}", va="center", size=10.5
-    )
-    chart.legend(
-        *panels[0, 0].get_legend_handles_labels(),
-        ncols=2,
-        frameon=False,
-        loc="upper left",
-        bbox_to_anchor=(0.02, 1.0 - 0.27 / height),
-    )
+    entries = panels[0].get_legend_handles_labels()
+    chart.legend(*entries, ncols=2, loc="outside lower center")
     save(chart, path)
 
 

@@ -5,14 +5,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Flags
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.coupling import WallAnatomy
 from tissue.scene.tool import Probe
 from tissue.show.figures.figure import (
     COMPONENTS,
     draw_arrow,
-    figure,
+    field_words,
     layer_colours,
+    legend_above,
+    panelled,
     plain,
     save,
     styled,
@@ -24,15 +27,13 @@ from tissue.simulation.run import Run
 from tissue.simulation.saved_fields import field_label
 from tissue.simulation.trace import NO_LAYER
 
-__all__ = ["draw_force_depth", "draw_insertion", "draw_wall", "first_descent", "layers_passed"]
+__all__ = ["draw_force_depth", "draw_insertion", "draw_wall", "first_descent"]
 
-MEANT = {"µm": "displacement"}
-"""Quantity of a unit."""
 RISE_MM = 0.2
 """A tool that rises by this much has ended its descent."""
 
 
-def first_descent(coordinate_mm: NDArray[np.float64], contact: NDArray[np.bool_]) -> slice:
+def first_descent(coordinate_mm: Array, contact: Flags) -> slice:
     """Return the rows from the first contact to the deepest point before the tool rises.
 
     They start one row before the first contact.
@@ -51,15 +52,11 @@ def first_descent(coordinate_mm: NDArray[np.float64], contact: NDArray[np.bool_]
     risen = down > np.minimum.accumulate(down) + RISE_MM
     stop = int(risen.argmax()) if risen.any() else len(down)
     last = first + int(np.argmax(down[:stop] <= down[:stop].min() + 1e-6))
-    before = (
-        int(np.searchsorted(-coordinate_mm[:first], -(coordinate_mm[first] + RISE_MM)))
-        if first
-        else 0
-    )
+    before = int(np.searchsorted(-coordinate_mm[:first], -(coordinate_mm[first] + RISE_MM)))
     return slice(before, last + 1)
 
 
-def layers_passed(run: Run, tips_mm: NDArray[np.float64]) -> NDArray[np.str_]:
+def layers_passed(run: Run, tips_mm: Array) -> NDArray[np.str_]:
     """Return the names of the layers at tip positions before the run, shape (tips,)."""
     volume = run.volume
     place = np.floor((tips_mm * 1e-3 - volume.origin_m) / volume.spacing_m).astype(int)
@@ -93,87 +90,50 @@ def draw_force_depth(run: Run, path: Path, *, axis: int, outward: int) -> str | 
         return "the tool did not go down into the tissue"
     coordinate_mm = outward * tips[rows, axis]
     passed = layers_passed(run, tips[rows])
-    entered = int((passed != NO_LAYER).argmax()) if (passed != NO_LAYER).any() else 0
-    depth = coordinate_mm[entered] - coordinate_mm
+    depth = coordinate_mm[int((passed != NO_LAYER).argmax())] - coordinate_mm
     measures: dict[str, list[str]] = {}
     for name in run.parts.tissue.measure_names:
         measures.setdefault(field_label(name)[1], []).append(name)
-    full = 3.55 + 1.3 * len(measures)
-    chart = figure(8.0, full)
     heights = [2.2, *([1.0] * len(measures))]
-    panels = chart.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[
-        :, 0
-    ]
-    chart.subplots_adjust(
-        left=0.115, right=0.98, top=1.0 - 0.8 / full, bottom=0.5 / full, hspace=0.12
+    chart, panels = panelled(
+        f"{run.scene.name}: force on the tool over depth, first descent",
+        (8.0, 3.55 + 1.3 * len(measures)),
+        len(heights),
+        sharex=True,
+        height_ratios=heights,
     )
-    force = trace.vectors("force", "N")[rows]
-    model = trace.vectors("model_force", "N")[rows]
     turns = tool_axes(tool_turns(trace)[rows])
-    for values, colour, style, label in (
-        (lambda f: np.linalg.norm(f, axis=1), "0.1", "-", "magnitude"),
-        (
-            lambda f: np.einsum("ij,ij->i", f, turns),
-            COMPONENTS[0],
-            (0, (4, 2)),
-            "along the tool's axis, outward",
-        ),
-    ):
-        panels[0].plot(depth, values(force), color=colour, linewidth=0.8, alpha=0.35)
+    model = trace.vectors("model_force", "N")[rows]
+    for force, alpha, width in ((trace.vectors("force", "N")[rows], 0.35, 0.8), (model, 1.0, 1.4)):
+        size = np.linalg.norm(force, axis=1)
+        along = np.einsum("ij,ij->i", force, turns)
+        look = {"alpha": alpha, "linewidth": width}
+        panels[0].plot(depth, size, color="0.1", label="magnitude", **look)
+        label = "along the tool's axis, outward"
         panels[0].plot(
-            depth, values(model), color=colour, linewidth=1.4, linestyle=style, label=label
+            depth, along, color=COMPONENTS[0], linestyle=(0, (4, 2)), label=label, **look
         )
-    panels[0].plot([], [], color="0.4", linewidth=1.4, label="dark: as the model gives it")
-    panels[0].plot(
-        [],
-        [],
-        color="0.4",
-        linewidth=3.2,
-        alpha=0.35,
-        label="pale: as commanded, after low-pass and vibration",
-    )
+    pale = "pale: as commanded, after low-pass and vibration"
+    panels[0].plot([], [], color="0.4", linewidth=3.2, alpha=0.35, label=pale)
     panels[0].set_ylabel("force / N")
-    for axes, (unit, names) in zip(panels[1:], measures.items(), strict=True):
+    for axes, names in zip(panels[1:], measures.values(), strict=True):
         for name, colour in zip(names, ("0.1", *COMPONENTS, "#CC79A7"), strict=False):
             axes.plot(depth, trace[name][rows], color=colour, label=field_label(name)[0])
-        words = [field_label(name)[0].split() for name in names]
-        shared = " ".join(
-            first for first, *others in zip(*words, strict=False) if set(others) <= {first}
-        )
-        axes.set_ylabel(f"{shared}\n{MEANT.get(unit, '')} / {unit}".strip("\n/ "))
+        axes.set_ylabel(field_words(*names).replace(" / ", "\n/ "))
         if len(names) > 1:
-            axes.legend(frameon=False, ncols=len(names), loc="best", handlelength=1.4)
+            axes.legend(ncols=len(names), loc="best")
     _shade(run, panels, depth, passed, np.linalg.norm(model, axis=1))
     plain(panels)
     panels[-1].set_xlim(depth[0], depth[-1])
     panels[-1].set_xlabel("depth of the tool's tip below the surface / mm")
     chart.align_ylabels(panels)
-    chart.text(
-        0.115,
-        1.0 - 0.22 / full,
-        f"{run.scene.name}: force on the tool over depth, first descent",
-        va="center",
-        size=10.5,
-    )
-    panels[0].legend(
-        loc="lower left",
-        bbox_to_anchor=(-0.01, 0.99),
-        ncols=2,
-        frameon=False,
-        labelspacing=0.25,
-        handlelength=1.8,
-        columnspacing=1.2,
-    )
+    legend_above(panels[0], 2, panels[0].lines[2:5])
     save(chart, path)
     return None
 
 
 def _shade(
-    run: Run,
-    panels: "NDArray[np.object_]",
-    depth: NDArray[np.float64],
-    passed: NDArray[np.str_],
-    force: NDArray[np.float64],
+    run: Run, panels: NDArray[np.object_], depth: Array, passed: NDArray[np.str_], force: Array
 ) -> None:
     """Shade a band for each layer, with its name and the mean force in it."""
     colours = layer_colours(run.volume.layer_names)
@@ -210,28 +170,28 @@ BESIDE = 0.15
 """Share of the depth range within which a puncture's name is placed above the previous one."""
 
 
+@styled
 def draw_insertion(run: Run, path: Path) -> None:
     """Draw the axial force over the tip's depth and its shares over time, punctures marked."""
     trace = run.trace
     time = trace["time_s"]
     depth = -trace["tool_z_mm"]
     force = trace["model_force_z_N"]
-    chart = figure(8.0, 6.4)
-    over_depth, over_time = chart.subplots(2, 1)
-    chart.subplots_adjust(left=0.12, right=0.98, top=0.9, bottom=0.1, hspace=0.38)
+    chart, panels = panelled(f"{run.scene.name}: axial force on the needle", (8.0, 6.4), 2)
+    over_depth, over_time = panels
     inward = np.gradient(depth) > 0.0
     for chosen, colour, label in (
         (inward, "#0072B2", "pushed in"),
         (~inward, "#D55E00", "drawn out"),
     ):
-        over_depth.plot(
-            depth, np.where(chosen, force, np.nan), color=colour, linewidth=1.8, label=label
-        )
+        shown = np.where(chosen, force, np.nan)
+        over_depth.plot(depth, shown, color=colour, linewidth=1.8, label=label)
     for name, label, colour in SHARES:
         over_time.plot(time, trace[name], color=colour, linewidth=1.8, label=label)
     over_time.plot(time, force, color="0.1", linewidth=1.0, label="all together")
     last_mm = -np.inf
     height = 10
+    label = "puncture"
     for when, what in run.events:
         row = int(np.searchsorted(time, when))
         if "punctured" in what and row < len(time):
@@ -245,26 +205,16 @@ def draw_insertion(run: Run, path: Path) -> None:
                 ha="center",
                 arrowprops={"arrowstyle": "-", "color": "0.4"},
             )
-            first = not over_time.lines[len(SHARES) + 1 :]
-            over_time.axvline(
-                when,
-                color="0.4",
-                linestyle=":",
-                linewidth=1.2,
-                label="puncture" if first else "",
-                zorder=0,
-            )
-    over_depth.set(
-        xlabel="depth of the tip below the resting surface / mm",
-        ylabel="axial force / N,\npositive drives it out",
-    )
+            over_time.axvline(when, color="0.4", linestyle=":", label=label, zorder=0)
+            label = ""
+    over_depth.set_xlabel("depth of the tip below the resting surface / mm")
+    over_depth.set_ylabel("axial force / N,\npositive drives it out")
     over_time.set(xlabel="time / s", ylabel="parts of the\naxial force / N")
-    plain((over_depth, over_time))
-    for axes in (over_depth, over_time):
+    plain(panels)
+    for axes in panels:
         axes.axhline(0.0, color="0.7", linewidth=0.6, zorder=0)
         axes.margins(y=0.12)
-        axes.legend(frameon=False, loc="best")
-    chart.text(0.12, 0.96, f"{run.scene.name}: axial force on the needle", va="center", size=10.5)
+        axes.legend(loc="best")
     save(chart, path)
 
 
@@ -273,6 +223,7 @@ LONGEST = 0.28
 """Length of the arrow of the largest force, as a share of the picture's height."""
 
 
+@styled
 def draw_wall(run: Run, path: Path) -> None:
     """Draw the paths of ball and device at a wall, and the force over the device's depth.
 
@@ -281,82 +232,43 @@ def draw_wall(run: Run, path: Path) -> None:
     The ball is drawn at its deepest. In a run without a device the force is drawn over the ball's
     own depth.
     """
+    from matplotlib.patches import Circle
+
     trace = run.trace
     tool = run.scene.tool
     wall = run.scene.anatomy
     assert isinstance(tool, Probe) and isinstance(wall, WallAnatomy), wall.kind
     radius = 0.5 * tool.size_mm
     tips = trace.vectors("tool", "mm")
-    device = trace.vectors("device", "mm") if "device_x_mm" in trace else None
-    if device is not None:
-        device = tips[0] + run.scene.motion_scale * (device - tips[0])
+    aimed = tips
     force = trace["model_force_z_N"]
     across = int(np.ptp(tips[:, :2], axis=0).argmax())
-    chart = figure(8.0, 6.6)
-    side, felt = chart.subplots(2, 1, height_ratios=(1.5, 1.0))
-    chart.subplots_adjust(left=0.1, right=0.98, top=0.92, bottom=0.09, hspace=0.3)
+    title = f"{run.scene.name}: {tool.size_mm:g} mm ball on a wall of {wall.stiffness_kN_m:g} kN/m"
+    chart, (side, felt) = panelled(title, (8.0, 6.6), 2, height_ratios=(1.5, 1.0))
     side.axhspan(-1e3, 0.0, color=WALL, alpha=0.35, linewidth=0.0, label="wall")
-    side.axhline(0.0, color=WALL, linewidth=1.4)
-    if device is not None:
-        side.plot(
-            device[:, across],
-            device[:, 2],
-            color=DEVICE,
-            linewidth=1.0,
-            linestyle=(0, (4, 2)),
-            label="device",
-        )
+    felt.set_xlabel("depth of the ball below the wall's face / mm")
+    if "device_x_mm" in trace:
+        aimed = tips[0] + run.scene.motion_scale * (trace.vectors("device", "mm") - tips[0])
+        look = {"color": DEVICE, "linewidth": 1.0, "linestyle": (0, (4, 2))}
+        side.plot(aimed[:, across], aimed[:, 2], label="device", **look)
+        felt.plot(-aimed[:, 2], trace["device_force_z_N"], label="played by the device", **look)
+        felt.set_xlabel("depth of the device below the wall's face / mm")
     side.plot(tips[:, across], tips[:, 2], color=BALL, linewidth=1.6, label="ball's tip")
     row = int(force.argmax())
-    at = tips[row, across]
-    angle = np.linspace(0.0, 2.0 * np.pi, 90)
-    side.plot(
-        at + radius * np.sin(angle),
-        tips[row, 2] + radius * (1.0 - np.cos(angle)),
-        color=BALL,
-        linewidth=1.0,
-    )
-    lowest = min(tips[:, 2].min(), 0.0 if device is None else device[:, 2].min())
-    low = min(1.3 * lowest, -1.0)
+    at, deep = tips[row, [across, 2]]
+    side.add_patch(Circle((at, deep + radius), radius, fill=False, edgecolor=BALL))
+    low = min(1.3 * tips[:, 2].min(), 1.3 * aimed[:, 2].min(), -1.0)
     high = max(tips[:, 2].max(), 2.2 * radius)
     if force[row] > 0.0:
-        end = tips[row, 2] + LONGEST * (high - low)
-        draw_arrow(side, (at, tips[row, 2]), (at, end), FORCE, width=2.0)
-        side.annotate(
-            f"{force[row]:.3g} N",
-            (at, end),
-            xytext=(0, 3),
-            textcoords="offset points",
-            color=FORCE,
-            ha="center",
-            va="bottom",
-        )
-    side.set(
-        xlabel=f"{'xy'[across]} / mm",
-        ylabel="z / mm",
-        ylim=(low, high),
-        aspect="equal",
-        adjustable="datalim",
-    )
-    pressed = -(tips if device is None else device)[:, 2]
-    felt.plot(pressed, force, color=FORCE, linewidth=1.4, label="of the wall on the ball")
-    if device is not None:
-        played = trace["device_force_z_N"]
-        felt.plot(
-            pressed,
-            played,
-            color=DEVICE,
-            linewidth=1.0,
-            linestyle=(0, (4, 2)),
-            label="played by the device",
-        )
-    what = "ball" if device is None else "device"
-    felt.set(xlabel=f"depth of the {what} below the wall's face / mm", ylabel="force along z / N")
-    felt.set_xlim(left=-0.2 * max(float(pressed.max()), 1.0))
-    for axes in (side, felt):
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.legend(frameon=False, loc="upper left" if axes is felt else "upper right")
-    felt.grid(axis="y", color="0.92", linewidth=0.6)
-    title = f"{run.scene.name}: {tool.size_mm:g} mm ball on a wall of {wall.stiffness_kN_m:g} kN/m"
-    chart.text(0.1, 0.965, title, va="center", size=10.5)
+        end = deep + LONGEST * (high - low)
+        draw_arrow(side, (at, deep), (at, end), FORCE, width=2.0)
+        side.text(at, end, f"{force[row]:.3g} N", color=FORCE, ha="center", va="bottom")
+    side.set(xlabel=f"{'xy'[across]} / mm", ylabel="z / mm", ylim=(low, high))
+    side.set_aspect("equal", adjustable="datalim")
+    felt.plot(-aimed[:, 2], force, color=FORCE, linewidth=1.4, label="of the wall on the ball")
+    felt.set_ylabel("force along z / N")
+    felt.set_xlim(left=0.2 * min(float(aimed[:, 2].min()), -1.0))
+    plain((side, felt))
+    side.legend(loc="upper right")
+    felt.legend(loc="upper left")
     save(chart, path)

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from tissue.fem.fields import FieldSeries, Frame
 from tissue.show.figures.figure import field_colours, field_words, halo
 from tissue.show.figures.organ_surface import (
@@ -25,7 +25,7 @@ from tissue.show.figures.rendering import (
     draw_shaded,
     paint,
 )
-from tissue.show.figures.tool_mesh import pose, tool_turns
+from tissue.show.figures.tool_mesh import pose, row_at, tool_turns
 from tissue.simulation.saved_fields import IN_MM, field_limits, field_values
 from tissue.simulation.series import CELL_TYPES, frame_mesh
 from tissue.simulation.trace import Table
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.cm import ScalarMappable
 
-__all__ = ["draw_held", "draw_press", "moment_of_press"]
+__all__ = ["draw_held", "draw_press"]
 
 EYE, ACROSS = (0.25, -0.75, 0.62), (0.0, -1.0, 0.0)
 """Directions towards the eye: lower than in `tissue view`, and at right angles to a section."""
@@ -63,10 +63,8 @@ class _Shown:
         from matplotlib.cm import ScalarMappable
         from matplotlib.colors import LogNorm, Normalize
 
-        low, high = self.ends
-        return ScalarMappable(
-            (LogNorm if low > 0.0 else Normalize)(low, high), field_colours(low, high)
-        )
+        scale = LogNorm if self.ends[0] > 0.0 else Normalize
+        return ScalarMappable(scale(*self.ends), field_colours(*self.ends))
 
 
 def moment_of_press(series: FieldSeries, trace: Table) -> tuple[Frame | None, str]:
@@ -81,7 +79,9 @@ def moment_of_press(series: FieldSeries, trace: Table) -> tuple[Frame | None, st
         return max(pressed, key=_greatest), "when the organ had moved most"
     middle = 1e3 * series.nodes_m[series.cells[inclusion]].mean(axis=(0, 1))
     tips = trace.vectors("tool", "mm")
-    near = min(pressed, key=lambda frame: float(np.linalg.norm(tips[_row(trace, frame)] - middle)))
+    near = min(
+        pressed, key=lambda frame: float(np.linalg.norm(tips[row_at(trace, frame.time_s)] - middle))
+    )
     return near, f"the tool nearest to the {series.layer_names[series.layer[inclusion[0]]]}"
 
 
@@ -120,13 +120,11 @@ def draw_press(
     frame, why = moment_of_press(series, trace)
     if frame is None:
         return "nothing has moved"
-    row = _row(trace, frame)
+    row = row_at(trace, frame.time_s)
     moved = _displacement(frame)
     mesh = frame_mesh(series, frame)
-    mesh.points = (
-        np.asarray(mesh.points)
-        + np.float32(IN_MM[moved.rpartition("_")[2]]) * mesh.point_data[moved]
-    )
+    unit_mm = np.float32(IN_MM[moved.rpartition("_")[2]])
+    mesh.points = np.asarray(mesh.points) + unit_mm * mesh.point_data[moved]
     shown: list[_Shown] = []
     for name in (moved, *[name for name in frame.cells if name.startswith("von_mises_")][:1]):
         if (array := field_values(mesh, name)) is not None:
@@ -181,7 +179,7 @@ def draw_press(
 def _organ(
     mesh: "pyvista.UnstructuredGrid",
     shown: _Shown,
-    tip_mm: NDArray[np.float64],
+    tip_mm: Array,
     edge: "tuple[str, pyvista.PolyData] | None",
     eye: tuple[float, ...],
 ) -> "pyvista.PolyData":
@@ -210,7 +208,7 @@ def _organ(
 
 
 def _edge_of_inclusion(
-    mesh: "pyvista.UnstructuredGrid", tip_mm: NDArray[np.float64]
+    mesh: "pyvista.UnstructuredGrid", tip_mm: Array
 ) -> "tuple[str, pyvista.PolyData] | None":
     """Return name and outline of an inclusion in the section at the tool, or None."""
     names = tuple(str(name) for name in mesh.field_data["layer_names"])
@@ -232,21 +230,9 @@ def _name_inclusion(axes: "Axes", name: str, line: "pyvista.PolyData", camera: C
     axes.text(x, y + 8.0, name, ha="center", va="top", size=9, color="0.1", path_effects=halo(2.5))
 
 
-def _row(trace: Table, frame: Frame) -> int:
-    return int(
-        np.clip(np.searchsorted(trace["time_s"], frame.time_s - 1e-9), 0, len(trace.rows) - 1)
-    )
-
-
 def _displacement(frame: Frame) -> str:
-    return next(
-        (
-            n
-            for n in frame.points
-            if n.startswith("displacement_") and n.rpartition("_")[2] in IN_MM
-        ),
-        "",
-    )
+    lengths = (name for name in frame.points if name.startswith("displacement_"))
+    return next((name for name in lengths if name.rpartition("_")[2] in IN_MM), "")
 
 
 def _greatest(frame: Frame) -> float:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Floats, Singles
 from tissue.fem.fields import FieldSeries
 from tissue.simulation.saved_fields import field_values
 
@@ -38,7 +38,7 @@ INWARD = 5e-3
 """Share of the distance to a cell's middle by which a boundary point is moved inside."""
 
 
-def drawn_surface(mesh: "pyvista.DataSet", values: NDArray[np.float32]) -> "pyvista.PolyData":
+def drawn_surface(mesh: "pyvista.DataSet", values: Singles) -> "pyvista.PolyData":
     """Return the boundary of a mesh, curved between its nodes (Vlachos 2001).
 
     The curvature follows the normals, except at sharp edges.
@@ -113,8 +113,8 @@ def section_cap(
     surface: "pyvista.PolyData",
     name: str,
     *,
-    place_mm: NDArray[np.float64],
-    normal: NDArray[np.float64],
+    place_mm: Array,
+    normal: Array,
 ) -> "pyvista.PolyData":
     """Return the section inside a drawn boundary, with values as the point array `SHOWN`.
 
@@ -148,14 +148,14 @@ def section_cap(
     return cap
 
 
-def at_nodes(mesh: "pyvista.DataSet", name: str) -> NDArray[np.float32]:
+def at_nodes(mesh: "pyvista.DataSet", name: str) -> Singles:
     """Return a field at the nodes: its nodal values, or the mean of the cells around."""
     values = field_values(mesh if name in mesh.point_data else mesh.cell_data_to_point_data(), name)
     assert values is not None
     return np.asarray(values)
 
 
-def _sampled(mesh: "pyvista.DataSet", places: NDArray[np.float64]) -> NDArray[np.float64]:
+def _sampled(mesh: "pyvista.DataSet", places: Array) -> Array:
     """Interpolate `SHOWN` in a mesh. Places outside take the value at the nearest place inside.
 
     There are such places because the drawn boundary is bent outward between the nodes.
@@ -173,7 +173,7 @@ def _sampled(mesh: "pyvista.DataSet", places: NDArray[np.float64]) -> NDArray[np
     return values
 
 
-def inclusions(corners: NDArray[np.floating], layer: NDArray[np.integer]) -> NDArray[np.intp]:
+def inclusions(corners: Floats, layer: NDArray[np.integer]) -> NDArray[np.intp]:
     """Return the cells of the smallest layer inside the others, such as a nodule.
 
     The result is empty if there is no such layer.
@@ -198,7 +198,7 @@ def inclusions(corners: NDArray[np.floating], layer: NDArray[np.integer]) -> NDA
 
 
 def interpolate_in_layers(
-    series: FieldSeries, values: NDArray[np.floating], place_m: Array, layer: NDArray[np.integer]
+    series: FieldSeries, values: Floats, place_m: Array, layer: NDArray[np.integer]
 ) -> Array:
     """Interpolate values trilinearly between the centres of the cells of each place's layer.
 

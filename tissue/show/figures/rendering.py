@@ -12,8 +12,9 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from meshes.base.arrays import Array, Bytes
 from tissue.show.figures.figure import DPI, DRAWING, draw_arrow, figure, halo, is_vector, save
 from tissue.system.offscreen import draw_apart
 
@@ -83,7 +84,7 @@ class Camera:
             size=(PANEL_PX, tall),
         )
 
-    def pixels(self, points_mm: ArrayLike) -> NDArray[np.float64]:
+    def pixels(self, points_mm: ArrayLike) -> Array:
         """Return the pixels of points, right and down from the upper left corner, shape (n, 2)."""
         axes = np.stack([np.cross(self.up, self.towards_eye), self.up])
         right, upward = (
@@ -92,45 +93,13 @@ class Camera:
         return np.column_stack([0.5 * self.size[0] + right, 0.5 * self.size[1] - upward])
 
 
-def paint(surface: "pyvista.PolyData", colours: NDArray[np.float64]) -> "pyvista.PolyData":
+def paint(surface: "pyvista.PolyData", colours: Array) -> "pyvista.PolyData":
     """Give every point or every triangle a colour: red, green and blue from 0 to 1, shape (n,
     3).
     """
     data = surface.point_data if len(colours) == surface.n_points else surface.cell_data
     data["colours"] = np.rint(255.0 * colours).astype(np.uint8)
     return surface
-
-
-def render(
-    make: "Callable[[], list[tuple[pyvista.PolyData, Camera]]]", *, averaged: int, ambient: float
-) -> list[NDArray[np.uint8]] | str:
-    """Render each surface on white in a subprocess.
-
-    Parameters
-    ----------
-    make
-        See `draw_shaded`.
-    averaged
-        Pixels along each edge that are averaged to one. With 1 all `OVERSAMPLING` pixels are kept.
-    ambient
-        Share of the light that comes from everywhere.
-
-    Returns
-    -------
-    Pictures of shape (height, width, 3), or the reason why they could not be drawn.
-    """
-    with TemporaryDirectory(prefix="tissue-") as name:
-
-        def prepare() -> bytes:
-            return pickle.dumps([(surface, asdict(camera)) for surface, camera in make()])
-
-        problem = draw_apart(
-            "tissue.show.figures.rendering", name, str(averaged), str(ambient), prepare=prepare
-        )
-        if problem is not None:
-            return problem
-        with np.load(Path(name) / "pictures.npz") as drawn:
-            return list(drawn.values())
 
 
 @dataclass(frozen=True)
@@ -189,15 +158,21 @@ def draw_shaded(
     """
     cameras: list[Camera] = []
 
-    def prepare() -> "list[tuple[pyvista.PolyData, Camera]]":
+    def prepare() -> bytes:
         made = make()
         cameras.extend(camera for _, camera in made)
-        return made
+        return pickle.dumps([(surface, asdict(camera)) for surface, camera in made])
 
-    scale = OVERSAMPLING if is_vector(path) else 1
-    pictures = render(prepare, averaged=OVERSAMPLING // scale, ambient=ambient)
-    if isinstance(pictures, str):
-        return pictures
+    # pixels along each edge that are averaged to one; a vector file keeps all of them
+    averaged = 1 if is_vector(path) else OVERSAMPLING
+    scale = OVERSAMPLING // averaged
+    module = "tissue.show.figures.rendering"
+    with TemporaryDirectory(prefix="tissue-") as folder:
+        problem = draw_apart(module, folder, str(averaged), str(ambient), prepare=prepare)
+        if problem is not None:
+            return problem
+        with np.load(Path(folder) / "pictures.npz") as drawn:
+            pictures = list(drawn.values())
     head, foot = margins_px
     tall = max(len(picture) for picture in pictures) // scale
     wide = pictures[0].shape[1] // scale
@@ -210,9 +185,8 @@ def draw_shaded(
             left = index * (wide + GAP_PX)
             low = foot + tall - high
             axes = chart.add_axes((left / size[0], low / size[1], wide / size[0], high / size[1]))
-            axes.imshow(
-                picture, interpolation="nearest", extent=(-0.5, wide - 0.5, high - 0.5, -0.5)
-            )
+            ends = (-0.5, wide - 0.5, high - 0.5, -0.5)
+            axes.imshow(picture, interpolation="nearest", extent=ends)
             axes.set_axis_off()
             _draw_scale(axes, camera)
             panels.append(axes)
@@ -241,9 +215,7 @@ def _main(name: str, averaged: str, ambient: str) -> None:
     np.savez(Path(name) / "pictures.npz", *drawn, allow_pickle=False)
 
 
-def _draw(
-    mesh: "pyvista.PolyData", camera: Camera, averaged: int, ambient: float
-) -> NDArray[np.uint8]:
+def _draw(mesh: "pyvista.PolyData", camera: Camera, averaged: int, ambient: float) -> Bytes:
     """Render one surface. Squares of `averaged` pixels along each edge are averaged."""
     import pyvista
 
@@ -270,14 +242,8 @@ def _draw(
     axes = np.stack([np.cross(up, towards), up, towards])
     for direction, strength in LIGHTS:
         place = centre + 1e3 * np.array(direction) @ axes
-        plotter.add_light(
-            pyvista.Light(
-                position=place, focal_point=centre, light_type="scene light", intensity=strength
-            )
-        )
-    plotter.camera.position = centre + 1e3 * towards
-    plotter.camera.focal_point = centre
-    plotter.camera.up = up
+        plotter.add_light(pyvista.Light(place, centre, intensity=strength))
+    plotter.camera_position = [centre + 1e3 * towards, centre, up]
     plotter.camera.parallel_projection = True
     plotter.camera.parallel_scale = 0.5 * camera.height_mm
     plotter.camera.clipping_range = (1.0, 2e3)
@@ -304,18 +270,10 @@ def _draw_scale(axes: "Axes", camera: Camera) -> None:
     right = camera.size[0] - 20.0
     left = right - length * per_mm
     y = camera.size[1] - 16.0
-    axes.plot(
-        [left, right],
-        [y, y],
-        color="0.1",
-        linewidth=2.2,
-        solid_capstyle="butt",
-        path_effects=halo(),
-    )
+    axes.plot([left, right], [y, y], color="0.1", linewidth=2.2, path_effects=halo())
+    middle = 0.5 * (left + right)
     words = f"{length:g} mm"
-    axes.text(
-        0.5 * (left + right), y - 8.0, words, ha="center", va="bottom", size=9, path_effects=halo()
-    )
+    axes.text(middle, y - 8.0, words, ha="center", va="bottom", size=9, path_effects=halo())
 
 
 def draw_axes(axes: "Axes", names: Sequence[str], camera: Camera) -> None:

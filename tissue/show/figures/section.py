@@ -5,11 +5,11 @@ to keep clear of.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Bytes
 from meshes.voxels.volume import FULL
 from tissue.fem.fields import FieldSeries, Frame
 from tissue.models.keep_clear import Distance
@@ -17,13 +17,14 @@ from tissue.show.figures.figure import (
     EDGE,
     axis_names,
     draw_outline,
-    figure,
+    halo,
     layer_colours,
+    panelled,
     save,
     styled,
 )
 from tissue.show.figures.organ_surface import interpolate_in_layers
-from tissue.show.figures.tool_mesh import tool_turns
+from tissue.show.figures.tool_mesh import row_at, tool_turns
 from tissue.simulation.depth_map import HALF, tool_axes
 from tissue.simulation.run import Run
 
@@ -32,24 +33,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.image import AxesImage
 
-__all__ = [
-    "Section",
-    "Window",
-    "draw_kept_clear",
-    "draw_section",
-    "kept_window",
-    "loaded_frame",
-    "moment_of",
-    "nearest_places",
-    "plane_of",
-    "section_of",
-]
+__all__ = ["draw_section", "plane_of"]
 
 STRESS = "von_mises_MPa"
 REMOVED_TINT = 0.28
 """Share of its layer's colour that removed tissue keeps."""
 PATH = "#CC79A7"
 """Colour of the tip's path."""
+TOOL: dict[str, Any] = {"color": "0.1", "linewidth": 1.0, "linestyle": (0, (3, 1.5))}
 DECADES = 3.0
 """Widest span of a logarithmic scale."""
 
@@ -60,10 +51,8 @@ class Section:
 
     Attributes
     ----------
-    across, axis
-        World axes of the arrays' first and second index, 0 to 2.
-    normal
-        World axis at right angles to the plane.
+    axes
+        World axes of the arrays' first and second index and at right angles to the plane, 0 to 2.
     place_mm
         Coordinate of the plane along the normal [mm].
     row
@@ -76,15 +65,13 @@ class Section:
         Layer of each voxel, shape (nu, nv).
     """
 
-    across: int
-    axis: int
-    normal: int
+    axes: tuple[int, int, int]
     place_mm: float
     row: int
     extent_mm: tuple[float, float, float, float]
-    start: NDArray[np.float64]
-    left: NDArray[np.float64]
-    layer: NDArray[np.uint8]
+    start: Array
+    left: Array
+    layer: Bytes
 
 
 def plane_of(run: Run, *, axis: int, outward: int, row: int) -> tuple[int, int, float]:
@@ -130,9 +117,7 @@ def section_of(run: Run, *, axis: int, outward: int, row: int) -> Section:
         (float(origin[a]), float(origin[a] + spacing * volume.shape[a])) for a in (across, axis)
     ]
     return Section(
-        across=across,
-        axis=axis,
-        normal=normal,
+        axes=(across, axis, normal),
         place_mm=place,
         row=row,
         extent_mm=(*ends[0], *ends[1]),
@@ -151,13 +136,8 @@ def loaded_frame(series: FieldSeries) -> Frame | None:
         float(np.nanmax(frame.cells.get(STRESS, np.zeros(1)), initial=0.0))
         for frame in series.frames
     ]
-    if not any(peaks):
-        return None
-    return next(
-        f
-        for f, peak in zip(reversed(series.frames), reversed(peaks), strict=True)
-        if peak >= 0.1 * max(peaks)
-    )
+    loaded = np.flatnonzero(np.array(peaks) >= max(0.1 * max(peaks, default=0.0), 1e-12))
+    return series.frames[loaded[-1]] if len(loaded) else None
 
 
 def moment_of(run: Run) -> tuple[int, Frame | None]:
@@ -165,12 +145,11 @@ def moment_of(run: Run) -> tuple[int, Frame | None]:
     at the last cut.
     """
     series = run.parts.fields
-    cutting = np.flatnonzero(run.trace["contact_mm2"] > 0.0)
     frame = None if series is None else loaded_frame(series)
-    if frame is None:
-        return int(cutting[-1]) if cutting.size else len(run.trace.rows) - 1, None
-    times = run.trace["time_s"]
-    return int(np.clip(np.searchsorted(times, frame.time_s - 1e-9), 0, len(times) - 1)), frame
+    if frame is not None:
+        return row_at(run.trace, frame.time_s), frame
+    cutting = np.flatnonzero(run.trace["contact_mm2"] > 0.0)
+    return int(cutting[-1]) if cutting.size else len(run.trace.rows) - 1, None
 
 
 @styled
@@ -183,59 +162,33 @@ def draw_section(run: Run, path: Path, *, axis: int, outward: int) -> None:
     row, frame = moment_of(run)
     section = section_of(run, axis=axis, outward=outward, row=row)
     kept = nearest_places(run)
-    window = kept_window(kept, section.extent_mm, section.start > 0.0, section.across, section.axis)
+    window = kept_window(kept, section)
     u0, u1, v0, v1 = window
-    wide = 3.05 if frame is not None else min(5.2, 5.2 * (u1 - u0) / (v1 - v0))
-    tall = wide * (v1 - v0) / (u1 - u0)
-    full = tall + 1.75
-    chart = figure(8.0, full)
-    left = 0.62 if frame is not None else 0.5 * (8.0 - wide)
-    names = axis_names(run)
-    panel = chart.add_axes((left / 8.0, 1.15 / full, wide / 8.0, tall / full))
-    _draw_layers(panel, run, section)
-    _draw_tool(panel, run, section)
-    structures = draw_kept_clear(
-        panel, kept, window, section.across, section.axis, section.place_mm
+    shape = (v1 - v0) / (u1 - u0)
+    wide = 3.05 if frame is not None else min(5.2, 5.2 / shape)
+    x, y, normal = (f"{axis_names(run)[each]}" for each in section.axes)
+    chart, panels = panelled(
+        f"{run.scene.name} at {run.trace['time_s'][row]:.3f} s: section at {normal} = "
+        f"{section.place_mm:.2f} mm, through the deepest point",
+        (8.0, wide * shape + 1.75),
+        1,
+        1 if frame is None else 2,
+        layout="compressed",
+        sharey=True,
     )
-    panel.set(xlabel=f"{names[section.across]} / mm", ylabel=f"{names[section.axis]} / mm")
-    panel.set_title("layers and what was removed", size=9.5)
-    chart.legend(
-        handles=[*_handles(run, section, borders=frame is not None), *structures],
-        loc="center",
-        bbox_to_anchor=(0.5, 0.3 / full),
-        ncols=4,
-        frameon=False,
-        handlelength=1.4,
-        columnspacing=1.2,
-    )
+    _draw_layers(panels[0], run, section)
+    structures = draw_kept_clear(panels[0], kept, window, section)
+    panels[0].set_ylabel(f"{y} / mm")
+    panels[0].set_title("layers and what was removed")
+    handles = _handles(run, section, borders=frame is not None)
+    chart.legend(handles=[*handles, *structures], loc="outside lower center", ncols=4)
     if series is not None and frame is not None:
-        panel = chart.add_axes(((left + wide + 0.28) / 8.0, 1.15 / full, wide / 8.0, tall / full))
-        drawn = _draw_stress(panel, series, frame, section)
-        # Edges of the layers that are left, as thin lines.
-        there = section.left >= HALF / FULL
-        for index in np.unique(section.layer[there]):
-            draw_outline(
-                panel,
-                there & (section.layer == index),
-                section.extent_mm,
-                color="0.55",
-                linewidth=0.7,
-            )
+        drawn = _draw_stress(panels[1], series, frame, section)
+        panels[1].set_title("stress")
+        chart.colorbar(drawn, ax=panels[1], extend="both", label="von Mises stress / MPa")
+    for panel in panels:
         _draw_tool(panel, run, section)
-        panel.set(
-            xlabel=f"{names[section.across]} / mm", yticklabels=[], xlim=window[:2], ylim=window[2:]
-        )
-        panel.set_title("stress", size=9.5)
-        bar = chart.add_axes(
-            ((left + 2.0 * wide + 0.4) / 8.0, 1.15 / full, 0.14 / 8.0, tall / full)
-        )
-        chart.colorbar(drawn, cax=bar, extend="both", label="von Mises stress / MPa")
-    title = (
-        f"{run.scene.name} at {run.trace['time_s'][section.row]:.3f} s: section at "
-        f"{names[section.normal]} = "
-        f"{section.place_mm:.2f} mm, through the deepest point"
-    )
-    chart.text(0.5, 1.0 - 0.22 / full, title, ha="center", va="center", size=10.5)
+        panel.set(xlabel=f"{x} / mm", xlim=window[:2], ylim=window[2:], aspect="equal")
     save(chart, path)
 
 
@@ -258,28 +211,23 @@ def _draw_layers(axes: "Axes", run: Run, section: Section) -> None:
 
 def _draw_tool(axes: "Axes", run: Run, section: Section) -> None:
     """Draw the outline of the tool at one moment, and the path of its tip so far."""
-    from matplotlib.patheffects import withStroke
-
-    trace = run.trace
-    row = section.row
-    tips = trace.vectors("tool", "mm")
-    turn = tool_axes(tool_turns(trace))[row]
-    along = turn[[section.across, section.axis]]
+    plane = list(section.axes[:2])
+    tips = run.trace.vectors("tool", "mm")[: section.row + 1, plane]
+    along = tool_axes(tool_turns(run.trace))[section.row, plane]
     along = along / max(float(np.hypot(*along)), 1e-9)
     side = np.array([along[1], -along[0]])
     outline = 1e3 * run.cutter.profile.outline
     for sign in (-1.0, 1.0):
-        points = tips[row, [section.across, section.axis]] + outline @ np.stack(
-            [sign * side, along]
-        )
-        halo = [withStroke(linewidth=2.2, foreground="white")]  # for what lies on dark colours
-        axes.plot(*points.T, color="0.1", linewidth=1.0, linestyle=(0, (3, 1.5)), path_effects=halo)
-    axes.plot(*tips[: row + 1, [section.across, section.axis]].T, color=PATH, linewidth=1.0)
-    axes.set(xlim=section.extent_mm[:2], ylim=section.extent_mm[2:], aspect="equal")
+        points = tips[-1] + outline @ np.stack([sign * side, along])
+        # the halo shows the line on dark colours
+        axes.plot(*points.T, path_effects=halo(2.2), **TOOL)
+    axes.plot(*tips.T, color=PATH, linewidth=1.0)
 
 
 def _draw_stress(axes: "Axes", series: FieldSeries, frame: Frame, section: Section) -> "AxesImage":
-    """Draw the von Mises stress of the remaining tissue on a logarithmic scale."""
+    """Draw the von Mises stress of the remaining tissue on a logarithmic scale, and the edges of
+    its layers.
+    """
     from matplotlib.colors import LogNorm
 
     stress = _section_stress(series, frame, section)
@@ -288,6 +236,9 @@ def _draw_stress(axes: "Axes", series: FieldSeries, frame: Frame, section: Secti
     low, peak = np.percentile(shown, (2.0, 99.8)) if shown.size else (1.0, 1.0)
     peak = max(float(peak), 1e-9)
     scale = LogNorm(float(np.clip(low, peak * 10.0**-DECADES, 0.1 * peak)), peak)
+    for index in np.unique(section.layer[there]):
+        left = there & (section.layer == index)
+        draw_outline(axes, left, section.extent_mm, color="0.55", linewidth=0.7)
     picture = np.ma.masked_where(~there, np.maximum(stress, 1e-12))
     return axes.imshow(
         picture.T,
@@ -299,14 +250,15 @@ def _draw_stress(axes: "Axes", series: FieldSeries, frame: Frame, section: Secti
     )
 
 
-def _section_stress(series: FieldSeries, frame: Frame, section: Section) -> NDArray[np.float64]:
+def _section_stress(series: FieldSeries, frame: Frame, section: Section) -> Array:
     """Return the stress at the centres of the section's voxels [MPa], each in its layer."""
     u0, u1, v0, v1 = section.extent_mm
     (columns, rows) = section.layer.shape
     places = np.empty((*section.layer.shape, 3))
-    places[..., section.across] = (u0 + (u1 - u0) * (np.arange(columns) + 0.5) / columns)[:, None]
-    places[..., section.axis] = v0 + (v1 - v0) * (np.arange(rows) + 0.5) / rows
-    places[..., section.normal] = section.place_mm
+    across, axis, normal = section.axes
+    places[..., across] = (u0 + (u1 - u0) * (np.arange(columns) + 0.5) / columns)[:, None]
+    places[..., axis] = v0 + (v1 - v0) * (np.arange(rows) + 0.5) / rows
+    places[..., normal] = section.place_mm
     values = interpolate_in_layers(
         series, frame.cells[STRESS], 1e-3 * places.reshape(-1, 3), section.layer.ravel()
     )
@@ -321,17 +273,16 @@ def _handles(run: Run, section: Section, *, borders: bool) -> "list[Artist]":
     names = run.volume.layer_names
     seen = np.unique(section.layer[section.start >= HALF / FULL])
     colours = layer_colours(names)
-    return [
+    handles: list[Artist] = [
         *(Patch(facecolor=colours[names[i]], label=names[i], **EDGE) for i in seen),
         Patch(facecolor="0.9", edgecolor="black", linewidth=1.1, label="removed"),
-        Line2D([], [], color="0.1", linewidth=1.0, linestyle=(0, (3, 1.5)), label="tool"),
+        Line2D([], [], label="tool", **TOOL),
         Line2D([], [], color=PATH, linewidth=1.0, label="path of its tip"),
-        *(
-            [Line2D([], [], color="0.55", linewidth=0.7, label="edges of the layers that are left")]
-            if borders
-            else []
-        ),
     ]
+    if borders:
+        label = "edges of the layers that are left"
+        handles.append(Line2D([], [], color="0.55", linewidth=0.7, label=label))
+    return handles
 
 
 Window = tuple[float, float, float, float]
@@ -362,8 +313,8 @@ class Nearest:
 
     name: str
     distance: Distance
-    tool_mm: NDArray[np.float64]
-    structure_mm: NDArray[np.float64]
+    tool_mm: Array
+    structure_mm: Array
     least_mm: float
 
 
@@ -390,44 +341,38 @@ def nearest_places(run: Run) -> list[Nearest]:
     return found
 
 
-def kept_window(
-    places: Sequence[Nearest], window: Window, tissue: NDArray[np.bool_], across: int, axis: int
-) -> Window:
+def kept_window(places: Sequence[Nearest], section: Section) -> Window:
     """Return a window around the tissue of a section and each structure's nearest point.
 
-    The tissue has shape (nu, nv).
+    Without structures it is the whole section.
     """
-    if not places or not tissue.any():
-        return window
-    u0, u1, v0, v1 = window
-    size = np.array([u1 - u0, v1 - v0]) / tissue.shape
-    (a, b), (c, d) = (
-        (each.min() * s, (each.max() + 1) * s)
-        for each, s in zip(np.nonzero(tissue), size, strict=True)
+    tissue = np.argwhere(section.start > 0.0)
+    u0, u1, v0, v1 = section.extent_mm
+    if not places or not len(tissue):
+        return section.extent_mm
+    edge = np.array([u1 - u0, v1 - v0]) / section.start.shape
+    points = np.array(
+        [
+            *((u0, v0) + edge * (tissue.min(axis=0), tissue.max(axis=0) + 1)),
+            *(place.structure_mm[list(section.axes[:2])] for place in places),
+        ]
     )
-    u0, u1 = max(u0, u0 + a - AROUND_MM), min(u1, u0 + b + AROUND_MM)
-    v0, v1 = max(v0, v0 + c - AROUND_MM), min(v1, v0 + d + AROUND_MM)
-    for place in places:
-        u, v = place.structure_mm[[across, axis]].tolist()
-        u0 = min(u0, u - AROUND_MM)
-        u1 = max(u1, u + AROUND_MM)
-        v0 = min(v0, v - AROUND_MM)
-        v1 = max(v1, v + AROUND_MM)
-    return u0, u1, v0, v1
+    low = points.min(axis=0) - AROUND_MM
+    high = points.max(axis=0) + AROUND_MM
+    return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
 
 def draw_kept_clear(
-    axes: "Axes", places: Sequence[Nearest], window: Window, across: int, axis: int, place_mm: float
+    axes: "Axes", places: Sequence[Nearest], window: Window, section: Section
 ) -> "list[Artist]":
     """Draw structures in a section and return legend entries with the smallest distances.
 
-    The section lies at a coordinate along its normal. A line between two dots joins the nearest
-    points of tool and structure, seen along the normal.
+    A line between two dots joins the nearest points of tool and structure, seen along the section's
+    normal.
     """
-    from matplotlib.lines import Line2D
-
+    across, axis, _ = section.axes
     u, v = (np.linspace(window[k], window[k + 1], ACROSS) for k in (0, 2))
-    points = np.full((ACROSS, ACROSS, 3), place_mm)
+    points = np.full((ACROSS, ACROSS, 3), section.place_mm)
     points[..., across] = u[None, :]
     points[..., axis] = v[:, None]
     handles: list[Artist] = []
@@ -435,20 +380,10 @@ def draw_kept_clear(
         colour = STRUCTURES[number % len(STRUCTURES)]
         depth = np.asarray(place.distance(1e-3 * points.reshape(-1, 3))).reshape(ACROSS, ACROSS)
         if depth.min() < 0.0 < depth.max():
-            axes.contourf(
-                u, v, depth, levels=[float(depth.min()), 0.0], colors=[colour], alpha=0.15
-            )
-            axes.contour(u, v, depth, levels=[0.0], colors=[colour], linewidths=[1.6])
+            axes.contourf(u, v, depth, [float(depth.min()), 0.0], colors=[colour], alpha=0.15)
+            axes.contour(u, v, depth, [0.0], colors=[colour], linewidths=[1.6])
+        side = "away" if place.least_mm >= 0.0 else "inside"
         ends = np.array([place.tool_mm, place.structure_mm])[:, [across, axis]]
-        axes.plot(*ends.T, "o-", color=colour, markersize=3.5, linewidth=1.0)
-        how = (
-            f"{place.least_mm:.2f} mm away"
-            if place.least_mm >= 0.0
-            else f"{-place.least_mm:.2f} mm inside"
-        )
-        label = f"{place.name}; the tool at its nearest, {how}"
-        handles.append(
-            Line2D([], [], color=colour, linewidth=1.6, marker="o", markersize=3.5, label=label)
-        )
-    axes.set(xlim=window[:2], ylim=window[2:])
+        label = f"{place.name}; the tool at its nearest, {abs(place.least_mm):.2f} mm {side}"
+        handles += axes.plot(*ends.T, "o-", color=colour, markersize=3.5, label=label)
     return handles

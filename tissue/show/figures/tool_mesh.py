@@ -1,22 +1,36 @@
-"""The surface of a scene's tool, to be shown."""
+"""Surfaces of a scene's tool and of faces without a mesh, and the tool's pose in a trace."""
 
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.surfaces.triangle_files import read_triangles
+from tissue.models.tissue_model import TICK_S
+from tissue.scene.organ import LayersAnatomy
+from tissue.scene.registry import ANATOMIES
+from tissue.scene.scene import Scene
 from tissue.scene.tool import Needle, Probe, Tool
+from tissue.simulation.builders.motions import motion_of
 
 if TYPE_CHECKING:
     import pyvista
 
     from tissue.simulation.trace import Table
 
-__all__ = ["pose", "spin_arc_mm", "tool_surface", "tool_turns", "turning_tool"]
+__all__ = [
+    "faces_of",
+    "pose",
+    "row_at",
+    "spin_arc_mm",
+    "tool_surface",
+    "tool_turns",
+    "turning_tool",
+]
 
 NEEDLE_MM = 80.0
 POINT = 2.0
@@ -79,14 +93,14 @@ def turning_tool(tool: Tool | Probe | Needle | None) -> "pyvista.PolyData | None
     return surface.append_polydata(pyvista.MultipleLines(arc).tube(radius=thick), head)
 
 
-def spin_arc_mm(tool: Tool) -> NDArray[np.float64]:
+def spin_arc_mm(tool: Tool) -> Array:
     """Return an arc around the tool tip in the sense of rotation, in the tool's own frame [mm]."""
     turned = -np.sign(tool.spin_rpm) * np.linspace(0.0, ARC, SIDES)
     radius = 0.575 * tool.diameter_mm
     return np.column_stack([radius * np.cos(turned), radius * np.sin(turned), np.zeros(SIDES)])
 
 
-def pose(tip_mm: ArrayLike, quaternion: ArrayLike) -> NDArray[np.float64]:
+def pose(tip_mm: ArrayLike, quaternion: ArrayLike) -> Array:
     """Return the transform from a tool frame to the world [mm], shape (4, 4).
 
     It follows from tip and quaternion (x, y, z, w).
@@ -99,7 +113,13 @@ def pose(tip_mm: ArrayLike, quaternion: ArrayLike) -> NDArray[np.float64]:
     return matrix
 
 
-def tool_turns(trace: "Table") -> NDArray[np.float64]:
+def row_at(trace: "Table", time_s: float) -> int:
+    """Return the row of a trace at a moment."""
+    times = trace["time_s"]
+    return int(np.clip(np.searchsorted(times, time_s - 1e-9), 0, len(times) - 1))
+
+
+def tool_turns(trace: "Table") -> Array:
     """Return the tool's orientations in a trace as quaternions (x, y, z, w), shape (rows, 4)."""
     return np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"])
 
@@ -114,8 +134,63 @@ def _rod(radius_mm: float, length_mm: float, *, point_mm: float = 0.0) -> "pyvis
     return _turned(np.array(around))
 
 
-def _turned(line_mm: NDArray[np.float64]) -> "pyvista.PolyData":
+def _turned(line_mm: Array) -> "pyvista.PolyData":
     """Return the surface of revolution of a line in the half plane y = 0 around z."""
     import pyvista
 
     return pyvista.lines_from_points(line_mm).extrude_rotate(resolution=SIDES, capping=False)
+
+
+FACE_MM = 30.0
+"""Edge of a drawn piece of an infinite face, and length of a wall beyond the path on it [mm]."""
+WALL_MESH_MM = 5.0
+"""Width of the squares of a drawn wall."""
+
+
+def faces_of(scene: Scene | None) -> "dict[str, pyvista.PolyData]":
+    """Return pieces of the faces that a tool passes or presses [mm], by name.
+
+    Voxels and meshes have no such faces.
+    """
+    if scene is None:
+        return {}
+    make = ANATOMIES[scene.anatomy.kind].faces or {"layers": layer_faces, "wall": wall_face}.get(
+        scene.anatomy.kind
+    )
+    return {} if make is None else make(scene)
+
+
+def wall_face(scene: Scene) -> "dict[str, pyvista.PolyData]":
+    """Return a wall under all of the path that the tool can go."""
+    import pyvista
+
+    path_mm = 1e3 * motion_of(scene, step_s=TICK_S).sweep_m()[:, :2]
+    low = path_mm.min(axis=0)
+    high = path_mm.max(axis=0)
+    roam_mm = (scene.device and scene.device.coupling.roam_mm) or 0.0
+    middle = 0.5 * (low + high)
+    (wide, deep) = high - low + max(FACE_MM, 2.0 * roam_mm)
+    return {
+        "wall": pyvista.Plane(
+            center=(*middle, 0.0),
+            direction=(0.0, 0.0, 1.0),
+            i_size=wide,
+            j_size=deep,
+            i_resolution=max(round(wide / WALL_MESH_MM), 1),
+            j_resolution=max(round(deep / WALL_MESH_MM), 1),
+        )
+    }
+
+
+def layer_faces(scene: Scene) -> "dict[str, pyvista.PolyData]":
+    """Return pieces of the faces that a needle passes, by layer."""
+    import pyvista
+
+    assert isinstance(scene.anatomy, LayersAnatomy)
+    depths = {"capsule": 0.0} | dict(scene.anatomy.membranes)
+    return {
+        name: pyvista.Plane(
+            center=(0.0, 0.0, -depth), direction=(0.0, 0.0, 1.0), i_size=FACE_MM, j_size=FACE_MM
+        )
+        for name, depth in depths.items()
+    }

@@ -1,33 +1,115 @@
-"""The report's charts: every column of the trace that varies, and which of them lie in one
-chart.
-"""
+"""The report's charts, and arrays as compact text in JSON, which `decode.js` reads."""
 
+import zlib
+from base64 import b64encode
 from typing import Any
 
 import numpy as np
 from matplotlib.colors import to_hex
+from numpy.typing import ArrayLike, NDArray
 
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.scene import Scene
-from tissue.show.figures.figure import COMPONENTS, SMALL_NM, layer_colours
-from tissue.show.report.packing import Record, packed, packed_column
-from tissue.simulation.saved_fields import UNITS
+from tissue.show.figures.figure import COMPONENTS, SMALL_NM, field_words, layer_colours
 from tissue.simulation.trace import Table
 
-__all__ = ["charts", "column_label", "columns"]
+__all__ = [
+    "Record",
+    "charts",
+    "columns",
+    "packed",
+    "packed_mesh",
+    "packed_shares",
+    "packed_vectors",
+]
 
-PLAYED = ("raw_force", "device_force")
-LABELS = {"raw_force": "renderer's", "device_force": "played by the device"}
-MORE_UNITS = {
-    "mm_s": "mm/s",
-    "rad_s": "rad/s",
-    "mm3_s": "mm³/s",
-    "Nm": "N·m",
-    "s": "s",
-    "um": "µm",
-    "us": "µs",
-    "N_m": "N/m",
-}
+Record = dict[str, Any]
+"""Values that JSON can hold."""
+LARGEST = 32767
+"""Steps to either side of a quantised number of 16 bits."""
+STEPS = 255
+"""Steps of a colour."""
+
+
+def packed(values: NDArray[np.integer[Any]], *, differences: bool = True) -> Record:
+    """Encode integers of 8 bits (unsigned), 16 or 32 (signed), shape (rows,) or (rows, columns).
+
+    Differences between rows are wrapped around, and negative differences become odd numbers. Small
+    differences of either sign therefore have high bytes of 0. All first bytes come before all
+    second bytes, column by column.
+    """
+    rows = values if values.ndim == 2 else values[:, None]
+    size = rows.dtype.itemsize
+    whole = rows.astype(f"i{size}").astype(np.int64)
+    if differences:
+        step = np.diff(whole, axis=0, prepend=0).astype(f"i{size}").astype(np.int64)
+        whole = (step << 1) ^ (step >> 63)
+    planes = (
+        np.ascontiguousarray(whole.astype(f"<u{size}").T)
+        .reshape(-1)
+        .view(np.uint8)
+        .reshape(-1, size)
+        .T
+    )
+    return {
+        "rows": rows.shape[0],
+        "columns": rows.shape[1],
+        "kind": f"{rows.dtype.kind}{size}",
+        "differences": differences,
+        "data": b64encode(zlib.compress(np.ascontiguousarray(planes).tobytes(), 9)).decode("ascii"),
+    }
+
+
+def packed_vectors(values: ArrayLike) -> Record:
+    """Encode numbers in 65,532 steps over the widest column's range: ``low`` + ``step`` * (whole +
+    32767).
+
+    A 0 stays exactly 0.
+    """
+    rows = np.asarray(values, dtype=np.float64)
+    low, high = (
+        (rows.min(axis=0), rows.max(axis=0)) if len(rows) else (np.zeros(rows.shape[1:]),) * 2
+    )
+    widest = float(np.max(high - low, initial=0.0)) or float(np.abs(rows).max(initial=0.0))
+    step = widest / (2 * LARGEST - 2) or 1.0
+    low = step * np.floor(low / step)
+    whole = np.rint((rows - low) / step) - LARGEST
+    return {"low": low.tolist(), "step": step, **packed(whole.astype(np.int16))}
+
+
+def packed_column(values: ArrayLike) -> Record:
+    """Encode one column of numbers as `packed_vectors` does."""
+    return packed_vectors(np.asarray(values, dtype=np.float64)[:, None])
+
+
+def packed_shares(values: ArrayLike) -> Record:
+    """Encode shares from 0 to 1 of a colour scale in steps of 1/255."""
+    return packed(
+        np.rint(STEPS * np.clip(np.nan_to_num(np.asarray(values)), 0.0, 1.0)).astype(np.uint8)
+    )
+
+
+def packed_mesh(points_mm: ArrayLike, triangles: ArrayLike) -> tuple[Record, NDArray[np.intp]]:
+    """Encode a surface, and return the order in which its points are kept.
+
+    Unused points are left out. Points come in the order in which triangles first name them. A
+    corner is encoded as its distance below the next new point, 0 for the new point itself.
+    """
+    corners = np.asarray(triangles, dtype=np.intp).reshape(-1, 3).ravel()
+    used, first, at = np.unique(corners, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    place = np.empty_like(order)
+    place[order] = np.arange(len(order))
+    named = place[at.reshape(-1)]
+    unnamed = np.maximum.accumulate(np.concatenate([[-1], named]))[:-1] + 1
+    record = {
+        "points": packed_vectors(np.asarray(points_mm, dtype=np.float64)[used[order]]),
+        "corners": packed((unnamed - named).astype(np.int32)[:, None], differences=False),
+    }
+    return record, used[order]
+
+
+PLAYED = {"raw_force": "renderer's", "device_force": "played by the device"}
 FIRST = ("indentation_mm", "insertion_mm", "depth_mm")
 """Measures that the last chart shows at first, where there is one of them."""
 HIDDEN = ("tool_q", "device_q")
@@ -48,7 +130,7 @@ def columns(trace: Table) -> Record:
         "start_s": float(trace["time_s"][0]),
         "step_s": TICK_S,
         "columns": {name: packed_column(trace[name]) for name in kept},
-        "labels": {name: column_label(name) for name in kept if not name.startswith(HIDDEN)},
+        "labels": {name: field_words(name) for name in kept if not name.startswith(HIDDEN)},
         "layer": packed(layers),
         "layers": [[name, to_hex(colours[name])] for name in trace.layer_names],
     }
@@ -59,69 +141,41 @@ def charts(trace: Table, scene: Scene | None) -> list[Record]:
     and a chosen column.
     """
     small = bool(np.abs(trace.vectors("model_torque", "Nm")).max(initial=0.0) < SMALL_NM)
-    torque = ("torque", "torque / mN·m", 1e3) if small else ("torque", "torque / N·m", 1.0)
+    torque = ("torque", "Nm", *(("torque / mN·m", 1e3) if small else ("torque / N·m", 1.0)))
     drawn = []
-    for name, label, scale in (("force", "force / N", 1.0), torque):
-        unit = "N" if name == "force" else "Nm"
-        if name == "torque" and not trace.vectors("model_torque", "Nm").any():
+    for name, unit, label, scale in (("force", "N", "force / N", 1.0), torque):
+        if not trace.vectors(f"model_{name}", unit).any() and name == "torque":
             continue
-        lines = [
-            _line(f"model_{name}_{c}_{unit}", c, COMPONENTS[i], scale) for i, c in enumerate("xyz")
-        ]
-        pale = [
-            _line(f"{name}_{c}_{unit}", "", COMPONENTS[i], scale) | {"pale": True}
-            for i, c in enumerate("xyz")
-        ]
-        size = {
-            "of": [f"model_{name}_{c}_{unit}" for c in "xyz"],
-            "label": "magnitude",
-            "scale": scale,
-            "fill": True,
-        }
-        drawn.append({"label": label, "tall": name == "force", "lines": [size, *pale, *lines]})
+        model, commanded = (
+            [_line(f"{of}{name}_{c}_{unit}", c, COMPONENTS[i], scale) for i, c in enumerate("xyz")]
+            for of in ("model_", "")
+        )
+        pale = [line | {"label": "", "pale": True} for line in commanded]
+        magnitude = [line["of"][0] for line in model]
+        size = {"of": magnitude, "label": "magnitude", "scale": scale, "fill": True}
+        drawn.append({"label": label, "tall": name == "force", "lines": [size, *pale, *model]})
     if scene is not None and scene.device is not None:
         drawn.append(_device(trace))
     cuts = bool((trace["removed_mm3"] > 0.0).any())
     drawn.append(_one("removal_rate_mm3_s" if cuts else "contact_mm2"))
     drawn.append(_one("tool_z_mm") | {"label": "tip, z / mm", "layers": True})
-    names = [name for name in trace.columns if name.startswith(FIRST)] or [
-        "removed_mm3" if cuts else "contact_mm2"
-    ]
-    return [*drawn, _one(names[0]) | {"choose": names[0]}]
-
-
-def column_label(name: str) -> str:
-    """Return a column's words and unit: ``removed / mm³`` of ``removed_mm3``."""
-    words, unit = _split(name)
-    return f"{words.replace('_', ' ')}{f' / {unit}' if unit else ''}"
-
-
-def _split(name: str) -> tuple[str, str]:
-    known = UNITS | MORE_UNITS
-    for unit in sorted(known, key=len, reverse=True):
-        if name.endswith(f"_{unit}"):
-            return name.removesuffix(f"_{unit}"), known[unit]
-    return name, ""
+    usual = "removed_mm3" if cuts else "contact_mm2"
+    first = next((name for name in trace.columns if name.startswith(FIRST)), usual)
+    return [*drawn, _one(first) | {"choose": first}]
 
 
 def _device(trace: Table) -> Record:
     """Return the chart of the forces at the device."""
-    there = [name for name in PLAYED if f"{name}_x_N" in trace]
-    colours = dict(zip(PLAYED, (COMPONENTS[0], COMPONENTS[1]), strict=True))
-    lines: list[Record] = [
-        {
-            "of": [f"{name}_{c}_N" for c in "xyz"],
-            "label": LABELS[name],
-            "scale": 1.0,
-            "colour": colours[name],
-        }
-        for name in there
+    lines = [
+        _line("", label, colour, 1.0) | {"of": [f"{name}_{c}_N" for c in "xyz"]}
+        for (name, label), colour in zip(PLAYED.items(), COMPONENTS, strict=False)
+        if f"{name}_x_N" in trace
     ]
     return {"label": "at the device / N", "lines": lines}
 
 
 def _one(name: str) -> Record:
-    return {"label": column_label(name), "lines": [_line(name, "", "", 1.0)]}
+    return {"label": field_words(name), "lines": [_line(name, "", "", 1.0)]}
 
 
 def _line(column: str, label: str, colour: str, scale: float) -> dict[str, Any]:

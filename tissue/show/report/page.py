@@ -1,15 +1,15 @@
 """The text of a report as HTML: figures, bands, events, notes, materials, scene, versions."""
 
 from base64 import b64encode
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 from tissue.scene.used_constants import Used
-from tissue.show.report.band_text import band_lines
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.run_summary import Summary
 
 __all__ = [
+    "band_lines",
     "band_section",
     "events_table",
     "figures_of",
@@ -64,11 +64,11 @@ def figures_of(saved: SavedRun, text: Text) -> str:
         cards.append(
             ("ticks that took longer than 1 ms", f"{summary['missed_deadlines']} of {count}")
         )
-    return (
-        '<div class="cards">'
-        + "".join(_card(text(label), text(value)) for label, value in cards)
-        + "</div>"
+    shown = (
+        f'<div class="card"><span>{text(label)}</span><b>{text(value)}</b></div>'
+        for label, value in cards
     )
+    return f'<div class="cards">{"".join(shown)}</div>'
 
 
 def events_table(summary: Summary, text: Text) -> str:
@@ -142,11 +142,6 @@ def reproduce(scene_text: str, versions: Iterable[tuple[str, str]], text: Text) 
     )
 
 
-def _card(label: str, value: str) -> str:
-    """Return a card with a label and a value, both HTML already."""
-    return f'<div class="card"><span>{label}</span><b>{value}</b></div>'
-
-
 def _torque(torque_Nm: float) -> str:
     return f"{torque_Nm:.3g} N·m" if torque_Nm >= 0.02 else f"{1e3 * torque_Nm:.3g} mN·m"
 
@@ -155,16 +150,17 @@ def _table(
     header: Sequence[str], rows: Sequence[Sequence[str]], *, numbers: Sequence[int] = ()
 ) -> str:
     """Return a table of cells that are HTML already. Columns of numbers align to the right."""
-    look = [' class="number"' if column in numbers else "" for column in range(len(header))]
-    head = "".join(f"<th{look[column]}>{name}</th>" for column, name in enumerate(header))
-    body = "".join(
-        "<tr>"
-        + "".join(f"<td{look[column]}>{cell}</td>" for column, cell in enumerate(row))
-        + "</tr>"
-        for row in rows
-    )
-    headed = f"<thead><tr>{head}</tr></thead>" if any(header) else ""
-    return f'<div class="scroll"><table>{headed}<tbody>{body}</tbody></table></div>'
+
+    def line(cells: Sequence[str], element: str) -> str:
+        shown = ""
+        for column, cell in enumerate(cells):
+            look = ' class="number"' if column in numbers else ""
+            shown += f"<{element}{look}>{cell}</{element}>"
+        return f"<tr>{shown}</tr>"
+
+    head = f"<thead>{line(header, 'th')}</thead>" if any(header) else ""
+    body = "".join(line(row, "td") for row in rows)
+    return f'<div class="scroll"><table>{head}<tbody>{body}</tbody></table></div>'
 
 
 ROWS = (
@@ -175,51 +171,93 @@ ROWS = (
 )
 ENDS = ("p25", "p75"), ("p05", "p95")
 """Ends of the bands of 50 and 90 %."""
+BAND_PICTURES = {
+    "band": "loads over time with their bands",
+    "band_sobol": "which constant matters",
+}
 PICTURES = {"png": "image/png", "svg": "image/svg+xml"}
 """Formats that a page shows, with their types."""
 
 
-def band_section(saved: SavedRun, text: Callable[[str], str]) -> str:
-    """Return heading, table and pictures of a run's band, or an empty string without a band.
-
-    `text` converts a plain text to HTML.
-    """
+def band_section(saved: SavedRun, text: Text) -> str:
+    """Return heading, table and pictures of a run's band, or an empty string without a band."""
     band: dict[str, Any] | None = saved.summary.get("band")
     if band is None or not saved.complete:
         return ""
     rows = []
     for label, outer, inner, unit in ROWS:
         at = band[outer][inner]
+        spans = (f"{at[low]:.3g} to {at[high]:.3g}" for low, high in ENDS)
         value = saved.summary[outer].get(inner, 0.0)
-        cells = [
-            f"{value:.3g}",
-            f"{at['p50']:.3g}",
-            *(f"{at[low]:.3g} to {at[high]:.3g}" for low, high in ENDS),
-        ]
-        rows.append(
-            f"<tr><td>{label} / {unit}</td>"
-            + "".join(f"<td>{cell}</td>" for cell in cells)
-            + "</tr>"
-        )
-    head = "".join(f"<th>{name}</th>" for name in ("figure", "this run", "median", "50 %", "90 %"))
+        rows.append((f"{label} / {unit}", f"{value:.3g}", f"{at['p50']:.3g}", *spans))
     sentence = (
         f"{len(band['constants'])} constants in their ranges. The error of the model itself is "
         "not in it."
     )
     lines = "".join(f"<li>{text(line)}</li>" for line in band_lines(band))
-    table = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
+    table = _table(("figure", "this run", "median", "50 %", "90 %"), rows)
     return f"<h2>Bands</h2><p>{sentence}</p>{table}<ul>{lines}</ul>{_pictures(saved)}"
 
 
 def _pictures(saved: SavedRun) -> str:
     found = []
-    for name, words in (
-        ("band", "loads over time with their bands"),
-        ("band_sobol", "which constant matters"),
-    ):
+    for name in ("band", "band_sobol"):
         for ending, kind in PICTURES.items():
             path = saved.path / "pictures" / f"{name}.{ending}"
             if path.is_file():
                 data = b64encode(path.read_bytes()).decode()
-                found.append(f'<img src="data:{kind};base64,{data}" alt="{words}">')
+                found.append(f'<img src="data:{kind};base64,{data}" alt="{BAND_PICTURES[name]}">')
     return "".join(found)
+
+
+GREATEST = "greatest_"
+"""Beginning of the name of a figure that is the largest value of a column or a field."""
+
+
+def _band_text(band: Summary) -> str:
+    """Describe the method of a band and the most important constants for the peak force."""
+    asked = f", {band['asked']} asked for" if band["asked"] != band["samples"] else ""
+    totals = {name: index["total"] for name, index in band["sobol"].get("force_N.peak", {}).items()}
+    first = sorted(totals, key=lambda name: -totals[name])[:3]
+    shares = ", ".join(f"{name} {100.0 * totals[name]:.0f} %" for name in first)
+    matters = f"of the variance of the peak force: {shares or 'no Sobol indices'}"
+    return f"{band['samples']} samples{asked}; {band['how']}; {matters}"
+
+
+def band_lines(band: Summary) -> Iterator[str]:
+    """Yield sentences on a band: its samples, figures with 90 % intervals, and left-out samples."""
+    yield _band_text(band)
+    for name, ends in band.items():
+        if name.startswith(GREATEST):
+            quantity, _, unit = name.removeprefix(GREATEST).rpartition("_")
+            yield f"greatest {quantity.replace('_', ' ')}: 90 % {_between(ends)} {unit}"
+    for layer, ends in band.get("removed_mm3", {}).items():
+        if ends["p95"] > 0.0:
+            yield f"removed {layer}: 90 % {_between(ends)} mm³"
+    for structure, figures in band.get("keep_clear", {}).items():
+        yield f"least distance to {structure}: 90 % {_between(figures['least_distance_mm'])} mm"
+    for sentence, event in band.get("events", {}).items():
+        yield (
+            f"{sentence}: in {event['share']:.0%} of the samples, 90 % at "
+            f"{_between(event['time_s'])} s"
+        )
+    without = band.get("without", {})
+    for why in dict.fromkeys(without.values()):
+        names = ", ".join(name for name, reason in without.items() if reason == why)
+        yield f"without a band: {names}, {why}"
+    for name, why in band["problems"].items():
+        yield f"{name} failed and is left out: {why}"
+    if (span := band.get("span")) is not None and span["shortest_sample_s"] < span[
+        "run_ends_s"
+    ] - 0.5e-3:
+        yield (
+            f"samples end at different times, the first at {span['shortest_sample_s']:.3f} "
+            "s: loads have a band to "
+            f"{span['ends_s']:.3f} s, which {span['samples_at_end']} of {band['samples']} reach"
+        )
+
+
+def _between(ends: dict[str, float]) -> str:
+    low = f"{ends['p05']:.4g}"
+    high = f"{ends['p95']:.4g}"
+    return f"{low} to {high}" if low != high else f"{low}, the same to four digits"

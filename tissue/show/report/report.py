@@ -1,42 +1,35 @@
 """A saved run as one HTML file that needs no network."""
 
+from base64 import (b64encode)
+from collections.abc import (Callable)
+from contextlib import (nullcontext, suppress)
+from html import (escape)
+from importlib.metadata import (PackageNotFoundError, version)
+from importlib.resources import (files)
+from importlib.util import (find_spec)
+from io import (BytesIO)
+from meshes.base.errors import (InputError)
+from meshes.base.isolated_parser import (parse_isolated)
+from meshes.base.progress import (Progress, silent)
+from meshes.base.whole_file import (package_version, whole_file)
+from pathlib import (Path)
+from tissue.scene.texts import (folders_of)
+from tissue.scene.used_constants import (used_constants)
+from tissue.show.report.charts import (Record, charts, columns)
+from tissue.show.report.page import (band_section, events_table, figures_of, materials_table, notes_table, reproduce, status_of)
+from tissue.show.report.stage import (stage)
+from tissue.simulation.run_folder import (SavedRun, added_to_run)
+from tissue.simulation.saved_fields import (require_whole)
+from tissue.system.html import (html_page)
+from tissue.system.outputs import (require_new_file)
+from typing import (Any)
+from zipfile import (ZIP_DEFLATED, ZipFile)
 import json
 import re
-from base64 import b64encode
-from collections.abc import Callable
-from contextlib import nullcontext
-from html import escape
-from importlib.metadata import PackageNotFoundError, version
-from importlib.resources import files
-from importlib.util import find_spec
-from io import BytesIO
-from pathlib import Path
-from typing import Any
-from zipfile import ZIP_DEFLATED, ZipFile
 
-from meshes.base.errors import InputError
-from meshes.base.isolated_parser import parse_isolated
-from meshes.base.progress import Progress, silent
-from meshes.base.whole_file import package_version, whole_file
-from tissue.scene.texts import folders_of
-from tissue.scene.used_constants import used_constants
-from tissue.show.report.charts import charts, columns
-from tissue.show.report.page import (
-    band_section,
-    events_table,
-    figures_of,
-    materials_table,
-    notes_table,
-    reproduce,
-    status_of,
-)
-from tissue.show.report.stage import stage
-from tissue.simulation.run_folder import SavedRun, added_to_run
-from tissue.simulation.saved_fields import require_whole
-from tissue.system.html import html_page
-from tissue.system.outputs import require_new_file
+__all__ = ["NAME", "write_report"]
 
-__all__ = ["NAME", "empty_scene", "viewer_scripts", "write_report"]
+
 
 NAME = "report.html"
 """File in a run's folder."""
@@ -129,9 +122,7 @@ def _trace(saved: SavedRun) -> dict[str, object]:
     }
 
 
-def _html(
-    saved: SavedRun, data: dict[str, Any], viewer: tuple[list[str], list[str]], clean: Clean
-) -> str:
+def _html(saved: SavedRun, data: Record, viewer: tuple[list[str], list[str]], clean: Clean) -> str:
     """Return the whole file."""
     scene = saved.scene
     used = used_constants(scene, saved.summary.get("layers", ())) if scene is not None else []
@@ -201,7 +192,7 @@ def _cleaned(value: Any, clean: Clean) -> Any:
     return value
 
 
-def _data_element(data: dict[str, Any]) -> str:
+def _data_element(data: Record) -> str:
     """Return the element that holds the data as JSON. No text of the run can end it."""
     written = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     return f'<script type="application/json" id="report-data">{written}</script>'
@@ -254,12 +245,11 @@ def viewer_scripts() -> tuple[list[str], list[str]]:
         If trame-vtk is missing, or its version ships no such viewer (2.11.0 does not).
     """
     found = find_spec("trame_vtk")
-    file = (
-        None
-        if found is None or found.origin is None
-        else Path(found.origin).parent / "tools" / "static_viewer.html"
-    )
-    text = file.read_text("utf-8") if file is not None and file.is_file() else ""
+    text = ""
+    if found is not None and found.origin is not None:
+        with suppress(FileNotFoundError):
+            file = Path(found.origin).parent / "tools" / "static_viewer.html"
+            text = file.read_text("utf-8")
     if "OfflineLocalView" not in text:
         raise InputError(
             "report", "have the vtk.js viewer of trame-vtk", "none", "pip install -U trame-vtk"
@@ -278,69 +268,12 @@ def empty_scene(parts: int) -> str:
 
     The browser's script gives them their points: vtk.js makes objects only from such a scene.
     """
-    actors = [_actor(index) for index in range(parts)]
-    camera = {"id": "camera", "type": "vtkCamera", "properties": {}}
-    renderer = {
-        "id": "renderer",
-        "type": "vtkRenderer",
-        "properties": {"background": [1.0, 1.0, 1.0]},
-        "dependencies": [camera, *actors],
-        "calls": [
-            ["setActiveCamera", ["instance:${camera}"]],
-            *(["addViewProp", [f"instance:${{{actor['id']}}}"]] for actor in actors),
-        ],
-    }
-    window = {
-        "id": "window",
-        "type": "vtkRenderWindow",
-        "mtime": 1,
-        "properties": {},
-        "dependencies": [renderer],
-        "calls": [["addRenderer", ["instance:${renderer}"]]],
-    }
-    content = {
-        name: {"content": b64encode(bytes(12)).decode()} for name in ("Uint8Array", "Float32Array")
-    }
+    record = json.loads(_own("scene.json"))
+    (renderer,) = record["scene"]["dependencies"]
+    for index in range(parts):
+        renderer["dependencies"].append(json.loads(_own("actor.json").replace("INDEX", str(index))))
+        renderer["calls"].append(["addViewProp", [f"instance:${{actor{index}}}"]])
     kept = BytesIO()
     with ZipFile(kept, "w", ZIP_DEFLATED) as archive:
-        archive.writestr("index.json", json.dumps({"scene": window, "hashes": content}))
+        archive.writestr("index.json", json.dumps(record))
     return b64encode(kept.getvalue()).decode("ascii")
-
-
-def _actor(index: int) -> dict[str, object]:
-    arrays = (
-        ("pointData", "setScalars", "Uint8Array"),
-        ("cellData", "setScalars", "Uint8Array"),
-        ("pointData", "setNormals", "Float32Array"),
-    )
-    fields = [
-        {
-            "name": f"{location} {setter}",
-            "hash": kind,
-            "vtkClass": "vtkDataArray",
-            "dataType": kind,
-            "numberOfComponents": 3,
-            "location": location,
-            "registration": setter,
-        }
-        for location, setter, kind in arrays
-    ]
-    data = {"id": f"data{index}", "type": "vtkPolyData", "properties": {"fields": fields}}
-    mapper = {
-        "id": f"mapper{index}",
-        "type": "vtkMapper",
-        "properties": {},
-        "dependencies": [data],
-        "calls": [["setInputData", [f"instance:${{data{index}}}"]]],
-    }
-    property_ = {"id": f"property{index}", "type": "vtkProperty", "properties": {}}
-    return {
-        "id": f"actor{index}",
-        "type": "vtkActor",
-        "properties": {},
-        "dependencies": [mapper, property_],
-        "calls": [
-            ["setMapper", [f"instance:${{mapper{index}}}"]],
-            ["setProperty", [f"instance:${{property{index}}}"]],
-        ],
-    }

@@ -1,7 +1,7 @@
 """The 3D view of a report: bone or organ over time, tool, force and colour scales."""
 
 from base64 import b64encode
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,14 +12,14 @@ from matplotlib import colormaps
 from matplotlib.colors import to_hex
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Probe
-from tissue.show.figures.faces import faces_of
 from tissue.show.figures.figure import BONE, COMPONENTS, DEPTH_COLOURS, field_colours, layer_colours
 from tissue.show.figures.organ_surface import with_normals
-from tissue.show.figures.tool_mesh import tool_turns, turning_tool
-from tissue.show.report.packing import Record, packed, packed_mesh, packed_shares, packed_vectors
+from tissue.show.figures.tool_mesh import faces_of, tool_turns, turning_tool
+from tissue.show.report.charts import Record, packed, packed_mesh, packed_shares, packed_vectors
 from tissue.show.viewer.saved_surfaces import bone_of, cut_plane, saved_fields, tool_force
 from tissue.simulation.run_folder import SavedRun, saved_placement
 from tissue.simulation.saved_fields import SavedFields, field_label, field_values
@@ -29,15 +29,7 @@ from tissue.simulation.vtk_files import mesh_in_scene
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = [
-    "Shown",
-    "bone_shown",
-    "depth_scale",
-    "field_scale",
-    "fields_shown",
-    "layer_scale",
-    "stage",
-]
+__all__ = ["stage"]
 
 TOOL, DEVICE, PATH, FORCE = "#808080", "#D55E00", "#D55E00", COMPONENTS[0]
 MOST_POSES = 6000
@@ -64,7 +56,7 @@ class Shown:
     def __init__(self) -> None:
         self.parts: list[Record] = []
         self.scales: list[Record] = []
-        self.points_mm: NDArray[np.float64] = np.zeros((0, 3))
+        self.points_mm: Array = np.zeros((0, 3))
 
     def see(self, points: Any) -> None:
         """Add both corners of the box around points [mm] to the points that must be in view."""
@@ -113,7 +105,7 @@ def stage(saved: SavedRun) -> Record:
     return {**record, "bounds": {name: _ends(points) for name, points in seen.items()}}
 
 
-def _ends(points_mm: NDArray[np.float64]) -> list[list[float]]:
+def _ends(points_mm: Array) -> list[list[float]]:
     """Return the lowest and highest corner around points."""
     if not len(points_mm):
         return [[-1.0] * 3, [1.0] * 3]
@@ -127,42 +119,30 @@ def _add_tool(
     import pyvista
 
     tips = trace.vectors("tool", "mm")
-    every = max(-(-len(tips) // MOST_POSES), 1)
-    rows = np.unique(np.append(np.arange(0, len(tips), every), len(tips) - 1))
-    turns = tool_turns(trace)
+    rows = np.unique(np.linspace(0, len(tips) - 1, MOST_POSES).astype(int))
     surface = turning_tool(scene.tool if scene is not None else None)
     poses = {
         "rows": rows.tolist(),
         "tool": packed_vectors(tips[rows]),
-        "turns": packed_vectors(turns[rows]),
+        "turns": packed_vectors(tool_turns(trace)[rows]),
     }
+    followers: list[tuple[str, Any, str, float, str]] = []
     if "device_x_mm" in trace and scene is not None:
         device = tips[0] + scene.motion_scale * (trace.vectors("device", "mm") - tips[0])
         poses["device"] = packed_vectors(device[rows])
-        if surface is not None:
-            record["parts"].append(
-                {
-                    **_still(surface),
-                    "follows": "device",
-                    "colour": DEVICE,
-                    "opacity": 0.25,
-                    "label": "device",
-                }
-            )
-    if surface is not None:
-        record["parts"].append(
-            {**_still(surface), "follows": "tool", "colour": TOOL, "opacity": 0.5, "label": "tool"}
-        )
+        followers.append(("device", surface, DEVICE, 0.25, "device"))
+    arrow = pyvista.Arrow(shaft_radius=0.025, tip_radius=0.06, tip_length=0.18).triangulate()
+    followers.append(("tool", surface, TOOL, 0.5, "tool"))
+    followers.append(("force", arrow, FORCE, 1.0, "force on the tool"))
+    for follows, shape, colour, opacity, label in followers:
+        if shape is not None:
+            look = {"follows": follows, "colour": colour, "opacity": opacity, "label": label}
+            record["parts"].append({**_still(shape), **look})
     path = tips[np.unique(np.linspace(0, len(tips) - 1, MOST_POINTS).astype(int))]
     around.see(path)
+    line = {"line": packed_vectors(path), "colour": PATH, "label": "path of the tip"}
+    record["parts"].append(line)
     longest = LONGEST * max(size_mm, 1.0)
-    record["parts"].append(
-        {"line": packed_vectors(path), "colour": PATH, "label": "path of the tip"}
-    )
-    arrow = pyvista.Arrow(shaft_radius=0.025, tip_radius=0.06, tip_length=0.18).triangulate()
-    record["parts"].append(
-        {**_still(arrow), "follows": "force", "colour": FORCE, "label": "force on the tool"}
-    )
     force = tool_force(trace)
     row = int(np.linalg.norm(force, axis=1).argmax())
     greatest = float(np.linalg.norm(force[row]))
@@ -264,25 +244,17 @@ def _entries(index: Path) -> list[tuple[float, int, str]]:
     raise InputError("carving.pvd", "be a ParaView collection", index, "run the scene again")
 
 
-def _moments_of_bone(moments: Iterable[tuple[float, Any]], deepest_mm: float) -> Record:
-    times: list[float] = []
+def _moments_of_bone(moments: Sequence[tuple[float, Any]], deepest_mm: float) -> Record:
     meshes: list[Record] = []
     frames: list[Record] = []
-    for time_s, surface in moments:
+    for _, surface in moments:
         triangles = surface.regular_faces if surface.n_cells else np.zeros((0, 3), dtype=int)
         mesh, order = packed_mesh(surface.points, triangles)
-        times.append(time_s)
-        frames.append(
-            {
-                "mesh": len(meshes),
-                "depth": packed_shares(
-                    np.asarray(surface.point_data["removed_depth_mm"])[order] / deepest_mm
-                ),
-                "layer": packed(np.asarray(surface.cell_data["layer"], dtype=np.uint8)),
-            }
-        )
+        depth = np.asarray(surface.point_data["removed_depth_mm"])[order] / deepest_mm
+        layer = np.asarray(surface.cell_data["layer"], dtype=np.uint8)
+        frames.append({"mesh": len(meshes), "depth": packed_shares(depth), "layer": packed(layer)})
         meshes.append(mesh)
-    return {"times": times, "meshes": meshes, "frames": frames}
+    return {"times": [time_s for time_s, _ in moments], "meshes": meshes, "frames": frames}
 
 
 def fields_shown(fields: SavedFields, plane: tuple[Any, Any]) -> Shown:
@@ -302,26 +274,22 @@ def fields_shown(fields: SavedFields, plane: tuple[Any, Any]) -> Shown:
         )
     normal, origin = plane
     for is_open in (False, True):
-        part = (
-            (lambda mesh: mesh.clip(normal=normal, origin=origin))
-            if is_open
-            else (lambda mesh: mesh)
-        )
+        meshes = [
+            frame.clip(normal=normal, origin=origin) if is_open else frame
+            for frame in fields.frames
+        ]
         shown.parts.append(
-            {"group": "field", "open": is_open, "blend": True, **_moments_of_fields(fields, part)}
+            {"group": "field", "open": is_open, "blend": True, **_moments_of_fields(fields, meshes)}
         )
     shown.see(first.points)
     return shown
 
 
-def _moments_of_fields(fields: SavedFields, part: "Callable[[Any], pyvista.DataSet]") -> Record:
+def _moments_of_fields(fields: SavedFields, parts: Sequence[Any]) -> Record:
     """Return the surfaces of all frames. Consecutive frames with the same triangles share a
     mesh.
     """
-    surfaces = [
-        part(frame).extract_surface(algorithm="dataset_surface").triangulate()
-        for frame in fields.frames
-    ]
+    surfaces = [part.extract_surface(algorithm="dataset_surface").triangulate() for part in parts]
     moved = [fields.moved_mm(surface) for surface in surfaces]
     meshes: list[Record] = []
     frames: list[Record] = []
@@ -346,7 +314,7 @@ def _moments_of_fields(fields: SavedFields, part: "Callable[[Any], pyvista.DataS
     return {"times": fields.times_s.tolist(), "meshes": meshes, "frames": frames}
 
 
-def _shares(values: NDArray[Any], limits: tuple[float, float]) -> NDArray[np.float64]:
+def _shares(values: NDArray[Any], limits: tuple[float, float]) -> Array:
     """Return the place of values on their scale, logarithmic where it begins above 0."""
     low, high = limits
     values = np.asarray(values, dtype=np.float64)
@@ -371,13 +339,13 @@ def depth_scale(deepest_mm: float) -> Record:
     """Return the scale of removed depth. Uncut bone has a separate colour."""
     colours = _colours(DEPTH_COLOURS)
     colours[: round(UNCUT * len(colours))] = np.array(BONE)
-    return _scale("removed depth", "mm", "depth", (0.0, deepest_mm), colours)
+    return _scale("removed depth", "mm", "depth", colours) | _ends_of_scale(0.0, deepest_mm)
 
 
 def field_scale(name: str, limits: tuple[float, float]) -> Record:
     """Return the scale of a field over the whole run, logarithmic where it begins above 0."""
-    words, unit = field_label(name)
-    return _scale(words, unit, name, limits, _colours(field_colours(*limits)))
+    colours = _colours(field_colours(*limits))
+    return _scale(*field_label(name), name, colours) | _ends_of_scale(*limits)
 
 
 def layer_scale(names: Sequence[str], shown: Sequence[int]) -> Record:
@@ -386,27 +354,18 @@ def layer_scale(names: Sequence[str], shown: Sequence[int]) -> Record:
     table = np.zeros((256, 3))
     table[: len(names)] = np.array([colours[name] for name in names])
     legend = [[names[index], to_hex(colours[names[index]])] for index in shown]
-    return {
-        "label": "layer",
-        "unit": "",
-        "array": "layer",
-        "names": legend,
-        "colours": _table(table),
-    }
+    return _scale("layer", "", "layer", table) | {"names": legend}
 
 
-def _scale(
-    label: str, unit: str, array: str, limits: tuple[float, float], colours: NDArray[np.float64]
-) -> Record:
-    """Return the record of a scale of numbers."""
-    low, high = limits
-    ends = {"low": low, "high": high, "logarithmic": low > 0.0}
-    return {"label": label, "unit": unit, "array": array, **ends, "colours": _table(colours)}
+def _scale(label: str, unit: str, array: str, colours: Array) -> Record:
+    """Return the record of a scale: its words, and its colours as bytes."""
+    table = b64encode(np.rint(255 * colours).astype(np.uint8).tobytes()).decode("ascii")
+    return {"label": label, "unit": unit, "array": array, "colours": table}
 
 
-def _colours(name: str) -> NDArray[np.float64]:
+def _ends_of_scale(low: float, high: float) -> Record:
+    return {"low": low, "high": high, "logarithmic": low > 0.0}
+
+
+def _colours(name: str) -> Array:
     return np.array(colormaps[name](np.linspace(0.0, 1.0, 256)))[:, :3]
-
-
-def _table(colours: NDArray[np.float64]) -> str:
-    return b64encode(np.rint(255 * colours).astype(np.uint8).tobytes()).decode("ascii")

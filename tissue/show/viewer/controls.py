@@ -7,17 +7,25 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from tissue.show.viewer.fields import REFERENCE, FieldsShown, interpolated
-from tissue.show.viewer.plotter import Plotter, add_slider, add_text, picked
+from tissue.show.viewer.plotter import Plotter, add_slider, add_text, in_words, picked
 from tissue.show.viewer.saved_surfaces import Plane
 from tissue.simulation.saved_fields import field_label
 
 if TYPE_CHECKING:
     from vtkmodules.vtkInteractionWidgets import vtkImplicitPlaneWidget
 
-__all__ = ["HELP", "ClipPlane", "LayerKeys", "NameList", "Playback", "PointRead"]
+__all__ = [
+    "HELP",
+    "ClipPlane",
+    "LayerKeys",
+    "NameList",
+    "Playback",
+    "PlaybackWidgets",
+    "PointRead",
+]
 
 MOST = 9
 """Layers that have a key."""
@@ -56,9 +64,11 @@ class LayerKeys:
         self._plotter = plotter
         self._hide = hide
         self.hidden: frozenset[str] = frozenset()
+        self.help = ""
         keys = dict(enumerate(names[:MOST], 1)) if len(names) > 1 else {}
-        listed = "  ".join(f"{number}: {name}" for number, name in keys.items())
-        self.help = f"{listed} on or off" if keys else ""
+        if keys:
+            listed = "  ".join(f"{number}: {name}" for number, name in keys.items())
+            self.help = f"{listed} on or off"
         for number, name in keys.items():
             plotter.add_key_event(str(number), lambda name=name: self.toggle(name))
         if hidden:
@@ -112,7 +122,7 @@ class ClipPlane:
 
     def move(self, normal: Sequence[float], origin: Sequence[float]) -> None:
         """Bring the plane elsewhere."""
-        (a, b, c), (x, y, z) = np.array((normal, origin)).tolist()
+        a, b, c, x, y, z = map(float, (*normal, *origin))
         self._plane = (a, b, c), (x, y, z)
         if self._on:
             self._fields.cut(self._plane)
@@ -120,8 +130,7 @@ class ClipPlane:
     def push(self, share: float) -> None:
         """Move the plane along its normal, by a share of the mesh's diagonal."""
         normal, origin = self._plane
-        size = np.linalg.norm(np.diff(np.reshape(self._fields.bounds_mm, (3, 2)), axis=1))
-        moved = np.add(origin, share * size * np.array(normal)).tolist()
+        moved = np.add(origin, share * self._fields.size_mm * np.array(normal)).tolist()
         if self._widget is not None:
             self._widget.SetOrigin(*moved)
         self.move(normal, moved)
@@ -180,7 +189,7 @@ class PointRead:
 
         self._plotter = plotter
         self._fields = fields
-        self.reference_mm: NDArray[np.float64] | None = None
+        self.reference_mm: Array | None = None
         self.text = ""
         self._mark = plotter.add_mesh(
             pyvista.Sphere(radius=0.5 * size_mm),
@@ -213,15 +222,14 @@ class PointRead:
             self.text = "the marked point is gone" if self._fields.name is not None else ""
         else:
             self._mark.SetPosition(*found.place_mm)
-            at = ", ".join(f"{value:.2f}" for value in self.reference_mm.round(2) + 0.0)
+            at = in_words(self.reference_mm)
             lines = [f"{found.layer or 'point'} at ({at}) mm before loading"]
-            self.text = "\n".join(
-                [*lines, *(_line(name, value) for name, value in found.values.items())]
-            )
+            lines += [_line(name, value) for name, value in found.values.items()]
+            self.text = "\n".join(lines)
         self._words.input = self.text
 
 
-def _line(name: str, value: NDArray[np.float64]) -> str:
+def _line(name: str, value: Array) -> str:
     """Return a field's value in words."""
     words, unit = field_label(name)
     if value.ndim == 0:
@@ -283,6 +291,8 @@ class NameList:
 
 EVERY_MS = 40
 PLAY_KEY = "space"
+SLOWEST_S = 4.0
+"""Duration below which a run is played slower, so that it lasts this time [s]."""
 
 
 class Playback:
@@ -290,54 +300,81 @@ class Playback:
 
     Parameters
     ----------
-    plotter
-        The window.
-    show
-        Called with the moment [s].
     span_s
         First and last moment [s].
-    begin_s
+    time_s
         Moment that is shown at first [s].
-    slider
-        Ends of the slider in shares of the window, left, right and height.
-    slowest_s
-        Duration below which a run is played slower, so that it lasts this time [s].
 
     Attributes
     ----------
-    span_s
-        First and last moment [s].
     time_s
         Shown moment [s].
     playing
         True if the moment moves automatically.
     """
 
+    def __init__(self, span_s: tuple[float, float], time_s: float) -> None:
+        self.span_s = span_s
+        self.time_s = time_s
+        self.playing = False
+        self._rate = min((span_s[1] - span_s[0]) / SLOWEST_S, 1.0)
+        self._before_s = 0.0
+
+    def play(self, playing: bool) -> None:
+        """Play or pause. At the end, play from the start."""
+        self.playing = playing
+        self._before_s = perf_counter()
+        if playing and self.time_s >= self.span_s[1]:
+            self.time_s = self.span_s[0]
+
+    def advance(self) -> bool:
+        """Move on by the time that has passed, if it plays; return whether it plays."""
+        if not self.playing:
+            return False
+        now_s = perf_counter()
+        passed_s = self._rate * (now_s - self._before_s)
+        self._before_s = now_s
+        self.time_s = min(self.time_s + passed_s, self.span_s[1])
+        self.playing = self.time_s < self.span_s[1]
+        return True
+
+
+class PlaybackWidgets:
+    """Slider, button and key of the shown moment in a window.
+
+    Parameters
+    ----------
+    plotter
+        The window.
+    playback
+        Shown moment.
+    show
+        Called with the moment [s].
+    slider
+        Ends of the slider in shares of the window, left, right and height.
+    """
+
     def __init__(
         self,
         plotter: Plotter,
+        playback: Playback,
         show: Callable[[float], None],
         *,
-        span_s: tuple[float, float],
-        begin_s: float,
         slider: tuple[float, float, float],
-        slowest_s: float = 4.0,
     ) -> None:
         self._plotter = plotter
+        self._playback = playback
         self._show = show
-        self.span_s = span_s
-        self._rate = min((span_s[1] - span_s[0]) / slowest_s, 1.0)
-        self.time_s = begin_s
-        self.playing = False
-        self._shown_s = 0.0
         self._mark_button: Callable[[int], None] = lambda playing: None
-        self._slider = add_slider(plotter, self._drag, span_s, begin_s, place=slider, fmt="%.3f s")
+        self._slider = add_slider(
+            plotter, self._drag, playback.span_s, playback.time_s, place=slider, fmt="%.3f s"
+        )
 
     def start(self) -> None:
         """Bind the key, add the button and start the clock of a window that is about to open."""
         plotter = self._plotter
         button = plotter.add_checkbox_button_widget(
-            self._press,
+            lambda pressed: self.play(bool(pressed)),
             position=(14.0, 282.0),
             size=28,
             border_size=3,
@@ -346,42 +383,29 @@ class Playback:
         )
         self._mark_button = button.GetRepresentation().SetState
         add_text(plotter, "play", (0.035, 0.298))
-        plotter.add_key_event(PLAY_KEY, self.switch)
-        plotter.iren.add_observer("TimerEvent", lambda *_: self.tick(perf_counter()))
+        plotter.add_key_event(PLAY_KEY, lambda: self.play(not self._playback.playing))
+        plotter.iren.add_observer("TimerEvent", lambda *_: self._tick())
         plotter.iren.initialize()
         plotter.iren.interactor.CreateRepeatingTimer(EVERY_MS)
 
-    def switch(self) -> None:
-        """Play or pause. At the end, play from the start."""
-        self.playing = not self.playing
-        if self.playing:
-            self._shown_s = perf_counter()
-            if self.time_s >= self.span_s[1]:
-                self.to(self.span_s[0])
-        self._mark_button(int(self.playing))
-        self._plotter.render()
-
-    def tick(self, now_s: float) -> None:
-        """Move on by the time that has passed since the last tick, if it plays."""
-        if not self.playing:
-            return
-        passed = now_s - self._shown_s
-        self._shown_s = now_s
-        self.to(min(self.time_s + self._rate * passed, self.span_s[1]))
-        if self.time_s >= self.span_s[1]:
-            self.switch()
+    def play(self, playing: bool) -> None:
+        """Play or pause."""
+        self._playback.play(playing)
+        self._mark_button(int(playing))
+        self.to(self._playback.time_s)
 
     def to(self, time_s: float) -> None:
         """Move to a moment."""
-        self.time_s = time_s
+        self._playback.time_s = time_s
         self._slider.GetRepresentation().SetValue(time_s)
         self._show(time_s)
         self._plotter.render()
 
-    def _drag(self, time_s: float) -> None:
-        self.time_s = time_s
-        self._show(time_s)
+    def _tick(self) -> None:
+        if self._playback.advance():
+            self._mark_button(int(self._playback.playing))
+            self.to(self._playback.time_s)
 
-    def _press(self, pressed: bool) -> None:
-        if bool(pressed) != self.playing:
-            self.switch()
+    def _drag(self, time_s: float) -> None:
+        self._playback.time_s = time_s
+        self._show(time_s)

@@ -1,25 +1,31 @@
-"""The fields in the window of `tissue view`: the deformed mesh of the moment, cut open where the
-clip plane lies.
+"""Tissue in the window of `tissue view`: the deformed mesh of the moment with its fields, and the
+bone by layer or by removed depth.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tissue.show.figures.figure import field_colours
+from meshes.base.arrays import Array
+from tissue.show.figures.figure import (
+    BONE,
+    DEPTH_COLOURS,
+    field_colours,
+    field_words,
+    layer_colours,
+)
 from tissue.show.figures.organ_surface import SHOWN as DRAWN
 from tissue.show.figures.organ_surface import at_nodes, drawn_surface
 from tissue.show.viewer.plotter import Plotter, add_colour_scale
-from tissue.show.viewer.saved_surfaces import Plane
-from tissue.simulation.saved_fields import SavedFields, field_label, field_values
+from tissue.show.viewer.saved_surfaces import BoneOverTime, Plane
+from tissue.simulation.saved_fields import SavedFields, field_values
 
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["REFERENCE", "FieldsShown", "PointValues", "interpolated"]
+__all__ = ["REFERENCE", "BoneShown", "FieldsShown", "interpolated", "layer_look"]
 
 TETRAHEDRON = 10
 """VTK's number of the cell."""
@@ -46,8 +52,8 @@ class PointValues:
         Layer of the point. Empty without layers.
     """
 
-    place_mm: NDArray[np.float64]
-    values: dict[str, NDArray[np.float64]]
+    place_mm: Array
+    values: dict[str, Array]
     layer: str
 
 
@@ -106,6 +112,11 @@ class FieldsShown:
         """Ends of the box around the first frame, x, y, z, low and high each [mm]."""
         return tuple(self._fields.frames[0].bounds)
 
+    @property
+    def size_mm(self) -> float:
+        """Diagonal of this box [mm]."""
+        return self._fields.size_mm
+
     def show(self, name: str | None) -> None:
         """Show a field, or none."""
         self.name = name
@@ -131,7 +142,7 @@ class FieldsShown:
         self._hidden = hidden
         self._draw()
 
-    def read(self, reference_mm: NDArray[np.float64]) -> PointValues | None:
+    def read(self, reference_mm: Array) -> PointValues | None:
         """Return the values at a point of the material, or None if no cell is left.
 
         The point is given before loading [mm].
@@ -139,14 +150,12 @@ class FieldsShown:
         mesh, _ = self._fields.at(self._time_s)
         if not mesh.n_cells:
             return None
-        found: object = mesh.find_closest_cell(reference_mm, return_closest_point=True)
-        assert isinstance(found, tuple)
-        index, closest = found
+        found: Any = mesh.find_closest_cell(reference_mm, return_closest_point=True)
+        cell, closest = found
         if np.linalg.norm(closest - reference_mm) > 1e-3 * self._fields.size_mm:
             return None
-        cell = int(index)
         layers = self._fields.layer_names
-        values: dict[str, NDArray[np.float64]] = {}
+        values: dict[str, Array] = {}
         for name in self._fields.names:
             if name in mesh.cell_data:
                 values[name] = np.asarray(mesh.cell_data[name][cell])
@@ -157,26 +166,19 @@ class FieldsShown:
         return PointValues(reference_mm + self.scale * moved, values, layer)
 
     def _draw(self) -> None:
-        key = (self.name, self.scale, self.clip, self._hidden)
-        if self.name is None:
-            if self.actor is not None:
-                self._clear()
-        else:
-            mesh, shown_s = self._fields.at(self._time_s)
-            if (*key, shown_s) == self._last:
-                return
-            self._clear()
-            self._last = (*key, shown_s)
-            self._add(mesh, shown_s, self.name)
-        for call in self.drawn:
-            call()
-
-    def _clear(self) -> None:
+        mesh, shown_s = self._fields.at(self._time_s)
+        key = (self.name, self.scale, self.clip, self._hidden, shown_s)
+        if key == self._last:
+            return
+        self._last = key
         self._plotter.remove_actor("field", reset_camera=False, render=False)
         if self._title in self._plotter.scalar_bars:
             self._plotter.remove_scalar_bar(self._title, render=False)
         self.actor = None
-        self._last = None
+        if self.name is not None:
+            self._add(mesh, shown_s, self.name)
+        for call in self.drawn:
+            call()
 
     def _part(self, mesh: "pyvista.DataSet") -> "pyvista.DataSet":
         """Return the deformed mesh without hidden layers, cut at the clip plane."""
@@ -233,23 +235,162 @@ class FieldsShown:
             reset_camera=False,
             render=False,
         )
-        words, unit = field_label(name)
-        self._title = f"{words}{f' / {unit}' if unit else ''}\nat {shown_s:.3f} s"
+        self._title = f"{field_words(name)}\nat {shown_s:.3f} s"
         if self.scale != 1.0 and self._fields.displacement is not None:
             self._title += f"\ndrawn × {self.scale:.3g}"
         add_colour_scale(self._plotter, self._title, self.actor.mapper, bottom=0.42, fmt="%.2g")
 
 
-def interpolated(
-    mesh: "pyvista.DataSet", cell: int, place_mm: NDArray[np.float64], name: str
-) -> NDArray[np.float64]:
+def interpolated(mesh: "pyvista.DataSet", cell: int, place_mm: Array, name: str) -> Array:
     """Interpolate a point array in one cell of a mesh by the cell's own shape functions."""
     from vtkmodules.vtkCommonCore import reference
 
     one = mesh.GetCell(cell)
     nodes = [one.GetPointId(i) for i in range(one.GetNumberOfPoints())]
     shares = [0.0] * len(nodes)
-    one.EvaluatePosition(
-        list(map(float, place_mm)), [0.0] * 3, reference(0), [0.0] * 3, reference(0.0), shares
-    )
+    unused = [0.0] * 3
+    one.EvaluatePosition(place_mm.tolist(), unused, reference(0), unused, reference(0.0), shares)
     return np.asarray(np.array(shares) @ np.asarray(mesh.point_data[name], dtype=np.float64)[nodes])
+
+
+DEPTH = "removed_depth_mm"
+DEPTH_TITLE = "removed depth / mm"
+SHADING = {
+    "smooth_shading": False,
+    "interpolation": "Phong",
+    "ambient": 0.15,
+    "specular": 0.1,
+    "show_scalar_bar": False,
+    "reset_camera": False,
+    "render": False,
+}
+
+
+def layer_look(names: tuple[str, ...]) -> dict[str, object]:
+    """Return the options with which a plotter shows a surface by layer."""
+    from matplotlib.colors import ListedColormap
+
+    colours = ListedColormap(list(layer_colours(names).values()))
+    limits = (-0.5, len(names) - 0.5)
+    return {"scalars": "layer", "preference": "cell", "cmap": colours, "clim": limits, **SHADING}
+
+
+class BoneShown:
+    """Bone in a plotter.
+
+    Parameters
+    ----------
+    plotter
+        Plotter of the bone. The key c is bound in it.
+    bone
+        The bone over time.
+    legend
+        If true, a legend of the layers and their colours is shown.
+
+    Attributes
+    ----------
+    layers
+        Layers that can be switched, by name.
+    help
+        Description of its key. Empty without a key.
+    points_mm
+        Points of its surface when it was made [mm], shape (n, 3).
+    colours
+        Colours of all layers by name, red, green and blue, 0 to 1.
+    by_depth
+        True if the bone is coloured by removed depth, not by layer.
+    is_cut
+        True if any bone was removed.
+    """
+
+    def __init__(self, plotter: Plotter, bone: BoneOverTime, *, legend: bool = True) -> None:
+        self._plotter = plotter
+        self._bone = bone
+        self._legend = legend
+        names = self._names = bone.layer_names
+        self.colours = layer_colours(names)
+        self._index = {names[i]: i for i in bone.layers}
+        self.layers = list(self._index)
+        self._hidden: frozenset[str] = frozenset()
+        self._limit = max(bone.deepest_mm, 1e-3)
+        self.is_cut = bone.deepest_mm > 0.0
+        self.by_depth = self.is_cut
+        self._visible = True
+        self.help = "c: removed depth or layer" if self.is_cut else ""
+        if self.is_cut:
+            plotter.add_key_event("c", self.change)
+        self._parts: dict[str, pyvista.PolyData] = {}
+        self._take()
+        self.points_mm = np.vstack([np.asarray(part.points) for part in self._parts.values()])
+        self._draw()
+
+    def at(self, tick: int) -> None:
+        """Show the bone at the end of a tick."""
+        if self._bone.at(tick):
+            self._take(rest=False)
+            if self._visible:
+                self._draw_part("bone")
+
+    def _take(self, *, rest: bool = True) -> None:
+        """Update the surfaces of the shown layers, and the remaining surface if requested."""
+        shown = [index for name, index in self._index.items() if name not in self._hidden]
+        self._parts["bone"] = self._bone.cut(shown)
+        if rest:
+            self._parts["bone beyond the cut"] = self._bone.rest(shown)
+
+    def change(self) -> None:
+        """Change between removed depth and layer."""
+        self.by_depth = not self.by_depth
+        self._draw()
+        self._plotter.render()
+
+    def hide(self, hidden: frozenset[str]) -> None:
+        """Leave out some layers, and colour the bone by layer."""
+        self._hidden = hidden
+        self.by_depth = False
+        self._take()
+        self._draw()
+
+    def show(self, visible: bool) -> None:
+        """Show the bone or hide it."""
+        self._visible = visible
+        self._draw()
+
+    def _draw(self) -> None:
+        """Bring all that is shown up to date."""
+        plotter = self._plotter
+        plotter.remove_legend(render=False)
+        if DEPTH_TITLE in plotter.scalar_bars:
+            plotter.remove_scalar_bar(DEPTH_TITLE, render=False)
+        actors = [self._draw_part(name) for name in self._parts]
+        shown = [actor for actor in actors if actor is not None]
+        if self.by_depth and shown:
+            add_colour_scale(
+                plotter, DEPTH_TITLE, shown[0].mapper, bottom=0.45, fmt="%.2f", below_label=""
+            )
+        elif self._visible and self._legend and not self.by_depth:
+            # Layers and their colours; one that is off is pale.
+            entries = [
+                [name, "lightgray" if name in self._hidden else self.colours[name]]
+                for name in self.layers
+            ]
+            plotter.add_legend(
+                entries,
+                bcolor=None,
+                face="rectangle",
+                size=(0.14, 0.03 * len(entries) + 0.01),
+                loc="upper right",
+            )
+
+    def _draw_part(self, name: str) -> "pyvista.Actor | None":
+        """Draw one of the surfaces again; return its actor, or None if there is nothing to show."""
+        self._plotter.remove_actor(name, reset_camera=False, render=False)
+        part = self._parts[name].copy(deep=False)
+        if not self._visible or not part.n_cells:
+            return None
+        look = layer_look(self._names)
+        if self.by_depth:
+            limits = (0.02 * self._limit, self._limit)
+            look = {"scalars": DEPTH, "cmap": DEPTH_COLOURS, "clim": limits, **SHADING}
+            look["below_color"] = BONE
+        return self._plotter.add_mesh(part, name=name, **look)

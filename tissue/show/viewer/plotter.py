@@ -1,10 +1,14 @@
-"""Basics of every 3D view: text, colour scale, keys, clicks and camera."""
+"""Basics of every 3D view: its process, text, colour scale, keys, clicks and camera."""
 
+import os
+import signal
 from collections.abc import Callable, Mapping
-from typing import Any, TypeAlias
+from typing import Any, TextIO, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
+
+from meshes.base.arrays import Array
 
 __all__ = [
     "Plotter",
@@ -14,8 +18,10 @@ __all__ = [
     "add_text",
     "aim",
     "free_keys",
+    "in_words",
     "new_plotter",
     "on_click",
+    "own_process",
     "picked",
 ]
 
@@ -30,6 +36,33 @@ KEPT = tuple("eqrsw")
 """Keys of VTK that stay: leave, leave, reset the camera, surfaces, wires."""
 ROTATE = 1
 """VTK's number of the state in which the left button turns the camera."""
+
+
+NICE = 5
+"""Lower priority of a process that draws while ticks run."""
+
+
+def own_process(*, beside_ticks: bool) -> TextIO:
+    """Prepare a process that only draws, and return its standard output.
+
+    All other output goes to the standard error. The parent process decides when it ends, so Ctrl-C
+    is ignored. Next to ticks it has a lower priority and draws with one thread, since OpenGL in
+    software would take every core.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if beside_ticks:
+        if hasattr(os, "nice"):
+            os.nice(NICE)
+        os.environ.setdefault("LP_NUM_THREADS", "1")
+    standard_output = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+    return standard_output
+
+
+def in_words(vector: ArrayLike, digits: int = 2) -> str:
+    """Return the components of a vector as text, such as ``0.00, -1.25, 3.00``."""
+    rounded = np.round(np.asarray(vector, dtype=np.float64), digits) + 0.0  # no -0.00
+    return ", ".join(f"{one:.{digits}f}" for one in rounded)
 
 
 def new_plotter(size_px: tuple[int, int], *, title: str = "", off_screen: bool) -> Plotter:
@@ -87,9 +120,7 @@ def add_slider(
     )
 
 
-def picked(
-    plotter: Plotter, actor: object, x: int, y: int
-) -> tuple[int, NDArray[np.float64]] | None:
+def picked(plotter: Plotter, actor: object, x: int, y: int) -> tuple[int, Array] | None:
     """Return the cell of an actor under a pixel and the point there [mm], or None.
 
     The pixel is counted from the lower left.
@@ -172,7 +203,7 @@ MARGINS = (0.2, 0.86, 0.36, 0.88)
 
 def aim(
     plotter: Plotter,
-    points_mm: NDArray[np.float64],
+    points_mm: Array,
     *,
     margins: tuple[float, float, float, float] = MARGINS,
     parallel: bool = False,

@@ -2,28 +2,233 @@
 files and pages alike.
 """
 
+import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tissue.show.figures.faces import faces_of
-from tissue.show.figures.figure import layer_colours
-from tissue.show.figures.tool_mesh import turning_tool
-from tissue.show.viewer.bone import BoneShown
-from tissue.show.viewer.fields import FieldsShown
-from tissue.show.viewer.moment import MomentShown
-from tissue.show.viewer.plotter import Plotter
-from tissue.show.viewer.saved_surfaces import bone_of, cut_plane, saved_fields
+from meshes.base.arrays import Array
+from tissue.show.figures.figure import COMPONENTS, layer_colours
+from tissue.show.figures.tool_mesh import faces_of, pose, row_at, tool_turns, turning_tool
+from tissue.show.viewer.fields import BoneShown, FieldsShown
+from tissue.show.viewer.plotter import Plotter, add_text, in_words
+from tissue.show.viewer.saved_surfaces import bone_of, cut_plane, saved_fields, tool_force
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.saved_fields import SavedFields
+from tissue.simulation.trace import Table
 
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["Choice", "RunScene", "times_of"]
+__all__ = ["CHART_SHARE", "Choice", "RunScene", "ToolShown", "times_of"]
+
+CHART_SHARE = 0.27
+"""Height of the chart in the window."""
+MOST_ROWS = 4000
+"""Rows of the trace that a path or a curve shows."""
+LONGEST = 0.3
+"""Ratio of the longest arrow's length to the size of the touched object."""
+
+
+class MomentShown:
+    """Tool, force and chart cursor of one moment of a trace.
+
+    Parameters
+    ----------
+    plotter
+        Plotter of the moment.
+    trace
+        Trace with at least one row.
+    tool
+        Surface of the tool in its own frame [mm], or None.
+    size_mm
+        Size of the object that the tool touches [mm]. The arrow is in proportion to it.
+    chart
+        If true, the force is written and drawn over time along the lower edge.
+    """
+
+    def __init__(
+        self,
+        plotter: Plotter,
+        trace: Table,
+        tool: "pyvista.PolyData | None",
+        *,
+        size_mm: float,
+        chart: bool = True,
+    ) -> None:
+        import pyvista
+
+        self._trace = trace
+        self._tips = trace.vectors("tool", "mm")
+        self._force = tool_force(trace)
+        self._turns = tool_turns(trace)
+        every = slice(None, None, max(len(trace.rows) // MOST_ROWS, 1))
+        path = self._tips[every]
+        travel_mm = float(np.ptp(path, axis=0).max())
+        if travel_mm > 0.0:
+            plotter.add_mesh(pyvista.lines_from_points(path), color="#D55E00", line_width=3)
+        self._peak = int(np.linalg.norm(self._force, axis=1).argmax())
+        self._longest = LONGEST * max(travel_mm, size_mm, tool.length if tool else 0.0, 1.0)
+        self._tool = ToolShown(plotter, tool, longest_mm=self._longest, opacity=0.35)
+        self._charted = chart
+        if chart:
+            self._text = add_text(plotter, "", (0.012, 0.932), size=11)
+            self._chart, self._cursor = _chart(plotter, trace, every)
+
+    @property
+    def _greatest_N(self) -> float:
+        return max(float(np.linalg.norm(self._force[self._peak])), 1e-9)
+
+    @property
+    def extent_mm(self) -> Array:
+        """Both ends of the tool's path and of the longest arrow [mm], shape (4, 3)."""
+        tip = self._tips[self._peak]
+        arrow = self._longest * self._force[self._peak] / self._greatest_N
+        return np.stack([self._tips[0], self._tips[-1], tip, tip + arrow])
+
+    def near_tip_mm(self, tool_mm: Array, *, reach_mm: float) -> Array:
+        """Return the points of the tool near its tip at the largest force [mm].
+
+        The input points are in the tool's frame.
+        """
+        near = tool_mm[np.linalg.norm(tool_mm, axis=1) <= reach_mm]
+        matrix = pose(self._tips[self._peak], self._turns[self._peak])
+        return near @ matrix[:3, :3].T + matrix[:3, 3]
+
+    @property
+    def peak_s(self) -> float:
+        """Time of the largest force [s]."""
+        return float(self._trace["time_s"][self._peak])
+
+    def at(self, time_s: float) -> None:
+        """Show the moment."""
+        trace = self._trace
+        row = row_at(trace, time_s)
+        force = self._force[row]
+        self._tool.show(self._tips[row], self._turns[row], force, greatest_N=self._greatest_N)
+        if not self._charted:
+            return
+        size = float(np.linalg.norm(force))
+        words = [f"{time_s:.3f} s: force {size:.2f} N ({in_words(force)})"]
+        if "layer" in trace:
+            words.append(str(trace["layer"][row]))
+        if "removed_mm3" in trace and trace["removed_mm3"][-1] > 0.0:
+            words.append(f"removed {trace['removed_mm3'][row]:.2f} mm³")
+        self._text.input = ", ".join(words)
+        self._cursor.update([time_s, time_s], self._chart.y_range)
+
+
+def _chart(
+    plotter: Plotter, trace: Table, every: slice
+) -> "tuple[pyvista.Chart2D, pyvista.plotting.charts.LinePlot2D]":
+    """Add the force over time along the lower edge, with a cursor.
+
+    The commanded force is pale and the model's force is drawn over it. Vibrating teeth would
+    otherwise make a band that hides the model's force.
+    """
+    import pyvista
+
+    chart = pyvista.Chart2D(
+        size=(0.98, CHART_SHARE), loc=(0.01, 0.0), x_label="time / s", y_label="force / N"
+    )
+    time = trace["time_s"][every]
+    ends = [0.0, 1e-3]
+    forces = (trace.vectors("force", "N"), 0.3, 1.5), (tool_force(trace), 1.0, 2.0)
+    for values, opacity, width in forces:
+        curves = np.column_stack([np.linalg.norm(values, axis=1), values])[every].T
+        ends += [float(curves.min()), float(curves.max())]
+        for curve, name, colour in zip(
+            curves, ("magnitude", *"xyz"), ("black", *COMPONENTS), strict=True
+        ):
+            look = {"color": pyvista.Color(colour, opacity=opacity), "width": width}
+            chart.line(time, curve, label=name if opacity == 1.0 else "", **look)
+    border = 0.05 * (max(ends) - min(ends))
+    chart.y_range = (min(ends) - border, max(ends) + border)
+    chart.x_range = (float(time[0]), float(max(time[-1], time[0] + 1e-3)))
+    cursor = chart.line([time[0], time[0]], list(chart.y_range), color=(0.4, 0.4, 0.4), width=1.5)
+    chart.GetLegend().SetInline(False)  # beside the curves, for it hides what it lies upon
+    for axis in (chart.x_axis, chart.y_axis):
+        axis.label_size = 24
+        axis.tick_label_size = 22
+    chart.GetLegend().SetLabelSize(22)
+    plotter.add_chart(chart)
+    return chart, cursor
+
+
+FORCE = "#0072B2"
+LEAST = 1e-3
+"""Share of the largest force below which no arrow is drawn."""
+
+
+class ToolShown:
+    """Tool, and an arrow in proportion to its force.
+
+    Parameters
+    ----------
+    plotter
+        Plotter of the tool and the arrow.
+    tool
+        Surface of the tool in its own frame [mm], or None.
+    longest_mm
+        Length of the arrow of the largest force [mm].
+    opacity
+        Opacity of the tool.
+    """
+
+    def __init__(
+        self,
+        plotter: Plotter,
+        tool: "pyvista.PolyData | None",
+        *,
+        longest_mm: float,
+        opacity: float,
+    ) -> None:
+        import pyvista
+        from vtkmodules.vtkRenderingCore import vtkBillboardTextActor3D
+
+        self._longest = longest_mm
+        grey = {"color": "gray", "opacity": opacity, "specular": 0.4, "reset_camera": False}
+        self._tool = None if tool is None else plotter.add_mesh(tool, **grey)
+        self._arrow = plotter.add_mesh(pyvista.Arrow(), color=FORCE, reset_camera=False)
+        self._value = vtkBillboardTextActor3D()
+        look = self._value.GetTextProperty()
+        look.SetFontSize(22)
+        look.SetBold(True)
+        look.SetColor(*pyvista.Color(FORCE).float_rgb)
+        look.SetBackgroundColor(1.0, 1.0, 1.0)
+        look.SetBackgroundOpacity(0.6)
+        self._value.SetDisplayOffset(8, 4)
+        plotter.add_actor(self._value, reset_camera=False, render=False)
+
+    def show(self, tip_mm: Array, turn: Array, force_N: Array, *, greatest_N: float) -> None:
+        """Show the tool at its tip [mm] and turn (x, y, z, w), and its force [N].
+
+        The arrow's length is in proportion to the largest force.
+        """
+        import pyvista
+
+        if self._tool is not None:
+            self._tool.user_matrix = pose(tip_mm, turn)
+        size = float(np.linalg.norm(force_N))
+        shown = size > LEAST * greatest_N
+        self._arrow.SetVisibility(shown)
+        self._value.SetVisibility(shown)
+        if not shown:
+            return
+        length = self._longest * size / greatest_N
+        self._arrow.mapper.dataset = pyvista.Arrow(
+            start=tip_mm,
+            direction=force_N,
+            scale=length,
+            shaft_radius=0.02 * self._longest / length,
+            tip_radius=0.05 * self._longest / length,
+            tip_length=min(0.12 * self._longest / length, 0.6),
+        )
+        self._value.SetInput(f"{size:.3g} N")
+        self._value.SetPosition(*(tip_mm + length * force_N / size))
+
 
 TISSUE = ("bone", "bone beyond the cut", "field")
 """Names of the simulated tissue among the meshes of a scene."""
@@ -58,6 +263,12 @@ class Choice:
     time_s: float | None = None
     clean: bool = False
 
+    @classmethod
+    def of_json(cls, text: str) -> "Choice":
+        """Read a choice that another process has written."""
+        found = json.loads(text)
+        return cls(**found | {"hide": tuple(found["hide"])})
+
 
 class RunScene:
     """Bone, fields, faces, tool and force of a run.
@@ -87,8 +298,12 @@ class RunScene:
         Colours of the faces only.
     times_s
         Moments that can be shown [s].
+    span_s
+        First and last moment [s].
     start_s
         Moment that is shown at first [s].
+    tissue_mm
+        Points of the simulated tissue [mm], shape (n, 3).
     size_mm
         Size of the tissue [mm].
     """
@@ -118,25 +333,21 @@ class RunScene:
             name: plotter.add_mesh(face, color=self.face_colours[name], opacity=0.5)
             for name, face in faces.items()
         }
-        of_bone = (
-            {}
-            if self.bone is None
-            else {name: self.bone.colours[name] for name in self.bone.layers}
-        )
-        of_fields = {} if self.series is None else layer_colours(tuple(self.series.layer_names))
-        self.colours = of_bone | {
-            name: of_fields[name] for name in of_fields if name not in of_bone
-        }
-        self.colours |= self.face_colours
+        of_fields = () if self.series is None else self.series.layer_names
+        of_bone = [] if self.bone is None else self.bone.layers
+        self.colours = layer_colours((*dict.fromkeys((*of_bone, *of_fields)),)) | self.face_colours
 
-        self._points = [some_of(np.asarray(face.points)) for face in faces.values()]
+        points = [np.asarray(face.points) for face in faces.values()]
         if self.bone is not None:
-            self._points.append(some_of(self.bone.points_mm))
+            points.append(self.bone.points_mm)
         # A field may reach far beyond the bone in whose place it is chosen.
         if self.series is not None and (self.bone is None or choice.field is not None):
-            self._points.append(some_of(np.asarray(self.series.frames[0].points)))
-        sizes = [float(np.linalg.norm(np.ptp(each, axis=0))) for each in self._points]
+            points.append(np.asarray(self.series.frames[0].points))
+        sizes = [float(np.linalg.norm(np.ptp(each, axis=0))) for each in points]
         self.size_mm = max([*sizes, 0.0 if self.series is None else self.series.size_mm])
+        # enough of many points to find their extent
+        some = (each[:: max(len(each) // MOST_POINTS, 1)] for each in points)
+        self.tissue_mm: Array = np.vstack([np.zeros((0, 3)), *some])
 
         self.moment: MomentShown | None = None
         self._tool: pyvista.PolyData | None = None
@@ -145,24 +356,16 @@ class RunScene:
             self.moment = MomentShown(
                 plotter, saved.trace, self._tool, size_mm=self.size_mm, chart=annotated
             )
+        self._trace = saved.trace
         self.times_s = times_of(saved, self.series)
-        last_s = float(self.times_s[-1]) if len(self.times_s) else 0.0
-        peak_s = self.moment.peak_s if self.moment is not None else last_s
-        self.start_s = peak_s if choice.time_s is None else choice.time_s
-
-    @property
-    def span_s(self) -> tuple[float, float]:
-        """First and last moment [s]."""
-        return (
+        self.span_s = (
             (float(self.times_s[0]), float(self.times_s[-1])) if len(self.times_s) else (0.0, 0.0)
         )
+        self.start_s = self.span_s[1] if self.moment is None else self.moment.peak_s
+        if choice.time_s is not None:
+            self.start_s = choice.time_s
 
-    @property
-    def tissue_mm(self) -> NDArray[np.float64]:
-        """Points of the simulated tissue [mm], shape (n, 3)."""
-        return np.vstack([np.zeros((0, 3)), *self._points])
-
-    def extent_mm(self, *, near_tip: bool = False) -> NDArray[np.float64]:
+    def extent_mm(self, *, near_tip: bool = False) -> Array:
         """Return the points to keep in view [mm], shape (n, 3).
 
         On request they include the points of the tool near its tip.
@@ -171,11 +374,8 @@ class RunScene:
         if self.moment is not None:
             points.append(self.moment.extent_mm)
             if near_tip and self._tool is not None:
-                points.append(
-                    self.moment.near_tip_mm(
-                        np.asarray(self._tool.points), reach_mm=NEAR_TIP * self.size_mm
-                    )
-                )
+                tool_mm = np.asarray(self._tool.points)
+                points.append(self.moment.near_tip_mm(tool_mm, reach_mm=NEAR_TIP * self.size_mm))
         return np.vstack(points)
 
     def tissue_actors(self) -> "Iterator[pyvista.Actor]":
@@ -185,10 +385,10 @@ class RunScene:
 
     def at(self, time_s: float) -> None:
         """Show a moment."""
-        if self.moment is not None:
+        if self.moment is not None and self._trace is not None:
             self.moment.at(time_s)
             if self.bone is not None:
-                self.bone.at(self.moment.row(time_s))
+                self.bone.at(row_at(self._trace, time_s))
         if self.fields is not None:
             self.fields.at(time_s)
 
@@ -208,12 +408,7 @@ class RunScene:
             actor.SetVisibility(name not in hidden)
 
 
-def some_of(points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return enough of many points to find their extent."""
-    return points_mm[:: max(len(points_mm) // MOST_POINTS, 1)]
-
-
-def times_of(saved: SavedRun, series: SavedFields | None) -> NDArray[np.float64]:
+def times_of(saved: SavedRun, series: SavedFields | None) -> Array:
     """Return the moments that can be shown [s]."""
     if saved.trace is not None and len(saved.trace.rows):
         return saved.trace["time_s"]

@@ -1,35 +1,33 @@
 """Surfaces of a saved run: the bone at any moment, and the faces that a tool touches."""
 
-from collections.abc import Collection
-from contextlib import suppress
-from dataclasses import replace
-from typing import TYPE_CHECKING
-
+from collections.abc import (Collection)
+from contextlib import (suppress)
+from dataclasses import (replace)
+from meshes.base.arrays import (Array, Bytes)
+from meshes.base.errors import (InputError)
+from meshes.voxels.volume import (VoxelVolume)
+from tissue.motion.replay import (poses_of_trace, read_poses)
+from tissue.scene.anatomy import (CutAnatomy)
+from tissue.scene.scene import (Scene)
+from tissue.scene.tool import (Tool)
+from tissue.show.figures.tool_mesh import (tool_turns)
+from tissue.simulation.bone_files import (read_voxels)
+from tissue.simulation.bone_surface import (smooth_normals)
+from tissue.simulation.builders.cutting import (milled_voxels)
+from tissue.simulation.carved_surface import (Box, CarvedSurface, changed_box)
+from tissue.simulation.depth_map import (facing, tool_axes)
+from tissue.simulation.run_folder import (SavedRun, saved_placement)
+from tissue.simulation.saved_fields import (SavedFields)
+from tissue.simulation.trace import (Table)
+from typing import (TYPE_CHECKING)
 import numpy as np
-from numpy.typing import NDArray
-
-from meshes.base.errors import InputError
-from meshes.voxels.volume import VoxelVolume
-from tissue.motion.replay import poses_of_trace, read_poses
-from tissue.scene.anatomy import CutAnatomy
-from tissue.scene.scene import Scene
-from tissue.scene.tool import Tool
-from tissue.show.figures.tool_mesh import tool_turns
-from tissue.simulation.bone_files import read_voxels
-from tissue.simulation.bone_surface import smooth_normals
-from tissue.simulation.builders.cutting import milled_voxels
-from tissue.simulation.carved_surface import Box, CarvedSurface, changed_box
-from tissue.simulation.depth_map import facing, tool_axes
-from tissue.simulation.run_folder import SavedRun, saved_placement
-from tissue.simulation.saved_fields import SavedFields
-from tissue.simulation.trace import Table
 
 if TYPE_CHECKING:
+    from tissue.models.bone.carver import (CarvingReplay)
     import pyvista
 
-    from tissue.models.bone.carver import CarvingReplay
-
 __all__ = ["BoneOverTime", "Plane", "bone_of", "cut_plane", "saved_fields", "tool_force"]
+
 
 
 Plane = tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -57,7 +55,7 @@ def cut_plane(saved: SavedRun, fields: SavedFields) -> Plane:
     return (0.0, -1.0, 0.0), (x, y + INSIDE_MM, z)
 
 
-def tool_force(trace: Table) -> NDArray[np.float64]:
+def tool_force(trace: Table) -> Array:
     """Return the force of the tissue on the tool [N], shape (rows, 3)."""
     return trace.vectors("model_force" if "model_force_x_N" in trace else "force", "N")
 
@@ -91,7 +89,7 @@ class BoneOverTime:
     def __init__(
         self,
         volume: VoxelVolume,
-        end: NDArray[np.uint8],
+        end: Bytes,
         replay: "CarvingReplay | None" = None,
         *,
         axis: int = 2,
@@ -112,9 +110,8 @@ class BoneOverTime:
         if box is not None:
             carved = CarvedSurface(volume, box, axis=axis)
             cut = carved.of(end[carved.part])
-            self.deepest_mm = (
-                float(cut.point_data["removed_depth_mm"].max()) if cut.n_cells else 0.0
-            )
+            if cut.n_cells:
+                self.deepest_mm = float(cut.point_data["removed_depth_mm"].max())
 
     def at(self, tick: int) -> bool:
         """Move the bone to the end of a tick; return whether the bone may have changed."""
@@ -156,7 +153,7 @@ def bone_of(saved: SavedRun, scene: Scene | None) -> BoneOverTime | None:
             return None
         volume, end = read_voxels(file, saved_placement(saved.path))
         poses = saved.path / "carving" / "poses.npz"
-        if saved.trace is None or scene is None or not isinstance(scene.tool, Tool):
+        if saved.trace is None or scene is None:
             return BoneOverTime(volume, end)
         if not poses.is_file():
             return _over_time(volume, saved.trace, scene, end=end)
@@ -180,8 +177,8 @@ def _over_time(
     trace: Table,
     scene: Scene,
     *,
-    end: NDArray[np.uint8] | None = None,
-    poses: NDArray[np.float64] | None = None,
+    end: Bytes | None = None,
+    poses: Array | None = None,
     compute: str = "cpu",
 ) -> BoneOverTime:
     """Return the bone carved along poses, by default the poses of the trace.
@@ -191,13 +188,10 @@ def _over_time(
     from tissue.simulation.builders.cutting import cutter_of
 
     uncut = end is not None and np.array_equal(end, volume.fraction)
-    if (
-        not isinstance(scene.tool, Tool)
-        or scene.tool.spin_rpm == 0.0
-        or uncut
-        or not len(trace.rows)
-    ):
+    cuts = isinstance(scene.tool, Tool) and scene.tool.spin_rpm != 0.0
+    if uncut or not cuts or not len(trace.rows):
         return BoneOverTime(volume, volume.fraction if end is None else end)
+    assert isinstance(scene.tool, Tool)
     if poses is None:
         axes = tool_axes(tool_turns(trace))
         velocities = np.hstack(
@@ -208,18 +202,13 @@ def _over_time(
 
     from tissue.models.bone.carver import CarvingReplay
 
-    known = [str(one) for one in wp.get_devices()]
-    replay = CarvingReplay(
-        volume,
-        cutter_of(scene.tool),
-        poses,
-        removal=scene.voxels.removal,
-        device=compute if compute in known else "cpu",
-    )
+    device = compute if compute in map(str, wp.get_devices()) else "cpu"
+    removal = scene.voxels.removal
+    replay = CarvingReplay(volume, cutter_of(scene.tool), poses, removal=removal, device=device)
     axis, _ = facing(trace)
-    return BoneOverTime(
-        volume, replay.at(len(trace.rows) - 1).copy() if end is None else end, replay, axis=axis
-    )
+    if end is None:
+        end = replay.at(len(trace.rows) - 1).copy()
+    return BoneOverTime(volume, end, replay, axis=axis)
 
 
 def _coarse(scene: Scene) -> VoxelVolume | None:
@@ -227,12 +216,9 @@ def _coarse(scene: Scene) -> VoxelVolume | None:
     if not isinstance(scene.anatomy, CutAnatomy) or scene.anatomy.from_file is not None:
         return None
     spacing = max(COARSE_MM, scene.voxels.spacing_mm)
+    coarse = scene.voxels.model_copy(update={"spacing_mm": spacing})
     with suppress(InputError):
-        return milled_voxels(
-            scene.model_copy(
-                update={"voxels": scene.voxels.model_copy(update={"spacing_mm": spacing})}
-            )
-        )
+        return milled_voxels(scene.model_copy(update={"voxels": coarse}))
     return None
 
 

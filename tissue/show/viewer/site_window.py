@@ -2,20 +2,19 @@
 the scene.
 """
 
-import sys
-from pathlib import Path
-
+from meshes.base.errors import (InputError, as_vector)
+from meshes.surfaces.site import (normal_near, sample_surface)
+from meshes.surfaces.surface import (Surface, read_surface)
+from pathlib import (Path)
+from tissue.scene.texts import (anatomy_of, save_site)
+from tissue.show.figures.figure import (BONE)
+from tissue.show.viewer.plotter import (add_text, free_keys, in_words, new_plotter, on_click, picked)
 import numpy as np
-from numpy.typing import NDArray
+import sys
 
-from meshes.base.errors import InputError
-from meshes.surfaces.site import normal_near, sample_surface
-from meshes.surfaces.surface import Surface, read_surface
-from tissue.scene.texts import anatomy_of, save_site
-from tissue.show.figures.figure import BONE
-from tissue.show.viewer.plotter import add_text, free_keys, new_plotter, on_click, picked
+__all__ = ["is_imported", "show_site"]
 
-__all__ = ["SiteWindow", "is_imported", "show_site"]
+
 
 SIZE = (1400, 950)
 SITE, UNSAVED = "#0072B2", "#D55E00"
@@ -70,7 +69,7 @@ class SiteWindow:
         self._samples = sample_surface(*self._surface.scanned, SAMPLES)
         self._size_mm = max(self._surface.report.size_mm)
         self.centre_mm, self.normal = (
-            _numbers(anatomy.get(key)) for key in ("centre_mm", "normal")
+            as_vector(anatomy.get(key)) for key in ("centre_mm", "normal")
         )
         if self.centre_mm is not None and self.normal is None:
             self.normal = normal_near(self._samples, 1e-3 * self.centre_mm)
@@ -81,13 +80,8 @@ class SiteWindow:
         bone = pyvista.PolyData.from_regular_faces(
             1e3 * self._surface.vertices_m, self._surface.faces.astype(int)
         )
-        look = {
-            "smooth_shading": True,
-            "split_sharp_edges": False,
-            "ambient": 0.15,
-            "specular": 0.1,
-        }
-        self._bone = self.plotter.add_mesh(bone, color=BONE, name="bone", **look)
+        look = {"color": BONE, "smooth_shading": True, "ambient": 0.15, "specular": 0.1}
+        self._bone = self.plotter.add_mesh(bone, name="bone", **look)
         self.plotter.add_axes(
             xlabel="left", ylabel="back", zlabel="head", color="black", line_width=3
         )
@@ -142,12 +136,9 @@ class SiteWindow:
             )
             parts = {"mark": pyvista.Sphere(MARK * size, self.centre_mm), "arrow": arrow}
             for name, mesh in parts.items():
-                self.plotter.add_mesh(
-                    mesh, color=colour, name=name, reset_camera=False, render=False
-                )
-            centre = ", ".join(f"{value + 0.0:.2f}" for value in self.centre_mm.round(2))
-            normal = ", ".join(f"{value + 0.0:.3f}" for value in self.normal.round(3))
-            self.text = f"centre ({centre}) mm, normal ({normal}), LPS\n{about}"
+                self.plotter.add_mesh(mesh, color=colour, name=name, reset_camera=False)
+            centre = in_words(self.centre_mm)
+            self.text = f"centre ({centre}) mm, normal ({in_words(self.normal, 3)}), LPS\n{about}"
         self._words.input = self.text
 
     def _aim(self) -> None:
@@ -181,19 +172,8 @@ def show_site(folder: Path, *, screenshot: Path | None = None) -> str:
 
 
 def _bone(folder: Path, anatomy: dict[str, object]) -> Surface:
-    scale = anatomy.get("scale_mm", 1.0)
-    return read_surface(
-        folder / str(anatomy.get("file", "bone.ply")),
-        scale_mm=float(scale) if isinstance(scale, int | float) else 1.0,
-        cut_off=True,
-    )
-
-
-def _numbers(value: object) -> NDArray[np.float64] | None:
-    if not isinstance(value, list) or len(value) != 3:
-        return None
-    numbers = np.array(value, dtype=np.float64)
-    return numbers if np.isfinite(numbers).all() and numbers.any() else None
+    file = folder / str(anatomy.get("file", "bone.ply"))
+    return read_surface(file, scale_mm=float(str(anatomy.get("scale_mm", 1.0))), cut_off=True)
 
 
 if __name__ == "__main__":

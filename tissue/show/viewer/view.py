@@ -3,7 +3,6 @@ and its force.
 """
 
 import json
-import math
 import os
 import shutil
 import subprocess
@@ -15,15 +14,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
 from typing import IO
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, require_range
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
 from tissue.models.tissue_model import TICK_S
-from tissue.show.viewer.export import check_movie, write_clean, write_movie
 from tissue.show.viewer.run_scene import Choice, times_of
 from tissue.show.viewer.saved_surfaces import saved_fields
 from tissue.show.viewer.site_window import is_imported, show_site
-from tissue.show.viewer.window import Window
+from tissue.show.viewer.window import Window, check_movie, write_clean, write_movie
 from tissue.simulation.builders.motions import motion_of
 from tissue.simulation.live.window import require_web
 from tissue.simulation.run_folder import SavedRun
@@ -39,24 +37,21 @@ from tissue.system.offscreen import (
 from tissue.system.outputs import require_new_file
 from tissue.system.stopping import Terminated
 
-__all__ = ["serve_view", "show", "view"]
+__all__ = ["view"]
 
 LONGEST_MOVIE_S = 3600.0
 """Maximum time for drawing a movie [s]."""
+LARGEST_SCALE = 1e9
 
 
 def view(
     path: str | Path,
+    choice: Choice | None = None,
     *,
     screenshot: Path | None = None,
     movie: Path | None = None,
-    hide: tuple[str, ...] = (),
-    field: str | None = None,
-    scale: float = 1.0,
-    time_s: float | None = None,
-    clean: bool = False,
     overwrite: bool = False,
-    progress: Progress | None = None,
+    progress: Progress = silent,
     opened: Callable[[str], object] | None = None,
 ) -> str:
     """Show a run, or draw it into a file.
@@ -66,21 +61,12 @@ def view(
     path
         Folder of a finished or stopped run, written by `tissue run`, or folder of a bone, written
         by `tissue import`. The site of an imported bone is set by a click and saved into its scene.
+    choice
+        First view of the run.
     screenshot
         PNG file to write instead of opening a window.
     movie
         MP4 or GIF file to write instead of opening a window.
-    hide
-        Layers that are hidden at first.
-    field
-        Field that is shown at first in place of the bone, such as ``von_mises_MPa``.
-    scale
-        Initial factor by which the displacement is enlarged.
-    time_s
-        Moment that is shown at first [s]. Default: the moment of the largest force.
-    clean
-        If true, a screenshot shows only the simulated tissue on a transparent ground, cropped to
-        it, without text, scales, tool and arrows.
     overwrite
         Replace the file of the screenshot or movie.
     progress
@@ -99,39 +85,58 @@ def view(
         If the folder holds no run or nothing to show, the layer, field or moment does not exist,
         there is no display for a window, or the picture cannot be drawn.
     """
-    _check_files(screenshot, movie, time_s, overwrite=overwrite)
-    if opened is not None:
-        _check_web(Path(path), screenshot, movie)
-    if clean and screenshot is None:
-        raise InputError(
-            "clean",
-            "come with a screenshot",
-            "none",
-            "pass --screenshot FILE.png, or leave clean out",
-        )
-    if is_imported(Path(path)):
-        _check_imported(
-            movie, Choice(hide=hide, field=field, scale=scale, time_s=time_s, clean=clean)
-        )
-        return _view_site(Path(path), screenshot)
-    saved = SavedRun(path)
+    folder = Path(path)
+    choice = choice or Choice()
+    given = {"screenshot": screenshot, "movie": movie}
+    files = {kind: file for kind, file in given.items() if file is not None}
+    _check_arguments(folder, choice, files, web=opened is not None, overwrite=overwrite)
+    if is_imported(folder):
+        return _view_site(folder, screenshot)
+    saved = SavedRun(folder)
     about = _about(saved)
     require_whole(saved)
-    choice = Choice(hide=hide, field=field, scale=scale, time_s=time_s, clean=clean)
     series = saved_fields(saved)
     _check(saved, choice, series)
     if movie is not None and len(times_of(saved, series)) < 2:
         raise InputError("movie", "be of a run that lasts", saved.path, "use --screenshot")
     if opened is not None:
         serve_view(saved.path, choice, opened)
-    elif screenshot is None and movie is None:
+    elif not files:
         _require_display("--screenshot FILE, --movie FILE or --web")
         show(saved, about, choice)
-    for kind, file in (("screenshot", screenshot), ("movie", movie)):
-        if file is not None:
-            _draw(saved, choice, kind, file, progress or silent)
-            about += f"\n{kind} in {file}"
+    for kind, file in files.items():
+        _draw(saved, choice, kind, file, progress)
+        about += f"\n{kind} in {file}"
     return about
+
+
+def _check_arguments(
+    folder: Path, choice: Choice, files: dict[str, Path], *, web: bool, overwrite: bool
+) -> None:
+    """Check options and output files before reading the run."""
+    refused = {
+        ("time_s", "with a movie, which shows all moments"): "movie" in files
+        and choice.time_s is not None,
+        ("web", "with a screenshot or a movie"): web and files,
+        ("clean", "without a screenshot"): choice.clean and "screenshot" not in files,
+        ("overwrite", "without a screenshot or a movie"): overwrite and not files,
+    }
+    if is_imported(folder):
+        changed = [name for name, value in vars(choice).items() if value != vars(Choice())[name]]
+        options = [*changed, *(["web"] if web else []), *(["movie"] if "movie" in files else [])]
+        refused |= {(name, "for an imported bone"): True for name in options}
+    for (name, where), is_refused in refused.items():
+        if is_refused:
+            raise InputError(f"{name} must be left out {where}: leave it out")
+    if web:
+        require_web()
+    if "movie" in files:
+        check_movie(files["movie"])
+    if "screenshot" in files and files["screenshot"].suffix.lower() != ".png":
+        file = files["screenshot"]
+        raise InputError("screenshot", "be a .png file", file, f"use {file.with_suffix('.png')}")
+    for kind, file in files.items():
+        require_new_file(file, overwrite=overwrite, name=kind)
 
 
 def _require_display(instead: str) -> None:
@@ -142,95 +147,53 @@ def _require_display(instead: str) -> None:
         )
 
 
-def _check_web(path: Path, screenshot: Path | None, movie: Path | None) -> None:
-    """Refuse a page together with a file, and a page that cannot be served."""
-    for name, file in (("screenshot", screenshot), ("movie", movie)):
-        if file is not None:
-            raise InputError(
-                "web", f"be left out with a {name}, which is a file", file, "leave one of them out"
-            )
-    if is_imported(path):
-        raise InputError(
-            "web must be left out for an imported bone, which has no run: leave it out"
-        )
-    require_web()
-
-
-def _check_imported(movie: Path | None, choice: Choice) -> None:
-    """Refuse options that only apply to a run."""
-    given = [name for name, value in asdict(choice).items() if value != getattr(Choice(), name)]
-    given += ["movie"] if movie is not None else []
-    if given:
-        raise InputError(
-            f"{given[0]} must be left out for an imported bone, which has no run: leave it out"
-        )
-
-
 def _view_site(folder: Path, screenshot: Path | None) -> str:
     """Show an imported bone, or draw it into a file."""
     if screenshot is None:
         _require_display("--screenshot FILE")
         return show_site(folder)
-    with whole_file(screenshot) as temporary, TemporaryDirectory(prefix="tissue-") as apart:
-        drawn = Path(apart) / "site.png"
-        problem = draw_apart("tissue.show.viewer.site_window", str(folder), str(drawn))
-        if problem is not None:
-            raise InputError(f"screenshot must be drawn in 3D, but {problem}")
-        shutil.copyfile(drawn, temporary)
+    _draw_apart("screenshot", screenshot, "tissue.show.viewer.site_window", str(folder))
     return f"imported bone in {folder}\nscreenshot in {screenshot}"
 
 
-def _draw(saved: SavedRun, choice: Choice, kind: str, file: Path, report: Progress) -> None:
-    """Draw a file in a separate process. The file is complete, or unchanged on failure."""
-    longest_s = LONGEST_MOVIE_S if kind == "movie" else LONGEST_S
-    chosen = json.dumps(asdict(choice))
-    doing = f"drawing the {kind}"
-    report(doing, 0.0)
+def _draw_apart(
+    kind: str,
+    file: Path,
+    *command: str,
+    longest_s: float = LONGEST_S,
+    drawn: Callable[[float], None] | None = None,
+) -> None:
+    """Draw a file in a separate process. The file is complete, or unchanged on failure.
+
+    The command is a module and its arguments, without the file, which comes last.
+    """
     with (
         whole_file(file) as temporary,
         TemporaryDirectory(prefix="tissue-", ignore_cleanup_errors=True) as folder,
     ):
         temporary.touch()
         temporary.unlink()  # a folder that takes no file is refused before anything is drawn
-        drawn = Path(folder) / file.name
-        problem = draw_apart(
-            "tissue.show.viewer.view",
-            str(saved.path),
-            kind,
-            str(drawn),
-            chosen,
-            longest_s=longest_s,
-            drawn=lambda share: report(doing, share),
-        )
+        apart = Path(folder) / file.name
+        problem = draw_apart(*command, str(apart), longest_s=longest_s, drawn=drawn)
         if problem is not None:
             raise InputError(f"{kind} must be drawn in 3D, but {problem}")
-        shutil.copyfile(drawn, temporary)
+        shutil.copyfile(apart, temporary)
 
 
-def _check_files(
-    screenshot: Path | None, movie: Path | None, time_s: float | None, *, overwrite: bool
-) -> None:
-    """Check that the output files are writable before reading the run."""
-    if movie is not None:
-        check_movie(movie)
-        if time_s is not None:
-            raise InputError(
-                "time_s",
-                "be left out with movie, which shows all of them",
-                f"{time_s:g}",
-                "leave it out",
-            )
-    if screenshot is not None and screenshot.suffix.lower() != ".png":
-        raise InputError(
-            "screenshot", "be a .png file", screenshot, f"use {screenshot.with_suffix('.png')}"
-        )
-    for kind, file in (("screenshot", screenshot), ("movie", movie)):
-        if file is not None:
-            require_new_file(file, overwrite=overwrite, name=kind)
-    if overwrite and screenshot is None and movie is None:
-        raise InputError(
-            "overwrite", "come with a screenshot or a movie", "neither", "leave it out"
-        )
+def _draw(saved: SavedRun, choice: Choice, kind: str, file: Path, report: Progress) -> None:
+    """Draw a view of a run into a file."""
+    doing = f"drawing the {kind}"
+    report(doing, 0.0)
+    _draw_apart(
+        kind,
+        file,
+        "tissue.show.viewer.view",
+        str(saved.path),
+        kind,
+        json.dumps(asdict(choice)),
+        longest_s=LONGEST_MOVIE_S if kind == "movie" else LONGEST_S,
+        drawn=lambda share: report(doing, share),
+    )
 
 
 def _check(saved: SavedRun, choice: Choice, series: SavedFields | None) -> None:
@@ -239,80 +202,50 @@ def _check(saved: SavedRun, choice: Choice, series: SavedFields | None) -> None:
     fields = [] if series is None else series.names
     if saved.complete and not len(times) and not (saved.path / "bone.vti").is_file():
         raise InputError(
-            "run",
-            "hold a trace, bone or frames to be shown",
-            f"none of them in {saved.path}",
-            "run the scene again",
+            "run", "hold a trace, bone or frames to be shown", saved.path, "run the scene again"
         )
-    layers = dict.fromkeys(
-        [*saved.summary.get("layers", []), *(() if series is None else series.layer_names)]
-    )
-    for name in choice.hide:
-        if name not in layers:
-            raise InputError(
-                "hide", "name a layer of the run", name, f"use one of {', '.join(layers)}"
-            )
-    if choice.field is not None and choice.field not in fields:
-        known = f"use one of {', '.join(fields)}" if fields else "this run has none, leave it out"
-        raise InputError("field", "name a field of the run", choice.field, known)
-    if not (math.isfinite(choice.scale) and choice.scale >= 0.0):
-        raise InputError(
-            "scale", "be a number of at least 0", f"{choice.scale:g}", "use 1 for true size"
-        )
-    if choice.scale != 1.0 and (series is None or series.displacement is None):
-        raise InputError(
-            "scale",
-            "be left out for a run without displacement",
-            f"{choice.scale:g}",
-            "leave it out",
-        )
+    layers = [*saved.summary.get("layers", []), *(() if series is None else series.layer_names)]
+    asked = {"layer": choice.hide, "field": [] if choice.field is None else [choice.field]}
+    for (kind, names), known in zip(asked.items(), (layers, fields), strict=True):
+        for name in names:
+            if name not in known:
+                listed = ", ".join(dict.fromkeys(known)) or "none, for this run has none"
+                argument = "hide" if kind == "layer" else kind
+                raise InputError(argument, f"name a {kind} of the run", name, f"use {listed}")
+    can_move = series is not None and series.displacement is not None
+    most = LARGEST_SCALE if can_move else 1.0
+    require_range("scale", choice.scale, 0.0 if can_move else 1.0, most, "use 1 for true size")
     if choice.time_s is not None:
-        if not len(times):
-            raise InputError(
-                "time_s",
-                "lie in the run",
-                f"{choice.time_s:g} for a run without ticks",
-                "leave it out",
-            )
-        first = float(times[0])
-        last = float(times[-1])
-        if not first - 1e-9 <= choice.time_s <= last + 1e-9:
-            nearest = last if choice.time_s > last else first
-            raise InputError(
-                "time_s",
-                f"lie in the run, {first:g} to {last:g} s",
-                f"{choice.time_s:g}",
-                f"use {nearest:g}",
-            )
+        first, last = (times[0], times[-1]) if len(times) else (0.0, 0.0)
+        nearest = f"use {min(max(choice.time_s, first), last):g}"
+        require_range("time_s", choice.time_s, first - 1e-9, last + 1e-9, nearest)
 
 
 def _about(saved: SavedRun) -> str:
     """Return a sentence about the run: its largest loads, or where it was stopped."""
     if saved.complete:
-        force = saved.summary["force_N"]["peak"]
-        torque = saved.summary["torque_Nm"]["peak"]
-        seconds = saved.summary["simulated_s"]
+        force, torque = (saved.summary[name]["peak"] for name in ("force_N", "torque_Nm"))
         return (
-            f"{saved.summary['scene']}: {seconds:g} s, force up to {force:.3g} N, torque up to "
-            f"{torque:.3g} N·m"
+            f"{saved.summary['scene']}: {saved.summary['simulated_s']:g} s, force up to "
+            f"{force:.3g} N, torque up to {torque:.3g} N·m"
         )
     begun = {"running": "goes on", "failed": "failed"}.get(saved.status, "was interrupted")
-    if saved.trace is None or not len(saved.trace.rows):
-        where = "before its first tick was written"
-    else:
+    where = "before its first tick was written"
+    if saved.trace is not None and len(saved.trace.rows):
         last = float(saved.trace["time_s"][-1])
+        where = f"at {last:.3f} s"
         planned = None
         if saved.scene is not None:
             with suppress(InputError):
                 planned = saved.scene.duration_s or motion_of(saved.scene, step_s=TICK_S).duration_s
-        where = f"at {last:.3f} s" + (f" of {planned:g} s" if planned else "")
-        if planned and last > planned - 1.5 * TICK_S:
-            where = "after its last tick, while its files were written"
+        if planned:
+            ended = last > planned - 1.5 * TICK_S
+            while_saving = "after its last tick, while its files were written"
+            where = while_saving if ended else f"{where} of {planned:g} s"
     if saved.status == "running":
         where += f", process {saved.summary['process']['id']} writes it"
-    return f"run is incomplete: it {begun} {where}" + (
-        f" ({saved.problem})" if saved.problem else ""
-    )
+    problem = f" ({saved.problem})" if saved.problem else ""
+    return f"run is incomplete: it {begun} {where}{problem}"
 
 
 def show(
@@ -339,14 +272,13 @@ def show(
         MP4 or GIF file. The finished share is printed.
     """
     window = Window(saved, title, choice, off_screen=screenshot is not None or movie is not None)
-    if screenshot is not None:
-        if choice.clean:
-            write_clean(window.plotter, screenshot)
-        else:
-            window.plotter.screenshot(str(screenshot))
-    if movie is not None:
+    if screenshot is not None and choice.clean:
+        write_clean(window.plotter, screenshot)
+    elif screenshot is not None:
+        window.plotter.screenshot(str(screenshot))
+    elif movie is not None:
         write_movie(movie, window.pictures())
-    if screenshot is None and movie is None:
+    else:
         window.open()
     window.plotter.close()
 
@@ -383,11 +315,10 @@ def serve_view(folder: Path, choice: Choice, opened: Callable[[str], object]) ->
                     opened(address)
                     child.wait()
                     return
-                why = (
-                    problem
-                    or _last_line(output)
-                    or f"its process ended with exit code {child.returncode}"
-                )
+                output.seek(0)
+                lines = output.read().strip().splitlines()
+                ended = f"its process ended with exit code {child.returncode}"
+                why = problem or (lines or [ended])[-1]
             except Terminated:
                 raise
             except KeyboardInterrupt:
@@ -411,18 +342,7 @@ def _start(
     )
 
 
-def _last_line(output: IO[str]) -> str:
-    output.seek(0)
-    return (output.read().strip().splitlines() or [""])[-1]
-
-
 if __name__ == "__main__":
     finished = SavedRun(sys.argv[1])
-    wanted, into, chosen = sys.argv[2:]
-    shown = json.loads(chosen)
-    show(
-        finished,
-        _about(finished),
-        Choice(**shown | {"hide": tuple(shown["hide"])}),
-        **{wanted: Path(into)},
-    )
+    wanted, chosen, into = sys.argv[2:]
+    show(finished, _about(finished), Choice.of_json(chosen), **{wanted: Path(into)})

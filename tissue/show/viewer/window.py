@@ -1,16 +1,28 @@
 """The window of `tissue view`, and the same view off screen for stills and movies."""
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterable, Iterator
+from pathlib import Path
+from subprocess import DEVNULL, SubprocessError, run
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Bytes
+from meshes.base.errors import InputError
+from meshes.base.whole_file import whole_file
 from tissue.show.figures.figure import field_words
+from tissue.show.figures.rendering import round_length
 from tissue.show.viewer.controls import HELP as CLIP_HELP
-from tissue.show.viewer.controls import ClipPlane, LayerKeys, NameList, Playback, PointRead
-from tissue.show.viewer.export import add_scale_bar, leave_alone, movie_times_s
-from tissue.show.viewer.moment import CHART_SHARE
+from tissue.show.viewer.controls import (
+    ClipPlane,
+    LayerKeys,
+    NameList,
+    Playback,
+    PlaybackWidgets,
+    PointRead,
+)
 from tissue.show.viewer.plotter import (
+    Plotter,
     add_names,
     add_slider,
     add_text,
@@ -19,11 +31,159 @@ from tissue.show.viewer.plotter import (
     new_plotter,
     on_click,
 )
-from tissue.show.viewer.run_scene import Choice, RunScene
+from tissue.show.viewer.run_scene import CHART_SHARE, Choice, RunScene
 from tissue.show.viewer.saved_surfaces import cut_plane
 from tissue.simulation.run_folder import SavedRun
 
-__all__ = ["Window"]
+if TYPE_CHECKING:
+    from PIL.Image import Image as Picture
+
+__all__ = ["Window", "check_movie", "write_clean", "write_movie"]
+
+PLACE_PX = (40, 380)
+"""Lower left end of a scale bar [pixel]."""
+LONGEST = 0.15
+"""Longest scale bar, as a share of the window's width."""
+BORDER = 0.02
+"""Free border of a clean picture before it is cropped, as a share of its edges."""
+FINE, AROUND_PX = 2, 8
+"""Pixels of a clean picture per window pixel, and margin around the content [pixel]."""
+
+
+def add_scale_bar(plotter: Plotter) -> None:
+    """Draw a bar of a round length in a window with a parallel projection."""
+    import pyvista
+    from vtkmodules.vtkRenderingCore import vtkActor2D, vtkPolyDataMapper2D
+
+    camera = plotter.camera
+    wide, tall = plotter.window_size
+    per_mm = tall / (2.0 * camera.parallel_scale)
+    length = round_length(LONGEST * wide / per_mm)
+    x, y = PLACE_PX
+    mapper = vtkPolyDataMapper2D()
+    mapper.SetInputData(pyvista.Line((x, y, 0.0), (x + length * per_mm, y, 0.0)))
+    mapper.ScalarVisibilityOff()
+    bar = vtkActor2D()
+    bar.SetMapper(mapper)
+    bar.GetProperty().SetColor(0.1, 0.1, 0.1)
+    bar.GetProperty().SetLineWidth(5.0)
+    plotter.add_actor(bar, reset_camera=False, render=False)
+    plotter.add_text(f"{length:g} mm", position=(x, y + 8), font_size=11, color="black")
+
+
+def leave_alone(plotter: Plotter, kept: Collection[object], points_mm: Array) -> None:
+    """Remove text, widgets, scales and most actors, and let the points fill the window.
+
+    The actors in `kept` stay.
+    """
+    plotter.clear_slider_widgets()
+    plotter.remove_legend(render=False)
+    plotter.remove_chart(*plotter.renderer._charts)
+    for actor in list(plotter.actors.values()):
+        if actor not in kept:
+            plotter.remove_actor(actor, reset_camera=False, render=False)
+    aim(plotter, points_mm, margins=(BORDER, 1.0 - BORDER, BORDER, 1.0 - BORDER), parallel=True)
+
+
+def write_clean(plotter: Plotter, file: Path) -> None:
+    """Write the view as PNG on a transparent ground, cropped to its content."""
+    from PIL import Image
+
+    drawn = np.asarray(
+        plotter.screenshot(None, return_img=True, transparent_background=True, scale=FINE)
+    )
+    there = np.argwhere(drawn[..., 3] > 0)
+    if len(there):
+        (top, left) = np.maximum(there.min(axis=0) - AROUND_PX, 0)
+        (low, right) = there.max(axis=0) + AROUND_PX + 1
+        drawn = drawn[top:low, left:right]
+    Image.fromarray(drawn).save(file, dpi=(300, 300))
+
+
+FRAMES_PER_S = 20
+"""Both kinds can hold it: a GIF counts in hundredths of a second."""
+SHORTEST_S, LONGEST_S = 4.0, 12.0
+"""A movie that would be shorter or longer plays slower or faster than it really was [s]."""
+KINDS = (".mp4", ".gif")
+
+
+def check_movie(path: Path) -> None:
+    """Refuse a file that no movie can be written to.
+
+    Raises
+    ------
+    InputError
+        If its ending is not .mp4 or .gif, or .mp4 cannot be written here.
+    """
+    kind = path.suffix.lower()
+    if kind not in KINDS:
+        raise InputError("movie", "be a .mp4 or .gif file", path, f"use {path.with_suffix('.gif')}")
+    if kind == ".mp4":
+        try:
+            import imageio.v2  # noqa: F401
+            import imageio_ffmpeg
+
+            encoder = imageio_ffmpeg.get_ffmpeg_exe()
+            # an encoder that IMAGEIO_FFMPEG_EXE names is not tried
+            run([encoder, "-version"], check=True, capture_output=True, stdin=DEVNULL, timeout=60.0)
+        except (ImportError, RuntimeError, OSError, SubprocessError):
+            raise InputError(
+                "movie",
+                "be a .gif where imageio and imageio-ffmpeg have no ffmpeg that runs",
+                path,
+                f"use {path.with_suffix('.gif')} or pip install imageio imageio-ffmpeg",
+            ) from None
+
+
+def movie_times_s(first_s: float, last_s: float) -> Array:
+    """Return the times of a movie's frames [s].
+
+    The movie lasts as long as the run, but at least 4 and at most 12 s.
+    """
+    lasts = float(np.clip(last_s - first_s, SHORTEST_S, LONGEST_S))
+    return np.linspace(first_s, last_s, round(lasts * FRAMES_PER_S) + 1)
+
+
+def write_movie(path: Path, pictures: Iterable[Bytes]) -> None:
+    """Write a movie and replace an existing file once the new file is complete.
+
+    Parameters
+    ----------
+    path
+        File with the ending .mp4, or .gif with half the width and height.
+    pictures
+        Red, green and blue of every picture, shape (height, width, 3). Height and width are even.
+    """
+    with whole_file(path) as temporary:
+        (_write_mp4 if path.suffix.lower() == ".mp4" else _write_gif)(temporary, pictures)
+
+
+def _write_gif(path: Path, pictures: Iterable[Bytes]) -> None:
+    from PIL import Image
+
+    def small(picture: Bytes) -> "Picture":
+        return Image.fromarray(picture).reduce(2).quantize(256, dither=Image.Dither.NONE)
+
+    each = iter(pictures)
+    small(next(each)).save(
+        path,
+        format="GIF",
+        save_all=True,
+        append_images=(small(picture) for picture in each),
+        duration=1000 // FRAMES_PER_S,
+        loop=0,
+    )
+
+
+def _write_mp4(path: Path, pictures: Iterable[Bytes]) -> None:
+    import imageio.v2
+    from imageio.core.format import Format
+
+    with imageio.v2.get_writer(path, fps=FRAMES_PER_S, quality=8, macro_block_size=2) as writer:
+        assert isinstance(writer, Format.Writer)
+        for picture in pictures:
+            writer.append_data(picture)
+
 
 SIZE = (1400, 950)
 SLIDERS = CHART_SHARE + 0.04
@@ -50,7 +210,7 @@ class Window:
     ----------
     plotter
         PyVista's plotter.
-    fields, point, names, playback, bone, layers
+    fields, point, names, playback, widgets, bone, layers
         Parts of the window. None if the run, or a picture, does not have the part.
     """
 
@@ -64,7 +224,8 @@ class Window:
         self.fields = shown.fields
         self.names: NameList | None = None
         self.point: PointRead | None = None
-        self.playback: Playback | None = None
+        self.playback = Playback(shown.span_s, shown.start_s)
+        self.widgets: PlaybackWidgets | None = None
         add_names(self.plotter, shown.face_colours)
         self.layers = LayerKeys(
             self.plotter, list(shown.colours), hidden=choice.hide, hide=shown.hide
@@ -98,23 +259,23 @@ class Window:
         at = choices.index(self.fields.name) if self.fields.name in choices else -1
         self.choose(choices[(at + 1) % len(choices)])
 
-    def pictures(self) -> Iterator[NDArray[np.uint8]]:
+    def pictures(self) -> Iterator[Bytes]:
         """Yield the pictures of a movie over the whole run.
 
         The finished share, 0 to 1, is printed once per picture, one line each.
         """
-        assert self.playback is not None
+        assert self.widgets is not None
         times_s = movie_times_s(*self.playback.span_s)
         for index, time_s in enumerate(times_s.tolist(), 1):
-            self.playback.to(time_s)
+            self.widgets.to(time_s)
             yield self.plotter.screenshot(None, return_img=True)[..., :3]
             print(index / len(times_s), flush=True)
 
     def open(self) -> None:
         """Open the window, and return when it was closed."""
         free_keys(self.plotter)
-        if self.playback is not None:
-            self.playback.start()
+        if self.widgets is not None:
+            self.widgets.start()
         self.plotter.show()
 
     def _add_time(self) -> None:
@@ -125,9 +286,7 @@ class Window:
             left = 0.03 if self._off_screen else 0.1
             right = 0.97 if shown.series is None or self._off_screen else 0.66
             slider = (left, right, SLIDERS)
-            self.playback = Playback(
-                self.plotter, shown.at, span_s=shown.span_s, begin_s=shown.start_s, slider=slider
-            )
+            self.widgets = PlaybackWidgets(self.plotter, self.playback, shown.at, slider=slider)
 
     def _add_controls(self) -> None:
         """Add the controls of a window: list of fields, point values, clip plane, scale of the
@@ -148,7 +307,7 @@ class Window:
         point = self.point = PointRead(plotter, fields, size_mm=0.02 * self._shown.size_mm)
         ClipPlane(plotter, fields, start=cut_plane(self._saved, series))
         if series.displacement is not None and series.greatest_mm() > 0.0:
-            top = max(_round_up(LARGEST * series.size_mm / series.greatest_mm()), fields.scale, 2.0)
+            top = max(LARGEST * series.size_mm / series.greatest_mm(), fields.scale, 2.0)
             place = (0.72, 0.97, SLIDERS)
             add_slider(
                 plotter,
@@ -165,16 +324,8 @@ class Window:
         if not self._off_screen:
             first = [self.bone.help if self.bone is not None else "", self.layers.help]
             second = [CLIP_HELP, "click: read a point"] if self.fields is not None else []
-            second += ["space: play or pause"] if self.playback is not None else []
+            second += ["space: play or pause"] if self.widgets is not None else []
             for keys, height in ((first, 0.898), ([*second, "q: close"], 0.87)):
                 lines.append(("    ".join(key for key in keys if key), 9, height))
         for words, size, height in lines:
             add_text(self.plotter, words, (0.012, height), size=size)
-
-
-def _round_up(value: float) -> float:
-    """Return the next of 1, 2, 5, 10, 20 and so on."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(
-        next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= value * (1.0 - 1e-9))
-    )

@@ -6,9 +6,8 @@ from fake_fields import block_series, with_measures
 
 from tissue import load_scene, simulate
 from tissue.fem.fields import Frame
+from tissue.show.figures import draw_pictures
 from tissue.show.figures.force_depth import first_descent, layers_passed
-from tissue.show.figures.force_time import event_lines
-from tissue.show.figures.pictures import draw_pictures
 from tissue.show.figures.section import loaded_frame, moment_of, section_of
 
 pytest.importorskip("pyvista")
@@ -27,14 +26,13 @@ def test_section_holds_the_voxels_at_the_deepest_point(run):
     last = len(run.trace.rows) - 1
     section = section_of(run, axis=2, outward=1, row=last)
     volume = run.parts.volume
-    assert (
-        sorted((section.across, section.axis, section.normal)) == [0, 1, 2] and section.row == last
-    )
+    *_, normal = section.axes
+    assert sorted(section.axes) == [0, 1, 2] and section.row == last
     deepest = run.trace["tool_z_mm"].argmin()
-    assert section.place_mm == run.trace[f"tool_{'xyz'[section.normal]}_mm"][deepest]
-    index = int((section.place_mm * 1e-3 - volume.origin_m[section.normal]) / volume.spacing_m)
-    np.testing.assert_array_equal(section.layer, np.take(volume.layer, index, axis=section.normal))
-    removed = np.take(volume.fraction - run.remaining, index, axis=section.normal) / 255
+    assert section.place_mm == run.trace[f"tool_{'xyz'[normal]}_mm"][deepest]
+    index = int((section.place_mm * 1e-3 - volume.origin_m[normal]) / volume.spacing_m)
+    np.testing.assert_array_equal(section.layer, np.take(volume.layer, index, axis=normal))
+    removed = np.take(volume.fraction - run.remaining, index, axis=normal) / 255
     np.testing.assert_allclose(section.start - section.left, removed, atol=1e-12)
     assert removed.sum() > 10.0
     u0, u1, v0, v1 = section.extent_mm
@@ -60,14 +58,7 @@ def test_a_section_shows_one_moment(run):
     stopped = section_of(simulate(load_scene("glenoid", changes)), axis=2, outward=1, row=row)
     np.testing.assert_array_equal(section.left, stopped.left)
     assert section.left.sum() > section_of(run, axis=2, outward=1, row=599).left.sum() + 1.0
-    assert (section.place_mm, section.across) == (stopped.place_mm, stopped.across)
-
-
-def test_the_moment_of_a_section_is_that_of_its_stress(run):
-    loaded = with_measures(run)
-    row, frame = moment_of(loaded)
-    assert frame is loaded_frame(loaded.parts.tissue.fields)
-    assert loaded.trace["time_s"][row] == pytest.approx(frame.time_s)
+    assert (section.place_mm, section.axes) == (stopped.place_mm, stopped.axes)
 
 
 def test_descent_ends_where_the_tool_is_deepest_before_it_rises():
@@ -115,11 +106,6 @@ def test_the_frame_that_is_shown_bears_load():
     assert loaded_frame(series) is None
 
 
-def test_events_are_numbered_and_not_too_many():
-    assert event_lines([(0.5, "a"), (1.25, "b")]) == ["1   0.500 s: a", "2   1.250 s: b"]
-    assert event_lines([(0.1 * i, "it") for i in range(9)])[-1] == "and 3 more"
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("fields", [True, False])
 def test_a_tissue_with_measures_gets_its_pictures(run, tmp_path, monkeypatch, fields):
@@ -133,12 +119,3 @@ def test_a_tissue_with_measures_gets_its_pictures(run, tmp_path, monkeypatch, fi
             pixels = np.asarray(picture.convert("RGB"), dtype=float)
         assert pixels.std() > 15.0, name
         assert len(np.unique(pixels.reshape(-1, 3)[::97], axis=0)) > 30, name
-
-
-def test_a_tool_that_never_touches_has_no_force_over_depth(run, tmp_path, monkeypatch):
-    monkeypatch.setattr("tissue.show.figures.bone_pictures.draw_before_after", lambda *_: None)
-    still = with_measures(run, fields=False)
-    still.trace.rows[:, still.trace.columns.index("contact_mm2")] = 0.0
-    assert draw_pictures(still, tmp_path) == [
-        "force_depth.png was not drawn: the tool did not go down into the tissue"
-    ]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tissue.objects.report import report
+from tissue.objects.run import report
 from tissue.objects.simulate import simulate
 from tissue.scene.load import load_scene
 

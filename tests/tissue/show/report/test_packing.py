@@ -6,7 +6,7 @@ from base64 import b64decode
 import numpy as np
 import pytest
 
-from tissue.show.report.packing import (
+from tissue.show.report.charts import (
     packed,
     packed_column,
     packed_mesh,

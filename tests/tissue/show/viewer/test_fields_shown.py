@@ -11,7 +11,7 @@ from recording_plotter import RecordingPlotter
 from tissue import InputError
 from tissue.fem.fields import FieldSeries, Frame
 from tissue.show.viewer.fields import FieldsShown
-from tissue.simulation.saved_fields import SavedFields, field_label, field_limits, field_names
+from tissue.simulation.saved_fields import SavedFields, field_limits, field_names
 from tissue.simulation.series import write_fields
 
 ROUNDING = 1e-5
@@ -22,19 +22,6 @@ ROUNDING = 1e-5
 def pressed(tmp_path_factory):
     """Folder of a run that pressed a soft box by 6 mm within a second."""
     return pressed_run(tmp_path_factory.mktemp("runs") / "press")
-
-
-@pytest.mark.parametrize(
-    ("name", "label"),
-    [
-        ("von_mises_kPa", ("von Mises", "kPa")),
-        ("displacement_um", ("displacement", "µm")),
-        ("max_principal_strain_percent", ("max principal strain", "%")),
-        ("volume_strain", ("volume strain", "")),
-    ],
-)
-def test_a_field_is_named_with_its_unit(name, label):
-    assert field_label(name) == label
 
 
 def test_a_scale_spans_the_whole_run(pressed):

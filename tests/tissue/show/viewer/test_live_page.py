@@ -5,8 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tissue.show.viewer.live.live_scene import Readings
-from tissue.show.viewer.live.target import KEY_MM, NOTCH_MM
+from tissue.show.viewer.live.live_scene import NOTCH_MM, Readings
 from tissue.show.viewer.web import live_page
 from tissue.show.viewer.web.live_page import LivePage
 from tissue.simulation.live.shared import SharedArrays
@@ -107,15 +106,6 @@ def test_a_drag_moves_the_shared_pointer_by_what_is_under_the_mouse(page):
     np.testing.assert_allclose(pointer(page), [0.1 * tall_mm, 0.0, -0.2 * tall_mm], atol=1e-12)
 
 
-def test_wheel_and_keys_move_it_as_in_the_window(page):
-    page.take("depth", {"notches": -3})
-    page.take("key", {"name": "PageDown"})
-    page.take("key", {"name": "s"})
-    page.take("key", {"name": "ArrowRight"})
-    page.take("key", {"name": "F5"})
-    np.testing.assert_allclose(pointer(page), [KEY_MM, 0.0, -3 * NOTCH_MM - 2 * KEY_MM], atol=1e-12)
-
-
 def test_the_tool_stays_where_it_is_while_the_run_is_paused(page):
     page.take("pause", {"on": True})
     page.take("depth", {"notches": -3})
@@ -124,17 +114,6 @@ def test_the_tool_stays_where_it_is_while_the_run_is_paused(page):
     page.take("pause", {"on": False})
     page.take("depth", {"notches": -3})
     assert pointer(page)[2] == -3 * NOTCH_MM and page.arrays["paused"][0] == 0
-
-
-def test_the_ticks_wait_while_no_page_is_open_and_a_pause_outlasts_a_new_page(page):
-    page.attend(False)
-    assert page.arrays["paused"][0] == 1
-    page.attend(True)
-    assert page.arrays["paused"][0] == 0
-    page.take("pause", {"on": True})
-    page.attend(False)
-    page.attend(True)
-    assert page.arrays["paused"][0] == 1
 
 
 def test_a_reset_is_asked_for_once_and_the_tool_begins_where_it_did(page):

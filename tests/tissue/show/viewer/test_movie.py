@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from tissue import InputError
-from tissue.show.viewer.export import FRAMES_PER_S, check_movie, movie_times_s, write_movie
+from tissue.show.viewer.window import FRAMES_PER_S, check_movie, movie_times_s, write_movie
 
 
 def pictures(count, size=(64, 96)):
@@ -51,9 +51,7 @@ def test_an_mp4_holds_every_picture(tmp_path):
 
 
 def test_a_movie_needs_an_ending(tmp_path):
-    with pytest.raises(
-        InputError, match=r"movie must be a .mp4 or .gif file, got .*run.avi: use .*run.gif$"
-    ):
+    with pytest.raises(InputError, match=r"movie .*run.avi: use .*run.gif$"):
         check_movie(tmp_path / "run.avi")
 
 
@@ -63,7 +61,5 @@ def test_an_ffmpeg_that_does_not_run_is_refused_before_anything_is_drawn(
 ):
     pytest.importorskip("imageio_ffmpeg")
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", encoder)
-    with pytest.raises(
-        InputError, match=r"where imageio-ffmpeg has no ffmpeg that runs, got .*: use .*run.gif or "
-    ):
+    with pytest.raises(InputError, match=r"no ffmpeg that runs"):
         check_movie(tmp_path / "run.mp4")

@@ -1,4 +1,4 @@
-// Reads what tissue/show/report/packing.py writes.
+// Reads what tissue/show/report/charts.py writes.
 
 async function inflate(text) {
   const letters = atob(text);

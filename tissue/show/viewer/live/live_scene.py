@@ -6,22 +6,21 @@ from pathlib import Path
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from tissue.scene.scene import Scene
-from tissue.show.figures.faces import faces_of
 from tissue.show.figures.figure import layer_colours
-from tissue.show.figures.tool_mesh import tool_turns, turning_tool
-from tissue.show.viewer.bone import layer_look
-from tissue.show.viewer.moment import ToolShown
+from tissue.show.figures.tool_mesh import faces_of, tool_turns, turning_tool
+from tissue.show.viewer.fields import layer_look
 from tissue.show.viewer.plotter import Plotter, aim, new_plotter
+from tissue.show.viewer.run_scene import ToolShown
 from tissue.simulation.bone_surface import smooth_normals, with_layers
 from tissue.simulation.live.shared import SharedArrays
 from tissue.simulation.live.surfaces import BoneSurface, OrganSurface, Start, tissue_surface
 from tissue.simulation.live.window import CLOCK
 from tissue.simulation.trace import Table
 
-__all__ = ["DEVICE", "LiveBone", "LiveOrgan", "LiveScene", "Readings", "live_tissue"]
+__all__ = ["HELP", "NOTCH_MM", "LiveScene", "Pointer", "Readings", "Target"]
 
 TISSUE_S = 0.2
 """Minimum time between two updates of the tissue [s].
@@ -33,7 +32,6 @@ LEAST_N = 1.0
 """Force that is drawn as the longest arrow until there is a greater one."""
 
 
-Array = NDArray[np.float64]
 NUMBERS = ("time_s", "removed_mm3", *CLOCK)
 """Columns that are shown without conversion."""
 
@@ -213,7 +211,7 @@ class LiveScene:
     points_mm
         Points that must be in view [mm], shape (n, 3).
     target_options
-        Arguments of a `tissue.show.viewer.live.target.Target`, by name.
+        Arguments of a `tissue.show.viewer.live.live_scene.Target`, by name.
     """
 
     def __init__(
@@ -248,7 +246,7 @@ class LiveScene:
         seen = [1e3 * start["start_m"][None], *(np.asarray(face.points) for face in faces.values())]
         if self.tissue is not None:
             seen.append(self.tissue.points_mm)
-        self.points_mm: NDArray[np.float64] = np.vstack(seen)
+        self.points_mm: Array = np.vstack(seen)
         self._add_tool()
         aim(self.plotter, self.points_mm, margins=margins)
         self.target_options = {
@@ -271,7 +269,7 @@ class LiveScene:
         self._took = perf_counter() - now
         return changed
 
-    def show(self, target_mm: NDArray[np.float64]) -> Readings | None:
+    def show(self, target_mm: Array) -> Readings | None:
         """Show the newest row and the wanted position of the tool [mm]; return the row's readings.
 
         The result is None if there is no row yet.
@@ -299,3 +297,152 @@ class LiveScene:
         self.plotter.add_mesh(self._spring, line_width=3, **look)
         tool = turning_tool(self.scene.tool)
         self._tool = ToolShown(self.plotter, tool, longest_mm=0.25 * size_mm, opacity=0.5)
+
+
+NOTCH_MM, KEY_MM = 0.5, 0.5
+"""Travel of a notch of the wheel and of a press of a key [mm]."""
+DEEPER = ("Next", "s")
+HIGHER = ("Prior", "w")
+ARROWS = {"Left": (-1.0, 0.0), "Right": (1.0, 0.0), "Up": (0.0, 1.0), "Down": (0.0, -1.0)}
+"""Directions right and up in the view."""
+
+
+class Target:
+    """Wanted position of a tool.
+
+    Parameters
+    ----------
+    plotter
+        Plotter of the view.
+    start_mm
+        Initial position [mm].
+    axis
+        The tool's axis from tip to shank, shape (3,).
+    low_mm, high_mm
+        Corners of the box [mm].
+
+    Attributes
+    ----------
+    target_mm
+        Wanted position of the tool [mm], shape (3,).
+    """
+
+    def __init__(
+        self, plotter: Plotter, start_mm: Array, axis: Array, *, low_mm: Array, high_mm: Array
+    ) -> None:
+        self._plotter = plotter
+        self._axis = axis
+        self._low = low_mm
+        self._high = high_mm
+        self._start: Array = np.array(start_mm, dtype=float)
+        self.target_mm = self._start.copy()
+
+    def reset(self) -> None:
+        """Move back to the initial position."""
+        self.target_mm = self._start.copy()
+
+    def along(self, travel_mm: float) -> None:
+        """Move along the tool's axis [mm], positive out of the tissue."""
+        self._go(travel_mm * self._axis)
+
+    def across(self, right_mm: float, up_mm: float) -> None:
+        """Move in the plane of the view [mm]."""
+        camera = self._plotter.camera
+        forward = np.array(camera.GetDirectionOfProjection())
+        right = np.cross(forward, camera.GetViewUp())
+        right /= np.linalg.norm(right)
+        self._go(right_mm * right + up_mm * np.cross(right, forward))
+
+    def press(self, key: str) -> None:
+        """Move by a key, given by VTK's name. Keys without a move are ignored."""
+        if key in ARROWS:
+            right, up = ARROWS[key]
+            self.across(KEY_MM * right, KEY_MM * up)
+        elif key in DEEPER:
+            self.along(-KEY_MM)
+        elif key in HIGHER:
+            self.along(KEY_MM)
+
+    @property
+    def mm_per_pixel(self) -> float:
+        """Size of a pixel in the plane of the view through the target [mm]."""
+        camera = self._plotter.camera
+        away = float(
+            (self.target_mm - camera.GetPosition()) @ np.array(camera.GetDirectionOfProjection())
+        )
+        tall = self._plotter.window_size[1]
+        return 2.0 * max(away, 1.0) * float(np.tan(np.radians(0.5 * camera.GetViewAngle()))) / tall
+
+    def _go(self, travel_mm: Array) -> None:
+        self.target_mm = np.clip(self.target_mm + travel_mm, self._low, self._high)
+
+
+HELP = (
+    "mouse or arrows: move in the view's plane",
+    "wheel, page down/up or s/w: deeper, higher",
+    "drag: turn the view, right drag: nearer, farther",
+    "q: end",
+)
+"""Description of the keys and mouse actions."""
+
+
+class Pointer(Target):
+    """Wanted position of a tool, moved by mouse and keys within a box.
+
+    The mouse moves the position in the plane of the view, by the distance that the mouse covers in
+    the parallel plane through the position. With a pressed button, the mouse controls the view. The
+    wheel and the depth keys move the position along the tool's axis.
+
+    Parameters
+    ----------
+    plotter
+        Plotter of the window.
+    start_mm
+        Initial position [mm].
+    axis
+        The tool's axis from tip to shank, shape (3,).
+    low_mm, high_mm
+        Corners of the box [mm].
+
+    Attributes
+    ----------
+    target_mm
+        Wanted position of the tool [mm], shape (3,).
+    ended
+        True if the key to end was pressed.
+    """
+
+    def __init__(
+        self, plotter: Plotter, start_mm: Array, axis: Array, *, low_mm: Array, high_mm: Array
+    ) -> None:
+        super().__init__(plotter, start_mm, axis, low_mm=low_mm, high_mm=high_mm)
+        self.ended = False
+        self._at: tuple[int, int] | None = None
+        interactor = self._interactor = plotter.iren.interactor
+        self._style = style = interactor.GetInteractorStyle()
+        interactor.AddObserver("MouseMoveEvent", self._moved)
+        interactor.AddObserver("LeaveEvent", self._left)
+        interactor.AddObserver("KeyPressEvent", self._pressed)
+        # An event that the style is asked for by name is not its own any more: neither zoom nor
+        # shortcuts remain.
+        style.AddObserver("MouseWheelForwardEvent", lambda *_: self.along(-NOTCH_MM))
+        style.AddObserver("MouseWheelBackwardEvent", lambda *_: self.along(NOTCH_MM))
+        style.AddObserver("CharEvent", lambda *_: None)
+
+    def _moved(self, *_: object) -> None:
+        before = self._at
+        self._at = self._interactor.GetEventPosition()
+        if before is None or self._style.GetState() != 0:
+            return
+        pixel = self.mm_per_pixel
+        self.across(pixel * (self._at[0] - before[0]), pixel * (self._at[1] - before[1]))
+
+    def _left(self, *_: object) -> None:
+        self._at = None
+
+    def _pressed(self, *_: object) -> None:
+        key = self._interactor.GetKeySym()
+        if key in ("q", "Escape"):
+            self.ended = True
+        else:
+            self.press(key)

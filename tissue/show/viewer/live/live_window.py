@@ -3,27 +3,22 @@
 Run as ``python -m tissue.show.viewer.live.live_window FOLDER`` in a separate process.
 """
 
-import os
-import signal
 import sys
 from pathlib import Path
 from time import perf_counter, sleep
 
 import numpy as np
 
-from tissue.show.viewer.live.live_scene import LiveScene, Readings
-from tissue.show.viewer.live.target import HELP, Pointer
-from tissue.show.viewer.plotter import add_names, add_text
+from tissue.show.viewer.live.live_scene import HELP, LiveScene, Pointer, Readings
+from tissue.show.viewer.plotter import add_names, add_text, in_words, own_process
 
-__all__ = ["NICE", "LiveWindow"]
+__all__ = ["LiveWindow"]
 
 SIZE = (1100, 800)
 FRAME_S = 1.0 / 30.0
 """Time between two frames [s]."""
 MARGINS = (0.08, 0.86, 0.1, 0.84)
 """Left, right, lower and upper end of the area for the scene, in shares of the window."""
-NICE = 5
-"""On a busy machine the ticks come first."""
 
 
 class LiveWindow:
@@ -94,8 +89,8 @@ class LiveWindow:
     def _write(self, read: Readings) -> None:
         """Write force, removed volume and lateness."""
         numbers = read.numbers
-        parts = ", ".join(f"{one:.2f}" for one in read.force_N.round(2) + 0.0)
-        words = [f"{numbers['time_s']:.2f} s: force {np.linalg.norm(read.force_N):.2f} N ({parts})"]
+        size = float(np.linalg.norm(read.force_N))
+        words = [f"{numbers['time_s']:.2f} s: force {size:.2f} N ({in_words(read.force_N)})"]
         if read.device_N is not None:
             words.append(f"at the device {read.device_N:.2f} N")
         if numbers["removed_mm3"] > 0.0:
@@ -118,13 +113,7 @@ def _main(folder: str) -> None:
 
     The ticks or the user end it.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the ticks decide when it ends
-    if hasattr(os, "nice"):
-        os.nice(NICE)
-    # OpenGL in software would take every core from the ticks
-    os.environ.setdefault("LP_NUM_THREADS", "1")
-    standard_output = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)
+    standard_output = own_process(beside_ticks=True)
     window = LiveWindow(Path(folder))
     window.open()
     window.frame()

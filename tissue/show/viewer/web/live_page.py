@@ -9,11 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from tissue.show.viewer.live.live_scene import LiveScene, Readings
-from tissue.show.viewer.live.target import NOTCH_MM, Target
+from tissue.show.viewer.live.live_scene import NOTCH_MM, LiveScene, Readings, Target
 from tissue.show.viewer.plotter import aim
-from tissue.show.viewer.web.messages import Values
-from tissue.show.viewer.web.server import serve
+from tissue.show.viewer.web.server import Values, serve
 from tissue.show.viewer.web.stage import Stage
 from tissue.simulation.live.window import LOADS
 
@@ -141,7 +139,7 @@ class LivePage:
         return self._resets != self._run
 
     def _move(self, do: str, values: Values) -> None:
-        """Move the tool as `tissue.show.viewer.live.target.Pointer` does."""
+        """Move the tool as `tissue.show.viewer.live.live_scene.Pointer` does."""
         if do == "move":
             tall_mm = self.stage.tall_px * self.target.mm_per_pixel
             self.target.across(tall_mm * float(values["right"]), tall_mm * float(values["up"]))

@@ -2,8 +2,6 @@
 
 import asyncio
 import json
-import os
-import signal
 from collections.abc import Callable
 from pathlib import Path
 from secrets import compare_digest, token_urlsafe
@@ -11,22 +9,85 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
-from tissue.show.viewer.web.messages import LARGEST, MessageError, Pace, Values, close_reason, parse
+from tissue.show.viewer.plotter import own_process
 
 if TYPE_CHECKING:
-    from aiohttp.typedefs import Handler, Middleware
+    from aiohttp.typedefs import Handler
 
-__all__ = [
-    "HOST",
-    "SOCKET",
-    "PageServer",
-    "Session",
-    "gate",
-    "new_token",
-    "page_text",
-    "refusal",
-    "serve",
-]
+__all__ = ["Values", "serve"]
+
+LARGEST = 1024
+"""Longest message [byte]."""
+MOST_PER_S, AT_ONCE = 400.0, 200.0
+"""Messages that are read in a second, and at once after a pause: a page sends one for each move of
+the mouse and each picture, some 150 a second."""
+LONGEST_REASON = 123
+"""Longest reason of a closed WebSocket, by RFC 6455 [byte]."""
+Values = dict[str, float | bool | str]
+NUMBERS = {
+    "size": {"wide": (64.0, 8192.0), "tall": (64.0, 8192.0)},
+    "move": {"right": (-4.0, 4.0), "up": (-4.0, 4.0)},
+    "turn": {"right": (-4.0, 4.0), "up": (-4.0, 4.0)},
+    "zoom": {"by": (0.2, 5.0)},
+    "depth": {"notches": (-20.0, 20.0)},
+    "time": {"time_s": (-1e6, 1e6)},
+}
+"""Entries that are numbers, with their ranges."""
+WORDS, SWITCHES = ("key", "field", "layer"), ("pause", "play")
+"""Messages with one entry, ``name``, a word, or ``on``, true or false."""
+ALONE = ("reset", "end", "seen")
+"""Messages without any."""
+
+
+class MessageError(ValueError):
+    """A message that no page of ours sends."""
+
+
+def parse(text: str) -> tuple[str, Values]:
+    """Read a message: its command and the entries.
+
+    Raises
+    ------
+    MessageError
+        If it is no such message.
+    """
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError):
+        raise MessageError("a message must be JSON") from None
+    do = found.pop("do", None) if isinstance(found, dict) else None
+    if not isinstance(do, str):
+        raise MessageError("a message must be an object with do")
+    ranges = NUMBERS.get(do, {})
+    names = {*ranges, *(["name"] if do in WORDS else []), *(["on"] if do in SWITCHES else [])}
+    if (not names and do not in ALONE) or set(found) != names:
+        raise MessageError(f"{do[:40]!a} must be a known message with its entries alone")
+    for name, value in found.items():
+        low, high = ranges.get(name, (0.0, 0.0))
+        kind = {"name": str, "on": bool}.get(name, int | float)
+        fits = isinstance(value, kind) and (kind is bool or not isinstance(value, bool))
+        # an integer may be too large for a float; NaN is in no range
+        if not fits or (name in ranges and not low <= value <= high):
+            raise MessageError(f"{name} of {do} must be in its range")
+    return do, found
+
+
+class Pace:
+    """Limit of the messages that are read: `MOST_PER_S` a second, and `AT_ONCE` after a pause.
+
+    Further messages of a page wait in the buffers of the browser.
+    """
+
+    def __init__(self) -> None:
+        self._left = AT_ONCE
+        self._time_s = 0.0
+
+    def wait_s(self, time_s: float) -> float:
+        """Count a message that came at a time [s]; return the wait before the next one [s]."""
+        self._left = min(self._left + MOST_PER_S * (time_s - self._time_s), AT_ONCE) - 1.0
+        self._time_s = time_s
+        return max(-self._left, 0.0) / MOST_PER_S
+
 
 PAGE = Path(__file__).parent / "page"
 FRAME_S, REST_S = 1.0 / 30.0, 0.004
@@ -96,7 +157,7 @@ class PageServer:
 
     def __init__(self, session: Session, *, token: str | None = None) -> None:
         self._session = session
-        self._token = token or new_token()
+        self._token = token or token_urlsafe(TOKEN_BYTES)
         self._port = 0
         self.address = ""
         self._socket: web.WebSocketResponse | None = None
@@ -107,7 +168,7 @@ class PageServer:
 
     async def serve(self, opened: Callable[[str], object], *, port: int = 0) -> None:
         """Serve until the session is over, and call ``opened`` with the address."""
-        app = web.Application(middlewares=[gate(self._token, lambda: self._port)])
+        app = web.Application(middlewares=[self._gate])
         app.router.add_get("/", self._page)
         app.router.add_get(SOCKET, self._connect)
         runner = web.AppRunner(
@@ -149,6 +210,17 @@ class PageServer:
                 except TimeoutError:
                     _cut(self._line)
             await asyncio.sleep(max(FRAME_S - (loop.time() - began), REST_S))
+
+    @web.middleware
+    async def _gate(self, request: web.Request, handler: "Handler") -> web.StreamResponse:
+        """Answer 403 to refused requests."""
+        why = refusal(request, self._port, self._token)
+        if why is not None:
+            return web.Response(status=403, text=f"refused: {why}\n", headers=HEADERS)
+        answer = await handler(request)
+        if not answer.prepared:
+            answer.headers.update(HEADERS)
+        return answer
 
     async def _page(self, request: web.Request) -> web.Response:
         nonce = token_urlsafe(12)
@@ -206,7 +278,8 @@ async def _close(
     """
     try:
         async with asyncio.timeout(CLOSES_S):
-            await socket.close(code=code, message=close_reason(reason))
+            message = reason.encode("ascii", "backslashreplace")[:LONGEST_REASON]
+            await socket.close(code=code, message=message)
     except TimeoutError:
         _cut(line)
 
@@ -249,77 +322,28 @@ They forbid storage, embedding by other sites, and sending on the token in the a
 """
 
 
-def new_token() -> str:
-    """Return a random token of 192 bits for an address."""
-    return token_urlsafe(TOKEN_BYTES)
-
-
-def refusal(
-    *, host: str, origin: str | None, given: str, port: int, token: str, socket: bool
-) -> str | None:
+def refusal(request: web.BaseRequest, port: int, token: str) -> str | None:
     """Return why a request is refused, or None.
 
     A request from another site by a name that points here (DNS rebinding) is detected by its Host.
     A request from another site that opens the socket is detected by its Origin, which browsers
     always send in this case.
-
-    Parameters
-    ----------
-    host, origin
-        Headers of the request.
-    given
-        Token in the address of the request.
-    port, token
-        Port of the server, and the token that opens the page.
-    socket
-        True if the request opens the socket.
     """
     home = f"{HOST}:{port}"
-    if host != home:
+    origin = request.headers.get("Origin")
+    if request.headers.get("Host", "") != home:
         return "the address must be the one that tissue printed"
-    if (socket and origin is None) or (origin is not None and origin != f"http://{home}"):
+    if origin != f"http://{home}" and (origin is not None or request.path == SOCKET):
         return "the page must be the one that tissue serves"
-    if not compare_digest(given.encode(), token.encode()):
+    if not compare_digest(request.query.get("token", "").encode(), token.encode()):
         return "the address must hold the token that tissue printed"
     return None
-
-
-def gate(token: str, port: Callable[[], int]) -> "Middleware":
-    """Return middleware that answers 403 to refused requests.
-
-    The port is known once the page is served.
-    """
-
-    @web.middleware
-    async def judge(request: web.Request, handler: "Handler") -> web.StreamResponse:
-        why = refusal(
-            host=request.headers.get("Host", ""),
-            origin=request.headers.get("Origin"),
-            given=request.query.get("token", ""),
-            port=port(),
-            token=token,
-            socket=request.path == SOCKET,
-        )
-        if why is not None:
-            return web.Response(status=403, text=f"refused: {why}\n", headers=HEADERS)
-        answer = await handler(request)
-        if not answer.prepared:
-            answer.headers.update(HEADERS)
-        return answer
-
-    return judge
-
-
-NICE = 5
-"""Lower process priority for a page that runs in parallel to ticks."""
 
 
 def serve(make: Callable[[], Session], *, beside_ticks: bool) -> None:
     """Create a session and serve it until it is over.
 
     The address is printed after the word ready.
-
-    The parent process decides when it ends, so Ctrl-C is ignored here.
 
     Parameters
     ----------
@@ -328,20 +352,12 @@ def serve(make: Callable[[], Session], *, beside_ticks: bool) -> None:
     beside_ticks
         If true, ticks run in parallel and have priority.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if beside_ticks:
-        if hasattr(os, "nice"):
-            os.nice(NICE)
-        # OpenGL in software would take every core from the ticks
-        os.environ.setdefault("LP_NUM_THREADS", "1")
-    standard_output = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)
+    standard_output = own_process(beside_ticks=beside_ticks)
     import pyvista
 
     # drawn in software, smooth edges take three times as long
     pyvista.global_theme.multi_samples = 1
-    session = make()
-    server = PageServer(session)
+    server = PageServer(make())
     asyncio.run(
         server.serve(lambda address: print(f"ready {address}", file=standard_output, flush=True))
     )

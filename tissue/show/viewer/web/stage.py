@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tissue.show.viewer.plotter import Plotter
-from tissue.show.viewer.web.messages import Values
+from tissue.show.viewer.web.server import Values
 
 __all__ = ["Stage", "taken_scale"]
 
@@ -59,18 +59,15 @@ class Stage:
 
     def take(self, do: str, values: Values) -> bool:
         """Change size or view on request of a page, and return whether it was such a request."""
-        number = {
-            name: float(value) for name, value in values.items() if not isinstance(value, str)
+        changes: dict[str, Callable[..., None]] = {
+            "size": self.resize,
+            "turn": self.turn,
+            "zoom": self.zoom,
         }
-        if do == "size":
-            self.resize(number["wide"], number["tall"])
-        elif do == "turn":
-            self.turn(number["right"], number["up"])
-        elif do == "zoom":
-            self.zoom(number["by"])
-        else:
-            return False
-        return True
+        change = changes.get(do)
+        if change is not None:
+            change(**{name: float(value) for name, value in values.items()})
+        return change is not None
 
     def resize(self, wide: float, tall: float) -> None:
         """Draw pictures of this shape, and of this size [pixel] where that is not too much."""

@@ -3,21 +3,20 @@
 Run as ``python -m tissue.show.viewer.web.view_page DIR CHOICE`` in a subprocess.
 """
 
-import json
 import sys
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 from matplotlib.colors import to_hex
 
 from tissue.show.figures.figure import field_words
+from tissue.show.figures.tool_mesh import row_at
+from tissue.show.viewer.controls import Playback
 from tissue.show.viewer.plotter import aim, new_plotter
 from tissue.show.viewer.run_scene import Choice, RunScene
 from tissue.show.viewer.saved_surfaces import tool_force
-from tissue.show.viewer.web.messages import Values
-from tissue.show.viewer.web.server import serve
+from tissue.show.viewer.web.server import Values, serve
 from tissue.show.viewer.web.stage import Stage, taken_scale
 from tissue.simulation.run_folder import SavedRun
 
@@ -29,8 +28,6 @@ MARGINS = (0.05, 0.82, 0.06, 0.94)
 """Layers and the scale of colours lie at the right."""
 MOST_ROWS = 2000
 """Rows of the trace that the page plots."""
-SLOWEST_S = 4.0
-"""Duration below which a run is played slower, so that it lasts this time [s]."""
 DEPTH, LAYER = "removed depth", "layer"
 """Colourings of the bone, among the names of fields."""
 
@@ -51,8 +48,6 @@ class ViewPage:
     ----------
     stage, shown
         The view and its content.
-    time_s
-        Shown moment [s].
     """
 
     kind = "view"
@@ -60,7 +55,6 @@ class ViewPage:
     def __init__(self, saved: SavedRun, choice: Choice) -> None:
         self._saved = saved
         self.over = False
-        self._playing = False
         self._plotter = new_plotter(SIZE, off_screen=True)
         shown = self.shown = RunScene(saved, choice, self._plotter, annotated=False)
         self._legend = {name: to_hex(colour) for name, colour in shown.colours.items()}
@@ -69,14 +63,19 @@ class ViewPage:
         if choice.hide:
             self._hide(frozenset(choice.hide))
         self.chosen = self._choose(choice.field or next(iter(self._choices), ""))
-        self.time_s = self._shown_s = shown.start_s
-        shown.at(self.time_s)
+        self._playback = Playback(shown.span_s, shown.start_s)
+        self._shown_s = shown.start_s
+        shown.at(shown.start_s)
         extent_mm = shown.extent_mm(near_tip=True)
         aim(self._plotter, extent_mm, margins=MARGINS)
         self.stage = Stage(self._plotter, lambda: aim(self._plotter, extent_mm, margins=MARGINS))
-        self._last_s = perf_counter()
         self._dirty = True
         self._changed()
+
+    @property
+    def time_s(self) -> float:
+        """Shown moment [s]."""
+        return self._playback.time_s
 
     def hello(self) -> dict[str, Any]:
         """Return names, colours, choices, and the force over time."""
@@ -92,7 +91,7 @@ class ViewPage:
 
     def attend(self, attended: bool) -> None:
         """Pause the playback while no page is open."""
-        self._playing = self._playing and attended
+        self._playback.play(self._playback.playing and attended)
 
     def leave(self) -> None:
         """End the session."""
@@ -103,12 +102,9 @@ class ViewPage:
         if self.stage.take(do, values):
             pass
         elif do == "time":
-            self.time_s = float(np.clip(float(values["time_s"]), *self.shown.span_s))
+            self._playback.time_s = float(np.clip(float(values["time_s"]), *self.shown.span_s))
         elif do == "play":
-            self._playing = bool(values["on"])
-            self._last_s = perf_counter()
-            if self._playing and self.time_s >= self.shown.span_s[1]:
-                self.time_s = self.shown.span_s[0]
+            self._playback.play(bool(values["on"]))
         elif do == "field" and values["name"] in self._choices:
             self.chosen = self._choose(str(values["name"]))
             self._changed()
@@ -122,13 +118,7 @@ class ViewPage:
 
     def frame(self, drawing: bool) -> tuple[dict[str, Any] | None, bytes | None]:
         """Advance the time during playback, and show the moment."""
-        now = perf_counter()
-        passed = now - self._last_s
-        self._last_s = now
-        first, last = self.shown.span_s
-        if self._playing:
-            self.time_s = min(self.time_s + passed * min((last - first) / SLOWEST_S, 1.0), last)
-            self._playing = self.time_s < last
+        self._playback.advance()
         if not drawing:
             return None, None
         if self.time_s != self._shown_s or self._dirty:
@@ -182,23 +172,19 @@ class ViewPage:
         """Return the data of the moment that the page writes."""
         figures: dict[str, Any] = {
             "time_s": self.time_s,
-            "playing": self._playing,
+            "playing": self._playback.playing,
             "chosen": self.chosen,
         }
         figures["scale"] = self._scale
         trace = self._saved.trace
         if self.shown.moment is not None and trace is not None:
-            row = self.shown.moment.row(self.time_s)
-            removed = trace.get("removed_mm3")
+            row = row_at(trace, self.time_s)
             kind = "model_torque" if "model_torque_x_Nm" in trace else "torque"
+            cuts = "removed_mm3" in trace and trace["removed_mm3"][-1] > 0.0
             figures |= {
                 "force_N": np.round(tool_force(trace)[row], 4).tolist(),
-                "torque_Nm": round(
-                    float(np.linalg.norm([trace[f"{kind}_{c}_Nm"][row] for c in "xyz"])), 6
-                ),
-                "removed_mm3": float(removed[row])
-                if removed is not None and removed[-1] > 0.0
-                else None,
+                "torque_Nm": round(float(np.linalg.norm(trace.vectors(kind, "Nm")[row])), 6),
+                "removed_mm3": float(trace["removed_mm3"][row]) if cuts else None,
                 "layer": str(trace["layer"][row]) if "layer" in trace else None,
             }
         return figures
@@ -206,8 +192,7 @@ class ViewPage:
 
 def _make() -> ViewPage:
     folder, chosen = sys.argv[1:]
-    choice = json.loads(chosen)
-    return ViewPage(SavedRun(Path(folder)), Choice(**choice | {"hide": tuple(choice["hide"])}))
+    return ViewPage(SavedRun(Path(folder)), Choice.of_json(chosen))
 
 
 if __name__ == "__main__":
