@@ -3,16 +3,16 @@
 Each command is run over folders and files that it did not write.
 """
 
-from coarse_run import (COARSE)
-from tissue.simulation.run_folder import (SavedRun)
-from tissue.system.owned_folder import (MARKER, OwnedFolder)
 import hashlib
 import json
 import os
-import pytest
 import shutil
 
+import pytest
+from coarse_run import COARSE
 
+from tissue.simulation.run_folder import SavedRun
+from tissue.system.owned_folder import MARKER, OwnedFolder
 
 WALL = ("wall", "--set", "duration_s=0.05")
 FOLDERS = {

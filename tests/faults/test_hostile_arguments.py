@@ -3,18 +3,18 @@
 They end in one sentence, never in a traceback.
 """
 
-from itertools import (pairwise)
-from meshes.base.text_tables import (DEEPEST, read_json, read_toml)
-from pathlib import (Path)
-from tissue import (InputError, load_scene, scene_names, scene_text)
-from tissue.scene.load import (changed)
 import json
 import os
-import pytest
 import subprocess
 import sys
+from itertools import pairwise
+from pathlib import Path
 
+import pytest
 
+from meshes.base.text_tables import DEEPEST, read_json, read_toml
+from tissue import InputError, load_scene, scene_names, scene_text
+from tissue.scene.load import changed
 
 MAIN = [sys.executable, "-c", "from tissue.cli.main import main; main()"]
 WALL = ("run", "wall", "--set", "duration_s=0.05", "--no-pictures")

@@ -19,8 +19,7 @@ from tissue.links.igtl_server import Client, IgtlServer, Received
 from tissue.links.publishing import RunPublisher, publish
 from tissue.motion.motion import matrix_of
 from tissue.scene.scene import Scene
-from tissue.show.figures.faces import faces_of
-from tissue.show.figures.tool_mesh import tool_surface
+from tissue.show.figures.tool_mesh import faces_of, tool_surface
 from tissue.simulation.bone_surface import with_layers
 from tissue.simulation.live.surfaces import BoneSurface, OrganSurface, Start, tissue_surface
 

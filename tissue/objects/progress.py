@@ -1,20 +1,20 @@
 """Progress in a notebook or in a terminal, and VTK's warnings there."""
 
-from collections.abc import (Iterator)
-from contextlib import (contextmanager)
-from html import (escape)
-from meshes.base.progress import (Progress, silent)
-from meshes.base.text_tables import (visible)
-from time import (perf_counter)
-from typing import (Any, TYPE_CHECKING)
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from html import escape
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+from meshes.base.progress import Progress, silent
+from meshes.base.text_tables import visible
 
 if TYPE_CHECKING:
-    from rich.console import (Console)
+    from rich.console import Console
 
 __all__ = ["Bar", "in_notebook", "quiet_without_display", "reporting", "terminal_bar"]
-
 
 
 Bar = Progress | bool | None

@@ -1,27 +1,48 @@
 """Registration of user-defined parts by the names that scenes use: `tissue.register`."""
 
-from collections.abc import (Callable, Mapping, Sequence)
-from dataclasses import (asdict, fields)
-from itertools import (chain)
-from meshes.base.errors import (InputError)
-from meshes.base.file_limits import (require_regular)
-from meshes.base.text_tables import (read_toml)
-from pathlib import (Path)
-from tissue.materials.constants import (Entry, add_material, constants, listed)
-from tissue.materials.scene_constants import (checked_constant)
-from tissue.scene.named_parts import (nearest, shown)
-from tissue.scene.registry import (ANATOMIES, AnatomyEntry, CUTTERS, CUTTING_MATERIALS, CutterEntry, DEVICES, DeviceEntry, HANDS, MOTIONS, MotionEntry, NEEDLES, ORGAN_MATERIALS, PERCEPTIONS, PREDICTORS, PROBES, PredictorEntry, ProbeEntry, RENDERERS, SCENES, TABLES)
-from typing import (Any, TYPE_CHECKING, TypeVar)
 import inspect
 import re
 import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, fields
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from meshes.base.errors import InputError
+from meshes.base.file_limits import require_regular
+from meshes.base.text_tables import read_toml
+from tissue.materials.constants import Entry, add_material, constants, listed
+from tissue.materials.scene_constants import checked_constant
+from tissue.scene.named_parts import nearest, shown
+from tissue.scene.registry import (
+    ANATOMIES,
+    CUTTERS,
+    CUTTING_MATERIALS,
+    DEVICES,
+    HANDS,
+    MOTIONS,
+    NEEDLES,
+    ORGAN_MATERIALS,
+    PERCEPTIONS,
+    PREDICTORS,
+    PROBES,
+    RENDERERS,
+    SCENES,
+    TABLES,
+    AnatomyEntry,
+    CutterEntry,
+    DeviceEntry,
+    MotionEntry,
+    PredictorEntry,
+    ProbeEntry,
+)
 
 if TYPE_CHECKING:
-    from tissue.haptics.device.device import (DeviceParameters)
-    from tissue.scene.anatomy import (Part)
+    from tissue.haptics.device.device import DeviceParameters
+    from tissue.scene.anatomy import Part
 
 __all__ = ["register"]
-
 
 
 F = TypeVar("F")
@@ -364,7 +385,7 @@ def _check_profile(given: str, part: Any, keys: Sequence[str]) -> None:
 def _check_parameters(kind: str, given: str, part: Any) -> None:
     """Refuse parameters that are no subclass of `Part` whose kind is the name."""
     from tissue.scene.anatomy import Part
-    from tissue.scene.choices import kinds_of
+    from tissue.scene.part import kinds_of
 
     is_part = isinstance(part, type) and issubclass(part, Part)
     if not is_part or "kind" not in part.model_fields or kinds_of(part) != (given,):

@@ -3,12 +3,12 @@
 They are found on request and refused one by one; everything else works without them.
 """
 
-from offered_package import (offer, offer_example, searching)
 import json
-import pytest
 import subprocess
 import sys
 
+import pytest
+from offered_package import offer, offer_example, searching
 
 
 def python(code, *folders):

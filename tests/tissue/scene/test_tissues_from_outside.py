@@ -3,16 +3,16 @@
 A scene names one and runs with it.
 """
 
-from dataclasses import (replace)
-from tissue import (InputError, Scene, load_scene, simulate)
-from tissue.cutters.profile import (cylinder)
-from tissue.models.needle.parameters import (needle_tissue)
-from tissue.models.organ.probe import (SphereProbe)
-from tissue.scene.registry import (CUTTERS, CutterEntry, NEEDLES, PROBES, ProbeEntry)
-from tissue.show.figures.tool_mesh import (faces_of)
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from tissue import InputError, Scene, load_scene, simulate
+from tissue.cutters.profile import cylinder
+from tissue.models.needle.parameters import needle_tissue
+from tissue.models.organ.probe import SphereProbe
+from tissue.scene.registry import CUTTERS, NEEDLES, PROBES, CutterEntry, ProbeEntry
 
 
 def test_a_cutter_from_outside_cuts(added):

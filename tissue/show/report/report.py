@@ -1,34 +1,42 @@
 """A saved run as one HTML file that needs no network."""
 
-from base64 import (b64encode)
-from collections.abc import (Callable)
-from contextlib import (nullcontext, suppress)
-from html import (escape)
-from importlib.metadata import (PackageNotFoundError, version)
-from importlib.resources import (files)
-from importlib.util import (find_spec)
-from io import (BytesIO)
-from meshes.base.errors import (InputError)
-from meshes.base.isolated_parser import (parse_isolated)
-from meshes.base.progress import (Progress, silent)
-from meshes.base.whole_file import (package_version, whole_file)
-from pathlib import (Path)
-from tissue.scene.texts import (folders_of)
-from tissue.scene.used_constants import (used_constants)
-from tissue.show.report.charts import (Record, charts, columns)
-from tissue.show.report.page import (band_section, events_table, figures_of, materials_table, notes_table, reproduce, status_of)
-from tissue.show.report.stage import (stage)
-from tissue.simulation.run_folder import (SavedRun, added_to_run)
-from tissue.simulation.saved_fields import (require_whole)
-from tissue.system.html import (html_page)
-from tissue.system.outputs import (require_new_file)
-from typing import (Any)
-from zipfile import (ZIP_DEFLATED, ZipFile)
 import json
 import re
+from base64 import b64encode
+from collections.abc import Callable
+from contextlib import nullcontext, suppress
+from html import escape
+from importlib.metadata import PackageNotFoundError, version
+from importlib.resources import files
+from importlib.util import find_spec
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+from zipfile import ZIP_DEFLATED, ZipFile
+
+from meshes.base.errors import InputError
+from meshes.base.isolated_parser import parse_isolated
+from meshes.base.progress import Progress, silent
+from meshes.base.whole_file import package_version, whole_file
+from tissue.scene.texts import folders_of
+from tissue.scene.used_constants import used_constants
+from tissue.show.report.charts import Record, charts, columns
+from tissue.show.report.page import (
+    band_section,
+    events_table,
+    figures_of,
+    materials_table,
+    notes_table,
+    reproduce,
+    status_of,
+)
+from tissue.show.report.stage import stage
+from tissue.simulation.run_folder import SavedRun, added_to_run
+from tissue.simulation.saved_fields import require_whole
+from tissue.system.html import html_page
+from tissue.system.outputs import require_new_file
 
 __all__ = ["NAME", "write_report"]
-
 
 
 NAME = "report.html"

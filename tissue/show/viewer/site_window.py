@@ -2,18 +2,19 @@
 the scene.
 """
 
-from meshes.base.errors import (InputError, as_vector)
-from meshes.surfaces.site import (normal_near, sample_surface)
-from meshes.surfaces.surface import (Surface, read_surface)
-from pathlib import (Path)
-from tissue.scene.texts import (anatomy_of, save_site)
-from tissue.show.figures.figure import (BONE)
-from tissue.show.viewer.plotter import (add_text, free_keys, in_words, new_plotter, on_click, picked)
-import numpy as np
 import sys
+from pathlib import Path
+
+import numpy as np
+
+from meshes.base.errors import InputError, as_vector
+from meshes.surfaces.site import normal_near, sample_surface
+from meshes.surfaces.surface import Surface, read_surface
+from tissue.scene.texts import anatomy_of, save_site
+from tissue.show.figures.figure import BONE
+from tissue.show.viewer.plotter import add_text, free_keys, in_words, new_plotter, on_click, picked
 
 __all__ = ["is_imported", "show_site"]
-
 
 
 SIZE = (1400, 950)

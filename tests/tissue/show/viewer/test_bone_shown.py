@@ -1,18 +1,19 @@
 """The bone in `tissue view`: carved as far as the time shown, its layers switched on and off."""
 
-from recording_plotter import (RecordingPlotter)
-from tissue import (InputError, load_scene, simulate)
-from tissue.motion.replay import (write_poses)
-from tissue.show.viewer.controls import (LayerKeys)
-from tissue.show.viewer.fields import (BoneShown)
-from tissue.show.viewer.saved_surfaces import (bone_of)
-from tissue.simulation.bone_files import (read_voxels)
-from tissue.simulation.run_folder import (SavedRun)
 import dataclasses
-import numpy as np
-import pytest
 import shutil
 
+import numpy as np
+import pytest
+from recording_plotter import RecordingPlotter
+
+from tissue import InputError, load_scene, simulate
+from tissue.motion.replay import write_poses
+from tissue.show.viewer.controls import LayerKeys
+from tissue.show.viewer.fields import BoneShown
+from tissue.show.viewer.saved_surfaces import bone_of
+from tissue.simulation.bone_files import read_voxels
+from tissue.simulation.run_folder import SavedRun
 
 
 def carved_bone(folder):

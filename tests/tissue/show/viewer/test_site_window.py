@@ -3,15 +3,16 @@
 A click places the site, Return saves it, and nothing else in the scene changes.
 """
 
-from imported_bone import (SCENE, imported_bone)
-from tissue import (InputError)
-from tissue.scene.texts import (anatomy_of, save_site, with_site)
-from tissue.show.viewer.run_scene import (Choice)
-from tissue.show.viewer.view import (view)
-import numpy as np
-import pytest
 import tomllib
 
+import numpy as np
+import pytest
+from imported_bone import SCENE, imported_bone
+
+from tissue import InputError
+from tissue.scene.texts import anatomy_of, save_site, with_site
+from tissue.show.viewer.run_scene import Choice
+from tissue.show.viewer.view import view
 
 
 @pytest.fixture(scope="module")

@@ -1,17 +1,18 @@
 """`tissue view`: of whole and of stopped runs, with and without a display."""
 
-from pathlib import (Path)
-from recording_plotter import (RecordingPlotter)
-from tissue import (InputError)
-from tissue.show.viewer.fields import (FieldsShown)
-from tissue.show.viewer.view import (_about, view)
-from tissue.simulation.run_folder import (SavedRun)
-from tissue.simulation.saved_fields import (SavedFields)
 import json
+import shutil
+from pathlib import Path
+
 import numpy as np
 import pytest
-import shutil
+from recording_plotter import RecordingPlotter
 
+from tissue import InputError
+from tissue.show.viewer.fields import FieldsShown
+from tissue.show.viewer.view import _about, view
+from tissue.simulation.run_folder import SavedRun
+from tissue.simulation.saved_fields import SavedFields
 
 
 def _screenshot(folder, picture, **options) -> str:
