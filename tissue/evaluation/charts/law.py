@@ -32,8 +32,7 @@ from tissue.scene.organ import SoftAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion, Probe
 from tissue.simulation.builders.motions import motion_of
-from tissue.simulation.builders.organ import elasticity_of
-from tissue.simulation.builders.organ_law import coarser_mesh, hindrance
+from tissue.simulation.builders.organ import coarser_mesh, elasticity_of, hindrance
 from tissue.simulation.simulate import TICK_S, simulate
 
 if TYPE_CHECKING:

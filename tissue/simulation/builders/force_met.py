@@ -17,7 +17,7 @@ from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Needle, Probe, ThrustMotion, Tool
 from tissue.simulation.builders.motions import motion_of
-from tissue.simulation.builders.pierced_tissue import pierced_tissue
+from tissue.simulation.builders.organ_scene import pierced_tissue
 
 __all__ = ["chosen_scale", "cut", "fitted_scale", "pierced", "pressed"]
 
