@@ -22,12 +22,11 @@ if TYPE_CHECKING:
     from tissue.objects.bone import Bone
     from tissue.objects.comparison import compare
     from tissue.objects.cut import Cut
+    from tissue.objects.cutting import feed_along
     from tissue.objects.fit import Fit, fit
     from tissue.objects.loop import Loop
     from tissue.objects.materials import material, material_names
-    from tissue.objects.motor import motor_forces
     from tissue.objects.organ import Organ
-    from tissue.objects.poses import feed_along
     from tissue.objects.press import Press
     from tissue.objects.register import register
     from tissue.objects.report import report
@@ -37,6 +36,7 @@ if TYPE_CHECKING:
     from tissue.objects.tools import ball, flat_punch, probe_from_file
     from tissue.scene.load import load_scene, scene_names, scene_text
     from tissue.scene.scene import Scene
+    from tissue.simulation.reference_force import motor_forces
 
     __version__: str
 
@@ -98,14 +98,14 @@ _HOMES = {
     "ball": "tissue.objects.tools",
     "compare": "tissue.objects.comparison",
     "devices": "tissue.haptics.real.search",
-    "feed_along": "tissue.objects.poses",
+    "feed_along": "tissue.objects.cutting",
     "fit": "tissue.objects.fit",
     "flat_punch": "tissue.objects.tools",
     "import_ct": "tissue.ct.importing",
     "load_scene": "tissue.scene.load",
     "material": "tissue.objects.materials",
     "material_names": "tissue.objects.materials",
-    "motor_forces": "tissue.objects.motor",
+    "motor_forces": "tissue.simulation.reference_force",
     "open_run": "tissue.objects.run",
     "probe_from_file": "tissue.objects.tools",
     "register": "tissue.objects.register",

@@ -12,7 +12,7 @@ from harness import machine, table  # adds the fixtures to the path
 from meshes.base.progress import silent
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.load import load_scene
-from tissue.simulation.builders.registry import build
+from tissue.simulation.simulate import build
 
 SCENES = ("needle", "liver-press", "palpation")
 

@@ -26,7 +26,7 @@ from tissue.haptics.device.sample_guard import SampleGuard  # noqa: E402
 from tissue.haptics.real.haply import HaplyAdapter  # noqa: E402
 from tissue.haptics.real.mapped import MappedDevice  # noqa: E402
 from tissue.scene.hardware import Hardware  # noqa: E402
-from tissue.simulation.live.clock import WallClock  # noqa: E402
+from tissue.simulation.observer import WallClock  # noqa: E402
 from tissue.system.tick_priority import TickPriority  # noqa: E402
 
 TICK_S = 1e-3

@@ -22,9 +22,9 @@ sys.path.insert(0, str(ROOT))
 import numpy as np  # noqa: E402
 
 from tissue import load_scene, simulate  # noqa: E402
-from tissue.simulation.live.clock import WallClock  # noqa: E402
 from tissue.simulation.live.run import LiveObserver  # noqa: E402
 from tissue.simulation.live.window import Page  # noqa: E402
+from tissue.simulation.observer import WallClock  # noqa: E402
 from tissue.simulation.simulate import TICK_S  # noqa: E402
 
 SCENES = {"wall": {"device": "none"}, "milling": {"voxels.spacing_mm": 0.2}, "glenoid": {}}

@@ -19,7 +19,7 @@ from tissue.perception.estimate import map_estimate_errors, map_force_N, recursi
 from tissue.perception.laws import weber
 from tissue.perception.observer import Observer, population_observer
 from tissue.perception.perceived import held_back
-from tissue.simulation.builders.perception import perception_for
+from tissue.simulation.builders.prediction import perception_for
 
 LIMIT_N, TICK_S = 3.3, 1e-3
 WEAK = Observer.known("weak", alpha=0.7, beta=1.4, kappa=0.09, offset_N=0.25, lapse=0.02, sigma=0.2)

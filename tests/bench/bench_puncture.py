@@ -29,8 +29,7 @@ from tissue.evaluation.study.plan import TASKS
 from tissue.evaluation.study.puncture import RATE_N_S, Pierced, pierce
 from tissue.evaluation.study.trial import PACE_SPREAD
 from tissue.scene.load import load_scene
-from tissue.simulation.builders.loop import judged_loop
-from tissue.simulation.builders.loop_settings import loop_settings
+from tissue.simulation.builders.loop import judged_loop, loop_settings
 from tissue.simulation.simulate import TICK_S
 
 SCENE = {"device": "touch", "hand": "intermediate", **TASKS["needle"].changes}

@@ -21,8 +21,8 @@ sys.path.insert(0, str(ROOT))
 import numpy as np  # noqa: E402
 
 from tissue import load_scene  # noqa: E402
+from tissue.simulation.live.publisher import SlicerLink, SlicerProcess  # noqa: E402
 from tissue.simulation.live.run import LiveSettings, live  # noqa: E402
-from tissue.simulation.live.slicer import SlicerLink, SlicerProcess  # noqa: E402
 
 SCENES = {"wall": 2.0, "milling": 3.0, "liver-press": 2.0}
 TURNS = 3

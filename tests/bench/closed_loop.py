@@ -21,8 +21,7 @@ from tissue.evaluation.statistics.metrics import excess_error, force_error, late
 from tissue.scene.load import changed, load_scene
 from tissue.scene.registry import GROUPS
 from tissue.scene.scene import Scene
-from tissue.simulation.builders.loop import judged_loop
-from tissue.simulation.builders.loop_settings import loop_settings
+from tissue.simulation.builders.loop import judged_loop, loop_settings
 from tissue.simulation.reference_force import ideal_force_N, motor_forces
 from tissue.simulation.simulate import TICK_S, simulate
 

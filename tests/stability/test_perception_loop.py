@@ -22,7 +22,7 @@ from tissue.perception.laws import Intensity, intensity_of, weber_of
 from tissue.perception.mapping import ForceMap
 from tissue.perception.observer import population_observer, reference_observer
 from tissue.perception.perceived import held_back
-from tissue.simulation.builders.perception import CAUTION, perception_for
+from tissue.simulation.builders.prediction import CAUTION, perception_for
 
 TICK = 1e-3
 LAW = weber_of(population_observer(), quantile=CAUTION)

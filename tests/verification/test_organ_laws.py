@@ -11,8 +11,7 @@ from pressed_deep import by_newton, moving_N, scene_of, surface_error
 from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.load import changed
-from tissue.simulation.builders.loop import judged_loop
-from tissue.simulation.builders.loop_settings import loop_settings
+from tissue.simulation.builders.loop import judged_loop, loop_settings
 from tissue.simulation.simulate import simulate
 
 LAWS = {

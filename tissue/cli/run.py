@@ -252,7 +252,7 @@ def run(
         Name of a built-in scene (see `tissue scenes`) or a TOML file.
     """
     from tissue.simulation.run_folder import RunFolder, picture_format
-    from tissue.simulation.trace_files import check_format
+    from tissue.simulation.trace import check_format
 
     for kind in files.format_:
         check_format(kind)
@@ -353,8 +353,8 @@ def _live_settings(options: LiveOptions, duration_s: float | None) -> "LiveSetti
         left_out("without --slicer", "give --live --slicer, or remove it", **idle)
     if not options.live:
         return None
+    from tissue.simulation.live.publisher import PORT, SlicerLink
     from tissue.simulation.live.run import LiveSettings
-    from tissue.simulation.live.slicer import PORT, SlicerLink
     from tissue.simulation.live.window import require_web
 
     if options.web:

@@ -13,7 +13,7 @@ from tissue.materials.scene_constants import Materials
 from tissue.models.bone.bricks import voxels_of
 from tissue.scene.used_constants import used_of_cutting
 from tissue.simulation.builders.bone import VoxelBone
-from tissue.simulation.builders.own_constants import given_note
+from tissue.simulation.builders.parts import given_note
 
 __all__ = ["PATCH_POINTS", "RestorableBone"]
 

@@ -13,8 +13,7 @@ from tissue.models.tissue_model import TICK_S
 from tissue.scene.registry import DEVICES
 from tissue.scene.scene import Scene
 from tissue.show.figures.figure import figure, save
-from tissue.simulation.builders.loop import judged_loop
-from tissue.simulation.builders.loop_settings import loop_settings
+from tissue.simulation.builders.loop import judged_loop, loop_settings
 from tissue.system.outputs import write_columns
 from tissue.system.owned_folder import owned_folder, require_folder
 

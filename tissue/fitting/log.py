@@ -14,7 +14,7 @@ from tissue.fitting.columns import QUANTITIES, ColumnMap, parse_columns
 from tissue.fitting.log_files import LogColumns, read_columns
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.scene import Scene
-from tissue.simulation.builders.motions import motion_of
+from tissue.simulation.builders.parts import motion_of
 
 __all__ = ["MeasuredLog", "pose_notes", "read_log", "without_saturation"]
 

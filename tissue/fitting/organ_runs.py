@@ -26,9 +26,8 @@ from tissue.scene.scene import Scene
 from tissue.scene.tool import ReplayMotion
 from tissue.scene.used_constants import used_constants
 from tissue.simulation.builders.organ import NODULE_KPA, PART_NODULE
-from tissue.simulation.builders.registry import builder_of
 from tissue.simulation.loop import Loop, undisturbed
-from tissue.simulation.simulate import tick_count
+from tissue.simulation.simulate import builder_of, tick_count
 from tissue.system.workers import worker_pool
 
 __all__ = ["KEYS", "PART", "OrganRuns", "Poses", "organ_parameters"]

@@ -13,7 +13,7 @@ from tissue.scene.scene import Scene
 from tissue.show.figures.faces import faces_of
 from tissue.show.figures.tool_mesh import tool_surface
 from tissue.simulation.bone_surface import with_layers
-from tissue.simulation.live.surfaces import BoneSurface, OrganSurface, Start
+from tissue.simulation.live.shared import BoneSurface, OrganSurface, Start
 
 if TYPE_CHECKING:
     import pyvista

@@ -21,8 +21,7 @@ from tissue.links.slicer_content import SlicerContent
 from tissue.links.slicer_frame import SlicerFrame
 from tissue.links.slicer_target import SlicerTarget
 from tissue.scene.scene import Scene
-from tissue.simulation.live.shared import SharedArrays
-from tissue.simulation.live.surfaces import Start, tissue_surface
+from tissue.simulation.live.shared import SharedArrays, Start, tissue_surface
 
 __all__ = ["Publisher"]
 
@@ -47,7 +46,7 @@ class Publisher:
     Parameters
     ----------
     folder
-        Folder that `tissue.simulation.live.slicer.SlicerProcess` has filled.
+        Folder that `tissue.simulation.live.publisher.SlicerProcess` has filled.
 
     Attributes
     ----------

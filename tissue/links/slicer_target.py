@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from tissue.links.igtl_messages import IgtlError, parse_transform
 from tissue.links.igtl_server import Client, Received
 from tissue.links.slicer_frame import SlicerFrame
-from tissue.simulation.live.surfaces import Start
+from tissue.simulation.live.shared import Start
 
 __all__ = ["TARGET", "SlicerTarget"]
 

@@ -12,8 +12,7 @@ from meshes.base.errors import InputError
 from tissue.models.tissue_model import TICK_S
 from tissue.objects.trace import Trace
 from tissue.simulation.loop import Loop
-from tissue.simulation.trace import Table, TraceLayout
-from tissue.simulation.trace_files import write_table
+from tissue.simulation.trace import Table, TraceLayout, write_table
 
 if TYPE_CHECKING:
     import pandas

@@ -12,7 +12,7 @@ from tissue.scene.named_parts import nearest
 from tissue.show.figures.figure import COMPONENTS, MAGNITUDE, plain, styled
 from tissue.show.figures.force_depth import first_descent
 from tissue.show.figures.force_time import event_footnotes, mark_events
-from tissue.simulation.depth_map import facing
+from tissue.simulation.bone_surface import facing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

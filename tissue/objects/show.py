@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 from meshes.base.whole_file import whole_file
-from tissue.simulation.depth_map import HALF
+from tissue.simulation.bone_surface import HALF
 from tissue.system.offscreen import display_problem
 
 __all__ = ["Picture", "in_notebook", "is_interactive", "show_folder", "with_empty_hidden"]

@@ -12,11 +12,10 @@ from tissue.objects.run import Run
 from tissue.scene.scene import Scene
 from tissue.show.figures.pictures import draw_pictures
 from tissue.simulation import simulate as engine
-from tissue.simulation.builders.device import opened_device
-from tissue.simulation.live.clock import Paced, Prioritised
+from tissue.simulation.builders.parts import opened_device
 from tissue.simulation.live.run import LiveSettings
 from tissue.simulation.live.run import live as simulate_live
-from tissue.simulation.observer import Observers, OnTick, RunObserver, TickRow
+from tissue.simulation.observer import Observers, OnTick, Paced, Prioritised, RunObserver, TickRow
 
 __all__ = ["TickRow", "simulate"]
 

@@ -32,10 +32,9 @@ from tissue.motion.motion import Motion
 from tissue.scene.anatomy import CutAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import ReplayMotion, Tool
-from tissue.simulation.builders.motions import motion_of
-from tissue.simulation.builders.registry import builder_of
+from tissue.simulation.builders.parts import motion_of
 from tissue.simulation.loop import Loop, undisturbed
-from tissue.simulation.simulate import tick_count
+from tissue.simulation.simulate import builder_of, tick_count
 from tissue.simulation.trace import Table
 
 __all__ = ["SENSITIVITIES", "LoadRecord", "record_loads", "why_not_linear"]

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Bytes
 from meshes.base.errors import InputError
 from meshes.base.file_version import package_version
 from meshes.base.progress import Progress, silent
@@ -19,13 +19,12 @@ from tissue.cutters.cutter import Cutter
 from tissue.models.tissue_model import TICK_S, HasHeat, HasSummary, HasVoxels
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
-from tissue.simulation.break_through import BreakThrough
 from tissue.simulation.builders.parts import Parts
+from tissue.simulation.findings import BreakThrough
+from tissue.simulation.loop import Scheduling
 from tissue.simulation.run_folder import RunFolder, SavedRun, added_to_run, copy_run, picture_format
 from tissue.simulation.run_summary import FORMAT, Summary
-from tissue.simulation.scheduling import Scheduling
-from tissue.simulation.trace import Table
-from tissue.simulation.trace_files import check_format, read_table
+from tissue.simulation.trace import Table, check_format, read_table
 
 if TYPE_CHECKING:
     import pyvista
@@ -89,7 +88,7 @@ class Run:
         timing: Table,
         *,
         events: list[tuple[float, str]],
-        poses: NDArray[np.float64] | None = None,
+        poses: Array | None = None,
         compute: str = "cpu",
     ) -> None:
         self.scene = scene
@@ -150,7 +149,7 @@ class Run:
         )
 
     @cached_property
-    def poses(self) -> NDArray[np.float64] | None:
+    def poses(self) -> Array | None:
         """Poses of a tool that cuts, see `tissue.simulation.loop.PoseLog`; None for other tools."""
         return self._voxels[2] if (self._files.path / "bone.vti").is_file() else None
 
@@ -176,7 +175,7 @@ class Run:
         return self.parts.volume
 
     @cached_property
-    def remaining(self) -> NDArray[np.uint8]:
+    def remaining(self) -> Bytes:
         """Bone left in every voxel, 255 = full, uint8, shape (nx, ny, nz); raises as `volume`."""
         if self._saved is not None:
             return self._voxels[1]
@@ -292,7 +291,7 @@ class Run:
         """
         from tissue.simulation.bone_files import voxel_image
         from tissue.simulation.saved_fields import SavedFields, field_names, require_whole
-        from tissue.simulation.series import frame_mesh
+        from tissue.simulation.vtk_files import frame_mesh
 
         if self._saved is not None:
             path = self._saved.path
@@ -380,10 +379,9 @@ class Run:
         report: Progress,
     ) -> None:
         """Write the folder of a simulated run, or complete the folder that was begun."""
-        from tissue.simulation.bone_files import write_bone
-        from tissue.simulation.carving_series import write_carving
+        from tissue.simulation.bone_files import write_bone, write_carving
         from tissue.simulation.recording import write_formats
-        from tissue.simulation.series import write_fields
+        from tissue.simulation.vtk_files import write_fields
 
         folder = self.begun
         goes_on = folder is not None and folder.path.resolve() == out.resolve()
@@ -418,7 +416,7 @@ class Run:
         return self._saved
 
     @cached_property
-    def _voxels(self) -> tuple[VoxelVolume, NDArray[np.uint8], NDArray[np.float64] | None]:
+    def _voxels(self) -> tuple[VoxelVolume, Bytes, Array | None]:
         from tissue.simulation.bone_files import saved_voxels
 
         return saved_voxels(self._files)
@@ -432,7 +430,7 @@ class Run:
         return part
 
 
-def _spread(values: NDArray[np.float64]) -> dict[str, Any]:
+def _spread(values: Array) -> dict[str, Any]:
     """Return median, 99th percentile and maximum."""
     return {
         "median": float(np.median(values)),

@@ -18,8 +18,7 @@ from tissue.scene.load import load_scene, saved_text
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 from tissue.simulation.run_summary import FORMAT, Summary, read_summary
-from tissue.simulation.trace import Table, TraceWriter
-from tissue.simulation.trace_files import FORMATS, read_trace
+from tissue.simulation.trace import FORMATS, Table, TraceWriter, read_trace
 from tissue.system.outputs import identity, is_alive
 from tissue.system.owned_folder import OwnedFolder, listed_files, require_folder
 from tissue.system.stopping import Terminated

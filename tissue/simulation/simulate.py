@@ -21,19 +21,31 @@ from tissue.haptics.loop.motor_path import force_later_N
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.motion import LONGEST_S, Motion
 from tissue.prediction.predictor import Predictor
+from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
-from tissue.simulation.break_through import break_throughs
-from tissue.simulation.builders.device import require_stated_rate
-from tissue.simulation.builders.registry import build
-from tissue.simulation.loop import Loop, undisturbed
+from tissue.simulation.builders.parts import (
+    Parts,
+    TissueBuilder,
+    motion_of,
+    note_own_constants,
+    require_stated_rate,
+)
+from tissue.simulation.findings import break_throughs, shortfalls
+from tissue.simulation.loop import Loop, Scheduling, spin_time_s, undisturbed
 from tissue.simulation.observer import RunObserver
 from tissue.simulation.run import Run
 from tissue.simulation.run_folder import RunFolder
-from tissue.simulation.scheduling import Scheduling, spin_time_s
-from tissue.simulation.shortfalls import shortfalls
 from tissue.simulation.trace import Table
 
-__all__ = ["TICK_S", "RunObserver", "RunSettings", "simulate", "tick_count"]
+__all__ = [
+    "TICK_S",
+    "RunObserver",
+    "RunSettings",
+    "build",
+    "builder_of",
+    "simulate",
+    "tick_count",
+]
 
 MOST_CORES = 4096
 """Largest accepted number of processor cores; a larger one is taken for a typing error."""
@@ -282,3 +294,62 @@ def tick_count(scene: Scene, motion: Motion) -> int:
     if scene.duration_s is not None and seconds >= motion.duration_s - motion.after_s:
         seconds += motion.after_s
     return max(round(seconds / TICK_S), 1)
+
+
+def build(
+    scene: Scene,
+    *,
+    step_s: float,
+    compute: str,
+    cores: int | None,
+    report: Progress,
+    allow_unstable: bool = False,
+) -> Parts:
+    """Build the parts of a scene.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be used, something would not fit memory, the tool never touches, there is
+        no such device, or its coupling is unstable and that is not allowed.
+    """
+    _require_device(compute)
+    motion = motion_of(scene, step_s=step_s)
+    tissue = builder_of(scene.anatomy.kind)
+    if scene.device is None:
+        parts = tissue(scene, motion, step_s=step_s, compute=compute, cores=cores, report=report)
+        note_own_constants(scene, parts.tissue.layer_names, parts.notes)
+        return parts
+    from tissue.simulation.builders.hand import hand_motion
+
+    held, note = hand_motion(scene, motion, step_s=step_s, allow_unstable=allow_unstable)
+    parts = tissue(scene, held, step_s=step_s, compute=compute, cores=cores, report=report)
+    parts.notes["coupling"] = note
+    note_own_constants(scene, parts.tissue.layer_names, parts.notes)
+    return parts
+
+
+def builder_of(kind: str) -> TissueBuilder:
+    """Return the function that builds the parts of a run, by the kind of its anatomy."""
+    from tissue.simulation.builders import cutting, organ_scene
+
+    outside: TissueBuilder | None = ANATOMIES[kind].build
+    if outside is not None:
+        return outside
+    others = {
+        "slab": organ_scene.pressed,
+        "liver": organ_scene.pressed,
+        "layers": organ_scene.pierced,
+    }
+    return (others | {"wall": organ_scene.wall}).get(kind, cutting.milled)
+
+
+def _require_device(compute: str) -> None:
+    """Refuse a compute device that does not exist; the processor always exists."""
+    if compute == "cpu":
+        return
+    import warp as wp
+
+    known = [str(device) for device in wp.get_devices()]
+    if compute not in known:
+        raise InputError("compute", f"be one of {', '.join(known)}", compute, "use cpu here")

@@ -11,7 +11,7 @@ from meshes.surfaces.markups import read_markups
 from meshes.surfaces.surface import read_surface
 from tissue.fitting.log import read_log
 from tissue.motion.replay import read_replay
-from tissue.simulation.trace_files import read_table
+from tissue.simulation.trace import read_table
 
 POSES = "time_s,tool_x_mm,tool_y_mm,tool_z_mm,tool_qx,tool_qy,tool_qz,tool_qw"
 LOG = "time_s,tool_x_mm,tool_y_mm,tool_z_mm,force_x_N,force_y_N,force_z_N"

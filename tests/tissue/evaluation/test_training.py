@@ -14,8 +14,7 @@ from tissue.prediction.edmd.lifted import Operator
 from tissue.prediction.trained import VALIDATED_AT, Trained, shipped_file
 from tissue.scene.registry import PREDICTORS
 from tissue.simulation.builders.force_met import chosen_scale
-from tissue.simulation.builders.loop import lead_ticks
-from tissue.simulation.builders.loop_settings import loop_settings
+from tissue.simulation.builders.loop import lead_ticks, loop_settings
 from tissue.simulation.builders.prediction import FALLBACKS
 from tissue.simulation.reference_force import ideal_force_N, motor_forces
 

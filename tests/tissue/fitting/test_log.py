@@ -8,8 +8,7 @@ import pytest
 from meshes.base.errors import InputError
 from tissue.fitting.log import read_log
 from tissue.fitting.measured import block_averages
-from tissue.simulation.trace import Table
-from tissue.simulation.trace_files import write_table
+from tissue.simulation.trace import Table, write_table
 
 TIMES_S = np.arange(0.0, 1.0, 0.01)
 NAMES = ("time_s", "tool_x_mm", "tool_y_mm", "tool_z_mm", "force_x_N", "force_y_N", "force_z_N")

@@ -13,8 +13,7 @@ from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.loop.motor_path import motor_lag_ticks
 from tissue.models.tissue_model import FreeSpace
 from tissue.models.wall import WallModel
-from tissue.simulation.builders.loop import judged_loop, motor_path
-from tissue.simulation.builders.loop_settings import loop_settings
+from tissue.simulation.builders.loop import judged_loop, loop_settings, motor_path
 
 RATES_HZ = [500, 1000, 2000]
 SLEW_N_MS = 0.2

@@ -15,7 +15,7 @@ from tissue.haptics.loop.critical_stiffness import judge
 from tissue.models.tissue_model import FreeSpace, Response, ToolMotion
 from tissue.models.wall import WallModel
 from tissue.motion.quaternion import logarithm
-from tissue.simulation.builders.registry import build
+from tissue.simulation.simulate import build
 
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -11,8 +11,7 @@ from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.hand.hand import hand_parameters
 from tissue.haptics.hand_measures import MEASURES
 from tissue.simulation.builders.force_met import chosen_scale
-from tissue.simulation.builders.loop import judged_loop
-from tissue.simulation.builders.loop_settings import loop_settings
+from tissue.simulation.builders.loop import judged_loop, loop_settings
 
 COARSE_LIVER = {"organ.order": 1, "anatomy.edge_mm": 30.0, "anatomy.touch_edge_mm": 8.0}
 

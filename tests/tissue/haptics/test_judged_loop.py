@@ -18,8 +18,7 @@ from tissue.haptics.loop.critical_stiffness import judge
 from tissue.haptics.loop.filters import LowPass
 from tissue.haptics.proxy.held_turn import HeldTurn
 from tissue.motion.quaternion import conjugate, exponential, logarithm, product
-from tissue.simulation.builders.loop import judged_loop
-from tissue.simulation.builders.loop_settings import loop_settings
+from tissue.simulation.builders.loop import judged_loop, loop_settings
 
 STEP_S = 1e-3
 
@@ -49,7 +48,7 @@ def test_the_command_refuses_and_allows(command, refused, here):
     assert refused(*rigid) == (
         "coupling.stiffness_N_m must be below 2036 to be stable with device = touch in the "
         "hand of an expert, got 3000 "
-        "(margin -47.4 %): use 2030, or pass --allow-unstable"
+        "(margin -47.4 %): use 2030, or allow an unstable coupling"
     )
     code, output, error = command(*rigid, "--allow-unstable")
     assert (code, error) == (0, "") and "is unstable, margin -47.4 %" in output

@@ -19,8 +19,7 @@ from tissue.haptics.loop.stability_map import growth_while_running
 from tissue.haptics.loop.vibration import ENVELOPE_S, PlayedVibration, Vibration
 from tissue.haptics.played_force import PlayedForce
 from tissue.models.wall import WallModel
-from tissue.simulation.builders.loop import judged_loop
-from tissue.simulation.builders.loop_settings import loop_settings
+from tissue.simulation.builders.loop import judged_loop, loop_settings
 
 SHARE = 0.2
 

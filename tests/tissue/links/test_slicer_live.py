@@ -16,11 +16,10 @@ from tissue import load_scene, simulate
 from tissue.links import igtl_messages as igtl
 from tissue.links.slicer_content import SlicerContent
 from tissue.links.slicer_frame import SlicerFrame
-from tissue.simulation.live.clock import WallClock
+from tissue.simulation.live.publisher import PORT, SlicerLink, SlicerPublisher, require_link
 from tissue.simulation.live.run import LiveObserver, LiveSettings, live
-from tissue.simulation.live.slicer import PORT, SlicerLink, SlicerPublisher, require_link
 from tissue.simulation.live.window import CLOCK
-from tissue.simulation.observer import Observers
+from tissue.simulation.observer import Observers, WallClock
 
 pytest.importorskip("pyvista")
 
@@ -195,7 +194,7 @@ class Fake:
 def test_a_run_goes_on_without_a_link_that_failed_unless_it_moves_the_tool(monkeypatch, drives):
     made = []
     monkeypatch.setattr(
-        "tissue.simulation.live.slicer.SlicerProcess",
+        "tissue.simulation.live.publisher.SlicerProcess",
         lambda *a, **k: made.append(Fake(*a, **k)) or made[-1],
     )
     scene = load_scene("wall", {} if drives else {"duration_s": 0.7})
@@ -223,7 +222,7 @@ def test_what_the_tissue_reports_is_published_as_it_happens(monkeypatch):
     made = []
     monkeypatch.setattr(Fake, "failed", lambda self: None)
     monkeypatch.setattr(
-        "tissue.simulation.live.slicer.SlicerProcess",
+        "tissue.simulation.live.publisher.SlicerProcess",
         lambda *a, **k: made.append(Fake(*a, **k)) or made[-1],
     )
     scene = load_scene("needle", {"duration_s": 1.2})
@@ -254,7 +253,7 @@ def test_a_process_that_cannot_publish_ends_the_run_before_its_first_tick(monkey
 def test_an_observer_that_fails_to_begin_ends_the_process(monkeypatch):
     made = []
     monkeypatch.setattr(
-        "tissue.simulation.live.slicer.SlicerProcess",
+        "tissue.simulation.live.publisher.SlicerProcess",
         lambda *a, **k: made.append(Fake(*a, **k)) or made[-1],
     )
 
@@ -275,7 +274,7 @@ def test_a_second_mover_and_a_port_that_is_taken_are_refused_before_anything_is_
         match=r"--slicer-drives must be left out where .* got --web: leave one of both out",
     ):
         require_link(link, scene, web=True)
-    monkeypatch.setattr("tissue.simulation.live.slicer.opens_device", lambda scene: True)
+    monkeypatch.setattr("tissue.simulation.live.publisher.opens_device", lambda scene: True)
     with pytest.raises(
         InputError, match=r"--slicer-drives must be left out where .* got touch: leave one"
     ):

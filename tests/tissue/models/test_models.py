@@ -19,7 +19,7 @@ from tissue.models.needle.model import NeedleModel
 from tissue.models.needle.parameters import needle_tissue
 from tissue.models.tissue_model import Finishes, FreeSpace, HasVoxels, ToolMotion
 from tissue.models.tooth.model import ToothModel
-from tissue.simulation.builders.registry import build
+from tissue.simulation.simulate import build
 
 RADIUS_M = 3e-3
 RESTING = "test_a_tool_at_rest_changes_nothing_and_feels_nothing"

@@ -316,7 +316,7 @@ def test_a_cut_exports_what_it_holds(block, tmp_path):
         (lambda b: tissue.Bone.from_array(np.zeros((3, 3, 3)), spacing_mm=1), "must hold bone"),
         (lambda b: tissue.Bone.from_array(np.ones((3, 3)), spacing_mm=1), r"shape \(nx, ny, nz\)"),
         (lambda b: tissue.Bone.block(spacing_mm=0.0), "spacing_mm must"),
-        (lambda b: tissue.Bone.block(cutting={"hardness": 1.0}), "cutting must set one of"),
+        (lambda b: tissue.Bone.block(cutting={"hardness": 1.0}), "hardness"),
         (lambda b: tissue.cutters.ball_burr(diameter_mm=4, flutes=0, spin_rpm=1e4), "flutes must"),
         (
             lambda b: tissue.cutters.ball_burr(diameter_mm=4, flutes=4, spin_rpm=0),

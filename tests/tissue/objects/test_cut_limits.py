@@ -294,6 +294,10 @@ def test_no_public_function_swallows_an_unknown_keyword(tmp_path):
         "Organ.from_surface": lambda **more: tissue.Organ.from_surface(
             tmp_path / "ball.stl", modulus_kPa=5, poisson_ratio=0.45, **more
         ),
+        "Organ.from_tetrahedra": lambda **more: tissue.Organ.from_tetrahedra(
+            tmp_path / "none.vtu", modulus_kPa=5, poisson_ratio=0.45, **more
+        ),
+        "Loop": lambda **more: tissue.Loop(bone, device=None, **more),
         "Organ.liver": lambda **more: tissue.Organ.liver(edge_mm=20, **more),
         "import_ct": lambda **more: tissue.import_ct(tmp_path / "none.nii", tmp_path, **more),
         "calibration.alike": lambda **more: tissue.calibration.alike(3, **more),

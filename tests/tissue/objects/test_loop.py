@@ -184,7 +184,7 @@ def test_an_organ_pushes_back_as_when_it_is_pressed():
         ({"limits": {"mass": 0.1}}, "did you mean mass_kg"),
         ({"limits": {"force_limit_N": 3.0}}, "mass_kg and damping_N_s_m"),
         ({"tool": tissue.ball(diameter_mm=3)}, "tool must be a cutter"),
-        ({"stiffness_N_m": 2e4}, "^stiffness_N_m must be below .*allow_unstable"),
+        ({"stiffness_N_m": 2e4}, "^stiffness_N_m must be below .*allow an unstable"),
         ({"limits": "tuch"}, "did you mean touch"),
         ({"hand": "surgeon"}, "hand must be one of"),
         ({"renderer": "magic"}, "renderer must be one of"),

@@ -7,7 +7,7 @@ from tissue import InputError
 from tissue.haptics.loop.filters import ForceRange
 from tissue.perception.observer import Observer, reference_observer, write_observer
 from tissue.perception.perception import Perception
-from tissue.simulation.builders.perception import perception, perception_for
+from tissue.simulation.builders.prediction import perception, perception_for
 
 LIMIT_N, TICK = 3.3, 1e-3
 OBSERVERS = {

@@ -7,7 +7,7 @@ from meshes.base.errors import InputError
 from meshes.voxels.volume import VoxelVolume
 from tissue import load_scene, simulate
 from tissue.motion.pose_file import poses_of_trace, read_poses, write_poses
-from tissue.simulation.depth_map import tool_axes
+from tissue.simulation.bone_surface import tool_axes
 from tissue.simulation.run import Run
 
 COARSE = {"voxels.spacing_mm": 0.5}

@@ -5,9 +5,8 @@ import pytest
 
 from tissue import load_scene, simulate
 from tissue.motion.pose_file import read_poses
-from tissue.simulation.bone_files import carved_surface
-from tissue.simulation.carved_surface import CarvedSurface, block_means, changed_box, coarse_volume
-from tissue.simulation.carving_series import MOST_FRAMES, carving_ticks, write_carving
+from tissue.simulation.bone_files import MOST_FRAMES, carved_surface, carving_ticks, write_carving
+from tissue.simulation.bone_surface import CarvedSurface, block_means, changed_box, coarse_volume
 
 pyvista = pytest.importorskip("pyvista")
 
@@ -71,7 +70,7 @@ def test_frames_are_few_and_of_those_alike_one_is_kept(run, folder):
 
 
 def test_a_cut_of_many_triangles_is_drawn_in_blocks(run, tmp_path, monkeypatch):
-    monkeypatch.setattr("tissue.simulation.carving_series.MOST_TRIANGLES", 900)
+    monkeypatch.setattr("tissue.simulation.bone_files.MOST_TRIANGLES", 900)
     write_carving(run, tmp_path)
     reader = pyvista.PVDReader(tmp_path / "carving.pvd")
     reader.set_active_time_value(reader.time_values[-1])

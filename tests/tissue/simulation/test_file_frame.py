@@ -20,7 +20,7 @@ from meshes.shapes.anatomy import Anatomy, cortical_block
 from meshes.voxels.voxelise import voxelise
 from tissue import load_scene, simulate
 from tissue.simulation.bone_files import read_voxels
-from tissue.simulation.builders.voxels import require_whole
+from tissue.simulation.builders.tool_path import require_whole
 from tissue.simulation.run_folder import saved_placement
 
 pyvista = pytest.importorskip("pyvista")

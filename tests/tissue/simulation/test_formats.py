@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from tissue import InputError
-from tissue.simulation.trace import Table, TraceLayout
-from tissue.simulation.trace_files import FORMATS, check_format, write_trace
+from tissue.simulation.trace import FORMATS, Table, TraceLayout, check_format, write_trace
 
 LAYERS = ("subchondral_bone", "trabecular")
 

@@ -18,9 +18,9 @@ import pytest
 
 from tissue import InputError, load_scene, simulate
 from tissue.haptics.device.recorded import MouseDevice
-from tissue.simulation.live.clock import WallClock
 from tissue.simulation.live.run import LiveObserver, LiveSettings
 from tissue.simulation.live.run import live as run_live
+from tissue.simulation.observer import WallClock
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.simulate import TICK_S
 from tissue.simulation.simulate import simulate as simulate_once

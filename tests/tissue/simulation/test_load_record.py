@@ -13,7 +13,7 @@ from tissue.models.tissue_model import Response, ToolMotion
 from tissue.scene.load import changed
 from tissue.scene.scene import Scene
 from tissue.simulation.builders.cutting import cutter_of, milled_voxels
-from tissue.simulation.builders.motions import motion_of
+from tissue.simulation.builders.parts import motion_of
 from tissue.simulation.load_record import record_loads, why_not_linear
 from tissue.simulation.simulate import simulate
 

@@ -14,9 +14,9 @@ from tissue.evaluation.training.recording import _run
 from tissue.haptics.device.recorded import RecordedDevice
 from tissue.models.tissue_model import Response
 from tissue.models.wall import WallModel
-from tissue.simulation.builders.registry import build
 from tissue.simulation.loop import Loop
 from tissue.simulation.reference_force import rendered_force_N
+from tissue.simulation.simulate import build
 
 TICKS = 400
 

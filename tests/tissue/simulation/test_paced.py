@@ -7,7 +7,7 @@ from device_doubles import Recording
 
 from tissue import load_scene, simulate
 from tissue.haptics.device.safe_device import SafeDevice
-from tissue.simulation.live.clock import Paced
+from tissue.simulation.observer import Paced
 
 SECONDS = 0.3
 

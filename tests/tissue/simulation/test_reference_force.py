@@ -13,9 +13,8 @@ from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.hand_measures import TRUE
 from tissue.haptics.hand_motion import Rendering
 from tissue.prediction.predictor import Hold
-from tissue.simulation.builders import device_motion
-from tissue.simulation.builders.loop import lead_ticks
-from tissue.simulation.builders.loop_settings import loop_settings
+from tissue.simulation.builders import hand
+from tissue.simulation.builders.loop import lead_ticks, loop_settings
 from tissue.simulation.reference_force import ideal_force_N, motor_forces, stretch_force_N
 
 STEP_M = 5.5e-5
@@ -65,7 +64,7 @@ def run_with(monkeypatch, predictor, **changes):
         "prediction": "hold",
     }
     monkeypatch.setattr(
-        device_motion, "Rendering", lambda **named: Rendering(**(named | {"predictor": predictor}))
+        hand, "Rendering", lambda **named: Rendering(**(named | {"predictor": predictor}))
     )
     scene = load_scene("wall", entries | {"duration_s": 1e-3 * TICKS} | changes)
     return simulate(scene, device=Stepped(), allow_unstable=True)
@@ -117,7 +116,7 @@ def test_another_lead_is_seen_in_the_score(held, monkeypatch, early):
     path's own lead.
     """
     run, ideal = held
-    monkeypatch.setattr(device_motion, "lead_ticks", lambda settings: lead_ticks(settings) + early)
+    monkeypatch.setattr(hand, "lead_ticks", lambda settings: lead_ticks(settings) + early)
     forces = motor_forces(run_with(monkeypatch, Oracle(stretch_force_N(run))), ideal)
     assert latency_ms(forces.played, forces.nearest, tick_s=1e-3) == pytest.approx(-early, abs=0.05)
     assert force_error(forces.played, forces.ideal) > 1.1 * force_error(

@@ -15,10 +15,9 @@ import pytest
 from coarse_run import COARSE
 
 from tissue import InputError, load_scene, simulate
+from tissue.simulation.loop import spin_time_s
 from tissue.simulation.run_folder import RunFolder, SavedRun
-from tissue.simulation.scheduling import spin_time_s
-from tissue.simulation.trace import FLUSH_EVERY_S
-from tissue.simulation.trace_files import read_table
+from tissue.simulation.trace import FLUSH_EVERY_S, read_table
 
 MAIN = [sys.executable, "-c", "from tissue.cli.main import main; main()"]
 LOST_S = 0.2

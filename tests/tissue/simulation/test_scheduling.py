@@ -10,8 +10,8 @@ from kernels.launcher import LaunchCounts
 from tissue import load_scene, simulate
 from tissue.cli import run as command
 from tissue.models.tissue_model import FreeSpace
-from tissue.simulation import scheduling
-from tissue.simulation.scheduling import SPUN_S, SPUN_SHARE, Scheduling, spin_time_s
+from tissue.simulation import loop
+from tissue.simulation.loop import SPUN_S, SPUN_SHARE, Scheduling, spin_time_s
 from tissue.system.machine_gaps import MachineGaps
 
 
@@ -33,9 +33,9 @@ def chosen(monkeypatch):
     The machine has five gaps in half a second.
     """
     counts = iter([LaunchCounts(7, 5), LaunchCounts(47, 35)])
-    monkeypatch.setattr(scheduling, "launch_counts", lambda: next(counts))
+    monkeypatch.setattr(loop, "launch_counts", lambda: next(counts))
     looks = iter([MachineGaps(0.25, (1e-3, 4e-3)), MachineGaps(0.25, (3e-4,) * 3)])
-    monkeypatch.setattr(scheduling, "spin", lambda seconds: next(looks))
+    monkeypatch.setattr(loop, "spin", lambda seconds: next(looks))
     found = Scheduling(Background(), cores=2, spin_s=0.25)
     found.end()
     found.look_again()

@@ -5,7 +5,7 @@ import pytest
 from fake_fields import block_series
 
 from tissue.fem.fields import FieldSeries, Frame
-from tissue.simulation.series import frame_mesh, write_fields
+from tissue.simulation.vtk_files import frame_mesh, write_fields
 
 pyvista = pytest.importorskip("pyvista")
 

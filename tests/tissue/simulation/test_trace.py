@@ -5,8 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from tissue.simulation.trace import TIMING_COLUMNS, Table, TraceLayout, TraceWriter
-from tissue.simulation.trace_files import read_table
+from tissue.simulation.trace import TIMING_COLUMNS, Table, TraceLayout, TraceWriter, read_table
 
 LAYERS = ("plate", "vault")
 UNIT = re.compile(r"_(s|us|mm|mm2|mm3|mm_s|mm3_s|rad_s|N|Nm)$")

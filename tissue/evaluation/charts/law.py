@@ -31,8 +31,8 @@ from tissue.scene.load import changed
 from tissue.scene.organ import SoftAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion, Probe
-from tissue.simulation.builders.motions import motion_of
 from tissue.simulation.builders.organ import coarser_mesh, elasticity_of, hindrance
+from tissue.simulation.builders.parts import motion_of
 from tissue.simulation.simulate import TICK_S, simulate
 
 if TYPE_CHECKING:

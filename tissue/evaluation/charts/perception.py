@@ -21,7 +21,7 @@ from tissue.perception.observer import (
 from tissue.perception.perceived import held_back
 from tissue.scene.load import load_scene
 from tissue.show.figures.figure import figure, save
-from tissue.simulation.builders.perception import CAUTION, perception_for
+from tissue.simulation.builders.prediction import CAUTION, perception_for
 from tissue.simulation.simulate import simulate
 from tissue.system.owned_folder import owned_folder
 

@@ -20,7 +20,7 @@ from tissue.models.tissue_model import TICK_S
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.builders.cutting import cutter_of
-from tissue.simulation.builders.motions import motion_of
+from tissue.simulation.builders.parts import motion_of
 from tissue.simulation.builders.voxels import is_procedural, solid_of
 from tissue.simulation.trace import Table
 

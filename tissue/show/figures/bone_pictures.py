@@ -27,14 +27,15 @@ from tissue.show.figures.rendering import Camera, Shaded, draw_axes, draw_shaded
 from tissue.show.figures.section import plane_of
 from tissue.show.figures.tool_mesh import pose, spin_arc_mm, tool_turns
 from tissue.simulation.bone_surface import (
+    HALF,
+    DepthMap,
     bone_surface,
     cut_out,
     smooth_normals,
     with_depth,
     with_layers,
 )
-from tissue.simulation.builders.voxels import reach
-from tissue.simulation.depth_map import HALF, DepthMap
+from tissue.simulation.builders.tool_path import reach
 from tissue.simulation.run import Run
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from tissue.models.tissue_model import TICK_S
 from tissue.scene.organ import LayersAnatomy
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
-from tissue.simulation.builders.motions import motion_of
+from tissue.simulation.builders.parts import motion_of
 
 if TYPE_CHECKING:
     import pyvista

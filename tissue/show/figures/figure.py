@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.patheffects import AbstractPathEffect
     from matplotlib.typing import LineStyleType, RcKeyType
 
-    from tissue.simulation.depth_map import DepthMap
+    from tissue.simulation.bone_surface import DepthMap
     from tissue.simulation.run import Run
 
 __all__ = [

@@ -19,7 +19,7 @@ from tissue.show.figures.figure import (
 )
 from tissue.show.figures.force_time import FLICKER_S, spells
 from tissue.show.figures.tool_mesh import tool_turns
-from tissue.simulation.depth_map import HALF, tool_axes
+from tissue.simulation.bone_surface import HALF, tool_axes
 from tissue.simulation.run import Run
 from tissue.simulation.saved_fields import field_label
 from tissue.simulation.trace import NO_LAYER

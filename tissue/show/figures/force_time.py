@@ -21,8 +21,8 @@ from tissue.show.figures.figure import (
     styled,
 )
 from tissue.show.figures.tool_mesh import tool_turns
+from tissue.simulation.bone_surface import tool_axes
 from tissue.simulation.builders.force_met import chosen_scale
-from tissue.simulation.depth_map import tool_axes
 from tissue.simulation.run import Run
 from tissue.simulation.trace import NO_LAYER, Table
 

@@ -27,8 +27,8 @@ from tissue.show.figures.rendering import (
 )
 from tissue.show.figures.tool_mesh import pose, tool_turns
 from tissue.simulation.saved_fields import IN_MM, field_limits, field_values
-from tissue.simulation.series import CELL_TYPES, frame_mesh
 from tissue.simulation.trace import Table
+from tissue.simulation.vtk_files import CELL_TYPES, frame_mesh
 
 if TYPE_CHECKING:
     import pyvista

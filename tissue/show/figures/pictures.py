@@ -8,7 +8,7 @@ from pathlib import Path
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.tool import Needle
 from tissue.show.figures.force_depth import draw_insertion, draw_wall
-from tissue.simulation.depth_map import depth_map
+from tissue.simulation.bone_surface import depth_map
 from tissue.simulation.run import Run
 from tissue.system.offscreen import end_drawing
 

@@ -24,7 +24,7 @@ from tissue.show.figures.figure import (
 )
 from tissue.show.figures.organ_surface import interpolate_in_layers
 from tissue.show.figures.tool_mesh import tool_turns
-from tissue.simulation.depth_map import HALF, tool_axes
+from tissue.simulation.bone_surface import HALF, tool_axes
 from tissue.simulation.run import Run
 
 if TYPE_CHECKING:

@@ -16,10 +16,15 @@ from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.show.figures.tool_mesh import tool_turns
 from tissue.simulation.bone_files import read_voxels
-from tissue.simulation.bone_surface import smooth_normals
+from tissue.simulation.bone_surface import (
+    Box,
+    CarvedSurface,
+    changed_box,
+    facing,
+    smooth_normals,
+    tool_axes,
+)
 from tissue.simulation.builders.cutting import milled_voxels
-from tissue.simulation.carved_surface import Box, CarvedSurface, changed_box
-from tissue.simulation.depth_map import facing, tool_axes
 from tissue.simulation.run_folder import SavedRun, saved_placement
 from tissue.simulation.saved_fields import SavedFields
 from tissue.simulation.trace import Table

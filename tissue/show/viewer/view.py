@@ -24,7 +24,7 @@ from tissue.show.viewer.run_scene import Choice, times_of
 from tissue.show.viewer.saved_surfaces import saved_fields
 from tissue.show.viewer.site_window import is_imported, show_site
 from tissue.show.viewer.window import Window
-from tissue.simulation.builders.motions import motion_of
+from tissue.simulation.builders.parts import motion_of
 from tissue.simulation.live.window import require_web
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.saved_fields import SavedFields, require_whole

@@ -19,17 +19,15 @@ from tissue.scene.part import is_given
 from tissue.scene.registry import CUTTERS
 from tissue.scene.scene import Scene, Stress
 from tissue.scene.tool import PathMotion, ReplayMotion, Tool
-from tissue.simulation.builders.motions import motion_of, recorded_file
-from tissue.simulation.builders.parts import Parts
-from tissue.simulation.builders.start_pose import w_first_notice
-from tissue.simulation.builders.voxels import (
+from tissue.simulation.builders.parts import Parts, motion_of, recorded_file
+from tissue.simulation.builders.tool_path import (
+    keep_clear,
     reach,
     require_outside,
     require_touch,
-    structures,
-    volume_of,
-    whole_tooth,
+    w_first_notice,
 )
+from tissue.simulation.builders.voxels import structures, volume_of, whole_tooth
 
 if TYPE_CHECKING:
     from tissue.models.bone.model import BoneModel
@@ -114,8 +112,6 @@ def _clear(
     """
     if scene.keep_clear is None:
         return None
-    from tissue.simulation.builders.keep_clear import keep_clear
-
     return keep_clear(
         scene.keep_clear,
         structures(scene),
@@ -289,11 +285,7 @@ def milling_of(
     """
     from tissue.simulation.builders.bone import VoxelBone
 
-    changes = scene.cutting.model_dump(exclude={"material"})
-    coefficients = scene.constants.coefficients(
-        volume.layer_names, changes, bone=scene.cutting.material
-    )
-    bone = VoxelBone(volume, coefficients, compute=compute)
+    bone = VoxelBone.stated(volume, scene.cutting, scene.constants, compute=compute)
     return bone.model(
         cutter, removal=scene.voxels.removal, shell_spacing_m=shell_spacing_m, cores=cores
     )

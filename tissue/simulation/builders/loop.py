@@ -1,12 +1,15 @@
 """Loops of a device for its positions and its turns, judged before the run."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import ceil, isfinite
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from meshes.base.errors import InputError
-from tissue.haptics.device.device import DeviceParameters
+from tissue.haptics.device.device import DeviceParameters, device_parameters
+from tissue.haptics.hand.hand import HandParameters, hand_parameters
 from tissue.haptics.loop.critical_stiffness import (
     Verdict,
     critical_stiffness_N_m,
@@ -18,19 +21,156 @@ from tissue.haptics.loop.filters import VELOCITY_MEMORY
 from tissue.haptics.loop.forecast import Forecast, forecast_of
 from tissue.haptics.loop.motor_path import motor_lag_ticks
 from tissue.haptics.loop.sampled_loop import WallLoop
+from tissue.haptics.loop.vibration import Vibration
 from tissue.models.tissue_model import TICK_S
 from tissue.prediction.guard import Guarded
-from tissue.simulation.builders.loop_settings import LoopSettings, sampled
+from tissue.prediction.predictor import Predictor
+from tissue.scene.coupling import Coupling, Device, WallAnatomy
+from tissue.scene.scene import Output, Scene
+from tissue.scene.tool import Tool
+
+if TYPE_CHECKING:
+    from tissue.perception.perception import Perception
 
 __all__ = [
+    "Contact",
     "JudgedLoop",
+    "LoopSettings",
     "device_path",
     "judged_loop",
     "judged_loops",
     "lead_ticks",
+    "loop_settings",
     "motor_path",
+    "no_predictor",
     "person_of",
+    "sampled",
 ]
+
+Contact = Literal["cuts", "touches", "presses", "wall"]
+"""Kind of contact of a tool.
+
+A tool cuts, touches a rigid object, presses soft tissue, or presses the test wall.
+"""
+
+
+def no_predictor() -> None:
+    """Return no predictor: the present force is played."""
+
+
+def no_perception(rng: np.random.Generator) -> None:
+    """Return no perception: the force is not scaled for a person."""
+
+
+@dataclass(frozen=True)
+class LoopSettings:
+    """Settings of the loop of a device, a hand and a tool.
+
+    Attributes
+    ----------
+    held, output
+        A scene's tables of the device, with hand, coupling and renderer, and of the output.
+    name, limits
+        Name of the device in messages, and its parameters.
+    person
+        Parameters of the hand.
+    contact
+        Kind of contact of the tool.
+    teeth_Hz
+        Rate at which a cutter's edges pass, 0 for none.
+    predictor
+        Makes a new predictor of the force; None where the present force is played.
+    perception
+        Makes the person for whom the force is scaled, with a generator of its noise; None where the
+        force is not scaled.
+    """
+
+    held: Device
+    output: Output
+    name: str
+    limits: DeviceParameters
+    person: HandParameters
+    contact: Contact
+    teeth_Hz: float = 0.0
+    predictor: Callable[[], Predictor | None] = no_predictor
+    perception: "Callable[[np.random.Generator], Perception | None]" = no_perception
+
+    @property
+    def coupling(self) -> Coupling:
+        """Stiffness, scales, latency and rate of the model."""
+        return self.held.coupling
+
+    @property
+    def sample_s(self) -> float:
+        """Time between two samples of the device [s]: a tick, or longer for a slow device."""
+        return 1.0 / self.limits.rate_Hz
+
+    @property
+    def is_slow(self) -> bool:
+        """True if the device gives fewer samples than there are ticks."""
+        return self.sample_s > TICK_S * (1.0 + 1e-6)
+
+    def vibration(self, step_s: float) -> Vibration | None:
+        """Return the vibration of a cutter's teeth for a step [s]; None for no vibration."""
+        share = self.output.vibration_share
+        if share == 0.0 or self.teeth_Hz == 0.0:
+            return None
+        return Vibration(self.teeth_Hz, share=share, step_s=step_s)
+
+
+def sampled(limits: DeviceParameters) -> DeviceParameters:
+    """Return a device as the loop samples it: a faster one is read once a tick."""
+    return replace(limits, rate_Hz=min(limits.rate_Hz, 1.0 / TICK_S))
+
+
+def loop_settings(scene: Scene) -> LoopSettings:
+    """Return the settings that a scene states for its device, its hand and their coupling."""
+    held = scene.held
+    tool = scene.tool
+    limits = sampled(device_parameters(held.kind, scene.constants))
+    contact: Contact = "wall" if isinstance(scene.anatomy, WallAnatomy) else "presses"
+    teeth_Hz = 0.0
+    if isinstance(tool, Tool):
+        contact = "touches" if tool.spin_rpm == 0.0 else "cuts"
+        teeth_Hz = tool.flutes * abs(tool.spin_rpm) / 60.0
+
+    predictor: Callable[[], Predictor | None] = no_predictor
+    if held.prediction != "none":
+        from tissue.simulation.builders.prediction import maker_of
+
+        predictor = maker_of(
+            held.prediction,
+            scene_name=scene.name,
+            file=scene.predictor_file,
+            force_limit_N=limits.force_limit_N,
+        )
+
+    def perception(rng: np.random.Generator) -> "Perception | None":
+        """Return the model of the person whom the scene names."""
+        if held.perception == "none":
+            return None
+        from tissue.simulation.builders.prediction import perception
+
+        return perception(
+            held.perception,
+            rng=rng,
+            force_limit_N=limits.force_limit_N,
+            tick_s=TICK_S,
+            friction_N=limits.friction_N,
+        )
+
+    return LoopSettings(
+        held,
+        scene.output,
+        held.kind,
+        limits,
+        hand_parameters(held.hand, scene.constants),
+        contact,
+        teeth_Hz,
+        predictor,
+        perception,
+    )
+
 
 SHARE = 0.5
 """Ratio of the chosen stiffness to the critical stiffness in the scene's hand.
@@ -112,14 +252,14 @@ def judged_loops(
         )
     saves = (
         "friction and the passivity controller"
-        if settings.renderer == "passivity"
+        if settings.held.renderer == "passivity"
         else "friction (or renderer = passivity)"
     )
     found: list[JudgedLoop] = []
     for loop, hand, key, unit, steepest in loops:
         verdict = _judged(loop, hand, steepest)
         if not verdict.stable and not allow_unstable:
-            raise InputError(_refusal(settings, verdict, loop.stiffness_N_m, key))
+            raise _refusal(settings, verdict, loop.stiffness_N_m, key)
         found.append(
             JudgedLoop(loop, verdict, unit, critical_stiffness_N_m(loop) / steepest, saves)
         )
@@ -158,18 +298,18 @@ def judged_loop(settings: LoopSettings, *, step_s: float) -> WallLoop:
     """
     limits = settings.limits
     chosen = settings.coupling
-    if settings.is_slow and settings.renderer == "passivity":
+    if settings.is_slow and settings.held.renderer == "passivity":
         raise _too_slow(settings, "renderer = passivity", "renderer = proxy or penalty")
     loop = limits.loop(
         1.0,
         wall_damping_N_s_m=chosen.damping_N_s_m,
-        filter_s=1e-3 * settings.low_pass_ms,
+        filter_s=1e-3 * settings.output.low_pass_ms,
         model_ticks=_model_samples(settings),
     )
     loop = replace(loop, velocity_memory=VELOCITY_MEMORY, vibration=settings.vibration(loop.tick_s))
     hand = settings.person.grip[:3]
     loops = [
-        replace(_delayed(settings, loop, step_s * settings.late), forecast=each)
+        replace(_delayed(settings, loop, step_s * (settings.contact == "presses")), forecast=each)
         for each in _forecasts(settings)
     ]
     loop = (
@@ -192,7 +332,7 @@ def motor_path(settings: LoopSettings) -> WallLoop:
 
     It consists of low-pass, latency, transport, hold and amplifier.
     """
-    path = replace(device_path(settings.limits), filter_s=1e-3 * settings.low_pass_ms)
+    path = replace(device_path(settings.limits), filter_s=1e-3 * settings.output.low_pass_ms)
     return _delayed(settings, path, 0.0)
 
 
@@ -243,7 +383,7 @@ def _turning_loop(settings: LoopSettings, *, step_s: float) -> WallLoop:
     limits = settings.limits
     chosen = settings.coupling
     loop = limits.turning_loop(
-        1.0, filter_s=1e-3 * settings.low_pass_ms, model_ticks=_model_samples(settings)
+        1.0, filter_s=1e-3 * settings.output.low_pass_ms, model_ticks=_model_samples(settings)
     )
     hand = settings.person.grip[3:]
     late = 0.0 if settings.contact == "touches" else step_s
@@ -282,27 +422,28 @@ def _model_samples(settings: LoopSettings) -> int:
 def _too_slow(settings: LoopSettings, what: str, remedy: str) -> InputError:
     """Return the error for a part of the loop that needs a sample in every tick."""
     return InputError(
-        f"{settings.device} gives {settings.limits.rate_Hz:.4g} samples a second, but {what} "
+        f"{settings.name} gives {settings.limits.rate_Hz:.4g} samples a second, but {what} "
         f"needs {1.0 / TICK_S:g}. "
         f"Use {remedy}, or a faster device"
     )
 
 
-def _refusal(settings: LoopSettings, verdict: Verdict, stiffness: float, key: str) -> str:
-    """Return an error message of one sentence for an unstable coupling."""
+def _refusal(settings: LoopSettings, verdict: Verdict, stiffness: float, key: str) -> InputError:
+    """Return the error for an unstable coupling."""
     if verdict.critical_N_m == 0.0:
-        damping = settings.coupling.damping_N_s_m
-        return (
-            f"coupling.damping_N_s_m must leave some stiffness stable, got {damping:g}: lower it, "
-            "coupling.delay_ms, output.low_pass_ms or coupling.prediction_gain, or pass "
-            "--allow-unstable"
+        return InputError(
+            "coupling.damping_N_s_m",
+            "leave some stiffness stable",
+            f"{settings.coupling.damping_N_s_m:g}",
+            "lower it, coupling.delay_ms, output.low_pass_ms or coupling.prediction_gain, or "
+            "allow an unstable coupling",
         )
-    return (
-        f"coupling.{key} must be below {verdict.critical_N_m:.4g} to be stable with device = "
-        f"{settings.device} in the "
-        f"hand of {person_of(settings.hand)}, got {stiffness:g} (margin "
-        f"{100.0 * verdict.margin:.1f} %): use "
-        f"{verdict.nearest_N_m:g}, or pass --allow-unstable"
+    return InputError(
+        f"coupling.{key}",
+        f"be below {verdict.critical_N_m:.4g} to be stable with device = {settings.name} in the "
+        f"hand of {person_of(settings.held.hand)}",
+        f"{stiffness:g} (margin {100.0 * verdict.margin:.1f} %)",
+        f"use {verdict.nearest_N_m:g}, or allow an unstable coupling",
     )
 
 

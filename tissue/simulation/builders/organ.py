@@ -33,9 +33,8 @@ from tissue.scene.organ import (
 )
 from tissue.scene.part import is_given
 from tissue.scene.scene import Scene
-from tissue.simulation.builders.device import opens_device
 from tissue.simulation.builders.organ_given import SoftMaterial, hold_of
-from tissue.simulation.builders.parts import FILE_WORDS
+from tissue.simulation.builders.parts import FILE_WORDS, opens_device
 
 if TYPE_CHECKING:
     from tissue.models.organ.law import OrganLaw
@@ -181,8 +180,8 @@ def material_of(
     cited = constants.constants("soft", organ.material)
     young_kPa = organ.young_kPa or cited["modulus_kPa"].value
     ratio = cited["poisson_ratio"].value if organ.poisson_ratio is None else organ.poisson_ratio
-    nodule = {PART_NODULE: NODULE_KPA} if anatomy.nodule_mm else {}
-    parts: dict[str | int, float] = {**nodule, **(organ.parts or {})}
+    parts: dict[str, float] = {PART_NODULE: NODULE_KPA} if anatomy.nodule_mm else {}
+    parts |= organ.parts or {}
     notes = {"modulus": _modulus_note(organ, constants, young_kPa, parts, ratio)}
     capsule = capsule_ratio = density = None
     if organ.capsule:
@@ -240,7 +239,7 @@ def _modulus_note(
     organ: Organ,
     constants: Materials,
     young_kPa: float,
-    parts: dict[str | int, float],
+    parts: dict[str, float],
     ratio: float,
 ) -> str:
     """Return a note on the moduli of an organ."""

@@ -89,7 +89,7 @@ class SoftMaterial:
 
     modulus_kPa: float
     poisson_ratio: float
-    parts: Mapping[str | int, float] = field(default_factory=dict)
+    parts: Mapping[Any, float] = field(default_factory=dict)
     order: int = 2
     friction: float = 0.3
     capsule: tuple[float, float] | None = None

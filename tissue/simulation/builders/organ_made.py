@@ -9,23 +9,22 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict
 import numpy as np
 from numpy.typing import ArrayLike
 
-from meshes.base.arrays import Array, Ints
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, by, names_of_caller, require_positive
 from meshes.base.progress import Progress
-from meshes.surfaces.surface import Surface, surface_from_triangles
-from meshes.surfaces.triangle_files import read_triangles
+from meshes.surfaces.surface import Surface
 from meshes.tets.bisection import bisected
-from meshes.tets.files import require_millimetres
 from meshes.tets.regions import Nodes
 from meshes.tets.stuffing import EDGE_GROWTH, with_inclusion
 from meshes.tets.tetrahedra import TetMesh
 from meshes.voxels.mesh_sampling import nearest_on_triangles, triangle_distance
 from tissue.simulation.builders.organ_given import Hold, SoftMaterial, hold_of
+from tissue.simulation.builders.parts import surface_of
 
 if TYPE_CHECKING:
     from tissue.models.organ.soft_organ import SoftOrgan
 
-__all__ = ["MadeOrgan", "OrganOptions", "made_of", "of_labels", "of_surface"]
+__all__ = ["MadeOrgan", "OrganOptions", "made_of", "of_labels", "of_surface", "stated_organ"]
 
 ENVELOPE = 0.1
 """Largest overlap of inclusions beyond their surroundings, over the edge length.
@@ -178,8 +177,6 @@ def made_of(
     ------
     InputError
         If a value is out of its range, the mesh lacks a part, or the support is not found.
-    TypeError
-        If something else is stated.
     """
     material = material_of(stated, mesh.part_names)
     held = "bottom" if stated.get("held") is None else stated["held"]
@@ -191,15 +188,19 @@ def made_of(
     return made
 
 
-def material_of(stated: Mapping[str, Any], part_names: Sequence[str]) -> SoftMaterial:
-    """Return the material of an organ of these parts; raises as `made_of`."""
-    known = {"modulus_kPa", "poisson_ratio", *OrganOptions.__annotations__}
-    for name in stated:
-        if name not in known:
+def stated_organ(modulus_kPa: float, poisson_ratio: float, options: OrganOptions) -> dict[str, Any]:
+    """Return moduli and options in one table; refuse an option that no organ takes."""
+    for name in options:
+        if name not in OrganOptions.__annotations__:
             raise TypeError(
                 f"Organ got an unexpected keyword argument {name!r}. Beyond the arguments of its "
-                f"maker it takes {', '.join(sorted(known))}."
+                f"maker it takes {', '.join(sorted(OrganOptions.__annotations__))}."
             )
+    return {"modulus_kPa": modulus_kPa, "poisson_ratio": poisson_ratio, **options}
+
+
+def material_of(stated: Mapping[str, Any], part_names: Sequence[str]) -> SoftMaterial:
+    """Return the material of an organ of these parts; raises as `made_of`."""
     of_material = {each.name for each in fields(SoftMaterial)}
     material = SoftMaterial(
         **{
@@ -320,44 +321,3 @@ def _require_apart(outer: Surface, inclusions: Mapping[str, Surface], off_m: flo
                     f"it {1000.0 * deep:.3g} mm deep",
                     "subtract one from the other",
                 )
-
-
-def surface_of(name: str, given: object, scale_mm: float | None) -> Surface:
-    """Return a closed surface from a file, a pyvista or trimesh surface, or vertices and triangles.
-
-    Raises
-    ------
-    InputError
-        If it is no surface, its size points to another unit, or it encloses no solid.
-    """
-    source = name
-    if isinstance(given, str | Path):
-        source = Path(given).name
-        with names_of_caller({"file": name}):
-            vertices, faces = read_triangles(Path(given))
-    else:
-        vertices, faces = _triangles(name, given)
-    scale = require_millimetres(name, vertices, scale_mm)
-    with names_of_caller(dict.fromkeys(("surface", "vertices", "faces", "triangles"), name)):
-        return surface_from_triangles(vertices, faces, source=source, scale_mm=scale)
-
-
-def _triangles(name: str, given: Any) -> tuple[Array, Ints]:
-    """Return vertices and triangles of a surface in memory."""
-    if hasattr(given, "is_all_triangles"):  # pyvista
-        whole = given.triangulate()
-        return np.asarray(whole.points, dtype=np.float64), np.asarray(
-            whole.regular_faces, dtype=np.int64
-        )
-    if hasattr(given, "vertices") and hasattr(given, "faces"):  # trimesh
-        given = given.vertices, given.faces
-    if isinstance(given, Sequence) and len(given) == 2:
-        vertices, faces = (np.asarray(each) for each in given)
-        if vertices.ndim == faces.ndim == 2 and vertices.shape[1] == faces.shape[1] == 3:
-            return vertices.astype(np.float64), faces.astype(np.int64)
-    raise InputError(
-        name,
-        "be a closed surface of pyvista or trimesh, vertices and triangles, or a file",
-        type(given).__name__,
-        "export it as STL",
-    )

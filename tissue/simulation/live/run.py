@@ -11,22 +11,32 @@ from types import FrameType
 from typing import Any, Unpack
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.haptics.device.recorded import MouseDevice
 from tissue.scene.coupling import Device as StatedDevice
 from tissue.scene.load import REPLACED_DEVICE
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
-from tissue.simulation.builders.device import opened_device, opens_device
-from tissue.simulation.builders.motions import motion_of
-from tissue.simulation.builders.parts import Parts
-from tissue.simulation.live.clock import BEHIND_S, LOOK_TICKS, Prioritised, WallClock
-from tissue.simulation.live.publisher import Publisher, Ros2Publisher, require_ros2
-from tissue.simulation.live.slicer import SlicerLink, SlicerPublisher, require_link
+from tissue.simulation.builders.parts import Parts, motion_of, opened_device, opens_device
+from tissue.simulation.live.publisher import (
+    Publisher,
+    Ros2Publisher,
+    SlicerLink,
+    SlicerPublisher,
+    require_link,
+    require_ros2,
+)
 from tissue.simulation.live.window import Page, WindowProcess, require_web
-from tissue.simulation.observer import Observers, RunObserver
+from tissue.simulation.observer import (
+    BEHIND_S,
+    LOOK_TICKS,
+    Observers,
+    Prioritised,
+    RunObserver,
+    WallClock,
+)
 from tissue.simulation.run import DEADLINE_US, Run
 from tissue.simulation.simulate import TICK_S, RunSettings, simulate
 from tissue.system.offscreen import await_display, display_problem
@@ -228,7 +238,7 @@ def start_m(scene: Scene) -> tuple[float, float, float]:
     return float(x), float(y), float(z)
 
 
-def reach_m(scene: Scene, parts: Parts) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def reach_m(scene: Scene, parts: Parts) -> tuple[Array, Array]:
     """Return the corners of the box around the scripted path for the pointer [m].
 
     The pointer may move the tool within this box.
@@ -308,7 +318,7 @@ class LiveObserver(RunObserver):
                 x, y, z = (self._start + (np.array(pointed) - self._start) / self._scale).tolist()
                 self._mouse.push((x, y, z))
 
-    def on_tick(self, index: int, row: NDArray[np.float64], times: NDArray[np.float64]) -> bool:
+    def on_tick(self, index: int, row: Array, times: Array) -> bool:
         """Record a tick's lateness and show the tick; return whether the run continues."""
         late = 1e6 * self._clock.late_s
         skipped = 1e6 * self._clock.skipped_s

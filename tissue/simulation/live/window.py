@@ -11,8 +11,8 @@ from pathlib import Path
 from tempfile import gettempdir, mkdtemp
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.scene.scene import Scene
 from tissue.simulation.builders.parts import Parts
@@ -93,8 +93,8 @@ class WindowProcess:
         parts: Parts,
         columns: tuple[str, ...],
         *,
-        low_m: NDArray[np.float64],
-        high_m: NDArray[np.float64],
+        low_m: Array,
+        high_m: Array,
         environment: Mapping[str, str] | None = None,
         more_layout: Layout | None = None,
         more_start: Mapping[str, AnyArray] | None = None,
@@ -207,9 +207,7 @@ class WindowProcess:
         self._seen = 2 * turn
         return 1e-3 * float(x), 1e-3 * float(y), 1e-3 * float(z)
 
-    def show(
-        self, index: int, row: NDArray[np.float64], clock: tuple[float, float, float, float]
-    ) -> None:
+    def show(self, index: int, row: Array, clock: tuple[float, float, float, float]) -> None:
         """Send a tick's row of the trace and of the clock, see `CLOCK`."""
         if index % ROW_TICKS == 0:
             self._row[: len(row)] = row
@@ -264,8 +262,8 @@ class Page:
         parts: Parts,
         columns: tuple[str, ...],
         *,
-        low_m: NDArray[np.float64],
-        high_m: NDArray[np.float64],
+        low_m: Array,
+        high_m: Array,
     ) -> PageProcess:
         """Show a run from its start; arguments as for `WindowProcess`.
 

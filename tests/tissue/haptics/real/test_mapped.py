@@ -16,7 +16,7 @@ from tissue.haptics.real.mapped import MappedDevice
 from tissue.motion.motion import matrix_of
 from tissue.motion.quaternion import exponential
 from tissue.scene.hardware import Hardware
-from tissue.simulation.builders.device import opened_device
+from tissue.simulation.builders.parts import opened_device
 
 TICK = 1e-3
 LIMITS = DeviceParameters(mass_kg=0.1, damping_N_s_m=0.5, force_limit_N=8.0, torque_limit_Nm=0.2)

@@ -9,7 +9,7 @@ from tissue.haptics.real.recorded import RecordedAdapter
 from tissue.objects.simulate import simulate
 from tissue.scene.hardware import Hardware
 from tissue.scene.load import load_scene
-from tissue.simulation.builders.motions import motion_of
+from tissue.simulation.builders.parts import motion_of
 
 
 def table(path, times, heights_mm, quaternion=(0.0, 0.0, 0.0, 1.0)):

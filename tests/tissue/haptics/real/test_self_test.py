@@ -18,8 +18,7 @@ from tissue.haptics.real.self_test import BUMP_N, BUMP_S, SelfTest, bump, self_t
 from tissue.materials.scene_constants import Materials
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.load import load_scene
-from tissue.simulation.builders.loop import judged_loop
-from tissue.simulation.builders.loop_settings import loop_settings
+from tissue.simulation.builders.loop import judged_loop, loop_settings
 
 
 class Clocked:

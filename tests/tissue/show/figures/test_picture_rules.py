@@ -14,7 +14,7 @@ from meshes.base.errors import InputError
 from tissue.show.figures.bone_pictures import _View, shown_mm
 from tissue.show.figures.figure import figure, save
 from tissue.show.figures.force_time import _compressed, draw_force_torque, joined_events, spells
-from tissue.simulation.depth_map import depth_map
+from tissue.simulation.bone_surface import depth_map
 from tissue.simulation.run_folder import picture_format
 
 SVG = "{http://www.w3.org/2000/svg}"

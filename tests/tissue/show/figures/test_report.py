@@ -9,8 +9,13 @@ from meshes.voxels.volume import VoxelVolume
 from tissue import load_scene, simulate
 from tissue.show.figures.pictures import draw_pictures
 from tissue.simulation.bone_files import write_bone
-from tissue.simulation.bone_surface import bone_surface, cut_out, smooth_normals
-from tissue.simulation.depth_map import depth_map, tool_axes
+from tissue.simulation.bone_surface import (
+    bone_surface,
+    cut_out,
+    depth_map,
+    smooth_normals,
+    tool_axes,
+)
 from tissue.system.offscreen import draw_apart
 
 pyvista = pytest.importorskip("pyvista")

@@ -12,7 +12,7 @@ from tissue import InputError
 from tissue.fem.fields import FieldSeries, Frame
 from tissue.show.viewer.fields import FieldsShown
 from tissue.simulation.saved_fields import SavedFields, field_label, field_limits, field_names
-from tissue.simulation.series import write_fields
+from tissue.simulation.vtk_files import write_fields
 
 ROUNDING = 1e-5
 """Share by which single precision, in which fields are written, may be off."""

@@ -8,8 +8,14 @@ from tissue.show.figures.faces import faces_of
 from tissue.show.figures.force_depth import draw_wall
 from tissue.show.viewer.live.live_scene import LiveBone, LiveOrgan
 from tissue.show.viewer.live.target import KEY_MM, NOTCH_MM, Pointer
-from tissue.simulation.live.shared import BoneShared, OrganShared, SharedArrays
-from tissue.simulation.live.surfaces import FADES_MM, BoneSurface, OrganSurface
+from tissue.simulation.live.shared import (
+    FADES_MM,
+    BoneShared,
+    BoneSurface,
+    OrganShared,
+    OrganSurface,
+    SharedArrays,
+)
 
 UP = np.array([0.0, 0.0, 1.0])
 

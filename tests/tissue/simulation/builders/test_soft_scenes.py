@@ -209,23 +209,15 @@ def test_fibres_are_the_same_in_a_turned_organ():
 
 
 @pytest.mark.parametrize(
-    ("ratio", "poisson", "sentence"),
-    [
-        (
-            0.25,
-            0.0,
-            r"fibre_modulus_ratio is 0\.25.*Poisson's ratio 0 is stable only with more than 0\.333",
-        ),
-        (3.0, -0.5, r"is 3.*less than 1\.5\. Change it or organ\.poisson_ratio"),
-    ],
+    ("ratio", "poisson", "bound"), [(0.25, 0.0, "more than 0.333"), (3.0, -0.5, "less than 1.5")]
 )
-def test_fibres_that_would_make_tissue_unstable_are_refused(ratio, poisson, sentence):
+def test_fibres_that_would_make_tissue_unstable_are_refused(ratio, poisson, bound):
     fibres = {
         "organ.fibre_direction": [1, 0, 0],
         "organ.fibre_modulus_ratio": ratio,
         "organ.poisson_ratio": poisson,
     }
-    with pytest.raises(InputError, match=sentence):
+    with pytest.raises(InputError, match=f"organ.fibre_modulus_ratio must be {bound}"):
         slab(**fibres)
 
 

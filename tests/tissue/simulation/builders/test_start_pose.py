@@ -14,7 +14,7 @@ from meshes.paths.replay_table import POSE_COLUMNS
 from tissue import load_scene
 from tissue.models.tissue_model import ToolMotion
 from tissue.motion.drilling_recording import POSES
-from tissue.simulation.builders.registry import build
+from tissue.simulation.simulate import build
 
 TILTED = Rotation.from_euler("y", 30.0, degrees=True)
 MILLING = {"anatomy.size_mm": [12, 8, 5], "voxels.spacing_mm": 0.25, "motion.feed_mm_s": 20.0}

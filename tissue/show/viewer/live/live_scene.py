@@ -16,8 +16,13 @@ from tissue.show.viewer.bone import layer_look
 from tissue.show.viewer.moment import ToolShown
 from tissue.show.viewer.plotter import Plotter, aim, new_plotter
 from tissue.simulation.bone_surface import smooth_normals, with_layers
-from tissue.simulation.live.shared import SharedArrays
-from tissue.simulation.live.surfaces import BoneSurface, OrganSurface, Start, tissue_surface
+from tissue.simulation.live.shared import (
+    BoneSurface,
+    OrganSurface,
+    SharedArrays,
+    Start,
+    tissue_surface,
+)
 from tissue.simulation.live.window import CLOCK
 from tissue.simulation.trace import Table
 
