@@ -44,10 +44,7 @@ class Timed(LiveObserver):
     def on_begin(self, parts, columns):
         super().on_begin(parts, columns)
         if self._page is not None:
-            corners = parts.motion.sweep_m()
-            self._window = self._page.show(
-                self._scene, parts, columns, low_m=corners.min(axis=0), high_m=corners.max(axis=0)
-            )
+            self._window = self._page.show(self._scene, parts, columns)
 
     def on_tick(self, index, row, times):
         self.ended_s.append(time.time())

@@ -52,7 +52,7 @@ class Ros2Publisher:
     Parameters
     ----------
     folder
-        Folder that `tissue.simulation.live.publisher.Ros2Process` has filled.
+        Folder that `tissue.simulation.live.publisher.PublishingProcess` has filled.
 
     Attributes
     ----------

@@ -96,8 +96,13 @@ class Bone:
         self._source = source
         self._options = options
         given = Materials.of(options.get("materials"))
-        changes = dict(options.get("cutting") or {})
-        cutting = stated(Cutting, {"material": options.get("material"), **changes})
+        changes = options.get("cutting") or {}
+        if not isinstance(changes, Mapping):
+            raise InputError(
+                "cutting", "map names to coefficients", type(changes).__name__, "use a dict"
+            )
+        table = {"material": options.get("material"), **changes}
+        cutting = stated(Cutting, table, prefix="cutting.")
         self.voxel_bone = VoxelBone.stated(source.voxels(), cutting, given)
         layers = self.layer_names
         used = used_of_cutting(

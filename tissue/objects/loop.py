@@ -50,7 +50,13 @@ from tissue.simulation import loop as engine
 from tissue.simulation.builders.force_met import fitted_scale, slot_force_N
 from tissue.simulation.builders.hand import device_motion
 from tissue.simulation.builders.loop import LoopSettings, no_predictor, sampled
-from tissue.simulation.builders.parts import Parts, given_note, require_stated_rate, stated
+from tissue.simulation.builders.parts import (
+    Parts,
+    given_note,
+    require_device,
+    require_stated_rate,
+    stated,
+)
 from tissue.simulation.builders.prediction import maker_of
 from tissue.simulation.observer import WallClock
 from tissue.simulation.trace import Table
@@ -173,7 +179,10 @@ class Loop:
         """
         if unknown := set(options) - set(LoopOptions.__annotations__):
             raise TypeError(f"Loop got an unexpected keyword argument {min(unknown)!r}")
-        _require_device(device)
+        if isinstance(device, type):
+            name = device.__name__
+            raise InputError("device", "be an object", f"the class {name}", f"give {name}()")
+        require_device(device)
         if not isinstance(tissue, Bone | Organ):
             raise InputError(
                 "tissue", "be a Bone or an Organ", type(tissue).__name__, "make one of these"
@@ -401,22 +410,6 @@ def _start_above(tissue: Bone | Organ, axis: Array) -> Array:
             "give a place above the surface",
         )
     return np.asarray(found, dtype=np.float64).reshape(-1, 3)[0] + CLEARANCE_MM * axis
-
-
-def _require_device(device: object) -> None:
-    """Refuse a device that cannot be read and commanded."""
-    if isinstance(device, type):
-        raise InputError(
-            "device", "be an object", f"the class {device.__name__}", f"give {device.__name__}()"
-        )
-    missing = [name for name in ("read", "command") if not callable(getattr(device, name, None))]
-    if missing:
-        raise InputError(
-            "device",
-            "have read and command",
-            f"{type(device).__name__} without {' and '.join(missing)}",
-            "see tissue.Sample for what read gives",
-        )
 
 
 def _settings(

@@ -255,7 +255,8 @@ class Run:
             found |= tissue.summary()
         found["events"] = [{"time_s": time, "what": what} for time, what in self.events]
         found["compute"] = self._compute
-        found |= self.parts.placement_record
+        if self.parts.placement is not None:
+            found["placement"] = self.parts.placement.to_record()
         machine = f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}"
         found["machine"] = f"{machine}, Python {platform.python_version()}"
         found["notes"] = self.parts.notes

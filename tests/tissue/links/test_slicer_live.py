@@ -226,11 +226,10 @@ def test_what_the_tissue_reports_is_published_as_it_happens(monkeypatch):
         lambda *a, **k: made.append(Fake(*a, **k)) or made[-1],
     )
     scene = load_scene("needle", {"duration_s": 1.2})
-    box = lambda parts: (np.full(3, -1.0), np.full(3, 1.0))  # noqa: E731
     run = simulate(
         scene,
         observer=Observers(
-            LiveObserver(scene, None, Unpaced(1e-3)), SlicerPublisher(scene, SlicerLink(), box)
+            LiveObserver(scene, None, Unpaced(1e-3)), SlicerPublisher(scene, SlicerLink())
         ),
     )
     assert "the capsule is punctured" in made[0].reported[0]

@@ -104,7 +104,7 @@ def test_a_loop_measures_its_distance_from_structures(tmp_path):
     [
         ({"Nerve 1": "a.stl"}, "keep_clear must have names of small letters"),
         ({"nerve": "none.stl"}, r"keep_clear\[nerve\] must exist"),
-        ({"nerve": 3}, r"keep_clear\[nerve\] must be a file or a pyvista.PolyData, got int"),
+        ({"nerve": 3}, r"keep_clear\[nerve\] must be a closed surface .*, got int"),
         ("nerve.stl", "keep_clear must be a mapping"),
     ],
 )
@@ -182,22 +182,11 @@ def test_a_peg_in_solid_bone_is_warned_of_and_one_in_its_hole_is_not():
 
 
 @pytest.mark.parametrize(
-    "cutting", [{"tangential_chip_N_mm2": -1.0}, {"radial_edge_N_mm": np.nan}, [1.0], {"no": 1}]
+    "cutting", [{"tangential_chip_N_mm2": -1.0}, {"radial_edge_N_mm": np.nan}, [1.0], {"no": 1}, {"radial_edge_N_mm": "4"}]
 )
 def test_impossible_coefficients_are_refused(cutting):
     with pytest.raises(tissue.InputError, match="cutting"):
         tissue.Bone.block((4, 4, 2), spacing_mm=0.5, cutting=cutting)
-
-
-def test_a_coefficient_written_as_text_counts_as_its_number():
-    path = tissue.feed_along([[-1, 0, -0.1], [0, 0, -0.1]], 10)
-    as_text, as_number = (
-        tissue.Bone.block((8, 4, 2), spacing_mm=0.5, cutting={"radial_edge_N_mm": value})
-        .cut(BURR, *path)
-        .force_N
-        for value in ("4", 4.0)
-    )
-    np.testing.assert_array_equal(as_text, as_number)
 
 
 def test_more_elements_than_memory_holds_are_refused():

@@ -113,8 +113,8 @@ class FakeWindow:
 
     paused = reset = False
 
-    def __init__(self, scene, parts, columns, *, low_m, high_m):
-        self.closed, self.box, self.shown, self._announced = False, (low_m, high_m), 0, False
+    def __init__(self, scene, parts, columns):
+        self.closed, self.shown, self._announced = False, 0, False
 
     @property
     def frames(self):
@@ -245,8 +245,8 @@ class FakePage:
         self.made.append(self)
         opened("http://127.0.0.1:1/?token=x")
 
-    def show(self, scene, parts, columns, *, low_m, high_m):
-        window = FakeWindow(scene, parts, columns, low_m=low_m, high_m=high_m)
+    def show(self, scene, parts, columns):
+        window = FakeWindow(scene, parts, columns)
         if not self.windows:
             show = window.show
 
@@ -335,11 +335,11 @@ def test_a_page_that_cannot_be_served_is_refused_with_its_last_words(monkeypatch
         "tissue.simulation.live.window.drawing_environments", lambda: iter([{"A": "1"}, {"A": "2"}])
     )
     with pytest.raises(InputError, match="EGL failed"):
-        Page(tried.append).show(None, None, (), low_m=np.zeros(3), high_m=np.zeros(3))
+        Page(tried.append).show(None, None, ())
     assert tried == [{"A": "1"}, {"A": "2"}]
     monkeypatch.setattr("tissue.simulation.live.window.drawing_environments", lambda: iter(()))
     with pytest.raises(InputError, match="this machine has no OpenGL library"):
-        Page(tried.append).show(None, None, (), low_m=np.zeros(3), high_m=np.zeros(3))
+        Page(tried.append).show(None, None, ())
 
 
 def test_a_display_that_comes_late_is_waited_for(monkeypatch):

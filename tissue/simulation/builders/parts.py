@@ -29,7 +29,7 @@ from tissue.materials.scene_constants import Materials
 from tissue.models.keep_clear import KeepClear
 from tissue.models.tissue_model import TICK_S, HasFields, TissueModel
 from tissue.motion.motion import FollowPath, Motion
-from tissue.motion.replay import ReplayPoses, read_replay
+from tissue.motion.replay import read_replay
 from tissue.motion.thrust import PushAlongAxis
 from tissue.scene.messages import sentence
 from tissue.scene.named_parts import nearest, shown
@@ -48,15 +48,13 @@ __all__ = [
     "note_own_constants",
     "opened_device",
     "opens_device",
-    "path",
     "plays_record",
     "recorded_file",
-    "replay",
+    "require_device",
     "require_stated_rate",
     "soft_constants",
     "stated",
     "surface_of",
-    "thrust",
 ]
 
 Table = TypeVar("Table", bound=Part)
@@ -98,11 +96,6 @@ class Parts:
     def fields(self) -> FieldSeries | None:
         """Displacement and stress over time; None where the tissue or the scene has none."""
         return self.tissue.fields if isinstance(self.tissue, HasFields) else None
-
-    @property
-    def placement_record(self) -> dict[str, dict[str, list[float]]]:
-        """Placement as an entry of a run's summary; empty without a placement."""
-        return {} if self.placement is None else {"placement": self.placement.to_record()}
 
 
 class TissueBuilder(Protocol):
@@ -159,40 +152,24 @@ def motion_of(scene: Scene, *, step_s: float) -> Motion:
     if plays_record(scene):
         with names_of_caller({"motion.file": "hardware.address"}):
             return read_replay(Path(scene.held.hardware.address), step_s=step_s)
-    make = MOTIONS[scene.motion.kind].make or MAKERS[scene.motion.kind]
-    return make(scene.motion, step_s)
-
-
-def path(motion: PathMotion, step_s: float) -> FollowPath:
-    """Return a motion along straight lines at a given feed."""
-    return FollowPath(
-        np.array(motion.points_mm) * 1e-3, feed_m_s=motion.feed_mm_s * 1e-3, axis=motion.axis
-    )
-
-
-def thrust(motion: ThrustMotion, step_s: float) -> PushAlongAxis:
-    """Return a push along the axis."""
-    return PushAlongAxis(
-        np.array(motion.start_mm) * 1e-3,
-        axis=motion.axis,
-        thrust_N=motion.thrust_N,
-        mass_kg=motion.mass_kg,
-        max_feed_m_s=motion.max_feed_mm_s * 1e-3,
-        depth_m=motion.depth_mm * 1e-3,
-    )
-
-
-def replay(motion: ReplayMotion, step_s: float) -> ReplayPoses:
-    """Return the motion of recorded poses."""
+    motion = scene.motion
+    make: Callable[[Any, float], Motion] | None = MOTIONS[motion.kind].make
+    if make is not None:
+        return make(motion, step_s)
+    if isinstance(motion, PathMotion):
+        return FollowPath(
+            1e-3 * np.array(motion.points_mm), feed_m_s=1e-3 * motion.feed_mm_s, axis=motion.axis
+        )
+    if isinstance(motion, ThrustMotion):
+        return PushAlongAxis(
+            1e-3 * np.array(motion.start_mm),
+            axis=motion.axis,
+            thrust_N=motion.thrust_N,
+            mass_kg=motion.mass_kg,
+            max_feed_m_s=1e-3 * motion.max_feed_mm_s,
+            depth_m=1e-3 * motion.depth_mm,
+        )
     return read_replay(Path(motion.file), step_s=step_s)
-
-
-MAKERS: dict[str, Callable[[Any, float], Motion]] = {
-    "path": path,
-    "thrust": thrust,
-    "replay": replay,
-}
-"""Functions that make the built-in motions."""
 
 
 def opens_device(scene: Scene) -> bool:
@@ -222,16 +199,21 @@ def opened_device(scene: Scene) -> Device | None:
         return MappedDevice(adapter_class(scene.held.kind)(hardware), hardware, start_m=(x, y, z))
     assert entry.make is not None
     device: Device = entry.make((x, y, z))
-    if missing := [
-        name for name in ("read", "command") if not callable(getattr(device, name, None))
-    ]:
+    require_device(device, scene.held.kind)
+    return device
+
+
+def require_device(device: object, kind: str = "") -> None:
+    """Refuse a device that cannot be read and commanded; `kind` is its name in a scene."""
+    missing = [name for name in ("read", "command") if not callable(getattr(device, name, None))]
+    if missing:
+        known = f" for {kind}" if kind else ""
         raise InputError(
             "device",
             "have read and command",
-            f"{type(device).__name__} without {' and '.join(missing)} for {scene.held.kind}",
-            "see `tissue.haptics.device.device.Device`",
+            f"{type(device).__name__} without {' and '.join(missing)}{known}",
+            "see tissue.Sample for what read gives",
         )
-    return device
 
 
 def require_stated_rate(
@@ -279,8 +261,10 @@ def note_own_constants(scene: Scene, layers: Sequence[str], notes: dict[str, str
     notes |= given_note(scene.constants, used_constants(scene, layers), layers=layers, by="scene")
 
 
-def stated(model: type[Table], values: Mapping[str, object]) -> Table:
+def stated(model: type[Table], values: Mapping[str, object], *, prefix: str = "") -> Table:
     """Return a scene's table of a caller's arguments; None counts as not stated.
+
+    The prefix precedes the name of a value that cannot be used.
 
     Raises
     ------
@@ -291,7 +275,7 @@ def stated(model: type[Table], values: Mapping[str, object]) -> Table:
     try:
         return model.model_validate(given)
     except ValidationError as error:
-        raise InputError(sentence(error.errors()[0], given, model)) from None
+        raise InputError(prefix + sentence(error.errors()[0], given, model)) from None
 
 
 def given_note(

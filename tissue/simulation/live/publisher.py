@@ -4,11 +4,10 @@ A process begins with its run, is checked by the ticks and ends with the run.
 """
 
 import socket
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import Generic, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from tissue.motion.quaternion import Quaternion, Triple
 from tissue.scene.scene import Scene
 from tissue.simulation.builders.parts import Parts, opens_device
 from tissue.simulation.live.shared import AnyArray, Layout
-from tissue.simulation.live.window import WindowProcess
+from tissue.simulation.live.window import Clock, WindowProcess, push
 from tissue.simulation.observer import LOOK_TICKS, RunObserver
 from tissue.simulation.run import DEADLINE_US
 
@@ -28,8 +27,6 @@ __all__ = [
     "PORT",
     "Publisher",
     "PublishingProcess",
-    "Ros2Process",
-    "Ros2Publisher",
     "SlicerLink",
     "SlicerProcess",
     "SlicerPublisher",
@@ -37,95 +34,11 @@ __all__ = [
     "require_ros2",
 ]
 
-NO_CLOCK = (0.0, 0.0, 0.0, 0.0)
-"""Clock that is sent to ROS 2, which does not show it."""
 ROS2_PACKAGES = ("rclpy", "geometry_msgs")
-Box = Callable[[Parts], tuple[Array, Array]]
-"""Function that returns the corners of the box around the path [m]."""
 
 
-class PublishingProcess(WindowProcess, ABC):
-    """Process that receives a run and publishes it."""
-
-    @abstractmethod
-    def note(self) -> str:
-        """Return text on what was published, as half a sentence."""
-
-
-Process = TypeVar("Process", bound=PublishingProcess)
-
-
-class Publisher(RunObserver, ABC, Generic[Process]):
-    """Observer that publishes a live run.
-
-    The ticks never wait for its process, and continue if it ends.
-
-    Parameters
-    ----------
-    scene
-        Scene of the run.
-    box
-        Returns the corners of the box around the path [m].
-
-    Attributes
-    ----------
-    note
-        Text on what was published, once the run has ended.
-    """
-
-    what = ""
-    """Name of the process in the event of its end."""
-    ends_run = False
-    """True if the run ends with its process."""
-
-    def __init__(self, scene: Scene, box: Box) -> None:
-        self.note = ""
-        self._scene = scene
-        self._box = box
-        self._process: Process | None = None
-        self._failed: list[tuple[float, str]] = []
-
-    @abstractmethod
-    def _begun(
-        self, parts: Parts, columns: tuple[str, ...], low_m: Array, high_m: Array
-    ) -> Process:
-        """Begin the process for a run within a box [m]."""
-
-    @abstractmethod
-    def _show(self, process: Process, index: int, row: Array, times: Array) -> None:
-        """Send a tick to the process."""
-
-    def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
-        """Begin to publish."""
-        self._process = self._begun(parts, columns, *self._box(parts))
-
-    def on_tick(self, index: int, row: Array, times: Array) -> bool:
-        """Publish the tick; return whether the run continues."""
-        if self._process is None:
-            return True
-        self._show(self._process, index, row, times)
-        if index % LOOK_TICKS == 0 and (words := self._process.failed()) is not None:
-            with_run = ", and the run with it" * self.ends_run
-            self._failed.append((float(row[0]), f"{self.what} ended by itself{with_run}: {words}"))
-            self._end()
-            return not self.ends_run
-        return True
-
-    def on_end(self) -> list[tuple[float, str]]:
-        """End the process."""
-        self._end()
-        return self._failed
-
-    def _end(self) -> None:
-        if self._process is not None:
-            process = self._process
-            self._process = None
-            process.end()
-            self.note = process.note()
-
-
-class Ros2Process(PublishingProcess):
-    """Process that publishes a run on topics of ROS 2 by the names of CRTK."""
+class PublishingProcess(WindowProcess):
+    """Process that receives a run and publishes it on topics of ROS 2 by the names of CRTK."""
 
     module = "tissue.links.ros2"
     place = "must publish the run for ROS 2"
@@ -137,18 +50,61 @@ class Ros2Process(PublishingProcess):
         return f"published {int(self.frames)} times as {self.address}"
 
 
-class Ros2Publisher(Publisher[Ros2Process]):
-    """Observer that publishes a live run on topics of ROS 2."""
+class Publisher(RunObserver):
+    """Observer that publishes a live run on topics of ROS 2.
+
+    The ticks never wait for its process, and continue if it ends.
+
+    Parameters
+    ----------
+    scene
+        Scene of the run.
+
+    Attributes
+    ----------
+    note
+        Text on what was published, once the run has ended.
+    """
 
     what = "publishing for ROS 2"
+    """Name of the process in the event of its end."""
+    ends_run = False
+    """True if the run ends with its process."""
 
-    def _begun(
-        self, parts: Parts, columns: tuple[str, ...], low_m: Array, high_m: Array
-    ) -> Ros2Process:
-        return Ros2Process(self._scene, parts, columns, low_m=low_m, high_m=high_m)
+    def __init__(self, scene: Scene) -> None:
+        self.note = ""
+        self._scene = scene
+        self._process: Any = None
+        self._failed: list[tuple[float, str]] = []
 
-    def _show(self, process: Ros2Process, index: int, row: Array, times: Array) -> None:
-        process.show(index, row, NO_CLOCK)
+    def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
+        """Begin to publish."""
+        self._process = PublishingProcess(self._scene, parts, columns)
+
+    def clock_of(self, times: Array) -> Clock:
+        """Return the clock that the process receives with a tick; ROS 2 shows none."""
+        return 0.0, 0.0, 0.0, 0.0
+
+    def on_tick(self, index: int, row: Array, times: Array) -> bool:
+        """Publish the tick; return whether the run continues."""
+        if self._process is None:
+            return True
+        self._process.show(index, row, self.clock_of(times))
+        if index % LOOK_TICKS == 0 and (words := self._process.failed()) is not None:
+            with_run = ", and the run with it" * self.ends_run
+            self._failed.append((float(row[0]), f"{self.what} ended by itself{with_run}: {words}"))
+            self.on_end()
+            return not self.ends_run
+        return True
+
+    def on_end(self) -> list[tuple[float, str]]:
+        """End the process."""
+        if self._process is not None:
+            process = self._process
+            self._process = None
+            process.end()
+            self.note = process.note()
+        return self._failed
 
 
 def require_ros2() -> None:
@@ -227,14 +183,14 @@ def require_link(link: SlicerLink, scene: Scene, *, web: bool) -> None:
         ) from None
 
 
-class SlicerProcess(PublishingProcess):
+class SlicerProcess(WindowProcess):
     """Process that publishes a run and receives the requested pose of the tool.
 
     The ticks send rows and events to it.
 
     Parameters
     ----------
-    scene, parts, columns, low_m, high_m
+    scene, parts, columns
         As for `WindowProcess`.
     link
         Settings of the link.
@@ -249,9 +205,6 @@ class SlicerProcess(PublishingProcess):
         scene: Scene,
         parts: Parts,
         columns: tuple[str, ...],
-        *,
-        low_m: Array,
-        high_m: Array,
         link: SlicerLink,
     ) -> None:
         layout: Layout = {
@@ -271,9 +224,7 @@ class SlicerProcess(PublishingProcess):
         if (volume := parts.volume) is not None:
             density = volume.density_kg_m3 * (volume.fraction / FULL)
             start["density_kg_m3"] = np.rint(density).astype(np.uint16)
-        super().__init__(
-            scene, parts, columns, low_m=low_m, high_m=high_m, more_layout=layout, more_start=start
-        )
+        super().__init__(scene, parts, columns, more_layout=layout, more_start=start)
         self._target_turn = self.arrays["target_turn"]
         self._taken = 0
         self._events = self.arrays["events"]
@@ -317,15 +268,15 @@ class SlicerProcess(PublishingProcess):
         return ", ".join(words)
 
 
-class SlicerPublisher(Publisher[SlicerProcess]):
+class SlicerPublisher(Publisher):
     """Observer that publishes a live run for 3D Slicer, whose client may move the tool.
 
     The last columns of the timing are the delay of a tick and the skipped time [µs].
 
     Parameters
     ----------
-    scene, box
-        As for `Publisher`.
+    scene
+        Scene of the run.
     link
         Port, and whether a client drives the tool.
     mouse
@@ -335,29 +286,19 @@ class SlicerPublisher(Publisher[SlicerProcess]):
 
     what = "the link to 3D Slicer"
 
-    def __init__(
-        self, scene: Scene, link: SlicerLink, box: Box, mouse: MouseDevice | None = None
-    ) -> None:
-        super().__init__(scene, box)
+    def __init__(self, scene: Scene, link: SlicerLink, mouse: MouseDevice | None = None) -> None:
+        super().__init__(scene)
         self._link = link
         self._mouse = mouse
         self.ends_run = mouse is not None
         self._missed = 0
         self._skipped_us = 0.0
 
-    def _begun(
-        self, parts: Parts, columns: tuple[str, ...], low_m: Array, high_m: Array
-    ) -> SlicerProcess:
-        self._start = parts.motion.sweep_m()[0]
-        self._scale = self._scene.motion_scale
-        return SlicerProcess(
-            self._scene, parts, columns, low_m=low_m, high_m=high_m, link=self._link
-        )
-
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
         """Begin to publish and report the address."""
-        super().on_begin(parts, columns)
-        if self._link.opened is not None and self._process is not None:
+        self._start = parts.motion.sweep_m()[0]
+        self._process = SlicerProcess(self._scene, parts, columns, self._link)
+        if self._link.opened is not None:
             self._link.opened(self._process.address)
 
     def before_tick(self, index: int) -> None:
@@ -366,16 +307,14 @@ class SlicerPublisher(Publisher[SlicerProcess]):
             return
         wanted = self._process.target()
         if wanted is not None:
-            x, y, z = (self._start + (np.array(wanted[0]) - self._start) / self._scale).tolist()
-            self._mouse.push((x, y, z), wanted[1])
+            push(self._mouse, wanted[0], self._start, self._scene.motion_scale, turn=wanted[1])
 
-    def _show(self, process: SlicerProcess, index: int, row: Array, times: Array) -> None:
-        tick_us = float(times[0])
-        late_us = float(times[-2])
-        skipped_us = float(times[-1])
+    def clock_of(self, times: Array) -> Clock:
+        """Return cost and lateness of a tick [µs], missed deadlines and skipped time [ms]."""
+        tick_us, late_us, skipped_us = times[[0, -2, -1]].tolist()
         self._missed += tick_us + late_us > DEADLINE_US
         self._skipped_us += skipped_us
-        process.show(index, row, (tick_us, late_us, float(self._missed), 1e-3 * self._skipped_us))
+        return tick_us, late_us, float(self._missed), 1e-3 * self._skipped_us
 
     def on_event(self, time_s: float, what: str) -> None:
         """Publish an event."""

@@ -5,10 +5,9 @@ import signal
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from time import perf_counter, sleep
 from types import FrameType
-from typing import Any, Unpack
+from typing import Unpack
 
 import numpy as np
 
@@ -18,17 +17,15 @@ from tissue.haptics.device.recorded import MouseDevice
 from tissue.scene.coupling import Device as StatedDevice
 from tissue.scene.load import REPLACED_DEVICE
 from tissue.scene.scene import Scene
-from tissue.scene.tool import Tool
 from tissue.simulation.builders.parts import Parts, motion_of, opened_device, opens_device
 from tissue.simulation.live.publisher import (
     Publisher,
-    Ros2Publisher,
     SlicerLink,
     SlicerPublisher,
     require_link,
     require_ros2,
 )
-from tissue.simulation.live.window import Page, WindowProcess, require_web
+from tissue.simulation.live.window import Page, WindowProcess, push, require_web
 from tissue.simulation.observer import (
     BEHIND_S,
     LOOK_TICKS,
@@ -41,7 +38,7 @@ from tissue.simulation.run import DEADLINE_US, Run
 from tissue.simulation.simulate import TICK_S, RunSettings, simulate
 from tissue.system.offscreen import await_display, display_problem
 
-__all__ = ["LiveObserver", "LiveSettings", "live", "reach_m", "start_m"]
+__all__ = ["LiveObserver", "LiveSettings", "live", "start_m"]
 
 LONGEST_S = 600.0
 """Duration of a run by the mouse if none is given [s]; its trace is held in memory."""
@@ -49,12 +46,6 @@ ROAM_MM, ROAM_ON_WALL_MM = 8.0, 40.0
 """Largest distance of the tool from the scripted path under the pointer [mm].
 
 The second value is for a wall, which has no edge.
-"""
-ABOVE_M, BELOW_M = 0.02, 0.01
-"""Distances above and below the path within the pointer's reach [m].
-
-The first bounds how far a tool is drawn back, the second how far a probe is pressed beyond the
-path. A cutting tool is pressed as far as there is bone beyond the reach of the script.
 """
 LOOK_S = 0.01
 """Time between two checks while the run waits [s]."""
@@ -195,7 +186,6 @@ def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSe
         settings["cores"] = settings.get("cores") or max((os.cpu_count() or 2) - 1, 1)
         settings["allow_unstable"] = True
     page = None if how.opened is None else Page(how.opened)
-    box = partial(reach_m, scene)
     try:
         while True:
             mouse = MouseDevice(start_m(scene)) if by_mouse else None
@@ -203,12 +193,12 @@ def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSe
                 scene, None if how.by_slicer else mouse, WallClock(TICK_S), page
             )
             prioritised = Prioritised()
-            publishers: dict[str, Publisher[Any]] = {}
+            publishers: dict[str, Publisher] = {}
             if how.slicer is not None:
                 driven = mouse if how.by_slicer else None
-                publishers["slicer"] = SlicerPublisher(scene, how.slicer, box, driven)
+                publishers["slicer"] = SlicerPublisher(scene, how.slicer, driven)
             if how.ros2:
-                publishers["ros2"] = Ros2Publisher(scene, box)
+                publishers["ros2"] = Publisher(scene)
             run = simulate(
                 scene,
                 device=mouse if by_mouse else opened_device(scene),
@@ -236,18 +226,6 @@ def start_m(scene: Scene) -> tuple[float, float, float]:
     """Return the start of the scripted motion [m]."""
     x, y, z = motion_of(scene, step_s=TICK_S).sweep_m()[0]
     return float(x), float(y), float(z)
-
-
-def reach_m(scene: Scene, parts: Parts) -> tuple[Array, Array]:
-    """Return the corners of the box around the scripted path for the pointer [m].
-
-    The pointer may move the tool within this box.
-    """
-    path = parts.motion.sweep_m()
-    axis = parts.motion.rotations()[0][:, 2]
-    below_m = 1e-3 * scene.voxels.margin_mm if isinstance(scene.tool, Tool) else BELOW_M
-    points = np.concatenate([path + ABOVE_M * axis, path - below_m * axis])
-    return points.min(axis=0), points.max(axis=0)
 
 
 class LiveObserver(RunObserver):
@@ -289,15 +267,13 @@ class LiveObserver(RunObserver):
         self._frames = -1
         self._drawn_s = 0.0
         self._start = np.zeros(3)
-        self._scale = scene.motion_scale
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
         """Open the window; from now on Ctrl-C ends the run after its tick."""
         if self._mouse is not None:
             self._start = parts.motion.sweep_m()[0]
-            low, high = reach_m(self._scene, parts)
             show = WindowProcess if self._page is None else self._page.show
-            self._window = show(self._scene, parts, columns, low_m=low, high_m=high)
+            self._window = show(self._scene, parts, columns)
         if threading.current_thread() is threading.main_thread():
             self._handler = signal.signal(signal.SIGINT, self._stop)
 
@@ -315,8 +291,7 @@ class LiveObserver(RunObserver):
         if self._window is not None and self._mouse is not None:
             pointed = self._window.pointed_m()
             if pointed is not None:
-                x, y, z = (self._start + (np.array(pointed) - self._start) / self._scale).tolist()
-                self._mouse.push((x, y, z))
+                push(self._mouse, pointed, self._start, self._scene.motion_scale)
 
     def on_tick(self, index: int, row: Array, times: Array) -> bool:
         """Record a tick's lateness and show the tick; return whether the run continues."""

@@ -14,7 +14,10 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
+from tissue.haptics.device.recorded import MouseDevice
+from tissue.motion.quaternion import Quaternion, Triple
 from tissue.scene.scene import Scene
+from tissue.scene.tool import Tool
 from tissue.simulation.builders.parts import Parts
 from tissue.simulation.live.shared import (
     MEMORY,
@@ -27,7 +30,17 @@ from tissue.simulation.live.shared import (
 from tissue.system.child import await_ready, child_command
 from tissue.system.offscreen import REMEDY, drawing_environments
 
-__all__ = ["CLOCK", "LOADS", "Page", "PageProcess", "WindowProcess", "require_web"]
+__all__ = [
+    "CLOCK",
+    "LOADS",
+    "Clock",
+    "Page",
+    "PageProcess",
+    "WindowProcess",
+    "push",
+    "reach_m",
+    "require_web",
+]
 
 MODULE = "tissue.show.viewer.live.live_window"
 """Module run in the other process; it is named, not imported, since it lies in a higher layer."""
@@ -47,6 +60,43 @@ OPENS_S = 120.0
 """Longest time for a window to open [s]."""
 FOLDER = "tissue-live-"
 
+ABOVE_M, BELOW_M = 0.02, 0.01
+"""Distances above and below the path within the pointer's reach [m].
+
+The first bounds how far a tool is drawn back, the second how far a probe is pressed beyond the
+path. A cutting tool is pressed as far as there is bone beyond the reach of the script.
+"""
+Clock = tuple[float, float, float, float]
+"""Values of `CLOCK`."""
+
+
+def reach_m(scene: Scene, parts: Parts) -> tuple[Array, Array]:
+    """Return the corners of the box around the scripted path for the pointer [m].
+
+    The pointer may move the tool within this box.
+    """
+    path = parts.motion.sweep_m()
+    axis = parts.motion.rotations()[0][:, 2]
+    below_m = 1e-3 * scene.voxels.margin_mm if isinstance(scene.tool, Tool) else BELOW_M
+    points = np.concatenate([path + ABOVE_M * axis, path - below_m * axis])
+    return points.min(axis=0), points.max(axis=0)
+
+
+def push(
+    mouse: MouseDevice,
+    pointed_m: Triple,
+    start_m: Array,
+    scale: float,
+    *,
+    turn: Quaternion | None = None,
+) -> None:
+    """Move a mouse to a tool position [m]; the tool moves `scale` times as far."""
+    x, y, z = (start_m + (np.array(pointed_m) - start_m) / scale).tolist()
+    if turn is None:
+        mouse.push((x, y, z))
+    else:
+        mouse.push((x, y, z), turn)
+
 
 class WindowProcess:
     """Window that shows a running run and reports the tool position requested by the pointer.
@@ -60,8 +110,6 @@ class WindowProcess:
         Scene and parts of the run.
     columns
         Names of the trace's columns.
-    low_m, high_m
-        Corners of the box in which the pointer may move the tool [m].
     environment
         Additional environment variables of its process.
     more_layout, more_start
@@ -93,8 +141,6 @@ class WindowProcess:
         parts: Parts,
         columns: tuple[str, ...],
         *,
-        low_m: Array,
-        high_m: Array,
         environment: Mapping[str, str] | None = None,
         more_layout: Layout | None = None,
         more_start: Mapping[str, AnyArray] | None = None,
@@ -131,12 +177,12 @@ class WindowProcess:
             scene.model_dump_json(exclude_unset=True), "utf-8"
         )  # the scene with the changes for the mouse
         (self._folder / "columns.json").write_text(json.dumps([*columns, *CLOCK]), "utf-8")
-        turn = parts.motion.rotations()[0]
+        low_m, high_m = reach_m(scene, parts)
         box = {
             "low_m": low_m,
             "high_m": high_m,
             "start_m": parts.motion.sweep_m()[0],
-            "axis": turn[:, 2],
+            "axis": parts.motion.rotations()[0][:, 2],
         }
         start: dict[str, AnyArray] = {**box, **self._shared.start, **(more_start or {})}
         np.savez(self._folder / "start.npz", allow_pickle=False, **start)
@@ -261,9 +307,6 @@ class Page:
         scene: Scene,
         parts: Parts,
         columns: tuple[str, ...],
-        *,
-        low_m: Array,
-        high_m: Array,
     ) -> PageProcess:
         """Show a run from its start; arguments as for `WindowProcess`.
 
@@ -278,9 +321,7 @@ class Page:
         failed: InputError | None = None
         for environment in drawing_environments():
             try:
-                self._process = PageProcess(
-                    scene, parts, columns, low_m=low_m, high_m=high_m, environment=environment
-                )
+                self._process = PageProcess(scene, parts, columns, environment=environment)
             except InputError as error:
                 failed = error
                 continue
