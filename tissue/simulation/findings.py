@@ -12,6 +12,7 @@ from tissue.scene.anatomy import MolarAnatomy, Tooth
 from tissue.scene.organ import LayersAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import ThrustMotion
+from tissue.simulation.bone_surface import tool_axes
 from tissue.simulation.builders.parts import Parts
 from tissue.simulation.trace import Table
 
@@ -37,25 +38,22 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
         came = float((trace.vectors("tool", "mm") @ heading).max())
         if came < wanted - TOLERANCE_MM:
             found["path"] = (
-                f"not finished: the tool came to {came:.3g} of motion.depth_mm = {wanted:g}; "
-                "raise motion.thrust_N or "
-                "duration_s"
+                f"not finished: the tool came to {came:.3g} of motion.depth_mm = {wanted:g}; raise "
+                "motion.thrust_N or duration_s"
             )
     elif wanted_s >= path_s + 5e-4:
         found["path"] = (
-            f"not finished: the run ends at {path_s:g} s, the motion at {wanted_s:.6g} s; "
-            "set duration_s = "
-            f"{wanted_s:.6g} or leave it out to see all of it"
+            f"not finished: the run ends at {path_s:g} s, the motion at {wanted_s:.6g} s; set "
+            f"duration_s = {wanted_s:.6g} or leave it out to see all of it"
         )
-    membranes = scene.anatomy.membranes if isinstance(scene.anatomy, LayersAnatomy) else []
-    if beyond := [
-        (name, depth) for name, depth in membranes if trace["insertion_mm"].max() < depth
-    ]:
-        found["membranes"] = (
-            f"never reached: the needle went {trace['insertion_mm'].max():.3g} mm in, beyond lies "
-            f"{', '.join(f'the {name} at {depth:g} mm' for name, depth in beyond)}; see "
-            "anatomy.membrane_depths_mm"
-        )
+    if isinstance(scene.anatomy, LayersAnatomy):
+        deepest = trace["insertion_mm"].max()
+        beyond = [f"the {name} at {d:g} mm" for name, d in scene.anatomy.membranes if d > deepest]
+        if beyond:
+            found["membranes"] = (
+                f"never reached: the needle went {deepest:.3g} mm in, beyond lies "
+                f"{', '.join(beyond)}; see anatomy.membrane_depths_mm"
+            )
     if parts.cutter is None or parts.cutter.spin_rad_s == 0.0:
         return found
     if not np.any(parts.tissue.removed_m3):
@@ -153,10 +151,7 @@ def break_throughs(volume: VoxelVolume, trace: Table, *, radius_m: float) -> lis
     share = (
         map_coordinates(volume.fraction, at.T, output=np.float32, order=1, mode="constant") / FULL
     )
-    x, y, z, w = (trace[f"tool_q{c}"] for c in "xyzw")
-    axes = np.column_stack(
-        [2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)]
-    )
+    axes = tool_axes(np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"]))
     steps = np.diff(tips, axis=0)
     forward = -np.einsum("ij,ij->i", steps, axes[1:])
     travel = np.concatenate([[0.0], np.cumsum(forward)])

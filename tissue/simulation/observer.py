@@ -3,7 +3,8 @@
 They are called between ticks and must not change the result of the run.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
 from time import perf_counter, sleep
 from typing import Any
 
@@ -90,18 +91,11 @@ class Observers(RunObserver):
 
     def on_end(self) -> list[tuple[float, str]]:
         """End all observers, also if one of them fails."""
-        return _ended(self._all)
-
-
-def _ended(observers: Sequence[RunObserver]) -> list[tuple[float, str]]:
-    if not observers:
-        return []
-    events: list[tuple[float, str]] = []
-    try:
-        events = observers[0].on_end()
-    finally:
-        events += _ended(observers[1:])
-    return events
+        events: list[tuple[float, str]] = []
+        with ExitStack() as ends:
+            for each in reversed(self._all):
+                ends.callback(lambda each: events.extend(each.on_end()), each)
+        return events
 
 
 class TickRow(Mapping[str, float]):

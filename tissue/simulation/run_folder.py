@@ -8,16 +8,14 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from meshes.base.errors import InputError
-from meshes.base.file_limits import require_regular
 from meshes.base.file_version import package_version
 from meshes.base.placement import Placement
-from meshes.base.text_tables import read_json
 from meshes.base.whole_file import whole_file
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.load import load_scene, saved_text
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
-from tissue.simulation.run_summary import FORMAT, Summary, read_summary
+from tissue.simulation.run_summary import FORMAT, Summary, read_summary, summary_of
 from tissue.simulation.trace import FORMATS, Table, TraceWriter, read_trace
 from tissue.system.outputs import identity, is_alive
 from tissue.system.owned_folder import OwnedFolder, listed_files, require_folder
@@ -181,12 +179,13 @@ class RunFolder:
         if not self._summary:
             return
         if isinstance(error, KeyboardInterrupt):
-            status = "interrupted"
-            problem = error.name if isinstance(error, Terminated) else "Ctrl-C"
+            self._end("interrupted", error.name if isinstance(error, Terminated) else "Ctrl-C")
         else:
             kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
-            status = "failed"
-            problem = kind + " ".join(str(error).split())
+            self._end("failed", kind + " ".join(str(error).split()))
+
+    def _end(self, status: str, problem: str) -> None:
+        """Write the cause of an early end to the summary."""
         summary = {name: value for name, value in self._summary.items() if name != "process"}
         self._write_summary(summary | {"status": status, "problem": problem})
 
@@ -212,8 +211,7 @@ class RunFolder:
     def interrupt(self, problem: str) -> None:
         """Mark a discarded run as interrupted, and release the folder."""
         self.close_tables()
-        summary = {name: value for name, value in self._summary.items() if name != "process"}
-        self._write_summary(summary | {"status": "interrupted", "problem": problem})
+        self._end("interrupted", problem)
         self._owned.release()
 
     def complete(self, summary: Summary) -> None:
@@ -292,12 +290,7 @@ def saved_placement(path: Path) -> Placement | None:
     InputError
         If the summary's placement is no rigid motion.
     """
-    try:
-        record = read_json(require_regular(path / "summary.json").read_text("utf-8")).get(
-            "placement"
-        )
-    except (OSError, ValueError, AttributeError):
-        return None
+    record = summary_of(path).get("placement")
     return None if record is None else Placement.from_record(record)
 
 
@@ -326,7 +319,8 @@ def _remark(placement: Placement | None) -> str:
 @contextmanager
 def added_to_run(path: Path) -> Iterator[None]:
     """Lock the folder of a finished run while the block adds or replaces files of the run."""
-    with _held(OwnedFolder(path, "run", (), shared=run_file_names(), adopted=_adopted(path))):
+    folder = OwnedFolder(path, "run", (), shared=run_file_names(), adopted=_adopted(path))
+    with _held(folder):
         yield
 
 

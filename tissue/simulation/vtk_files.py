@@ -38,50 +38,45 @@ Mesh = TypeVar("Mesh", bound="pyvista.PointSet")
 
 def mesh_in_file(mesh: Mesh, placement: Placement | None) -> Mesh:
     """Return a mesh of the scene [mm] in the file's frame and unit; unchanged without a file."""
-    return (
-        mesh
-        if placement is None
-        else _moved(mesh, placement.to_file(_points(mesh)), placement.rotation.T)
-    )
+    if placement is None:
+        return mesh
+    return _moved(mesh, placement.to_file(_points(mesh)), placement.rotation.T)
 
 
 def mesh_in_scene(mesh: Any, placement: Placement | None) -> Any:
-    """Return a mesh in the file's frame and unit in the scene's frame [mm].
-
-    It is unchanged without a file.
-    """
-    return (
-        mesh
-        if placement is None
-        else _moved(mesh, placement.to_scene(_points(mesh)), placement.rotation)
-    )
+    """Return a mesh of the file in the scene's frame [mm]; unchanged without a file."""
+    if placement is None:
+        return mesh
+    return _moved(mesh, placement.to_scene(_points(mesh)), placement.rotation)
 
 
-def image_in_file(image: "pyvista.ImageData", placement: Placement | None) -> "pyvista.ImageData":
+def image_in_file(image: Any, placement: Placement | None) -> "pyvista.ImageData":
     """Return voxels of the scene [mm] in the file's frame and unit, with a direction matrix.
 
     They are unchanged without a file.
     """
     if placement is None:
         return image
-    moved: pyvista.ImageData = image.copy(deep=False)
-    moved.origin = placement.to_file(np.array([image.origin]))[0].tolist()
-    moved.spacing = [size / placement.unit_mm for size in image.spacing]
-    moved.direction_matrix = placement.rotation
-    return moved
+    origin = placement.to_file(np.array([image.origin]))[0]
+    spacing = [size / placement.unit_mm for size in image.spacing]
+    return _placed(image, origin, spacing, placement.rotation)
 
 
 def image_in_scene(image: Any, placement: Placement | None) -> "pyvista.ImageData":
-    """Return voxels in the file's frame and unit in the scene's frame [mm].
-
-    They are unchanged without a file.
-    """
+    """Return voxels of the file in the scene's frame [mm]; unchanged without a file."""
     if placement is None:
         return image
-    moved: pyvista.ImageData = image.copy(deep=False)
-    moved.origin = placement.to_scene(np.array([image.origin]))[0].tolist()
-    moved.spacing = [size * placement.unit_mm for size in image.spacing]
-    moved.direction_matrix = placement.rotation.T @ np.array(image.direction_matrix)
+    origin = placement.to_scene(np.array([image.origin]))[0]
+    spacing = [size * placement.unit_mm for size in image.spacing]
+    return _placed(image, origin, spacing, placement.rotation.T @ np.array(image.direction_matrix))
+
+
+def _placed(image: Any, origin: Array, spacing: list[float], turn: Array) -> Any:
+    """Return a shallow copy of an image at another place."""
+    moved = image.copy(deep=False)
+    moved.origin = origin.tolist()
+    moved.spacing = spacing
+    moved.direction_matrix = turn
     return moved
 
 

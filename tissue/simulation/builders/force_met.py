@@ -13,7 +13,7 @@ from tissue.cutters.cutter import Cutter
 from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.models.tissue_model import TICK_S, Response, TissueModel, ToolMotion
 from tissue.motion.motion import Motion
-from tissue.scene.organ import LayersAnatomy
+from tissue.scene.organ import LayersAnatomy, SoftAnatomy
 from tissue.scene.part import is_file_key
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
@@ -111,17 +111,14 @@ def _met(table: str, _inputs: tuple[object, ...]) -> float:
     It is 0 where the force is not known.
     """
     scene = Scene.read_back(table)
-    kind = scene.anatomy.kind
-    if ANATOMIES[kind].build is None:
-        known = {"slab": pressed, "liver": pressed, "layers": pierced, "wall": _unknown}
-        return known.get(kind, cut)(scene)
-    met = ANATOMIES[kind].force_N
-    return 0.0 if met is None else float(met(scene))
-
-
-def _unknown(scene: Scene) -> float:
-    """Return 0: no force is known before a run."""
-    return 0.0
+    entry = ANATOMIES[scene.anatomy.kind]
+    if entry.build is not None:
+        return 0.0 if entry.force_N is None else float(entry.force_N(scene))
+    if isinstance(scene.tool, Tool):
+        return cut(scene)
+    if isinstance(scene.tool, Needle):
+        return pierced(scene)
+    return pressed(scene) if isinstance(scene.anatomy, SoftAnatomy) else 0.0
 
 
 def cut(scene: Scene) -> float:

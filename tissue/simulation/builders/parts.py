@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import ValidationError
@@ -12,7 +12,6 @@ from pydantic import ValidationError
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, is_file, names_of_caller
 from meshes.base.placement import Placement
-from meshes.base.progress import Progress
 from meshes.surfaces.glenoid import GLENOID_LAYERS
 from meshes.surfaces.surface import Surface, surface_from_triangles
 from meshes.surfaces.triangle_files import read_triangles
@@ -98,24 +97,11 @@ class Parts:
         return self.tissue.fields if isinstance(self.tissue, HasFields) else None
 
 
-class TissueBuilder(Protocol):
-    """Function that makes the parts of a run from a scene with one kind of anatomy."""
+TissueBuilder = Callable[..., Parts]
+"""Function that makes the parts of a run from a scene with one kind of anatomy.
 
-    def __call__(
-        self,
-        scene: Scene,
-        motion: Motion,
-        *,
-        step_s: float,
-        compute: str,
-        cores: int | None,
-        report: Progress,
-    ) -> Parts:
-        """Return the parts of a scene in which a motion moves the tool.
-
-        Ticks are `step_s` [s] long; `compute` names the device that computes.
-        """
-        ...
+It is called as ``build(scene, motion, *, step_s, compute, cores, report)``: with the motion of the
+tool, the length of a tick [s], the device that computes, processor cores, and progress."""
 
 
 RECORDED = "recorded"

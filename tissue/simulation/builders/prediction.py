@@ -29,23 +29,7 @@ from tissue.prediction.predictor import Hold, Predictor
 from tissue.prediction.trained import Trained, shipped_file
 from tissue.scene.registry import PERCEPTIONS, PREDICTORS
 
-__all__ = [
-    "CAUTION",
-    "FALLBACKS",
-    "dmdc",
-    "hold",
-    "kalman",
-    "koopman",
-    "koopman_look_ahead",
-    "linear",
-    "look_ahead",
-    "maker_of",
-    "of_observer",
-    "of_population",
-    "perception",
-    "perception_for",
-    "trained_predictor",
-]
+__all__ = ["CAUTION", "FALLBACKS", "maker_of", "perception", "perception_for", "trained_predictor"]
 
 FALLBACKS = ("hold", "linear", "kalman", "dmdc", "look-ahead")
 """Predictors without a lifted operator.
@@ -98,62 +82,28 @@ def trained_predictor(kind: str, trained: Trained | None, *, force_limit_N: floa
     entry = PREDICTORS[kind]
     if entry.trained and trained is None:
         raise InputError("trained", f"be given for {kind}", "nothing", "pass Trained.read(FILE)")
-    make: Callable[[Trained | None, float], Predictor] = (
-        entry.make or globals()[kind.replace("-", "_")]
-    )
-    return make(trained, force_limit_N)
-
-
-def hold(trained: Trained | None, force_limit_N: float) -> Predictor:
-    """Return a predictor that holds the last force."""
-    return Hold()
-
-
-def linear(trained: Trained | None, force_limit_N: float) -> Predictor:
-    """Return a predictor that extrapolates the force linearly."""
-    return Guarded(Linear(), Hold(), reach_N=force_limit_N)
-
-
-def kalman(trained: Trained | None, force_limit_N: float) -> Predictor:
-    """Return a predictor that extrapolates the force with a Kalman filter."""
-    return Guarded(Kalman(), Hold(), reach_N=force_limit_N)
-
-
-def dmdc(trained: Trained | None, force_limit_N: float) -> Predictor:
-    """Return a predictor by linear dynamic mode decomposition with control."""
+    if entry.make is not None:
+        made: Predictor = entry.make(trained, force_limit_N)
+        return made
+    if kind == "hold":
+        return Hold()
+    simple: dict[str, Judged] = {
+        "linear": Linear(),
+        "kalman": Kalman(),
+        "look-ahead": LookAhead(FilteredPath()),
+    }
+    if kind in simple:
+        return Guarded(simple[kind], Hold(), reach_N=force_limit_N)
     assert trained is not None
-    return Guarded(LinearControl(trained.control), Hold(), reach_N=force_limit_N)
-
-
-def look_ahead(trained: Trained | None, force_limit_N: float) -> Predictor:
-    """Return a predictor that evaluates the tissue's own law at the end of a filtered path."""
-    return Guarded(LookAhead(FilteredPath()), Hold(), reach_N=force_limit_N)
-
-
-def koopman(trained: Trained | None, force_limit_N: float) -> Predictor:
-    """Return the lifted predictor; its fallback is the best predictor without an operator."""
-    assert trained is not None
-    return _with_fallback("koopman", Koopman(_path(trained)), trained, force_limit_N)
-
-
-def koopman_look_ahead(trained: Trained | None, force_limit_N: float) -> Predictor:
-    """Return a predictor by the tissue's own law at the end of the lifted operator's path."""
-    assert trained is not None
-    return _with_fallback("koopman-look-ahead", LookAhead(_path(trained)), trained, force_limit_N)
-
-
-def _path(trained: Trained) -> OperatorPath:
-    """Return the operator's path, with the range of its training."""
-    return OperatorPath(trained.operator, growth=trained.growth)
-
-
-def _with_fallback(kind: str, lifted: Judged, trained: Trained, force_limit_N: float) -> Predictor:
-    """Return a lifted predictor guarded by its fallback.
-
-    The fallback is used throughout if validation found no gain by the lifted predictor.
-    """
+    if kind == "dmdc":
+        return Guarded(LinearControl(trained.control), Hold(), reach_N=force_limit_N)
+    path = OperatorPath(trained.operator, growth=trained.growth)
     fallback = trained_predictor(trained.fallback, trained, force_limit_N=force_limit_N)
-    return fallback if trained.loses(kind) else Guarded(lifted, fallback, reach_N=force_limit_N)
+    if trained.loses(kind):
+        # Validation found no gain by the lifted predictor.
+        return fallback
+    lifted = Koopman(path) if kind == "koopman" else LookAhead(path)
+    return Guarded(lifted, fallback, reach_N=force_limit_N)
 
 
 CAUTION = 0.1
@@ -196,46 +146,13 @@ def perception(
     if choice == "none":
         return None
     name, argument = PERCEPTIONS.split(choice, "none")
-    make = PERCEPTIONS[name] or {"population": of_population, "observer:FILE": of_observer}[name]
-    return make(
-        argument, rng=rng, force_limit_N=force_limit_N, tick_s=tick_s, friction_N=friction_N
-    )
-
-
-def of_population(
-    argument: str,
-    *,
-    rng: np.random.Generator,
-    force_limit_N: float,
-    tick_s: float,
-    friction_N: float,
-) -> PerceivedForce:
-    """Return the perception of an unknown observer from the population."""
-    return perception_for(
-        population_observer(),
-        rng=rng,
-        force_limit_N=force_limit_N,
-        tick_s=tick_s,
-        friction_N=friction_N,
-    )
-
-
-def of_observer(
-    argument: str,
-    *,
-    rng: np.random.Generator,
-    force_limit_N: float,
-    tick_s: float,
-    friction_N: float,
-) -> PerceivedForce:
-    """Return the perception of the observer in a file written by `tissue calibrate`."""
-    return perception_for(
-        read_observer(Path(argument)),
-        rng=rng,
-        force_limit_N=force_limit_N,
-        tick_s=tick_s,
-        friction_N=friction_N,
-    )
+    limits = {"force_limit_N": force_limit_N, "tick_s": tick_s, "friction_N": friction_N}
+    make = PERCEPTIONS[name]
+    if make is not None:
+        made: Perception = make(argument, rng=rng, **limits)
+        return made
+    observer = population_observer() if name == "population" else read_observer(Path(argument))
+    return perception_for(observer, rng=rng, **limits)
 
 
 def perception_for(
