@@ -15,7 +15,7 @@ from tissue.cli.terminal import console, left_out, progress, whole
 if TYPE_CHECKING:
     from tissue.scene.scene import Scene
     from tissue.simulation.live.run import LiveSettings
-    from tissue.simulation.run_summary import Summary
+    from tissue.simulation.run_folder import Summary
 
 __all__ = ["print_summary", "run"]
 

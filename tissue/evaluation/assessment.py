@@ -24,7 +24,7 @@ from tissue.models.tissue_model import TICK_S
 from tissue.scene.scene import Scene
 from tissue.show.figures.figure import figure, save
 from tissue.simulation.bone_surface import tool_axes
-from tissue.simulation.run_summary import Summary
+from tissue.simulation.run_folder import Summary
 from tissue.simulation.trace import Table
 from tissue.system.owned_folder import owned_folder, require_folder
 

@@ -9,7 +9,7 @@ from meshes.base.errors import InputError
 from tissue.scene.named_parts import shown
 from tissue.scene.part import is_file_key
 from tissue.scene.scene import Scene
-from tissue.simulation.run_summary import Summary
+from tissue.simulation.run_folder import Summary
 
 __all__ = ["path_note", "require_same_task", "scene_notes"]
 

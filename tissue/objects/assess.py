@@ -12,7 +12,7 @@ from tissue.evaluation import assessment as engine
 from tissue.evaluation.assessment import write_assessment
 from tissue.objects.run import Run, open_run
 from tissue.scene.scene import Scene
-from tissue.simulation.run_summary import Summary
+from tissue.simulation.run_folder import Summary
 from tissue.simulation.trace import Table
 
 __all__ = ["Assessment", "assess"]

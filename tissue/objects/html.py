@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue.show.figures.force_time import event_lines
-from tissue.simulation.run_summary import Summary
+from tissue.simulation.run_folder import Summary
 
 __all__ = [
     "curve",

@@ -16,8 +16,7 @@ from tissue.objects.html import run_html, run_line
 from tissue.objects.progress import Bar, reporting
 from tissue.objects.trace import Trace
 from tissue.simulation import run as engine
-from tissue.simulation.run_folder import picture_format
-from tissue.simulation.run_summary import Summary, summary_of
+from tissue.simulation.run_folder import Summary, picture_format, summary_of
 
 if TYPE_CHECKING:
     import pandas

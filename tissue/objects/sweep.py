@@ -25,7 +25,7 @@ from tissue.objects.sweep_table import Sweep, SweptRun
 from tissue.scene.load import changed, load_scene, parse_override
 from tissue.scene.scene import Scene
 from tissue.scene.texts import registered_parts, unknown_parts
-from tissue.simulation.run_summary import summary_of
+from tissue.simulation.run_folder import summary_of
 from tissue.system.owned_folder import owned_folder
 from tissue.system.workers import first_done, worker_pool
 

@@ -15,7 +15,7 @@ from tissue.objects.run import Run
 from tissue.objects.tables import write_table
 from tissue.objects.trace import needed
 from tissue.scene.scene import Scene
-from tissue.simulation.run_summary import read_summary
+from tissue.simulation.run_folder import read_summary
 
 if TYPE_CHECKING:
     import pandas

@@ -22,8 +22,15 @@ from tissue.scene.tool import Tool
 from tissue.simulation.builders.parts import Parts
 from tissue.simulation.findings import BreakThrough
 from tissue.simulation.loop import Scheduling
-from tissue.simulation.run_folder import RunFolder, SavedRun, added_to_run, copy_run, picture_format
-from tissue.simulation.run_summary import FORMAT, Summary
+from tissue.simulation.run_folder import (
+    FORMAT,
+    RunFolder,
+    SavedRun,
+    Summary,
+    added_to_run,
+    copy_run,
+    picture_format,
+)
 from tissue.simulation.trace import Table, check_format, read_table
 
 if TYPE_CHECKING:

@@ -32,7 +32,7 @@ from tissue.fitting.bands.sample import (
 from tissue.fitting.bands.sobol import SobolIndices, sobol_indices, surrogate_indices
 from tissue.scene.scene import Scene
 from tissue.simulation.load_record import record_loads, why_not_linear
-from tissue.simulation.run_summary import Summary
+from tissue.simulation.run_folder import Summary
 from tissue.simulation.simulate import simulate
 
 __all__ = ["Band", "band_of", "require_band", "require_same"]

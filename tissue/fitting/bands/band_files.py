@@ -18,8 +18,7 @@ from tissue.fitting.bands.figures import LEVELS
 from tissue.fitting.bands.reweighed import CHANNELS
 from tissue.fitting.bands.sample import sample_name
 from tissue.show.figures.fit_pictures import draw_band, draw_sobol
-from tissue.simulation.run_folder import added_to_run, files_of_run
-from tissue.simulation.run_summary import read_summary
+from tissue.simulation.run_folder import added_to_run, files_of_run, read_summary
 
 __all__ = ["read_band", "save_band"]
 

@@ -7,7 +7,7 @@ import numpy as np
 from meshes.base.arrays import Array
 from tissue.models.tissue_model import SLOW
 from tissue.simulation.run import Run
-from tissue.simulation.run_summary import Summary
+from tissue.simulation.run_folder import Summary
 
 __all__ = [
     "GREATEST",

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from tissue.simulation.run_summary import Summary
+from tissue.simulation.run_folder import Summary
 
 __all__ = ["band_lines"]
 

@@ -6,8 +6,7 @@ from typing import Any
 
 from tissue.scene.used_constants import Used
 from tissue.show.report.band_text import band_lines
-from tissue.simulation.run_folder import SavedRun
-from tissue.simulation.run_summary import Summary
+from tissue.simulation.run_folder import SavedRun, Summary
 
 __all__ = [
     "band_section",
