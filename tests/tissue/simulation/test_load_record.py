@@ -157,11 +157,3 @@ def test_what_does_not_follow_from_one_run_is_stated(tables):
         assert why in found and bool(why) == bool(found)
     with pytest.raises(InputError, match="linear in the coefficients, got one where the path"):
         record_loads(Scene(**tables["block, thrust"]))
-
-
-def test_a_record_that_does_not_fit_names_the_ticks_to_leave_out(tables):
-    scene = Scene(**(tables["bone, density"] | {"duration_s": 3600.0}))
-    with pytest.raises(
-        InputError, match=r"every must leave the record within 1 GB, got 1 .* use \d"
-    ):
-        record_loads(scene, cores=1)

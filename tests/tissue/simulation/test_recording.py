@@ -126,33 +126,6 @@ def test_a_run_replayed_from_its_recording_takes_the_same_path_under_the_same_fo
     ) <= set(turned)
 
 
-def test_poses_between_ticks_are_resampled_within_a_tick_of_path(run, written, tmp_path):
-    """Poses between ticks are resampled within a tick of path.
-
-    At 60 mm/s a clock that is a third of a tick off moves the tool by 20 um, and the corner by as
-    much. A force lies between the forces of the neighbouring ticks, except where the path turns or
-    stops within one.
-    """
-    with h5py.File(written) as held, h5py.File(tmp_path / "late.hdf5", "w") as file:
-        held.copy("physics_data", file)
-        for group in (DRILL, ANATOMY):
-            file[f"{group}/time_stamp"][...] += 1_700_000_000.0
-            file[f"{group}/time_stamp"][1:] += 1e-3 / 3.0
-    late = load_scene(
-        "milling", FAST | {"motion": {"kind": "replay", "file": str(tmp_path / "late.hdf5")}}
-    )
-    again = simulate(late)
-    ticks = min(len(again.trace.rows), len(run.trace.rows))
-    off = (again.trace.vectors("tool", "mm")[:ticks] - run.trace.vectors("tool", "mm")[:ticks])[1:]
-    assert 0.015 < np.abs(off).max() < 0.021
-    force, other = (each.trace.vectors("model_force", "N")[:ticks] for each in (run, again))
-    around = np.stack([force[:-2], force[1:-1], force[2:]])
-    outside = np.maximum(around.min(axis=0) - other[1:-1], other[1:-1] - around.max(axis=0)).max(
-        axis=1
-    )
-    assert set(np.flatnonzero(outside > 1e-4 * np.abs(force).max()) + 1) <= {17, 18, 117, 118}
-
-
 def test_a_folder_and_a_run_that_cuts_nothing_write_one_too(run, written, tmp_path):
     run.save(tmp_path / "run", pictures=False)
     path = (

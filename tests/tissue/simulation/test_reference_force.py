@@ -10,7 +10,6 @@ import pytest
 from tissue import load_scene, simulate
 from tissue.evaluation.statistics.metrics import excess_error, force_error, latency_ms
 from tissue.haptics.device.recorded import RecordedDevice
-from tissue.haptics.hand_measures import TRUE
 from tissue.haptics.hand_motion import Rendering
 from tissue.prediction.predictor import Hold
 from tissue.simulation.builders import hand
@@ -131,19 +130,3 @@ def test_a_scale_of_motion_changes_the_stretch_by_itself(monkeypatch):
     """
     run = run_with(monkeypatch, Hold(), **{"coupling.motion_scale": 2.5})
     np.testing.assert_allclose(stretch_force_N(run), run.trace.vectors("raw_force", "N"), atol=1e-9)
-
-
-def test_a_device_that_does_not_know_is_scored_at_its_samples():
-    truth = Stepped().truth_m
-    entries = {
-        "device": "touch",
-        "coupling.stiffness_N_m": STIFFNESS_N_M,
-        "duration_s": 1e-3 * TICKS,
-    }
-    run = simulate(
-        load_scene("wall", entries), device=RecordedDevice(1e-3 * np.arange(TICKS), truth)
-    )
-    assert not set(TRUE) & set(run.trace.columns)
-    forces = motor_forces(run, ideal_force_N(run))
-    np.testing.assert_allclose(ideal_force_N(run), stretch_force_N(run), atol=1e-9)
-    assert force_error(forces.nearest, forces.ideal) < 2e-3

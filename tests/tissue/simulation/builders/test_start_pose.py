@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-import tissue
 from meshes.base.progress import silent
 from meshes.paths.replay_table import POSE_COLUMNS
 from tissue import load_scene
@@ -96,22 +95,3 @@ def test_a_tool_that_is_deep_in_either_order_is_not_named(tmp_path):
     about_z = Rotation.from_euler("z", 40.0, degrees=True)
     parts, removed_mm3 = replayed(poses(tmp_path / "deep.csv", (-3.0, 0.0, -1.0), about_z))
     assert removed_mm3 > 5.0 and not named(parts)
-
-
-@pytest.mark.parametrize("length", [0.0, 0.7, 57.3])
-def test_quaternions_of_another_length_are_refused(tmp_path, length):
-    file = poses(tmp_path / "long.csv", (-3.0, 0.0, -0.3), TILTED)
-    rows = np.loadtxt(file, delimiter=",", skiprows=1)
-    rows[7, 4:] *= length
-    np.savetxt(
-        file,
-        rows,
-        delimiter=",",
-        header=",".join(("time_s", *POSE_COLUMNS)),
-        comments="",
-        fmt="%.17g",
-    )
-    with pytest.raises(
-        tissue.InputError, match=rf"got one of length {length:g} at 0\.07 s in .*long\.csv"
-    ):
-        replayed(file)
