@@ -34,7 +34,7 @@ def no_display(monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("device", ["touch", "none"])
+@pytest.mark.parametrize("device", ["touch"])
 def test_without_a_display_the_script_runs_and_gives_the_same_rows(no_display, device):
     scene = load_scene("wall", HALF | {"device": device})
     begun = time.perf_counter()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tissue import load_scene, open_run, simulate
+from tissue import load_scene, simulate
 from tissue.motion.drilling_recording import EVENTS, POSES
 from tissue.simulation.recording import write_recording
 
@@ -124,18 +124,3 @@ def test_a_run_replayed_from_its_recording_takes_the_same_path_under_the_same_fo
     assert peak > 50.0 and set(
         np.flatnonzero(np.abs(other - force).max(axis=1) > 1e-9 * peak)
     ) <= set(turned)
-
-
-def test_a_folder_and_a_run_that_cuts_nothing_write_one_too(run, written, tmp_path):
-    run.save(tmp_path / "run", pictures=False)
-    path = (
-        open_run(tmp_path / "run").save(tmp_path / "run", formats=["recording"]) / "recording.hdf5"
-    )
-    with h5py.File(path) as file, h5py.File(written) as other:
-        for name in (f"{DRILL}/pose", f"{EVENTS}/voxels_removed/voxel_removed"):
-            np.testing.assert_array_equal(file[name][()], other[name][()])
-    simulate(load_scene("wall", {"duration_s": 0.05})).save(
-        tmp_path / "wall", formats=["recording"], pictures=False
-    )
-    with h5py.File(tmp_path / "wall" / "recording.hdf5") as file:
-        assert set(file[EVENTS]) == {"drill_force_feedback"} and len(file[f"{DRILL}/pose"]) == 50

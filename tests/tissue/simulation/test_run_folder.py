@@ -5,10 +5,8 @@ A run can be made again from them, and the files after a kill are checked.
 
 import json
 import shutil
-import signal
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -17,10 +15,8 @@ from coarse_run import COARSE
 from tissue import InputError, load_scene, simulate
 from tissue.simulation.loop import spin_time_s
 from tissue.simulation.run_folder import RunFolder, SavedRun
-from tissue.simulation.trace import FLUSH_EVERY_S, read_table
 
 MAIN = [sys.executable, "-c", "from tissue.cli.main import main; main()"]
-LOST_S = 0.2
 """Most of a killed run's wall time that may be missing from its trace."""
 
 
@@ -132,103 +128,6 @@ def test_a_trace_shorter_than_its_run_is_refused(made, tmp_path, share):
     summary = json.loads((folder / "summary.json").read_text())
     (folder / "summary.json").write_text(json.dumps(summary | {"status": "interrupted"}))
     assert len(SavedRun(folder).trace.rows) == found
-
-
-@pytest.fixture(scope="module")
-def start():
-    """Start a run in a process of its own, which ends with the test.
-
-    It obeys SIGINT wherever this process runs.
-    """
-    started = []
-    heeding = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
-
-    def begin(*arguments):
-        command = [sys.executable, "-c", heeding + MAIN[2], *arguments]
-        started.append(
-            subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        )
-        return started[-1]
-
-    yield begin
-    for process in started:
-        process.kill()
-        process.communicate()
-
-
-def wait_for_rows(path, process, least):
-    """Wait until the trace has more than ``least`` rows."""
-    until = time.monotonic() + 60.0
-    while time.monotonic() < until:
-        if path.is_file() and path.read_bytes().count(b"\n") > least:
-            return
-        assert process.poll() is None, process.stderr.read()
-        time.sleep(0.005)
-    raise AssertionError(f"{path} did not grow")
-
-
-@pytest.fixture(scope="module")
-def killed(tmp_path_factory, start):
-    """Return the folder of a milling run killed in its middle, and the time to its end [s].
-
-    The wall time runs from the last growth of the folder to the end. Up to three runs are killed: a
-    machine busy with other work holds a process up between its ticks.
-    """
-    for attempt in range(3):
-        out = tmp_path_factory.mktemp("killed") / f"milling-{attempt}"
-        process = start(
-            "run",
-            "milling",
-            "--no-pictures",
-            "--duration-s",
-            "600",
-            "--out",
-            str(out),
-            "--cores",
-            "1",
-        )
-        wait_for_rows(out / "trace.csv", process, 500)
-        time.sleep(0.35)
-        process.kill()
-        ended = time.time()
-        process.wait()
-        lost_s = ended - (out / "trace.csv").stat().st_mtime
-        if lost_s < LOST_S:
-            break
-    return out, lost_s
-
-
-@pytest.mark.slow
-def test_a_killed_run_loses_less_than_a_fifth_of_a_second(killed):
-    """The rest of the time since its last flush is what it lost: it ran without pause."""
-    folder, lost_s = killed
-    assert FLUSH_EVERY_S < LOST_S
-    assert -0.05 < lost_s < LOST_S  # clocks of the file system tick every 10 ms or less
-    saved = SavedRun(folder)
-    assert (
-        not saved.complete
-        and saved.summary["status"] == "running"
-        and saved.status == "interrupted"
-    )
-    ticks = len(saved.trace.rows)
-    assert ticks > 500
-    np.testing.assert_allclose(saved.trace["time_s"], 1e-3 * np.arange(ticks), rtol=1e-12)
-    timing = read_table(folder / "timing.csv", ())
-    assert abs(len(timing.rows) - ticks) <= FLUSH_EVERY_S / np.median(timing["tick_us"]) * 2e6
-    assert load_scene(folder / "scene.toml").name == "milling"
-
-
-def test_an_interrupted_run_keeps_its_trace_and_prints_one_line(tmp_path, start):
-    out = tmp_path / "milling"
-    process = start("run", "milling", *COARSE, "--duration-s", "600", "--out", str(out))
-    wait_for_rows(out / "trace.csv", process, 100)
-    process.send_signal(signal.SIGINT)
-    _, message = process.communicate(timeout=120)
-    assert process.returncode == 130
-    assert message == "stopped: what was written so far is kept, see `tissue view`\n"
-    saved = SavedRun(out)
-    assert not saved.complete
-    assert len(saved.trace.rows) > 100
 
 
 def test_a_run_killed_before_its_first_row_reads_back(tmp_path):

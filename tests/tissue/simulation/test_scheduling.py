@@ -5,7 +5,7 @@ import pytest
 from kernels.launcher import LaunchCounts
 from tissue.models.tissue_model import FreeSpace
 from tissue.simulation import loop
-from tissue.simulation.loop import SPUN_S, SPUN_SHARE, Scheduling, spin_time_s
+from tissue.simulation.loop import Scheduling
 from tissue.system.machine_gaps import MachineGaps
 
 
@@ -44,10 +44,3 @@ def test_the_summary_holds_what_was_chosen_and_the_gaps(chosen):
     assert (gaps["count"], gaps["spun_s"], gaps["longest_us"]) == (5, 0.5, 4000.0)
     assert gaps["expected_in_ticks"] == pytest.approx(20.0)
     assert gaps["lost_share"] == pytest.approx(5.9e-3 / 0.5)
-
-
-@pytest.mark.parametrize(
-    ("simulated_s", "spun_s"), [(10.0, SPUN_S), (0.1, 0.1 * SPUN_SHARE), (0.0, 0.0)]
-)
-def test_a_short_run_looks_at_the_clock_for_less(simulated_s, spun_s):
-    assert spin_time_s(simulated_s) == pytest.approx(spun_s)

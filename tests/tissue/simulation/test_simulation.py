@@ -1,7 +1,5 @@
 """`simulate`: the output filter, what is recorded, and what is left alone."""
 
-import os
-
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -97,9 +95,3 @@ def test_the_removed_volume_is_that_of_the_layers_and_never_falls():
     assert ((run.trace["layer"] == "none") == ~touching).all()
     in_air = run.trace.vectors("model_force", "N")[~touching]
     assert not in_air.any()
-
-
-def test_a_run_in_memory_writes_nothing(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    run_of(duration_s=0.05)
-    assert not os.listdir(tmp_path)

@@ -237,32 +237,21 @@ def judged_loops(
         If one is unstable and that is not allowed.
     """
     grip = settings.person.grip
-    loops = [
-        (
-            judged_loop(settings, step_s=step_s),
-            grip[:3],
-            "stiffness_N_m",
-            "N/m",
-            _steepest(settings),
-        )
-    ]
+    position = judged_loop(settings, step_s=step_s)
+    loops = [(position, grip[:3], "stiffness_N_m", "N/m", _steepest(settings))]
     if settings.limits.torque_limit_Nm > 0.0:
-        loops.append(
-            (_turning_loop(settings, step_s=step_s), grip[3:], "stiffness_Nm_rad", "N m/rad", 1.0)
-        )
-    saves = (
-        "friction and the passivity controller"
-        if settings.held.renderer == "passivity"
-        else "friction (or renderer = passivity)"
-    )
+        turning = _turning_loop(settings, step_s=step_s)
+        loops.append((turning, grip[3:], "stiffness_Nm_rad", "N m/rad", 1.0))
+    saves = "friction (or renderer = passivity)"
+    if settings.held.renderer == "passivity":
+        saves = "friction and the passivity controller"
     found: list[JudgedLoop] = []
     for loop, hand, key, unit, steepest in loops:
         verdict = _judged(loop, hand, steepest)
         if not verdict.stable and not allow_unstable:
             raise _refusal(settings, verdict, loop.stiffness_N_m, key)
-        found.append(
-            JudgedLoop(loop, verdict, unit, critical_stiffness_N_m(loop) / steepest, saves)
-        )
+        alone = critical_stiffness_N_m(loop) / steepest
+        found.append(JudgedLoop(loop, verdict, unit, alone, saves))
     return found[0], found[1] if len(found) > 1 else None
 
 

@@ -87,34 +87,22 @@ class LiveSettings:
     def mover(self, scene: Scene) -> tuple[bool, str]:
         """Return whether a pointer or 3D Slicer moves the tool, and a sentence on what moves it."""
         if self.by_slicer:
-            return (
-                True,
-                (
-                    "the transform tissue-target of 3D Slicer moves the tool; it feels nothing, "
-                    "the force is sent"
-                ),
+            return True, (
+                "the transform tissue-target of 3D Slicer moves the tool; it feels nothing, the "
+                "force is sent"
             )
+        mouse = "the mouse moves the tool in a {}; it feels nothing, the force is shown"
         if self.opened is not None:
-            return (
-                True,
-                "the mouse moves the tool in a browser; it feels nothing, the force is shown",
-            )
+            return True, mouse.format("browser")
         if opens_device(scene):
-            return (
-                False,
-                f"the device {scene.held.kind} moves the tool and plays the force; no window",
-            )
+            kind = scene.held.kind
+            return False, f"the device {kind} moves the tool and plays the force; no window"
         problem = display_problem()
         if problem is None:
-            return (
-                True,
-                "the mouse moves the tool in a window; it feels nothing, the force is shown",
-            )
-        script = (
-            "the scripted motion moves the tool"
-            if scene.device is None
-            else f"a simulated {scene.held.hand} moves it"
-        )
+            return True, mouse.format("window")
+        script = "the scripted motion moves the tool"
+        if scene.device is not None:
+            script = f"a simulated {scene.held.hand} moves it"
         return False, f"no window, for {problem}: {script}"
 
     def check(self, scene: Scene) -> None:
@@ -299,76 +287,59 @@ class LiveObserver(RunObserver):
         skipped = 1e6 * self._clock.skipped_s
         times[-2:] = late, skipped
         self._missed += times[0] + late > DEADLINE_US
+        time_s = float(row[0])
         if skipped > 0.0:
             if self._skipped_s == 0.0:
-                self._events.append(
-                    (
-                        float(row[0]),
-                        (
-                            f"the ticks were more than {1e3 * BEHIND_S:g} ms behind: the clock "
-                            "skips from here"
-                        ),
-                    )
-                )
+                what = f"the ticks were more than {1e3 * BEHIND_S:g} ms behind: the clock skips"
+                self._events.append((time_s, f"{what} from here"))
             self._skipped_s += self._clock.skipped_s
-        if self._window is None:
+        window = self._window
+        if window is None:
             return not self._stopped
-        self._window.show(
-            index, row, (float(times[0]), late, float(self._missed), 1e3 * self._skipped_s)
-        )
-        if index % LOOK_TICKS == 0 and (words := self._window.failed()) is not None:
-            self._events.append(
-                (float(row[0]), f"the window ended by itself, and the run with it: {words}")
-            )
+        window.show(index, row, (float(times[0]), late, float(self._missed), 1e3 * self._skipped_s))
+        if index % LOOK_TICKS == 0 and (words := window.failed()) is not None:
+            what = f"the window ended by itself, and the run with it: {words}"
+            self._events.append((time_s, what))
             self._stopped = True
-        self.reset = self._window.reset and not (self._stopped or self._window.closed)
-        return not (self._stopped or self._window.closed or self.reset)
+        ends = self._stopped or window.closed
+        self.reset = window.reset and not ends
+        return not (ends or self.reset)
+
+    def _waited_s(self, window: WindowProcess, goes_on: Callable[[float], bool]) -> float:
+        """Wait as long as a condition on the time waited holds; return that time [s]."""
+        began = perf_counter()
+        waited_s = 0.0
+        while goes_on(waited_s) and not (self._stopped or window.closed):
+            if window.failed() is not None:
+                break
+            sleep(LOOK_S)
+            waited_s = perf_counter() - began
+        self._clock.hold(waited_s)
+        self._drawn_s = perf_counter()
+        return waited_s
 
     def _pause(self, window: WindowProcess, index: int) -> None:
         """Wait until the user ends the pause."""
-        began = perf_counter()
-        while (
-            window.paused
-            and not (self._stopped or window.closed or window.reset)
-            and window.failed() is None
-        ):
-            sleep(LOOK_S)
-        now = perf_counter()
-        self._clock.hold(now - began)
-        self._drawn_s = now
+        waited_s = self._waited_s(window, lambda _: window.paused and not window.reset)
         if index > 0:
-            self._events.append((index * TICK_S, f"the run was paused for {now - began:.1f} s"))
+            self._events.append((index * TICK_S, f"the run was paused for {waited_s:.1f} s"))
 
     def _hold(self, window: WindowProcess, index: int) -> None:
         """Wait while the window draws nothing, since nobody could see or move the tool."""
-        began = now = perf_counter()
+        now = perf_counter()
         if window.frames != self._frames:
             self._frames = window.frames
             self._drawn_s = now
         if now - self._drawn_s < STALLED_S:
             return
-        while (
-            window.frames == self._frames
-            and now - began < HELD_S
-            and not self._stopped
-            and not window.closed
-        ):
-            if window.failed() is not None:
-                break
-            sleep(LOOK_S)
-            now = perf_counter()
-        self._clock.hold(now - began)
-        self._drawn_s = now
-        waited_s = now - began
+        waited_s = self._waited_s(
+            window, lambda waited_s: window.frames == self._frames and waited_s < HELD_S
+        )
+        what = f"the window drew nothing: the run waited {waited_s:.1f} s for it"
         if window.frames == self._frames and waited_s >= HELD_S:
             self._stopped = True
-            self._events.append(
-                (index * TICK_S, f"the window drew nothing for {waited_s:.0f} s: the run ended")
-            )
-        else:
-            self._events.append(
-                (index * TICK_S, f"the window drew nothing: the run waited {waited_s:.1f} s for it")
-            )
+            what = f"the window drew nothing for {waited_s:.0f} s: the run ended"
+        self._events.append((index * TICK_S, what))
 
     def on_end(self) -> list[tuple[float, str]]:
         """Close the window, restore Ctrl-C and return the events, as `Motion.happened`."""

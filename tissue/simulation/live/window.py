@@ -59,6 +59,18 @@ CLOSES_S = 10.0
 OPENS_S = 120.0
 """Longest time for a window to open [s]."""
 FOLDER = "tissue-live-"
+COUNTERS = (
+    "row_turn",
+    "pointer_turn",
+    "loads_count",
+    "ended",
+    "closed",
+    "frames",
+    "paused",
+    "resets",
+    "runs",
+)
+"""Shared numbers: writes of an array, and states of the window and of the run."""
 
 ABOVE_M, BELOW_M = 0.02, 0.01
 """Distances above and below the path within the pointer's reach [m].
@@ -149,27 +161,12 @@ class WindowProcess:
         self._shared = shared_tissue(parts) if self.shows_tissue else SharedTissue()
         layout: Layout = {
             "row": ("float64", (len(columns) + len(CLOCK),)),
-            "row_turn": ("int64", (1,)),
             "pointer": ("float64", (3,)),
-            "pointer_turn": ("int64", (1,)),
-            "ended": ("int64", (1,)),
-            "closed": ("int64", (1,)),
-            "frames": ("int64", (1,)),
             "loads": ("float64", (LOADS, 4)),
-            "loads_count": ("int64", (1,)),
-            "paused": ("int64", (1,)),
-            "resets": ("int64", (1,)),
-            "runs": ("int64", (1,)),
+            **dict.fromkeys(COUNTERS, ("int64", (1,))),
         }
         self.arrays = SharedArrays(self._folder, layout | self._shared.layout | (more_layout or {}))
         self._row = np.zeros(len(columns) + len(CLOCK))
-        self._turn = self.arrays["pointer_turn"]
-        self._closed = self.arrays["closed"]
-        self._drawn, self._held, self._resets = (
-            self.arrays[name] for name in ("frames", "paused", "resets")
-        )
-        self._loads = self.arrays["loads"]
-        self._count = self.arrays["loads_count"]
         self._load = np.array([columns.index(name) for name in LOAD], dtype=np.intp)
         self._seen = 0
         self._reset = 0
@@ -178,13 +175,14 @@ class WindowProcess:
         )  # the scene with the changes for the mouse
         (self._folder / "columns.json").write_text(json.dumps([*columns, *CLOCK]), "utf-8")
         low_m, high_m = reach_m(scene, parts)
-        box = {
+        start: dict[str, AnyArray] = {
             "low_m": low_m,
             "high_m": high_m,
             "start_m": parts.motion.sweep_m()[0],
             "axis": parts.motion.rotations()[0][:, 2],
+            **self._shared.start,
+            **(more_start or {}),
         }
-        start: dict[str, AnyArray] = {**box, **self._shared.start, **(more_start or {})}
         np.savez(self._folder / "start.npz", allow_pickle=False, **start)
         self._shared.publish(self.arrays, 0)
         with (self._folder / "output.txt").open("w+", encoding="utf-8", errors="replace") as output:
@@ -201,44 +199,46 @@ class WindowProcess:
         self._words = (self._folder / "output.txt").open(encoding="utf-8", errors="replace")
         try:
             self.address, last = await_ready(self._child, longest_s=OPENS_S, closes_s=CLOSES_S)
+            if last is not None:
+                last = last or self._last_words()
+                raise InputError(f"--live {self.place}, but {last[:200]}: {self.remedy}")
         except BaseException:
             self._child.kill()
             self.end()
             raise
-        if last is not None:
-            last = last or self._last_words()
-            self._child.kill()
-            self.end()
-            raise InputError(f"--live {self.place}, but {last[:200]}: {self.remedy}")
         # Both sides have the files open, so a kill leaves no files behind.
         shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _count(self, name: str) -> int:
+        """Return a shared number."""
+        return int(self.arrays[name][0])
 
     @property
     def frames(self) -> int:
         """Number of pictures that it has drawn."""
-        return int(self._drawn[0])
+        return self._count("frames")
 
     @property
     def closed(self) -> bool:
         """True if the user has closed it."""
-        return bool(self._closed[0])
+        return self._count("closed") > 0
 
     @property
     def paused(self) -> bool:
         """True if the user has paused the run."""
-        return bool(self._held[0])
+        return self._count("paused") > 0
 
     @property
     def reset(self) -> bool:
         """True if the user requests the run from its start again."""
-        return int(self._resets[0]) != self._reset
+        return self._count("resets") != self._reset
 
     def begin_again(self, parts: Parts) -> None:
         """Show another run of the scene from its start."""
         self._shared = shared_tissue(parts)
         self._shared.publish(self.arrays, 0)
-        self._reset = int(self._resets[0])
-        self._seen = int(self._turn[0])
+        self._reset = self._count("resets")
+        self._seen = self._count("pointer_turn")
         self.arrays["runs"][0] += 1
 
     def failed(self) -> str | None:
@@ -247,7 +247,10 @@ class WindowProcess:
 
     def pointed_m(self) -> tuple[float, float, float] | None:
         """Return the tool position that the pointer requests [m]; None if it is not new."""
-        if int(self._turn[0]) == self._seen or (pointed := self.arrays.read("pointer")) is None:
+        if (
+            self._count("pointer_turn") == self._seen
+            or (pointed := self.arrays.read("pointer")) is None
+        ):
             return None
         turn, (x, y, z) = pointed
         self._seen = 2 * turn
@@ -259,8 +262,9 @@ class WindowProcess:
             self._row[: len(row)] = row
             self._row[len(row) :] = clock
             self.arrays.write("row", self._row)
-            np.take(row, self._load, out=self._loads[self._count[0] % LOADS])
-            self._count[0] += 1
+            count = self.arrays["loads_count"]
+            np.take(row, self._load, out=self.arrays["loads"][count[0] % LOADS])
+            count[0] += 1
         self._shared.publish(self.arrays, index)
 
     def end(self) -> None:

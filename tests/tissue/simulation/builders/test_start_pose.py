@@ -81,15 +81,6 @@ def test_a_file_with_w_first_is_named_and_one_with_w_last_is_not(tmp_path, write
     assert stated == pytest.approx([wrong_mm3, right_mm3], rel=0.03)
 
 
-def test_a_recorded_device_is_judged_as_a_replay(tmp_path):
-    """The identity with w first turns the tool by half a turn: its shank then lies in the bone."""
-    file = poses(tmp_path / "wrong.csv", (-3.0, 0.0, -0.3), Rotation.identity(), w_first=True)
-    parts, _ = built(
-        {"device": "recorded", "hardware.address": file, "coupling.stiffness_N_m": 200.0}
-    )
-    assert named(parts)
-
-
 def test_a_tool_that_is_deep_in_either_order_is_not_named(tmp_path):
     """A turn about its own axis leaves the tool where it is, whichever number comes first."""
     about_z = Rotation.from_euler("z", 40.0, degrees=True)
