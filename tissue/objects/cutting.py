@@ -1,4 +1,4 @@
-"""Motion of a tool through poses in bone, with warnings outside the valid range."""
+"""Cut of a tool through poses in bone: poses, structures to keep clear of, and warnings."""
 
 import re
 import warnings
@@ -38,6 +38,8 @@ __all__ = [
     "times_of",
     "warn_of",
 ]
+NAME = re.compile("[a-z0-9][a-z0-9_]*")
+"""Pattern of the names of structures, as for a scene's key `keep_clear.names`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,8 +246,6 @@ def _rows(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
     return rows
 
 
-NAME = re.compile("[a-z0-9][a-z0-9_]*")
-"""Pattern of the names of structures, as for a scene's key `keep_clear.names`."""
 Structures = Mapping[str, Union[str, PathLike[str], "pyvista.PolyData"]]
 """Closed surface of each structure by name, in millimetres in the frame of the bone.
 

@@ -1,4 +1,4 @@
-"""Files of a run's carved bone: voxels as .vti and .nrrd, surface as .vtp and .stl."""
+"""Files of a run's bone: voxels, the carved surface, and the carving over time for ParaView."""
 
 import gzip
 from dataclasses import replace
@@ -55,6 +55,12 @@ __all__ = [
 
 UNIT_NAMES = {1.0: "mm", 10.0: "cm", 1000.0: "m"}
 """Names that NRRD uses for length units, by their length [mm]."""
+MOST_FRAMES = 40
+"""Largest number of moments in a file of the carving, the end included."""
+MOST_TRIANGLES = 40_000
+"""Largest number of triangles of one moment; a larger cut is drawn in blocks of voxels."""
+STEPS_S = (0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 25.0, 50.0, 100.0)
+"""Possible intervals between two moments [s]."""
 
 
 def voxel_image(volume: VoxelVolume, remaining: Bytes) -> "pyvista.ImageData":
@@ -218,14 +224,6 @@ def _write_nrrd(run: CarvedRun, path: Path) -> None:
     data = gzip.compress(run.remaining.tobytes(order="F"), compresslevel=1, mtime=0)
     with whole_file(path) as temporary:
         temporary.write_bytes(header.encode("ascii") + b"\n\n" + data)
-
-
-MOST_FRAMES = 40
-"""Largest number of moments in a file of the carving, the end included."""
-MOST_TRIANGLES = 40_000
-"""Largest number of triangles of one moment; a larger cut is drawn in blocks of voxels."""
-STEPS_S = (0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 25.0, 50.0, 100.0)
-"""Possible intervals between two moments [s]."""
 
 
 def carving_ticks(run: CarvedRun) -> list[int]:

@@ -1,4 +1,4 @@
-"""Bone surface extracted from voxels, with the layer and removed depth."""
+"""Surface of bone in voxels: its layers, the removed depth, and the part that cuts change."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
@@ -8,14 +8,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from meshes.base.arrays import Array, Bytes, Flags, Floats, Singles
 from meshes.voxels.volume import FULL, VoxelVolume
-from tissue.scene.scene import Scene
-from tissue.simulation.builders.parts import Parts
 from tissue.simulation.trace import Table
 
 if TYPE_CHECKING:
     import pyvista
 
     from tissue.models.bone.replay import CarvingReplay
+    from tissue.scene.scene import Scene
+    from tissue.simulation.builders.parts import Parts
 
 __all__ = [
     "HALF",
@@ -42,6 +42,14 @@ INWARD_VOXELS = 0.75
 
 It lies inside the voxel behind the surface.
 """
+Box = tuple[NDArray[np.intp], NDArray[np.intp]]
+MARGIN = 2
+"""Margin around the voxels that change [voxels].
+
+With it, normals at their edge equal the normals of the whole bone.
+"""
+HALF = (FULL + 1) // 2
+"""Smallest filling of a voxel that counts as bone (255 = full)."""
 
 
 def bone_surface(
@@ -198,14 +206,6 @@ def _voxels(points_mm: Floats, volume: VoxelVolume) -> Array:
     ) / volume.spacing_m - 0.5
 
 
-Box = tuple[NDArray[np.intp], NDArray[np.intp]]
-MARGIN = 2
-"""Margin around the voxels that change [voxels].
-
-With it, normals at their edge equal the normals of the whole bone.
-"""
-
-
 class CarvedSurface:
     """Surface of a bone in which only a box of voxels changes.
 
@@ -342,17 +342,13 @@ def _chosen(surface: "pyvista.PolyData", chosen: Flags) -> "pyvista.PolyData":
     return part
 
 
-HALF = (FULL + 1) // 2
-"""Smallest filling of a voxel that counts as bone (255 = full)."""
-
-
 class CarvedRun(Protocol):
     """Run, either just simulated or read back; see `tissue.simulation.run.Run`."""
 
     @property
-    def scene(self) -> Scene: ...
+    def scene(self) -> "Scene": ...
     @property
-    def parts(self) -> Parts: ...
+    def parts(self) -> "Parts": ...
     @property
     def trace(self) -> Table: ...
     @property

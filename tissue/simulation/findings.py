@@ -1,4 +1,4 @@
-"""Shortfalls of a run: an unfinished path, and bone or a lesion that was not removed."""
+"""Findings of a finished run: shortfalls and break-throughs."""
 
 from dataclasses import dataclass, replace
 
@@ -22,6 +22,11 @@ MOSTLY = 0.5
 """Share of a tooth's caries within reach below which the removal counts as missed."""
 TOLERANCE_MM = 0.05
 """Tolerance for the depth of a thrust, below which a shortfall is not noted [mm]."""
+FORWARD = 0.5
+"""Smallest share of a tick's travel along the tool's axis that counts as forward.
+
+A tool that leaves the bone sideways breaks nothing.
+"""
 
 
 def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> dict[str, str]:
@@ -102,13 +107,6 @@ def _to_the_lesion(anatomy: Tooth, parts: Parts) -> str:
         else "set anatomy.site = caries, or move motion.points_mm to it"
     )
     return (f" ({at})" if at else "") + f"; {how}"
-
-
-FORWARD = 0.5
-"""Smallest share of a tick's travel along the tool's axis that counts as forward.
-
-A tool that leaves the bone sideways breaks nothing.
-"""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Tick of 1 ms: motion, removal, force, output and record, with the trace."""
+"""Loop of a run in ticks of 1 ms: motion, removal, force, output and record, and scheduling."""
 
 import gc
 import sys
@@ -33,6 +33,13 @@ from tissue.simulation.trace import LEAST_LOAD, TIMING_COLUMNS, Table, TraceLayo
 from tissue.system.machine_gaps import LEAST_GAP_S, MachineGaps, spin
 
 __all__ = ["Loop", "PoseLog", "Stepper", "undisturbed"]
+SWITCH_S = 5e-5
+"""Longest time for which a background thread may keep the interpreter from the ticks [s]."""
+SPUN_S, SPUN_SHARE = 0.3, 0.1
+"""Time for which the clock is polled before and after the ticks [s], and its largest share.
+
+The share is relative to the simulated time.
+"""
 
 
 class PoseLog:
@@ -165,10 +172,6 @@ class Stepper:
     def _keep(self, index: int) -> None:
         if self._log is not None:
             self._log.add(index, self.tool)
-
-
-SWITCH_S = 5e-5
-"""Longest time for which a background thread may keep the interpreter from the ticks [s]."""
 
 
 @contextmanager
@@ -349,13 +352,6 @@ class Loop:
         for notices in self._notices:
             while notices:
                 self.events.append((time_s, notices.pop(0)))
-
-
-SPUN_S, SPUN_SHARE = 0.3, 0.1
-"""Time for which the clock is polled before and after the ticks [s], and its largest share.
-
-The share is relative to the simulated time.
-"""
 
 
 def spin_time_s(simulated_s: float) -> float:

@@ -1,4 +1,4 @@
-"""Observers of a run, called at every tick.
+"""Observers of a run, called at every tick: combined, paced by the wall clock, or prioritised.
 
 They are called between ticks and must not change the result of the run.
 """
@@ -27,6 +27,27 @@ __all__ = [
     "TickRow",
     "WallClock",
 ]
+LOOK_TICKS = 200
+"""Ticks between two checks of the ticks' load and of a live run's processes."""
+FULL = 0.9
+"""Largest share of the time that ticks may take at a raised priority.
+
+Linux stops a real-time thread that takes 95 % of a second for the rest of that second.
+"""
+BEHIND = (
+    "the ticks were {:.3g} s behind the wall clock in all, which skipped it: the device was "
+    "played later than that"
+)
+BEHIND_S = 0.01
+"""Largest lateness of a tick before the lost time is given up [s].
+
+Ten ticks can be caught up without being felt.
+"""
+SPIN_S = 1.5e-4
+"""Time before a tick is due at which sleeping ends and polling the clock begins [s].
+
+A sleep ends up to 0.1 ms late.
+"""
 
 
 class RunObserver:
@@ -137,30 +158,6 @@ class OnTick(RunObserver):
         self._row.values_of_tick = row
         answer = self._function(index, self._row)
         return not (isinstance(answer, bool | np.bool_) and not answer)
-
-
-LOOK_TICKS = 200
-"""Ticks between two checks of the ticks' load and of a live run's processes."""
-FULL = 0.9
-"""Largest share of the time that ticks may take at a raised priority.
-
-Linux stops a real-time thread that takes 95 % of a second for the rest of that second.
-"""
-BEHIND = (
-    "the ticks were {:.3g} s behind the wall clock in all, which skipped it: the device was "
-    "played later than that"
-)
-
-BEHIND_S = 0.01
-"""Largest lateness of a tick before the lost time is given up [s].
-
-Ten ticks can be caught up without being felt.
-"""
-SPIN_S = 1.5e-4
-"""Time before a tick is due at which sleeping ends and polling the clock begins [s].
-
-A sleep ends up to 0.1 ms late.
-"""
 
 
 class WallClock:

@@ -1,4 +1,4 @@
-"""Folder of a run: preparation, writing during the run, and reading."""
+"""Folder of a run: preparation, writing during the run, its summary, and reading."""
 
 import json
 import re
@@ -86,6 +86,8 @@ PICTURES = (
     "wall",
 )
 """Names of pictures that runs of any scene may have; an anatomy may add others."""
+KEPT_SCENE = re.compile(r'format = \d+\ntissue = "[^"\n]*"\n')
+"""Beginning of the scene file that a run keeps."""
 
 
 def run_file_names() -> tuple[str, ...]:
@@ -118,10 +120,6 @@ def picture_format(pictures: bool | str) -> str | None:
             "pictures", f"be one of {', '.join(PICTURE_FORMATS)}", pictures, "choose one of these"
         )
     return pictures
-
-
-KEPT_SCENE = re.compile(r'format = \d+\ntissue = "[^"\n]*"\n')
-"""Beginning of the scene file that a run keeps."""
 
 
 class RunFolder:

@@ -1,4 +1,4 @@
-"""Simulation of a scene: combines motion, tissue, output and trace.
+"""Simulation of a scene: builds motion and tissue, and runs the loop.
 
 It is the only module that combines them.
 """

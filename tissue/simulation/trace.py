@@ -1,4 +1,4 @@
-"""Trace of a run: its columns, one row a tick, append-only, written to disk during the run."""
+"""Trace of a run: its columns, one row a tick, written during the run and in other formats."""
 
 import csv
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -47,6 +47,11 @@ LEAST_LOAD = 1e-12
 A filter leaves such small values after the end of a contact.
 """
 TIMING_COLUMNS = ("tick_us", "motion_us", "remove_us", "force_us", "record_us", "catch_up_us")
+Columns = dict[str, NDArray[np.generic]]
+RECORDING = "recording"
+"""Format in which other programs read a run, see `tissue.simulation.recording`."""
+WRITERS = {"parquet": ("pyarrow", "parquet"), "h5": ("h5py", "h5"), RECORDING: ("h5py", "h5")}
+"""Package that writes a format, and the extra that installs it."""
 
 
 @dataclass(eq=False)
@@ -220,13 +225,6 @@ def load_columns(columns: tuple[str, ...]) -> NDArray[np.intp]:
     return np.array(
         [place for place, name in enumerate(columns) if name.endswith(("_N", "_Nm"))], dtype=np.intp
     )
-
-
-Columns = dict[str, NDArray[np.generic]]
-RECORDING = "recording"
-"""Format in which other programs read a run, see `tissue.simulation.recording`."""
-WRITERS = {"parquet": ("pyarrow", "parquet"), "h5": ("h5py", "h5"), RECORDING: ("h5py", "h5")}
-"""Package that writes a format, and the extra that installs it."""
 
 
 def check_format(kind: str) -> None:

@@ -1,4 +1,4 @@
-"""Transformation of VTK data between the frames of scene and anatomy file, and VTK writers.
+"""VTK files of a run: frames of scene and anatomy file, writers, and fields over time.
 
 Coordinates take the file's unit; quantities with a unit in their name keep it. Point arrays of
 three numbers are vectors and are rotated. Cell arrays are not (principal stresses are three
@@ -34,6 +34,8 @@ __all__ = [
 ]
 
 Mesh = TypeVar("Mesh", bound="pyvista.PointSet")
+CELL_TYPES = {4: 10, 8: 12}
+"""VTK's number of a cell type, tetrahedron or hexahedron, by its count of nodes."""
 
 
 def mesh_in_file(mesh: Mesh, placement: Placement | None) -> Mesh:
@@ -148,10 +150,6 @@ def _moved(mesh: Mesh, points: Array, turn: Array) -> Mesh:
                 values.dtype
             )
     return moved
-
-
-CELL_TYPES = {4: 10, 8: 12}
-"""VTK's number of a cell type, tetrahedron or hexahedron, by its count of nodes."""
 
 
 def frame_mesh(series: FieldSeries, frame: Frame) -> "pyvista.UnstructuredGrid":

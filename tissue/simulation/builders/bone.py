@@ -1,7 +1,4 @@
-"""Bone or tooth for cutters: its materials and voxels.
-
-The voxels are made at once or where a tool first reaches.
-"""
+"""Bone or tooth for cutters: its coefficients, and voxels made at once or where a tool reaches."""
 
 from collections.abc import Callable, Iterator
 
@@ -39,6 +36,11 @@ upright and tilted by up to 60 degrees. With the margin the error is 0.9 % where
 """
 MARGIN_VOXELS = 4
 """Voxels around a tool that its carving and its force read."""
+MOST_ELEMENTS = 1_000_000
+"""Largest number of elements of a cutter.
+
+They take about 1 GB, and a tenth of a second for each pose on one core.
+"""
 
 
 class VoxelBone:
@@ -260,13 +262,6 @@ def tool_boxes(
     aside += MARGIN_VOXELS * spacing_m + around_m
     ends = low * axes, high * axes
     return tips_m + np.minimum(*ends) - aside, tips_m + np.maximum(*ends) + aside
-
-
-MOST_ELEMENTS = 1_000_000
-"""Largest number of elements of a cutter.
-
-They take about 1 GB, and a tenth of a second for each pose on one core.
-"""
 
 
 def element_spacing_m(cutter: Cutter, *, depth_m: float, tolerance: float) -> float:

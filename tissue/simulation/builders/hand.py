@@ -1,4 +1,4 @@
-"""Motion of a scene made by a simulated hand on a device."""
+"""Motion of a tool coupled to a device, and of a scene whose device a simulated hand moves."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -44,6 +44,11 @@ __all__ = ["device_motion", "hand_motion"]
 
 STRAY_M = 2e-3
 """Largest distance of an organ's surface from the scripted path [m]."""
+DAMPING_S = 0.01
+"""Ratio of damper to spring for a tool that cuts [s].
+
+In a pen grip, 4 N s/m over 250 to 350 N/m gives 11 to 16 ms.
+"""
 
 
 def hand_motion(
@@ -178,13 +183,6 @@ def _timed(scripted: Motion, *, recorded: bool, step_s: float) -> tuple[Array, A
     keep = np.diff(along, prepend=-1.0) > 0.0
     times = along * (scripted.duration_s / along[-1])
     return times[keep], corners_m[keep]
-
-
-DAMPING_S = 0.01
-"""Ratio of damper to spring for a tool that cuts [s].
-
-In a pen grip, 4 N s/m over 250 to 350 N/m gives 11 to 16 ms.
-"""
 
 
 def device_motion(

@@ -1,4 +1,4 @@
-"""Loops of a device for its positions and its turns, judged before the run."""
+"""Loops of a device for its positions and its turns: their settings, judged before the run."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -51,6 +51,20 @@ Contact = Literal["cuts", "touches", "presses", "wall"]
 """Kind of contact of a tool.
 
 A tool cuts, touches a rigid object, presses soft tissue, or presses the test wall.
+"""
+SHARE = 0.5
+"""Ratio of the chosen stiffness to the critical stiffness in the scene's hand.
+
+It is used where no stiffness is given. Half of the critical stiffness without a hand would be a
+seventh to a ninth of it. At either stiffness a device that is released on a wall leaves it
+within some hundredths of a second, see tests/stability/test_wall_laws.py.
+"""
+REST_SHARE = 0.3
+"""Share of the device's largest force at which a predictor is linearised."""
+USUAL_N_M = 1000.0
+"""Stiffness about which a predictor is linearised, typical of a desktop device [N/m].
+
+It is used where neither scene nor device states a stiffness.
 """
 
 
@@ -170,24 +184,6 @@ def loop_settings(scene: Scene) -> LoopSettings:
         predictor,
         perception,
     )
-
-
-SHARE = 0.5
-"""Ratio of the chosen stiffness to the critical stiffness in the scene's hand.
-
-It is used where no stiffness is given. Half of the critical stiffness without a hand would be a
-seventh to a ninth of it. At either stiffness a device that is released on a wall leaves it
-within some hundredths of a second, see tests/stability/test_wall_laws.py.
-"""
-
-REST_SHARE = 0.3
-"""Share of the device's largest force at which a predictor is linearised."""
-
-USUAL_N_M = 1000.0
-"""Stiffness about which a predictor is linearised, typical of a desktop device [N/m].
-
-It is used where neither scene nor device states a stiffness.
-"""
 
 
 @dataclass(frozen=True)

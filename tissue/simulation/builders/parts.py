@@ -1,4 +1,4 @@
-"""Parts of a run: motion, tissue, cutter, voxels and notes."""
+"""Parts of a run, and builders that all kinds of scenes share: motions, devices, constants."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -59,6 +59,13 @@ __all__ = [
 Table = TypeVar("Table", bound=Part)
 FILE_WORDS = ("file", "surface", "vertices", "faces", "triangles", "cells", "nodes", "labels")
 """Argument names of the functions that read files of anatomy or tools."""
+RECORDED = "recorded"
+"""Device that plays a motion recorded in a file."""
+LAYERS = (*GLENOID_LAYERS, *VERTEBRA_LAYERS, *TOOTH_LAYERS)
+"""Layers of the built-in anatomies.
+
+A file may hold constants of a layer that a scene does not have.
+"""
 
 
 @dataclass
@@ -102,10 +109,6 @@ TissueBuilder = Callable[..., Parts]
 
 It is called as ``build(scene, motion, *, step_s, compute, cores, report)``: with the motion of the
 tool, the length of a tick [s], the device that computes, processor cores, and progress."""
-
-
-RECORDED = "recorded"
-"""Device that plays a motion recorded in a file."""
 
 
 def plays_record(scene: Scene) -> bool:
@@ -227,13 +230,6 @@ def require_stated_rate(
                 f"{stated.rate_Hz:g} by {type(held).__name__}",
                 remedy,
             )
-
-
-LAYERS = (*GLENOID_LAYERS, *VERTEBRA_LAYERS, *TOOTH_LAYERS)
-"""Layers of the built-in anatomies.
-
-A file may hold constants of a layer that a scene does not have.
-"""
 
 
 def note_own_constants(scene: Scene, layers: Sequence[str], notes: dict[str, str]) -> None:

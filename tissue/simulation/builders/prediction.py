@@ -1,4 +1,4 @@
-"""Predictors by name."""
+"""Predictors and perceptions by name."""
 
 from collections.abc import Callable
 from functools import cache
@@ -35,6 +35,11 @@ FALLBACKS = ("hold", "linear", "kalman", "dmdc", "look-ahead")
 """Predictors without a lifted operator.
 
 Training chooses the fallback of a lifted predictor among them.
+"""
+CAUTION = 0.1
+"""Quantile of the threshold's distribution that bounds the deadband.
+
+Nine in ten observers have a larger threshold.
 """
 
 
@@ -104,13 +109,6 @@ def trained_predictor(kind: str, trained: Trained | None, *, force_limit_N: floa
         return fallback
     lifted = Koopman(path) if kind == "koopman" else LookAhead(path)
     return Guarded(lifted, fallback, reach_N=force_limit_N)
-
-
-CAUTION = 0.1
-"""Quantile of the threshold's distribution that bounds the deadband.
-
-Nine in ten observers have a larger threshold.
-"""
 
 
 def perception(

@@ -1,4 +1,4 @@
-"""Voxels of a scene's bone that a tool can reach, and checks of its path through them."""
+"""Voxels of a scene's bone that a tool can reach, procedural or from files."""
 
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
@@ -70,6 +70,8 @@ MOST_KEPT = 1e7
 """Number of voxels above which a volume is made anew for each run rather than kept: 60 MB."""
 _volumes: Kept[VoxelVolume] = Kept(2)
 """Volumes of procedural bone, by its parameters, the region and the guide hole."""
+NO_SHAPE = {"kind", "guide_hole_diameter_mm", "guide_hole_depth_mm"}
+"""Keys of an anatomy that do not affect its shape."""
 
 
 def whole_tooth(scene: Scene, *, spacing_m: float, report: Progress = silent) -> VoxelVolume:
@@ -167,8 +169,6 @@ PROCEDURAL: dict[type[CutAnatomy], Callable[..., Anatomy]] = {
     BlockAnatomy: cortical_block,
 }
 """Functions that make an anatomy from the keys of its table."""
-NO_SHAPE = {"kind", "guide_hole_diameter_mm", "guide_hole_depth_mm"}
-"""Keys of an anatomy that do not affect its shape."""
 
 
 def _anatomy(parameters: CutAnatomy, notes: dict[str, str]) -> Anatomy:

@@ -1,4 +1,4 @@
-"""Processes that publish a live run, and the process for ROS 2.
+"""Publication of a live run on topics of ROS 2 and for 3D Slicer, in processes of their own.
 
 A process begins with its run, is checked by the ticks and ends with the run.
 """
@@ -35,6 +35,11 @@ __all__ = [
 ]
 
 ROS2_PACKAGES = ("rclpy", "geometry_msgs")
+PORT = 18944
+"""Port of OpenIGTLink."""
+LOCAL = "127.0.0.1"
+EVENTS, EVENT_BYTES = 64, 256
+"""Number of events kept until they are sent, and longest event [bytes]."""
 
 
 class PublishingProcess(WindowProcess):
@@ -126,13 +131,6 @@ def require_ros2() -> None:
                 "tissue with the Python that it is for"
             ),
         )
-
-
-PORT = 18944
-"""Port of OpenIGTLink."""
-LOCAL = "127.0.0.1"
-EVENTS, EVENT_BYTES = 64, 256
-"""Number of events kept until they are sent, and longest event [bytes]."""
 
 
 @dataclass(frozen=True, kw_only=True)

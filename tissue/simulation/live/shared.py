@@ -1,7 +1,7 @@
-"""Arrays shared by two processes, in a file that stays in memory where the system supports it.
+"""Arrays of a tissue shared by two processes, and the surfaces that a reading process draws.
 
-The ticks update the arrays of a tissue at a cost of some microseconds a tick, and a window draws
-them.
+The arrays lie in a file that stays in memory where the system supports it. The ticks update them at
+a cost of some microseconds a tick.
 """
 
 import json
@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kernels.bricks import BRICK
 from meshes.base.arrays import Array, Flags
 from meshes.voxels.volume import VoxelVolume
 from tissue.simulation.bone_surface import bone_surface
@@ -61,6 +60,9 @@ MOST_SHOWN = 600_000
 
 The blocks then have four by four by four voxels instead of two by two by two.
 """
+Start = Mapping[str, NDArray[np.generic]]
+FADES_MM = 20.0
+"""Distance over which the displacement fades beyond the nodes whose displacement is known."""
 
 
 class SharedArrays:
@@ -172,7 +174,7 @@ class BoneShared(SharedTissue):
     """
 
     def __init__(self, milling: "BoneModel", volume: VoxelVolume) -> None:
-        from kernels.bricks import BRICK  # imports Warp, which a reading process does not need
+        from kernels.bricks import BRICK  # imports Warp, which a process for ROS 2 does not need
 
         store = milling.store
         self._remaining = store.remaining
@@ -254,11 +256,6 @@ def shared_tissue(parts: "Parts") -> SharedTissue:
     return SharedTissue()
 
 
-Start = Mapping[str, NDArray[np.generic]]
-FADES_MM = 20.0
-"""Distance over which the displacement fades beyond the nodes whose displacement is known."""
-
-
 def tissue_surface(start: Start, arrays: SharedArrays) -> "BoneSurface | OrganSurface | None":
     """Return the surface of a shared tissue; None for a tissue that its scene describes."""
     kind = BoneSurface if "remaining" in arrays else OrganSurface if "moved" in arrays else None
@@ -310,8 +307,10 @@ class BoneSurface:
 
     def _fill(self, rows: NDArray[np.intp]) -> None:
         """Update the blocks of some bricks."""
+        from kernels.bricks import BRICK
+
         block = self._block
-        count = BRICK // self._block
+        count = BRICK // block
         bricks = self._seen[rows].reshape(-1, 4, 4, 4, 2, 2, 2).transpose(0, 1, 4, 2, 5, 3, 6)
         parts = bricks.reshape(-1, count, block, count, block, count, block)
         means = np.rint(parts.mean(axis=(2, 4, 6)) / 257.0).astype(np.uint8)
