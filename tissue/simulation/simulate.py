@@ -313,18 +313,24 @@ def build(
         If a file cannot be used, something would not fit memory, the tool never touches, there is
         no such device, or its coupling is unstable and that is not allowed.
     """
-    _require_device(compute)
-    motion = motion_of(scene, step_s=step_s)
-    tissue = builder_of(scene.anatomy.kind)
-    if scene.device is None:
-        parts = tissue(scene, motion, step_s=step_s, compute=compute, cores=cores, report=report)
-        note_own_constants(scene, parts.tissue.layer_names, parts.notes)
-        return parts
-    from tissue.simulation.builders.hand import hand_motion
+    if compute != "cpu":
+        import warp as wp
 
-    held, note = hand_motion(scene, motion, step_s=step_s, allow_unstable=allow_unstable)
-    parts = tissue(scene, held, step_s=step_s, compute=compute, cores=cores, report=report)
-    parts.notes["coupling"] = note
+        known = [str(device) for device in wp.get_devices()]
+        if compute not in known:
+            raise InputError("compute", f"be one of {', '.join(known)}", compute, "use cpu here")
+    motion = motion_of(scene, step_s=step_s)
+    coupling = {}
+    if scene.device is not None:
+        from tissue.simulation.builders.hand import hand_motion
+
+        motion, coupling["coupling"] = hand_motion(
+            scene, motion, step_s=step_s, allow_unstable=allow_unstable
+        )
+    parts = builder_of(scene.anatomy.kind)(
+        scene, motion, step_s=step_s, compute=compute, cores=cores, report=report
+    )
+    parts.notes |= coupling
     note_own_constants(scene, parts.tissue.layer_names, parts.notes)
     return parts
 
@@ -340,16 +346,6 @@ def builder_of(kind: str) -> TissueBuilder:
         "slab": organ_scene.pressed,
         "liver": organ_scene.pressed,
         "layers": organ_scene.pierced,
+        "wall": organ_scene.wall,
     }
-    return (others | {"wall": organ_scene.wall}).get(kind, cutting.milled)
-
-
-def _require_device(compute: str) -> None:
-    """Refuse a compute device that does not exist; the processor always exists."""
-    if compute == "cpu":
-        return
-    import warp as wp
-
-    known = [str(device) for device in wp.get_devices()]
-    if compute not in known:
-        raise InputError("compute", f"be one of {', '.join(known)}", compute, "use cpu here")
+    return others.get(kind, cutting.milled)

@@ -178,7 +178,7 @@ def made_of(
     InputError
         If a value is out of its range, the mesh lacks a part, or the support is not found.
     """
-    material = material_of(stated, mesh.part_names)
+    material = _stated_material(stated, mesh.part_names)
     held = "bottom" if stated.get("held") is None else stated["held"]
     below = stated.get("held_below_mm")
     hold, notes["held"] = hold_of(held, below, mesh, points_mm)
@@ -199,7 +199,7 @@ def stated_organ(modulus_kPa: float, poisson_ratio: float, options: OrganOptions
     return {"modulus_kPa": modulus_kPa, "poisson_ratio": poisson_ratio, **options}
 
 
-def material_of(stated: Mapping[str, Any], part_names: Sequence[str]) -> SoftMaterial:
+def _stated_material(stated: Mapping[str, Any], part_names: Sequence[str]) -> SoftMaterial:
     """Return the material of an organ of these parts; raises as `made_of`."""
     of_material = {each.name for each in fields(SoftMaterial)}
     material = SoftMaterial(
@@ -238,7 +238,7 @@ def of_surface(
             "parts", "give a modulus of every inclusion", f"none of {without[0]}", "add it in kPa"
         )
     # refuse invalid materials before meshing, which takes minutes
-    material_of(stated, ("body", *inclusions))
+    _stated_material(stated, ("body", *inclusions))
     outer = surface_of("surface", surface, scale_mm)
     usual = max(outer.report.size_mm) / FILL_EDGES
     edge = usual if edge_mm is None else require_positive("edge_mm", edge_mm, f"use {usual:.2g}")
@@ -286,7 +286,7 @@ def of_labels(
     stated = stated | {
         "parts": {known.names[known.number(str(name))]: each for name, each in parts.items()}
     }
-    material_of(stated, (organ, *stated["parts"]))
+    _stated_material(stated, (organ, *stated["parts"]))
     found = labelled_organ(known, organ, [name for name in stated["parts"] if name != organ])
     mesh, notes = found.mesh(edge_mm, report=report)
     return made_of(mesh, notes, stated, surface=found.surface)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, is_file, names_of_caller
+from meshes.base.errors import InputError, in_brackets, is_file, names_of_caller
 from meshes.base.kept import Kept
 from meshes.base.progress import Progress, silent
 from meshes.shapes import sdf
@@ -267,11 +267,10 @@ def bone_from_file(parameters: Placed, notes: dict[str, str]) -> Anatomy:
         triangles = image_triangles(image, threshold=threshold)
         source = image.source
         cuts = image_cuts(image, threshold=threshold)
-        places = f"{len(cuts)} places" if len(cuts) > 1 else "one place"
-        remarks = [
-            *image.notes,
-            *([f"The bone is cut off at {places} by the edge of the image."] if cuts else []),
-        ]
+        remarks = list(image.notes)
+        if cuts:
+            places = f"{len(cuts)} places" if len(cuts) > 1 else "one place"
+            remarks.append(f"The bone is cut off at {places} by the edge of the image.")
         if remarks:
             notes["image"] = " ".join(remarks)
     else:
@@ -280,7 +279,8 @@ def bone_from_file(parameters: Placed, notes: dict[str, str]) -> Anatomy:
         source = file.name
     scale_mm = parameters.scale_mm if isinstance(parameters, SurfaceAnatomy) else 1.0
     surface = surface_from_triangles(*triangles, source=source, scale_mm=scale_mm, cut_off=True)
-    surface, site = replace(surface, caps_m=surface.caps_m + cuts), _site(parameters, surface)
+    surface = replace(surface, caps_m=surface.caps_m + cuts)
+    site = _site(parameters, surface)
     if isinstance(parameters, Bone) and (parameters.density_file or parameters.core_file):
         return _filled(parameters, surface, site)
     return surface_anatomy(
@@ -435,8 +435,5 @@ def _lesion(tooth: label_volume.LabelledTooth) -> str | None:
     if len(at) == 0:
         return None
     points = 1e3 * ((at * placed.spacing - placed.origin) @ placed.rotation)
-    low, high = (
-        ", ".join(f"{value:.3g}" for value in corner)
-        for corner in (points.min(axis=0), points.max(axis=0))
-    )
-    return f"caries between ({low}) and ({high}) mm of the site"
+    low, high = (in_brackets(corner, ".3g") for corner in (points.min(axis=0), points.max(axis=0)))
+    return f"caries between {low} and {high} mm of the site"
