@@ -210,7 +210,7 @@ def test_a_bad_summary_is_refused(tmp_path, change, sentence):
         ("0.001,", "-1.0,", "must have increasing time_s"),
         ("0.001,", "0.001,7,", "values a line"),
         ('"bone, hard"\n', "marrow\n", "must name a layer of the run"),
-        ("time_s,", "seconds,", "must have the column time_s once"),
+        ("time_s,", "seconds,", "must have the column time_s"),
         ("tool_y_mm,", "tool_x_mm,", "has two columns named tool_x_mm"),
     ],
 )

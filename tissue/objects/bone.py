@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict, Unpack
@@ -32,7 +31,7 @@ from tissue.scene.choices import SURFACE_SUFFIXES
 from tissue.scene.scene import Cutting
 from tissue.scene.used_constants import used_of_cutting
 from tissue.simulation.builders.bone import VoxelBone, element_spacing_m
-from tissue.simulation.builders.parts import given_note, stated
+from tissue.simulation.builders.parts import given_note, require_known, stated
 
 if TYPE_CHECKING:
     import pyvista
@@ -92,7 +91,7 @@ class Bone:
     """
 
     def __init__(self, source: BoneSource, **options: Unpack[BoneOptions]) -> None:
-        _require_known(options)
+        require_known(options, BoneOptions, of="Bone")
         self._source = source
         self._options = options
         given = Materials.of(options.get("materials"))
@@ -154,7 +153,7 @@ class Bone:
         InputError
             If a file cannot be used, or a number is out of range.
         """
-        _require_known(options)
+        require_known(options, BoneOptions, of="Bone")
         source = _surface_source(
             Path(file),
             spacing_mm=spacing_mm,
@@ -271,7 +270,7 @@ class Bone:
             If the file cannot be used, nothing lies above the threshold, or the bone would not fit
             in memory.
         """
-        _require_known(options)
+        require_known(options, BoneOptions, of="Bone")
         with memory_limit(max_memory_GB):
             source = _image_source(
                 Path(file), threshold=threshold, density_kg_m3=density_kg_m3, spacing_mm=spacing_mm
@@ -389,15 +388,6 @@ class Bone:
             f"Bone({size} mm, {', '.join(self.layer_names)}, voxels of {self.spacing_mm:g} mm"
             f"{f', {cut:.4g} mm3 removed' if cut else ''})"
         )
-
-
-def _require_known(options: Mapping[str, object]) -> None:
-    """Refuse an argument that no bone takes, as Python does for a listed signature."""
-    known = BoneOptions.__annotations__
-    for name in set(options) - set(known):
-        close = get_close_matches(name, known, n=1)
-        hint = f". Did you mean {close[0]}?" if close else ""
-        raise TypeError(f"Bone got an unexpected keyword argument {name!r}{hint}")
 
 
 def _anatomy_source(

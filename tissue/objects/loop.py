@@ -54,6 +54,7 @@ from tissue.simulation.builders.parts import (
     Parts,
     given_note,
     require_device,
+    require_known,
     require_stated_rate,
     stated,
 )
@@ -177,8 +178,7 @@ class Loop:
         InputError
             If an argument cannot be used, or the coupling is unstable and that is not allowed.
         """
-        if unknown := set(options) - set(LoopOptions.__annotations__):
-            raise TypeError(f"Loop got an unexpected keyword argument {min(unknown)!r}")
+        require_known(options, LoopOptions, of="Loop")
         if isinstance(device, type):
             name = device.__name__
             raise InputError("device", "be an object", f"the class {name}", f"give {name}()")

@@ -41,6 +41,7 @@ FLUSH_EVERY_S = 0.1
 A killed run loses at most this much wall time, plus a tick.
 """
 NO_LAYER = "none"
+AGAIN = "run the scene again"
 LEAST_LOAD = 1e-12
 """Forces [N] and torques [N m] below which a trace holds 0.
 
@@ -335,7 +336,6 @@ def read_table(path: Path, layer_names: tuple[str, ...]) -> Table:
     InputError
         If the file is no such table; the message names the line.
     """
-    again = "fix that line or run the scene again"
     require_regular(path)
     try:
         content = path.read_bytes()
@@ -346,32 +346,30 @@ def read_table(path: Path, layer_names: tuple[str, ...]) -> Table:
             path.name, "be a file that can be read", f"{path} ({problem.strerror})", "check it"
         ) from None
     except (UnicodeDecodeError, csv.Error) as problem:
-        raise InputError(
-            path.name, "be a CSV table", f"other data in {path}", "run the scene again"
-        ) from problem
+        raise InputError(path.name, "be a CSV table", f"other data in {path}", AGAIN) from problem
     columns = tuple(whole[0]) if whole else ()
     require_distinct_columns(columns, path.name, path)
     index = {name: float(i) for i, name in enumerate(layer_names)} | {NO_LAYER: -1.0}
     rows = np.empty((max(len(whole) - 1, 0), len(columns)))
     for number, line in enumerate(whole[1:]):
-        where = f"in line {number + 2} of {path}: {again}"
         if len(line) != len(columns):
-            raise InputError(
-                f"{path.name} must hold {len(columns)} values a line, got {len(line)} {where}"
-            )
+            raise _line_error(path, number, f"hold {len(columns)} values a line", len(line))
         for place, (name, cell) in enumerate(zip(columns, line, strict=True)):
             try:
                 rows[number, place] = index[cell] if name == "layer" else number_in(cell)
             except KeyError:
-                known = ", ".join(index)
-                raise InputError(
-                    f"{path.name} must name a layer of the run ({known}), got {cell[:40]!r} {where}"
-                ) from None
+                wanted = f"name a layer of the run ({', '.join(index)})"
+                raise _line_error(path, number, wanted, repr(cell[:40])) from None
             except ValueError:
-                raise InputError(
-                    f"{path.name} must hold numbers, got {cell[:40]!r} for {name} {where}"
-                ) from None
+                got = f"{cell[:40]!r} for {name}"
+                raise _line_error(path, number, "hold numbers", got) from None
     return Table(columns, rows, layer_names)
+
+
+def _line_error(path: Path, row: int, wanted: str, got: object) -> InputError:
+    """Return the error for a row of a table."""
+    where = f"{got} in line {row + 2} of {path}"
+    return InputError(path.name, wanted, where, f"fix that line or {AGAIN}")
 
 
 def read_trace(path: Path, layer_names: tuple[str, ...]) -> Table:
@@ -388,29 +386,15 @@ def read_trace(path: Path, layer_names: tuple[str, ...]) -> Table:
         return table
     wanted = TraceLayout.of(layer_names).columns
     for name in wanted:
-        if table.columns.count(name) != 1:
-            raise InputError(
-                path.name,
-                f"have the column {name} once",
-                f"{path} with {table.columns.count(name)} of it",
-                "run the scene again",
-            )
+        if name not in table.columns:
+            raise InputError(path.name, f"have the column {name}", f"{path} without it", AGAIN)
     places = [table.columns.index(name) for name in wanted]
     bad = np.argwhere(~np.isfinite(table.rows[:, places]))
     if len(bad):
-        line, place = bad[0]
-        raise InputError(
-            path.name,
-            "hold finite numbers",
-            f"{table.rows[line, places[place]]} for {wanted[place]} in line {line + 2} of {path}",
-            "fix that line or run the scene again",
-        )
+        row, place = bad[0]
+        got = f"{table.rows[row, places[place]]} for {wanted[place]}"
+        raise _line_error(path, row, "hold finite numbers", got)
     early = np.flatnonzero(np.diff(table["time_s"]) <= 0.0)
     if len(early):
-        raise InputError(
-            path.name,
-            "have increasing time_s",
-            f"line {early[0] + 3} of {path} no later than the one before",
-            "fix that line or run the scene again",
-        )
+        raise _line_error(path, early[0] + 1, "have increasing time_s", "an earlier one")
     return table

@@ -273,5 +273,5 @@ def test_no_public_function_swallows_an_unknown_keyword(tmp_path):
     for name in takes_any - {"Press.plot"}:
         with pytest.raises((TypeError, tissue.InputError), match="densty"):
             calls[name](densty=500)
-    with pytest.raises(TypeError, match="Did you mean material"):
+    with pytest.raises(TypeError, match="did you mean material"):
         tissue.Bone.block(materal="bone")

@@ -192,31 +192,3 @@ def test_the_box_of_an_oblique_cut_may_meet_the_reach_where_the_cut_does_not():
         bone = replace(cortical_block(), caps_m=(cap + away * turn[:, 2],))
         with contextlib.nullcontext() if taken else pytest.raises(InputError, match="with a hole"):
             require_whole(bone, region, is_image=False)
-
-
-@pytest.mark.slow
-def test_an_image_that_cuts_bone_off_within_the_reach_is_refused(tmp_path):
-    values = np.zeros((40, 40, 30), dtype=np.int16)
-    values[5:35, 5:35, 5:20] = 1000
-    scene = {
-        "anatomy.threshold": 500.0,
-        "anatomy.centre_mm": (19.0, 19.0, 19.5),
-        "anatomy.along": (1.0, 0.0, 0.0),
-        "anatomy.normal": (0.0, 0.0, 1.0),
-        "voxels.spacing_mm": SPACING_MM,
-        "motion.points_mm": [[-3, 0, 1.0], [3, 0, -1.0]],
-        "duration_s": 0.01,
-    }
-
-    def prepared(name, start):
-        image = pyvista.ImageData(dimensions=values[start:].shape, origin=(start, 0, 0))
-        image.point_data["values"] = values[start:].ravel(order="F")
-        image.save(tmp_path / name)
-        return load_scene("milling", scene | {"anatomy.file": str(tmp_path / name)})
-
-    run = simulate(prepared("far.vti", 6))
-    assert "cut off at one place by the edge of the image" in run.parts.notes["image"]
-    with pytest.raises(
-        InputError, match=r"^anatomy\.file must enclose a solid .* cut off by the edge of the image"
-    ):
-        simulate(prepared("near.vti", 17))

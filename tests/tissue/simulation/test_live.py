@@ -3,10 +3,7 @@
 They have no display, a window that is closed, fails or hangs, or are driven by the mouse.
 """
 
-import os
 import signal
-import subprocess
-import sys
 import time
 import typing
 from importlib.util import find_spec
@@ -68,41 +65,6 @@ def test_the_command_runs_live_without_a_display(no_display, command, here):
     timing = np.loadtxt(here / "run" / "timing.csv", delimiter=",", skiprows=1)
     assert timing.shape == (300, 8)
     assert saved.summary["missed_deadlines"] == (timing[:, 0] + timing[:, 6] > 1000.0).sum()
-
-
-def test_ctrl_c_ends_a_live_run_that_is_whole(tmp_path):
-    """The run ends after its tick, is saved like any other, and exits well."""
-    code = "from tissue.cli.main import main; main()"
-    arguments = [
-        "run",
-        "wall",
-        "--live",
-        "--duration-s",
-        "600",
-        "--no-pictures",
-        "--out",
-        str(tmp_path / "run"),
-    ]
-    environment = {k: v for k, v in os.environ.items() if k != "DISPLAY"} | {
-        "PYTHONPATH": str(ROOT)
-    }
-    trace = tmp_path / "run" / "trace.csv"
-    with subprocess.Popen(
-        [sys.executable, "-c", code, *arguments], env=environment, stdout=subprocess.PIPE, text=True
-    ) as process:
-        limit = time.perf_counter() + 100.0
-        while time.perf_counter() < limit and not (
-            trace.is_file() and trace.stat().st_size > 20_000
-        ):
-            time.sleep(0.02)
-        process.send_signal(signal.SIGINT)
-        output, _ = process.communicate(timeout=100.0)
-    assert process.returncode == 0, output
-    saved = SavedRun(tmp_path / "run")
-    assert saved.complete and 10 < len(saved.trace.rows) < 600_000
-    assert saved.summary["simulated_s"] == pytest.approx(1e-3 * len(saved.trace.rows))
-    whole = simulate(load_scene("wall", {"duration_s": 1e-3 * len(saved.trace.rows)}))
-    np.testing.assert_array_equal(saved.trace.rows, whole.trace.rows)
 
 
 class FakeWindow:

@@ -74,8 +74,6 @@ def test_reweighing_equals_rerunning(tables, kind, exponent):
     trace = simulate(other, cores=1).trace
     loads, want = record.loads(coefficients_in(other, record.layer_names)), wrenches(trace)
     assert greatest_difference(loads, want) < EQUAL
-    commanded = np.hstack([trace.vectors("force", "N"), trace.vectors("torque", "Nm")])
-    assert greatest_difference(record.commanded(loads), commanded) < EQUAL
     assert greatest_difference(record.loads(coefficients_in(scene, record.layer_names)), want) > 0.1
     for name in ("tool_z_mm", "removed_mm3"):
         assert np.array_equal(record.trace[name], trace[name])
@@ -140,8 +138,6 @@ def test_derivatives_are_those_of_the_loads(tables):
         step = 1e-4 * np.eye(len(given))[at]
         central = (record.loads(given, factors + step) - record.loads(given, factors - step)) / 2e-4
         assert slopes[:, :, at, 7] == pytest.approx(central, abs=1e-6 * np.abs(central).max())
-    with pytest.raises(InputError, match="every must be 1"):
-        record.commanded(record.loads(given))
 
 
 def test_what_does_not_follow_from_one_run_is_stated(tables):

@@ -19,7 +19,7 @@ from meshes.tets.stuffing import EDGE_GROWTH, with_inclusion
 from meshes.tets.tetrahedra import TetMesh
 from meshes.voxels.mesh_sampling import nearest_on_triangles, triangle_distance
 from tissue.simulation.builders.organ_given import Hold, SoftMaterial, hold_of
-from tissue.simulation.builders.parts import surface_of
+from tissue.simulation.builders.parts import require_known, surface_of
 
 if TYPE_CHECKING:
     from tissue.models.organ.soft_organ import SoftOrgan
@@ -190,12 +190,7 @@ def made_of(
 
 def stated_organ(modulus_kPa: float, poisson_ratio: float, options: OrganOptions) -> dict[str, Any]:
     """Return moduli and options in one table; refuse an option that no organ takes."""
-    for name in options:
-        if name not in OrganOptions.__annotations__:
-            raise TypeError(
-                f"Organ got an unexpected keyword argument {name!r}. Beyond the arguments of its "
-                f"maker it takes {', '.join(sorted(OrganOptions.__annotations__))}."
-            )
+    require_known(options, OrganOptions, of="Organ")
     return {"modulus_kPa": modulus_kPa, "poisson_ratio": poisson_ratio, **options}
 
 

@@ -50,6 +50,7 @@ __all__ = [
     "plays_record",
     "recorded_file",
     "require_device",
+    "require_known",
     "require_stated_rate",
     "soft_constants",
     "stated",
@@ -241,6 +242,17 @@ def note_own_constants(scene: Scene, layers: Sequence[str], notes: dict[str, str
         If no constant has an effect, the scene itself states one of them, or a layer is unknown.
     """
     notes |= given_note(scene.constants, used_constants(scene, layers), layers=layers, by="scene")
+
+
+def require_known(options: Mapping[str, object], table: type, *, of: str) -> None:
+    """Refuse an option that a table of options lacks, as Python does for a listed signature."""
+    known = table.__annotations__
+    for name in options:
+        if name not in known:
+            raise TypeError(
+                f"{of} got an unexpected keyword argument {name!r}{nearest(name, known)}. Beyond "
+                f"its listed arguments it takes {', '.join(sorted(known))}."
+            )
 
 
 def stated(model: type[Table], values: Mapping[str, object], *, prefix: str = "") -> Table:

@@ -12,7 +12,6 @@ from meshes.base.progress import silent
 from meshes.paths.replay_table import POSE_COLUMNS
 from tissue import load_scene
 from tissue.models.tissue_model import ToolMotion
-from tissue.motion.drilling_recording import POSES
 from tissue.simulation.simulate import build
 
 TILTED = Rotation.from_euler("y", 30.0, degrees=True)
@@ -37,18 +36,6 @@ def poses(path, tip_mm, rotation, *, w_first=False):
     return str(path)
 
 
-def recording(path, tip_m, rotation, *, w_first=False):
-    """Write the recording in the layout of volumetric_drilling (drill shaft along x)."""
-    h5py = pytest.importorskip("h5py")
-    x, y, z, w = (rotation * Rotation.from_quat([0.5, 0.5, 0.5, 0.5]).inv()).as_quat()
-    times = np.linspace(0.0, 0.2, 21)
-    pose = np.tile((*tip_m, *((w, x, y, z) if w_first else (x, y, z, w))), (21, 1))
-    pose[:, 0] += 10e-3 * times
-    with h5py.File(path, "w") as file:
-        file[f"{POSES}/drill/time_stamp"], file[f"{POSES}/drill/pose"] = times, pose
-    return str(path)
-
-
 def built(changes):
     """The parts of a scene, and the volume that its bone loses where the tool is placed [mm3]."""
     scene = load_scene("milling", MILLING | changes)
@@ -69,12 +56,10 @@ def named(parts):
     ]
 
 
-@pytest.mark.parametrize("write", [poses, recording])
-def test_a_file_with_w_first_is_named_and_one_with_w_last_is_not(tmp_path, write):
-    tip = np.array([-3.0, 0.0, -0.3]) * (1.0 if write is poses else 1e-3)
-    suffix = "csv" if write is poses else "h5"
-    right, right_mm3 = replayed(write(tmp_path / f"right.{suffix}", tip, TILTED))
-    wrong, wrong_mm3 = replayed(write(tmp_path / f"wrong.{suffix}", tip, TILTED, w_first=True))
+def test_a_file_with_w_first_is_named_and_one_with_w_last_is_not(tmp_path):
+    tip = np.array([-3.0, 0.0, -0.3])
+    right, right_mm3 = replayed(poses(tmp_path / "right.csv", tip, TILTED))
+    wrong, wrong_mm3 = replayed(poses(tmp_path / "wrong.csv", tip, TILTED, w_first=True))
     assert not named(right)
     (sentence,) = named(wrong)
     stated = [float(part.split()[-1]) for part in sentence.split(" mm3")[:2]]
