@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from meshes.base.arrays import Array
 from meshes.base.errors import InputError, by, is_file, names_of_caller
 from meshes.base.kept import Kept
 from meshes.base.progress import Progress
-from meshes.shapes.polyline import arc_length, kept_corners, points_along
+from meshes.shapes.polyline import kept_corners
 from meshes.tets.tetrahedra import TetMesh
 from tissue.models.organ.probe import CylinderProbe, ProbeShape, ShellProbe, SphereProbe
 from tissue.models.wall import WallModel
@@ -29,6 +28,7 @@ from tissue.simulation.builders.organ import (
     organ_law,
 )
 from tissue.simulation.builders.parts import FILE_WORDS, Parts
+from tissue.simulation.builders.tool_path import poses_along
 
 if TYPE_CHECKING:
     from tissue.models.needle.parameters import NeedleTissue
@@ -123,9 +123,8 @@ def pressed(
     report("meshing the organ", 0.0)
     edge_mm = anatomy.touch_edge_mm or 0.25 * scene.tool.size_mm
     edge_m = 1e-3 * edge_mm
-    within_m = 1e-3 * KEPT * edge_mm
-    path = motion.sweep_m()
-    path = path[kept_corners(path, within_m)]
+    kept = kept_corners(motion.sweep_m(), 1e-3 * KEPT * edge_mm)
+    path = motion.sweep_m()[kept]
     meshed = partial(held_mesh, anatomy, path_m=path, touch_edge_m=edge_m, report=report)
     if isinstance(anatomy, LiverFile):
         found = meshed()
@@ -146,7 +145,7 @@ def pressed(
     require_outside(found.mesh, motion)
     soft = material.organ(found.mesh, found.held, law=law, compute=compute)
     report("assembling the stiffness", 0.0)
-    tips, turns = poses_along(motion, within_m)
+    tips, turns = poses_along(motion, kept, POSES_TRIED)
     with names_of_caller({"touch_edge_m": "anatomy.touch_edge_mm"}):
         model, touchable = soft.under(
             probe,
@@ -250,29 +249,6 @@ def probe_of(tool: Probe) -> ProbeShape:
     if tool.kind == "cylinder-probe":
         return CylinderProbe(radius, min(0.1 * radius, 5e-4))
     return _shell(tool)
-
-
-def poses_along(motion: Motion, within_m: float = 0.0) -> tuple[Array, Array]:
-    """Return poses along a motion at which contact with the organ is searched for.
-
-    They are tips [m], shape (p, 3), and turns, shape (p, 3, 3).
-
-    Parameters
-    ----------
-    motion
-        Motion of the tool.
-    within_m
-        Largest distance of an omitted corner of the track from the remaining track [m]. A log has
-        one corner each tick.
-    """
-    corners = motion.sweep_m()
-    turns = motion.rotations()
-    along = arc_length(corners)
-    corner = along[kept_corners(corners, within_m)]
-    wanted = np.unique(np.concatenate([np.linspace(0.0, along[-1], POSES_TRIED), corner]))
-    return points_along(corners, wanted), turns[
-        np.searchsorted(along, wanted).clip(max=len(turns) - 1)
-    ]
 
 
 def require_outside(mesh: TetMesh, motion: Motion) -> None:

@@ -1,21 +1,21 @@
 """Path of a tool through tissue: its reach, checks of it, and its distance from structures."""
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from kernels.tool_distance import TOLERANCE_M
-from meshes.base.arrays import Array, Bytes
-from meshes.base.errors import InputError, in_brackets, names_of_caller
+from meshes.base.arrays import Array, Bytes, Ints
+from meshes.base.errors import InputError, in_brackets
 from meshes.base.placement import Placement
 from meshes.base.progress import Progress
 from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.polyline import arc_length, points_along
 from meshes.shapes.sdf import Shape
 from meshes.shapes.triangles import shape_triangles
-from meshes.surfaces.surface import read_surface
 from meshes.voxels.mesh_sampling import triangle_distance
 from meshes.voxels.volume import FULL, VoxelVolume
 from tissue.cutters.body import body_points
@@ -25,17 +25,17 @@ from tissue.motion.drilling_recording import SHAFT_TO_X
 from tissue.motion.motion import Motion
 from tissue.motion.replay import RECORDINGS
 from tissue.scene.keep_clear import KeepClear as Wanted
-from tissue.simulation.builders.parts import FILE_WORDS
+from tissue.simulation.builders.parts import surface_of
 
 __all__ = [
     "Corners",
     "box_text",
     "keep_clear",
+    "poses_along",
     "reach",
     "require_outside",
     "require_touch",
     "require_whole",
-    "structure_of_file",
     "w_first_notice",
 ]
 
@@ -67,6 +67,20 @@ def _swept(shell: Array, motion: Motion, margin: float) -> Corners:
     return low.min(axis=0) - margin, high.max(axis=0) + margin
 
 
+def poses_along(motion: Motion, chosen: slice | Ints, count: int) -> tuple[Array, Array]:
+    """Return poses along a motion at which contact is searched for.
+
+    They are tips [m], shape (p, 3), and turns, shape (p, 3, 3): `count` poses with equal distances
+    and the chosen corners of the motion.
+    """
+    corners = motion.sweep_m()
+    turns = motion.rotations()
+    along = arc_length(corners)
+    wanted = np.unique(np.concatenate([np.linspace(0.0, along[-1], count), along[chosen]]))
+    at = np.searchsorted(along, wanted).clip(max=len(turns) - 1)
+    return points_along(corners, wanted), turns[at]
+
+
 def box_text(corners: Corners) -> str:
     """Return text for the corners of a box [mm]."""
     low, high = (in_brackets(1e3 * corner, ".4g") for corner in corners)
@@ -88,12 +102,8 @@ def _fine_shell(volume: VoxelVolume, cutter: Cutter) -> Array:
 def require_touch(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None:
     """Refuse a motion that never brings the cutting surface into bone."""
     shell = _fine_shell(volume, cutter)
-    corners = motion.sweep_m()
-    along = arc_length(corners)
-    between = np.linspace(0.0, along[-1], POSES_TRIED)
-    wanted = np.unique(np.concatenate([between, along[:: len(along) // POSES_TRIED + 1]]))
-    tips = points_along(corners, wanted)
-    turns = motion.rotations()[np.searchsorted(along, wanted)]
+    every = slice(None, None, len(motion.sweep_m()) // POSES_TRIED + 1)
+    tips, turns = poses_along(motion, every, POSES_TRIED)
     for tip, turn in zip(tips[::-1], turns[::-1], strict=True):
         if _fraction_at(volume, tip + shell @ turn.T).any():
             return
@@ -247,29 +257,17 @@ def keep_clear(
     for name, file in wanted.files.items():
         report(f"reading the surface of {name}", 0.0)
         unit = 1.0 if placement is None else placement.unit_mm
-        with names_of_caller(dict.fromkeys(FILE_WORDS, f"keep_clear.files.{name}")):
-            structure, repairs = structure_of_file(Path(file), scale_mm=unit)
+        surface = surface_of(f"keep_clear.files.{name}", Path(file), unit, is_part=True)
+        vertices: Array = surface.vertices_m
         if placement is not None:
-            vertices: Array = 1e-3 * placement.to_scene(1e3 * structure.vertices_m / unit)
-            structure = Structure(vertices, structure.faces)
-        found[name] = structure
-        distances[name] = _distance_from(structure)
-        if repairs:
-            notes[f"surface of {name}"] = repairs
+            vertices = 1e-3 * placement.to_scene(1e3 * vertices / unit)
+        found[name] = Structure(vertices, surface.faces)
+        distances[name] = partial(triangle_distance, vertices, surface.faces)
+        if surface.report.repairs:
+            notes[f"surface of {name}"] = " ".join(surface.report.repairs)
     for name, structure in found.items():
         below_mm = 1e3 * (structure.slack_m + float(TOLERANCE_M))
         notes[f"keep clear of {name}"] = (
             f"its distance is in the trace, exact or up to {below_mm:.2g} mm too small"
         )
     return KeepClear(cutter.profile, found, distances, points_m=points, box_m=np.array([low, high]))
-
-
-def structure_of_file(file: Path, *, scale_mm: float) -> tuple[Structure, str]:
-    """Read a closed surface with all its pieces; also return the repairs made."""
-    surface = read_surface(file, scale_mm=scale_mm, cut_off=True, every_piece=True)
-    return Structure(surface.vertices_m, surface.faces), " ".join(surface.report.repairs)
-
-
-def _distance_from(structure: Structure) -> Distance:
-    """Return a function for the signed distance from a structure anywhere, for pictures."""
-    return lambda points: triangle_distance(structure.vertices_m, structure.faces, points)

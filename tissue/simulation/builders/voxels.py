@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from meshes.base.arrays import Array
 from meshes.base.errors import InputError, in_brackets, is_file, names_of_caller
 from meshes.base.kept import Kept
 from meshes.base.progress import Progress, silent
@@ -26,7 +25,6 @@ from meshes.voxels.voxelise import AROUND_VOXELS, voxelise
 from tissue.cutters.cutter import Cutter
 from tissue.motion.motion import Motion
 from tissue.scene.anatomy import (
-    Block,
     BlockAnatomy,
     BlockImage,
     Bone,
@@ -257,16 +255,17 @@ def bone_from_file(parameters: Placed, notes: dict[str, str]) -> Anatomy:
     from meshes.images.reading import read_image
     from meshes.images.threshold_surface import image_cuts, image_triangles
     from meshes.surfaces.bone_surface import surface_anatomy
-    from meshes.surfaces.surface import surface_from_triangles
-    from meshes.surfaces.triangle_files import read_triangles
+    from meshes.surfaces.surface import read_surface, surface_from_triangles
 
-    cuts: tuple[Array, ...] = ()
     if isinstance(parameters, ImageAnatomy):
         threshold = _threshold(parameters)
         image = read_image(parameters.file, spacing_mm=parameters.spacing_mm)
         triangles = image_triangles(image, threshold=threshold)
-        source = image.source
+        surface = surface_from_triangles(
+            *triangles, source=image.source, scale_mm=1.0, cut_off=True
+        )
         cuts = image_cuts(image, threshold=threshold)
+        surface = replace(surface, caps_m=surface.caps_m + cuts)
         remarks = list(image.notes)
         if cuts:
             places = f"{len(cuts)} places" if len(cuts) > 1 else "one place"
@@ -274,12 +273,8 @@ def bone_from_file(parameters: Placed, notes: dict[str, str]) -> Anatomy:
         if remarks:
             notes["image"] = " ".join(remarks)
     else:
-        file = Path(parameters.file)
-        triangles = read_triangles(file)
-        source = file.name
-    scale_mm = parameters.scale_mm if isinstance(parameters, SurfaceAnatomy) else 1.0
-    surface = surface_from_triangles(*triangles, source=source, scale_mm=scale_mm, cut_off=True)
-    surface = replace(surface, caps_m=surface.caps_m + cuts)
+        assert isinstance(parameters, SurfaceAnatomy)
+        surface = read_surface(parameters.file, scale_mm=parameters.scale_mm, cut_off=True)
     site = _site(parameters, surface)
     if isinstance(parameters, Bone) and (parameters.density_file or parameters.core_file):
         return _filled(parameters, surface, site)
@@ -287,9 +282,7 @@ def bone_from_file(parameters: Placed, notes: dict[str, str]) -> Anatomy:
         surface,
         site,
         cortical_thickness_mm=parameters.cortical_thickness_mm,
-        cortical_density_kg_m3=parameters.density_kg_m3
-        if isinstance(parameters, Block)
-        else 1800.0,
+        cortical_density_kg_m3=getattr(parameters, "density_kg_m3", 1800.0),
     )
 
 
