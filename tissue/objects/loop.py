@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from copy import deepcopy
 from dataclasses import fields
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
@@ -25,7 +26,6 @@ from meshes.base.errors import (
 from tissue.cutters import Cutter, ball_burr
 from tissue.haptics.device.device import Device, DeviceParameters, device_parameters
 from tissue.haptics.device.supervision import run_held
-from tissue.haptics.hand.hand import hand_parameters
 from tissue.haptics.hand_motion import Script
 from tissue.materials.scene_constants import Materials
 from tissue.models.bone.model import BoneModel
@@ -40,7 +40,6 @@ from tissue.objects.simulate import TickRow
 from tissue.objects.tools import PressingTool, ball
 from tissue.objects.trace import Trace
 from tissue.prediction.outside import GuardedMaker, Observes
-from tissue.prediction.predictor import Predictor
 from tissue.scene.coupling import Coupling
 from tissue.scene.coupling import Device as StatedDevice
 from tissue.scene.named_parts import unknown_name
@@ -49,7 +48,7 @@ from tissue.scene.used_constants import used_of_device
 from tissue.simulation import loop as engine
 from tissue.simulation.builders.force_met import fitted_scale, slot_force_N
 from tissue.simulation.builders.hand import device_motion
-from tissue.simulation.builders.loop import LoopSettings, no_predictor, sampled
+from tissue.simulation.builders.loop import LoopSettings, sampled
 from tissue.simulation.builders.parts import (
     Parts,
     given_note,
@@ -58,7 +57,6 @@ from tissue.simulation.builders.parts import (
     require_stated_rate,
     stated,
 )
-from tissue.simulation.builders.prediction import maker_of
 from tissue.simulation.observer import WallClock
 from tissue.simulation.trace import Table
 
@@ -421,36 +419,36 @@ def _settings(
     require_stated_rate(device, limits, remedy="give this rate_Hz by limits")
     predictor = options.get("predictor")
     file = options.get("predictor_file")
+    name = predictor if isinstance(predictor, str) else None
+    own_predictor = None
     if isinstance(predictor, type):
-        name = predictor.__name__
-        raise InputError("predictor", "be an object", f"the class {name}", f"give {name}()")
-    if file is not None and not isinstance(predictor, str):
+        kind = predictor.__name__
+        raise InputError("predictor", "be an object", f"the class {kind}", f"give {kind}()")
+    if file is not None and name is None:
         raise InputError(
             "predictor_file", "come with a predictor's name", repr(predictor), "name one"
         )
-    limit_N = limits.force_limit_N
-    made: Callable[[], Predictor | None] = no_predictor
-    if isinstance(predictor, str):
-        made = maker_of(predictor, scene_name="", file=str(file or ""), force_limit_N=limit_N)
-    elif predictor is not None:
+    if predictor is not None and name is None:
         guarded = GuardedMaker(type(predictor).__name__, lambda: deepcopy(predictor))
-        made = lambda: guarded(None, limit_N)  # noqa: E731
-    coupling = stated(
-        Coupling, {key: options.get(key) for key in ("stiffness_N_m", "motion_scale", "delay_ms")}
-    )
-    held = stated(
-        StatedDevice,
-        {"kind": given if isinstance(given, str) else "touch", "coupling": coupling}
-        | {key: options.get(key) for key in ("hand", "renderer")},
-    )
+        own_predictor = partial(guarded, None, limits.force_limit_N)
+    coupling = {key: options.get(key) for key in ("stiffness_N_m", "motion_scale", "delay_ms")}
+    if file is not None:
+        coupling["predictor_file"] = str(file)
+    held = {
+        "kind": given if isinstance(given, str) else "touch",
+        "hand": options.get("hand"),
+        "renderer": options.get("renderer"),
+        "prediction": name,
+        "coupling": stated(Coupling, coupling),
+    }
     return LoopSettings(
-        held,
+        stated(StatedDevice, held),
         stated(Output, {"low_pass_ms": options.get("low_pass_ms")}),
         type(device).__name__,
         limits,
-        hand_parameters(held.hand, constants),
+        constants,
         "cuts" if cuts else "presses",
-        predictor=made,
+        own_predictor=own_predictor,
     )
 
 

@@ -111,9 +111,9 @@ class Organ:
             If the mesh cannot be used, is not in millimetres, or lacks a part.
         """
         from meshes.tets.files import given_tets
-        from tissue.simulation.builders.organ_made import made_of, stated_organ
+        from tissue.simulation.builders.organ_made import StatedOrgan, made_of
 
-        stated = stated_organ(modulus_kPa, poisson_ratio, options)
+        stated = StatedOrgan.of(modulus_kPa, poisson_ratio, options)
         given = given_tets(mesh, scale_mm=scale_mm, part_names=part_names)
         notes = {"mesh": " ".join(given.sentences)} if given.sentences else {}
         return cls(made_of(given.mesh, notes, stated, points_mm=given.points_mm))
@@ -154,9 +154,9 @@ class Organ:
             If a surface is not closed or not in millimetres, or an inclusion sticks out or overlaps
             another one.
         """
-        from tissue.simulation.builders.organ_made import of_surface, stated_organ
+        from tissue.simulation.builders.organ_made import StatedOrgan, of_surface
 
-        stated = stated_organ(modulus_kPa, poisson_ratio, options)
+        stated = StatedOrgan.of(modulus_kPa, poisson_ratio, options)
         return cls(
             of_surface(
                 surface,
@@ -212,9 +212,9 @@ class Organ:
         InputError
             If there is no such label, or a part lies apart from the organ or is too small.
         """
-        from tissue.simulation.builders.organ_made import of_labels, stated_organ
+        from tissue.simulation.builders.organ_made import StatedOrgan, of_labels
 
-        stated = stated_organ(modulus_kPa, poisson_ratio, options)
+        stated = StatedOrgan.of(modulus_kPa, poisson_ratio, options)
         return cls(
             of_labels(
                 labels, stated, organ=str(organ), names=names, edge_mm=edge_mm, report=progress
@@ -247,13 +247,13 @@ class Organ:
         """
         from meshes.organs.liver import slab
         from meshes.tets.tetrahedralise import FILL_EDGES
-        from tissue.simulation.builders.organ_made import made_of, stated_organ
+        from tissue.simulation.builders.organ_made import StatedOrgan, made_of
 
         x, y, z = require_vector("size_mm", size_mm)
         edge = max(x, y, z) / FILL_EDGES if edge_mm is None else edge_mm
         with names_of_caller({"spacing_m": "edge_mm", "size_m": "size_mm"}):
             mesh = slab(size_m=(1e-3 * x, 1e-3 * y, 1e-3 * z), spacing_m=1e-3 * edge)
-        stated = stated_organ(modulus_kPa, poisson_ratio, options)
+        stated = StatedOrgan.of(modulus_kPa, poisson_ratio, options)
         return cls(made_of(mesh, {}, stated))
 
     @classmethod
@@ -285,7 +285,7 @@ class Organ:
             If the file cannot be used, or holds neither modulus nor Poisson's ratio of the liver.
         """
         from meshes.organs.liver import liver
-        from tissue.simulation.builders.organ_made import made_of, stated_organ
+        from tissue.simulation.builders.organ_made import StatedOrgan, made_of
         from tissue.simulation.builders.parts import soft_constants
 
         stated = {"modulus_kPa": modulus_kPa, "poisson_ratio": poisson_ratio}
@@ -295,7 +295,7 @@ class Organ:
             taken, notes = soft_constants(materials, "liver", stated)
         with names_of_caller({"spacing_m": "edge_mm"}):
             mesh = liver(spacing_m=1e-3 * edge_mm)
-        return cls(made_of(mesh, notes, stated_organ(**taken, options=options)))
+        return cls(made_of(mesh, notes, StatedOrgan.of(**taken, options=options)))
 
     def refined(self, *, edge_mm: float, near_mm: ArrayLike | None = None) -> Organ:
         """Return the organ with shorter edges near the tool.

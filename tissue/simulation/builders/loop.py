@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import ceil, isfinite
 from typing import TYPE_CHECKING, Literal
 
@@ -22,6 +23,7 @@ from tissue.haptics.loop.forecast import Forecast, forecast_of
 from tissue.haptics.loop.motor_path import motor_lag_ticks
 from tissue.haptics.loop.sampled_loop import WallLoop
 from tissue.haptics.loop.vibration import Vibration
+from tissue.materials.scene_constants import Materials
 from tissue.models.tissue_model import TICK_S
 from tissue.prediction.guard import Guarded
 from tissue.prediction.predictor import Predictor
@@ -42,7 +44,6 @@ __all__ = [
     "lead_ticks",
     "loop_settings",
     "motor_path",
-    "no_predictor",
     "person_of",
     "sampled",
 ]
@@ -68,14 +69,6 @@ It is used where neither scene nor device states a stiffness.
 """
 
 
-def no_predictor() -> None:
-    """Return no predictor: the present force is played."""
-
-
-def no_perception(rng: np.random.Generator) -> None:
-    """Return no perception: the force is not scaled for a person."""
-
-
 @dataclass(frozen=True)
 class LoopSettings:
     """Settings of the loop of a device, a hand and a tool.
@@ -86,33 +79,71 @@ class LoopSettings:
         A scene's tables of the device, with hand, coupling and renderer, and of the output.
     name, limits
         Name of the device in messages, and its parameters.
-    person
-        Parameters of the hand.
+    constants
+        Constants of the hand.
     contact
         Kind of contact of the tool.
     teeth_Hz
         Rate at which a cutter's edges pass, 0 for none.
-    predictor
-        Makes a new predictor of the force; None where the present force is played.
-    perception
-        Makes the person for whom the force is scaled, with a generator of its noise; None where the
-        force is not scaled.
+    scene_name
+        Name of the scene for which a predictor was trained.
+    own_predictor
+        Makes a new predictor in place of the device's; None for the device's.
     """
 
     held: Device
     output: Output
     name: str
     limits: DeviceParameters
-    person: HandParameters
+    constants: Materials
     contact: Contact
     teeth_Hz: float = 0.0
-    predictor: Callable[[], Predictor | None] = no_predictor
-    perception: "Callable[[np.random.Generator], Perception | None]" = no_perception
+    scene_name: str = ""
+    own_predictor: Callable[[], Predictor] | None = None
 
     @property
     def coupling(self) -> Coupling:
         """Stiffness, scales, latency and rate of the model."""
         return self.held.coupling
+
+    @cached_property
+    def person(self) -> HandParameters:
+        """Parameters of the hand."""
+        return hand_parameters(self.held.hand, self.constants)
+
+    @cached_property
+    def _maker(self) -> Callable[[], Predictor]:
+        from tissue.simulation.builders.prediction import maker_of
+
+        return maker_of(
+            self.held.prediction,
+            scene_name=self.scene_name,
+            file=self.coupling.predictor_file,
+            force_limit_N=self.limits.force_limit_N,
+        )
+
+    def predictor(self) -> Predictor | None:
+        """Return a new predictor of the force; None where the present force is played."""
+        if self.own_predictor is not None:
+            return self.own_predictor()
+        return None if self.held.prediction == "none" else self._maker()
+
+    def perception(self, rng: np.random.Generator) -> "Perception | None":
+        """Return the person for whom the force is scaled, with a generator of sensory noise.
+
+        None is returned where the force is not scaled.
+        """
+        if self.held.perception == "none":
+            return None
+        from tissue.simulation.builders.prediction import perception
+
+        return perception(
+            self.held.perception,
+            rng=rng,
+            force_limit_N=self.limits.force_limit_N,
+            tick_s=TICK_S,
+            friction_N=self.limits.friction_N,
+        )
 
     @property
     def sample_s(self) -> float:
@@ -147,42 +178,8 @@ def loop_settings(scene: Scene) -> LoopSettings:
     if isinstance(tool, Tool):
         contact = "touches" if tool.spin_rpm == 0.0 else "cuts"
         teeth_Hz = tool.flutes * abs(tool.spin_rpm) / 60.0
-
-    predictor: Callable[[], Predictor | None] = no_predictor
-    if held.prediction != "none":
-        from tissue.simulation.builders.prediction import maker_of
-
-        predictor = maker_of(
-            held.prediction,
-            scene_name=scene.name,
-            file=scene.predictor_file,
-            force_limit_N=limits.force_limit_N,
-        )
-
-    def perception(rng: np.random.Generator) -> "Perception | None":
-        """Return the model of the person whom the scene names."""
-        if held.perception == "none":
-            return None
-        from tissue.simulation.builders.prediction import perception
-
-        return perception(
-            held.perception,
-            rng=rng,
-            force_limit_N=limits.force_limit_N,
-            tick_s=TICK_S,
-            friction_N=limits.friction_N,
-        )
-
     return LoopSettings(
-        held,
-        scene.output,
-        held.kind,
-        limits,
-        hand_parameters(held.hand, scene.constants),
-        contact,
-        teeth_Hz,
-        predictor,
-        perception,
+        held, scene.output, held.kind, limits, scene.constants, contact, teeth_Hz, scene.name
     )
 
 

@@ -1,7 +1,7 @@
 """Soft organ that a caller describes: from tetrahedra, a surface with inclusions, or labels."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypedDict
@@ -24,7 +24,7 @@ from tissue.simulation.builders.parts import require_known, surface_of
 if TYPE_CHECKING:
     from tissue.models.organ.soft_organ import SoftOrgan
 
-__all__ = ["MadeOrgan", "OrganOptions", "made_of", "of_labels", "of_surface", "stated_organ"]
+__all__ = ["MadeOrgan", "OrganOptions", "StatedOrgan", "made_of", "of_labels", "of_surface"]
 
 ENVELOPE = 0.1
 """Largest overlap of inclusions beyond their surroundings, over the edge length.
@@ -152,10 +152,38 @@ class MadeOrgan:
         return MadeOrgan(finer, self.material, self.hold, self.notes, outer, expected)
 
 
+@dataclass(frozen=True, eq=False)
+class StatedOrgan:
+    """Material and supports of an organ as a caller states them; see `OrganOptions`."""
+
+    material: SoftMaterial
+    held: str | ArrayLike = "bottom"
+    held_below_mm: float | None = None
+
+    @classmethod
+    def of(cls, modulus_kPa: float, poisson_ratio: float, options: OrganOptions) -> "StatedOrgan":
+        """Return a caller's moduli and options; None counts as not stated.
+
+        Raises
+        ------
+        InputError
+            If a value is out of its range.
+        TypeError
+            If no organ takes an option.
+        """
+        require_known(options, OrganOptions, of="Organ")
+        given: dict[str, Any] = {
+            name: value for name, value in options.items() if value is not None
+        }
+        held = given.pop("held", "bottom")
+        below = given.pop("held_below_mm", None)
+        return cls(SoftMaterial(modulus_kPa, poisson_ratio, **given), held, below)
+
+
 def made_of(
     mesh: TetMesh,
     notes: dict[str, str],
-    stated: Mapping[str, Any],
+    stated: StatedOrgan,
     *,
     points_mm: Array | None = None,
     surface: Surface | None = None,
@@ -167,7 +195,7 @@ def made_of(
     mesh, notes
         Tetrahedra [m], and notes on them; a note on the supports is added.
     stated
-        Moduli and `OrganOptions`; an entry of None counts as not stated.
+        Material and supports.
     points_mm
         Points that ``held`` refers to [mm]; None for the mesh's nodes.
     surface
@@ -176,41 +204,20 @@ def made_of(
     Raises
     ------
     InputError
-        If a value is out of its range, the mesh lacks a part, or the support is not found.
+        If the mesh lacks a part, or the support is not found.
     """
-    material = _stated_material(stated, mesh.part_names)
-    held = "bottom" if stated.get("held") is None else stated["held"]
-    below = stated.get("held_below_mm")
-    hold, notes["held"] = hold_of(held, below, mesh, points_mm)
-    made = MadeOrgan(mesh, material, hold, notes, surface)
+    stated.material.moduli_kPa(mesh.part_names)
+    below = stated.held_below_mm
+    hold, notes["held"] = hold_of(stated.held, below, mesh, points_mm)
+    made = MadeOrgan(mesh, stated.material, hold, notes, surface)
     with names_of_caller({"support": "held" if below is None else "held_below_mm"}):
         made.held  # noqa: B018 - what is not there is refused here
     return made
 
 
-def stated_organ(modulus_kPa: float, poisson_ratio: float, options: OrganOptions) -> dict[str, Any]:
-    """Return moduli and options in one table; refuse an option that no organ takes."""
-    require_known(options, OrganOptions, of="Organ")
-    return {"modulus_kPa": modulus_kPa, "poisson_ratio": poisson_ratio, **options}
-
-
-def _stated_material(stated: Mapping[str, Any], part_names: Sequence[str]) -> SoftMaterial:
-    """Return the material of an organ of these parts; raises as `made_of`."""
-    of_material = {each.name for each in fields(SoftMaterial)}
-    material = SoftMaterial(
-        **{
-            name: value
-            for name, value in stated.items()
-            if name in of_material and value is not None
-        }
-    )
-    material.moduli_kPa(part_names)
-    return material
-
-
 def of_surface(
     surface: object,
-    stated: dict[str, Any],
+    stated: StatedOrgan,
     *,
     edge_mm: float | None,
     inclusions: Mapping[str, object],
@@ -227,13 +234,13 @@ def of_surface(
     """
     from meshes.tets.tetrahedralise import FILL_EDGES, tetrahedralise
 
-    without = [name for name in inclusions if name not in (stated.get("parts") or {})]
+    without = [name for name in inclusions if name not in stated.material.parts]
     if without:
         raise InputError(
             "parts", "give a modulus of every inclusion", f"none of {without[0]}", "add it in kPa"
         )
     # refuse invalid materials before meshing, which takes minutes
-    _stated_material(stated, ("body", *inclusions))
+    stated.material.moduli_kPa(("body", *inclusions))
     outer = surface_of("surface", surface, scale_mm)
     usual = max(outer.report.size_mm) / FILL_EDGES
     edge = usual if edge_mm is None else require_positive("edge_mm", edge_mm, f"use {usual:.2g}")
@@ -255,7 +262,7 @@ def of_surface(
 
 def of_labels(
     labels: object,
-    stated: dict[str, Any],
+    stated: StatedOrgan,
     *,
     organ: str,
     names: str | Path | None,
@@ -272,17 +279,16 @@ def of_labels(
     from meshes.ct.labels import Labels, read_labels
     from meshes.organs.from_labels import labelled_organ
 
-    parts = stated.get("parts") or {}
     with names_of_caller({"path": "labels"}):
         known = (
             labels if isinstance(labels, Labels) else read_labels(Path(str(labels)), names=names)
         )
     organ = known.names[known.number(organ)]
-    stated = stated | {
-        "parts": {known.names[known.number(str(name))]: each for name, each in parts.items()}
-    }
-    _stated_material(stated, (organ, *stated["parts"]))
-    found = labelled_organ(known, organ, [name for name in stated["parts"] if name != organ])
+    given = stated.material.parts.items()
+    parts = {known.names[known.number(str(name))]: modulus for name, modulus in given}
+    stated = replace(stated, material=replace(stated.material, parts=parts))
+    stated.material.moduli_kPa((organ, *parts))
+    found = labelled_organ(known, organ, [name for name in parts if name != organ])
     mesh, notes = found.mesh(edge_mm, report=report)
     return made_of(mesh, notes, stated, surface=found.surface)
 
