@@ -293,10 +293,10 @@ def test_parts_of_a_file_have_moduli_by_name_or_number():
         (
             {"tumor": 300.0},
             mesh,
-            r"name parts of the organ, got tumor \(did you mean tumour\?\): it has part 1, tumour",
+            r"name parts of the mesh, got 'tumor' \(did you mean tumour\?\): it has part 1, tumour",
         ),
-        ({"nodule": 300.0}, whole, "name parts of the organ, got nodule: it has one part alone"),
-        ({"1": 3.0, "part 1": 4.0}, mesh, "name each part once, got 1 and part 1: remove one"),
+        ({"nodule": 300.0}, whole, "name parts of the mesh, got 'nodule': it has"),
+        ({"1": 3.0, "part 1": 4.0}, mesh, "name each part once, got part 1 twice: remove one"),
     ):
         with pytest.raises(InputError, match=f"^organ.parts must {text}"):
             elasticity_of(wrong, liver, Organ(parts=parts))

@@ -242,7 +242,6 @@ class Loop:
                     scale_note,
                 ),
                 rng=np.random.default_rng(0),
-                step_s=TICK_S,
                 allow_unstable=options.get("allow_unstable", False),
             )
         self.notes = dict(tissue.notes) | _constants_note(constants, tissue, options)

@@ -324,9 +324,7 @@ def build(
     if scene.device is not None:
         from tissue.simulation.builders.hand import hand_motion
 
-        motion, coupling["coupling"] = hand_motion(
-            scene, motion, step_s=step_s, allow_unstable=allow_unstable
-        )
+        motion, coupling["coupling"] = hand_motion(scene, motion, allow_unstable=allow_unstable)
     parts = builder_of(scene.anatomy.kind)(
         scene, motion, step_s=step_s, compute=compute, cores=cores, report=report
     )

@@ -51,9 +51,7 @@ In a pen grip, 4 N s/m over 250 to 350 N/m gives 11 to 16 ms.
 """
 
 
-def hand_motion(
-    scene: Scene, scripted: Motion, *, step_s: float, allow_unstable: bool
-) -> tuple[HandMotion, str]:
+def hand_motion(scene: Scene, scripted: Motion, *, allow_unstable: bool) -> tuple[HandMotion, str]:
     """Return the scene's motion made by its hand on its device, and notes on the choices made.
 
     Raises
@@ -72,8 +70,8 @@ def hand_motion(
 
     def device(tool: HeldTool, stiffness_N_m: float) -> SimulatedDevice:
         """Return the device in the scene's hand, which makes the scripted motion."""
-        path, push = _aims(scene, scripted, tool, settings, stiffness_N_m, step_s=step_s)
-        turn = _turn(scripted, step_s=step_s) if isinstance(scene.motion, ReplayMotion) else None
+        path, push = _aims(scene, scripted, tool, settings, stiffness_N_m)
+        turn = _turn(scripted) if isinstance(scene.motion, ReplayMotion) else None
         at_device: Path = lambda time_s: start + (path(time_s) - start) / scale  # noqa: E731
         hand = Hand(person, at_device, rng=rng, step_s=settings.sample_s, push=push, turn=turn)
         x, y, z = start.tolist()
@@ -91,7 +89,6 @@ def hand_motion(
         device,
         force_scale=chosen_scale(scene),
         rng=feeling,
-        step_s=step_s,
         allow_unstable=allow_unstable,
     )
     held = settings.held
@@ -136,8 +133,6 @@ def _aims(
     tool: HeldTool,
     settings: LoopSettings,
     stiffness_N_m: float,
-    *,
-    step_s: float,
 ) -> tuple[Path, Callable[[float], Array] | None]:
     """Return the path that the hand aims at, and the additional push of the hand (or None)."""
     corners = scripted.sweep_m()
@@ -151,9 +146,7 @@ def _aims(
             corners[0], corners[-1] - corners[0], tool, push_N, scale * push_N / stiffness_N_m
         )
         return thrust.path, thrust.push
-    path = waypoints(
-        *_timed(scripted, recorded=isinstance(scene.motion, ReplayMotion), step_s=step_s)
-    )
+    path = waypoints(*_timed(scripted, recorded=isinstance(scene.motion, ReplayMotion)))
     if isinstance(scene.anatomy, WallAnatomy) or isinstance(tool, ProbingTool):
         return path, None  # no force moves a tool into a wall or a bone
     return CompensatedPath(
@@ -161,24 +154,24 @@ def _aims(
     ), None
 
 
-def _turn(scripted: Motion, *, step_s: float) -> Callable[[float], Array]:
+def _turn(scripted: Motion) -> Callable[[float], Array]:
     """Return turns of a recorded motion from its first orientation.
 
     They are unit quaternions over time [s].
     """
     turns = scripted.rotations()
     quaternions = np.array([quaternion_of(turn @ turns[0].T) for turn in turns])
-    return lambda time_s: quaternions[min(round(time_s / step_s), len(quaternions) - 1)]
+    return lambda time_s: quaternions[min(round(time_s / TICK_S), len(quaternions) - 1)]
 
 
-def _timed(scripted: Motion, *, recorded: bool, step_s: float) -> tuple[Array, Array]:
+def _timed(scripted: Motion, *, recorded: bool) -> tuple[Array, Array]:
     """Return times [s] and points [m] of a motion.
 
     A recorded motion has one point per tick; a path is followed at its feed.
     """
     corners_m = scripted.sweep_m()
     if recorded:
-        return step_s * np.arange(len(corners_m), dtype=np.float64), corners_m
+        return TICK_S * np.arange(len(corners_m), dtype=np.float64), corners_m
     along = arc_length(corners_m)
     keep = np.diff(along, prepend=-1.0) > 0.0
     times = along * (scripted.duration_s / along[-1])
@@ -192,7 +185,6 @@ def device_motion(
     *,
     force_scale: tuple[float, str],
     rng: np.random.Generator,
-    step_s: float,
     allow_unstable: bool,
 ) -> tuple[HandMotion, list[str]]:
     """Return the motion of a tool on a device, and notes on the choices made.
@@ -211,8 +203,6 @@ def device_motion(
         Newtons at the device for each newton at the tool, and a note on how the scale was chosen.
     rng
         Generator of the perceptual noise of the person for whom the force is scaled.
-    step_s
-        Length of a tick [s].
     allow_unstable
         Whether an unstable coupling is accepted.
 
@@ -223,7 +213,7 @@ def device_motion(
     """
     chosen = settings.coupling
     scale = chosen.motion_scale
-    judged, turning = judged_loops(settings, step_s=step_s, allow_unstable=allow_unstable)
+    judged, turning = judged_loops(settings, allow_unstable=allow_unstable)
     # For the energy balance: from a sample to the force that answers it, without the delay of a
     # balance that is found a tick later.
     delay_s = settings.limits.transport_delay_s + 1e-3 * chosen.delay_ms

@@ -220,7 +220,7 @@ class JudgedLoop:
 
 
 def judged_loops(
-    settings: LoopSettings, *, step_s: float, allow_unstable: bool
+    settings: LoopSettings, *, allow_unstable: bool
 ) -> tuple[JudgedLoop, JudgedLoop | None]:
     """Return the loop of a device's positions and, if it plays torque, the loop of its turns.
 
@@ -230,10 +230,10 @@ def judged_loops(
         If one is unstable and that is not allowed.
     """
     grip = settings.person.grip
-    position = judged_loop(settings, step_s=step_s)
+    position = judged_loop(settings, step_s=TICK_S)
     loops = [(position, grip[:3], "stiffness_N_m", "N/m", _steepest(settings))]
     if settings.limits.torque_limit_Nm > 0.0:
-        turning = _turning_loop(settings, step_s=step_s)
+        turning = _turning_loop(settings)
         loops.append((turning, grip[3:], "stiffness_Nm_rad", "N m/rad", 1.0))
     saves = "friction (or renderer = passivity)"
     if settings.held.renderer == "passivity":
@@ -357,7 +357,7 @@ def _forecasts(settings: LoopSettings) -> list[Forecast | None]:
     ]
 
 
-def _turning_loop(settings: LoopSettings, *, step_s: float) -> WallLoop:
+def _turning_loop(settings: LoopSettings) -> WallLoop:
     """Return the loop used to judge the coupling of turns.
 
     The balance of turns is found a tick later, except for a tool that only touches.
@@ -368,7 +368,7 @@ def _turning_loop(settings: LoopSettings, *, step_s: float) -> WallLoop:
         1.0, filter_s=1e-3 * settings.output.low_pass_ms, model_ticks=_model_samples(settings)
     )
     hand = settings.person.grip[3:]
-    late = 0.0 if settings.contact == "touches" else step_s
+    late = 0.0 if settings.contact == "touches" else TICK_S
     return _chosen(
         _delayed(settings, loop, late), hand, chosen.stiffness_Nm_rad, limits.stiffness_limit_Nm_rad
     )

@@ -253,7 +253,8 @@ def _modulus_note(
             f" to {organ.young_end_kPa:g} kPa along x, by the distance to the power "
             f"{organ.grading_exponent:g}"
         )
-    note += "".join(f"; {name} {stated:g} kPa" for name, stated in parts.items())
+    for name, stated in parts.items():
+        note += f"; {'part ' * name.isdecimal()}{name} {stated:g} kPa"
     note += f"; Poisson's ratio {ratio:g}"
     if organ.order == 1 and ratio > LOCKING_RATIO:
         note += ", at which linear tetrahedra lock: forces come out too great, take organ.order = 2"

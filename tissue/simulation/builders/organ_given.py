@@ -27,6 +27,7 @@ from tissue.materials.elasticity import (
     transversely_isotropic,
     volume_preserving_ratio,
 )
+from tissue.scene.named_parts import nearest
 
 if TYPE_CHECKING:
     from tissue.models.organ.law import OrganLaw
@@ -142,7 +143,8 @@ class SoftMaterial:
             known = next((each for each in (str(name), f"part {name}") if each in part_names), None)
             if known is None:
                 has = ", ".join(part_names)
-                raise InputError("parts", "name parts of the mesh", f"{name!r}", f"it has {has}")
+                got = f"{name!r}{nearest(str(name), part_names)}"
+                raise InputError("parts", "name parts of the mesh", got, f"it has {has}")
             if known in found:
                 raise InputError("parts", "name each part once", f"{known} twice", "remove one")
             found[known] = float(modulus)
