@@ -65,48 +65,37 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
         found["removed"] = (
             "nothing: the tool cut no tissue; move it deeper, or let the run last longer"
         )
-    elif isinstance(tooth := scene.anatomy, Tooth) and _has_lesion(tooth, parts):
-        missed = _missed_caries(parts)
-        found |= {"removed": missed + _to_the_lesion(tooth, parts)} if missed else {}
+    elif isinstance(scene.anatomy, Tooth) and (missed := _missed_caries(scene.anatomy, parts)):
+        found["removed"] = missed
     return found
 
 
-def _has_lesion(anatomy: Tooth, parts: Parts) -> bool:
-    """Return whether the tooth has a lesion, within the tool's reach or not."""
-    if isinstance(anatomy, MolarAnatomy):
-        return anatomy.caries_depth_mm > 0.0
-    return "caries" in anatomy.layer_files or "lesion" in parts.notes
+def _missed_caries(anatomy: Tooth, parts: Parts) -> str:
+    """Return a note on caries that the tool left, its place if known, and how to reach it.
 
-
-def _missed_caries(parts: Parts) -> str:
-    """Return a note on caries that the tool left; empty if the removal is sufficient.
-
-    It is noted if none was removed or, in a tooth from files, if most of the caries within reach is
-    left.
+    It is empty without a lesion, or if the removal is sufficient. Caries is missed if none was
+    removed or, in a tooth from files, if most of the caries within reach is left.
     """
-    removed_m3 = dict(zip(parts.tissue.layer_names, parts.tissue.removed_m3, strict=True)).get(
-        "caries", 0.0
-    )
-    if removed_m3 == 0.0:
-        return "nothing of the caries: the tool never met the lesion"
-    if parts.placement is None:
-        return ""
-    there_m3 = float(parts.tissue.start_m3[parts.tissue.layer_names.index("caries")])
-    if removed_m3 >= MOSTLY * there_m3:
-        return ""
-    return f"only {1e9 * removed_m3:.3g} of {1e9 * there_m3:.3g} mm3 of the caries within reach"
-
-
-def _to_the_lesion(anatomy: Tooth, parts: Parts) -> str:
-    """Return text on the extent of the caries, if known, and how to bring the tool to it."""
     at = parts.notes.get("lesion")
-    aimed = getattr(anatomy, "site", "") == "caries" or parts.placement is None
-    how = (
-        "move motion.points_mm to it"
-        if aimed
-        else "set anatomy.site = caries, or move motion.points_mm to it"
-    )
-    return (f" ({at})" if at else "") + f"; {how}"
+    has_lesion = "caries" in anatomy.layer_files or at is not None
+    if isinstance(anatomy, MolarAnatomy):
+        has_lesion = anatomy.caries_depth_mm > 0.0
+    if not has_lesion:
+        return ""
+    tissue = parts.tissue
+    volumes = zip(tissue.layer_names, tissue.removed_m3, tissue.start_m3, strict=True)
+    removed_m3, there_m3 = next((v for name, *v in volumes if name == "caries"), (0.0, 0.0))
+    missed = "nothing of the caries: the tool never met the lesion"
+    if removed_m3 > 0.0:
+        if parts.placement is None or removed_m3 >= MOSTLY * there_m3:
+            return ""
+        missed = (
+            f"only {1e9 * removed_m3:.3g} of {1e9 * there_m3:.3g} mm3 of the caries within reach"
+        )
+    place = f" ({at})" if at else ""
+    is_aimed = getattr(anatomy, "site", "") == "caries" or parts.placement is None
+    how = "" if is_aimed else "set anatomy.site = caries, or "
+    return f"{missed}{place}; {how}move motion.points_mm to it"
 
 
 @dataclass(frozen=True)
