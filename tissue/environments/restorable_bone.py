@@ -12,8 +12,8 @@ from tissue.cutters.cutter import Cutter
 from tissue.materials.scene_constants import Materials
 from tissue.models.bone.bricks import voxels_of
 from tissue.scene.used_constants import used_of_cutting
+from tissue.simulation.builders.arguments import given_note
 from tissue.simulation.builders.bone import VoxelBone
-from tissue.simulation.builders.parts import given_note
 
 __all__ = ["PATCH_POINTS", "RestorableBone"]
 

@@ -30,8 +30,8 @@ from tissue.objects.cutting import (
 from tissue.scene.choices import SURFACE_SUFFIXES
 from tissue.scene.scene import Cutting
 from tissue.scene.used_constants import used_of_cutting
+from tissue.simulation.builders.arguments import given_note, require_known, stated
 from tissue.simulation.builders.bone import VoxelBone, element_spacing_m
-from tissue.simulation.builders.parts import given_note, require_known, stated
 
 if TYPE_CHECKING:
     import pyvista

@@ -21,8 +21,9 @@ from tissue.motion.motion import LONGEST_S, FollowPath, frame_along
 from tissue.motion.replay import GivenPoses
 from tissue.objects.cut import Cut
 from tissue.scene.scene import Output
+from tissue.simulation.builders.arguments import surface_of
 from tissue.simulation.builders.bone import VoxelBone, tool_boxes
-from tissue.simulation.builders.parts import Parts, surface_of
+from tissue.simulation.builders.parts import Parts
 from tissue.simulation.loop import Loop, undisturbed
 
 if TYPE_CHECKING:

@@ -46,17 +46,11 @@ from tissue.scene.named_parts import unknown_name
 from tissue.scene.scene import Output
 from tissue.scene.used_constants import used_of_device
 from tissue.simulation import loop as engine
+from tissue.simulation.builders.arguments import given_note, require_known, stated
 from tissue.simulation.builders.force_met import fitted_scale, slot_force_N
 from tissue.simulation.builders.hand import device_motion
 from tissue.simulation.builders.loop import LoopSettings, sampled
-from tissue.simulation.builders.parts import (
-    Parts,
-    given_note,
-    require_device,
-    require_known,
-    require_stated_rate,
-    stated,
-)
+from tissue.simulation.builders.parts import Parts, require_device, require_stated_rate
 from tissue.simulation.observer import WallClock
 from tissue.simulation.trace import Table
 

@@ -285,8 +285,8 @@ class Organ:
             If the file cannot be used, or holds neither modulus nor Poisson's ratio of the liver.
         """
         from meshes.organs.liver import liver
+        from tissue.simulation.builders.arguments import soft_constants
         from tissue.simulation.builders.organ_made import StatedOrgan, made_of
-        from tissue.simulation.builders.parts import soft_constants
 
         stated = {"modulus_kPa": modulus_kPa, "poisson_ratio": poisson_ratio}
         with names_of_caller(

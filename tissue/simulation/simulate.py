@@ -23,13 +23,8 @@ from tissue.motion.motion import LONGEST_S, Motion
 from tissue.prediction.predictor import Predictor
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
-from tissue.simulation.builders.parts import (
-    Parts,
-    TissueBuilder,
-    motion_of,
-    note_own_constants,
-    require_stated_rate,
-)
+from tissue.simulation.builders.arguments import note_own_constants
+from tissue.simulation.builders.parts import Parts, TissueBuilder, motion_of, require_stated_rate
 from tissue.simulation.findings import break_throughs, shortfalls
 from tissue.simulation.loop import Loop, Scheduling, spin_time_s, undisturbed
 from tissue.simulation.observer import RunObserver

@@ -165,12 +165,8 @@ def frame_mesh(series: FieldSeries, frame: Frame) -> "pyvista.UnstructuredGrid":
         there &= np.isfinite(values.reshape(len(values), -1)).all(axis=1)
     corners = series.cells.shape[1]
     used, cells = np.unique(series.cells[there], return_inverse=True)
-    cells = np.insert(cells.reshape(-1, corners), 0, corners, axis=1)
-    mesh = pyvista.UnstructuredGrid(
-        cells.ravel(),
-        np.full(len(cells), CELL_TYPES[corners], dtype=np.uint8),
-        (1e3 * series.nodes_m[used]).astype(np.float32),
-    )
+    nodes = (1e3 * series.nodes_m[used]).astype(np.float32)
+    mesh = pyvista.UnstructuredGrid({CELL_TYPES[corners]: cells.reshape(-1, corners)}, nodes)
     mesh.field_data["layer_names"] = list(series.layer_names)
     if not there.any():
         return mesh

@@ -8,7 +8,7 @@ from tissue.materials.constants import constants
 from tissue.materials.scene_constants import Materials
 from tissue.scene.load import load_scene, saved_text
 from tissue.scene.used_constants import used_constants
-from tissue.simulation.builders.parts import note_own_constants
+from tissue.simulation.builders.arguments import note_own_constants
 from tissue.simulation.simulate import simulate
 
 RADIAL = "cutting.bone.radial_chip_N_mm2"

@@ -41,6 +41,11 @@ def test_series_reads_back_with_times_and_arrays(tmp_path):
     ]
 
 
+def test_nodes_of_cells_that_are_gone_go_too():
+    series = block_series((0.0, 0.0, 0.0), (2e-3, 1e-3, 1e-3), (2, 1, 1))
+    assert [frame_mesh(series, frame).n_points for frame in series.frames] == [12, 8, 0]
+
+
 def test_tetrahedra_and_vectors_of_cells():
     nodes = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]]) * 1e-3
     series = FieldSeries(

@@ -18,8 +18,8 @@ from meshes.tets.regions import Nodes
 from meshes.tets.stuffing import EDGE_GROWTH, with_inclusion
 from meshes.tets.tetrahedra import TetMesh
 from meshes.voxels.mesh_sampling import nearest_on_triangles, triangle_distance
+from tissue.simulation.builders.arguments import require_known, surface_of
 from tissue.simulation.builders.organ_given import Hold, SoftMaterial, hold_of
-from tissue.simulation.builders.parts import require_known, surface_of
 
 if TYPE_CHECKING:
     from tissue.models.organ.soft_organ import SoftOrgan

@@ -25,7 +25,7 @@ from tissue.motion.drilling_recording import SHAFT_TO_X
 from tissue.motion.motion import Motion
 from tissue.motion.replay import RECORDINGS
 from tissue.scene.keep_clear import KeepClear as Wanted
-from tissue.simulation.builders.parts import surface_of
+from tissue.simulation.builders.arguments import surface_of
 
 __all__ = [
     "Corners",
