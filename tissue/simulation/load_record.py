@@ -59,13 +59,6 @@ class LayerLoads:
     nodes: DensityNodes
     unit: Array
 
-    def per_coefficient(self, strengths: Array) -> Array:
-        """Return loads of a unit of each coefficient, shape (k, 6, n, 6).
-
-        The weights of the nodes have shape (k, nodes).
-        """
-        return np.asarray(np.tensordot(strengths, self.unit, 1))
-
 
 @dataclass(frozen=True, eq=False)
 class LoadRecord:
@@ -145,7 +138,7 @@ class LoadRecord:
             grown = strengths * layer.nodes.logarithms(
                 reference_kg_m3=each.reference_density_kg_m3, factor=factor
             )
-            unit, unit_grown = layer.per_coefficient(np.stack([strengths, grown]))
+            unit, unit_grown = np.tensordot(np.stack([strengths, grown]), layer.unit, 1)
             found[:, :, at, :COEFFICIENTS] = np.moveaxis(unit, 0, -1)
             found[:, :, at, -2] = np.tensordot(values, unit_grown, 1)
             found[:, :, at, -1] = np.tensordot(values, unit, 1) * (each.density_exponent / factor)

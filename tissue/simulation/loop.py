@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from kernels.cores import core_count
-from kernels.launcher import LaunchCounts, launch_counts
+from kernels.launcher import launch_counts
 from meshes.base.arrays import Array
 from tissue.haptics.loop.vibration import Vibration
 from tissue.models.tissue_model import (
@@ -388,13 +388,6 @@ class Scheduling:
         if self._spin_s > 0.0:
             self.gaps += spin(self._spin_s)
 
-    @property
-    def launches(self) -> LaunchCounts:
-        """Number of large launches in the ticks, and of multi-threaded ones among them."""
-        before = self._before
-        after = self._after
-        return LaunchCounts(after.large - before.large, after.split - before.split)
-
     def summary(self, *, ticks_s: float) -> dict[str, Any]:
         """Return entries of the run's summary.
 
@@ -403,11 +396,12 @@ class Scheduling:
         ticks_s
             Time in which a gap of the machine can delay a tick [s].
         """
-        launches = self.launches
+        before = self._before
+        after = self._after
         chosen = {
             "cores": self._cores,
-            "large_launches": launches.large,
-            "split_launches": launches.split,
+            "large_launches": after.large - before.large,
+            "split_launches": after.split - before.split,
         }
         found: dict[str, Any] = {
             "scheduling": chosen | ({"background": self._background} if self._background else {})

@@ -106,10 +106,6 @@ class VoxelBone:
         """
         return self.on_demand is not None and self.on_demand.make(boxes)
 
-    def has(self, low_m: Array, high_m: Array) -> bool:
-        """Return whether the bricks that a box touches are made, given its corners [m]."""
-        return self.on_demand is None or self.on_demand.has(low_m, high_m)
-
     @property
     def bounds_m(self) -> Array:
         """Lowest and highest corner of a box around the bone before any cut [m], shape (2, 3)."""

@@ -38,7 +38,7 @@ from tissue.simulation.run import DEADLINE_US, Run
 from tissue.simulation.simulate import TICK_S, RunSettings, simulate
 from tissue.system.offscreen import await_display, display_problem
 
-__all__ = ["LiveObserver", "LiveSettings", "live", "start_m"]
+__all__ = ["LiveObserver", "LiveSettings", "live"]
 
 LONGEST_S = 600.0
 """Duration of a run by the mouse if none is given [s]; its trace is held in memory."""
@@ -176,10 +176,12 @@ def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSe
     page = None if how.opened is None else Page(how.opened)
     try:
         while True:
-            mouse = MouseDevice(start_m(scene)) if by_mouse else None
-            observer = LiveObserver(
-                scene, None if how.by_slicer else mouse, WallClock(TICK_S), page
-            )
+            mouse = None
+            if by_mouse:
+                x, y, z = motion_of(scene, step_s=TICK_S).sweep_m()[0].tolist()
+                mouse = MouseDevice((x, y, z))
+            pointer = None if how.by_slicer else mouse
+            observer = LiveObserver(scene, pointer, WallClock(TICK_S), page)
             prioritised = Prioritised()
             publishers: dict[str, Publisher] = {}
             if how.slicer is not None:
@@ -208,12 +210,6 @@ def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSe
             f"{held} in place of the {scene.held.kind} and its hand, " + scene.held.renderer
         )
     return run
-
-
-def start_m(scene: Scene) -> tuple[float, float, float]:
-    """Return the start of the scripted motion [m]."""
-    x, y, z = motion_of(scene, step_s=TICK_S).sweep_m()[0]
-    return float(x), float(y), float(z)
 
 
 class LiveObserver(RunObserver):
