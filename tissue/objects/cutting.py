@@ -210,20 +210,13 @@ def times_of(times_s: ArrayLike, count: int) -> Array:
         not increase.
     """
     times = np.asarray(times_s, dtype=np.float64)
-    if times.shape != (count,) or count < 2:
+    is_whole = times.shape == (count,) and count >= 2 and np.isfinite(times).all()
+    if not is_whole or (np.diff(times) <= 0.0).any():
         raise InputError(
             "times_s",
-            "hold one time for each of at least two poses",
-            f"shape {times.shape} for {count} poses",
+            "increase, one time for each of at least two poses",
+            f"others, of shape {times.shape}, for {count} poses",
             "use feed_along to make both of a path",
-        )
-    if not np.isfinite(times).all() or (np.diff(times) <= 0.0).any():
-        at = int(np.argmax(~(np.diff(times) > 0.0)))
-        raise InputError(
-            "times_s",
-            "increase",
-            f"{times[at + 1]:g} after {times[at]:g}",
-            "sort the poses, and drop those twice",
         )
     return times
 
@@ -236,14 +229,9 @@ def _rows(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
         raise InputError(
             name, "be numbers", type(values).__name__, "give an array in millimetres"
         ) from None
-    if rows.shape[1:] != shape or len(rows) == 0:
-        raise InputError(
-            name, f"have the shape (n, {', '.join(map(str, shape))})", rows.shape, "one row each"
-        )
-    if not np.isfinite(rows).all():
-        raise InputError(
-            name, "be finite", f"{int((~np.isfinite(rows)).sum())} values that are not", "fix them"
-        )
+    if rows.shape[1:] != shape or len(rows) == 0 or not np.isfinite(rows).all():
+        wanted = f"be finite numbers of shape (n, {', '.join(map(str, shape))})"
+        raise InputError(name, wanted, f"an array of {rows.shape}", "give one row each")
     return rows
 
 
