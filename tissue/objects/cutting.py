@@ -4,6 +4,7 @@ import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import ceil
 from os import PathLike
 from typing import TYPE_CHECKING, Union, cast
 
@@ -13,11 +14,12 @@ from scipy.spatial.transform import Rotation
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_direction, require_positive
+from meshes.shapes.polyline import arc_length, points_along
 from tissue.cutters.cutter import Cutter
 from tissue.models.bone.model import BoneModel
 from tissue.models.keep_clear import KeepClear, Structure
 from tissue.models.tissue_model import TICK_S
-from tissue.motion.motion import LONGEST_S, FollowPath, frame_along
+from tissue.motion.motion import LONGEST_S, frame_along
 from tissue.motion.replay import GivenPoses
 from tissue.objects.cut import Cut
 from tissue.scene.scene import Output
@@ -132,24 +134,17 @@ def feed_along(points_mm: ArrayLike, feed_mm_s: float) -> tuple[Array, Array]:
         raise InputError(
             "points_mm", "hold two different points", "only one", "add where the tool goes"
         )
-    path = FollowPath(1e-3 * corners, feed_m_s=1e-3 * feed, axis=(0.0, 0.0, 1.0))
-    if path.duration_s > LONGEST_S:
+    duration_s = float(arc_length(corners)[-1]) / feed
+    if duration_s > LONGEST_S:
         raise InputError(
             "feed_mm_s",
             f"bring the tool along the path within {LONGEST_S:g} s",
-            f"{feed:g} which takes {path.duration_s:.4g}",
-            f"use {feed * path.duration_s / LONGEST_S:.3g} or more",
+            f"{feed:g} which takes {duration_s:.4g}",
+            f"use {feed * duration_s / LONGEST_S:.3g} or more",
         )
-    whole: Array = TICK_S * np.arange(
-        int(np.ceil(path.duration_s / TICK_S - 1e-6)), dtype=np.float64
-    )
-    times = np.append(whole, path.duration_s)  # the last step is shorter: the feed holds to the end
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
-    keep = np.diff(along, prepend=-1.0) > 0.0
-    tips = np.column_stack(
-        [np.interp(feed * times, along[keep], corners[keep, c]) for c in range(3)]
-    )
-    return tips, times
+    whole: Array = TICK_S * np.arange(ceil(duration_s / TICK_S - 1e-6), dtype=np.float64)
+    times = np.append(whole, duration_s)  # the last step is shorter: the feed holds to the end
+    return points_along(corners, feed * times), times
 
 
 def poses_of(poses: ArrayLike, axis: ArrayLike | None) -> tuple[Array, Rotation]:
