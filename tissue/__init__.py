@@ -6,50 +6,13 @@ it.
 >>> run.trace["force_z_N"]  # doctest: +SKIP
 """
 
-from importlib import import_module
-from importlib.util import find_spec
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from importlib import (import_module)
+from importlib.util import (find_spec)
+from pathlib import (Path)
+from typing import (Any, TYPE_CHECKING)
 
-__all__ = [
-    "Assessment",
-    "Bone",
-    "Cut",
-    "DeviceParameters",
-    "Fit",
-    "Imported",
-    "InputError",
-    "Loop",
-    "Organ",
-    "Press",
-    "Run",
-    "Sample",
-    "Scene",
-    "assess",
-    "ball",
-    "calibration",
-    "compare",
-    "cutters",
-    "devices",
-    "feed_along",
-    "fit",
-    "flat_punch",
-    "import_ct",
-    "load_scene",
-    "material",
-    "material_names",
-    "motor_forces",
-    "open_run",
-    "probe_from_file",
-    "register",
-    "report",
-    "scene_names",
-    "scene_text",
-    "simulate",
-    "stability",
-    "study",
-    "sweep",
-]
+__all__ = ["Assessment", "Bone", "Cut", "DeviceParameters", "Fit", "Imported", "InputError", "Loop", "Organ", "Press", "Run", "Sample", "Scene", "assess", "ball", "calibration", "compare", "cutters", "devices", "feed_along", "fit", "flat_punch", "import_ct", "load_scene", "material", "material_names", "motor_forces", "open_run", "probe_from_file", "register", "report", "scene_names", "scene_text", "simulate", "stability", "study", "sweep"]
+
 
 
 if TYPE_CHECKING:
@@ -63,12 +26,11 @@ if TYPE_CHECKING:
     from tissue.objects.bone import Bone
     from tissue.objects.comparison import compare
     from tissue.objects.cut import Cut
+    from tissue.objects.cutting import feed_along
     from tissue.objects.fit import Fit, fit
     from tissue.objects.loop import Loop
     from tissue.objects.materials import material, material_names
-    from tissue.objects.motor import motor_forces
     from tissue.objects.organ import Organ
-    from tissue.objects.poses import feed_along
     from tissue.objects.press import Press
     from tissue.objects.register import register
     from tissue.objects.run import Run, open_run, report
@@ -77,6 +39,7 @@ if TYPE_CHECKING:
     from tissue.objects.tools import ball, flat_punch, probe_from_file
     from tissue.scene.load import load_scene, scene_names, scene_text
     from tissue.scene.scene import Scene
+    from tissue.simulation.reference_force import motor_forces
 
     __version__: str
 
@@ -99,14 +62,14 @@ _HOMES = {
     "ball": "tissue.objects.tools",
     "compare": "tissue.objects.comparison",
     "devices": "tissue.haptics.real.adapter",
-    "feed_along": "tissue.objects.poses",
+    "feed_along": "tissue.objects.cutting",
     "fit": "tissue.objects.fit",
     "flat_punch": "tissue.objects.tools",
     "import_ct": "tissue.ct.importing",
     "load_scene": "tissue.scene.load",
     "material": "tissue.objects.materials",
     "material_names": "tissue.objects.materials",
-    "motor_forces": "tissue.objects.motor",
+    "motor_forces": "tissue.simulation.reference_force",
     "open_run": "tissue.objects.run",
     "probe_from_file": "tissue.objects.tools",
     "register": "tissue.objects.register",

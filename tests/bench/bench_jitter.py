@@ -21,9 +21,12 @@ import numpy as np  # noqa: E402
 from harness import machine, table  # noqa: E402
 
 from tissue import load_scene, simulate  # noqa: E402
-from tissue.simulation.live.clock import Prioritised, WallClock  # noqa: E402
 from tissue.simulation.live.run import LiveObserver  # noqa: E402
-from tissue.simulation.observer import Observers  # noqa: E402
+from tissue.simulation.observer import (  # noqa: E402
+    Observers,
+    Prioritised,
+    WallClock,
+)
 from tissue.simulation.simulate import TICK_S  # noqa: E402
 
 TURN_S = 10.0

@@ -1,32 +1,22 @@
 """``tissue run``."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
-from dataclasses import asdict, dataclass
-from pathlib import Path
-from time import perf_counter
-from typing import TYPE_CHECKING, Annotated, Any
-
-from cyclopts import Parameter
-
-from meshes.base.progress import silent
-from tissue.cli.terminal import (
-    Flag,
-    MaybeWhole,
-    MemoryGB,
-    Overrides,
-    Texts,
-    console,
-    left_out,
-    progress,
-)
+from collections.abc import (Iterator)
+from contextlib import (contextmanager, nullcontext)
+from cyclopts import (Parameter)
+from dataclasses import (asdict, dataclass)
+from meshes.base.progress import (silent)
+from pathlib import (Path)
+from time import (perf_counter)
+from tissue.cli.terminal import (Flag, MaybeWhole, MemoryGB, Overrides, Texts, console, left_out, progress)
+from typing import (Annotated, Any, TYPE_CHECKING)
 
 if TYPE_CHECKING:
-    from tissue.scene.scene import Scene
-    from tissue.simulation.live.run import LiveSettings
-    from tissue.simulation.run_summary import Summary
+    from tissue.scene.scene import (Scene)
+    from tissue.simulation.live.run import (LiveSettings)
+    from tissue.simulation.run_folder import (Summary)
 
 __all__ = ["print_summary", "run"]
+
 
 
 def print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s: float) -> None:
@@ -256,7 +246,7 @@ def run(
         Name of a built-in scene (see `tissue scenes`) or a TOML file.
     """
     from tissue.simulation.run_folder import RunFolder, picture_format
-    from tissue.simulation.trace_files import check_format
+    from tissue.simulation.trace import check_format
 
     for kind in files.format_:
         check_format(kind)
@@ -357,8 +347,8 @@ def _live_settings(options: LiveOptions, duration_s: float | None) -> "LiveSetti
         left_out("without --slicer", "give --live --slicer, or remove it", **idle)
     if not options.live:
         return None
+    from tissue.simulation.live.publisher import PORT, SlicerLink
     from tissue.simulation.live.run import LiveSettings
-    from tissue.simulation.live.slicer import PORT, SlicerLink
     from tissue.simulation.live.window import require_web
 
     if options.web:

@@ -1,31 +1,80 @@
 """Bone object: made from a file, a block, an array or an image, cut by tools, and shown."""
 
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from meshes.base.errors import require_range
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError, by, names_of_caller, require_range
 from meshes.base.file_limits import memory_limit
-from meshes.shapes.anatomy import cortical_block
+from meshes.shapes.anatomy import Anatomy, cortical_block
 from meshes.voxels.volume import VoxelVolume, density_volume
 from tissue.cutters.cutter import Cutter
-from tissue.objects.bone_materials import BoneOptions, cut_as, require_known
-from tissue.objects.bone_source import BoneSource, anatomy_source, image_source, surface_source
-from tissue.objects.bone_surface import Removed
+from tissue.materials.scene_constants import Materials
+from tissue.models.bone.bricks_on_demand import BricksOnDemand
+from tissue.objects.bone_surface import Removed, bone_surface, plot_surface
 from tissue.objects.cut import Cut
-from tissue.objects.cutting import TimedPoses, cut_along, require_cutter
-from tissue.objects.kept_clear import Structures, clearance_of
-from tissue.objects.poses import poses_of, times_of
+from tissue.objects.cutting import (
+    Structures,
+    TimedPoses,
+    clearance_of,
+    cut_along,
+    poses_of,
+    times_of,
+)
+from tissue.scene.choices import SURFACE_SUFFIXES
+from tissue.scene.scene import Cutting
+from tissue.scene.used_constants import used_of_cutting
+from tissue.simulation.builders.arguments import given_note, require_known, stated
 from tissue.simulation.builders.bone import VoxelBone, element_spacing_m
 
 if TYPE_CHECKING:
     import pyvista
 
 __all__ = ["Bone"]
+
+SHOWN_VOXELS = 4e6
+"""Largest number of voxels for drawing the surface of a bone given by a formula.
+
+The surface is drawn before the bone is cut.
+"""
+KEY = "anatomy."
+"""Prefix that readers add to the keys of a scene."""
+
+
+class BoneOptions(TypedDict, total=False):
+    """Options that every bone takes; see `tissue.Bone.from_file`."""
+
+    material: str
+    cutting: Mapping[str, float] | None
+    materials: str | PathLike[str] | Materials | None
+
+
+@dataclass(frozen=True)
+class BoneSource:
+    """Source that makes an uncut bone any number of times.
+
+    Attributes
+    ----------
+    voxels
+        Function that makes its voxels, or bricks that are made where a tool first reaches.
+    outer
+        Function that makes its surface before any cut [mm]; None where all voxels are made.
+    notes
+        Notes on findings and assumptions, by subject.
+    density_kg_m3
+        Density of a bone with one density, else None.
+    """
+
+    voxels: Callable[[], VoxelVolume | BricksOnDemand]
+    outer: "Callable[[], pyvista.PolyData] | None" = None
+    notes: Mapping[str, str] = field(default_factory=dict)
+    density_kg_m3: float | None = None
 
 
 class Bone:
@@ -42,14 +91,30 @@ class Bone:
     """
 
     def __init__(self, source: BoneSource, **options: Unpack[BoneOptions]) -> None:
-        require_known(options, maker="Bone")
+        require_known(options, BoneOptions, of="Bone")
         self._source = source
         self._options = options
-        made = source.voxels()
-        names = made.layer_names if isinstance(made, VoxelVolume) else made.store.grid.layer_names
-        coefficients, note = cut_as(options, names, source.density_kg_m3)
-        self.voxel_bone = VoxelBone(made, coefficients)
-        self.notes = dict(source.notes) | note
+        given = Materials.of(options.get("materials"))
+        changes = options.get("cutting") or {}
+        if not isinstance(changes, Mapping):
+            raise InputError(
+                "cutting", "map names to coefficients", type(changes).__name__, "use a dict"
+            )
+        table = {"material": options.get("material"), **changes}
+        cutting = stated(Cutting, table, prefix="cutting.")
+        self.voxel_bone = VoxelBone.stated(source.voxels(), cutting, given)
+        layers = self.layer_names
+        used = used_of_cutting(
+            given,
+            layers,
+            bone=cutting.material,
+            stated=changes,
+            has_reference_density=all(
+                source.density_kg_m3 == each.reference_density_kg_m3
+                for each in self.voxel_bone.coefficients
+            ),
+        )
+        self.notes = dict(source.notes) | given_note(given, used, layers=layers, by="bone")
         self.spacing_mm = 1e3 * self.voxel_bone.store.grid.spacing_m
 
     @classmethod
@@ -88,8 +153,8 @@ class Bone:
         InputError
             If a file cannot be used, or a number is out of range.
         """
-        require_known(options, maker="Bone.from_file")
-        source = surface_source(
+        require_known(options, BoneOptions, of="Bone")
+        source = _surface_source(
             Path(file),
             spacing_mm=spacing_mm,
             scale_mm=scale_mm,
@@ -119,9 +184,8 @@ class Bone:
         spacing_mm, options
             As for `from_file`.
         """
-        require_known(options, maker="Bone.block")
         anatomy = cortical_block(size_mm=size_mm, density_kg_m3=density_kg_m3)
-        source = anatomy_source(anatomy, spacing_mm=spacing_mm)
+        source = _anatomy_source(anatomy, spacing_mm=spacing_mm)
         return cls(replace(source, density_kg_m3=density_kg_m3), **options)
 
     @classmethod
@@ -159,7 +223,6 @@ class Bone:
         InputError
             If an array has another shape, is not finite or out of range, or holds no bone.
         """
-        require_known(options, maker="Bone.from_array")
         volume = density_volume(
             density_kg_m3,
             spacing_mm=spacing_mm,
@@ -207,9 +270,9 @@ class Bone:
             If the file cannot be used, nothing lies above the threshold, or the bone would not fit
             in memory.
         """
-        require_known(options, maker="Bone.from_image")
+        require_known(options, BoneOptions, of="Bone")
         with memory_limit(max_memory_GB):
-            source = image_source(
+            source = _image_source(
                 Path(file), threshold=threshold, density_kg_m3=density_kg_m3, spacing_mm=spacing_mm
             )
         return cls(source, **options)
@@ -276,7 +339,18 @@ class Bone:
 
     def require_cutter(self, tool: object) -> None:
         """Refuse an object that cannot cut this bone."""
-        require_cutter(tool, spacing_mm=self.spacing_mm)
+        if not isinstance(tool, Cutter):
+            raise InputError(
+                "tool", "be a cutter", type(tool).__name__, "make one by tissue.cutters.ball_burr"
+            )
+        width_mm = 2e3 * tool.profile.radius_m
+        if width_mm < 4.0 * self.spacing_mm:
+            raise InputError(
+                "tool",
+                f"be at least four voxels of {self.spacing_mm:g} mm wide",
+                f"{width_mm:.3g} mm",
+                f"give the bone spacing_mm = {width_mm / 20:.2g}",
+            )
 
     def uncut(self) -> "Bone":
         """Return the bone before any cut."""
@@ -288,7 +362,7 @@ class Bone:
         return self.voxel_bone.store.grid.layer_names
 
     @property
-    def bounds_mm(self) -> NDArray[np.float64]:
+    def bounds_mm(self) -> Array:
         """Lowest and highest corner of a box around the bone [mm], shape (2, 3)."""
         return 1e3 * self.voxel_bone.bounds_m
 
@@ -299,21 +373,116 @@ class Bone:
 
     def surface(self) -> "pyvista.PolyData":
         """Return the bone's present surface [mm], with the cell array ``layer``."""
-        from tissue.objects.bone_surface import bone_surface
 
         outer = self._source.outer
         return bone_surface(self.voxel_bone, outer() if outer is not None else None)
 
     def plot(self, **options: Any) -> Any:
         """Show the present bone by layer; `options` are options of ``pyvista.PolyData.plot``."""
-        from tissue.objects.bone_surface import plot_surface
-
         return plot_surface(self.surface(), self.layer_names, **options)
 
     def __repr__(self) -> str:
-        size = " x ".join(f"{side:.4g}" for side in np.ptp(self.bounds_mm, axis=0))
+        size = by(np.ptp(self.bounds_mm, axis=0), ".4g")
         cut = self.removed.volume_mm3
         return (
             f"Bone({size} mm, {', '.join(self.layer_names)}, voxels of {self.spacing_mm:g} mm"
             f"{f', {cut:.4g} mm3 removed' if cut else ''})"
         )
+
+
+def _anatomy_source(
+    anatomy: Anatomy, *, spacing_mm: float, outer: "Callable[[], pyvista.PolyData] | None" = None
+) -> BoneSource:
+    """Return an anatomy in its own frame, with voxels made where a tool reaches.
+
+    `outer` is as for `BoneSource`.
+    """
+    spacing_m = 1e-3 * require_range("spacing_mm", spacing_mm, 1e-3, 5.0, "use about 0.1")
+
+    def drawn() -> "pyvista.PolyData":
+        """Return the surface of coarse voxels."""
+        from meshes.voxels.voxelise import voxelise
+        from tissue.simulation.bone_surface import bone_surface
+
+        sides = np.subtract(anatomy.shape.upper_m, anatomy.shape.lower_m)
+        coarse_m = max(spacing_m, float(np.prod(sides) / SHOWN_VOXELS) ** (1.0 / 3.0))
+        volume = voxelise(anatomy, spacing_m=coarse_m)
+        return bone_surface(volume, volume.fraction)
+
+    notes = {name: note.replace(KEY, "") for name, note in anatomy.notes.items() if name != "site"}
+    return BoneSource(lambda: BricksOnDemand(anatomy, spacing_m=spacing_m), outer or drawn, notes)
+
+
+def _surface_source(
+    path: Path,
+    *,
+    spacing_mm: float,
+    scale_mm: float | None,
+    cortical_thickness_mm: float,
+    cortical_density_kg_m3: float,
+    trabecular_density_kg_m3: float,
+) -> BoneSource:
+    """Read a closed surface from a file, see `tissue.objects.bone.Bone.from_file`."""
+    from meshes.surfaces.bone_surface import surface_anatomy
+    from meshes.surfaces.site import Site
+    from meshes.surfaces.surface import read_surface
+
+    if path.suffix.lower() not in SURFACE_SUFFIXES:
+        raise InputError(
+            "file",
+            f"be a surface ({' '.join(SURFACE_SUFFIXES)})",
+            path.name,
+            "an image goes to Bone.from_image",
+        )
+    with names_of_caller({"anatomy.scale_mm": "scale_mm"}):
+        surface = read_surface(path, scale_mm=scale_mm, cut_off=True)
+    anatomy = surface_anatomy(
+        surface,
+        Site(np.zeros(3), np.eye(3), "the file's own frame"),
+        cortical_thickness_mm=cortical_thickness_mm,
+        cortical_density_kg_m3=cortical_density_kg_m3,
+        trabecular_density_kg_m3=trabecular_density_kg_m3,
+    )
+
+    def outer() -> "pyvista.PolyData":
+        """Return the triangles of the file."""
+        import pyvista
+
+        return pyvista.PolyData.from_regular_faces(
+            1e3 * surface.vertices_m, surface.faces.astype(int)
+        )
+
+    return _anatomy_source(anatomy, spacing_mm=spacing_mm, outer=outer)
+
+
+def _image_source(
+    path: Path, *, threshold: float, density_kg_m3: float, spacing_mm: float | None
+) -> BoneSource:
+    """Read an image volume, see `tissue.objects.bone.Bone.from_image`.
+
+    TIFF slices state no spacing: `spacing_mm` is then the spacing of their voxels.
+    """
+    from meshes.images.bone_image import image_volume
+    from meshes.images.reading import read_image
+    from meshes.images.tiff import tiff_slices
+
+    remarks: list[str] = []
+    names = {
+        "anatomy.threshold": "threshold",
+        "anatomy.spacing_mm": "spacing_mm",
+        "resample_mm": "spacing_mm",
+    }
+    with names_of_caller(names):
+        found = image_volume(
+            read_image(path, spacing_mm=spacing_mm if tiff_slices(path) else None),
+            threshold=threshold,
+            density_kg_m3=density_kg_m3,
+            resample_mm=spacing_mm,
+            remark=remarks.append,
+        )
+    assert found.placement is not None
+    volume = replace(
+        found, origin_m=found.origin_m + 1e-3 * found.placement.origin_mm, placement=None
+    )
+    notes = {"image": " ".join(remarks).replace(KEY, "")} if remarks else {}
+    return BoneSource(lambda: volume, notes=notes, density_kg_m3=density_kg_m3)

@@ -1,21 +1,20 @@
 """Surfaces of a cut bone and of the removed bone, for pyvista."""
 
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
-
+from dataclasses import (replace)
+from meshes.base.arrays import (Array, Bytes)
+from meshes.surfaces.repair import (close_seams)
+from meshes.voxels.volume import (VoxelVolume)
+from tissue.objects.progress import (quiet_without_display)
+from tissue.simulation.bone_surface import (bone_surface as voxel_surface, smooth_normals, with_layers)
+from tissue.simulation.builders.bone import (VoxelBone)
+from typing import (Any, TYPE_CHECKING)
 import numpy as np
-from numpy.typing import NDArray
-
-from meshes.surfaces.repair import close_seams
-from meshes.voxels.volume import FULL, VoxelVolume
-from tissue.objects.progress import quiet_without_display
-from tissue.simulation.bone_surface import smooth_normals, with_layers
-from tissue.simulation.builders.bone import VoxelBone
 
 if TYPE_CHECKING:
     import pyvista
 
 __all__ = ["Removed", "bone_surface", "plot_surface", "removed_surface"]
+
 
 
 MERGED, SEAM = 1e-3, 3.0
@@ -42,11 +41,8 @@ def bone_surface(bone: VoxelBone, outer: "pyvista.PolyData | None") -> "pyvista.
         all made.
     """
     if outer is None:
-        volume, left = _padded(bone.whole)
-        return _moved(
-            _shaded(with_layers(_contour(_at_origin(volume), left), _at_origin(volume))),
-            volume.origin_m,
-        )
+        volume, left = bone.whole
+        return _whole(volume, left)
     parts = []
     middle_m = bone.bounds_m.mean(axis=0)
     outer = (
@@ -59,7 +55,7 @@ def bone_surface(bone: VoxelBone, outer: "pyvista.PolyData | None") -> "pyvista.
     for made, left in bone.cut_parts():
         volume = replace(made, origin_m=made.origin_m - middle_m)
         outer = _without(outer, volume)
-        part = _contour(volume, left)
+        part = voxel_surface(volume, left, closed=False)
         if part.n_cells:
             parts.append(
                 _shaded(with_layers(part, volume), like=whole, within_mm=NEAR * spacing_mm)
@@ -97,7 +93,7 @@ def _joined(
     return surface
 
 
-def _moved(surface: "pyvista.PolyData", by_m: NDArray[np.float64]) -> "pyvista.PolyData":
+def _moved(surface: "pyvista.PolyData", by_m: Array) -> "pyvista.PolyData":
     """Return a surface with its points moved, in double precision.
 
     Far from the origin single precision would not suffice.
@@ -107,9 +103,13 @@ def _moved(surface: "pyvista.PolyData", by_m: NDArray[np.float64]) -> "pyvista.P
     return moved
 
 
-def _at_origin(volume: VoxelVolume) -> VoxelVolume:
-    """Return a volume whose first corner is the origin."""
-    return replace(volume, origin_m=np.zeros(3))
+def _whole(volume: VoxelVolume, fraction: Bytes, *, closed: bool = True) -> "pyvista.PolyData":
+    """Return the shaded surface of bone in voxels [mm], with the cell array ``layer``."""
+    near = replace(volume, origin_m=np.zeros(3))
+    surface = voxel_surface(near, fraction, closed=closed)
+    if surface.n_cells:
+        surface = _shaded(with_layers(surface, near))
+    return _moved(surface, volume.origin_m)
 
 
 def removed_surface(bone: VoxelBone) -> "pyvista.PolyData":
@@ -119,13 +119,10 @@ def removed_surface(bone: VoxelBone) -> "pyvista.PolyData":
     """
     import pyvista
 
-    parts = [_padded(bone.whole, removed=True)] if bone.on_demand is None else bone.cut_parts()
-    surfaces = []
-    for volume, left in parts:
-        near = _at_origin(volume)
-        surface = _contour(near, left if bone.on_demand is None else volume.fraction - left)
-        if surface.n_cells:
-            surfaces.append(_moved(_shaded(with_layers(surface, near)), volume.origin_m))
+    parts = [bone.whole] if bone.on_demand is None else bone.cut_parts()
+    closed = bone.on_demand is None
+    made = [_whole(volume, volume.fraction - left, closed=closed) for volume, left in parts]
+    surfaces = [surface for surface in made if surface.n_cells]
     if not surfaces:
         return pyvista.PolyData()
     whole = surfaces[0].append_polydata(*surfaces[1:]) if surfaces[1:] else surfaces[0]
@@ -185,45 +182,6 @@ def _shaded(
     surface.point_data["Normals"] = normals
     surface.point_data.active_normals_name = "Normals"
     return surface
-
-
-def _contour(volume: VoxelVolume, fraction: NDArray[np.uint8]) -> "pyvista.PolyData":
-    """Return the surface at half-full voxels, between their centres [mm].
-
-    It is open where the voxels end.
-    """
-    import pyvista
-    from vtkmodules.vtkFiltersCore import vtkFlyingEdges3D
-
-    spacing = 1e3 * volume.spacing_m
-    origin = 1e3 * volume.origin_m + 0.5 * spacing
-    image = pyvista.ImageData(dimensions=fraction.shape, spacing=(spacing,) * 3, origin=origin)
-    image.point_data["fraction"] = fraction.ravel(order="F")
-    edges = vtkFlyingEdges3D()
-    edges.SetInputData(image)
-    edges.SetValue(0, 0.5 * FULL)
-    edges.ComputeNormalsOn()
-    edges.ComputeScalarsOff()
-    edges.Update()
-    surface: pyvista.PolyData = pyvista.wrap(edges.GetOutput())
-    return surface
-
-
-def _padded(
-    whole: tuple[VoxelVolume, NDArray[np.uint8]], *, removed: bool = False
-) -> tuple[VoxelVolume, NDArray[np.uint8]]:
-    """Return a volume with a layer of air around it, and its remaining or removed bone."""
-    volume, left = whole
-    shown = volume.fraction - left if removed else left
-    padded = VoxelVolume(
-        volume.origin_m - volume.spacing_m,
-        volume.spacing_m,
-        np.pad(volume.fraction, 1),
-        np.pad(volume.layer, 1),
-        np.pad(volume.density_kg_m3, 1),
-        volume.layer_names,
-    )
-    return padded, np.pad(shown, 1)
 
 
 def _without(outer: "pyvista.PolyData", volume: VoxelVolume) -> "pyvista.PolyData":

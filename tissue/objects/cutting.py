@@ -1,24 +1,48 @@
-"""Motion of a tool through poses in bone, with warnings outside the valid range."""
+"""Cut of a tool through poses in bone: poses, structures to keep clear of, and warnings."""
 
+import re
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import ceil
+from os import PathLike
+from typing import TYPE_CHECKING, Union, cast
 
+import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, require_direction, require_positive
+from meshes.shapes.polyline import arc_length, points_along
 from tissue.cutters.cutter import Cutter
 from tissue.models.bone.model import BoneModel
-from tissue.models.keep_clear import KeepClear
+from tissue.models.keep_clear import KeepClear, Structure
+from tissue.models.tissue_model import TICK_S
+from tissue.motion.motion import LONGEST_S, frame_along
 from tissue.motion.replay import GivenPoses
 from tissue.objects.cut import Cut
 from tissue.scene.scene import Output
+from tissue.simulation.builders.arguments import surface_of
 from tissue.simulation.builders.bone import VoxelBone, tool_boxes
 from tissue.simulation.builders.parts import Parts
 from tissue.simulation.loop import Loop, undisturbed
 
-__all__ = ["TimedPoses", "cut_along", "require_cutter", "warn_of"]
+if TYPE_CHECKING:
+    import pyvista
+
+__all__ = [
+    "Structures",
+    "TimedPoses",
+    "clearance_of",
+    "cut_along",
+    "feed_along",
+    "poses_of",
+    "times_of",
+    "warn_of",
+]
+NAME = re.compile("[a-z0-9][a-z0-9_]*")
+"""Pattern of the names of structures, as for a scene's key `keep_clear.names`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,22 +95,6 @@ def warn_of(sentences: Sequence[str]) -> None:
         warnings.warn(sentence, stacklevel=4)
 
 
-def require_cutter(tool: object, *, spacing_mm: float) -> None:
-    """Refuse a tool that cannot cut bone with voxels of this size [mm]."""
-    if not isinstance(tool, Cutter):
-        raise InputError(
-            "tool", "be a cutter", type(tool).__name__, "make one by tissue.cutters.ball_burr"
-        )
-    width_mm = 2e3 * tool.profile.radius_m
-    if width_mm < 4.0 * spacing_mm:
-        raise InputError(
-            "tool",
-            f"be at least four voxels of {spacing_mm:g} mm wide",
-            f"{width_mm:.3g} mm",
-            f"give the bone spacing_mm = {width_mm / 20:.2g}",
-        )
-
-
 def _require_chips(model: BoneModel, number: int) -> None:
     """Refuse a chip that is thicker than the tool's radius."""
     thickest_mm = 1e3 * model.limits.thickest_m
@@ -98,3 +106,175 @@ def _require_chips(model: BoneModel, number: int) -> None:
             f"{thickest_mm:.3g} mm at pose {number}, up to which the bone is cut",
             "use a slower feed or a higher speed of the tool",
         )
+
+
+def feed_along(points_mm: ArrayLike, feed_mm_s: float) -> tuple[Array, Array]:
+    """Return tips along straight lines at a given feed, one every millisecond, and their times.
+
+    Parameters
+    ----------
+    points_mm
+        Corners of the path [mm], shape (k, 3), at least two that differ.
+    feed_mm_s
+        Speed along the path [mm/s].
+
+    Returns
+    -------
+    Tips [mm], shape (n, 3), and times [s], shape (n,), which `Bone.cut` takes:
+    ``bone.cut(burr, *feed_along(points_mm, feed_mm_s=2))``.
+
+    Raises
+    ------
+    InputError
+        If the points or the feed cannot be used, or the path takes longer than an hour.
+    """
+    corners = _rows("points_mm", points_mm, (3,))
+    feed = require_positive("feed_mm_s", feed_mm_s, "use about 2")
+    if not np.diff(corners, axis=0).any():
+        raise InputError(
+            "points_mm", "hold two different points", "only one", "add where the tool goes"
+        )
+    duration_s = float(arc_length(corners)[-1]) / feed
+    if duration_s > LONGEST_S:
+        raise InputError(
+            "feed_mm_s",
+            f"bring the tool along the path within {LONGEST_S:g} s",
+            f"{feed:g} which takes {duration_s:.4g}",
+            f"use {feed * duration_s / LONGEST_S:.3g} or more",
+        )
+    whole: Array = TICK_S * np.arange(ceil(duration_s / TICK_S - 1e-6), dtype=np.float64)
+    times = np.append(whole, duration_s)  # the last step is shorter: the feed holds to the end
+    return points_along(corners, feed * times), times
+
+
+def poses_of(poses: ArrayLike, axis: ArrayLike | None) -> tuple[Array, Rotation]:
+    """Return the tips [m], shape (n, 3), and orientations of poses.
+
+    Parameters
+    ----------
+    poses
+        Tips [mm], shape (n, 3); tips and quaternions (x, y, z, w), shape (n, 7); or matrices, shape
+        (n, 4, 4).
+    axis
+        Direction from tip to shank for poses without an orientation; default z.
+
+    Raises
+    ------
+    InputError
+        If the poses have another shape, are not finite, or hold no rotation.
+    """
+    shape = np.shape(poses)
+    if len(shape) not in (2, 3) or shape[1:] not in ((3,), (7,), (4, 4)):
+        raise InputError(
+            "poses",
+            "be tips [mm] of shape (n, 3), tips and quaternions (n, 7) or matrices (n, 4, 4)",
+            f"shape {shape}",
+            "give one row a pose",
+        )
+    rows = _rows("poses", poses, shape[1:])
+    if axis is not None and shape[1:] != (3,):
+        raise InputError("axis", "be left out where poses hold turns", "both", "remove it")
+    if shape[1:] == (3,):
+        direction = (0.0, 0.0, 1.0) if axis is None else cast("tuple[float, float, float]", axis)
+        along = require_direction("axis", direction)
+        turn = frame_along((float(along[0]), float(along[1]), float(along[2])))
+        return 1e-3 * rows, Rotation.from_matrix(np.broadcast_to(turn, (len(rows), 3, 3)).copy())
+    if shape[1:] == (7,):
+        if (np.linalg.norm(rows[:, 3:], axis=1) < 1e-6).any():
+            raise InputError("poses", "hold unit quaternions", "a zero one", "use 0, 0, 0, 1 there")
+        return 1e-3 * rows[:, :3], Rotation.from_quat(rows[:, 3:])
+    turns = rows[:, :3, :3]
+    error = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max()
+    if error > 1e-4 or (np.linalg.det(turns) < 0.0).any():
+        raise InputError(
+            "poses",
+            "hold rotations without scale or mirroring",
+            f"matrices off by {error:.2g}",
+            "normalise them",
+        )
+    return 1e-3 * rows[:, :3, 3], Rotation.from_matrix(turns)
+
+
+def times_of(times_s: ArrayLike, count: int) -> Array:
+    """Check the times of `count` poses and return them [s], shape (n,).
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two times, their number differs from the number of poses, or they do
+        not increase.
+    """
+    times = np.asarray(times_s, dtype=np.float64)
+    is_whole = times.shape == (count,) and count >= 2 and np.isfinite(times).all()
+    if not is_whole or (np.diff(times) <= 0.0).any():
+        raise InputError(
+            "times_s",
+            "increase, one time for each of at least two poses",
+            f"others, of shape {times.shape}, for {count} poses",
+            "use feed_along to make both of a path",
+        )
+    return times
+
+
+def _rows(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """Return finite numbers as an array, one row each."""
+    try:
+        rows = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(
+            name, "be numbers", type(values).__name__, "give an array in millimetres"
+        ) from None
+    if rows.shape[1:] != shape or len(rows) == 0 or not np.isfinite(rows).all():
+        wanted = f"be finite numbers of shape (n, {', '.join(map(str, shape))})"
+        raise InputError(name, wanted, f"an array of {rows.shape}", "give one row each")
+    return rows
+
+
+Structures = Mapping[str, Union[str, PathLike[str], "pyvista.PolyData"]]
+"""Closed surface of each structure by name, in millimetres in the frame of the bone.
+
+It is a file or a pyvista surface.
+"""
+
+
+def clearance_of(
+    structures: Structures | None,
+    tool: Cutter,
+    *,
+    box_m: Array | None = None,
+    times_s: Array | None = None,
+) -> KeepClear | None:
+    """Build the measurement of a tool's distance from structures; None without any.
+
+    Parameters
+    ----------
+    box_m, times_s
+        As for `tissue.models.keep_clear.KeepClear`.
+
+    Raises
+    ------
+    InputError
+        If a name has characters other than small letters, digits and underscores, or a surface
+        cannot be used.
+    """
+    if not structures:
+        return None
+    if not isinstance(structures, Mapping):
+        raise InputError(
+            "keep_clear",
+            "be a mapping of names to surfaces",
+            f'{type(structures).__name__}: give {{"nerve"',
+            '"nerve.stl"}',
+        )
+    found = {}
+    for name, surface in structures.items():
+        if not NAME.fullmatch(str(name)):
+            raise InputError(
+                "keep_clear",
+                "have names of small letters, digits and underscores",
+                f"{name!r}",
+                "use one such as facial_nerve",
+            )
+        made = surface_of(f"keep_clear[{name}]", surface, 1.0, is_part=True)
+        found[name] = Structure(made.vertices_m, made.faces)
+    return KeepClear(tool.profile, found, box_m=box_m, times_s=times_s)

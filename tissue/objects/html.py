@@ -1,24 +1,14 @@
 """HTML of tables, runs and scenes for notebooks."""
 
-from collections.abc import Iterable, Sequence
-from html import escape
-
+from collections.abc import (Iterable, Sequence)
+from html import (escape)
+from meshes.base.arrays import (Array)
+from tissue.show.figures.force_time import (event_lines)
+from tissue.simulation.run_folder import (Summary)
 import numpy as np
 
-from meshes.base.arrays import Array
-from tissue.show.figures.force_time import event_lines
-from tissue.simulation.run_summary import Summary
+__all__ = ["curve", "figures_of", "folded", "run_html", "run_line", "run_rows", "scrolled", "table_html"]
 
-__all__ = [
-    "curve",
-    "figures_of",
-    "folded",
-    "run_html",
-    "run_line",
-    "run_rows",
-    "scrolled",
-    "table_html",
-]
 
 
 def table_html(

@@ -1,63 +1,78 @@
 """Loop of a user's device with bone or an organ: tick by tick, or for some seconds."""
 
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack
-from os import PathLike
-from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
-
+from collections.abc import (Callable, Mapping)
+from contextlib import (ExitStack)
+from copy import (deepcopy)
+from dataclasses import (fields)
+from functools import (partial)
+from meshes.base.arrays import (Array)
+from meshes.base.errors import (InputError, by, names_of_caller, require_direction, require_positive, require_range, require_vector)
+from numpy.typing import (ArrayLike)
+from os import (PathLike)
+from pathlib import (Path)
+from tissue.cutters import (Cutter, ball_burr)
+from tissue.haptics.device.device import (Device, DeviceParameters, device_parameters)
+from tissue.haptics.device.safe_device import (run_held)
+from tissue.haptics.hand_motion import (Script)
+from tissue.materials.scene_constants import (Materials)
+from tissue.models.bone.model import (BoneModel)
+from tissue.models.tissue_model import (TICK_S, TissueModel)
+from tissue.motion.motion import (StaysAt, frame_along)
+from tissue.objects.bone import (Bone)
+from tissue.objects.cut import (saved_table)
+from tissue.objects.cutting import (Structures, clearance_of, warn_of)
+from tissue.objects.organ import (Organ)
+from tissue.objects.simulate import (TickRow)
+from tissue.objects.tools import (PressingTool, ball)
+from tissue.objects.trace import (Trace)
+from tissue.prediction.guard import (Observes)
+from tissue.prediction.outside import (GuardedMaker)
+from tissue.scene.coupling import (Coupling, Device as StatedDevice)
+from tissue.scene.named_parts import (unknown_name)
+from tissue.scene.scene import (Output)
+from tissue.scene.used_constants import (used_of_device)
+from tissue.simulation import (loop as engine)
+from tissue.simulation.builders.arguments import (given_note, require_known, stated)
+from tissue.simulation.builders.force_met import (fitted_scale, slot_force_N)
+from tissue.simulation.builders.hand import (device_motion)
+from tissue.simulation.builders.loop import (LoopSettings, sampled)
+from tissue.simulation.builders.parts import (Parts, require_device, require_stated_rate)
+from tissue.simulation.observer import (WallClock)
+from tissue.simulation.trace import (Table)
+from types import (TracebackType)
+from typing import (Any, Self, TYPE_CHECKING, TypedDict, Unpack)
 import numpy as np
-from numpy.typing import ArrayLike
-
-from meshes.base.errors import (
-    InputError,
-    require_direction,
-    require_positive,
-    require_range,
-    require_vector,
-)
-from tissue.cutters import Cutter, ball_burr
-from tissue.haptics.device.device import Device, DeviceParameters
-from tissue.haptics.device.safe_device import run_held
-from tissue.materials.scene_constants import Materials
-from tissue.models.bone.model import BoneModel
-from tissue.models.tissue_model import TICK_S
-from tissue.motion.motion import StaysAt
-from tissue.objects import loop_parts
-from tissue.objects.bone import Bone
-from tissue.objects.cut import saved_table
-from tissue.objects.cutting import warn_of
-from tissue.objects.kept_clear import Structures, clearance_of, refuse_structures
-from tissue.objects.loop_parts import (
-    bone_met,
-    device_note,
-    organ_met,
-    require_device,
-    require_match,
-    settings_of,
-    start_above,
-)
-from tissue.objects.organ import Organ
-from tissue.objects.simulate import TickRow
-from tissue.objects.tools import PressingTool, ball
-from tissue.objects.trace import Trace
-from tissue.prediction.guard import Observes
-from tissue.scene.scene import Output
-from tissue.simulation import loop as engine
-from tissue.simulation.builders.device_motion import device_motion
-from tissue.simulation.builders.force_met import fitted_scale
-from tissue.simulation.builders.parts import Parts
-from tissue.simulation.live.clock import WallClock
-from tissue.simulation.trace import Table
 
 if TYPE_CHECKING:
     import pandas
 
 __all__ = ["Loop"]
 
+
+
 LONGEST_S = 3600.0
 """Longest duration of a loop for which rows are allocated [s]."""
+CLEARANCE_MM = 2.0
+"""Default height of the tool above the surface at the start [mm]."""
+ACROSS = 7
+"""Number of points across the reach at which contact with an organ is searched for."""
+
+
+class LoopOptions(TypedDict, total=False):
+    """Options of the part between device and tool; see `Loop`."""
+
+    limits: str | DeviceParameters | Mapping[str, float]
+    predictor: str | Observes | None
+    predictor_file: str | Path | None
+    hand: str
+    materials: str | PathLike[str] | Materials | None
+    renderer: str
+    stiffness_N_m: float | None
+    force_scale: float | None
+    motion_scale: float
+    delay_ms: int
+    low_pass_ms: float
+    allow_unstable: bool
 
 
 class Loop:
@@ -85,23 +100,12 @@ class Loop:
         tool: Cutter | PressingTool | None = None,
         *,
         device: Device,
-        limits: str | DeviceParameters | Mapping[str, float] = "touch",
         start_mm: ArrayLike | None = None,
         axis: ArrayLike = (0.0, 0.0, 1.0),
         reach_mm: float = 5.0,
-        predictor: str | Observes | None = None,
-        predictor_file: str | Path | None = None,
-        hand: str = "expert",
-        materials: str | PathLike[str] | Materials | None = None,
-        renderer: str = "proxy",
-        stiffness_N_m: float | None = None,
-        force_scale: float | None = None,
-        motion_scale: float = 1.0,
-        delay_ms: int = 0,
-        low_pass_ms: float = 1.0,
-        allow_unstable: bool = False,
         longest_s: float = 600.0,
         keep_clear: Structures | None = None,
+        **options: Unpack[LoopOptions],
     ) -> None:
         """Judge the loop and build it.
 
@@ -115,8 +119,6 @@ class Loop:
         device
             Object with ``read(time_s)``, which returns a `tissue.Sample` in metres or None, and
             ``command(force_N, torque_Nm)``. A context manager is entered and exited.
-        limits
-            Name of a known device, `tissue.DeviceParameters`, or a mapping of these numbers.
         start_mm
             Position of the tip when the device is at its own origin [mm]; default 2 mm above the
             middle of the tissue.
@@ -126,114 +128,113 @@ class Loop:
             Distance around the tool within which bone is prepared, or from the start within which
             an organ may be touched [mm]. More bone is made when half of the distance is used up;
             that tick takes longer.
+        longest_s, keep_clear
+            Time for which rows are allocated [s]; structures that a cutter must not touch, as for
+            `tissue.Bone.cut`.
+        limits
+            Name of a known device, `tissue.DeviceParameters`, or a mapping of these numbers;
+            default touch.
         predictor, predictor_file
             Prediction of the force over the latency: a name, or an object with ``observe`` and
             ``predict``. A trained predictor also needs the file that `tissue train` wrote.
         hand
-            Hand for which stability is judged: novice, intermediate or expert.
+            Hand for which stability is judged: novice, intermediate or expert, the default.
         materials
             File of constants of device and hand, as `tissue fit` writes it.
         renderer
-            Law by which the device plays the contact force: proxy, penalty or passivity.
+            Law by which the device plays the contact force: proxy, the default, penalty or
+            passivity.
         stiffness_N_m
             Stiffness of the coupling at the device; default half the critical one in that hand.
         force_scale, motion_scale
             Newtons at the device for each newton at the tool, and metres at the tool for each metre
-            at the device. The default force scale is 1 for an organ. For bone it brings the force
-            in a slot a quarter of the cutter's diameter deep within the device's range.
+            at the device, default 1. The default force scale is 1 for an organ. For bone it brings
+            the force in a slot a quarter of the cutter's diameter deep within the device's range.
         delay_ms, low_pass_ms
             Latency added before the device, in whole ticks, and time constant of the low-pass
-            before the device [ms].
+            before the device [ms], default 0 and 1.
         allow_unstable
             Whether to run a coupling that is judged unstable.
-        longest_s, keep_clear
-            Time for which rows are allocated [s]; structures that a cutter must not touch, as for
-            `tissue.Bone.cut`.
 
         Raises
         ------
         InputError
             If an argument cannot be used, or the coupling is unstable and that is not allowed.
         """
+        require_known(options, LoopOptions, of="Loop")
+        if isinstance(device, type):
+            name = device.__name__
+            raise InputError("device", "be an object", f"the class {name}", f"give {name}()")
         require_device(device)
-        if tool is None:
-            is_organ = isinstance(tissue, Organ)
-            tool = (
-                ball(diameter_mm=10)
-                if is_organ
-                else ball_burr(diameter_mm=4, flutes=6, spin_rpm=20_000)
+        if not isinstance(tissue, Bone | Organ):
+            raise InputError(
+                "tissue", "be a Bone or an Organ", type(tissue).__name__, "make one of these"
             )
-        require_match(tissue, tool)
         along = require_direction("axis", np.asarray(axis, dtype=np.float64))
-        start = (
-            start_above(tissue, along)
-            if start_mm is None
-            else np.asarray(start_mm, dtype=np.float64)
-        )
-        start_m = 1e-3 * require_vector("start_mm", start)
+        start = _start_above(tissue, along) if start_mm is None else start_mm
+        start_m = 1e-3 * require_vector("start_mm", np.asarray(start, dtype=np.float64))
         reach_m = 1e-3 * require_range("reach_mm", reach_mm, 0.5, 100.0, "use 5")
-        constants = Materials.of(materials)
-        options = loop_parts.LoopOptions(
-            limits=limits,
-            hand=hand,
-            materials=constants,
-            renderer=renderer,
-            contact="cuts" if isinstance(tool, Cutter) else "presses",
-            low_pass_ms=require_range("low_pass_ms", low_pass_ms, 0.0, 1000.0, "use 1"),
-            predictor=predictor,
-            predictor_file=predictor_file,
-            coupling={
-                "stiffness_N_m": stiffness_N_m,
-                "motion_scale": motion_scale,
-                "delay_ms": delay_ms,
-            },
-        )
-        settings = settings_of(device, options)
-        scale = 1.0
-        chosen_for = ""
-        if force_scale is not None:
-            scale = require_positive("force_scale", force_scale, "use 1")
-        elif isinstance(tissue, Bone) and isinstance(tool, Cutter):
-            usual = loop_parts.usual_force_N(tissue, tool)
-            scale = fitted_scale(usual, settings.limits)
-            chosen_for = (
-                f", chosen for the {usual:.3g} N of a slot a quarter of the cutter deep at 2 mm/s"
+        longest = require_range("longest_s", longest_s, TICK_S, LONGEST_S, "use 600")
+        self._most = round(longest / TICK_S)
+        constants = Materials.of(options.get("materials"))
+        settings = _settings(device, options, constants, cuts=isinstance(tissue, Bone))
+        scale = options.get("force_scale")
+        scale_note = ""
+        cutter: Cutter | None = None
+        clear = None
+        model: TissueModel
+        if isinstance(tissue, Bone):
+            burr = tool or ball_burr(diameter_mm=4, flutes=6, spin_rpm=20_000)
+            tissue.require_cutter(burr)
+            assert isinstance(burr, Cutter)
+            cutter = burr
+            model, self._keep_ready = tissue.voxel_bone.around(
+                cutter, start_m, along, reach_m=reach_m
             )
-        ticks = round(require_range("longest_s", longest_s, TICK_S, LONGEST_S, "use 600") / TICK_S)
+            clear = clearance_of(keep_clear, cutter)
+            if scale is None:
+                usual_N = slot_force_N(tissue.voxel_bone, cutter)
+                scale = fitted_scale(usual_N, settings.limits)
+                scale_note = (
+                    f", chosen for the {usual_N:.3g} N of a slot a quarter of the cutter deep at "
+                    "2 mm/s"
+                )
+        else:
+            if keep_clear:
+                raise InputError(
+                    "keep_clear", "be left out for an organ", "structures", "use it in bone"
+                )
+            probe = tool or ball(diameter_mm=10)
+            if not isinstance(probe, PressingTool):
+                raise InputError(
+                    "tool", "press an organ", type(tool).__name__, "make one by tissue.ball"
+                )
+            model = _organ(tissue, probe, start_m, along, reach_m=reach_m)
+            self._keep_ready = lambda tip_m: None
         x, y, z = along.tolist()
-        with loop_parts.own_names():
-            motion, found = device_motion(
+        script = Script(
+            motion=StaysAt(start_m, (x, y, z)),
+            motion_scale=settings.coupling.motion_scale,
+            device_origin_m=start_m,
+        )
+        with names_of_caller({"coupling.stiffness_N_m": "stiffness_N_m"}):
+            self._motion, found = device_motion(
                 settings,
-                StaysAt(start_m, (x, y, z)),
+                script,
                 lambda held, stiffness: device,
-                force_scale=scale,
-                scale_note=chosen_for,
-                device_origin_m=start_m,
+                force_scale=(
+                    require_positive("force_scale", 1.0 if scale is None else scale, "use 1"),
+                    scale_note,
+                ),
                 rng=np.random.default_rng(0),
-                step_s=TICK_S,
-                allow_unstable=allow_unstable,
+                allow_unstable=options.get("allow_unstable", False),
             )
-            if isinstance(tissue, Bone):
-                assert isinstance(tool, Cutter)
-                model, self._keep_ready = bone_met(tissue, tool, start_m, along, reach_m=reach_m)
-                clear = clearance_of(keep_clear, tool)
-            else:
-                assert isinstance(tool, PressingTool)
-                model, self._keep_ready = organ_met(tissue, tool, start_m, along, reach_m=reach_m)
-                refuse_structures(keep_clear)
-                clear = None
-        self.notes = dict(tissue.notes) | device_note(constants, tissue, limits=limits, hand=hand)
+        self.notes = dict(tissue.notes) | _constants_note(constants, tissue, options)
         self.notes["coupling"] = "; ".join(found)
-        cutter = tool if isinstance(tool, Cutter) else None
-        self._motion = motion
-        self._most = ticks
         self._closing = ExitStack()
         self._warned = 0
-        self._loop = engine.Loop(
-            Parts(motion, model, cutter=cutter, keep_clear=clear),
-            ticks=ticks,
-            output=Output(low_pass_ms=settings.low_pass_ms),
-        )
+        parts = Parts(self._motion, model, cutter=cutter, keep_clear=clear)
+        self._loop = engine.Loop(parts, ticks=self._most, output=settings.output)
         self._limits = model.limits if isinstance(model, BoneModel) else None
         self._loop.place()
         self._row = TickRow(self._loop.trace.columns)
@@ -358,3 +359,114 @@ class Loop:
             f"Loop({type(self._motion.device).__name__}, {self.ticks} ticks; "
             f"{self.notes['coupling']})"
         )
+
+
+def _organ(
+    organ: Organ, tool: PressingTool, start_m: Array, axis: Array, *, reach_m: float
+) -> TissueModel:
+    """Return an organ under a pressing tool, within `reach_m` around and below its start."""
+    turn = frame_along((float(axis[0]), float(axis[1]), float(axis[2])))
+    across = np.linspace(-reach_m, reach_m, ACROSS)
+    x, y, z = (
+        each.ravel() for each in np.meshgrid(across, across, np.linspace(0.0, -reach_m, ACROSS))
+    )
+    tips = start_m + np.column_stack([x, y, z]) @ turn.T
+    model, _ = organ.soft.under(
+        tool.shape, tips, np.broadcast_to(turn, (len(tips), 3, 3)), path="condensed"
+    )
+    return model
+
+
+def _start_above(tissue: Bone | Organ, axis: Array) -> Array:
+    """Return a tip above the middle of a bone or an organ, along the tool's axis [mm]."""
+    surface = tissue.surface()
+    low, high = np.array(surface.bounds).reshape(3, 2).T
+    middle = 0.5 * (low + high)
+    size = float(np.linalg.norm(high - low))
+    found, _ = surface.ray_trace(middle + size * axis, middle - size * axis, first_point=True)
+    if np.size(found) == 0:
+        raise InputError(
+            "start_mm",
+            f"be given where nothing lies under the middle {by(middle, '.4g')} mm",
+            "none",
+            "give a place above the surface",
+        )
+    return np.asarray(found, dtype=np.float64).reshape(-1, 3)[0] + CLEARANCE_MM * axis
+
+
+def _settings(
+    device: Device, options: LoopOptions, constants: Materials, *, cuts: bool
+) -> LoopSettings:
+    """Return the settings between a device and a tool, from a caller's options."""
+    given = options.get("limits", "touch")
+    limits = sampled(_limits(given, constants))
+    require_stated_rate(device, limits, remedy="give this rate_Hz by limits")
+    predictor = options.get("predictor")
+    file = options.get("predictor_file")
+    name = predictor if isinstance(predictor, str) else None
+    own_predictor = None
+    if isinstance(predictor, type):
+        kind = predictor.__name__
+        raise InputError("predictor", "be an object", f"the class {kind}", f"give {kind}()")
+    if file is not None and name is None:
+        raise InputError(
+            "predictor_file", "come with a predictor's name", repr(predictor), "name one"
+        )
+    if predictor is not None and name is None:
+        guarded = GuardedMaker(type(predictor).__name__, lambda: deepcopy(predictor))
+        own_predictor = partial(guarded, None, limits.force_limit_N)
+    coupling = {key: options.get(key) for key in ("stiffness_N_m", "motion_scale", "delay_ms")}
+    if file is not None:
+        coupling["predictor_file"] = str(file)
+    held = {
+        "kind": given if isinstance(given, str) else "touch",
+        "hand": options.get("hand"),
+        "renderer": options.get("renderer"),
+        "prediction": name,
+        "coupling": stated(Coupling, coupling),
+    }
+    return LoopSettings(
+        stated(StatedDevice, held),
+        stated(Output, {"low_pass_ms": options.get("low_pass_ms")}),
+        type(device).__name__,
+        limits,
+        constants,
+        "cuts" if cuts else "presses",
+        own_predictor=own_predictor,
+    )
+
+
+def _limits(
+    given: str | DeviceParameters | Mapping[str, float], constants: Materials
+) -> DeviceParameters:
+    """Return the parameters of a device from its name, themselves or a mapping."""
+    if isinstance(given, str):
+        return device_parameters(given, constants)
+    if isinstance(given, Mapping):
+        known = [each.name for each in fields(DeviceParameters)]
+        if unknown := [name for name in given if name not in known]:
+            raise InputError(unknown_name("limits", known, str(unknown[0])))
+        try:
+            return DeviceParameters(**given)
+        except TypeError:
+            raise InputError(
+                "limits", "give mass_kg and damping_N_s_m", "neither or one", "add both"
+            ) from None
+    if isinstance(given, DeviceParameters):
+        return given
+    raise InputError(
+        "limits",
+        "be a device's name, tissue.DeviceParameters or a mapping of its numbers",
+        type(given).__name__,
+        "give one of these",
+    )
+
+
+def _constants_note(given: Materials, tissue: Bone | Organ, options: LoopOptions) -> dict[str, str]:
+    """Return a note on the constants of a named device and of the hand that come from a file."""
+    limits = options.get("limits", "touch")
+    layers = tissue.layer_names if isinstance(tissue, Bone) else ()
+    kind = limits if isinstance(limits, str) else None
+    used = used_of_device(given, kind, options.get("hand", "expert"))
+    found = given_note(given, used, layers=layers, by="loop")
+    return {f"{name} of device and hand": note for name, note in found.items()}

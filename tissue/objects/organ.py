@@ -1,33 +1,48 @@
-"""Soft organ object: made from tetrahedra, a surface or a shape, and pressed by tools."""
+"""Soft organ object: made from tetrahedra, a surface or a shape, pressed by tools, and shown."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from meshes.base.errors import InputError, require_positive, require_range, require_vector
+from meshes.base.errors import (
+    InputError,
+    names_of_caller,
+    require_positive,
+    require_range,
+    require_vector,
+)
 from meshes.base.progress import Progress, silent
 from meshes.tets.tetrahedra import grid_of
-from tissue.objects.organ_makers import OrganMakers
-from tissue.objects.press import Press, html_table
+from tissue.objects.html import table_html
+from tissue.objects.press import MATTE, Press, new_plotter, press_at, shaded
+from tissue.objects.quiet import quiet_without_display
+from tissue.objects.tools import PressingTool
 
 if TYPE_CHECKING:
+    from os import PathLike
+    from pathlib import Path
+
     import pyvista
 
+    from meshes.ct.labels import Labels
+    from tissue.materials.scene_constants import Materials
     from tissue.models.organ.soft_organ import SoftOrgan
-    from tissue.objects.tools import PressingTool
-    from tissue.simulation.builders.organ_made import MadeOrgan
+    from tissue.simulation.builders.organ_made import MadeOrgan, OrganOptions
 
 __all__ = ["Organ"]
 
 SPEED_MM_S = 10.0
 """Default speed of a press [mm/s]."""
+TISSUE = (0.93, 0.78, 0.72)
+HELD = (0.35, 0.45, 0.6)
 
 
-class Organ(OrganMakers):
+class Organ:
     """Soft organ that may be pressed.
 
     `from_tetrahedra`, `from_surface`, `from_labels`, `block` and `liver` make one.
@@ -37,11 +52,250 @@ class Organ(OrganMakers):
     """
 
     def __init__(self, made: MadeOrgan) -> None:
-        super().__init__(made)
+        self._made = made
         self.notes = made.notes
         """Notes on findings and assumptions, by subject."""
         self.moduli_kPa = made.material.moduli_kPa(made.mesh.part_names)
         """Young's modulus of each part by its name [kPa]."""
+
+    @classmethod
+    def from_tetrahedra(
+        cls,
+        mesh: object,
+        *,
+        modulus_kPa: float,
+        poisson_ratio: float,
+        part_names: Mapping[int, str] | None = None,
+        scale_mm: float | None = None,
+        **options: Unpack[OrganOptions],
+    ) -> Organ:
+        """Make an organ of tetrahedra.
+
+        Parameters
+        ----------
+        mesh
+            pyvista UnstructuredGrid, a mesh of meshio, points and cells as a pair of arrays, or a
+            file (.vtu .vtk .msh .mesh). Its parts are a cell array of numbers or names, called
+            ``part`` or by a mesher's usual name.
+        modulus_kPa, poisson_ratio
+            Young's modulus [kPa] and Poisson's ratio.
+        parts
+            Young's moduli of parts that differ, by name or number [kPa].
+        part_names
+            Names of numbered parts.
+        scale_mm
+            Millimetres per unit of the mesh. Without it the mesh must be in millimetres, and is
+            refused if its size contradicts that.
+        held
+            Points that do not move: a side of the surface, the name of a part, a mask of the mesh's
+            points, or their numbers. A side is ``bottom`` (-z), ``top``, ``-x``, ``+x`` and so on;
+            it holds the faces within 60 degrees of that direction.
+        held_below_mm
+            Height z below which the surface is held instead [mm].
+        order
+            Order of the tetrahedra; linear ones are faster, but lock near incompressibility.
+        friction
+            Coulomb's coefficient between tool and organ.
+        capsule
+            Thickness [um] and Young's modulus [kPa] of a membrane on the whole surface.
+        density_kg_m3
+            Density [kg/m3]; where it is given, gravity along -z acts on the organ before it is
+            touched.
+        relaxation
+            Pairs of a share of the modulus that relaxes and its relaxation time [s]; `modulus_kPa`
+            is the instantaneous modulus.
+
+        Raises
+        ------
+        InputError
+            If the mesh cannot be used, is not in millimetres, or lacks a part.
+        """
+        from meshes.tets.files import given_tets
+        from tissue.simulation.builders.organ_made import StatedOrgan, made_of
+
+        stated = StatedOrgan.of(modulus_kPa, poisson_ratio, options)
+        given = given_tets(mesh, scale_mm=scale_mm, part_names=part_names)
+        notes = {"mesh": " ".join(given.sentences)} if given.sentences else {}
+        return cls(made_of(given.mesh, notes, stated, points_mm=given.points_mm))
+
+    @classmethod
+    def from_surface(
+        cls,
+        surface: object,
+        *,
+        modulus_kPa: float,
+        poisson_ratio: float,
+        edge_mm: float | None = None,
+        inclusions: Mapping[str, object] | None = None,
+        scale_mm: float | None = None,
+        progress: Progress = silent,
+        **options: Unpack[OrganOptions],
+    ) -> Organ:
+        """Make an organ inside a closed surface, filled with tetrahedra once and kept on disk.
+
+        Parameters
+        ----------
+        surface
+            Surface of pyvista or trimesh, vertices and triangles as a pair of arrays, or a file
+            (.stl .obj .ply .vtk).
+        modulus_kPa, poisson_ratio, parts, scale_mm, options
+            As for `from_tetrahedra`.
+        edge_mm
+            Edge of the tetrahedra [mm]; default a fourteenth of the longest side.
+        inclusions
+            Closed surfaces inside the organ, by name. Each becomes a part, whose modulus `parts`
+            gives.
+        progress
+            Called with the present work.
+
+        Raises
+        ------
+        InputError
+            If a surface is not closed or not in millimetres, or an inclusion sticks out or overlaps
+            another one.
+        """
+        from tissue.simulation.builders.organ_made import StatedOrgan, of_surface
+
+        stated = StatedOrgan.of(modulus_kPa, poisson_ratio, options)
+        return cls(
+            of_surface(
+                surface,
+                stated,
+                edge_mm=edge_mm,
+                inclusions=inclusions or {},
+                scale_mm=scale_mm,
+                report=progress,
+            )
+        )
+
+    @classmethod
+    def from_labels(
+        cls,
+        labels: str | Path | Labels,
+        *,
+        organ: str,
+        modulus_kPa: float,
+        poisson_ratio: float,
+        names: str | Path | None = None,
+        edge_mm: float | None = None,
+        progress: Progress = silent,
+        **options: Unpack[OrganOptions],
+    ) -> Organ:
+        """Make an organ from a segmentation.
+
+        Structures in it or on it, such as a tumour or a vessel, become parts.
+
+        Its surface follows the labels without the steps of their voxels, and keeps their volume.
+        The organ lies in the frame of the image: LPS, x to the patient's left, y to the back, z to
+        the head.
+
+        Parameters
+        ----------
+        labels
+            Label image (.seg.nrrd .nrrd .nii.gz), a folder of masks, or labels already read.
+        organ
+            Name or number of the organ's label.
+        modulus_kPa, poisson_ratio, options
+            As for `from_tetrahedra`.
+        parts
+            Young's moduli of additional labels, by name or number [kPa]. Each label becomes a part.
+        names
+            Names of the labels for a file without names: ``totalsegmentator``, ``verse``, or a TOML
+            file.
+        edge_mm
+            Edge of the tetrahedra [mm]; default a fourteenth of the longest side.
+        progress
+            Called with the present work.
+
+        Raises
+        ------
+        InputError
+            If there is no such label, or a part lies apart from the organ or is too small.
+        """
+        from tissue.simulation.builders.organ_made import StatedOrgan, of_labels
+
+        stated = StatedOrgan.of(modulus_kPa, poisson_ratio, options)
+        return cls(
+            of_labels(
+                labels, stated, organ=str(organ), names=names, edge_mm=edge_mm, report=progress
+            )
+        )
+
+    @classmethod
+    def block(
+        cls,
+        size_mm: Sequence[float],
+        *,
+        modulus_kPa: float,
+        poisson_ratio: float,
+        edge_mm: float | None = None,
+        **options: Unpack[OrganOptions],
+    ) -> Organ:
+        """Make a block of tissue bonded to the ground, with z up.
+
+        The origin is at the middle of its top face.
+
+        Parameters
+        ----------
+        size_mm
+            Sides along x, y and z [mm].
+        modulus_kPa, poisson_ratio, options
+            As for `from_tetrahedra`.
+        edge_mm
+            Edges at the top face [mm], which grow downwards; default a fourteenth of the longest
+            side.
+        """
+        from meshes.organs.liver import slab
+        from meshes.tets.tetrahedralise import FILL_EDGES
+        from tissue.simulation.builders.organ_made import StatedOrgan, made_of
+
+        x, y, z = require_vector("size_mm", size_mm)
+        edge = max(x, y, z) / FILL_EDGES if edge_mm is None else edge_mm
+        with names_of_caller({"spacing_m": "edge_mm", "size_m": "size_mm"}):
+            mesh = slab(size_m=(1e-3 * x, 1e-3 * y, 1e-3 * z), spacing_m=1e-3 * edge)
+        stated = StatedOrgan.of(modulus_kPa, poisson_ratio, options)
+        return cls(made_of(mesh, {}, stated))
+
+    @classmethod
+    def liver(
+        cls,
+        *,
+        modulus_kPa: float | None = None,
+        poisson_ratio: float | None = None,
+        materials: str | PathLike[str] | Materials | None = None,
+        edge_mm: float = 20.0,
+        **options: Unpack[OrganOptions],
+    ) -> Organ:
+        """Make the procedural liver of the scenes.
+
+        The origin is on top of the right lobe, with z to the head and x to the left.
+
+        Parameters
+        ----------
+        modulus_kPa, poisson_ratio, options
+            As for `from_tetrahedra`; the defaults are the cited values, 5.4 kPa and 0.49.
+        materials
+            File of constants in place of the cited ones, as `tissue fit` writes it.
+        edge_mm
+            Edge of the tetrahedra [mm].
+
+        Raises
+        ------
+        InputError
+            If the file cannot be used, or holds neither modulus nor Poisson's ratio of the liver.
+        """
+        from meshes.organs.liver import liver
+        from tissue.simulation.builders.arguments import soft_constants
+        from tissue.simulation.builders.organ_made import StatedOrgan, made_of
+
+        stated = {"modulus_kPa": modulus_kPa, "poisson_ratio": poisson_ratio}
+        with names_of_caller(
+            {"organ.young_kPa": "modulus_kPa", "organ.poisson_ratio": "poisson_ratio"}
+        ):
+            taken, notes = soft_constants(materials, "liver", stated)
+        with names_of_caller({"spacing_m": "edge_mm"}):
+            mesh = liver(spacing_m=1e-3 * edge_mm)
+        return cls(made_of(mesh, notes, StatedOrgan.of(**taken, options=options)))
 
     def refined(self, *, edge_mm: float, near_mm: ArrayLike | None = None) -> Organ:
         """Return the organ with shorter edges near the tool.
@@ -108,18 +362,19 @@ class Organ(OrganMakers):
         InputError
             If the point is far from the surface or cannot move, or the tool has no free path to it.
         """
-        from tissue.simulation.builders.organ_press import press_at
-
         if self.soft.prony is None and (speed_mm_s is not None or hold_s):
             given = "hold_s" if hold_s else "speed_mm_s"
             raise InputError(
-                f"{given} must be left out for an organ that does not relax: make it with "
-                "relaxation"
+                given,
+                "be left out for an organ that does not relax",
+                hold_s or speed_mm_s,
+                "make it with relaxation",
             )
         depth = require_positive("depth_mm", depth_mm, "use a third of the tool's radius")
-        stated = press_at(
+        return press_at(
+            self._made.mesh,
             self.soft,
-            tool.shape,
+            tool,
             1e-3 * require_vector("at_mm", np.asarray(at_mm, dtype=np.float64)),
             None if along is None else require_vector("along", np.asarray(along, dtype=np.float64)),
             depth_m=1e-3 * depth,
@@ -127,21 +382,48 @@ class Organ(OrganMakers):
             hold_s=require_range("hold_s", hold_s, 0.0, 3600.0, "use 0 for none"),
             report=progress,
         )
-        return Press(
-            tool, 1e3 * stated.point_m, stated.along, stated.notes, stated.curve, self._made.mesh
-        )
 
     def plot(self, **options: Any) -> Any:
         """Show the parts, cut open, and the supports.
 
         `options` are options of ``pyvista.Plotter.show``.
         """
-        from tissue.objects.organ_picture import plot_organ
-
         return plot_organ(self, **options)
 
     def _repr_html_(self) -> str:
-        return html_table("Organ", self._made.facts | self.notes)
+        return table_html((self._made.facts | self.notes).items(), caption="Organ")
 
     def __repr__(self) -> str:
         return f"Organ({'; '.join(self._made.facts.values())}; held: {self.notes['held']})"
+
+
+@quiet_without_display()
+def plot_organ(organ: Organ, **options: Any) -> Any:
+    """Show an organ with a translucent outside, its parts and its supports.
+
+    Parameters
+    ----------
+    organ
+        The organ.
+    options
+        Options of ``pyvista.Plotter.show``; ``off_screen`` and ``notebook`` are passed to the
+        plotter.
+    """
+    from tissue.show.figures.figure import OTHER_LAYERS
+
+    grid = organ.mesh
+    names = list(organ.moduli_kPa)
+    plotter = new_plotter(options)
+    alone = len(names) == 1
+    plotter.add_mesh(shaded(grid), color=TISSUE, opacity=1.0 if alone else 0.35, **MATTE)
+    for number, name in enumerate(names[1:], 1):
+        part = grid.extract_cells(np.asarray(grid.cell_data["part"]) == number)
+        colour = OTHER_LAYERS[-number % len(OTHER_LAYERS)]
+        plotter.add_mesh(
+            shaded(part), color=colour, label=f"{name}: {organ.moduli_kPa[name]:g} kPa"
+        )
+    held = np.asarray(grid.points)[np.asarray(grid.point_data["held"])]
+    plotter.add_points(held, color=HELD, point_size=7, render_points_as_spheres=True, label="held")
+    plotter.add_legend(loc="upper left", face="circle", size=(0.3, 0.05 * (len(names) + 1)))  # type: ignore[call-arg]
+    plotter.add_axes()  # type: ignore[call-arg]
+    return plotter.show(**options)

@@ -1,31 +1,71 @@
-"""Result of a press: force over depth, and the organ at the end."""
+"""Press of a tool on an organ: force over depth, the organ at the end, and its picture."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, in_brackets
-from meshes.tets.tetrahedra import grid_of
+from meshes.base.errors import InputError, in_brackets, names_of_caller, require_direction
+from meshes.base.progress import Progress
+from meshes.tets.regions import place_on_surface
+from meshes.tets.tetrahedra import TetMesh, grid_of
+from tissue.models.organ.probe import ProbeShape, SphereProbe
+from tissue.motion.motion import frame_along
+from tissue.objects.html import table_html
+from tissue.objects.quiet import quiet_without_display
+from tissue.objects.tools import PressingTool
+from tissue.objects.trace import needed
 
 if TYPE_CHECKING:
     import pandas as pd
     import pyvista
 
-    from meshes.tets.tetrahedra import TetMesh
     from tissue.models.organ.press import PressCurve
-    from tissue.objects.tools import PressingTool
+    from tissue.models.organ.soft_organ import SoftOrgan
 
-__all__ = ["Press", "html_table"]
+__all__ = ["MATTE", "Press", "new_plotter", "press_at", "shaded"]
 
 SLOPE_SHARE = 0.1
 """Share of the depth, at its end, over which the stiffness is computed."""
+FAR = 0.1
+"""Largest accepted distance of a point from the surface, over the organ's longest side."""
+NEAR_M = 1e-4
+"""Distance below which a point counts as on the surface [m]."""
+TOOL_EDGES = 4.0
+"""Number of edges across a tool in scenes."""
+FALLS = 0.05
+"""Share by which the force may fall with depth, to allow for single steps of the contact."""
+LONG = 1.25
+"""Ratio of edge length to wanted length above which the edges are noted.
+
+The error of a press is 4 % where edges are twice as long as wanted, and 0.1 % where they are not
+longer.
+"""
+WORDS = {"point_m": "at_mm", "motion": "at_mm", "touch_edge_m": "edges of the mesh"}
+"""Names of the caller's arguments, by the names that the press uses."""
+TOOL = (0.45, 0.48, 0.52)
+COLOURS = "YlOrRd"
+"""Colour map that is light where the displacement is small."""
+MATTE: Any = {
+    "show_edges": True,
+    "edge_opacity": 0.2,
+    "ambient": 0.35,
+    "diffuse": 0.7,
+    "specular": 0.0,
+}
+
+
+class Moves(TypedDict):
+    """Motion of a press, as for `tissue.models.organ.press.press`."""
+
+    depth_m: float
+    speed_m_s: float
+    hold_s: float
+    report: Progress
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,8 +166,6 @@ class Press:
             ``scalars``, another field of `mesh`, and options of ``pyvista.Plotter.show``, such as
             ``screenshot``.
         """
-        from tissue.objects.organ_picture import plot_press
-
         return plot_press(self, **options)
 
     def to_pandas(self) -> pd.DataFrame:
@@ -140,12 +178,6 @@ class Press:
         InputError
             If pandas is not installed.
         """
-        try:
-            import pandas as pd
-        except ImportError as problem:
-            raise InputError(
-                "pandas", "be installed for a table", "none", "pip install 'tissue-sim[pandas]'"
-            ) from problem
         x, y, z = self.forces_N.T
         columns = {
             "time_s": self.time_s,
@@ -155,7 +187,10 @@ class Press:
             "force_z_N": z,
         }
         size = np.linalg.norm(self.forces_N, axis=1)
-        return pd.DataFrame(columns | {"force_N": size, "area_mm2": self.areas_mm2})
+        table: pd.DataFrame = needed("pandas", extra="pandas").DataFrame(
+            columns | {"force_N": size, "area_mm2": self.areas_mm2}
+        )
+        return table
 
     @property
     def tool_mesh(self) -> pyvista.PolyData:
@@ -178,7 +213,7 @@ class Press:
             "stiffness": f"{self.stiffness_N_mm:.4g} N/mm",
             "contact": f"{self.area_mm2:.4g} mm²",
         }
-        return html_table("Press", rows | self.notes)
+        return table_html((rows | self.notes).items(), caption="Press")
 
     def __repr__(self) -> str:
         return (
@@ -189,9 +224,214 @@ class Press:
         )
 
 
-def html_table(title: str, rows: Mapping[str, str]) -> str:
-    """Return names and values as a table for a notebook."""
-    lines = "".join(
-        f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in rows.items()
+def press_at(
+    mesh: TetMesh,
+    organ: SoftOrgan,
+    tool: PressingTool,
+    at_m: Array,
+    along: Array | None,
+    **moves: Unpack[Moves],
+) -> Press:
+    """Press a tool on the surface point nearest to a given point [m].
+
+    Parameters
+    ----------
+    mesh, organ, tool
+        Mesh of the organ, the organ ready to be solved, and the tool.
+    at_m
+        The given point [m], shape (3,).
+    along
+        Direction of the tool's motion, shape (3,). None is into the organ, against the mean normal
+        under the tool.
+    moves
+        Depth, speed, holding time and progress, as for `tissue.models.organ.press.press`.
+
+    Raises
+    ------
+    InputError
+        If the point is far from the surface, the direction leads out of the organ, or the tool has
+        no free path.
+    """
+    from tissue.models.organ.press import press
+
+    probe = tool.shape
+    size = float(np.ptp(mesh.nodes_m, axis=0).max())
+    point, normal = place_on_surface(mesh, at_m, probe.size_m[0])
+    away = float(np.linalg.norm(point - at_m))
+    notes = {}
+    nearest = in_brackets(np.round(1e3 * point, 3) + 0.0)
+    found = f"the nearest point of the surface, {nearest} mm, is {1e3 * away:.3g} mm away"
+    if away > FAR * size:
+        raise InputError("at_mm", "lie on the surface", in_brackets(1000.0 * at_m, ".4g"), found)
+    if away > NEAR_M:
+        notes["place"] = found
+    direction = -normal if along is None else require_direction("along", along)
+    if direction @ normal >= 0.0:
+        inward = in_brackets(0.0 - normal, ".2g")
+        raise InputError(
+            "along", "lead into the organ", in_brackets(direction, ".3g"), f"use {inward}"
+        )
+    with names_of_caller(WORDS):
+        curve = press(organ, probe, point, frame_along(tuple(-direction)), **moves)
+    _require_growing(curve, relaxes=organ.prony is not None)
+    notes |= _resolution(mesh, probe, point) | _linear(probe, moves["depth_m"])
+    other = [each for each in curve.notices if "linear elasticity" not in each]
+    if other:
+        notes["contact"] = "; ".join(other)
+    return Press(tool, 1e3 * point, direction, notes, curve, mesh)
+
+
+def _require_growing(curve: PressCurve, *, relaxes: bool) -> None:
+    """Refuse a press whose force falls with depth.
+
+    The surface has then wrapped around the tool, which the linear law does not model.
+    """
+    size = np.linalg.norm(curve.force_N, axis=1)
+    falls = np.flatnonzero(size < (1.0 - FALLS) * np.maximum.accumulate(size))
+    if relaxes or not (falls.size or not size.any()):
+        return
+    most = (
+        1e3 * float(curve.depth_m[int(np.argmax(size[: falls[0] + 1]))])
+        if falls.size and size.any()
+        else 0.0
     )
-    return f"<table><caption>{escape(title)}</caption>{lines}</table>"
+    remedy = f"press {most:.2g} mm at most" if most else "press less"
+    raise InputError(
+        "depth_mm",
+        "be one to which the force grows",
+        f"{1000.0 * curve.depth_m[-1]:.3g} where it falls, as no tissue does",
+        f"{remedy}, or refine the organ there",
+    )
+
+
+def _resolution(mesh: TetMesh, probe: ProbeShape, point_m: Array) -> dict[str, str]:
+    """Return a note if the edges under the tool are too long for it."""
+    corners = mesh.nodes_m[mesh.surface]
+    near = np.linalg.norm(corners.mean(axis=1) - point_m, axis=1)
+    radius = probe.size_m[0]
+    chosen = corners[near <= max(0.5 * radius, float(near.min()))]
+    edge = float(np.linalg.norm(chosen - np.roll(chosen, 1, axis=1), axis=2).max())
+    wanted = 2.0 * radius / TOOL_EDGES
+    if edge <= LONG * wanted:
+        return {}
+    return {
+        "mesh": f"edges of up to {1e3 * edge:.3g} mm under a tool of {2e3 * radius:.3g} mm, which "
+        f"takes {1e3 * wanted:.3g} mm: refine the organ there"
+    }
+
+
+def _linear(probe: ProbeShape, depth_m: float) -> dict[str, str]:
+    """Return a note on the depth to which the linear law holds; it is known only for balls."""
+    from tissue.models.organ.model import LINEAR_ERROR
+
+    if not isinstance(probe, SphereProbe):
+        return {"linear": "from which depth the linear law is off is known of balls alone"}
+    limits = [(1e3 * share * probe.radius_m, error) for share, error in LINEAR_ERROR]
+    passed = [(depth, error) for depth, error in limits if 1e3 * depth_m > depth]
+    depth, error = passed[-1] if passed else limits[0]
+    note = f"the linear law is within {error:.0%} of a hyperelastic force to {depth:.2g} mm"
+    if passed:
+        note = (
+            f"pressed {1e3 * depth_m:.3g} mm deep: from {depth:.2g} mm on the linear law is more "
+            f"than {error:.0%} off a hyperelastic force"
+        )
+    return {"linear": note}
+
+
+@quiet_without_display()
+def plot_press(press: Press, *, scalars: str = "displacement_mm", **options: Any) -> Any:
+    """Show the pressed organ, cut open at the tool, with the outline of its parts and the tool.
+
+    Parameters
+    ----------
+    press
+        The press.
+    scalars
+        Field of its mesh for the colour; for a vector its length.
+    options
+        Options of ``pyvista.Plotter.show``; ``off_screen``, ``notebook`` and ``window_size`` are
+        passed to the plotter.
+
+    Raises
+    ------
+    InputError
+        If the mesh has no such field.
+    """
+    from matplotlib import colormaps
+
+    from tissue.show.figures.figure import field_words
+
+    moved = press.mesh.copy()
+    known = [*moved.point_data, *moved.cell_data]
+    if scalars not in known:
+        raise InputError("scalars", f"be one of {', '.join(known)}", scalars, "use displacement_mm")
+    moved.points = moved.points + moved.point_data["displacement_mm"]
+    data = moved.point_data if scalars in moved.point_data else moved.cell_data
+    values = np.asarray(data[scalars])
+    title = field_words(scalars)
+    data[title] = values if values.ndim == 1 else np.linalg.norm(values, axis=1)
+    across = _across(press.along)
+    half = shaded(moved.clip(normal=across, origin=press.at_mm))
+    plotter = new_plotter(options)
+    bar: Any = {
+        "title": title,
+        "n_labels": 3,
+        "vertical": True,
+        "position_x": 0.86,
+        "position_y": 0.2,
+        "height": 0.6,
+    }
+    plotter.add_mesh(half, scalars=title, cmap=colormaps[COLOURS], scalar_bar_args=bar, **MATTE)
+    part = np.asarray(moved.cell_data["part"])
+    for number in np.unique(part[part > 0]):
+        outline = (
+            moved.extract_cells(part == number)
+            .extract_surface(algorithm="dataset_surface")
+            .slice(normal=across, origin=press.at_mm)
+        )
+        if outline.n_cells:
+            outline.points = outline.points + 0.1 * across  # in front of the cut
+            plotter.add_mesh(outline, color="black", line_width=2)
+    plotter.add_mesh(press.tool_mesh, color=TOOL, smooth_shading=True)
+    middle = np.asarray(moved.center)
+    size = float(np.linalg.norm(np.ptp(moved.points, axis=0)))
+    plotter.camera_position = [
+        middle + size * (1.9 * across - 0.5 * press.along),
+        middle,
+        -press.along,
+    ]
+    plotter.add_text(
+        f"{press.force_magnitude_N:.3g} N at {press.depth_mm[-1]:.3g} mm",
+        font_size=11,
+        color="black",
+    )
+    return plotter.show(**options)
+
+
+def _across(along: Any) -> Any:
+    """Return a direction perpendicular to a press, as close to -y as possible."""
+    first = np.array([0.0, -1.0, 0.0]) if abs(along[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
+    first = first - (first @ along) * along
+    return first / np.linalg.norm(first)
+
+
+def shaded(body: pyvista.DataSet) -> pyvista.PolyData:
+    """Return the surface of a body with outward normals that keep its edges."""
+    surface = body.extract_surface(algorithm="dataset_surface").triangulate()
+    return surface.compute_normals(
+        auto_orient_normals=True, split_vertices=True, feature_angle=40.0
+    )
+
+
+def new_plotter(options: dict[str, Any]) -> pyvista.Plotter:
+    """Return a plotter on white, and remove the plotter's options from those given."""
+    import pyvista
+
+    mine = {
+        name: options.pop(name)
+        for name in ("off_screen", "notebook", "window_size")
+        if name in options
+    }
+    plotter = pyvista.Plotter(**mine)
+    plotter.background_color = pyvista.Color("white")
+    return plotter

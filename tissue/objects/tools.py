@@ -34,7 +34,7 @@ class PressingTool:
     @cached_property
     def shape(self) -> ProbeShape:
         """Shape of the tool for contact."""
-        from tissue.simulation.builders.probe import probe_of
+        from tissue.simulation.builders.organ_scene import probe_of
 
         keys = {f"tool.{key}": key for key in ("file", "scale_mm", "diameter_mm")}
         with names_of_caller(keys):

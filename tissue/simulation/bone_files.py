@@ -1,42 +1,43 @@
-"""Files of a run's carved bone: voxels as .vti and .nrrd, surface as .vtp and .stl."""
+"""Files of a run's bone: voxels, the carved surface, and the carving over time for ParaView."""
 
+from dataclasses import (replace)
+from math import (ceil, sqrt)
+from meshes.base.arrays import (Array, Bytes)
+from meshes.base.errors import (InputError)
+from meshes.base.placement import (Placement)
+from meshes.base.progress import (Progress, silent)
+from meshes.base.whole_file import (whole_file)
+from meshes.voxels.volume import (VoxelVolume)
+from pathlib import (Path)
+from tissue.models.tissue_model import (TICK_S)
+from tissue.motion.pose_file import (write_poses)
+from tissue.motion.replay import (read_poses)
+from tissue.simulation.bone_surface import (CarvedRun, CarvedSurface, block_means, bone_surface, changed_box, coarse_volume, depth_map, facing, with_depth, with_layers)
+from tissue.simulation.run_folder import (SavedRun, saved_placement)
+from tissue.simulation.saved_fields import (require_whole)
+from tissue.simulation.vtk_files import (image_in_file, image_in_scene, mesh_in_file, write_collection, write_vtk, write_vtk_xml)
+from typing import (TYPE_CHECKING)
 import gzip
-from dataclasses import replace
-from pathlib import Path
-from typing import TYPE_CHECKING
-
 import numpy as np
-from numpy.typing import NDArray
-
-from meshes.base.errors import InputError
-from meshes.base.placement import Placement
-from meshes.base.whole_file import whole_file
-from meshes.voxels.volume import VoxelVolume
-from tissue.motion.replay import read_poses
-from tissue.simulation.bone_surface import bone_surface, with_depth, with_layers
-from tissue.simulation.depth_map import CarvedRun, depth_map
-from tissue.simulation.run_folder import SavedRun, saved_placement
-from tissue.simulation.saved_fields import require_whole
-from tissue.simulation.vtk_files import (
-    image_in_file,
-    image_in_scene,
-    mesh_in_file,
-    write_vtk,
-    write_vtk_xml,
-)
 
 if TYPE_CHECKING:
     import pyvista
 
-    from tissue.simulation.run import Run
+__all__ = ["carved_surface", "carving_ticks", "read_voxels", "saved_voxels", "voxel_image", "write_bone", "write_carving"]
 
-__all__ = ["carved_surface", "read_voxels", "saved_voxels", "voxel_image", "write_bone"]
+
 
 UNIT_NAMES = {1.0: "mm", 10.0: "cm", 1000.0: "m"}
 """Names that NRRD uses for length units, by their length [mm]."""
+MOST_FRAMES = 40
+"""Largest number of moments in a file of the carving, the end included."""
+MOST_TRIANGLES = 40_000
+"""Largest number of triangles of one moment; a larger cut is drawn in blocks of voxels."""
+STEPS_S = (0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 25.0, 50.0, 100.0)
+"""Possible intervals between two moments [s]."""
 
 
-def voxel_image(volume: VoxelVolume, remaining: NDArray[np.uint8]) -> "pyvista.ImageData":
+def voxel_image(volume: VoxelVolume, remaining: Bytes) -> "pyvista.ImageData":
     """Return the voxels as an image [mm].
 
     The cell arrays are ``start`` and ``remaining`` (255 = full), ``layer`` and ``density_kg_m3``.
@@ -64,9 +65,7 @@ def voxel_image(volume: VoxelVolume, remaining: NDArray[np.uint8]) -> "pyvista.I
     return image
 
 
-def read_voxels(
-    file: Path, placement: Placement | None = None
-) -> tuple[VoxelVolume, NDArray[np.uint8]]:
+def read_voxels(file: Path, placement: Placement | None = None) -> tuple[VoxelVolume, Bytes]:
     """Read the voxels of a run's ``bone.vti`` in the scene's frame.
 
     Returns the volume before the first cut and the bone left at the end.
@@ -97,7 +96,7 @@ def read_voxels(
 
 def saved_voxels(
     saved: SavedRun,
-) -> tuple[VoxelVolume, NDArray[np.uint8], NDArray[np.float64] | None]:
+) -> tuple[VoxelVolume, Bytes, Array | None]:
     """Read a run's voxels and the tool poses that cut them.
 
     Returns the volume before the first cut, the bone left at the end, and the poses (None without
@@ -133,7 +132,7 @@ def carved_surface(run: CarvedRun) -> "pyvista.PolyData":
     return with_depth(surface, run.volume, run.remaining, depth_mm=depth.depth_mm, axis=depth.axis)
 
 
-def write_bone(run: "Run", out: Path) -> None:
+def write_bone(run: CarvedRun, out: Path) -> None:
     """Write the bone of a finished run.
 
     ``bone.vti`` holds the voxels in mm with the cell arrays ``remaining`` and ``start`` (uint8, 255
@@ -166,7 +165,7 @@ def write_bone(run: "Run", out: Path) -> None:
         write_vtk(writer, surface, out / "bone.stl")
 
 
-def _write_nrrd(run: "Run", path: Path) -> None:
+def _write_nrrd(run: CarvedRun, path: Path) -> None:
     """Write ``remaining`` as a compressed NRRD image.
 
     Its axes are the ones that 3D Slicer uses for the surface files (LPS).
@@ -199,3 +198,75 @@ def _write_nrrd(run: "Run", path: Path) -> None:
     data = gzip.compress(run.remaining.tobytes(order="F"), compresslevel=1, mtime=0)
     with whole_file(path) as temporary:
         temporary.write_bytes(header.encode("ascii") + b"\n\n" + data)
+
+
+def carving_ticks(run: CarvedRun) -> list[int]:
+    """Return the ticks at the end of which the bone is written.
+
+    They are the ticks of the fields, if there are any, and the last tick.
+    """
+    last = len(run.trace.rows) - 1
+    fields = run.parts.fields
+    if fields is not None and len(fields.frames) > 1:
+        times = [frame.time_s for frame in fields.frames]
+        times = times[:: ceil(len(times) / (MOST_FRAMES - 1))]
+    else:
+        lasts = last * TICK_S
+        step = next(
+            (step for step in STEPS_S if lasts <= step * (MOST_FRAMES - 2)),
+            lasts / (MOST_FRAMES - 2),
+        )
+        times = np.arange(0.0, lasts, step).tolist()
+    ticks = {round(time / TICK_S) for time in times}
+    return sorted({tick for tick in ticks if tick < last} | {last})
+
+
+def write_carving(run: CarvedRun, out: Path, *, report: Progress = silent) -> None:
+    """Write the bone over time of a run that cut; a run that did not cut writes nothing.
+
+    ``carving.pvd`` names two surfaces for each time [s]. The cut part is in
+    ``carving/frame_0000.vtp`` and so on, the rest of the bone in ``carving/rest.vtp``. Both are in
+    mm, or in the frame and unit of the anatomy's file, with ``layer`` and ``removed_depth_mm``. A
+    cut of many triangles is written in blocks of voxels. ``carving/poses.npz`` holds the poses from
+    which the bone at any other tick can be computed.
+    """
+    box = None if run.poses is None else changed_box(run.volume.fraction, run.remaining)
+    if run.poses is None or box is None:
+        return
+    folder = out / "carving"
+    folder.mkdir(parents=True, exist_ok=True)
+    write_poses(folder / "poses.npz", run.poses, run.volume)
+    axis, _ = facing(run.trace)
+    triangles = CarvedSurface(run.volume, box, axis=axis)
+    count = triangles.of(run.remaining[triangles.part]).n_cells
+    block = ceil(sqrt(max(count / MOST_TRIANGLES, 1.0)))
+    low, high = box
+    carved = CarvedSurface(
+        coarse_volume(run.volume, block), (low // block, -(-high // block)), axis=axis
+    )
+    fine = tuple(slice(block * one.start, block * one.stop) for one in carved.part)
+    placement = run.parts.placement
+    _write(carved.rest(), folder / "rest.vtp", placement)
+    replay = run.replay()
+    ticks = carving_ticks(run)
+    seen: Bytes | None = None
+    name = ""
+    entries = list[tuple[float, int, str]]()
+    for index, tick in enumerate(ticks):
+        report("writing the carving", index / len(ticks))
+        left = block_means(replay.at(tick)[fine], block)
+        if seen is None or not np.array_equal(left, seen):
+            seen = left.copy()
+            name = f"carving/frame_{index:04d}.vtp"
+            _write(carved.of(left), out / name, placement)
+        time_s = float(run.trace["time_s"][tick])
+        entries += [(time_s, 0, name), (time_s, 1, "carving/rest.vtp")]
+    write_collection(entries, out / "carving.pvd")
+
+
+def _write(surface: "pyvista.PolyData", path: Path, placement: Placement | None) -> None:
+    from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter
+
+    if "Normals" in surface.point_data:  # a third of the file, and ParaView makes them
+        del surface.point_data["Normals"]
+    write_vtk_xml(vtkXMLPolyDataWriter(), mesh_in_file(surface, placement), path)

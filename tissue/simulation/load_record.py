@@ -12,32 +12,29 @@ coefficient at every tick, and::
 equals ``model_force`` and ``model_torque`` of a run with those coefficients, within 1e-6.
 """
 
-from dataclasses import dataclass, replace
-from time import perf_counter
-
+from dataclasses import (dataclass, replace)
+from meshes.base.arrays import (Array)
+from meshes.base.errors import (InputError)
+from meshes.base.progress import (Progress, silent)
+from time import (perf_counter)
+from tissue.materials.constants import (CuttingCoefficients)
+from tissue.models.bone.engagement import (COEFFICIENTS, DensityNodes, EngagedBone)
+from tissue.models.bone.model import (BoneModel)
+from tissue.models.tissue_model import (TICK_S)
+from tissue.models.tooth.model import (ToothModel)
+from tissue.motion.motion import (Motion)
+from tissue.scene.anatomy import (CutAnatomy)
+from tissue.scene.scene import (Scene)
+from tissue.scene.tool import (ReplayMotion, Tool)
+from tissue.simulation.builders.parts import (motion_of)
+from tissue.simulation.loop import (Loop, undisturbed)
+from tissue.simulation.simulate import (builder_of, tick_count)
+from tissue.simulation.trace import (Table)
 import numpy as np
-from scipy.signal import lfilter
 
-from meshes.base.arrays import Array
-from meshes.base.errors import InputError
-from meshes.base.progress import Progress, silent
-from tissue.haptics.loop.vibration import Vibration
-from tissue.materials.constants import CuttingCoefficients
-from tissue.models.bone.engagement import COEFFICIENTS, DensityNodes, EngagedBone
-from tissue.models.bone.model import BoneModel
-from tissue.models.tissue_model import TICK_S
-from tissue.models.tooth.model import ToothModel
-from tissue.motion.motion import Motion
-from tissue.scene.anatomy import CutAnatomy
-from tissue.scene.scene import Scene
-from tissue.scene.tool import ReplayMotion, Tool
-from tissue.simulation.builders.motions import motion_of
-from tissue.simulation.builders.registry import builder_of
-from tissue.simulation.loop import Loop, undisturbed
-from tissue.simulation.simulate import tick_count
-from tissue.simulation.trace import Table
+__all__ = ["LoadRecord", "SENSITIVITIES", "record_loads", "why_not_linear"]
 
-__all__ = ["SENSITIVITIES", "LoadRecord", "record_loads", "why_not_linear"]
+
 
 SENSITIVITIES = (
     *CuttingCoefficients.CHIP,
@@ -61,13 +58,6 @@ class LayerLoads:
     nodes: DensityNodes
     unit: Array
 
-    def per_coefficient(self, strengths: Array) -> Array:
-        """Return loads of a unit of each coefficient, shape (k, 6, n, 6).
-
-        The weights of the nodes have shape (k, nodes).
-        """
-        return np.asarray(np.tensordot(strengths, self.unit, 1))
-
 
 @dataclass(frozen=True, eq=False)
 class LoadRecord:
@@ -87,10 +77,6 @@ class LoadRecord:
         Engaged area of the tool in each layer [m2], shape (n, layers).
     trace
         Recorded ticks of the run's trace, with loads of 0.
-    cutter_passing_Hz
-        Rate at which the cutter's edges pass [Hz].
-    every
-        Ticks between two recorded ticks.
     notes
         Notes on assumptions and findings while the scene was built, by subject.
     """
@@ -101,8 +87,6 @@ class LoadRecord:
     layers: dict[int, LayerLoads]
     engaged_m2: Array
     trace: Table
-    cutter_passing_Hz: float
-    every: int
     notes: dict[str, str]
 
     def loads(
@@ -153,33 +137,11 @@ class LoadRecord:
             grown = strengths * layer.nodes.logarithms(
                 reference_kg_m3=each.reference_density_kg_m3, factor=factor
             )
-            unit, unit_grown = layer.per_coefficient(np.stack([strengths, grown]))
+            unit, unit_grown = np.tensordot(np.stack([strengths, grown]), layer.unit, 1)
             found[:, :, at, :COEFFICIENTS] = np.moveaxis(unit, 0, -1)
             found[:, :, at, -2] = np.tensordot(values, unit_grown, 1)
             found[:, :, at, -1] = np.tensordot(values, unit, 1) * (each.density_exponent / factor)
         return found
-
-    def commanded(self, loads: Array) -> Array:
-        """Return the commanded loads with the scene's low-pass and vibration, shape (n, 6).
-
-        Raises
-        ------
-        InputError
-            If not every tick was recorded.
-        """
-        if self.every != 1:
-            raise InputError(
-                "every",
-                "be 1 for the force that is commanded, whose low-pass runs each tick",
-                self.every,
-                "record every tick",
-            )
-        output = self.scene.output
-        lag = output.low_pass_ms * 1e-3
-        gain = 1.0 - np.exp(-TICK_S / lag) if lag > 0.0 else 1.0
-        vibration = Vibration(self.cutter_passing_Hz, share=output.vibration_share, step_s=TICK_S)
-        factors = np.array([1.0 + vibration.factor(tick) for tick in range(len(loads))])
-        return np.asarray(lfilter([gain], [1.0, gain - 1.0], loads, axis=0) * factors[:, None])
 
 
 def _strengths(layer: LayerLoads, coefficients: CuttingCoefficients, factor: float) -> Array:
@@ -280,8 +242,6 @@ def record_loads(
         layers={at: LayerLoads(bone.nodes[at], each) for at, each in enumerate(unit) if each.any()},
         engaged_m2=engaged,
         trace=replace(loop.trace, rows=rows),
-        cutter_passing_Hz=model.cutter.tooth_passing_Hz,
-        every=every,
         notes=parts.notes,
     )
 

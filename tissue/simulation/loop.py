@@ -1,34 +1,36 @@
-"""Tick of 1 ms: motion, removal, force, output and record, with the trace."""
+"""Loop of a run in ticks of 1 ms: motion, removal, force, output and record, and scheduling."""
 
+from collections.abc import (Iterator)
+from contextlib import (contextmanager)
+from kernels.cores import (core_count)
+from kernels.launcher import (launch_counts)
+from math import (exp)
+from meshes.base.arrays import (Array)
+from time import (perf_counter)
+from tissue.haptics.loop.vibration import (Vibration)
+from tissue.models.tissue_model import (Finishes, HasNotices, Response, SchedulesBackground, StartsBackground, TICK_S, TissueModel, ToolMotion, WaitsForBackground)
+from tissue.motion.motion import (Motion, quaternion_of)
+from tissue.motion.replay import (COLUMNS)
+from tissue.scene.scene import (Output)
+from tissue.simulation.builders.parts import (Parts)
+from tissue.simulation.trace import (LEAST_LOAD, TIMING_COLUMNS, Table, TraceLayout, load_columns)
+from tissue.system.machine_gaps import (LEAST_GAP_S, MachineGaps, spin)
+from typing import (Any)
 import gc
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
-from math import exp
-from time import perf_counter
-
 import numpy as np
-from numpy.typing import NDArray
+import sys
 
-from meshes.base.arrays import Array
-from tissue.haptics.loop.vibration import Vibration
-from tissue.models.tissue_model import (
-    TICK_S,
-    Finishes,
-    HasNotices,
-    Response,
-    StartsBackground,
-    TissueModel,
-    ToolMotion,
-    WaitsForBackground,
-)
-from tissue.motion.motion import Motion, quaternion_of
-from tissue.motion.replay import COLUMNS
-from tissue.scene.scene import Output
-from tissue.simulation.builders.parts import Parts
-from tissue.simulation.trace import LEAST_LOAD, TIMING_COLUMNS, Table, TraceLayout, load_columns
+__all__ = ["Loop", "PoseLog", "Stepper", "undisturbed"]
 
-__all__ = ["Loop", "PoseLog", "Stepper", "Tick", "undisturbed"]
+
+
+SWITCH_S = 5e-5
+"""Longest time for which a background thread may keep the interpreter from the ticks [s]."""
+SPUN_S, SPUN_SHARE = 0.3, 0.1
+"""Time for which the clock is polled before and after the ticks [s], and its largest share.
+
+The share is relative to the simulated time.
+"""
 
 
 class PoseLog:
@@ -54,7 +56,7 @@ class PoseLog:
         self._count += 1
 
     @property
-    def poses(self) -> NDArray[np.float64]:
+    def poses(self) -> Array:
         """Poses so far, shape (n, 13): tick, tip [m], axis, headings of tip and pose."""
         return self._rows[: self._count]
 
@@ -163,110 +165,6 @@ class Stepper:
             self._log.add(index, self.tool)
 
 
-class Tick:
-    """Callable that runs one tick: step, output, record.
-
-    All memory that it needs is allocated once, when it is made.
-    """
-
-    def __init__(
-        self, parts: Parts, output: Output, layout: TraceLayout, trace: Table, timing: Table
-    ) -> None:
-        self._motion = parts.motion
-        self._tissue = parts.tissue
-        self._clear = parts.keep_clear
-        self._rows = trace.rows
-        self._times = timing.rows
-        carves = parts.cutter is not None and parts.cutter.spin_rad_s != 0.0
-        self._log = PoseLog(len(trace.rows)) if carves else None
-        balances = carves and parts.motion.balances
-        self.stepper = Stepper(parts.motion, parts.tissue, balances=balances, log=self._log)
-        lag_s = output.low_pass_ms * 1e-3
-        self._gain = 1.0 - exp(-TICK_S / lag_s) if lag_s > 0.0 else 1.0
-        self._filtered = np.zeros(6)
-        self._commanded = np.zeros(6)
-        passing_Hz = parts.cutter.tooth_passing_Hz if parts.cutter is not None else 0.0
-        self._vibration = Vibration(passing_Hz, share=output.vibration_share, step_s=TICK_S)
-        self._at = layout
-        first = layout.measures.start
-        moved = first + len(parts.tissue.measure_names)
-        clear = moved + len(parts.motion.measure_names)
-        self._tissue_measures = slice(first, moved)
-        self._motion_measures = slice(moved, clear)
-        self._clear_measures = slice(clear, layout.measures.stop)
-        self._loads = load_columns(trace.columns)
-        self._rotation = b""
-        self._quaternion = np.zeros(4)
-
-    @property
-    def poses(self) -> NDArray[np.float64] | None:
-        """Poses of a tool that cuts, see `PoseLog`."""
-        return self._log.poses if self._log is not None else None
-
-    def place(self, *, resume: bool = False) -> None:
-        """Put the tool at the start of the motion; its cost is not part of any tick."""
-        response = self.stepper.place(resume=resume)
-        if self._clear is not None:
-            self._clear.measure(self.stepper.tool, placed=True)
-        self._record(self._rows[0], 0, response)
-
-    def __call__(self, index: int) -> None:
-        """Run one tick and record its trace and timings in row `index`."""
-        stepper = self.stepper
-        start = perf_counter()
-        stepper.step(index)
-        response = stepper.response
-        self._motion.play(response)
-        if self._clear is not None:
-            self._clear.measure(stepper.tool)
-        forced = perf_counter()
-        self._filtered += self._gain * (response.wrench - self._filtered)
-        np.multiply(self._filtered, 1.0 + self._vibration.factor(index), out=self._commanded)
-        self._record(self._rows[index], index, response)
-        recorded = perf_counter()
-        stepper.start_background(index)
-        end = perf_counter()
-        self._times[index, : len(TIMING_COLUMNS)] = (
-            (end - start) * 1e6,
-            (stepper.moved_s - start) * 1e6,
-            (stepper.removed_s - stepper.searched_s) * 1e6,
-            (forced - stepper.removed_s + stepper.searched_s - stepper.moved_s) * 1e6,
-            (recorded - forced) * 1e6,
-            (end - recorded) * 1e6,
-        )
-
-    def _record(self, row: np.ndarray, index: int, response: Response) -> None:
-        """Write one row of the trace, in the units of its columns."""
-        tool = self.stepper.tool
-        at = self._at
-        if tool.rotation.tobytes() != self._rotation:
-            self._rotation = tool.rotation.tobytes()
-            self._quaternion[:] = quaternion_of(tool.rotation)
-        moved, turned = tool.heading
-        row[at.time] = index * TICK_S
-        row[at.tip] = 1e3 * tool.tip_m
-        row[at.quaternion] = self._quaternion
-        row[at.velocity] = (1e3 * tool.speed_m_s) * moved
-        row[at.spin] = tool.speed_m_s * turned
-        row[at.commanded] = self._commanded
-        row[at.wrench] = response.wrench
-        row[at.removal_rate] = response.removal_rate_m3_s * 1e9
-        row[at.removed_by_layer] = volumes = 1e9 * self._tissue.removed_m3
-        row[at.removed] = np.add.reduce(volumes)
-        area = np.add.reduce(response.engaged_m2)
-        row[at.contact] = area * 1e6
-        row[self._tissue_measures] = response.measures
-        row[self._motion_measures] = self._motion.measures
-        if self._clear is not None:
-            row[self._clear_measures] = self._clear.measures
-        row[at.layer] = response.engaged_m2.argmax() if area > 0.0 else -1.0
-        row[self._loads[np.abs(row[self._loads]) < LEAST_LOAD]] = 0.0
-
-
-SWITCH_S = 5e-5
-"""Longest time for which a background thread may keep the interpreter from the ticks [s]."""
-
-
 @contextmanager
 def undisturbed() -> Iterator[None]:
     """Keep the garbage collector and other threads from the ticks of a block."""
@@ -284,6 +182,8 @@ def undisturbed() -> Iterator[None]:
 
 class Loop:
     """Loop of a run: motion, removal, force, output and record in ticks of 1 ms.
+
+    All memory that a tick needs is allocated once, when the loop is made.
 
     Parameters
     ----------
@@ -312,21 +212,48 @@ class Loop:
         self, parts: Parts, *, ticks: int, output: Output, timing_columns: tuple[str, ...] = ()
     ) -> None:
         tissue = parts.tissue
+        motion = parts.motion
+        cutter = parts.cutter
+        clear = parts.keep_clear
         self.parts = parts
         self.ticks = 0
         self.events = list(parts.events)
-        self._notices = tissue.notices if isinstance(tissue, HasNotices) else []
-        self._clear = parts.keep_clear
-        clear = () if self._clear is None else self._clear.names
-        layout = TraceLayout.of(
-            tissue.layer_names, tissue.measure_names + parts.motion.measure_names + clear
+        self._notices = [tissue.notices] if isinstance(tissue, HasNotices) else []
+        clear_names: tuple[str, ...] = ()
+        if clear is not None:
+            self._notices.append(clear.notices)
+            clear_names = clear.names
+        self._at = layout = TraceLayout.of(
+            tissue.layer_names, tissue.measure_names + motion.measure_names + clear_names
         )
+        first = layout.measures.start
+        moved = first + len(tissue.measure_names)
+        cleared = moved + len(motion.measure_names)
+        self._tissue_measures = slice(first, moved)
+        self._motion_measures = slice(moved, cleared)
+        self._clear_measures = slice(cleared, layout.measures.stop)
+        self._loads = load_columns(layout.columns)
         self.trace = Table(
             layout.columns, np.zeros((ticks, len(layout.columns))), tissue.layer_names
         )
         timed = TIMING_COLUMNS + timing_columns
         self.timing = Table(timed, np.zeros((ticks, len(timed))))
-        self._tick = Tick(parts, output, layout, self.trace, self.timing)
+        carves = cutter is not None and cutter.spin_rad_s != 0.0
+        self._log = PoseLog(ticks) if carves else None
+        self._stepper = Stepper(motion, tissue, balances=carves and motion.balances, log=self._log)
+        lag_s = output.low_pass_ms * 1e-3
+        self._gain = 1.0 - exp(-TICK_S / lag_s) if lag_s > 0.0 else 1.0
+        self._filtered = np.zeros(6)
+        self._commanded = np.zeros(6)
+        passing_Hz = 0.0 if cutter is None else cutter.tooth_passing_Hz
+        self._vibration = Vibration(passing_Hz, share=output.vibration_share, step_s=TICK_S)
+        self._rotation = b""
+        self._quaternion = np.zeros(4)
+
+    @property
+    def poses(self) -> Array | None:
+        """Poses of a tool that cuts, see `PoseLog`."""
+        return self._log.poses if self._log is not None else None
 
     def place(self, *, resume: bool = False) -> None:
         """Put the tool at the start of the motion before the first tick.
@@ -334,19 +261,70 @@ class Loop:
         Its cost is not part of any tick. With `resume` the tissue continues from a loop that ended
         there.
         """
-        self._tick.place(resume=resume)
+        response = self._stepper.place(resume=resume)
+        if self.parts.keep_clear is not None:
+            self.parts.keep_clear.measure(self._stepper.tool, placed=True)
+        self._record(self.trace.rows[0], 0, response)
 
     def wait(self) -> None:
         """Wait for background work whose result is due at the next tick."""
-        self._tick.stepper.wait(self.ticks)
+        self._stepper.wait(self.ticks)
 
     def step(self) -> int:
-        """Run a tick and return its row."""
-        row = self.ticks
-        self._tick(row)
-        self._take_notices(row * TICK_S)
-        self.ticks = row + 1
-        return row
+        """Run a tick, record its trace and timings, and return its row."""
+        index = self.ticks
+        stepper = self._stepper
+        start = perf_counter()
+        stepper.step(index)
+        response = stepper.response
+        self.parts.motion.play(response)
+        if self.parts.keep_clear is not None:
+            self.parts.keep_clear.measure(stepper.tool)
+        forced = perf_counter()
+        self._filtered += self._gain * (response.wrench - self._filtered)
+        np.multiply(self._filtered, 1.0 + self._vibration.factor(index), out=self._commanded)
+        self._record(self.trace.rows[index], index, response)
+        recorded = perf_counter()
+        stepper.start_background(index)
+        end = perf_counter()
+        self.timing.rows[index, : len(TIMING_COLUMNS)] = (
+            (end - start) * 1e6,
+            (stepper.moved_s - start) * 1e6,
+            (stepper.removed_s - stepper.searched_s) * 1e6,
+            (forced - stepper.removed_s + stepper.searched_s - stepper.moved_s) * 1e6,
+            (recorded - forced) * 1e6,
+            (end - recorded) * 1e6,
+        )
+        self._take_notices(index * TICK_S)
+        self.ticks = index + 1
+        return index
+
+    def _record(self, row: Array, index: int, response: Response) -> None:
+        """Write one row of the trace, in the units of its columns."""
+        tool = self._stepper.tool
+        at = self._at
+        if tool.rotation.tobytes() != self._rotation:
+            self._rotation = tool.rotation.tobytes()
+            self._quaternion[:] = quaternion_of(tool.rotation)
+        moved, turned = tool.heading
+        row[at.time] = index * TICK_S
+        row[at.tip] = 1e3 * tool.tip_m
+        row[at.quaternion] = self._quaternion
+        row[at.velocity] = (1e3 * tool.speed_m_s) * moved
+        row[at.spin] = tool.speed_m_s * turned
+        row[at.commanded] = self._commanded
+        row[at.wrench] = response.wrench
+        row[at.removal_rate] = response.removal_rate_m3_s * 1e9
+        row[at.removed_by_layer] = volumes = 1e9 * self.parts.tissue.removed_m3
+        row[at.removed] = np.add.reduce(volumes)
+        area = np.add.reduce(response.engaged_m2)
+        row[at.contact] = area * 1e6
+        row[self._tissue_measures] = response.measures
+        row[self._motion_measures] = self.parts.motion.measures
+        if self.parts.keep_clear is not None:
+            row[self._clear_measures] = self.parts.keep_clear.measures
+        row[at.layer] = response.engaged_m2.argmax() if area > 0.0 else -1.0
+        row[self._loads[np.abs(row[self._loads]) < LEAST_LOAD]] = 0.0
 
     def finish(self) -> None:
         """Complete work that was spread over ticks; the tables end with the last tick."""
@@ -357,17 +335,75 @@ class Loop:
 
     def close(self) -> None:
         """Collect the events that the tissue has reported since the last tick."""
-        if self._clear is not None:
-            self._clear.finish()
+        if self.parts.keep_clear is not None:
+            self.parts.keep_clear.finish()
         self._take_notices(self.ticks * TICK_S)
 
-    @property
-    def poses(self) -> Array | None:
-        """Poses of a tool that cuts, see `tissue.simulation.loop.PoseLog`."""
-        return self._tick.poses
-
     def _take_notices(self, time_s: float) -> None:
-        while self._notices:
-            self.events.append((time_s, self._notices.pop(0)))
-        while self._clear is not None and self._clear.notices:
-            self.events.append((time_s, self._clear.notices.pop(0)))
+        for notices in self._notices:
+            while notices:
+                self.events.append((time_s, notices.pop(0)))
+
+
+def spin_time_s(simulated_s: float) -> float:
+    """Return the time to poll the clock before and after the ticks of a run [s]."""
+    return min(SPUN_S, SPUN_SHARE * simulated_s)
+
+
+class Scheduling:
+    """Scheduling choices of one run, made just before its ticks begin.
+
+    Parameters
+    ----------
+    tissue
+        Tissue that is simulated.
+    cores
+        Processor cores available to the run; None for all.
+    spin_s
+        Time to poll the clock now, and again after the ticks have ended [s]; 0 to skip this.
+    """
+
+    def __init__(self, tissue: TissueModel, *, cores: int | None, spin_s: float) -> None:
+        self._cores = cores or core_count()
+        self._spin_s = spin_s
+        self._background = tissue.scheduling if isinstance(tissue, SchedulesBackground) else ""
+        self.gaps = spin(spin_s) if spin_s > 0.0 else MachineGaps()
+        self._before = self._after = launch_counts()
+
+    def end(self) -> None:
+        """Record the launch counts at the end of the ticks."""
+        self._after = launch_counts()
+
+    def look_again(self) -> None:
+        """Poll the clock again, after background work has ended."""
+        if self._spin_s > 0.0:
+            self.gaps += spin(self._spin_s)
+
+    def summary(self, *, ticks_s: float) -> dict[str, Any]:
+        """Return entries of the run's summary.
+
+        Parameters
+        ----------
+        ticks_s
+            Time in which a gap of the machine can delay a tick [s].
+        """
+        before = self._before
+        after = self._after
+        chosen = {
+            "cores": self._cores,
+            "large_launches": after.large - before.large,
+            "split_launches": after.split - before.split,
+        }
+        found: dict[str, Any] = {
+            "scheduling": chosen | ({"background": self._background} if self._background else {})
+        }
+        if self.gaps.spun_s > 0.0:
+            found["machine_gaps"] = {
+                "least_us": 1e6 * LEAST_GAP_S,
+                "spun_s": self.gaps.spun_s,
+                "count": len(self.gaps.gaps_s),
+                "longest_us": 1e6 * self.gaps.longest_s,
+                "lost_share": self.gaps.lost_share,
+                "expected_in_ticks": self.gaps.expected(ticks_s),
+            }
+        return found

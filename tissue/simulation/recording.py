@@ -1,29 +1,30 @@
 """Recording of a run for other programs: HDF5 in the layout of volumetric_drilling's recorder."""
 
-from collections.abc import Iterable
-from io import BytesIO
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
-
+from collections.abc import (Iterable)
+from io import (BytesIO)
+from meshes.base.arrays import (Array)
+from meshes.base.whole_file import (whole_file)
+from meshes.voxels.volume import (FULL)
+from pathlib import (Path)
+from scipy.spatial.transform import (Rotation)
+from tissue.motion.replay import (EVENTS, POSES, SHAFT_TO_X)
+from tissue.scene.tool import (Tool)
+from tissue.simulation.bone_surface import (CarvedRun)
+from tissue.simulation.trace import (RECORDING, write_trace)
+from typing import (Any, TYPE_CHECKING)
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
-
-from meshes.base.whole_file import whole_file
-from meshes.voxels.volume import FULL, VoxelVolume
-from tissue.motion.replay import EVENTS, POSES, SHAFT_TO_X
-from tissue.scene.scene import Scene
-from tissue.scene.tool import Tool
-from tissue.simulation.trace import Table
-from tissue.simulation.trace_files import RECORDING, write_trace
 
 if TYPE_CHECKING:
-    from tissue.models.bone.carver import CarvingReplay
+    from tissue.models.bone.carver import (CarvingReplay)
 
-__all__ = ["Recorded", "write_formats", "write_recording"]
+__all__ = ["write_formats", "write_recording"]
 
 
-Array = NDArray[np.float64]
+
+if TYPE_CHECKING:
+    pass
+
+
 DRILL, ANATOMY = "mastoidectomy_drill", "anatomy_object_name"
 """Objects by the default names of the recorder, so that scripts for its files find them."""
 DENSEST_KG_M3 = 2000.0
@@ -46,27 +47,7 @@ ABOUT_VOXELS = (
 )
 
 
-class Recorded(Protocol):
-    """Run to be recorded, either just simulated or read from its folder."""
-
-    @property
-    def scene(self) -> Scene: ...
-
-    @property
-    def trace(self) -> Table: ...
-
-    @property
-    def poses(self) -> Array | None: ...
-
-    @property
-    def volume(self) -> VoxelVolume: ...
-
-    def replay(self) -> "CarvingReplay":
-        """Return a replay of the carving."""
-        ...
-
-
-def write_formats(run: Recorded, folder: Path, formats: Iterable[str]) -> None:
+def write_formats(run: CarvedRun, folder: Path, formats: Iterable[str]) -> None:
     """Write additional formats of a run into a folder."""
     for kind in formats:
         if kind == RECORDING:
@@ -75,7 +56,7 @@ def write_formats(run: Recorded, folder: Path, formats: Iterable[str]) -> None:
             write_trace(run.trace, folder, kind)
 
 
-def write_recording(run: Recorded, path: Path) -> None:
+def write_recording(run: CarvedRun, path: Path) -> None:
     """Write a run in the layout of volumetric_drilling's recorder, with its data note version 3.
 
     Data that a run does not have are left out, as the recorder leaves out topics that it did not
@@ -101,7 +82,7 @@ def write_recording(run: Recorded, path: Path) -> None:
         temporary.write_bytes(image.getbuffer())
 
 
-def _write_poses(file: Any, run: Recorded) -> None:
+def _write_poses(file: Any, run: CarvedRun) -> None:
     """Write poses of drill and anatomy, forces, and the size of the burr at the start."""
     trace = run.trace
     tool = run.scene.tool
@@ -132,7 +113,7 @@ def _write_poses(file: Any, run: Recorded) -> None:
         )
 
 
-def _write_voxels(file: Any, run: Recorded) -> None:
+def _write_voxels(file: Any, run: CarvedRun) -> None:
     """Write voxels in the order in which they fell below half, grouped by tick."""
     volume = run.volume
     file["metadata_v3/voxel_volume"] = 1e9 * volume.voxel_volume_m3

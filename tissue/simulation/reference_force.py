@@ -6,40 +6,30 @@ error is reported with its lower bound, the error of a perfect force through the
 low-pass and amplifier.
 """
 
-from collections.abc import Mapping
-from typing import NamedTuple, Protocol
-
+from collections.abc import (Mapping)
+from meshes.base.arrays import (Array)
+from meshes.base.errors import (InputError)
+from meshes.base.progress import (silent)
+from tissue.haptics.device.recorded import (RecordedDevice)
+from tissue.haptics.hand_measures import (TRUE, VIBRATION)
+from tissue.haptics.hand_motion import (HandMotion)
+from tissue.haptics.loop.sampled_loop import (force_later_N, mean_over_ticks_N, motor_force_N)
+from tissue.models.tissue_model import (Finishes)
+from tissue.scene.load import (changed)
+from tissue.scene.scene import (Scene)
+from tissue.simulation.bone_surface import (CarvedRun)
+from tissue.simulation.builders.loop import (device_path, judged_loop, lead_ticks, loop_settings, motor_path)
+from tissue.simulation.builders.parts import (Parts)
+from tissue.simulation.loop import (Stepper, undisturbed)
+from tissue.simulation.simulate import (TICK_S, build, tick_count)
+from tissue.simulation.trace import (LEAST_LOAD, Table)
+from typing import (NamedTuple)
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.errors import InputError
-from meshes.base.progress import silent
-from tissue.haptics.device.recorded import RecordedDevice
-from tissue.haptics.hand_measures import TRUE, VIBRATION
-from tissue.haptics.hand_motion import HandMotion
-from tissue.haptics.loop.sampled_loop import force_later_N, mean_over_ticks_N, motor_force_N
-from tissue.models.tissue_model import Finishes
-from tissue.scene.load import changed
-from tissue.scene.scene import Scene
-from tissue.simulation.builders.loop import device_path, judged_loop, lead_ticks, motor_path
-from tissue.simulation.builders.loop_settings import loop_settings
-from tissue.simulation.builders.parts import Parts
-from tissue.simulation.builders.registry import build
-from tissue.simulation.loop import Stepper, undisturbed
-from tissue.simulation.simulate import TICK_S, tick_count
-from tissue.simulation.trace import LEAST_LOAD, Table
+__all__ = ["MotorForces", "ideal_force_N", "ideal_scene", "motor_forces", "played_force_N", "rendered_force_N", "stretch_force_N"]
 
-__all__ = [
-    "MotorForces",
-    "ideal_force_N",
-    "ideal_scene",
-    "motor_forces",
-    "played_force_N",
-    "rendered_force_N",
-    "stretch_force_N",
-]
 
-Array = NDArray[np.float64]
+
 PROMPT: dict[str, object] = {
     "renderer": "proxy",
     "prediction": "none",
@@ -50,17 +40,6 @@ PROMPT: dict[str, object] = {
     "coupling.model_ms": 1,
 }
 """Settings of a loop without latency, filter, prediction and perception."""
-
-
-class SimulatedRun(Protocol):
-    """Run with a scene, a trace and parts."""
-
-    @property
-    def scene(self) -> Scene: ...
-    @property
-    def trace(self) -> Table: ...
-    @property
-    def parts(self) -> Parts: ...
 
 
 def ideal_scene(scene: Scene, finest: Mapping[str, object] | None = None) -> Scene:
@@ -90,7 +69,7 @@ def ideal_scene(scene: Scene, finest: Mapping[str, object] | None = None) -> Sce
 
 
 def ideal_force_N(
-    run: SimulatedRun, finest: Mapping[str, object] | None = None, *, cores: int | None = None
+    run: CarvedRun, finest: Mapping[str, object] | None = None, *, cores: int | None = None
 ) -> Array:
     """Compute the force of the ideal loop on the motion of a run [N], shape (n, 3).
 
@@ -155,7 +134,7 @@ def rendered_force_N(parts: Parts, ticks: int) -> Array:
     return forces
 
 
-def stretch_force_N(run: SimulatedRun) -> Array:
+def stretch_force_N(run: CarvedRun) -> Array:
     """Compute the force of the coupling's spring in each tick of a run [N], shape (n, 3).
 
     It is the force of the run without latency, computed from the encoder positions and the run's
@@ -202,14 +181,31 @@ class MotorForces(NamedTuple):
     sent: Array
 
 
-def motor_forces(run: SimulatedRun, ideal_N: Array) -> MotorForces:
-    """Compute the forces of a run at the motor; `ideal_N` comes from `ideal_force_N`.
+def motor_forces(run: CarvedRun, ideal_N: Array | None = None) -> MotorForces:
+    """Compute the force that a device played, and the ideal force [N].
+
+    The ideal force has no latency, encoder steps and filters, on the motion of the run.
+
+    Parameters
+    ----------
+    run
+        Run by a hand that was simulated in this process.
+    ideal_N
+        Ideal force as of `ideal_force_N`; without it the scene is simulated again.
+
+    Returns
+    -------
+    Mean forces over every tick but the last, each of shape (n - 1, 3): ``played``,
+    ``ideal``, ``nearest`` (the ideal force from the encoder positions) and ``sent`` (within the
+    device's range).
 
     Raises
     ------
     InputError
-        If the run had no device.
+        If the run had no device, or was read from a folder.
     """
+    if ideal_N is None:
+        ideal_N = ideal_force_N(run)
     settings = loop_settings(run.scene)
     after = device_path(settings.limits)
     nearest = motor_force_N(

@@ -1,38 +1,34 @@
 """Run, either just simulated or read from its folder, with one interface."""
 
+from collections.abc import (Callable, Iterable, Sequence)
+from dataclasses import (asdict)
+from functools import (cached_property)
+from meshes.base.arrays import (Array, Bytes)
+from meshes.base.errors import (InputError)
+from meshes.base.progress import (Progress, silent)
+from meshes.base.whole_file import (package_version)
+from meshes.voxels.volume import (VoxelVolume)
+from pathlib import (Path)
+from tissue.cutters.cutter import (Cutter)
+from tissue.models.tissue_model import (HasHeat, HasSummary, HasVoxels, TICK_S)
+from tissue.scene.scene import (Scene)
+from tissue.scene.tool import (Tool)
+from tissue.simulation.builders.parts import (Parts)
+from tissue.simulation.findings import (BreakThrough)
+from tissue.simulation.loop import (Scheduling)
+from tissue.simulation.run_folder import (FORMAT, RunFolder, SavedRun, Summary, added_to_run, copy_run, picture_format)
+from tissue.simulation.trace import (Table, check_format, read_table)
+from typing import (Any, Self, TYPE_CHECKING, TypeVar)
+import numpy as np
 import os
 import platform
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict
-from functools import cached_property
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self, TypeVar
-
-import numpy as np
-from numpy.typing import NDArray
-
-from meshes.base.errors import InputError
-from meshes.base.progress import Progress, silent
-from meshes.base.whole_file import package_version
-from meshes.voxels.volume import VoxelVolume
-from tissue.cutters.cutter import Cutter
-from tissue.models.tissue_model import TICK_S, HasHeat, HasSummary, HasVoxels
-from tissue.scene.scene import Scene
-from tissue.scene.tool import Tool
-from tissue.simulation.break_through import BreakThrough
-from tissue.simulation.builders.parts import Parts
-from tissue.simulation.run_folder import RunFolder, SavedRun, added_to_run, copy_run, picture_format
-from tissue.simulation.run_summary import FORMAT, Summary
-from tissue.simulation.scheduling import Scheduling
-from tissue.simulation.trace import Table
-from tissue.simulation.trace_files import check_format, read_table
 
 if TYPE_CHECKING:
+    from tissue.models.bone.carver import (CarvingReplay)
     import pyvista
 
-    from tissue.models.bone.carver import CarvingReplay
-
 __all__ = ["DEADLINE_US", "Run"]
+
 
 
 DEADLINE_US = 1000.0
@@ -90,7 +86,7 @@ class Run:
         timing: Table,
         *,
         events: list[tuple[float, str]],
-        poses: NDArray[np.float64] | None = None,
+        poses: Array | None = None,
         compute: str = "cpu",
     ) -> None:
         self.scene = scene
@@ -151,7 +147,7 @@ class Run:
         )
 
     @cached_property
-    def poses(self) -> NDArray[np.float64] | None:
+    def poses(self) -> Array | None:
         """Poses of a tool that cuts, see `tissue.simulation.loop.PoseLog`; None for other tools."""
         return self._voxels[2] if (self._files.path / "bone.vti").is_file() else None
 
@@ -177,7 +173,7 @@ class Run:
         return self.parts.volume
 
     @cached_property
-    def remaining(self) -> NDArray[np.uint8]:
+    def remaining(self) -> Bytes:
         """Bone left in every voxel, 255 = full, uint8, shape (nx, ny, nz); raises as `volume`."""
         if self._saved is not None:
             return self._voxels[1]
@@ -257,7 +253,8 @@ class Run:
             found |= tissue.summary()
         found["events"] = [{"time_s": time, "what": what} for time, what in self.events]
         found["compute"] = self._compute
-        found |= self.parts.placement_record
+        if self.parts.placement is not None:
+            found["placement"] = self.parts.placement.to_record()
         machine = f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}"
         found["machine"] = f"{machine}, Python {platform.python_version()}"
         found["notes"] = self.parts.notes
@@ -293,7 +290,7 @@ class Run:
         """
         from tissue.simulation.bone_files import voxel_image
         from tissue.simulation.saved_fields import SavedFields, field_names, require_whole
-        from tissue.simulation.series import frame_mesh
+        from tissue.simulation.vtk_files import frame_mesh
 
         if self._saved is not None:
             path = self._saved.path
@@ -381,10 +378,9 @@ class Run:
         report: Progress,
     ) -> None:
         """Write the folder of a simulated run, or complete the folder that was begun."""
-        from tissue.simulation.bone_files import write_bone
-        from tissue.simulation.carving_series import write_carving
+        from tissue.simulation.bone_files import write_bone, write_carving
         from tissue.simulation.recording import write_formats
-        from tissue.simulation.series import write_fields
+        from tissue.simulation.vtk_files import write_fields
 
         folder = self.begun
         goes_on = folder is not None and folder.path.resolve() == out.resolve()
@@ -419,7 +415,7 @@ class Run:
         return self._saved
 
     @cached_property
-    def _voxels(self) -> tuple[VoxelVolume, NDArray[np.uint8], NDArray[np.float64] | None]:
+    def _voxels(self) -> tuple[VoxelVolume, Bytes, Array | None]:
         from tissue.simulation.bone_files import saved_voxels
 
         return saved_voxels(self._files)
@@ -433,7 +429,7 @@ class Run:
         return part
 
 
-def _spread(values: NDArray[np.float64]) -> dict[str, Any]:
+def _spread(values: Array) -> dict[str, Any]:
     """Return median, 99th percentile and maximum."""
     return {
         "median": float(np.median(values)),

@@ -1,42 +1,38 @@
-"""Folder of a run: preparation, writing during the run, and reading."""
+"""Folder of a run: preparation, writing during the run, its summary, and reading."""
 
+from collections.abc import (Iterator, Mapping)
+from contextlib import (contextmanager, suppress)
+from math import (isfinite)
+from meshes.base.errors import (InputError, is_file)
+from meshes.base.file_limits import (require_regular)
+from meshes.base.file_version import (require_version)
+from meshes.base.placement import (Placement)
+from meshes.base.text_tables import (read_json)
+from meshes.base.whole_file import (package_version, whole_file)
+from pathlib import (Path)
+from tissue.models.tissue_model import (TICK_S)
+from tissue.scene.load import (load_scene, saved_text)
+from tissue.scene.registry import (ANATOMIES)
+from tissue.scene.scene import (Scene)
+from tissue.simulation.trace import (FORMATS, Table, TraceWriter, read_trace)
+from tissue.system.outputs import (identity, is_alive)
+from tissue.system.owned_folder import (OwnedFolder, listed_files, require_folder)
+from tissue.system.stopping import (Terminated)
+from typing import (Any)
 import json
 import re
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from pathlib import Path
 
-from meshes.base.errors import InputError
-from meshes.base.file_limits import require_regular
-from meshes.base.placement import Placement
-from meshes.base.text_tables import read_json
-from meshes.base.whole_file import package_version, whole_file
-from tissue.models.tissue_model import TICK_S
-from tissue.scene.load import load_scene, saved_text
-from tissue.scene.registry import ANATOMIES
-from tissue.scene.scene import Scene
-from tissue.simulation.run_summary import FORMAT, Summary, read_summary
-from tissue.simulation.trace import Table, TraceWriter
-from tissue.simulation.trace_files import FORMATS, read_trace
-from tissue.system.outputs import identity, is_alive
-from tissue.system.owned_folder import OwnedFolder, listed_files, require_folder
-from tissue.system.stopping import Terminated
+__all__ = ["FORMAT", "PICTURE_FORMATS", "RunFolder", "SavedRun", "Summary", "added_to_run", "copy_run", "files_of_run", "named_as_run_files", "picture_format", "read_summary", "run_file_names", "saved_placement", "summary_of"]
 
-__all__ = [
-    "FORMAT",
-    "PICTURE_FORMATS",
-    "RunFolder",
-    "SavedRun",
-    "added_to_run",
-    "copy_run",
-    "files_of_run",
-    "named_as_run_files",
-    "picture_format",
-    "run_file_names",
-    "saved_placement",
-]
 
+
+Summary = dict[str, Any]
+"""Contents of ``summary.json``, see docs/files.md."""
+FORMAT = 1
+"""Version of the run folder."""
+STATUS = ("running", "complete", "interrupted", "failed")
+AGAIN = "run the scene again"
 PICTURE_FORMATS = ("png", "svg", "pdf")
 FILES = (
     "trace.csv",
@@ -76,6 +72,8 @@ PICTURES = (
     "wall",
 )
 """Names of pictures that runs of any scene may have; an anatomy may add others."""
+KEPT_SCENE = re.compile(r'format = \d+\ntissue = "[^"\n]*"\n')
+"""Beginning of the scene file that a run keeps."""
 
 
 def run_file_names() -> tuple[str, ...]:
@@ -108,10 +106,6 @@ def picture_format(pictures: bool | str) -> str | None:
             "pictures", f"be one of {', '.join(PICTURE_FORMATS)}", pictures, "choose one of these"
         )
     return pictures
-
-
-KEPT_SCENE = re.compile(r'format = \d+\ntissue = "[^"\n]*"\n')
-"""Beginning of the scene file that a run keeps."""
 
 
 class RunFolder:
@@ -181,12 +175,13 @@ class RunFolder:
         if not self._summary:
             return
         if isinstance(error, KeyboardInterrupt):
-            status = "interrupted"
-            problem = error.name if isinstance(error, Terminated) else "Ctrl-C"
+            self._end("interrupted", error.name if isinstance(error, Terminated) else "Ctrl-C")
         else:
             kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
-            status = "failed"
-            problem = kind + " ".join(str(error).split())
+            self._end("failed", kind + " ".join(str(error).split()))
+
+    def _end(self, status: str, problem: str) -> None:
+        """Write the cause of an early end to the summary."""
         summary = {name: value for name, value in self._summary.items() if name != "process"}
         self._write_summary(summary | {"status": status, "problem": problem})
 
@@ -212,8 +207,7 @@ class RunFolder:
     def interrupt(self, problem: str) -> None:
         """Mark a discarded run as interrupted, and release the folder."""
         self.close_tables()
-        summary = {name: value for name, value in self._summary.items() if name != "process"}
-        self._write_summary(summary | {"status": "interrupted", "problem": problem})
+        self._end("interrupted", problem)
         self._owned.release()
 
     def complete(self, summary: Summary) -> None:
@@ -292,12 +286,7 @@ def saved_placement(path: Path) -> Placement | None:
     InputError
         If the summary's placement is no rigid motion.
     """
-    try:
-        record = read_json(require_regular(path / "summary.json").read_text("utf-8")).get(
-            "placement"
-        )
-    except (OSError, ValueError, AttributeError):
-        return None
+    record = summary_of(path).get("placement")
     return None if record is None else Placement.from_record(record)
 
 
@@ -326,7 +315,8 @@ def _remark(placement: Placement | None) -> str:
 @contextmanager
 def added_to_run(path: Path) -> Iterator[None]:
     """Lock the folder of a finished run while the block adds or replaces files of the run."""
-    with _held(OwnedFolder(path, "run", (), shared=run_file_names(), adopted=_adopted(path))):
+    folder = OwnedFolder(path, "run", (), shared=run_file_names(), adopted=_adopted(path))
+    with _held(folder):
         yield
 
 
@@ -406,3 +396,73 @@ def _status_of(summary: Summary) -> str:
     """
     status = str(summary.get("status", "interrupted"))
     return status if status != "running" or is_alive(summary.get("process")) else "interrupted"
+
+
+def summary_of(folder: Path) -> Summary:
+    """Return the summary of a folder unchecked; empty if it is missing or no table."""
+    return _table_of(folder) or {}
+
+
+def read_summary(folder: Path) -> Summary:
+    """Read the summary of a run, and check its version and entries.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no run, or the summary is damaged or of another version.
+    """
+    path = folder / "summary.json"
+    if not is_file(path):
+        raise InputError(
+            "run", "be a folder that `tissue run` wrote", folder, "give for example runs/glenoid"
+        )
+    held = _table_of(folder)
+    if not held:
+        got = "something else" if held is None else "an empty one"
+        raise InputError("summary.json", "be a table in JSON", f"{got} in {path}", AGAIN)
+    require_version("summary.json", held, FORMAT, where=path, remedy=AGAIN)
+    wanted: dict[str, bool] = {
+        "scene": _is_text(held.get("scene")),
+        "status": held.get("status") in STATUS,
+    }
+    layers = held.get("layers", [])
+    wanted["layers"] = (
+        isinstance(layers, list) and all(map(_is_text, layers)) and len(set(layers)) == len(layers)
+    )
+    events = held.get("events", [])
+    wanted["events"] = isinstance(events, list) and all(
+        isinstance(each, Mapping) and _is_number(each.get("time_s")) and _is_text(each.get("what"))
+        for each in events
+    )
+    if held.get("status") == "complete":
+        wanted["simulated_s"] = _is_number(held.get("simulated_s"))
+        for name in ("force_N", "torque_Nm"):
+            wanted[name] = isinstance(held.get(name), Mapping) and _is_number(
+                held[name].get("peak")
+            )
+    for name, is_good in wanted.items():
+        if not is_good:
+            raise InputError(
+                "summary.json",
+                f"hold {name} as `tissue run` writes it",
+                f"{str(held.get(name))[:60]} in {path}",
+                AGAIN,
+            )
+    return held
+
+
+def _table_of(folder: Path) -> Summary | None:
+    """Return the summary of a folder unchecked; None if it is missing or no table."""
+    try:
+        held = read_json(require_regular(folder / "summary.json").read_text("utf-8"))
+    except (OSError, ValueError):
+        return None
+    return held if isinstance(held, dict) else None
+
+
+def _is_text(value: object) -> bool:
+    return isinstance(value, str)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)

@@ -1,31 +1,22 @@
 """Fields of a saved run: names, units, ranges over the run, and the mesh at any moment."""
 
-from collections.abc import Sequence
-from itertools import pairwise
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
+from collections.abc import (Sequence)
+from itertools import (pairwise)
+from meshes.base.arrays import (Singles)
+from meshes.base.errors import (InputError)
+from meshes.base.file_limits import (require_regular)
+from meshes.base.isolated_parser import (parse_isolated)
+from pathlib import (Path)
+from tissue.simulation.run_folder import (SavedRun, saved_placement)
+from tissue.simulation.vtk_files import (mesh_in_scene)
+from typing import (Any, TYPE_CHECKING)
 import numpy as np
-from numpy.typing import NDArray
-
-from meshes.base.errors import InputError
-from meshes.base.file_limits import require_regular
-from meshes.base.isolated_parser import parse_isolated
-from tissue.simulation.run_folder import SavedRun, saved_placement
-from tissue.simulation.vtk_files import mesh_in_scene
 
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = [
-    "SavedFields",
-    "field_label",
-    "field_limits",
-    "field_names",
-    "field_values",
-    "frames_of",
-    "require_whole",
-]
+__all__ = ["SavedFields", "field_label", "field_limits", "field_names", "field_values", "frames_of", "require_whole"]
+
 
 
 PEAK = 99.8
@@ -242,13 +233,11 @@ class SavedFields:
                     )
         return mesh, float(time_s)
 
-    def moved_mm(self, mesh: "pyvista.DataSet") -> NDArray[np.float32]:
+    def moved_mm(self, mesh: "pyvista.DataSet") -> Singles:
         """Return the displacement of the nodes [mm], shape (nodes, 3); zero without the field."""
         if self.displacement is None or self.displacement not in mesh.point_data:
             return np.zeros((mesh.n_points, 3), dtype=np.float32)
-        moved: NDArray[np.float32] = np.float32(self.unit_mm) * np.asarray(
-            mesh.point_data[self.displacement]
-        )
+        moved: Singles = np.float32(self.unit_mm) * np.asarray(mesh.point_data[self.displacement])
         return moved
 
     def greatest_mm(self) -> float:
@@ -271,7 +260,7 @@ class SavedFields:
         return self._limits[name]
 
 
-def field_limits(name: str, values: Sequence[NDArray[np.float32]]) -> tuple[float, float]:
+def field_limits(name: str, values: Sequence[Singles]) -> tuple[float, float]:
     """Return the ends of a field's scale over arrays of its values.
 
     The scale is symmetric about 0 if the values have both signs. For von Mises stress it begins
@@ -290,7 +279,7 @@ def field_limits(name: str, values: Sequence[NDArray[np.float32]]) -> tuple[floa
     return max(SPAN * peak, min(float(np.percentile(widest, FAINT)), 0.1 * peak)), peak
 
 
-def field_values(mesh: "pyvista.DataSet", name: str) -> NDArray[np.float32] | None:
+def field_values(mesh: "pyvista.DataSet", name: str) -> Singles | None:
     """Return a field's values, or magnitudes of vectors; None if the mesh lacks the field."""
     data = mesh.cell_data if name in mesh.cell_data else mesh.point_data
     if name not in data:

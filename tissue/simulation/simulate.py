@@ -1,38 +1,37 @@
-"""Simulation of a scene: combines motion, tissue, output and trace.
+"""Simulation of a scene: builds motion and tissue, and runs the loop.
 
 It is the only module that combines them.
 """
 
+from contextlib import (nullcontext, suppress)
+from math import (ceil, inf)
+from meshes.base.errors import (InputError)
+from meshes.base.progress import (Progress, silent)
+from pathlib import (Path)
+from time import (perf_counter)
+from tissue.haptics.device.device import (Device, device_parameters)
+from tissue.haptics.device.safe_device import (SafeDevice, run_held)
+from tissue.haptics.loop.sampled_loop import (force_later_N)
+from tissue.models.tissue_model import (TICK_S)
+from tissue.motion.motion import (LONGEST_S, Motion)
+from tissue.prediction.predictor import (Predictor)
+from tissue.scene.registry import (ANATOMIES)
+from tissue.scene.scene import (Scene)
+from tissue.simulation.builders.arguments import (note_own_constants)
+from tissue.simulation.builders.parts import (Parts, TissueBuilder, motion_of, require_stated_rate)
+from tissue.simulation.findings import (break_throughs, shortfalls)
+from tissue.simulation.loop import (Loop, Scheduling, spin_time_s, undisturbed)
+from tissue.simulation.observer import (RunObserver)
+from tissue.simulation.run import (Run)
+from tissue.simulation.run_folder import (RunFolder)
+from tissue.simulation.trace import (Table)
+from typing import (Protocol, TypedDict, runtime_checkable)
 import gc
-from contextlib import nullcontext, suppress
-from math import ceil, inf
-from pathlib import Path
-from time import perf_counter
-from typing import Protocol, TypedDict, runtime_checkable
-
 import numpy as np
 
-from meshes.base.errors import InputError
-from meshes.base.progress import Progress, silent
-from tissue.haptics.device.device import Device, device_parameters
-from tissue.haptics.device.safe_device import SafeDevice, run_held
-from tissue.haptics.loop.sampled_loop import force_later_N
-from tissue.models.tissue_model import TICK_S
-from tissue.motion.motion import LONGEST_S, Motion
-from tissue.prediction.predictor import Predictor
-from tissue.scene.scene import Scene
-from tissue.simulation.break_through import break_throughs
-from tissue.simulation.builders.device import require_stated_rate
-from tissue.simulation.builders.registry import build
-from tissue.simulation.loop import Loop, undisturbed
-from tissue.simulation.observer import RunObserver
-from tissue.simulation.run import Run
-from tissue.simulation.run_folder import RunFolder
-from tissue.simulation.scheduling import Scheduling, spin_time_s
-from tissue.simulation.shortfalls import shortfalls
-from tissue.simulation.trace import Table
+__all__ = ["RunObserver", "RunSettings", "TICK_S", "build", "builder_of", "simulate", "tick_count"]
 
-__all__ = ["TICK_S", "RunObserver", "RunSettings", "simulate", "tick_count"]
+
 
 MOST_CORES = 4096
 """Largest accepted number of processor cores; a larger one is taken for a typing error."""
@@ -281,3 +280,56 @@ def tick_count(scene: Scene, motion: Motion) -> int:
     if scene.duration_s is not None and seconds >= motion.duration_s - motion.after_s:
         seconds += motion.after_s
     return max(round(seconds / TICK_S), 1)
+
+
+def build(
+    scene: Scene,
+    *,
+    step_s: float,
+    compute: str,
+    cores: int | None,
+    report: Progress,
+    allow_unstable: bool = False,
+) -> Parts:
+    """Build the parts of a scene.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be used, something would not fit memory, the tool never touches, there is
+        no such device, or its coupling is unstable and that is not allowed.
+    """
+    if compute != "cpu":
+        import warp as wp
+
+        known = [str(device) for device in wp.get_devices()]
+        if compute not in known:
+            raise InputError("compute", f"be one of {', '.join(known)}", compute, "use cpu here")
+    motion = motion_of(scene, step_s=step_s)
+    coupling = {}
+    if scene.device is not None:
+        from tissue.simulation.builders.hand import hand_motion
+
+        motion, coupling["coupling"] = hand_motion(scene, motion, allow_unstable=allow_unstable)
+    parts = builder_of(scene.anatomy.kind)(
+        scene, motion, step_s=step_s, compute=compute, cores=cores, report=report
+    )
+    parts.notes |= coupling
+    note_own_constants(scene, parts.tissue.layer_names, parts.notes)
+    return parts
+
+
+def builder_of(kind: str) -> TissueBuilder:
+    """Return the function that builds the parts of a run, by the kind of its anatomy."""
+    from tissue.simulation.builders import cutting, organ_scene
+
+    outside: TissueBuilder | None = ANATOMIES[kind].build
+    if outside is not None:
+        return outside
+    others = {
+        "slab": organ_scene.pressed,
+        "liver": organ_scene.pressed,
+        "layers": organ_scene.pierced,
+        "wall": organ_scene.wall,
+    }
+    return others.get(kind, cutting.milled)

@@ -1,9 +1,10 @@
-"""Trace of a run: its columns, one row a tick, append-only, written to disk during the run."""
+"""Trace of a run: its columns, one row a tick, written during the run and in other formats."""
 
 import csv
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from io import StringIO
+from importlib.util import find_spec
+from io import BytesIO, StringIO
 from pathlib import Path
 from time import perf_counter
 from typing import Any, TextIO
@@ -11,16 +12,27 @@ from typing import Any, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.whole_file import claim
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from meshes.base.file_limits import require_regular
+from meshes.base.text_numbers import number_in, require_distinct_columns
+from meshes.base.whole_file import claim, whole_file
 
 __all__ = [
+    "FORMATS",
     "LEAST_LOAD",
     "NO_LAYER",
+    "RECORDING",
     "TIMING_COLUMNS",
     "Table",
     "TraceLayout",
     "TraceWriter",
+    "check_format",
     "load_columns",
+    "read_table",
+    "read_trace",
+    "write_table",
+    "write_trace",
 ]
 
 FLUSH_EVERY_S = 0.1
@@ -29,12 +41,18 @@ FLUSH_EVERY_S = 0.1
 A killed run loses at most this much wall time, plus a tick.
 """
 NO_LAYER = "none"
+AGAIN = "run the scene again"
 LEAST_LOAD = 1e-12
 """Forces [N] and torques [N m] below which a trace holds 0.
 
 A filter leaves such small values after the end of a contact.
 """
 TIMING_COLUMNS = ("tick_us", "motion_us", "remove_us", "force_us", "record_us", "catch_up_us")
+Columns = dict[str, NDArray[np.generic]]
+RECORDING = "recording"
+"""Format in which other programs read a run, see `tissue.simulation.recording`."""
+WRITERS = {"parquet": ("pyarrow", "parquet"), "h5": ("h5py", "h5"), RECORDING: ("h5py", "h5")}
+"""Package that writes a format, and the extra that installs it."""
 
 
 @dataclass(eq=False)
@@ -54,7 +72,7 @@ class Table(Mapping[str, NDArray[Any]]):
     """
 
     columns: tuple[str, ...]
-    rows: NDArray[np.float64]
+    rows: Array
     layer_names: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> NDArray[Any]:
@@ -72,7 +90,7 @@ class Table(Mapping[str, NDArray[Any]]):
     def __len__(self) -> int:
         return len(self.columns)
 
-    def vectors(self, name: str, unit: str) -> NDArray[np.float64]:
+    def vectors(self, name: str, unit: str) -> Array:
         """Return columns ``name_x_unit``, ``name_y_unit``, ``name_z_unit``, shape (rows, 3)."""
         return np.column_stack([self[f"{name}_{c}_{unit}"] for c in "xyz"])
 
@@ -208,3 +226,175 @@ def load_columns(columns: tuple[str, ...]) -> NDArray[np.intp]:
     return np.array(
         [place for place, name in enumerate(columns) if name.endswith(("_N", "_Nm"))], dtype=np.intp
     )
+
+
+def check_format(kind: str) -> None:
+    """Refuse an unknown format, or a format whose writer is not installed.
+
+    Raises
+    ------
+    InputError
+        If the format cannot be written; the message names the known formats, or the extra to
+        install.
+    """
+    if kind not in (*FORMATS, RECORDING):
+        known = ", ".join((*FORMATS, RECORDING))
+        raise InputError("format", f"be one of {known}", kind, "csv is always written")
+    writer, extra = WRITERS.get(kind, ("", ""))
+    if writer and find_spec(writer) is None:
+        raise InputError(
+            f"format {kind}",
+            "have its writer installed",
+            f"no {writer}",
+            f"pip install 'tissue-sim[{extra}]'",
+        )
+
+
+def write_trace(trace: Table, folder: Path, kind: str) -> Path:
+    """Write ``folder/trace.kind`` and return its path."""
+    path = folder / f"trace.{kind}"
+    with whole_file(path) as temporary:
+        FORMATS[kind]({name: trace[name] for name in trace}, temporary)
+    return path
+
+
+def write_table(table: Table, path: Path) -> None:
+    """Write columns to a file in the format of its suffix, such as ``.csv``.
+
+    Raises
+    ------
+    InputError
+        If the suffix is unknown, or its writer is not installed.
+    """
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in ("csv", *FORMATS):
+        known = ", ".join(f".{each}" for each in ("csv", *FORMATS))
+        raise InputError("path", f"end in one of {known}", path.name, "choose one of these")
+    if kind != "csv":
+        check_format(kind)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as temporary:
+        if kind != "csv":
+            FORMATS[kind]({name: table[name] for name in table}, temporary)
+            return
+        head = StringIO()
+        csv.writer(head, lineterminator="\n").writerow(table.columns)
+        temporary.write_text(
+            head.getvalue() + table.lines(0, len(table.rows)), "utf-8", newline="\n"
+        )
+
+
+def _npz(columns: Columns, path: Path) -> None:
+    np.savez_compressed(path, **columns)  # type: ignore[arg-type]
+
+
+def _mat(columns: Columns, path: Path) -> None:
+    from scipy.io import savemat
+
+    text = {
+        name: values.astype(object) if values.dtype.kind == "U" else values
+        for name, values in columns.items()
+    }
+    savemat(path, {"trace": text}, do_compression=True, oned_as="column", long_field_names=True)
+
+
+def _parquet(columns: Columns, path: Path) -> None:
+    import pyarrow
+    import pyarrow.parquet
+
+    pyarrow.parquet.write_table(pyarrow.table(columns), path)
+
+
+def _h5(columns: Columns, path: Path) -> None:
+    import h5py
+
+    # Made in memory: HDF5 ends the process where its file cannot grow on a full disk.
+    image = BytesIO()
+    with h5py.File(image, "w") as file:
+        for name, values in columns.items():
+            file.create_dataset(
+                name, data=values.astype("S") if values.dtype.kind == "U" else values
+            )
+    path.write_bytes(image.getbuffer())
+
+
+FORMATS: dict[str, Callable[[Columns, Path], None]] = {
+    "parquet": _parquet,
+    "npz": _npz,
+    "mat": _mat,
+    "h5": _h5,
+}
+
+
+def read_table(path: Path, layer_names: tuple[str, ...]) -> Table:
+    """Read a CSV file written by :class:`TraceWriter`.
+
+    An incomplete last line of a killed run is left out.
+
+    Raises
+    ------
+    InputError
+        If the file is no such table; the message names the line.
+    """
+    require_regular(path)
+    try:
+        content = path.read_bytes()
+        text = content[: content.rfind(b"\n") + 1].decode("utf-8")
+        whole = list(csv.reader(StringIO(text, newline=""), strict=True))
+    except OSError as problem:
+        raise InputError(
+            path.name, "be a file that can be read", f"{path} ({problem.strerror})", "check it"
+        ) from None
+    except (UnicodeDecodeError, csv.Error) as problem:
+        raise InputError(path.name, "be a CSV table", f"other data in {path}", AGAIN) from problem
+    columns = tuple(whole[0]) if whole else ()
+    require_distinct_columns(columns, path.name, path)
+    index = {name: float(i) for i, name in enumerate(layer_names)} | {NO_LAYER: -1.0}
+    rows = np.empty((max(len(whole) - 1, 0), len(columns)))
+    for number, line in enumerate(whole[1:]):
+        if len(line) != len(columns):
+            raise _line_error(path, number, f"hold {len(columns)} values a line", len(line))
+        for place, (name, cell) in enumerate(zip(columns, line, strict=True)):
+            try:
+                rows[number, place] = index[cell] if name == "layer" else number_in(cell)
+            except KeyError:
+                wanted = f"name a layer of the run ({', '.join(index)})"
+                raise _line_error(path, number, wanted, repr(cell[:40])) from None
+            except ValueError:
+                got = f"{cell[:40]!r} for {name}"
+                raise _line_error(path, number, "hold numbers", got) from None
+    return Table(columns, rows, layer_names)
+
+
+def _line_error(path: Path, row: int, wanted: str, got: object) -> InputError:
+    """Return the error for a row of a table."""
+    where = f"{got} in line {row + 2} of {path}"
+    return InputError(path.name, wanted, where, f"fix that line or {AGAIN}")
+
+
+def read_trace(path: Path, layer_names: tuple[str, ...]) -> Table:
+    """Read the trace of a run; check that its standard columns exist and hold finite numbers.
+
+    Raises
+    ------
+    InputError
+        As for `read_table`, or if a column is missing, a number is not finite, or the time does not
+        increase.
+    """
+    table = read_table(path, layer_names)
+    if not table.columns:
+        return table
+    wanted = TraceLayout.of(layer_names).columns
+    for name in wanted:
+        if name not in table.columns:
+            raise InputError(path.name, f"have the column {name}", f"{path} without it", AGAIN)
+    places = [table.columns.index(name) for name in wanted]
+    bad = np.argwhere(~np.isfinite(table.rows[:, places]))
+    if len(bad):
+        row, place = bad[0]
+        got = f"{table.rows[row, places[place]]} for {wanted[place]}"
+        raise _line_error(path, row, "hold finite numbers", got)
+    early = np.flatnonzero(np.diff(table["time_s"]) <= 0.0)
+    if len(early):
+        raise _line_error(path, early[0] + 1, "have increasing time_s", "an earlier one")
+    return table

@@ -1,4 +1,4 @@
-"""Transformation of VTK data between the frames of scene and anatomy file, and VTK writers.
+"""VTK files of a run: frames of scene and anatomy file, writers, and fields over time.
 
 Coordinates take the file's unit; quantities with a unit in their name keep it. Point arrays of
 three numbers are vectors and are rotated. Cell arrays are not (principal stresses are three
@@ -10,75 +10,75 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.placement import Placement
 from meshes.base.whole_file import whole_file
+from tissue.fem.fields import FieldSeries, Frame
 
 if TYPE_CHECKING:
     import pyvista
     from vtkmodules.vtkIOGeometry import vtkSTLWriter
     from vtkmodules.vtkIOXML import vtkXMLWriter
 
-Mesh = TypeVar("Mesh", bound="pyvista.PointSet")
-
 __all__ = [
+    "frame_mesh",
     "image_in_file",
     "image_in_scene",
     "mesh_in_file",
     "mesh_in_scene",
     "write_collection",
+    "write_fields",
     "write_vtk",
     "write_vtk_xml",
 ]
 
+Mesh = TypeVar("Mesh", bound="pyvista.PointSet")
+CELL_TYPES = {4: 10, 8: 12}
+"""VTK's number of a cell type, tetrahedron or hexahedron, by its count of nodes."""
+
 
 def mesh_in_file(mesh: Mesh, placement: Placement | None) -> Mesh:
     """Return a mesh of the scene [mm] in the file's frame and unit; unchanged without a file."""
-    return (
-        mesh
-        if placement is None
-        else _moved(mesh, placement.to_file(_points(mesh)), placement.rotation.T)
-    )
+    if placement is None:
+        return mesh
+    return _moved(mesh, placement.to_file(_points(mesh)), placement.rotation.T)
 
 
 def mesh_in_scene(mesh: Any, placement: Placement | None) -> Any:
-    """Return a mesh in the file's frame and unit in the scene's frame [mm].
-
-    It is unchanged without a file.
-    """
-    return (
-        mesh
-        if placement is None
-        else _moved(mesh, placement.to_scene(_points(mesh)), placement.rotation)
-    )
+    """Return a mesh of the file in the scene's frame [mm]; unchanged without a file."""
+    if placement is None:
+        return mesh
+    return _moved(mesh, placement.to_scene(_points(mesh)), placement.rotation)
 
 
-def image_in_file(image: "pyvista.ImageData", placement: Placement | None) -> "pyvista.ImageData":
+def image_in_file(image: Any, placement: Placement | None) -> "pyvista.ImageData":
     """Return voxels of the scene [mm] in the file's frame and unit, with a direction matrix.
 
     They are unchanged without a file.
     """
     if placement is None:
         return image
-    moved: pyvista.ImageData = image.copy(deep=False)
-    moved.origin = placement.to_file(np.array([image.origin]))[0].tolist()
-    moved.spacing = [size / placement.unit_mm for size in image.spacing]
-    moved.direction_matrix = placement.rotation
-    return moved
+    origin = placement.to_file(np.array([image.origin]))[0]
+    spacing = [size / placement.unit_mm for size in image.spacing]
+    return _placed(image, origin, spacing, placement.rotation)
 
 
 def image_in_scene(image: Any, placement: Placement | None) -> "pyvista.ImageData":
-    """Return voxels in the file's frame and unit in the scene's frame [mm].
-
-    They are unchanged without a file.
-    """
+    """Return voxels of the file in the scene's frame [mm]; unchanged without a file."""
     if placement is None:
         return image
-    moved: pyvista.ImageData = image.copy(deep=False)
-    moved.origin = placement.to_scene(np.array([image.origin]))[0].tolist()
-    moved.spacing = [size * placement.unit_mm for size in image.spacing]
-    moved.direction_matrix = placement.rotation.T @ np.array(image.direction_matrix)
+    origin = placement.to_scene(np.array([image.origin]))[0]
+    spacing = [size * placement.unit_mm for size in image.spacing]
+    return _placed(image, origin, spacing, placement.rotation.T @ np.array(image.direction_matrix))
+
+
+def _placed(image: Any, origin: Array, spacing: list[float], turn: Array) -> Any:
+    """Return a shallow copy of an image at another place."""
+    moved = image.copy(deep=False)
+    moved.origin = origin.tolist()
+    moved.spacing = spacing
+    moved.direction_matrix = turn
     return moved
 
 
@@ -133,11 +133,11 @@ def write_collection(entries: Iterable[tuple[float, int, str]], path: Path) -> N
         )
 
 
-def _points(mesh: "pyvista.PointSet") -> NDArray[np.float64]:
+def _points(mesh: "pyvista.PointSet") -> Array:
     return np.asarray(mesh.points, dtype=np.float64)
 
 
-def _moved(mesh: Mesh, points: NDArray[np.float64], turn: NDArray[np.float64]) -> Mesh:
+def _moved(mesh: Mesh, points: Array, turn: Array) -> Mesh:
     """Return a copy of a mesh at other points, with its vectors rotated (rows times `turn`)."""
     import pyvista
 
@@ -150,3 +150,48 @@ def _moved(mesh: Mesh, points: NDArray[np.float64], turn: NDArray[np.float64]) -
                 values.dtype
             )
     return moved
+
+
+def frame_mesh(series: FieldSeries, frame: Frame) -> "pyvista.UnstructuredGrid":
+    """Return the mesh of one frame [mm], without removed cells and unused nodes.
+
+    The cell array ``layer`` is an index into the field ``layer_names``. The other arrays have the
+    names of the frame's fields.
+    """
+    import pyvista
+
+    there = np.ones(len(series.cells), dtype=bool)
+    for values in frame.cells.values():
+        there &= np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+    corners = series.cells.shape[1]
+    used, cells = np.unique(series.cells[there], return_inverse=True)
+    nodes = (1e3 * series.nodes_m[used]).astype(np.float32)
+    mesh = pyvista.UnstructuredGrid({CELL_TYPES[corners]: cells.reshape(-1, corners)}, nodes)
+    mesh.field_data["layer_names"] = list(series.layer_names)
+    if not there.any():
+        return mesh
+    for name, values in frame.points.items():
+        mesh.point_data[name] = values[used]
+    for name, values in frame.cells.items():
+        mesh.cell_data[name] = values[there]
+    mesh.cell_data["layer"] = series.layer[there]
+    return mesh
+
+
+def write_fields(series: FieldSeries, folder: Path, placement: Placement | None = None) -> None:
+    """Write ``fields.pvd`` with times in seconds, and a mesh for each frame.
+
+    The meshes are ``fields/frame_0000.vtu`` and so on.
+
+    With a placement the meshes have the frame and unit of the anatomy's file.
+    """
+    from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
+
+    (folder / "fields").mkdir(parents=True, exist_ok=True)
+    entries = []
+    for index, frame in enumerate(series.frames):
+        name = f"fields/frame_{index:04d}.vtu"
+        mesh = mesh_in_file(frame_mesh(series, frame), placement)
+        write_vtk_xml(vtkXMLUnstructuredGridWriter(), mesh, folder / name)
+        entries.append((float(frame.time_s), 0, name))
+    write_collection(entries, folder / "fields.pvd")

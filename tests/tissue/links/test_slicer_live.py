@@ -3,20 +3,19 @@
 A client reads them, and a pose drives the tool.
 """
 
-import socket
-
+from igtl_client import (IgtlClient)
+from meshes.base.errors import (InputError)
+from tissue import (load_scene, simulate)
+from tissue.links import (igtl_messages as igtl)
+from tissue.links.slicer_process import (SlicerFrame)
+from tissue.simulation.live.publisher import (PORT, SlicerLink, SlicerPublisher, require_link)
+from tissue.simulation.live.run import (LiveObserver, LiveSettings, live)
+from tissue.simulation.observer import (Observers, WallClock)
 import numpy as np
 import pytest
-from igtl_client import IgtlClient
+import socket
 
-from meshes.base.errors import InputError
-from tissue import load_scene, simulate
-from tissue.links import igtl_messages as igtl
-from tissue.links.slicer_process import SlicerFrame
-from tissue.simulation.live.clock import WallClock
-from tissue.simulation.live.run import LiveObserver, LiveSettings, live
-from tissue.simulation.live.slicer import PORT, SlicerLink, SlicerPublisher, require_link
-from tissue.simulation.observer import Observers
+
 
 pytest.importorskip("pyvista")
 
@@ -143,7 +142,7 @@ class Fake:
 def test_a_run_goes_on_without_a_link_that_failed_unless_it_moves_the_tool(monkeypatch, drives):
     made = []
     monkeypatch.setattr(
-        "tissue.simulation.live.slicer.SlicerProcess",
+        "tissue.simulation.live.publisher.SlicerProcess",
         lambda *a, **k: made.append(Fake(*a, **k)) or made[-1],
     )
     scene = load_scene("wall", {} if drives else {"duration_s": 0.7})
@@ -171,15 +170,14 @@ def test_what_the_tissue_reports_is_published_as_it_happens(monkeypatch):
     made = []
     monkeypatch.setattr(Fake, "failed", lambda self: None)
     monkeypatch.setattr(
-        "tissue.simulation.live.slicer.SlicerProcess",
+        "tissue.simulation.live.publisher.SlicerProcess",
         lambda *a, **k: made.append(Fake(*a, **k)) or made[-1],
     )
     scene = load_scene("needle", {"duration_s": 1.2})
-    box = lambda parts: (np.full(3, -1.0), np.full(3, 1.0))  # noqa: E731
     run = simulate(
         scene,
         observer=Observers(
-            LiveObserver(scene, None, Unpaced(1e-3)), SlicerPublisher(scene, SlicerLink(), box)
+            LiveObserver(scene, None, Unpaced(1e-3)), SlicerPublisher(scene, SlicerLink())
         ),
     )
     assert "the capsule is punctured" in made[0].reported[0]

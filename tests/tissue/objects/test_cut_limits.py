@@ -104,7 +104,7 @@ def test_a_loop_measures_its_distance_from_structures(tmp_path):
     [
         ({"Nerve 1": "a.stl"}, "keep_clear must have names of small letters"),
         ({"nerve": "none.stl"}, r"keep_clear\[nerve\] must exist"),
-        ({"nerve": 3}, r"keep_clear\[nerve\] must be a file or a pyvista.PolyData, got int"),
+        ({"nerve": 3}, r"keep_clear\[nerve\] must be a closed surface .*, got int"),
         ("nerve.stl", "keep_clear must be a mapping"),
     ],
 )
@@ -153,17 +153,6 @@ def test_chips_beyond_the_law_are_warned_of_and_absurd_ones_refused():
 
 
 @pytest.mark.slow
-def test_a_scene_reports_thick_chips_and_refuses_absurd_ones():
-    change = {"voxels.spacing_mm": 0.5, "duration_s": 0.6, "motion.feed_mm_s": 10.0}
-    beyond = tissue.simulate(tissue.load_scene("milling", change | {"tool.spin_rpm": 500.0}))
-    assert any("mm per tooth" in event["what"] for event in beyond.summary["events"])
-    with pytest.raises(
-        tissue.InputError, match=r"motion\.feed_mm_s must leave a tooth chips thinner"
-    ):
-        tissue.simulate(tissue.load_scene("milling", change | {"tool.spin_rpm": 20.0}))
-
-
-@pytest.mark.slow
 def test_a_peg_in_solid_bone_is_warned_of_and_one_in_its_hole_is_not():
     tool = tissue.cutters.flat_reamer(
         diameter_mm=8, length_mm=3, peg_diameter_mm=3, peg_length_mm=4, flutes=4, spin_rpm=500
@@ -182,22 +171,18 @@ def test_a_peg_in_solid_bone_is_warned_of_and_one_in_its_hole_is_not():
 
 
 @pytest.mark.parametrize(
-    "cutting", [{"tangential_chip_N_mm2": -1.0}, {"radial_edge_N_mm": np.nan}, [1.0], {"no": 1}]
+    "cutting",
+    [
+        {"tangential_chip_N_mm2": -1.0},
+        {"radial_edge_N_mm": np.nan},
+        [1.0],
+        {"no": 1},
+        {"radial_edge_N_mm": "4"},
+    ],
 )
 def test_impossible_coefficients_are_refused(cutting):
     with pytest.raises(tissue.InputError, match="cutting"):
         tissue.Bone.block((4, 4, 2), spacing_mm=0.5, cutting=cutting)
-
-
-def test_a_coefficient_written_as_text_counts_as_its_number():
-    path = tissue.feed_along([[-1, 0, -0.1], [0, 0, -0.1]], 10)
-    as_text, as_number = (
-        tissue.Bone.block((8, 4, 2), spacing_mm=0.5, cutting={"radial_edge_N_mm": value})
-        .cut(BURR, *path)
-        .force_N
-        for value in ("4", 4.0)
-    )
-    np.testing.assert_array_equal(as_text, as_number)
 
 
 def test_more_elements_than_memory_holds_are_refused():
@@ -221,24 +206,6 @@ def test_bone_that_fills_an_array_to_its_edge_is_cut_like_a_block():
         each.cut(burr, tips, times, axis=axis).force_N[-20:].mean(axis=0) for each in (full, block)
     ]
     assert np.linalg.norm(forces[0] - forces[1]) < 0.01 * np.linalg.norm(forces[1])
-
-
-@pytest.mark.slow
-def test_dense_material_is_cut_as_dense_as_it_is():
-    """Chip and edge forces follow density to a given power, beyond 4,095 kg/m3, too."""
-
-    def force(density):
-        bone = tissue.Bone.from_array(
-            np.full((24, 16, 8), density),
-            spacing_mm=0.25,
-            origin_mm=(-3, -2, -2),
-            cutting={"density_exponent": 1.0},
-        )
-        return bone.cut(
-            BURR, *tissue.feed_along([[-5, 0, -0.3], [0, 0, -0.3]], 10)
-        ).force_magnitude_N[-1]
-
-    assert force(15_000.0) / force(3_000.0) == pytest.approx(5.0, rel=1e-3)
 
 
 def public_callables():
@@ -294,6 +261,10 @@ def test_no_public_function_swallows_an_unknown_keyword(tmp_path):
         "Organ.from_surface": lambda **more: tissue.Organ.from_surface(
             tmp_path / "ball.stl", modulus_kPa=5, poisson_ratio=0.45, **more
         ),
+        "Organ.from_tetrahedra": lambda **more: tissue.Organ.from_tetrahedra(
+            tmp_path / "none.vtu", modulus_kPa=5, poisson_ratio=0.45, **more
+        ),
+        "Loop": lambda **more: tissue.Loop(bone, device=None, **more),
         "Organ.liver": lambda **more: tissue.Organ.liver(edge_mm=20, **more),
         "import_ct": lambda **more: tissue.import_ct(tmp_path / "none.nii", tmp_path, **more),
         "calibration.alike": lambda **more: tissue.calibration.alike(3, **more),
@@ -302,5 +273,5 @@ def test_no_public_function_swallows_an_unknown_keyword(tmp_path):
     for name in takes_any - {"Press.plot"}:
         with pytest.raises((TypeError, tissue.InputError), match="densty"):
             calls[name](densty=500)
-    with pytest.raises(TypeError, match="Did you mean material"):
+    with pytest.raises(TypeError, match="did you mean material"):
         tissue.Bone.block(materal="bone")

@@ -1,14 +1,15 @@
 """A soft organ in the hand: what it is made from, what a press gives, and what is refused."""
 
+from meshes.base.errors import (InputError)
+from meshes.tets.structured import (box)
+from tissue.fitting.fit_files import (FittedEntry, write_fitted)
+from tissue.simulation.builders.organ import (elasticity_of)
 import numpy as np
 import pytest
 import pyvista
-
 import tissue
-from meshes.base.errors import InputError
-from meshes.tets.structured import box
-from tissue.fitting.fit_files import FittedEntry, write_fitted
-from tissue.simulation.builders.organ import elasticity_of
+
+
 
 STIFF = {"modulus_kPa": 8.0, "poisson_ratio": 0.45}
 BALL = tissue.ball(diameter_mm=12)
@@ -49,21 +50,6 @@ def test_a_press_gives_force_over_depth_and_the_organ_under_it(press):
     np.testing.assert_allclose(mesh["reaction_N"].sum(axis=0), press.force_N, atol=1e-4)
 
 
-def test_a_table_has_units_in_its_names(press):
-    table = press.to_pandas()
-    assert list(table) == [
-        "time_s",
-        "depth_mm",
-        "force_x_N",
-        "force_y_N",
-        "force_z_N",
-        "force_N",
-        "area_mm2",
-    ]
-    assert len(table) == len(press.depth_mm)
-    assert table["force_N"].iloc[-1] == pytest.approx(press.force_magnitude_N)
-
-
 def test_parts_are_known_by_name_by_number_and_by_array():
     points, cells = cube()
     deep = points[cells].mean(axis=1)[:, 2] < -12.0
@@ -93,26 +79,6 @@ def test_parts_are_known_by_name_by_number_and_by_array():
         tissue.Organ.from_tetrahedra(
             grid_of(points, cells, part=names), parts={"tumour": 80}, **STIFF
         )
-
-
-def test_reprs_are_plain(organ, press):
-    assert repr(BALL) == "ball(diameter_mm=12)"
-    assert repr(organ) == (
-        "Organ(48 x 48 x 24 mm, 55.3 ml; 864 tetrahedra of order 2; body 8 kPa; Poisson's "
-        "ratio 0.45; held: the surface "
-        "that faces bottom)"
-    )
-    assert repr(press).startswith("Press(ball(diameter_mm=12) at (0, 0, 0) mm: 0.")
-    assert repr(press).endswith("; the linear law is within 5% of a hyperelastic force to 2.2 mm)")
-
-
-def test_a_press_reports_what_it_does(organ):
-    done = []
-    organ.press(
-        BALL, depth_mm=1.0, at_mm=(2, 0, 0), progress=lambda what, share: done.append((what, share))
-    )
-    shares = [share for what, share in done if what == "pressing"]
-    assert len(shares) > 50 and shares == sorted(shares) and shares[0] == 0.0 and shares[-1] < 1.0
 
 
 TURNS = {
@@ -316,18 +282,6 @@ def test_capsule_weight_and_order_have_their_effect(organ):
     )
 
 
-def test_a_deep_press_states_from_where_the_linear_law_is_off(organ):
-    deep, shallow, punch = (
-        organ.press(tool, depth_mm=depth, at_mm=(0, 0, 0)).notes["linear"]
-        for tool, depth in ((BALL, 3.0), (BALL, 2.0), (tissue.flat_punch(diameter_mm=10), 1.0))
-    )
-    assert deep == (
-        "pressed 3 mm deep: from 2.2 mm on the linear law is more than 5% off a hyperelastic force"
-    )
-    assert shallow == "the linear law is within 5% of a hyperelastic force to 2.2 mm"
-    assert "known of balls alone" in punch
-
-
 def test_a_coarse_mesh_is_noted_and_a_fine_one_is_not(organ):
     assert "refine the organ there" in organ.press(BALL, depth_mm=1, at_mm=(0, 0, 0)).notes["mesh"]
     fine = organ.refined(edge_mm=3, near_mm=(0, 0, 0)).press(BALL, depth_mm=1, at_mm=(0, 0, 0))
@@ -408,38 +362,17 @@ def test_meshes_that_cannot_be_are_refused_in_one_sentence(tmp_path):
         np.concatenate([points, points + np.array([100.0, 0.0, 100.0])]),
         np.concatenate([cells, cells + len(points)]),
     )
-    surface = pyvista.Sphere(radius=20)
-    surface.save(tmp_path / "sphere.vtk")
-    for mesh, sentence in (
-        (
-            (1e-3 * points, cells),
-            "mesh must be in millimetres, got one of 0.048 x 0.048 x 0.024, which looks like "
-            "metres: "
-            "give scale_mm=1000, or scale_mm=1 if that is its size",
-        ),
-        ((points, cells + len(points)), "mesh must hold finite points for all cells"),
-        (
-            (points, cells[:, :3]),
-            "mesh must be points of shape (n, 3) and cells of shape (m, 4), got (245, 3) and",
-        ),
-        (surface, "mesh must"),
-        (
-            tmp_path / "sphere.vtk",
-            "mesh must hold tetrahedra, got none: fill a surface by from_surface",
-        ),
-        (tmp_path / "nowhere.vtu", "mesh must exist, got"),
-        (
-            5,
-            (
-                "mesh must be a grid of pyvista, a mesh of meshio, points and cells, or a file, "
-                "got int"
-            ),
-        ),
+    for mesh in (
+        (1e-3 * points, cells),
+        (points, cells + len(points)),
+        (points, cells[:, :3]),
+        pyvista.Sphere(radius=20),
+        tmp_path / "nowhere.vtu",
+        5,
     ):
-        with pytest.raises(InputError) as refused:
+        with pytest.raises(InputError, match=r"^mesh must"):
             tissue.Organ.from_tetrahedra(mesh, **STIFF)
-        assert str(refused.value).startswith(sentence) and "\n" not in str(refused.value)
-    with pytest.raises(InputError, match="supports"):
+    with pytest.raises(InputError, match="1 of 2 unconnected parts"):
         organ = tissue.Organ.from_tetrahedra(loose, held_below_mm=-23.9, **STIFF)
         organ.press(BALL, depth_mm=1, at_mm=(0, 0, 0))
 
@@ -457,14 +390,6 @@ def test_a_hole_that_the_tool_does_not_fit_is_refused():
         InputError, match=r"at_mm must be the first that the tool touches, .* organ 11\.5 mm"
     ):
         organ.press(tissue.ball(diameter_mm=30), depth_mm=1, at_mm=(0, 0, -12))
-
-
-def test_a_wrong_option_is_named():
-    with pytest.raises(
-        TypeError,
-        match=r"Organ got an unexpected keyword argument 'frction'.*it takes capsule, density",
-    ):
-        tissue.Organ.block((40, 40, 20), frction=0.1, **STIFF)
 
 
 def test_meshio_like_blocks_and_quadratic_cells_are_taken():
@@ -495,12 +420,6 @@ def test_pictures_are_drawn(organ, press, tmp_path, monkeypatch, capfd):
         assert len(np.unique(np.asarray(picture.active_scalars), axis=0)) > 50
     with pytest.raises(InputError, match="scalars must be one of displacement_mm, reaction_N"):
         press.plot(scalars="heat", **shown)
-
-
-def test_tables_of_a_notebook_show_the_figures(organ, press):
-    for shown in (organ._repr_html_(), press._repr_html_()):
-        assert shown.startswith("<table>") and shown.endswith("</table>")
-    assert "8 kPa" in organ._repr_html_() and "N/mm" in press._repr_html_()
 
 
 def test_a_press_whose_force_falls_with_depth_is_refused():

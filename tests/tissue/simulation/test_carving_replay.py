@@ -1,14 +1,13 @@
 """Bone at a tick, carved again from the poses of a run, against runs that stopped there."""
 
+from tissue import (load_scene, simulate)
+from tissue.motion.replay import (poses_of_trace, read_poses, write_poses)
+from tissue.simulation.bone_surface import (tool_axes)
+from tissue.simulation.run import (Run)
 import numpy as np
 import pytest
 
-from meshes.base.errors import InputError
-from meshes.voxels.volume import VoxelVolume
-from tissue import load_scene, simulate
-from tissue.motion.replay import poses_of_trace, read_poses, write_poses
-from tissue.simulation.depth_map import tool_axes
-from tissue.simulation.run import Run
+
 
 COARSE = {"voxels.spacing_mm": 0.5}
 DEEP = {"motion.points_mm": [[-3, 0, 0.0], [-3, 0, -0.8], [3, 0, -0.8]], "motion.feed_mm_s": 60.0}
@@ -17,7 +16,6 @@ SCENES = {
         "glenoid",
         COARSE | {"motion.points_mm": [[0, 0, 0.0], [0, 0, -2.0]], "motion.feed_mm_s": 5.0},
     ),
-    "fast and swept": ("milling", COARSE | {"motion.feed_mm_s": 400.0}),
     "binary": ("milling", COARSE | DEEP | {"voxels.removal": "binary"}),
     "thrust": (
         "milling",
@@ -76,21 +74,6 @@ def test_the_last_tick_is_the_run_itself_whatever_was_asked_before(cut):
     )
 
 
-def test_poses_read_back_are_the_same_bits(cut, tmp_path):
-    _, run = cut
-    write_poses(tmp_path / "poses.npz", run.poses, run.volume)
-    poses, origin_m, spacing_m = read_poses(tmp_path / "poses.npz")
-    np.testing.assert_array_equal(poses, run.poses)
-    np.testing.assert_array_equal(
-        [*origin_m, spacing_m], [*run.volume.origin_m, run.volume.spacing_m]
-    )
-    assert (
-        len(run.poses) >= TICKS + 1
-        and run.poses[0, 0] == -1.0
-        and run.poses[-1, 0] == len(run.trace.rows) - 1
-    )
-
-
 def test_a_trace_alone_gives_the_bone_within_what_the_tool_goes_between_two_cuts(cut):
     kind, run = cut
     trace = run.trace
@@ -111,35 +94,3 @@ def test_a_trace_alone_gives_the_bone_within_what_the_tool_goes_between_two_cuts
     differ = np.abs(bone.astype(int) - run.remaining)
     assert differ.max() <= (255 if kind == "binary" else 11)
     assert (differ > 0).mean() < 1e-3
-
-
-def test_what_was_not_cut_has_no_replay():
-    with pytest.raises(
-        InputError,
-        match="run must have a tool that cuts, got sphere-probe: see its trace and fields",
-    ):
-        simulate(load_scene("wall", {"duration_s": 0.05})).replay()
-
-
-@pytest.mark.parametrize(
-    "damage", ["cut short", "other", "empty", "columns", "not finite", "version"]
-)
-def test_damaged_poses_are_refused_in_a_sentence(tmp_path, damage):
-    path, poses = tmp_path / "poses.npz", np.zeros((40, 13))
-    voxels = np.zeros((2, 2, 2), dtype=np.uint8)
-    volume = VoxelVolume(np.zeros(3), 1e-3, voxels, voxels, voxels.astype(np.uint16), ("bone",))
-    if damage == "columns":
-        poses = poses[:, :9]
-    if damage == "not finite":
-        poses[3, 2] = np.nan
-    write_poses(path, poses, volume)
-    if damage == "cut short":
-        path.write_bytes(path.read_bytes()[:-60])
-    elif damage == "other":
-        np.savez(path, tips=poses)
-    elif damage == "empty":
-        path.write_bytes(b"")
-    elif damage == "version":
-        np.savez(path, format=np.array(99), poses=poses)
-    with pytest.raises(InputError, match=r"^poses must .*, got .*: run the scene again$"):
-        read_poses(path)

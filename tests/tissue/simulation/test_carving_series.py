@@ -1,13 +1,13 @@
 """Carving over time as files: their content, compared with the bone itself."""
 
+from tissue import (load_scene, simulate)
+from tissue.motion.replay import (read_poses)
+from tissue.simulation.bone_files import (carved_surface, carving_ticks, write_carving)
+from tissue.simulation.bone_surface import (block_means, changed_box)
 import numpy as np
 import pytest
 
-from tissue import load_scene, simulate
-from tissue.motion.replay import read_poses
-from tissue.simulation.bone_files import carved_surface
-from tissue.simulation.carved_surface import CarvedSurface, block_means, changed_box, coarse_volume
-from tissue.simulation.carving_series import MOST_FRAMES, carving_ticks, write_carving
+
 
 pyvista = pytest.importorskip("pyvista")
 
@@ -60,18 +60,8 @@ def test_paraview_plays_the_bone_from_whole_to_carved(run, folder):
     np.testing.assert_array_equal(origin_m, run.volume.origin_m)
 
 
-def test_frames_are_few_and_of_those_alike_one_is_kept(run, folder):
-    named = (folder / "carving.pvd").read_text().split('file="')[1::2]
-    ticks = carving_ticks(run)
-    assert len(named) == len(ticks) <= MOST_FRAMES and ticks[-1] == len(run.trace.rows) - 1
-    frames = {name.split('"')[0] for name in named}
-    assert {path.name for path in (folder / "carving").iterdir()} == {"rest.vtp", "poses.npz"} | {
-        name.removeprefix("carving/") for name in frames
-    }
-
-
 def test_a_cut_of_many_triangles_is_drawn_in_blocks(run, tmp_path, monkeypatch):
-    monkeypatch.setattr("tissue.simulation.carving_series.MOST_TRIANGLES", 900)
+    monkeypatch.setattr("tissue.simulation.bone_files.MOST_TRIANGLES", 900)
     write_carving(run, tmp_path)
     reader = pyvista.PVDReader(tmp_path / "carving.pvd")
     reader.set_active_time_value(reader.time_values[-1])
@@ -106,15 +96,3 @@ def test_blocks_keep_the_amount_of_bone_and_the_place_of_layers():
     other[4, 6, 3] ^= 1
     low, high = changed_box(fraction, other)
     assert (low.tolist(), high.tolist()) == ([2, 5, 1], [5, 7, 4])
-
-
-def test_parts_of_a_surface_make_up_the_whole(run):
-    low, high = changed_box(run.volume.fraction, run.remaining)
-    carved = CarvedSurface(run.volume, (low, high), axis=2)
-    whole, rest, cut = carved_surface(run), carved.rest(), carved.of(run.remaining[carved.part])
-    assert rest.n_cells + cut.n_cells == whole.n_cells
-    names = lambda one: np.bincount(one.cell_data["layer"], minlength=2)  # noqa: E731
-    np.testing.assert_array_equal(names(rest) + names(cut), names(whole))
-    coarse = coarse_volume(run.volume, 2)
-    assert coarse.spacing_m == 2 * run.volume.spacing_m
-    assert coarse.volume_m3() == pytest.approx(run.volume.volume_m3(), rel=1e-3)

@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from tissue import InputError
-from tissue.simulation.trace import Table, TraceLayout
-from tissue.simulation.trace_files import FORMATS, check_format, write_trace
+from tissue.simulation.trace import FORMATS, Table, TraceLayout, write_trace
 
 LAYERS = ("subchondral_bone", "trabecular")
 
@@ -56,15 +54,6 @@ def test_a_format_reads_back_equal(trace, tmp_path, kind):
     for name in trace:
         np.testing.assert_array_equal(back[name], trace[name], err_msg=name)
     assert set(back["layer"]) == {*LAYERS, "none"}
-
-
-def test_an_unknown_format_is_refused():
-    with pytest.raises(
-        InputError, match="format must be one of parquet, npz, mat, h5, recording, got xml"
-    ):
-        check_format("xml")
-    for kind in FORMATS:
-        check_format(kind)
 
 
 @pytest.mark.parametrize("kind", FORMATS)

@@ -13,7 +13,7 @@ from tissue.models.tissue_model import Response, ToolMotion
 from tissue.scene.load import changed
 from tissue.scene.scene import Scene
 from tissue.simulation.builders.cutting import cutter_of, milled_voxels
-from tissue.simulation.builders.motions import motion_of
+from tissue.simulation.builders.parts import motion_of
 from tissue.simulation.load_record import record_loads, why_not_linear
 from tissue.simulation.simulate import simulate
 
@@ -74,8 +74,6 @@ def test_reweighing_equals_rerunning(tables, kind, exponent):
     trace = simulate(other, cores=1).trace
     loads, want = record.loads(coefficients_in(other, record.layer_names)), wrenches(trace)
     assert greatest_difference(loads, want) < EQUAL
-    commanded = np.hstack([trace.vectors("force", "N"), trace.vectors("torque", "Nm")])
-    assert greatest_difference(record.commanded(loads), commanded) < EQUAL
     assert greatest_difference(record.loads(coefficients_in(scene, record.layer_names)), want) > 0.1
     for name in ("tool_z_mm", "removed_mm3"):
         assert np.array_equal(record.trace[name], trace[name])
@@ -140,8 +138,6 @@ def test_derivatives_are_those_of_the_loads(tables):
         step = 1e-4 * np.eye(len(given))[at]
         central = (record.loads(given, factors + step) - record.loads(given, factors - step)) / 2e-4
         assert slopes[:, :, at, 7] == pytest.approx(central, abs=1e-6 * np.abs(central).max())
-    with pytest.raises(InputError, match="every must be 1"):
-        record.commanded(record.loads(given))
 
 
 def test_what_does_not_follow_from_one_run_is_stated(tables):
@@ -157,11 +153,3 @@ def test_what_does_not_follow_from_one_run_is_stated(tables):
         assert why in found and bool(why) == bool(found)
     with pytest.raises(InputError, match="linear in the coefficients, got one where the path"):
         record_loads(Scene(**tables["block, thrust"]))
-
-
-def test_a_record_that_does_not_fit_names_the_ticks_to_leave_out(tables):
-    scene = Scene(**(tables["bone, density"] | {"duration_s": 3600.0}))
-    with pytest.raises(
-        InputError, match=r"every must leave the record within 1 GB, got 1 .* use \d"
-    ):
-        record_loads(scene, cores=1)

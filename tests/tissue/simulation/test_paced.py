@@ -7,7 +7,6 @@ from device_doubles import Recording
 
 from tissue import load_scene, simulate
 from tissue.haptics.device.safe_device import SafeDevice
-from tissue.simulation.live.clock import Paced
 
 SECONDS = 0.3
 
@@ -42,30 +41,3 @@ def test_no_tick_of_a_real_device_comes_before_it_is_due(held):
         words in run.summary["notes"]["priority"]
         for words in ("priority", "niceness", "quality of service")
     )
-
-
-class Skipping:
-    """A clock that is late once."""
-
-    skipped_s = 0.0
-
-    def wait(self, index):
-        self.skipped_s = 0.25 if index == 3 else 0.0
-
-
-def test_what_the_clock_skipped_is_reported():
-    paced = Paced()
-    paced._clock = Skipping()
-    for index in range(6):
-        paced.before_tick(index)
-        assert paced.on_tick(index, None, None)
-    assert paced.on_end() == [
-        (
-            0.0,
-            (
-                "the ticks were 0.25 s behind the wall clock in all, which skipped it: the "
-                "device was played later than that"
-            ),
-        )
-    ]
-    assert Paced().on_end() == [] and Paced().timing_columns == ()

@@ -4,9 +4,8 @@ import threading
 
 from tissue import load_scene, simulate
 from tissue.haptics.device.recorded import MouseDevice
-from tissue.simulation.live.clock import Prioritised, WallClock
 from tissue.simulation.live.run import LiveObserver
-from tissue.simulation.observer import Observers
+from tissue.simulation.observer import Observers, Prioritised, WallClock
 from tissue.simulation.simulate import TICK_S
 
 HALF = {"duration_s": 0.5}
@@ -55,7 +54,7 @@ def test_ticks_that_leave_nothing_to_others_lose_their_priority(monkeypatch):
     assert (
         not any("ordinary priority" in what for _, what in run.events) and len(priority.asked) == 2
     )
-    monkeypatch.setattr("tissue.simulation.live.clock.FULL", 0.0)
+    monkeypatch.setattr("tissue.simulation.observer.FULL", 0.0)
     run, _ = live_by(priority)
     assert [what for _, what in run.events if "ordinary priority" in what] == [
         "the ticks took over 0% of the time: they have ordinary priority from here"

@@ -3,13 +3,14 @@
 The tests cover their content, and equal path and force in a replay.
 """
 
+from scipy.spatial.transform import (Rotation)
+from tissue import (load_scene, simulate)
+from tissue.motion.replay import (EVENTS, POSES)
+from tissue.simulation.recording import (write_recording)
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
-from tissue import load_scene, open_run, simulate
-from tissue.motion.replay import EVENTS, POSES
-from tissue.simulation.recording import write_recording
+
 
 h5py = pytest.importorskip("h5py")
 COARSE = {"voxels.spacing_mm": 0.5, "motion.points_mm": [[-3, 0, 0.2], [-3, 0, -0.8], [3, 0, -0.8]]}
@@ -124,45 +125,3 @@ def test_a_run_replayed_from_its_recording_takes_the_same_path_under_the_same_fo
     assert peak > 50.0 and set(
         np.flatnonzero(np.abs(other - force).max(axis=1) > 1e-9 * peak)
     ) <= set(turned)
-
-
-def test_poses_between_ticks_are_resampled_within_a_tick_of_path(run, written, tmp_path):
-    """Poses between ticks are resampled within a tick of path.
-
-    At 60 mm/s a clock that is a third of a tick off moves the tool by 20 um, and the corner by as
-    much. A force lies between the forces of the neighbouring ticks, except where the path turns or
-    stops within one.
-    """
-    with h5py.File(written) as held, h5py.File(tmp_path / "late.hdf5", "w") as file:
-        held.copy("physics_data", file)
-        for group in (DRILL, ANATOMY):
-            file[f"{group}/time_stamp"][...] += 1_700_000_000.0
-            file[f"{group}/time_stamp"][1:] += 1e-3 / 3.0
-    late = load_scene(
-        "milling", FAST | {"motion": {"kind": "replay", "file": str(tmp_path / "late.hdf5")}}
-    )
-    again = simulate(late)
-    ticks = min(len(again.trace.rows), len(run.trace.rows))
-    off = (again.trace.vectors("tool", "mm")[:ticks] - run.trace.vectors("tool", "mm")[:ticks])[1:]
-    assert 0.015 < np.abs(off).max() < 0.021
-    force, other = (each.trace.vectors("model_force", "N")[:ticks] for each in (run, again))
-    around = np.stack([force[:-2], force[1:-1], force[2:]])
-    outside = np.maximum(around.min(axis=0) - other[1:-1], other[1:-1] - around.max(axis=0)).max(
-        axis=1
-    )
-    assert set(np.flatnonzero(outside > 1e-4 * np.abs(force).max()) + 1) <= {17, 18, 117, 118}
-
-
-def test_a_folder_and_a_run_that_cuts_nothing_write_one_too(run, written, tmp_path):
-    run.save(tmp_path / "run", pictures=False)
-    path = (
-        open_run(tmp_path / "run").save(tmp_path / "run", formats=["recording"]) / "recording.hdf5"
-    )
-    with h5py.File(path) as file, h5py.File(written) as other:
-        for name in (f"{DRILL}/pose", f"{EVENTS}/voxels_removed/voxel_removed"):
-            np.testing.assert_array_equal(file[name][()], other[name][()])
-    simulate(load_scene("wall", {"duration_s": 0.05})).save(
-        tmp_path / "wall", formats=["recording"], pictures=False
-    )
-    with h5py.File(tmp_path / "wall" / "recording.hdf5") as file:
-        assert set(file[EVENTS]) == {"drill_force_feedback"} and len(file[f"{DRILL}/pose"]) == 50

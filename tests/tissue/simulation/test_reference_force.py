@@ -10,12 +10,10 @@ import pytest
 from tissue import load_scene, simulate
 from tissue.evaluation.statistics.metrics import excess_error, force_error, latency_ms
 from tissue.haptics.device.recorded import RecordedDevice
-from tissue.haptics.hand_measures import TRUE
 from tissue.haptics.hand_motion import Rendering
 from tissue.prediction.predictor import Hold
-from tissue.simulation.builders import device_motion
-from tissue.simulation.builders.loop import lead_ticks
-from tissue.simulation.builders.loop_settings import loop_settings
+from tissue.simulation.builders import hand
+from tissue.simulation.builders.loop import lead_ticks, loop_settings
 from tissue.simulation.reference_force import ideal_force_N, motor_forces, stretch_force_N
 
 STEP_M = 5.5e-5
@@ -65,7 +63,7 @@ def run_with(monkeypatch, predictor, **changes):
         "prediction": "hold",
     }
     monkeypatch.setattr(
-        device_motion, "Rendering", lambda **named: Rendering(**(named | {"predictor": predictor}))
+        hand, "Rendering", lambda **named: Rendering(**(named | {"predictor": predictor}))
     )
     scene = load_scene("wall", entries | {"duration_s": 1e-3 * TICKS} | changes)
     return simulate(scene, device=Stepped(), allow_unstable=True)
@@ -117,7 +115,7 @@ def test_another_lead_is_seen_in_the_score(held, monkeypatch, early):
     path's own lead.
     """
     run, ideal = held
-    monkeypatch.setattr(device_motion, "lead_ticks", lambda settings: lead_ticks(settings) + early)
+    monkeypatch.setattr(hand, "lead_ticks", lambda settings: lead_ticks(settings) + early)
     forces = motor_forces(run_with(monkeypatch, Oracle(stretch_force_N(run))), ideal)
     assert latency_ms(forces.played, forces.nearest, tick_s=1e-3) == pytest.approx(-early, abs=0.05)
     assert force_error(forces.played, forces.ideal) > 1.1 * force_error(
@@ -132,19 +130,3 @@ def test_a_scale_of_motion_changes_the_stretch_by_itself(monkeypatch):
     """
     run = run_with(monkeypatch, Hold(), **{"coupling.motion_scale": 2.5})
     np.testing.assert_allclose(stretch_force_N(run), run.trace.vectors("raw_force", "N"), atol=1e-9)
-
-
-def test_a_device_that_does_not_know_is_scored_at_its_samples():
-    truth = Stepped().truth_m
-    entries = {
-        "device": "touch",
-        "coupling.stiffness_N_m": STIFFNESS_N_M,
-        "duration_s": 1e-3 * TICKS,
-    }
-    run = simulate(
-        load_scene("wall", entries), device=RecordedDevice(1e-3 * np.arange(TICKS), truth)
-    )
-    assert not set(TRUE) & set(run.trace.columns)
-    forces = motor_forces(run, ideal_force_N(run))
-    np.testing.assert_allclose(ideal_force_N(run), stretch_force_N(run), atol=1e-9)
-    assert force_error(forces.nearest, forces.ideal) < 2e-3

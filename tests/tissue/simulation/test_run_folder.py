@@ -3,25 +3,20 @@
 A run can be made again from them, and the files after a kill are checked.
 """
 
+from coarse_run import (COARSE)
+from tissue import (InputError, load_scene, simulate)
+from tissue.simulation.loop import (spin_time_s)
+from tissue.simulation.run_folder import (RunFolder, SavedRun)
 import json
-import shutil
-import signal
-import subprocess
-import sys
-import time
-
 import numpy as np
 import pytest
-from coarse_run import COARSE
+import shutil
+import subprocess
+import sys
 
-from tissue import InputError, load_scene, simulate
-from tissue.simulation.run_folder import RunFolder, SavedRun
-from tissue.simulation.scheduling import spin_time_s
-from tissue.simulation.trace import FLUSH_EVERY_S
-from tissue.simulation.trace_files import read_table
+
 
 MAIN = [sys.executable, "-c", "from tissue.cli.main import main; main()"]
-LOST_S = 0.2
 """Most of a killed run's wall time that may be missing from its trace."""
 
 
@@ -118,216 +113,18 @@ def test_a_folder_without_a_run_is_no_run(tmp_path):
             SavedRun(tmp_path)
 
 
-@pytest.fixture
-def copied(made, tmp_path):
-    """A copy of the run's folder to damage, and what both that look at a run report of it."""
-    folder = tmp_path / "copy"
-    shutil.copytree(made, folder)
-
-    def message(refused):
-        messages = {
-            refused("view", folder, "--screenshot", tmp_path / "x.png"),
-            refused("assess", folder, "--against", made),
-        }
-        assert len(messages) == 1 and not (tmp_path / "x.png").exists()
-        return messages.pop()
-
-    return folder, message
-
-
 @pytest.mark.parametrize("share", [0.0, 0.5])
-def test_a_trace_shorter_than_its_run_is_refused(copied, refused, share):
-    folder, message = copied
+def test_a_trace_shorter_than_its_run_is_refused(made, tmp_path, share):
+    folder = shutil.copytree(made, tmp_path / "copy")
     table = folder / "trace.csv"
     lines = table.read_text().splitlines(keepends=True)
     table.write_text("".join(lines[: round(share * len(lines))]))
     found = max(round(share * len(lines)) - 1, 0)
-    assert message(refused) == (
-        f"trace.csv must hold 600 ticks as in summary.json, got {found} in {table}: run the "
-        "scene again"
-    )
+    with pytest.raises(InputError, match=rf"trace.csv must hold 600 ticks .*, got {found} in"):
+        SavedRun(folder)
     summary = json.loads((folder / "summary.json").read_text())
     (folder / "summary.json").write_text(json.dumps(summary | {"status": "interrupted"}))
     assert len(SavedRun(folder).trace.rows) == found
-
-
-@pytest.mark.parametrize(
-    ("content", "sentence"),
-    [
-        (b"format = 1\n[anato", "scene must be valid TOML"),
-        (b"format = 1\nname = '\xff'", "scene must be TOML in UTF-8"),
-        (b"format = 9\n", "scene must be of format 2 or older, got 9"),
-    ],
-)
-def test_a_damaged_scene_of_a_run_is_refused(copied, refused, content, sentence):
-    folder, message = copied
-    (folder / "scene.toml").write_bytes(content)
-    assert message(refused).startswith(sentence)
-    (folder / "scene.toml").unlink()
-    assert SavedRun(folder).scene is None
-
-
-@pytest.mark.slow
-def test_a_runs_own_trace_replays_it(tmp_path):
-    scene = load_scene(
-        "milling", {"voxels.spacing_mm": 0.4, "motion.feed_mm_s": 50.0, "duration_s": 0.809}
-    )
-    first = simulate(scene, out=tmp_path / "first")
-    first.save(tmp_path / "first", pictures=False)
-    table = str(tmp_path / "first" / "trace.csv")
-    again = simulate(
-        load_scene(
-            tmp_path / "first" / "scene.toml", {"motion.kind": "replay", "motion.file": table}
-        )
-    )
-    assert again.parts.volume.shape == first.parts.volume.shape
-    # Poses go through mm and back: a few roundings of 5 mm. Velocities are differences of poses,
-    # 1e-18 m in steps of 5e-5 m. No element of this cutter lies so close to a voxel's face that
-    # such a rounding takes it across.
-    for name in ("tool_x_mm", "tool_y_mm", "tool_z_mm"):
-        np.testing.assert_allclose(again.trace[name], first.trace[name], atol=1e-14)
-    total = sum(first.summary["removed_mm3"].values())
-    assert total > 5.0
-    assert sum(again.summary["removed_mm3"].values()) == pytest.approx(total, rel=1e-9)
-    peak = first.summary["force_N"]["peak"]
-    for kind in ("model_force", "force"):
-        moved = again.trace.vectors(kind, "N") - first.trace.vectors(kind, "N")
-        assert np.abs(moved).max() < 1e-9 * peak
-
-
-@pytest.fixture(scope="module")
-def start():
-    """Start a run in a process of its own, which ends with the test.
-
-    It obeys SIGINT wherever this process runs.
-    """
-    started = []
-    heeding = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
-
-    def begin(*arguments):
-        command = [sys.executable, "-c", heeding + MAIN[2], *arguments]
-        started.append(
-            subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        )
-        return started[-1]
-
-    yield begin
-    for process in started:
-        process.kill()
-        process.communicate()
-
-
-def wait_for_rows(path, process, least):
-    """Wait until the trace has more than ``least`` rows."""
-    until = time.monotonic() + 60.0
-    while time.monotonic() < until:
-        if path.is_file() and path.read_bytes().count(b"\n") > least:
-            return
-        assert process.poll() is None, process.stderr.read()
-        time.sleep(0.005)
-    raise AssertionError(f"{path} did not grow")
-
-
-@pytest.fixture(scope="module")
-def killed(tmp_path_factory, start):
-    """Return the folder of a milling run killed in its middle, and the time to its end [s].
-
-    The wall time runs from the last growth of the folder to the end. Up to three runs are killed: a
-    machine busy with other work holds a process up between its ticks.
-    """
-    for attempt in range(3):
-        out = tmp_path_factory.mktemp("killed") / f"milling-{attempt}"
-        process = start(
-            "run",
-            "milling",
-            "--no-pictures",
-            "--duration-s",
-            "600",
-            "--out",
-            str(out),
-            "--cores",
-            "1",
-        )
-        wait_for_rows(out / "trace.csv", process, 500)
-        time.sleep(0.35)
-        process.kill()
-        ended = time.time()
-        process.wait()
-        lost_s = ended - (out / "trace.csv").stat().st_mtime
-        if lost_s < LOST_S:
-            break
-    return out, lost_s
-
-
-@pytest.mark.slow
-def test_a_killed_run_loses_less_than_a_fifth_of_a_second(killed):
-    """The rest of the time since its last flush is what it lost: it ran without pause."""
-    folder, lost_s = killed
-    assert FLUSH_EVERY_S < LOST_S
-    assert -0.05 < lost_s < LOST_S  # clocks of the file system tick every 10 ms or less
-    saved = SavedRun(folder)
-    assert (
-        not saved.complete
-        and saved.summary["status"] == "running"
-        and saved.status == "interrupted"
-    )
-    ticks = len(saved.trace.rows)
-    assert ticks > 500
-    np.testing.assert_allclose(saved.trace["time_s"], 1e-3 * np.arange(ticks), rtol=1e-12)
-    timing = read_table(folder / "timing.csv", ())
-    assert abs(len(timing.rows) - ticks) <= FLUSH_EVERY_S / np.median(timing["tick_us"]) * 2e6
-    assert load_scene(folder / "scene.toml").name == "milling"
-
-
-@pytest.mark.slow
-def test_a_killed_run_is_still_a_run(killed, tmp_path, refused, command):
-    folder = shutil.copytree(killed[0], tmp_path / "run")
-    before = {
-        entry.relative_to(folder): entry.read_bytes()
-        for entry in folder.rglob("*")
-        if entry.is_file()
-    }
-    assert refused("run", "milling", *COARSE, "--out", folder) == (
-        f"out must not hold another run, got {folder}: pass --overwrite to replace it or "
-        "choose another --out"
-    )
-    assert {
-        entry.relative_to(folder): entry.read_bytes()
-        for entry in folder.rglob("*")
-        if entry.is_file()
-    } == before
-    from tissue.show.viewer.view import _about
-
-    assert _about(SavedRun(folder)).startswith("run is incomplete: it was interrupted at ")
-    code, _, error = command(
-        "run", "milling", *COARSE, "--duration-s", 0.01, "--out", folder, "--overwrite"
-    )
-    assert (code, error) == (0, "")
-    assert SavedRun(folder).complete
-
-
-def test_an_interrupted_run_keeps_its_trace_and_prints_one_line(tmp_path, start):
-    out = tmp_path / "milling"
-    process = start("run", "milling", *COARSE, "--duration-s", "600", "--out", str(out))
-    wait_for_rows(out / "trace.csv", process, 100)
-    process.send_signal(signal.SIGINT)
-    _, message = process.communicate(timeout=120)
-    assert process.returncode == 130
-    assert message == "stopped: what was written so far is kept, see `tissue view`\n"
-    saved = SavedRun(out)
-    assert not saved.complete
-    assert len(saved.trace.rows) > 100
-
-
-def test_a_run_stopped_before_it_has_begun_is_reported(tmp_path, command, monkeypatch):
-    def stop(*_, **__):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("tissue.simulation.simulate.build", stop)
-    code, _, message = command("run", "milling", *COARSE, "--out", tmp_path / "out")
-    assert (code, message) == (130, "stopped before anything was written\n") and not (
-        tmp_path / "out"
-    ).exists()
 
 
 def test_a_run_killed_before_its_first_row_reads_back(tmp_path):

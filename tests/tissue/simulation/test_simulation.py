@@ -1,12 +1,10 @@
 """`simulate`: the output filter, what is recorded, and what is left alone."""
 
-import os
-
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from tissue import InputError, load_scene, simulate
+from tissue import load_scene, simulate
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr
 from tissue.models.tissue_model import FreeSpace
@@ -71,16 +69,6 @@ def test_a_step_of_force_is_answered_by_the_continuous_filters_own_values(monkey
     assert not trace["force_x_N"].any() and not trace.vectors("torque", "Nm").any()
 
 
-@pytest.mark.slow
-def test_no_low_pass_hands_the_models_force_on():
-    run = run_of(output__low_pass_ms=0.0)
-    for name, unit in AXES:
-        model = run.trace.vectors(f"model_{name}", unit)
-        np.testing.assert_allclose(
-            run.trace.vectors(name, unit), model, atol=1e-15 * np.abs(model).max(), rtol=1e-15
-        )
-
-
 @pytest.mark.parametrize(("duration_s", "ticks"), [(0.001, 1), (0.0123, 12), (0.2, 200)])
 def test_a_row_a_tick(duration_s, ticks):
     run = run_of(duration_s=duration_s)
@@ -89,21 +77,6 @@ def test_a_row_a_tick(duration_s, ticks):
     np.testing.assert_allclose(run.trace["time_s"], TICK_S * np.arange(ticks), rtol=1e-15)
     assert np.isfinite(run.trace.rows).all()
     assert run.summary["simulated_s"] == pytest.approx(ticks * TICK_S)
-
-
-@pytest.mark.slow
-def test_without_a_duration_a_run_lasts_as_long_as_its_motion(tmp_path):
-    from tissue import scene_text
-
-    text = (
-        scene_text("milling")
-        .replace("duration_s = 9.0\n", "")
-        .replace("spacing_mm = 0.1", "spacing_mm = 0.4")
-    )
-    (tmp_path / "short.toml").write_text(text.replace("feed_mm_s = 5.0", "feed_mm_s = 200.0"))
-    run = simulate(load_scene(tmp_path / "short.toml"))
-    length_mm = 0.15 + 4 * 10 + 3 * 0.1
-    assert len(run.trace.rows) == round(length_mm / 200.0 / TICK_S)
 
 
 def test_the_stages_of_a_tick_add_up_to_it(run):
@@ -122,40 +95,3 @@ def test_the_removed_volume_is_that_of_the_layers_and_never_falls():
     assert ((run.trace["layer"] == "none") == ~touching).all()
     in_air = run.trace.vectors("model_force", "N")[~touching]
     assert not in_air.any()
-
-
-@pytest.mark.slow
-def test_the_seed_is_recorded(tmp_path):
-    run = run_of(seed=42, device="touch", duration_s=0.01)
-    assert run.scene.seed == 42
-    assert load_scene(run.save(tmp_path / "out", pictures=False) / "scene.toml").seed == 42
-
-
-def test_a_run_in_memory_writes_nothing(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    run_of(duration_s=0.05)
-    assert not os.listdir(tmp_path)
-
-
-@pytest.mark.slow
-def test_progress_names_what_is_done_and_never_falls_back():
-    reported = []
-    # no other test's voxels
-    scene = load_scene("milling", COARSE | {"duration_s": 3.0, "voxels.margin_mm": 1.37})
-    simulate(scene, progress=lambda doing, share: reported.append((doing, share)))
-    names = list(dict.fromkeys(doing for doing, _ in reported))
-    assert (
-        names.index("building the anatomy") < names.index("voxelising") < names.index("simulating")
-    )
-    assert any("compiling kernels" in name for name in names)
-    for name in names:
-        shares = [share for doing, share in reported if doing == name]
-        assert shares == sorted(shares) and shares[0] >= 0.0 and shares[-1] <= 1.0
-
-
-@pytest.mark.parametrize("cores", [0, -3])
-def test_fewer_than_one_core_is_refused(cores):
-    with pytest.raises(
-        InputError, match=f"cores must be from 1 to 4096, got {cores}: leave it out to use all"
-    ):
-        simulate(load_scene("milling", COARSE), cores=cores)

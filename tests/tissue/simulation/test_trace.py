@@ -5,8 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from tissue.simulation.trace import TIMING_COLUMNS, Table, TraceLayout, TraceWriter
-from tissue.simulation.trace_files import read_table
+from tissue.simulation.trace import TIMING_COLUMNS, Table, TraceLayout, TraceWriter, read_table
 
 LAYERS = ("plate", "vault")
 UNIT = re.compile(r"_(s|us|mm|mm2|mm3|mm_s|mm3_s|rad_s|N|Nm)$")
@@ -28,16 +27,6 @@ def filled(row_count):
 @pytest.mark.parametrize("name", [*TraceLayout.of(LAYERS).columns, *TIMING_COLUMNS])
 def test_every_column_carries_its_unit(name):
     assert (UNIT.search(name) is not None) != (name in WITHOUT_UNIT)
-
-
-def test_columns_are_distinct_and_known_by_name():
-    table = filled(4)
-    assert len(set(table.columns)) == len(table) == len(list(table))
-    assert table["removed_plate_mm3"].shape == (4,)
-    assert table.vectors("force", "N").shape == (4, 3)
-    assert set(table["layer"]) <= {*LAYERS, "none"}
-    with pytest.raises(KeyError, match="'force' is not a column; known: time_s, tool_x_mm"):
-        table["force"]
 
 
 def test_a_file_reads_back_to_the_same_bits(tmp_path):

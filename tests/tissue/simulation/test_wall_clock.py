@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tissue.simulation.live.clock import WallClock
+from tissue.simulation.observer import WallClock
 
 STEP_S = 1e-3
 

@@ -38,8 +38,7 @@ from tissue.scene.load import changed, load_scene
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion
 from tissue.simulation.builders.force_met import chosen_scale
-from tissue.simulation.builders.loop import judged_loop
-from tissue.simulation.builders.loop_settings import loop_settings
+from tissue.simulation.builders.loop import judged_loop, loop_settings
 from tissue.simulation.reference_force import ideal_force_N, motor_forces
 from tissue.simulation.run import Run
 from tissue.simulation.simulate import TICK_S, simulate

@@ -1,23 +1,21 @@
-"""Bone or tooth for cutters: its materials and voxels.
+"""Bone or tooth for cutters: its coefficients, and voxels made at once or where a tool reaches."""
 
-The voxels are made at once or where a tool first reaches.
-"""
-
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from kernels.bricks import FULL
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Bytes
 from meshes.base.errors import InputError
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.materials.constants import CuttingCoefficients
+from tissue.materials.scene_constants import Materials
 from tissue.models.bone.bricks import BrickStore
 from tissue.models.bone.bricks_on_demand import Boxes, BricksOnDemand
 from tissue.models.bone.model import BoneModel, Removal
+from tissue.scene.scene import Cutting
 
 __all__ = ["VoxelBone", "element_spacing_m", "tool_boxes"]
 
@@ -38,6 +36,11 @@ upright and tilted by up to 60 degrees. With the margin the error is 0.9 % where
 """
 MARGIN_VOXELS = 4
 """Voxels around a tool that its carving and its force read."""
+MOST_ELEMENTS = 1_000_000
+"""Largest number of elements of a cutter.
+
+They take about 1 GB, and a tenth of a second for each pose on one core.
+"""
 
 
 class VoxelBone:
@@ -81,16 +84,27 @@ class VoxelBone:
         self._last: BoneModel | None = None
         self.left_at: Pose | None = None
 
+    @classmethod
+    def stated(
+        cls,
+        voxels: VoxelVolume | BricksOnDemand,
+        cutting: Cutting,
+        constants: Materials,
+        *,
+        compute: str = "cpu",
+    ) -> "VoxelBone":
+        """Return bone with the cited coefficients of its layers, changed by a scene's table."""
+        grid = voxels if isinstance(voxels, VoxelVolume) else voxels.store.grid
+        changes = cutting.model_dump(exclude={"material"})
+        coefficients = constants.coefficients(grid.layer_names, changes, bone=cutting.material)
+        return cls(voxels, coefficients, compute=compute)
+
     def reach(self, boxes: Boxes) -> bool:
         """Make the bricks that boxes touch, given their corners [m].
 
         Returns whether models have to record their launches again.
         """
         return self.on_demand is not None and self.on_demand.make(boxes)
-
-    def has(self, low_m: Array, high_m: Array) -> bool:
-        """Return whether the bricks that a box touches are made, given its corners [m]."""
-        return self.on_demand is None or self.on_demand.has(low_m, high_m)
 
     @property
     def bounds_m(self) -> Array:
@@ -105,7 +119,7 @@ class VoxelBone:
         )
 
     @property
-    def whole(self) -> tuple[VoxelVolume, NDArray[np.uint8]]:
+    def whole(self) -> tuple[VoxelVolume, Bytes]:
         """Volume before any cut and the bone that is left of it (255 = full).
 
         It is available only when all voxels of the bone are made.
@@ -113,7 +127,7 @@ class VoxelBone:
         assert self.store.volume is not None
         return self.store.volume, self.store.fraction()
 
-    def cut_parts(self) -> Iterator[tuple[VoxelVolume, NDArray[np.uint8]]]:
+    def cut_parts(self) -> Iterator[tuple[VoxelVolume, Bytes]]:
         """Yield the parts that tools have cut, before any cut and now.
 
         It is available only for bone that is made where tools reach.
@@ -148,6 +162,39 @@ class VoxelBone:
             return last, True
         self._last = self.model(cutter, shell_spacing_m=shell_spacing_m)
         return self._last, False
+
+    def around(
+        self, cutter: Cutter, tip_m: Array, axis: Array, *, reach_m: float
+    ) -> tuple[BoneModel, Callable[[Array], None]]:
+        """Return the bone under a cutter, and a function that makes more of it as the tool moves.
+
+        At first the bone is made as far as `reach_m` around the cutter. The function is called with
+        the tip [m] before a tick.
+        """
+        made_at = tip_m.copy()
+
+        def boxes(tip_m: Array) -> Boxes:
+            """Return the boxes around a tip."""
+            return tool_boxes(
+                cutter,
+                tip_m[None],
+                axis[None],
+                spacing_m=self.store.grid.spacing_m,
+                around_m=reach_m,
+            )
+
+        self.reach(boxes(tip_m))
+        model = self.model(cutter)
+
+        def keep_ready(tip_m: Array) -> None:
+            """Make more bone once half of the reach is used up; such a tick takes longer."""
+            moved = tip_m - made_at
+            if moved.dot(moved) > (0.5 * reach_m) ** 2:
+                made_at[:] = tip_m
+                if self.reach(boxes(tip_m)):
+                    model.record()
+
+        return model, keep_ready
 
     def model(
         self,
@@ -211,13 +258,6 @@ def tool_boxes(
     aside += MARGIN_VOXELS * spacing_m + around_m
     ends = low * axes, high * axes
     return tips_m + np.minimum(*ends) - aside, tips_m + np.maximum(*ends) + aside
-
-
-MOST_ELEMENTS = 1_000_000
-"""Largest number of elements of a cutter.
-
-They take about 1 GB, and a tenth of a second for each pose on one core.
-"""
 
 
 def element_spacing_m(cutter: Cutter, *, depth_m: float, tolerance: float) -> float:

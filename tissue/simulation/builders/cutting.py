@@ -1,41 +1,34 @@
 """Build the bone or tooth that a cutter meets, as voxels."""
 
-from math import pi, radians
-from typing import TYPE_CHECKING
-
+from math import (pi, radians)
+from meshes.base.errors import (InputError)
+from meshes.base.progress import (Progress, silent)
+from meshes.voxels.volume import (VoxelVolume)
+from tissue.cutters import (profile)
+from tissue.cutters.cutter import (Cutter)
+from tissue.materials.constants import (CUT_AS)
+from tissue.materials.scene_constants import (energy_note)
+from tissue.models.tissue_model import (TICK_S, TissueModel)
+from tissue.motion.motion import (Motion)
+from tissue.scene.anatomy import (MolarAnatomy, Tooth)
+from tissue.scene.part import (is_given)
+from tissue.scene.registry import (CUTTERS)
+from tissue.scene.scene import (Scene, Stress)
+from tissue.scene.tool import (PathMotion, ReplayMotion, Tool)
+from tissue.simulation.builders.bone import (VoxelBone)
+from tissue.simulation.builders.parts import (Parts, motion_of, recorded_file)
+from tissue.simulation.builders.tool_path import (keep_clear, reach, require_outside, require_touch, w_first_notice)
+from tissue.simulation.builders.voxels import (structures, volume_of, whole_tooth)
+from typing import (TYPE_CHECKING)
 import numpy as np
 
-from meshes.base.errors import InputError
-from meshes.base.progress import Progress, silent
-from meshes.voxels.volume import VoxelVolume
-from tissue.cutters import profile
-from tissue.cutters.cutter import Cutter
-from tissue.materials.constants import CUT_AS
-from tissue.materials.scene_constants import energy_note
-from tissue.models.tissue_model import TICK_S, TissueModel
-from tissue.motion.motion import Motion
-from tissue.scene.anatomy import MolarAnatomy, Tooth
-from tissue.scene.part import is_given
-from tissue.scene.registry import CUTTERS
-from tissue.scene.scene import Scene, Stress
-from tissue.scene.tool import PathMotion, ReplayMotion, Tool
-from tissue.simulation.builders.motions import motion_of, recorded_file
-from tissue.simulation.builders.parts import Parts
-from tissue.simulation.builders.start_pose import w_first_notice
-from tissue.simulation.builders.voxels import (
-    reach,
-    require_outside,
-    require_touch,
-    structures,
-    volume_of,
-    whole_tooth,
-)
-
 if TYPE_CHECKING:
-    from tissue.models.bone.model import BoneModel
-    from tissue.models.keep_clear import KeepClear
+    from tissue.haptics.proxy.probing_tool import (ProbedBone)
+    from tissue.models.bone.model import (BoneModel)
 
 __all__ = ["cutter_of", "milled", "milled_voxels", "milling_of"]
+
+
 
 HEAT_CELL = 0.25
 """Edge of the temperature cells within the bur's reach, relative to the edge of the stress cells.
@@ -72,19 +65,40 @@ def milled(
     require_touch(volume, cutter, motion)
     if isinstance(scene.anatomy, Tooth) and not isinstance(scene.motion, ReplayMotion):
         require_outside(volume, cutter, motion)
+    report("compiling kernels (the first time on a machine)", 0.0)
+    tissue: TissueModel
     if cutter.spin_rad_s == 0.0:
-        return _probe(scene, volume, cutter, motion, compute=compute, notes=notes, report=report)
-    _require_chips(scene, cutter)
-    _require_effect(scene, volume)
-    there = np.unique(volume.layer).tolist()
-    notes["specific cutting energy"] = energy_note(
-        tuple(volume.layer_names[at] for at in there),
-        scene.constants,
-        bone=scene.cutting.material,
-        stated=scene.cutting.tangential_chip_N_mm2,
-    )
-    tissue = _bone(scene, volume, cutter, motion, compute=compute, cores=cores, report=report)
-    clear = _clear(scene, volume, cutter, motion, notes=notes, report=report)
+        tissue = _probed(volume, cutter, motion, compute=compute)
+        notes["tool"] = (
+            "it does not turn: rigid contact, nothing is cut, no stress and no heat are computed"
+        )
+    else:
+        _require_chips(scene, cutter)
+        _require_effect(scene, volume)
+        notes["specific cutting energy"] = energy_note(
+            tuple(volume.layer_names[at] for at in np.unique(volume.layer)),
+            scene.constants,
+            bone=scene.cutting.material,
+            stated=scene.cutting.tangential_chip_N_mm2,
+        )
+        spacing_mm = scene.tool.shell_spacing_mm
+        spacing_m = None if spacing_mm is None else spacing_mm * 1e-3
+        tissue = milling = milling_of(
+            scene, volume, cutter, shell_spacing_m=spacing_m, compute=compute, cores=cores
+        )
+        if "pulp" in volume.layer_names:
+            tissue = _tooth(scene, milling, motion, compute=compute, report=report)
+    clear = None
+    if scene.keep_clear is not None:
+        clear = keep_clear(
+            scene.keep_clear,
+            structures(scene),
+            cutter,
+            motion,
+            placement=volume.placement,
+            notes=notes,
+            report=report,
+        )
     parts = Parts(
         motion,
         tissue,
@@ -94,37 +108,10 @@ def milled(
         notes=notes,
         keep_clear=clear,
     )
-    if (file := recorded_file(scene)) and (notice := w_first_notice(volume, cutter, motion, file)):
+    file = recorded_file(scene)
+    if file and (notice := w_first_notice(volume, cutter, motion, file)):
         parts.events.append((0.0, notice))
     return parts
-
-
-def _clear(
-    scene: Scene,
-    volume: VoxelVolume,
-    cutter: Cutter,
-    motion: Motion,
-    *,
-    notes: dict[str, str],
-    report: Progress,
-) -> "KeepClear | None":
-    """Return the distance measurement for structures to keep clear of.
-
-    None is returned where the scene names no structure.
-    """
-    if scene.keep_clear is None:
-        return None
-    from tissue.simulation.builders.keep_clear import keep_clear
-
-    return keep_clear(
-        scene.keep_clear,
-        structures(scene),
-        cutter,
-        motion,
-        placement=volume.placement,
-        notes=notes,
-        report=report,
-    )
 
 
 def milled_voxels(scene: Scene) -> VoxelVolume:
@@ -170,54 +157,27 @@ def _require_effect(scene: Scene, volume: VoxelVolume) -> None:
     anatomy = scene.anatomy
     cutting = scene.cutting
     filled = volume.fraction > 0
+    layers = {volume.layer_names[at] for at in np.unique(volume.layer[filled])}
+    key = where = ""
     if is_given(cutting, "density_exponent"):
         cited = scene.constants.coefficients(volume.layer_names, {}, bone=cutting.material)
         reference = np.array([each.reference_density_kg_m3 for each in cited])
         if (volume.density_kg_m3[filled] == reference[volume.layer[filled]]).all():
-            raise InputError(
-                "cutting.density_exponent",
-                "be left out where all that the tool can reach has the density of the coefficients",
-                f"{cutting.density_exponent:g}",
-                (
-                    "set cutting.tangential_chip_N_mm2, cutting.radial_chip_N_mm2 or another "
-                    "coefficient, or remove it"
-                ),
-            )
-    if is_given(cutting, "material") and all(
-        volume.layer_names[i] in CUT_AS for i in np.unique(volume.layer[filled])
-    ):
-        raise InputError(
-            "cutting.material",
-            "be left out where the tool reaches no bone, for layers of a tooth have their own",
-            cutting.material,
-            "set a coefficient such as cutting.tangential_chip_N_mm2, or remove it",
-        )
-    if (
-        isinstance(anatomy, MolarAnatomy)
-        and scene.stress is None
-        and is_given(anatomy, "ligament_thickness_mm")
-    ):
-        at = volume.layer_names.index("ligament")
-        if not (volume.layer[filled] == at).any():
-            raise InputError(
-                "anatomy.ligament_thickness_mm",
-                "be left out where the tool reaches no ligament and no stress is computed",
-                f"{anatomy.ligament_thickness_mm:g}",
-                "add [stress], or remove it",
-            )
+            key = "cutting.density_exponent"
+            where = "all that the tool can reach has the density of the coefficients"
+    if is_given(cutting, "material") and layers <= set(CUT_AS):
+        key = "cutting.material"
+        where = "the tool reaches no bone, for layers of a tooth have their own"
+    no_ligament = isinstance(anatomy, MolarAnatomy) and "ligament" not in layers
+    if no_ligament and scene.stress is None and is_given(anatomy, "ligament_thickness_mm"):
+        key = "anatomy.ligament_thickness_mm"
+        where = "the tool reaches no ligament and no stress is computed"
+    if key:
+        raise InputError(key, f"be left out where {where}", "a value", "remove it")
 
 
-def _probe(
-    scene: Scene,
-    volume: VoxelVolume,
-    cutter: Cutter,
-    motion: Motion,
-    *,
-    compute: str,
-    notes: dict[str, str],
-    report: Progress,
-) -> Parts:
-    """Return the parts of a scene whose tool does not turn: a hand feels rigid bone with it."""
+def _probed(volume: VoxelVolume, cutter: Cutter, motion: Motion, *, compute: str) -> "ProbedBone":
+    """Return rigid bone that a hand feels with a tool that does not turn."""
     from tissue.haptics.hand_motion import HandMotion
     from tissue.haptics.proxy.probing_tool import ProbedBone, ProbingTool
     from tissue.haptics.proxy.proxy import ToolShell
@@ -225,53 +185,15 @@ def _probe(
     if not (isinstance(motion, HandMotion) and isinstance(motion.tool, ProbingTool)):
         raise InputError(
             "tool.spin_rpm",
-            (
-                "not be 0 without a device, because a tool that does not turn cuts nothing and a "
-                "motion that is given would push it through the bone"
-            ),
+            "not be 0 without a device, because a tool that does not turn cuts nothing and a "
+            "motion that is given would push it through the bone",
             "0",
             "use 500, or device = touch",
         )
-    report("compiling kernels (the first time on a machine)", 0.0)
-    notes["tool"] = (
-        "it does not turn: rigid contact, nothing is cut, no stress and no heat are computed"
-    )
     shell = ToolShell.of_cutter(cutter)
-    tissue = ProbedBone(
+    return ProbedBone(
         volume, shell, area_m2=cutter.cutting_area_m2, tool=motion.tool, device=compute
     )
-    clear = _clear(scene, volume, cutter, motion, notes=notes, report=report)
-    return Parts(
-        motion,
-        tissue,
-        cutter=cutter,
-        volume=volume,
-        placement=volume.placement,
-        notes=notes,
-        keep_clear=clear,
-    )
-
-
-def _bone(
-    scene: Scene,
-    volume: VoxelVolume,
-    cutter: Cutter,
-    motion: Motion,
-    *,
-    compute: str,
-    cores: int | None,
-    report: Progress,
-) -> TissueModel:
-    """Return the bone model; loading it compiles its kernels where their cache is cold."""
-    report("compiling kernels (the first time on a machine)", 0.0)
-    spacing_mm = scene.tool.shell_spacing_mm if isinstance(scene.tool, Tool) else None
-    spacing_m = None if spacing_mm is None else spacing_mm * 1e-3
-    milling = milling_of(
-        scene, volume, cutter, shell_spacing_m=spacing_m, compute=compute, cores=cores
-    )
-    if "pulp" not in volume.layer_names:
-        return milling
-    return _tooth(scene, milling, motion, compute=compute, report=report)
 
 
 def milling_of(
@@ -287,13 +209,7 @@ def milling_of(
 
     `shell_spacing_m` is the distance of the cutter's elements [m].
     """
-    from tissue.simulation.builders.bone import VoxelBone
-
-    changes = scene.cutting.model_dump(exclude={"material"})
-    coefficients = scene.constants.coefficients(
-        volume.layer_names, changes, bone=scene.cutting.material
-    )
-    bone = VoxelBone(volume, coefficients, compute=compute)
+    bone = VoxelBone.stated(volume, scene.cutting, scene.constants, compute=compute)
     return bone.model(
         cutter, removal=scene.voxels.removal, shell_spacing_m=shell_spacing_m, cores=cores
     )

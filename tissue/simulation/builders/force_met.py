@@ -8,18 +8,21 @@ import numpy as np
 
 from meshes.base.errors import is_file
 from meshes.base.progress import silent
+from meshes.voxels.volume import FULL, VoxelVolume
+from tissue.cutters.cutter import Cutter
 from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.models.tissue_model import TICK_S, Response, TissueModel, ToolMotion
 from tissue.motion.motion import Motion
-from tissue.scene.organ import LayersAnatomy
+from tissue.scene.organ import LayersAnatomy, SoftAnatomy
 from tissue.scene.part import is_file_key
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Needle, Probe, ThrustMotion, Tool
-from tissue.simulation.builders.motions import motion_of
-from tissue.simulation.builders.pierced_tissue import pierced_tissue
+from tissue.simulation.builders.bone import VoxelBone
+from tissue.simulation.builders.organ_scene import pierced_tissue
+from tissue.simulation.builders.parts import motion_of
 
-__all__ = ["chosen_scale", "cut", "fitted_scale", "pierced", "pressed"]
+__all__ = ["chosen_scale", "cut", "fitted_scale", "pierced", "pressed", "slot_force_N"]
 
 POSES, FINE_POSES = 250, 3000
 """Numbers of poses of the scripted motion at which the force is evaluated.
@@ -34,6 +37,8 @@ Up to 32 voxels the largest force of the built-in scenes changes by less than 4 
 """
 ELEMENTS = 1500
 """Number of elements of a cutter."""
+SLOT_VOXELS, SLOT_M_S = 10, 2e-3
+"""Voxels across a cutter, and its feed [m/s], for the estimate of its usual force."""
 MOST = 0.35
 """Upper bound of the script's largest scaled force, as a ratio to the device's force limit.
 
@@ -106,17 +111,14 @@ def _met(table: str, _inputs: tuple[object, ...]) -> float:
     It is 0 where the force is not known.
     """
     scene = Scene.read_back(table)
-    kind = scene.anatomy.kind
-    if ANATOMIES[kind].build is None:
-        known = {"slab": pressed, "liver": pressed, "layers": pierced, "wall": _unknown}
-        return known.get(kind, cut)(scene)
-    met = ANATOMIES[kind].force_N
-    return 0.0 if met is None else float(met(scene))
-
-
-def _unknown(scene: Scene) -> float:
-    """Return 0: no force is known before a run."""
-    return 0.0
+    entry = ANATOMIES[scene.anatomy.kind]
+    if entry.build is not None:
+        return 0.0 if entry.force_N is None else float(entry.force_N(scene))
+    if isinstance(scene.tool, Tool):
+        return cut(scene)
+    if isinstance(scene.tool, Needle):
+        return pierced(scene)
+    return pressed(scene) if isinstance(scene.anatomy, SoftAnatomy) else 0.0
 
 
 def cut(scene: Scene) -> float:
@@ -188,3 +190,30 @@ def _largest(motion: Motion, tissue: TissueModel, poses: int) -> float:
         force = tissue.respond(tool).wrench[:3]
         most = max(most, sqrt(force.dot(force)))
     return most
+
+
+def slot_force_N(bone: VoxelBone, tool: Cutter) -> float:
+    """Compute the force of a cutter in a typical slot in a bone's first layer [N].
+
+    The slot is a quarter of the cutter's diameter deep, at a feed of 2 mm/s.
+    """
+    width_m = 2.0 * tool.profile.radius_m
+    spacing_m = width_m / SLOT_VOXELS
+    shape = 3 * SLOT_VOXELS, 2 * SLOT_VOXELS, SLOT_VOXELS
+    coefficients = bone.coefficients[0]
+    volume = VoxelVolume(
+        -spacing_m * np.array([1.5 * SLOT_VOXELS, SLOT_VOXELS, SLOT_VOXELS]),
+        spacing_m,
+        np.full(shape, FULL, dtype=np.uint8),
+        np.zeros(shape, dtype=np.uint8),
+        np.full(shape, round(coefficients.reference_density_kg_m3), dtype=np.uint16),
+        bone.store.grid.layer_names[:1],
+    )
+    model = VoxelBone(volume, (coefficients,)).model(tool)
+    motion = ToolMotion(speed_m_s=SLOT_M_S)
+    motion.heading[0, 0] = 1.0
+    motion.tip_m[:] = -0.5 * width_m, 0.0, -0.25 * width_m
+    model.place(motion)
+    motion.tip_m[0] = 0.0
+    model.advance(motion)
+    return float(np.linalg.norm(model.respond(motion).wrench[:3]))

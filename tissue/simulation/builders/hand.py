@@ -1,41 +1,50 @@
-"""Motion of a scene made by a simulated hand on a device."""
+"""Motion of a tool coupled to a device, and of a scene whose device a simulated hand moves."""
 
-from collections.abc import Callable
-from math import ceil
-
+from collections.abc import (Callable)
+from dataclasses import (replace)
+from math import (ceil, inf)
+from meshes.base.arrays import (Array)
+from meshes.base.errors import (InputError)
+from meshes.paths.toolpath import (arc_length)
+from tissue.haptics.device.device import (Device, DeviceParameters)
+from tissue.haptics.device.simulated import (SimulatedDevice)
+from tissue.haptics.hand.hand import (Hand, Path, waypoints)
+from tissue.haptics.hand.pushing import (CompensatedPath, Thrust)
+from tissue.haptics.hand_motion import (HandMotion, Rendering, Script)
+from tissue.haptics.loop.cues import (Cues)
+from tissue.haptics.loop.sampled_loop import (WallLoop)
+from tissue.haptics.loop.vibration import (PlayedVibration)
+from tissue.haptics.played_force import (PlayedForce)
+from tissue.haptics.proxy.cutting_tool import (CuttingTool)
+from tissue.haptics.proxy.held_tool import (HeldTool, PressingTool)
+from tissue.haptics.proxy.held_turn import (HeldTurn)
+from tissue.haptics.proxy.probing_tool import (ProbingTool)
+from tissue.haptics.renderer import (Renderer, TurningRenderer, renderer)
+from tissue.models.tissue_model import (TICK_S)
+from tissue.motion.motion import (Motion, quaternion_of)
+from tissue.perception.perception import (Perception)
+from tissue.scene.coupling import (WallAnatomy)
+from tissue.scene.scene import (Scene)
+from tissue.scene.tool import (ReplayMotion, ThrustMotion, Tool)
+from tissue.simulation.builders.force_met import (chosen_scale)
+from tissue.simulation.builders.loop import (LoopSettings, judged_loops, lead_ticks, loop_settings, person_of)
+from tissue.simulation.builders.parts import (plays_record)
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.errors import InputError
-from meshes.paths.toolpath import arc_length
-from tissue.haptics.device.device import DeviceParameters
-from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.hand.hand import Hand, HandParameters, Path, waypoints
-from tissue.haptics.hand.pushing import CompensatedPath, Thrust
-from tissue.haptics.hand_motion import HandMotion
-from tissue.haptics.proxy.held_tool import HeldTool
-from tissue.haptics.proxy.probing_tool import ProbingTool
-from tissue.motion.motion import Motion, quaternion_of
-from tissue.scene.coupling import WallAnatomy
-from tissue.scene.scene import Scene
-from tissue.scene.tool import ReplayMotion, ThrustMotion, Tool
-from tissue.simulation.builders.device_motion import device_motion
-from tissue.simulation.builders.force_met import chosen_scale
-from tissue.simulation.builders.loop import person_of
-from tissue.simulation.builders.loop_settings import loop_settings
-from tissue.simulation.builders.motions import plays_record
-
-__all__ = ["hand_motion"]
+__all__ = ["device_motion", "hand_motion"]
 
 
-Array = NDArray[np.float64]
+
 STRAY_M = 2e-3
 """Largest distance of an organ's surface from the scripted path [m]."""
+DAMPING_S = 0.01
+"""Ratio of damper to spring for a tool that cuts [s].
+
+In a pen grip, 4 N s/m over 250 to 350 N/m gives 11 to 16 ms.
+"""
 
 
-def hand_motion(
-    scene: Scene, scripted: Motion, *, step_s: float, allow_unstable: bool
-) -> tuple[HandMotion, str]:
+def hand_motion(scene: Scene, scripted: Motion, *, allow_unstable: bool) -> tuple[HandMotion, str]:
     """Return the scene's motion made by its hand on its device, and notes on the choices made.
 
     Raises
@@ -45,43 +54,39 @@ def hand_motion(
         workspace.
     """
     settings = loop_settings(scene)
-    limits = settings.limits
     person = settings.person
-    scale = scene.held.coupling.motion_scale
+    scale = settings.coupling.motion_scale
     if not plays_record(scene):
-        _require_workspace(scene, scripted, limits)
+        _require_workspace(scene, scripted, settings.limits)
     start = scripted.sweep_m()[0]
     rng, feeling = np.random.default_rng(scene.seed).spawn(2)
 
     def device(tool: HeldTool, stiffness_N_m: float) -> SimulatedDevice:
         """Return the device in the scene's hand, which makes the scripted motion."""
-        path, push = _aims(scene, scripted, tool, limits, person, stiffness_N_m, step_s=step_s)
-        turn = _turn(scripted, step_s=step_s) if isinstance(scene.motion, ReplayMotion) else None
+        path, push = _aims(scene, scripted, tool, settings, stiffness_N_m)
+        turn = _turn(scripted) if isinstance(scene.motion, ReplayMotion) else None
         at_device: Path = lambda time_s: start + (path(time_s) - start) / scale  # noqa: E731
         hand = Hand(person, at_device, rng=rng, step_s=settings.sample_s, push=push, turn=turn)
         x, y, z = start.tolist()
-        return SimulatedDevice(limits, hand, position_m=(x, y, z))
+        return SimulatedDevice(settings.limits, hand, position_m=(x, y, z))
 
-    scale_and_note = chosen_scale(scene)
-    motion, notes = device_motion(
-        settings,
-        scripted,
-        device,
-        force_scale=scale_and_note[0],
-        scale_note=scale_and_note[1],
+    script = Script(
+        motion=scripted,
+        motion_scale=scale,
         stray_m=_stray_m(scene),
         after_s=person.reaction_s + person.submovement_s + person.correction_s,
+    )
+    motion, notes = device_motion(
+        settings,
+        script,
+        device,
+        force_scale=chosen_scale(scene),
         rng=feeling,
-        step_s=step_s,
         allow_unstable=allow_unstable,
     )
-    return (
-        motion,
-        (
-            f"{scene.held.kind} in the hand of {person_of(scene.held.hand)}, "
-            f"{scene.held.renderer}: {'; '.join(notes)}"
-        ),
-    )
+    held = settings.held
+    note = f"{held.kind} in the hand of {person_of(held.hand)}, {held.renderer}: {'; '.join(notes)}"
+    return motion, note
 
 
 def _stray_m(scene: Scene) -> float:
@@ -119,15 +124,14 @@ def _aims(
     scene: Scene,
     scripted: Motion,
     tool: HeldTool,
-    limits: DeviceParameters,
-    person: HandParameters,
+    settings: LoopSettings,
     stiffness_N_m: float,
-    *,
-    step_s: float,
 ) -> tuple[Path, Callable[[float], Array] | None]:
     """Return the path that the hand aims at, and the additional push of the hand (or None)."""
     corners = scripted.sweep_m()
-    scale = scene.held.coupling.motion_scale
+    limits = settings.limits
+    person = settings.person
+    scale = settings.coupling.motion_scale
     furthest = scale * limits.force_limit_N * (1.0 / stiffness_N_m + 1.0 / person.stiffness_N_m)
     if isinstance(scene.motion, ThrustMotion):
         push_N = min(chosen_scale(scene)[0] * scene.motion.thrust_N, limits.force_limit_N)
@@ -135,9 +139,7 @@ def _aims(
             corners[0], corners[-1] - corners[0], tool, push_N, scale * push_N / stiffness_N_m
         )
         return thrust.path, thrust.push
-    path = waypoints(
-        *_timed(scripted, recorded=isinstance(scene.motion, ReplayMotion), step_s=step_s)
-    )
+    path = waypoints(*_timed(scripted, recorded=isinstance(scene.motion, ReplayMotion)))
     if isinstance(scene.anatomy, WallAnatomy) or isinstance(tool, ProbingTool):
         return path, None  # no force moves a tool into a wall or a bone
     return CompensatedPath(
@@ -145,25 +147,134 @@ def _aims(
     ), None
 
 
-def _turn(scripted: Motion, *, step_s: float) -> Callable[[float], Array]:
+def _turn(scripted: Motion) -> Callable[[float], Array]:
     """Return turns of a recorded motion from its first orientation.
 
     They are unit quaternions over time [s].
     """
     turns = scripted.rotations()
     quaternions = np.array([quaternion_of(turn @ turns[0].T) for turn in turns])
-    return lambda time_s: quaternions[min(round(time_s / step_s), len(quaternions) - 1)]
+    return lambda time_s: quaternions[min(round(time_s / TICK_S), len(quaternions) - 1)]
 
 
-def _timed(scripted: Motion, *, recorded: bool, step_s: float) -> tuple[Array, Array]:
+def _timed(scripted: Motion, *, recorded: bool) -> tuple[Array, Array]:
     """Return times [s] and points [m] of a motion.
 
     A recorded motion has one point per tick; a path is followed at its feed.
     """
     corners_m = scripted.sweep_m()
     if recorded:
-        return step_s * np.arange(len(corners_m), dtype=np.float64), corners_m
+        return TICK_S * np.arange(len(corners_m), dtype=np.float64), corners_m
     along = arc_length(corners_m)
     keep = np.diff(along, prepend=-1.0) > 0.0
     times = along * (scripted.duration_s / along[-1])
     return times[keep], corners_m[keep]
+
+
+def device_motion(
+    settings: LoopSettings,
+    script: Script,
+    device: Callable[[HeldTool, float], Device],
+    *,
+    force_scale: tuple[float, str],
+    rng: np.random.Generator,
+    allow_unstable: bool,
+) -> tuple[HandMotion, list[str]]:
+    """Return the motion of a tool on a device, and notes on the choices made.
+
+    Forces are scaled by f and lengths by m, so a stiffness K at the tool is felt as m f K, and
+    torques by f / m: work at the device is f / m times the work at the tool. The coupling's
+    stiffness is the stiffness at the device, which is judged, whatever the scales.
+
+    Parameters
+    ----------
+    settings, script
+        Settings of the loop between device and tool, and the motion that the hand follows.
+    device
+        Makes the device from the tool coupled to it and the coupling's stiffness [N/m].
+    force_scale
+        Newtons at the device for each newton at the tool, and a note on how the scale was chosen.
+    rng
+        Generator of the perceptual noise of the person for whom the force is scaled.
+    allow_unstable
+        Whether an unstable coupling is accepted.
+
+    Raises
+    ------
+    InputError
+        If the coupling is unstable and that is not allowed.
+    """
+    chosen = settings.coupling
+    scale = chosen.motion_scale
+    judged, turning = judged_loops(settings, allow_unstable=allow_unstable)
+    # For the energy balance: from a sample to the force that answers it, without the delay of a
+    # balance that is found a tick later.
+    delay_s = settings.limits.transport_delay_s + 1e-3 * chosen.delay_ms
+    loop = replace(judged.loop, delay_s=delay_s)
+    factor, how = force_scale
+    spring = judged.loop.stiffness_N_m / (scale * factor)
+    turn = HeldTurn(turning.loop.stiffness_N_m * scale / factor if turning else inf)
+    tool = _tool(settings, spring, script.motion.sweep_m()[0], turn)
+    felt = settings.perception(rng)
+    rendering = Rendering(
+        law=_law(settings, loop),
+        loop=loop,
+        margin=judged.verdict.margin,
+        turning_law=TurningRenderer(_law(settings, turning.loop)) if turning else None,
+        delay_ticks=chosen.delay_ms,
+        model_ticks=chosen.model_ms,
+        predictor=settings.predictor(),
+        lead_ticks=lead_ticks(settings),
+        prediction_gain=chosen.prediction_gain,
+        played=_played(settings, felt),
+    )
+    driven = device(tool, judged.loop.stiffness_N_m)
+    motion = HandMotion(driven, tool, settings.limits, rendering, script)
+    notes = [judged.sentence()]
+    if turning:
+        notes.append(turning.sentence())
+    notes.append(f"{factor:g} N at the device for each newton at the tool{how}")
+    if scale != 1.0:
+        notes.append(
+            f"{scale:g} m at the tool for each metre at the device: a stiffness at the tool is "
+            f"felt as {scale * factor:g} of it, a torque as {factor / scale:g}"
+        )
+    if settings.output.cue_N > 0.0:
+        notes.append(f"cues of {settings.output.cue_N:g} N mark contacts, layers and punctures")
+    if felt is not None:
+        notes.append(felt.sentence)
+    return motion, notes
+
+
+def _law(settings: LoopSettings, loop: WallLoop) -> Renderer:
+    """Return the law that plays a loop's contact force in every tick.
+
+    The laws run in every tick, whatever the device's sample rate.
+    """
+    return renderer(settings.held.renderer, replace(loop, tick_s=TICK_S))
+
+
+def _tool(settings: LoopSettings, spring_N_m: float, start_m: Array, turn: HeldTurn) -> HeldTool:
+    """Return the law of a tool coupled to a device by a spring."""
+    if settings.contact == "cuts":
+        return CuttingTool(spring_N_m, start_m, turn, damping_N_s_m=DAMPING_S * spring_N_m)
+    return (ProbingTool if settings.contact == "touches" else PressingTool)(
+        spring_N_m, start_m, turn
+    )
+
+
+def _played(settings: LoopSettings, person: Perception | None) -> PlayedForce:
+    """Return the processing of a force before the device.
+
+    It covers perception, and the vibration of a cutter's teeth and event cues at the tool.
+    """
+    limits = settings.limits
+    limit_N = limits.force_limit_N
+    slew_N = 1e3 * TICK_S * limits.force_slew_N_ms
+    cue_N = settings.output.cue_N
+    vibration = cues = None
+    if teeth := settings.vibration(TICK_S):
+        vibration = PlayedVibration(teeth, limit_N=limit_N, slew_N=slew_N, step_s=TICK_S)
+    if cue_N > 0.0:
+        cues = Cues(cue_N, limit_N=limit_N, slew_N=slew_N, tick_s=TICK_S)
+    return PlayedForce(limits, perception=person, vibration=vibration, cues=cues)

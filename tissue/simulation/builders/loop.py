@@ -1,36 +1,39 @@
-"""Loops of a device for its positions and its turns, judged before the run."""
+"""Loops of a device for its positions and its turns: their settings, judged before the run."""
 
-from dataclasses import dataclass, replace
-from math import ceil, isfinite
-
+from collections.abc import (Callable)
+from dataclasses import (dataclass, replace)
+from functools import (cached_property)
+from math import (ceil, isfinite)
+from meshes.base.errors import (InputError)
+from tissue.haptics.device.device import (DeviceParameters, device_parameters)
+from tissue.haptics.hand.hand import (HandParameters, hand_parameters)
+from tissue.haptics.loop.critical_stiffness import (Verdict, critical_stiffness_N_m, in_hands, judge, nearest_stable_N_m)
+from tissue.haptics.loop.filters import (VELOCITY_MEMORY)
+from tissue.haptics.loop.forecast import (Forecast, forecast_of)
+from tissue.haptics.loop.sampled_loop import (WallLoop, motor_lag_ticks)
+from tissue.haptics.loop.vibration import (Vibration)
+from tissue.materials.scene_constants import (Materials)
+from tissue.models.tissue_model import (TICK_S)
+from tissue.prediction.guard import (Guarded)
+from tissue.prediction.predictor import (Predictor)
+from tissue.scene.coupling import (Coupling, Device, WallAnatomy)
+from tissue.scene.scene import (Output, Scene)
+from tissue.scene.tool import (Tool)
+from typing import (Literal, TYPE_CHECKING)
 import numpy as np
 
-from meshes.base.errors import InputError
-from tissue.haptics.device.device import DeviceParameters
-from tissue.haptics.loop.critical_stiffness import (
-    Verdict,
-    critical_stiffness_N_m,
-    in_hands,
-    judge,
-    nearest_stable_N_m,
-)
-from tissue.haptics.loop.filters import VELOCITY_MEMORY
-from tissue.haptics.loop.forecast import Forecast, forecast_of
-from tissue.haptics.loop.sampled_loop import WallLoop, motor_lag_ticks
-from tissue.models.tissue_model import TICK_S
-from tissue.prediction.guard import Guarded
-from tissue.simulation.builders.loop_settings import LoopSettings, sampled
+if TYPE_CHECKING:
+    from tissue.perception.perception import (Perception)
 
-__all__ = [
-    "JudgedLoop",
-    "device_path",
-    "judged_loop",
-    "judged_loops",
-    "lead_ticks",
-    "motor_path",
-    "person_of",
-]
+__all__ = ["Contact", "JudgedLoop", "LoopSettings", "device_path", "judged_loop", "judged_loops", "lead_ticks", "loop_settings", "motor_path", "person_of", "sampled"]
 
+
+
+Contact = Literal["cuts", "touches", "presses", "wall"]
+"""Kind of contact of a tool.
+
+A tool cuts, touches a rigid object, presses soft tissue, or presses the test wall.
+"""
 SHARE = 0.5
 """Ratio of the chosen stiffness to the critical stiffness in the scene's hand.
 
@@ -38,15 +41,127 @@ It is used where no stiffness is given. Half of the critical stiffness without a
 seventh to a ninth of it. At either stiffness a device that is released on a wall leaves it
 within some hundredths of a second, see tests/stability/test_wall_laws.py.
 """
-
 REST_SHARE = 0.3
 """Share of the device's largest force at which a predictor is linearised."""
-
 USUAL_N_M = 1000.0
 """Stiffness about which a predictor is linearised, typical of a desktop device [N/m].
 
 It is used where neither scene nor device states a stiffness.
 """
+
+
+@dataclass(frozen=True)
+class LoopSettings:
+    """Settings of the loop of a device, a hand and a tool.
+
+    Attributes
+    ----------
+    held, output
+        A scene's tables of the device, with hand, coupling and renderer, and of the output.
+    name, limits
+        Name of the device in messages, and its parameters.
+    constants
+        Constants of the hand.
+    contact
+        Kind of contact of the tool.
+    teeth_Hz
+        Rate at which a cutter's edges pass, 0 for none.
+    scene_name
+        Name of the scene for which a predictor was trained.
+    own_predictor
+        Makes a new predictor in place of the device's; None for the device's.
+    """
+
+    held: Device
+    output: Output
+    name: str
+    limits: DeviceParameters
+    constants: Materials
+    contact: Contact
+    teeth_Hz: float = 0.0
+    scene_name: str = ""
+    own_predictor: Callable[[], Predictor] | None = None
+
+    @property
+    def coupling(self) -> Coupling:
+        """Stiffness, scales, latency and rate of the model."""
+        return self.held.coupling
+
+    @cached_property
+    def person(self) -> HandParameters:
+        """Parameters of the hand."""
+        return hand_parameters(self.held.hand, self.constants)
+
+    @cached_property
+    def _maker(self) -> Callable[[], Predictor]:
+        from tissue.simulation.builders.prediction import maker_of
+
+        return maker_of(
+            self.held.prediction,
+            scene_name=self.scene_name,
+            file=self.coupling.predictor_file,
+            force_limit_N=self.limits.force_limit_N,
+        )
+
+    def predictor(self) -> Predictor | None:
+        """Return a new predictor of the force; None where the present force is played."""
+        if self.own_predictor is not None:
+            return self.own_predictor()
+        return None if self.held.prediction == "none" else self._maker()
+
+    def perception(self, rng: np.random.Generator) -> "Perception | None":
+        """Return the person for whom the force is scaled, with a generator of sensory noise.
+
+        None is returned where the force is not scaled.
+        """
+        if self.held.perception == "none":
+            return None
+        from tissue.simulation.builders.prediction import perception
+
+        return perception(
+            self.held.perception,
+            rng=rng,
+            force_limit_N=self.limits.force_limit_N,
+            tick_s=TICK_S,
+            friction_N=self.limits.friction_N,
+        )
+
+    @property
+    def sample_s(self) -> float:
+        """Time between two samples of the device [s]: a tick, or longer for a slow device."""
+        return 1.0 / self.limits.rate_Hz
+
+    @property
+    def is_slow(self) -> bool:
+        """True if the device gives fewer samples than there are ticks."""
+        return self.sample_s > TICK_S * (1.0 + 1e-6)
+
+    def vibration(self, step_s: float) -> Vibration | None:
+        """Return the vibration of a cutter's teeth for a step [s]; None for no vibration."""
+        share = self.output.vibration_share
+        if share == 0.0 or self.teeth_Hz == 0.0:
+            return None
+        return Vibration(self.teeth_Hz, share=share, step_s=step_s)
+
+
+def sampled(limits: DeviceParameters) -> DeviceParameters:
+    """Return a device as the loop samples it: a faster one is read once a tick."""
+    return replace(limits, rate_Hz=min(limits.rate_Hz, 1.0 / TICK_S))
+
+
+def loop_settings(scene: Scene) -> LoopSettings:
+    """Return the settings that a scene states for its device, its hand and their coupling."""
+    held = scene.held
+    tool = scene.tool
+    limits = sampled(device_parameters(held.kind, scene.constants))
+    contact: Contact = "wall" if isinstance(scene.anatomy, WallAnatomy) else "presses"
+    teeth_Hz = 0.0
+    if isinstance(tool, Tool):
+        contact = "touches" if tool.spin_rpm == 0.0 else "cuts"
+        teeth_Hz = tool.flutes * abs(tool.spin_rpm) / 60.0
+    return LoopSettings(
+        held, scene.output, held.kind, limits, scene.constants, contact, teeth_Hz, scene.name
+    )
 
 
 @dataclass(frozen=True)
@@ -86,7 +201,7 @@ class JudgedLoop:
 
 
 def judged_loops(
-    settings: LoopSettings, *, step_s: float, allow_unstable: bool
+    settings: LoopSettings, *, allow_unstable: bool
 ) -> tuple[JudgedLoop, JudgedLoop | None]:
     """Return the loop of a device's positions and, if it plays torque, the loop of its turns.
 
@@ -96,32 +211,21 @@ def judged_loops(
         If one is unstable and that is not allowed.
     """
     grip = settings.person.grip
-    loops = [
-        (
-            judged_loop(settings, step_s=step_s),
-            grip[:3],
-            "stiffness_N_m",
-            "N/m",
-            _steepest(settings),
-        )
-    ]
+    position = judged_loop(settings, step_s=TICK_S)
+    loops = [(position, grip[:3], "stiffness_N_m", "N/m", _steepest(settings))]
     if settings.limits.torque_limit_Nm > 0.0:
-        loops.append(
-            (_turning_loop(settings, step_s=step_s), grip[3:], "stiffness_Nm_rad", "N m/rad", 1.0)
-        )
-    saves = (
-        "friction and the passivity controller"
-        if settings.renderer == "passivity"
-        else "friction (or renderer = passivity)"
-    )
+        turning = _turning_loop(settings)
+        loops.append((turning, grip[3:], "stiffness_Nm_rad", "N m/rad", 1.0))
+    saves = "friction (or renderer = passivity)"
+    if settings.held.renderer == "passivity":
+        saves = "friction and the passivity controller"
     found: list[JudgedLoop] = []
     for loop, hand, key, unit, steepest in loops:
         verdict = _judged(loop, hand, steepest)
         if not verdict.stable and not allow_unstable:
-            raise InputError(_refusal(settings, verdict, loop.stiffness_N_m, key))
-        found.append(
-            JudgedLoop(loop, verdict, unit, critical_stiffness_N_m(loop) / steepest, saves)
-        )
+            raise _refusal(settings, verdict, loop.stiffness_N_m, key)
+        alone = critical_stiffness_N_m(loop) / steepest
+        found.append(JudgedLoop(loop, verdict, unit, alone, saves))
     return found[0], found[1] if len(found) > 1 else None
 
 
@@ -157,18 +261,18 @@ def judged_loop(settings: LoopSettings, *, step_s: float) -> WallLoop:
     """
     limits = settings.limits
     chosen = settings.coupling
-    if settings.is_slow and settings.renderer == "passivity":
+    if settings.is_slow and settings.held.renderer == "passivity":
         raise _too_slow(settings, "renderer = passivity", "renderer = proxy or penalty")
     loop = limits.loop(
         1.0,
         wall_damping_N_s_m=chosen.damping_N_s_m,
-        filter_s=1e-3 * settings.low_pass_ms,
+        filter_s=1e-3 * settings.output.low_pass_ms,
         model_ticks=_model_samples(settings),
     )
     loop = replace(loop, velocity_memory=VELOCITY_MEMORY, vibration=settings.vibration(loop.tick_s))
     hand = settings.person.grip[:3]
     loops = [
-        replace(_delayed(settings, loop, step_s * settings.late), forecast=each)
+        replace(_delayed(settings, loop, step_s * (settings.contact == "presses")), forecast=each)
         for each in _forecasts(settings)
     ]
     loop = (
@@ -191,7 +295,7 @@ def motor_path(settings: LoopSettings) -> WallLoop:
 
     It consists of low-pass, latency, transport, hold and amplifier.
     """
-    path = replace(device_path(settings.limits), filter_s=1e-3 * settings.low_pass_ms)
+    path = replace(device_path(settings.limits), filter_s=1e-3 * settings.output.low_pass_ms)
     return _delayed(settings, path, 0.0)
 
 
@@ -234,7 +338,7 @@ def _forecasts(settings: LoopSettings) -> list[Forecast | None]:
     ]
 
 
-def _turning_loop(settings: LoopSettings, *, step_s: float) -> WallLoop:
+def _turning_loop(settings: LoopSettings) -> WallLoop:
     """Return the loop used to judge the coupling of turns.
 
     The balance of turns is found a tick later, except for a tool that only touches.
@@ -242,10 +346,10 @@ def _turning_loop(settings: LoopSettings, *, step_s: float) -> WallLoop:
     limits = settings.limits
     chosen = settings.coupling
     loop = limits.turning_loop(
-        1.0, filter_s=1e-3 * settings.low_pass_ms, model_ticks=_model_samples(settings)
+        1.0, filter_s=1e-3 * settings.output.low_pass_ms, model_ticks=_model_samples(settings)
     )
     hand = settings.person.grip[3:]
-    late = 0.0 if settings.contact == "touches" else step_s
+    late = 0.0 if settings.contact == "touches" else TICK_S
     return _chosen(
         _delayed(settings, loop, late), hand, chosen.stiffness_Nm_rad, limits.stiffness_limit_Nm_rad
     )
@@ -281,27 +385,28 @@ def _model_samples(settings: LoopSettings) -> int:
 def _too_slow(settings: LoopSettings, what: str, remedy: str) -> InputError:
     """Return the error for a part of the loop that needs a sample in every tick."""
     return InputError(
-        f"{settings.device} gives {settings.limits.rate_Hz:.4g} samples a second, but {what} "
+        f"{settings.name} gives {settings.limits.rate_Hz:.4g} samples a second, but {what} "
         f"needs {1.0 / TICK_S:g}. "
         f"Use {remedy}, or a faster device"
     )
 
 
-def _refusal(settings: LoopSettings, verdict: Verdict, stiffness: float, key: str) -> str:
-    """Return an error message of one sentence for an unstable coupling."""
+def _refusal(settings: LoopSettings, verdict: Verdict, stiffness: float, key: str) -> InputError:
+    """Return the error for an unstable coupling."""
     if verdict.critical_N_m == 0.0:
-        damping = settings.coupling.damping_N_s_m
-        return (
-            f"coupling.damping_N_s_m must leave some stiffness stable, got {damping:g}: lower it, "
-            "coupling.delay_ms, output.low_pass_ms or coupling.prediction_gain, or pass "
-            "--allow-unstable"
+        return InputError(
+            "coupling.damping_N_s_m",
+            "leave some stiffness stable",
+            f"{settings.coupling.damping_N_s_m:g}",
+            "lower it, coupling.delay_ms, output.low_pass_ms or coupling.prediction_gain, or "
+            "allow an unstable coupling",
         )
-    return (
-        f"coupling.{key} must be below {verdict.critical_N_m:.4g} to be stable with device = "
-        f"{settings.device} in the "
-        f"hand of {person_of(settings.hand)}, got {stiffness:g} (margin "
-        f"{100.0 * verdict.margin:.1f} %): use "
-        f"{verdict.nearest_N_m:g}, or pass --allow-unstable"
+    return InputError(
+        f"coupling.{key}",
+        f"be below {verdict.critical_N_m:.4g} to be stable with device = {settings.name} in the "
+        f"hand of {person_of(settings.held.hand)}",
+        f"{stiffness:g} (margin {100.0 * verdict.margin:.1f} %)",
+        f"use {verdict.nearest_N_m:g}, or allow an unstable coupling",
     )
 
 

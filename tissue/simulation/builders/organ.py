@@ -1,45 +1,37 @@
-"""Soft organ of a scene: its mesh at the site, its supports and its materials."""
+"""Soft organ of a scene: its mesh at the site, its supports, its material and its law."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from itertools import pairwise
-
+from collections.abc import (Callable)
+from dataclasses import (dataclass, replace)
+from itertools import (pairwise)
+from meshes.base.arrays import (Array)
+from meshes.base.errors import (InputError, names_of_caller)
+from meshes.base.placement import (Placement)
+from meshes.base.progress import (Progress)
+from meshes.organs.liver import (Nodule, liver, liver_region, onto_liver, slab, slab_base)
+from meshes.surfaces.site import (axes_along)
+from meshes.tets.files import (read_tets)
+from meshes.tets.regions import (Nodes, nodes_of_part)
+from meshes.tets.stuffing import (Move, bisected)
+from meshes.tets.tetrahedra import (TetMesh)
+from meshes.voxels.mesh_sampling import (nearest_on_triangles)
+from tissue.materials.hyperelasticity import (Hyperelastic)
+from tissue.materials.scene_constants import (Materials)
+from tissue.motion.motion import (frame_along)
+from tissue.scene.named_parts import (shown)
+from tissue.scene.organ import (Held, LiverAnatomy, LiverFile, Organ, SlabAnatomy, SoftAnatomy, WithNodule)
+from tissue.scene.part import (is_given)
+from tissue.scene.scene import (Scene)
+from tissue.simulation.builders.organ_given import (SoftMaterial, hold_of)
+from tissue.simulation.builders.parts import (FILE_WORDS, opens_device)
+from typing import (TYPE_CHECKING)
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.errors import InputError, names_of_caller
-from meshes.base.placement import Placement
-from meshes.base.progress import Progress
-from meshes.organs.liver import Nodule, liver, liver_region, onto_liver, slab, slab_base
-from meshes.surfaces.site import axes_along
-from meshes.tets.files import read_tets
-from meshes.tets.regions import nodes_behind_plane, nodes_facing, nodes_of_part
-from meshes.tets.stuffing import Move, bisected
-from meshes.tets.tetrahedra import TetMesh
-from meshes.voxels.mesh_sampling import nearest_on_triangles
-from tissue.materials.elasticity import (
-    fibre_ratio_range,
-    lame,
-    rotated,
-    transversely_isotropic,
-    volume_preserving_ratio,
-)
-from tissue.materials.scene_constants import Materials
-from tissue.motion.motion import frame_along
-from tissue.scene.named_parts import nearest
-from tissue.scene.organ import (
-    Held,
-    LiverAnatomy,
-    LiverFile,
-    Organ,
-    SlabAnatomy,
-    SoftAnatomy,
-    WithNodule,
-)
-from tissue.scene.part import is_given
-from tissue.simulation.builders.parts import FILE_WORDS
+if TYPE_CHECKING:
+    from tissue.models.organ.law import (OrganLaw)
 
-__all__ = ["HeldMesh", "elasticity_of", "held_mesh"]
+__all__ = ["HeldMesh", "coarser_mesh", "elasticity_of", "held_mesh", "hindrance", "law_of", "material_of", "organ_law"]
+
+
 
 PART_NODULE = "nodule"
 NODULE_KPA = 50.0
@@ -57,8 +49,22 @@ KEYS = {
     "support": "anatomy.held",
 }
 """Keys of a scene, by the names that mesh functions use for them."""
+OF_ORGAN = {
+    **{name: f"organ.{name}" for name in ("parts", "poisson_ratio", "friction")},
+    "modulus_kPa": "organ.young_kPa",
+}
+"""Keys of a scene, by the fields of `SoftMaterial`."""
 LOCKING_RATIO = 0.45
 """Poisson's ratio above which a run notes that linear tetrahedra lock."""
+
+
+NOT_WITH = ("capsule", "gravity", "viscous", "fibre_direction")
+"""Keys of an organ that a hyperelastic law does not support yet."""
+SHAPE = {"mooney-rivlin": "second_share", "yeoh": "square_ratio", "ogden": "exponent"}
+"""Key that each law needs in addition to the modulus and Poisson's ratio.
+
+None of these values is cited for an organ.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,13 +84,13 @@ class HeldMesh:
     """
 
     mesh: TetMesh
-    held: NDArray[np.int64]
+    held: Nodes
     notes: dict[str, str]
     placement: Placement | None = None
 
 
 def held_mesh(
-    anatomy: SoftAnatomy, *, path_m: NDArray[np.float64], touch_edge_m: float, report: Progress
+    anatomy: SoftAnatomy, *, path_m: Array, touch_edge_m: float, report: Progress
 ) -> HeldMesh:
     """Mesh a scene's organ, procedural or from a file, and refine it along the tool's path.
 
@@ -128,112 +134,119 @@ def held_mesh(
                 liver(spacing_m=1e-3 * anatomy.edge_mm, nodule=_nodule(anatomy)), onto_liver
             )
             litres = 1e3 * float(mesh.volumes_m3.sum())
-            notes = {
-                "liver": f"procedural, {litres:.2f} l; no vessels and no ligaments",
-                "held": _held_note(anatomy),
-            }
-            return HeldMesh(mesh, _held(anatomy, mesh), notes)
+            held, note = _held(anatomy, mesh)
+            found = f"procedural, {litres:.2f} l; no vessels and no ligaments"
+            return HeldMesh(mesh, held, {"liver": found, "held": note})
         assert isinstance(anatomy, LiverFile)
         return _from_file(anatomy, fine, report)
 
 
 def elasticity_of(
     mesh: TetMesh, anatomy: SoftAnatomy, organ: Organ, constants: Materials = Materials.cited
-) -> tuple[NDArray[np.float64], str]:
-    """Return the elasticity of the cells [Pa] and a note.
+) -> tuple[Array, str]:
+    """Return the elasticity of the cells, see `SoftMaterial.elasticity`, and a note on it."""
+    material, notes = material_of(anatomy, organ, constants)
+    with names_of_caller(OF_ORGAN):
+        return material.elasticity(mesh), notes["modulus"]
 
-    The elasticity holds Lame constants, shape (m, 2), or with fibres stiffness matrices, shape (m,
-    6, 6).
+
+def material_of(
+    anatomy: SoftAnatomy, organ: Organ, constants: Materials
+) -> tuple[SoftMaterial, dict[str, str]]:
+    """Return the material of a scene's organ, by its keys or cited, and notes by subject.
+
+    Raises
+    ------
+    InputError
+        If the organ's compliance is lazy and it is viscous, or no relaxation is cited for it.
     """
     cited = constants.constants("soft", organ.material)
-    modulus = cited["modulus_kPa"]
-    first = organ.young_kPa or modulus.value
+    young_kPa = organ.young_kPa or cited["modulus_kPa"].value
     ratio = cited["poisson_ratio"].value if organ.poisson_ratio is None else organ.poisson_ratio
-    note = f"{first:g} kPa"
+    parts: dict[str, float] = {PART_NODULE: NODULE_KPA} if anatomy.nodule_mm else {}
+    parts |= organ.parts or {}
+    notes = {"modulus": _modulus_note(organ, constants, young_kPa, parts, ratio)}
+    capsule = capsule_ratio = density = None
+    if organ.capsule:
+        table = constants.constants("soft", f"{organ.material}_capsule")
+        thick = table["thickness_um"]
+        stiff = table["modulus_kPa"]
+        notes["capsule"] = (
+            f"{thick.value:g} ({thick.low:g}-{thick.high:g}) um of {1e-3 * stiff.value:g} "
+            f"({1e-3 * stiff.low:g}-{1e-3 * stiff.high:g}) MPa, confidence {stiff.confidence}"
+        )
+        capsule = thick.value, stiff.value
+        capsule_ratio = table["poisson_ratio"].value
+    if organ.gravity:
+        density = cited["density_kg_m3"].value
+    relaxation: list[tuple[float, float]] = []
+    if organ.viscous:
+        if organ.path == "lazy":
+            raise InputError(
+                "organ.path", "not be lazy for a viscous organ", "lazy", "use condensed"
+            )
+        numbers = [k for k in range(1, 10) if f"prony_g{k}" in cited]
+        if not numbers:
+            raise InputError(
+                "organ.viscous",
+                f"be false for {organ.material}",
+                "true",
+                "no relaxation is cited for it",
+            )
+        relaxation = [(cited[f"prony_g{k}"].value, cited[f"prony_tau{k}_s"].value) for k in numbers]
+        notes["relaxation"] = (
+            "; ".join(f"{share:g} in {time_s:g} s" for share, time_s in relaxation)
+            + "; the modulus is that of the first instant; confidence "
+            + cited["prony_g1"].confidence
+        )
+    with names_of_caller(OF_ORGAN):
+        material = SoftMaterial(
+            young_kPa,
+            ratio,
+            parts=parts,
+            order=organ.order,
+            friction=organ.friction,
+            capsule=capsule,
+            capsule_poisson_ratio=capsule_ratio,
+            density_kg_m3=density,
+            relaxation=relaxation,
+            graded_kPa=organ.young_end_kPa,
+            grading_exponent=organ.grading_exponent,
+            fibre_direction=organ.fibre_direction,
+            fibre_modulus_ratio=organ.fibre_modulus_ratio,
+        )
+    return material, notes
+
+
+def _modulus_note(
+    organ: Organ,
+    constants: Materials,
+    young_kPa: float,
+    parts: dict[str, float],
+    ratio: float,
+) -> str:
+    """Return a note on the moduli of an organ."""
+    note = f"{young_kPa:g} kPa"
     if organ.young_kPa is None:
+        modulus = constants.constants("soft", organ.material)["modulus_kPa"]
         origin = constants.origin("soft", organ.material, "modulus_kPa")
         note += f" ({origin} {modulus.low:g}-{modulus.high:g}, confidence {modulus.confidence})"
-    young = np.full(len(mesh.cells), first)
     if organ.young_end_kPa is not None:
-        x = mesh.nodes_m[mesh.cells].mean(axis=1)[:, 0]
-        share = (x - x.min()) / np.ptp(x)
-        young += (organ.young_end_kPa - first) * share**organ.grading_exponent
         note += (
             f" to {organ.young_end_kPa:g} kPa along x, by the distance to the power "
             f"{organ.grading_exponent:g}"
         )
-    for part, stated in _moduli_kPa(mesh, anatomy, organ).items():
-        young[mesh.part == part] = stated
-        note += f"; {mesh.part_names[part]} {stated:g} kPa"
+    for name, stated in parts.items():
+        note += f"; {'part ' * name.isdecimal()}{name} {stated:g} kPa"
     note += f"; Poisson's ratio {ratio:g}"
     if organ.order == 1 and ratio > LOCKING_RATIO:
         note += ", at which linear tetrahedra lock: forces come out too great, take organ.order = 2"
-    if organ.fibre_direction is None:
-        return lame(1e3 * young, ratio), note
-    along = organ.fibre_modulus_ratio
-    turned = rotated(_fibrous(ratio, along), np.array([organ.fibre_direction]))
-    note += f"; {along:g} times as stiff along its fibres, its bulk modulus as without them"
-    return young[:, None, None] * turned, note
-
-
-def _fibrous(poisson_ratio: float, along: float) -> NDArray[np.float64]:
-    """Return the stiffness of tissue with fibres along axis 3 [Pa], shape (6, 6).
-
-    Young's modulus across the fibres is 1 kPa.
-
-    Raises
-    ------
-    InputError
-        If fibres of this ratio would leave the tissue unstable.
-    """
-    low, high = fibre_ratio_range(poisson_ratio)
-    if not low < along < high:
-        bound = f"more than {low:.3g}" if along <= low else f"less than {high:.3g}"
-        raise InputError(
-            f"organ.fibre_modulus_ratio is {along:g}, but tissue of Poisson's ratio "
-            f"{poisson_ratio:g} is stable only "
-            f"with {bound}. Change it or organ.poisson_ratio"
+    if organ.fibre_direction is not None:
+        note += (
+            f"; {organ.fibre_modulus_ratio:g} times as stiff along its fibres, its bulk modulus "
+            "as without them"
         )
-    return transversely_isotropic(
-        young_fibre_Pa=1e3 * along,
-        young_across_Pa=1e3,
-        shear_fibre_Pa=1e3 * (0.5 + 0.5 * along) / (2.0 * (1.0 + poisson_ratio)),
-        poisson_fibre=poisson_ratio,
-        poisson_across=volume_preserving_ratio(poisson_ratio=poisson_ratio, modulus_ratio=along),
-    )
-
-
-def _moduli_kPa(mesh: TetMesh, anatomy: SoftAnatomy, organ: Organ) -> dict[int, float]:
-    """Return Young's moduli of parts that differ, by their numbers in the mesh [kPa].
-
-    Raises
-    ------
-    InputError
-        If the mesh has no part of that name, or a part is named twice.
-    """
-    from_file = isinstance(anatomy, LiverFile)
-    names = mesh.part_names
-    found = {names.index(PART_NODULE): NODULE_KPA} if PART_NODULE in names and not from_file else {}
-    given: dict[int, str] = {}
-    for name, modulus in (organ.parts or {}).items():
-        known = next((each for each in (name, f"part {name}") if each in names), None)
-        if known is None:
-            have = "has one part alone" if len(names) == 1 else f"has {', '.join(names)}"
-            close = nearest(name, names)
-            raise InputError(
-                "organ.parts", "name parts of the organ", f"{name}{close}", f"it {have}"
-            )
-        number = names.index(known)
-        if number in given:
-            raise InputError(
-                "organ.parts",
-                "name each part once",
-                f"{given[number]} and {name}",
-                "remove one of them",
-            )
-        given[number] = name
-        found[number] = modulus
-    return found
+    return note
 
 
 def _nodule(anatomy: WithNodule) -> Nodule | None:
@@ -253,7 +266,7 @@ def _nodule(anatomy: WithNodule) -> Nodule | None:
     return Nodule(0.5e-3 * anatomy.nodule_diameter_mm, (x, y, z))
 
 
-def _away(points_m: NDArray[np.float64], path_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def _away(points_m: Array, path_m: Array) -> Array:
     """Return the distances of points from the path of the tip [m], shape (n,)."""
     nearest = np.full(len(points_m), np.inf)
     for start, end in pairwise(path_m):
@@ -300,46 +313,164 @@ def _from_file(
         vertices = (found.surface.vertices_m - origin) @ turn
         faces = found.surface.faces
 
-        def onto(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        def onto(points: Array) -> Array:
             return nearest_on_triangles(vertices, faces, points)
 
     placed = fine(replace(mesh, nodes_m=(mesh.nodes_m - origin) @ turn), onto)
+    held, note = _held(anatomy, placed)
     at = ", ".join(f"{1e3 * value:.4g}" for value in origin)
     notes = {
         "mesh": f"{len(mesh.cells)} tetrahedra, {1e6 * float(mesh.volumes_m3.sum()):.4g} ml. "
         + " ".join(found.sentences),
         "site": f"origin at ({at}) mm of the file",
-        "held": _held_note(anatomy),
+        "held": note,
     }
-    return HeldMesh(
-        placed, _held(anatomy, placed), notes, Placement(1e3 * origin, turn, found.unit_mm)
-    )
+    return HeldMesh(placed, held, notes, Placement(1e3 * origin, turn, found.unit_mm))
 
 
-def _held(anatomy: Held, mesh: TetMesh) -> NDArray[np.int64]:
-    """Return the nodes that the scene's support holds."""
-    if anatomy.held == "plane":
-        height = 1e-3 * anatomy.held_below_mm
-        return nodes_behind_plane(mesh, point_m=(0.0, 0.0, height), normal=(0.0, 0.0, 1.0))
+def _held(anatomy: Held, mesh: TetMesh) -> tuple[Nodes, str]:
+    """Return the nodes that the scene's support holds, and a note on them."""
     if anatomy.held == "part":
         if anatomy.held_part is None:
             raise InputError(
                 "held_part", "be given", "nothing", f"use one of {', '.join(mesh.part_names)}"
             )
         numbered = f"part {anatomy.held_part}"
-        return nodes_of_part(mesh, numbered if numbered in mesh.part_names else anatomy.held_part)
+        name = numbered if numbered in mesh.part_names else anatomy.held_part
+        return nodes_of_part(mesh, name), f"the part {name}"
+    if anatomy.held == "plane":
+        hold, note = hold_of("bottom", anatomy.held_below_mm, mesh)
+        return hold(mesh), note
+    note = f"the surface that faces {'down' if anatomy.held == 'below' else 'back'}"
     if isinstance(anatomy, LiverAnatomy):
-        return liver_region(mesh, anatomy.held)
-    return nodes_facing(
-        mesh, direction=(0.0, 0.0, -1.0) if anatomy.held == "below" else (0.0, 1.0, 0.0)
+        return liver_region(mesh, anatomy.held), note
+    hold, _ = hold_of("bottom" if anatomy.held == "below" else "+y", None, mesh)
+    return hold(mesh), note
+
+
+def hindrance(organ: Organ) -> str | None:
+    """Return the first key of an organ that no hyperelastic law supports yet; None without one."""
+    if organ.path != "condensed":
+        return "path"
+    return next((name for name in NOT_WITH if getattr(organ, name)), None)
+
+
+def law_of(organ: Organ, lame_Pa: Array) -> tuple[Hyperelastic, Array] | None:
+    """Return the law of the first cell, and factors of its moduli in each cell, shape (m,).
+
+    None is returned for the linear law.
+
+    Parameters
+    ----------
+    organ
+        Organ parameters of the scene.
+    lame_Pa
+        Lame constants of small strains [Pa], shape (m, 2), in one proportion, as `elasticity_of`
+        gives them.
+
+    Raises
+    ------
+    InputError
+        If the scene requests something that the law does not support, or does not state a parameter
+        that the law needs.
+    """
+    if organ.law == "linear":
+        return None
+    if name := hindrance(organ):
+        raise InputError(
+            f"organ.law and organ.{name}",
+            "be left out together",
+            f"{organ.law} and {shown(getattr(organ, name))}",
+            (
+                "remove one, a law of large strains has an isotropic elastic organ without "
+                "weight, on its condensed compliance"
+            ),
+        )
+    first, shear = lame_Pa[0].tolist()
+    bulk = first + 2.0 / 3.0 * shear
+    return _law(organ, shear, bulk), np.asarray(lame_Pa[:, 1] / shear)
+
+
+def coarser_mesh(
+    scene: Scene, *, path_m: Array, touch_edge_m: float, ratio: float, report: Progress
+) -> HeldMesh:
+    """Mesh a scene's organ with edges longer by a ratio; other arguments as for `held_mesh`.
+
+    A nodule needs cells as short as the scene's. Tetrahedra from a file are not made coarser away
+    from the tool.
+    """
+    anatomy = scene.anatomy
+    assert isinstance(anatomy, SoftAnatomy)
+    edge_mm = anatomy.edge_mm * (1.0 if anatomy.nodule_mm else ratio)
+    # The key must not count as set: tetrahedra from a file have their own edges.
+    given = anatomy.model_fields_set - {"edge_mm"}
+    coarse = type(anatomy).model_construct(given, **(dict(anatomy) | {"edge_mm": edge_mm}))
+    return held_mesh(coarse, path_m=path_m, touch_edge_m=ratio * touch_edge_m, report=report)
+
+
+def organ_law(
+    scene: Scene,
+    lame_Pa: Array,
+    *,
+    path_m: Array,
+    touch_edge_m: float,
+    compute: str,
+    report: Progress,
+) -> "OrganLaw | None":
+    """Return the law of a scene's organ and its mesh; None for the linear law.
+
+    `lame_Pa` holds Lame constants of the cells of the organ's mesh [Pa], shape (m, 2). Other
+    arguments are as for `held_mesh`.
+
+    Raises
+    ------
+    InputError
+        As for `law_of`, or if a real device would wait for the law.
+    """
+    from tissue.models.organ.law import OrganLaw
+    from tissue.models.organ.soft_organ import SoftOrgan
+
+    organ = scene.organ
+    found = law_of(organ, lame_Pa)
+    if found is None:
+        return None
+    if opens_device(scene):
+        raise InputError(
+            "device and organ.law",
+            "be left out together",
+            f"{scene.held.kind} and {organ.law}",
+            (
+                "remove one, a real device would wait where solving the law takes longer than "
+                "its interval"
+            ),
+        )
+    law, factors = found
+    interval_s = 1e-3 * organ.law_interval_ms
+    if organ.law_edge_ratio == 1.0:
+        return OrganLaw(law, factors, interval_s)
+    mesh = coarser_mesh(
+        scene, path_m=path_m, touch_edge_m=touch_edge_m, ratio=organ.law_edge_ratio, report=report
     )
+    assert isinstance(scene.anatomy, SoftAnatomy)
+    moduli, _ = elasticity_of(mesh.mesh, scene.anatomy, organ, scene.constants)
+    coarser = SoftOrgan(mesh.mesh, moduli, mesh.held, order=organ.order, device=compute)
+    return OrganLaw(law, factors, interval_s, (coarser, moduli[:, 1] / law.shear_Pa))
 
 
-def _held_note(anatomy: Held) -> str:
-    note = {
-        "below": "the surface that faces down",
-        "back": "the surface that faces back",
-        "plane": f"the surface below z = {anatomy.held_below_mm:g} mm",
-        "part": f"the part {anatomy.held_part}",
-    }
-    return note[anatomy.held]
+def _law(organ: Organ, shear_Pa: float, bulk_Pa: float) -> Hyperelastic:
+    if organ.law == "neo-hookean":
+        return Hyperelastic.neo_hookean(shear_Pa, bulk_Pa=bulk_Pa)
+    if organ.law == "mooney-rivlin" and (share := organ.second_share) is not None:
+        return Hyperelastic.mooney_rivlin(
+            0.5 * (1.0 - share) * shear_Pa, 0.5 * share * shear_Pa, bulk_Pa=bulk_Pa
+        )
+    if organ.law == "yeoh" and organ.square_ratio is not None:
+        first = 0.5 * shear_Pa
+        return Hyperelastic.yeoh(
+            first, organ.square_ratio * first, organ.cube_ratio * first, bulk_Pa=bulk_Pa
+        )
+    if organ.law == "ogden" and organ.exponent is not None:
+        return Hyperelastic(bulk_Pa, ((shear_Pa, organ.exponent),))
+    raise InputError(
+        f"organ.{SHAPE[organ.law]}", f"be given with organ.law = {organ.law}", "none", "state it"
+    )

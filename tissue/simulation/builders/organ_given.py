@@ -1,32 +1,46 @@
-"""Organ that a caller describes: its materials, surface and mesh refinement."""
+"""Material and supports of a soft organ.
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+Scenes and `tissue.Organ` describe an organ with the same `SoftMaterial` and supports.
+"""
 
+from collections.abc import (Callable, Mapping, Sequence)
+from dataclasses import (dataclass, field)
+from meshes.base.arrays import (Array)
+from meshes.base.errors import (InputError, names_of_caller, require_positive, require_range)
+from meshes.tets.regions import (Nodes, faces_of, nodes_behind_plane, nodes_facing, nodes_of_part)
+from meshes.tets.stuffing import (bisected)
+from meshes.tets.tetrahedra import (TetMesh)
+from meshes.voxels.mesh_sampling import (nearest_on_triangles)
+from numpy.typing import (ArrayLike, NDArray)
+from tissue.materials.elasticity import (fibre_ratio_range, lame, rotated, transversely_isotropic, volume_preserving_ratio)
+from tissue.scene.named_parts import (nearest)
+from typing import (Any, TYPE_CHECKING)
 import numpy as np
-from numpy.typing import NDArray
-
-from meshes.base.errors import InputError, names_of_caller, require_positive, require_range
-from meshes.surfaces.surface import Surface, surface_from_triangles
-from meshes.surfaces.triangle_files import read_triangles
-from meshes.tets.files import require_millimetres
-from meshes.tets.stuffing import EDGE_GROWTH, bisected
-from meshes.tets.tetrahedra import TetMesh
-from meshes.voxels.mesh_sampling import nearest_on_triangles, triangle_distance
-from tissue.materials.elasticity import lame
 
 if TYPE_CHECKING:
-    from tissue.models.organ.soft_organ import SoftOrgan
+    from tissue.models.organ.law import (OrganLaw)
+    from tissue.models.organ.soft_organ import (SoftOrgan)
 
-__all__ = ["SoftMaterial", "refined", "surface_of"]
+__all__ = ["Hold", "SoftMaterial", "hold_of"]
 
-FINE_EDGES = 1.0
-"""Distance from a point, in edges, within which edges do not grow.
 
-It is the radius of a tool of four edges.
-"""
+
+COINCIDE = 1e-6
+"""Distance within which a node coincides with a named point, over the mesh's size."""
+CAPSULE = "give its thickness in um and its modulus in kPa, such as (50, 8200)"
+SIDES = {
+    "bottom": (0.0, 0.0, -1.0),
+    "top": (0.0, 0.0, 1.0),
+    "-x": (-1.0, 0.0, 0.0),
+    "+x": (1.0, 0.0, 0.0),
+    "-y": (0.0, -1.0, 0.0),
+    "+y": (0.0, 1.0, 0.0),
+    "-z": (0.0, 0.0, -1.0),
+    "+z": (0.0, 0.0, 1.0),
+}
+"""Outward directions of the sides of the surface that may be held, by name."""
+Hold = Callable[[TetMesh], Nodes]
+"""Function that returns the held nodes of a mesh."""
 
 
 @dataclass(frozen=True)
@@ -45,12 +59,18 @@ class SoftMaterial:
         Order of the tetrahedra.
     friction
         Coulomb's coefficient between tool and organ.
-    capsule
+    capsule, capsule_poisson_ratio
         Thickness [um] and Young's modulus [kPa] of a membrane on the surface; None for no membrane.
+        Without its own Poisson's ratio it has the organ's.
     density_kg_m3
         Density [kg/m3]; where it is given, gravity acts on the organ.
     relaxation
         Pairs of a share of the modulus that relaxes and its relaxation time [s].
+    graded_kPa, grading_exponent
+        Young's modulus at the largest x [kPa], and the power of the distance by which it is graded
+        from `modulus_kPa` at the smallest x; None for no grading.
+    fibre_direction, fibre_modulus_ratio
+        Direction of fibres, None for none, and Young's modulus along them over the one across.
 
     Raises
     ------
@@ -60,12 +80,17 @@ class SoftMaterial:
 
     modulus_kPa: float
     poisson_ratio: float
-    parts: Mapping[str | int, float] = field(default_factory=dict)
+    parts: Mapping[Any, float] = field(default_factory=dict)
     order: int = 2
     friction: float = 0.3
     capsule: tuple[float, float] | None = None
+    capsule_poisson_ratio: float | None = None
     density_kg_m3: float | None = None
     relaxation: Sequence[tuple[float, float]] = ()
+    graded_kPa: float | None = None
+    grading_exponent: float = 1.0
+    fibre_direction: tuple[float, float, float] | None = None
+    fibre_modulus_ratio: float = 1.0
 
     def __post_init__(self) -> None:
         require_positive("modulus_kPa", self.modulus_kPa, "liver has about 5, kidney 10")
@@ -78,24 +103,15 @@ class SoftMaterial:
         for name, modulus in self.parts.items():
             require_positive(f"parts[{name!r}]", modulus, "give its Young's modulus in kPa")
         if self.capsule is not None and np.shape(self.capsule) != (2,):
-            raise InputError(
-                "capsule",
-                "be two numbers",
-                self.capsule,
-                "give its thickness in um and its modulus in kPa, such as (50, 8200)",
-            )
+            raise InputError("capsule", "be two numbers", self.capsule, CAPSULE)
+        for value in self.capsule or ():
+            require_positive("capsule", value, CAPSULE)
         if any(np.shape(each) != (2,) for each in self.relaxation):
             raise InputError(
                 "relaxation",
                 "be pairs of a share and a time [s]",
                 list(self.relaxation),
                 "use for example [(0.3, 1.0)]",
-            )
-        for value in self.capsule or ():
-            require_positive(
-                "capsule",
-                value,
-                "give its thickness in um and its modulus in kPa, such as (50, 8200)",
             )
         if self.density_kg_m3 is not None:
             require_positive("density_kg_m3", self.density_kg_m3, "soft tissue has about 1060")
@@ -106,35 +122,85 @@ class SoftMaterial:
         Raises
         ------
         InputError
-            If the mesh has no part of that name.
+            If the mesh has no part of that name, or a part is named twice.
         """
-        found = dict.fromkeys(part_names, self.modulus_kPa)
-        given = set[str]()
+        return dict.fromkeys(part_names, self.modulus_kPa) | self._stated_kPa(part_names)
+
+    def _stated_kPa(self, part_names: Sequence[str]) -> dict[str, float]:
+        """Return the moduli of `parts` by their names in a mesh [kPa]."""
+        found: dict[str, float] = {}
         for name, modulus in self.parts.items():
-            known = next((each for each in (str(name), f"part {name}") if each in found), None)
+            known = next((each for each in (str(name), f"part {name}") if each in part_names), None)
             if known is None:
-                raise InputError(
-                    "parts", "name parts of the mesh", f"{name!r}", f"it has {', '.join(found)}"
-                )
-            if known in given:
+                has = ", ".join(part_names)
+                got = f"{name!r}{nearest(str(name), part_names)}"
+                raise InputError("parts", "name parts of the mesh", got, f"it has {has}")
+            if known in found:
                 raise InputError("parts", "name each part once", f"{known} twice", "remove one")
-            given.add(known)
             found[known] = float(modulus)
         return found
 
-    def elasticity(self, mesh: TetMesh) -> NDArray[np.float64]:
-        """Return Lame constants of the cells [Pa], shape (m, 2)."""
-        moduli = np.array(list(self.moduli_kPa(mesh.part_names).values()))
-        return lame(1e3 * moduli[mesh.part], self.poisson_ratio)
+    def elasticity(self, mesh: TetMesh) -> Array:
+        """Return the elasticity of the cells [Pa].
 
-    def organ(self, mesh: TetMesh, held: NDArray[np.int64]) -> "SoftOrgan":
+        It holds Lame constants, shape (m, 2), or with fibres stiffness matrices, shape (m, 6, 6).
+
+        Raises
+        ------
+        InputError
+            If fibres would leave the tissue unstable.
+        """
+        young = np.full(len(mesh.cells), self.modulus_kPa)
+        if self.graded_kPa is not None:
+            x = mesh.nodes_m[mesh.cells].mean(axis=1)[:, 0]
+            share = (x - x.min()) / np.ptp(x)
+            young += (self.graded_kPa - self.modulus_kPa) * share**self.grading_exponent
+        for name, modulus in self._stated_kPa(mesh.part_names).items():
+            young[mesh.part == mesh.part_names.index(name)] = modulus
+        if self.fibre_direction is None:
+            return lame(1e3 * young, self.poisson_ratio)
+        turned = rotated(self._fibrous_Pa(), np.array([self.fibre_direction]))
+        return young[:, None, None] * turned
+
+    def _fibrous_Pa(self) -> Array:
+        """Return the stiffness of tissue with fibres along axis 3 [Pa], shape (6, 6).
+
+        Young's modulus across the fibres is 1 kPa.
+        """
+        ratio = self.poisson_ratio
+        along = self.fibre_modulus_ratio
+        low, high = fibre_ratio_range(ratio)
+        if not low < along < high:
+            bound = f"more than {low:.3g}" if along <= low else f"less than {high:.3g}"
+            raise InputError(
+                "organ.fibre_modulus_ratio",
+                f"be {bound} for stable tissue of Poisson's ratio {ratio:g}",
+                f"{along:g}",
+                "change it or organ.poisson_ratio",
+            )
+        return transversely_isotropic(
+            young_fibre_Pa=1e3 * along,
+            young_across_Pa=1e3,
+            shear_fibre_Pa=1e3 * (0.5 + 0.5 * along) / (2.0 * (1.0 + ratio)),
+            poisson_fibre=ratio,
+            poisson_across=volume_preserving_ratio(poisson_ratio=ratio, modulus_ratio=along),
+        )
+
+    def organ(
+        self, mesh: TetMesh, held: Nodes, *, law: "OrganLaw | None" = None, compute: str = "cpu"
+    ) -> "SoftOrgan":
         """Return the organ at rest on a mesh whose nodes `held` do not move."""
         from tissue.materials.prony import Prony
         from tissue.models.organ.soft_organ import Membrane, SoftOrgan
 
         capsule = None
         if self.capsule is not None:
-            capsule = Membrane(1e-6 * self.capsule[0], 1e3 * self.capsule[1], self.poisson_ratio)
+            ratio = self.capsule_poisson_ratio
+            capsule = Membrane(
+                1e-6 * self.capsule[0],
+                1e3 * self.capsule[1],
+                self.poisson_ratio if ratio is None else ratio,
+            )
         prony = None
         if len(self.relaxation):
             with names_of_caller(dict.fromkeys(("g", "tau_s"), "relaxation")):
@@ -150,74 +216,90 @@ class SoftMaterial:
             density_kg_m3=self.density_kg_m3,
             prony=prony,
             friction=self.friction,
+            device=compute,
+            law=law,
         )
 
 
-def surface_of(name: str, given: object, scale_mm: float | None) -> Surface:
-    """Return a closed surface from a file, a pyvista or trimesh surface, or vertices and triangles.
+def hold_of(
+    held: str | ArrayLike,
+    held_below_mm: float | None,
+    mesh: TetMesh,
+    points_mm: Array | None = None,
+) -> tuple[Hold, str]:
+    """Return a function that finds the held nodes of a mesh, and a note on them.
+
+    Parameters
+    ----------
+    held
+        A side of the surface (``bottom``, ``top``, ``-x`` to ``+z``: faces within 60 degrees of
+        that direction), the name of a part, or points: a mask, shape (n,), or their numbers.
+    held_below_mm
+        Height below which the surface is held instead [mm].
+    mesh, points_mm
+        The mesh, and the points that masks and numbers refer to [mm], shape (n, 3); None for the
+        mesh's nodes.
 
     Raises
     ------
     InputError
-        If it is no surface, its size points to another unit, or it encloses no solid.
+        If there is no such side or part, or points do not exist.
     """
-    source = name
-    if isinstance(given, str | Path):
-        source = Path(given).name
-        with names_of_caller({"file": name}):
-            vertices, faces = read_triangles(Path(given))
-    else:
-        vertices, faces = _triangles(name, given)
-    scale = require_millimetres(name, vertices, scale_mm)
-    with names_of_caller(dict.fromkeys(("surface", "vertices", "faces", "triangles"), name)):
-        return surface_from_triangles(vertices, faces, source=source, scale_mm=scale)
-
-
-def _triangles(name: str, given: Any) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return vertices and triangles of a surface in memory."""
-    if hasattr(given, "is_all_triangles"):  # pyvista
-        whole = given.triangulate()
-        return np.asarray(whole.points, dtype=np.float64), np.asarray(
-            whole.regular_faces, dtype=np.int64
+    if held_below_mm is not None:
+        point = (0.0, 0.0, 1e-3 * float(held_below_mm))
+        return (
+            lambda mesh: nodes_behind_plane(mesh, point_m=point, normal=(0.0, 0.0, 1.0)),
+            f"the surface below z = {held_below_mm:g} mm",
         )
-    if hasattr(given, "vertices") and hasattr(given, "faces"):  # trimesh
-        given = given.vertices, given.faces
-    if isinstance(given, Sequence) and len(given) == 2:
-        vertices, faces = (np.asarray(each) for each in given)
-        if vertices.ndim == faces.ndim == 2 and vertices.shape[1] == faces.shape[1] == 3:
-            return vertices.astype(np.float64), faces.astype(np.int64)
-    raise InputError(
-        name,
-        "be a closed surface of pyvista or trimesh, vertices and triangles, or a file",
-        type(given).__name__,
-        "export it as STL",
-    )
+    if isinstance(held, str):
+        if held in SIDES:
+            side = SIDES[held]
+            return lambda mesh: nodes_facing(mesh, direction=side), f"the surface that faces {held}"
+        if held in mesh.part_names:
+            return lambda mesh: nodes_of_part(mesh, held), f"the part {held}"
+        raise InputError(
+            "held",
+            f"be one of {', '.join((*SIDES, *mesh.part_names))} or points",
+            f"{held!r}",
+            "use bottom",
+        )
+    nodes = _named(np.asarray(held), mesh, 1e3 * mesh.nodes_m if points_mm is None else points_mm)
+    points_m = mesh.nodes_m
+    triangles = faces_of(mesh, nodes)
+
+    def hold(other: TetMesh) -> Nodes:
+        """Return the nodes of a finer mesh that lie on the named points or between them."""
+        if other is mesh:
+            return nodes
+        from scipy.spatial import cKDTree
+
+        away: Array = cKDTree(points_m[nodes]).query(other.nodes_m)[0]
+        if len(triangles):
+            surface = other.nodes_m[other.surface_nodes]
+            on = nearest_on_triangles(points_m, triangles, surface)
+            away[other.surface_nodes] = np.minimum(
+                away[other.surface_nodes], np.linalg.norm(on - surface, axis=1)
+            )
+        return np.flatnonzero(away <= COINCIDE * float(np.ptp(points_m, axis=0).max()))
+
+    return hold, f"{len(nodes)} points that were named"
 
 
-def refined(
-    mesh: TetMesh, surface: Surface | None, *, edge_m: float, near_m: NDArray[np.float64] | None
-) -> TetMesh:
-    """Refine a mesh to edges of at most a length [m] near points, or on the whole surface.
-
-    The points have shape (k, 3).
-    """
+def _named(held: NDArray[Any], mesh: TetMesh, points_mm: Array) -> Nodes:
+    """Return the mesh nodes selected by a mask or by numbers of the caller's points."""
     from scipy.spatial import cKDTree
 
-    vertices, faces = (
-        (mesh.nodes_m, mesh.surface) if surface is None else (surface.vertices_m, surface.faces)
-    )
-
-    def wanted(points: NDArray[np.float64]) -> NDArray[np.float64]:
-        if near_m is None:
-            away = np.abs(triangle_distance(mesh.nodes_m, mesh.surface, points))
-        else:
-            away = np.asarray(cKDTree(near_m).query(points)[0], dtype=np.float64)
-        return edge_m + EDGE_GROWTH * np.maximum(
-            away - (0.0 if near_m is None else FINE_EDGES * edge_m), 0.0
+    count = len(points_mm)
+    if held.dtype == np.bool_ and held.shape == (count,):
+        held = np.flatnonzero(held)
+    is_numbers = held.dtype.kind in "iu" and held.ndim == 1 and len(held) > 0
+    if not is_numbers or held.min() < 0 or held.max() >= count:
+        raise InputError(
+            "held",
+            f"be a side, a part, a mask of the {count} points or their numbers",
+            f"an array of {held.dtype} and shape {held.shape}",
+            "number points from 0",
         )
-
-    onto = (
-        None if surface is None else (lambda points: nearest_on_triangles(vertices, faces, points))
-    )
-    with names_of_caller({"size_m": "edge_mm"}):
-        return bisected(mesh, wanted, onto=onto)
+    near = COINCIDE * 1e3 * float(np.ptp(mesh.nodes_m, axis=0).max())
+    away, nodes = cKDTree(1e3 * mesh.nodes_m).query(points_mm[held])
+    return np.unique(nodes[away <= near])

@@ -1,27 +1,41 @@
-"""Organ with its mesh, material and supports."""
+"""Soft organ that a caller describes: from tetrahedra, a surface with inclusions, or labels."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, by, names_of_caller, require_positive
+from meshes.base.progress import Progress
 from meshes.surfaces.surface import Surface
-from meshes.tets.files import given_tets
+from meshes.tets.bisection import bisected
 from meshes.tets.regions import Nodes
+from meshes.tets.stuffing import EDGE_GROWTH, with_inclusion
 from meshes.tets.tetrahedra import TetMesh
-from meshes.voxels.mesh_sampling import nearest_on_triangles
-from tissue.simulation.builders.organ_given import SoftMaterial, refined
-from tissue.simulation.builders.organ_held import Hold, hold_of
+from meshes.voxels.mesh_sampling import nearest_on_triangles, triangle_distance
+from tissue.simulation.builders.arguments import require_known, surface_of
+from tissue.simulation.builders.organ_given import Hold, SoftMaterial, hold_of
 
 if TYPE_CHECKING:
     from tissue.models.organ.soft_organ import SoftOrgan
 
-__all__ = ["MadeOrgan", "OrganOptions", "made_of", "material_of", "of_tetrahedra", "require_known"]
+__all__ = ["MadeOrgan", "OrganOptions", "StatedOrgan", "made_of", "of_labels", "of_surface"]
 
+ENVELOPE = 0.1
+"""Largest overlap of inclusions beyond their surroundings, over the edge length.
+
+The mesher moves a surface by up to this distance.
+"""
+FINE_EDGES = 1.0
+"""Distance from a point, in edges, within which edges do not grow.
+
+It is the radius of a tool of four edges.
+"""
 TOUCHED_EDGES = 3.0
 """Radius around a point, in edges, that a tool of four edges is expected to touch."""
 
@@ -29,6 +43,7 @@ TOUCHED_EDGES = 3.0
 class OrganOptions(TypedDict, total=False):
     """Options that every organ takes; see `tissue.Organ.from_tetrahedra`."""
 
+    parts: Mapping[str | int, float] | None
     held: str | ArrayLike
     held_below_mm: float | None
     order: Literal[1, 2]
@@ -62,7 +77,7 @@ class MadeOrgan:
     hold: Hold
     notes: dict[str, str]
     surface: Surface | None = None
-    near: tuple[NDArray[np.float64], float] | None = None
+    near: tuple[Array, float] | None = None
 
     @cached_property
     def held(self) -> Nodes:
@@ -103,7 +118,10 @@ class MadeOrgan:
         InputError
             If the edge is not positive, or the points do not have shape (k, 3).
         """
-        edge = require_positive("edge_mm", edge_mm, "use a quarter of the tool's diameter")
+        from scipy.spatial import cKDTree
+
+        edge_m = 1e-3 * require_positive("edge_mm", edge_mm, "use a quarter of the tool's diameter")
+        mesh = self.mesh
         near = None
         if near_mm is not None:
             near = 1e-3 * np.atleast_2d(np.asarray(near_mm, dtype=np.float64))
@@ -114,18 +132,60 @@ class MadeOrgan:
                     f"shape {np.shape(near_mm)}",
                     "give x, y, z",
                 )
-            near = nearest_on_triangles(self.mesh.nodes_m, self.mesh.surface, near)
-        mesh = refined(self.mesh, self.surface, edge_m=1e-3 * edge, near_m=near)
-        expected = None if near is None else (near, TOUCHED_EDGES * 1e-3 * edge)
-        return MadeOrgan(mesh, self.material, self.hold, self.notes, self.surface, expected)
+            near = nearest_on_triangles(mesh.nodes_m, mesh.surface, near)
+
+        def wanted(points: Array) -> Array:
+            """Return the longest edges wanted at points [m]."""
+            if near is None:
+                away = np.abs(triangle_distance(mesh.nodes_m, mesh.surface, points))
+                return edge_m + EDGE_GROWTH * away
+            away = np.asarray(cKDTree(near).query(points)[0], dtype=np.float64)
+            return edge_m + EDGE_GROWTH * np.maximum(away - FINE_EDGES * edge_m, 0.0)
+
+        outer = self.surface
+        onto = None
+        if outer is not None:
+            onto = lambda points: nearest_on_triangles(outer.vertices_m, outer.faces, points)  # noqa: E731
+        with names_of_caller({"size_m": "edge_mm"}):
+            finer = bisected(mesh, wanted, onto=onto)
+        expected = None if near is None else (near, TOUCHED_EDGES * edge_m)
+        return MadeOrgan(finer, self.material, self.hold, self.notes, outer, expected)
+
+
+@dataclass(frozen=True, eq=False)
+class StatedOrgan:
+    """Material and supports of an organ as a caller states them; see `OrganOptions`."""
+
+    material: SoftMaterial
+    held: str | ArrayLike = "bottom"
+    held_below_mm: float | None = None
+
+    @classmethod
+    def of(cls, modulus_kPa: float, poisson_ratio: float, options: OrganOptions) -> "StatedOrgan":
+        """Return a caller's moduli and options; None counts as not stated.
+
+        Raises
+        ------
+        InputError
+            If a value is out of its range.
+        TypeError
+            If no organ takes an option.
+        """
+        require_known(options, OrganOptions, of="Organ")
+        given: dict[str, Any] = {
+            name: value for name, value in options.items() if value is not None
+        }
+        held = given.pop("held", "bottom")
+        below = given.pop("held_below_mm", None)
+        return cls(SoftMaterial(modulus_kPa, poisson_ratio, **given), held, below)
 
 
 def made_of(
     mesh: TetMesh,
     notes: dict[str, str],
-    stated: dict[str, Any],
+    stated: StatedOrgan,
     *,
-    points_mm: NDArray[np.float64] | None = None,
+    points_mm: Array | None = None,
     surface: Surface | None = None,
 ) -> MadeOrgan:
     """Return an organ of a mesh.
@@ -135,8 +195,7 @@ def made_of(
     mesh, notes
         Tetrahedra [m], and notes on them; a note on the supports is added.
     stated
-        Fields of `SoftMaterial`, ``held`` and ``held_below_mm``; an entry of None counts as not
-        stated.
+        Material and supports.
     points_mm
         Points that ``held`` refers to [mm]; None for the mesh's nodes.
     surface
@@ -145,60 +204,121 @@ def made_of(
     Raises
     ------
     InputError
-        If a value is out of its range, the mesh lacks a part, or the support is not found.
-    TypeError
-        If something else is stated.
+        If the mesh lacks a part, or the support is not found.
     """
-    material = material_of(stated, mesh.part_names)
-    held = "bottom" if stated.get("held") is None else stated["held"]
-    below = stated.get("held_below_mm")
-    hold, notes["held"] = hold_of(
-        held, below, mesh, 1e3 * mesh.nodes_m if points_mm is None else points_mm
-    )
-    made = MadeOrgan(mesh, material, hold, notes, surface)
+    stated.material.moduli_kPa(mesh.part_names)
+    below = stated.held_below_mm
+    hold, notes["held"] = hold_of(stated.held, below, mesh, points_mm)
+    made = MadeOrgan(mesh, stated.material, hold, notes, surface)
     with names_of_caller({"support": "held" if below is None else "held_below_mm"}):
         made.held  # noqa: B018 - what is not there is refused here
     return made
 
 
-def of_tetrahedra(
-    mesh: object,
-    stated: dict[str, Any],
+def of_surface(
+    surface: object,
+    stated: StatedOrgan,
     *,
+    edge_mm: float | None,
+    inclusions: Mapping[str, object],
     scale_mm: float | None,
-    part_names: Mapping[int, str] | None,
+    report: Progress,
 ) -> MadeOrgan:
-    """Return an organ of tetrahedra.
+    """Return an organ inside a closed surface, with its inclusions as parts.
 
-    Arguments are as for `meshes.tets.files.given_tets` and `made_of`.
+    Raises
+    ------
+    InputError
+        If a surface is not closed or not in millimetres, or an inclusion sticks out, overlaps
+        another one or has no modulus.
     """
-    given = given_tets(mesh, scale_mm=scale_mm, part_names=part_names)
-    notes = {"mesh": " ".join(given.sentences)} if given.sentences else {}
-    return made_of(given.mesh, notes, stated, points_mm=given.points_mm)
+    from meshes.tets.tetrahedralise import FILL_EDGES, tetrahedralise
 
-
-def require_known(stated: Iterable[str]) -> None:
-    """Refuse an argument that no organ takes, as Python does for a listed signature."""
-    known = {field.name for field in fields(SoftMaterial)} | set(OrganOptions.__annotations__)
-    unknown = [name for name in stated if name not in known]
-    if unknown:
-        raise TypeError(
-            f"Organ got an unexpected keyword argument {unknown[0]!r}. Beyond the arguments "
-            "of its maker it takes "
-            f"{', '.join(sorted(known))}."
+    without = [name for name in inclusions if name not in stated.material.parts]
+    if without:
+        raise InputError(
+            "parts", "give a modulus of every inclusion", f"none of {without[0]}", "add it in kPa"
         )
+    # refuse invalid materials before meshing, which takes minutes
+    stated.material.moduli_kPa(("body", *inclusions))
+    outer = surface_of("surface", surface, scale_mm)
+    usual = max(outer.report.size_mm) / FILL_EDGES
+    edge = usual if edge_mm is None else require_positive("edge_mm", edge_mm, f"use {usual:.2g}")
+    inner = {
+        name: surface_of(f"inclusions[{name!r}]", each, scale_mm)
+        for name, each in inclusions.items()
+    }
+    _require_apart(outer, inner, 1e-3 * ENVELOPE * edge)
+    with names_of_caller({"edge_m": "edge_mm"}):
+        mesh, sentences = tetrahedralise(outer, edge_m=1e-3 * edge, report=report)
+    notes = {"mesh": " ".join((*outer.report.repairs, *sentences))}
+    for name, each in inner.items():
+        with names_of_caller({name: f"inclusions[{name!r}]"}):
+            mesh, notes[name] = with_inclusion(
+                mesh, name, each.vertices_m, each.faces, volume_m3=1e-9 * each.report.volume_mm3
+            )
+    return made_of(mesh, notes, stated, surface=outer)
 
 
-def material_of(stated: dict[str, Any], part_names: Sequence[str]) -> SoftMaterial:
-    """Return the material of an organ of these parts; raises as `made_of`."""
-    require_known(stated)
-    of_material = {field.name for field in fields(SoftMaterial)}
-    material = SoftMaterial(
-        **{
-            name: value
-            for name, value in stated.items()
-            if name in of_material and value is not None
-        }
-    )
-    material.moduli_kPa(part_names)
-    return material
+def of_labels(
+    labels: object,
+    stated: StatedOrgan,
+    *,
+    organ: str,
+    names: str | Path | None,
+    edge_mm: float | None,
+    report: Progress,
+) -> MadeOrgan:
+    """Return an organ of a label image; its parts are the labels that have a modulus.
+
+    Raises
+    ------
+    InputError
+        If there is no such label, a part does not lie at the organ, or a value is out of its range.
+    """
+    from meshes.ct.labels import Labels, read_labels
+    from meshes.organs.from_labels import labelled_organ
+
+    with names_of_caller({"path": "labels"}):
+        known = (
+            labels if isinstance(labels, Labels) else read_labels(Path(str(labels)), names=names)
+        )
+    organ = known.names[known.number(organ)]
+    given = stated.material.parts.items()
+    parts = {known.names[known.number(str(name))]: modulus for name, modulus in given}
+    stated = replace(stated, material=replace(stated.material, parts=parts))
+    stated.material.moduli_kPa((organ, *parts))
+    found = labelled_organ(known, organ, [name for name in parts if name != organ])
+    mesh, notes = found.mesh(edge_mm, report=report)
+    return made_of(mesh, notes, stated, surface=found.surface)
+
+
+def _require_apart(outer: Surface, inclusions: Mapping[str, Surface], off_m: float) -> None:
+    """Refuse inclusions that overlap each other or stick out of the organ by over `off_m` [m]."""
+    for name, each in inclusions.items():
+        key = f"inclusions[{name!r}]"
+        out = triangle_distance(outer.vertices_m, outer.faces, each.vertices_m)
+        if out.min() > 0.0:
+            raise InputError(key, "lie inside the surface", "all of it outside", "move it")
+        if out.max() > off_m:
+            raise InputError(
+                key,
+                "lie inside the surface",
+                f"it up to {1000.0 * float(out.max()):.3g} mm outside",
+                "move it, or cut it off there",
+            )
+        for other, before in inclusions.items():
+            if other == name:
+                break
+            pairs = ((before, each), (each, before))
+            deep = max(
+                -float(triangle_distance(a.vertices_m, a.faces, b.vertices_m).min())
+                for a, b in pairs
+            )
+            if deep > off_m:
+                raise InputError(
+                    key,
+                    f"not reach into inclusions[{other!r}]",
+                    f"it {1000.0 * deep:.3g} mm deep",
+                    "subtract one from the other",
+                )

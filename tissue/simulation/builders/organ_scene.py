@@ -1,36 +1,36 @@
-"""Build the tissue that a probe presses or a needle pierces: soft organs and a stiff wall."""
+"""Tissue that a probe presses or a needle pierces: soft organs and a stiff wall."""
 
-from functools import partial
-from math import inf
-from typing import TYPE_CHECKING
-
+from functools import (partial)
+from math import (inf)
+from meshes.base.cache import (Kept)
+from meshes.base.errors import (InputError, by, is_file, names_of_caller)
+from meshes.base.progress import (Progress)
+from meshes.paths.toolpath import (kept_corners)
+from meshes.tets.tetrahedra import (TetMesh)
+from pathlib import (Path)
+from tissue.models.organ.probe import (CylinderProbe, ProbeShape, ShellProbe, SphereProbe)
+from tissue.models.tissue_model import (WallModel)
+from tissue.motion.motion import (Motion)
+from tissue.scene.coupling import (WallAnatomy)
+from tissue.scene.organ import (LayersAnatomy, LiverFile, SoftAnatomy)
+from tissue.scene.registry import (NEEDLES, PROBES)
+from tissue.scene.scene import (Scene)
+from tissue.scene.tool import (Needle, Probe)
+from tissue.simulation.builders.organ import (HeldMesh, OF_ORGAN, held_mesh, material_of, organ_law)
+from tissue.simulation.builders.parts import (FILE_WORDS, Parts)
+from tissue.simulation.builders.tool_path import (poses_along)
+from typing import (TYPE_CHECKING)
 import numpy as np
 
-from meshes.base.cache import Kept
-from meshes.base.errors import InputError, names_of_caller
-from meshes.base.progress import Progress
-from meshes.paths.toolpath import kept_corners
-from tissue.materials.scene_constants import Materials
-from tissue.models.organ.probe import ShellProbe
-from tissue.models.tissue_model import WallModel
-from tissue.motion.motion import Motion
-from tissue.scene.coupling import WallAnatomy
-from tissue.scene.organ import LayersAnatomy, LiverFile, Organ, SoftAnatomy
-from tissue.scene.scene import Scene
-from tissue.scene.tool import Needle, Probe
-from tissue.simulation.builders.organ import HeldMesh, elasticity_of, held_mesh
-from tissue.simulation.builders.organ_law import organ_law
-from tissue.simulation.builders.parts import Parts
-from tissue.simulation.builders.pierced_tissue import pierced_tissue
-from tissue.simulation.builders.probe import poses_along, probe_of, require_outside, shell_note
-
 if TYPE_CHECKING:
-    from tissue.materials.prony import Prony
-    from tissue.models.organ.soft_organ import Membrane
+    from tissue.models.needle.parameters import (NeedleTissue)
 
-__all__ = ["pierced", "pressed", "wall"]
+__all__ = ["pierced", "pierced_tissue", "pressed", "probe_of", "wall"]
 
 
+
+POSES_TRIED = 200
+"""Number of poses along a motion at which contact with the organ is searched for."""
 KEPT = 0.01
 """Largest distance of an omitted path corner from the remaining path, in edges of the mesh.
 
@@ -113,49 +113,33 @@ def pressed(
     anatomy = scene.anatomy
     organ = scene.organ
     assert isinstance(anatomy, SoftAnatomy) and isinstance(scene.tool, Probe)
-    notes: dict[str, str] = {}
-    prony = _prony_of(organ, notes, scene.constants)
+    material, notes = material_of(anatomy, organ, scene.constants)
     report("meshing the organ", 0.0)
     edge_mm = anatomy.touch_edge_mm or 0.25 * scene.tool.size_mm
-    within_m = 1e-3 * KEPT * edge_mm
-    path = motion.sweep_m()
-    path = path[kept_corners(path, within_m)]
-    meshed = partial(held_mesh, anatomy, path_m=path, touch_edge_m=1e-3 * edge_mm, report=report)
-    from_file = isinstance(anatomy, LiverFile)
-    found = (
-        meshed()
-        if from_file
-        else _meshes.of((anatomy.model_dump_json(), path.tobytes(), edge_mm), meshed)
-    )
-    elasticity, note = elasticity_of(found.mesh, anatomy, organ, scene.constants)
+    edge_m = 1e-3 * edge_mm
+    kept = kept_corners(motion.sweep_m(), 1e-3 * KEPT * edge_mm)
+    path = motion.sweep_m()[kept]
+    meshed = partial(held_mesh, anatomy, path_m=path, touch_edge_m=edge_m, report=report)
+    if isinstance(anatomy, LiverFile):
+        found = meshed()
+    else:
+        found = _meshes.of((anatomy.model_dump_json(), path.tobytes(), edge_mm), meshed)
     probe = probe_of(scene.tool)
-    notes |= found.notes | {"modulus": note}
+    notes |= found.notes
     if isinstance(probe, ShellProbe):
-        notes["tool"] = shell_note(scene.tool, probe)
+        sides = by(1e3 * np.ptp(probe.points_m, axis=0), ".3g")
+        file = Path(scene.tool.file_name).name
+        notes["tool"] = f"{file} taken at {scene.tool.scale:g} mm per unit: {sides} mm"
+    with names_of_caller(OF_ORGAN):
+        elasticity = material.elasticity(found.mesh)
     law = organ_law(
-        scene, elasticity, path_m=path, touch_edge_m=1e-3 * edge_mm, compute=compute, report=report
+        scene, elasticity, path_m=path, touch_edge_m=edge_m, compute=compute, report=report
     )
-    capsule = _capsule_of(organ, notes, scene.constants)
-    density = _density_of(organ, scene.constants)
     report("compiling kernels (the first time on a machine)", 0.0)
-    from tissue.models.organ.model import ContactSolution, LiverModel
-    from tissue.models.organ.soft_organ import SoftOrgan, ToolPath
-
     require_outside(found.mesh, motion)
-    soft = SoftOrgan(
-        found.mesh,
-        elasticity,
-        found.held,
-        order=organ.order,
-        capsule=capsule,
-        density_kg_m3=density,
-        prony=prony,
-        friction=organ.friction,
-        device=compute,
-        law=law,
-    )
+    soft = material.organ(found.mesh, found.held, law=law, compute=compute)
     report("assembling the stiffness", 0.0)
-    tips, turns = poses_along(motion, within_m)
+    tips, turns = poses_along(motion, kept, POSES_TRIED)
     with names_of_caller({"touch_edge_m": "anatomy.touch_edge_mm"}):
         model = LiverModel(
             soft,
@@ -176,8 +160,7 @@ def pressed(
         )
     notes["solved"] = (
         f"{len(found.mesh.cells)} tetrahedra of order {organ.order}, {len(soft.body.free)} "
-        "unknowns; "
-        f"{len(model.touchable)} touchable nodes, compliance {organ.path}"
+        f"unknowns; {touchable} touchable nodes, compliance {organ.path}"
     )
     return Parts(motion, model, placement=found.placement, notes=notes)
 
@@ -197,58 +180,82 @@ def wall(
     return Parts(motion, WallModel(1e3 * scene.anatomy.stiffness_kN_m, radius_m=radius_m))
 
 
-def _capsule_of(organ: Organ, notes: dict[str, str], constants: Materials) -> "Membrane | None":
-    """Return the capsule of the organ's material and add a note, if the scene requests one."""
-    if not organ.capsule:
-        return None
-    from tissue.models.organ.soft_organ import Membrane
+def pierced_tissue(scene: Scene) -> "NeedleTissue":
+    """Return the tissue of a scene's needle; a registered needle states its own values."""
+    from tissue.models.needle.parameters import needle_tissue, vessel_wall
 
-    table = constants.constants("soft", f"{organ.material}_capsule")
-    thickness = table["thickness_um"]
-    young = table["modulus_kPa"]
-    notes["capsule"] = (
-        f"{thickness.value:g} ({thickness.low:g}-{thickness.high:g}) um of {1e-3 * young.value:g} "
-        f"({1e-3 * young.low:g}-{1e-3 * young.high:g}) MPa, confidence {young.confidence}"
+    anatomy = scene.anatomy
+    kind = scene.tool.kind
+    assert isinstance(anatomy, LayersAnatomy)
+    punctures_N = anatomy.membrane_punctures_N or {}
+    holds_N = anatomy.membrane_holds_N or {}
+    walls = tuple(
+        vessel_wall(
+            1e-3 * depth_mm,
+            name=name,
+            puncture_N=punctures_N.get(name),
+            hold_N=holds_N.get(name),
+            constants=scene.constants,
+        )
+        for name, depth_mm in anatomy.membranes
     )
-    return Membrane(1e-6 * thickness.value, 1e3 * young.value, table["poisson_ratio"].value)
+    outside = NEEDLES[kind]
+    if outside is None:
+        return needle_tissue(walls=walls, constants=scene.constants)
+    found: NeedleTissue = outside(walls=walls)
+    return found
 
 
-def _density_of(organ: Organ, constants: Materials) -> float | None:
-    """Return the density of the organ's material [kg/m3]; None without gravity."""
-    return (
-        constants.constants("soft", organ.material)["density_kg_m3"].value
-        if organ.gravity
-        else None
-    )
-
-
-def _prony_of(organ: Organ, notes: dict[str, str], constants: Materials) -> "Prony | None":
-    """Return the relaxation of the organ's material, if the scene requests it.
+def _shell(tool: Probe) -> ShellProbe:
+    """Read a closed surface from a file.
 
     Raises
     ------
     InputError
-        If the organ's compliance is lazy, or no relaxation is cited for its material.
+        If its file is missing, or holds no closed surface.
     """
-    if not organ.viscous:
-        return None
-    if organ.path == "lazy":
-        raise InputError("organ.path", "not be lazy for a viscous organ", "lazy", "use condensed")
-    from tissue.materials.prony import Prony
-
-    table = constants.constants("soft", organ.material)
-    numbers = [k for k in range(1, 10) if f"prony_g{k}" in table]
-    if not numbers:
+    file = Path(tool.file_name)
+    if not is_file(file):
+        raise InputError("tool.file", "exist", file, "check the path")
+    try:
+        with names_of_caller(dict.fromkeys(("mesh", *FILE_WORDS), "tool.file")):
+            return ShellProbe.from_mesh(file, scale=1e-3 * tool.scale)
+    except InputError:
+        raise
+    except Exception as problem:  # trimesh's readers raise whatever their format's parser does
         raise InputError(
-            "organ.viscous",
-            f"be false for {organ.material}",
-            "true",
-            "no relaxation is cited for it",
+            "tool.file",
+            "be a surface that can be read",
+            f"{file.name} (damaged or cut off)",
+            "export it as STL",
+        ) from problem
+
+
+def probe_of(tool: Probe) -> ProbeShape:
+    """Return the shape that a scene's tool describes."""
+    make = PROBES[tool.kind].make
+    radius = 0.5e-3 * tool.size_mm
+    if make is not None:
+        shape: ProbeShape = make(tool)
+        return shape
+    if tool.kind == "sphere-probe":
+        return SphereProbe(radius)
+    if tool.kind == "cylinder-probe":
+        return CylinderProbe(radius, min(0.1 * radius, 5e-4))
+    return _shell(tool)
+
+
+def require_outside(mesh: TetMesh, motion: Motion) -> None:
+    """Refuse a tool whose tip starts inside the organ.
+
+    The contact refuses a probe that only overlaps the organ.
+    """
+    tip = motion.sweep_m()[0]
+    corners = mesh.nodes_m[mesh.cells]
+    edges = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
+    weights = np.linalg.solve(edges, (tip - corners[:, 0])[:, :, None])[:, :, 0]
+    if ((weights >= 0.0).all(axis=1) & (weights.sum(axis=1) <= 1.0)).any():
+        at = ", ".join(f"{1e3 * value:.4g}" for value in tip)
+        raise InputError(
+            "motion", "start outside the organ", f"a tip inside it at ({at}) mm", "start higher"
         )
-    shares = tuple(table[f"prony_g{k}"].value for k in numbers)
-    times = tuple(table[f"prony_tau{k}_s"].value for k in numbers)
-    notes["relaxation"] = (
-        "; ".join(f"{g:g} in {t:g} s" for g, t in zip(shares, times, strict=True))
-        + f"; the modulus is that of the first instant; confidence {table['prony_g1'].confidence}"
-    )
-    return Prony(shares, times)

@@ -1,64 +1,41 @@
-"""Voxels of a scene's bone that a tool can reach, and checks of its path through them."""
+"""Voxels of a scene's bone that a tool can reach, procedural or from files."""
 
-from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager
-from functools import partial
-
+from collections.abc import (Callable, Mapping)
+from contextlib import (AbstractContextManager)
+from dataclasses import (replace)
+from functools import (lru_cache, partial)
+from meshes.base.cache import (Kept)
+from meshes.base.errors import (InputError, in_brackets, is_file, names_of_caller)
+from meshes.base.progress import (Progress, silent)
+from meshes.paths.toolpath import (arc_length, points_along)
+from meshes.shapes import (sdf)
+from meshes.shapes.anatomy import (Anatomy, cortical_block)
+from meshes.surfaces.glenoid import (glenoid)
+from meshes.tooth import (label_volume)
+from meshes.tooth.layered_surfaces import (layered_surfaces)
+from meshes.tooth.layers import (TOOTH_LAYERS)
+from meshes.tooth.molar import (molar)
+from meshes.vertebra.lumbar import (lumbar_vertebra)
+from meshes.voxels.volume import (VoxelVolume)
+from meshes.voxels.voxelise import (AROUND_VOXELS, voxelise)
+from pathlib import (Path)
+from tissue.cutters.cutter import (Cutter)
+from tissue.motion.motion import (Motion)
+from tissue.scene.anatomy import (BlockAnatomy, BlockImage, Bone, CutAnatomy, Glenoid, GlenoidAnatomy, ImageAnatomy, MolarAnatomy, MolarLabels, MolarSurfaces, Placed, SurfaceAnatomy, Tooth, VertebraAnatomy)
+from tissue.scene.scene import (Scene)
+from tissue.simulation.builders.parts import (FILE_WORDS)
+from tissue.simulation.builders.tool_path import (Corners, box_text, reach, require_whole)
+from typing import (TYPE_CHECKING)
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.cache import Kept
-from meshes.base.errors import InputError, names_of_caller
-from meshes.base.progress import Progress, silent
-from meshes.paths.toolpath import arc_length, points_along
-from meshes.shapes import sdf
-from meshes.shapes.anatomy import Anatomy, cortical_block
-from meshes.surfaces.glenoid import glenoid
-from meshes.tooth.layered_surfaces import layered_surfaces
-from meshes.tooth.molar import molar
-from meshes.vertebra.lumbar import lumbar_vertebra
-from meshes.voxels.volume import VoxelVolume
-from meshes.voxels.voxelise import AROUND_VOXELS, voxelise
-from tissue.cutters.cutter import Cutter
-from tissue.motion.motion import Motion
-from tissue.scene.anatomy import (
-    BlockAnatomy,
-    BlockImage,
-    CutAnatomy,
-    GlenoidAnatomy,
-    ImageAnatomy,
-    MolarAnatomy,
-    MolarLabels,
-    MolarSurfaces,
-    Placed,
-    Tooth,
-    VertebraAnatomy,
-)
-from tissue.scene.scene import Scene
-from tissue.simulation.builders.bone_from_file import (
-    Corners,
-    bone_from_file,
-    box_text,
-    labelled_tooth,
-    whole_image,
-)
-from tissue.simulation.builders.parts import FILE_WORDS
+if TYPE_CHECKING:
+    from meshes.surfaces.site import (Site)
+    from meshes.surfaces.surface import (Surface)
 
-__all__ = [
-    "is_procedural",
-    "reach",
-    "require_outside",
-    "require_touch",
-    "require_whole",
-    "solid_of",
-    "structures",
-    "swept_box",
-    "volume_of",
-    "whole_tooth",
-]
+__all__ = ["is_procedural", "solid_of", "structures", "volume_of", "whole_tooth"]
 
-POSES_TRIED = 300
-"""Number of poses along a motion at which contact is searched for."""
+
+
 DENSE_BYTES_PER_VOXEL = 18
 """Peak memory per voxel of the region [bytes], measured on the glenoid.
 
@@ -77,6 +54,8 @@ MOST_KEPT = 1e7
 """Number of voxels above which a volume is made anew for each run rather than kept: 60 MB."""
 _volumes: Kept[VoxelVolume] = Kept(2)
 """Volumes of procedural bone, by its parameters, the region and the guide hole."""
+NO_SHAPE = {"kind", "guide_hole_diameter_mm", "guide_hole_depth_mm"}
+"""Keys of an anatomy that do not affect its shape."""
 
 
 def whole_tooth(scene: Scene, *, spacing_m: float, report: Progress = silent) -> VoxelVolume:
@@ -112,8 +91,8 @@ def volume_of(
         raise InputError(
             "motion",
             "bring the tool to the bone",
-            f"one that with the tool and a margin reaches from {box_text(region)}",
-            f"move it to the bone {box_text(bone, between=True)}",
+            f"one that with the tool and a margin stays {box_text(region)}",
+            f"move it to the bone {box_text(bone)}",
         )
     low, high = _covered(region, bone, spacing)
     _require_memory(region, bone, spacing)
@@ -174,8 +153,6 @@ PROCEDURAL: dict[type[CutAnatomy], Callable[..., Anatomy]] = {
     BlockAnatomy: cortical_block,
 }
 """Functions that make an anatomy from the keys of its table."""
-NO_SHAPE = {"kind", "guide_hole_diameter_mm", "guide_hole_depth_mm"}
-"""Keys of an anatomy that do not affect its shape."""
 
 
 def _anatomy(parameters: CutAnatomy, notes: dict[str, str]) -> Anatomy:
@@ -210,109 +187,6 @@ def _named(parameters: CutAnatomy) -> AbstractContextManager[None]:
         both = "anatomy.enamel_file and anatomy.dentin_file"
         names |= {"paths_by_layer": both, "layers": both, "pulp": "anatomy.pulp_file"}
     return names_of_caller(names | {"resample_mm": "voxels.spacing_mm"})
-
-
-def reach(cutter: Cutter, motion: Motion, margin: float) -> Corners:
-    """Return a box around everything that the cutting surface can reach, with a margin [m]."""
-    return swept_box(cutter.shell(spacing_m=cutter.profile.radius_m / 8.0).points_m, motion, margin)
-
-
-def swept_box(shell: NDArray[np.float64], motion: Motion, margin: float) -> Corners:
-    """Return a box around the reach of the tool's points, with a margin [m].
-
-    The points [m] have shape (n, 3).
-    """
-    tips = motion.sweep_m()
-    rotations = motion.rotations()
-    starts = np.arange(0, len(tips), max(len(tips) // 500, 1))
-    turned = [shell @ turn.T for turn in rotations[starts]]
-    low = np.minimum.reduceat(tips, starts) + [points.min(axis=0) for points in turned]
-    high = np.maximum.reduceat(tips, starts) + [points.max(axis=0) for points in turned]
-    return low.min(axis=0) - margin, high.max(axis=0) + margin
-
-
-def require_touch(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None:
-    """Refuse a motion that never brings the cutting surface into bone."""
-    shell = cutter.shell(spacing_m=max(cutter.profile.radius_m / 24.0, volume.spacing_m)).points_m
-    corners = motion.sweep_m()
-    rotations = motion.rotations()
-    along = arc_length(corners)
-    between = np.linspace(0.0, along[-1], POSES_TRIED)
-    corners_on = along[:: len(along) // POSES_TRIED + 1]
-    wanted = np.unique(np.concatenate([between, corners_on]))
-    tips = points_along(corners, wanted)
-    turns = rotations[np.searchsorted(along, wanted)]
-    limits = np.array(volume.shape)
-    for tip, turn in zip(tips[::-1], turns[::-1], strict=True):
-        at = np.floor((tip + shell @ turn.T - volume.origin_m) / volume.spacing_m).astype(int)
-        at = at[((at >= 0) & (at < limits)).all(axis=1)]
-        if volume.fraction[at[:, 0], at[:, 1], at[:, 2]].any():
-            return
-    held = np.argwhere(volume.fraction)
-    bone = [
-        volume.origin_m + volume.spacing_m * corner
-        for corner in (held.min(axis=0), held.max(axis=0) + 1)
-    ]
-    raise InputError(
-        "motion",
-        "bring the tool to the bone",
-        "a tool that never touches it",
-        f"move it to the bone {box_text((bone[0], bone[1]), between=True)}",
-    )
-
-
-def require_outside(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None:
-    """Refuse a motion that starts with the cutting surface inside the tooth."""
-    shell = cutter.shell(spacing_m=max(cutter.profile.radius_m / 24.0, volume.spacing_m)).points_m
-    points = motion.sweep_m()[0] + shell @ motion.rotations()[0].T
-    at = np.floor((points - volume.origin_m) / volume.spacing_m).astype(int)
-    at = at[((at >= 0) & (at < np.array(volume.shape))).all(axis=1)]
-    inside = int((volume.fraction[at[:, 0], at[:, 1], at[:, 2]] == 255).sum())
-    if inside:
-        start = ", ".join(f"{1e3 * value:.4g}" for value in motion.sweep_m()[0])
-        raise InputError(
-            "motion",
-            "start outside the tooth",
-            f"a bur at ({start}) mm with {inside / len(points):.0%} of its surface inside",
-            "start higher",
-        )
-
-
-def require_whole(anatomy: Anatomy, region: Corners, *, is_image: bool) -> None:
-    """Refuse bone that is cut off by the edge of its scan within the tool's reach."""
-    how = "with a hole"
-    remedy = "close it in a mesh editor"
-    if is_image:
-        how = "cut off by the edge of the image"
-        remedy = "take an image that holds more of the bone"
-    for points in anatomy.caps_m:
-        low = points.min(axis=0)
-        high = points.max(axis=0)
-        if (
-            (low <= region[1]).all()
-            and (high >= region[0]).all()
-            and not _on_one_side(points, region)
-        ):
-            raise InputError(
-                "anatomy.file",
-                "enclose a solid where the tool goes",
-                f"{anatomy.name} {how} {box_text((low, high), between=True)} within the "
-                "tool's reach "
-                f"{box_text(region)}",
-                f"{remedy}, or move the site away from it",
-            )
-
-
-def _on_one_side(points: NDArray[np.float64], region: Corners) -> bool:
-    """Return whether a box lies completely on one side of a cap.
-
-    The box of a cap itself is too wide where the cut is oblique.
-    """
-    normal = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][-1]
-    corners = np.array(np.meshgrid(*np.array(region).T)).reshape(3, -1).T
-    cap = points @ normal
-    box = corners @ normal
-    return bool(box.max() < cap.min() or box.min() > cap.max())
 
 
 def _guide_hole(scene: Scene, motion: Motion) -> sdf.Shape | None:
@@ -360,3 +234,185 @@ def _require_memory(region: Corners, bone: Corners, spacing: float) -> None:
             f"{spacing * 1e3:g} which needs {needed(spacing) / 1e9:.1f} GB",
             f"use {round(fits * 1e3, 2):g}",
         )
+
+
+def bone_from_file(parameters: Placed, notes: dict[str, str]) -> Anatomy:
+    """Return the bone in a surface or image, placed at its site."""
+    from meshes.images.reading import read_image
+    from meshes.images.threshold_surface import image_cuts, image_triangles
+    from meshes.surfaces.bone_surface import surface_anatomy
+    from meshes.surfaces.surface import read_surface, surface_from_triangles
+
+    if isinstance(parameters, ImageAnatomy):
+        threshold = _threshold(parameters)
+        image = read_image(parameters.file, spacing_mm=parameters.spacing_mm)
+        triangles = image_triangles(image, threshold=threshold)
+        surface = surface_from_triangles(
+            *triangles, source=image.source, scale_mm=1.0, cut_off=True
+        )
+        cuts = image_cuts(image, threshold=threshold)
+        surface = replace(surface, caps_m=surface.caps_m + cuts)
+        remarks = list(image.notes)
+        if cuts:
+            places = f"{len(cuts)} places" if len(cuts) > 1 else "one place"
+            remarks.append(f"The bone is cut off at {places} by the edge of the image.")
+        if remarks:
+            notes["image"] = " ".join(remarks)
+    else:
+        assert isinstance(parameters, SurfaceAnatomy)
+        surface = read_surface(parameters.file, scale_mm=parameters.scale_mm, cut_off=True)
+    site = _site(parameters, surface)
+    if isinstance(parameters, Bone) and (parameters.density_file or parameters.core_file):
+        return _filled(parameters, surface, site)
+    return surface_anatomy(
+        surface,
+        site,
+        cortical_thickness_mm=parameters.cortical_thickness_mm,
+        cortical_density_kg_m3=getattr(parameters, "density_kg_m3", 1800.0),
+    )
+
+
+def _filled(parameters: Bone, surface: "Surface", site: "Site") -> Anatomy:
+    """Return a bone whose interior is known from CT density or a surface around its core."""
+    from meshes.ct.bone_inside import cored_anatomy, imaged_anatomy, stated_law
+    from meshes.images.reading import read_image
+    from meshes.surfaces.surface import read_surface
+
+    if parameters.density_file is None:
+        with names_of_caller(dict.fromkeys(FILE_WORDS, "anatomy.core_file")):
+            core = read_surface(
+                parameters.core_file or "", scale_mm=surface.report.scale_mm, cut_off=True
+            )
+        return cored_anatomy(surface, core, site)
+    with names_of_caller(dict.fromkeys(FILE_WORDS, "anatomy.density_file")):
+        density = read_image(parameters.density_file)
+    anatomy = imaged_anatomy(
+        surface,
+        site,
+        density,
+        cortical_above_kg_m3=parameters.cortical_above_kg_m3,
+        articular_radius_mm=parameters.articular_radius_mm,
+    )
+    law = stated_law(Path(parameters.density_file))
+    return replace(anatomy, notes={**anatomy.notes, "density law": law}) if law else anatomy
+
+
+def whole_image(parameters: BlockImage, *, spacing_mm: float, notes: dict[str, str]) -> VoxelVolume:
+    """Return the bone of an image volume as it is, with the top of its block at z = 0."""
+    from meshes.images.bone_image import image_volume
+    from meshes.images.reading import read_image
+
+    remarks: list[str] = []
+    threshold = _threshold(parameters)
+    volume = image_volume(
+        read_image(parameters.file, spacing_mm=parameters.spacing_mm),
+        threshold=threshold,
+        density_kg_m3=parameters.density_kg_m3,
+        resample_mm=spacing_mm,
+        remark=remarks.append,
+    )
+    notes["image"] = " ".join(remarks) or f"{parameters.file}: {volume.shape} voxels"
+    return volume
+
+
+def labelled_tooth(
+    parameters: MolarLabels,
+    *,
+    spacing_m: float,
+    region: Corners | None = None,
+    notes: dict[str, str],
+    report: Progress,
+) -> VoxelVolume:
+    """Read a tooth from a label volume, or the part of it in a box of the site's frame [m]."""
+    remarks: list[str] = []
+    file = Path(parameters.file)
+    stamp = file.stat() if is_file(file) else None
+    report("reading the label volume", 0.0)
+    over_lesion = parameters.site == "caries"
+    tooth = _read_tooth(
+        file, parameters.spacing_mm, over_lesion, stamp and (stamp.st_mtime_ns, stamp.st_size)
+    )
+    volume = tooth.volume(
+        resample_mm=1e3 * spacing_m,
+        region_m=region,
+        remark=remarks.append,
+        progress=lambda share: report("voxelising the tooth", share),
+    )
+    notes["labels"] = " ".join(remarks)
+    if (found := _lesion(tooth)) is not None:
+        notes["lesion"] = found
+    return volume
+
+
+def _site(parameters: Placed, surface: "Surface") -> "Site":
+    """Return the site on a bone surface.
+
+    The scene gives it; a glenoid without a given normal is searched for.
+    """
+    from meshes.surfaces.landmarks import find_glenoid
+    from meshes.surfaces.site import place_site
+
+    centre = parameters.centre_mm
+    normal = parameters.normal
+    along = parameters.along
+    if isinstance(parameters, Glenoid) and normal is None:
+        return find_glenoid(surface, centre_mm=centre, along=along)
+    if centre is None:
+        box = surface.vertices_m.min(axis=0), surface.vertices_m.max(axis=0)
+        raise InputError(
+            "anatomy.centre_mm",
+            f"be given for {parameters.file}",
+            "none",
+            (
+                f"give a point on its surface, which lies {box_text(box)}, and "
+                "anatomy.normal, or use anatomy.kind = glenoid"
+            ),
+        )
+    return place_site(surface, centre_mm=centre, normal=normal, along=along)
+
+
+def _threshold(parameters: ImageAnatomy) -> float:
+    """Return the grey value of an image above which a voxel is bone."""
+    from meshes.images.reading import require_image_name
+
+    if parameters.threshold is None:
+        require_image_name(Path(parameters.file))
+        raise InputError(
+            "anatomy.threshold",
+            "be given for an image",
+            f"nothing for {parameters.file}",
+            "set the grey value above which a voxel is bone",
+        )
+    return parameters.threshold
+
+
+@lru_cache(maxsize=1)
+def _read_tooth(
+    file: Path, spacing_mm: float | None, over_lesion: bool, stamp: tuple[int, int] | None
+) -> label_volume.LabelledTooth:
+    """Read the tooth of a label volume and keep it for the next call.
+
+    The tool and the stress model read the same tooth.
+    """
+    from meshes.ct.labels import header_names
+    from meshes.images.reading import read_image
+
+    image = read_image(file, spacing_mm=spacing_mm, labels=True)
+    named = header_names(file)
+    known = named if set(named.values()) & set(TOOTH_LAYERS) else label_volume.CARIES_LABELS
+    tooth = label_volume.labelled_tooth(image, labels=known)
+    return tooth.at_lesion() if over_lesion else tooth
+
+
+def _lesion(tooth: label_volume.LabelledTooth) -> str | None:
+    """Return text for the extent of a whole tooth's caries in the frame of its site.
+
+    It helps to aim a motion at the caries. None is returned for a tooth without caries.
+    """
+    placed = tooth.placed
+    at = np.argwhere(placed.layer == TOOTH_LAYERS.index("caries"))
+    if len(at) == 0:
+        return None
+    points = 1e3 * ((at * placed.spacing - placed.origin) @ placed.rotation)
+    low, high = (in_brackets(corner, ".3g") for corner in (points.min(axis=0), points.max(axis=0)))
+    return f"caries between {low} and {high} mm of the site"

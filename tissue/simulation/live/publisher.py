@@ -1,115 +1,49 @@
-"""Processes that publish a live run, and the process for ROS 2.
+"""Publication of a live run on topics of ROS 2 and for 3D Slicer, in processes of their own.
 
 A process begins with its run, is checked by the ticks and ends with the run.
 """
 
-from abc import ABC, abstractmethod
+import socket
 from collections.abc import Callable
+from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import Generic, TypeVar
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
+from meshes.voxels.volume import FULL
+from tissue.haptics.device.recorded import MouseDevice
+from tissue.motion.quaternion import Quaternion, Triple
 from tissue.scene.scene import Scene
-from tissue.simulation.builders.parts import Parts
-from tissue.simulation.live.clock import LOOK_TICKS
-from tissue.simulation.live.window import WindowProcess
-from tissue.simulation.observer import RunObserver
+from tissue.simulation.builders.parts import Parts, opens_device
+from tissue.simulation.live.shared import AnyArray, Layout
+from tissue.simulation.live.window import Clock, WindowProcess, push
+from tissue.simulation.observer import LOOK_TICKS, RunObserver
+from tissue.simulation.run import DEADLINE_US
 
-__all__ = ["Publisher", "PublishingProcess", "Ros2Process", "Ros2Publisher", "require_ros2"]
+__all__ = [
+    "PORT",
+    "Publisher",
+    "PublishingProcess",
+    "SlicerLink",
+    "SlicerProcess",
+    "SlicerPublisher",
+    "require_link",
+    "require_ros2",
+]
 
-NO_CLOCK = (0.0, 0.0, 0.0, 0.0)
-"""Clock that is sent to ROS 2, which does not show it."""
 ROS2_PACKAGES = ("rclpy", "geometry_msgs")
-Array = NDArray[np.float64]
-Box = Callable[[Parts], tuple[Array, Array]]
-"""Function that returns the corners of the box around the path [m]."""
+PORT = 18944
+"""Port of OpenIGTLink."""
+LOCAL = "127.0.0.1"
+EVENTS, EVENT_BYTES = 64, 256
+"""Number of events kept until they are sent, and longest event [bytes]."""
 
 
-class PublishingProcess(WindowProcess, ABC):
-    """Process that receives a run and publishes it."""
-
-    @abstractmethod
-    def note(self) -> str:
-        """Return text on what was published, as half a sentence."""
-
-
-Process = TypeVar("Process", bound=PublishingProcess)
-
-
-class Publisher(RunObserver, ABC, Generic[Process]):
-    """Observer that publishes a live run.
-
-    The ticks never wait for its process, and continue if it ends.
-
-    Parameters
-    ----------
-    scene
-        Scene of the run.
-    box
-        Returns the corners of the box around the path [m].
-
-    Attributes
-    ----------
-    note
-        Text on what was published, once the run has ended.
-    """
-
-    what = ""
-    """Name of the process in the event of its end."""
-    ends_run = False
-    """True if the run ends with its process."""
-
-    def __init__(self, scene: Scene, box: Box) -> None:
-        self.note = ""
-        self._scene = scene
-        self._box = box
-        self._process: Process | None = None
-        self._failed: list[tuple[float, str]] = []
-
-    @abstractmethod
-    def _begun(
-        self, parts: Parts, columns: tuple[str, ...], low_m: Array, high_m: Array
-    ) -> Process:
-        """Begin the process for a run within a box [m]."""
-
-    @abstractmethod
-    def _show(self, process: Process, index: int, row: Array, times: Array) -> None:
-        """Send a tick to the process."""
-
-    def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
-        """Begin to publish."""
-        self._process = self._begun(parts, columns, *self._box(parts))
-
-    def on_tick(self, index: int, row: Array, times: Array) -> bool:
-        """Publish the tick; return whether the run continues."""
-        if self._process is None:
-            return True
-        self._show(self._process, index, row, times)
-        if index % LOOK_TICKS == 0 and (words := self._process.failed()) is not None:
-            with_run = ", and the run with it" * self.ends_run
-            self._failed.append((float(row[0]), f"{self.what} ended by itself{with_run}: {words}"))
-            self._end()
-            return not self.ends_run
-        return True
-
-    def on_end(self) -> list[tuple[float, str]]:
-        """End the process."""
-        self._end()
-        return self._failed
-
-    def _end(self) -> None:
-        if self._process is not None:
-            process = self._process
-            self._process = None
-            process.end()
-            self.note = process.note()
-
-
-class Ros2Process(PublishingProcess):
-    """Process that publishes a run on topics of ROS 2 by the names of CRTK."""
+class PublishingProcess(WindowProcess):
+    """Process that receives a run and publishes it on topics of ROS 2 by the names of CRTK."""
 
     module = "tissue.links.ros2"
     place = "must publish the run for ROS 2"
@@ -121,18 +55,61 @@ class Ros2Process(PublishingProcess):
         return f"published {int(self.frames)} times as {self.address}"
 
 
-class Ros2Publisher(Publisher[Ros2Process]):
-    """Observer that publishes a live run on topics of ROS 2."""
+class Publisher(RunObserver):
+    """Observer that publishes a live run on topics of ROS 2.
+
+    The ticks never wait for its process, and continue if it ends.
+
+    Parameters
+    ----------
+    scene
+        Scene of the run.
+
+    Attributes
+    ----------
+    note
+        Text on what was published, once the run has ended.
+    """
 
     what = "publishing for ROS 2"
+    """Name of the process in the event of its end."""
+    ends_run = False
+    """True if the run ends with its process."""
 
-    def _begun(
-        self, parts: Parts, columns: tuple[str, ...], low_m: Array, high_m: Array
-    ) -> Ros2Process:
-        return Ros2Process(self._scene, parts, columns, low_m=low_m, high_m=high_m)
+    def __init__(self, scene: Scene) -> None:
+        self.note = ""
+        self._scene = scene
+        self._process: Any = None
+        self._failed: list[tuple[float, str]] = []
 
-    def _show(self, process: Ros2Process, index: int, row: Array, times: Array) -> None:
-        process.show(index, row, NO_CLOCK)
+    def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
+        """Begin to publish."""
+        self._process = PublishingProcess(self._scene, parts, columns)
+
+    def clock_of(self, times: Array) -> Clock:
+        """Return the clock that the process receives with a tick; ROS 2 shows none."""
+        return 0.0, 0.0, 0.0, 0.0
+
+    def on_tick(self, index: int, row: Array, times: Array) -> bool:
+        """Publish the tick; return whether the run continues."""
+        if self._process is None:
+            return True
+        self._process.show(index, row, self.clock_of(times))
+        if index % LOOK_TICKS == 0 and (words := self._process.failed()) is not None:
+            with_run = ", and the run with it" * self.ends_run
+            self._failed.append((float(row[0]), f"{self.what} ended by itself{with_run}: {words}"))
+            self.on_end()
+            return not self.ends_run
+        return True
+
+    def on_end(self) -> list[tuple[float, str]]:
+        """End the process."""
+        if self._process is not None:
+            process = self._process
+            self._process = None
+            process.end()
+            self.note = process.note()
+        return self._failed
 
 
 def require_ros2() -> None:
@@ -154,3 +131,190 @@ def require_ros2() -> None:
                 "tissue with the Python that it is for"
             ),
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlicerLink:
+    """Link of a live run with 3D Slicer.
+
+    Attributes
+    ----------
+    port
+        Port of this machine at which the run is published; 0 for a free one.
+    drives
+        Whether the transform ``tissue-target`` of a client moves the tool.
+    opened
+        Called with address and port once a client can connect, before the first tick.
+    """
+
+    port: int = PORT
+    drives: bool = False
+    opened: Callable[[str], object] | None = None
+
+
+def require_link(link: SlicerLink, scene: Scene, *, web: bool) -> None:
+    """Refuse an unusable port, or a second mover of the tool, before anything is built.
+
+    Raises
+    ------
+    InputError
+        If the port does not exist or another program uses it, or a page or a real device moves the
+        tool that the link is to move.
+    """
+    mover = "--web" if web else scene.held.kind if opens_device(scene) else None
+    if link.drives and mover is not None:
+        raise InputError(
+            "--slicer-drives",
+            "be left out where something else moves the tool",
+            mover,
+            "leave one of both out",
+        )
+    try:
+        socket.create_server((LOCAL, link.port)).close()
+    except (OSError, OverflowError) as error:
+        why = getattr(error, "strerror", None) or "no port"
+        raise InputError(
+            "--slicer-port",
+            f"be a free port of {LOCAL}",
+            f"{link.port} ({why})",
+            "end the program that has it, or give another",
+        ) from None
+
+
+class SlicerProcess(WindowProcess):
+    """Process that publishes a run and receives the requested pose of the tool.
+
+    The ticks send rows and events to it.
+
+    Parameters
+    ----------
+    scene, parts, columns
+        As for `WindowProcess`.
+    link
+        Settings of the link.
+    """
+
+    module = "tissue.links.slicer_process"
+    place = "must publish the run for 3D Slicer"
+    remedy = "fix that, or run without --slicer"
+
+    def __init__(
+        self,
+        scene: Scene,
+        parts: Parts,
+        columns: tuple[str, ...],
+        link: SlicerLink,
+    ) -> None:
+        layout: Layout = {
+            "target": ("float64", (7,)),
+            "target_turn": ("int64", (1,)),
+            "events": ("uint8", (EVENTS, EVENT_BYTES)),
+            "events_count": ("int64", (1,)),
+            "counts": ("int64", (4,)),
+        }
+        start: dict[str, AnyArray] = {
+            "port": np.array(link.port),
+            "start_turn": parts.motion.rotations()[0],
+        }
+        start["drives"] = np.array(link.drives)
+        if parts.placement is not None:
+            start["file_to_scene_mm"] = parts.placement.file_to_scene_mm
+        if (volume := parts.volume) is not None:
+            density = volume.density_kg_m3 * (volume.fraction / FULL)
+            start["density_kg_m3"] = np.rint(density).astype(np.uint16)
+        super().__init__(scene, parts, columns, more_layout=layout, more_start=start)
+        self._target_turn = self.arrays["target_turn"]
+        self._taken = 0
+        self._events = self.arrays["events"]
+        self._events_count = self.arrays["events_count"]
+        self._ignored = (
+            "were no pose of a tool, or of a second client"
+            if link.drives
+            else "need --slicer-drives"
+        )
+
+    def target(self) -> tuple[Triple, Quaternion] | None:
+        """Return the tool position [m] and turn that a client requests; None if it is not new.
+
+        The turn is relative to the first orientation of the tool.
+        """
+        if int(self._target_turn[0]) == self._taken or (read := self.arrays.read("target")) is None:
+            return None
+        turn, values = read
+        self._taken = 2 * turn
+        x, y, z, a, b, c, d = values.tolist()
+        return (1e-3 * x, 1e-3 * y, 1e-3 * z), (a, b, c, d)
+
+    def report(self, what: str) -> None:
+        """Send a sentence."""
+        text = np.frombuffer(what.encode()[:EVENT_BYTES], dtype=np.uint8)
+        slot = self._events[int(self._events_count[0]) % EVENTS]
+        slot[: len(text)] = text
+        slot[len(text) :] = 0
+        self._events_count[0] += 1
+
+    def note(self) -> str:
+        """Return text on the messages sent and the clients so far, as half a sentence."""
+        sent, clients, refused, ignored = self.arrays["counts"].tolist()
+        words = [
+            f"published at {self.address} by OpenIGTLink: {sent} messages to {clients} clients"
+        ]
+        if refused:
+            words.append(f"{refused} disconnected for what they sent or did not take")
+        if ignored:
+            words.append(f"{ignored} transforms tissue-target ignored, which {self._ignored}")
+        return ", ".join(words)
+
+
+class SlicerPublisher(Publisher):
+    """Observer that publishes a live run for 3D Slicer, whose client may move the tool.
+
+    The last columns of the timing are the delay of a tick and the skipped time [µs].
+
+    Parameters
+    ----------
+    scene
+        Scene of the run.
+    link
+        Port, and whether a client drives the tool.
+    mouse
+        Device that a client's transform moves; the run then ends with the link. None if nothing is
+        moved.
+    """
+
+    what = "the link to 3D Slicer"
+
+    def __init__(self, scene: Scene, link: SlicerLink, mouse: MouseDevice | None = None) -> None:
+        super().__init__(scene)
+        self._link = link
+        self._mouse = mouse
+        self.ends_run = mouse is not None
+        self._missed = 0
+        self._skipped_us = 0.0
+
+    def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
+        """Begin to publish and report the address."""
+        self._start = parts.motion.sweep_m()[0]
+        self._process = SlicerProcess(self._scene, parts, columns, self._link)
+        if self._link.opened is not None:
+            self._link.opened(self._process.address)
+
+    def before_tick(self, index: int) -> None:
+        """Apply the tool pose that a client requests."""
+        if self._mouse is None or self._process is None:
+            return
+        wanted = self._process.target()
+        if wanted is not None:
+            push(self._mouse, wanted[0], self._start, self._scene.motion_scale, turn=wanted[1])
+
+    def clock_of(self, times: Array) -> Clock:
+        """Return cost and lateness of a tick [µs], missed deadlines and skipped time [ms]."""
+        tick_us, late_us, skipped_us = times[[0, -2, -1]].tolist()
+        self._missed += tick_us + late_us > DEADLINE_US
+        self._skipped_us += skipped_us
+        return tick_us, late_us, float(self._missed), 1e-3 * self._skipped_us
+
+    def on_event(self, time_s: float, what: str) -> None:
+        """Publish an event."""
+        if self._process is not None:
+            self._process.report(f"{time_s:.3f} s: {what}")

@@ -5,33 +5,40 @@ import signal
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from time import perf_counter, sleep
 from types import FrameType
-from typing import Any, Unpack
+from typing import Unpack
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.haptics.device.recorded import MouseDevice
 from tissue.scene.coupling import Device as StatedDevice
 from tissue.scene.load import REPLACED_DEVICE
 from tissue.scene.scene import Scene
-from tissue.scene.tool import Tool
-from tissue.simulation.builders.device import opened_device, opens_device
-from tissue.simulation.builders.motions import motion_of
-from tissue.simulation.builders.parts import Parts
-from tissue.simulation.live.clock import BEHIND_S, LOOK_TICKS, Prioritised, WallClock
-from tissue.simulation.live.publisher import Publisher, Ros2Publisher, require_ros2
-from tissue.simulation.live.slicer import SlicerLink, SlicerPublisher, require_link
-from tissue.simulation.live.window import Page, WindowProcess, require_web
-from tissue.simulation.observer import Observers, RunObserver
+from tissue.simulation.builders.parts import Parts, motion_of, opened_device, opens_device
+from tissue.simulation.live.publisher import (
+    Publisher,
+    SlicerLink,
+    SlicerPublisher,
+    require_link,
+    require_ros2,
+)
+from tissue.simulation.live.window import Page, WindowProcess, push, require_web
+from tissue.simulation.observer import (
+    BEHIND_S,
+    LOOK_TICKS,
+    Observers,
+    Prioritised,
+    RunObserver,
+    WallClock,
+)
 from tissue.simulation.run import DEADLINE_US, Run
 from tissue.simulation.simulate import TICK_S, RunSettings, simulate
 from tissue.system.offscreen import await_display, display_problem
 
-__all__ = ["LiveObserver", "LiveSettings", "live", "reach_m", "start_m"]
+__all__ = ["LiveObserver", "LiveSettings", "live"]
 
 LONGEST_S = 600.0
 """Duration of a run by the mouse if none is given [s]; its trace is held in memory."""
@@ -39,12 +46,6 @@ ROAM_MM, ROAM_ON_WALL_MM = 8.0, 40.0
 """Largest distance of the tool from the scripted path under the pointer [mm].
 
 The second value is for a wall, which has no edge.
-"""
-ABOVE_M, BELOW_M = 0.02, 0.01
-"""Distances above and below the path within the pointer's reach [m].
-
-The first bounds how far a tool is drawn back, the second how far a probe is pressed beyond the
-path. A cutting tool is pressed as far as there is bone beyond the reach of the script.
 """
 LOOK_S = 0.01
 """Time between two checks while the run waits [s]."""
@@ -86,34 +87,22 @@ class LiveSettings:
     def mover(self, scene: Scene) -> tuple[bool, str]:
         """Return whether a pointer or 3D Slicer moves the tool, and a sentence on what moves it."""
         if self.by_slicer:
-            return (
-                True,
-                (
-                    "the transform tissue-target of 3D Slicer moves the tool; it feels nothing, "
-                    "the force is sent"
-                ),
+            return True, (
+                "the transform tissue-target of 3D Slicer moves the tool; it feels nothing, the "
+                "force is sent"
             )
+        mouse = "the mouse moves the tool in a {}; it feels nothing, the force is shown"
         if self.opened is not None:
-            return (
-                True,
-                "the mouse moves the tool in a browser; it feels nothing, the force is shown",
-            )
+            return True, mouse.format("browser")
         if opens_device(scene):
-            return (
-                False,
-                f"the device {scene.held.kind} moves the tool and plays the force; no window",
-            )
+            kind = scene.held.kind
+            return False, f"the device {kind} moves the tool and plays the force; no window"
         problem = display_problem()
         if problem is None:
-            return (
-                True,
-                "the mouse moves the tool in a window; it feels nothing, the force is shown",
-            )
-        script = (
-            "the scripted motion moves the tool"
-            if scene.device is None
-            else f"a simulated {scene.held.hand} moves it"
-        )
+            return True, mouse.format("window")
+        script = "the scripted motion moves the tool"
+        if scene.device is not None:
+            script = f"a simulated {scene.held.hand} moves it"
         return False, f"no window, for {problem}: {script}"
 
     def check(self, scene: Scene) -> None:
@@ -185,20 +174,21 @@ def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSe
         settings["cores"] = settings.get("cores") or max((os.cpu_count() or 2) - 1, 1)
         settings["allow_unstable"] = True
     page = None if how.opened is None else Page(how.opened)
-    box = partial(reach_m, scene)
     try:
         while True:
-            mouse = MouseDevice(start_m(scene)) if by_mouse else None
-            observer = LiveObserver(
-                scene, None if how.by_slicer else mouse, WallClock(TICK_S), page
-            )
+            mouse = None
+            if by_mouse:
+                x, y, z = motion_of(scene, step_s=TICK_S).sweep_m()[0].tolist()
+                mouse = MouseDevice((x, y, z))
+            pointer = None if how.by_slicer else mouse
+            observer = LiveObserver(scene, pointer, WallClock(TICK_S), page)
             prioritised = Prioritised()
-            publishers: dict[str, Publisher[Any]] = {}
+            publishers: dict[str, Publisher] = {}
             if how.slicer is not None:
                 driven = mouse if how.by_slicer else None
-                publishers["slicer"] = SlicerPublisher(scene, how.slicer, box, driven)
+                publishers["slicer"] = SlicerPublisher(scene, how.slicer, driven)
             if how.ros2:
-                publishers["ros2"] = Ros2Publisher(scene, box)
+                publishers["ros2"] = Publisher(scene)
             run = simulate(
                 scene,
                 device=mouse if by_mouse else opened_device(scene),
@@ -220,24 +210,6 @@ def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSe
             f"{held} in place of the {scene.held.kind} and its hand, " + scene.held.renderer
         )
     return run
-
-
-def start_m(scene: Scene) -> tuple[float, float, float]:
-    """Return the start of the scripted motion [m]."""
-    x, y, z = motion_of(scene, step_s=TICK_S).sweep_m()[0]
-    return float(x), float(y), float(z)
-
-
-def reach_m(scene: Scene, parts: Parts) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the corners of the box around the scripted path for the pointer [m].
-
-    The pointer may move the tool within this box.
-    """
-    path = parts.motion.sweep_m()
-    axis = parts.motion.rotations()[0][:, 2]
-    below_m = 1e-3 * scene.voxels.margin_mm if isinstance(scene.tool, Tool) else BELOW_M
-    points = np.concatenate([path + ABOVE_M * axis, path - below_m * axis])
-    return points.min(axis=0), points.max(axis=0)
 
 
 class LiveObserver(RunObserver):
@@ -279,15 +251,13 @@ class LiveObserver(RunObserver):
         self._frames = -1
         self._drawn_s = 0.0
         self._start = np.zeros(3)
-        self._scale = scene.motion_scale
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
         """Open the window; from now on Ctrl-C ends the run after its tick."""
         if self._mouse is not None:
             self._start = parts.motion.sweep_m()[0]
-            low, high = reach_m(self._scene, parts)
             show = WindowProcess if self._page is None else self._page.show
-            self._window = show(self._scene, parts, columns, low_m=low, high_m=high)
+            self._window = show(self._scene, parts, columns)
         if threading.current_thread() is threading.main_thread():
             self._handler = signal.signal(signal.SIGINT, self._stop)
 
@@ -305,85 +275,67 @@ class LiveObserver(RunObserver):
         if self._window is not None and self._mouse is not None:
             pointed = self._window.pointed_m()
             if pointed is not None:
-                x, y, z = (self._start + (np.array(pointed) - self._start) / self._scale).tolist()
-                self._mouse.push((x, y, z))
+                push(self._mouse, pointed, self._start, self._scene.motion_scale)
 
-    def on_tick(self, index: int, row: NDArray[np.float64], times: NDArray[np.float64]) -> bool:
+    def on_tick(self, index: int, row: Array, times: Array) -> bool:
         """Record a tick's lateness and show the tick; return whether the run continues."""
         late = 1e6 * self._clock.late_s
         skipped = 1e6 * self._clock.skipped_s
         times[-2:] = late, skipped
         self._missed += times[0] + late > DEADLINE_US
+        time_s = float(row[0])
         if skipped > 0.0:
             if self._skipped_s == 0.0:
-                self._events.append(
-                    (
-                        float(row[0]),
-                        (
-                            f"the ticks were more than {1e3 * BEHIND_S:g} ms behind: the clock "
-                            "skips from here"
-                        ),
-                    )
-                )
+                what = f"the ticks were more than {1e3 * BEHIND_S:g} ms behind: the clock skips"
+                self._events.append((time_s, f"{what} from here"))
             self._skipped_s += self._clock.skipped_s
-        if self._window is None:
+        window = self._window
+        if window is None:
             return not self._stopped
-        self._window.show(
-            index, row, (float(times[0]), late, float(self._missed), 1e3 * self._skipped_s)
-        )
-        if index % LOOK_TICKS == 0 and (words := self._window.failed()) is not None:
-            self._events.append(
-                (float(row[0]), f"the window ended by itself, and the run with it: {words}")
-            )
+        window.show(index, row, (float(times[0]), late, float(self._missed), 1e3 * self._skipped_s))
+        if index % LOOK_TICKS == 0 and (words := window.failed()) is not None:
+            what = f"the window ended by itself, and the run with it: {words}"
+            self._events.append((time_s, what))
             self._stopped = True
-        self.reset = self._window.reset and not (self._stopped or self._window.closed)
-        return not (self._stopped or self._window.closed or self.reset)
+        ends = self._stopped or window.closed
+        self.reset = window.reset and not ends
+        return not (ends or self.reset)
+
+    def _waited_s(self, window: WindowProcess, goes_on: Callable[[float], bool]) -> float:
+        """Wait as long as a condition on the time waited holds; return that time [s]."""
+        began = perf_counter()
+        waited_s = 0.0
+        while goes_on(waited_s) and not (self._stopped or window.closed):
+            if window.failed() is not None:
+                break
+            sleep(LOOK_S)
+            waited_s = perf_counter() - began
+        self._clock.hold(waited_s)
+        self._drawn_s = perf_counter()
+        return waited_s
 
     def _pause(self, window: WindowProcess, index: int) -> None:
         """Wait until the user ends the pause."""
-        began = perf_counter()
-        while (
-            window.paused
-            and not (self._stopped or window.closed or window.reset)
-            and window.failed() is None
-        ):
-            sleep(LOOK_S)
-        now = perf_counter()
-        self._clock.hold(now - began)
-        self._drawn_s = now
+        waited_s = self._waited_s(window, lambda _: window.paused and not window.reset)
         if index > 0:
-            self._events.append((index * TICK_S, f"the run was paused for {now - began:.1f} s"))
+            self._events.append((index * TICK_S, f"the run was paused for {waited_s:.1f} s"))
 
     def _hold(self, window: WindowProcess, index: int) -> None:
         """Wait while the window draws nothing, since nobody could see or move the tool."""
-        began = now = perf_counter()
+        now = perf_counter()
         if window.frames != self._frames:
             self._frames = window.frames
             self._drawn_s = now
         if now - self._drawn_s < STALLED_S:
             return
-        while (
-            window.frames == self._frames
-            and now - began < HELD_S
-            and not self._stopped
-            and not window.closed
-        ):
-            if window.failed() is not None:
-                break
-            sleep(LOOK_S)
-            now = perf_counter()
-        self._clock.hold(now - began)
-        self._drawn_s = now
-        waited_s = now - began
+        waited_s = self._waited_s(
+            window, lambda waited_s: window.frames == self._frames and waited_s < HELD_S
+        )
+        what = f"the window drew nothing: the run waited {waited_s:.1f} s for it"
         if window.frames == self._frames and waited_s >= HELD_S:
             self._stopped = True
-            self._events.append(
-                (index * TICK_S, f"the window drew nothing for {waited_s:.0f} s: the run ended")
-            )
-        else:
-            self._events.append(
-                (index * TICK_S, f"the window drew nothing: the run waited {waited_s:.1f} s for it")
-            )
+            what = f"the window drew nothing for {waited_s:.0f} s: the run ended"
+        self._events.append((index * TICK_S, what))
 
     def on_end(self) -> list[tuple[float, str]]:
         """Close the window, restore Ctrl-C and return the events, as `Motion.happened`."""

@@ -11,10 +11,13 @@ from pathlib import Path
 from tempfile import gettempdir, mkdtemp
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
+from tissue.haptics.device.recorded import MouseDevice
+from tissue.motion.quaternion import Quaternion, Triple
 from tissue.scene.scene import Scene
+from tissue.scene.tool import Tool
 from tissue.simulation.builders.parts import Parts
 from tissue.simulation.live.shared import (
     MEMORY,
@@ -27,7 +30,17 @@ from tissue.simulation.live.shared import (
 from tissue.system.child import await_ready, child_command
 from tissue.system.offscreen import REMEDY, drawing_environments
 
-__all__ = ["CLOCK", "LOADS", "Page", "PageProcess", "WindowProcess", "require_web"]
+__all__ = [
+    "CLOCK",
+    "LOADS",
+    "Clock",
+    "Page",
+    "PageProcess",
+    "WindowProcess",
+    "push",
+    "reach_m",
+    "require_web",
+]
 
 MODULE = "tissue.show.viewer.live.live_window"
 """Module run in the other process; it is named, not imported, since it lies in a higher layer."""
@@ -46,6 +59,55 @@ CLOSES_S = 10.0
 OPENS_S = 120.0
 """Longest time for a window to open [s]."""
 FOLDER = "tissue-live-"
+COUNTERS = (
+    "row_turn",
+    "pointer_turn",
+    "loads_count",
+    "ended",
+    "closed",
+    "frames",
+    "paused",
+    "resets",
+    "runs",
+)
+"""Shared numbers: writes of an array, and states of the window and of the run."""
+
+ABOVE_M, BELOW_M = 0.02, 0.01
+"""Distances above and below the path within the pointer's reach [m].
+
+The first bounds how far a tool is drawn back, the second how far a probe is pressed beyond the
+path. A cutting tool is pressed as far as there is bone beyond the reach of the script.
+"""
+Clock = tuple[float, float, float, float]
+"""Values of `CLOCK`."""
+
+
+def reach_m(scene: Scene, parts: Parts) -> tuple[Array, Array]:
+    """Return the corners of the box around the scripted path for the pointer [m].
+
+    The pointer may move the tool within this box.
+    """
+    path = parts.motion.sweep_m()
+    axis = parts.motion.rotations()[0][:, 2]
+    below_m = 1e-3 * scene.voxels.margin_mm if isinstance(scene.tool, Tool) else BELOW_M
+    points = np.concatenate([path + ABOVE_M * axis, path - below_m * axis])
+    return points.min(axis=0), points.max(axis=0)
+
+
+def push(
+    mouse: MouseDevice,
+    pointed_m: Triple,
+    start_m: Array,
+    scale: float,
+    *,
+    turn: Quaternion | None = None,
+) -> None:
+    """Move a mouse to a tool position [m]; the tool moves `scale` times as far."""
+    x, y, z = (start_m + (np.array(pointed_m) - start_m) / scale).tolist()
+    if turn is None:
+        mouse.push((x, y, z))
+    else:
+        mouse.push((x, y, z), turn)
 
 
 class WindowProcess:
@@ -60,8 +122,6 @@ class WindowProcess:
         Scene and parts of the run.
     columns
         Names of the trace's columns.
-    low_m, high_m
-        Corners of the box in which the pointer may move the tool [m].
     environment
         Additional environment variables of its process.
     more_layout, more_start
@@ -93,8 +153,6 @@ class WindowProcess:
         parts: Parts,
         columns: tuple[str, ...],
         *,
-        low_m: NDArray[np.float64],
-        high_m: NDArray[np.float64],
         environment: Mapping[str, str] | None = None,
         more_layout: Layout | None = None,
         more_start: Mapping[str, AnyArray] | None = None,
@@ -103,27 +161,12 @@ class WindowProcess:
         self._shared = shared_tissue(parts) if self.shows_tissue else SharedTissue()
         layout: Layout = {
             "row": ("float64", (len(columns) + len(CLOCK),)),
-            "row_turn": ("int64", (1,)),
             "pointer": ("float64", (3,)),
-            "pointer_turn": ("int64", (1,)),
-            "ended": ("int64", (1,)),
-            "closed": ("int64", (1,)),
-            "frames": ("int64", (1,)),
             "loads": ("float64", (LOADS, 4)),
-            "loads_count": ("int64", (1,)),
-            "paused": ("int64", (1,)),
-            "resets": ("int64", (1,)),
-            "runs": ("int64", (1,)),
+            **dict.fromkeys(COUNTERS, ("int64", (1,))),
         }
         self.arrays = SharedArrays(self._folder, layout | self._shared.layout | (more_layout or {}))
         self._row = np.zeros(len(columns) + len(CLOCK))
-        self._turn = self.arrays["pointer_turn"]
-        self._closed = self.arrays["closed"]
-        self._drawn, self._held, self._resets = (
-            self.arrays[name] for name in ("frames", "paused", "resets")
-        )
-        self._loads = self.arrays["loads"]
-        self._count = self.arrays["loads_count"]
         self._load = np.array([columns.index(name) for name in LOAD], dtype=np.intp)
         self._seen = 0
         self._reset = 0
@@ -131,14 +174,15 @@ class WindowProcess:
             scene.model_dump_json(exclude_unset=True), "utf-8"
         )  # the scene with the changes for the mouse
         (self._folder / "columns.json").write_text(json.dumps([*columns, *CLOCK]), "utf-8")
-        turn = parts.motion.rotations()[0]
-        box = {
+        low_m, high_m = reach_m(scene, parts)
+        start: dict[str, AnyArray] = {
             "low_m": low_m,
             "high_m": high_m,
             "start_m": parts.motion.sweep_m()[0],
-            "axis": turn[:, 2],
+            "axis": parts.motion.rotations()[0][:, 2],
+            **self._shared.start,
+            **(more_start or {}),
         }
-        start: dict[str, AnyArray] = {**box, **self._shared.start, **(more_start or {})}
         np.savez(self._folder / "start.npz", allow_pickle=False, **start)
         self._shared.publish(self.arrays, 0)
         with (self._folder / "output.txt").open("w+", encoding="utf-8", errors="replace") as output:
@@ -155,44 +199,46 @@ class WindowProcess:
         self._words = (self._folder / "output.txt").open(encoding="utf-8", errors="replace")
         try:
             self.address, last = await_ready(self._child, longest_s=OPENS_S, closes_s=CLOSES_S)
+            if last is not None:
+                last = last or self._last_words()
+                raise InputError(f"--live {self.place}, but {last[:200]}: {self.remedy}")
         except BaseException:
             self._child.kill()
             self.end()
             raise
-        if last is not None:
-            last = last or self._last_words()
-            self._child.kill()
-            self.end()
-            raise InputError(f"--live {self.place}, but {last[:200]}: {self.remedy}")
         # Both sides have the files open, so a kill leaves no files behind.
         shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _count(self, name: str) -> int:
+        """Return a shared number."""
+        return int(self.arrays[name][0])
 
     @property
     def frames(self) -> int:
         """Number of pictures that it has drawn."""
-        return int(self._drawn[0])
+        return self._count("frames")
 
     @property
     def closed(self) -> bool:
         """True if the user has closed it."""
-        return bool(self._closed[0])
+        return self._count("closed") > 0
 
     @property
     def paused(self) -> bool:
         """True if the user has paused the run."""
-        return bool(self._held[0])
+        return self._count("paused") > 0
 
     @property
     def reset(self) -> bool:
         """True if the user requests the run from its start again."""
-        return int(self._resets[0]) != self._reset
+        return self._count("resets") != self._reset
 
     def begin_again(self, parts: Parts) -> None:
         """Show another run of the scene from its start."""
         self._shared = shared_tissue(parts)
         self._shared.publish(self.arrays, 0)
-        self._reset = int(self._resets[0])
-        self._seen = int(self._turn[0])
+        self._reset = self._count("resets")
+        self._seen = self._count("pointer_turn")
         self.arrays["runs"][0] += 1
 
     def failed(self) -> str | None:
@@ -201,22 +247,24 @@ class WindowProcess:
 
     def pointed_m(self) -> tuple[float, float, float] | None:
         """Return the tool position that the pointer requests [m]; None if it is not new."""
-        if int(self._turn[0]) == self._seen or (pointed := self.arrays.read("pointer")) is None:
+        if (
+            self._count("pointer_turn") == self._seen
+            or (pointed := self.arrays.read("pointer")) is None
+        ):
             return None
         turn, (x, y, z) = pointed
         self._seen = 2 * turn
         return 1e-3 * float(x), 1e-3 * float(y), 1e-3 * float(z)
 
-    def show(
-        self, index: int, row: NDArray[np.float64], clock: tuple[float, float, float, float]
-    ) -> None:
+    def show(self, index: int, row: Array, clock: tuple[float, float, float, float]) -> None:
         """Send a tick's row of the trace and of the clock, see `CLOCK`."""
         if index % ROW_TICKS == 0:
             self._row[: len(row)] = row
             self._row[len(row) :] = clock
             self.arrays.write("row", self._row)
-            np.take(row, self._load, out=self._loads[self._count[0] % LOADS])
-            self._count[0] += 1
+            count = self.arrays["loads_count"]
+            np.take(row, self._load, out=self.arrays["loads"][count[0] % LOADS])
+            count[0] += 1
         self._shared.publish(self.arrays, index)
 
     def end(self) -> None:
@@ -263,9 +311,6 @@ class Page:
         scene: Scene,
         parts: Parts,
         columns: tuple[str, ...],
-        *,
-        low_m: NDArray[np.float64],
-        high_m: NDArray[np.float64],
     ) -> PageProcess:
         """Show a run from its start; arguments as for `WindowProcess`.
 
@@ -280,9 +325,7 @@ class Page:
         failed: InputError | None = None
         for environment in drawing_environments():
             try:
-                self._process = PageProcess(
-                    scene, parts, columns, low_m=low_m, high_m=high_m, environment=environment
-                )
+                self._process = PageProcess(scene, parts, columns, environment=environment)
             except InputError as error:
                 failed = error
                 continue

@@ -8,7 +8,7 @@ from fake_fields import pressed_series
 
 from tissue.show.figures.organ_pictures import moment_of_press
 from tissue.show.figures.organ_surface import SHOWN, drawn_surface, inclusions, section_cap
-from tissue.simulation.series import frame_mesh
+from tissue.simulation.vtk_files import frame_mesh
 
 pyvista = pytest.importorskip("pyvista")
 

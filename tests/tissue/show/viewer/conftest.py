@@ -11,7 +11,7 @@ import pytest
 from fake_fields import block_series
 
 from tissue import load_scene, simulate
-from tissue.simulation.series import write_fields
+from tissue.simulation.vtk_files import write_fields
 
 FIXTURES = Path(__file__).parents[3] / "fixtures"
 

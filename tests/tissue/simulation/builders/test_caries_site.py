@@ -57,18 +57,3 @@ def test_surfaces_are_drilled_over_their_caries_or_refused_with_the_remedy(layer
     assert touched["notes"]["removed"].startswith(
         f"only {removed:.3g} of {there:.3g} mm3 of the caries within reach"
     )
-
-
-@pytest.mark.slow
-def test_labels_are_drilled_over_their_caries_and_the_rest_is_reported(anatomy):
-    labels = {
-        "anatomy.file": str(anatomy / "tooth" / "caries_tooth_2.nii.gz"),
-        "anatomy.spacing_mm": 0.034,
-        "anatomy.site": "caries",
-    }
-    run = simulate(load_scene("molar", labels | STRAIGHT_IN)).summary
-    removed, there = run["removed_mm3"]["caries"], run["start_mm3"]["caries"]
-    assert 0.5 < removed < there < 7.0
-    assert removed >= 0.5 * there or run["notes"]["removed"].startswith(
-        f"only {removed:.3g} of {there:.3g} mm3 of the"
-    )

@@ -8,7 +8,7 @@ from tissue.materials.elasticity import lame
 from tissue.materials.hyperelasticity import Hyperelastic
 from tissue.scene.load import load_scene
 from tissue.scene.organ import Organ
-from tissue.simulation.builders.organ_law import law_of
+from tissue.simulation.builders.organ import law_of
 from tissue.simulation.simulate import simulate
 
 SMALL = {
@@ -129,7 +129,7 @@ def test_a_real_device_is_refused_and_a_simulated_one_is_not(monkeypatch):
     """A simulated one waits for the law, as the run does."""
     scene = load_scene("palpation", pressed(1.0, law="neo-hookean") | {"device": "touch"})
     assert simulate(scene, cores=1).trace["force_z_N"].max() > 0.0
-    monkeypatch.setattr("tissue.simulation.builders.organ_law.opens_device", lambda _: True)
+    monkeypatch.setattr("tissue.simulation.builders.organ.opens_device", lambda _: True)
     sentence = (
         r"device and organ\.law must be left out together, got touch and neo.*solving the law "
         r"takes longer"

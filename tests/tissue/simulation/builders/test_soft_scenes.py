@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import trimesh
 from scipy.spatial.transform import Rotation
 
 from meshes.base.errors import InputError
@@ -140,24 +139,6 @@ def test_a_viscous_slab_relaxes_to_its_long_term_share():
     assert force[-1] == pytest.approx(0.432 * elastic.trace["model_force_z_N"][-1], rel=0.02)
 
 
-def test_quadratic_cells_are_softer_than_locking_linear_ones():
-    linear, quadratic = (
-        slab(**{"organ.order": order}).trace["model_force_z_N"].max() for order in (1, 2)
-    )
-    assert 0.1 * linear < quadratic < 0.5 * linear
-
-
-def test_a_finger_from_a_file_feels_what_its_ball_feels(tmp_path):
-    """A capsule's round end, by a few hundred points, within 5 % of a ball of its radius."""
-    finger = trimesh.creation.capsule(height=30.0, radius=8.0)
-    finger.apply_translation([0.0, 0.0, -finger.bounds[0, 2]])
-    finger.export(tmp_path / "finger.stl")
-    ball = slab(**{"tool.diameter_mm": 16.0}).trace["model_force_z_N"]
-    shell = slab(**{"tool.kind": "shell-probe", "tool.file": str(tmp_path / "finger.stl")})
-    assert len(shell.parts.tissue.contact.probe.points_m) < 600
-    assert shell.trace["model_force_z_N"].max() == pytest.approx(ball.max(), rel=0.05)
-
-
 @pytest.mark.slow
 def test_capsule_and_gravity_run():
     plain = slab().trace["model_force_z_N"].max()
@@ -209,23 +190,15 @@ def test_fibres_are_the_same_in_a_turned_organ():
 
 
 @pytest.mark.parametrize(
-    ("ratio", "poisson", "sentence"),
-    [
-        (
-            0.25,
-            0.0,
-            r"fibre_modulus_ratio is 0\.25.*Poisson's ratio 0 is stable only with more than 0\.333",
-        ),
-        (3.0, -0.5, r"is 3.*less than 1\.5\. Change it or organ\.poisson_ratio"),
-    ],
+    ("ratio", "poisson", "bound"), [(0.25, 0.0, "more than 0.333"), (3.0, -0.5, "less than 1.5")]
 )
-def test_fibres_that_would_make_tissue_unstable_are_refused(ratio, poisson, sentence):
+def test_fibres_that_would_make_tissue_unstable_are_refused(ratio, poisson, bound):
     fibres = {
         "organ.fibre_direction": [1, 0, 0],
         "organ.fibre_modulus_ratio": ratio,
         "organ.poisson_ratio": poisson,
     }
-    with pytest.raises(InputError, match=sentence):
+    with pytest.raises(InputError, match=f"organ.fibre_modulus_ratio must be {bound}"):
         slab(**fibres)
 
 
@@ -255,38 +228,13 @@ def test_a_liver_from_a_file_is_placed_held_and_pressed(anatomy):
     assert 0.05 < run.trace["model_force_z_N"].max() < 1.0
 
 
-def test_a_needle_scene_reports_its_punctures():
-    run = simulate(load_scene("needle"))
-    message = [what for _, what in run.events]
-    assert [line.split(" is punctured")[0] for line in message[:2]] == [
-        "the capsule",
-        "the vessel wall",
-    ]
-    assert run.trace["model_force_z_N"].max() == pytest.approx(3.2, abs=0.1)
-
-
 @pytest.mark.parametrize(
     ("scene", "changes", "sentence"),
     [
         (
             "liver-press",
             {"motion.points_mm": [[0, 0, 60], [0, 0, 40]]},
-            (
-                "motion must bring the tool to the organ, got a tool that never touches it: move "
-                "it to the organ between"
-            ),
-        ),
-        (
-            "liver-press",
-            {
-                "anatomy.held": "plane",
-                "anatomy.held_below_mm": 0.0,
-                "motion.points_mm": [[45, 0, 30], [45, 0, -30]],
-            },
-            (
-                "motion must bring the tool to tissue that can move, got a tool that touches "
-                "only what is held: move it"
-            ),
+            "motion must bring the tool to the organ",
         ),
         (
             "liver-press",
@@ -295,31 +243,10 @@ def test_a_needle_scene_reports_its_punctures():
         ),
         (
             "liver-press",
-            {"tool.kind": "ball-burr", "tool.diameter_mm": 6, "tool.spin_rpm": 500},
-            "tool.kind must be one "
-            "of sphere-probe, cylinder-probe, shell-probe for a liver, got ball-burr: choose "
-            "one of these",
-        ),
-        (
-            "liver-press",
-            {"voxels.spacing_mm": 0.2},
-            "voxels.spacing_mm must be left out for a liver",
-        ),
-        (
-            "glenoid",
-            {"organ.young_kPa": 5.0},
-            "organ.young_kPa must be left out for a glenoid, "
-            "got 5: set anatomy.kind = liver, or remove it",
-        ),
-        ("liver-press", {"organ.poisson_ratio": 0.5}, "organ.poisson_ratio must be"),
-        ("liver-press", {"organ.young_kPa": float("nan")}, "organ.young_kPa must be"),
-        (
-            "liver-press",
             {"anatomy.held": "plane", "anatomy.held_below_mm": -900.0},
             "anatomy.held must touch the body",
         ),
         ("liver-press", {"anatomy.held": "part"}, "anatomy.held_part must be given, got nothing"),
-        ("liver-press", {"anatomy.file": "nowhere.vtk"}, "anatomy.file must exist"),
         (
             "palpation",
             {"anatomy.nodule_centre_mm": [0, 0, -2]},
@@ -330,7 +257,6 @@ def test_a_needle_scene_reports_its_punctures():
             {"motion.points_mm": [[0, 0, -5], [0, 0, -9]]},
             "motion must start with the needle's tip outside",
         ),
-        ("liver-press", {"tool.kind": "shell-probe"}, "tool.file must be given, got nothing"),
         (
             "liver-press",
             {"tool.kind": "shell-probe", "tool.file": "nowhere.stl"},
@@ -338,21 +264,14 @@ def test_a_needle_scene_reports_its_punctures():
         ),
         (
             "liver-press",
-            {"tool.kind": "shell-probe", "tool.file": __file__},
-            "tool.file must end in .stl",
-        ),
-        (
-            "liver-press",
             {"organ.material": "kidney", "organ.viscous": True},
             "organ.viscous must be false for kidney",
         ),
+        ("palpation", {"organ.parts": {"cyst": 80.0}}, "organ.parts must name parts"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_sentence(scene, changes, sentence):
+    coarse = {"anatomy.edge_mm": 22.0} if scene == "liver-press" else {}
     with pytest.raises(InputError) as refused:
-        simulate(
-            load_scene(
-                scene, ({"anatomy.edge_mm": 22.0} if scene == "liver-press" else {}) | changes
-            )
-        )
+        simulate(load_scene(scene, coarse | changes))
     assert sentence in str(refused.value) and "\n" not in str(refused.value)

@@ -4,17 +4,17 @@ A recording whose quaternions have w first is named, and the volumes inside the 
 bone's loss.
 """
 
+from meshes.base.progress import (silent)
+from meshes.paths.toolpath import (POSE_COLUMNS)
+from scipy.spatial.transform import (Rotation)
+from tissue import (load_scene)
+from tissue.models.tissue_model import (ToolMotion)
+from tissue.motion.replay import (POSES)
+from tissue.simulation.simulate import (build)
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
-import tissue
-from meshes.base.progress import silent
-from meshes.paths.toolpath import POSE_COLUMNS
-from tissue import load_scene
-from tissue.models.tissue_model import ToolMotion
-from tissue.motion.replay import POSES
-from tissue.simulation.builders.registry import build
+
 
 TILTED = Rotation.from_euler("y", 30.0, degrees=True)
 MILLING = {"anatomy.size_mm": [12, 8, 5], "voxels.spacing_mm": 0.25, "motion.feed_mm_s": 20.0}
@@ -38,18 +38,6 @@ def poses(path, tip_mm, rotation, *, w_first=False):
     return str(path)
 
 
-def recording(path, tip_m, rotation, *, w_first=False):
-    """Write the recording in the layout of volumetric_drilling (drill shaft along x)."""
-    h5py = pytest.importorskip("h5py")
-    x, y, z, w = (rotation * Rotation.from_quat([0.5, 0.5, 0.5, 0.5]).inv()).as_quat()
-    times = np.linspace(0.0, 0.2, 21)
-    pose = np.tile((*tip_m, *((w, x, y, z) if w_first else (x, y, z, w))), (21, 1))
-    pose[:, 0] += 10e-3 * times
-    with h5py.File(path, "w") as file:
-        file[f"{POSES}/drill/time_stamp"], file[f"{POSES}/drill/pose"] = times, pose
-    return str(path)
-
-
 def built(changes):
     """The parts of a scene, and the volume that its bone loses where the tool is placed [mm3]."""
     scene = load_scene("milling", MILLING | changes)
@@ -70,25 +58,14 @@ def named(parts):
     ]
 
 
-@pytest.mark.parametrize("write", [poses, recording])
-def test_a_file_with_w_first_is_named_and_one_with_w_last_is_not(tmp_path, write):
-    tip = np.array([-3.0, 0.0, -0.3]) * (1.0 if write is poses else 1e-3)
-    suffix = "csv" if write is poses else "h5"
-    right, right_mm3 = replayed(write(tmp_path / f"right.{suffix}", tip, TILTED))
-    wrong, wrong_mm3 = replayed(write(tmp_path / f"wrong.{suffix}", tip, TILTED, w_first=True))
+def test_a_file_with_w_first_is_named_and_one_with_w_last_is_not(tmp_path):
+    tip = np.array([-3.0, 0.0, -0.3])
+    right, right_mm3 = replayed(poses(tmp_path / "right.csv", tip, TILTED))
+    wrong, wrong_mm3 = replayed(poses(tmp_path / "wrong.csv", tip, TILTED, w_first=True))
     assert not named(right)
     (sentence,) = named(wrong)
     stated = [float(part.split()[-1]) for part in sentence.split(" mm3")[:2]]
     assert stated == pytest.approx([wrong_mm3, right_mm3], rel=0.03)
-
-
-def test_a_recorded_device_is_judged_as_a_replay(tmp_path):
-    """The identity with w first turns the tool by half a turn: its shank then lies in the bone."""
-    file = poses(tmp_path / "wrong.csv", (-3.0, 0.0, -0.3), Rotation.identity(), w_first=True)
-    parts, _ = built(
-        {"device": "recorded", "hardware.address": file, "coupling.stiffness_N_m": 200.0}
-    )
-    assert named(parts)
 
 
 def test_a_tool_that_is_deep_in_either_order_is_not_named(tmp_path):
@@ -96,22 +73,3 @@ def test_a_tool_that_is_deep_in_either_order_is_not_named(tmp_path):
     about_z = Rotation.from_euler("z", 40.0, degrees=True)
     parts, removed_mm3 = replayed(poses(tmp_path / "deep.csv", (-3.0, 0.0, -1.0), about_z))
     assert removed_mm3 > 5.0 and not named(parts)
-
-
-@pytest.mark.parametrize("length", [0.0, 0.7, 57.3])
-def test_quaternions_of_another_length_are_refused(tmp_path, length):
-    file = poses(tmp_path / "long.csv", (-3.0, 0.0, -0.3), TILTED)
-    rows = np.loadtxt(file, delimiter=",", skiprows=1)
-    rows[7, 4:] *= length
-    np.savetxt(
-        file,
-        rows,
-        delimiter=",",
-        header=",".join(("time_s", *POSE_COLUMNS)),
-        comments="",
-        fmt="%.17g",
-    )
-    with pytest.raises(
-        tissue.InputError, match=rf"got one of length {length:g} at 0\.07 s in .*long\.csv"
-    ):
-        replayed(file)

@@ -1,24 +1,39 @@
-"""Effects of a scene's own file of constants.
-
-Every entry must have an effect, or is named in the run's notes.
-"""
+"""Arguments of callers and files of constants, checked like the keys of a scene."""
 
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
+from typing import Any, TypeVar
 
-from meshes.base.errors import InputError
+import numpy as np
+from pydantic import ValidationError
+
+from meshes.base.arrays import Array, Ints
+from meshes.base.errors import InputError, names_of_caller
 from meshes.surfaces.glenoid import GLENOID_LAYERS
+from meshes.surfaces.surface import Surface, surface_from_triangles
+from meshes.surfaces.triangle_files import read_triangles
+from meshes.tets.files import require_millimetres
 from meshes.tooth.layers import TOOTH_LAYERS
 from meshes.vertebra.lumbar import VERTEBRA_LAYERS
 from tissue.materials.constants import listed
 from tissue.materials.scene_constants import Materials
+from tissue.scene.messages import sentence
 from tissue.scene.named_parts import nearest, shown
+from tissue.scene.part import Part
 from tissue.scene.scene import Scene
 from tissue.scene.used_constants import Used, used_constants
 
-__all__ = ["given_note", "note_own_constants", "soft_constants"]
+__all__ = [
+    "given_note",
+    "note_own_constants",
+    "require_known",
+    "soft_constants",
+    "stated",
+    "surface_of",
+]
 
+Table = TypeVar("Table", bound=Part)
 LAYERS = (*GLENOID_LAYERS, *VERTEBRA_LAYERS, *TOOTH_LAYERS)
 """Layers of the built-in anatomies.
 
@@ -35,6 +50,34 @@ def note_own_constants(scene: Scene, layers: Sequence[str], notes: dict[str, str
         If no constant has an effect, the scene itself states one of them, or a layer is unknown.
     """
     notes |= given_note(scene.constants, used_constants(scene, layers), layers=layers, by="scene")
+
+
+def require_known(options: Mapping[str, object], table: type, *, of: str) -> None:
+    """Refuse an option that a table of options lacks, as Python does for a listed signature."""
+    known = table.__annotations__
+    for name in options:
+        if name not in known:
+            raise TypeError(
+                f"{of} got an unexpected keyword argument {name!r}{nearest(name, known)}. Beyond "
+                f"its listed arguments it takes {', '.join(sorted(known))}."
+            )
+
+
+def stated(model: type[Table], values: Mapping[str, object], *, prefix: str = "") -> Table:
+    """Return a scene's table of a caller's arguments; None counts as not stated.
+
+    The prefix precedes the name of a value that cannot be used.
+
+    Raises
+    ------
+    InputError
+        If a value is out of its range, or there is no such key.
+    """
+    given = {name: value for name, value in values.items() if value is not None}
+    try:
+        return model.model_validate(given)
+    except ValidationError as error:
+        raise InputError(prefix + sentence(error.errors()[0], given, model)) from None
 
 
 def given_note(
@@ -115,3 +158,55 @@ def soft_constants(
     ]
     taken = {name: known[name].value if value is None else value for name, value in stated.items()}
     return taken, given_note(given, used, layers=(), by="organ")
+
+
+def surface_of(
+    name: str, given: object, scale_mm: float | None, *, is_part: bool = False
+) -> Surface:
+    """Return a closed surface from a file, a pyvista or trimesh surface, or vertices and triangles.
+
+    With `is_part` all its pieces are kept, and it may end at the edge of a scan.
+
+    Raises
+    ------
+    InputError
+        If it is no surface, its size points to another unit, or it encloses no solid.
+    """
+    source = name
+    if isinstance(given, str | Path):
+        source = Path(given).name
+        with names_of_caller({"file": name}):
+            vertices, faces = read_triangles(Path(given))
+    else:
+        vertices, faces = _triangles(name, given)
+    scale = require_millimetres(name, vertices, scale_mm)
+    with names_of_caller(dict.fromkeys(("surface", "vertices", "faces", "triangles"), name)):
+        return surface_from_triangles(
+            vertices,
+            faces,
+            source=source,
+            scale_mm=scale,
+            cut_off=is_part,
+            every_piece=is_part,
+        )
+
+
+def _triangles(name: str, given: Any) -> tuple[Array, Ints]:
+    """Return vertices and triangles of a surface in memory."""
+    if hasattr(given, "is_all_triangles"):  # pyvista
+        whole = given.triangulate()
+        return np.asarray(whole.points, dtype=np.float64), np.asarray(
+            whole.regular_faces, dtype=np.int64
+        )
+    if hasattr(given, "vertices") and hasattr(given, "faces"):  # trimesh
+        given = given.vertices, given.faces
+    if isinstance(given, Sequence) and len(given) == 2:
+        vertices, faces = (np.asarray(each) for each in given)
+        if vertices.ndim == faces.ndim == 2 and vertices.shape[1] == faces.shape[1] == 3:
+            return vertices.astype(np.float64), faces.astype(np.int64)
+    raise InputError(
+        name,
+        "be a closed surface of pyvista or trimesh, vertices and triangles, or a file",
+        type(given).__name__,
+        "export it as STL",
+    )

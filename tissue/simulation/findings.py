@@ -1,0 +1,178 @@
+"""Findings of a finished run: shortfalls and break-throughs."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from meshes.base.arrays import Array
+from meshes.voxels.volume import FULL, VoxelVolume
+from tissue.models.tissue_model import TICK_S
+from tissue.motion.motion import frame_along
+from tissue.scene.anatomy import MolarAnatomy, Tooth
+from tissue.scene.organ import LayersAnatomy
+from tissue.scene.scene import Scene
+from tissue.scene.tool import ThrustMotion
+from tissue.simulation.bone_surface import tool_axes
+from tissue.simulation.builders.parts import Parts
+from tissue.simulation.trace import Table
+
+__all__ = ["BreakThrough", "break_throughs", "shortfalls"]
+
+MOSTLY = 0.5
+"""Share of a tooth's caries within reach below which the removal counts as missed."""
+TOLERANCE_MM = 0.05
+"""Tolerance for the depth of a thrust, below which a shortfall is not noted [mm]."""
+FORWARD = 0.5
+"""Smallest share of a tick's travel along the tool's axis that counts as forward.
+
+A tool that leaves the bone sideways breaks nothing.
+"""
+
+
+def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> dict[str, str]:
+    """Return notes on targets that a finished run did not reach or remove, by subject.
+
+    ``path_s`` is the requested duration [s]. A run that is shorter than its scripted motion is
+    noted.
+    """
+    found = {}
+    wanted_s = parts.motion.duration_s - parts.motion.after_s
+    if isinstance(scene.motion, ThrustMotion):
+        heading = -frame_along(scene.motion.axis)[:, 2]
+        wanted = scene.motion.depth_mm
+        came = float((trace.vectors("tool", "mm") @ heading).max())
+        if came < wanted - TOLERANCE_MM:
+            found["path"] = (
+                f"not finished: the tool came to {came:.3g} of motion.depth_mm = {wanted:g}; raise "
+                "motion.thrust_N or duration_s"
+            )
+    elif wanted_s >= path_s + 5e-4:
+        found["path"] = (
+            f"not finished: the run ends at {path_s:g} s, the motion at {wanted_s:.6g} s; set "
+            f"duration_s = {wanted_s:.6g} or leave it out to see all of it"
+        )
+    if isinstance(scene.anatomy, LayersAnatomy):
+        deepest = trace["insertion_mm"].max()
+        beyond = [f"the {name} at {d:g} mm" for name, d in scene.anatomy.membranes if d > deepest]
+        if beyond:
+            found["membranes"] = (
+                f"never reached: the needle went {deepest:.3g} mm in, beyond lies "
+                f"{', '.join(beyond)}; see anatomy.membrane_depths_mm"
+            )
+    if parts.cutter is None or parts.cutter.spin_rad_s == 0.0:
+        return found
+    if not np.any(parts.tissue.removed_m3):
+        found["removed"] = (
+            "nothing: the tool cut no tissue; move it deeper, or let the run last longer"
+        )
+    elif isinstance(scene.anatomy, Tooth) and (missed := _missed_caries(scene.anatomy, parts)):
+        found["removed"] = missed
+    return found
+
+
+def _missed_caries(anatomy: Tooth, parts: Parts) -> str:
+    """Return a note on caries that the tool left, its place if known, and how to reach it.
+
+    It is empty without a lesion, or if the removal is sufficient. Caries is missed if none was
+    removed or, in a tooth from files, if most of the caries within reach is left.
+    """
+    at = parts.notes.get("lesion")
+    has_lesion = "caries" in anatomy.layer_files or at is not None
+    if isinstance(anatomy, MolarAnatomy):
+        has_lesion = anatomy.caries_depth_mm > 0.0
+    if not has_lesion:
+        return ""
+    tissue = parts.tissue
+    volumes = zip(tissue.layer_names, tissue.removed_m3, tissue.start_m3, strict=True)
+    removed_m3, there_m3 = next((v for name, *v in volumes if name == "caries"), (0.0, 0.0))
+    missed = "nothing of the caries: the tool never met the lesion"
+    if removed_m3 > 0.0:
+        if parts.placement is None or removed_m3 >= MOSTLY * there_m3:
+            return ""
+        missed = (
+            f"only {1e9 * removed_m3:.3g} of {1e9 * there_m3:.3g} mm3 of the caries within reach"
+        )
+    place = f" ({at})" if at else ""
+    is_aimed = getattr(anatomy, "site", "") == "caries" or parts.placement is None
+    how = "" if is_aimed else "set anatomy.site = caries, or "
+    return f"{missed}{place}; {how}move motion.points_mm to it"
+
+
+@dataclass(frozen=True)
+class BreakThrough:
+    """Break-through of the tool's tip.
+
+    Attributes
+    ----------
+    time_s
+        Time of the first break-through in this hole.
+    plunge_mm
+        Distance travelled along the axis after the break-through, until the run ended or the tool
+        met bone again. It is the largest of all passes through the hole.
+    """
+
+    time_s: float
+    plunge_mm: float
+
+
+def break_throughs(volume: VoxelVolume, trace: Table, *, radius_m: float) -> list[BreakThrough]:
+    """Return where the tool's tip passed from inside the uncut bone to the outside ahead.
+
+    The surface is where interpolated voxels are half full. Its position within a tick is
+    interpolated too. Each hole counts as one break-through. Bone counts as open wherever the tool
+    has been before, within its radius of the axis and behind its tip.
+
+    Parameters
+    ----------
+    volume
+        The bone before any cut.
+    trace
+        Trace of the run.
+    radius_m
+        Radius of the tool [m].
+    """
+    from scipy.ndimage import map_coordinates
+
+    tips = trace.vectors("tool", "mm")
+    at = (1e-3 * tips - volume.origin_m) / volume.spacing_m - 0.5
+    share = (
+        map_coordinates(volume.fraction, at.T, output=np.float32, order=1, mode="constant") / FULL
+    )
+    axes = tool_axes(np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"]))
+    steps = np.diff(tips, axis=0)
+    forward = -np.einsum("ij,ij->i", steps, axes[1:])
+    travel = np.concatenate([[0.0], np.cumsum(forward)])
+    leaves = (
+        (share[:-1] >= 0.5)
+        & (share[1:] < 0.5)
+        & (forward > FORWARD * np.linalg.norm(steps, axis=1))
+    )
+    found: list[BreakThrough] = []
+    exits_mm: list[Array] = []
+    for row in np.flatnonzero(leaves):
+        part = float((share[row] - 0.5) / (share[row] - share[row + 1]))
+        exit_mm = tips[row] + part * steps[row]
+        start = travel[row] + part * forward[row]
+        again = np.flatnonzero(share[row + 1 :] >= 0.5)
+        end = row + 1 + (int(again[0]) if len(again) else len(share))
+        plunge_mm = float(travel[row + 1 : end].max() - start)
+        if found and _was_there(
+            exit_mm, tips[: row + 1], axes[: row + 1], radius_mm=1e3 * radius_m
+        ):
+            hole = int(np.argmin([np.linalg.norm(exit_mm - each) for each in exits_mm]))
+            found[hole] = replace(found[hole], plunge_mm=max(found[hole].plunge_mm, plunge_mm))
+            continue
+        found.append(BreakThrough(float(row + part) * TICK_S, plunge_mm))
+        exits_mm.append(exit_mm)
+    return found
+
+
+def _was_there(point_mm: Array, tips_mm: Array, axes: Array, *, radius_mm: float) -> bool:
+    """Return whether a point lies in the space swept by a tool at one of some poses.
+
+    That space lies within the tool's radius of its axis and behind its tip.
+    """
+    away = point_mm - tips_mm
+    along = np.einsum("ij,ij->i", away, axes)
+    across = np.linalg.norm(away - along[:, None] * axes, axis=1)
+    return bool(((along > 0.0) & (across < radius_mm)).any())
