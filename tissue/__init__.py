@@ -6,13 +6,50 @@ it.
 >>> run.trace["force_z_N"]  # doctest: +SKIP
 """
 
-from importlib import (import_module)
-from importlib.util import (find_spec)
-from pathlib import (Path)
-from typing import (Any, TYPE_CHECKING)
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["Assessment", "Bone", "Cut", "DeviceParameters", "Fit", "Imported", "InputError", "Loop", "Organ", "Press", "Run", "Sample", "Scene", "assess", "ball", "calibration", "compare", "cutters", "devices", "feed_along", "fit", "flat_punch", "import_ct", "load_scene", "material", "material_names", "motor_forces", "open_run", "probe_from_file", "register", "report", "scene_names", "scene_text", "simulate", "stability", "study", "sweep"]
-
+__all__ = [
+    "Assessment",
+    "Bone",
+    "Cut",
+    "DeviceParameters",
+    "Fit",
+    "Imported",
+    "InputError",
+    "Loop",
+    "Organ",
+    "Press",
+    "Run",
+    "Sample",
+    "Scene",
+    "assess",
+    "ball",
+    "calibration",
+    "compare",
+    "cutters",
+    "devices",
+    "feed_along",
+    "fit",
+    "flat_punch",
+    "import_ct",
+    "load_scene",
+    "material",
+    "material_names",
+    "motor_forces",
+    "open_run",
+    "probe_from_file",
+    "register",
+    "report",
+    "scene_names",
+    "scene_text",
+    "simulate",
+    "stability",
+    "study",
+    "sweep",
+]
 
 
 if TYPE_CHECKING:

@@ -8,18 +8,18 @@ population and an observer. Further figures are the time to build the mapping, t
 estimate, the deadband on recorded runs by hand, and the cost of wrong priors and noise.
 """
 
-from harness import (Cost, cost_of, machine, table)
-from perceived_estimates import (map_estimate_errors, map_force_N, recursive_estimate_errors)
-from time import (perf_counter)
-from tissue.perception.laws import (weber_of)
-from tissue.perception.observer import (Observer, population_observer)
-from tissue.perception.perceived import (held_back)
-from tissue.simulation.builders.prediction import (perception_for)
 import argparse
+from time import perf_counter
+
 import numpy as np
+from harness import Cost, cost_of, machine, table
+from perceived_estimates import map_estimate_errors, map_force_N, recursive_estimate_errors
+
 import tissue
-
-
+from tissue.perception.laws import weber_of
+from tissue.perception.observer import Observer, population_observer
+from tissue.perception.perceived import held_back
+from tissue.simulation.builders.prediction import perception_for
 
 LIMIT_N, TICK_S = 3.3, 1e-3
 WEAK = Observer.known("weak", alpha=0.7, beta=1.4, kappa=0.09, offset_N=0.25, lapse=0.02, sigma=0.2)

@@ -1,14 +1,14 @@
 """Files that are known to be bad: each is refused in one sentence, none is read in silence."""
 
-from fuzz_files import (read_by)
-from meshes.base.errors import (InputError)
-from tissue.simulation.run_folder import (SavedRun)
-import fuzz_sources
 import json
+
+import fuzz_sources
 import numpy as np
 import pytest
+from fuzz_files import read_by
 
-
+from meshes.base.errors import InputError
+from tissue.simulation.run_folder import SavedRun
 
 OBJ = fuzz_sources.obj_text()
 MSH = fuzz_sources.msh_text()

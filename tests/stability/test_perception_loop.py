@@ -3,23 +3,23 @@
 The tests show their effect on a wall that was stable, and the measures that restore stability.
 """
 
-from dataclasses import (replace)
-from tissue.haptics.device.device import (device_parameters)
-from tissue.haptics.device.recorded import (Fault, FaultyDevice)
-from tissue.haptics.device.sample_guard import (SampleGuard)
-from tissue.haptics.device.simulated import (SimulatedDevice)
-from tissue.haptics.hand.hand import (HandAction)
-from tissue.haptics.loop.critical_stiffness import (critical_stiffness_N_m, in_hands)
-from tissue.haptics.renderer import (ProxyRenderer)
-from tissue.haptics.rigid_wall import (press_wall)
-from tissue.perception.laws import (weber_of)
-from tissue.perception.observer import (population_observer)
-from tissue.perception.perceived import (held_back)
-from tissue.simulation.builders.prediction import (CAUTION, perception_for)
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-
+from tissue.haptics.device.device import device_parameters
+from tissue.haptics.device.recorded import Fault, FaultyDevice
+from tissue.haptics.device.sample_guard import SampleGuard
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.hand.hand import HandAction
+from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands
+from tissue.haptics.renderer import ProxyRenderer
+from tissue.haptics.rigid_wall import press_wall
+from tissue.perception.laws import weber_of
+from tissue.perception.observer import population_observer
+from tissue.perception.perceived import held_back
+from tissue.simulation.builders.prediction import CAUTION, perception_for
 
 TICK = 1e-3
 LAW = weber_of(population_observer(), quantile=CAUTION)

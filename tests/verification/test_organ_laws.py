@@ -4,16 +4,15 @@ The reference has a rigid ball of its own. It shares cells and law (which felupe
 `test_deep_press`), but not the contact, the compliance, or the coupling of law and ticks.
 """
 
-from pressed_deep import (by_newton, moving_N, scene_of, surface_error)
-from tissue.haptics.loop.critical_stiffness import (critical_stiffness_N_m, in_hands)
-from tissue.models.tissue_model import (TICK_S)
-from tissue.scene.load import (changed, load_scene)
-from tissue.simulation.builders.loop import (judged_loop, loop_settings)
-from tissue.simulation.simulate import (simulate)
 import numpy as np
 import pytest
+from pressed_deep import by_newton, moving_N, scene_of, surface_error
 
-
+from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands
+from tissue.models.tissue_model import TICK_S
+from tissue.scene.load import changed, load_scene
+from tissue.simulation.builders.loop import judged_loop, loop_settings
+from tissue.simulation.simulate import simulate
 
 LAWS = {
     "neo-hookean": {"law": "neo-hookean"},

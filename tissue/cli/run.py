@@ -1,22 +1,32 @@
 """``tissue run``."""
 
-from collections.abc import (Iterator)
-from contextlib import (contextmanager, nullcontext)
-from cyclopts import (Parameter)
-from dataclasses import (asdict, dataclass)
-from meshes.base.progress import (silent)
-from pathlib import (Path)
-from time import (perf_counter)
-from tissue.cli.terminal import (Flag, MaybeWhole, MemoryGB, Overrides, Texts, console, left_out, progress)
-from typing import (Annotated, Any, TYPE_CHECKING)
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from meshes.base.progress import silent
+from tissue.cli.terminal import (
+    Flag,
+    MaybeWhole,
+    MemoryGB,
+    Overrides,
+    Texts,
+    console,
+    left_out,
+    progress,
+)
 
 if TYPE_CHECKING:
-    from tissue.scene.scene import (Scene)
-    from tissue.simulation.live.run import (LiveSettings)
-    from tissue.simulation.run_folder import (Summary)
+    from tissue.scene.scene import Scene
+    from tissue.simulation.live.run import LiveSettings
+    from tissue.simulation.run_folder import Summary
 
 __all__ = ["print_summary", "run"]
-
 
 
 def print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s: float) -> None:

@@ -1,29 +1,47 @@
 """Assessment of a trainee's run against a reference run of the same scene, as text and files."""
 
-from collections.abc import (Callable, Iterator, Mapping)
-from dataclasses import (asdict, dataclass)
-from meshes.base.arrays import (Array)
-from meshes.base.errors import (InputError, require_positive)
-from meshes.base.whole_file import (whole_file)
-from pathlib import (Path)
-from tissue.evaluation.statistics.metrics import (acceleration_change_m_s2, aligned_rows, deviation_mm, force_error, overshoot_mm, spectral_arc_length)
-from tissue.models.tissue_model import (TICK_S)
-from tissue.scene.named_parts import (shown)
-from tissue.scene.part import (is_file_key)
-from tissue.scene.scene import (Scene)
-from tissue.show.figures.figure import (figure, save)
-from tissue.simulation.bone_surface import (tool_axes)
-from tissue.simulation.run_folder import (Summary)
-from tissue.simulation.trace import (Table)
-from tissue.system.owned_folder import (owned_folder, require_folder)
-from typing import (Any)
 import filecmp
 import json
-import numpy as np
 import tomllib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
 
-__all__ = ["AssessedRun", "Assessment", "Breach", "Quantity", "assess", "assessment_lines", "path_note", "require_assessment_folder", "write_assessment"]
+import numpy as np
 
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError, require_positive
+from meshes.base.whole_file import whole_file
+from tissue.evaluation.statistics.metrics import (
+    acceleration_change_m_s2,
+    aligned_rows,
+    deviation_mm,
+    force_error,
+    overshoot_mm,
+    spectral_arc_length,
+)
+from tissue.models.tissue_model import TICK_S
+from tissue.scene.named_parts import shown
+from tissue.scene.part import is_file_key
+from tissue.scene.scene import Scene
+from tissue.show.figures.figure import figure, save
+from tissue.simulation.bone_surface import tool_axes
+from tissue.simulation.run_folder import Summary
+from tissue.simulation.trace import Table
+from tissue.system.owned_folder import owned_folder, require_folder
+
+__all__ = [
+    "AssessedRun",
+    "Assessment",
+    "Breach",
+    "Quantity",
+    "assess",
+    "assessment_lines",
+    "path_note",
+    "require_assessment_folder",
+    "write_assessment",
+]
 
 
 GAP_S = 0.15

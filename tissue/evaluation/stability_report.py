@@ -1,22 +1,23 @@
 """Stability map of a scene's loop, in words and as files: `tissue stability`."""
 
-from matplotlib.axes import (Axes)
-from meshes.base.errors import (InputError)
-from pathlib import (Path)
-from tissue.haptics.hand.hand import (hand_parameters)
-from tissue.haptics.loop.critical_stiffness import (in_hands)
-from tissue.haptics.loop.stability_map import (StabilityChart, StabilityMap, stability_map)
-from tissue.models.tissue_model import (TICK_S)
-from tissue.scene.registry import (DEVICES)
-from tissue.scene.scene import (Scene)
-from tissue.show.figures.figure import (figure, save)
-from tissue.simulation.builders.loop import (judged_loop, loop_settings)
-from tissue.system.outputs import (write_columns)
-from tissue.system.owned_folder import (owned_folder, require_folder)
+from pathlib import Path
+
 import numpy as np
+from matplotlib.axes import Axes
+
+from meshes.base.errors import InputError
+from tissue.haptics.hand.hand import hand_parameters
+from tissue.haptics.loop.critical_stiffness import in_hands
+from tissue.haptics.loop.stability_map import StabilityChart, StabilityMap, stability_map
+from tissue.models.tissue_model import TICK_S
+from tissue.scene.registry import DEVICES
+from tissue.scene.scene import Scene
+from tissue.show.figures.figure import figure, save
+from tissue.simulation.builders.loop import judged_loop, loop_settings
+from tissue.system.outputs import write_columns
+from tissue.system.owned_folder import owned_folder, require_folder
 
 __all__ = ["scene_stability", "stability_lines", "write_stability_files"]
-
 
 
 FILES = ("stability.png", "stability_damping.csv", "stability_delay.csv")

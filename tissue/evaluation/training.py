@@ -31,12 +31,10 @@ from tissue.scene.scene import Scene
 from tissue.scene.tool import Probe
 from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.builders.hand import hand_motion
-from tissue.simulation.builders.loop import judged_loop
-from tissue.simulation.builders.loop_settings import loop_settings
-from tissue.simulation.builders.motions import motion_of
+from tissue.simulation.builders.loop import judged_loop, loop_settings
+from tissue.simulation.builders.parts import motion_of
 from tissue.simulation.builders.prediction import FALLBACKS, trained_predictor
-from tissue.simulation.builders.registry import build
-from tissue.simulation.simulate import TICK_S
+from tissue.simulation.simulate import TICK_S, build
 
 __all__ = [
     "DELAYS_MS",

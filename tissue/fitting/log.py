@@ -1,21 +1,22 @@
 """A measured log of poses and loads, and the map of its columns to quantities."""
 
-from collections.abc import (Mapping, Sequence)
-from dataclasses import (dataclass)
-from meshes.base.arrays import (Array, Ints)
-from meshes.base.errors import (InputError, counted)
-from pathlib import (Path)
-from scipy.spatial.transform import (Rotation)
-from tissue.fitting.log_files import (CHANNELS, LogColumns, QUATERNION, TIPS, read_columns)
-from tissue.fitting.problem import (MeasuredLoads, block_averages, block_ticks)
-from tissue.models.tissue_model import (TICK_S)
-from tissue.scene.scene import (Scene)
-from tissue.simulation.builders.parts import (motion_of)
-import numpy as np
 import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from meshes.base.arrays import Array, Ints
+from meshes.base.errors import InputError, counted
+from tissue.fitting.log_files import CHANNELS, QUATERNION, TIPS, LogColumns, read_columns
+from tissue.fitting.problem import MeasuredLoads, block_averages, block_ticks
+from tissue.models.tissue_model import TICK_S
+from tissue.scene.scene import Scene
+from tissue.simulation.builders.parts import motion_of
 
 __all__ = ["MeasuredLog", "read_log"]
-
 
 
 UNITS: dict[str, dict[str, float]] = {

@@ -1,35 +1,36 @@
 """Constants of an organ and of its contact that a log may determine."""
 
-from collections.abc import (Mapping, Sequence)
-from concurrent.futures import (Executor)
-from contextlib import (ExitStack)
-from dataclasses import (dataclass)
-from functools import (partial)
-from meshes.base.arrays import (Array)
-from meshes.base.errors import (InputError)
-from meshes.base.progress import (silent)
-from pathlib import (Path)
-from tempfile import (TemporaryDirectory)
-from time import (perf_counter)
-from tissue.fitting.bands.sample import (sample_text)
-from tissue.fitting.log_files import (CHANNELS)
-from tissue.fitting.problem import (Parameter, chosen)
-from tissue.materials.constants import (Prior)
-from tissue.models.tissue_model import (TICK_S)
-from tissue.motion.replay import (ReplayPoses)
-from tissue.scene.load import (changed)
-from tissue.scene.organ import (SoftAnatomy)
-from tissue.scene.scene import (Scene)
-from tissue.scene.tool import (ReplayMotion)
-from tissue.scene.used_constants import (used_constants)
-from tissue.simulation.builders.organ import (NODULE_KPA, PART_NODULE)
-from tissue.simulation.loop import (Loop, undisturbed)
-from tissue.simulation.simulate import (builder_of, tick_count)
-from tissue.system.workers import (worker_pool)
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import perf_counter
+
 import numpy as np
 
-__all__ = ["KEYS", "OrganRuns", "PART", "Poses", "organ_parameters"]
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from meshes.base.progress import silent
+from tissue.fitting.bands.sample import sample_text
+from tissue.fitting.log_files import CHANNELS
+from tissue.fitting.problem import Parameter, chosen
+from tissue.materials.constants import Prior
+from tissue.models.tissue_model import TICK_S
+from tissue.motion.replay import ReplayPoses
+from tissue.scene.load import changed
+from tissue.scene.organ import SoftAnatomy
+from tissue.scene.scene import Scene
+from tissue.scene.tool import ReplayMotion
+from tissue.scene.used_constants import used_constants
+from tissue.simulation.builders.organ import NODULE_KPA, PART_NODULE
+from tissue.simulation.loop import Loop, undisturbed
+from tissue.simulation.simulate import builder_of, tick_count
+from tissue.system.workers import worker_pool
 
+__all__ = ["KEYS", "PART", "OrganRuns", "Poses", "organ_parameters"]
 
 
 KEYS = "organ."

@@ -3,16 +3,16 @@
 Run in its own process by ``python -m tissue.links.ros2 FOLDER``.
 """
 
-from importlib import (import_module)
-from meshes.base.arrays import (Array)
-from pathlib import (Path)
-from time import (perf_counter, sleep)
-from tissue.links.publishing import (RunPublisher, publish)
-from typing import (Any)
 import sys
+from importlib import import_module
+from pathlib import Path
+from time import perf_counter, sleep
+from typing import Any
+
+from meshes.base.arrays import Array
+from tissue.links.publishing import RunPublisher, publish
 
 __all__ = ["Ros2Publisher"]
-
 
 
 NAMESPACE = "tissue"

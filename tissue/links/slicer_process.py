@@ -3,30 +3,30 @@
 Run in its own process by ``python -m tissue.links.slicer_process FOLDER``.
 """
 
-from meshes.base.arrays import (Array)
-from meshes.base.placement import (Placement)
-from numpy.typing import (ArrayLike)
-from pathlib import (Path)
-from time import (perf_counter, time)
-from tissue.links import (igtl_messages as igtl)
-from tissue.links.igtl_messages import (IgtlError, parse_transform)
-from tissue.links.igtl_server import (Client, IgtlServer, Received)
-from tissue.links.publishing import (RunPublisher, publish)
-from tissue.motion.motion import (matrix_of)
-from tissue.scene.scene import (Scene)
-from tissue.show.figures.tool_mesh import (faces_of, tool_surface)
-from tissue.simulation.bone_surface import (with_layers)
-from tissue.simulation.live.shared import (Start, tissue_surface)
-from tissue.simulation.live.surfaces import (BoneSurface, OrganSurface)
-from typing import (Any, TYPE_CHECKING)
-import numpy as np
 import sys
+from pathlib import Path
+from time import perf_counter, time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from meshes.base.arrays import Array
+from meshes.base.placement import Placement
+from tissue.links import igtl_messages as igtl
+from tissue.links.igtl_messages import IgtlError, parse_transform
+from tissue.links.igtl_server import Client, IgtlServer, Received
+from tissue.links.publishing import RunPublisher, publish
+from tissue.motion.motion import matrix_of
+from tissue.scene.scene import Scene
+from tissue.show.figures.tool_mesh import faces_of, tool_surface
+from tissue.simulation.bone_surface import with_layers
+from tissue.simulation.live.shared import BoneSurface, OrganSurface, Start, tissue_surface
 
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["Publisher", "SlicerContent", "SlicerFrame", "SlicerTarget", "TARGET"]
-
+__all__ = ["TARGET", "Publisher", "SlicerContent", "SlicerFrame", "SlicerTarget"]
 
 
 LPS_TO_RAS: Array = np.diag([-1.0, -1.0, 1.0, 1.0])

@@ -3,16 +3,15 @@
 The command `tissue assess` does the same.
 """
 
-from contextlib import (suppress)
-from meshes.base.errors import (InputError)
-from pathlib import (Path)
-from tissue.evaluation import (assessment as engine)
-from tissue.evaluation.assessment import (write_assessment)
-from tissue.objects.run import (Run)
-from tissue.simulation.run_folder import (Summary)
+from contextlib import suppress
+from pathlib import Path
+
+from meshes.base.errors import InputError
+from tissue.evaluation import assessment as engine
+from tissue.evaluation.assessment import write_assessment
+from tissue.objects.run import Run
 
 __all__ = ["Assessment", "assess"]
-
 
 
 class Assessment(engine.Assessment):

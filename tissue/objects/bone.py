@@ -27,7 +27,7 @@ from tissue.objects.cutting import (
     poses_of,
     times_of,
 )
-from tissue.scene.choices import SURFACE_SUFFIXES
+from tissue.scene.part import SURFACE_SUFFIXES
 from tissue.scene.scene import Cutting
 from tissue.scene.used_constants import used_of_cutting
 from tissue.simulation.builders.arguments import given_note, require_known, stated
@@ -423,7 +423,7 @@ def _surface_source(
     trabecular_density_kg_m3: float,
 ) -> BoneSource:
     """Read a closed surface from a file, see `tissue.objects.bone.Bone.from_file`."""
-    from meshes.surfaces.bone_surface import surface_anatomy
+    from meshes.surfaces.glenoid import surface_anatomy
     from meshes.surfaces.site import Site
     from meshes.surfaces.surface import read_surface
 

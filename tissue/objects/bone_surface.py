@@ -1,20 +1,22 @@
 """Surfaces of a cut bone and of the removed bone, for pyvista."""
 
-from dataclasses import (replace)
-from meshes.base.arrays import (Array, Bytes)
-from meshes.surfaces.repair import (close_seams)
-from meshes.voxels.volume import (VoxelVolume)
-from tissue.objects.progress import (quiet_without_display)
-from tissue.simulation.bone_surface import (bone_surface as voxel_surface, smooth_normals, with_layers)
-from tissue.simulation.builders.bone import (VoxelBone)
-from typing import (Any, TYPE_CHECKING)
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
+
+from meshes.base.arrays import Array, Bytes
+from meshes.surfaces.repair import close_seams
+from meshes.voxels.volume import VoxelVolume
+from tissue.objects.progress import quiet_without_display
+from tissue.simulation.bone_surface import bone_surface as voxel_surface
+from tissue.simulation.bone_surface import smooth_normals, with_layers
+from tissue.simulation.builders.bone import VoxelBone
 
 if TYPE_CHECKING:
     import pyvista
 
 __all__ = ["Removed", "bone_surface", "plot_surface", "removed_surface"]
-
 
 
 MERGED, SEAM = 1e-3, 3.0

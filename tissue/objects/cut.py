@@ -1,24 +1,25 @@
 """Result of a cut through bone: force, torque and removed volume at every pose."""
 
-from collections.abc import (Sequence)
-from meshes.base.arrays import (Array)
-from meshes.base.errors import (InputError)
-from numpy.typing import (NDArray)
-from pathlib import (Path)
-from tissue.models.tissue_model import (TICK_S)
-from tissue.objects.trace import (Trace)
-from tissue.simulation.loop import (Loop)
-from tissue.simulation.trace import (Table, TraceLayout, write_table)
-from typing import (Any, TYPE_CHECKING)
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from tissue.models.tissue_model import TICK_S
+from tissue.objects.trace import Trace
+from tissue.simulation.loop import Loop
+from tissue.simulation.trace import Table, TraceLayout, write_table
 
 if TYPE_CHECKING:
-    from matplotlib.figure import (Figure)
     import pandas
     import xarray
+    from matplotlib.figure import Figure
 
 __all__ = ["Cut", "saved_table"]
-
 
 
 class Cut:

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_direction, require_positive
-from meshes.shapes.polyline import arc_length, points_along
+from meshes.paths.toolpath import arc_length, points_along
 from tissue.cutters.cutter import Cutter
 from tissue.models.bone.model import BoneModel
 from tissue.models.keep_clear import KeepClear, Structure

@@ -1,14 +1,24 @@
 """HTML of tables, runs and scenes for notebooks."""
 
-from collections.abc import (Iterable, Sequence)
-from html import (escape)
-from meshes.base.arrays import (Array)
-from tissue.show.figures.force_time import (event_lines)
-from tissue.simulation.run_folder import (Summary)
+from collections.abc import Iterable, Sequence
+from html import escape
+
 import numpy as np
 
-__all__ = ["curve", "figures_of", "folded", "run_html", "run_line", "run_rows", "scrolled", "table_html"]
+from meshes.base.arrays import Array
+from tissue.show.figures.force_time import event_lines
+from tissue.simulation.run_folder import Summary
 
+__all__ = [
+    "curve",
+    "figures_of",
+    "folded",
+    "run_html",
+    "run_line",
+    "run_rows",
+    "scrolled",
+    "table_html",
+]
 
 
 def table_html(

@@ -1,26 +1,28 @@
 """Plots of a trace, and of several runs over each other."""
 
-from collections.abc import (Iterable, Mapping, Sequence)
-from itertools import (cycle)
-from meshes.base.arrays import (Array)
-from meshes.base.errors import (InputError)
-from numpy.typing import (NDArray)
-from tissue.objects.trace import (Trace)
-from tissue.scene.named_parts import (nearest)
-from tissue.show.figures.figure import (COMPONENTS, MAGNITUDE, field_words, plain, styled)
-from tissue.show.figures.force_depth import (first_descent)
-from tissue.show.figures.force_time import (mark_events)
-from tissue.simulation.bone_surface import (facing)
-from tissue.simulation.saved_fields import (field_label)
-from typing import (TYPE_CHECKING)
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import cycle
+from typing import TYPE_CHECKING
+
 import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from tissue.objects.trace import Trace
+from tissue.scene.named_parts import nearest
+from tissue.show.figures.figure import COMPONENTS, MAGNITUDE, field_words, plain, styled
+from tissue.show.figures.force_depth import first_descent
+from tissue.show.figures.force_time import mark_events
+from tissue.simulation.bone_surface import facing
+from tissue.simulation.saved_fields import field_label
 
 if TYPE_CHECKING:
-    from matplotlib.axes import (Axes)
-    from tissue.simulation.trace import (Table)
+    from matplotlib.axes import Axes
+
+    from tissue.simulation.trace import Table
 
 __all__ = ["COLOURS", "overlay", "plot_columns"]
-
 
 
 FORCE_AND_TORQUE = tuple(

@@ -1,30 +1,32 @@
 """Run with its plots, 3D view and bands: `tissue.Run`."""
 
-from collections.abc import (Iterable)
-from contextlib import (suppress)
-from functools import (cached_property)
-from meshes.base.errors import (InputError)
-from meshes.base.progress import (Progress)
-from numpy.typing import (NDArray)
-from pathlib import (Path)
-from tempfile import (TemporaryDirectory)
-from tissue.objects.html import (run_html, run_line)
-from tissue.objects.progress import (Bar, reporting)
-from tissue.objects.trace import (Trace)
-from tissue.simulation import (run as engine)
-from tissue.simulation.run_folder import (Summary, picture_format, summary_of)
-from typing import (Any, TYPE_CHECKING)
+from collections.abc import Iterable
+from contextlib import suppress
+from functools import cached_property
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from meshes.base.progress import Progress
+from tissue.objects.html import run_html, run_line
+from tissue.objects.progress import Bar, reporting
+from tissue.objects.trace import Trace
+from tissue.simulation import run as engine
+from tissue.simulation.run_folder import Summary, picture_format, summary_of
 
 if TYPE_CHECKING:
-    from matplotlib.axes import (Axes)
-    from tissue.fitting.bands.band import (Band)
     import pandas
     import pyvista
     import xarray
+    from matplotlib.axes import Axes
+
+    from tissue.fitting.bands.band import Band
 
 __all__ = ["Run", "open_run", "report"]
-
 
 
 class Run(engine.Run):

@@ -1,22 +1,23 @@
 """Run in 3D: a window in a script, an interactive view in a notebook, or a still picture."""
 
-from contextlib import (suppress)
-from importlib import (import_module)
-from io import (BytesIO)
-from meshes.base.arrays import (Bytes)
-from meshes.base.errors import (InputError)
-from meshes.base.whole_file import (whole_file)
-from pathlib import (Path)
-from tempfile import (TemporaryDirectory)
-from tissue.objects.progress import (in_notebook)
-from tissue.simulation.bone_surface import (HALF)
-from tissue.system.offscreen import (display_problem)
-from typing import (Any)
-import numpy as np
 import warnings
+from contextlib import suppress
+from importlib import import_module
+from io import BytesIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from meshes.base.arrays import Bytes
+from meshes.base.errors import InputError
+from meshes.base.whole_file import whole_file
+from tissue.objects.progress import in_notebook
+from tissue.simulation.bone_surface import HALF
+from tissue.system.offscreen import display_problem
 
 __all__ = ["Picture", "show_folder", "with_empty_hidden"]
-
 
 
 BACKENDS = ("trame_pyvista", "pyvista.trame.jupyter")

@@ -1,22 +1,23 @@
 """Simulation of a scene: `tissue.simulate`, which `tissue run` calls too."""
 
-from collections.abc import (Callable)
-from meshes.base.errors import (InputError)
-from meshes.base.file_limits import (memory_limit)
-from pathlib import (Path)
-from tissue.haptics.device.device import (Device)
-from tissue.haptics.device.safe_device import (SafeDevice)
-from tissue.objects.progress import (Bar, reporting)
-from tissue.objects.run import (Run)
-from tissue.scene.scene import (Scene)
-from tissue.show.figures import (draw_pictures)
-from tissue.simulation import (simulate as engine)
-from tissue.simulation.builders.parts import (opened_device)
-from tissue.simulation.live.run import (LiveSettings, live as simulate_live)
-from tissue.simulation.observer import (Observers, OnTick, Paced, Prioritised, RunObserver, TickRow)
+from collections.abc import Callable
+from pathlib import Path
+
+from meshes.base.errors import InputError
+from meshes.base.file_limits import memory_limit
+from tissue.haptics.device.device import Device
+from tissue.haptics.device.safe_device import SafeDevice
+from tissue.objects.progress import Bar, reporting
+from tissue.objects.run import Run
+from tissue.scene.scene import Scene
+from tissue.show.figures import draw_pictures
+from tissue.simulation import simulate as engine
+from tissue.simulation.builders.parts import opened_device
+from tissue.simulation.live.run import LiveSettings
+from tissue.simulation.live.run import live as simulate_live
+from tissue.simulation.observer import Observers, OnTick, Paced, Prioritised, RunObserver, TickRow
 
 __all__ = ["TickRow", "simulate"]
-
 
 
 def simulate(

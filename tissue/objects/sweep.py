@@ -1,42 +1,43 @@
 """Sweep: a scene run at all combinations of some values: `tissue.sweep`."""
 
-from collections.abc import (Iterable, Iterator, Mapping, Sequence)
-from concurrent.futures import (BrokenExecutor)
-from dataclasses import (dataclass, replace)
-from functools import (cached_property, partial)
-from itertools import (islice, product)
-from math import (prod)
-from meshes.base.errors import (InputError, require_range)
-from meshes.base.progress import (Progress)
-from meshes.base.text_tables import (read_toml)
-from numpy.typing import (NDArray)
-from pathlib import (Path)
-from tissue.evaluation.assessment import (path_note)
-from tissue.objects.comparison import (Comparison, write_rows)
-from tissue.objects.html import (figures_of, table_html)
-from tissue.objects.plots import (COLOURS)
-from tissue.objects.progress import (Bar, reporting)
-from tissue.objects.run import (Run)
-from tissue.objects.simulate import (simulate)
-from tissue.objects.trace import (needed)
-from tissue.scene.load import (changed, load_scene, parse_override)
-from tissue.scene.scene import (Scene)
-from tissue.scene.texts import (registered_parts, unknown_parts)
-from tissue.show.figures.figure import (field_words, plain, save, styled)
-from tissue.simulation.run_folder import (summary_of)
-from tissue.system.owned_folder import (owned_folder)
-from tissue.system.workers import (first_done, worker_pool)
-from typing import (Any, TYPE_CHECKING)
 import csv
-import numpy as np
 import re
 import tomllib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import BrokenExecutor
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from itertools import islice, product
+from math import prod
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError, require_range
+from meshes.base.progress import Progress
+from meshes.base.text_tables import read_toml
+from tissue.evaluation.assessment import path_note
+from tissue.objects.comparison import Comparison, write_rows
+from tissue.objects.html import figures_of, table_html
+from tissue.objects.plots import COLOURS
+from tissue.objects.progress import Bar, reporting
+from tissue.objects.run import Run
+from tissue.objects.simulate import simulate
+from tissue.objects.trace import needed
+from tissue.scene.load import changed, load_scene, parse_override
+from tissue.scene.scene import Scene
+from tissue.scene.texts import registered_parts, unknown_parts
+from tissue.show.figures.figure import field_words, plain, save, styled
+from tissue.simulation.run_folder import summary_of
+from tissue.system.owned_folder import owned_folder
+from tissue.system.workers import first_done, worker_pool
 
 if TYPE_CHECKING:
     import pandas
 
 __all__ = ["Sweep", "SweptRun", "parse_values", "planned", "sweep"]
-
 
 
 FILES = ("sweep.csv", "sweep.png", "compare.png")

@@ -1,30 +1,56 @@
 """Files of a run's bone: voxels, the carved surface, and the carving over time for ParaView."""
 
-from dataclasses import (replace)
-from math import (ceil, sqrt)
-from meshes.base.arrays import (Array, Bytes)
-from meshes.base.errors import (InputError)
-from meshes.base.placement import (Placement)
-from meshes.base.progress import (Progress, silent)
-from meshes.base.whole_file import (whole_file)
-from meshes.voxels.volume import (VoxelVolume)
-from pathlib import (Path)
-from tissue.models.tissue_model import (TICK_S)
-from tissue.motion.pose_file import (write_poses)
-from tissue.motion.replay import (read_poses)
-from tissue.simulation.bone_surface import (CarvedRun, CarvedSurface, block_means, bone_surface, changed_box, coarse_volume, depth_map, facing, with_depth, with_layers)
-from tissue.simulation.run_folder import (SavedRun, saved_placement)
-from tissue.simulation.saved_fields import (require_whole)
-from tissue.simulation.vtk_files import (image_in_file, image_in_scene, mesh_in_file, write_collection, write_vtk, write_vtk_xml)
-from typing import (TYPE_CHECKING)
 import gzip
+from dataclasses import replace
+from math import ceil, sqrt
+from pathlib import Path
+from typing import TYPE_CHECKING
+
 import numpy as np
+
+from meshes.base.arrays import Array, Bytes
+from meshes.base.errors import InputError
+from meshes.base.placement import Placement
+from meshes.base.progress import Progress, silent
+from meshes.base.whole_file import whole_file
+from meshes.voxels.volume import VoxelVolume
+from tissue.models.tissue_model import TICK_S
+from tissue.motion.replay import read_poses, write_poses
+from tissue.simulation.bone_surface import (
+    CarvedRun,
+    CarvedSurface,
+    block_means,
+    bone_surface,
+    changed_box,
+    coarse_volume,
+    depth_map,
+    facing,
+    with_depth,
+    with_layers,
+)
+from tissue.simulation.run_folder import SavedRun, saved_placement
+from tissue.simulation.saved_fields import require_whole
+from tissue.simulation.vtk_files import (
+    image_in_file,
+    image_in_scene,
+    mesh_in_file,
+    write_collection,
+    write_vtk,
+    write_vtk_xml,
+)
 
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["carved_surface", "carving_ticks", "read_voxels", "saved_voxels", "voxel_image", "write_bone", "write_carving"]
-
+__all__ = [
+    "carved_surface",
+    "carving_ticks",
+    "read_voxels",
+    "saved_voxels",
+    "voxel_image",
+    "write_bone",
+    "write_carving",
+]
 
 
 UNIT_NAMES = {1.0: "mm", 10.0: "cm", 1000.0: "m"}

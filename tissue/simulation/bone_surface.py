@@ -13,7 +13,7 @@ from tissue.simulation.trace import Table
 if TYPE_CHECKING:
     import pyvista
 
-    from tissue.models.bone.replay import CarvingReplay
+    from tissue.models.bone.carver import CarvingReplay
     from tissue.scene.scene import Scene
     from tissue.simulation.builders.parts import Parts
 

@@ -12,28 +12,29 @@ coefficient at every tick, and::
 equals ``model_force`` and ``model_torque`` of a run with those coefficients, within 1e-6.
 """
 
-from dataclasses import (dataclass, replace)
-from meshes.base.arrays import (Array)
-from meshes.base.errors import (InputError)
-from meshes.base.progress import (Progress, silent)
-from time import (perf_counter)
-from tissue.materials.constants import (CuttingCoefficients)
-from tissue.models.bone.engagement import (COEFFICIENTS, DensityNodes, EngagedBone)
-from tissue.models.bone.model import (BoneModel)
-from tissue.models.tissue_model import (TICK_S)
-from tissue.models.tooth.model import (ToothModel)
-from tissue.motion.motion import (Motion)
-from tissue.scene.anatomy import (CutAnatomy)
-from tissue.scene.scene import (Scene)
-from tissue.scene.tool import (ReplayMotion, Tool)
-from tissue.simulation.builders.parts import (motion_of)
-from tissue.simulation.loop import (Loop, undisturbed)
-from tissue.simulation.simulate import (builder_of, tick_count)
-from tissue.simulation.trace import (Table)
+from dataclasses import dataclass, replace
+from time import perf_counter
+
 import numpy as np
 
-__all__ = ["LoadRecord", "SENSITIVITIES", "record_loads", "why_not_linear"]
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from meshes.base.progress import Progress, silent
+from tissue.materials.constants import CuttingCoefficients
+from tissue.models.bone.engagement import COEFFICIENTS, DensityNodes, EngagedBone
+from tissue.models.bone.model import BoneModel
+from tissue.models.tissue_model import TICK_S
+from tissue.models.tooth.model import ToothModel
+from tissue.motion.motion import Motion
+from tissue.scene.anatomy import CutAnatomy
+from tissue.scene.scene import Scene
+from tissue.scene.tool import ReplayMotion, Tool
+from tissue.simulation.builders.parts import motion_of
+from tissue.simulation.loop import Loop, undisturbed
+from tissue.simulation.simulate import builder_of, tick_count
+from tissue.simulation.trace import Table
 
+__all__ = ["SENSITIVITIES", "LoadRecord", "record_loads", "why_not_linear"]
 
 
 SENSITIVITIES = (

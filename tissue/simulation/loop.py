@@ -1,27 +1,38 @@
 """Loop of a run in ticks of 1 ms: motion, removal, force, output and record, and scheduling."""
 
-from collections.abc import (Iterator)
-from contextlib import (contextmanager)
-from kernels.cores import (core_count)
-from kernels.launcher import (launch_counts)
-from math import (exp)
-from meshes.base.arrays import (Array)
-from time import (perf_counter)
-from tissue.haptics.loop.vibration import (Vibration)
-from tissue.models.tissue_model import (Finishes, HasNotices, Response, SchedulesBackground, StartsBackground, TICK_S, TissueModel, ToolMotion, WaitsForBackground)
-from tissue.motion.motion import (Motion, quaternion_of)
-from tissue.motion.replay import (COLUMNS)
-from tissue.scene.scene import (Output)
-from tissue.simulation.builders.parts import (Parts)
-from tissue.simulation.trace import (LEAST_LOAD, TIMING_COLUMNS, Table, TraceLayout, load_columns)
-from tissue.system.machine_gaps import (LEAST_GAP_S, MachineGaps, spin)
-from typing import (Any)
 import gc
-import numpy as np
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from math import exp
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from kernels.cores import core_count
+from kernels.launcher import launch_counts
+from meshes.base.arrays import Array
+from tissue.haptics.loop.vibration import Vibration
+from tissue.models.tissue_model import (
+    TICK_S,
+    Finishes,
+    HasNotices,
+    Response,
+    SchedulesBackground,
+    StartsBackground,
+    TissueModel,
+    ToolMotion,
+    WaitsForBackground,
+)
+from tissue.motion.motion import Motion, quaternion_of
+from tissue.motion.replay import COLUMNS
+from tissue.scene.scene import Output
+from tissue.simulation.builders.parts import Parts
+from tissue.simulation.trace import LEAST_LOAD, TIMING_COLUMNS, Table, TraceLayout, load_columns
+from tissue.system.priorities import LEAST_GAP_S, MachineGaps, spin
 
 __all__ = ["Loop", "PoseLog", "Stepper", "undisturbed"]
-
 
 
 SWITCH_S = 5e-5

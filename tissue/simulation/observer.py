@@ -14,7 +14,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import require_positive
 from tissue.models.tissue_model import TICK_S
 from tissue.simulation.builders.parts import Parts
-from tissue.system.tick_priority import TickPriority
+from tissue.system.priorities import TickPriority
 
 __all__ = [
     "BEHIND_S",

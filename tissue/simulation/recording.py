@@ -1,24 +1,25 @@
 """Recording of a run for other programs: HDF5 in the layout of volumetric_drilling's recorder."""
 
-from collections.abc import (Iterable)
-from io import (BytesIO)
-from meshes.base.arrays import (Array)
-from meshes.base.whole_file import (whole_file)
-from meshes.voxels.volume import (FULL)
-from pathlib import (Path)
-from scipy.spatial.transform import (Rotation)
-from tissue.motion.replay import (EVENTS, POSES, SHAFT_TO_X)
-from tissue.scene.tool import (Tool)
-from tissue.simulation.bone_surface import (CarvedRun)
-from tissue.simulation.trace import (RECORDING, write_trace)
-from typing import (Any, TYPE_CHECKING)
+from collections.abc import Iterable
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
+from scipy.spatial.transform import Rotation
+
+from meshes.base.arrays import Array
+from meshes.base.whole_file import whole_file
+from meshes.voxels.volume import FULL
+from tissue.motion.replay import EVENTS, POSES, SHAFT_TO_X
+from tissue.scene.tool import Tool
+from tissue.simulation.bone_surface import CarvedRun
+from tissue.simulation.trace import RECORDING, write_trace
 
 if TYPE_CHECKING:
-    from tissue.models.bone.carver import (CarvingReplay)
+    pass
 
 __all__ = ["write_formats", "write_recording"]
-
 
 
 if TYPE_CHECKING:

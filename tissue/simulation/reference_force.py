@@ -6,28 +6,43 @@ error is reported with its lower bound, the error of a perfect force through the
 low-pass and amplifier.
 """
 
-from collections.abc import (Mapping)
-from meshes.base.arrays import (Array)
-from meshes.base.errors import (InputError)
-from meshes.base.progress import (silent)
-from tissue.haptics.device.recorded import (RecordedDevice)
-from tissue.haptics.hand_measures import (TRUE, VIBRATION)
-from tissue.haptics.hand_motion import (HandMotion)
-from tissue.haptics.loop.sampled_loop import (force_later_N, mean_over_ticks_N, motor_force_N)
-from tissue.models.tissue_model import (Finishes)
-from tissue.scene.load import (changed)
-from tissue.scene.scene import (Scene)
-from tissue.simulation.bone_surface import (CarvedRun)
-from tissue.simulation.builders.loop import (device_path, judged_loop, lead_ticks, loop_settings, motor_path)
-from tissue.simulation.builders.parts import (Parts)
-from tissue.simulation.loop import (Stepper, undisturbed)
-from tissue.simulation.simulate import (TICK_S, build, tick_count)
-from tissue.simulation.trace import (LEAST_LOAD, Table)
-from typing import (NamedTuple)
+from collections.abc import Mapping
+from typing import NamedTuple
+
 import numpy as np
 
-__all__ = ["MotorForces", "ideal_force_N", "ideal_scene", "motor_forces", "played_force_N", "rendered_force_N", "stretch_force_N"]
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from meshes.base.progress import silent
+from tissue.haptics.device.recorded import RecordedDevice
+from tissue.haptics.hand_measures import TRUE, VIBRATION
+from tissue.haptics.hand_motion import HandMotion
+from tissue.haptics.loop.sampled_loop import force_later_N, mean_over_ticks_N, motor_force_N
+from tissue.models.tissue_model import Finishes
+from tissue.scene.load import changed
+from tissue.scene.scene import Scene
+from tissue.simulation.bone_surface import CarvedRun
+from tissue.simulation.builders.loop import (
+    device_path,
+    judged_loop,
+    lead_ticks,
+    loop_settings,
+    motor_path,
+)
+from tissue.simulation.builders.parts import Parts
+from tissue.simulation.loop import Stepper, undisturbed
+from tissue.simulation.simulate import TICK_S, build, tick_count
+from tissue.simulation.trace import LEAST_LOAD, Table
 
+__all__ = [
+    "MotorForces",
+    "ideal_force_N",
+    "ideal_scene",
+    "motor_forces",
+    "played_force_N",
+    "rendered_force_N",
+    "stretch_force_N",
+]
 
 
 PROMPT: dict[str, object] = {

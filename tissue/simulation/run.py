@@ -1,34 +1,44 @@
 """Run, either just simulated or read from its folder, with one interface."""
 
-from collections.abc import (Callable, Iterable, Sequence)
-from dataclasses import (asdict)
-from functools import (cached_property)
-from meshes.base.arrays import (Array, Bytes)
-from meshes.base.errors import (InputError)
-from meshes.base.progress import (Progress, silent)
-from meshes.base.whole_file import (package_version)
-from meshes.voxels.volume import (VoxelVolume)
-from pathlib import (Path)
-from tissue.cutters.cutter import (Cutter)
-from tissue.models.tissue_model import (HasHeat, HasSummary, HasVoxels, TICK_S)
-from tissue.scene.scene import (Scene)
-from tissue.scene.tool import (Tool)
-from tissue.simulation.builders.parts import (Parts)
-from tissue.simulation.findings import (BreakThrough)
-from tissue.simulation.loop import (Scheduling)
-from tissue.simulation.run_folder import (FORMAT, RunFolder, SavedRun, Summary, added_to_run, copy_run, picture_format)
-from tissue.simulation.trace import (Table, check_format, read_table)
-from typing import (Any, Self, TYPE_CHECKING, TypeVar)
-import numpy as np
 import os
 import platform
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self, TypeVar
+
+import numpy as np
+
+from meshes.base.arrays import Array, Bytes
+from meshes.base.errors import InputError
+from meshes.base.progress import Progress, silent
+from meshes.base.whole_file import package_version
+from meshes.voxels.volume import VoxelVolume
+from tissue.cutters.cutter import Cutter
+from tissue.models.tissue_model import TICK_S, HasHeat, HasSummary, HasVoxels
+from tissue.scene.scene import Scene
+from tissue.scene.tool import Tool
+from tissue.simulation.builders.parts import Parts
+from tissue.simulation.findings import BreakThrough
+from tissue.simulation.loop import Scheduling
+from tissue.simulation.run_folder import (
+    FORMAT,
+    RunFolder,
+    SavedRun,
+    Summary,
+    added_to_run,
+    copy_run,
+    picture_format,
+)
+from tissue.simulation.trace import Table, check_format, read_table
 
 if TYPE_CHECKING:
-    from tissue.models.bone.carver import (CarvingReplay)
     import pyvista
 
-__all__ = ["DEADLINE_US", "Run"]
+    from tissue.models.bone.carver import CarvingReplay
 
+__all__ = ["DEADLINE_US", "Run"]
 
 
 DEADLINE_US = 1000.0

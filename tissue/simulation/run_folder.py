@@ -1,30 +1,44 @@
 """Folder of a run: preparation, writing during the run, its summary, and reading."""
 
-from collections.abc import (Iterator, Mapping)
-from contextlib import (contextmanager, suppress)
-from math import (isfinite)
-from meshes.base.errors import (InputError, is_file)
-from meshes.base.file_limits import (require_regular)
-from meshes.base.file_version import (require_version)
-from meshes.base.placement import (Placement)
-from meshes.base.text_tables import (read_json)
-from meshes.base.whole_file import (package_version, whole_file)
-from pathlib import (Path)
-from tissue.models.tissue_model import (TICK_S)
-from tissue.scene.load import (load_scene, saved_text)
-from tissue.scene.registry import (ANATOMIES)
-from tissue.scene.scene import (Scene)
-from tissue.simulation.trace import (FORMATS, Table, TraceWriter, read_trace)
-from tissue.system.outputs import (identity, is_alive)
-from tissue.system.owned_folder import (OwnedFolder, listed_files, require_folder)
-from tissue.system.stopping import (Terminated)
-from typing import (Any)
 import json
 import re
 import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from math import isfinite
+from pathlib import Path
+from typing import Any
 
-__all__ = ["FORMAT", "PICTURE_FORMATS", "RunFolder", "SavedRun", "Summary", "added_to_run", "copy_run", "files_of_run", "named_as_run_files", "picture_format", "read_summary", "run_file_names", "saved_placement", "summary_of"]
+from meshes.base.errors import InputError, is_file
+from meshes.base.file_limits import require_regular
+from meshes.base.placement import Placement
+from meshes.base.text_tables import read_json
+from meshes.base.whole_file import package_version, require_version, whole_file
+from tissue.models.tissue_model import TICK_S
+from tissue.scene.load import load_scene, saved_text
+from tissue.scene.registry import ANATOMIES
+from tissue.scene.scene import Scene
+from tissue.simulation.trace import FORMATS, Table, TraceWriter, read_trace
+from tissue.system.outputs import identity, is_alive
+from tissue.system.owned_folder import OwnedFolder, listed_files, require_folder
+from tissue.system.stopping import Terminated
 
+__all__ = [
+    "FORMAT",
+    "PICTURE_FORMATS",
+    "RunFolder",
+    "SavedRun",
+    "Summary",
+    "added_to_run",
+    "copy_run",
+    "files_of_run",
+    "named_as_run_files",
+    "picture_format",
+    "read_summary",
+    "run_file_names",
+    "saved_placement",
+    "summary_of",
+]
 
 
 Summary = dict[str, Any]

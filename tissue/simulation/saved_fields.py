@@ -1,22 +1,31 @@
 """Fields of a saved run: names, units, ranges over the run, and the mesh at any moment."""
 
-from collections.abc import (Sequence)
-from itertools import (pairwise)
-from meshes.base.arrays import (Singles)
-from meshes.base.errors import (InputError)
-from meshes.base.file_limits import (require_regular)
-from meshes.base.isolated_parser import (parse_isolated)
-from pathlib import (Path)
-from tissue.simulation.run_folder import (SavedRun, saved_placement)
-from tissue.simulation.vtk_files import (mesh_in_scene)
-from typing import (Any, TYPE_CHECKING)
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
+
+from meshes.base.arrays import Singles
+from meshes.base.errors import InputError
+from meshes.base.file_limits import require_regular
+from meshes.base.isolated_parser import parse_isolated
+from tissue.simulation.run_folder import SavedRun, saved_placement
+from tissue.simulation.vtk_files import mesh_in_scene
 
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["SavedFields", "field_label", "field_limits", "field_names", "field_values", "frames_of", "require_whole"]
-
+__all__ = [
+    "SavedFields",
+    "field_label",
+    "field_limits",
+    "field_names",
+    "field_values",
+    "frames_of",
+    "require_whole",
+]
 
 
 PEAK = 99.8

@@ -3,34 +3,35 @@
 It is the only module that combines them.
 """
 
-from contextlib import (nullcontext, suppress)
-from math import (ceil, inf)
-from meshes.base.errors import (InputError)
-from meshes.base.progress import (Progress, silent)
-from pathlib import (Path)
-from time import (perf_counter)
-from tissue.haptics.device.device import (Device, device_parameters)
-from tissue.haptics.device.safe_device import (SafeDevice, run_held)
-from tissue.haptics.loop.sampled_loop import (force_later_N)
-from tissue.models.tissue_model import (TICK_S)
-from tissue.motion.motion import (LONGEST_S, Motion)
-from tissue.prediction.predictor import (Predictor)
-from tissue.scene.registry import (ANATOMIES)
-from tissue.scene.scene import (Scene)
-from tissue.simulation.builders.arguments import (note_own_constants)
-from tissue.simulation.builders.parts import (Parts, TissueBuilder, motion_of, require_stated_rate)
-from tissue.simulation.findings import (break_throughs, shortfalls)
-from tissue.simulation.loop import (Loop, Scheduling, spin_time_s, undisturbed)
-from tissue.simulation.observer import (RunObserver)
-from tissue.simulation.run import (Run)
-from tissue.simulation.run_folder import (RunFolder)
-from tissue.simulation.trace import (Table)
-from typing import (Protocol, TypedDict, runtime_checkable)
 import gc
+from contextlib import nullcontext, suppress
+from math import ceil, inf
+from pathlib import Path
+from time import perf_counter
+from typing import Protocol, TypedDict, runtime_checkable
+
 import numpy as np
 
-__all__ = ["RunObserver", "RunSettings", "TICK_S", "build", "builder_of", "simulate", "tick_count"]
+from meshes.base.errors import InputError
+from meshes.base.progress import Progress, silent
+from tissue.haptics.device.device import Device, device_parameters
+from tissue.haptics.device.safe_device import SafeDevice, run_held
+from tissue.haptics.loop.sampled_loop import force_later_N
+from tissue.models.tissue_model import TICK_S
+from tissue.motion.motion import LONGEST_S, Motion
+from tissue.prediction.predictor import Predictor
+from tissue.scene.registry import ANATOMIES
+from tissue.scene.scene import Scene
+from tissue.simulation.builders.arguments import note_own_constants
+from tissue.simulation.builders.parts import Parts, TissueBuilder, motion_of, require_stated_rate
+from tissue.simulation.findings import break_throughs, shortfalls
+from tissue.simulation.loop import Loop, Scheduling, spin_time_s, undisturbed
+from tissue.simulation.observer import RunObserver
+from tissue.simulation.run import Run
+from tissue.simulation.run_folder import RunFolder
+from tissue.simulation.trace import Table
 
+__all__ = ["TICK_S", "RunObserver", "RunSettings", "build", "builder_of", "simulate", "tick_count"]
 
 
 MOST_CORES = 4096

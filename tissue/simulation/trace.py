@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.file_limits import require_regular
-from meshes.base.text_numbers import number_in, require_distinct_columns
+from meshes.base.text_tables import number_in, require_distinct_columns
 from meshes.base.whole_file import claim, whole_file
 
 __all__ = [

@@ -1,17 +1,16 @@
 """Numbers with underscores and columns that are there twice are refused by every reader of text."""
 
-from meshes.base.errors import (InputError)
-from meshes.images.text_headers import (numbers)
-from meshes.paths.toolpath import (read_toolpath)
-from meshes.surfaces.markups import (read_markups)
-from meshes.surfaces.surface import (read_surface)
-from tissue.fitting.log import (read_log)
-from tissue.motion.replay import (read_replay)
-from tissue.simulation.trace import (read_table)
 import numpy as np
 import pytest
 
-
+from meshes.base.errors import InputError
+from meshes.images.text_headers import numbers
+from meshes.paths.toolpath import read_toolpath
+from meshes.surfaces.markups import read_markups
+from meshes.surfaces.surface import read_surface
+from tissue.fitting.log import read_log
+from tissue.motion.replay import read_replay
+from tissue.simulation.trace import read_table
 
 POSES = "time_s,tool_x_mm,tool_y_mm,tool_z_mm,tool_qx,tool_qy,tool_qz,tool_qw"
 LOG = "time_s,tool_x_mm,tool_y_mm,tool_z_mm,force_x_N,force_y_N,force_z_N"

@@ -1,21 +1,20 @@
 """Training: its trials, what it writes, the shipped predictors, and the latency that they hide."""
 
-from dataclasses import (replace)
-from meshes.base.errors import (InputError)
-from tissue import (load_scene, simulate)
-from tissue.evaluation.statistics.metrics import (force_error)
-from tissue.evaluation.training import (Recorder, trial, validated, with_fallback)
-from tissue.prediction.operator import (Operator)
-from tissue.prediction.trained import (Trained, shipped_file)
-from tissue.scene.registry import (PREDICTORS)
-from tissue.simulation.builders.force_met import (chosen_scale)
-from tissue.simulation.builders.loop import (loop_settings)
-from tissue.simulation.builders.prediction import (FALLBACKS)
-from tissue.simulation.reference_force import (ideal_force_N, motor_forces)
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-
+from meshes.base.errors import InputError
+from tissue import load_scene, simulate
+from tissue.evaluation.statistics.metrics import force_error
+from tissue.evaluation.training import Recorder, trial, validated, with_fallback
+from tissue.prediction.operator import Operator
+from tissue.prediction.trained import Trained, shipped_file
+from tissue.scene.registry import PREDICTORS
+from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.prediction import FALLBACKS
+from tissue.simulation.reference_force import ideal_force_N, motor_forces
 
 SCENES = ("caries", "glenoid", "liver-press", "milling", "molar", "needle", "palpation", "wall")
 

@@ -1,13 +1,13 @@
 """Measured logs: formats, columns of other names and units, and what cannot be a log."""
 
-from meshes.base.errors import (InputError)
-from tissue.fitting.log import (read_log)
-from tissue.simulation.trace import (Table, write_table)
 import csv
+
 import numpy as np
 import pytest
 
-
+from meshes.base.errors import InputError
+from tissue.fitting.log import read_log
+from tissue.simulation.trace import Table, write_table
 
 TIMES_S = np.arange(0.0, 1.0, 0.01)
 NAMES = ("time_s", "tool_x_mm", "tool_y_mm", "tool_z_mm", "force_x_N", "force_y_N", "force_z_N")

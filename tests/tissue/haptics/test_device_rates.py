@@ -1,17 +1,16 @@
 """Devices of other rates than the loop: filters, velocity, slew and hold are right in seconds."""
 
-from dataclasses import (replace)
-from hand_steps import (STEP_S, held, meet)
-from tissue import (InputError, Sample, load_scene)
-from tissue.haptics.device.device import (device_parameters)
-from tissue.haptics.device.simulated import (SimulatedDevice)
-from tissue.models.tissue_model import (FreeSpace, WallModel)
-from tissue.simulation.builders.loop import (loop_settings)
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from hand_steps import STEP_S, held, meet
+
 import tissue
-
-
+from tissue import InputError, Sample, load_scene
+from tissue.haptics.device.device import device_parameters
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.models.tissue_model import FreeSpace, WallModel
 
 RATES_HZ = [500, 1000, 2000]
 SLEW_N_MS = 0.2

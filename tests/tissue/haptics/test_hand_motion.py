@@ -1,18 +1,16 @@
 """A motion by a hand, tick by tick: what it plays, and where the tool is, in closed form."""
 
-from hand_steps import (STEP_S, held, meet)
-from quiet_press import (LIMITS, PERSON, check_ripple, quiet_press)
-from tissue.haptics import (hand_measures as at)
-from tissue.haptics.device.recorded import (RecordedDevice)
-from tissue.haptics.hand_measures import (MEASURES, PERCEIVED, PREDICTED)
-from tissue.haptics.loop.critical_stiffness import (judge)
-from tissue.models.tissue_model import (FreeSpace, Response, ToolMotion, WallModel)
-from tissue.motion.quaternion import (logarithm)
-from tissue.simulation.simulate import (build)
 import numpy as np
 import pytest
+from hand_steps import STEP_S, held, meet
+from quiet_press import LIMITS, PERSON, check_ripple, quiet_press
 
-
+from tissue.haptics import hand_measures as at
+from tissue.haptics.device.recorded import RecordedDevice
+from tissue.haptics.hand_measures import MEASURES, PERCEIVED, PREDICTED
+from tissue.haptics.loop.critical_stiffness import judge
+from tissue.models.tissue_model import FreeSpace, Response, ToolMotion, WallModel
+from tissue.motion.quaternion import logarithm
 
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -1,16 +1,16 @@
 """Runs of scenes by a hand on a device: balances in closed form, and bounded forces."""
 
-from hand_runs import (played_N, run_of)
-from hand_steps import (STEP_S)
-from tissue import (load_scene, simulate)
-from tissue.haptics.device.device import (device_parameters)
-from tissue.haptics.device.recorded import (RecordedDevice)
-from tissue.haptics.hand.hand import (hand_parameters)
-from tissue.simulation.builders.force_met import (chosen_scale)
-from tissue.simulation.builders.loop import (judged_loop, loop_settings)
 import numpy as np
 import pytest
+from hand_runs import played_N, run_of
+from hand_steps import STEP_S
 
+from tissue import load_scene, simulate
+from tissue.haptics.device.device import device_parameters
+from tissue.haptics.device.recorded import RecordedDevice
+from tissue.haptics.hand.hand import hand_parameters
+from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.loop import judged_loop, loop_settings
 
 
 @pytest.fixture(scope="module")

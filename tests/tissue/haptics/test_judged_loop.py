@@ -3,21 +3,21 @@
 The tests cover its inputs, refused couplings, and the nearest accepted one.
 """
 
-from dataclasses import (replace)
-from hand_runs import (played_N, run_of)
-from tissue import (InputError, load_scene)
-from tissue.haptics.device.device import (device_parameters)
-from tissue.haptics.device.simulated import (SimulatedDevice)
-from tissue.haptics.hand.hand import (Hand, hand_parameters, waypoints)
-from tissue.haptics.loop.critical_stiffness import (judge)
-from tissue.haptics.loop.filters import (LowPass)
-from tissue.haptics.proxy.held_tool import (HeldTurn)
-from tissue.motion.quaternion import (conjugate, exponential, logarithm, product)
-from tissue.simulation.builders.loop import (judged_loop, loop_settings)
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from hand_runs import played_N, run_of
 
-
+from tissue import InputError, load_scene
+from tissue.haptics.device.device import device_parameters
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.hand.hand import Hand, hand_parameters, waypoints
+from tissue.haptics.loop.critical_stiffness import judge
+from tissue.haptics.loop.filters import LowPass
+from tissue.haptics.proxy.held_tool import HeldTurn
+from tissue.motion.quaternion import conjugate, exponential, logarithm, product
+from tissue.simulation.builders.loop import judged_loop, loop_settings
 
 STEP_S = 1e-3
 

@@ -1,23 +1,22 @@
 """Vibration that a device plays: its place, its size, and its effect on the loop."""
 
-from dataclasses import (replace)
-from hand_steps import (STEP_S, held, meet)
-from itertools import (product)
-from quiet_press import (LIMITS, PERSON, quiet_press)
-from tissue.haptics.device.device import (device_parameters)
-from tissue.haptics.device.recorded import (RecordedDevice)
-from tissue.haptics.hand.hand import (hand_parameters)
-from tissue.haptics.hand_measures import (PLAYED_FORCE, RAW_FORCE)
-from tissue.haptics.loop.critical_stiffness import (critical_stiffness_N_m, in_hands, judge)
-from tissue.haptics.loop.sampled_loop import (spectral_radius)
-from tissue.haptics.loop.stability_map import (growth_while_running)
-from tissue.haptics.loop.vibration import (ENVELOPE_S, PlayedForce, PlayedVibration, Vibration)
-from tissue.models.tissue_model import (WallModel)
-from tissue.simulation.builders.loop import (loop_settings)
+from dataclasses import replace
+from itertools import product
+
 import numpy as np
 import pytest
+from hand_steps import STEP_S, held, meet
+from quiet_press import LIMITS, PERSON, quiet_press
 
-
+from tissue.haptics.device.device import device_parameters
+from tissue.haptics.device.recorded import RecordedDevice
+from tissue.haptics.hand.hand import hand_parameters
+from tissue.haptics.hand_measures import PLAYED_FORCE, RAW_FORCE
+from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands, judge
+from tissue.haptics.loop.sampled_loop import spectral_radius
+from tissue.haptics.loop.stability_map import growth_while_running
+from tissue.haptics.loop.vibration import ENVELOPE_S, PlayedForce, PlayedVibration, Vibration
+from tissue.models.tissue_model import WallModel
 
 SHARE = 0.2
 

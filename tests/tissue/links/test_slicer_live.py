@@ -3,19 +3,19 @@
 A client reads them, and a pose drives the tool.
 """
 
-from igtl_client import (IgtlClient)
-from meshes.base.errors import (InputError)
-from tissue import (load_scene, simulate)
-from tissue.links import (igtl_messages as igtl)
-from tissue.links.slicer_process import (SlicerFrame)
-from tissue.simulation.live.publisher import (PORT, SlicerLink, SlicerPublisher, require_link)
-from tissue.simulation.live.run import (LiveObserver, LiveSettings, live)
-from tissue.simulation.observer import (Observers, WallClock)
-import numpy as np
-import pytest
 import socket
 
+import numpy as np
+import pytest
+from igtl_client import IgtlClient
 
+from meshes.base.errors import InputError
+from tissue import load_scene, simulate
+from tissue.links import igtl_messages as igtl
+from tissue.links.slicer_process import SlicerFrame
+from tissue.simulation.live.publisher import PORT, SlicerLink, SlicerPublisher, require_link
+from tissue.simulation.live.run import LiveObserver, LiveSettings, live
+from tissue.simulation.observer import Observers, WallClock
 
 pytest.importorskip("pyvista")
 

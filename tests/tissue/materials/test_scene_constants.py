@@ -1,15 +1,14 @@
 """Constants of a person's own file in place of the cited ones."""
 
-from meshes.base.errors import (InputError)
-from tissue.materials.constants import (constants)
-from tissue.materials.scene_constants import (Materials)
-from tissue.scene.load import (load_scene)
-from tissue.scene.used_constants import (used_constants)
-from tissue.simulation.builders.arguments import (note_own_constants)
 import numpy as np
 import pytest
 
-
+from meshes.base.errors import InputError
+from tissue.materials.constants import constants
+from tissue.materials.scene_constants import Materials
+from tissue.scene.load import load_scene
+from tissue.scene.used_constants import used_constants
+from tissue.simulation.builders.arguments import note_own_constants
 
 RADIAL = "cutting.bone.radial_chip_N_mm2"
 

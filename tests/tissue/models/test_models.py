@@ -1,25 +1,25 @@
 """Laws of every tissue model, over all of them."""
 
-from meshes.base.progress import (silent)
-from meshes.shapes.anatomy import (cortical_block)
-from meshes.voxels.volume import (VoxelVolume)
-from meshes.voxels.voxelise import (voxelise)
-from tissue import (load_scene)
-from tissue.cutters.cutter import (Cutter)
-from tissue.cutters.profile import (ball_burr)
-from tissue.materials.constants import (cutting_coefficients)
-from tissue.models.bone.model import (BoneModel)
-from tissue.models.needle.model import (NeedleModel)
-from tissue.models.needle.parameters import (needle_tissue)
-from tissue.models.tissue_model import (Finishes, FreeSpace, HasVoxels, ToolMotion)
-from tissue.models.tooth.model import (ToothModel)
-from tissue.simulation.simulate import (build)
 import gc
-import numpy as np
-import pytest
 import tracemalloc
 
+import numpy as np
+import pytest
 
+from meshes.base.progress import silent
+from meshes.shapes.anatomy import cortical_block
+from meshes.voxels.volume import VoxelVolume
+from meshes.voxels.voxelise import voxelise
+from tissue import load_scene
+from tissue.cutters.cutter import Cutter
+from tissue.cutters.profile import ball_burr
+from tissue.materials.constants import cutting_coefficients
+from tissue.models.bone.model import BoneModel
+from tissue.models.needle.model import NeedleModel
+from tissue.models.needle.parameters import needle_tissue
+from tissue.models.tissue_model import Finishes, FreeSpace, HasVoxels, ToolMotion
+from tissue.models.tooth.model import ToothModel
+from tissue.simulation.simulate import build
 
 RADIUS_M = 3e-3
 RESTING = "test_a_tool_at_rest_changes_nothing_and_feels_nothing"

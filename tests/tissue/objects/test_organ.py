@@ -1,15 +1,14 @@
 """A soft organ in the hand: what it is made from, what a press gives, and what is refused."""
 
-from meshes.base.errors import (InputError)
-from meshes.tets.structured import (box)
-from tissue.fitting.fit_files import (FittedEntry, write_fitted)
-from tissue.simulation.builders.organ import (elasticity_of)
 import numpy as np
 import pytest
 import pyvista
+
 import tissue
-
-
+from meshes.base.errors import InputError
+from meshes.tets.structured import box
+from tissue.fitting.fit_files import FittedEntry, write_fitted
+from tissue.simulation.builders.organ import elasticity_of
 
 STIFF = {"modulus_kPa": 8.0, "poisson_ratio": 0.45}
 BALL = tissue.ball(diameter_mm=12)

@@ -1,13 +1,12 @@
 """Laws that hold for every choice of perception, tick by tick, and the command's bad inputs."""
 
-from tissue import (InputError)
-from tissue.haptics.loop.filters import (ForceRange)
-from tissue.perception.observer import (Observer, reference_observer, write_observer)
-from tissue.simulation.builders.prediction import (perception, perception_for)
 import numpy as np
 import pytest
 
-
+from tissue import InputError
+from tissue.haptics.loop.filters import ForceRange
+from tissue.perception.observer import Observer, reference_observer, write_observer
+from tissue.simulation.builders.prediction import perception, perception_for
 
 LIMIT_N, TICK = 3.3, 1e-3
 OBSERVERS = {

@@ -1,13 +1,12 @@
 """Bone at a tick, carved again from the poses of a run, against runs that stopped there."""
 
-from tissue import (load_scene, simulate)
-from tissue.motion.replay import (poses_of_trace, read_poses, write_poses)
-from tissue.simulation.bone_surface import (tool_axes)
-from tissue.simulation.run import (Run)
 import numpy as np
 import pytest
 
-
+from tissue import load_scene, simulate
+from tissue.motion.replay import poses_of_trace
+from tissue.simulation.bone_surface import tool_axes
+from tissue.simulation.run import Run
 
 COARSE = {"voxels.spacing_mm": 0.5}
 DEEP = {"motion.points_mm": [[-3, 0, 0.0], [-3, 0, -0.8], [3, 0, -0.8]], "motion.feed_mm_s": 60.0}

@@ -1,13 +1,12 @@
 """Carving over time as files: their content, compared with the bone itself."""
 
-from tissue import (load_scene, simulate)
-from tissue.motion.replay import (read_poses)
-from tissue.simulation.bone_files import (carved_surface, carving_ticks, write_carving)
-from tissue.simulation.bone_surface import (block_means, changed_box)
 import numpy as np
 import pytest
 
-
+from tissue import load_scene, simulate
+from tissue.motion.replay import read_poses
+from tissue.simulation.bone_files import carved_surface, carving_ticks, write_carving
+from tissue.simulation.bone_surface import block_means, changed_box
 
 pyvista = pytest.importorskip("pyvista")
 

@@ -3,19 +3,19 @@
 Its trace equals that of a tissue that fills one response anew.
 """
 
-from dataclasses import (fields, replace)
-from meshes.base.progress import (silent)
-from tissue import (load_scene)
-from tissue.evaluation.training import (_run)
-from tissue.haptics.device.recorded import (RecordedDevice)
-from tissue.models.tissue_model import (Response, WallModel)
-from tissue.simulation.loop import (Loop)
-from tissue.simulation.reference_force import (rendered_force_N)
-from tissue.simulation.simulate import (build)
+from dataclasses import fields, replace
+
 import numpy as np
 import pytest
 
-
+from meshes.base.progress import silent
+from tissue import load_scene
+from tissue.evaluation.training import _run
+from tissue.haptics.device.recorded import RecordedDevice
+from tissue.models.tissue_model import Response, WallModel
+from tissue.simulation.loop import Loop
+from tissue.simulation.reference_force import rendered_force_N
+from tissue.simulation.simulate import build
 
 TICKS = 400
 

@@ -3,22 +3,21 @@
 It gives the raw force of a whole run bit for bit, and cached values change nothing.
 """
 
-from meshes.base.cache import (Kept)
-from tissue import (load_scene, simulate)
-from tissue.cutters import (cutter)
-from tissue.evaluation.study.plan import (TASKS)
-from tissue.haptics.device.device import (Sample)
-from tissue.haptics.device.recorded import (RecordedDevice)
-from tissue.haptics.loop import (forecast)
-from tissue.models.organ import (soft_organ)
-from tissue.scene.load import (changed)
-from tissue.simulation import (reference_force)
-from tissue.simulation.builders import (organ_scene, voxels)
-from tissue.simulation.reference_force import (ideal_force_N, ideal_scene)
 import numpy as np
 import pytest
 
-
+from meshes.base.cache import Kept
+from tissue import load_scene, simulate
+from tissue.cutters import cutter
+from tissue.evaluation.study.plan import TASKS
+from tissue.haptics.device.device import Sample
+from tissue.haptics.device.recorded import RecordedDevice
+from tissue.haptics.loop import forecast
+from tissue.models.organ import soft_organ
+from tissue.scene.load import changed
+from tissue.simulation import reference_force
+from tissue.simulation.builders import organ_scene, voxels
+from tissue.simulation.reference_force import ideal_force_N, ideal_scene
 
 KEPT = (
     (cutter, "_tables"),

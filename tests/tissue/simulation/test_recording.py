@@ -3,14 +3,13 @@
 The tests cover their content, and equal path and force in a replay.
 """
 
-from scipy.spatial.transform import (Rotation)
-from tissue import (load_scene, simulate)
-from tissue.motion.replay import (EVENTS, POSES)
-from tissue.simulation.recording import (write_recording)
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-
+from tissue import load_scene, simulate
+from tissue.motion.replay import EVENTS, POSES
+from tissue.simulation.recording import write_recording
 
 h5py = pytest.importorskip("h5py")
 COARSE = {"voxels.spacing_mm": 0.5, "motion.points_mm": [[-3, 0, 0.2], [-3, 0, -0.8], [3, 0, -0.8]]}

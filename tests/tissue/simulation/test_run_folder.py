@@ -3,18 +3,18 @@
 A run can be made again from them, and the files after a kill are checked.
 """
 
-from coarse_run import (COARSE)
-from tissue import (InputError, load_scene, simulate)
-from tissue.simulation.loop import (spin_time_s)
-from tissue.simulation.run_folder import (RunFolder, SavedRun)
 import json
-import numpy as np
-import pytest
 import shutil
 import subprocess
 import sys
 
+import numpy as np
+import pytest
+from coarse_run import COARSE
 
+from tissue import InputError, load_scene, simulate
+from tissue.simulation.loop import spin_time_s
+from tissue.simulation.run_folder import RunFolder, SavedRun
 
 MAIN = [sys.executable, "-c", "from tissue.cli.main import main; main()"]
 """Most of a killed run's wall time that may be missing from its trace."""

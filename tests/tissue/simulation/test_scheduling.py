@@ -1,12 +1,12 @@
 """Choices for a run and lateness of the machine, in the summary and in the printed table."""
 
-from kernels.launcher import (LaunchCounts)
-from tissue.models.tissue_model import (FreeSpace)
-from tissue.simulation import (loop)
-from tissue.simulation.loop import (Scheduling)
-from tissue.system.priorities import (MachineGaps)
 import pytest
 
+from kernels.launcher import LaunchCounts
+from tissue.models.tissue_model import FreeSpace
+from tissue.simulation import loop
+from tissue.simulation.loop import Scheduling
+from tissue.system.priorities import MachineGaps
 
 
 class Background(FreeSpace):

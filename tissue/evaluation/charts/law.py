@@ -5,39 +5,40 @@ the motion. Both use the same mesh and no friction, so that the difference is ca
 laws.
 """
 
-from collections.abc import (Sequence)
-from dataclasses import (dataclass, fields)
-from functools import (partial)
-from math import (nan)
-from meshes.base.arrays import (Array)
-from meshes.base.cache import (cached_arrays)
-from meshes.base.errors import (InputError)
-from meshes.base.progress import (Progress, silent)
-from meshes.paths.toolpath import (arc_length, points_along)
-from meshes.tets.regions import (faces_of)
-from numpy.typing import (NDArray)
-from scipy.spatial import (KDTree)
-from tissue.evaluation.charts.measure import (of_model)
-from tissue.evaluation.charts.settings import (edge_mm, scene_text, settings_of, sources)
-from tissue.evaluation.statistics.metrics import (force_error)
-from tissue.models.organ.model import (LINEAR_ERROR)
-from tissue.scene.coupling import (Fidelity)
-from tissue.scene.load import (changed)
-from tissue.scene.organ import (SoftAnatomy)
-from tissue.scene.scene import (Scene)
-from tissue.scene.tool import (PathMotion, Probe)
-from tissue.simulation.builders.organ import (coarser_mesh, elasticity_of, hindrance)
-from tissue.simulation.builders.parts import (motion_of)
-from tissue.simulation.simulate import (TICK_S, simulate)
-from typing import (TYPE_CHECKING)
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from functools import partial
+from math import nan
+from typing import TYPE_CHECKING
+
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from meshes.base.arrays import Array
+from meshes.base.cache import cached_arrays
+from meshes.base.errors import InputError
+from meshes.base.progress import Progress, silent
+from meshes.paths.toolpath import arc_length, points_along
+from meshes.tets.regions import faces_of
+from tissue.evaluation.charts.measure import of_model
+from tissue.evaluation.charts.settings import edge_mm, scene_text, settings_of, sources
+from tissue.evaluation.statistics.metrics import force_error
+from tissue.models.organ.model import LINEAR_ERROR
+from tissue.scene.coupling import Fidelity
+from tissue.scene.load import changed
+from tissue.scene.organ import SoftAnatomy
+from tissue.scene.scene import Scene
+from tissue.scene.tool import PathMotion, Probe
+from tissue.simulation.builders.organ import coarser_mesh, elasticity_of, hindrance
+from tissue.simulation.builders.parts import motion_of
+from tissue.simulation.simulate import TICK_S, simulate
 
 if TYPE_CHECKING:
-    from tissue.fem.hyperelastic import (Law)
-    from tissue.fem.newton import (NewtonSolver)
+    from tissue.fem.hyperelastic import Law
+    from tissue.fem.newton import NewtonSolver
 
 __all__ = ["LawError", "law_error", "linear_error", "with_law"]
-
 
 
 LAW = "neo-hookean"

@@ -2,27 +2,34 @@
 force.
 """
 
-from pathlib import (Path)
-from tissue.haptics.device.device import (device_parameters)
-from tissue.haptics.loop.filters import (ForceRange)
-from tissue.materials.constants import (constants)
-from tissue.perception.laws import (intensity_of, weber_of)
-from tissue.perception.observer import (Observer, population, population_observer, read_observer, reference_observer)
-from tissue.perception.perceived import (held_back)
-from tissue.scene.load import (load_scene)
-from tissue.show.figures.figure import (figure, save)
-from tissue.simulation.builders.prediction import (CAUTION, perception_for)
-from tissue.simulation.simulate import (simulate)
-from tissue.system.owned_folder import (owned_folder)
-from typing import (TYPE_CHECKING)
+from pathlib import Path
+from typing import TYPE_CHECKING
+
 import numpy as np
 
+from tissue.haptics.device.device import device_parameters
+from tissue.haptics.loop.filters import ForceRange
+from tissue.materials.constants import constants
+from tissue.perception.laws import intensity_of, weber_of
+from tissue.perception.observer import (
+    Observer,
+    population,
+    population_observer,
+    read_observer,
+    reference_observer,
+)
+from tissue.perception.perceived import held_back
+from tissue.scene.load import load_scene
+from tissue.show.figures.figure import figure, save
+from tissue.simulation.builders.prediction import CAUTION, perception_for
+from tissue.simulation.simulate import simulate
+from tissue.system.owned_folder import owned_folder
+
 if TYPE_CHECKING:
-    from matplotlib.axes import (Axes)
-    from matplotlib.figure import (Figure)
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 __all__ = ["perception_charts"]
-
 
 
 POPULATION = "#0072B2"

@@ -3,27 +3,39 @@
 The force is interpolated between evaluated ticks and kept on disk.
 """
 
-from collections.abc import (Callable, Sequence)
-from dataclasses import (dataclass)
-from meshes.base.arrays import (Array)
-from meshes.base.cache import (cached_arrays)
-from meshes.base.progress import (Progress, silent)
-from numpy.typing import (NDArray)
-from scipy.optimize import (brentq)
-from tissue.cutters.cutter import (Cutter)
-from tissue.evaluation.reference.force import (Resolution, Solid, wrench_at)
-from tissue.evaluation.reference.path import (ToolPath)
-from tissue.models.tissue_model import (TICK_S)
-from tissue.scene.scene import (Scene)
-from tissue.scene.tool import (Tool)
-from tissue.simulation.builders.cutting import (cutter_of)
-from tissue.simulation.builders.parts import (motion_of)
-from tissue.simulation.builders.voxels import (is_procedural, solid_of)
-from tissue.simulation.trace import (Table)
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
 
-__all__ = ["Order", "ReferenceForce", "force_on_path", "grid_index", "has_exact_geometry", "means_over_50_ms", "observed_order", "path_of_trace", "reference_force", "solid_of_scene"]
+from meshes.base.arrays import Array
+from meshes.base.cache import cached_arrays
+from meshes.base.progress import Progress, silent
+from tissue.cutters.cutter import Cutter
+from tissue.evaluation.reference.force import Resolution, Solid, wrench_at
+from tissue.evaluation.reference.path import ToolPath
+from tissue.models.tissue_model import TICK_S
+from tissue.scene.scene import Scene
+from tissue.scene.tool import Tool
+from tissue.simulation.builders.cutting import cutter_of
+from tissue.simulation.builders.parts import motion_of
+from tissue.simulation.builders.voxels import is_procedural, solid_of
+from tissue.simulation.trace import Table
 
+__all__ = [
+    "Order",
+    "ReferenceForce",
+    "force_on_path",
+    "grid_index",
+    "has_exact_geometry",
+    "means_over_50_ms",
+    "observed_order",
+    "path_of_trace",
+    "reference_force",
+    "solid_of_scene",
+]
 
 
 COARSEST_TICKS = 32

@@ -2,27 +2,52 @@
 matters, and its files in the folder of the run.
 """
 
-from dataclasses import (dataclass)
-from meshes.base.arrays import (Array, Ints)
-from meshes.base.errors import (InputError, require_range)
-from meshes.base.file_limits import (require_regular)
-from meshes.base.progress import (Progress, silent)
-from meshes.base.whole_file import (whole_file)
-from pathlib import (Path)
-from tissue.fitting.bands.sample import (Ranges, SobolIndices, normals, ranges_of, rounded, sample_name, sample_text, sobol_indices, surrogate_indices)
-from tissue.fitting.bands.sample_loads import (CHANNELS, Figure, GREATEST, LEVELS, LOADS, Reweighed, Workers, density_prior, intervals, loads_of, over_time, reruns, table_of, with_sizes)
-from tissue.scene.scene import (Scene)
-from tissue.show.figures.fit_pictures import (draw_band, draw_sobol)
-from tissue.simulation.load_record import (record_loads, why_not_linear)
-from tissue.simulation.run_folder import (Summary, added_to_run, files_of_run)
-from tissue.simulation.run_summary import (read_summary)
-from tissue.simulation.simulate import (simulate)
 import csv
 import json
+from dataclasses import dataclass
+from pathlib import Path
+
 import numpy as np
 
-__all__ = ["Band", "band_of", "read_band", "require_band", "require_same", "save_band"]
+from meshes.base.arrays import Array, Ints
+from meshes.base.errors import InputError, require_range
+from meshes.base.file_limits import require_regular
+from meshes.base.progress import Progress, silent
+from meshes.base.whole_file import whole_file
+from tissue.fitting.bands.sample import (
+    Ranges,
+    SobolIndices,
+    normals,
+    ranges_of,
+    rounded,
+    sample_name,
+    sample_text,
+    sobol_indices,
+    surrogate_indices,
+)
+from tissue.fitting.bands.sample_loads import (
+    CHANNELS,
+    GREATEST,
+    LEVELS,
+    LOADS,
+    Figure,
+    Reweighed,
+    Workers,
+    density_prior,
+    intervals,
+    loads_of,
+    over_time,
+    reruns,
+    table_of,
+    with_sizes,
+)
+from tissue.scene.scene import Scene
+from tissue.show.figures.fit_pictures import draw_band, draw_sobol
+from tissue.simulation.load_record import record_loads, why_not_linear
+from tissue.simulation.run_folder import Summary, added_to_run, files_of_run, read_summary
+from tissue.simulation.simulate import simulate
 
+__all__ = ["Band", "band_of", "read_band", "require_band", "require_same", "save_band"]
 
 
 SAME_EVERYWHERE = "is that of the run in every sample, whose path is given"

@@ -20,7 +20,7 @@ from tissue.scene.load import changed
 from tissue.scene.scene import Scene
 from tissue.simulation.load_record import LoadRecord
 from tissue.simulation.run import Run
-from tissue.simulation.run_summary import Summary
+from tissue.simulation.run_folder import Summary
 from tissue.simulation.simulate import simulate
 from tissue.system.workers import LOST, executor, first_done
 

@@ -40,7 +40,7 @@ def draw_pictures(run: "Run", folder: Path, kind: str = "png") -> list[str]:
     from tissue.show.figures.organ_pictures import draw_held, draw_press
     from tissue.show.figures.section import draw_section
     from tissue.show.figures.tool_mesh import tool_surface
-    from tissue.simulation.depth_map import depth_map
+    from tissue.simulation.bone_surface import depth_map
 
     folder.mkdir(parents=True, exist_ok=True)
 

@@ -1,28 +1,50 @@
 """Figures of carved bone: before and after in 3D, and the map of removed depth."""
 
-from dataclasses import (dataclass, replace)
-from itertools import (cycle)
-from meshes.base.arrays import (Array, Bytes, Flags, Singles)
-from meshes.voxels.volume import (VoxelVolume)
-from pathlib import (Path)
-from tissue.scene.tool import (Tool)
-from tissue.show.figures.figure import (BONE, DEPTH_COLOURS, EDGE, axis_names, depth_limit, draw_arrow, draw_outline, halo, layer_colours, panelled, save, styled)
-from tissue.show.figures.rendering import (Camera, Shaded, draw_axes, draw_shaded, paint)
-from tissue.show.figures.section import (plane_of)
-from tissue.show.figures.tool_mesh import (pose, spin_arc_mm, tool_turns)
-from tissue.simulation.bone_surface import (DepthMap, HALF, bone_surface, cut_out, smooth_normals, with_depth, with_layers)
-from tissue.simulation.builders.tool_path import (reach)
-from tissue.simulation.run import (Run)
-from typing import (Any, TYPE_CHECKING)
+from dataclasses import dataclass, replace
+from itertools import cycle
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
 
+from meshes.base.arrays import Array, Bytes, Flags, Singles
+from meshes.voxels.volume import VoxelVolume
+from tissue.scene.tool import Tool
+from tissue.show.figures.figure import (
+    BONE,
+    DEPTH_COLOURS,
+    EDGE,
+    axis_names,
+    depth_limit,
+    draw_arrow,
+    draw_outline,
+    halo,
+    layer_colours,
+    panelled,
+    save,
+    styled,
+)
+from tissue.show.figures.rendering import Camera, Shaded, draw_axes, draw_shaded, paint
+from tissue.show.figures.section import plane_of
+from tissue.show.figures.tool_mesh import pose, spin_arc_mm, tool_turns
+from tissue.simulation.bone_surface import (
+    HALF,
+    DepthMap,
+    bone_surface,
+    cut_out,
+    smooth_normals,
+    with_depth,
+    with_layers,
+)
+from tissue.simulation.builders.tool_path import reach
+from tissue.simulation.run import Run
+
 if TYPE_CHECKING:
-    from matplotlib.artist import (Artist)
-    from matplotlib.axes import (Axes)
     import pyvista
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
 
 __all__ = ["draw_before_after", "draw_removed_depth"]
-
 
 
 HEIGHTS_PX = 64, 170

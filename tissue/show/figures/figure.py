@@ -1,28 +1,53 @@
 """Style of all figures: matplotlib settings, panels, colours, axis names, outlines and files."""
 
-from collections.abc import (Callable, Iterable)
-from functools import (wraps)
-from meshes.base.arrays import (Array, Flags)
-from meshes.base.whole_file import (whole_file)
-from numpy.typing import (ArrayLike, NDArray)
-from pathlib import (Path)
-from threading import (RLock)
-from tissue.simulation.saved_fields import (field_label)
-from typing import (Any, Literal, ParamSpec, TYPE_CHECKING, TypeVar)
+from collections.abc import Callable, Iterable
+from functools import wraps
+from pathlib import Path
+from threading import RLock
+from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar
+
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from meshes.base.arrays import Array, Flags
+from meshes.base.whole_file import whole_file
+from tissue.simulation.saved_fields import field_label
 
 if TYPE_CHECKING:
-    from matplotlib.artist import (Artist)
-    from matplotlib.axes import (Axes)
-    from matplotlib.axis import (Axis)
-    from matplotlib.figure import (Figure)
-    from matplotlib.patheffects import (AbstractPathEffect)
-    from matplotlib.typing import (LineStyleType, RcKeyType)
-    from tissue.simulation.bone_surface import (DepthMap)
-    from tissue.simulation.run import (Run)
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure
+    from matplotlib.patheffects import AbstractPathEffect
+    from matplotlib.typing import LineStyleType, RcKeyType
 
-__all__ = ["BONE", "COMPONENTS", "DEPTH_COLOURS", "DPI", "DRAWING", "EDGE", "axis_names", "depth_limit", "draw_arrow", "draw_outline", "field_colours", "field_words", "figure", "halo", "is_vector", "layer_colours", "legend_above", "panelled", "plain", "plain_numbers", "save", "styled"]
+    from tissue.simulation.bone_surface import DepthMap
+    from tissue.simulation.run import Run
 
+__all__ = [
+    "BONE",
+    "COMPONENTS",
+    "DEPTH_COLOURS",
+    "DPI",
+    "DRAWING",
+    "EDGE",
+    "axis_names",
+    "depth_limit",
+    "draw_arrow",
+    "draw_outline",
+    "field_colours",
+    "field_words",
+    "figure",
+    "halo",
+    "is_vector",
+    "layer_colours",
+    "legend_above",
+    "panelled",
+    "plain",
+    "plain_numbers",
+    "save",
+    "styled",
+]
 
 
 P = ParamSpec("P")

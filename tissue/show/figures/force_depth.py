@@ -1,22 +1,33 @@
 """Figures of force over depth: of a first descent, of a needle and of a ball on a wall."""
 
-from meshes.base.arrays import (Array, Flags)
-from numpy.typing import (NDArray)
-from pathlib import (Path)
-from tissue.models.tissue_model import (TICK_S)
-from tissue.scene.coupling import (WallAnatomy)
-from tissue.scene.tool import (Probe)
-from tissue.show.figures.figure import (COMPONENTS, draw_arrow, field_words, layer_colours, legend_above, panelled, plain, save, styled)
-from tissue.show.figures.force_time import (FLICKER_S, spells)
-from tissue.show.figures.tool_mesh import (tool_turns)
-from tissue.simulation.bone_surface import (HALF, tool_axes)
-from tissue.simulation.run import (Run)
-from tissue.simulation.saved_fields import (field_label)
-from tissue.simulation.trace import (NO_LAYER)
+from pathlib import Path
+
 import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.arrays import Array, Flags
+from tissue.models.tissue_model import TICK_S
+from tissue.scene.coupling import WallAnatomy
+from tissue.scene.tool import Probe
+from tissue.show.figures.figure import (
+    COMPONENTS,
+    draw_arrow,
+    field_words,
+    layer_colours,
+    legend_above,
+    panelled,
+    plain,
+    save,
+    styled,
+)
+from tissue.show.figures.force_time import FLICKER_S, spells
+from tissue.show.figures.tool_mesh import tool_turns
+from tissue.simulation.bone_surface import HALF, tool_axes
+from tissue.simulation.run import Run
+from tissue.simulation.saved_fields import field_label
+from tissue.simulation.trace import NO_LAYER
 
 __all__ = ["draw_force_depth", "draw_insertion", "draw_wall", "first_descent"]
-
 
 
 RISE_MM = 0.2

@@ -1,24 +1,35 @@
 """Figures over time: force and torque with events, and the force that a device displayed."""
 
-from numpy.typing import (NDArray)
-from pathlib import (Path)
-from textwrap import (wrap)
-from tissue.haptics.device.device import (device_parameters)
-from tissue.models.tissue_model import (TICK_S)
-from tissue.show.figures.figure import (COMPONENTS, MAGNITUDE, SMALL_NM, layer_colours, legend_above, panelled, plain, save, styled)
-from tissue.show.figures.tool_mesh import (tool_turns)
-from tissue.simulation.bone_surface import (tool_axes)
-from tissue.simulation.builders.force_met import (chosen_scale)
-from tissue.simulation.run import (Run)
-from tissue.simulation.trace import (NO_LAYER)
-from typing import (Any, TYPE_CHECKING)
+from pathlib import Path
+from textwrap import wrap
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
+from numpy.typing import NDArray
+
+from tissue.haptics.device.device import device_parameters
+from tissue.models.tissue_model import TICK_S
+from tissue.show.figures.figure import (
+    COMPONENTS,
+    MAGNITUDE,
+    SMALL_NM,
+    layer_colours,
+    legend_above,
+    panelled,
+    plain,
+    save,
+    styled,
+)
+from tissue.show.figures.tool_mesh import tool_turns
+from tissue.simulation.bone_surface import tool_axes
+from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.run import Run
+from tissue.simulation.trace import NO_LAYER
 
 if TYPE_CHECKING:
-    from matplotlib.axes import (Axes)
+    from matplotlib.axes import Axes
 
 __all__ = ["FLICKER_S", "draw_force_torque", "draw_played", "event_lines", "mark_events", "spells"]
-
 
 
 MOST_EVENTS = 6

@@ -1,26 +1,41 @@
 """Figures of a soft organ: pressed, and at rest with its supports."""
 
-from dataclasses import (dataclass)
-from meshes.base.arrays import (Array)
-from pathlib import (Path)
-from tissue.fem.fields import (FieldSeries, Frame)
-from tissue.show.figures.figure import (field_colours, field_words, halo)
-from tissue.show.figures.organ_surface import (SHOWN, at_nodes, drawn_surface, inclusions, section_cap, with_normals)
-from tissue.show.figures.rendering import (Camera, FIELD_AMBIENT, Shaded, draw_axes, draw_shaded, paint)
-from tissue.show.figures.tool_mesh import (pose, row_at, tool_turns)
-from tissue.simulation.saved_fields import (IN_MM, field_limits, field_values)
-from tissue.simulation.trace import (Table)
-from tissue.simulation.vtk_files import (CELL_TYPES, frame_mesh)
-from typing import (TYPE_CHECKING)
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
 import numpy as np
 
+from meshes.base.arrays import Array
+from tissue.fem.fields import FieldSeries, Frame
+from tissue.show.figures.figure import field_colours, field_words, halo
+from tissue.show.figures.organ_surface import (
+    SHOWN,
+    at_nodes,
+    drawn_surface,
+    inclusions,
+    section_cap,
+    with_normals,
+)
+from tissue.show.figures.rendering import (
+    FIELD_AMBIENT,
+    Camera,
+    Shaded,
+    draw_axes,
+    draw_shaded,
+    paint,
+)
+from tissue.show.figures.tool_mesh import pose, row_at, tool_turns
+from tissue.simulation.saved_fields import IN_MM, field_limits, field_values
+from tissue.simulation.trace import Table
+from tissue.simulation.vtk_files import CELL_TYPES, frame_mesh
+
 if TYPE_CHECKING:
-    from matplotlib.axes import (Axes)
-    from matplotlib.cm import (ScalarMappable)
     import pyvista
+    from matplotlib.axes import Axes
+    from matplotlib.cm import ScalarMappable
 
 __all__ = ["draw_held", "draw_press"]
-
 
 
 EYE, ACROSS = (0.25, -0.75, 0.62), (0.0, -1.0, 0.0)

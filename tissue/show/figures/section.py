@@ -2,28 +2,38 @@
 to keep clear of.
 """
 
-from collections.abc import (Sequence)
-from dataclasses import (dataclass)
-from meshes.base.arrays import (Array, Bytes)
-from meshes.voxels.volume import (FULL)
-from pathlib import (Path)
-from tissue.fem.fields import (FieldSeries, Frame)
-from tissue.models.keep_clear import (Distance)
-from tissue.show.figures.figure import (EDGE, axis_names, draw_outline, halo, layer_colours, panelled, save, styled)
-from tissue.show.figures.organ_surface import (interpolate_in_layers)
-from tissue.show.figures.tool_mesh import (row_at, tool_turns)
-from tissue.simulation.bone_surface import (HALF, tool_axes)
-from tissue.simulation.run import (Run)
-from typing import (Any, TYPE_CHECKING)
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
 
+from meshes.base.arrays import Array, Bytes
+from meshes.voxels.volume import FULL
+from tissue.fem.fields import FieldSeries, Frame
+from tissue.models.keep_clear import Distance
+from tissue.show.figures.figure import (
+    EDGE,
+    axis_names,
+    draw_outline,
+    halo,
+    layer_colours,
+    panelled,
+    save,
+    styled,
+)
+from tissue.show.figures.organ_surface import interpolate_in_layers
+from tissue.show.figures.tool_mesh import row_at, tool_turns
+from tissue.simulation.bone_surface import HALF, tool_axes
+from tissue.simulation.run import Run
+
 if TYPE_CHECKING:
-    from matplotlib.artist import (Artist)
-    from matplotlib.axes import (Axes)
-    from matplotlib.image import (AxesImage)
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.image import AxesImage
 
 __all__ = ["draw_section", "plane_of"]
-
 
 
 STRESS = "von_mises_MPa"

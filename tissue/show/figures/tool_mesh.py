@@ -15,7 +15,7 @@ from tissue.scene.organ import LayersAnatomy
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Needle, Probe, Tool
-from tissue.simulation.builders.motions import motion_of
+from tissue.simulation.builders.parts import motion_of
 
 if TYPE_CHECKING:
     import pyvista

@@ -1,13 +1,22 @@
 """The text of a report as HTML: figures, bands, events, notes, materials, scene, versions."""
 
-from base64 import (b64encode)
-from collections.abc import (Callable, Iterable, Iterator, Sequence)
-from tissue.scene.used_constants import (Used)
-from tissue.simulation.run_folder import (SavedRun, Summary)
-from typing import (Any)
+from base64 import b64encode
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any
 
-__all__ = ["band_lines", "band_section", "events_table", "figures_of", "materials_table", "notes_table", "reproduce", "status_of"]
+from tissue.scene.used_constants import Used
+from tissue.simulation.run_folder import SavedRun, Summary
 
+__all__ = [
+    "band_lines",
+    "band_section",
+    "events_table",
+    "figures_of",
+    "materials_table",
+    "notes_table",
+    "reproduce",
+    "status_of",
+]
 
 
 Text = Callable[[str], str]

@@ -1,31 +1,40 @@
 """Surfaces of a saved run: the bone at any moment, and the faces that a tool touches."""
 
-from collections.abc import (Collection)
-from contextlib import (suppress)
-from dataclasses import (replace)
-from meshes.base.arrays import (Array, Bytes)
-from meshes.base.errors import (InputError)
-from meshes.voxels.volume import (VoxelVolume)
-from tissue.motion.replay import (poses_of_trace, read_poses)
-from tissue.scene.anatomy import (CutAnatomy)
-from tissue.scene.scene import (Scene)
-from tissue.scene.tool import (Tool)
-from tissue.show.figures.tool_mesh import (tool_turns)
-from tissue.simulation.bone_files import (read_voxels)
-from tissue.simulation.bone_surface import (Box, CarvedSurface, changed_box, facing, smooth_normals, tool_axes)
-from tissue.simulation.builders.cutting import (milled_voxels)
-from tissue.simulation.run_folder import (SavedRun, saved_placement)
-from tissue.simulation.saved_fields import (SavedFields)
-from tissue.simulation.trace import (Table)
-from typing import (TYPE_CHECKING)
+from collections.abc import Collection
+from contextlib import suppress
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
 import numpy as np
 
+from meshes.base.arrays import Array, Bytes
+from meshes.base.errors import InputError
+from meshes.voxels.volume import VoxelVolume
+from tissue.motion.replay import poses_of_trace, read_poses
+from tissue.scene.anatomy import CutAnatomy
+from tissue.scene.scene import Scene
+from tissue.scene.tool import Tool
+from tissue.show.figures.tool_mesh import tool_turns
+from tissue.simulation.bone_files import read_voxels
+from tissue.simulation.bone_surface import (
+    Box,
+    CarvedSurface,
+    changed_box,
+    facing,
+    smooth_normals,
+    tool_axes,
+)
+from tissue.simulation.builders.cutting import milled_voxels
+from tissue.simulation.run_folder import SavedRun, saved_placement
+from tissue.simulation.saved_fields import SavedFields
+from tissue.simulation.trace import Table
+
 if TYPE_CHECKING:
-    from tissue.models.bone.carver import (CarvingReplay)
     import pyvista
 
-__all__ = ["BoneOverTime", "Plane", "bone_of", "cut_plane", "saved_fields", "tool_force"]
+    from tissue.models.bone.carver import CarvingReplay
 
+__all__ = ["BoneOverTime", "Plane", "bone_of", "cut_plane", "saved_fields", "tool_force"]
 
 
 Plane = tuple[tuple[float, float, float], tuple[float, float, float]]

@@ -2,36 +2,42 @@
 and its force.
 """
 
-from collections.abc import (Callable)
-from contextlib import (suppress)
-from dataclasses import (asdict)
-from meshes.base.errors import (InputError, require_range)
-from meshes.base.progress import (Progress, silent)
-from meshes.base.whole_file import (whole_file)
-from pathlib import (Path)
-from tempfile import (TemporaryDirectory, TemporaryFile)
-from tissue.models.tissue_model import (TICK_S)
-from tissue.show.viewer.run_scene import (Choice, times_of)
-from tissue.show.viewer.saved_surfaces import (saved_fields)
-from tissue.show.viewer.site_window import (is_imported, show_site)
-from tissue.show.viewer.window import (Window, check_movie, write_clean, write_movie)
-from tissue.simulation.builders.parts import (motion_of)
-from tissue.simulation.live.window import (require_web)
-from tissue.simulation.run_folder import (SavedRun)
-from tissue.simulation.saved_fields import (SavedFields, require_whole)
-from tissue.system.child import (await_ready, child_command)
-from tissue.system.offscreen import (LONGEST_S, REMEDY, display_problem, draw_apart, drawing_environments)
-from tissue.system.outputs import (require_new_file)
-from tissue.system.stopping import (Terminated)
-from typing import (IO)
 import json
 import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import asdict
+from pathlib import Path
+from tempfile import TemporaryDirectory, TemporaryFile
+from typing import IO
+
+from meshes.base.errors import InputError, require_range
+from meshes.base.progress import Progress, silent
+from meshes.base.whole_file import whole_file
+from tissue.models.tissue_model import TICK_S
+from tissue.show.viewer.run_scene import Choice, times_of
+from tissue.show.viewer.saved_surfaces import saved_fields
+from tissue.show.viewer.site_window import is_imported, show_site
+from tissue.show.viewer.window import Window, check_movie, write_clean, write_movie
+from tissue.simulation.builders.parts import motion_of
+from tissue.simulation.live.window import require_web
+from tissue.simulation.run_folder import SavedRun
+from tissue.simulation.saved_fields import SavedFields, require_whole
+from tissue.system.child import await_ready, child_command
+from tissue.system.offscreen import (
+    LONGEST_S,
+    REMEDY,
+    display_problem,
+    draw_apart,
+    drawing_environments,
+)
+from tissue.system.outputs import require_new_file
+from tissue.system.stopping import Terminated
 
 __all__ = ["view"]
-
 
 
 LONGEST_MOVIE_S = 3600.0

@@ -1,33 +1,40 @@
 """Build the bone or tooth that a cutter meets, as voxels."""
 
-from math import (pi, radians)
-from meshes.base.errors import (InputError)
-from meshes.base.progress import (Progress, silent)
-from meshes.voxels.volume import (VoxelVolume)
-from tissue.cutters import (profile)
-from tissue.cutters.cutter import (Cutter)
-from tissue.materials.constants import (CUT_AS)
-from tissue.materials.scene_constants import (energy_note)
-from tissue.models.tissue_model import (TICK_S, TissueModel)
-from tissue.motion.motion import (Motion)
-from tissue.scene.anatomy import (MolarAnatomy, Tooth)
-from tissue.scene.part import (is_given)
-from tissue.scene.registry import (CUTTERS)
-from tissue.scene.scene import (Scene, Stress)
-from tissue.scene.tool import (PathMotion, ReplayMotion, Tool)
-from tissue.simulation.builders.bone import (VoxelBone)
-from tissue.simulation.builders.parts import (Parts, motion_of, recorded_file)
-from tissue.simulation.builders.tool_path import (keep_clear, reach, require_outside, require_touch, w_first_notice)
-from tissue.simulation.builders.voxels import (structures, volume_of, whole_tooth)
-from typing import (TYPE_CHECKING)
+from math import pi, radians
+from typing import TYPE_CHECKING
+
 import numpy as np
 
+from meshes.base.errors import InputError
+from meshes.base.progress import Progress, silent
+from meshes.voxels.volume import VoxelVolume
+from tissue.cutters import profile
+from tissue.cutters.cutter import Cutter
+from tissue.materials.constants import CUT_AS
+from tissue.materials.scene_constants import energy_note
+from tissue.models.tissue_model import TICK_S, TissueModel
+from tissue.motion.motion import Motion
+from tissue.scene.anatomy import MolarAnatomy, Tooth
+from tissue.scene.part import is_given
+from tissue.scene.registry import CUTTERS
+from tissue.scene.scene import Scene, Stress
+from tissue.scene.tool import PathMotion, ReplayMotion, Tool
+from tissue.simulation.builders.bone import VoxelBone
+from tissue.simulation.builders.parts import Parts, motion_of, recorded_file
+from tissue.simulation.builders.tool_path import (
+    keep_clear,
+    reach,
+    require_outside,
+    require_touch,
+    w_first_notice,
+)
+from tissue.simulation.builders.voxels import structures, volume_of, whole_tooth
+
 if TYPE_CHECKING:
-    from tissue.haptics.proxy.probing_tool import (ProbedBone)
-    from tissue.models.bone.model import (BoneModel)
+    from tissue.haptics.proxy.probing_tool import ProbedBone
+    from tissue.models.bone.model import BoneModel
 
 __all__ = ["cutter_of", "milled", "milled_voxels", "milling_of"]
-
 
 
 HEAT_CELL = 0.25

@@ -1,38 +1,42 @@
 """Motion of a tool coupled to a device, and of a scene whose device a simulated hand moves."""
 
-from collections.abc import (Callable)
-from dataclasses import (replace)
-from math import (ceil, inf)
-from meshes.base.arrays import (Array)
-from meshes.base.errors import (InputError)
-from meshes.paths.toolpath import (arc_length)
-from tissue.haptics.device.device import (Device, DeviceParameters)
-from tissue.haptics.device.simulated import (SimulatedDevice)
-from tissue.haptics.hand.hand import (Hand, Path, waypoints)
-from tissue.haptics.hand.pushing import (CompensatedPath, Thrust)
-from tissue.haptics.hand_motion import (HandMotion, Rendering, Script)
-from tissue.haptics.loop.cues import (Cues)
-from tissue.haptics.loop.sampled_loop import (WallLoop)
-from tissue.haptics.loop.vibration import (PlayedVibration)
-from tissue.haptics.played_force import (PlayedForce)
-from tissue.haptics.proxy.cutting_tool import (CuttingTool)
-from tissue.haptics.proxy.held_tool import (HeldTool, PressingTool)
-from tissue.haptics.proxy.held_turn import (HeldTurn)
-from tissue.haptics.proxy.probing_tool import (ProbingTool)
-from tissue.haptics.renderer import (Renderer, TurningRenderer, renderer)
-from tissue.models.tissue_model import (TICK_S)
-from tissue.motion.motion import (Motion, quaternion_of)
-from tissue.perception.perception import (Perception)
-from tissue.scene.coupling import (WallAnatomy)
-from tissue.scene.scene import (Scene)
-from tissue.scene.tool import (ReplayMotion, ThrustMotion, Tool)
-from tissue.simulation.builders.force_met import (chosen_scale)
-from tissue.simulation.builders.loop import (LoopSettings, judged_loops, lead_ticks, loop_settings, person_of)
-from tissue.simulation.builders.parts import (plays_record)
+from collections.abc import Callable
+from dataclasses import replace
+from math import ceil, inf
+
 import numpy as np
 
-__all__ = ["device_motion", "hand_motion"]
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from meshes.paths.toolpath import arc_length
+from tissue.haptics.device.device import Device, DeviceParameters
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.hand.hand import Hand, Path, waypoints
+from tissue.haptics.hand.pushing import CompensatedPath, Thrust
+from tissue.haptics.hand_motion import HandMotion, Rendering, Script
+from tissue.haptics.loop.sampled_loop import WallLoop
+from tissue.haptics.loop.vibration import Cues, PlayedForce, PlayedVibration
+from tissue.haptics.proxy.cutting_tool import CuttingTool
+from tissue.haptics.proxy.held_tool import HeldTool, HeldTurn, PressingTool
+from tissue.haptics.proxy.probing_tool import ProbingTool
+from tissue.haptics.renderer import Renderer, TurningRenderer, renderer
+from tissue.models.tissue_model import TICK_S
+from tissue.motion.motion import Motion, quaternion_of
+from tissue.perception.perceived import Perception
+from tissue.scene.coupling import WallAnatomy
+from tissue.scene.scene import Scene
+from tissue.scene.tool import ReplayMotion, ThrustMotion, Tool
+from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.loop import (
+    LoopSettings,
+    judged_loops,
+    lead_ticks,
+    loop_settings,
+    person_of,
+)
+from tissue.simulation.builders.parts import plays_record
 
+__all__ = ["device_motion", "hand_motion"]
 
 
 STRAY_M = 2e-3

@@ -1,32 +1,51 @@
 """Loops of a device for its positions and its turns: their settings, judged before the run."""
 
-from collections.abc import (Callable)
-from dataclasses import (dataclass, replace)
-from functools import (cached_property)
-from math import (ceil, isfinite)
-from meshes.base.errors import (InputError)
-from tissue.haptics.device.device import (DeviceParameters, device_parameters)
-from tissue.haptics.hand.hand import (HandParameters, hand_parameters)
-from tissue.haptics.loop.critical_stiffness import (Verdict, critical_stiffness_N_m, in_hands, judge, nearest_stable_N_m)
-from tissue.haptics.loop.filters import (VELOCITY_MEMORY)
-from tissue.haptics.loop.forecast import (Forecast, forecast_of)
-from tissue.haptics.loop.sampled_loop import (WallLoop, motor_lag_ticks)
-from tissue.haptics.loop.vibration import (Vibration)
-from tissue.materials.scene_constants import (Materials)
-from tissue.models.tissue_model import (TICK_S)
-from tissue.prediction.guard import (Guarded)
-from tissue.prediction.predictor import (Predictor)
-from tissue.scene.coupling import (Coupling, Device, WallAnatomy)
-from tissue.scene.scene import (Output, Scene)
-from tissue.scene.tool import (Tool)
-from typing import (Literal, TYPE_CHECKING)
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import ceil, isfinite
+from typing import TYPE_CHECKING, Literal
+
 import numpy as np
 
+from meshes.base.errors import InputError
+from tissue.haptics.device.device import DeviceParameters, device_parameters
+from tissue.haptics.hand.hand import HandParameters, hand_parameters
+from tissue.haptics.loop.critical_stiffness import (
+    Verdict,
+    critical_stiffness_N_m,
+    in_hands,
+    judge,
+    nearest_stable_N_m,
+)
+from tissue.haptics.loop.filters import VELOCITY_MEMORY
+from tissue.haptics.loop.forecast import Forecast, forecast_of
+from tissue.haptics.loop.sampled_loop import WallLoop, motor_lag_ticks
+from tissue.haptics.loop.vibration import Vibration
+from tissue.materials.scene_constants import Materials
+from tissue.models.tissue_model import TICK_S
+from tissue.prediction.guard import Guarded
+from tissue.prediction.predictor import Predictor
+from tissue.scene.coupling import Coupling, Device, WallAnatomy
+from tissue.scene.scene import Output, Scene
+from tissue.scene.tool import Tool
+
 if TYPE_CHECKING:
-    from tissue.perception.perception import (Perception)
+    from tissue.perception.perceived import Perception
 
-__all__ = ["Contact", "JudgedLoop", "LoopSettings", "device_path", "judged_loop", "judged_loops", "lead_ticks", "loop_settings", "motor_path", "person_of", "sampled"]
-
+__all__ = [
+    "Contact",
+    "JudgedLoop",
+    "LoopSettings",
+    "device_path",
+    "judged_loop",
+    "judged_loops",
+    "lead_ticks",
+    "loop_settings",
+    "motor_path",
+    "person_of",
+    "sampled",
+]
 
 
 Contact = Literal["cuts", "touches", "presses", "wall"]

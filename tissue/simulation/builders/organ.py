@@ -1,36 +1,54 @@
 """Soft organ of a scene: its mesh at the site, its supports, its material and its law."""
 
-from collections.abc import (Callable)
-from dataclasses import (dataclass, replace)
-from itertools import (pairwise)
-from meshes.base.arrays import (Array)
-from meshes.base.errors import (InputError, names_of_caller)
-from meshes.base.placement import (Placement)
-from meshes.base.progress import (Progress)
-from meshes.organs.liver import (Nodule, liver, liver_region, onto_liver, slab, slab_base)
-from meshes.surfaces.site import (axes_along)
-from meshes.tets.files import (read_tets)
-from meshes.tets.regions import (Nodes, nodes_of_part)
-from meshes.tets.stuffing import (Move, bisected)
-from meshes.tets.tetrahedra import (TetMesh)
-from meshes.voxels.mesh_sampling import (nearest_on_triangles)
-from tissue.materials.hyperelasticity import (Hyperelastic)
-from tissue.materials.scene_constants import (Materials)
-from tissue.motion.motion import (frame_along)
-from tissue.scene.named_parts import (shown)
-from tissue.scene.organ import (Held, LiverAnatomy, LiverFile, Organ, SlabAnatomy, SoftAnatomy, WithNodule)
-from tissue.scene.part import (is_given)
-from tissue.scene.scene import (Scene)
-from tissue.simulation.builders.organ_given import (SoftMaterial, hold_of)
-from tissue.simulation.builders.parts import (FILE_WORDS, opens_device)
-from typing import (TYPE_CHECKING)
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
 import numpy as np
 
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError, names_of_caller
+from meshes.base.placement import Placement
+from meshes.base.progress import Progress
+from meshes.organs.liver import Nodule, liver, liver_region, onto_liver, slab, slab_base
+from meshes.surfaces.site import axes_along
+from meshes.tets.files import read_tets
+from meshes.tets.regions import Nodes, nodes_of_part
+from meshes.tets.stuffing import Move, bisected
+from meshes.tets.tetrahedra import TetMesh
+from meshes.voxels.mesh_sampling import nearest_on_triangles
+from tissue.materials.hyperelasticity import Hyperelastic
+from tissue.materials.scene_constants import Materials
+from tissue.motion.motion import frame_along
+from tissue.scene.named_parts import shown
+from tissue.scene.organ import (
+    Held,
+    LiverAnatomy,
+    LiverFile,
+    Organ,
+    SlabAnatomy,
+    SoftAnatomy,
+    WithNodule,
+)
+from tissue.scene.part import is_given
+from tissue.scene.scene import Scene
+from tissue.simulation.builders.organ_given import SoftMaterial, hold_of
+from tissue.simulation.builders.parts import FILE_WORDS, opens_device
+
 if TYPE_CHECKING:
-    from tissue.models.organ.law import (OrganLaw)
+    from tissue.models.organ.law import OrganLaw
 
-__all__ = ["HeldMesh", "coarser_mesh", "elasticity_of", "held_mesh", "hindrance", "law_of", "material_of", "organ_law"]
-
+__all__ = [
+    "HeldMesh",
+    "coarser_mesh",
+    "elasticity_of",
+    "held_mesh",
+    "hindrance",
+    "law_of",
+    "material_of",
+    "organ_law",
+]
 
 
 PART_NODULE = "nodule"

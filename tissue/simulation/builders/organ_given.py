@@ -3,26 +3,32 @@
 Scenes and `tissue.Organ` describe an organ with the same `SoftMaterial` and supports.
 """
 
-from collections.abc import (Callable, Mapping, Sequence)
-from dataclasses import (dataclass, field)
-from meshes.base.arrays import (Array)
-from meshes.base.errors import (InputError, names_of_caller, require_positive, require_range)
-from meshes.tets.regions import (Nodes, faces_of, nodes_behind_plane, nodes_facing, nodes_of_part)
-from meshes.tets.stuffing import (bisected)
-from meshes.tets.tetrahedra import (TetMesh)
-from meshes.voxels.mesh_sampling import (nearest_on_triangles)
-from numpy.typing import (ArrayLike, NDArray)
-from tissue.materials.elasticity import (fibre_ratio_range, lame, rotated, transversely_isotropic, volume_preserving_ratio)
-from tissue.scene.named_parts import (nearest)
-from typing import (Any, TYPE_CHECKING)
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError, names_of_caller, require_positive, require_range
+from meshes.tets.regions import Nodes, faces_of, nodes_behind_plane, nodes_facing, nodes_of_part
+from meshes.tets.tetrahedra import TetMesh
+from meshes.voxels.mesh_sampling import nearest_on_triangles
+from tissue.materials.elasticity import (
+    fibre_ratio_range,
+    lame,
+    rotated,
+    transversely_isotropic,
+    volume_preserving_ratio,
+)
+from tissue.scene.named_parts import nearest
 
 if TYPE_CHECKING:
-    from tissue.models.organ.law import (OrganLaw)
-    from tissue.models.organ.soft_organ import (SoftOrgan)
+    from tissue.models.organ.law import OrganLaw
+    from tissue.models.organ.soft_organ import SoftOrgan
 
 __all__ = ["Hold", "SoftMaterial", "hold_of"]
-
 
 
 COINCIDE = 1e-6

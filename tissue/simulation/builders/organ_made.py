@@ -13,9 +13,8 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError, by, names_of_caller, require_positive
 from meshes.base.progress import Progress
 from meshes.surfaces.surface import Surface
-from meshes.tets.bisection import bisected
 from meshes.tets.regions import Nodes
-from meshes.tets.stuffing import EDGE_GROWTH, with_inclusion
+from meshes.tets.stuffing import EDGE_GROWTH, bisected, with_inclusion
 from meshes.tets.tetrahedra import TetMesh
 from meshes.voxels.mesh_sampling import nearest_on_triangles, triangle_distance
 from tissue.simulation.builders.arguments import require_known, surface_of

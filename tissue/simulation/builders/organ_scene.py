@@ -1,32 +1,33 @@
 """Tissue that a probe presses or a needle pierces: soft organs and a stiff wall."""
 
-from functools import (partial)
-from math import (inf)
-from meshes.base.cache import (Kept)
-from meshes.base.errors import (InputError, by, is_file, names_of_caller)
-from meshes.base.progress import (Progress)
-from meshes.paths.toolpath import (kept_corners)
-from meshes.tets.tetrahedra import (TetMesh)
-from pathlib import (Path)
-from tissue.models.organ.probe import (CylinderProbe, ProbeShape, ShellProbe, SphereProbe)
-from tissue.models.tissue_model import (WallModel)
-from tissue.motion.motion import (Motion)
-from tissue.scene.coupling import (WallAnatomy)
-from tissue.scene.organ import (LayersAnatomy, LiverFile, SoftAnatomy)
-from tissue.scene.registry import (NEEDLES, PROBES)
-from tissue.scene.scene import (Scene)
-from tissue.scene.tool import (Needle, Probe)
-from tissue.simulation.builders.organ import (HeldMesh, OF_ORGAN, held_mesh, material_of, organ_law)
-from tissue.simulation.builders.parts import (FILE_WORDS, Parts)
-from tissue.simulation.builders.tool_path import (poses_along)
-from typing import (TYPE_CHECKING)
+from functools import partial
+from math import inf
+from pathlib import Path
+from typing import TYPE_CHECKING
+
 import numpy as np
 
+from meshes.base.cache import Kept
+from meshes.base.errors import InputError, by, is_file, names_of_caller
+from meshes.base.progress import Progress
+from meshes.paths.toolpath import kept_corners
+from meshes.tets.tetrahedra import TetMesh
+from tissue.models.organ.probe import CylinderProbe, ProbeShape, ShellProbe, SphereProbe
+from tissue.models.tissue_model import WallModel
+from tissue.motion.motion import Motion
+from tissue.scene.coupling import WallAnatomy
+from tissue.scene.organ import LayersAnatomy, LiverFile, SoftAnatomy
+from tissue.scene.registry import NEEDLES, PROBES
+from tissue.scene.scene import Scene
+from tissue.scene.tool import Needle, Probe
+from tissue.simulation.builders.organ import OF_ORGAN, HeldMesh, held_mesh, material_of, organ_law
+from tissue.simulation.builders.parts import FILE_WORDS, Parts
+from tissue.simulation.builders.tool_path import poses_along
+
 if TYPE_CHECKING:
-    from tissue.models.needle.parameters import (NeedleTissue)
+    from tissue.models.needle.parameters import NeedleTissue
 
 __all__ = ["pierced", "pierced_tissue", "pressed", "probe_of", "wall"]
-
 
 
 POSES_TRIED = 200

@@ -155,8 +155,8 @@ def opened_device(scene: Scene) -> Device | None:
     entry = DEVICES[scene.held.kind]
     x, y, z = motion_of(scene, step_s=TICK_S).sweep_m()[0].tolist()
     if entry.has_adapter:
+        from tissue.haptics.real.adapter import adapter_class
         from tissue.haptics.real.mapped import MappedDevice
-        from tissue.haptics.real.search import adapter_class
 
         hardware = scene.held.hardware
         return MappedDevice(adapter_class(scene.held.kind)(hardware), hardware, start_m=(x, y, z))

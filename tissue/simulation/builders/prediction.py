@@ -1,27 +1,31 @@
 """Predictors and perceptions by name."""
 
-from collections.abc import (Callable)
-from functools import (cache)
-from math import (inf)
-from meshes.base.errors import (InputError)
-from pathlib import (Path)
-from tissue.haptics.loop.filters import (ForceRange)
-from tissue.materials.constants import (constants)
-from tissue.perception.laws import (intensity_of, weber_of)
-from tissue.perception.mapping import (ForceMap)
-from tissue.perception.observer import (Observer, population_observer, read_observer, reference_observer)
-from tissue.perception.perceived import (Deadband, PerceivedForce, Sense)
-from tissue.perception.perception import (Perception)
-from tissue.prediction.guard import (Guarded, Judged)
-from tissue.prediction.koopman import (Koopman, OperatorPath)
-from tissue.prediction.look_ahead import (FilteredPath, LookAhead)
-from tissue.prediction.predictor import (Hold, Kalman, Linear, LinearControl, Predictor)
-from tissue.prediction.trained import (Trained, shipped_file)
-from tissue.scene.registry import (PERCEPTIONS, PREDICTORS)
+from collections.abc import Callable
+from functools import cache
+from math import inf
+from pathlib import Path
+
 import numpy as np
 
-__all__ = ["CAUTION", "FALLBACKS", "maker_of", "perception", "perception_for", "trained_predictor"]
+from meshes.base.errors import InputError
+from tissue.haptics.loop.filters import ForceRange
+from tissue.materials.constants import constants
+from tissue.perception.laws import ForceMap, intensity_of, weber_of
+from tissue.perception.observer import (
+    Observer,
+    population_observer,
+    read_observer,
+    reference_observer,
+)
+from tissue.perception.perceived import Deadband, PerceivedForce, Perception, Sense
+from tissue.prediction.guard import Guarded, Judged
+from tissue.prediction.koopman import Koopman, OperatorPath
+from tissue.prediction.look_ahead import FilteredPath, LookAhead
+from tissue.prediction.predictor import Hold, Kalman, Linear, LinearControl, Predictor
+from tissue.prediction.trained import Trained, shipped_file
+from tissue.scene.registry import PERCEPTIONS, PREDICTORS
 
+__all__ = ["CAUTION", "FALLBACKS", "maker_of", "perception", "perception_for", "trained_predictor"]
 
 
 FALLBACKS = ("hold", "linear", "kalman", "dmdc", "look-ahead")

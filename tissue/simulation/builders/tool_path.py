@@ -12,19 +12,17 @@ from meshes.base.arrays import Array, Bytes, Ints
 from meshes.base.errors import InputError, in_brackets
 from meshes.base.placement import Placement
 from meshes.base.progress import Progress
+from meshes.paths.toolpath import arc_length, points_along
 from meshes.shapes.anatomy import Anatomy
-from meshes.shapes.polyline import arc_length, points_along
-from meshes.shapes.sdf import Shape
-from meshes.shapes.triangles import shape_triangles
+from meshes.shapes.sdf import Shape, shape_triangles
 from meshes.voxels.mesh_sampling import triangle_distance
 from meshes.voxels.volume import FULL, VoxelVolume
 from tissue.cutters.body import body_points
 from tissue.cutters.cutter import Cutter
 from tissue.models.keep_clear import Distance, KeepClear, Structure
-from tissue.motion.drilling_recording import SHAFT_TO_X
 from tissue.motion.motion import Motion
-from tissue.motion.replay import RECORDINGS
-from tissue.scene.keep_clear import KeepClear as Wanted
+from tissue.motion.replay import RECORDINGS, SHAFT_TO_X
+from tissue.scene.scene import KeepClear as Wanted
 from tissue.simulation.builders.arguments import surface_of
 
 __all__ = [

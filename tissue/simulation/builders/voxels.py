@@ -1,39 +1,54 @@
 """Voxels of a scene's bone that a tool can reach, procedural or from files."""
 
-from collections.abc import (Callable, Mapping)
-from contextlib import (AbstractContextManager)
-from dataclasses import (replace)
-from functools import (lru_cache, partial)
-from meshes.base.cache import (Kept)
-from meshes.base.errors import (InputError, in_brackets, is_file, names_of_caller)
-from meshes.base.progress import (Progress, silent)
-from meshes.paths.toolpath import (arc_length, points_along)
-from meshes.shapes import (sdf)
-from meshes.shapes.anatomy import (Anatomy, cortical_block)
-from meshes.surfaces.glenoid import (glenoid)
-from meshes.tooth import (label_volume)
-from meshes.tooth.layered_surfaces import (layered_surfaces)
-from meshes.tooth.layers import (TOOTH_LAYERS)
-from meshes.tooth.molar import (molar)
-from meshes.vertebra.lumbar import (lumbar_vertebra)
-from meshes.voxels.volume import (VoxelVolume)
-from meshes.voxels.voxelise import (AROUND_VOXELS, voxelise)
-from pathlib import (Path)
-from tissue.cutters.cutter import (Cutter)
-from tissue.motion.motion import (Motion)
-from tissue.scene.anatomy import (BlockAnatomy, BlockImage, Bone, CutAnatomy, Glenoid, GlenoidAnatomy, ImageAnatomy, MolarAnatomy, MolarLabels, MolarSurfaces, Placed, SurfaceAnatomy, Tooth, VertebraAnatomy)
-from tissue.scene.scene import (Scene)
-from tissue.simulation.builders.parts import (FILE_WORDS)
-from tissue.simulation.builders.tool_path import (Corners, box_text, reach, require_whole)
-from typing import (TYPE_CHECKING)
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import replace
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
 import numpy as np
 
+from meshes.base.cache import Kept
+from meshes.base.errors import InputError, in_brackets, is_file, names_of_caller
+from meshes.base.progress import Progress, silent
+from meshes.shapes import sdf
+from meshes.shapes.anatomy import Anatomy, cortical_block
+from meshes.surfaces.glenoid import glenoid
+from meshes.tooth import label_volume
+from meshes.tooth.layered_surfaces import layered_surfaces
+from meshes.tooth.layers import TOOTH_LAYERS
+from meshes.tooth.molar import molar
+from meshes.vertebra.lumbar import lumbar_vertebra
+from meshes.voxels.volume import VoxelVolume
+from meshes.voxels.voxelise import AROUND_VOXELS, voxelise
+from tissue.cutters.cutter import Cutter
+from tissue.motion.motion import Motion
+from tissue.scene.anatomy import (
+    BlockAnatomy,
+    BlockImage,
+    Bone,
+    CutAnatomy,
+    Glenoid,
+    GlenoidAnatomy,
+    ImageAnatomy,
+    MolarAnatomy,
+    MolarLabels,
+    MolarSurfaces,
+    Placed,
+    SurfaceAnatomy,
+    Tooth,
+    VertebraAnatomy,
+)
+from tissue.scene.scene import Scene
+from tissue.simulation.builders.parts import FILE_WORDS
+from tissue.simulation.builders.tool_path import Corners, box_text, reach, require_whole
+
 if TYPE_CHECKING:
-    from meshes.surfaces.site import (Site)
-    from meshes.surfaces.surface import (Surface)
+    from meshes.surfaces.site import Site
+    from meshes.surfaces.surface import Surface
 
 __all__ = ["is_procedural", "solid_of", "structures", "volume_of", "whole_tooth"]
-
 
 
 DENSE_BYTES_PER_VOXEL = 18
@@ -238,9 +253,9 @@ def _require_memory(region: Corners, bone: Corners, spacing: float) -> None:
 
 def bone_from_file(parameters: Placed, notes: dict[str, str]) -> Anatomy:
     """Return the bone in a surface or image, placed at its site."""
+    from meshes.images.bone_image import image_cuts, image_triangles
     from meshes.images.reading import read_image
-    from meshes.images.threshold_surface import image_cuts, image_triangles
-    from meshes.surfaces.bone_surface import surface_anatomy
+    from meshes.surfaces.glenoid import surface_anatomy
     from meshes.surfaces.surface import read_surface, surface_from_triangles
 
     if isinstance(parameters, ImageAnatomy):

@@ -3,20 +3,19 @@
 The tests cover turns, places, powers, the clutch, the ramp, the cap and the watchdog.
 """
 
-from math import (cos, radians, sin)
-from tissue import (InputError)
-from tissue.haptics.device.device import (DeviceParameters, StatesPlayed)
-from tissue.haptics.device.safe_device import (SafeDevice)
-from tissue.haptics.real.adapter import (HardwareAdapter, HardwareSample)
-from tissue.haptics.real.mapped import (MappedDevice)
-from tissue.motion.motion import (matrix_of)
-from tissue.motion.quaternion import (exponential)
-from tissue.scene.coupling import (Hardware)
-from tissue.simulation.builders.parts import (opened_device)
+from math import cos, radians, sin
+
 import numpy as np
 import pytest
 
-
+from tissue import InputError
+from tissue.haptics.device.device import DeviceParameters, StatesPlayed
+from tissue.haptics.device.safe_device import SafeDevice
+from tissue.haptics.real.adapter import HardwareAdapter, HardwareSample
+from tissue.haptics.real.mapped import MappedDevice
+from tissue.motion.motion import matrix_of
+from tissue.motion.quaternion import exponential
+from tissue.scene.coupling import Hardware
 
 TICK = 1e-3
 LIMITS = DeviceParameters(mass_kg=0.1, damping_N_s_m=0.5, force_limit_N=8.0, torque_limit_Nm=0.2)

@@ -1,15 +1,14 @@
 """A record as a device: the poses of a file, one a tick, and the run that it moves."""
 
-from meshes.base.errors import (InputError)
-from meshes.paths.toolpath import (POSE_COLUMNS)
-from tissue.haptics.real.adapter import (RecordedAdapter)
-from tissue.objects.simulate import (simulate)
-from tissue.scene.coupling import (Hardware)
-from tissue.scene.load import (load_scene)
-from tissue.simulation.builders.parts import (motion_of)
 import numpy as np
 import pytest
 
+from meshes.base.errors import InputError
+from meshes.paths.toolpath import POSE_COLUMNS
+from tissue.haptics.real.adapter import RecordedAdapter
+from tissue.objects.simulate import simulate
+from tissue.scene.coupling import Hardware
+from tissue.scene.load import load_scene
 
 
 def table(path, times, heights_mm, quaternion=(0.0, 0.0, 0.0, 1.0)):

@@ -3,17 +3,17 @@
 The tests cover the push that can be felt, and the file that the judge reads.
 """
 
-from meshes.base.errors import (InputError)
-from tissue.haptics.device.device import (device_parameters)
-from tissue.haptics.real.adapter import (HardwareSample)
-from tissue.haptics.real.self_test import (BUMP_N, BUMP_S, SelfTest, bump, self_test, write_measured)
-from tissue.materials.scene_constants import (Materials)
-from tissue.simulation.builders.loop import (loop_settings)
 import math
-import numpy as np
-import pytest
 import tomllib
 
+import numpy as np
+import pytest
+
+from meshes.base.errors import InputError
+from tissue.haptics.device.device import device_parameters
+from tissue.haptics.real.adapter import HardwareSample
+from tissue.haptics.real.self_test import BUMP_N, BUMP_S, SelfTest, bump, self_test, write_measured
+from tissue.materials.scene_constants import Materials
 
 
 class Clocked:

@@ -3,18 +3,18 @@
 Flickering values make no stripes, the camera sees the cavity, and SVG files have words and vectors.
 """
 
-from meshes.base.errors import (InputError)
-from tissue.show.figures.bone_pictures import (_View, shown_mm)
-from tissue.show.figures.force_time import (draw_force_torque, joined_events, spells)
-from tissue.simulation.bone_surface import (depth_map)
-from tissue.simulation.run_folder import (picture_format)
-from types import (SimpleNamespace)
-from xml.etree import (ElementTree)
+from types import SimpleNamespace
+from xml.etree import ElementTree
+
 import numpy as np
 import pytest
+
 import tissue
-
-
+from meshes.base.errors import InputError
+from tissue.show.figures.bone_pictures import _View, shown_mm
+from tissue.show.figures.force_time import draw_force_torque, joined_events, spells
+from tissue.simulation.bone_surface import depth_map
+from tissue.simulation.run_folder import picture_format
 
 SVG = "{http://www.w3.org/2000/svg}"
 

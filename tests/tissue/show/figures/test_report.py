@@ -1,15 +1,20 @@
 """A run's files and pictures, read back."""
 
-from meshes.voxels.volume import (VoxelVolume)
-from tissue import (load_scene, simulate)
-from tissue.show.figures import (draw_pictures)
-from tissue.simulation.bone_files import (write_bone)
-from tissue.simulation.bone_surface import (bone_surface, cut_out, depth_map, smooth_normals, tool_axes)
 import gzip
+
 import numpy as np
 import pytest
 
-
+from meshes.voxels.volume import VoxelVolume
+from tissue import load_scene, simulate
+from tissue.show.figures import draw_pictures
+from tissue.simulation.bone_files import write_bone
+from tissue.simulation.bone_surface import (
+    bone_surface,
+    cut_out,
+    depth_map,
+    smooth_normals,
+)
 
 pyvista = pytest.importorskip("pyvista")
 

@@ -3,17 +3,16 @@
 The tests cover names, scales over time, the mesh between two frames, and values at a point.
 """
 
-from fake_fields import (PARTS, block_series, depth_at, pressed_run, pressed_series)
-from recording_plotter import (RecordingPlotter)
-from tissue import (InputError)
-from tissue.fem.fields import (FieldSeries, Frame)
-from tissue.show.viewer.fields import (FieldsShown)
-from tissue.simulation.saved_fields import (SavedFields, field_limits, field_names)
-from tissue.simulation.vtk_files import (write_fields)
 import numpy as np
 import pytest
+from fake_fields import PARTS, block_series, depth_at, pressed_run, pressed_series
+from recording_plotter import RecordingPlotter
 
-
+from tissue import InputError
+from tissue.fem.fields import FieldSeries, Frame
+from tissue.show.viewer.fields import FieldsShown
+from tissue.simulation.saved_fields import SavedFields, field_limits, field_names
+from tissue.simulation.vtk_files import write_fields
 
 ROUNDING = 1e-5
 """Share by which single precision, in which fields are written, may be off."""

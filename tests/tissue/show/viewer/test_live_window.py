@@ -1,14 +1,20 @@
 """The window of a live run: what it draws, and how mouse and keys move the tool."""
 
-from tissue import (load_scene, simulate)
-from tissue.show.figures.force_depth import (draw_wall)
-from tissue.show.figures.tool_mesh import (faces_of)
-from tissue.show.viewer.live.live_scene import (KEY_MM, LiveBone, LiveOrgan, NOTCH_MM, Pointer)
-from tissue.simulation.live.shared import (BoneShared, BoneSurface, FADES_MM, OrganShared, OrganSurface, SharedArrays)
 import numpy as np
 import pytest
 
-
+from tissue import load_scene, simulate
+from tissue.show.figures.force_depth import draw_wall
+from tissue.show.figures.tool_mesh import faces_of
+from tissue.show.viewer.live.live_scene import KEY_MM, NOTCH_MM, LiveBone, LiveOrgan, Pointer
+from tissue.simulation.live.shared import (
+    FADES_MM,
+    BoneShared,
+    BoneSurface,
+    OrganShared,
+    OrganSurface,
+    SharedArrays,
+)
 
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -4,17 +4,15 @@ A recording whose quaternions have w first is named, and the volumes inside the 
 bone's loss.
 """
 
-from meshes.base.progress import (silent)
-from meshes.paths.toolpath import (POSE_COLUMNS)
-from scipy.spatial.transform import (Rotation)
-from tissue import (load_scene)
-from tissue.models.tissue_model import (ToolMotion)
-from tissue.motion.replay import (POSES)
-from tissue.simulation.simulate import (build)
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-
+from meshes.base.progress import silent
+from meshes.paths.toolpath import POSE_COLUMNS
+from tissue import load_scene
+from tissue.models.tissue_model import ToolMotion
+from tissue.simulation.simulate import build
 
 TILTED = Rotation.from_euler("y", 30.0, degrees=True)
 MILLING = {"anatomy.size_mm": [12, 8, 5], "voxels.spacing_mm": 0.25, "motion.feed_mm_s": 20.0}

@@ -1,24 +1,31 @@
 """A scene while it runs, in a plotter: tissue, tool, force and the mark of the device."""
 
-from dataclasses import (dataclass)
-from meshes.base.arrays import (Array)
-from pathlib import (Path)
-from time import (perf_counter)
-from tissue.scene.scene import (Scene)
-from tissue.show.figures.figure import (layer_colours)
-from tissue.show.figures.tool_mesh import (faces_of, tool_turns, turning_tool)
-from tissue.show.viewer.fields import (layer_look)
-from tissue.show.viewer.plotter import (Plotter, aim, new_plotter)
-from tissue.show.viewer.run_scene import (ToolShown)
-from tissue.simulation.bone_surface import (smooth_normals, with_layers)
-from tissue.simulation.live.shared import (BoneSurface, OrganSurface, SharedArrays, Start, tissue_surface)
-from tissue.simulation.live.window import (CLOCK)
-from tissue.simulation.trace import (Table)
 import json
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+
 import numpy as np
 
-__all__ = ["HELP", "LiveScene", "NOTCH_MM", "Pointer", "Readings", "Target"]
+from meshes.base.arrays import Array
+from tissue.scene.scene import Scene
+from tissue.show.figures.figure import layer_colours
+from tissue.show.figures.tool_mesh import faces_of, tool_turns, turning_tool
+from tissue.show.viewer.fields import layer_look
+from tissue.show.viewer.plotter import Plotter, aim, new_plotter
+from tissue.show.viewer.run_scene import ToolShown
+from tissue.simulation.bone_surface import smooth_normals, with_layers
+from tissue.simulation.live.shared import (
+    BoneSurface,
+    OrganSurface,
+    SharedArrays,
+    Start,
+    tissue_surface,
+)
+from tissue.simulation.live.window import CLOCK
+from tissue.simulation.trace import Table
 
+__all__ = ["HELP", "NOTCH_MM", "LiveScene", "Pointer", "Readings", "Target"]
 
 
 TISSUE_S = 0.2
