@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from meshes.base.progress import silent
 from tissue.cli.terminal import Flag, Texts, console, left_out, progress
 
 __all__ = ["assess", "compare", "report", "view"]
@@ -42,28 +43,23 @@ def assess(
     overwrite
         Replace the assessment that the folder already holds.
     """
-    from tissue.evaluation.assessment import assess as hold_against
-    from tissue.evaluation.assessment import (
-        assessment_lines,
-        require_assessment_folder,
-        write_assessment,
-    )
-    from tissue.simulation.run_folder import SavedRun
+    from tissue.evaluation.assessment import require_assessment_folder
+    from tissue.objects.assess import assess as assessed
 
     if out is None:
         left_out("without --out, for nothing is written", "remove it", overwrite=overwrite)
     else:
         require_assessment_folder(out, overwrite=overwrite)
-    found = hold_against(
-        SavedRun(folder),
-        SavedRun(against),
+    found = assessed(
+        folder,
+        against,
         force_limit_N=force_limit_n,
         deviation_limit_mm=deviation_limit_mm,
         overshoot_limit_mm=overshoot_limit_mm,
     )
-    console.print(*assessment_lines(found), sep="\n")
+    console.print(str(found))
     if out is not None:
-        written = write_assessment(found, out, overwrite=overwrite)
+        written = found.save(out, overwrite=overwrite)
         console.print(f"files in {out}: {', '.join(path.name for path in written)}")
 
 
@@ -195,7 +191,7 @@ def view(
     from tissue.show.viewer.view import view as show
 
     opened = (lambda address: console.print(f"open {address}; Ctrl-C ends it")) if web else None
-    with nullcontext() if movie is None else progress() as report:
+    with nullcontext(silent) if movie is None else progress() as report:
         shown = show(
             folder,
             screenshot=screenshot,

@@ -43,6 +43,7 @@ from tissue.ct.request import ImportedPath, ImportRequest, Placed, import_path, 
 from tissue.scene.load import load_scene
 from tissue.scene.tool import Tool
 from tissue.show.figures.ct_pictures import (
+    Marks,
     draw_ct_bone,
     draw_ct_histogram,
     draw_ct_slices,
@@ -341,25 +342,19 @@ def _pictures(
     normal = None if at is None else at.site.rotation[:, 2]
     points_mm = None if path is None else path.depth.points_mm
     centre_mm = None if at is None else 1e3 * at.site.centre_m
+    marks = Marks(centre_mm, normal, points_mm)
     low = tuple((low_mm - SHOWN_MM).tolist())
     high = tuple((high_mm + SHOWN_MM).tolist())
     around = cropped(source.image, (low, high))
 
     def slices(file: Path) -> None:
         depth = replace(bone.image, values=bone.field - np.float32(bone.level))
-        draw_ct_slices(
-            around,
-            file,
-            body=("bone", depth),
-            others={
-                f"{name}, to keep clear of": _depth(structure, bone.image)
-                for name, structure in clear.items()
-            },
-            centre_mm=0.5 * (low_mm + high_mm) if centre_mm is None else centre_mm,
-            normal=normal,
-            points_mm=points_mm,
-            title=title,
-        )
+        outlines = {"bone": depth}
+        for name, structure in clear.items():
+            outlines[f"{name}, to keep clear of"] = _depth(structure, bone.image)
+        middle_mm = 0.5 * (low_mm + high_mm)
+        around_site = marks if centre_mm is not None else replace(marks, centre_mm=middle_mm)
+        draw_ct_slices(around, file, outlines, around_site, title=title)
 
     def histogram(file: Path) -> None:
         law = source.law
@@ -376,15 +371,7 @@ def _pictures(
     pictures: dict[str, Writer] = {
         "slices.png": slices,
         "histogram.png": histogram,
-        "bone.png": lambda file: draw_ct_bone(
-            surface,
-            file,
-            density=density,
-            centre_mm=centre_mm,
-            normal=normal,
-            points_mm=points_mm,
-            title=title,
-        ),
+        "bone.png": lambda file: draw_ct_bone(surface, file, marks, density=density, title=title),
     }
     if path is not None and normal is not None:
         pictures["path.png"] = lambda file: draw_path_depth(

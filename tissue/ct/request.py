@@ -294,9 +294,9 @@ def placed(request: ImportRequest, surface: Surface) -> tuple[Placed | None, str
     normal = request.normal_lps
     with names_of_caller(KEYS):
         if isinstance(request.site, str) and request.is_markups:
-            marked = read_site(Path(request.site))
-            point = _three(marked.centre_mm)
-            normal = None if marked.normal is None else _three(marked.normal)
+            centre_mm, outward = read_site(Path(request.site))
+            point = _three(centre_mm)
+            normal = None if outward is None else _three(outward)
         if point is not None:
             site = place_site(surface, centre_mm=point, normal=normal)
             return Placed(site), f"site: {site.confidence}"

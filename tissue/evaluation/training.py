@@ -208,9 +208,7 @@ class Recorder:
             and not scene.organ.viscous
         )
         if organ and self._organ is not None:
-            motion, _ = hand_motion(
-                scene, motion_of(scene, step_s=TICK_S), step_s=TICK_S, allow_unstable=True
-            )
+            motion, _ = hand_motion(scene, motion_of(scene, step_s=TICK_S), allow_unstable=True)
             return motion, self._organ
         parts = build(
             scene,

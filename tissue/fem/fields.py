@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from kernels import tet_stress
+from kernels import tetrahedra
 from kernels.launcher import SplitLaunch
 from kernels.mirror import put
 from meshes.base.arrays import Array, Bytes, Int32s, Ints, Singles
@@ -118,7 +118,7 @@ def group_stress(
 ) -> StressState:
     """Return the mean stress of groups of cells at points in them, weighted by the cells' volumes.
 
-    Parameters as of `kernels.tet_stress.group_stress`, errors as of `cell_stress`.
+    Parameters as of `kernels.tetrahedra.group_stress`, errors as of `cell_stress`.
     """
     rows = elasticity_rows(elasticity, space.cell_count)
     stiffness = stiffness_of_lame(rows) if rows.ndim == 2 else rows
@@ -138,5 +138,5 @@ def group_stress(
     von_mises = wp.empty(count, wp.float64, device)
     principal = wp.empty(count, wp.vec3d, device)
     outputs = [strain, stress, von_mises, principal]
-    SplitLaunch(tet_stress.group_stress, dim=count, inputs=inputs, outputs=outputs)()
+    SplitLaunch(tetrahedra.group_stress, dim=count, inputs=inputs, outputs=outputs)()
     return StressState(strain.numpy(), stress.numpy(), von_mises.numpy(), principal.numpy())

@@ -374,16 +374,17 @@ def _organ(
     organ: Organ, tool: PressingTool, start_m: Array, axis: Array, *, reach_m: float
 ) -> TissueModel:
     """Return an organ under a pressing tool, within `reach_m` around and below its start."""
+    from tissue.models.organ.model import ContactSolution, LiverModel
+    from tissue.models.organ.soft_organ import ToolPath
+
     turn = frame_along((float(axis[0]), float(axis[1]), float(axis[2])))
     across = np.linspace(-reach_m, reach_m, ACROSS)
     x, y, z = (
         each.ravel() for each in np.meshgrid(across, across, np.linspace(0.0, -reach_m, ACROSS))
     )
     tips = start_m + np.column_stack([x, y, z]) @ turn.T
-    model, _ = organ.soft.under(
-        tool.shape, tips, np.broadcast_to(turn, (len(tips), 3, 3)), path="condensed"
-    )
-    return model
+    path = ToolPath(tool.shape, tips, np.broadcast_to(turn, (len(tips), 3, 3)))
+    return LiverModel(organ.soft, path, ContactSolution("condensed"))
 
 
 def _start_above(tissue: Bone | Organ, axis: Array) -> Array:

@@ -6,7 +6,7 @@ from scipy.linalg import eigvalsh
 from scipy.spatial.transform import Rotation
 
 from meshes.base.arrays import Array, Ints
-from meshes.tets.quality import SLIVER, repair_tets
+from meshes.tets.quality import SLIVER, describe, repair_tets
 from meshes.tets.structured import box
 from meshes.tets.tetrahedra import TetMesh, mean_ratio, signed_volumes
 from tissue.evaluation.atlas.page import (
@@ -360,22 +360,22 @@ class BadTetrahedra(Page):
         nodes, cells = squashed(1.0)
         turned_cells = cells.copy()
         turned_cells[[17, 200, 301]] = cells[[17, 200, 301]][:, [1, 0, 2, 3]]
-        repaired, report = repair_tets(nodes, turned_cells)
+        repaired, repairs = repair_tets(nodes, turned_cells)
         volume = float(signed_volumes(repaired.nodes_m, repaired.cells).sum())
-        whole = report.inverted == 3 and abs(volume / SIZE_M**3 - 1.0) < 1e-12
+        whole = "Turned 3 inverted" in repairs[0] and abs(volume / SIZE_M**3 - 1.0) < 1e-12
         folded = nodes.copy()
         folded[middle_node(nodes)] += [0.4 * SIZE_M, 0.0, 0.0]
-        _, sliver = repair_tets(*squashed(1e-4))
-        flat = sliver.slivers > 0 and sliver.slivers_left == 0
+        mesh, sliver = repair_tets(*squashed(1e-4))
+        flat = len(sliver) > 0 and bool(mean_ratio(mesh.nodes_m, mesh.cells).min() >= SLIVER)
         return [
             shown(
                 "three inverted cells, from a file",
                 whole,
-                " ".join(report.sentences()),
+                " ".join((*describe(repaired), *repairs)),
                 Conduct.FALLS_BACK,
             ),
             refused("a mesh that folds over itself", lambda: repair_tets(folded, cells)),
-            shown("a sliver", flat, " ".join(sliver.sentences()), Conduct.FALLS_BACK),
+            shown("a sliver", flat, " ".join((*describe(mesh), *sliver)), Conduct.FALLS_BACK),
         ]
 
     def draw(self, data: Data, chart: Figure) -> None:

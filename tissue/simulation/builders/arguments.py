@@ -18,7 +18,7 @@ from meshes.tooth.layers import TOOTH_LAYERS
 from meshes.vertebra.lumbar import VERTEBRA_LAYERS
 from tissue.materials.constants import listed
 from tissue.materials.scene_constants import Materials
-from tissue.scene.messages import sentence
+from tissue.scene.messages import error_of
 from tissue.scene.named_parts import nearest, shown
 from tissue.scene.part import Part
 from tissue.scene.scene import Scene
@@ -77,7 +77,9 @@ def stated(model: type[Table], values: Mapping[str, object], *, prefix: str = ""
     try:
         return model.model_validate(given)
     except ValidationError as error:
-        raise InputError(prefix + sentence(error.errors()[0], given, model)) from None
+        refusal = error_of(error.errors()[0], given, model)
+        refusal.argument = prefix + refusal.argument
+        raise refusal from None
 
 
 def given_note(

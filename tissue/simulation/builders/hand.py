@@ -281,4 +281,4 @@ def _played(settings: LoopSettings, person: Perception | None) -> PlayedForce:
         vibration = PlayedVibration(teeth, limit_N=limit_N, slew_N=slew_N, step_s=TICK_S)
     if cue_N > 0.0:
         cues = Cues(cue_N, limit_N=limit_N, slew_N=slew_N, tick_s=TICK_S)
-    return PlayedForce(limits, perception=person, vibration=vibration, cues=cues)
+    return PlayedForce(limit_N, perception=person, vibration=vibration, cues=cues)

@@ -37,7 +37,7 @@ from tissue.simulation.builders.organ_given import SoftMaterial, hold_of
 from tissue.simulation.builders.parts import FILE_WORDS, opens_device
 
 if TYPE_CHECKING:
-    from tissue.models.organ.law import OrganLaw
+    from tissue.models.organ.soft_organ import OrganLaw
 
 __all__ = [
     "HeldMesh",
@@ -445,8 +445,7 @@ def organ_law(
     InputError
         As for `law_of`, or if a real device would wait for the law.
     """
-    from tissue.models.organ.law import OrganLaw
-    from tissue.models.organ.soft_organ import SoftOrgan
+    from tissue.models.organ.soft_organ import OrganLaw, SoftOrgan
 
     organ = scene.organ
     found = law_of(organ, lame_Pa)

@@ -25,8 +25,7 @@ from tissue.materials.elasticity import (
 from tissue.scene.named_parts import nearest
 
 if TYPE_CHECKING:
-    from tissue.models.organ.law import OrganLaw
-    from tissue.models.organ.soft_organ import SoftOrgan
+    from tissue.models.organ.soft_organ import OrganLaw, SoftOrgan
 
 __all__ = ["Hold", "SoftMaterial", "hold_of"]
 

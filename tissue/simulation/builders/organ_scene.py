@@ -111,6 +111,9 @@ def pressed(
     InputError
         If the organ cannot be meshed or held, the probe never touches it, or starts inside.
     """
+    from tissue.models.organ.model import ContactSolution, LiverModel
+    from tissue.models.organ.soft_organ import ToolPath
+
     anatomy = scene.anatomy
     organ = scene.organ
     assert isinstance(anatomy, SoftAnatomy) and isinstance(scene.tool, Probe)
@@ -161,7 +164,7 @@ def pressed(
         )
     notes["solved"] = (
         f"{len(found.mesh.cells)} tetrahedra of order {organ.order}, {len(soft.body.free)} "
-        f"unknowns; {touchable} touchable nodes, compliance {organ.path}"
+        f"unknowns; {len(model.touchable)} touchable nodes, compliance {organ.path}"
     )
     return Parts(motion, model, placement=found.placement, notes=notes)
 
