@@ -20,7 +20,8 @@ import numpy as np
 from harness import machine, table
 
 from meshes.base.errors import InputError
-from tissue.evaluation.charts import fidelity, settings
+from tissue.evaluation.charts import frontier as fidelity
+from tissue.evaluation.charts import settings
 from tissue.evaluation.charts.frontier import Frontier, frontier_of, undominated
 from tissue.evaluation.charts.measure import force_and_reference_N, short_of
 from tissue.evaluation.statistics.metrics import force_error

@@ -230,7 +230,7 @@ def drawing(tmp_path, monkeypatch):
     monkeypatch.setattr("tissue.system.child.IDLE_S", 1.0)
     monkeypatch.setattr("tissue.system.child.CHECK_S", 0.25)
     monkeypatch.setattr("tissue.system.offscreen.CHECK_S", 0.25)
-    monkeypatch.setattr("tissue.system.offscreen._windows", lambda: iter([""]))
+    monkeypatch.setattr("tissue.system.offscreen.drawing_environments", lambda: iter([""]))
     return tmp_path / "number"
 
 
@@ -252,7 +252,7 @@ def test_a_drawing_that_hangs_is_given_up_in_a_sentence(drawing):
 
 @STOPS
 def test_an_exception_during_a_drawing_does_not_wait_for_it(drawing, monkeypatch):
-    from tissue.show.figures.pictures import _background
+    from tissue.show.figures import _background
 
     monkeypatch.setattr("tissue.system.child.IDLE_S", 600.0)
     with pytest.raises(KeyboardInterrupt), _background() as thread:

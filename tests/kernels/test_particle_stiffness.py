@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 import warp as wp
 from scipy.spatial.transform import Rotation
-from tooth_bodies import GAUSS, block
+from tooth_bodies import GAUSS, block, particle_stress
 
 from kernels.particle_stiffness import principal_values
 from tissue.fem.solvers.held_body import rigid_modes
 from tissue.models.tooth.body import ParticleBody
 from tissue.models.tooth.grid import HexGrid, NodeSupports, ParticleSet, PointSprings, shape_values
-from tissue.models.tooth.recovery import particle_stress, stress_invariants
+from tissue.models.tooth.recovery import stress_invariants
 from tissue.models.tooth.stiffness import CellStiffness, full_cell_stiffness, strain_matrix
 
 ROUNDING = 1e-13  # relative to the largest entry: sums of a few hundred terms in double precision

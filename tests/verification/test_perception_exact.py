@@ -5,8 +5,8 @@ They are Weber, Stevens' predictive, the inverse map and the recursive filter.
 
 import numpy as np
 import pytest
-from perceived_estimates import LocalLevel
 
+from tissue.perception.estimate import LocalLevel
 from tissue.perception.laws import (
     ForceMap,
     Intensity,

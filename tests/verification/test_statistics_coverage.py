@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 from scipy import stats
-from tissue.evaluation.statistics.power import TESTS
 
-from tissue.evaluation.statistics.hpi import rejection_rates
+from tissue.evaluation.statistics.hpi import TESTS, rejection_rates
 from tissue.evaluation.statistics.hypothesis_test import cohens_d, mardia, partial_eta_squared
 from tissue.evaluation.statistics.mixed import Components, regression
 from tissue.evaluation.statistics.strata import (
