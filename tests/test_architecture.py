@@ -34,13 +34,6 @@ LAYERS = (
     ("tissue.__main__",),
 )
 """From the ground up; a module imports from its own package and from layers below."""
-PROCESSES = {
-    "tissue.links.ros2",
-    "tissue.links.slicer_process",
-    "tissue.show.viewer.live.live_window",
-    "tissue.show.viewer.web.live_page",
-}
-"""Modules that a live run starts by name as processes of their own: nothing of them is imported."""
 LONGEST = 500
 """Lines of a module; 100 to 400 are aimed at."""
 
@@ -67,7 +60,7 @@ def nodes_of(path):
 def imports_of(path):
     """Return this project's modules that a file imports or names, for type checkers included."""
     tree = ast.parse(path.read_text("utf-8"))
-    named = modules_in_strings(tree, set(MODULES)) - PROCESSES
+    named = modules_in_strings(tree, set(MODULES))
     return imports(tree, set(MODULES)) | named
 
 

@@ -13,10 +13,12 @@ import threading
 import weakref
 from collections.abc import Callable, Iterable
 from contextlib import suppress
+from importlib.metadata import entry_points
 from queue import Empty, SimpleQueue
 from time import sleep
 from typing import Any
 
+from meshes.base.errors import InputError
 from meshes.base.isolated_parser import kill_with_parent, python_command, start_code
 
 __all__ = [
@@ -28,6 +30,7 @@ __all__ = [
     "await_ready",
     "child_command",
     "end_with",
+    "process_module",
 ]
 
 START = start_code("tissue.system.child", "_main")
@@ -59,6 +62,24 @@ def child_command(module: str, *arguments: str) -> list[str]:
     """
     strictly = threading.current_thread() is threading.main_thread()
     return python_command(START, str(os.getpid()), str(int(strictly)), module, *arguments)
+
+
+def process_module(name: str) -> str:
+    """Return the module that runs a process of a live run, such as ``window``.
+
+    Modules are entry points of the group ``tissue.processes``, so a simulation names none of the
+    packages above it.
+
+    Raises
+    ------
+    InputError
+        If the installed package has no such entry point.
+    """
+    for found in entry_points(group="tissue.processes", name=name):
+        return found.value
+    raise InputError(
+        "tissue-sim", f"have the process {name}", "an older installation", "install it again"
+    )
 
 
 def end_with(parent: int, *, strictly: bool) -> None:

@@ -45,7 +45,7 @@ EVENTS, EVENT_BYTES = 64, 256
 class PublishingProcess(WindowProcess):
     """Process that receives a run and publishes it on topics of ROS 2 by the names of CRTK."""
 
-    module = "tissue.links.ros2"
+    process = "ros2"
     place = "must publish the run for ROS 2"
     remedy = "fix that, or run without --ros2"
     shows_tissue = False
@@ -194,7 +194,7 @@ class SlicerProcess(WindowProcess):
         Settings of the link.
     """
 
-    module = "tissue.links.slicer_process"
+    process = "slicer"
     place = "must publish the run for 3D Slicer"
     remedy = "fix that, or run without --slicer"
 

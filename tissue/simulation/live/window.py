@@ -27,7 +27,7 @@ from tissue.simulation.live.shared import (
     SharedTissue,
     shared_tissue,
 )
-from tissue.system.child import await_ready, child_command
+from tissue.system.child import await_ready, child_command, process_module
 from tissue.system.offscreen import REMEDY, drawing_environments
 
 __all__ = [
@@ -42,8 +42,6 @@ __all__ = [
     "require_web",
 ]
 
-MODULE = "tissue.show.viewer.live.live_window"
-"""Module run in the other process; it is named, not imported, since it lies in a higher layer."""
 CLOCK = ("tick_us", "late_us", "missed", "skipped_ms")
 """Values of the clock that a window receives."""
 LOAD = ("time_s", *(f"model_force_{c}_N" for c in "xyz"))
@@ -141,7 +139,8 @@ class WindowProcess:
         If the window does not open.
     """
 
-    module = MODULE
+    process = "window"
+    """Entry point in the group ``tissue.processes``."""
     place = "must open its window where there is a display"
     remedy = "fix the display, or unset DISPLAY to run without a window"
     shows_tissue = True
@@ -187,7 +186,7 @@ class WindowProcess:
         self._shared.publish(self.arrays, 0)
         with (self._folder / "output.txt").open("w+", encoding="utf-8", errors="replace") as output:
             self._child = subprocess.Popen(
-                child_command(self.module, str(self._folder)),
+                child_command(process_module(self.process), str(self._folder)),
                 env={**os.environ, **(environment or {})},
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
@@ -288,7 +287,7 @@ class WindowProcess:
 class PageProcess(WindowProcess):
     """Window in a browser: its process draws off screen and serves a page."""
 
-    module = "tissue.show.viewer.web.live_page"
+    process = "page"
     place = "must serve its page"
     remedy = REMEDY
 
