@@ -22,7 +22,7 @@ from tissue.haptics.device.sample_guard import GuardLimits, Roughness, SampleGua
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand.hand import Hand, hand_parameters, waypoints
 from tissue.haptics.loop.filters import SlewLimit
-from tissue.haptics.real.adapter import HardwareSample
+from tissue.haptics.real.adapter import HardwareAdapter, HardwareSample
 from tissue.haptics.real.mapped import MappedDevice
 from tissue.haptics.renderer import renderer
 from tissue.haptics.rigid_wall import press_wall
@@ -218,7 +218,7 @@ class Goes(ComputedDevice):
         self.forces.append(force_N.copy())
 
 
-class Adapter:
+class Adapter(HardwareAdapter):
     """An adapter on a path in a unit of its own; every poll has a new sample."""
 
     limits = LIMITS
@@ -226,11 +226,8 @@ class Adapter:
     def __init__(self, path, quaternion=(0.0, 0.0, 0.0, 1.0)):
         self.path, self.quaternion, self.pushed, self.polls = path, quaternion, [], 0
 
-    def __enter__(self):
-        return self
-
-    def __exit__(self, kind, error, trace):
-        self.close()
+    def open(self):
+        pass
 
     def poll(self):
         self.polls += 1

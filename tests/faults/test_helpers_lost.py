@@ -230,7 +230,7 @@ def drawing(tmp_path, monkeypatch):
     monkeypatch.setattr("tissue.system.child.IDLE_S", 1.0)
     monkeypatch.setattr("tissue.system.child.CHECK_S", 0.25)
     monkeypatch.setattr("tissue.system.offscreen.CHECK_S", 0.25)
-    monkeypatch.setattr("tissue.system.offscreen.drawing_environments", lambda: iter([""]))
+    monkeypatch.setattr("tissue.system.offscreen.drawing_environments", lambda: iter([{}]))
     return tmp_path / "number"
 
 

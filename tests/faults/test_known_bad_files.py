@@ -67,7 +67,7 @@ BAD_TEXT = [
     ("poses", "short.csv", POSES.replace("1,0,0,0,0,0,0,1", "1,0,0"), "finite numbers"),
     ("poses", "back.csv", POSES.replace("\n1,", "\n-1,"), "increasing time_s"),
     ("observer", "list.json", "[]", "file of an observer"),
-    ("observer", "cut.json", '{"format": "tissue obs', "must be a JSON file"),
+    ("observer", "cut.json", '{"format": "tissue obs', "must be a file of an observer"),
     ("trials", "list.jsonl", "[]\n", "file of trials"),
     ("predictor", "text.npz", "no archive", "must be whole"),
 ]

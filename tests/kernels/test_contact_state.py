@@ -229,9 +229,7 @@ def test_distances_agree_with_numpy_and_their_gradients_with_differences(probe):
         return out[0].numpy(), out[1].numpy() @ rotation
 
     distance, direction = kernel(local)
-    expected, expected_direction = probe.distance(local)
-    np.testing.assert_allclose(distance, expected, atol=1e-15)
-    np.testing.assert_allclose(direction, expected_direction, atol=1e-10)
+    np.testing.assert_allclose(distance, probe.distance(local), atol=1e-15)
     step = 1e-7
     slopes = np.column_stack(
         [(kernel(local + e)[0] - kernel(local - e)[0]) / (2 * step) for e in step * np.eye(3)]
@@ -251,7 +249,6 @@ def test_the_ball_around_a_shell_lies_halfway_between_its_ends():
     assert shell.size_m == pytest.approx((5e-3, 5e-3))
 
 
-def test_the_centre_of_a_ball_is_its_radius_deep_with_a_unit_normal():
-    distance, normal = SphereProbe(4e-3).distance(np.array([[0.0, 0.0, 4e-3], [0.0, 3e-3, 8e-3]]))
+def test_the_centre_of_a_ball_is_its_radius_deep():
+    distance = SphereProbe(4e-3).distance(np.array([[0.0, 0.0, 4e-3], [0.0, 3e-3, 8e-3]]))
     assert distance == pytest.approx([-4e-3, 1e-3])
-    assert normal == pytest.approx(np.array([[0.0, 0.0, -1.0], [0.0, 0.6, 0.8]]))

@@ -139,7 +139,7 @@ def report(
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class DrawingOptions:
-    """Options of the drawing; the fields are arguments of `tissue.show.viewer.view.view`.
+    """Options of the drawing; the fields are those of `tissue.show.viewer.run_scene.Choice`.
 
     Attributes
     ----------
@@ -188,15 +188,16 @@ def view(
     overwrite
         Replace the file of the screenshot or movie.
     """
+    from tissue.show.viewer.run_scene import Choice
     from tissue.show.viewer.view import view as show
 
     opened = (lambda address: console.print(f"open {address}; Ctrl-C ends it")) if web else None
     with nullcontext(silent) if movie is None else progress() as report:
         shown = show(
             folder,
+            Choice(**asdict(drawing)),
             screenshot=screenshot,
             movie=movie,
-            **asdict(drawing),
             overwrite=overwrite,
             progress=report,
             opened=opened,
