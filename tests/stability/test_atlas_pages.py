@@ -72,5 +72,5 @@ def test_a_page_shows_its_boundary_and_how_the_engine_behaves(page):
     if page.name == "wall_map":
         righted["pade_N_m"] = engine
     with np.errstate(all="ignore"):
-        assert not page.judge(replaced(data, table, {engine: failing})).holds
-        assert failing is None or not page.judge(replaced(data, *righted)).fails
+        assert not page.judge(replaced(data, {engine: failing})).holds
+        assert failing is None or not page.judge(replaced(data, righted)).fails

@@ -39,7 +39,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Sweep", "SweptRun", "parse_values", "planned", "sweep"]
 
-
 FILES = ("sweep.csv", "sweep.png", "compare.png")
 """Files of a sweep in addition to its runs."""
 LONGEST_NAME = 24

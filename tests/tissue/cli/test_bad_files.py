@@ -133,7 +133,7 @@ POSES = "time_s,tool_x_mm,tool_y_mm,tool_z_mm,tool_qx,tool_qy,tool_qz,tool_qw\n"
         (POSES + "0,0,0,1,0,0,0,1\n", ("two poses", "got 1")),
         (POSES, ("two poses", "got 0")),
         (POSES + "0,0,0,1,0,0,0,1\n4000,0,0,0,0,0,0,1\n", ("3600 s", "4000")),
-        (POSES + "0,0,0,1,0,0,0,0\n1,0,0,0,0,0,0,1\n", ("quaternions", "length 0 at 0 s")),
+        (POSES + "0,0,0,1,0,0,0,0\n1,0,0,0,0,0,0,1\n", ("quaternions", "length 0 for pose 1")),
         (b"\xff\xfe\x00", ("CSV",)),
     ],
     ids=[
