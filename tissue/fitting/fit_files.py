@@ -72,7 +72,7 @@ def write_fitted(
         The n constants.
     correlation
         Correlation of their standard normal numbers, shape (n, n), see
-        `tissue.materials.prior.Prior`.
+        `tissue.materials.constants.Prior`.
     fixed
         Constants without a range that the others depend on.
     remark

@@ -314,7 +314,7 @@ def _total(sample: Sample) -> float | None:
             "device.read",
             "return a Sample or None",
             type(sample).__name__,
-            "use tissue.haptics.Sample(time_s, position_m)",
+            "use tissue.Sample(time_s, position_m)",
         )
     try:
         time_s, (x, y, z), (vx, vy, vz), (qx, qy, qz, qw), (wx, wy, wz) = sample
