@@ -179,9 +179,8 @@ def stratum_test(
     assumptions: list[Assumption] = []
     if residuals.size >= 8:
         assumptions.append(normal_residuals(residuals))
-    others = [
-        permutation(values, groups, sizes, within, between=between, question=question, rng=rng)
-    ]
+    shuffled_F, shuffled = permutation(values, groups, sizes, within, between=between, rng=rng)
+    others = [HypothesisTest("permutation", question, "F", shuffled_F, (), shuffled)]
     if scores.shape[1] > 1:
         epsilon = float(found.epsilon)
         p = mauchly(scores, groups)

@@ -252,15 +252,14 @@ def permutation(
     chosen: tuple[int, ...],
     *,
     between: bool,
-    question: str,
     rng: np.random.Generator,
     count: int = 4999,
-) -> HypothesisTest:
+) -> tuple[float, float]:
     """Compare the F of :func:`strata` with the F of shuffled labels.
 
     For an effect of groups, users are shuffled over groups. For an effect within users, the levels
     of the chosen factors are shuffled within each user. Both tests are exact if the labels have no
-    effect (Edgington 1995).
+    effect (Edgington 1995). Returned are F and its p-value.
     """
     centred = values
     if chosen and between:
@@ -282,7 +281,7 @@ def permutation(
         shuffled = np.moveaxis(taken, range(2, 2 + len(chosen)), [2 + each for each in chosen])
         shuffled = shuffled.reshape(count, *values.shape)
     others = strata(shuffled, groups, sizes, chosen, between=between).F
-    return HypothesisTest("permutation", question, "F", measured, (), shuffled_p(measured, others))
+    return measured, shuffled_p(measured, others)
 
 
 def manova(
