@@ -113,7 +113,12 @@ def distance_between(stored: corner8i, inside: wp.vec3, nearest: Bone):
 
 @wp.func
 def layer_between(stored: corner8i, words: corner8i, inside: wp.vec3, nearest: Bone):
-    """Return layer and density at a point whose eight voxels lie in several layers."""
+    """Return layer and density at a point whose eight voxels lie in several layers.
+
+    ``stored`` holds fraction (upper byte) and distance (lower byte) of each voxel, ``words`` its
+    density (upper 16 bits) and layer (lower byte), or -1 where no brick is. The bits are read here
+    in place, since a call of `layer_of` for each of 64 pairs costs time.
+    """
     found = nearest
     far = corner8f()
     weight = corner8f()

@@ -167,6 +167,7 @@ def join_touching(
             pa = body.free[a] + moved_at(patch, patch.slot[a])
             pb = body.free[b] + moved_at(patch, patch.slot[b])
             pc = body.free[c] + moved_at(patch, patch.slot[c])
+            # A shell has no axis to bound the distance by, so every nearby triangle is searched.
             close = kind == SHELL
             if not close:
                 middle = (pa + pb + pc) / wp.float64(3.0)

@@ -112,6 +112,7 @@ def particle_stiffness(
     if row >= 0:
         for block in range(36):
             stiffness_out[cell, block] = stiffness_out[cell, block] + spring[row, block]
+    # Sums of symmetric terms are symmetric but for rounding: mirror them for an exact symmetry.
     for a in range(8):
         diagonal = stiffness_out[cell, block_of(a, a)]
         diagonal[1, 0] = diagonal[0, 1]

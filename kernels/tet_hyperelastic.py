@@ -8,6 +8,8 @@ modulus mu. With the deformation gradient ``F = U diag(l) V^T`` at a quadrature 
     psi = mu (sum_p (2 s_p / alpha_p^2) (S(alpha_p) - 3) + sum_k c_k x^k)
         + (kappa / 4) (J^2 - 1 - 2 ln J)
 
+Neo-Hookean is one term of exponent 2.
+
 Stress and tangent are its derivatives by ``ln l_i`` in the frames U and V. A turned-over cell's
 energy is infinite.
 """

@@ -9,6 +9,9 @@ linear          psi = mu e:e + (lambda/2) (tr e)^2,              e = sym(F) - I
 corotational    psi = mu |F - R|^2 + (lambda/2) (tr S - 3)^2,    F = R S, R the rotation, S = S^T
 neo-Hookean     psi = (mu/2) (|F|^2 - 3) - mu ln J + (lambda/2) (ln J)^2,   J = det F
 
+The neo-Hookean law here differs from the one of ``kernels.tet_hyperelastic``, which splits off the
+change of volume. Both have the linear law's moduli at small strain.
+
 Corotational is the linear law in the rotated frame with the rotation's own derivative: with
 ``R^T dR = [w]x``, ``(tr S I - S) w = axial(R^T dF - dF^T R)``. Neo-Hookean: Bonet and Wood 2008,
 Nonlinear Continuum Mechanics. All three have the same small-strain limit. The energy of a

@@ -46,6 +46,8 @@ _RAISED_M = 6e-3
 _BLEND_M = 3e-3
 _SPINOUS_M = 32e-3
 _TRANSVERSE_M = 21e-3
+_ISTHMUS_M = 4e-3
+"""Distance from the back wall of the body to the isthmus of the pedicle."""
 _ENTRY_M = 19e-3
 """Distance from the back wall of the body to the entry behind the pedicle, along its axis.
 
@@ -81,7 +83,7 @@ class _HalfSizes:
         return np.array(
             [
                 self.canal_width + self.pedicle_width / math.cos(self.angle),
-                self.depth + 4e-3,
+                self.depth + _ISTHMUS_M,
                 _RAISED_M,
             ]
         )
@@ -94,7 +96,7 @@ class _HalfSizes:
     @property
     def entry(self) -> Array:
         """Point of the axis behind the pedicle, near the entry [m]."""
-        return self.isthmus + (_ENTRY_M - 4e-3) * self.axis
+        return self.isthmus + (_ENTRY_M - _ISTHMUS_M) * self.axis
 
 
 @dataclass(frozen=True)

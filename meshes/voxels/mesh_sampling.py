@@ -254,6 +254,8 @@ def _turning(line: Ints, height: Array, sign: Ints) -> ColumnCrossings:
     after = running - base
     before = after - sign
     turns = (before > 0) != (after > 0)
+    # The winding number of a line through a hole of the surface does not end at 0, so inside and
+    # outside are unknown: its crossings are dropped.
     unclosed = line[np.append(starts[1:], True) & (after != 0)]
     turns &= ~np.isin(line, unclosed)
     return ColumnCrossings(line[turns], height[turns], np.where(after[turns] > 0, 1, -1))

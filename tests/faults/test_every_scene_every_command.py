@@ -5,7 +5,7 @@ from contextlib import nullcontext
 
 import pytest
 
-from tissue.evaluation.charts import frontier, measure, scenes, settings
+from tissue.evaluation.charts import frontier, measure, settings
 from tissue.scene.load import load_scene, scene_names
 
 SHORT_S = "0.04"
@@ -60,7 +60,7 @@ def test_a_scene_can_be_charted(command, tmp_path, scene, monkeypatch):
     monkeypatch.setattr(measure, "EXCERPT_S", {True: CHARTED[scene]})
     monkeypatch.setattr(settings, "PLACES", settings.PLACES[:1])
     monkeypatch.setitem(settings.VOXEL_SHARES, True, (2.0, 1.4, 1.0))
-    for module in (frontier, measure, scenes):
+    for module in (frontier, measure):
         monkeypatch.setattr(module, "settings_of", coarsest_and_finest)
     monkeypatch.setattr("tissue.system.workers.worker_pool", lambda workers: nullcontext(None))
     out = finished(command, "chart", scene, "--quick", "--out", tmp_path / "charts")

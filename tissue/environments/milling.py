@@ -23,6 +23,7 @@ LAYERS = ("target", "tolerance", "spared")
 COLOURS = ("#D55E00", "#F0C090", "#D8D2C4")
 """Layers, and their colours in pictures."""
 BLOCK_MM = (13.2, 10.8, 3.6)
+"""Size of the block [mm]: the largest pocket, the burr and a margin, in whole voxels."""
 SPACING_MM = 0.2
 """Edge of a voxel [mm]: a twentieth of the burr.
 
@@ -220,9 +221,10 @@ def _block(pocket_mm: tuple[float, float, float]) -> VoxelVolume:
         np.maximum(np.abs(x)[:, None, None] - 0.5 * length, 0.0),
         np.maximum(np.abs(y)[:, None] - 0.5 * width, 0.0),
     )
+    # Pockets are shallower than the ball's radius, so its sphere bounds them below and beside.
     wall = np.sqrt(aside[0] ** 2 + aside[1] ** 2 + (z - 0.5 * BURR_MM + depth) ** 2) - 0.5 * BURR_MM
     layer = 1 + (wall > TOLERANCE_MM).astype(np.uint8) - (wall < -TOLERANCE_MM).astype(np.uint8)
-    density = np.full(layer.shape, 1800.0)
+    density = np.full(layer.shape, 1800.0)  # replaced at every reset by the drawn density
     return density_volume(
         density, spacing_mm=SPACING_MM, origin_mm=origin, layer=layer, layer_names=LAYERS
     )

@@ -161,12 +161,14 @@ def conjugate_gradients(
         if len(now.lengths) == limit:
             outcome = SolverOutcome.NOT_CONVERGED
             break
+        # A negative factor restarts from the preconditioned residual (Polak and Ribiere +).
         factor = max(0.0, (slope - dot(before, corrected)) / now.slopes[-2]) if now.lengths else 0.0
         direction = corrected + factor * direction
         along = product(direction)
         curvature = dot(direction, along)
         if not curvature > least_curvature(direction):
             break
+        # Not `slope`: with an inexact preconditioner residual and old direction are not orthogonal.
         length = dot(now.residual, direction) / curvature
         now.factors.append(factor)
         now.lengths.append(length)

@@ -164,7 +164,8 @@ class Guarded:
             self._over_held = min(
                 self._over_held + (1.0 - LONG_MEMORY) * (primary - held), MOST_DEBT * LEAST_N**2
             )
-            # A predicted touch does not count as an error of the predictor.
+            # Where the fallback or the measured force is zero, a contact is absent, begins or ends:
+            # such ticks do not compare the predictors.
             if any(kept[1]) and any(now):
                 self._missed[0] += (1.0 - MEMORY) * primary
                 self._missed[1] += (1.0 - MEMORY) * other

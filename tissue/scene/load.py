@@ -305,7 +305,9 @@ def _settled(
             faults = error.errors(include_url=False)
         idle = {key for fault in faults for key in idle_keys(fault, left) if not keep(key)}
         if idle <= found:
-            return error_of(faults[0], left), found
+            # A misspelt key that is required gives two faults: report the one that names it.
+            first = min(faults, key=lambda fault: fault["type"] != "extra_forbidden")
+            return error_of(first, left), found
         for key in idle:
             _drop(left, key)
         found |= idle

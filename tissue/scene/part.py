@@ -176,6 +176,7 @@ class ByKind:
             """Ask installed packages for a kind that is not known; from then on it is."""
             if not isinstance(value, Mapping):
                 return validate(value)
+            # An empty name is no file, whatever the table takes by default.
             if value.get("file") == "":
                 value = {name: each for name, each in value.items() if name != "file"}
             kind = value.get("kind")

@@ -75,7 +75,8 @@ class PoseLog:
 class Stepper:
     """Motion of a tool and response of a tissue in ticks of 1 ms, without output and record.
 
-    Runs, live runs, prompt references and environments all go through `step`. The cutting force
+    Every simulated tick goes through `step`: runs, cuts of a bone, loops of a caller's program,
+    references and environments. The cutting force
     depends on the bone before the present pass, so it is the same before and after the cut.
 
     Parameters

@@ -1,7 +1,4 @@
-"""Simulation of a scene: builds motion and tissue, and runs the loop.
-
-It is the only module that combines them.
-"""
+"""Simulation of a scene: builds motion and tissue, and runs the loop."""
 
 import gc
 from contextlib import nullcontext, suppress

@@ -81,6 +81,7 @@ class TickPriority:
                 os.setpriority(os.PRIO_PROCESS, self._thread, value)
             elif kind == "class":
                 _windows_class(value)
+            # macOS changes the class of the calling thread alone, and does not read the old one.
             elif threading.get_native_id() == self._thread:
                 _macos_class(DEFAULT)
 

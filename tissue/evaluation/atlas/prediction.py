@@ -32,6 +32,7 @@ from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand.hand import Hand, hand_parameters, waypoints
 from tissue.haptics.renderer import renderer
 from tissue.haptics.rigid_wall import press_wall
+from tissue.models.tissue_model import TICK_S
 from tissue.prediction.edmd import Edmd, Episode, window
 from tissue.prediction.guard import Guarded
 from tissue.prediction.koopman import Koopman, OperatorPath
@@ -44,7 +45,6 @@ from tissue.simulation.builders.prediction import maker_of
 __all__ = ["Horizon", "TrainedElsewhere"]
 
 SIX_DOF = device_parameters("six-dof")
-TICK_S = 1e-3
 HOME_N_M = 800.0
 """Stiffness of the wall of the training runs."""
 TURN = np.array([[2.0, -2.0, 1.0], [1.0, 2.0, 2.0], [-2.0, -1.0, 2.0]]) / 3.0

@@ -33,11 +33,11 @@ from tissue.haptics.hand.hand import Hand, hand_parameters, waypoints
 from tissue.haptics.loop.filters import ForceRange
 from tissue.haptics.renderer import renderer
 from tissue.haptics.rigid_wall import press_wall
+from tissue.models.tissue_model import TICK_S
 
 __all__ = ["LostSamples", "WildInput"]
 
 OMNI = device_parameters("omni")
-TICK_S = 1e-3
 STIFFNESS_N_M = 1500.0
 """Stiffness of the wall that is pressed [N/m]."""
 FAULT_S = 0.15

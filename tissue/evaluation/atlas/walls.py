@@ -43,6 +43,7 @@ from tissue.haptics.loop.sampled_loop import WallLoop
 from tissue.haptics.loop.stability_map import measured_critical_N_m
 from tissue.haptics.proxy.proxy import Box, ContactField, Proxy, ToolShell
 from tissue.haptics.rigid_wall import knock
+from tissue.models.tissue_model import TICK_S
 from tissue.scene.load import load_scene
 from tissue.simulation.simulate import simulate
 
@@ -156,7 +157,6 @@ class WallMap(Page):
             )
 
 
-TICK_S = 1e-3
 ENCODER_M = 1e-4
 DEVICE = DeviceParameters(mass_kg=0.05, damping_N_s_m=1.0, encoder_step_m=ENCODER_M)
 """Device with coarse encoders whose viscous friction alone allows 2 b / T = 2 kN/m."""

@@ -35,7 +35,8 @@ LONGEST_STEP_VOXELS = 0.5
 TURN = 0.9
 """Share of the stored feed direction below which the tool counts as turned.
 
-The share is the projection of the present feed direction on the direction stored at the last turn.
+The share is the projection of the present feed direction on the direction stored at the last turn:
+26 degrees.
 """
 CHANGED = ("remaining", "swept", "older", "alive")
 """Arrays of the brick store that carving changes and depends on."""
@@ -172,7 +173,7 @@ class Carver:
         now = self._pose_of(motion)
         moved = now - self._pose.host[0]
         step = sqrt(moved[:3].dot(moved[:3])) + self._lever * sqrt(moved[3:].dot(moved[3:]))
-        if not self._heading.any():
+        if not self._heading.any():  # first move after `place`: there is no cut to complete
             self._heading[:] = motion.heading
         elif step > 0.0 and np.vdot(motion.heading, self._heading) < TURN * np.vdot(
             self._heading, self._heading

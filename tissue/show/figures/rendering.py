@@ -230,7 +230,7 @@ def _draw(mesh: "pyvista.PolyData", camera: Camera, averaged: int, ambient: floa
         scalars="colours",
         rgb=True,
         preference="point" if "colours" in mesh.point_data else "cell",
-        smooth_shading=False,
+        smooth_shading=False,  # the mesh has its own normals; pyvista would compute others
         interpolation="Phong",
         ambient=ambient,
         diffuse=ALL_LIGHT - ambient,

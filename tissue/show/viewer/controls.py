@@ -328,7 +328,7 @@ class Playback:
             self.time_s = self.span_s[0]
 
     def advance(self) -> bool:
-        """Move on by the time that has passed, if it plays; return whether it plays."""
+        """Advance by the elapsed time; return True if the shown moment has changed."""
         if not self.playing:
             return False
         now_s = perf_counter()
