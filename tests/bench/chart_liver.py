@@ -106,7 +106,7 @@ def press(
             reached, depth, 2 + int((depth - reached) / (LONGEST * sphere.radius_m))
         )[1:]
         for stop in stops:
-            sphere.move_to(start + (touching + stop) * direction)
+            sphere.centre_m = start + (touching + stop) * direction
             solution = solver.solve(sphere=sphere, start_m=now)
             now = solution.displacement_m
             if not solution.converged:
@@ -133,15 +133,13 @@ def linear_limits(
     """
     depths = np.asarray(depths_m, dtype=np.float64)
     direction = np.asarray(inward, dtype=np.float64) / np.linalg.norm(inward)
-    precondition, forces = None, {}
+    forces = {}
     for law in laws:
         solver = NewtonSolver(
             NonlinearBody(space, lame_Pa, law=law),
             np.repeat(held[:, None], 3, axis=1),
             tolerance=TOLERANCE,
-            precondition=precondition,
         )
-        precondition = solver.precondition  # the stiffness at rest is the same for all
         found = press(
             solver.body,
             held,

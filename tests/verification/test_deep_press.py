@@ -68,7 +68,7 @@ def our_presses(
     forces, shapes, seconds, now = [], [], [], None
     for depth in depths_m:
         start = time.process_time()
-        ball.move_to(np.array([0.0, 0.0, RADIUS_M - depth]))
+        ball.centre_m = np.array([0.0, 0.0, RADIUS_M - depth])
         solution = solver.solve(sphere=ball, start_m=now)
         assert solution.converged
         now = solution.displacement_m
