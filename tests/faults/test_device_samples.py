@@ -90,11 +90,11 @@ def test_roughness_by_its_closed_form():
     for share, noisy in ((0.99, False), (1.01, True)):
         course = Roughness(2000.0)
         for tick in range(100):
-            course.observe(tick * TICK, (0.5 * share * 2000.0 * (tick * TICK) ** 2, 0.0, 0.0))
+            course.observe(tick * TICK, 0.5 * share * 2000.0 * (tick * TICK) ** 2, 0.0, 0.0)
         assert course.noisy == noisy
     course = Roughness(2000.0)
     for tick in range(100):  # one leap of a metre
-        course.observe(tick * TICK, (float(tick == 50), 0.0, 0.0))
+        course.observe(tick * TICK, float(tick == 50), 0.0, 0.0)
         assert not course.noisy
 
 

@@ -4,7 +4,7 @@ A sample is valid if a hand could have made it.
 """
 
 from dataclasses import dataclass, fields
-from math import ceil, dist, hypot, isfinite, nan, sqrt
+from math import ceil, dist, isfinite, nan, sqrt
 
 import numpy as np
 
@@ -20,7 +20,6 @@ from tissue.haptics.device.device import (
 )
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.quaternion import (
-    NOTHING,
     UPRIGHT,
     Quaternion,
     is_nearly_unit,
@@ -39,6 +38,9 @@ SMOOTH = 0.05
 """Share of rough samples above which a signal is noise, and below which it is valid again."""
 SHORTEST_S = 2e-3
 """Shortest span of three samples [s]: encoder steps and clock jitter disturb shorter ones."""
+
+Place = tuple[float, float, float, float, float]
+"""Time [s] and up to four coordinates."""
 
 
 class Roughness:
@@ -69,28 +71,38 @@ class Roughness:
         self._limit = limit / 8.0
         self.noisy = False
         self.share = 0.0
-        self._first: tuple[float, tuple[float, ...]] | None = None
-        self._middle: tuple[float, tuple[float, ...]] | None = None
+        self._first: Place | None = None
+        self._middle: Place | None = None
 
-    def observe(self, time_s: float, place: tuple[float, ...]) -> bool:
+    def observe(self, time_s: float, x: float, y: float, z: float, w: float = 0.0) -> bool:
         """Process a sample with its time [s], and return whether the signal is noise."""
         first = self._first
         middle = self._middle
-        if middle is not None and place == middle[1]:
+        if (
+            middle is not None
+            and x == middle[1]
+            and y == middle[2]
+            and z == middle[3]
+            and w == middle[4]
+        ):
             if self.share > 0.0:
                 self._count(False, STALE / MEMORY)
             return self.noisy
         self._first = middle
-        self._middle = (time_s, place)
+        self._middle = (time_s, x, y, z, w)
         if first is None or middle is None:
             return False
-        span = time_s - first[0]
-        part = (middle[0] - first[0]) / span if span > 0.0 else 0.5
-        square = 0.0
-        for start, between, end in zip(first[1], middle[1], place, strict=True):
-            off = between - start - part * (end - start)
-            square += off * off
-        allowed = self._limit * max(span, SHORTEST_S) ** 2
+        start, ax, ay, az, aw = first
+        between, bx, by, bz, bw = middle
+        span = time_s - start
+        part = (between - start) / span if span > 0.0 else 0.5
+        dx = bx - ax - part * (x - ax)
+        dy = by - ay - part * (y - ay)
+        dz = bz - az - part * (z - az)
+        dw = bw - aw - part * (w - aw)
+        square = dx * dx + dy * dy + dz * dz + dw * dw
+        span = span if span > SHORTEST_S else SHORTEST_S
+        allowed = self._limit * span * span
         rough = square > allowed * allowed
         if rough or self.share > 0.0:
             self._count(rough, 1.0 / MEMORY)
@@ -108,6 +120,7 @@ class Roughness:
 
 MOST_EVENTS = 200
 """Largest number of listed changes between valid and invalid samples."""
+NO_TORQUE = np.zeros(3)
 SHAPES: tuple[tuple[int, ...], ...] = ((), (3,), (3,), (4,), (3,))
 """Shapes of the parts of a sample."""
 PLAIN = {float, int, np.float64}
@@ -247,13 +260,14 @@ class SampleGuard:
         None or a non-finite wrench counts as a fault of this tick.
         """
         change = self._step / self._limits.fade_s
-        torque = np.zeros(3) if torque_Nm is None else torque_Nm
+        torque = NO_TORQUE if torque_Nm is None else torque_Nm
         if force_N is not None and not isfinite(sum(force_N.tolist()) + sum(torque.tolist())):
             self._log(self._clock or 0.0, "the force is not finite: it fades")
             force_N = None
         if force_N is not None and not self._fault:
             self.share = min(self.share + change, 1.0)
-            self._wrench = _capped(force_N, self._caps[0]), _capped(torque, self._caps[1])
+            turning = torque if torque is NO_TORQUE else _capped(torque, self._caps[1])
+            self._wrench = _capped(force_N, self._caps[0]), turning
         else:
             self.share = max(self.share - change, 0.0)
         return self.share * self._wrench[0], self.share * self._wrench[1]
@@ -280,13 +294,17 @@ class SampleGuard:
             return "a sample of the future"
         if good is not None and sample.time_s < good.time_s:
             return "a sample from before the last one"
-        if sum(one * other for one, other in zip(turned, self._turned, strict=True)) < 0.0:
-            x, y, z, w = turned
-            self._turned = (-x, -y, -z, -w)  # the same orientation, with the sign of the last one
-        else:
-            self._turned = turned
-        noisy = self._places.observe(sample.time_s, tuple(sample.position_m))
-        if self._turns.observe(sample.time_s, self._turned) or noisy:
+        x, y, z, w = turned
+        if turned != self._turned:
+            a, b, c, d = self._turned
+            if a * x + b * y + c * z + d * w < 0.0:
+                x = -x
+                y = -y
+                z = -z
+                w = -w
+            self._turned = x, y, z, w
+        noisy = self._places.observe(sample.time_s, *sample.position_m)
+        if self._turns.observe(sample.time_s, x, y, z, w) or noisy:
             return "noise that no hand makes"
         if max(map(abs, sample.velocity_m_s)) > limits.fastest_m_s:
             return "a speed that no hand has"
@@ -298,8 +316,10 @@ class SampleGuard:
         elapsed = max(sample.time_s - good.time_s, 0.0) + limits.oldest_s
         if dist(sample.position_m, good.position_m) > limits.fastest_m_s * elapsed:
             return "a jump that no hand makes"
-        turn = NOTHING if turned == good.quaternion else turn_between(good.quaternion, turned)
-        if hypot(*turn) > limits.fastest_rad_s * elapsed:
+        if turned == good.quaternion:
+            return ""
+        i, j, k = turn_between(good.quaternion, turned)
+        if i * i + j * j + k * k > (limits.fastest_rad_s * elapsed) ** 2:
             return "a turn that no hand makes"
         return ""
 

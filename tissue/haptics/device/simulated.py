@@ -1,7 +1,6 @@
 """Device simulated between its ticks, together with the hand that holds it."""
 
 from collections import deque
-from collections.abc import Iterable
 from math import ceil, inf, isfinite, sqrt
 
 import numpy as np
@@ -88,34 +87,52 @@ class Plant:
             self._amplifier,
             step_s / substeps,
         )
+        u0, u1, u2 = command
+        w0, w1, w2 = external
         stop = self._friction * vw
-        position = self.position
-        velocity = self.velocity
-        motor = self.motor_force
+        work = self.motor_work_J
+        (x0, x1, x2) = self.position
+        (v0, v1, v2) = self.velocity
+        (f0, f1, f2) = self.motor_force
         for _ in range(substeps):
-            before = position
-            resting = not any(velocity)
-            axes = list(zip(position, velocity, motor, command, external, strict=True))
-            position = _triple(xx * x + xv * v + xf * f + xu * u + xw * w for x, v, f, u, w in axes)
-            velocity = _triple(vx * x + vv * v + vf * f + vu * u + vw * w for x, v, f, u, w in axes)
+            p0 = xx * x0 + xv * v0 + xf * f0 + xu * u0 + xw * w0
+            p1 = xx * x1 + xv * v1 + xf * f1 + xu * u1 + xw * w1
+            p2 = xx * x2 + xv * v2 + xf * f2 + xu * u2 + xw * w2
+            q0 = vx * x0 + vv * v0 + vf * f0 + vu * u0 + vw * w0
+            q1 = vx * x1 + vv * v1 + vf * f1 + vu * u1 + vw * w1
+            q2 = vx * x2 + vv * v2 + vf * f2 + vu * u2 + vw * w2
             if stop > 0.0:
-                speed = sqrt(sum(v * v for v in velocity))
+                speed = sqrt(q0 * q0 + q1 * q1 + q2 * q2)
                 share = 1.0 if speed <= stop else stop / speed
                 ratio = share * xw / vw
-                position = _triple(x - ratio * v for x, v in zip(position, velocity, strict=True))
-                velocity = _triple((1.0 - share) * v for v in velocity)
-                if share == 1.0 and resting:
+                p0 = p0 - ratio * q0
+                p1 = p1 - ratio * q1
+                p2 = p2 - ratio * q2
+                q0 = (1.0 - share) * q0
+                q1 = (1.0 - share) * q1
+                q2 = (1.0 - share) * q2
+                if share == 1.0 and v0 == v1 == v2 == 0.0:
                     # static friction follows a motor force that changes within the substep
-                    position = before
-            driven = motor
-            motor = _triple(ff * f + fu * u for f, u in zip(motor, command, strict=True))
-            self.motor_work_J += 0.5 * sum(
-                (f + g) * (x - a)
-                for f, g, x, a in zip(driven, motor, position, before, strict=True)
-            )
-        self.position = position
-        self.velocity = velocity
-        self.motor_force = motor
+                    p0 = x0
+                    p1 = x1
+                    p2 = x2
+            g0 = ff * f0 + fu * u0
+            g1 = ff * f1 + fu * u1
+            g2 = ff * f2 + fu * u2
+            work += 0.5 * ((f0 + g0) * (p0 - x0) + (f1 + g1) * (p1 - x1) + (f2 + g2) * (p2 - x2))
+            x0 = p0
+            x1 = p1
+            x2 = p2
+            v0 = q0
+            v1 = q1
+            v2 = q2
+            f0 = g0
+            f1 = g1
+            f2 = g2
+        self.position = (x0, x1, x2)
+        self.velocity = (v0, v1, v2)
+        self.motor_force = (f0, f1, f2)
+        self.motor_work_J = work
 
 
 class SimulatedDevice(ComputedDevice):
@@ -246,60 +263,80 @@ class SimulatedDevice(ComputedDevice):
         # Scalar arithmetic on three numbers is faster than vectors.
         stiffness = self._grip.stiffness_N_m
         damping = self._grip.damping_N_s_m
-        aims = list(zip(action.aim_m, action.aim_velocity_m_s, action.push_N, strict=True))
-        external = _triple(stiffness * a + damping * u + f for a, u, f in aims)
+        (ax, ay, az) = action.aim_m
+        (u, v, w) = action.aim_velocity_m_s
+        (fx, fy, fz) = action.push_N
+        x, y, z = external = (
+            stiffness * ax + damping * u + fx,
+            stiffness * ay + damping * v + fy,
+            stiffness * az + damping * w + fz,
+        )
         turned = NOTHING
         if self.six_dof:
             turned = turn_between(action.aim_quaternion, self.orientation)
             self.rotation.position = turned
         time = at
-        moves = self.translation
-        where = moves.position
-        went = moves.velocity
+        where = self.translation.position
+        went = self.translation.velocity
         for length, back, fine in self._spans:
             force, torque = self._commands[-1 - back]
             # The aim moves within the tick; the mean pull of the spring is second-order accurate
             # at its middle.
             midpoint = stiffness * (time - at + 0.5 * length)
-            pull = _triple(
-                e + midpoint * u for e, u in zip(external, action.aim_velocity_m_s, strict=True)
-            )
-            moves.advance(length, command=force, external=pull, substeps=fine)
+            pull = x + midpoint * u, y + midpoint * v, z + midpoint * w
+            self.translation.advance(length, command=force, external=pull, substeps=fine)
             if self.six_dof:
                 self.rotation.advance(length, command=torque, external=NOTHING, substeps=fine)
             time += length
-        # The force on the hand follows from the momentum of the mass that moves with the hand, and
-        # from its spring and damper.
-        rate = self.parameters.rate_Hz
-        half = 0.5 * self._step
-        mass = self._grip.mass_kg
-        self.hand_force_N = _triple(
-            rate * (damping * (x - a) + mass * (v - b))
-            - (e + stiffness * (half * u - 0.5 * (a + x)))
-            for x, v, a, b, e, u in zip(
-                moves.position,
-                moves.velocity,
-                where,
-                went,
-                external,
-                action.aim_velocity_m_s,
-                strict=True,
-            )
-        )
+        self._feel(external, action.aim_velocity_m_s, where, went)
         if self.six_dof:
-            turn = _difference(self.rotation.position, turned)
-            self.orientation = product(exponential(turn), self.orientation)
+            (a, b, c) = self.rotation.position
+            (x, y, z) = turned
+            self.orientation = product(exponential((a - x, b - y, c - z)), self.orientation)
         elif stiffness > 0.0:
             self.orientation = action.aim_quaternion
         self._tick += 1
         before = self._sample
+        rate = self.parameters.rate_Hz
         position = self._read_position()
         orientation = self._read_orientation()
+        (x, y, z) = position
+        (a, b, c) = before.position_m
         spin = NOTHING
         if orientation != before.quaternion:
-            spin = _triple(rate * w for w in turn_between(before.quaternion, orientation))
-        velocity = _triple(rate * v for v in _difference(position, before.position_m))
+            spin = _times(rate, turn_between(before.quaternion, orientation))
+        velocity = rate * (x - a), rate * (y - b), rate * (z - c)
         self._sample = Sample(self._tick * self._step, position, velocity, orientation, spin)
+
+    def _feel(
+        self, external: Triple, aim_velocity_m_s: Triple, where: Triple, went: Triple
+    ) -> None:
+        """Compute the force on the hand in this tick.
+
+        It follows from the momentum of the mass that moves with the hand, and from its spring and
+        damper.
+        """
+        grip = self._grip
+        moves = self.translation
+        rate = self.parameters.rate_Hz
+        half = 0.5 * self._step
+        (i, j, k) = moves.position
+        (u, v, w) = moves.velocity
+        spring = grip.stiffness_N_m
+        damper = grip.damping_N_s_m
+        mass = grip.mass_kg
+        (ex, ey, ez) = external
+        (ax, ay, az) = aim_velocity_m_s
+        (x, y, z) = where
+        (p, q, r) = went
+        self.hand_force_N = (
+            rate * (damper * (i - x) + mass * (u - p))
+            - (ex + spring * (half * ax - 0.5 * (x + i))),
+            rate * (damper * (j - y) + mass * (v - q))
+            - (ey + spring * (half * ay - 0.5 * (y + j))),
+            rate * (damper * (k - z) + mass * (w - r))
+            - (ez + spring * (half * az - 0.5 * (z + k))),
+        )
 
     def _hold(self, grip: Grip) -> None:
         """Attach the device to a grip, or release it."""
@@ -324,15 +361,16 @@ class SimulatedDevice(ComputedDevice):
         return exponential(_stepped(logarithm(self.orientation), self.parameters.encoder_step_rad))
 
 
-def _triple(numbers: Iterable[float]) -> Triple:
-    x, y, z = numbers
-    return x, y, z
-
-
-def _difference(end: Triple, start: Triple) -> Triple:
-    return end[0] - start[0], end[1] - start[1], end[2] - start[2]
+def _times(factor: float, vector: Triple) -> Triple:
+    return factor * vector[0], factor * vector[1], factor * vector[2]
 
 
 def _stepped(vector: Triple, step: float) -> Triple:
     """Return the nearest point of a grid."""
-    return vector if step == 0.0 else _triple(step * round(x / step) for x in vector)
+    if step == 0.0:
+        return vector
+    return (
+        step * round(vector[0] / step),
+        step * round(vector[1] / step),
+        step * round(vector[2] / step),
+    )

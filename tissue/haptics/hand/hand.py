@@ -332,30 +332,39 @@ class Hand:
         """Return the action of the hand with the device at ``position_m`` [m]."""
         if time_s >= self._let_go:
             return HandAction()
-        place, velocity = self._aim.at(time_s)
+        (x, y, z), (u, v, w) = self._aim.at(time_s)
         if not self._drawn:
             self._drawn = self._rng.standard_normal((BLOCK, 9)).tolist()
         drawn = self._drawn.pop()
-        self._tremor = [
+        s, t, q = self._tremor = [
             self._turning * value + self._shaken * complex(drawn[3 + a], drawn[6 + a])
             for a, value in enumerate(self._tremor)
         ]
         spin = self._speed_per_tremor
-        x, y, z = (x + s.real for x, s in zip(place, self._tremor, strict=True))
-        u, v, w = (u - spin * s.imag for u, s in zip(velocity, self._tremor, strict=True))
-        off = (x - position_m[0], y - position_m[1], z - position_m[2])
+        aim = (x + s.real, y + t.real, z + q.real)
+        velocity = (u - spin * s.imag, v - spin * t.imag, w - spin * q.imag)
+        off = (aim[0] - position_m[0], aim[1] - position_m[1], aim[2] - position_m[2])
         self._pending.append(off)
         felt = self._pending.popleft()
         stiffness = self.parameters.stiffness_N_m
         reflex = self.parameters.reflex_share * stiffness
-        pushed = NOTHING if self._push is None else self._push(time_s)
-        force = [float(p) + reflex * f for p, f in zip(pushed, felt, strict=True)]
-        exerted = sqrt(sum((f + stiffness * o) ** 2 for f, o in zip(force, off, strict=True)))
-        self._noise = [self._keep * n + self._fresh * drawn[k] for k, n in enumerate(self._noise)]
+        px, py, pz = NOTHING if self._push is None else self._push(time_s)
+        fx = float(px) + reflex * felt[0]
+        fy = float(py) + reflex * felt[1]
+        fz = float(pz) + reflex * felt[2]
+        exerted = sqrt(
+            (fx + stiffness * off[0]) ** 2
+            + (fy + stiffness * off[1]) ** 2
+            + (fz + stiffness * off[2]) ** 2
+        )
+        a, b, c = self._noise = [
+            self._keep * n + self._fresh * drawn[k] for k, n in enumerate(self._noise)
+        ]
         noise = self.parameters.force_noise * exerted
-        fx, fy, fz = (f + noise * n for f, n in zip(force, self._noise, strict=True))
         turned = UPRIGHT
         if self._turn is not None:
             i, j, k, r = self._turn(time_s)
             turned = float(i), float(j), float(k), float(r)
-        return HandAction((x, y, z), (u, v, w), (fx, fy, fz), turned, self._grip)
+        return HandAction(
+            aim, velocity, (fx + noise * a, fy + noise * b, fz + noise * c), turned, self._grip
+        )
