@@ -1,15 +1,10 @@
 """Devices of other rates than the loop: filters, velocity, slew and hold are right in seconds."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hand_steps import STEP_S, held, meet
 
-import tissue
-from tissue import InputError, Sample, load_scene
-from tissue.haptics.device.device import device_parameters
-from tissue.haptics.device.simulated import SimulatedDevice
+from tissue import InputError, Sample
 from tissue.models.tissue_model import FreeSpace, WallModel
 
 RATES_HZ = [500, 1000, 2000]
@@ -122,18 +117,3 @@ def test_what_needs_a_sample_in_every_tick_is_refused_for_a_slow_device(at_rate)
         assert held(**at_rate(1000), **changes) is not None
         with pytest.raises(InputError, match=f"touch gives 500 samples a second, but {words}"):
             held(**at_rate(500), **changes)
-
-
-def test_a_device_that_states_a_slower_rate_than_its_constants_is_refused():
-    limits = replace(device_parameters("touch"), rate_Hz=500.0)
-    scene = load_scene("wall", {"device": "touch", "duration_s": 0.05})
-    with pytest.raises(
-        InputError, match="must give the 1000 samples a second of its constants, got 500"
-    ):
-        tissue.simulate(scene, device=SimulatedDevice(limits, position_m=(0.0, 0.0, 0.02)))
-    bone = tissue.Bone.block((12, 8, 5), spacing_mm=0.5)
-    with pytest.raises(
-        InputError, match="must give the 1000 samples a second of its constants, got 500"
-    ):
-        tissue.Loop(bone, device=SimulatedDevice(limits))
-    assert tissue.Loop(bone, device=SimulatedDevice(limits), limits=limits).run(0.02).ticks == 20

@@ -58,16 +58,6 @@ def test_what_is_judged_counts_the_delay_that_is_there():
     assert judge(late).critical_N_m < judge(wall).critical_N_m
 
 
-def test_an_unstable_spring_of_rotation_is_refused_with_the_nearest_stable_one():
-    with pytest.raises(
-        InputError, match=r"coupling\.stiffness_Nm_rad must be below .* got 20 "
-    ) as refused:
-        run_of("wall", device="six-dof", coupling__stiffness_Nm_rad=20.0)
-    nearest = float(str(refused.value).split(": use ")[1].split(",")[0])
-    run = run_of("wall", device="six-dof", coupling__stiffness_Nm_rad=nearest, duration_s=0.01)
-    assert f"stiffness {nearest:g} N m/rad is stable" in run.parts.notes["coupling"]
-
-
 @pytest.mark.parametrize(("share", "settles"), [(0.95, True), (1.05, False)])
 def test_the_turning_loop_is_stable_up_to_the_stiffness_that_is_judged(share, settles):
     """The turning loop is stable up to the stiffness that is judged.

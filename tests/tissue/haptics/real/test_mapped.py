@@ -237,15 +237,6 @@ def test_a_force_that_the_adapter_took_off_comes_on_from_zero():
     assert device.happened() == [(pytest.approx(0.03), "late")] == device.happened()
 
 
-def test_a_sample_that_is_not_finite_places_nothing():
-    device, adapter, clock = mapped((0.0, 0.0, 0.02))
-    nan = float("nan")
-    read, _ = run(
-        device, adapter, clock, [HardwareSample((nan, 0.0, 0.0)), HardwareSample((0.3, 0.0, 0.0))]
-    )
-    assert read[1].position_m == pytest.approx((0.0, 0.0, 0.02))
-
-
 def test_a_safe_device_holds_it_and_states_what_was_played():
     device, adapter, _ = mapped(force_cap_N=2.0)
     assert isinstance(device, StatesPlayed)

@@ -136,20 +136,6 @@ SLOW = SelfTest(
 )
 
 
-def test_the_file_holds_what_was_measured_and_is_taken_as_constants(tmp_path):
-    path = tmp_path / "measured.toml"
-    write_measured(path, "network", SLOW)
-    entries = tomllib.loads(path.read_text("utf-8"))["devices"]["network"]
-    assert (entries["rate_Hz"]["value"], entries["rate_Hz"]["range"]) == (200.0, [125.0, 200.0])
-    assert (entries["transport_delay_s"]["value"], entries["transport_delay_s"]["range"]) == (
-        0.006,
-        [0.0, 0.009],
-    )
-    assert "tissue devices --test network for 2 s on" in entries["rate_Hz"]["source"]
-    found, usual = device_parameters("network", Materials.read(path)), device_parameters("network")
-    assert (found.rate_Hz, found.transport_delay_s, found.mass_kg) == (200.0, 0.006, usual.mass_kg)
-
-
 @pytest.mark.parametrize(
     ("changes", "rate", "delay"),
     [

@@ -150,19 +150,6 @@ def test_removed_depth_adds_up_to_the_removed_volume(run):
     assert np.abs(depth.height_mm - cup)[cut].max() < 0.2 * SPACING_MM
 
 
-def test_depth_on_the_surface_is_that_of_the_map(run, folder):
-    surface = pyvista.read(folder / "bone.vtp")
-    shown = surface.point_data["removed_depth_mm"]
-    assert shown.min() == 0.0
-    assert shown.max() <= depth_map(run).depth_mm.max() + 1e-6
-    assert shown.max() > 0.8 * depth_map(run).depth_mm.max()
-    bottom = surface.points[:, 2] < surface.bounds[4] + 0.5 * SPACING_MM
-    assert (shown[bottom] == 0.0).all()
-    assert set(np.unique(surface.cell_data["layer"])) <= set(
-        range(len(run.parts.volume.layer_names))
-    )
-
-
 @pytest.mark.slow
 def test_pictures_show_something(run, tmp_path):
     from PIL import Image
