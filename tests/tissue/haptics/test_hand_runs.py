@@ -3,14 +3,9 @@
 import numpy as np
 import pytest
 from hand_runs import played_N, run_of
-from hand_steps import STEP_S
 
-from tissue import load_scene, simulate
 from tissue.haptics.device.device import device_parameters
-from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.hand.hand import hand_parameters
-from tissue.simulation.builders.force_met import chosen_scale
-from tissue.simulation.builders.loop import judged_loop, loop_settings
 
 
 @pytest.fixture(scope="module")
@@ -88,27 +83,4 @@ def test_the_wall_s_hand_comes_as_deep_as_its_springs_let_it(on_the_wall):
     late = (trace["time_s"] > 0.75) & (trace["time_s"] < 1.05)
     assert -trace["device_z_mm"][late].mean() == pytest.approx(
         5.0 * grip / (grip + coupled), abs=0.4
-    )
-
-
-@pytest.mark.slow
-def test_a_device_on_rails_that_tracks_the_path_feels_the_scripted_force():
-    """A device on rails that tracks the path feels the scripted force.
-
-    It moves along the path plus the spring's stretch under the scripted force: 2 to 7 mm along a
-    slot.
-    """
-    changes = {"duration_s": 1.6, "voxels.spacing_mm": 0.1}
-    scripted = simulate(load_scene("milling", changes)).trace
-    scene = load_scene("milling", changes | {"device": "touch"})
-    spring = judged_loop(loop_settings(scene), step_s=STEP_S).stiffness_N_m / chosen_scale(scene)[0]
-    tips, late = 1e-3 * scripted.vectors("tool", "mm"), slice(500, 1500)
-    force = scripted.vectors("model_force", "N")
-    steady = np.column_stack([np.convolve(part, np.full(20, 0.05), "same") for part in force.T])
-    rails = RecordedDevice(1e-3 * np.arange(len(tips)), tips - steady / spring)
-    felt = simulate(scene, device=rails).trace.vectors("raw_force", "N") / chosen_scale(scene)[0]
-    expected = force[late].mean(axis=0)
-    assert np.linalg.norm(expected[1:]) > 8.0 * abs(expected[0])  # it acts across the path
-    np.testing.assert_allclose(
-        felt[late].mean(axis=0), expected, atol=0.1 * np.linalg.norm(expected)
     )

@@ -120,21 +120,6 @@ def test_a_published_faulty_message_is_refused(vector, problem):
         igtl.parse_transform(parsed(REFUSED[vector])[1])
 
 
-@pytest.mark.parametrize(
-    ("place", "bytes_", "problem"),
-    [
-        (2, b"\xff\xfe", "type or name is no ASCII text"),
-        (14, b"\x01\x02", "type or name is no ASCII text"),
-        (2, b"\0" * 12, "type or name is no ASCII text"),
-    ],
-)
-def test_a_header_that_is_none_is_refused(place, bytes_, problem):
-    message = bytearray(VECTORS["transform"])
-    message[place : place + len(bytes_)] = bytes_
-    with pytest.raises(IgtlError, match=problem):
-        igtl.parse_header(message)
-
-
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_a_transform_that_is_not_finite_is_refused(value):
     with pytest.raises(IgtlError, match="not finite"):

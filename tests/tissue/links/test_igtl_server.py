@@ -120,17 +120,6 @@ def test_random_bytes_raise_nothing(server, seed):
         assert server.send(STRING) == 1 and read(good, len(STRING)) == STRING
 
 
-def test_a_large_message_is_left_out_and_the_next_one_read(server):
-    (one,) = connect(server)
-    image = igtl.packed(
-        "IMAGE", "ct", igtl.image_body(np.zeros((64, 64, 64), np.uint8), np.eye(4)), time_s=0.0
-    )
-    with one:
-        one.sendall(image + TRANSFORM)
-        found = until(server, lambda found: found)
-        assert [each.header.kind for each in found] == ["TRANSFORM"]
-
-
 def test_a_client_that_takes_nothing_misses_the_stream_and_is_then_disconnected(
     server, monkeypatch
 ):

@@ -14,7 +14,6 @@ from ros2_stand_in import LOG, write_packages
 from tissue import load_scene, simulate
 from tissue.simulation.live.run import LiveSettings
 from tissue.simulation.live.run import live as run_live
-from tissue.simulation.live.shared import SharedArrays
 
 SCENE = {"duration_s": 0.4, "device": "none"}
 TOPICS = ["/tissue/measured_cp", "/tissue/measured_cv", "/tissue/measured_cf"]
@@ -104,34 +103,3 @@ def test_a_run_is_on_the_topics_tick_for_tick_in_si(tmp_path, monkeypatch, no_di
         run.parts.notes["ros2"]
         == f"published {count} times as {', '.join(TOPICS)}, /tissue/operating_state"
     )
-
-
-def test_a_run_without_ticks_is_paused(tmp_path, monkeypatch):
-    log = install(tmp_path, monkeypatch)
-    from tissue.links import ros2
-
-    columns = [*ros2.POSE, *ros2.TWIST, *ros2.WRENCH]
-    arrays = SharedArrays(
-        tmp_path,
-        {
-            "row": ("float64", (19,)),
-            **dict.fromkeys(("row_turn", "ended", "frames"), ("int64", (1,))),
-        },
-    )
-    (tmp_path / "columns.json").write_text(json.dumps(columns))
-    publisher = ros2.Ros2Publisher(tmp_path)
-    arrays.write("row", np.arange(19.0))
-    publisher.step()
-    monkeypatch.setattr(ros2, "PAUSED_S", 0.0)
-    publisher.step()
-    publisher.end()
-    found = published(log)
-    assert [entry["state"] for entry in found["/tissue/operating_state"]] == [
-        "ENABLED",
-        "PAUSED",
-        "DISABLED",
-    ]
-    assert [values(entry) for entry in found["/tissue/measured_cv"]] == [
-        pytest.approx([7e-3, 8e-3, 9e-3, 10.0, 11.0, 12.0])
-    ]
-    assert len(found["/tissue/measured_cp"]) == int(arrays["frames"][0]) == 1

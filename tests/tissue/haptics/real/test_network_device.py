@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from network_client import BYE, HEARTBEAT, HELLO, WRENCH, UdpClient, packet, pose, read
+from network_client import BYE, HELLO, WRENCH, UdpClient, packet, pose, read
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
@@ -46,25 +46,6 @@ def greeted(adapter, client):
     client.next(HELLO)
     polled(adapter, lambda sample: adapter.session.peer is not None)
     assert client.receive()[0] == HELLO
-
-
-def test_a_pose_comes_in_and_a_wrench_goes_out():
-    with NetworkAdapter(ANY_PORT["udp"]) as adapter, UdpClient(adapter.address) as client:
-        assert adapter.poll() is None
-        adapter.push(FORCE, TORQUE)  # nobody is there
-        greeted(adapter, client)
-        client.pose(0.01, 0.02, 0.03, buttons=2)
-        sample = polled(adapter)
-        assert (sample.position_m, sample.buttons) == (
-            (0.01, 0.02, 0.03),
-            2,
-        ) and adapter.poll() is None
-        adapter.push(FORCE, TORQUE)
-        kind, number, echo, payload = client.receive()
-        assert (kind, echo) == (WRENCH, 2) and wrench(payload) == (*FORCE, *TORQUE)
-        client.next(HEARTBEAT, echo=number)
-        polled(adapter, lambda _: math.isfinite(adapter.round_trip_s))
-        assert adapter.happened() == []
 
 
 def test_the_last_packets_are_zero_and_goodbye():

@@ -106,15 +106,6 @@ def test_what_cannot_be_used_is_counted_and_dropped(name, data):
     assert session.take().position_m == (1.0, 0.0, 0.0) and session.peer == "me"
 
 
-def test_late_and_repeated_poses_are_dropped_and_lost_ones_counted():
-    session = connected()
-    for number, taken in ((2, True), (5, True), (4, False), (5, False), (3, False), (6, True)):
-        session.receive(pose(number, (float(number), 0.0, 0.0)), "me")
-        sample = session.take()
-        assert (sample is not None) is taken and (not taken or sample.position_m[0] == number)
-    assert session.counts == {"hellos": 1, "poses": 3, "lost": 2, "late": 2, "repeated": 1}
-
-
 @pytest.mark.parametrize(
     ("number", "before", "newer"),
     [

@@ -2,12 +2,10 @@
 
 import numpy as np
 import pytest
-from fake_fields import block_series
 
 from tissue import load_scene, simulate
-from tissue.fem.fields import Frame
 from tissue.show.figures.force_depth import first_descent
-from tissue.show.figures.section import loaded_frame, moment_of, section_of
+from tissue.show.figures.section import moment_of, section_of
 
 pytest.importorskip("pyvista")
 
@@ -78,15 +76,3 @@ def test_descent_ends_where_the_tool_is_deepest_before_it_rises():
         assert rows.stop <= 351
     assert first_descent(down, np.zeros(301, dtype=bool)) == slice(0, 0)
     assert first_descent(down, np.ones(301, dtype=bool)) == slice(0, 301)
-
-
-def test_the_frame_that_is_shown_bears_load():
-    series = block_series((0.0, 0.0, 0.0), (1e-3, 1e-3, 1e-3), (2, 2, 2))
-    assert loaded_frame(series) is series.frames[-1]
-    series.frames.append(Frame(0.3, {}, {"von_mises_MPa": np.full(8, 1e-3, np.float32)}))
-    assert loaded_frame(series) is series.frames[-2]
-    series.frames[:] = [
-        Frame(0.0, {}, {"von_mises_MPa": np.zeros(8, np.float32)}),
-        Frame(0.1, {}, {}),
-    ]
-    assert loaded_frame(series) is None

@@ -10,9 +10,7 @@ import pytest
 
 import tissue
 from meshes.base.errors import InputError
-from tissue.show.figures.bone_pictures import _View
 from tissue.show.figures.force_time import draw_force_torque, joined_events, spells
-from tissue.simulation.bone_surface import depth_map
 from tissue.simulation.run_folder import picture_format
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -43,27 +41,6 @@ def molar():
     """The drilling of a molar down to its deepest point, without stress, in coarse voxels."""
     changes = {"voxels.spacing_mm": 0.2, "stress": None, "duration_s": 2.4}
     return tissue.simulate(tissue.load_scene("molar", changes))
-
-
-def test_the_camera_sees_the_bottom_of_a_cavity(molar):
-    pyvista = pytest.importorskip("pyvista")
-    from tissue.simulation.bone_surface import bone_surface
-
-    depth = depth_map(molar)
-    view = _View.of(molar, depth)
-    assert view.plane is not None
-    surface = bone_surface(view.volume, view.remaining)
-    camera = view.camera(surface)
-    tips = molar.trace.vectors("tool", "mm")
-    bottom = tips[tips[:, 2].argmin()]
-    # From just above the bottom, behind the plane, nothing lies between it and the eye.
-    behind = bottom + np.eye(3)[view.plane[0]] * 0.2 + [0.0, 0.0, 0.3]
-    eye = behind + 100.0 * np.array(camera.towards_eye)
-    hits, _ = pyvista.PolyData(surface).ray_trace(behind, eye)
-    assert len(hits) == 0
-    from_above = np.array([0.0, -np.sin(np.radians(36.0)), np.cos(np.radians(36.0))])
-    whole = bone_surface(molar.volume, molar.remaining)
-    assert len(whole.ray_trace(behind, behind + 100.0 * from_above)[0]) > 0
 
 
 def test_the_force_picture_names_every_line(molar, tmp_path):

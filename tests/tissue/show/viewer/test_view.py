@@ -37,15 +37,6 @@ def test_screenshot_of_a_whole_run(whole, tmp_path):
     assert _colours(picture) > 100
 
 
-@pytest.mark.slow
-def test_a_run_stopped_at_once_can_be_seen(stopped, tmp_path):
-    lines = (stopped / "trace.csv").read_text().splitlines(keepends=True)
-    (stopped / "trace.csv").write_text(lines[0])
-    (stopped / "scene.toml").unlink()
-    report = _screenshot(stopped, tmp_path / "view.png")
-    assert "before its first tick" in report
-
-
 def test_without_a_display_the_remedy_is_a_screenshot(whole, monkeypatch):
     monkeypatch.setattr("tissue.system.offscreen.sys.platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
