@@ -88,18 +88,3 @@ def test_the_turning_loop_is_stable_up_to_the_stiffness_that_is_judged(share, se
         torques.append(played[0])
     ripple = [np.std(torques[first : first + 300]) for first in (700, 1600)]
     assert ripple[1] < 0.7 * ripple[0] if settles else ripple[1] > 1.4 * ripple[0]
-
-
-def test_a_motion_that_leaves_the_workspace_is_refused_with_the_scale_that_fits():
-    far = [[0, 0, 20], [0, 0, -5], [300, 0, -5]]
-    with pytest.raises(
-        InputError,
-        match=r"must be at least 1\.88 for a motion of 300 x 25 x 0 mm in the workspace of to",
-    ):
-        run_of("wall", motion__points_mm=far)
-    assert (
-        run_of(
-            "wall", motion__points_mm=far, coupling__motion_scale=1.88, duration_s=0.01
-        ).trace.rows.shape[0]
-        == 10
-    )

@@ -87,11 +87,6 @@ def test_headers_of_both_versions_are_read():
         )
 
 
-def test_the_fraction_of_a_second_is_that_of_two_to_the_32():
-    message = igtl.packed("STRING", "a", b"", time_s=12.75)
-    assert message[38:42].hex() == "c0000000" and igtl.parse_header(message).time_s == 12.75
-
-
 @pytest.mark.parametrize("size", [0, 1, LONG - 1, LONG, LONG + 1, 3 * LONG + 4097])
 def test_the_checksum_of_a_long_body_is_that_of_its_bytes_one_by_one(size):
     body, value = np.random.default_rng(size).bytes(size), 0

@@ -156,15 +156,6 @@ def test_closing_one_of_two_touches_leaves_the_other_running(monkeypatch):
     assert device.calls[-2:] == ["stop", "close 0"]
 
 
-def test_a_device_of_force_dimension_that_two_adapters_use_stays_open_for_the_second(monkeypatch):
-    device = ForceDimension().install(monkeypatch)
-    with ForceDimensionAdapter() as first:
-        with ForceDimensionAdapter(Hardware(address="7")):
-            assert ForceDimensionAdapter.find()[0].where == "7" and device.is_open
-        assert device.is_open and device.enabled and first.poll() is not None
-    assert not device.is_open and device.wrenches[-1] == (0.0,) * 6
-
-
 def test_velocities_of_a_touch_are_taken_over_ten_calls(monkeypatch):
     device, clock = OpenHaptics().install(monkeypatch), [10.0]
     monkeypatch.setattr(openhaptics, "perf_counter", lambda: clock[0])

@@ -5,7 +5,7 @@ import pytest
 
 from tissue import load_scene, simulate
 from tissue.show.figures.force_depth import first_descent
-from tissue.show.figures.section import moment_of, section_of
+from tissue.show.figures.section import section_of
 
 pytest.importorskip("pyvista")
 
@@ -34,28 +34,6 @@ def test_section_holds_the_voxels_at_the_deepest_point(run):
     assert removed.sum() > 10.0
     u0, u1, v0, v1 = section.extent_mm
     assert section.start.shape == (round((u1 - u0) / SPACING_MM), round((v1 - v0) / SPACING_MM))
-
-
-def test_a_section_shows_one_moment(run):
-    row, frame = moment_of(run)
-    assert (
-        frame is None
-        and run.trace["contact_mm2"][row] > 0.0
-        and not run.trace["contact_mm2"][row + 1 :].any()
-    )
-    # With fields it is the time of the last one under load: the bone is that of a run stopped
-    # there.
-    row = 350
-    section = section_of(run, axis=2, outward=1, row=row)
-    changes = {
-        "voxels.spacing_mm": SPACING_MM,
-        "motion.feed_mm_s": 5.0,
-        "duration_s": 1e-3 * (row + 1),
-    }
-    stopped = section_of(simulate(load_scene("glenoid", changes)), axis=2, outward=1, row=row)
-    np.testing.assert_array_equal(section.left, stopped.left)
-    assert section.left.sum() > section_of(run, axis=2, outward=1, row=599).left.sum() + 1.0
-    assert (section.place_mm, section.axes) == (stopped.place_mm, stopped.axes)
 
 
 def test_descent_ends_where_the_tool_is_deepest_before_it_rises():

@@ -164,11 +164,3 @@ def test_pictures_show_something(run, tmp_path):
             pixels = np.asarray(picture.convert("RGB"), dtype=float)
         assert pixels.std() > 15.0, path.name
         assert len(np.unique(pixels.reshape(-1, 3)[::97], axis=0)) > 50, path.name
-
-
-def test_pictures_without_opengl_name_what_to_install(run, tmp_path, monkeypatch):
-    monkeypatch.setattr("tissue.system.offscreen.drawing_environments", lambda: iter(()))
-    monkeypatch.setattr("tissue.system.offscreen.sys.platform", "linux")
-    (note,) = draw_pictures(run, tmp_path)
-    assert note.startswith("bone_before_after.png was not drawn: ") and "libegl1" in note
-    assert {path.name for path in tmp_path.iterdir()} == {*PICTURES} - {"bone_before_after.png"}

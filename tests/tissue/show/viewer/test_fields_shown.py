@@ -8,10 +8,9 @@ import pytest
 from fake_fields import PARTS, block_series, depth_at, pressed_run, pressed_series
 from recording_plotter import RecordingPlotter
 
-from tissue import InputError
 from tissue.fem.fields import FieldSeries, Frame
 from tissue.show.viewer.fields import FieldsShown
-from tissue.simulation.saved_fields import SavedFields, field_names
+from tissue.simulation.saved_fields import SavedFields
 from tissue.simulation.vtk_files import write_fields
 
 ROUNDING = 1e-5
@@ -136,21 +135,3 @@ def test_deformed_cut_and_without_a_part(tmp_path):
     shown.cut(None)
     shown.enlarge(1.0)
     assert drawn().bounds[2:4] == pytest.approx((-30.0, 30.0), rel=ROUNDING)
-
-
-def test_frames_that_are_missing_are_refused(pressed, tmp_path):
-    assert field_names(tmp_path) == []
-    index = tmp_path / "fields.pvd"
-    index.write_text((pressed / "fields.pvd").read_text())
-    with pytest.raises(
-        InputError, match=r"got 11 missing, first .*frame_0000.vtu: run the scene again"
-    ):
-        field_names(tmp_path)
-    index.write_text("<VTKFile")
-    with pytest.raises(InputError, match=r"fields.pvd must be a ParaView collection"):
-        field_names(tmp_path)
-    index.write_text(
-        '<?xml version="1.0"?>\n<VTKFile '
-        'type="Collection">\n<Collection>\n</Collection>\n</VTKFile>\n'
-    )
-    assert field_names(tmp_path) == []

@@ -37,22 +37,6 @@ def test_screenshot_of_a_whole_run(whole, tmp_path):
     assert _colours(picture) > 100
 
 
-def test_without_a_display_the_remedy_is_a_screenshot(whole, monkeypatch):
-    monkeypatch.setattr("tissue.system.offscreen.sys.platform", "linux")
-    monkeypatch.delenv("DISPLAY", raising=False)
-    with pytest.raises(InputError, match=r"DISPLAY is not set.*--screenshot FILE"):
-        view(whole)
-
-
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [("view.jpeg", "png file"), ("none/view.png", "folder")],
-)
-def test_a_screenshot_needs_a_place(whole, tmp_path, name, message):
-    with pytest.raises(InputError, match=message):
-        view(whole, screenshot=tmp_path / name)
-
-
 @pytest.mark.parametrize(("kind", "name"), [("movie", "run.gif"), ("screenshot", "run.png")])
 @pytest.mark.parametrize("older", [b"an older one", None])
 @pytest.mark.parametrize("ends", [KeyboardInterrupt(), "drawing was stopped"])

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from fake_fields import pressed_run
 
-from tissue import InputError, load_scene
+from tissue import InputError
 from tissue.scene.tool import Needle, probe_part
-from tissue.show.figures.tool_mesh import faces_of, tool_surface
+from tissue.show.figures.tool_mesh import tool_surface
 from tissue.show.viewer.run_scene import Choice
 from tissue.show.viewer.view import view
 
@@ -130,13 +130,3 @@ def test_what_a_run_does_not_have_is_refused(pressed, tmp_path, monkeypatch, opt
     with pytest.raises(InputError, match=refused):
         view(pressed, Choice(**options), screenshot=tmp_path / "view.png")
     assert not (tmp_path / "view.png").exists()
-
-
-def test_a_needle_goes_through_the_faces_of_its_scene():
-    pytest.importorskip("pyvista")
-    faces = faces_of(load_scene("needle", {"anatomy.membrane_depths_mm": {"vessel wall": 40.0}}))
-    assert {name: face.center[2] for name, face in faces.items()} == {
-        "capsule": 0.0,
-        "vessel wall": -40.0,
-    }
-    assert faces_of(load_scene("milling")) == {} == faces_of(None)
