@@ -1,6 +1,6 @@
 """Force that a hand feels of a device.
 
-It follows the device's own balance, at rest, behind friction, and in a run.
+It follows the device's own balance.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""Drawn organ: no facets, kept edges, a section with values, and the displayed moment."""
+"""Drawn organ: no facets, kept edges, and a section with values."""
 
 import numpy as np
 import pytest

@@ -1,6 +1,6 @@
 """Rules of pictures.
 
-Flickering values make no stripes, the camera sees the cavity, and SVG files have words and vectors.
+Flickering values make no stripes, and SVG files have words and vectors.
 """
 
 from xml.etree import ElementTree

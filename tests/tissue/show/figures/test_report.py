@@ -11,7 +11,6 @@ from tissue.show.figures import draw_pictures
 from tissue.simulation.bone_files import write_bone
 from tissue.simulation.bone_surface import (
     bone_surface,
-    cut_out,
     depth_map,
     smooth_normals,
 )
@@ -114,17 +113,6 @@ def test_surface_volume_and_outward_normals_of_a_ball():
     corners = surface.points[surface.regular_faces]
     winding = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     assert np.median(np.einsum("ij,ij->i", winding, corners.mean(axis=1))) > 0.0
-
-
-def test_only_faces_at_the_end_of_the_region_count_as_cut_out():
-    cube = np.full((10, 10, 10), 255, np.uint8)
-    volume = VoxelVolume(
-        np.zeros(3), 1e-3, cube, cube * 0, np.full(cube.shape, 1800, np.uint16), ("bone",)
-    )
-    surface = bone_surface(volume, cube)
-    cut = cut_out(surface, volume, (np.array([0.0, -0.1, -0.1]), np.array([0.1, 0.1, 0.1])))
-    assert cut.any()
-    np.testing.assert_allclose(surface.points[surface.regular_faces[cut]][..., 0], 0.0, atol=1e-6)
 
 
 def test_removed_depth_adds_up_to_the_removed_volume(run):

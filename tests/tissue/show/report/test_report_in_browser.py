@@ -1,6 +1,6 @@
 """Report in headless Chromium without a network.
 
-It shows a picture, turns, plays, zooms, and reports no error.
+It shows a picture, turns, plays, and reports no error.
 """
 
 import io

@@ -1,4 +1,4 @@
-"""The bone in `tissue view`: carved as far as the time shown, its layers switched on and off."""
+"""The bone in `tissue view`: carved as far as the time shown."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Effects of a page's messages on a live run: the shared pointer, pause, reset and end."""
+"""Effects of a page's messages on a live run: reset and figures."""
 
 from types import SimpleNamespace
 

@@ -1,4 +1,4 @@
-"""The page of a saved run as its command sees it: served, ended, refused."""
+"""The page of a saved run as its command sees it: served and ended."""
 
 import subprocess
 import sys

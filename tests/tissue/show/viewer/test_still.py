@@ -1,7 +1,4 @@
-"""Still pictures of a window: clean for a page, or with a scale bar.
-
-Bone has no steps of its voxels.
-"""
+"""Still pictures of a window: clean for a page, or with a scale bar."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""`tissue view`: of whole and of stopped runs, with and without a display."""
+"""`tissue view`: pictures of whole runs, and drawings that are interrupted."""
 
 from pathlib import Path
 

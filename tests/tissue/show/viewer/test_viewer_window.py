@@ -102,16 +102,6 @@ def test_a_tool_has_its_tip_at_the_origin(tool, box):
     assert tuple(tool_surface(tool).bounds) == pytest.approx(box, abs=0.01)
 
 
-def test_a_shell_probe_keeps_the_origin_of_its_file(tmp_path):
-    pyvista = pytest.importorskip("pyvista")
-    pyvista.Cube(center=(5.0, 0.0, 0.5)).save(tmp_path / "cube.stl")
-    tool = probe_part(kind="shell-probe", file=str(tmp_path / "cube.stl"), scale_mm=10.0)
-    shell = tool_surface(tool)
-    assert tuple(shell.bounds) == pytest.approx((45.0, 55.0, -5.0, 5.0, 0.0, 10.0))
-    assert tool_surface(tool.model_copy(update={"file": str(tmp_path / "gone.stl")})) is None
-    assert tool_surface(None) is None
-
-
 @pytest.mark.parametrize(
     ("options", "refused"),
     [
