@@ -251,21 +251,6 @@ def test_a_mouse_is_followed_smoothly_and_alike_at_any_rate():
     assert found[0][:2] == pytest.approx((0.02 * share, -0.01 * share), rel=1e-9)
 
 
-def test_unusable_devices_are_refused():
-    with pytest.raises(
-        InputError,
-        match=(
-            "device must be one of touch, omni, six-dof, haply, forcedimension, sigma-7, "
-            "openhaptics, network, recorded, got falcon"
-        ),
-    ):
-        device_parameters("falcon")
-    with pytest.raises(InputError, match="mass_kg must be positive"):
-        DeviceParameters(mass_kg=0.0, damping_N_s_m=0.1)
-    with pytest.raises(InputError, match="amplifier_Hz must be"):
-        DeviceParameters(mass_kg=0.1, damping_N_s_m=0.1, amplifier_Hz=float("nan"))
-
-
 def test_a_force_is_brought_into_range_by_a_law_that_can_be_undone():
     law, rng = ForceRange(limit_N=3.3, scale=0.1), np.random.default_rng(4)
     sizes = np.geomspace(1e-3, 60.0, 60)

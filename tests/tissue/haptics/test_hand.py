@@ -155,12 +155,3 @@ def test_noise_grows_with_the_force():
     assert spread[1] == pytest.approx(0.05, rel=0.1) and spread[2] == pytest.approx(
         4.0 * spread[1], rel=1e-9
     )
-
-
-def test_an_open_hand_does_nothing():
-    hand = Hand(
-        hand_parameters("novice"), to([0.1, 0, 0]), rng=np.random.default_rng(0), let_go_s=0.5
-    )
-    assert hand.act(0.499, (0.0, 0.0, 0.0)).grip.stiffness_N_m > 0.0
-    gone = hand.act(0.5, (0.0, 0.0, 0.0))
-    assert set(gone.grip) == {0.0} and set(gone.push_N) == {0.0}

@@ -58,16 +58,6 @@ def test_what_is_judged_counts_the_delay_that_is_there():
     assert judge(late).critical_N_m < judge(wall).critical_N_m
 
 
-def test_an_unstable_spring_of_rotation_is_refused_with_the_nearest_stable_one():
-    with pytest.raises(
-        InputError, match=r"coupling\.stiffness_Nm_rad must be below .* got 20 "
-    ) as refused:
-        run_of("wall", device="six-dof", coupling__stiffness_Nm_rad=20.0)
-    nearest = float(str(refused.value).split(": use ")[1].split(",")[0])
-    run = run_of("wall", device="six-dof", coupling__stiffness_Nm_rad=nearest, duration_s=0.01)
-    assert f"stiffness {nearest:g} N m/rad is stable" in run.parts.notes["coupling"]
-
-
 @pytest.mark.parametrize(("share", "settles"), [(0.95, True), (1.05, False)])
 def test_the_turning_loop_is_stable_up_to_the_stiffness_that_is_judged(share, settles):
     """The turning loop is stable up to the stiffness that is judged.
@@ -98,18 +88,3 @@ def test_the_turning_loop_is_stable_up_to_the_stiffness_that_is_judged(share, se
         torques.append(played[0])
     ripple = [np.std(torques[first : first + 300]) for first in (700, 1600)]
     assert ripple[1] < 0.7 * ripple[0] if settles else ripple[1] > 1.4 * ripple[0]
-
-
-def test_a_motion_that_leaves_the_workspace_is_refused_with_the_scale_that_fits():
-    far = [[0, 0, 20], [0, 0, -5], [300, 0, -5]]
-    with pytest.raises(
-        InputError,
-        match=r"must be at least 1\.88 for a motion of 300 x 25 x 0 mm in the workspace of to",
-    ):
-        run_of("wall", motion__points_mm=far)
-    assert (
-        run_of(
-            "wall", motion__points_mm=far, coupling__motion_scale=1.88, duration_s=0.01
-        ).trace.rows.shape[0]
-        == 10
-    )

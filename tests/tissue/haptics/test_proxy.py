@@ -5,7 +5,7 @@ It has three and six degrees of freedom.
 
 import numpy as np
 import pytest
-from proxy_scenes import BURR, bumpy_store, surface_of, wander
+from proxy_scenes import BURR, surface_of, wander
 from scipy.spatial.transform import Rotation
 
 from meshes.base.errors import InputError
@@ -60,27 +60,6 @@ def test_never_inside_solids(seed, friction):
 def proxy_moment(result, device):
     """Rotational spring's moment over the stiffness, for a lever of 3 mm [m2]."""
     return 9e-6 * np.array(turn_between(device, result.quaternion))
-
-
-def test_in_free_space_the_proxy_is_the_device():
-    """Bit for bit, in three and six degrees of freedom, near and far, on solids and voxels."""
-    store = bumpy_store(0)
-    for field in (ContactField(HalfSpace((0, 0, 0), (0, 0, 1))), ContactField(store=store)):
-        for lever in (None, 0.01):
-            proxy = Proxy(BURR, field, lever_m=lever)
-            proxy.place(np.array([0.0, 0.0, 8e-3]))
-            for position, turn in wander(
-                1, ticks=200, low=(0, 0, 6.6e-3), high=(8e-3, 8e-3, 2e-2), start=(0, 0, 8e-3)
-            ):
-                result = proxy.advance(position, turn)
-                if result.settled and not result.contacts:
-                    assert (result.position_m == position).all()
-                    assert (result.push_m == 0.0).all()
-                    assert (result.quaternion == (turn if lever else [0.0, 0.0, 0.0, 1.0])).all()
-            for _ in range(10):
-                result = proxy.advance(np.array([0.0, 0.0, 1.5e-2]))
-            assert result.settled and not result.contacts
-            assert (result.position_m == [0, 0, 1.5e-2]).all()
 
 
 def test_turning_everything_turns_the_proxy():

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from tissue import InputError
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand.hand import Grip, HandAction
@@ -123,10 +122,3 @@ def test_a_stop_for_a_rotation_creates_energy_unless_it_is_supervised(supervised
         assert given[-1] < 0.2 * 2e-3
     else:
         assert given[-1] > 2e-3
-
-
-def test_unknown_renderers_are_refused():
-    with pytest.raises(
-        InputError, match="renderer must be one of penalty, passivity, proxy, got springy"
-    ):
-        renderer("springy", WALL)

@@ -8,8 +8,7 @@ from hand_steps import meet
 from quiet_press import LIMITS, PERSON, check_ripple, quiet_press
 
 from tissue.haptics.device.device import device_parameters
-from tissue.haptics.hand.hand import hand_parameters
-from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands, judge
+from tissue.haptics.loop.critical_stiffness import judge
 from tissue.haptics.loop.filters import (
     VELOCITY_MEMORY,
     ConstantAcceleration,
@@ -17,11 +16,9 @@ from tissue.haptics.loop.filters import (
 )
 from tissue.haptics.loop.forecast import Forecast
 from tissue.haptics.loop.sampled_loop import ForecastMemory, SampledVelocity
-from tissue.haptics.loop.stability_map import measured_critical_N_m
 from tissue.models.tissue_model import WallModel
 
 TICK = 1e-3
-FORECAST = Forecast(taps=0.5 ** np.arange(6.0)[None, :, None] * [[[-60.0, -0.3, 0.4]]])
 
 
 @pytest.mark.parametrize("memory", [0.0, 0.5, 0.85, 0.95])
@@ -58,36 +55,6 @@ def test_a_constant_acceleration_has_no_delay_and_a_pause_forgets():
     np.testing.assert_allclose(found, [2e-6 * 399 / TICK, 3e-3], rtol=1e-9)
     estimate.pause()
     assert not estimate.step(np.array([7.0, 7.0])).any()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("forecast", "model_ticks"),
-    [
-        (None, 4),
-        pytest.param(FORECAST, 1, marks=pytest.mark.slow),
-        pytest.param(None, 1, marks=pytest.mark.slow),
-        pytest.param(FORECAST, 4, marks=pytest.mark.slow),
-    ],
-)
-def test_the_judge_s_eigenvalues_are_where_the_loop_with_the_filter_starts_to_grow(
-    forecast, model_ticks
-):
-    """The loop with the filter starts to grow at the judge's eigenvalues.
-
-    Running loops are bisected to 0.05 %, of which a slow growth over 4000 ticks takes up to 1 %.
-    """
-    if forecast is not None:
-        forecast = replace(forecast, taps=np.repeat(forecast.taps, model_ticks, axis=0))
-    loop = device_parameters("touch").loop(
-        400.0, filter_s=1e-3, wall_damping_N_s_m=0.6, model_ticks=model_ticks
-    )
-    loop = in_hands(replace(loop, forecast=forecast), [hand_parameters("expert").grip[:3]])[0]
-    raw, filtered = (replace(loop, velocity_memory=memory) for memory in (None, VELOCITY_MEMORY))
-    exact = [critical_stiffness_N_m(each) for each in (raw, filtered)]
-    for each, critical in zip((raw, filtered), exact, strict=True):
-        assert measured_critical_N_m([each])[0] == pytest.approx(critical, rel=0.02)
-    assert abs(exact[1] / exact[0] - 1.0) > 0.01
 
 
 @pytest.mark.parametrize(("share", "settles"), [(0.95, True), (1.05, False)])

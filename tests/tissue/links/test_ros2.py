@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 from ros2_stand_in import LOG, write_packages
 
-from tissue import InputError, load_scene, simulate
+from tissue import load_scene, simulate
 from tissue.simulation.live.run import LiveSettings
 from tissue.simulation.live.run import live as run_live
-from tissue.simulation.live.shared import SharedArrays
 
 SCENE = {"duration_s": 0.4, "device": "none"}
 TOPICS = ["/tissue/measured_cp", "/tissue/measured_cv", "/tissue/measured_cf"]
@@ -103,63 +102,4 @@ def test_a_run_is_on_the_topics_tick_for_tick_in_si(tmp_path, monkeypatch, no_di
     assert (
         run.parts.notes["ros2"]
         == f"published {count} times as {', '.join(TOPICS)}, /tissue/operating_state"
-    )
-
-
-def test_a_middleware_that_does_not_start_is_refused_in_a_sentence(
-    tmp_path, monkeypatch, no_display
-):
-    install(tmp_path, monkeypatch)
-    monkeypatch.setenv("TISSUE_TEST_ROS2", "broken")
-    with pytest.raises(InputError) as caught:
-        run_live(load_scene("wall", SCENE), LiveSettings(ros2=True))
-    assert str(caught.value) == (
-        "--live must publish the run for ROS 2, but RuntimeError: the middleware does not "
-        "start: fix that, or run "
-        "without --ros2"
-    )
-
-
-def test_a_run_without_ticks_is_paused(tmp_path, monkeypatch):
-    log = install(tmp_path, monkeypatch)
-    from tissue.links import ros2
-
-    columns = [*ros2.POSE, *ros2.TWIST, *ros2.WRENCH]
-    arrays = SharedArrays(
-        tmp_path,
-        {
-            "row": ("float64", (19,)),
-            **dict.fromkeys(("row_turn", "ended", "frames"), ("int64", (1,))),
-        },
-    )
-    (tmp_path / "columns.json").write_text(json.dumps(columns))
-    publisher = ros2.Ros2Publisher(tmp_path)
-    arrays.write("row", np.arange(19.0))
-    publisher.step()
-    monkeypatch.setattr(ros2, "PAUSED_S", 0.0)
-    publisher.step()
-    publisher.end()
-    found = published(log)
-    assert [entry["state"] for entry in found["/tissue/operating_state"]] == [
-        "ENABLED",
-        "PAUSED",
-        "DISABLED",
-    ]
-    assert [values(entry) for entry in found["/tissue/measured_cv"]] == [
-        pytest.approx([7e-3, 8e-3, 9e-3, 10.0, 11.0, 12.0])
-    ]
-    assert len(found["/tissue/measured_cp"]) == int(arrays["frames"][0]) == 1
-
-
-def test_without_ros_2_the_command_names_where_to_get_it(command, no_display, monkeypatch):
-    monkeypatch.setattr("tissue.simulation.live.publisher.find_spec", lambda name: None)
-    code, _, problems = command("run", "wall", "--live", "--ros2")
-    assert (
-        code == 2
-        and "--ros2 must have the Python packages of ROS 2, got no rclpy: source the setup.bash"
-        in " ".join(problems.split())
-    )
-    code, _, problems = command("run", "wall", "--ros2")
-    assert code == 2 and "--ros2 must be left out without --live, got it: give --live" in " ".join(
-        problems.split()
     )

@@ -3,19 +3,15 @@
 A client reads them, and a pose drives the tool.
 """
 
-import socket
-
 import numpy as np
 import pytest
 from igtl_client import IgtlClient
 
-from meshes.base.errors import InputError
 from tissue import load_scene, simulate
 from tissue.links import igtl_messages as igtl
 from tissue.links.slicer_process import SlicerFrame
-from tissue.simulation.live.publisher import PORT, SlicerLink, SlicerPublisher, require_link
-from tissue.simulation.live.run import LiveObserver, LiveSettings, live
-from tissue.simulation.observer import Observers, WallClock
+from tissue.simulation.live.publisher import SlicerLink
+from tissue.simulation.live.run import LiveSettings, live
 
 pytest.importorskip("pyvista")
 
@@ -157,53 +153,3 @@ def test_a_run_goes_on_without_a_link_that_failed_unless_it_moves_the_tool(monke
         "MemoryError"
     )
     assert made[0].ended == 1
-
-
-class Unpaced(WallClock):
-    """A clock that does not wait."""
-
-    def wait(self, index):
-        """Every tick is on time."""
-
-
-def test_what_the_tissue_reports_is_published_as_it_happens(monkeypatch):
-    made = []
-    monkeypatch.setattr(Fake, "failed", lambda self: None)
-    monkeypatch.setattr(
-        "tissue.simulation.live.publisher.SlicerProcess",
-        lambda *a, **k: made.append(Fake(*a, **k)) or made[-1],
-    )
-    scene = load_scene("needle", {"duration_s": 1.2})
-    run = simulate(
-        scene,
-        observer=Observers(
-            LiveObserver(scene, None, Unpaced(1e-3)), SlicerPublisher(scene, SlicerLink())
-        ),
-    )
-    assert "the capsule is punctured" in made[0].reported[0]
-    assert made[0].reported == [f"{time_s:.3f} s: {what}" for time_s, what in run.events]
-
-
-def test_a_second_mover_of_the_tool_is_refused_before_anything_is_built():
-    link = SlicerLink(drives=True)
-    assert link.port == PORT == 18944
-    with pytest.raises(InputError, match=r"--slicer-drives must be left out where .* got --web"):
-        require_link(link, load_scene("wall"), web=True)
-
-
-def test_the_command_publishes_and_prints_where(command, here):
-    with socket.create_server(("127.0.0.1", 0)) as other:
-        taken = str(other.getsockname()[1])
-        code, _, error = command(
-            "run", "wall", "--live", "--slicer", "--slicer-port", taken, "--out", "run"
-        )
-        assert code == 2 and error.startswith(
-            f"error: --slicer-port must be a free port of 127.0.0.1, got {taken} ("
-        )
-    arguments = ("--duration-s", "0.1", "--no-pictures", "--out", "run")
-    code, output, _ = command("run", "wall", "--live", "--slicer", "--slicer-port", "0", *arguments)
-    assert code == 0
-    line = output.splitlines()[1]
-    assert (
-        line.startswith("3D Slicer: connect a client to 127.0.0.1:") and line.split(":")[-1] != "0"
-    )

@@ -244,31 +244,6 @@ def test_a_surface_is_sent_when_it_has_changed_and_to_late_clients(stage, milled
     assert not len(client.of("tissue-anatomy")[2]["triangles"])
 
 
-def test_the_end_of_a_run_is_sent_with_what_came_before_it(stage, pressed):
-    shown = stage(pressed)
-    client = shown.client()
-    assert client.of("tissue")[0] | {"text": ""} == {
-        "code": 1,
-        "subcode": 0,
-        "name": "OK",
-        "text": "",
-    }
-    shown.show()
-    shown.report("last")
-    shown.publisher.end()
-    client.until(lambda: client.ended)
-    assert client.of("tissue-events")[-1]["text"] == "last" and client.of("tissue-tool")
-    assert client.of("tissue")[-1] == {
-        "code": 19,
-        "subcode": 0,
-        "name": "SHUT_DOWN",
-        "text": "wall: the run has ended",
-    }
-    assert shown.arrays["counts"].tolist()[1:] == [1, 0, 0] and shown.arrays["counts"][0] == len(
-        client.messages
-    )
-
-
 def target(matrix):
     """A transform that is to move the tool."""
     return igtl.packed("TRANSFORM", "tissue-target", igtl.transform_body(matrix), time_s=0.0)

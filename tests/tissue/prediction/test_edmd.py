@@ -1,7 +1,5 @@
 """Dictionaries, the fit over episodes, and the choice by cross-validation."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 from koopman_systems import duffing, horizon_errors, predict, record
@@ -58,31 +56,6 @@ def test_gap_products_switch():
     )
 
 
-@pytest.mark.parametrize("name", ["polynomials", "gap"])
-@pytest.mark.parametrize("ridge", [0.0, 1e-3])
-def test_the_fit_is_least_squares_whatever_the_blocks(name, ridge):
-    """Against the normal equations of all rows at once, in the same scaled coordinates."""
-    episodes, dictionary = swings(np.random.default_rng(2)), DICTIONARIES[name]
-    found = Edmd(dictionary, ridge=ridge, cap=None).fit(episodes)
-    before = np.vstack([np.hstack((dictionary.lift(e.states), e.inputs))[:-1] for e in episodes])
-    after = np.vstack([dictionary.lift(e.states)[1:] for e in episodes])
-    middle, scale = before.mean(axis=0), before.std(axis=0)
-    known, count = (before - middle) / scale, after.shape[1]
-    wanted = (after - after.mean(axis=0)) / scale[:count]
-    weights = np.linalg.solve(
-        known.T @ known + ridge * len(known) * np.eye(len(scale)), known.T @ wanted
-    ).T
-    assert found.A / found.scale[:, None] * found.scale == pytest.approx(
-        weights[:, :count], abs=1e-7
-    )
-    predicted = before[:, :count] @ found.A.T + before[:, count:] @ found.B.T + found.offset
-    assert predicted.mean(axis=0) == pytest.approx(after.mean(axis=0), abs=1e-10)
-    assert found.statistics.residual_rms == pytest.approx(
-        np.sqrt(((predicted - after) ** 2).mean(axis=0)), rel=1e-6
-    )
-    assert found.statistics.samples == 10 * 119
-
-
 @pytest.mark.parametrize("offset", [True, False])
 @pytest.mark.parametrize("ridge", [0.0, 1e-3])
 def test_delayed_states_are_fitted_as_any_other_target(offset, ridge):
@@ -125,17 +98,6 @@ def test_delayed_states_are_fitted_as_any_other_target(offset, ridge):
     )
     if ridge == 0.0:
         assert found.A[2:known, : known - 2] == pytest.approx(np.eye(known - 2), abs=1e-11)
-
-
-def test_block_by_block_is_all_at_once():
-    rng = np.random.default_rng(3)
-    known, wanted = rng.normal(size=(1000, 6)), rng.normal(size=(1000, 4))
-    cuts = [0, 3, 4, 400, 1000]
-    factor, samples = triangle(np.hstack((known, wanted))[a:b] for a, b in pairwise(cuts))
-    found, residual_rms = regress(factor, samples, size=6, ridge=0.0, rank=None, free=1)
-    weights, squares, *_ = np.linalg.lstsq(known, wanted)
-    assert found == pytest.approx(weights, abs=1e-12)
-    assert residual_rms == pytest.approx(np.sqrt(squares / 1000), rel=1e-10)
 
 
 def test_truncated_singular_values_are_the_pseudoinverse():
@@ -211,13 +173,3 @@ def test_collinear_data_can_be_had_with_ridge_or_rank():
     episodes = [row(np.column_stack([e.states, e.states[:, 0] * 3.0 + 1.0])) for e in SWING]
     for edmd in (Edmd(Identity(), ridge=1e-10), Edmd(Identity(), rank=3)):
         assert horizon_errors(edmd.fit(episodes), episodes, 1)[0] < 0.01
-
-
-def test_bad_options_are_refused():
-    with pytest.raises(InputError, match="cap"):
-        Edmd(Identity(), cap=0.0)
-    with pytest.raises(InputError, match="rank"):
-        Edmd(Identity(), rank=9).fit(SWING)
-    for plain in ({"kind": "os.system"}, {"kind": "Polynomials", "orders": 2}):
-        with pytest.raises(InputError):
-            from_plain(plain)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tissue.prediction.predictor import CONTACT_WIDTH, Contact
+from tissue.prediction.predictor import Contact
 from tissue.prediction.trained import Trained, shipped_file
 from tissue.simulation.builders.prediction import trained_predictor
 
@@ -101,9 +101,3 @@ def test_scaled_forces_are_predicted_scaled(kind, factor, trained, motion):
     np.testing.assert_allclose(
         scaled, factor * predicted(kind, trained, device, force, contact), atol=1e-8 * factor
     )
-
-
-def test_a_contact_comes_back_from_its_row(motion):
-    row = motion[2][300]
-    assert row.shape == (CONTACT_WIDTH,)
-    np.testing.assert_array_equal(Contact.of_row(row).row(), row)

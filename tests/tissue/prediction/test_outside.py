@@ -35,16 +35,6 @@ def test_the_residual_is_what_it_missed_a_tick_ahead():
     assert outside.residual_N == pytest.approx(5.0)
 
 
-def test_it_is_given_copies_and_gives_copies():
-    inner = Line()
-    outside, position, force = Outside(inner, "line"), np.ones(3), np.ones(3)
-    outside.observe(position, position, force)
-    position[:] = force[:] = 7.0
-    assert all((each == 1.0).all() for each in inner.observed[0])
-    outside.predict(2.0)[:] = 7.0
-    assert outside.predict(2.0) == pytest.approx(np.array([2.0, 0.2, 0.0]))
-
-
 def test_one_with_both_methods_is_guarded_by_holding_the_force():
     guarded, zero = GuardedMaker("line", Line)(None, 3.0), np.zeros(3)
     guarded.observe(zero, zero, np.ones(3))

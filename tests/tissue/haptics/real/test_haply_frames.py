@@ -78,24 +78,6 @@ def test_later_frames_change_what_they_hold_and_leave_the_rest():
     assert state.status("calibrated") is True
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "{",
-        "[]",
-        "7",
-        '"inverse3"',
-        b"\xff\xfe",
-        '{"inverse3": 3}',
-        '{"inverse3": [4, {"device_id": 5}]}',
-    ],
-)
-def test_what_is_no_frame_changes_nothing(text):
-    state = state_after(FIRST)
-    assert state.take(text) is False and state.sample() == state_after(FIRST).sample()
-
-
 @pytest.mark.parametrize("wrong", ["0.1", None, True, float("nan"), float("inf"), {}, 10**400])
 def test_a_number_that_is_none_gives_no_sample(wrong):
     position = {"x": wrong, "y": 0.0, "z": 0.0}

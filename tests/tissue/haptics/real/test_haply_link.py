@@ -7,7 +7,6 @@ import pytest
 from haply_service import DEVICE, HaplyService
 
 from tissue import InputError
-from tissue.haptics.device.device import DeviceError
 from tissue.haptics.real.haply import HaplyAdapter
 from tissue.scene.coupling import Hardware
 
@@ -51,17 +50,6 @@ def test_a_force_arrives_in_the_spelling_of_the_services_version(version):
     wait_for(lambda _: service.last_N() == (0.0, 0.0, 0.0))
 
 
-@pytest.mark.parametrize("version", ["3.5.0", "3.1.2"])
-def test_partial_frames_give_whole_samples(version):
-    with HaplyService(version) as service:
-        service.partial, service.buttons = True, {"a": True, "b": False, "c": False}
-        service.orientation = {"w": 0.6, "x": 0.0, "y": 0.8, "z": 0.0}
-        with adapter_of(service) as adapter:
-            samples = wait_for(lambda samples: len(samples) > 20, adapter, (0.0, 0.0, 0.0))
-    assert all(each.buttons == 1 and each.quaternion == (0.0, 0.8, 0.0, 0.6) for each in samples)
-    assert all(each.position_m == pytest.approx((0.0, -0.12, 0.15), abs=1e-3) for each in samples)
-
-
 def test_a_force_that_is_not_pushed_again_is_taken_off(service):
     with adapter_of(service) as adapter:
         wait_for(
@@ -87,22 +75,6 @@ def test_a_device_that_is_not_ready_is_refused_before_any_force(service, status)
     ].limits is not None
 
 
-def test_a_device_that_loses_its_calibration_ends_the_run_without_force(service):
-    with (
-        pytest.raises(DeviceError, match="haply must be calibrated"),
-        adapter_of(service) as adapter,
-    ):
-        wait_for(
-            lambda _: service.commands and service.last_N() == (1.0, 0.0, 0.0),
-            adapter,
-            (1.0, 0.0, 0.0),
-        )
-        service.status["calibrated"] = False
-        wait_for(lambda _: False, adapter, (1.0, 0.0, 0.0))
-    wait_for(lambda _: not service.is_open)
-    assert service.last_N() == (0.0, 0.0, 0.0)
-
-
 def test_a_restart_of_the_service_is_survived_without_force_until_the_loop_pushes_again(service):
     with adapter_of(service) as adapter:
         wait_for(
@@ -123,67 +95,6 @@ def test_a_restart_of_the_service_is_survived_without_force_until_the_loop_pushe
         wait_for(lambda _: service.last_N() == (1.0, 0.0, 0.0), adapter, (1.0, 0.0, 0.0))
     wait_for(lambda _: not service.is_open)
     assert service.last_N() == (0.0, 0.0, 0.0)
-
-
-@pytest.mark.parametrize("fault", [{"late_s": 0.06}, {"dropped": 1.0}, {"broken": "{"}], ids=str)
-def test_late_dropped_and_broken_answers_take_the_force_off(service, fault):
-    """Late, dropped and broken answers take the force off.
-
-    The exchange itself handles late and dropped ones; broken ones give no sample, so that the
-    watchdog acts.
-    """
-    with adapter_of(service) as adapter:
-        wait_for(
-            lambda _: service.commands and service.last_N() == (1.0, 0.0, 0.0),
-            adapter,
-            (1.0, 0.0, 0.0),
-        )
-        for name, value in fault.items():
-            setattr(service, name, value)
-        if "broken" in fault:
-            wait_for(
-                lambda _: service.received and adapter.poll() is None and adapter.poll() is None
-            )
-        wait_for(lambda _: service.last_N() == (0.0, 0.0, 0.0))
-        for name in fault:
-            setattr(service, name, type(fault[name])())
-        wait_for(lambda samples: len(samples) > 10, adapter, (0.0, 0.0, 0.0))
-    wait_for(lambda _: not service.is_open)
-    assert service.last_N() == (0.0, 0.0, 0.0)
-
-
-def test_late_answers_are_never_taken_for_new_samples(service):
-    """Late answers are never taken for new samples.
-
-    Each answer comes 60 ms late: every polled sample was measured before the answers became late.
-    """
-    with adapter_of(service) as adapter:
-        wait_for(len, adapter, (0.0, 0.0, 0.0))
-        service.late_s = 0.06
-        wait_for(
-            lambda _: any("did not answer within" in what for what in adapter.happened()), adapter
-        )
-        adapter.poll()
-        service.arm.aim = lambda time_s: (0.02, 0.0, 0.0)
-        until = time.perf_counter() + 0.5
-        while time.perf_counter() < until:
-            adapter.push(np.ones(3), np.zeros(3))
-            assert adapter.poll() is None
-            time.sleep(1e-3)
-
-
-def test_what_is_found_where_no_service_is():
-    with HaplyService() as service:
-        url = service.url
-        found = HaplyAdapter.find(url)
-        assert (found[0].name, found[0].where, found[0].problem) == ("haply", f"{url}#{DEVICE}", "")
-        assert "049D, firmware 7.4, right-handed, service 3.5" in found[0].detail
-        service.devices = ()
-        assert HaplyAdapter.find(url)[0].problem.startswith("haply must list an Inverse3, got none")
-    (none,) = HaplyAdapter.find(url)
-    assert none.limits is None and none.problem.startswith(f"haply must be reached at {url}, got ")
-    assert "start the Inverse Service" in none.problem
-    assert "hardware.address must be ws://" in HaplyAdapter.find("usb")[0].problem
 
 
 def test_closing_ends_with_zero_from_any_thread_and_twice(service):

@@ -8,7 +8,6 @@ from math import cos, radians, sin
 import numpy as np
 import pytest
 
-from tissue import InputError
 from tissue.haptics.device.device import DeviceParameters, StatesPlayed
 from tissue.haptics.device.safe_device import SafeDevice
 from tissue.haptics.real.adapter import HardwareAdapter, HardwareSample
@@ -237,15 +236,6 @@ def test_a_force_that_the_adapter_took_off_comes_on_from_zero():
     assert device.happened() == [(pytest.approx(0.03), "late")] == device.happened()
 
 
-def test_a_sample_that_is_not_finite_places_nothing():
-    device, adapter, clock = mapped((0.0, 0.0, 0.02))
-    nan = float("nan")
-    read, _ = run(
-        device, adapter, clock, [HardwareSample((nan, 0.0, 0.0)), HardwareSample((0.3, 0.0, 0.0))]
-    )
-    assert read[1].position_m == pytest.approx((0.0, 0.0, 0.02))
-
-
 def test_a_safe_device_holds_it_and_states_what_was_played():
     device, adapter, _ = mapped(force_cap_N=2.0)
     assert isinstance(device, StatesPlayed)
@@ -257,17 +247,3 @@ def test_a_safe_device_holds_it_and_states_what_was_played():
     assert (adapter.entered, adapter.left) == (1, 1) and not adapter.pushed[-1][0].any()
     device.close()
     assert adapter.closed == 1
-
-
-@pytest.mark.parametrize("where", ["poll", "push"])
-def test_an_adapter_that_fails_is_left(where):
-    device, adapter, _ = mapped()
-
-    def fails(*_):
-        raise OSError("unplugged")
-
-    setattr(adapter, where, fails)
-    with pytest.raises(InputError, match="got OSError"), SafeDevice(device) as held:
-        held.read(0.0)
-        held.play(np.ones(3), np.zeros(3))
-    assert adapter.left or adapter.closed

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from network_client import BYE, HEARTBEAT, HELLO, WRENCH, UdpClient, packet, pose, read
+from network_client import BYE, HELLO, WRENCH, UdpClient, packet, pose, read
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
@@ -46,25 +46,6 @@ def greeted(adapter, client):
     client.next(HELLO)
     polled(adapter, lambda sample: adapter.session.peer is not None)
     assert client.receive()[0] == HELLO
-
-
-def test_a_pose_comes_in_and_a_wrench_goes_out():
-    with NetworkAdapter(ANY_PORT["udp"]) as adapter, UdpClient(adapter.address) as client:
-        assert adapter.poll() is None
-        adapter.push(FORCE, TORQUE)  # nobody is there
-        greeted(adapter, client)
-        client.pose(0.01, 0.02, 0.03, buttons=2)
-        sample = polled(adapter)
-        assert (sample.position_m, sample.buttons) == (
-            (0.01, 0.02, 0.03),
-            2,
-        ) and adapter.poll() is None
-        adapter.push(FORCE, TORQUE)
-        kind, number, echo, payload = client.receive()
-        assert (kind, echo) == (WRENCH, 2) and wrench(payload) == (*FORCE, *TORQUE)
-        client.next(HEARTBEAT, echo=number)
-        polled(adapter, lambda _: math.isfinite(adapter.round_trip_s))
-        assert adapter.happened() == []
 
 
 def test_the_last_packets_are_zero_and_goodbye():
@@ -193,29 +174,6 @@ def test_the_same_packets_pass_in_a_websocket():
         assert wrench(received(line)[3]) == (0.0,) * 6 and received(line)[0] == BYE
 
 
-def test_a_websocket_that_is_not_read_does_not_keep_a_run_from_ending():
-    """Its buffers are full; the thread ends none the less."""
-    with NetworkAdapter(ANY_PORT["ws"]) as adapter:
-        place = ("127.0.0.1", int(adapter.address.rpartition(":")[2]))
-        with socket.create_connection(place) as line:
-            key = "dGhlIHNhbXBsZSBub25jZQ=="
-            line.sendall(
-                f"GET / HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-                f"Sec-WebSocket-Key: {key}\r\nSec-WebSocket-Version: 13\r\n\r\n".encode()
-            )
-            hello = packet(HELLO, 1)
-            # binary, with a mask of zeros
-            line.sendall(bytes([0x82, 0x80 | len(hello), 0, 0, 0, 0]) + hello)
-            polled(adapter, lambda _: adapter.session.peer is not None)
-            thread = adapter._transport._thread
-            sent = adapter._transport._loop.call_soon_threadsafe
-            connection = next(iter(adapter._transport._connections.values()))
-            sent(lambda: connection.transport.write(bytes(20_000_000)))
-            adapter.push(FORCE, TORQUE)
-            adapter.close()
-            assert not thread.is_alive()
-
-
 def test_a_page_in_a_browser_is_refused():
     with (
         NetworkAdapter(ANY_PORT["ws"]) as adapter,
@@ -320,25 +278,6 @@ def test_whatever_a_line_does_the_force_is_zero_soon_after(fault):
         "good pose"
     )
     assert not any(any(parts) for at, *parts in feeder.wrenches if at > last_push)
-
-
-@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
-def test_whatever_ends_a_loop_zero_and_goodbye_are_last(error):
-    hardware = Hardware(address="udp://127.0.0.1:0", ramp_ms=0.0)
-    adapter = NetworkAdapter(hardware)
-    ended = pytest.raises(error)
-    with Feeder(None) as feeder:
-        with ended, SafeDevice(MappedDevice(adapter, hardware)) as held:
-            feeder.reach(adapter.address)
-            tick = 0
-            while not any(each[3] == 1.0 for each in feeder.wrenches[-5:]):
-                held.read(1e-3 * tick)
-                held.play(np.array([0.0, 0.0, 1.0]), ZERO)
-                time.sleep(1e-3)
-                tick += 1
-            raise error
-        feeder.left.wait()
-    assert not any(feeder.wrenches[-1][1:]) and adapter.session.peer is None
 
 
 def client_of_the_page(tmp_path, port, seconds):

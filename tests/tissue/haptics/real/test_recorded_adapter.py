@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from meshes.base.errors import InputError
 from meshes.paths.toolpath import POSE_COLUMNS
 from tissue.haptics.real.adapter import RecordedAdapter
 from tissue.objects.simulate import simulate
@@ -42,52 +41,6 @@ def test_a_record_gives_a_pose_each_tick_and_none_after_the_last(tmp_path):
         assert adapter.poll() == samples[0]  # entered again it begins anew
         adapter.close()
         assert adapter.poll() is None
-
-
-@pytest.mark.parametrize(
-    ("content", "sentence"),
-    [
-        (None, r"hardware\.address must be an existing file of poses, got .*poses\.csv"),
-        ("time_s,tool_x_mm\n0,1\n", r"hardware\.address must have the columns"),
-    ],
-)
-def test_a_file_that_is_no_record_is_refused(tmp_path, content, sentence):
-    path = tmp_path / "poses.csv"
-    if content is not None:
-        path.write_text(content)
-    with pytest.raises(InputError, match=sentence):
-        RecordedAdapter(Hardware(address=str(path)))
-    (found,) = RecordedAdapter.find(str(path))
-    assert found.limits is None and found.problem.startswith("hardware.address must")
-
-
-def test_a_run_by_a_record_meets_the_wall_where_the_record_goes(tmp_path):
-    """A run by a record touches the wall where the record does.
-
-    It moves from 12 mm above the wall 17 mm down: the pose is the record's, independent of the
-    start of the scene's motion (at 20 mm).
-    """
-    times = np.linspace(0.0, 1.0, 11)
-    hardware = table(tmp_path / "poses.csv", times, 12.0 - 17.0 * np.minimum(times / 0.5, 1.0))
-    keys = {
-        "device": "recorded",
-        "hardware.address": hardware.address,
-        "hardware.ramp_ms": 0.0,
-        "duration_s": 0.8,
-    }
-    run = simulate(load_scene("wall", keys))
-    recorded = np.column_stack(
-        [
-            np.full(800, 1.0),
-            np.full(800, 2.0),
-            12.0 - 17.0 * np.minimum(np.arange(800) / 500.0, 1.0),
-        ]
-    )
-    np.testing.assert_allclose(run.trace.vectors("device", "mm"), recorded, atol=1e-9)
-    np.testing.assert_allclose(run.trace.vectors("tool", "mm")[:350], recorded[:350], atol=1e-9)
-    assert (
-        run.trace["device_force_z_N"][:300].max() == 0.0 and run.trace["device_force_z_N"][-1] > 1.0
-    )
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.5])

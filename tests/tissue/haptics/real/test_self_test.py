@@ -9,7 +9,6 @@ import tomllib
 import numpy as np
 import pytest
 
-from meshes.base.errors import InputError
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.real.adapter import HardwareSample
 from tissue.haptics.real.self_test import BUMP_N, BUMP_S, SelfTest, bump, self_test, write_measured
@@ -84,14 +83,6 @@ def test_the_round_trip_of_a_device_that_shows_it_is_its_latency():
     ) * 4
 
 
-@pytest.mark.parametrize("lasts", [-1.0, 0.01])
-def test_a_device_without_samples_cannot_be_tested(lasts):
-    with pytest.raises(
-        InputError, match=r"a device must give samples for its test, got [05]: check that it is on"
-    ):
-        measured(Clocked(lasts_s=lasts))
-
-
 def test_a_push_rises_and_falls_and_ends_at_zero():
     device = Clocked(1e-3)
     found = bump(device, clock=device.clock, pause=device.pause)
@@ -134,20 +125,6 @@ SLOW = SelfTest(
     round_trip_s=0.006,
     round_trip_99_s=0.009,
 )
-
-
-def test_the_file_holds_what_was_measured_and_is_taken_as_constants(tmp_path):
-    path = tmp_path / "measured.toml"
-    write_measured(path, "network", SLOW)
-    entries = tomllib.loads(path.read_text("utf-8"))["devices"]["network"]
-    assert (entries["rate_Hz"]["value"], entries["rate_Hz"]["range"]) == (200.0, [125.0, 200.0])
-    assert (entries["transport_delay_s"]["value"], entries["transport_delay_s"]["range"]) == (
-        0.006,
-        [0.0, 0.009],
-    )
-    assert "tissue devices --test network for 2 s on" in entries["rate_Hz"]["source"]
-    found, usual = device_parameters("network", Materials.read(path)), device_parameters("network")
-    assert (found.rate_Hz, found.transport_delay_s, found.mass_kg) == (200.0, 0.006, usual.mass_kg)
 
 
 @pytest.mark.parametrize(

@@ -9,12 +9,12 @@ import time
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from vendor_doubles import FAILED, TIMEGUARD, ForceDimension, OpenHaptics, without
+from vendor_doubles import FAILED, TIMEGUARD, ForceDimension, OpenHaptics
 
 from meshes.base.errors import InputError
 from tissue.haptics.device.device import DeviceError
 from tissue.haptics.real import openhaptics
-from tissue.haptics.real.forcedimension import MOST_FAILURES, ForceDimensionAdapter, SigmaAdapter
+from tissue.haptics.real.forcedimension import MOST_FAILURES, ForceDimensionAdapter
 from tissue.haptics.real.openhaptics import HELD_S, OpenHapticsAdapter
 from tissue.scene.coupling import Hardware
 
@@ -82,19 +82,6 @@ def test_a_device_that_cannot_be_opened_is_refused_and_closed(monkeypatch, call)
     assert not device.enabled and (call == "open" or device.calls[-1] == "close")
 
 
-def test_another_kind_of_device_names_what_to_set(monkeypatch):
-    device = ForceDimension().install(monkeypatch)
-    with (
-        pytest.raises(InputError, match=r"got sigma-7 for omega\.6: set device = forcedimension"),
-        SigmaAdapter(),
-    ):
-        pass
-    assert device.calls[-1] == "close" and not device.is_open
-    ForceDimension(name="sigma.7", has_motors=True).install(monkeypatch)
-    with pytest.raises(InputError, match=r"set device = sigma-7"), ForceDimensionAdapter():
-        pass
-
-
 def test_close_from_another_thread_switches_the_motors_off_even_where_a_call_fails(monkeypatch):
     device = ForceDimension().install(monkeypatch)
     adapter = ForceDimensionAdapter().__enter__()
@@ -102,33 +89,6 @@ def test_close_from_another_thread_switches_the_motors_off_even_where_a_call_fai
     adapter.close()
     adapter.close()
     assert device.calls[-2:] == ["disableForce", "close"] and device.calls.count("close") == 1
-
-
-def test_found_devices_of_force_dimension(monkeypatch):
-    ForceDimension().install(monkeypatch)
-    (found,) = ForceDimensionAdapter.find()
-    assert (found.name, found.where, found.detail, found.problem) == (
-        "forcedimension",
-        "7",
-        "omega.6",
-        "",
-    )
-    assert found.limits.force_limit_N == 12.0 and SigmaAdapter.find() == []
-    assert "none: check power and cable" in ForceDimensionAdapter.find("8")[0].problem
-    ForceDimension(has_motors=True).install(monkeypatch)
-    assert SigmaAdapter.find()[0].limits.torque_limit_Nm == 0.2
-    ForceDimension().install(monkeypatch).answers["openID"] = FAILED
-    assert "in use" in ForceDimensionAdapter.find()[0].problem
-    ForceDimension(count=-1).install(monkeypatch)
-    assert "must be connected" in ForceDimensionAdapter.find()[0].problem
-
-
-@pytest.mark.parametrize("address", ["omega", "-3", "٣"])
-def test_a_serial_number_is_a_number(address):
-    with pytest.raises(
-        InputError, match=f"hardware.address must be a serial number, got {address}: leave it out"
-    ):
-        ForceDimensionAdapter(Hardware(address=address))
 
 
 def test_a_touch_is_read_and_pushed_in_the_vendors_thread_alone(monkeypatch, capsys):
@@ -196,15 +156,6 @@ def test_closing_one_of_two_touches_leaves_the_other_running(monkeypatch):
     assert device.calls[-2:] == ["stop", "close 0"]
 
 
-def test_a_device_of_force_dimension_that_two_adapters_use_stays_open_for_the_second(monkeypatch):
-    device = ForceDimension().install(monkeypatch)
-    with ForceDimensionAdapter() as first:
-        with ForceDimensionAdapter(Hardware(address="7")):
-            assert ForceDimensionAdapter.find()[0].where == "7" and device.is_open
-        assert device.is_open and device.enabled and first.poll() is not None
-    assert not device.is_open and device.wrenches[-1] == (0.0,) * 6
-
-
 def test_velocities_of_a_touch_are_taken_over_ten_calls(monkeypatch):
     device, clock = OpenHaptics().install(monkeypatch), [10.0]
     monkeypatch.setattr(openhaptics, "perf_counter", lambda: clock[0])
@@ -244,39 +195,3 @@ def test_a_touch_that_fails_is_lost_and_not_called_again(monkeypatch):
     assert device.calls[-2:] == ["stop", "close 0"]
     adapter._serve()  # one more call of a thread that ends late
     assert device.forces == []
-
-
-@pytest.mark.parametrize("number", [None, 0xFFFFFFFF, 0x0104])
-def test_a_touch_that_is_not_there_is_refused(monkeypatch, number):
-    OpenHaptics(number=number).install(monkeypatch)
-    with pytest.raises(
-        InputError, match="a device named right must be connected, got none: check cable"
-    ):
-        OpenHapticsAdapter(Hardware(address="right")).__enter__()
-    assert "a device named left must be connected" in OpenHapticsAdapter.find("left")[0].problem
-
-
-@pytest.mark.parametrize(
-    ("adapter", "package", "sentence"),
-    [
-        (
-            ForceDimensionAdapter,
-            "forcedimension_core",
-            r"forcedimension-core must be installed.*tissue-sim\[forcedimension\]",
-        ),
-        (
-            OpenHapticsAdapter,
-            "pyOpenHaptics",
-            r"pyOpenHaptics must be installed.*tissue-sim\[openhaptics\].*3dsystems",
-        ),
-    ],
-)
-def test_a_package_that_is_missing_is_named_with_how_to_get_it(
-    monkeypatch, adapter, package, sentence
-):
-    without(monkeypatch, package)
-    with pytest.raises(InputError, match=sentence), adapter():
-        pass
-    (found,) = adapter.find()
-    assert found.limits is None and found.problem.count(": ") >= 1
-    assert SigmaAdapter.find() == [] or package != "forcedimension_core"

@@ -2,13 +2,10 @@
 
 import numpy as np
 import pytest
-from fake_fields import block_series, with_measures
 
 from tissue import load_scene, simulate
-from tissue.fem.fields import Frame
-from tissue.show.figures import draw_pictures
-from tissue.show.figures.force_depth import first_descent, layers_passed
-from tissue.show.figures.section import loaded_frame, moment_of, section_of
+from tissue.show.figures.force_depth import first_descent
+from tissue.show.figures.section import section_of
 
 pytest.importorskip("pyvista")
 
@@ -39,28 +36,6 @@ def test_section_holds_the_voxels_at_the_deepest_point(run):
     assert section.start.shape == (round((u1 - u0) / SPACING_MM), round((v1 - v0) / SPACING_MM))
 
 
-def test_a_section_shows_one_moment(run):
-    row, frame = moment_of(run)
-    assert (
-        frame is None
-        and run.trace["contact_mm2"][row] > 0.0
-        and not run.trace["contact_mm2"][row + 1 :].any()
-    )
-    # With fields it is the time of the last one under load: the bone is that of a run stopped
-    # there.
-    row = 350
-    section = section_of(run, axis=2, outward=1, row=row)
-    changes = {
-        "voxels.spacing_mm": SPACING_MM,
-        "motion.feed_mm_s": 5.0,
-        "duration_s": 1e-3 * (row + 1),
-    }
-    stopped = section_of(simulate(load_scene("glenoid", changes)), axis=2, outward=1, row=row)
-    np.testing.assert_array_equal(section.left, stopped.left)
-    assert section.left.sum() > section_of(run, axis=2, outward=1, row=599).left.sum() + 1.0
-    assert (section.place_mm, section.axes) == (stopped.place_mm, stopped.axes)
-
-
 def test_descent_ends_where_the_tool_is_deepest_before_it_rises():
     down = np.linspace(1.0, -2.0, 301)
     shaken = down + 0.05 * np.sin(np.arange(301))
@@ -79,43 +54,3 @@ def test_descent_ends_where_the_tool_is_deepest_before_it_rises():
         assert rows.stop <= 351
     assert first_descent(down, np.zeros(301, dtype=bool)) == slice(0, 0)
     assert first_descent(down, np.ones(301, dtype=bool)) == slice(0, 301)
-
-
-def test_layers_passed_are_those_of_the_voxels_before_the_run(run):
-    volume = run.parts.volume
-    i, j = np.unravel_index((volume.fraction >= 128).sum(axis=2).argmax(), volume.shape[:2])
-    filled = np.flatnonzero(volume.fraction[i, j] >= 128)
-    centres = 1e3 * (
-        volume.origin_m + volume.spacing_m * (np.array([[i, j, n] for n in filled]) + 0.5)
-    )
-    named = [volume.layer_names[n] for n in volume.layer[i, j, filled]]
-    assert layers_passed(run, centres).tolist() == named
-    assert len(set(named)) > 1
-    assert layers_passed(run, centres[:1] + np.array([0.0, 0.0, 1e3])).tolist() == ["none"]
-
-
-def test_the_frame_that_is_shown_bears_load():
-    series = block_series((0.0, 0.0, 0.0), (1e-3, 1e-3, 1e-3), (2, 2, 2))
-    assert loaded_frame(series) is series.frames[-1]
-    series.frames.append(Frame(0.3, {}, {"von_mises_MPa": np.full(8, 1e-3, np.float32)}))
-    assert loaded_frame(series) is series.frames[-2]
-    series.frames[:] = [
-        Frame(0.0, {}, {"von_mises_MPa": np.zeros(8, np.float32)}),
-        Frame(0.1, {}, {}),
-    ]
-    assert loaded_frame(series) is None
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("fields", [True, False])
-def test_a_tissue_with_measures_gets_its_pictures(run, tmp_path, monkeypatch, fields):
-    from PIL import Image
-
-    monkeypatch.setattr("tissue.show.figures.bone_pictures.draw_before_after", lambda *_: None)
-    assert draw_pictures(with_measures(run, fields=fields), tmp_path) == []
-    for name in ("section.png", "force_depth.png", "force_torque.png"):
-        with Image.open(tmp_path / name) as picture:
-            assert picture.width == 1600 and 500 < picture.height < 1900, name
-            pixels = np.asarray(picture.convert("RGB"), dtype=float)
-        assert pixels.std() > 15.0, name
-        assert len(np.unique(pixels.reshape(-1, 3)[::97], axis=0)) > 30, name

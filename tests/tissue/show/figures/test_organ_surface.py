@@ -1,13 +1,10 @@
-"""Drawn organ: no facets, kept edges, a section with values, and the displayed moment."""
-
-from dataclasses import replace
+"""Drawn organ: no facets, kept edges, and a section with values."""
 
 import numpy as np
 import pytest
 from fake_fields import pressed_series
 
-from tissue.show.figures.organ_pictures import moment_of_press
-from tissue.show.figures.organ_surface import SHOWN, drawn_surface, inclusions, section_cap
+from tissue.show.figures.organ_surface import SHOWN, drawn_surface, section_cap
 from tissue.simulation.vtk_files import frame_mesh
 
 pyvista = pytest.importorskip("pyvista")
@@ -49,39 +46,3 @@ def test_a_section_fills_the_boundary_and_keeps_a_linear_field():
     x0, x1, _, _, z0, z1 = mesh.bounds
     assert cap.area == pytest.approx((x1 - x0) * (z1 - z0), rel=1e-4)
     np.testing.assert_allclose(cap.point_data[SHOWN], cap.points[:, 2], atol=0.01)  # of 20 mm
-
-
-def test_a_press_is_shown_where_the_tool_is_nearest_to_an_inclusion():
-    series = pressed_series((8, 8, 8), 11)
-    corners = series.nodes_m[series.cells]
-    inside = (
-        np.abs(corners.mean(axis=1) - [0.0, 0.0, 0.5 * series.nodes_m[:, 2].min()]) < 4e-3
-    ).all(axis=1)
-    assert not len(inclusions(corners, series.layer))  # the capsule lies around, not inside
-    nodule = replace(
-        series, layer=np.where(inside, 2, 0).astype(np.uint8), layer_names=("body", "", "nodule")
-    )
-    np.testing.assert_array_equal(inclusions(corners, nodule.layer), np.flatnonzero(inside))
-    trace = _Trace(np.linspace(0.0, 1.0, 101))
-    frame, why = moment_of_press(nodule, trace)
-    assert frame.time_s == pytest.approx(0.3) and why == "the tool nearest to the nodule"
-    most, why = moment_of_press(series, trace)
-    moved = [np.linalg.norm(each.points["displacement_mm"], axis=1).max() for each in series.frames]
-    assert most is series.frames[int(np.argmax(moved))] and "moved most" in why
-
-
-class _Trace:
-    """A tool that slides over x = 0 at 0.3 s."""
-
-    def __init__(self, times):
-        self.rows, self._times = times, times
-
-    def __getitem__(self, name):
-        assert name == "time_s"
-        return self._times
-
-    def vectors(self, name, unit):
-        assert (name, unit) == ("tool", "mm")
-        return np.column_stack(
-            [60.0 * (self._times - 0.3), np.zeros_like(self._times), np.zeros_like(self._times)]
-        )

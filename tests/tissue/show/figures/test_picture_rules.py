@@ -1,9 +1,8 @@
 """Rules of pictures.
 
-Flickering values make no stripes, the camera sees the cavity, and SVG files have words and vectors.
+Flickering values make no stripes, and SVG files have words and vectors.
 """
 
-from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -11,9 +10,7 @@ import pytest
 
 import tissue
 from meshes.base.errors import InputError
-from tissue.show.figures.bone_pictures import _View, shown_mm
 from tissue.show.figures.force_time import draw_force_torque, joined_events, spells
-from tissue.simulation.bone_surface import depth_map
 from tissue.simulation.run_folder import picture_format
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -39,53 +36,11 @@ def test_an_event_that_comes_again_at_once_is_marked_once():
     assert joined_events(events) == [events[0], events[3], events[4]]
 
 
-def test_a_long_event_stays_within_its_figure(monkeypatch, tmp_path):
-    run = tissue.simulate(tissue.load_scene("wall", {"device": "none", "duration_s": 0.3}))
-    run.events.append((0.1, "a sentence of many words on the feed and on the thrust " * 4))
-    drawn = []
-    monkeypatch.setattr("tissue.show.figures.force_time.save", lambda chart, _: drawn.append(chart))
-    draw_force_torque(run, tmp_path / "force.png")
-    drawn[0].canvas.draw()
-    width = drawn[0].bbox.width
-    assert any(text.get_text().count("\n") > 1 for text in drawn[0].texts)
-    assert all(text.get_window_extent().x1 < width for text in drawn[0].texts)
-
-
 @pytest.fixture(scope="module")
 def molar():
     """The drilling of a molar down to its deepest point, without stress, in coarse voxels."""
     changes = {"voxels.spacing_mm": 0.2, "stress": None, "duration_s": 2.4}
     return tissue.simulate(tissue.load_scene("molar", changes))
-
-
-def test_the_camera_sees_the_bottom_of_a_cavity(molar):
-    pyvista = pytest.importorskip("pyvista")
-    from tissue.simulation.bone_surface import bone_surface
-
-    depth = depth_map(molar)
-    view = _View.of(molar, depth)
-    assert view.plane is not None
-    surface = bone_surface(view.volume, view.remaining)
-    camera = view.camera(surface)
-    tips = molar.trace.vectors("tool", "mm")
-    bottom = tips[tips[:, 2].argmin()]
-    # From just above the bottom, behind the plane, nothing lies between it and the eye.
-    behind = bottom + np.eye(3)[view.plane[0]] * 0.2 + [0.0, 0.0, 0.3]
-    eye = behind + 100.0 * np.array(camera.towards_eye)
-    hits, _ = pyvista.PolyData(surface).ray_trace(behind, eye)
-    assert len(hits) == 0
-    from_above = np.array([0.0, -np.sin(np.radians(36.0)), np.cos(np.radians(36.0))])
-    whole = bone_surface(molar.volume, molar.remaining)
-    assert len(whole.ray_trace(behind, behind + 100.0 * from_above)[0]) > 0
-
-
-def test_a_small_cut_is_drawn_larger(molar):
-    depth = depth_map(molar)
-    u0, u1, v0, v1 = shown_mm(depth)
-    full = depth.extent_mm
-    assert full[0] < u0 < -0.5 and 0.5 < u1 < full[1] and full[2] < v0 < -0.5 and 0.5 < v1 < full[3]
-    wide = SimpleNamespace(extent_mm=(0.0, 10.0, 0.0, 5.0), depth_mm=np.ones((10, 5)))
-    assert shown_mm(wide) == wide.extent_mm
 
 
 def test_the_force_picture_names_every_line(molar, tmp_path):

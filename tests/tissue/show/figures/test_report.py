@@ -11,7 +11,6 @@ from tissue.show.figures import draw_pictures
 from tissue.simulation.bone_files import write_bone
 from tissue.simulation.bone_surface import (
     bone_surface,
-    cut_out,
     depth_map,
     smooth_normals,
 )
@@ -116,17 +115,6 @@ def test_surface_volume_and_outward_normals_of_a_ball():
     assert np.median(np.einsum("ij,ij->i", winding, corners.mean(axis=1))) > 0.0
 
 
-def test_only_faces_at_the_end_of_the_region_count_as_cut_out():
-    cube = np.full((10, 10, 10), 255, np.uint8)
-    volume = VoxelVolume(
-        np.zeros(3), 1e-3, cube, cube * 0, np.full(cube.shape, 1800, np.uint16), ("bone",)
-    )
-    surface = bone_surface(volume, cube)
-    cut = cut_out(surface, volume, (np.array([0.0, -0.1, -0.1]), np.array([0.1, 0.1, 0.1])))
-    assert cut.any()
-    np.testing.assert_allclose(surface.points[surface.regular_faces[cut]][..., 0], 0.0, atol=1e-6)
-
-
 def test_removed_depth_adds_up_to_the_removed_volume(run):
     depth = depth_map(run)
     assert (depth.axis, depth.outward, depth.across) == (2, 1, (0, 1))
@@ -150,19 +138,6 @@ def test_removed_depth_adds_up_to_the_removed_volume(run):
     assert np.abs(depth.height_mm - cup)[cut].max() < 0.2 * SPACING_MM
 
 
-def test_depth_on_the_surface_is_that_of_the_map(run, folder):
-    surface = pyvista.read(folder / "bone.vtp")
-    shown = surface.point_data["removed_depth_mm"]
-    assert shown.min() == 0.0
-    assert shown.max() <= depth_map(run).depth_mm.max() + 1e-6
-    assert shown.max() > 0.8 * depth_map(run).depth_mm.max()
-    bottom = surface.points[:, 2] < surface.bounds[4] + 0.5 * SPACING_MM
-    assert (shown[bottom] == 0.0).all()
-    assert set(np.unique(surface.cell_data["layer"])) <= set(
-        range(len(run.parts.volume.layer_names))
-    )
-
-
 @pytest.mark.slow
 def test_pictures_show_something(run, tmp_path):
     from PIL import Image
@@ -177,11 +152,3 @@ def test_pictures_show_something(run, tmp_path):
             pixels = np.asarray(picture.convert("RGB"), dtype=float)
         assert pixels.std() > 15.0, path.name
         assert len(np.unique(pixels.reshape(-1, 3)[::97], axis=0)) > 50, path.name
-
-
-def test_pictures_without_opengl_name_what_to_install(run, tmp_path, monkeypatch):
-    monkeypatch.setattr("tissue.system.offscreen.drawing_environments", lambda: iter(()))
-    monkeypatch.setattr("tissue.system.offscreen.sys.platform", "linux")
-    (note,) = draw_pictures(run, tmp_path)
-    assert note.startswith("bone_before_after.png was not drawn: ") and "libegl1" in note
-    assert {path.name for path in tmp_path.iterdir()} == {*PICTURES} - {"bone_before_after.png"}

@@ -10,7 +10,6 @@ from tissue.show.report.charts import (
     packed,
     packed_column,
     packed_mesh,
-    packed_shares,
     packed_vectors,
 )
 
@@ -62,17 +61,6 @@ def test_numbers_come_back_within_half_a_step_and_zero_exactly():
 def test_columns_that_do_not_vary_come_back(values):
     back = numbers(packed_column(values)).ravel()
     assert back == pytest.approx(values, rel=1.6e-5)  # 1/65532
-
-
-def test_shares_are_clipped():
-    assert unpacked(packed_shares([-1.0, 0.0, 0.5, 1.0, 2.0, np.nan])).ravel().tolist() == [
-        0,
-        0,
-        128,
-        255,
-        255,
-        0,
-    ]
 
 
 def test_a_mesh_keeps_its_triangles_and_drops_points_that_none_has():

@@ -6,15 +6,12 @@ It contacts no host, holds the content of the run, and never reads text as marku
 import json
 import re
 import shutil
-import tomllib
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-import tomli_w
 
 import tissue
-from meshes.base.errors import InputError
 from tissue.materials.constants import constants
 from tissue.objects.run import report
 from tissue.scene.load import load_scene
@@ -113,45 +110,6 @@ def test_text_of_a_run_is_never_markup(run_folder, tmp_path):
     assert data_of(page)["events"][0]["what"] == nasty
 
 
-def described(run_folder, tmp_path, description, **summary):
-    """Copy of the run of the wall with another description and other entries of its summary."""
-    folder = tmp_path / "described"
-    shutil.copytree(run_folder("wall"), folder)
-    scene = tomllib.loads((folder / "scene.toml").read_text("utf-8")) | {"description": description}
-    (folder / "scene.toml").write_text(tomli_w.dumps(scene), "utf-8")
-    written = json.loads((folder / "summary.json").read_text()) | summary
-    (folder / "summary.json").write_text(json.dumps(written))
-    return folder
-
-
-@pytest.mark.parametrize("folder", ["/s/", "/json/"])
-def test_a_short_folder_leaves_the_data_of_the_page_alone(run_folder, tmp_path, folder):
-    named = described(
-        run_folder, tmp_path, f"{folder}patient", notes={"anatomy": f"read from {folder}head.stl"}
-    )
-    data, plain = (
-        data_of(report(each, tmp_path / "page.html", overwrite=True).read_text("utf-8"))
-        for each in (named, run_folder("wall"))
-    )
-    assert data["trace"] == plain["trace"]
-    assert data["stage"] == plain["stage"]
-    text = " ".join(Elements((tmp_path / "page.html").read_text("utf-8")).text)
-    assert f"read from {folder}" not in text
-
-
-def test_a_file_that_is_there_is_kept(run_folder, tmp_path):
-    out = tmp_path / "kept.html"
-    out.write_text("mine")
-    with pytest.raises(InputError, match=r"out .*kept\.html"):
-        report(run_folder("wall"), out)
-    assert out.read_text() == "mine"
-    assert (
-        report(run_folder("wall"), out, overwrite=True) == out and len(out.read_text("utf-8")) > 1e6
-    )
-    with pytest.raises(InputError, match=r"out .*run\.txt"):
-        report(run_folder("wall"), tmp_path / "run.txt")
-
-
 def test_a_run_that_was_stopped_has_a_report(run_folder, tmp_path):
     folder = tmp_path / "run"
     shutil.copytree(run_folder("milling"), folder)
@@ -164,15 +122,6 @@ def test_a_run_that_was_stopped_has_a_report(run_folder, tmp_path):
     page = report(folder).read_text("utf-8")
     assert "a <b>bad</b> end" in " ".join(Elements(page).text)
     assert any(part.get("group") == "bone" for part in data_of(page)["stage"]["parts"])
-
-
-def test_damaged_surfaces_are_refused(run_folder, tmp_path):
-    folder = tmp_path / "run"
-    shutil.copytree(run_folder("milling"), folder)
-    frame = sorted((folder / "carving").glob("frame_*.vtp"))[0]
-    frame.write_bytes(frame.read_bytes()[:200])
-    with pytest.raises(InputError, match=r"frame_\d+\.vtp"):
-        report(folder)
 
 
 @pytest.mark.parametrize(

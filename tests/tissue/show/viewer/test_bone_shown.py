@@ -1,16 +1,9 @@
-"""The bone in `tissue view`: carved as far as the time shown, its layers switched on and off."""
-
-import dataclasses
-import shutil
+"""The bone in `tissue view`: carved as far as the time shown."""
 
 import numpy as np
 import pytest
-from recording_plotter import RecordingPlotter
 
-from tissue import InputError, load_scene, simulate
-from tissue.motion.replay import write_poses
-from tissue.show.viewer.controls import LayerKeys
-from tissue.show.viewer.fields import BoneShown
+from tissue import load_scene, simulate
 from tissue.show.viewer.saved_surfaces import bone_of
 from tissue.simulation.bone_files import read_voxels
 from tissue.simulation.run_folder import SavedRun
@@ -85,44 +78,3 @@ def test_a_stopped_run_shows_its_bone_carved_as_far_as_it_came(stopped):
     pytest.importorskip("pyvista")
     bone = carved_bone(stopped)
     assert surface_of(bone, 149).volume < surface_of(bone, 0).volume
-
-
-@pytest.mark.parametrize("damage", ["poses", "bone", "another"])
-def test_damaged_files_of_the_bone_are_refused(layered, tmp_path, damage):
-    folder = tmp_path / "run"
-    shutil.copytree(layered, folder)
-    if damage == "poses":
-        (folder / "carving" / "poses.npz").write_bytes(b"PK")
-    elif damage == "another":
-        volume, _ = read_voxels(folder / "bone.vti")
-        moved = dataclasses.replace(volume, origin_m=volume.origin_m + 1e-3)
-        write_poses(folder / "carving" / "poses.npz", np.zeros((1, 13)), moved)
-    else:
-        shutil.copy(folder / "carving" / "rest.vtp", folder / "bone.vti")
-    with pytest.raises(
-        InputError, match=r"^(poses|bone.vti) must be .*, got .*: run the scene again$"
-    ):
-        carved_bone(folder)
-
-
-def test_keys_switch_layers_and_colours(layered):
-    pytest.importorskip("pyvista")
-    plotter = RecordingPlotter()
-    bone = BoneShown(plotter, carved_bone(layered))
-    cells = lambda: sum(mesh.n_cells for mesh, _, _ in plotter.meshes.values())  # noqa: E731
-    keys = LayerKeys(plotter, bone.layers, hide=bone.hide)
-    assert bone.help and all(name in keys.help for name in bone.layers)
-    assert list(plotter.scalar_bars) == ["removed depth / mm"] and not plotter.legend
-    whole = cells()
-    plotter.keys["1"]()
-    assert plotter.meshes["bone"][1] == "layer" and cells() != whole
-    assert plotter.legend == bone.layers[1:] and not plotter.scalar_bars
-    plotter.keys["1"]()
-    assert plotter.legend == bone.layers and cells() == whole
-    plotter.keys["c"]()
-    assert plotter.meshes["bone"][1] == "removed_depth_mm"
-    for key in range(1, len(bone.layers) + 1):
-        plotter.keys[str(key)]()
-    assert not plotter.meshes and not plotter.legend
-    bone.show(False)
-    assert not plotter.meshes and not plotter.scalar_bars

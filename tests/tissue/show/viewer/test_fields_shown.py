@@ -8,10 +8,9 @@ import pytest
 from fake_fields import PARTS, block_series, depth_at, pressed_run, pressed_series
 from recording_plotter import RecordingPlotter
 
-from tissue import InputError
 from tissue.fem.fields import FieldSeries, Frame
 from tissue.show.viewer.fields import FieldsShown
-from tissue.simulation.saved_fields import SavedFields, field_limits, field_names
+from tissue.simulation.saved_fields import SavedFields
 from tissue.simulation.vtk_files import write_fields
 
 ROUNDING = 1e-5
@@ -46,15 +45,6 @@ def test_a_scale_spans_the_whole_run(pressed):
     assert low == -high < 0.0
     assert fields.limits("displacement_mm") == (0.0, pytest.approx(6.0, rel=ROUNDING))
     assert fields.greatest_mm() == pytest.approx(6.0, rel=ROUNDING)
-
-
-def test_a_scale_of_nothing_still_has_a_length():
-    nothing = np.zeros(5, dtype=np.float32)
-    assert field_limits("von_mises_kPa", [nothing]) == (pytest.approx(1e-3), 1.0)
-    assert field_limits("displacement_mm", []) == (0.0, 1.0)
-    assert field_limits("principal_1_kPa", [np.array([np.nan, -2.0, 1.0], dtype=np.float32)])[
-        1
-    ] == pytest.approx(2.0, rel=0.01)
 
 
 def test_between_two_frames_of_one_mesh_values_are_interpolated(pressed):
@@ -145,21 +135,3 @@ def test_deformed_cut_and_without_a_part(tmp_path):
     shown.cut(None)
     shown.enlarge(1.0)
     assert drawn().bounds[2:4] == pytest.approx((-30.0, 30.0), rel=ROUNDING)
-
-
-def test_frames_that_are_missing_are_refused(pressed, tmp_path):
-    assert field_names(tmp_path) == []
-    index = tmp_path / "fields.pvd"
-    index.write_text((pressed / "fields.pvd").read_text())
-    with pytest.raises(
-        InputError, match=r"got 11 missing, first .*frame_0000.vtu: run the scene again"
-    ):
-        field_names(tmp_path)
-    index.write_text("<VTKFile")
-    with pytest.raises(InputError, match=r"fields.pvd must be a ParaView collection"):
-        field_names(tmp_path)
-    index.write_text(
-        '<?xml version="1.0"?>\n<VTKFile '
-        'type="Collection">\n<Collection>\n</Collection>\n</VTKFile>\n'
-    )
-    assert field_names(tmp_path) == []

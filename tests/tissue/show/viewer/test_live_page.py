@@ -1,4 +1,4 @@
-"""Effects of a page's messages on a live run: the shared pointer, pause, reset and end."""
+"""Effects of a page's messages on a live run: reset and figures."""
 
 from types import SimpleNamespace
 
@@ -100,22 +100,6 @@ def pointer(page):
     return page.arrays["pointer"]
 
 
-def test_a_drag_moves_the_shared_pointer_by_what_is_under_the_mouse(page):
-    page.take("move", {"right": 0.1, "up": -0.2})
-    tall_mm = 2.0 * 100.0 * np.tan(np.radians(15.0))
-    np.testing.assert_allclose(pointer(page), [0.1 * tall_mm, 0.0, -0.2 * tall_mm], atol=1e-12)
-
-
-def test_the_tool_stays_where_it_is_while_the_run_is_paused(page):
-    page.take("pause", {"on": True})
-    page.take("depth", {"notches": -3})
-    assert page.arrays["paused"][0] == 1 and page.frame(True)[0]["figures"]["state"] == "paused"
-    np.testing.assert_array_equal(pointer(page), 0.0)
-    page.take("pause", {"on": False})
-    page.take("depth", {"notches": -3})
-    assert pointer(page)[2] == -3 * NOTCH_MM and page.arrays["paused"][0] == 0
-
-
 def test_a_reset_is_asked_for_once_and_the_tool_begins_where_it_did(page):
     page.take("depth", {"notches": -3})
     page.take("pause", {"on": True})
@@ -149,12 +133,3 @@ def test_figures_hold_every_row_since_the_last_frame_that_could_be_sent(page):
     assert page.frame(True) == (None, None), "nothing is new"
     page.arrays["loads"][:4], page.arrays["loads_count"][0] = rows[:4], LOADS + 4
     assert len(page.frame(True)[0]["loads"]) == LOADS // 2, "what is too old is left out"
-
-
-def test_the_end_is_asked_for_and_comes_when_the_ticks_have_ended(page):
-    assert not page.over
-    page.take("end", {})
-    assert page.arrays["closed"][0] == 1 and not page.over
-    page.arrays["ended"][0] = 1
-    assert page.over
-    assert page.hello() == {"scene": "wall", "legend": {"wall": "#ff0080"}}

@@ -3,14 +3,9 @@
 import numpy as np
 import pytest
 
-from tissue import load_scene, simulate
-from tissue.show.figures.force_depth import draw_wall
-from tissue.show.figures.tool_mesh import faces_of
-from tissue.show.viewer.live.live_scene import KEY_MM, NOTCH_MM, LiveBone, LiveOrgan, Pointer
+from tissue.show.viewer.live.live_scene import KEY_MM, NOTCH_MM, LiveOrgan, Pointer
 from tissue.simulation.live.shared import (
     FADES_MM,
-    BoneShared,
-    BoneSurface,
     OrganShared,
     OrganSurface,
     SharedArrays,
@@ -114,68 +109,6 @@ def test_wheel_and_keys_move_it_along_the_axis_and_in_the_view_within_the_box(po
     events.key = "q"
     events.observers["KeyPressEvent"]()
     assert pointer.ended
-
-
-def test_a_wall_is_a_face_under_all_of_the_path():
-    pytest.importorskip("pyvista")
-    scene = load_scene("wall")
-    coupling = scene.held.coupling.model_copy(update={"roam_mm": 40.0})
-    roaming = scene.held.model_copy(update={"coupling": coupling})  # as a live run gives the mouse
-    for each, beyond in ((scene, 15.0), (scene.model_copy(update={"device": roaming}), 40.0)):
-        (face,) = faces_of(each).values()
-        expected = (-beyond, 50.0 + beyond, -beyond, beyond, 0.0, 0.0)
-        assert tuple(face.bounds) == pytest.approx(expected, abs=1e-3)
-
-
-@pytest.mark.slow
-def test_a_pressed_wall_is_drawn_for_the_report(tmp_path):
-    from PIL import Image
-
-    run = simulate(load_scene("wall", {"duration_s": 1.2}))
-    draw_wall(run, tmp_path / "wall.png")
-    with Image.open(tmp_path / "wall.png") as picture:
-        red, green, blue = np.moveaxis(np.asarray(picture.convert("RGB"), dtype=int), 2, 0)
-    pale = (abs(red - 236) < 12) & (abs(green - 208) < 12) & (abs(blue - 224) < 12)
-    dashes = (red > 180) & (abs(green - 94) < 40) & (blue < 60)
-    assert pale.mean() > 0.01
-    assert dashes.sum() > 500
-
-
-@pytest.mark.slow
-def test_the_drawn_bone_loses_what_the_tool_removes(tmp_path, monkeypatch):
-    pytest.importorskip("pyvista")
-    # bricks of 4 voxels, as for many voxels
-    monkeypatch.setattr("tissue.simulation.live.shared.MOST_SHOWN", 0)
-    run = simulate(load_scene("milling", {"voxels.spacing_mm": 0.2, "duration_s": 0.001}))
-    milling = run.parts.tissue
-    shared = BoneShared(milling, run.volume)
-    arrays = SharedArrays(tmp_path, shared.layout)
-    shared.publish(arrays, 0)
-    plotter = Plotter()
-    bone = LiveBone(plotter, BoneSurface(shared.start, arrays))
-    names = run.volume.layer_names
-    assert list(bone.colours) == [
-        n for i, n in enumerate(names) if (run.volume.fraction[run.volume.layer == i] > 0).any()
-    ]
-    before = plotter.meshes["bone"].volume
-    # A closed surface at half full holds the bone but for its rounded edges.
-    assert before == pytest.approx(1e9 * milling.start_m3.sum(), rel=0.03)
-    assert not bone.update()
-    left = milling.store.remaining.numpy()
-    hollow = np.flatnonzero(
-        (milling.store.places == milling.store.places.max(axis=0) // 2).all(axis=1)
-    )
-    assert hollow.size == 1
-    lost_mm3 = 1e9 * milling.step_m3 * left[hollow].sum(dtype=float)
-    left[hollow] = 0
-    shared.publish(arrays, 0)
-    assert bone.update()
-    assert before - plotter.meshes["bone"].volume == pytest.approx(
-        lost_mm3, rel=0.35
-    )  # a cube, rounded
-    left[:] = 0
-    shared.publish(arrays, 0)
-    assert bone.update() and "bone" not in plotter.meshes
 
 
 def test_the_drawn_organ_moves_where_it_is_known_and_fades_beyond(tmp_path):

@@ -53,13 +53,3 @@ def test_an_mp4_holds_every_picture(tmp_path):
 def test_a_movie_needs_an_ending(tmp_path):
     with pytest.raises(InputError, match=r"movie .*run.avi: use .*run.gif$"):
         check_movie(tmp_path / "run.avi")
-
-
-@pytest.mark.parametrize("encoder", ["/nowhere/ffmpeg", "false"])
-def test_an_ffmpeg_that_does_not_run_is_refused_before_anything_is_drawn(
-    tmp_path, monkeypatch, encoder
-):
-    pytest.importorskip("imageio_ffmpeg")
-    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", encoder)
-    with pytest.raises(InputError, match=r"no ffmpeg that runs"):
-        check_movie(tmp_path / "run.mp4")

@@ -3,7 +3,6 @@
 import os
 import re
 import shutil
-import signal
 import subprocess
 import sys
 from io import BytesIO
@@ -199,17 +198,6 @@ def still(person, name):
     before = person.number(name)
     person.tab.wait_for_timeout(500)
     return person.number(name) == before
-
-
-def test_ctrl_c_ends_a_run_whose_page_is_paused(opened, tmp_path):
-    person, process = live(opened, tmp_path / "run", "wall")
-    person.tab.keyboard.press("Space")
-    person.state("paused")
-    process.send_signal(signal.SIGINT)
-    output, _ = process.communicate(timeout=200.0)
-    assert process.returncode == 0, output
-    assert SavedRun(tmp_path / "run").complete
-    person.state("ended")
 
 
 def test_a_person_looks_at_a_saved_run(opened, layered, tmp_path):

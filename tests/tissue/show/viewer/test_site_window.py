@@ -45,26 +45,6 @@ def test_a_click_puts_the_site_and_return_saves_it(driven):
     assert {path.name for path in out.iterdir()} == {"start.png", "picked.png", "saved.png"}
 
 
-@pytest.mark.slow
-def test_screenshot_of_an_imported_bone(tmp_path):
-    from PIL import Image
-
-    folder = imported_bone(tmp_path / "mine")
-    try:
-        about = view(folder, screenshot=tmp_path / "site.png")
-    except InputError as problem:
-        if "OpenGL" in str(problem):
-            pytest.skip(str(problem))
-        raise
-    assert about.endswith(f"screenshot in {tmp_path / 'site.png'}")
-    with Image.open(tmp_path / "site.png") as picture:
-        pixels = np.asarray(picture.convert("RGB")).reshape(-1, 3).astype(int)
-    blue = (pixels[:, 2] > pixels[:, 0] + 40) & (pixels[:, 2] > 60)
-    assert blue.sum() > 500  # the arrow
-    assert len(np.unique(pixels[::53], axis=0)) > 50
-    assert (folder / "scene.toml").read_text("utf-8") == SCENE
-
-
 @pytest.mark.parametrize("option", [{"field": "von_mises_MPa"}, {"hide": ("cortical",)}])
 def test_what_only_a_run_has_is_refused(tmp_path, option):
     name = next(iter(option))
@@ -108,11 +88,3 @@ def test_text_that_would_change_otherwise_is_refused_and_kept(tmp_path, text, se
     with pytest.raises(InputError, match=sentence):
         save_site(scene, (0, 0, 0), (0, 0, 1))
     assert scene.read_text("utf-8") == text
-
-
-def test_no_toml_and_no_anatomy_are_refused(tmp_path):
-    scene = tmp_path / "scene.toml"
-    for text, sentence in (("[anatomy", "scene must be TOML"), ("a = 1", r"a table \[anatomy\]")):
-        scene.write_text(text, "utf-8")
-        with pytest.raises(InputError, match=sentence):
-            anatomy_of(scene)

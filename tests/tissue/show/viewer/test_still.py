@@ -1,16 +1,11 @@
-"""Still pictures of a window: clean for a page, or with a scale bar.
-
-Bone has no steps of its voxels.
-"""
+"""Still pictures of a window: clean for a page, or with a scale bar."""
 
 import numpy as np
 import pytest
 
 from tissue import InputError
 from tissue.show.viewer.run_scene import Choice
-from tissue.show.viewer.saved_surfaces import bone_of
 from tissue.show.viewer.view import view
-from tissue.simulation.run_folder import SavedRun
 
 
 def _drawn(folder, file, **chosen):
@@ -46,21 +41,9 @@ def test_a_clean_picture_shows_the_bone_alone(whole, tmp_path):
     assert not (shown.max(axis=1) < 20).any()  # no black text
 
 
-def test_clean_needs_a_screenshot(whole):
-    with pytest.raises(InputError, match=r"^clean must be left out without a screenshot"):
-        view(whole, Choice(clean=True))
-
-
 @pytest.mark.slow
 def test_a_screenshot_has_a_scale_bar(whole, tmp_path):
     pixels = _drawn(whole, tmp_path / "view.png")[..., :3].astype(int)
     rows = pixels[560:580, 30:300].max(axis=2) < 60  # 380 pixels above the lower edge of 950
     longest = max(np.count_nonzero(row) for row in rows)
     assert 60 < longest < 215
-
-
-def test_bone_is_shaded_by_its_shape_not_by_its_voxels(whole):
-    saved = SavedRun(whole)
-    bone = bone_of(saved, saved.scene)
-    for surface in (bone.rest(bone.layers), bone.cut(bone.layers)):
-        assert surface.point_data.active_normals_name == "Normals"

@@ -1,18 +1,12 @@
-"""`tissue view`: of whole and of stopped runs, with and without a display."""
+"""`tissue view`: pictures of whole runs, and drawings that are interrupted."""
 
-import json
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
-from recording_plotter import RecordingPlotter
 
 from tissue import InputError
-from tissue.show.viewer.fields import FieldsShown
-from tissue.show.viewer.view import _about, view
-from tissue.simulation.run_folder import SavedRun
-from tissue.simulation.saved_fields import SavedFields
+from tissue.show.viewer.view import view
 
 
 def _screenshot(folder, picture, **options) -> str:
@@ -41,77 +35,6 @@ def test_screenshot_of_a_whole_run(whole, tmp_path):
     report = _screenshot(whole, picture, overwrite=True)
     assert "milling" in report and str(picture) in report
     assert _colours(picture) > 100
-
-
-def test_stress_follows_the_time(layered):
-    plotter = RecordingPlotter()
-    fields = FieldsShown(plotter, SavedFields(layered), clip=((0.0, -1.0, 0.0), (0.0, 0.5, 0.0)))
-    fields.at(0.2)
-    assert not plotter.meshes
-    fields.show("von_mises_MPa")
-    mesh, _, look = plotter.meshes["field"]
-    # The last frame up to 0.2 s is the one at 0.1 s, in which the stress is |x| + 1; what lies
-    # before the cut is gone.
-    assert mesh.cell_data["von_mises_MPa"].min() == pytest.approx(2.0)
-    assert mesh.bounds[2] == pytest.approx(0.5, abs=1e-3)
-    assert look["log_scale"] and look["clim"][1] == pytest.approx(9.5)
-    fields.at(0.3)
-    assert plotter.meshes["field"][0].cell_data["von_mises_MPa"].min() == pytest.approx(3.5)
-    assert list(plotter.scalar_bars) == ["von Mises / MPa\nat 0.250 s"]
-    fields.show("principal_1_MPa")
-    look = plotter.meshes["field"][2]
-    assert not look["log_scale"] and look["clim"][0] == -look["clim"][1]
-    # Displaced by its own place times the time, the mesh is a quarter larger; the plane stays where
-    # it is.
-    fields.show("displacement_um")
-    fields.enlarge(1e3)
-    mesh, _, look = plotter.meshes["field"]
-    assert mesh.bounds[1] == pytest.approx(8.0 * 1.25, rel=1e-5) and mesh.bounds[
-        2
-    ] == pytest.approx(0.5, abs=1e-3)
-    assert not look["log_scale"] and look["clim"][0] == 0.0
-    fields.show(None)
-    assert not plotter.meshes and not plotter.scalar_bars
-
-
-def test_a_run_stopped_while_its_files_were_written_is_reported(whole, tmp_path):
-    folder = tmp_path / "stopped"
-    shutil.copytree(whole, folder)
-    summary = json.loads((folder / "summary.json").read_text("utf-8"))
-    (folder / "summary.json").write_text(json.dumps(summary | {"status": "running"}), "utf-8")
-    assert "after its last tick" in _about(SavedRun(folder))
-
-
-@pytest.mark.slow
-def test_a_run_stopped_at_once_can_be_seen(stopped, tmp_path):
-    lines = (stopped / "trace.csv").read_text().splitlines(keepends=True)
-    (stopped / "trace.csv").write_text(lines[0])
-    (stopped / "scene.toml").unlink()
-    report = _screenshot(stopped, tmp_path / "view.png")
-    assert "before its first tick" in report
-
-
-def test_without_a_display_the_remedy_is_a_screenshot(whole, monkeypatch):
-    monkeypatch.setattr("tissue.system.offscreen.sys.platform", "linux")
-    monkeypatch.delenv("DISPLAY", raising=False)
-    with pytest.raises(InputError, match=r"DISPLAY is not set.*--screenshot FILE"):
-        view(whole)
-
-
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [("view.jpeg", "png file"), ("none/view.png", "folder")],
-)
-def test_a_screenshot_needs_a_place(whole, tmp_path, name, message):
-    with pytest.raises(InputError, match=message):
-        view(whole, screenshot=tmp_path / name)
-
-
-def test_a_screenshot_that_cannot_be_drawn_leaves_no_file(whole, tmp_path, monkeypatch):
-    monkeypatch.setattr("tissue.system.offscreen.drawing_environments", lambda: iter(()))
-    with pytest.raises(InputError, match="no OpenGL library"):
-        view(whole, screenshot=tmp_path / "view.png")
-    assert not (tmp_path / "view.png").exists()
 
 
 @pytest.mark.parametrize(("kind", "name"), [("movie", "run.gif"), ("screenshot", "run.png")])

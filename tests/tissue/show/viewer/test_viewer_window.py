@@ -5,16 +5,13 @@ The window runs under a virtual display, driven as by a hand; pictures are made 
 
 import numpy as np
 import pytest
-from fake_fields import pressed_run, pressed_series
+from fake_fields import pressed_run
 
-from tissue import InputError, load_scene
+from tissue import InputError
 from tissue.scene.tool import Needle, probe_part
-from tissue.show.figures.figure import field_colours
-from tissue.show.figures.organ_pictures import draw_press
-from tissue.show.figures.tool_mesh import faces_of, tool_surface
+from tissue.show.figures.tool_mesh import tool_surface
 from tissue.show.viewer.run_scene import Choice
 from tissue.show.viewer.view import view
-from tissue.simulation.run_folder import SavedRun
 
 pytestmark = pytest.mark.slow
 
@@ -89,71 +86,6 @@ def test_time_plays_pauses_and_ends(driven):
     assert found["end"] == [1.0, False]
 
 
-def _drawn(folder, choice=None, **options):
-    """Return the output of `view`; skip the test where OpenGL does not work."""
-    try:
-        return view(folder, choice, **options)
-    except InputError as problem:
-        if "OpenGL" in str(problem):
-            pytest.skip(str(problem))
-        raise
-
-
-def _read_by_the_scale(file):
-    """Return place, error [degree] and shade of every pixel of a clean picture.
-
-    The place lies on a displacement's scale, 0 to 1. It is the place of the nearest hue and
-    saturation, in any light: the direction in red, green and blue.
-    """
-    import matplotlib
-    from PIL import Image
-
-    with Image.open(file) as picture:
-        pixels = np.asarray(picture)
-    seen = pixels[pixels[..., 3] == 255][::7, :3] / 255.0
-    scale = matplotlib.colormaps[field_colours(0.0, 1.0)](np.linspace(0.0, 1.0, 256))[:, :3]
-    length, length_there = (np.linalg.norm(colours, axis=1) for colours in (seen, scale))
-    match = (seen @ (scale / length_there[:, None]).T) / length[:, None]
-    place = match.argmax(axis=1)
-    error = np.degrees(np.arccos(np.minimum(match.max(axis=1), 1.0)))
-    return place / 255.0, error, length / length_there[place]
-
-
-@pytest.mark.slow
-def test_a_screenshot_shows_the_field_at_a_time_and_scale(pressed, tmp_path):
-    file = tmp_path / "press.png"
-    _drawn(pressed, Choice(field="displacement_mm", clean=True, scale=1.5), screenshot=file)
-    place, error, shade = _read_by_the_scale(file)
-    # Colours are those of the scale, however a face is lit: 8 bits are 1 degree in its darkest ones.
-    assert error.max() < 2.0
-    assert shade.min() > 0.85 and shade.max() < 1.05
-    # Without a time it is the moment of the greatest force, which ends the scale.
-    assert np.quantile(place, 0.999) > 0.95
-
-
-@pytest.mark.slow
-def test_the_press_is_drawn_for_the_report(pressed, tmp_path):
-    from PIL import Image
-
-    trace = SavedRun(pressed).trace
-    file = tmp_path / "press.png"
-    note = draw_press(
-        pressed_series(),
-        trace,
-        file,
-        title="press",
-        tool=tool_surface(probe_part(kind="sphere-probe")),
-    )
-    if note is not None and "OpenGL" in note:
-        pytest.skip(note)
-    assert note is None
-    with Image.open(file) as picture:
-        assert len(np.unique(np.asarray(picture.convert("RGB")).reshape(-1, 3)[::53], axis=0)) > 200
-    still = pressed_series(frames=2)
-    still.frames.pop()
-    assert draw_press(still, trace, file, title="press") == "nothing has moved"
-
-
 @pytest.mark.parametrize(
     ("tool", "box"),
     [
@@ -168,16 +100,6 @@ def test_the_press_is_drawn_for_the_report(pressed, tmp_path):
 def test_a_tool_has_its_tip_at_the_origin(tool, box):
     pytest.importorskip("pyvista")
     assert tuple(tool_surface(tool).bounds) == pytest.approx(box, abs=0.01)
-
-
-def test_a_shell_probe_keeps_the_origin_of_its_file(tmp_path):
-    pyvista = pytest.importorskip("pyvista")
-    pyvista.Cube(center=(5.0, 0.0, 0.5)).save(tmp_path / "cube.stl")
-    tool = probe_part(kind="shell-probe", file=str(tmp_path / "cube.stl"), scale_mm=10.0)
-    shell = tool_surface(tool)
-    assert tuple(shell.bounds) == pytest.approx((45.0, 55.0, -5.0, 5.0, 0.0, 10.0))
-    assert tool_surface(tool.model_copy(update={"file": str(tmp_path / "gone.stl")})) is None
-    assert tool_surface(None) is None
 
 
 @pytest.mark.parametrize(
@@ -198,13 +120,3 @@ def test_what_a_run_does_not_have_is_refused(pressed, tmp_path, monkeypatch, opt
     with pytest.raises(InputError, match=refused):
         view(pressed, Choice(**options), screenshot=tmp_path / "view.png")
     assert not (tmp_path / "view.png").exists()
-
-
-def test_a_needle_goes_through_the_faces_of_its_scene():
-    pytest.importorskip("pyvista")
-    faces = faces_of(load_scene("needle", {"anatomy.membrane_depths_mm": {"vessel wall": 40.0}}))
-    assert {name: face.center[2] for name, face in faces.items()} == {
-        "capsule": 0.0,
-        "vessel wall": -40.0,
-    }
-    assert faces_of(load_scene("milling")) == {} == faces_of(None)
