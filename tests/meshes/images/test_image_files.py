@@ -25,27 +25,6 @@ def slices(tmp_path):
     return tmp_path, values
 
 
-def test_tiff_slices_as_folder_and_pattern(slices):
-    folder, values = slices
-    for path in (folder, folder / "s_*.tif"):
-        found = read_image(path, spacing_mm=0.02)
-        assert np.array_equal(found.values, values) and found.spacing_mm == (0.02,) * 3
-    with pytest.raises(InputError, match=r"anatomy\.spacing_mm must be given"):
-        read_image(folder)
-
-
-def test_placeholder_spacing_is_reported(tmp_path):
-    import pyvista
-
-    grid = pyvista.ImageData(dimensions=(3, 3, 3))
-    grid.point_data["v"] = np.arange(27.0)
-    grid.save(tmp_path / "one.vti")
-    assert "exactly 1 mm" in read_image(tmp_path / "one.vti").notes[0]
-    given = read_image(tmp_path / "one.vti", spacing_mm=0.03)
-    assert given.spacing_mm == (0.03,) * 3
-    assert "0.03 mm is used" in given.notes[0]
-
-
 def test_threshold():
     values = np.array([0, 50, 75, 100, 125, 150, 300], dtype=np.uint16).reshape(7, 1, 1)
     hard = image_volume(image(values), threshold=100)
@@ -103,18 +82,6 @@ def test_placement_leads_back_to_the_image(resample_mm):
     )
     assert np.array_equal(volume.placement.rotation, np.eye(3))
     assert volume.bounds_m[1][2] == pytest.approx(0.0, abs=1e-15)
-
-
-@pytest.mark.parametrize(
-    "name", ["gone.nii.gz", "gone*.tif", "empty.vti", "noise.vti", "broken.tif", "surface.vtp"]
-)
-def test_refused_files(tmp_path, name):
-    (tmp_path / "empty.vti").touch()
-    for noise in ("noise.vti", "broken.tif", "surface.vtp"):
-        (tmp_path / noise).write_text("noise")
-    with pytest.raises(InputError) as refusal:
-        read_image(tmp_path / name, spacing_mm=1)
-    assert refusal.value.argument == "file" and name in str(refusal.value.value)
 
 
 @pytest.mark.parametrize(

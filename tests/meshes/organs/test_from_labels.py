@@ -111,26 +111,3 @@ def test_what_is_loose_hollow_or_cut_off_is_reported():
     assert "Filled hollows without a label, 0.064 ml." in notes["organ"]
     assert "The image cuts it off: " in notes["organ"]
     assert notes["tumour"] == "1 piece of fewer than 64 voxels, 0.001 ml, left to organ."
-
-
-@pytest.mark.parametrize(
-    ("organ", "parts", "argument", "got"),
-    [
-        ("kidney", [], "label", "kidney"),
-        ("organ", ["cyst"], "label", "cyst"),
-        ("organ", ["organ"], "parts", "organ"),
-        ("organ", ["tumour", "tumour"], "parts", "tumour"),
-        ("organ", ["far"], "far", "it apart"),
-        ("organ", ["speck"], "speck", "34"),
-    ],
-)
-def test_what_cannot_be_is_refused_before_it_is_meshed(organ, parts, argument, got):
-    balls = {
-        "tumour": ((10.0, 0.0, 0.0), 8.0),
-        "far": ((0.0, 0.0, 31.0), 4.0),
-        "speck": ((-10.0, 0.0, 0.0), 2.0),
-    }
-    labels, _ = organ_labels((1.0, 1.0, 1.0), 0, balls)
-    with pytest.raises(InputError) as refused:
-        labelled_organ(labels, organ, parts)
-    assert (refused.value.argument, str(refused.value.value)) == (argument, got)

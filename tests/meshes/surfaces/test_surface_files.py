@@ -107,65 +107,6 @@ def test_small_holes_are_closed():
     assert one.repairs[-1].startswith("Closed 1 hole along 3 open and 0 non-manifold edges, ")
 
 
-def flat_sheet():
-    return trimesh.Trimesh([[0, 0, 0], [50, 0, 0], [50, 50, 0], [0, 50, 0]], [[0, 1, 2], [0, 2, 3]])
-
-
-def open_box():
-    box = trimesh.creation.box((50, 50, 50))
-    return trimesh.Trimesh(box.vertices, box.faces[box.face_normals[:, 2] < 0.5], process=False)
-
-
-def fins():
-    edge = [[0, 0, 0], [0, 0, 50]]
-    points = np.array([*edge, [50, 0, 20], [-30, 40, 20], [-30, -40, 20]])
-    return trimesh.Trimesh(points, [[0, 1, 2], [0, 1, 3], [0, 1, 4]], process=False)
-
-
-@pytest.mark.parametrize(
-    ("mesh", "options", "argument", "got"),
-    [
-        (flat_sheet(), {}, "surface", "a flat one in bone.stl"),
-        (open_box(), {}, "surface", "4 open and 0 non-manifold edges in bone.stl"),
-        (fins(), {}, "surface", "6 open and 1 non-manifold edges in bone.stl"),
-        (bone((2.8, 2.3, 1.2)), {}, "anatomy.scale_mm", "bone.stl, whose longest side 2.8 is"),
-        (
-            bone((3e6, 2e6, 1e6)),
-            {"scale_mm": 1},
-            "anatomy.scale_mm",
-            "1, which makes bone.stl 3e+06 mm",
-        ),
-        (bone((3, 2, 1)), {"scale_mm": 1e-3}, "anatomy.scale_mm", "bone.stl 0.003 mm long"),
-        (bone(), {"scale_mm": float("nan")}, "anatomy.scale_mm", "nan"),
-    ],
-)
-def test_refused_surfaces(write, mesh, options, argument, got):
-    with pytest.raises(InputError) as refusal:
-        read_surface(write(mesh), **options)
-    assert refusal.value.argument == argument and got in str(refusal.value.value)
-
-
-@pytest.mark.parametrize("suffix", [".stl", ".ply", ".obj", ".vtk", ".vtp"])
-@pytest.mark.parametrize(
-    "content", [None, b"", b"not a mesh at all\n" * 20, b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"]
-)
-def test_refused_files(tmp_path, suffix, content):
-    file = tmp_path / f"bone{suffix}"
-    if content is not None:
-        file.write_bytes(content)
-    with pytest.raises(InputError) as refusal:
-        read_surface(file)
-    assert refusal.value.argument == "file" and file.name in str(refusal.value.value)
-
-
-def test_vertices_that_are_not_numbers():
-    vertices, faces = parts(bone())
-    vertices[3, 1] = np.nan
-    with pytest.raises(InputError) as refusal:
-        surface_from_triangles(vertices, faces, source="bone.ply")
-    assert refusal.value.argument == "vertices" and "1 of 642" in str(refusal.value.value)
-
-
 def test_real_liver_is_turned_and_cleaned(anatomy):
     report = read_surface(anatomy / "liver" / "liver.vtk").report
     assert report.repairs == (

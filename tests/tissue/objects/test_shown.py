@@ -1,13 +1,10 @@
 """Views of runs, traces, scenes and materials in a notebook, and the pictures they draw."""
 
-import io
-
 import numpy as np
 import pytest
 
 import tissue
 from meshes.base.errors import InputError
-from tissue.objects.progress import reporting
 
 
 @pytest.fixture(autouse=True)
@@ -19,12 +16,6 @@ def closed_figures():
     pyplot.close("all")
 
 
-def test_a_run_shows_figures_and_its_force(run, back):
-    html = run._repr_html_()
-    assert html == back._repr_html_()
-    assert "milling" in html and "removed cortical" in html and "<svg" in html
-
-
 def test_what_is_shown_is_escaped(run):
     scene = tissue.load_scene("milling").model_copy(update={"description": "<script>"})
     assert "<script>" not in scene._repr_html_() and "&lt;script&gt;" in scene._repr_html_()
@@ -32,13 +23,6 @@ def test_what_is_shown_is_escaped(run):
     run.parts.notes["mine"] = "<b>bold</b>"
     assert "&lt;b&gt;bold" in run._repr_html_()
     del run.parts.notes["mine"]
-
-
-def test_a_scene_shows_what_it_sets_and_folds_the_rest():
-    html = tissue.load_scene("milling", {"voxels.spacing_mm": 0.35})._repr_html_()
-    stated, folded = html.split("<details>")
-    assert "spacing_mm = 0.35" in stated and "margin_mm" not in stated
-    assert "margin_mm = 3.0" in folded
 
 
 def test_a_material_shows_value_range_and_source():
@@ -66,14 +50,6 @@ def test_a_plot_has_a_panel_for_each_unit_and_marks_events(run):
         run.plot(ax=alone)
     with pytest.raises(InputError, match="got force_w_N"):
         run.plot(["force_w_N"])
-
-
-def test_events_stand_below_a_plot(run):
-    from tissue.objects.plots import plot_columns
-
-    panels = plot_columns(run.trace, [(0.1, "it touched"), (0.2, "it $left")], title="milling")
-    assert "it touched" in panels[0].figure.get_supxlabel() and len(panels[0].texts) == 2
-    panels[0].figure.savefig(io.BytesIO())
 
 
 def test_the_dataset_shows_bone_and_no_box(run):
@@ -109,13 +85,3 @@ def test_a_begun_folder_outlives_a_picture(tmp_path):
     super(tissue.Run, run).save(tmp_path / "shown", pictures=False)
     run.save(tmp_path / "wall", pictures=False)
     assert tissue.open_run(tmp_path / "wall").status == "complete"
-
-
-def test_progress_goes_where_it_is_asked_for(capfd):
-    heard = []
-    with reporting(lambda doing, share: heard.append((doing, share))) as report:
-        report("cutting", 0.5)
-    for silent in (None, False, True):  # the last one, for standard error is no terminal here
-        with reporting(silent) as report:
-            report("cutting", 0.5)
-    assert heard == [("cutting", 0.5)] and capfd.readouterr() == ("", "")
