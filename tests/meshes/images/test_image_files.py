@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from meshes.base.errors import InputError
 from meshes.ct.density import DensityLaw
 from meshes.images.bone_image import image_volume
 from meshes.images.reading import Image, read_image
@@ -82,23 +81,6 @@ def test_placement_leads_back_to_the_image(resample_mm):
     )
     assert np.array_equal(volume.placement.rotation, np.eye(3))
     assert volume.bounds_m[1][2] == pytest.approx(0.0, abs=1e-15)
-
-
-@pytest.mark.parametrize(
-    ("options", "argument"),
-    [
-        ({"threshold": 30}, "anatomy.threshold"),
-        ({"threshold": math.nan}, "anatomy.threshold"),
-        ({"threshold": 5, "resample_mm": 0.0}, "resample_mm"),
-        ({"threshold": 5, "resample_mm": 9}, "resample_mm"),
-        ({"threshold": 5, "resample_mm": 1e-4}, "resample_mm"),
-        ({"threshold": 5, "density_kg_m3": -1}, "density_kg_m3"),
-    ],
-)
-def test_refused_options(options, argument):
-    with pytest.raises(InputError) as refusal:
-        image_volume(image(np.arange(27.0).reshape(3, 3, 3)), **options)
-    assert refusal.value.argument == argument
 
 
 def test_microct_block(anatomy):

@@ -11,7 +11,6 @@ from tissue.evaluation.calibration.observers import (
     gain_of,
     share_right,
 )
-from tissue.haptics.loop.filters import ForceRange
 from tissue.perception.laws import D_PRIME_75, correct_of_d_prime
 from tissue.perception.observer import reference_observer
 
@@ -104,16 +103,3 @@ def test_a_mapping_cannot_help_against_scatter():
             )
             changes.append(after - before)
         assert sign * changes[0] > 0.02 and abs(changes[1]) < 0.3 * abs(changes[0])
-
-
-def test_a_device_at_its_limit_makes_forces_alike():
-    crowd = people(100)
-    strong, weak = (Stimulus(8.0), Stimulus(6.0)), (Stimulus(0.8), Stimulus(0.6))
-    assert (
-        share_right(crowd, *strong, seed=1).mean()
-        < 0.6
-        < 0.9
-        < share_right(crowd, *weak, seed=1).mean()
-    )
-    wide = ForceRange(limit_N=100.0)
-    assert share_right(crowd, *strong, seed=1, limits=wide).mean() > 0.9

@@ -6,7 +6,7 @@ it.
 
 import numpy as np
 import pytest
-from force_errors import error_of_force
+from reference_errors import error_of_force
 
 import tissue
 from tissue.evaluation.reference import history

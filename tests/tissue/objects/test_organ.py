@@ -340,7 +340,7 @@ def test_a_press_whose_force_falls_with_depth_is_refused():
 
 
 def test_a_liver_with_a_file_of_constants_is_that_of_a_scene_with_it(tmp_path):
-    file, bone = tmp_path / "fitted.toml", tmp_path / "bone.toml"
+    file = tmp_path / "fitted.toml"
     values = {
         "soft.liver.modulus_kPa": 7.0,
         "soft.liver.poisson_ratio": 0.46,
@@ -350,8 +350,6 @@ def test_a_liver_with_a_file_of_constants_is_that_of_a_scene_with_it(tmp_path):
         FittedEntry(name, value, value, value, "a test", "L") for name, value in values.items()
     ]
     write_fitted(file, entries, np.eye(3), remark=())
-    radial = FittedEntry("cutting.bone.radial_chip_N_mm2", 20.0, 20.0, 20.0, "a test", "L")
-    write_fitted(bone, [radial], np.eye(1), remark=())
     organ = tissue.Organ.liver(edge_mm=40, materials=file)
     scene = tissue.load_scene("liver-press", {"materials": str(file)})
     mesh, material = organ._made.mesh, organ._made.material
@@ -359,9 +357,3 @@ def test_a_liver_with_a_file_of_constants_is_that_of_a_scene_with_it(tmp_path):
     assert np.array_equal(material.elasticity(mesh), wanted)
     assert organ.moduli_kPa == {"body": 7.0} and material.poisson_ratio == 0.46
     assert organ.notes["materials"].endswith("Not used in this organ: soft.kidney.modulus_kPa")
-    with pytest.raises(InputError, match="modulus_kPa must be left out where materials"):
-        tissue.Organ.liver(modulus_kPa=8, materials=file)
-    with pytest.raises(InputError, match="must hold a constant that the organ rests on"):
-        tissue.Organ.liver(materials=bone)
-    with pytest.raises(TypeError, match="materials"):
-        tissue.Organ.block((40, 40, 20), materials=file, **STIFF)

@@ -1,16 +1,6 @@
 """A trace as pandas, xarray and HTML."""
 
 import numpy as np
-import pandas
-
-from tissue.simulation.trace import Table
-
-
-def test_pandas_takes_the_trace_itself_as_a_table(run):
-    table = pandas.DataFrame(run.trace)
-    assert tuple(table.columns) == run.trace.columns and len(table) == len(run.trace.rows)
-    assert np.array_equal(table["force_z_N"], run.trace["force_z_N"])
-    assert isinstance(run.trace, Table) and run.trace.vectors("force", "N").shape == (len(table), 3)
 
 
 def test_to_pandas_has_time_as_a_column_and_layers_as_categories(run):

@@ -59,17 +59,6 @@ def test_paraview_plays_the_bone_from_whole_to_carved(run, folder):
     np.testing.assert_array_equal(origin_m, run.volume.origin_m)
 
 
-def test_nothing_is_written_of_a_run_that_cut_nothing(tmp_path):
-    high = {
-        "motion.points_mm": [[0, 0, 1.0], [0, 0, -0.5]],
-        "voxels.spacing_mm": 0.5,
-        "duration_s": 0.01,
-    }
-    write_carving(simulate(load_scene("milling", high)), tmp_path)
-    write_carving(simulate(load_scene("wall", {"duration_s": 0.01})), tmp_path)
-    assert not list(tmp_path.iterdir())
-
-
 def test_blocks_keep_the_amount_of_bone_and_the_place_of_layers():
     rng = np.random.default_rng(3)
     fraction = rng.integers(0, 256, (7, 10, 4), dtype=np.uint8)
