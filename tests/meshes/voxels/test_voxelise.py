@@ -104,12 +104,8 @@ def test_pilot_hole_is_subtracted_within_voxels():
 
 
 def test_endless_shape_needs_a_region():
-    with pytest.raises(InputError) as refusal:
+    with pytest.raises(InputError, match="region_m"):
         voxelise(uniform(sdf.half_space((0, 0, 1))), spacing_m=1e-3)
-    assert str(refusal.value) == (
-        "region_m must be given for an anatomy without end, got None: use the box that the "
-        "tool reaches"
-    )
     volume = voxelise(
         uniform(sdf.half_space((0, 0, 1))),
         spacing_m=1e-3,

@@ -80,14 +80,6 @@ def test_folders_are_named_by_the_swept_keys_alone(scene):
     assert [each.name for each in plan(scene, {"voxels.margin_mm": [4.0]})] == ["milling"]
 
 
-def test_what_makes_no_scene_is_refused(scene):
-    with pytest.raises(InputError, match=r"motion\.fed must be one of"):
-        plan(scene, {"motion.fed": [1.0, 2.0]})
-    for values in ("12", 3, []):
-        with pytest.raises(InputError, match="seed must be given as a list of values"):
-            plan(scene, {"seed": values})
-
-
 @pytest.mark.slow
 def test_a_sweep_is_gone_on_with_and_lists_what_fails(scene, out, monkeypatch):
     found = tissue.sweep(scene, {"motion.feed_mm_s": [3.0, -6.0, 9.0]}, out=out)
