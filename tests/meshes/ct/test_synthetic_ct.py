@@ -3,12 +3,16 @@
 import numpy as np
 import pytest
 from synthetic_ct import (
+    ORIENTATIONS,
     ct_phantom,
+    reoriented,
+    write_stored,
 )
 
 from meshes.base.errors import InputError
 from meshes.ct.calibration import find_regions, fit_regions
 from meshes.images.frame import Image
+from meshes.images.reading import read_image
 
 COARSE = (1.2, 1.2, 2.4)
 
@@ -37,6 +41,16 @@ def test_a_calibration_finds_its_energy_and_its_band_holds_every_rod(phantom):
     for density, mean in phantom.rod_means().items():
         low, high = found.law.band(np.array([mean]))
         assert high[0] - low[0] < 0.35 * density + 120.0
+
+
+@pytest.mark.parametrize("name", ["ct.nii.gz", "ct.nrrd", "ct.mha", "ct"])
+@pytest.mark.parametrize("axes", ORIENTATIONS)
+def test_every_format_and_order_of_axes_gives_the_same_image(phantom, tmp_path, name, axes):
+    found = read_image(write_stored(tmp_path / name, reoriented(phantom.stored, axes)))
+    whole = phantom.image()
+    assert np.array_equal(found.values, whole.values)
+    assert found.spacing_mm == pytest.approx(whole.spacing_mm, rel=1e-6)
+    assert found.origin_mm == pytest.approx(whole.origin_mm, abs=1e-3)
 
 
 def test_a_crop_without_air_is_calibrated_and_one_without_soft_tissue_refused(phantom):

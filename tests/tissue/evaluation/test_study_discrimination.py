@@ -159,6 +159,23 @@ def test_people_who_met_one_specimen_each_compare_nothing():
     assert specimens(trials(1)) is None and sides(trials(1)) is None
 
 
+@pytest.mark.slow
+def test_null_changes_are_called_at_their_nominal_rate():
+    """Null changes are called at their nominal rate.
+
+    Two methods have scatters of their own and no difference: 5 % of intervals exclude zero, here 3
+    to 8.
+    """
+    called, studies = 0, 600
+    for seed in range(studies):
+        rng = np.random.default_rng(seed)
+        people = draw_observers("novice", 50, rng)
+        plain, other = (pair_of(0.5, 0.6, 0.05, rng) for _ in range(2))
+        _, low, high = changes_of(people, plain, other)[0]
+        called += low > 0.0 or high < 0.0
+    assert 0.03 <= called / studies <= 0.08
+
+
 def person(beta):
     return Observer.known(
         "someone", alpha=1.7, beta=beta, kappa=0.07, offset_N=0.2, lapse=0.01, sigma=0.2

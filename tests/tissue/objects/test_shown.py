@@ -69,11 +69,3 @@ def test_show_draws_a_fresh_run_and_one_read_back(run, back, wall, tmp_path, mon
     assert (tmp_path / "wall.png").read_bytes() == (tmp_path / "again.png").read_bytes()
     with pytest.raises(InputError, match="display"):
         run.show(interactive=True)
-
-
-def test_a_begun_folder_outlives_a_picture(tmp_path):
-    """A run that streams into its folder is still saved there after it was written elsewhere."""
-    run = tissue.simulate(tissue.load_scene("wall", {"duration_s": 0.05}), out=tmp_path / "wall")
-    super(tissue.Run, run).save(tmp_path / "shown", pictures=False)
-    run.save(tmp_path / "wall", pictures=False)
-    assert tissue.open_run(tmp_path / "wall").status == "complete"
