@@ -28,11 +28,9 @@ def equal_people(count: int, **given: float) -> SimulatedObservers:
     )
 
 
-def calibrated(
-    people: SimulatedObservers, trials: int, prior: ThresholdPrior | None = None
-) -> AdaptiveThreshold:
+def calibrated(people: SimulatedObservers, trials: int) -> AdaptiveThreshold:
     """Thresholds of people after some trials."""
-    rng, found = np.random.default_rng(0), AdaptiveThreshold(prior, observers=len(people))
+    rng, found = np.random.default_rng(0), AdaptiveThreshold(observers=len(people))
     for trial in range(trials):
         asked = found.propose()
         found.answer(
@@ -151,20 +149,6 @@ def coverage() -> None:
         ),
         end="\n\n",
     )
-    rows = []
-    for prior in (
-        ThresholdPrior(),
-        ThresholdPrior(weber=0.2),
-        ThresholdPrior(weber=0.04, weber_log_spread=0.3),
-    ):
-        found = calibrated(equal_people(400), 120, prior)
-        rows.append(
-            (
-                f"{prior.weber:g}, {prior.weber_log_spread:g}",
-                f"{100 * np.exp(np.log(found.weber()[0]).mean()):.2f}",
-            )
-        )
-    print(table(rows, ("prior median, log spread", "mean / % (truth 7)")), end="\n\n")
 
 
 if __name__ == "__main__":

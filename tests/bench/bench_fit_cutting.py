@@ -163,11 +163,6 @@ def main() -> None:
             ):
                 seconds.append(took)
                 converged += found
-                if len(seconds) % 50 == 0:
-                    print(
-                        f"{len(seconds)} fits, {hits['constants']} of {counts['constants']} held",
-                        flush=True,
-                    )
                 for name, inside in held:
                     kinds = (
                         ["constants"]

@@ -97,7 +97,6 @@ def main():
         "skipped ms",
     )
     print(table(rows, head))
-    print(f"load after: {os.getloadavg()[0]:.1f}")
 
 
 if __name__ == "__main__":

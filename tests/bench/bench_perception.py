@@ -4,16 +4,14 @@ Run: `python tests/bench/bench_perception.py [--quick]`.
 
 The first table shows a tick of the run-time mapping (5 us is the aim). It covers forces that are
 held back, like nearly all of a contact's forces, and forces that all are changes, for the
-population and an observer. Further figures are the time to build the mapping, the maximum-posterior
-estimate, the deadband on recorded runs by hand, and the cost of wrong priors and noise.
+population and an observer. Further figures are the time to build the mapping and the deadband on
+recorded runs by hand.
 """
 
 import argparse
-from time import perf_counter
 
 import numpy as np
 from harness import Cost, cost_of, machine, table
-from perceived_estimates import map_estimate_errors, map_force_N, recursive_estimate_errors
 
 import tissue
 from tissue.perception.laws import weber_of
@@ -93,13 +91,7 @@ def main() -> None:
         "\n",
     )
     building: Cost = cost_of(lambda k: built(WEAK), count=20 if quick else 200, warm_up=5)
-    rng, count = np.random.default_rng(2), 10_000 if quick else 100_000
-    seen, start = rng.normal(1.0, 2.0, count), perf_counter()
-    map_force_N(seen, 0.3)
-    print(
-        f"build {building.median / 1e3:.2f} ms; estimate "
-        f"{1e6 * (perf_counter() - start) / count:.2f} us each of {count}\n"
-    )
+    print(f"build {building.median / 1e3:.2f} ms\n")
     head = (
         "scene, novice on touch",
         "ticks felt",
@@ -107,12 +99,7 @@ def main() -> None:
         "error / threshold",
         "force error %",
     )
-    print(table(traces(quick), head), "\n")
-    rows = [
-        (each.assumed, f"{each.error:.2f}", "" if np.isnan(each.held) else f"{100 * each.held:.0f}")
-        for each in (*map_estimate_errors(rng), *recursive_estimate_errors(rng))
-    ]
-    print(table(rows, ("assumed", "error", "held %")))
+    print(table(traces(quick), head))
 
 
 if __name__ == "__main__":

@@ -7,8 +7,8 @@ Every run is recorded once and kept in DIR, with the force that its coupling giv
 the device's true positions. Predictors are scored again on the recorded runs. Printed for each
 scene, latency and predictor are the error at the motor, its noise floor (the force of the encoder's
 steps, predicted without error), the excess over this noise floor, the excess as a share of that of
-zero-order hold, the residual latency, and the worst share over the held-out moves. Where a share
-misses its target, its components are printed. Two processes record and score.
+zero-order hold, the residual latency, and the worst share over the held-out moves. Two processes
+record and score.
 """
 
 import argparse
@@ -24,8 +24,6 @@ from motor_score import motor_score, recorded_ideal_N
 
 from meshes.base.errors import InputError
 from tissue.evaluation.training import Recorder, Recording, trial
-from tissue.prediction.look_ahead import LookAhead
-from tissue.prediction.predictor import Predictor
 from tissue.prediction.trained import Trained, shipped_file
 from tissue.scene.load import changed, load_scene
 from tissue.scene.registry import PREDICTORS
@@ -52,51 +50,11 @@ TURNED_DEG = {"wall": 90.0, "palpation": 20.0, "liver-press": 90.0, "milling": 9
 Paths that a hole guides are not turned.
 """
 PACES, SHARES = (0.6, 1.5), (0.7, 1.4)
-TARGETS = {
-    "wall": 0.4,
-    "palpation": 0.4,
-    "milling": 0.6,
-    "glenoid": 0.6,
-    "molar": 0.6,
-    "caries": 0.6,
-}
-"""Share of hold's excess that the best predictor is to keep to, in every move; 1 elsewhere."""
-
 Scores = dict[tuple[str, int], np.ndarray]
 """Of a run, see `scores`."""
 RECORDED_MS = 4
 """Latency under which runs are recorded; predictors are scored on them as if it were another."""
 FORCE_LIMIT_N = 3.3
-KNOWN = "(path known)"
-"""Name of look-ahead on the device's true path, without a guard.
-
-Its error is that of the law; it is not a predictor.
-"""
-
-
-class KnownPath:
-    """Path along which a recorded device moves; the stretch stays."""
-
-    trusted = True
-
-    def __init__(self, run: Recording) -> None:
-        self._places, self._at = run.position_m, -1
-        self._stretch = np.zeros(3)
-
-    def observe(self, position_m: np.ndarray, stretch_m: np.ndarray) -> None:
-        self._at += 1
-        self._stretch = stretch_m.copy()
-
-    def displacement_m(self, ticks: float) -> np.ndarray:
-        count = np.arange(len(self._places))
-        there = [np.interp(self._at + ticks, count, axis) for axis in self._places.T]
-        return np.array(there) - self._places[self._at]
-
-    def stretch_m(self, ticks: float) -> np.ndarray:
-        return self._stretch
-
-    def pause(self) -> None:
-        pass
 
 
 @dataclass(frozen=True)
@@ -127,12 +85,9 @@ def scores(
     kept, trained = Kept.read(path), Trained.read(shipped_file(variant.name), scene=variant.name)
     one = trial(variant, kept.run.seed, delay_ms=RECORDED_MS, share=share)
     found = {}
-    for kind in (*PREDICTORS, KNOWN):
+    for kind in PREDICTORS:
         for late in latencies_ms:
-            if kind == KNOWN:
-                made: Predictor = LookAhead(KnownPath(kept.run))
-            else:
-                made = trained_predictor(kind, trained, force_limit_N=FORCE_LIMIT_N)
+            made = trained_predictor(kind, trained, force_limit_N=FORCE_LIMIT_N)
             score = motor_score(made, one, kept.run, kept.ideal_N, delay_ms=late)
             found[kind, late] = np.array(
                 (score.error, score.least_error, score.excess, score.latency_ms)
@@ -218,23 +173,18 @@ def scored(
 
 
 def report(name: str, late_ms: int, found: dict[str, list[Scores]]) -> None:
-    """Print the table of a scene at a latency.
-
-    The best predictor by its mean share of the excess error of zero-order hold is decomposed.
-    """
+    """Print the table of a scene at a latency."""
     mean = {
         kind: {
             move: np.mean([run[kind, late_ms] for run in runs], axis=0)
             for move, runs in found.items()
         }
-        for kind in (*PREDICTORS, KNOWN)
+        for kind in PREDICTORS
     }
-    rows, shown = [], {}
+    rows = []
     for kind, of in mean.items():
         shares = {move: share_of(each[2], mean["hold"][move][2]) for move, each in of.items()}
         worst = max(shares, key=lambda move: np.nan_to_num(shares[move], nan=-1.0))
-        known = [share for share in shares.values() if not np.isnan(share)]
-        shown[kind] = float(np.mean(known)) if known else np.inf
         error, least, excess, late = of["same"]
         over = max(100.0 * (of[move][0] - mean["hold"][move][0]) for move in of)
         rows.append(
@@ -261,8 +211,6 @@ def report(name: str, late_ms: int, found: dict[str, list[Scores]]) -> None:
         "over hold %",
     )
     print(table(rows, head), flush=True)
-    best = min((kind for kind in PREDICTORS if kind != "hold"), key=lambda kind: shown[kind])
-    decompose(mean, best, TARGETS.get(name, 1.0))
 
 
 def share_of(excess: float, held: float) -> float:
@@ -273,34 +221,6 @@ def share_of(excess: float, held: float) -> float:
 def written(share: float) -> str:
     """A share as text."""
     return "-" if np.isnan(share) else f"{share:.2f}"
-
-
-def decompose(mean: dict[str, dict[str, np.ndarray]], best: str, target: float) -> None:
-    """Print the components of the error for every move that misses its target.
-
-    The target limits the best predictor's share of the excess error of zero-order hold.
-    """
-    rows = []
-    for move, (error, least, excess, late) in mean[best].items():
-        held, known = mean["hold"][move][2], mean[KNOWN][move][2]
-        if excess > target * held:
-            figures = (error, least, held, target * held, excess, known)
-            share = written(share_of(excess, held))
-            rows.append((move, *(f"{100 * each:.2f}" for each in figures), share, f"{late:+.2f}"))
-    if rows:
-        head = (
-            "move",
-            "error %",
-            "least %",
-            "hold's excess %",
-            "target %",
-            "left %",
-            "path known %",
-            "of hold's",
-            "late ms",
-        )
-        print(f"{best} misses {target:g} of hold's excess in:")
-        print(table(rows, head), flush=True)
 
 
 def main() -> None:

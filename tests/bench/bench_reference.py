@@ -2,20 +2,19 @@
 
 Run: `python tests/bench/bench_reference.py SCENE ...`.
 
-`python tests/bench/bench_reference.py glenoid caries voxels.spacing_mm=0.1 [--worst]` runs each
+`python tests/bench/bench_reference.py glenoid caries voxels.spacing_mm=0.1` runs each
 scene with the changes and prints its error over ticks, over 50 ms and on average in %, the
 reference's own uncertainty, and the tick's cost. Stress is left out: the force does not depend on
-it. `--worst` adds the windows of 50 ms that are farthest off. The reference is computed once for
-each motion, anatomy and tool (a minute), then read from the cache.
+it. The reference is computed once for each motion, anatomy and tool (a minute), then read from the
+cache.
 """
 
 import argparse
-import sys
 from time import perf_counter
 
 import numpy as np
-from force_errors import error_of_force
 from harness import machine, table
+from reference_errors import error_of_force
 
 import tissue
 from tissue.evaluation.reference.history import reference_force
@@ -27,9 +26,6 @@ def main() -> None:
     parser.add_argument(
         "scenes", nargs="+", help="scenes, and changes such as voxels.spacing_mm=0.1"
     )
-    parser.add_argument(
-        "--worst", action="store_true", help="show the windows that are farthest off"
-    )
     arguments = parser.parse_args()
     changes = dict(parse_override(word) for word in arguments.scenes if "=" in word)
     rows = []
@@ -37,7 +33,7 @@ def main() -> None:
         scene = tissue.load_scene(name, {**changes, "stress": None})
         run = tissue.simulate(scene, cores=1)
         start = perf_counter()
-        reference = reference_force(scene, run.trace, progress=_progress)
+        reference = reference_force(scene, run.trace)
         seconds = perf_counter() - start
         force = run.trace.vectors("model_force", "N")
         error = error_of_force(force, reference)
@@ -54,8 +50,6 @@ def main() -> None:
                 f"{np.percentile(ticks, 99):.0f}",
             )
         )
-        if arguments.worst:
-            _show_worst(force, reference.force_N)
     head = (
         "scene",
         "ticks %",
@@ -70,21 +64,6 @@ def main() -> None:
     )
     print(machine())
     print(table(rows, head))
-
-
-def _show_worst(force, wanted, count=8) -> None:
-    """Print the windows of 50 ms that add most to the error."""
-    for k in np.argsort(
-        [-np.linalg.norm((force - wanted)[s : s + 50]) for s in range(0, len(force), 50)]
-    )[:count]:
-        part = slice(50 * k, 50 * k + 50)
-        got, exact = force[part].mean(axis=0), wanted[part].mean(axis=0)
-        print(f"{50 * k:6d} ms  force {np.round(got, 4)} N  reference {np.round(exact, 4)} N")
-
-
-def _progress(what: str, share: float) -> None:
-    if sys.stderr.isatty():
-        print(f"\r{what} {share:4.0%}", end="", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -37,13 +37,11 @@ def recorded(name: str, index: int) -> tuple[Array, Array, float]:
         "hand": GROUPS[index % len(GROUPS)],
         "seed": 600 + index,
         "duration_s": SECONDS,
+        "prediction": "none",
+        "coupling.delay_ms": 0,
+        "stress": None,
     }
-    scene = load_scene(name, entries | {"prediction": "none", "coupling.delay_ms": 0})
-    if scene.stress is not None:
-        scene = load_scene(
-            name, entries | {"prediction": "none", "coupling.delay_ms": 0, "stress": None}
-        )
-    trace = simulate(scene).trace
+    trace = simulate(load_scene(name, entries)).trace
     step = device_parameters("touch").encoder_step_m
     return 1e-3 * trace.vectors("device", "mm"), 1e-3 * trace.vectors("device_true", "mm"), step
 

@@ -94,11 +94,6 @@ def test_a_parser_that_fails_is_refused(parse, parser, reason):
     assert str(refused.value).endswith("): export it again")
 
 
-def test_a_refusal_of_the_parser_is_passed_on(parse):
-    with pytest.raises(InputError, match=r"^file must be good, got a bad one: fix it$"):
-        parse("refuses")
-
-
 def test_a_parser_that_takes_too_much_memory_is_ended(parse, monkeypatch):
     monkeypatch.setattr(meshes.base.isolated_parser, "_LEAST_BYTES", 300 << 20)
     with pytest.raises(InputError, match=r"its parser took more than 0.29 GiB of memory"):

@@ -1,13 +1,10 @@
 """Bones whose inside is known: by the density of a CT, or by a second surface around the core."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import trimesh
 from ct_ball import CENTRE_MM, RADIUS_MM, SHELL_MM, ball
 
-from meshes.base.errors import InputError
 from meshes.ct.bone_inside import cored_anatomy, imaged_anatomy
 from meshes.ct.density import DensityLaw
 from meshes.ct.extraction import by_threshold
@@ -75,15 +72,6 @@ def test_layers_follow_from_density_and_depth(imaged, turn):
     dense = np.isin(volume.layer, (0, 1)) & held
     assert np.median(volume.density_kg_m3[dense]) == pytest.approx(1400.0, rel=0.02)
     assert np.median(volume.density_kg_m3[held & ~dense]) == pytest.approx(750.0, rel=0.02)
-
-
-def test_a_density_of_another_bone_or_unit_is_refused(imaged):
-    surface, density = imaged
-    site = place_site(surface, centre_mm=TOP.tolist())
-    with pytest.raises(InputError, match="up to its surface"):
-        imaged_anatomy(surface, site, replace(density, origin_mm=(100.0, 0.0, 0.0)))
-    with pytest.raises(InputError, match="from 0 to 20000"):
-        imaged_anatomy(surface, site, replace(density, values=density.values.astype(np.int32) * 30))
 
 
 @pytest.mark.parametrize("off_mm", [-1e-4, 1e-4])

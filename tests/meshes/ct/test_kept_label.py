@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from ct_ball import ball_mask
 
-from meshes.base.errors import InputError
 from meshes.ct.extraction import kept_label
 from meshes.ct.labels import Labels
 from meshes.images.frame import Image
@@ -40,20 +39,6 @@ def test_a_thread_of_one_voxel_that_hangs_on_a_thick_piece_stays():
     centres = np.argwhere(mask) * SPACING_MM + ORIGIN_MM
     assert distance_mm(mask, centres).max() < 0.5 * max(SPACING_MM)
     assert distance_mm(mask, centres[centres[:, 0] < -9.0]).max() < 0.0
-
-
-def test_what_the_edge_cuts_off_is_reported():
-    mask = ball_mask(EMPTY, centre_mm=np.array([-29.0, 0.0, 0.0]), radius_mm=5.0)
-    assert "ends at 1 place at the edge" in kept_label(EMPTY, mask, "canal")[1][0]
-    everywhere = np.ones(EMPTY.values.shape, dtype=bool)
-    assert "ends at 6 places" in kept_label(EMPTY, everywhere, "canal")[1][0]
-
-
-def test_nothing_is_refused():
-    with pytest.raises(
-        InputError, match="keep_clear must be a label within the image and its crop, got canal"
-    ):
-        kept_label(EMPTY, np.zeros(EMPTY.values.shape, dtype=bool), "canal")
 
 
 def test_labels_of_one_name_are_one():

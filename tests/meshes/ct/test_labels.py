@@ -8,7 +8,7 @@ import pytest
 from named_labels import write_named_labels
 
 from meshes.base.errors import InputError
-from meshes.ct.labels import label_sets, on_grid_of, read_labels
+from meshes.ct.labels import on_grid_of, read_labels
 from meshes.images.reading import read_image
 
 
@@ -43,20 +43,6 @@ def test_a_table_in_a_nifti_header_names_the_labels(tmp_path):
     )
     labels = read_labels(write_nifti(tmp_path / "a.nii.gz", volume(), extension=table))
     assert labels.names == {2: "liver", 7: "label 7"}
-
-
-@pytest.mark.parametrize(
-    ("program", "count", "number", "name"),
-    [
-        ("totalsegmentator", 117, 71, "scapula_left"),
-        ("dentalsegmentator", 5, 5, "mandibular_canal"),
-        ("verse", 28, 20, "vertebrae_L1"),
-    ],
-)
-def test_a_known_program_names_its_numbers(program, count, number, name):
-    assert set(label_sets()) == {"totalsegmentator", "dentalsegmentator", "verse"}
-    assert len(label_sets()[program]) == len(set(label_sets()[program])) == count
-    assert label_sets()[program][number - 1] == name
 
 
 def test_a_table_of_ones_own_names_the_numbers(tmp_path):

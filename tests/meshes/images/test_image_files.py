@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from meshes.base.errors import InputError
 from meshes.ct.density import DensityLaw
 from meshes.images.bone_image import image_volume
 from meshes.images.reading import Image, read_image
@@ -23,27 +22,6 @@ def slices(tmp_path):
     for k in range(4):
         imsave(tmp_path / f"s_{k:02d}.tif", values[:, :, k].T, check_contrast=False)
     return tmp_path, values
-
-
-def test_tiff_slices_as_folder_and_pattern(slices):
-    folder, values = slices
-    for path in (folder, folder / "s_*.tif"):
-        found = read_image(path, spacing_mm=0.02)
-        assert np.array_equal(found.values, values) and found.spacing_mm == (0.02,) * 3
-    with pytest.raises(InputError, match=r"anatomy\.spacing_mm must be given"):
-        read_image(folder)
-
-
-def test_placeholder_spacing_is_reported(tmp_path):
-    import pyvista
-
-    grid = pyvista.ImageData(dimensions=(3, 3, 3))
-    grid.point_data["v"] = np.arange(27.0)
-    grid.save(tmp_path / "one.vti")
-    assert "exactly 1 mm" in read_image(tmp_path / "one.vti").notes[0]
-    given = read_image(tmp_path / "one.vti", spacing_mm=0.03)
-    assert given.spacing_mm == (0.03,) * 3
-    assert "0.03 mm is used" in given.notes[0]
 
 
 def test_threshold():
@@ -103,35 +81,6 @@ def test_placement_leads_back_to_the_image(resample_mm):
     )
     assert np.array_equal(volume.placement.rotation, np.eye(3))
     assert volume.bounds_m[1][2] == pytest.approx(0.0, abs=1e-15)
-
-
-@pytest.mark.parametrize(
-    "name", ["gone.nii.gz", "gone*.tif", "empty.vti", "noise.vti", "broken.tif", "surface.vtp"]
-)
-def test_refused_files(tmp_path, name):
-    (tmp_path / "empty.vti").touch()
-    for noise in ("noise.vti", "broken.tif", "surface.vtp"):
-        (tmp_path / noise).write_text("noise")
-    with pytest.raises(InputError) as refusal:
-        read_image(tmp_path / name, spacing_mm=1)
-    assert refusal.value.argument == "file" and name in str(refusal.value.value)
-
-
-@pytest.mark.parametrize(
-    ("options", "argument"),
-    [
-        ({"threshold": 30}, "anatomy.threshold"),
-        ({"threshold": math.nan}, "anatomy.threshold"),
-        ({"threshold": 5, "resample_mm": 0.0}, "resample_mm"),
-        ({"threshold": 5, "resample_mm": 9}, "resample_mm"),
-        ({"threshold": 5, "resample_mm": 1e-4}, "resample_mm"),
-        ({"threshold": 5, "density_kg_m3": -1}, "density_kg_m3"),
-    ],
-)
-def test_refused_options(options, argument):
-    with pytest.raises(InputError) as refusal:
-        image_volume(image(np.arange(27.0).reshape(3, 3, 3)), **options)
-    assert refusal.value.argument == argument
 
 
 def test_microct_block(anatomy):

@@ -109,14 +109,6 @@ def test_inverted_grey_values_are_inverted_back(tmp_path, dtype):
     )
 
 
-def test_a_reduced_picture_in_a_file_is_left_out(tmp_path):
-    with tifffile.TiffWriter(tmp_path / "stack.tif") as file:
-        file.write(steps(), photometric="minisblack")
-        file.write(np.zeros((4, 4), np.uint16), photometric="minisblack", subfiletype=1)
-    found = read_image(tmp_path / "stack.tif", spacing_mm=1.0)
-    assert found.values.shape == (SIDE, SIDE, COUNT) and "thumbnails" in found.notes[0]
-
-
 def ball_HU():
     """Bone of 125 voxels in air [HU], shape (nx, ny, nz)."""
     values = np.full((SIDE, SIDE, COUNT), AIR_HU)

@@ -6,7 +6,7 @@ from labelled_organs import RADII_MM, off_ellipsoid, organ_labels
 
 from meshes.base.arrays import enclosed_volume
 from meshes.base.errors import InputError
-from meshes.organs.from_labels import LabelGrid, label_triangles, labelled_organ, organ_mesh
+from meshes.organs.from_labels import LabelGrid, label_triangles, organ_mesh
 from meshes.tets.files import read_tets
 from meshes.tets.tetrahedra import TetMesh, mean_ratio, write_organ
 
@@ -96,41 +96,3 @@ def test_parts_may_touch_lie_in_each_other_and_reach_the_surface(tmp_path):
     assert volumes_ml(read) == pytest.approx(found, rel=1e-6)
     with pytest.raises(InputError, match=r"path must end in \.vtu, got organ\.stl: name it"):
         write_organ(mesh, tmp_path / "organ.stl")
-
-
-def test_what_is_loose_hollow_or_cut_off_is_reported():
-    labels, _ = organ_labels((1.0, 1.0, 1.0), 0, {"tumour": ((0.0, 0.0, 0.0), 8.0)}, crop=20)
-    values = labels.image.values
-    middle = np.array(np.nonzero(values == 2)).mean(axis=1).astype(int)
-    values[tuple(slice(m - 2, m + 2) for m in middle)] = 0  # a hollow in the tumour
-    values[:3, :3, :3] = 1
-    grown = np.argwhere(values == 1)[-1]
-    values[tuple(grown)] = 2  # a speck of one voxel
-    notes = labelled_organ(labels, "organ", ["tumour"]).notes
-    assert "Left out 0.027 ml in 1 loose piece." in notes["organ"]
-    assert "Filled hollows without a label, 0.064 ml." in notes["organ"]
-    assert "The image cuts it off: " in notes["organ"]
-    assert notes["tumour"] == "1 piece of fewer than 64 voxels, 0.001 ml, left to organ."
-
-
-@pytest.mark.parametrize(
-    ("organ", "parts", "argument", "got"),
-    [
-        ("kidney", [], "label", "kidney"),
-        ("organ", ["cyst"], "label", "cyst"),
-        ("organ", ["organ"], "parts", "organ"),
-        ("organ", ["tumour", "tumour"], "parts", "tumour"),
-        ("organ", ["far"], "far", "it apart"),
-        ("organ", ["speck"], "speck", "34"),
-    ],
-)
-def test_what_cannot_be_is_refused_before_it_is_meshed(organ, parts, argument, got):
-    balls = {
-        "tumour": ((10.0, 0.0, 0.0), 8.0),
-        "far": ((0.0, 0.0, 31.0), 4.0),
-        "speck": ((-10.0, 0.0, 0.0), 2.0),
-    }
-    labels, _ = organ_labels((1.0, 1.0, 1.0), 0, balls)
-    with pytest.raises(InputError) as refused:
-        labelled_organ(labels, organ, parts)
-    assert (refused.value.argument, str(refused.value.value)) == (argument, got)

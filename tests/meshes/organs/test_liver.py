@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from meshes.base.errors import InputError
 from meshes.organs.liver import (
     Nodule,
     liver,
@@ -84,33 +83,3 @@ def test_a_slab_takes_a_nodule(radius: float, spacing: float) -> None:
     )
     assert mesh.volumes_m3.sum() == pytest.approx(4e-4, rel=1e-9)
     assert mean_ratio(mesh.nodes_m, mesh.cells).min() > 0.1
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (
-            lambda: liver(nodule=Nodule(0.005, (0.0, 0.0, -0.03))),
-            "nodule.radius_m must give a ball of at least",
-        ),
-        (
-            lambda: liver(nodule=Nodule(0.012, (0.0, 0.0, -0.01))),
-            "nodule.centre_m must lie at least",
-        ),
-        (lambda: liver(nodule=Nodule(0.012, (0.0, 0.0, 0.3))), "nodule.centre_m must lie at least"),
-        (
-            lambda: liver(nodule=Nodule(0.012, (0.0, 0.0, float("nan")))),
-            "nodule.centre_m must lie at least",
-        ),
-        (lambda: liver(spacing_m=1.0), "spacing_m must be below the size"),
-        (lambda: slab(size_m=(0.1, 0.1, 0.0)), "size_m must be positive and finite, got 0 mm"),
-        (lambda: slab(spacing_m=0.05), "spacing_m must be positive and at most 40 mm, got 50 mm"),
-        (
-            lambda: slab(nodule=Nodule(0.01, (0.045, 0.0, -0.02))),
-            "nodule.centre_m must lie at least",
-        ),
-    ],
-)
-def test_what_makes_no_tissue_is_refused(make: object, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        make()  # type: ignore[operator]

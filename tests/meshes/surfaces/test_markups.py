@@ -147,28 +147,3 @@ def test_point_lists(tmp_path, frame):
 def test_what_marks_no_site_is_refused(tmp_path, change, sentence):
     with pytest.raises(InputError, match=sentence):
         read_site(written(tmp_path, points(POINT) | change))
-
-
-def test_several_sites_and_other_files_are_refused(tmp_path):
-    with pytest.raises(InputError, match="got Fiducial of 2"):
-        read_site(written(tmp_path, points(POINT, POINT)))
-    with pytest.raises(InputError, match="got Plane of 1, Plane of 1"):
-        plane = points(POINT, kind="Plane", normal=[0, 0, 1])
-        read_site(written(tmp_path, plane, plane))
-    for name, text, sentence in (
-        ("a.mrk.json", "{", "got other data"),
-        ("a.mrk.json", '{"markups": []}', "got none"),
-        ("a.txt", "x", "a .mrk.json or .fcsv file"),
-        ("a.fcsv", "1,2,3,4\n", "coordinateSystem LPS or RAS, got none"),
-        ("a.fcsv", "# CoordinateSystem = LPS\n1,2,x,4\n", "three finite numbers"),
-        ("a.fcsv", "# CoordinateSystem = LPS\n", "at least one point"),
-    ):
-        path = tmp_path / name
-        path.write_text(text, "utf-8")
-        with pytest.raises(InputError, match=sentence):
-            read_markups(path)
-    with pytest.raises(InputError, match="must exist"):
-        read_markups(tmp_path / "none.fcsv")
-    with pytest.raises(InputError, match="one curve of at least two points, got 2"):
-        curve = points([0, 0, 0], [1, 0, 0], kind="Curve")
-        read_curve(written(tmp_path, curve, curve))

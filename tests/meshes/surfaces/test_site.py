@@ -7,7 +7,6 @@ import pytest
 import trimesh
 from voxel_surface import voxel_surface
 
-from meshes.base.errors import InputError
 from meshes.base.placement import Placement
 from meshes.shapes import sdf
 from meshes.surfaces.glenoid import glenoid, surface_anatomy
@@ -107,34 +106,6 @@ def test_without_a_normal_it_is_that_of_the_surface_and_x_lies_along_the_directi
     assert again.origin_mm == pytest.approx(placed.origin_mm) and again.rotation == pytest.approx(
         placed.rotation
     )
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (
-            {"centre_mm": (0, 0, 30), "normal": (0, 0, 1), "along": (0, 0, -3)},
-            ("anatomy.along", "(0, 0, -1)"),
-        ),
-        (
-            {"centre_mm": (0, 0)},
-            ("anatomy.centre_mm", "(0, 0)"),
-        ),
-        (
-            {"centre_mm": (0, 0, 30), "normal": (0, 0, 0)},
-            ("anatomy.normal", "(0, 0, 0)"),
-        ),
-        (
-            {"centre_mm": (0, 0, 300), "normal": (0, 0, 1)},
-            ("anatomy.centre_mm", "(0, 0, 300) in triangles"),
-        ),
-    ],
-)
-def test_refused_sites(options, message):
-    surface = as_surface(trimesh.creation.icosphere(subdivisions=3, radius=30.0))
-    with pytest.raises(InputError) as refusal:
-        place_site(surface, **options)
-    assert (refusal.value.argument, str(refusal.value.value)) == message
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from meshes.base.errors import InputError
 from meshes.shapes.sdf import sphere
 from meshes.tets.structured import box
 from meshes.tets.stuffing import bisected, stuffed
@@ -70,17 +69,6 @@ def test_a_shaken_box_refined_about_a_point(seed):
     # Longest-edge halving creates few shapes; cells grow at most some times flatter than the first
     # ones.
     assert longest_over_height(fine) < 4.0 * longest_over_height(coarse)
-
-
-def test_bad_sizes(monkeypatch):
-    """Zero, not a number, and finer than memory."""
-    mesh = box((1.0, 1.0, 1.0), (1, 1, 1))
-    for bad in (0.0, float("nan")):
-        with pytest.raises(InputError, match="size_m must be positive"):
-            bisected(mesh, lambda at, bad=bad: np.full(len(at), bad))
-    monkeypatch.setattr("meshes.tets.stuffing._MOST_BISECTED", 1000)
-    with pytest.raises(InputError, match="size_m must leave at most 1000"):
-        bisected(mesh, lambda at: np.full(len(at), 1e-3))
 
 
 def test_surface_nodes_go_onto_the_surface_that_the_mesh_stands_for():

@@ -89,13 +89,6 @@ def test_a_bad_cell_inside_gets_volume_by_moving_its_nodes(cube: TetMesh, share:
     assert np.array_equal(mesh.surface, cube.surface)
 
 
-def test_a_sliver_on_the_surface_is_kept_and_reported() -> None:
-    corner = np.vstack([np.zeros(3), 0.05 * np.eye(3)])
-    corner[3] *= 0.01
-    _, (repair,) = repair_tets(corner, np.array([[0, 1, 2, 3]]))
-    assert "Found 1 slivers" in repair and "moving 0 inner nodes left 1" in repair
-
-
 def test_debris_is_dropped_with_its_volume(cube: TetMesh) -> None:
     crumb = 1e-4 * REGULAR + 0.3
     nodes = np.vstack([cube.nodes_m, crumb])

@@ -47,10 +47,3 @@ def test_a_part_chooses_all_its_nodes() -> None:
         nodes_of_part(mesh, "bone")
     with pytest.raises(InputError, match="part must have cells, got none of empty"):
         nodes_of_part(mesh, "empty")
-
-
-def test_a_support_that_touches_nothing_reports_the_nearest_node() -> None:
-    with pytest.raises(InputError, match=r"nearest, at \(0, 0, 0\) mm, is 5 mm away"):
-        nodes_behind_plane(MESH, point_m=(0.0, 0.0, -0.005), normal=(0.0, 0.0, 1.0))
-    with pytest.raises(InputError, match=r"within 20 degrees .* nearest is 45 degrees away"):
-        nodes_facing(MESH, direction=(1.0, 1.0, 0.0), within_deg=20.0)

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from round_bodies import mapped, sphere_shell
+from round_bodies import sphere_shell
 
-from meshes.base.errors import InputError
-from meshes.tets.structured import box, graded, grid
+from meshes.tets.structured import box, graded
 from meshes.tets.tetrahedra import TetMesh, cell_faces, pieces, pinched_edges
 
 
@@ -69,23 +68,3 @@ def test_graded_positions_start_small_grow_and_meet_the_end() -> None:
     assert at[-1] == -0.04
     assert np.allclose(steps[1:] / steps[:-1], 1.2)
     assert 0.5 * 0.0025 < steps[0] <= 0.0025
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: box((0.1, -0.1, 0.1), (1, 1, 1)), "size_m must be positive"),
-        (lambda: box((0.1, 0.1, 0.1), (1, 0, 1)), "cells must be three numbers"),
-        (lambda: grid([0.0, 1.0], [0.0, 0.0], [0.0, 1.0]), "y_m must hold at least two rising"),
-        (lambda: grid([0.0, np.nan], [0.0, 1.0], [0.0, 1.0]), "x_m must hold at least two rising"),
-        (
-            lambda: mapped((1, 1, 1), lambda p: p * [1.0, 1.0, 0.0]),
-            "cells must have positive volume",
-        ),
-        (lambda: graded(0.0, 1.0, 2.0, 1.2), "first_m must be in"),
-        (lambda: graded(0.0, 1.0, 0.1, 0.9), "growth must be at least 1"),
-    ],
-)
-def test_what_makes_no_mesh_is_refused(make: object, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        make()  # type: ignore[operator]

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from meshes.base.errors import InputError
 from meshes.shapes.sdf import half_space, sphere
 from meshes.tets.stuffing import cut_by, stuffed, with_part
 from meshes.tets.tetrahedra import TetMesh, cell_faces, mean_ratio, pieces, pinched_edges
@@ -64,21 +63,3 @@ def test_a_part_inside_has_a_separate_surface() -> None:
     assert np.abs(away).max() < 1e-6
     assert inside.volumes_m3.sum() == pytest.approx(4.0 / 3.0 * np.pi * 0.018**3, rel=0.07)
     assert mean_ratio(mesh.nodes_m, mesh.cells).min() > LEAST_QUALITY
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: stuffed(half_space((0.0, 0.0, 1.0)), 0.01), "shape must have an end"),
-        (lambda: stuffed(sphere(0.05), -1.0), "spacing_m must be positive"),
-        (lambda: stuffed(sphere(0.05), 1e-4), "spacing_m must leave at most"),
-        (lambda: stuffed(sphere(0.05), float("nan")), "spacing_m must be positive"),
-        (
-            lambda: with_part(stuffed(sphere(0.05), 0.02), sphere(0.01, (1.0, 0.0, 0.0)), "nodule"),
-            "nodule must hold",
-        ),
-    ],
-)
-def test_what_cannot_be_filled_is_refused(make: object, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        make()  # type: ignore[operator]

@@ -1,11 +1,8 @@
 """Tooth from a label image: volumes, place, islands, cavity, refusals, real carious teeth."""
 
-import math
-
 import numpy as np
 import pytest
 
-from meshes.base.errors import InputError
 from meshes.images.reading import Image, read_image
 from meshes.tooth.label_volume import labelled_tooth
 from meshes.tooth.layers import TOOTH_LAYERS
@@ -61,74 +58,6 @@ def test_cavity_becomes_pulp_by_default():
     assert 1e9 * volume.volume_m3("pulp") == pytest.approx(4.0, rel=0.1)
     assert any("in the dentin is taken as pulp" in sentence for sentence in remarks)
     assert 1e9 * volume.volume_m3() == pytest.approx(240.0, rel=5e-3)
-
-
-def edited(**values):
-    """The labels with single voxels set, and its image."""
-    labels = tooth_labels().astype(values.pop("kind", np.int16))
-    for number, value in enumerate(values.values()):
-        labels[50 + number, 12, 12] = value
-    return image(labels)
-
-
-@pytest.mark.parametrize(
-    ("make", "options", "message"),
-    [
-        (
-            lambda: edited(a=7, b=9),
-            {},
-            "labels must name every label of test, got unnamed 7 (1 voxels), 9 (1 voxels): ",
-        ),
-        (
-            lambda: edited(kind=np.float32, a=2.5),
-            {},
-            "labels must be whole numbers from 0 to 255, got others from 0 to 3 in test",
-        ),
-        (
-            lambda: image(np.zeros((9, 9, 9))),
-            {},
-            "labels must mark a tooth, got nothing but 0 in test: check the file",
-        ),
-        (
-            lambda: edited(),
-            {"labels": {1: "caries", 2: "cement", 3: "dentin"}},
-            (
-                "labels must name layers of enamel, dentin, pulp, caries, ligament, bone, got "
-                "cement: rename it"
-            ),
-        ),
-        (
-            lambda: image(np.where(tooth_labels() == 2, 3, tooth_labels())),
-            {},
-            "labels must give enamel and dentin, got dentin, caries: add the enamel",
-        ),
-        (
-            lambda: edited(),
-            {"resample_mm": math.nan},
-            "resample_mm must be positive and finite, got nan: use 0.1",
-        ),
-        (
-            lambda: edited(),
-            {"resample_mm": 3},
-            "resample_mm must leave eight voxels across the tooth, got 3 for ",
-        ),
-        (
-            lambda: edited(),
-            {"resample_mm": 1e-4},
-            "resample_mm must leave at most 4e+08 voxels, got 0.0001 which ",
-        ),
-        (
-            lambda: image(tooth_labels(), (0.01, 0.01, 0.01)),
-            {},
-            "spacing_mm must make the tooth 5 to 40 mm long, got 0.01, which makes it 1.2 mm: ",
-        ),
-    ],
-)
-def test_refusals(make, options, message):
-    with pytest.raises(InputError) as refusal:
-        labels = {"labels": options.pop("labels")} if "labels" in options else {}
-        labelled_tooth(make(), **labels).volume(**options)
-    assert str(refusal.value).startswith(message)
 
 
 @pytest.mark.slow

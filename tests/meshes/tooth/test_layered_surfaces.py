@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from meshes.base.errors import InputError
 from meshes.surfaces.surface import surface_from_triangles
 from meshes.tooth.layer_contact import inside_lattice
 from meshes.tooth.layered_surfaces import layered_anatomy, layered_surfaces
@@ -176,28 +175,3 @@ def test_real_molar_keeps_the_volume_of_every_layer(real):
     assert volume.origin_m[2] + SPACING * (np.flatnonzero(top)[-1] + 1) == pytest.approx(
         0.0, abs=1.1 * SPACING
     )
-
-
-@pytest.mark.parametrize(
-    ("change", "options", "message"),
-    [
-        ({"cement": surface(block((1, 1, 1), 0.0))}, {}, "surfaces must name layers"),
-        ({"enamel": None}, {}, "surfaces must give enamel and dentin"),
-        (
-            {"enamel": blocks(lift=4.0)["enamel"]},
-            {},
-            "enamel surface must touch the others .* got one 4 mm from dentin",
-        ),
-        (
-            {"pulp": surface(block((2, 2, 6), 4.0, aside=5.0))},
-            {},
-            "pulp must lie within the dentin",
-        ),
-        ({}, {"socket_mm": 2.0}, "socket_mm must be 0 without a ligament"),
-        ({}, {"socket_mm": math.inf}, "socket_mm must be in"),
-    ],
-)
-def test_teeth_that_cannot_be(change, options, message):
-    surfaces = {name: part for name, part in (blocks() | change).items() if part is not None}
-    with pytest.raises(InputError, match=message):
-        layered_anatomy(surfaces, **options)

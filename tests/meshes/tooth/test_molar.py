@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from meshes.base.errors import InputError
 from meshes.tooth.layers import (
     CARIES,
     DENTIN,
@@ -190,45 +189,3 @@ def test_lesion_has_its_size_and_softens_toward_its_middle(tooth):
     assert np.array_equal(tooth.fraction[window], volume.fraction)
     elsewhere = volume.layer != CARIES
     assert np.array_equal(tooth.layer[window][elsewhere], volume.layer[elsewhere])
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"crown_width_mm": 20}, "crown_width_mm must be in [9, 13], got 20: use 11"),
-        (
-            {"enamel_thickness_mm": math.nan},
-            "enamel_thickness_mm must be in [1, 3], got nan: use 2.2",
-        ),
-        (
-            {"ligament_thickness_mm": 0},
-            "ligament_thickness_mm must be in [0.1, 0.5], got 0: use 0.22",
-        ),
-        (
-            {"caries_depth_mm": 1e-300},
-            "caries_depth_mm must be 0 or at least 0.1, got 1e-300: use 0 for none, or about 3",
-        ),
-        (
-            {"caries_depth_mm": -1},
-            "caries_depth_mm must be in [0, 6.2], got -1: use 0 for none, or about 3",
-        ),
-        ({"socket_mm": "wide"}, "socket_mm must be a number, got 'wide': use 2.5"),
-        (
-            {"caries_depth_mm": 4.9},
-            (
-                "caries_depth_mm must leave 0.3 mm over the pulp, got 4.9 with the chamber's "
-                "roof at 5: use at most 4.7"
-            ),
-        ),
-        (
-            {"pulp_roof_mm": 6.4, "crown_height_mm": 6, "cusp_height_mm": 2},
-            "pulp_roof_mm must lie above the root trunk, got 6.4 with a cervical line 4 "
-            "below the fossa: use at "
-            "most 4.8",
-        ),
-    ],
-)
-def test_refusals(options, message):
-    with pytest.raises(InputError) as refusal:
-        molar(**options)
-    assert str(refusal.value) == message

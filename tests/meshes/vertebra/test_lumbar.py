@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from meshes.base.errors import InputError
 from meshes.vertebra.lumbar import lumbar_vertebra
 
 AXIS = np.deg2rad(17.7)
@@ -99,19 +98,3 @@ def test_no_bone_in_the_canal_and_layers_by_depth():
     layer, density = anatomy.classify(np.column_stack([0 * depth, 0 * depth, -depth]), depth)
     assert (layer == np.where(depth < 1e-3, 0, 2)).all()
     assert set(density) == {1800.0, 280.0}
-
-
-@pytest.mark.parametrize(
-    ("change", "sentence"),
-    [
-        ({"pedicle_width_mm": 30.0}, "pedicle_width_mm must be"),
-        (
-            {"pedicle_width_mm": 5.0, "pedicle_cortex_mm": 2.0},
-            "pedicle_cortex_mm must be less than a third",
-        ),
-        ({"canal_depth_mm": float("nan")}, "canal_depth_mm"),
-    ],
-)
-def test_what_is_no_vertebra_is_refused(change, sentence):
-    with pytest.raises(InputError, match=sentence):
-        lumbar_vertebra(**change)

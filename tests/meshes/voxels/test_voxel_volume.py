@@ -1,6 +1,5 @@
 """The voxel container: its checks, its books, and a closed surface of it."""
 
-import math
 import subprocess
 import sys
 
@@ -8,7 +7,6 @@ import numpy as np
 import pytest
 
 import meshes
-from meshes.base.errors import InputError
 from meshes.voxels.volume import VoxelVolume
 
 
@@ -44,44 +42,6 @@ def test_books():
     )
     assert one.volume_m3() == pytest.approx(23.2e-9)
     assert one.centres_m(2) == pytest.approx([5e-4, 1.5e-3, 2.5e-3, 3.5e-3])
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (
-            lambda: volume(origin_m=np.array([0, math.nan, 0])),
-            "origin_m must be three finite numbers, got [ 0. nan  0.]: use for example (0, 0, 1)",
-        ),
-        (
-            lambda: volume(spacing_m=-1),
-            "spacing_m must be positive and finite, got -1: use about 1e-4 (0.1 mm)",
-        ),
-        (
-            lambda: volume(layer=np.zeros((2, 3, 5), np.uint8)),
-            "layer must have the shape (nx, ny, nz) of fraction with no zero, got (2, 3, 5): "
-            "give all three arrays the same "
-            "shape",
-        ),
-        (
-            lambda: volume(density_kg_m3=np.zeros((2, 3, 4))),
-            "density_kg_m3 must be a C-contiguous uint16 array, got float64: "
-            "use numpy.ascontiguousarray(array, dtype='uint16')",
-        ),
-        (
-            lambda: volume(layer=np.full((2, 3, 4), 2, np.uint8)),
-            "layer must index layer_names, got 2 with 2 names: name every layer",
-        ),
-        (
-            lambda: volume().volume_m3("c"),
-            "layer must be one of a, b, got c: use one of these names",
-        ),
-    ],
-)
-def test_refusals(make, message):
-    with pytest.raises(InputError) as refusal:
-        make()
-    assert str(refusal.value) == message
 
 
 def test_import_is_light_and_names_are_public():

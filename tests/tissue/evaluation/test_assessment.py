@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from meshes.base.errors import InputError
-from tissue.evaluation.assessment import assess, assessment_lines, write_assessment
+from tissue.evaluation.assessment import assess, assessment_lines
 from tissue.evaluation.statistics.metrics import aligned_rows, deviation_mm
 from tissue.scene.load import load_scene
 from tissue.simulation.run_folder import SavedRun
@@ -141,23 +141,6 @@ def test_breaches_are_found_where_they_were_planted(tmp_path):
     assert any("pulp exposed" in line for line in lines) and "the trainee was cut short" in lines
 
 
-def test_what_cannot_be_assessed_is_refused(tmp_path):
-    reference, other = (
-        saved(tmp_path / "r", reach(1.0)),
-        saved(tmp_path / "o", reach(1.0), scene="wall"),
-    )
-    above = saved(tmp_path / "a", reach(1.0) + np.array([0.0, 0.0, 50.0]))
-    with pytest.raises(InputError, match="must be of one task, got scene = wall and block"):
-        assess(other, reference)
-    with pytest.raises(InputError, match="reference must touch the tissue"):
-        assess(reference, above)
-    with pytest.raises(InputError, match="deviation_limit_mm must be positive"):
-        assess(reference, reference, deviation_limit_mm=-1.0)
-    short = saved(tmp_path / "s", reach(1.0)[:3])
-    with pytest.raises(InputError, match="run must hold a trace of ten ticks"):
-        assess(short, reference)
-
-
 def of_scene(run, **changes):
     """A run as one of the built-in scene of milling with some changes."""
     run.scene = load_scene(
@@ -195,21 +178,3 @@ def test_runs_of_two_tasks_are_not_assessed(tmp_path, change):
         reference,
     )
     assert found.notes == ()
-
-
-def test_what_limits_an_assessment_is_noted(tmp_path):
-    reference, trainee = (of_scene(saved(tmp_path / name, reach(1.0))) for name in "rt")
-    trainee.scene = load_scene("milling", {"duration_s": 1.0, "voxels.spacing_mm": 0.4})
-    trainee.summary["notes"] = {
-        "path": "not finished: the run ends at 1 s, the motion at 8 s; set duration_s = 8"
-    }
-    notes = assess(trainee, reference).notes
-    assert len(notes) == 3 and notes[-1].startswith(
-        "the path of the trainee is not finished: the run ends at 1 s"
-    )
-    assert any("duration_s: trainee 1, reference" in each for each in notes)
-    assert any("voxels.spacing_mm: trainee 0.4, reference" in each for each in notes)
-    lines = assessment_lines(assess(trainee, reference))
-    assert sum(line.startswith("note: ") for line in lines) == 3
-    write_assessment(assess(trainee, reference), tmp_path / "out", overwrite=False)
-    assert json.loads((tmp_path / "out" / "assessment.json").read_text())["notes"] == list(notes)

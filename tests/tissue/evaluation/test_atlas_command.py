@@ -3,7 +3,6 @@
 import re
 
 import numpy as np
-import pytest
 
 
 def test_an_atlas_of_two_pages_is_written_whole(command, here):
@@ -22,18 +21,3 @@ def test_an_atlas_of_two_pages_is_written_whole(command, here):
     rows = np.genfromtxt(folder / "wild_input_jump.csv", delimiter=",", names=True)
     np.testing.assert_allclose(rows["bare_N"], rows["theory_N"], rtol=0.01)
     assert f"{rows['bare_N'].max():.1e} N" in html  # the verdict is of these data
-
-
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        (("--only", "nothing"), ("only", "nothing", "wall_map")),
-        (("--set", "device=omni"), ("--set", "device=omni")),
-        (("wall", "--only", "locking"), ("--only", "locking")),
-        (("--out", "file"), ("out", "file")),
-    ],
-)
-def test_what_makes_no_atlas_is_refused(command, here, arguments, named):
-    (here / "file").write_text("")
-    code, _, error = command("stability", *arguments)
-    assert code == 2 and all(name in error for name in named)

@@ -2,11 +2,6 @@
 
 import json
 import os
-import signal
-import subprocess
-import sys
-import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +12,6 @@ from tissue.evaluation.calibration.answers import questioner, simulated_observer
 from tissue.evaluation.calibration.session import Plan, TrialLog, read_log
 from tissue.perception.observer import read_observer
 
-ROOT = Path(__file__).resolve().parents[3]
 SHORT = Plan(trials=20, numbers=6)
 
 
@@ -74,30 +68,6 @@ def test_a_session_goes_on_at_any_trial(tmp_path, log):
             assert path.read_bytes() == whole
             assert (session.threshold.posterior == straight.threshold.posterior).all()
             path.unlink()
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
-def test_a_killed_command_goes_on(tmp_path):
-    out = tmp_path / "stopped.json"
-    path = tmp_path / "stopped.trials.jsonl"
-    code = "from tissue.cli.main import main; main()"
-    given = "calibrate --observer simulated:2 --trials 300 --numbers 4 --out"
-    command = [sys.executable, "-c", code, *given.split(), str(out)]
-    with subprocess.Popen(command, cwd=ROOT) as first:
-        while not path.exists() or path.read_bytes().count(b"\n") < 10:
-            assert first.poll() is None
-            time.sleep(0.001)
-        first.kill()
-    done = path.read_bytes().count(b"\n") - 1
-    assert 9 <= done < 304 and not out.exists()
-    again = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    assert again.returncode == 0 and f"going on at trial {done + 1}" in again.stderr
-    answers = questioner("simulated:2", "mouse", seed=0, read=input, show=print)[0]
-    session = answered(Plan(trials=300, numbers=4), answers)
-    _, restored = read_log(path)
-    assert restored.asked == session.asked and restored.given == session.given
-    np.testing.assert_array_equal(read_observer(out).mean, session.observer("x").mean)
 
 
 def change(lines, number, **entries):

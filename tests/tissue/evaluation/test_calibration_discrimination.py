@@ -7,11 +7,9 @@ from tissue.evaluation.calibration.observers import (
     SimulatedObservers,
     Stimulus,
     calibrated_commands,
-    draw_observers,
     gain_of,
     share_right,
 )
-from tissue.haptics.loop.filters import ForceRange
 from tissue.perception.laws import D_PRIME_75, correct_of_d_prime
 from tissue.perception.observer import reference_observer
 
@@ -29,23 +27,6 @@ def people(count, **given):
     return SimulatedObservers(
         **{name: np.full(count, given.get(name, value)) for name, value in usual.items()}
     )
-
-
-def test_no_false_gain_on_null_data():
-    """Null data give no false gain.
-
-    Of 100 groups with identical stimuli, two to three in a hundred intervals lie above zero, and as
-    many below. More than 9 of 100 on either side have a probability below 1e-3 at 2.5 %.
-    """
-    rng, above, below = np.random.default_rng(1), 0, 0
-    crowd = draw_observers("novice", 20, rng)
-    commands, same = calibrated_commands(crowd, rng), Stimulus(1.0)
-    for seed in range(100):
-        before = share_right(crowd, same, same, seed=2 * seed, trials=20)
-        after = share_right(crowd, same, same, seed=2 * seed + 1, trials=20, commands=commands)
-        gain = gain_of(before, after, rng)
-        above, below = above + (gain.low > 0.0), below + (gain.high < 0.0)
-    assert above <= 9 and below <= 9
 
 
 def test_an_observer_like_the_reference_gains_nothing():
@@ -104,16 +85,3 @@ def test_a_mapping_cannot_help_against_scatter():
             )
             changes.append(after - before)
         assert sign * changes[0] > 0.02 and abs(changes[1]) < 0.3 * abs(changes[0])
-
-
-def test_a_device_at_its_limit_makes_forces_alike():
-    crowd = people(100)
-    strong, weak = (Stimulus(8.0), Stimulus(6.0)), (Stimulus(0.8), Stimulus(0.6))
-    assert (
-        share_right(crowd, *strong, seed=1).mean()
-        < 0.6
-        < 0.9
-        < share_right(crowd, *weak, seed=1).mean()
-    )
-    wide = ForceRange(limit_N=100.0)
-    assert share_right(crowd, *strong, seed=1, limits=wide).mean() > 0.9

@@ -1,7 +1,5 @@
 """Reports of a calibration session: posterior, and notes on answers and priors that do not fit."""
 
-import os
-
 import numpy as np
 import pytest
 from calibration_sessions import answered
@@ -66,14 +64,3 @@ def test_no_numbers_leave_the_exponent_to_the_prior():
     session = answered(Plan(trials=5, numbers=0), answer_with(1.0))
     assert any("Stevens' exponent is the prior's" in note for note in session.notes())
     assert session.observer("x").beta == pytest.approx(1.4)
-
-
-def test_the_posterior_is_shown_as_text():
-    from rich.console import Console
-
-    from tissue.evaluation.calibration.population_fit import posterior_panel
-
-    shown = Console(width=100, record=True, file=open(os.devnull, "w"))  # noqa: SIM115
-    shown.print(posterior_panel(simulated(1, trials=60, numbers=6)))
-    text = shown.export_text()
-    assert "trial 66 of 66" in text and "█" in text and "10" in text and "95 % within" in text

@@ -1,14 +1,11 @@
 """Population from many sessions: the hierarchy, its convergence check, and refusals."""
 
-import sys
-
 import numpy as np
 import pytest
 
-from meshes.base.errors import InputError
 from tissue.evaluation.calibration.answers import simulated_answers, simulated_observer
 from tissue.evaluation.calibration.observers import draw_observers
-from tissue.evaluation.calibration.population_fit import fit_population, new_person
+from tissue.evaluation.calibration.population_fit import new_person
 from tissue.evaluation.calibration.session import Plan, TrialLog
 from tissue.perception.adaptive import MAGNITUDE_FORCES_N
 from tissue.perception.hierarchy import HYPER, PopulationFit, PopulationTrials, fit_hierarchy
@@ -52,45 +49,12 @@ def a_fit(**changes):
     return PopulationFit(**(given | changes))
 
 
-def test_a_fit_that_did_not_converge_is_reported():
-    assert a_fit().problems() == []
-    assert (
-        "R-hat of beta is 1.100"
-        in a_fit(r_hat=dict.fromkeys(HYPER, 1.0) | {"beta": 1.1}).problems()[0]
-    )
-    assert (
-        "R-hat of beta is nan"
-        in a_fit(r_hat=dict.fromkeys(HYPER, 1.0) | {"beta": np.nan}).problems()[0]
-    )
-    assert (
-        "effective sample size of beta is 12"
-        in a_fit(ess=dict.fromkeys(HYPER, 900.0) | {"beta": 12.0}).problems()[0]
-    )
-    assert "3 transitions diverged" in a_fit(divergences=3).problems()[0]
-
-
 def test_a_new_person_scatters_as_people_do():
     """Medians and spreads of the draws' population, to five standard errors of a thousand draws."""
     person = new_person(a_fit(), trials=7, rng=np.random.default_rng(1))
     assert person.trials == 7 and person.kappa == pytest.approx(0.08, rel=0.04)
     assert person.beta == pytest.approx(1.7, abs=0.04)
     assert person.covariance[1, 1] ** 0.5 == pytest.approx(0.2, rel=0.15)
-
-
-@pytest.mark.parametrize("held", ["nothing", "two", "foreign", "file"])
-def test_a_folder_that_holds_no_population_is_refused(tmp_path, held):
-    folder, out = tmp_path / "people", tmp_path / "population.json"
-    folder.mkdir()
-    if held == "two":
-        sessions(folder, 2, trials=2, numbers=2)
-    if held == "foreign":
-        (folder / "a.trials.jsonl").write_text("x\n")
-    if held == "file":
-        out.write_text("mine")
-    message = {"foreign": "which is something else", "file": "out must not exist yet"}
-    with pytest.raises(InputError, match=message.get(held, "three sessions or more")):
-        fit_population(folder, out, seed=0, overwrite=False)
-    assert not out.exists() or out.read_text() == "mine"
 
 
 @pytest.mark.slow
@@ -152,10 +116,3 @@ def test_the_command_writes_a_population(command, here, monkeypatch):
     )
     code, _, error = command("calibrate", "--population", "people", "--out", "all.json")
     assert code == 2 and "out must not exist yet" in error
-
-
-def test_a_missing_extra_is_reported(monkeypatch):
-    monkeypatch.setitem(sys.modules, "jax", None)
-    one, none = np.zeros(3, dtype=int), np.ones(3)
-    with pytest.raises(InputError, match=r"pip install 'tissue-sim\[perception\]'"):
-        fit_hierarchy(PopulationTrials(3, one, none, none, none.astype(bool), one, none, none))

@@ -7,18 +7,8 @@ index.
 import numpy as np
 import pytest
 
-from tissue.evaluation.charts.measure import grid_force_N, reference_gap
-from tissue.evaluation.charts.settings import finest, grids, shares
-from tissue.evaluation.reference.history import grid_index
+from tissue.evaluation.charts.settings import finest, grids
 from tissue.scene.load import load_scene
-
-PRESSED = {
-    "anatomy.size_mm": [40, 40, 20],
-    "anatomy.touch_edge_mm": 8.0,
-    "anatomy.nodule_diameter_mm": 0.0,
-    "motion.points_mm": [[0, 0, 0.5], [0, 0, -2]],
-    "motion.feed_mm_s": 50.0,
-}
 
 
 @pytest.mark.parametrize("quick", [True, False])
@@ -40,18 +30,3 @@ def test_the_grids_of_an_index_change_every_length_alike(quick):
         grids(load_scene("needle"), quick=quick) == []
         and finest(load_scene("wall"), quick=quick) == {}
     )
-
-
-@pytest.mark.slow
-def test_where_no_geometry_is_exact_the_reference_is_known_by_the_index(tmp_path, monkeypatch):
-    """The reference comes from the index if no geometry is exact.
-
-    For a slab of tetrahedra the finest grid's index belongs to the three forces, and each is
-    computed once.
-    """
-    monkeypatch.setenv("TISSUE_CACHE", str(tmp_path))
-    scene = load_scene("palpation", PRESSED)
-    gap = reference_gap(scene, quick=True)
-    forces = [grid_force_N(scene, each) for each in grids(scene, quick=True)]
-    assert len(set(tmp_path.glob("grid-force-*"))) == 3
-    assert gap == grid_index(forces, shares(scene, quick=True)).index[-1] and 0.0 < gap < 1.0

@@ -9,7 +9,6 @@ from meshes.tets.structured import box
 from tissue.evaluation.charts import frontier as module
 from tissue.evaluation.charts.frontier import (
     SAFETY,
-    Frontier,
     choose,
     frontier_of,
     measured_of,
@@ -17,12 +16,7 @@ from tissue.evaluation.charts.frontier import (
     with_fidelity,
     write_measured,
 )
-from tissue.evaluation.charts.law import LawError
-from tissue.evaluation.charts.measure import Measured, measure, reference_gap, short_of
-from tissue.evaluation.charts.scenes import (
-    chart_lines,
-    draw_frontiers,
-)
+from tissue.evaluation.charts.measure import Measured
 from tissue.evaluation.charts.settings import (
     Setting,
     by_hand,
@@ -104,29 +98,6 @@ def test_the_cheapest_that_is_good_enough_is_chosen():
         choose(points, Fidelity(force_error=1e-3))
     with pytest.raises(InputError, match="fidelity"):
         load_scene("milling", {"fidelity": {}})
-
-
-def test_a_row_without_settings_is_in_the_table_and_is_never_chosen(tmp_path):
-    """The error of the linear law, by hand from its forces, and that of rounding are rows."""
-    scene, settings = load_scene("liver-press"), (Setting("P2", "elements"),)
-    neo = np.array([[0.0, 0.0, 3.0], [0.0, 4.0, 0.0], [np.nan] * 3])
-    law = LawError(np.array([1e-3, 2e-3, 3e-3]), 0.9 * neo, neo)
-    found = Frontier(scene, (point("P2", error=0.05),), 0.01, settings, 3e-7, law)
-    write_measured(tmp_path / "a.csv", (*found.points, *found.bounds))
-    setting, linear, rounding = measured_of((tmp_path / "a.csv").read_text("utf-8"))
-    assert linear.family == "law" and np.isnan(linear.median_us)
-    assert linear.force_error == pytest.approx(0.1, rel=1e-12)
-    assert (rounding.family, rounding.force_error) == ("rounding", 3e-7)
-    assert found.best == (setting,) == found.points
-    everything = [rounding, setting, linear]
-    assert choose(everything, Fidelity(force_error=0.05 * SAFETY)) == setting
-    assert choose(everything, Fidelity(tick_ms=100)) == setting
-    with pytest.raises(InputError, match="P2"):
-        choose(everything, Fidelity(force_error=0.02 * SAFETY))
-    message = chart_lines([[found]])[2]
-    assert all(part in message for part in ("10 % off", "2 instants", "1 more"))
-    draw_frontiers([found], tmp_path / "a.png")
-    assert (tmp_path / "a.png").stat().st_size > 10_000
 
 
 def test_the_error_of_the_linear_law_in_a_column_that_cannot_widen():
@@ -232,36 +203,3 @@ def test_places_keep_a_peg_in_its_hole_and_leave_hands_alone(block):
             and scene.motion.points_mm[0][2] == given_mm[0, 2]
         )
     assert placed(block)[0] is block and len({scene.motion for scene in placed(block)}) == 3
-
-
-@pytest.mark.parametrize(("fine_us", "offered"), [(700.0, 3), (900.0, 2)])
-def test_finer_settings_are_offered_while_ticks_are_in_time(block, monkeypatch, fine_us, offered):
-    settings = [
-        Setting("as it is", "voxels"),
-        *(Setting(name, "voxels", finer=True) for name in ("fine", "finer")),
-    ]
-    monkeypatch.setattr(module, "settings_of", lambda scene, quick: settings)
-    monkeypatch.setattr(module, "setting_key", lambda scene, setting, *, quick: setting.name)
-    monkeypatch.setattr(module, "short_of", lambda scene, quick: scene)
-    monkeypatch.setattr(module, "_gap", lambda scene, path, *, quick: 0.0)
-    monkeypatch.setattr(
-        module, "measure", lambda scene, setting, *, quick: point(setting.name, p99=fine_us)
-    )
-    found = frontier_of(block)
-    assert [each.setting for each in found.points] == [each.name for each in found.settings]
-    assert len(found.points) == offered
-
-
-@pytest.mark.slow
-def test_a_setting_is_measured_against_the_exact_geometry(block, monkeypatch):
-    monkeypatch.setattr("tissue.evaluation.charts.measure.EXCERPT_S", {True: 0.2})
-    short = short_of(block, True)
-    assert (
-        0.0
-        < reference_gap(short, quick=True)
-        < 2e-3
-        < reference_gap(short, quick=True, by_hand=True)
-        < 0.05
-    )
-    found = measure(short, Setting("0.4 mm", "voxels", {"voxels.spacing_mm": 0.4}), quick=True)
-    assert found.force_error > found.error_50_ms > 0.0

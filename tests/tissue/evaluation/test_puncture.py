@@ -181,14 +181,6 @@ def test_a_push_through_a_liver_is_that_of_its_equations(notice, needle, viscous
     assert found.excess_mm == pytest.approx(1e3 * excess, rel=0.02)
 
 
-@pytest.mark.slow
-def test_an_earlier_stop_goes_less_far_and_none_less_than_what_the_springs_give_back():
-    by = {notice: run(notice).excess_mm for notice in ("at once", "sight", "force")}
-    cued = run("force", cue=True)
-    assert 0.66e3 / 300.0 < by["at once"] < by["sight"] < by["force"]
-    assert cued.excess_mm < 0.8 * by["force"] and not cued.early
-
-
 def test_the_place_of_the_puncture_does_not_matter():
     there = run(motion__points_mm=[[3, -2, 0.05], [3, -2, -40]])
     assert there.excess_mm == pytest.approx(run().excess_mm, abs=1e-9)

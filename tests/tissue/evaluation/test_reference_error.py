@@ -6,14 +6,12 @@ it.
 
 import numpy as np
 import pytest
-from force_errors import error_of_force
+from reference_errors import error_of_force
 
 import tissue
-from meshes.base.errors import InputError
 from tissue.evaluation.reference import history
 from tissue.evaluation.reference.force import wrench_at
 from tissue.evaluation.reference.history import (
-    ReferenceForce,
     path_of_trace,
     reference_force,
     solid_of_scene,
@@ -41,22 +39,6 @@ def reference(run):
     return reference_force(run.scene, run.trace)
 
 
-def smooth_force(count=430):
-    time = np.arange(count) / count
-    force = np.column_stack([np.sin(9 * time), 2 + np.cos(5 * time), 8 * time])
-    force[:70] = 0.0
-    return force
-
-
-def test_a_perfect_force_scores_nothing_and_a_scaled_one_its_scale():
-    force = smooth_force()
-    reference = ReferenceForce(np.hstack([force, force]), 1e-4, 430)
-    perfect, scaled = error_of_force(force, reference), error_of_force(1.02 * force, reference)
-    assert (perfect.over_ticks, perfect.over_50_ms, perfect.bias) == (0.0, 0.0, 0.0)
-    assert np.allclose((scaled.over_ticks, scaled.over_50_ms, scaled.bias), 0.02, rtol=1e-9)
-    assert scaled.reference_uncertainty == 1e-4
-
-
 def test_what_is_interpolated_meets_what_would_be_evaluated(run, reference):
     cutter, solid = cutter_of(run.scene.tool), solid_of_scene(run.scene)
     path = path_of_trace(run.trace, cutter)
@@ -75,12 +57,6 @@ def test_the_engine_is_near_the_reference(run, reference):
     error = error_of_force(run.trace.vectors("model_force", "N"), reference)
     assert 0.0 < error.over_50_ms <= error.over_ticks < 0.01
     assert error.over_50_ms < 0.005 and abs(error.bias) < 0.003
-
-
-def test_an_anatomy_from_a_file_is_refused():
-    scene = tissue.load_scene("glenoid", {"anatomy.file": "scapula.stl"})
-    with pytest.raises(InputError, match="anatomy"):
-        solid_of_scene(scene)
 
 
 def test_a_guide_hole_is_no_bone():

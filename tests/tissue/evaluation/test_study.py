@@ -3,7 +3,6 @@
 The trials cost nothing.
 """
 
-import json
 from concurrent.futures import BrokenExecutor, Executor, Future
 from contextlib import contextmanager
 from dataclasses import replace
@@ -114,14 +113,6 @@ def test_a_plan_that_makes_no_sense_is_refused(given, message):
         Plan(**given)
 
 
-@pytest.mark.parametrize(
-    "name", ["T1", "T1-novice", "T1-novice-x", "T9-novice-0001", "T1-novice-0001-nothing"]
-)
-def test_a_trial_has_a_name(name):
-    with pytest.raises(InputError, match=f"trial must be named as its file is, got {name}"):
-        TrialKey.named(name)
-
-
 def test_a_study_that_is_stopped_goes_on(tmp_path, pool):
     """A study that is stopped continues.
 
@@ -184,20 +175,6 @@ def test_a_trial_file_that_is_cut_short_is_run_again(tmp_path, pool):
     assert reported[0] == "trial T2-novice-0001 was cut short and is run again"
     assert sorted(key.name for key in pool.calls) == ["T2-novice-0001", "needle-expert-0002"]
     assert table(out) == before and len(folder.table("T2")) == 3 * 3 * len(METHODS)
-
-
-def test_folders_of_another_kind_are_refused(tmp_path, pool):
-    out = tmp_path / "study"
-    run_study(SMALL, out)
-    held = json.loads((out / "study.json").read_text())
-    for content in (held | {"format": 99}, held | {"tissue": "0.0.1"}, held | {"seed": 5}, [3]):
-        (out / "study.json").write_text(json.dumps(content))
-        with pytest.raises(InputError):
-            run_study(SMALL, out)
-    (tmp_path / "other").mkdir()
-    (tmp_path / "other" / "thesis.txt").write_text("words")
-    with pytest.raises(InputError, match="out must be empty or hold this study, got other files"):
-        run_study(SMALL, tmp_path / "other")
 
 
 @pytest.mark.slow

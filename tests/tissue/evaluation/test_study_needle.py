@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tissue.evaluation.statistics.trials import TrialTable
-from tissue.evaluation.study.cases import median_interval, needle_section, travel_by_people
+from tissue.evaluation.study.cases import median_interval, travel_by_people
 
 METHODS = ("penalty", "koopman")
 
@@ -61,30 +61,6 @@ def test_people_who_notice_nothing_count_as_the_longest():
     middle, low, high = median_interval(travel_by_people(missed, "penalty"))
     assert (middle, low, high) == (12.0, 9.0, inf)
     assert median_interval(travel_by_people(study(unnoticed=5), "penalty"))[0] == inf
-
-
-def test_a_method_is_not_better_for_losing_those_who_miss_it():
-    """A method does not improve by losing people who miss the puncture.
-
-    Means of people who notice fall as people are lost, here below the other method's: medians of
-    all do not.
-    """
-    table = TrialTable.from_rows(
-        row(user, 0, method, 40.0 if missed else 5.0 + user, noticed=not missed)
-        for user in range(9)
-        for method in METHODS
-        if (missed := method == "penalty" and user > 4) is not None
-    )
-    section = needle_section(table, seed=0)
-    rows = {each[1]: each for each in section.rows}
-    assert rows["penalty"][2:5] == ("5 of 9", "9.00 mm", "7.00 ± 1.58") and rows["koopman"][2:5][
-        ::2
-    ] == (
-        "9 of 9",
-        "9.00 ± 2.74",
-    )
-    assert "penalty lets 56 % notice, travel 9.00 mm" in section.sentences[1]
-    assert section.headline in section.sentences and section.picture.startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize("people", [6, 9, 17, 30])

@@ -186,27 +186,3 @@ def test_missing_failed_and_unplanned_trials_are_listed(study):
     assert found["trials failed and left out"] == "koopman: ValueError: x: 1: T2-novice-0002"
     assert found["method missing"] == "koopman-perception: 1: T2-novice-0002"
     assert found["trials not planned"] == "files that the report leaves out: 1: T1-novice-0099"
-
-
-def test_tests_that_are_not_those_of_the_plan_are_listed_with_the_reason(study):
-    kept = [
-        row
-        for row in as_planned(PLAN)[0].table
-        if row["task"] != "T1" or not row["question"].startswith("ratio_error")
-    ]
-    sentences = ("T1 ratio_error; T1 force could not be tested: it is constant.",)
-    kept.append({"task": "T2", "question": "time_s: method"})
-    section = Section("tests", "Tests", sentences, kept)
-    found = differences(study, [section])
-    assert found["tests planned and not made"].startswith(
-        f"{sentences[0]}: 3: T1 ratio_error: group; "
-    )
-    assert found["tests made and not planned"] == ": 1: T2 time_s: method"
-    refused = Section("tests", "Tests", ("Nothing could be tested: there are too few people.",))
-    assert "too few people.: 43: " in differences(study, [refused])["tests planned and not made"]
-
-
-def test_a_plan_of_another_origin_is_not_overwritten(tmp_path):
-    (tmp_path / "plan.toml").write_text("mine = 1\n")
-    with pytest.raises(InputError, match=r"out must hold no plan\.toml of another origin"):
-        StudyFolder(tmp_path).begin(PLAN)

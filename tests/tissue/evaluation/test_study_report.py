@@ -13,8 +13,7 @@ from tissue.evaluation.study.fidelity import (
 from tissue.evaluation.study.folder import StudyFolder
 from tissue.evaluation.study.plan import METHODS, Plan, TrialKey
 from tissue.evaluation.study.report import sections_of, write_report
-from tissue.evaluation.study.section import Figure, agreement
-from tissue.evaluation.study.trial import Trial, _from_path, failures_of
+from tissue.evaluation.study.trial import Trial, _from_path
 
 PLAN = Plan(trials=4, tasks=("T1", "T2", "needle", "reaming", "drilling"))
 LEFT = {"penalty": 1.0, "energy": 1.0} | dict.fromkeys(list(METHODS)[2:], 0.4)
@@ -114,61 +113,9 @@ def test_the_report_finds_what_was_planted(study):
     assert max(means, key=lambda row: float(row["value"]))["name"].startswith("koopman")
 
 
-@pytest.mark.slow
-def test_discrimination_is_reported_where_people_met_both_specimens_twice(tmp_path):
-    """Discrimination is reported for people who had both specimens twice.
-
-    One method has a gain of two between specimens, the other methods have equal forces; drilling
-    and needle are included.
-    """
-    folder = StudyFolder(tmp_path / "study")
-    plan = Plan(
-        trials=60, tasks=("T1", "needle", "drilling"), groups=("novice",), sensitivity=False
-    )
-    folder.begin(plan)
-    for number, key in enumerate(plan.all_trials()):
-        rng = np.random.default_rng(number)
-        specimen, scatter = float(key.trial // 10 % 2), 0.01 * rng.standard_normal()
-        rows = planted(key, rng)
-        for row in rows:
-            gain = 0.2 if row["method"] == "koopman-perception" else 0.1
-            row |= {"specimen": specimen, "skin_N": 1.0 + gain * specimen + scatter}
-        folder.write(Trial(key, number, tuple(rows), 1.5))
-    section = next(each for each in sections_of(folder) if each.name == "discrimination")
-    found = {(row[0], row[2]): row for row in section.rows if row[1] == "novice"}
-    assert {what for what, _ in found} == {
-        "T1: softer or usual",
-        "capsule or parenchyma",
-        "carious or sound",
-    }
-    plain, steep, same = (
-        found["T1: softer or usual", f"koopman{each}"]
-        for each in ("", "-perception", "-look-ahead")
-    )
-    assert float(steep[5]) == pytest.approx(2.0 * float(plain[5]), rel=0.05) and plain[7:] == (
-        "",
-        "",
-        "",
-    )
-    # both share what trials scatter
-    assert float(steep[8].split()[0]) == pytest.approx(100.0, abs=8.0)
-    assert same[7].endswith("0.00 [+0.00, +0.00]") and section.picture.startswith(b"\x89PNG")
-
-
 def rows_of(path: Path):
     with path.open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
-
-
-def test_agreement_is_within_the_spread_of_the_difference():
-    ours = np.array([1.0, 2.0, 3.0])  # 2 ± 1
-    assert agreement(ours, Figure(3.0, 0.1)) == "agrees" == agreement(ours, Figure(3.4, 1.0))
-    assert agreement(ours, Figure(4.0, 1.0)) == "0.50 of it"
-    assert (
-        agreement(np.full(3, 4.2), Figure(4.3))
-        == "agrees"
-        != agreement(np.full(3, 4.0), Figure(4.3))
-    )
 
 
 def test_the_sensitivity_names_what_moves_the_headline(study):
@@ -201,22 +148,3 @@ def test_distances_from_a_path():
     path = np.array([[0.0, 0, 0], [10, 0, 0], [10, 10, 0]])
     tips = np.array([[5.0, 3, 0], [13, 0, 4], [10, 4, 0], [-3, 0, 4]])
     assert _from_path(tips, path) == pytest.approx([3.0, 5.0, 0.0, 5.0])
-
-
-def test_a_failure_at_another_time_is_the_same():
-    words = (
-        "InputError: capsule must be punctured, got a hand that stopped at {} s: see its threshold"
-    )
-    trials = [
-        Trial(
-            TrialKey("needle", "novice", at),
-            1,
-            ({"method": "energy", "failure": words.format(time)},),
-            1.0,
-        )
-        for at, time in enumerate(("0.386", "12", "inf", "1e-05"))
-    ]
-    assert failures_of(trials) == {
-        f"energy: {words.format('...')}": [f"needle-novice-000{at}" for at in (0, 1, 3)],
-        f"energy: {words.format('inf')}": ["needle-novice-0002"],
-    }

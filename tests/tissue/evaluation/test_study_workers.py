@@ -5,7 +5,6 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -22,19 +21,6 @@ pytestmark = [
 ]
 ROOT = Path(__file__).resolve().parents[3]
 PLAN = Plan(trials=2, tasks=("drilling", "T2"), methods=("penalty",), sensitivity=False)
-COMMAND = (
-    *(
-        sys.executable,
-        "-c",
-        "from tissue.cli.main import main; main()",
-        "study",
-        "run",
-        "--trials",
-        "2",
-        "--tasks",
-    ),
-    *("drilling,T2", "--methods", "penalty", "--no-sensitivity", "--workers", "2", "--out"),
-)
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT)}
 
 
@@ -52,28 +38,6 @@ def alone(tmp_path_factory):
     out = tmp_path_factory.mktemp("alone") / "study"
     assert run_study(PLAN, out, workers=1).table("T2").failed == 0
     return out
-
-
-def test_an_interrupted_study_goes_on(tmp_path, alone):
-    """An interrupted study continues.
-
-    Its workers end with it, its results are kept, and nothing is done twice. A killed study is in
-    tests/faults/test_kills.py.
-    """
-    out = tmp_path / "study"
-    command = (*COMMAND, str(out))
-    with subprocess.Popen(command, env=ENVIRONMENT, stderr=subprocess.PIPE, text=True) as study:
-        wait_for(lambda: len(kept(out)) >= 3)
-        workers = children(study.pid)
-        study.send_signal(signal.SIGINT)
-        message = study.stderr.read()
-    assert workers and study.returncode == 130 and "Traceback" not in message
-    wait_for(lambda: not any(psutil.pid_exists(each) for each in workers))
-    had = {each.name: each.stat().st_mtime_ns for each in kept(out)}
-    assert 3 <= len(had) < len(list(PLAN.all_trials()))
-    assert subprocess.run(command, env=ENVIRONMENT, capture_output=True).returncode == 0
-    assert {name: (out / "trials" / name).stat().st_mtime_ns for name in had} == had
-    assert tables(out) == tables(alone)
 
 
 def test_a_killed_worker_is_replaced(tmp_path, alone):
@@ -141,11 +105,3 @@ def children(parent, named=""):
             if "spawn_main" in line and named in line:
                 found.append(process.pid)
     return sorted(found)
-
-
-def wait_for(condition, seconds=120.0):
-    """Wait until something is so."""
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.02)

@@ -107,21 +107,11 @@ def test_latency_is_hidden_on_the_wall(kind, share, primary):
 
 
 @pytest.mark.slow
-def test_train_writes_what_a_run_can_use(command, refused, here):
+def test_train_writes_what_a_run_can_use(command, here):
     code, output, _ = command("train", "wall", "--trials", "6", "--out", "mine.npz")
     assert code == 0 and "error on 1 run held out" in output and "koopman" in output
     hidden, *_ = motor_error("koopman", **{"coupling.predictor_file": str(here / "mine.npz")})
     assert hidden < 0.025
-    assert refused("train", "wall", "--out", "mine.npz") == (
-        "out must not exist yet, got mine.npz: pass --overwrite or choose another --out"
-    )
-    assert (
-        refused("train", "wall", "--trials", "3") == "trials must be from 6 to 10000, got 3: use 12"
-    )
-    assert "trials must be from 6 to 10000" in refused("train", "wall", "--trials", "9" * 400)
-    assert refused("train", "wall", "--out", "no/where.npz") == (
-        "out must lie in a folder that exists, got no/where.npz: create no"
-    )
 
 
 @pytest.mark.slow
@@ -137,20 +127,10 @@ def test_training_again_gives_the_shipped_predictor(command, here):
 
 
 @pytest.mark.slow
-def test_a_chart_of_predictors(command, refused, here):
+def test_a_chart_of_predictors(command, here):
     code, output, _ = command("chart", "prediction", "wall", "--trials", "2", "--out", "chart")
     assert code == 0 and "koopman" in output
     names = {path.name for path in (here / "chart").iterdir()}
     assert {"prediction_wall.png", "prediction_tasks.png", "errors.csv", "slow_model.csv"} <= names
     rows = (here / "chart" / "errors.csv").read_text().splitlines()
     assert len(rows) == 1 + len(PREDICTORS) * 7
-    assert "out must not hold another chart" in refused(
-        "chart", "prediction", "wall", "--out", "chart"
-    )
-    assert (
-        refused("chart", "prediction", "wall", "--trials", "1")
-        == "trials must be from 2 to 10000, got 1: use 30"
-    )
-    assert "trials must be from 2 to 10000" in refused(
-        "chart", "prediction", "wall", "--trials", "9" * 400
-    )

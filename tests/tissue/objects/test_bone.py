@@ -10,8 +10,6 @@ from tissue.fitting.fit_files import FittedEntry, write_fitted
 
 BURR = tissue.cutters.ball_burr(diameter_mm=3, flutes=6, spin_rpm=20_000)
 PATH = [[-4, 0, 3], [-4, 0, -0.8], [3, 0.5, -0.8]]
-STORED = 1.0 / 255.0
-"""Steps of a voxel's fraction."""
 
 
 def slot(bone, points_mm=PATH, *, feed_mm_s=10.0, **options):
@@ -59,27 +57,14 @@ def test_a_cut_gives_what_a_scene_gives(block):
 
 
 def test_a_file_of_constants_gives_what_its_values_give(tmp_path):
-    """A file of constants has the effect of its values, like a scene's key `materials`.
-
-    A file without effect here is refused, and so is an invalid one.
-    """
+    """A file of constants has the effect of its values, like a scene's key `materials`."""
     names = {"radial_chip_N_mm2": 20.0, "radial_edge_N_mm": 3.0}
-    fitted, liver, missing = (
-        tmp_path / "fitted.toml",
-        tmp_path / "liver.toml",
-        tmp_path / "none.toml",
-    )
+    fitted = tmp_path / "fitted.toml"
     entries = [
         FittedEntry(f"cutting.bone.{name}", value, value, value, "a test", "L")
         for name, value in names.items()
     ]
     write_fitted(fitted, entries, np.eye(2), remark=())
-    write_fitted(
-        liver,
-        [FittedEntry("soft.liver.modulus_kPa", 5.0, 5.0, 5.0, "a test", "L")],
-        np.eye(1),
-        remark=(),
-    )
     size = {"size_mm": (12, 8, 5), "spacing_mm": 0.4}
     bone = tissue.Bone.block(**size, materials=fitted)
     found, wanted = slot(bone), slot(tissue.Bone.block(**size, cutting=names))
@@ -90,21 +75,6 @@ def test_a_file_of_constants_gives_what_its_values_give(tmp_path):
     )
     scene = tissue.load_scene("milling", {"materials": str(fitted)})
     assert bone.voxel_bone.coefficients == scene.constants.coefficients(bone.layer_names, {})
-    refused = [
-        (
-            {"materials": liver},
-            "must hold a constant that the bone rests on, got soft.liver.modulus_kPa in liver.toml",
-        ),
-        ({"materials": missing}, "must be a TOML file that exists"),
-        ({"materials": 3}, "must be the path of a TOML file, got int"),
-        (
-            {"materials": fitted, "cutting": names},
-            "cutting.radial_chip_N_mm2 must be left out where materials states",
-        ),
-    ]
-    for options, words in refused:
-        with pytest.raises(tissue.InputError, match=words):
-            tissue.Bone.block(**size, **options)
 
 
 def test_a_slot_has_the_volume_of_a_swept_ball():
@@ -204,28 +174,6 @@ def test_a_second_pass_on_the_same_path_meets_nothing():
     assert second.removed_mm3[-1] < 1e-3 * first.removed_mm3[-1]
 
 
-@pytest.mark.slow
-def test_bricks_are_made_only_where_a_tool_has_been(tmp_path):
-    """A rod of 400 mm at 0.1 mm is 6e8 voxels; a slot of 6 mm in it stores some hundred bricks."""
-    rod = trimesh.creation.cylinder(radius=20, height=400, sections=200)
-    rod.export(tmp_path / "rod.stl")
-    bone = tissue.Bone.from_file(tmp_path / "rod.stl", spacing_mm=0.1)
-    store = bone.voxel_bone.store
-    assert np.prod(store.grid.counts) * 512.0 > 5e8 and len(store.places) == 0
-    cut = bone.cut(
-        BURR, *tissue.feed_along([[-3, 20, 0], [3, 19.2, 0]], feed_mm_s=10.0), axis=(0, 1, 0)
-    )
-    first = len(store.places)
-    assert cut.removed_mm3[-1] > 1.0 and 0 < first < 2000
-    bone.cut(
-        BURR, *tissue.feed_along([[-3, 20, 100], [3, 19.2, 100]], feed_mm_s=10.0), axis=(0, 1, 0)
-    )
-    assert first < len(store.places) < 4000
-    surface = bone.surface()
-    solid = bone.uncut().surface().volume - bone.removed.volume_mm3
-    assert abs(surface.volume / solid - 1.0) < 1e-4
-
-
 @pytest.mark.parametrize("step_mm", [20.0])
 def test_a_long_step_takes_what_a_path_does(step_mm):
     """Bone between two poses that are far apart is made, too."""
@@ -236,12 +184,6 @@ def test_a_long_step_takes_what_a_path_does(step_mm):
     assert step.removed_mm3[-1] == pytest.approx(whole.removed_mm3[-1], rel=2e-3)
 
 
-def test_a_start_inside_bone_is_noted():
-    bone = tissue.Bone.block((12, 8, 5), spacing_mm=0.25)
-    assert "first pose lies inside bone" in slot(bone, [[0, 0, -2], [1, 0, -2]]).notes["start"]
-    assert not slot(bone.uncut()).notes
-
-
 def test_a_feed_holds_to_the_end():
     tips, times = tissue.feed_along([[0, 0, 0], [10, 0, 0], [10, 7, 0]], 6.0)
     speed = np.linalg.norm(np.diff(tips, axis=0), axis=1) / np.diff(times)
@@ -250,45 +192,6 @@ def test_a_feed_holds_to_the_end():
         17 / 6
     )
     np.testing.assert_allclose(tips[-1], [10, 7, 0])
-
-
-def test_what_would_not_fit_memory_is_refused(monkeypatch):
-    import psutil
-
-    bone = tissue.Bone.block((12, 8, 5), spacing_mm=0.05)
-    free = type("Memory", (), {"available": 50_000_000})
-    monkeypatch.setattr(psutil, "virtual_memory", lambda: free)
-    with pytest.raises(tissue.InputError, match=r"spacing_mm must .*0\.1 GB.*use 0\.\d+"):
-        slot(bone)
-
-
-def test_two_tools_leave_what_both_have_taken():
-    bone = tissue.Bone.block((12, 8, 5), spacing_mm=0.2)
-    drill = tissue.cutters.twist_drill(diameter_mm=3.2, length_mm=12, spin_rpm=1000)
-    down = tissue.feed_along([[0, 0, 1], [0, 0, -3]], feed_mm_s=2.0)
-    alone = tissue.Bone.block((12, 8, 5), spacing_mm=0.2).cut(drill, *down)
-    slot(bone, [[-3, 0, -0.8], [3, 0, -0.8]])
-    after = bone.cut(drill, *down)
-    assert 0.0 < after.removed_mm3[-1] < alone.removed_mm3[-1]
-    assert after.force_N[-1] == pytest.approx(
-        alone.force_N[-1], abs=0.02 * np.abs(alone.force_N).max()
-    )
-
-
-def test_a_cut_exports_what_it_holds(block, tmp_path):
-    from scipy.io import loadmat
-
-    _, cut = block
-    table = cut.to_pandas()
-    assert list(table["force_z_N"]) == cut.force_N[:, 2].tolist() and len(table) == len(cut)
-    stored = loadmat(cut.save(tmp_path / "cut.mat"))["trace"]
-    np.testing.assert_array_equal(stored["force_z_N"][0, 0].ravel(), cut.force_N[:, 2])
-    assert len(cut.save(tmp_path / "cut.csv").read_text().splitlines()) == len(cut) + 1
-    with pytest.raises(tissue.InputError, match=r"must not exist"):
-        cut.save(tmp_path / "cut.csv")
-    with pytest.raises(tissue.InputError, match=r"\.csv, .*got cut\.xls"):
-        cut.save(tmp_path / "cut.xls")
-    assert "peak force" in repr(cut) and "mm3 removed" in repr(block[0])
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 They concern structures to keep clear of, element size, and limits of the cutting law.
 """
 
-import inspect
 import warnings
 
 import numpy as np
@@ -72,47 +71,6 @@ def test_a_turned_and_moved_cut_measures_the_same():
     assert cut.events[0][0] == pytest.approx(7.0 + TIMES[::20][found < 0.0][0])
 
 
-@pytest.mark.slow
-def test_a_loop_measures_its_distance_from_structures(tmp_path):
-    """The nerve lies 4 mm above the bone, where the tool follows the device freely."""
-
-    class Moves:
-        def read(self, time_s):
-            at = np.array([np.interp(time_s, TIMES, TIPS[:, k]) for k in range(3)])
-            return tissue.Sample(time_s, tuple(1e-3 * (at - TIPS[0])))
-
-        def command(self, force_N, torque_Nm):
-            pass
-
-    nerve().apply_translation([0.0, 0.0, 6.0]).export(tmp_path / "nerve.stl")
-    bone = tissue.Bone.block((12, 8, 6), spacing_mm=0.5)
-    start = TIPS[0] + [0.0, 0.0, 6.0]
-    loop = tissue.Loop(
-        bone, BURR, device=Moves(), start_mm=start, keep_clear={"nerve": tmp_path / "nerve.stl"}
-    )
-    loop.run(float(TIMES[-1]))
-    tips = np.column_stack([loop.trace[f"tool_{c}_mm"] for c in "xyz"])
-    exact = np.hypot(tips[:, 1], tips[:, 2] - 2.5) - 1.5 - NERVE_MM
-    found = loop.trace["distance_nerve_mm"]
-    assert exact.min() < -0.1
-    assert (found <= exact + 1e-5).all() and (found >= exact - 0.01).all()
-    assert loop.events[0][1] == "breached nerve, which is to be kept clear of"
-
-
-@pytest.mark.parametrize(
-    ("keep_clear", "words"),
-    [
-        ({"Nerve 1": "a.stl"}, "keep_clear must have names of small letters"),
-        ({"nerve": "none.stl"}, r"keep_clear\[nerve\] must exist"),
-        ({"nerve": 3}, r"keep_clear\[nerve\] must be a closed surface .*, got int"),
-        ("nerve.stl", "keep_clear must be a mapping"),
-    ],
-)
-def test_what_cannot_be_kept_clear_of_is_refused(keep_clear, words):
-    with pytest.raises(tissue.InputError, match=words):
-        tissue.Bone.block((12, 8, 6), spacing_mm=0.5).cut(BURR, TIPS, TIMES, keep_clear=keep_clear)
-
-
 def test_elements_follow_depth_and_tolerance():
     fine, coarse = (
         element_spacing_m(BURR, depth_m=1e-4, tolerance=share) for share in (0.005, 0.02)
@@ -170,108 +128,9 @@ def test_a_peg_in_solid_bone_is_warned_of_and_one_in_its_hole_is_not():
         assert drilled.cut(tool, *path).notes == {}
 
 
-@pytest.mark.parametrize(
-    "cutting",
-    [
-        {"tangential_chip_N_mm2": -1.0},
-        {"radial_edge_N_mm": np.nan},
-        [1.0],
-        {"no": 1},
-        {"radial_edge_N_mm": "4"},
-    ],
-)
-def test_impossible_coefficients_are_refused(cutting):
-    with pytest.raises(tissue.InputError, match="cutting"):
-        tissue.Bone.block((4, 4, 2), spacing_mm=0.5, cutting=cutting)
-
-
 def test_more_elements_than_memory_holds_are_refused():
     bone = tissue.Bone.block((4, 4, 2), spacing_mm=0.5)
     with pytest.raises(
         tissue.InputError, match=r"depth_mm = 0\.001 with tolerance = 0\.001 needs .* elements"
     ):
         bone.cut(BURR, [[0, 0, 1.0], [0, 0, 0.9]], [0.0, 0.001], depth_mm=0.001, tolerance=0.001)
-
-
-def test_bone_that_fills_an_array_to_its_edge_is_cut_like_a_block():
-    """The surface lies on the outer faces of the voxels, in the array as in the block."""
-    axis = np.array([0.0, 0.8, 0.6])
-    tips, times = tissue.feed_along(np.array([[-3, 0, 2.9], [0.3, 0, 2.9]]) - 3.0 * axis, 20)
-    burr = tissue.cutters.ball_burr(diameter_mm=6, flutes=6, spin_rpm=10_000)
-    full = tissue.Bone.from_array(
-        np.full((80, 40, 20), 1800.0), spacing_mm=0.1, origin_mm=(-4, -2, -2)
-    )
-    block = tissue.Bone.block((8, 4, 2), spacing_mm=0.1)
-    forces = [
-        each.cut(burr, tips, times, axis=axis).force_N[-20:].mean(axis=0) for each in (full, block)
-    ]
-    assert np.linalg.norm(forces[0] - forces[1]) < 0.01 * np.linalg.norm(forces[1])
-
-
-def public_callables():
-    """All functions and methods that `tissue` offers, by name."""
-    for name in tissue.__all__:
-        value = getattr(tissue, name)
-        members = {}
-        if inspect.ismodule(value):
-            members = {each: getattr(value, each) for each in getattr(value, "__all__", ())}
-        elif inspect.isclass(value):
-            members = {
-                each: getattr(value, each) for each in dir(value) if not each.startswith("_")
-            }
-        for each, member in ({"": value} | members).items():
-            if callable(member) and getattr(member, "__module__", "").split(".")[0] in (
-                "tissue",
-                "meshes",
-            ):
-                yield f"{name}.{each}".rstrip("."), member
-
-
-def test_no_public_function_swallows_an_unknown_keyword(tmp_path):
-    """Listed arguments refuse others by themselves; the few that take any are called with one."""
-    takes_any = {
-        name
-        for name, function in public_callables()
-        if any(
-            each.kind == each.VAR_KEYWORD
-            for each in inspect.signature(function).parameters.values()
-        )
-    }
-    array, surface = np.full((4, 4, 4), 1800.0), trimesh.creation.icosphere(radius=5.0)
-    surface.export(tmp_path / "ball.stl")
-    bone = tissue.Bone.from_array(array, spacing_mm=0.5)
-    organ = tissue.Organ.block((20, 20, 10), modulus_kPa=5, poisson_ratio=0.45)
-    calls = {
-        "Bone": lambda **more: tissue.Bone(bone._source, **more),
-        "Bone.block": lambda **more: tissue.Bone.block((4, 4, 2), spacing_mm=0.5, **more),
-        "Bone.from_array": lambda **more: tissue.Bone.from_array(array, spacing_mm=0.5, **more),
-        "Bone.from_file": lambda **more: tissue.Bone.from_file(tmp_path / "ball.stl", **more),
-        "Bone.from_image": lambda **more: tissue.Bone.from_image(
-            tmp_path / "none.nii", threshold=1, **more
-        ),
-        "Bone.plot": lambda **more: bone.plot(off_screen=True, **more),
-        "Organ.plot": lambda **more: organ.plot(off_screen=True, **more),
-        "Press.plot": None,  # of the same plotter as Organ.plot
-        "Organ.block": lambda **more: tissue.Organ.block(
-            (20, 20, 10), modulus_kPa=5, poisson_ratio=0.45, **more
-        ),
-        "Organ.from_labels": lambda **more: tissue.Organ.from_labels(
-            tmp_path / "none.nrrd", organ="liver", modulus_kPa=5, poisson_ratio=0.45, **more
-        ),
-        "Organ.from_surface": lambda **more: tissue.Organ.from_surface(
-            tmp_path / "ball.stl", modulus_kPa=5, poisson_ratio=0.45, **more
-        ),
-        "Organ.from_tetrahedra": lambda **more: tissue.Organ.from_tetrahedra(
-            tmp_path / "none.vtu", modulus_kPa=5, poisson_ratio=0.45, **more
-        ),
-        "Loop": lambda **more: tissue.Loop(bone, device=None, **more),
-        "Organ.liver": lambda **more: tissue.Organ.liver(edge_mm=20, **more),
-        "import_ct": lambda **more: tissue.import_ct(tmp_path / "none.nii", tmp_path, **more),
-        "calibration.alike": lambda **more: tissue.calibration.alike(3, **more),
-    }
-    assert takes_any <= set(calls)
-    for name in takes_any - {"Press.plot"}:
-        with pytest.raises((TypeError, tissue.InputError), match="densty"):
-            calls[name](densty=500)
-    with pytest.raises(TypeError, match="did you mean material"):
-        tissue.Bone.block(materal="bone")

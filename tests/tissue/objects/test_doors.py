@@ -11,8 +11,6 @@ import pytest
 import tissue
 from meshes.base.errors import InputError
 from tissue.haptics.device.device import device_parameters
-from tissue.haptics.hand.hand import hand_parameters
-from tissue.haptics.rigid_wall import knock
 
 
 @pytest.fixture(scope="module")
@@ -39,26 +37,6 @@ def test_a_wall_is_judged_in_a_hand_and_grows_above_its_limit():
     assert tissue.stability.growth(replace(held, stiffness_N_m=0.95 * critical)) < 1.0
     with pytest.raises(InputError, match="device must be one of"):
         tissue.stability.wall_loop("pen", 100.0)
-
-
-def test_a_knock_is_that_of_the_engine():
-    mine = tissue.stability.knock("six-dof", 2000.0, renderer="penalty")
-    run, simulated = knock(
-        device_parameters("six-dof"), hand_parameters("expert"), "penalty", 2000.0
-    )
-    assert np.array_equal(mine.force_N, run.force_N) and mine.ripple_N(0.2) == run.ripple_N(0.2)
-    assert mine.given_J == simulated.translation.motor_work_J > 0.0
-
-
-def test_a_session_goes_on_where_its_log_ends(tmp_path):
-    plan = tissue.calibration.Plan(trials=12, numbers=4)
-    answer = tissue.calibration.simulated_answers(tissue.calibration.alike(1, beta=1.7), 1)
-    whole = tissue.calibration.run(answer, tmp_path / "whole.jsonl", plan=plan)
-    assert not tissue.calibration.run(answer, tmp_path / "cut.jsonl", plan=plan, trials=5).complete
-    again = tissue.calibration.run(answer, str(tmp_path / "cut.jsonl"), plan=plan)
-    assert again.complete and np.array_equal(again.threshold.posterior, whole.threshold.posterior)
-    with pytest.raises(InputError, match=r"truth must be of alpha, .*, got weber"):
-        tissue.calibration.alike(1, weber=0.1)
 
 
 def test_people_are_measured_and_a_scale_that_is_known_changes_nothing_for_the_reference():
@@ -90,10 +68,3 @@ def test_a_run_is_assessed_fresh_as_it_is_from_its_folder(by_hand, tmp_path):
     read = tissue.assess(folders[0], str(folders[1]))
     assert read.figures["deviation_mm"] == pytest.approx(fresh.figures["deviation_mm"], rel=1e-3)
     assert "force: peak" in str(fresh) and len(fresh.save(tmp_path / "found")) == 2
-
-
-def test_the_force_at_the_motor_is_near_the_ideal_one(by_hand):
-    forces = tissue.motor_forces(by_hand)
-    assert forces.played.shape == (len(by_hand.trace["time_s"]) - 1, 3)
-    off = np.linalg.norm(forces.played - forces.ideal) / np.linalg.norm(forces.ideal)
-    assert 0.0 < off < 0.1

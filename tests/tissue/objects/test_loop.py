@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import tissue
-from tissue.fitting.fit_files import FittedEntry, write_fitted
 from tissue.haptics.device.recorded import RecordedDevice
 
 BURR = tissue.cutters.ball_burr(diameter_mm=3, flutes=6, spin_rpm=20_000)
@@ -111,19 +110,6 @@ def test_steps_and_runs_are_the_same_and_leave_the_device_at_zero():
     assert len(ran.to_pandas()) == 500 == ran.ticks
 
 
-def test_a_device_that_fails_is_left_without_force():
-    class Fails(Moves):
-        def read(self, time_s):
-            if time_s > 0.4:
-                raise OSError("cable")
-            return super().read(time_s)
-
-    device = Fails(down)
-    with pytest.raises(tissue.InputError, match="cable"):
-        tissue.Loop(bone(), BURR, device=device, start_mm=START_MM).run(0.5)
-    assert device.entered == 0 and not device.commands[-1].any()
-
-
 def test_a_predictor_of_ones_own_predicts():
     loop = tissue.Loop(
         bone(), BURR, device=Moves(down), start_mm=START_MM, predictor=Line(), delay_ms=2
@@ -211,42 +197,3 @@ def test_a_loop_that_is_not_held_or_full_is_refused():
         loop.step()
     with pytest.raises(tissue.InputError, match="longest_s"):
         loop.run(0.02)
-
-
-def test_constants_of_a_file_are_those_of_a_scene_with_it(tmp_path):
-    """Device and hand judge the loop: the verdict that follows from them is the scene's."""
-    names = (
-        "cutting.bone.radial_chip_N_mm2",
-        "devices.touch.damping_N_s_m",
-        "hands.expert.stiffness_N_m",
-    )
-    values = dict(zip(names, (70.0, 0.2, 90.0), strict=True))
-    entries = [
-        FittedEntry(name, value, value, value, "a test", "L") for name, value in values.items()
-    ]
-    file, only_bone = tmp_path / "fitted.toml", tmp_path / "bone.toml"
-    write_fitted(file, entries, np.eye(3), remark=())
-    write_fitted(only_bone, entries[:1], np.eye(1), remark=())
-    changes = {
-        "device": "touch",
-        "tool.kind": "ball-burr",
-        "tool.diameter_mm": 3.0,
-        "tool.flutes": 6,
-        "duration_s": 0.01,
-    }
-    scene = tissue.simulate(tissue.load_scene("milling", changes | {"materials": str(file)}))
-    block = tissue.Bone.block((12, 8, 5), spacing_mm=0.25, materials=file)
-    loop = tissue.Loop(block, BURR, device=Moves(down), force_scale=0.05, materials=file)
-    plain = tissue.Loop(block, BURR, device=Moves(down), force_scale=0.05)
-    verdict = loop.notes["coupling"].partition(";")[0]
-    assert verdict in scene.parts.notes["coupling"] and verdict not in plain.notes["coupling"]
-    note = loop.notes["materials of device and hand"]
-    assert (
-        "devices.touch.damping_N_s_m 0.2" in note and "Not used in this loop: cutting.bone" in note
-    )
-    assert (
-        "materials of device and hand" not in plain.notes
-        and "radial_chip" in plain.notes["materials"]
-    )
-    with pytest.raises(tissue.InputError, match="must hold a constant that the loop rests on"):
-        tissue.Loop(block, BURR, device=Moves(down), materials=only_bone)

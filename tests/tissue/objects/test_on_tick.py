@@ -1,7 +1,6 @@
 """A function that is called in every tick of a run, and ends it."""
 
 import numpy as np
-import pytest
 
 from tissue import load_scene, simulate
 
@@ -25,8 +24,3 @@ def test_false_ends_the_run_after_its_tick():
     whole = simulate(load_scene("wall", SHORT), on_tick=lambda index, row: None)
     assert len(whole.trace["time_s"]) == 50
     np.testing.assert_array_equal(whole.trace.rows[:20], run.trace.rows)
-
-
-def test_an_unknown_column_and_what_it_raises_end_the_run_with_that():
-    with pytest.raises(KeyError, match="force"):
-        simulate(load_scene("wall", SHORT), on_tick=lambda index, row: row["force"])

@@ -185,31 +185,3 @@ def test_a_part_that_does_not_fit_is_left_out_with_the_reason(tmp_path, case):
     )
     assert output.split() == ["penalty", "passivity", "proxy"]
     assert "PluginWarning: renderer " in error and "odd-parts 0.1.0" in error and reason in error
-
-
-def test_of_two_packages_with_one_name_the_second_is_left_out_and_a_call_stays(tmp_path):
-    (tmp_path / "parts.py").write_text(
-        "def one(loop):\n    return 1\ndef two(loop):\n    return 2\n"
-    )
-    for name in ("first-parts", "second-parts"):
-        offer(
-            tmp_path,
-            name,
-            {"tissue.renderers": {"mine": f"parts:{'one' if name[0] == 'f' else 'two'}"}},
-        )
-    output, error = python(
-        "from tissue.scene.registry import RENDERERS; print(len(RENDERERS))", tmp_path
-    )
-    assert (
-        output == "4\n"
-        and error.count("PluginWarning") == 1
-        and "offers one by that name, too, which is used" in error
-    )
-    code = (
-        "import tissue; tissue.register.renderer('mine', lambda loop: 3)\nfrom "
-        "tissue.scene.registry import RENDERERS\n"
-    )
-    output, _ = python(
-        f"{code}print(RENDERERS['mine'](None), RENDERERS.names.count('mine'))", tmp_path
-    )
-    assert output == "3 1\n"

@@ -10,15 +10,14 @@ import numpy as np
 import pytest
 from outside_tissue import CHANGES, Jelly, jelly
 
-from tissue import InputError, load_scene, register, scene_names, simulate
-from tissue.cutters.profile import Line, Profile, cylinder
+from tissue import InputError, load_scene, register, simulate
+from tissue.cutters.profile import cylinder
 from tissue.evaluation.charts.prediction import (
     Interval,
     PredictorComparison,
     comparison_lines,
     draw_tasks,
 )
-from tissue.evaluation.charts.settings import sources
 from tissue.evaluation.stability_report import scene_stability
 from tissue.evaluation.training import HORIZONS
 from tissue.haptics.device.device import DeviceParameters, Sample
@@ -132,16 +131,6 @@ class Sprung:
         self.commands.append(force_N)
 
 
-@pytest.mark.slow
-def test_a_device_is_judged_by_its_numbers():
-    register.device("sprung", LIGHT)
-    mine, touch = (
-        scene_stability(load_scene("wall", {"device": name})).verdict.critical_N_m
-        for name in ("sprung", "touch")
-    )
-    assert mine != touch
-
-
 def test_a_device_is_opened_where_a_scene_names_it(command, here):
     opens = register.device("sprung", DeviceParameters(**LIGHT))
     simulate(
@@ -167,13 +156,6 @@ def test_a_device_is_opened_where_a_scene_names_it(command, here):
         InputError, match=r"device.kind must be one of touch, .*, sprung, got spring"
     ):
         load_scene("wall", {"device": "spring"})
-
-
-def test_a_live_run_holds_the_device_that_its_scene_names(command, here):
-    register.device("sprung", LIGHT, Sprung)
-    words = ("run", "wall", "--set", "device=sprung", "--live", "--no-pictures", "--out", "out")
-    code, output, error = command(*words, "--duration-s", 0.05)
-    assert (code, error) == (0, "") and "device sprung moves the tool" in output
 
 
 def test_hand_renderer_and_perception():
@@ -206,30 +188,6 @@ def test_hand_renderer_and_perception():
     peak = lambda run: np.abs(run.trace["device_force_z_N"]).max()  # noqa: E731
     run = run_of(hand="limp", renderer="half", perception="share:0.5")
     assert 0.0 < peak(run) < 0.7 * peak(run_of(hand="limp", renderer="half"))
-
-
-def test_a_tool_mills_what_its_half_section_sweeps():
-    @register.tool("cone", keys=("length_mm",))
-    def cone(diameter_m, length_m):
-        return Profile(
-            [
-                Line((0.0, 0.0), (0.5 * diameter_m, length_m)),
-                Line((0.5 * diameter_m, length_m), (0.0, length_m), False),
-            ],
-            convex=True,
-        )
-
-    changes = {
-        "voxels.spacing_mm": 0.5,
-        "duration_s": 1.0,
-        "tool.diameter_mm": 6.0,
-        "tool.length_mm": 5.0,
-    }
-    changes["tool.spin_rpm"] = 500.0
-    run = simulate(load_scene("milling", changes | {"tool.kind": "cone"}))
-    whole = simulate(load_scene("milling", changes | {"tool.kind": "cylinder"}))
-    assert 0.0 < run.trace["removed_mm3"][-1] < 0.9 * whole.trace["removed_mm3"][-1]
-    assert '"cone"' in schema_text()
 
 
 class Dip(Part):
@@ -318,22 +276,6 @@ def test_a_material_is_cut_and_another_is_pressed(tmp_path):
             load_scene(scene, {key: "clay"})
 
 
-def test_a_scene_is_found_by_its_name(command, here, tmp_path):
-    printed = command("scenes", "wall")[1]
-    file = tmp_path / "any.toml"
-    file.write_text(printed.replace('name = "wall"', 'name = "my-wall"'))
-    assert register.scene(file) == "my-wall" and "my-wall" in scene_names()
-    assert load_scene("my-wall").name == "my-wall"
-    assert any(line.startswith("my-wall") for line in command("scenes")[1].splitlines())
-    assert command("scenes", "my-wall")[1].endswith(file.read_text().partition("\n")[2])
-    code, _, error = command("run", "my-wall", "--duration-s", 0.05, "--no-pictures")
-    assert (code, error) == (0, "") and (here / "runs" / "my-wall" / "trace.csv").is_file()
-    with pytest.raises(InputError, match="did you mean my-wall"):
-        load_scene("my-wal")
-    with pytest.raises(InputError, match=r"name .* got my-wall"):
-        register.scene(file)
-
-
 class Lacking:
     """Neither predicts nor renders."""
 
@@ -393,22 +335,3 @@ def test_a_material_file_with_a_fault_is_refused_whole(tmp_path, text, refusal):
         register.material(tmp_path / "mine.toml")
     with pytest.raises(InputError, match="must be one of"):
         load_scene("milling", {"cutting.material": "foam"})
-
-
-def test_what_is_measured_with_a_part_is_kept_by_its_numbers_and_its_code(tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(tmp_path)
-    (tmp_path / "my_law.py").write_text("class Law:\n    render = pause = print\n")
-    bare = sources()
-    from my_law import Law
-
-    register.renderer("law", Law)
-    register.device("light", LIGHT)
-    (tmp_path / "foam.toml").write_text(FOAM)
-    register.material(tmp_path / "foam.toml")
-    found = sources()
-    assert found not in (bare, "") and sources() == found
-    (tmp_path / "my_law.py").write_text("class Law:\n    render = pause = repr\n")
-    changed = sources()
-    assert changed != found
-    register.device("heavy", LIGHT | {"mass_kg": 1.0})
-    assert sources() not in (changed, found, bare)

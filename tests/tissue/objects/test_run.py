@@ -22,12 +22,6 @@ def test_a_run_and_its_folder_hold_the_same(run, back):
         assert mine.bounds == pytest.approx(other.bounds) and mine.array_names == other.array_names
 
 
-def test_a_run_shows_itself_in_a_line(run, back, wall):
-    assert repr(run) == repr(back)
-    assert "milling, 0.3 s" in repr(run) and "mm³ removed" in repr(run)
-    assert "removed" not in repr(wall)
-
-
 def test_a_copy_of_a_saved_run_is_that_run(back, tmp_path):
     copy = tissue.open_run(tissue.open_run(back.path).save(tmp_path / "copy", formats=["npz"]))
     assert copy.summary == back.summary and np.array_equal(copy.remaining, back.remaining)
@@ -37,21 +31,3 @@ def test_a_copy_of_a_saved_run_is_that_run(back, tmp_path):
     again = tissue.open_run(tmp_path / "copy")
     again.save(tmp_path / "copy", formats=["mat"])
     assert (tmp_path / "copy/trace.mat").is_file()
-
-
-def test_what_a_run_does_not_have_is_refused(back, wall, tmp_path):
-    with pytest.raises(InputError, match="simulated here"):
-        back.parts  # noqa: B018
-    for name in ("dataset", "surface", "replay"):
-        with pytest.raises(InputError, match="run must have"):
-            getattr(wall, name)()
-    there = tissue.open_run(tissue.Run(wall).save(tmp_path / "wall", pictures=False))
-    assert there.poses is None
-    for name in ("dataset", "surface", "replay"):
-        with pytest.raises(InputError, match="run must have"):
-            getattr(there, name)()
-    (tmp_path / "wall/timing.csv").unlink()
-    with pytest.raises(InputError, match=r"timing\.csv"):
-        tissue.open_run(tmp_path / "wall").timing  # noqa: B018
-    with pytest.raises(InputError, match="run must be a folder that `tissue run` wrote"):
-        tissue.open_run(tmp_path)

@@ -6,14 +6,12 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
-from matplotlib import pyplot
 
 import tissue
 from tissue import InputError
 from tissue.objects import sweep as module
-from tissue.objects.sweep import SweptRun, parse_values
+from tissue.objects.sweep import parse_values
 
 QUICK = {"voxels.spacing_mm": 0.5, "duration_s": 0.05}
 
@@ -82,20 +80,6 @@ def test_folders_are_named_by_the_swept_keys_alone(scene):
     assert [each.name for each in plan(scene, {"voxels.margin_mm": [4.0]})] == ["milling"]
 
 
-def test_values_may_come_from_numpy(scene):
-    grid = plan(scene, {"motion.feed_mm_s": np.linspace(2.0, 4.0, 3), "tool.flutes": range(2, 4)})
-    assert [each.values["motion.feed_mm_s"] for each in grid[::2]] == [2.0, 3.0, 4.0]
-    assert type(grid[0].values["motion.feed_mm_s"]) is float
-
-
-def test_what_makes_no_scene_is_refused(scene):
-    with pytest.raises(InputError, match=r"motion\.fed must be one of"):
-        plan(scene, {"motion.fed": [1.0, 2.0]})
-    for values in ("12", 3, []):
-        with pytest.raises(InputError, match="seed must be given as a list of values"):
-            plan(scene, {"seed": values})
-
-
 @pytest.mark.slow
 def test_a_sweep_is_gone_on_with_and_lists_what_fails(scene, out, monkeypatch):
     found = tissue.sweep(scene, {"motion.feed_mm_s": [3.0, -6.0, 9.0]}, out=out)
@@ -145,29 +129,6 @@ def test_runs_of_other_scenes_are_not_replaced(pressed, out):
     assert (foreign / "trace.csv").read_text() == "mine"
 
 
-def test_a_path_that_a_run_does_not_finish_is_noted(out):
-    """A path that a run does not finish is noted.
-
-    A path of 10 mm at 10 mm/s lasts 1 s; the run of 0.05 s does not finish it, the run of 1.5 s
-    does.
-    """
-    path = {
-        "motion.points_mm": [[0, 0, 20], [0, 0, 10]],
-        "motion.feed_mm_s": 10.0,
-        "hand": "expert",
-    }
-    scene = tissue.load_scene("wall", path)
-    found = tissue.sweep(scene, {"duration_s": [0.05, 2.5]}, out=out)
-    assert (
-        list(found.notes) == ["duration_s=0.05"]
-        and "not finished: the run ends at 0.05 s" in found.notes["duration_s=0.05"]
-    )
-    rows = list(csv.DictReader((out / "sweep.csv").open()))
-    assert rows[0]["note"].startswith("not finished") and rows[1]["note"] == ""
-    notes = found.compare().notes
-    assert any("simulated time" in note for note in notes)
-
-
 def test_a_stop_keeps_what_is_finished(pressed, out, monkeypatch):
     simulated = module.simulate
 
@@ -183,33 +144,6 @@ def test_a_stop_keeps_what_is_finished(pressed, out, monkeypatch):
     before = (out / "seed=1/trace.csv").stat().st_mtime_ns
     assert len(tissue.sweep(pressed, {"seed": [1, 2]}, out=out).finished) == 2
     assert (out / "seed=1/trace.csv").stat().st_mtime_ns == before
-
-
-def test_a_fault_of_one_run_stops_no_other(pressed, out, monkeypatch):
-    simulated = module.simulate
-    monkeypatch.setattr(
-        module, "simulate", lambda scene, **o: 1 / 0 if scene.seed == 1 else simulated(scene, **o)
-    )
-    assert tissue.sweep(pressed, {"seed": [1, 2]}, out=out).failures == {
-        "seed=1": "ZeroDivisionError: division by zero"
-    }
-
-
-def test_pictures_have_a_line_for_each_value_of_the_second_key(tmp_path):
-    class Run(SweptRun):
-        figures = property(
-            lambda self: {"peak_force_N": self.values["a"] * self.values["b"], "events": 0}
-        )
-
-    runs = [
-        Run(f"{a},{b}", {"a": a, "b": b}, tmp_path, "") for a in (3.0, 1.0, 2.0) for b in (1, 2)
-    ]
-    (panel,) = module.Sweep(["a", "b"], runs).plot()
-    assert [line.get_label() for line in panel.lines] == ["1", "2"]
-    assert panel.lines[1].get_xydata().tolist() == [[1.0, 2.0], [2.0, 4.0], [3.0, 6.0]]
-    with pytest.raises(InputError, match=r"^figures .*got mass"):
-        module.Sweep(["a", "b"], runs).plot(["mass"])
-    pyplot.close("all")
 
 
 @pytest.mark.slow

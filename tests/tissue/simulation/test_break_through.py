@@ -60,19 +60,6 @@ def test_a_drill_that_stays_goes_back_or_leaves_aside_breaks_nothing(points):
     assert "break_through" not in run.summary and not break_throughs(run)
 
 
-def test_a_thrust_without_a_brake_plunges_to_its_stop():
-    push = {
-        "kind": "thrust",
-        "thrust_N": 60.0,
-        "start_mm": [0, 0, 0.5],
-        "depth_mm": 6.0,
-        "max_feed_mm_s": 10.0,
-    }
-    run = drilled(motion=push)
-    (found,) = run.summary["break_through"]
-    assert found["plunge_mm"] == pytest.approx(6.0 - THICKNESS_MM, abs=0.05)
-
-
 def test_pecking_breaks_through_once_a_hole():
     """Pecking breaks through once a hole.
 

@@ -59,28 +59,6 @@ def test_paraview_plays_the_bone_from_whole_to_carved(run, folder):
     np.testing.assert_array_equal(origin_m, run.volume.origin_m)
 
 
-def test_a_cut_of_many_triangles_is_drawn_in_blocks(run, tmp_path, monkeypatch):
-    monkeypatch.setattr("tissue.simulation.bone_files.MOST_TRIANGLES", 900)
-    write_carving(run, tmp_path)
-    reader = pyvista.PVDReader(tmp_path / "carving.pvd")
-    reader.set_active_time_value(reader.time_values[-1])
-    cut, rest = reader.read()
-    both = cut.append_polydata(rest).clean(tolerance=1e-4, absolute=True)
-    assert cut.n_cells < 1500 and both.n_open_edges == 0
-    assert both.volume == pytest.approx(run.remaining.sum(dtype=np.int64) / 255 * 0.3**3, rel=0.02)
-
-
-def test_nothing_is_written_of_a_run_that_cut_nothing(tmp_path):
-    high = {
-        "motion.points_mm": [[0, 0, 1.0], [0, 0, -0.5]],
-        "voxels.spacing_mm": 0.5,
-        "duration_s": 0.01,
-    }
-    write_carving(simulate(load_scene("milling", high)), tmp_path)
-    write_carving(simulate(load_scene("wall", {"duration_s": 0.01})), tmp_path)
-    assert not list(tmp_path.iterdir())
-
-
 def test_blocks_keep_the_amount_of_bone_and_the_place_of_layers():
     rng = np.random.default_rng(3)
     fraction = rng.integers(0, 256, (7, 10, 4), dtype=np.uint8)

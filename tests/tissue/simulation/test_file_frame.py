@@ -4,7 +4,6 @@ A run does not depend on the position and the layout of the stored file.
 """
 
 import contextlib
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -17,9 +16,7 @@ from meshes.shapes import sdf
 from meshes.shapes.anatomy import Anatomy, cortical_block
 from meshes.voxels.voxelise import voxelise
 from tissue import load_scene, simulate
-from tissue.simulation.bone_files import read_voxels
 from tissue.simulation.builders.tool_path import require_whole
-from tissue.simulation.run_folder import saved_placement
 
 pyvista = pytest.importorskip("pyvista")
 
@@ -138,22 +135,6 @@ def test_outputs_lie_on_the_file_in_its_unit(reference, tmp_path, unit_mm):
     first = np.array(fields["space origin"].strip("()").split(","), dtype=float)
     np.testing.assert_allclose(first, centres[0], rtol=1e-6, atol=1e-6 / unit_mm)
     assert fields["space units"].startswith('"mm"' if unit_mm == 1.0 else '"m"')
-
-
-@pytest.mark.slow
-def test_the_record_takes_the_file_to_the_scene_and_the_viewer_sees_the_scene(reference, tmp_path):
-    mesh, _ = reference
-    run = milled(tmp_path / "lump.stl", mesh, motion=TURN)
-    out = run.save(tmp_path / "run", pictures=False)
-    record = json.loads((out / "summary.json").read_text())["placement"]
-    centre = TURN[:3, :3] @ SITE["centre_mm"]
-    at = np.array(record["file_to_scene_mm"]) @ [*centre, 1.0]
-    assert record["file_unit_mm"] == 1.0 and np.abs(at[:2]).max() < 1e-6
-    assert "# file_to_scene_mm = [[" in (out / "scene.toml").read_text()
-    voxels, left = read_voxels(out / "bone.vti", saved_placement(out))
-    np.testing.assert_allclose(voxels.origin_m, run.volume.origin_m, atol=1e-9)
-    assert voxels.spacing_m == pytest.approx(run.volume.spacing_m)
-    np.testing.assert_array_equal(left, run.remaining)
 
 
 @pytest.mark.parametrize(("away_mm", "taken"), [(3.0, False), (30.0, True)])

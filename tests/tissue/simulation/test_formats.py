@@ -54,11 +54,3 @@ def test_a_format_reads_back_equal(trace, tmp_path, kind):
     for name in trace:
         np.testing.assert_array_equal(back[name], trace[name], err_msg=name)
     assert set(back["layer"]) == {*LAYERS, "none"}
-
-
-@pytest.mark.parametrize("kind", FORMATS)
-def test_a_full_disk_is_an_error_of_the_system(trace, tmp_path, kind, full_disk):
-    full_disk(tmp_path / f"trace.{kind}")
-    with pytest.raises(OSError) as error:
-        write_trace(trace, tmp_path, kind)
-    assert error.value.errno == 28

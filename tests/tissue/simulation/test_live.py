@@ -6,49 +6,22 @@ They have no display, a window that is closed, fails or hangs, or are driven by 
 import signal
 import time
 import typing
-from importlib.util import find_spec
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tissue import InputError, load_scene, simulate
+from tissue import load_scene
 from tissue.simulation.live.run import LiveObserver, LiveSettings
 from tissue.simulation.live.run import live as run_live
 from tissue.simulation.observer import WallClock
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.simulate import TICK_S
-from tissue.simulation.simulate import simulate as simulate_once
-
-ROOT = Path(__file__).parents[3]
-HALF = {"duration_s": 0.5}
 
 
 @pytest.fixture
 def no_display(monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.setattr("tissue.simulation.live.run.display_problem", lambda: "there is no display")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("device", ["touch"])
-def test_without_a_display_the_script_runs_and_gives_the_same_rows(no_display, device):
-    scene = load_scene("wall", HALF | {"device": device})
-    begun = time.perf_counter()
-    run = run_live(scene)
-    assert time.perf_counter() - begun > 0.5
-    np.testing.assert_array_equal(run.trace.rows, simulate(scene).trace.rows)
-    summary = run.summary
-    late, took = run.timing["late_us"], run.timing["tick_us"]
-    assert summary["missed_deadlines"] == (late + took > 1000.0).sum()
-    assert summary["late_us"]["max"] == late.max() >= 0.0
-    assert summary["skipped_ms"] == pytest.approx(1e-3 * run.timing["skipped_us"].sum())
-    mover = (
-        "a simulated expert moves it" if device == "touch" else "the scripted motion moves the tool"
-    )
-    assert summary["notes"]["live"] == f"no window, for there is no display: {mover}"
-    reported = any("the clock skips from here" in what for _, what in run.events)
-    assert reported == (summary["skipped_ms"] > 0.0)
 
 
 def test_the_command_runs_live_without_a_display(no_display, command, here):
@@ -115,15 +88,6 @@ def test_a_mouse_moves_the_tool_on_the_devices_spring_until_the_window_is_closed
     assert run.parts.notes["live"].startswith("the mouse moves the tool in a window")
 
 
-def test_a_window_that_fails_ends_the_run_and_is_reported(monkeypatch):
-    monkeypatch.setattr("tissue.simulation.live.run.display_problem", lambda: None)
-    monkeypatch.setattr(FakeWindow, "failed", lambda self: "X Error")
-    monkeypatch.setattr("tissue.simulation.live.run.WindowProcess", FakeWindow)
-    run = run_live(load_scene("wall"))
-    assert len(run.trace.rows) < 600
-    assert run.events[-1][1] == "the window ended by itself, and the run with it: X Error"
-
-
 @pytest.fixture
 def stalled(monkeypatch):
     """A window that draws nothing after its first 200 ticks, until a time on the clock."""
@@ -151,15 +115,6 @@ def test_a_run_waits_for_a_window_that_hangs_and_reports_it(stalled):
     assert run.timing["skipped_us"][paused : paused + 2].max() < waited_us, (
         "a pause of the run is no lateness"
     )
-
-
-def test_a_run_ends_when_its_window_hangs_for_ever(stalled, monkeypatch):
-    monkeypatch.setattr("tissue.simulation.live.run.HELD_S", 0.2)
-    run = run_live(load_scene("wall"))
-    assert len(run.trace.rows) < 600
-    assert [what for _, what in run.events if "drew nothing" in what] == [
-        "the window drew nothing for 0 s: the run ended"
-    ]
 
 
 def test_a_pause_is_no_lateness_and_is_reported(monkeypatch):
@@ -235,39 +190,6 @@ def test_a_page_needs_no_display_and_a_reset_begins_the_scene_again_in_the_same_
         saved.summary["notes"]["live"]
         == "the mouse moves the tool in a browser; it feels nothing, the force is shown"
     )
-
-
-def test_a_run_that_is_reset_is_kept_as_an_interrupted_one_until_the_next_begins(
-    paged, tmp_path, monkeypatch
-):
-    pytest.importorskip("aiohttp")
-    found = []
-    monkeypatch.setattr("tissue.simulation.live.run.simulate", lambda *a, **k: seen(*a, **k))
-
-    def seen(scene, **options):
-        if FakePage.made[0].windows:
-            saved = SavedRun(tmp_path / "run")
-            found.append((saved.status, saved.problem, len(saved.trace.rows)))
-        return simulate_once(scene, **options)
-
-    run_live(load_scene("wall"), LiveSettings(opened=lambda address: None), out=tmp_path / "run")
-    assert found == [("interrupted", "reset", 200)]
-
-
-def test_a_page_is_refused_for_a_real_device_and_without_its_server(paged, monkeypatch):
-    monkeypatch.setattr("tissue.simulation.live.run.opens_device", lambda scene: True)
-    if find_spec("aiohttp") is not None:
-        with pytest.raises(
-            InputError,
-            match=r"^--web must be left out with a real device, which runs without any window",
-        ):
-            run_live(load_scene("wall"), LiveSettings(opened=lambda address: None))
-    monkeypatch.setattr("tissue.simulation.live.window.find_spec", lambda name: None)
-    with pytest.raises(
-        InputError, match=r"^--web must have aiohttp .* got none: pip install 'tissue-sim\[web\]'$"
-    ):
-        run_live(load_scene("wall"), LiveSettings(opened=lambda address: None))
-    assert not FakePage.made
 
 
 def test_ctrl_c_is_given_back(monkeypatch):

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scene_kinds import kinds, write_files
 
-from meshes.base.errors import InputError
 from tissue.materials.scene_constants import Materials
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import Response, ToolMotion
@@ -14,7 +13,7 @@ from tissue.scene.load import changed
 from tissue.scene.scene import Scene
 from tissue.simulation.builders.cutting import cutter_of, milled_voxels
 from tissue.simulation.builders.parts import motion_of
-from tissue.simulation.load_record import record_loads, why_not_linear
+from tissue.simulation.load_record import record_loads
 from tissue.simulation.simulate import simulate
 
 EQUAL = 1e-6
@@ -138,18 +137,3 @@ def test_derivatives_are_those_of_the_loads(tables):
         step = 1e-4 * np.eye(len(given))[at]
         central = (record.loads(given, factors + step) - record.loads(given, factors - step)) / 2e-4
         assert slopes[:, :, at, 7] == pytest.approx(central, abs=1e-6 * np.abs(central).max())
-
-
-def test_what_does_not_follow_from_one_run_is_stated(tables):
-    for kind, why in {
-        "block": "",
-        "molar, stress": "",
-        "block, thrust": "thrust may depend on the force",
-        "block by hand": "six-dof yields to the force",
-        "slab": "no cutting coefficients",
-        "needle": "no cutting coefficients",
-    }.items():
-        found = why_not_linear(Scene(**tables[kind]))
-        assert why in found and bool(why) == bool(found)
-    with pytest.raises(InputError, match="linear in the coefficients, got one where the path"):
-        record_loads(Scene(**tables["block, thrust"]))

@@ -67,24 +67,6 @@ def test_it_has_the_names_shapes_and_units_of_the_recorder(run, written):
     assert still[0] == pytest.approx([*(0.5 * (low + high)), 0.0, 0.0, 0.0, 1.0])
 
 
-def test_voxels_are_those_that_fell_below_half_in_the_order_of_time(run, written):
-    with h5py.File(written) as file:
-        group = file[f"{EVENTS}/voxels_removed"]
-        times, removed, colour = (
-            group[name][()] for name in ("voxel_time_stamp", "voxel_removed", "voxel_color")
-        )
-    lost = (run.volume.fraction >= 128) & (run.remaining < 128)
-    places = removed[:, 1:].astype(int)
-    assert len(np.unique(places, axis=0)) == len(places) == lost.sum() > 100
-    assert lost[tuple(places.T)].all()
-    assert (np.diff(times) > 0.0).all() and np.array_equal(
-        np.unique(removed[:, 0]), np.arange(len(times))
-    )
-    np.testing.assert_array_equal(colour[:, 0], removed[:, 0])
-    assert colour[:, 1:].min() >= 0.0 and colour[:, 1:].max() <= 255.0
-    assert colour[:, 4] == pytest.approx(run.volume.fraction[tuple(places.T)])
-
-
 def test_voxels_fall_when_the_bone_at_that_tick_has_lost_them(run):
     """Voxels fall when the bone at that tick has lost them.
 

@@ -121,12 +121,3 @@ def test_another_lead_is_seen_in_the_score(held, monkeypatch, early):
     assert force_error(forces.played, forces.ideal) > 1.1 * force_error(
         forces.nearest, forces.ideal
     )
-
-
-def test_a_scale_of_motion_changes_the_stretch_by_itself(monkeypatch):
-    """A scale of motion changes the stretch by itself.
-
-    The wall feels stiffer by the scale; the force is still the stretch of the device's spring.
-    """
-    run = run_with(monkeypatch, Hold(), **{"coupling.motion_scale": 2.5})
-    np.testing.assert_allclose(stretch_force_N(run), run.trace.vectors("raw_force", "N"), atol=1e-9)

@@ -8,11 +8,10 @@ import shutil
 import subprocess
 import sys
 
-import numpy as np
 import pytest
 from coarse_run import COARSE
 
-from tissue import InputError, load_scene, simulate
+from tissue import InputError, load_scene
 from tissue.simulation.loop import spin_time_s
 from tissue.simulation.run_folder import RunFolder, SavedRun
 
@@ -87,32 +86,6 @@ def test_a_run_is_made_again_bit_for_bit_on_any_number_of_cores(made, tmp_path, 
     assert (tmp_path / "again" / "scene.toml").read_bytes() == (made / "scene.toml").read_bytes()
 
 
-def test_a_saved_run_reads_back(made):
-    saved = SavedRun(made)
-    assert saved.complete
-    assert saved.trace.rows.shape[0] == 600
-    assert saved.trace.layer_names == tuple(saved.summary["layers"])
-    assert saved.summary["force_N"]["peak"] == pytest.approx(
-        np.linalg.norm(saved.trace.vectors("model_force", "N"), axis=1).max(), rel=1e-12
-    )
-
-
-def test_a_folder_without_a_run_is_no_run(tmp_path):
-    with pytest.raises(InputError, match="run must be a folder that `tissue run` wrote"):
-        SavedRun(tmp_path)
-    for text, got in (
-        ("", "something else"),
-        ("[]", "something else"),
-        ("{}", "an empty one"),
-        ("x", "something else"),
-    ):
-        (tmp_path / "summary.json").write_text(text)
-        with pytest.raises(
-            InputError, match=rf"summary.json must be a table in JSON, got {got} in .*: run the"
-        ):
-            SavedRun(tmp_path)
-
-
 @pytest.mark.parametrize("share", [0.0, 0.5])
 def test_a_trace_shorter_than_its_run_is_refused(made, tmp_path, share):
     folder = shutil.copytree(made, tmp_path / "copy")
@@ -133,18 +106,3 @@ def test_a_run_killed_before_its_first_row_reads_back(tmp_path):
     assert SavedRun(folder.path).trace is None
     (folder.path / "trace.csv").touch()
     assert len(SavedRun(folder.path).trace.rows) == 0
-
-
-@pytest.mark.slow
-def test_saving_twice_or_elsewhere_writes_the_same_files(tmp_path):
-    run = simulate(load_scene("milling", {"voxels.spacing_mm": 0.4, "duration_s": 0.05}))
-    for name in ("one", "two"):
-        run.save(tmp_path / name, pictures=False, formats=["npz"])
-    run.save(tmp_path / "two", pictures=False, overwrite=True)
-    with pytest.raises(InputError, match="out must not hold another run"):
-        run.save(tmp_path / "one", pictures=False)
-    for name in ("trace.csv", "timing.csv", "scene.toml", "bone.stl"):
-        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
-    assert (tmp_path / "one" / "trace.npz").is_file() and not (
-        tmp_path / "two" / "trace.npz"
-    ).exists()

@@ -41,11 +41,6 @@ def test_series_reads_back_with_times_and_arrays(tmp_path):
     ]
 
 
-def test_nodes_of_cells_that_are_gone_go_too():
-    series = block_series((0.0, 0.0, 0.0), (2e-3, 1e-3, 1e-3), (2, 1, 1))
-    assert [frame_mesh(series, frame).n_points for frame in series.frames] == [12, 8, 0]
-
-
 def test_tetrahedra_and_vectors_of_cells():
     nodes = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]]) * 1e-3
     series = FieldSeries(
@@ -56,10 +51,3 @@ def test_tetrahedra_and_vectors_of_cells():
     assert list(mesh.celltypes) == [pyvista.CellType.TETRA]
     np.testing.assert_array_equal(mesh.cell_data["direction"], direction[:1])
     np.testing.assert_allclose(mesh.volume, 1.0 / 6.0, rtol=1e-6)
-
-
-def test_a_full_disk_is_an_error_of_the_system(tmp_path, full_disk):
-    (tmp_path / "fields").mkdir()
-    full_disk(tmp_path / "fields" / "frame_0000.vtu")
-    with pytest.raises(OSError, match="No space left"):
-        write_fields(block_series((0.0, 0.0, 0.0), (1e-3, 1e-3, 1e-3), (2, 2, 2)), tmp_path)

@@ -47,14 +47,6 @@ def test_an_unfinished_write_is_never_read(tmp_path):
     assert len(seen) == 50
 
 
-def test_a_writer_that_died_in_the_middle_stops_nobody(tmp_path):
-    arrays = SharedArrays(tmp_path, {"row": ("float64", (3,)), "row_turn": ("int64", (1,))})
-    arrays.write("row", np.ones(3))
-    assert arrays.read("row")[0] == 1
-    arrays["row_turn"][0] += 1
-    assert arrays.read("row") is None
-
-
 def test_every_brick_is_copied_once_a_turn(tmp_path):
     run = simulate(load_scene("milling", {"voxels.spacing_mm": 0.4, "duration_s": 0.05}))
     milling = run.parts.tissue

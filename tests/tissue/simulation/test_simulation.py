@@ -5,17 +5,10 @@ import pytest
 from scipy.signal import lfilter
 
 from tissue import load_scene, simulate
-from tissue.cutters.cutter import Cutter
-from tissue.cutters.profile import ball_burr
-from tissue.models.tissue_model import FreeSpace
-from tissue.motion.motion import FollowPath
-from tissue.simulation.builders.parts import Parts
 from tissue.simulation.simulate import TICK_S
 
 COARSE = {"voxels.spacing_mm": 0.4, "duration_s": 0.2}
 AXES = [("force", "N"), ("torque", "Nm")]
-
-CUTTER = Cutter(ball_burr(diameter_m=1e-3), 6, 1000.0)
 
 
 def run_of(name="milling", **changes):
@@ -40,35 +33,6 @@ def test_the_commanded_force_is_the_exact_low_pass_of_the_models(run, name, unit
     )
 
 
-class Push(FreeSpace):
-    """A tissue that pushes with one newton from the first tick on."""
-
-    def respond(self, motion):
-        response = super().respond(motion)
-        response.wrench[2] = 1.0
-        return response
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("low_pass_ms", [0.3, 1.0, 20.0])
-def test_a_step_of_force_is_answered_by_the_continuous_filters_own_values(monkeypatch, low_pass_ms):
-    """A step of force gives the continuous filter's own values.
-
-    A step at t = 0 gives 1 - exp(-t/a) at the end of every tick, without an error of
-    discretisation.
-    """
-    path = FollowPath(np.array([[0, 0, 0], [0, 0, 0.01]]), feed_m_s=0.1, axis=(0.0, 0.0, 1.0))
-    monkeypatch.setattr(
-        "tissue.simulation.simulate.build", lambda *_, **__: Parts(path, Push(), cutter=CUTTER)
-    )
-    trace = run_of(output__low_pass_ms=low_pass_ms).trace
-    ends_s = TICK_S * np.arange(1, len(trace.rows) + 1)
-    np.testing.assert_allclose(
-        trace["force_z_N"], 1.0 - np.exp(-ends_s / (1e-3 * low_pass_ms)), rtol=1e-12
-    )
-    assert not trace["force_x_N"].any() and not trace.vectors("torque", "Nm").any()
-
-
 @pytest.mark.parametrize(("duration_s", "ticks"), [(0.001, 1), (0.0123, 12), (0.2, 200)])
 def test_a_row_a_tick(duration_s, ticks):
     run = run_of(duration_s=duration_s)
@@ -77,13 +41,6 @@ def test_a_row_a_tick(duration_s, ticks):
     np.testing.assert_allclose(run.trace["time_s"], TICK_S * np.arange(ticks), rtol=1e-15)
     assert np.isfinite(run.trace.rows).all()
     assert run.summary["simulated_s"] == pytest.approx(ticks * TICK_S)
-
-
-def test_the_stages_of_a_tick_add_up_to_it(run):
-    timing = run.timing
-    stages = sum(timing[name] for name in timing.columns if name != "tick_us")
-    np.testing.assert_allclose(stages, timing["tick_us"], rtol=1e-9)
-    assert (timing.rows >= 0.0).all()
 
 
 def test_the_removed_volume_is_that_of_the_layers_and_never_falls():

@@ -1,16 +1,11 @@
 """The trace: columns with units, and a file that reads back to the same bits."""
 
-import re
-
 import numpy as np
 import pytest
 
-from tissue.simulation.trace import TIMING_COLUMNS, Table, TraceLayout, TraceWriter, read_table
+from tissue.simulation.trace import Table, TraceLayout, TraceWriter, read_table
 
 LAYERS = ("plate", "vault")
-UNIT = re.compile(r"_(s|us|mm|mm2|mm3|mm_s|mm3_s|rad_s|N|Nm)$")
-WITHOUT_UNIT = {"tool_qx", "tool_qy", "tool_qz", "tool_qw", "layer"}
-"""A unit quaternion has no unit, and a layer is a name."""
 
 
 def filled(row_count):
@@ -24,11 +19,6 @@ def filled(row_count):
     return Table(columns, rows, LAYERS)
 
 
-@pytest.mark.parametrize("name", [*TraceLayout.of(LAYERS).columns, *TIMING_COLUMNS])
-def test_every_column_carries_its_unit(name):
-    assert (UNIT.search(name) is not None) != (name in WITHOUT_UNIT)
-
-
 def test_a_file_reads_back_to_the_same_bits(tmp_path):
     table = filled(50)
     writer = TraceWriter(tmp_path / "trace.csv", table)
@@ -39,18 +29,6 @@ def test_a_file_reads_back_to_the_same_bits(tmp_path):
     assert back.columns == table.columns
     np.testing.assert_array_equal(back.rows, table.rows)
     np.testing.assert_array_equal(back["layer"], table["layer"])
-
-
-def test_rows_are_appended_when_it_is_time(tmp_path, monkeypatch):
-    clock = iter([10.0, 10.05, 10.2, 10.21])
-    monkeypatch.setattr("tissue.simulation.trace.perf_counter", lambda: next(clock))
-    writer = TraceWriter(tmp_path / "trace.csv", filled(9))
-    on_disk = []
-    for count in (1, 2, 3, 4):
-        writer.flush(count)
-        on_disk.append((tmp_path / "trace.csv").read_text().count("\n") - 1)
-    writer.close()
-    assert on_disk == [1, 1, 3, 3]
 
 
 @pytest.mark.parametrize("kept", [0, 1, 40])

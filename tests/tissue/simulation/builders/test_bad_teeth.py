@@ -6,18 +6,6 @@ import pytest
 from meshes.base.errors import InputError
 from meshes.voxels.volume import VoxelVolume
 
-FORCE_ONLY = ("--set", "voxels.spacing_mm=0.125", "--no-pictures", "--duration-s", "0.02")
-
-
-def test_a_bur_that_starts_inside_the_tooth_is_refused(refused, here):
-    assert refused(
-        "run", "molar", *FORCE_ONLY, "--set", "motion.points_mm=[[0,0,-2],[0,0,-3]]"
-    ) == (
-        "motion must start outside the tooth, got a bur at (0, 0, -2) mm with 100% of its "
-        "surface inside: start higher"
-    )
-    assert not (here / "runs").exists()
-
 
 def blocks(*labels):
     """Return voxels of 0.5 mm with a block of 6 x 4 x 9 of dentin in air.

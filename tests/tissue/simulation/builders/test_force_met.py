@@ -45,15 +45,6 @@ def test_a_script_s_force_fits_its_device(name, device):
     )
 
 
-def test_a_number_fixes_it_and_what_is_not_known_passes_as_it_is():
-    assert chosen_scale(
-        load_scene("milling", {"device": "touch", "coupling.force_scale": 0.2})
-    ) == (0.2, "")
-    assert chosen_scale(load_scene("wall"))[0] == 1.0
-    assert chosen_scale(load_scene("milling"))[0] == 1.0
-    assert chosen_scale(load_scene("glenoid", {"device": "touch", "tool.spin_rpm": 0.0}))[0] == 1.0
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "changes"),

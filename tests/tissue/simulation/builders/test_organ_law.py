@@ -62,10 +62,6 @@ def test_a_law_has_the_small_strains_of_the_moduli(name):
     assert factors == pytest.approx([1.0, 2.0, 0.5])
 
 
-def test_the_linear_law_is_none():
-    assert law_of(Organ(), lame(np.array([5e3]), 0.45)) is None
-
-
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
@@ -98,41 +94,9 @@ def test_what_a_law_cannot_have_is_refused(changes, sentence):
         law_of(Organ(**changes), lame(np.array([5e3]), 0.45))
 
 
-@pytest.mark.parametrize(
-    ("changes", "sentence"),
-    [
-        ({"organ.exponent": 8.0}, "organ.exponent must be left out with organ.law = linear"),
-        (
-            {"organ.law": "ogden", "organ.exponent": 8.0, "organ.second_share": 0.2},
-            "organ.second_share must be left out",
-        ),
-        (
-            {"organ.law_interval_ms": 50.0},
-            "organ.law_interval_ms must be left out with organ.law = linear",
-        ),
-    ],
-)
-def test_keys_of_laws_are_refused_where_they_have_no_effect(changes, sentence):
-    with pytest.raises(InputError, match=sentence):
-        simulate(load_scene("palpation", pressed(1.0) | changes | {"duration_s": 0.01}), cores=1)
-
-
 def test_at_a_small_depth_a_law_gives_the_force_of_the_linear_one():
     peaks = [
         simulate(load_scene("palpation", pressed(0.1, **law)), cores=1).summary["force_N"]["peak"]
         for law in ({}, {"law": "neo-hookean"})
     ]
     assert peaks[1] == pytest.approx(peaks[0], rel=0.01)
-
-
-def test_a_real_device_is_refused_and_a_simulated_one_is_not(monkeypatch):
-    """A simulated one waits for the law, as the run does."""
-    scene = load_scene("palpation", pressed(1.0, law="neo-hookean") | {"device": "touch"})
-    assert simulate(scene, cores=1).trace["force_z_N"].max() > 0.0
-    monkeypatch.setattr("tissue.simulation.builders.organ.opens_device", lambda _: True)
-    sentence = (
-        r"device and organ\.law must be left out together, got touch and neo.*solving the law "
-        r"takes longer"
-    )
-    with pytest.raises(InputError, match=sentence):
-        simulate(scene, cores=1)

@@ -67,14 +67,6 @@ def test_a_pressed_liver_pushes_back_and_lets_go(pressed):
     assert pressed.trace["contact_points"].max() > 0
 
 
-def test_friction_drags_against_the_slide(pressed):
-    """Sideways no more than friction and the tilt of the surface allow, against the motion."""
-    trace = pressed.trace
-    sliding = (trace["velocity_x_mm_s"] > 1.0) & (trace["tool_x_mm"] > 2.0)
-    assert (trace["model_force_x_N"][sliding] < 0.0).all()
-    assert pressed.parts.tissue.fields.frames[-1].time_s <= trace["time_s"][-1]
-
-
 def test_frames_hold_the_support_and_carry_the_force(pressed):
     """At every frame the reactions of what is held balance the tool's force, to rounding."""
     series, force = pressed.parts.tissue.fields, pressed.trace.vectors("model_force", "N")
@@ -137,16 +129,6 @@ def test_a_viscous_slab_relaxes_to_its_long_term_share():
     force = viscous.trace["model_force_z_N"]
     assert force.max() > 0.75 * elastic.trace["model_force_z_N"].max()
     assert force[-1] == pytest.approx(0.432 * elastic.trace["model_force_z_N"][-1], rel=0.02)
-
-
-@pytest.mark.slow
-def test_capsule_and_gravity_run():
-    plain = slab().trace["model_force_z_N"].max()
-    assert slab(**{"organ.capsule": True}).trace["model_force_z_N"].max() > plain
-    heavy = slab(**{"organ.gravity": True})
-    assert "sags" in heavy.parts.notes["gravity"]
-    first = heavy.parts.tissue.fields.frames[0].points["displacement_mm"]
-    assert first[:, 2].min() < 0.0
 
 
 @pytest.mark.parametrize("direction", [[1, 0, 0], [0, 0, 1]])
