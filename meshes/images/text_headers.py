@@ -302,5 +302,8 @@ def _nrrd_voxels(fields: Fields, path: Path, start: int) -> Numbers:
     skip = int((numbers(fields, "byte skip", path) or numbers(fields, "byteskip", path) or [0])[0])
     if skip < -1:
         raise _fault(path, "byte skip", "be -1 or more", str(skip))
-    order = ">" if fields.get("endian", "").lower() == "big" else "<"
+    endian = fields.get("endian", "").lower()
+    if endian not in ("little", "big") and not kind.endswith("1"):
+        raise _fault(path, "endian", "be little or big", _short(endian) or "none")
+    order = ">" if endian == "big" else "<"
     return _voxels(data, order + kind, size, start, skip=skip, compressed=encoding != "raw")

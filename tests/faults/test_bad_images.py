@@ -210,6 +210,11 @@ BAD = {
     "nrrd of vectors": (lambda f: nrrd(f, dimension="4", sizes="2 7 5 2"), "three axes in space"),
     "nrrd left-handed": (lambda f: nrrd(f, space="3D-left-handed"), "space must be one of"),
     "nrrd quantised": (lambda f: nrrd(f, old_min="-1024"), "values unscaled"),
+    "nrrd without byte order": (lambda f: nrrd(f, endian=None), "endian must be little or big"),
+    "nrrd of another byte order": (
+        lambda f: nrrd(f, endian="middle"),
+        "endian must be little or big, got middle",
+    ),
     "nrrd units": (
         lambda f: nrrd(f, space_units='"mm" "mm" "inch"'),
         "the unit of the axes must be",
