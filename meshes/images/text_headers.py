@@ -275,6 +275,7 @@ def read_nrrd(path: Path) -> StoredImage:
         notes = (
             f"{path.name} states no frame of a patient: its axes are taken as left, back and head.",
         )
+    _require_axes(fields, space, path)
     signs = np.array(_PATIENT.get(space, (1.0, 1.0, 1.0)))
     spacings = _stated(fields, ("spacings",), np.ones(3), path, positive=True)
     steps = (
@@ -282,10 +283,25 @@ def read_nrrd(path: Path) -> StoredImage:
     )
     origin = unit * signs * _stated(fields, ("space origin",), np.zeros(3), path)
     lengths = np.linalg.norm(steps, axis=0)
+    if "spacings" in fields and not np.allclose(lengths, unit * spacings, rtol=1e-5, atol=0.0):
+        found = f"{_short(fields['spacings'])} and {_short(fields['space directions'])}"
+        raise _fault(path, "spacings", "be the lengths of space directions", found)
     x, y, z = lengths.tolist()
     with np.errstate(divide="ignore", invalid="ignore"):
         directions = steps / lengths
     return StoredImage(_nrrd_voxels(fields, path, start), (x, y, z), directions, origin, notes)
+
+
+def _require_axes(fields: Fields, space: str, path: Path) -> None:
+    """Refuse a patient's space without directions, and directions without a space.
+
+    Their axes could run either way, so that left and right might be exchanged.
+    """
+    if space in _PATIENT and "space directions" not in fields:
+        raise _fault(path, "space directions", f"be stated with space {space}", "none")
+    in_space = next((key for key in ("space directions", "space origin") if key in fields), None)
+    if in_space and not space and "space dimension" not in fields:
+        raise _fault(path, "space", f"be stated with {in_space}", "none")
 
 
 def _nrrd_voxels(fields: Fields, path: Path, start: int) -> Numbers:
