@@ -244,7 +244,9 @@ _PATIENT = {
 """Signs of a patient's frame along the axes of LPS."""
 _NO_PATIENT = ("", "scanner-xyz", "3d-right-handed")
 _IN_SPACE = ("domain", "space", "none", "???")
-_NOT_APPLIED = ("old min", "oldmin", "old max", "oldmax", "axis mins", "line skip", "lineskip")
+_SCALED = ("old min", "oldmin", "old max", "oldmax")
+_SKIPPED_LINES = ("line skip", "lineskip")
+_AXIS_MINS = ("axis mins", "axismins")
 
 
 def read_nrrd(path: Path) -> StoredImage:
@@ -264,8 +266,14 @@ def read_nrrd(path: Path) -> StoredImage:
     if fields.get("dimension") != "3" or any(kind not in _IN_SPACE for kind in kinds.split()):
         found = f"dimension {fields.get('dimension')!r} and kinds {_short(kinds)!r}"
         raise _fault(path, "file", "hold one number per voxel on three axes in space", found)
-    if found := ", ".join(key for key in _NOT_APPLIED if fields.get(key, "0") != "0"):
+    if found := ", ".join(key for key in _SCALED if key in fields):
         raise _fault(path, "a NRRD image", "hold its values unscaled", f"the key {found}")
+    for key in _SKIPPED_LINES:
+        if fields.get(key, "0") != "0":
+            raise _fault(path, key, "be 0", _short(fields[key]))
+    for key in _AXIS_MINS:
+        if key in fields:
+            raise _fault(path, key, "be replaced by space origin", _short(fields[key]))
     unit = _unit_mm((fields.get("space units") or fields.get("units") or "").split(), path)
     space = fields.get("space", "").lower()
     if space not in _PATIENT and space not in _NO_PATIENT:

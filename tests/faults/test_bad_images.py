@@ -230,6 +230,15 @@ BAD = {
     ),
     "nrrd left-handed": (lambda f: nrrd(f, space="3D-left-handed"), "space must be one of"),
     "nrrd quantised": (lambda f: nrrd(f, old_min="-1024"), "values unscaled"),
+    "nrrd quantised from 0": (
+        lambda f: nrrd(f, old_max="0"),
+        "values unscaled, got the key old max",
+    ),
+    "nrrd axis mins": (
+        lambda f: nrrd(f, **UNSPACED, spacings="0.8 0.5 2", axis_mins="0"),
+        "axis mins must be replaced by space origin, got 0",
+    ),
+    "nrrd line skip": (lambda f: nrrd(f, line_skip="2"), "line skip must be 0, got 2"),
     "nrrd without byte order": (lambda f: nrrd(f, endian=None), "endian must be little or big"),
     "nrrd of another byte order": (
         lambda f: nrrd(f, endian="middle"),
