@@ -88,6 +88,21 @@ def test_masks_of_a_folder_are_one_volume_and_named_by_their_files(tmp_path):
         read_labels(tmp_path)
 
 
+def test_labels_of_one_name_are_taken_as_one_with_a_note(tmp_path):
+    names = {2: "femur", 7: "femur"}
+    labels = read_labels(write_named_labels(tmp_path / "a.seg.nrrd", volume(), names))
+    assert labels.mask("femur").sum() == 13
+    note = "a.seg.nrrd has 2 labels named femur (2, 7): they are taken as one."
+    assert labels.image.notes[-1] == note
+    folder = tmp_path / "masks"
+    folder.mkdir()
+    for number, ending in ((2, ".nii"), (7, ".nii.gz")):
+        write_nifti(folder / f"femur{ending}", (volume() == number).astype(np.uint8))
+    masks = read_labels(folder)
+    assert masks.image.notes[-1].startswith("masks has 2 labels named femur (1, 2)")
+    assert masks.mask("femur").sum() == 13
+
+
 def test_labels_of_another_grid_go_to_the_nearest_voxels(tmp_path):
     fine = np.kron(volume(), np.ones((2, 2, 2), dtype=np.uint8))
     affine = np.diag([-1.0, -0.5, 0.75, 1.0])
