@@ -303,7 +303,7 @@ def read_nrrd(path: Path) -> StoredImage:
 def _require_axes(fields: Fields, space: str, path: Path) -> None:
     """Refuse a patient's space without directions, and directions without a space.
 
-    Their axes could run either way, so that left and right might be exchanged.
+    Without them the directions of the axes are unknown, so that left and right might be exchanged.
     """
     if space in _PATIENT and "space directions" not in fields:
         raise _fault(path, "space directions", f"be stated with space {space}", "none")
