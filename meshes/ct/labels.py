@@ -139,7 +139,8 @@ def read_labels(
             f"add them to {names}",
         )
     known = {number: stated.get(number, f"label {number}") for number in held}
-    return Labels(replace(image, values=values), known)
+    notes = (*image.notes, *_shared_names(known, image.source))
+    return Labels(replace(image, values=values, notes=notes), known)
 
 
 def on_grid_of(labels: Labels, image: Image) -> Labels:
@@ -237,7 +238,21 @@ def _of_masks(folder: Path) -> Labels:
             f"empty masks only in {folder.name}",
             "export the segmentation",
         )
+    notes += _shared_names(names, folder.name)
     return Labels(replace(whole, notes=tuple(notes)), names)
+
+
+def _shared_names(names: Mapping[int, str], source: str) -> list[str]:
+    """Return a note on each name that several labels have."""
+    numbers: dict[str, list[int]] = {}
+    for number, name in names.items():
+        numbers.setdefault(name, []).append(number)
+    return [
+        f"{source} has {len(each)} labels named {name} ({', '.join(map(str, each))}): "
+        "they are taken as one."
+        for name, each in numbers.items()
+        if len(each) > 1
+    ]
 
 
 def _whole(image: Image) -> NDArray[np.integer]:

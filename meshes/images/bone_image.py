@@ -206,6 +206,10 @@ def image_cuts(image: Image, *, threshold: float) -> tuple[Array, ...]:
 def spread_labels(values: Singles, deviation_voxels: ArrayLike) -> Singles:
     """Spread values, 1 inside and 0 outside, by the kernel; they are 0 outside the array.
 
+    The kernel is a Gaussian less its Laplacian times its variance, which has no second moment in a
+    plane through its centre. Its value is therefore one half at a curved surface too, to first
+    order in the curvature.
+
     Parameters
     ----------
     values

@@ -244,7 +244,9 @@ _PATIENT = {
 """Signs of a patient's frame along the axes of LPS."""
 _NO_PATIENT = ("", "scanner-xyz", "3d-right-handed")
 _IN_SPACE = ("domain", "space", "none", "???")
-_NOT_APPLIED = ("old min", "oldmin", "old max", "oldmax", "axis mins", "line skip", "lineskip")
+_SCALED = ("old min", "oldmin", "old max", "oldmax")
+_SKIPPED_LINES = ("line skip", "lineskip")
+_AXIS_MINS = ("axis mins", "axismins")
 
 
 def read_nrrd(path: Path) -> StoredImage:
@@ -264,8 +266,14 @@ def read_nrrd(path: Path) -> StoredImage:
     if fields.get("dimension") != "3" or any(kind not in _IN_SPACE for kind in kinds.split()):
         found = f"dimension {fields.get('dimension')!r} and kinds {_short(kinds)!r}"
         raise _fault(path, "file", "hold one number per voxel on three axes in space", found)
-    if found := ", ".join(key for key in _NOT_APPLIED if fields.get(key, "0") != "0"):
+    if found := ", ".join(key for key in _SCALED if key in fields):
         raise _fault(path, "a NRRD image", "hold its values unscaled", f"the key {found}")
+    for key in _SKIPPED_LINES:
+        if fields.get(key, "0") != "0":
+            raise _fault(path, key, "be 0", _short(fields[key]))
+    for key in _AXIS_MINS:
+        if key in fields:
+            raise _fault(path, key, "be replaced by space origin", _short(fields[key]))
     unit = _unit_mm((fields.get("space units") or fields.get("units") or "").split(), path)
     space = fields.get("space", "").lower()
     if space not in _PATIENT and space not in _NO_PATIENT:
@@ -275,6 +283,7 @@ def read_nrrd(path: Path) -> StoredImage:
         notes = (
             f"{path.name} states no frame of a patient: its axes are taken as left, back and head.",
         )
+    _require_axes(fields, space, path)
     signs = np.array(_PATIENT.get(space, (1.0, 1.0, 1.0)))
     spacings = _stated(fields, ("spacings",), np.ones(3), path, positive=True)
     steps = (
@@ -282,10 +291,25 @@ def read_nrrd(path: Path) -> StoredImage:
     )
     origin = unit * signs * _stated(fields, ("space origin",), np.zeros(3), path)
     lengths = np.linalg.norm(steps, axis=0)
+    if "spacings" in fields and not np.allclose(lengths, unit * spacings, rtol=1e-5, atol=0.0):
+        found = f"{_short(fields['spacings'])} and {_short(fields['space directions'])}"
+        raise _fault(path, "spacings", "be the lengths of space directions", found)
     x, y, z = lengths.tolist()
     with np.errstate(divide="ignore", invalid="ignore"):
         directions = steps / lengths
     return StoredImage(_nrrd_voxels(fields, path, start), (x, y, z), directions, origin, notes)
+
+
+def _require_axes(fields: Fields, space: str, path: Path) -> None:
+    """Refuse a patient's space without directions, and directions without a space.
+
+    Without them the directions of the axes are unknown, so that left and right might be exchanged.
+    """
+    if space in _PATIENT and "space directions" not in fields:
+        raise _fault(path, "space directions", f"be stated with space {space}", "none")
+    in_space = next((key for key in ("space directions", "space origin") if key in fields), None)
+    if in_space and not space and "space dimension" not in fields:
+        raise _fault(path, "space", f"be stated with {in_space}", "none")
 
 
 def _nrrd_voxels(fields: Fields, path: Path, start: int) -> Numbers:
@@ -302,5 +326,8 @@ def _nrrd_voxels(fields: Fields, path: Path, start: int) -> Numbers:
     skip = int((numbers(fields, "byte skip", path) or numbers(fields, "byteskip", path) or [0])[0])
     if skip < -1:
         raise _fault(path, "byte skip", "be -1 or more", str(skip))
-    order = ">" if fields.get("endian", "").lower() == "big" else "<"
+    endian = fields.get("endian", "").lower()
+    if endian not in ("little", "big") and not kind.endswith("1"):
+        raise _fault(path, "endian", "be little or big", _short(endian) or "none")
+    order = ">" if endian == "big" else "<"
     return _voxels(data, order + kind, size, start, skip=skip, compressed=encoding != "raw")

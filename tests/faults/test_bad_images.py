@@ -208,8 +208,42 @@ BAD = {
     ),
     "nrrd over time": (lambda f: nrrd(f, kinds="domain domain time"), "three axes in space"),
     "nrrd of vectors": (lambda f: nrrd(f, dimension="4", sizes="2 7 5 2"), "three axes in space"),
+    "nrrd space without directions": (
+        lambda f: nrrd(f, space="RAS", space_directions=None),
+        "space directions must be stated with space ras",
+    ),
+    "nrrd space with spacings alone": (
+        lambda f: nrrd(f, space_directions=None, spacings="0.8 0.5 2"),
+        "space directions must be stated with space left-posterior-superior",
+    ),
+    "nrrd spacings against directions": (
+        lambda f: nrrd(f, spacings="0.8 0.5 1"),
+        "spacings must be the lengths of space directions, got 0.8 0.5 1 and",
+    ),
+    "nrrd directions without space": (
+        lambda f: nrrd(f, space=None),
+        "space must be stated with space directions, got none",
+    ),
+    "nrrd origin without space": (
+        lambda f: nrrd(f, space=None, space_directions=None),
+        "space must be stated with space origin, got none",
+    ),
     "nrrd left-handed": (lambda f: nrrd(f, space="3D-left-handed"), "space must be one of"),
     "nrrd quantised": (lambda f: nrrd(f, old_min="-1024"), "values unscaled"),
+    "nrrd quantised from 0": (
+        lambda f: nrrd(f, old_max="0"),
+        "values unscaled, got the key old max",
+    ),
+    "nrrd axis mins": (
+        lambda f: nrrd(f, **UNSPACED, spacings="0.8 0.5 2", axis_mins="0"),
+        "axis mins must be replaced by space origin, got 0",
+    ),
+    "nrrd line skip": (lambda f: nrrd(f, line_skip="2"), "line skip must be 0, got 2"),
+    "nrrd without byte order": (lambda f: nrrd(f, endian=None), "endian must be little or big"),
+    "nrrd of another byte order": (
+        lambda f: nrrd(f, endian="middle"),
+        "endian must be little or big, got middle",
+    ),
     "nrrd units": (
         lambda f: nrrd(f, space_units='"mm" "mm" "inch"'),
         "the unit of the axes must be",

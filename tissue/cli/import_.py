@@ -2,11 +2,11 @@
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from cyclopts import Parameter
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, names_of_caller
 from tissue.cli.terminal import Flag, MaybeWhole, MemoryGB, Texts, console, progress
 
 __all__ = ["import_"]
@@ -109,21 +109,14 @@ def import_(
     """
     from tissue.ct.importing import import_ct
 
-    given = asdict(image) | asdict(scene)
-    crop = given.pop("crop")
-    if crop is not None:
-        box = _numbers("crop", crop, 6, "X0,Y0,Z0,X1,Y1,Z1")
-        given["crop_mm"] = box[:3], box[3:]
-    if scene.site and "," in scene.site:
-        given["site"] = _numbers("site", scene.site, 3, "X,Y,Z")
-    if scene.normal is not None:
-        given["normal"] = _numbers("normal", scene.normal, 3, "X,Y,Z")
-    given["parts"] = dict(map(_part, given.pop("part")))
-    with progress() as shown:
+    options = asdict(image) | asdict(scene)
+    flags = {name: f"--{name.replace('_', '-')}" for name in options}
+    flags |= {"crop_mm": flags["crop"], "parts": flags["part"]}
+    with names_of_caller(flags), progress() as shown:
         made = import_ct(
             source,
             out,
-            **given,
+            **_arguments(options),
             max_memory_GB=max_memory_GB,
             overwrite=overwrite,
             progress=shown,
@@ -135,6 +128,21 @@ def import_(
         f"next: tissue {'run' if made.has_site else 'view'} "
         f"{made.scene if made.has_site else made.folder}"
     )
+
+
+def _arguments(options: dict[str, Any]) -> dict[str, Any]:
+    """Return the arguments of `import_ct` that the options stand for."""
+    given = dict(options)
+    crop = given.pop("crop")
+    if crop is not None:
+        box = _numbers("crop", crop, 6, "X0,Y0,Z0,X1,Y1,Z1")
+        given["crop_mm"] = box[:3], box[3:]
+    if given["site"] and "," in given["site"]:
+        given["site"] = _numbers("site", given["site"], 3, "X,Y,Z")
+    if given["normal"] is not None:
+        given["normal"] = _numbers("normal", given["normal"], 3, "X,Y,Z")
+    given["parts"] = dict(map(_part, given.pop("part")))
+    return given
 
 
 def _part(text: str) -> tuple[str, float]:

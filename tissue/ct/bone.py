@@ -161,7 +161,8 @@ def _source(request: ImportRequest, progress: Progress) -> tuple[_Source, list[s
     histogram = histogram_of(image.values)
     box = request.box_mm
     if box is not None:
-        image = cropped(image, box)
+        with names_of_caller({"crop": "crop_mm"}):
+            image = cropped(image, box)
         labels = labels and Labels(cropped(labels.image, box), labels.names)
     return _Source(image, labels, found, histogram, law), sentences
 

@@ -171,12 +171,12 @@ def organ_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
     progress("reading the image", 0.0)
     image = request.read_image()
     labels = request.read_labels(image)
-    for argument, each in [("region", region), *(("part", part) for part in request.parts)]:
+    for argument, each in [("region", region), *(("parts", part) for part in request.parts)]:
         with names_of_caller({"label": argument}):
             labels.number(each)
     for each, modulus in request.parts.items():
         if not modulus > 0.0:
-            raise InputError("part", "have a modulus above 0", f"{each}={modulus:g}", "give kPa")
+            raise InputError("parts", "have a modulus above 0", f"{each}={modulus:g}", "give kPa")
     mask = labels.mask(region)
     note = (
         soft_label_note(image, mask, region) if mask.any() and inspect(image).is_hounsfield else ""

@@ -96,7 +96,8 @@ class ImportRequest:
 
     def __post_init__(self) -> None:
         if self.labels is None:
-            self._leave_out("without labels", "label_names", "region", "keep_clear", "parts")
+            options = ("label_names", "region", "keep_clear", "parts")
+            self._leave_out("without labels", *options, remedy="give --labels FILE too")
         if self.region is not None:
             self._leave_out("with a region, whose label is the bone", "threshold")
         if self.threshold is not None:
@@ -117,7 +118,8 @@ class ImportRequest:
             )
         self._require_points()
         if self.point_mm is None:
-            self._leave_out("unless site is a point", "normal")
+            remedy = "give the point too, or leave it out"
+            self._leave_out("unless site is a point", "normal", remedy=remedy)
         if isinstance(self.site, str) and not self.is_markups and self.site not in NAMED_SITES:
             raise InputError(
                 "site",
@@ -128,7 +130,7 @@ class ImportRequest:
         if self.feed_mm_s is not None:
             require_positive("feed_mm_s", self.feed_mm_s, "use about 2")
         if self.path is None:
-            self._leave_out("without a path", "feed_mm_s")
+            self._leave_out("without a path", "feed_mm_s", remedy="give --path FILE")
         else:
             self._leave_out("with a path, which is the motion", "like")
         if self.is_soft:
@@ -138,14 +140,14 @@ class ImportRequest:
                     "site", "be a point for a soft organ", self.site, "give X,Y,Z in mm"
                 )
 
-    def _leave_out(self, when: str, *names: str) -> None:
+    def _leave_out(self, when: str, *names: str, remedy: str = "leave it out") -> None:
         """Raise for an option that is given where it has no effect."""
         unset = {each.name: each.default for each in fields(self)} | {"parts": {}}
         for name in names:
             value = getattr(self, name)
             if value != unset[name]:
                 shown = ", ".join(value) if name in ("keep_clear", "parts") else value
-                raise InputError(name, f"be left out {when}", shown, "leave it out")
+                raise InputError(name, f"be left out {when}", shown, remedy)
 
     def _require_points(self) -> None:
         """Refuse coordinates that are not finite, without a known frame, or in a wrong order.
@@ -155,7 +157,7 @@ class ImportRequest:
         points: dict[str, Sequence[object]] = {
             "site": [self.site],
             "normal": [self.normal],
-            "crop": self.crop_mm or (),
+            "crop_mm": self.crop_mm or (),
         }
         for name, given in points.items():
             for each in given:
@@ -170,7 +172,7 @@ class ImportRequest:
         if self.coordinates == "RAS" and not in_numbers:
             raise InputError(
                 "coordinates",
-                "be left out unless crop, a site or a path is given in numbers",
+                "be left out unless a box, a site or a path is given in numbers",
                 "RAS",
                 "files of markups state their own frame; leave it out",
             )
@@ -178,7 +180,7 @@ class ImportRequest:
             low, high = self.crop_mm
             if any(a >= b for a, b in zip(low, high, strict=True)):
                 found = f"{in_brackets(low)} and {in_brackets(high)}"
-                raise InputError("crop", "have its lowest corner first", found, "exchange them")
+                raise InputError("crop_mm", "have its lowest corner first", found, "exchange them")
 
     @property
     def is_tooth(self) -> bool:

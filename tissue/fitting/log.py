@@ -165,7 +165,9 @@ def _quantities(found: LogColumns, asked: Mapping[str, str], notes: list[str]) -
     used = set[str]()
     for name in QUANTITIES:
         if name in asked or name in found.names:
-            column, factor = _column(name, asked.get(name, name), found.names)
+            column, factor, remark = _column(name, asked.get(name, name), found.names)
+            if remark:
+                notes.append(remark)
             values[name] = factor * found.numbers(column)
             used.add(column)
     if left := [name for name in found.names if name not in used]:
@@ -173,12 +175,16 @@ def _quantities(found: LogColumns, asked: Mapping[str, str], notes: list[str]) -
     return values
 
 
-def _column(name: str, asked: str, known: Sequence[str]) -> tuple[str, float]:
-    """Return the column of a quantity, and the factor from its values to SI, sign included."""
+def _column(name: str, asked: str, known: Sequence[str]) -> tuple[str, float, str]:
+    """Return the column of a quantity, the factor of its values to SI with the sign, and a remark.
+
+    The remark may be empty.
+    """
     for sign, text in ((1.0, asked), (-1.0, asked.removeprefix("-"))):
         column, unit = (text, "") if text in known else _split(text)
         if column in known:
-            return column, sign * _factor(name, asked, column, unit)
+            factor, remark = _factor(name, asked, column, unit)
+            return column, sign * factor, remark
     raise InputError(
         "column",
         f"map {name} to a column of the log",
@@ -187,12 +193,15 @@ def _column(name: str, asked: str, known: Sequence[str]) -> tuple[str, float]:
     )
 
 
-def _factor(name: str, asked: str, column: str, unit: str) -> float:
-    """Return the factor to SI of a column with a given unit, or with the unit of the name."""
+def _factor(name: str, asked: str, column: str, unit: str) -> tuple[float, str]:
+    """Return the factor to SI of a column with a given unit, or with the unit of the name.
+
+    The second value is a remark if the column's header has another unit than the given one.
+    """
     measure = QUANTITIES[name]
     factors = UNITS[measure]
     if not factors and not unit:
-        return 1.0
+        return 1.0, ""
     default = name.rpartition("_")[2]
     taken = _plain(unit) or default
     if taken not in factors:
@@ -201,15 +210,17 @@ def _factor(name: str, asked: str, column: str, unit: str) -> float:
         )
     # a header such as "Load (N)", "Load [N]" or "load_N" states a unit
     stated = re.search(r"[\[(]([^\])]+)[\])]\s*$|_([A-Za-zµ]+)$", column)
-    header = _plain(stated[1] or stated[2]) if stated else default
-    if header in factors and header != taken and not unit:
+    header = _plain(stated[1] or stated[2]) if stated else taken
+    if header not in factors or header == taken:
+        return factors[taken], ""
+    if not unit:
         raise InputError(
             "column",
             f"state the unit where the header of {column} has {header} and {name} has {default}",
             "none",
             f"write {name}={asked}:{header}",
         )
-    return factors[taken]
+    return factors[taken], f"{column} is read in {taken}, as asked; its header has {header}"
 
 
 def _split(text: str) -> tuple[str, str]:

@@ -1,15 +1,14 @@
 """Label volumes with their names, as programs write them."""
 
-from dataclasses import replace
-
+from dataclasses import (replace)
+from meshes.base.errors import (InputError)
+from meshes.ct.labels import (on_grid_of, read_labels)
+from meshes.images.reading import (read_image)
+from named_labels import (write_named_labels)
 import nibabel
 import numpy as np
 import pytest
-from named_labels import write_named_labels
 
-from meshes.base.errors import InputError
-from meshes.ct.labels import on_grid_of, read_labels
-from meshes.images.reading import read_image
 
 
 def volume():
@@ -72,6 +71,21 @@ def test_masks_of_a_folder_are_one_volume_and_named_by_their_files(tmp_path):
     write_nifti(tmp_path / "other.nii.gz", np.ones((3, 3, 3), dtype=np.uint8))
     with pytest.raises(InputError, match="one grid"):
         read_labels(tmp_path)
+
+
+def test_labels_of_one_name_are_taken_as_one_with_a_note(tmp_path):
+    names = {2: "femur", 7: "femur"}
+    labels = read_labels(write_named_labels(tmp_path / "a.seg.nrrd", volume(), names))
+    assert labels.mask("femur").sum() == 13
+    note = "a.seg.nrrd has 2 labels named femur (2, 7): they are taken as one."
+    assert labels.image.notes[-1] == note
+    folder = tmp_path / "masks"
+    folder.mkdir()
+    for number, ending in ((2, ".nii"), (7, ".nii.gz")):
+        write_nifti(folder / f"femur{ending}", (volume() == number).astype(np.uint8))
+    masks = read_labels(folder)
+    assert masks.image.notes[-1].startswith("masks has 2 labels named femur (1, 2)")
+    assert masks.mask("femur").sum() == 13
 
 
 def test_labels_of_another_grid_go_to_the_nearest_voxels(tmp_path):

@@ -281,3 +281,12 @@ def test_padding_of_dicom_is_no_bone(tmp_path):
     assert found.notes == (
         "3 voxels of ct are padding: they take the lowest value of their slice.",
     )
+
+
+def test_nrrd_directions_in_a_space_without_a_name_are_read_with_a_note(tmp_path):
+    path = tmp_path / "image.nrrd"
+    fields = {"space": None, "space_dimension": "3", "spacings": "0.5 0.75 2"}
+    image_writers.write_nrrd(path, VALUES, np.diag(SPACING), ORIGIN, **fields)
+    found = read_image(path)
+    assert found.spacing_mm == pytest.approx(SPACING) and found.origin_mm == pytest.approx(ORIGIN)
+    assert "states no frame of a patient" in found.notes[0]

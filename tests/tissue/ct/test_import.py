@@ -156,17 +156,20 @@ def test_without_a_site_the_scene_asks_for_one(reference, tmp_path):
 @pytest.mark.parametrize(
     ("options", "part"),
     [
-        ({"region": "humerus"}, "region must be left out without labels"),
+        (
+            {"region": "humerus"},
+            "region must be left out without labels, got humerus: give --labels FILE too",
+        ),
         ({"site": "glenoyd"}, r"did you mean glenoid\?"),
         ({"site": (0.0, 0.0, 500.0)}, "site must lie within 10 mm"),
         ({"site": (0.0, float("nan"), 0.0)}, "site must be of three finite numbers"),
         (
             {"coordinates": "RAS", "site": None},
-            "coordinates must be left out unless crop, a site or a path",
+            "coordinates must be left out unless a box, a site or a path",
         ),
         (
             {"coordinates": "RAS", "site": "glenoid"},
-            "coordinates must be left out unless crop, a site or a path",
+            "coordinates must be left out unless a box, a site or a path",
         ),
         ({"coordinates": "ras"}, "coordinates must be LPS or RAS, got ras"),
         (
@@ -174,8 +177,11 @@ def test_without_a_site_the_scene_asks_for_one(reference, tmp_path):
             "normal must be left out unless site is a point",
         ),
         ({"threshold": 9000.0}, "threshold must leave bone"),
-        ({"crop_mm": ((5.0, 0.0, 0.0), (1.0, 2.0, 3.0))}, "crop must have its lowest corner first"),
-        ({"crop_mm": ((500.0, 0.0, 0.0), (600.0, 2.0, 3.0))}, "crop must leave two voxels"),
+        (
+            {"crop_mm": ((5.0, 0.0, 0.0), (1.0, 2.0, 3.0))},
+            "crop_mm must have its lowest corner first",
+        ),
+        ({"crop_mm": ((500.0, 0.0, 0.0), (600.0, 2.0, 3.0))}, "crop_mm must leave two voxels"),
         ({"density": "unheard"}, "density must"),
         ({"like": "liver-press"}, "like must be a scene in which a tool cuts"),
     ],
@@ -208,3 +214,25 @@ def test_pictures_are_drawn(reference, tmp_path):
     )
     for name in ("slices.png", "histogram.png", "bone.png"):
         assert (other.folder / name).stat().st_size > 10_000, Path(name)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            ["--part", "tumour=40"],
+            "--part must be left out without labels, got tumour: give --labels",
+        ),
+        (["--part", "tumour"], "--part must be NAME=KPA, got tumour"),
+        (["--feed-mm-s", "3"], "--feed-mm-s must be left out without a path, got 3.0: give --path"),
+        (["--crop", "5,0,0,1,2,3"], "--crop must have its lowest corner first"),
+        (["--crop", "5,0,0"], "--crop must be 6 numbers"),
+        (
+            ["--site", "tooth", "--labels", "a.nrrd", "--crop", "0,0,0,1,2,3"],
+            "--crop must be left out for a tooth",
+        ),
+    ],
+)
+def test_options_are_named_as_on_the_command_line(refused, tmp_path, options, message):
+    found = refused("import", "ct.nrrd", "--out", str(tmp_path / "out"), *options)
+    assert found.startswith(message)

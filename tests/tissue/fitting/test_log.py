@@ -43,6 +43,17 @@ def test_columns_of_other_names_units_and_signs(table, tmp_path):
     assert log.loads[:, 0] == pytest.approx(table.rows[:, 4])
 
 
+def test_a_unit_other_than_that_of_the_header_is_noted(table, tmp_path):
+    path = tmp_path / "log.csv"
+    write_table(Table((*NAMES[:6], "Fz_kN"), table.rows), path)
+    log = read_log(path, ["force_z_N=Fz_kN:N", "force_x_N=force_x_N:N"])
+    assert log.loads[:, 2] == pytest.approx(table.rows[:, 6])
+    notes = [note for note in log.notes if "as asked" in note]
+    assert notes == ["Fz_kN is read in N, as asked; its header has kN"]
+    with pytest.raises(InputError, match=r"write force_z_N=Fz_kN:kN"):
+        read_log(path, ["force_z_N=Fz_kN"])
+
+
 @pytest.mark.parametrize(
     ("columns", "change", "expected"),
     [

@@ -43,7 +43,6 @@ __all__ = [
     "frontier_of",
     "measured_of",
     "undominated",
-    "unmeasured",
     "with_fidelity",
     "write_measured",
 ]
@@ -158,13 +157,6 @@ def frontier_of(scene: Scene, *, quick: bool = True, report: Progress = silent) 
         return found
     short = short or short_of(scene, quick)
     return replace(found, rounding=float32_error(short), law=law_error(short, report=report))
-
-
-def unmeasured(scene: Scene, *, quick: bool) -> list[Setting]:
-    """Return the settings that were not measured on this machine yet."""
-    known = _kept(_store(scene, quick=quick))
-    settings = settings_of(scene, quick=quick)
-    return [each for each in settings if setting_key(scene, each, quick=quick) not in known]
 
 
 def _gap(scene: Scene, path: Path, *, quick: bool) -> float:

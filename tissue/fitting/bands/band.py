@@ -50,7 +50,7 @@ from tissue.simulation.simulate import simulate
 __all__ = ["Band", "band_of", "read_band", "require_band", "require_same", "save_band"]
 
 
-SAME_EVERYWHERE = "is that of the run in every sample, whose path is given"
+SAME_EVERYWHERE = "does not vary with the constants, because the path is given"
 NEEDS_RUNS = "depends on constants and needs a run of each sample, --each-run"
 HOW = (
     "the geometry was recorded once and reweighed, for the force is linear in the coefficients "

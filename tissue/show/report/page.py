@@ -244,7 +244,7 @@ def band_lines(band: Summary) -> Iterator[str]:
     without = band.get("without", {})
     for why in dict.fromkeys(without.values()):
         names = ", ".join(name for name, reason in without.items() if reason == why)
-        yield f"without a band: {names}, {why}"
+        yield f"without a band: {names} ({why})"
     for name, why in band["problems"].items():
         yield f"{name} failed and is left out: {why}"
     if (span := band.get("span")) is not None and span["shortest_sample_s"] < span[

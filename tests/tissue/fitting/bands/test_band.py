@@ -15,6 +15,7 @@ from tissue.objects.run import open_run
 from tissue.objects.simulate import simulate
 from tissue.scene.load import changed
 from tissue.scene.scene import Scene
+from tissue.show.report.page import band_lines
 from tissue.simulation.load_record import record_loads
 
 NAMES = tuple(constants("cutting", "bone"))
@@ -96,6 +97,9 @@ def test_a_band_is_written_with_its_run_and_read_back(block, tmp_path):
     run = simulate(block, cores=1)
     band = run.band(50, cores=1)
     assert band.summary["asked"] == 50
+    reason = "does not vary with the constants, because the path is given"
+    names = "removed_mm3, contact_share, break_through, events"
+    assert f"without a band: {names} ({reason})" in band_lines(band.summary)
     assert band.summary["samples"] == len(band.values) == 64
     assert (np.diff(band.quantiles, axis=0) >= 0.0).all()
     peak = run.summary["band"]["force_N"]["peak"]
