@@ -1,14 +1,15 @@
 """Label volumes with their names, as programs write them."""
 
-from dataclasses import (replace)
-from meshes.base.errors import (InputError)
-from meshes.ct.labels import (on_grid_of, read_labels)
-from meshes.images.reading import (read_image)
-from named_labels import (write_named_labels)
+from dataclasses import replace
+
 import nibabel
 import numpy as np
 import pytest
+from named_labels import write_named_labels
 
+from meshes.base.errors import InputError
+from meshes.ct.labels import on_grid_of, read_labels
+from meshes.images.reading import read_image
 
 
 def volume():
