@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 import pytest
 from outside_tissue import CHANGES, Jelly, jelly
+from pydantic import model_validator
 
 from tissue import InputError, load_scene, register, scene_names, simulate
 from tissue.cutters.profile import Line, Profile, cylinder
@@ -273,6 +274,25 @@ def test_motion_and_tissue():
         soft.trace["model_force_z_N"], 0.1 * soft.trace["depth_mm"], atol=1e-12
     )
     assert '"dip"' in schema_text() and '"jelly"' in schema_text()
+
+
+class Slope(Part):
+    """Motion whose validator raises an error of Python."""
+
+    kind: Literal["slope"] = "slope"
+    angle_deg: float = 0.0
+
+    @model_validator(mode="after")
+    def _angle_is_small(self):
+        if self.angle_deg > 45.0:
+            raise ValueError("angle_deg exceeds 45")
+        return self
+
+
+def test_an_error_of_a_parts_validator_is_passed_on():
+    register.motion("slope", Slope, Dipping)
+    with pytest.raises(InputError, match=r"^angle_deg exceeds 45$"):
+        load_scene("wall", {"motion": {"kind": "slope", "angle_deg": 60.0}})
 
 
 FOAM = "\n".join(

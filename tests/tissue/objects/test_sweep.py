@@ -4,6 +4,7 @@ import csv
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ import tissue
 from tissue import InputError
 from tissue.objects import sweep as module
 from tissue.objects.sweep import SweptRun, parse_values
+from tissue.scene.load import changed, saved_text
 
 QUICK = {"voxels.spacing_mm": 0.5, "duration_s": 0.05}
 
@@ -143,6 +145,34 @@ def test_runs_of_other_scenes_are_not_replaced(pressed, out):
     found = tissue.sweep(pressed, {"seed": [2, 3]}, out=out)
     assert "seed=3" in found.failures
     assert (foreign / "trace.csv").read_text() == "mine"
+
+
+def test_a_sweep_with_a_fidelity_is_continued(pressed, out, monkeypatch):
+    def at_settings(scene, *, report):
+        return changed(scene, {"fidelity": None, "coupling.delay_ms": 1}), "a later force"
+
+    monkeypatch.setattr("tissue.evaluation.charts.frontier.with_fidelity", at_settings)
+    demanding = changed(pressed, {"device": "touch", "fidelity.force_error": 0.5})
+    assert not tissue.sweep(demanding, {"seed": [1, 2]}, out=out).failures
+    before = (out / "seed=1/trace.csv").stat().st_mtime_ns
+    assert len(tissue.sweep(demanding, {"seed": [1, 2]}, out=out).finished) == 2
+    assert (out / "seed=1/trace.csv").stat().st_mtime_ns == before
+    stricter = changed(demanding, {"fidelity.force_error": 0.1})
+    with pytest.raises(InputError, match=r"out must hold runs of this scene, .*seed=1"):
+        tissue.sweep(stricter, {"seed": [1, 2]}, out=out)
+
+
+def test_a_run_of_a_scene_with_more_tables_is_another(tmp_path):
+    whole = tissue.load_scene("molar")
+    (tmp_path / "scene.toml").write_text(saved_text(whole) + "\n# centre_mm = [0.0, 0.0, 0.0]\n")
+    (tmp_path / "summary.json").write_text('{"status": "complete"}')
+    run = SweptRun("molar", {}, tmp_path, scene=whole)
+    assert module._unfinished([run], tmp_path, overwrite=False) == []
+    part = replace(run, scene=changed(whole, {"stress": None}))
+    with pytest.raises(InputError, match="out must hold runs of this scene"):
+        module._unfinished([part], tmp_path, overwrite=False)
+    with pytest.raises(InputError, match=r"summary\.json"):
+        _ = run.figures
 
 
 def test_a_path_that_a_run_does_not_finish_is_noted(out):
