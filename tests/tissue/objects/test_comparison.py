@@ -1,6 +1,7 @@
 """Comparison of runs: figures, differences of their scenes, and their forces in one picture."""
 
 import csv
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from matplotlib import pyplot
 
 import tissue
 from tissue import InputError
+from tissue.objects.comparison import _notes
 from tissue.objects.plots import overlay
 from tissue.simulation.trace import Table, TraceLayout
 
@@ -60,6 +62,14 @@ def test_equal_runs_differ_in_nothing(run, back):
     assert list(found.runs) == ["milling 1", "milling 2"]
     assert found.scene_differences == {} and found.lines()[0] == "the scenes are the same"
     assert all(apart == 0.0 for _, (_, _, apart, _) in found.rows()[1])
+
+
+def test_lengths_are_compared_to_the_tick(run):
+    runs = {
+        name: SimpleNamespace(status="complete", scene=run.scene, summary={"simulated_s": length_s})
+        for name, length_s in (("a", 10.001), ("b", 10.002))
+    }
+    assert any("a 10.001 s, b 10.002 s" in note for note in _notes(runs))
 
 
 def test_what_cannot_be_compared_is_refused(run):
