@@ -101,6 +101,7 @@ def test_a_file_of_constants_gives_what_its_values_give(tmp_path):
             {"materials": fitted, "cutting": names},
             "cutting.radial_chip_N_mm2 must be left out where materials states",
         ),
+        ({"cutting": {1: 150.0}}, "each name in cutting must be text, got 1"),
     ]
     for options, words in refused:
         with pytest.raises(tissue.InputError, match=words):

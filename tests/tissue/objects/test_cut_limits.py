@@ -31,6 +31,21 @@ def nerve():
     return made
 
 
+def tiny_surface():
+    """A surface that is no structure at a millimetre a unit."""
+    return pyvista.Sphere(radius=1e-3)
+
+
+class PathOfOther:
+    """Path that is neither text nor a `pathlib.Path`."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __fspath__(self):
+        return str(self.path)
+
+
 def require_measured(distance_mm, events):
     assert (distance_mm <= EXACT_MM + 1e-5).all() and (distance_mm >= EXACT_MM - 0.01).all()
     first, last = events
@@ -45,7 +60,7 @@ def require_measured(distance_mm, events):
 def test_a_cut_measures_its_distance_from_structures(tmp_path):
     nerve().export(tmp_path / "nerve.stl")
     bone = tissue.Bone.block((12, 8, 6), spacing_mm=0.5)
-    cut = bone.cut(BURR, TIPS, TIMES, keep_clear={"nerve": tmp_path / "nerve.stl"})
+    cut = bone.cut(BURR, TIPS, TIMES, keep_clear={"nerve": PathOfOther(tmp_path / "nerve.stl")})
     require_measured(cut.distance_mm("nerve"), cut.events)
     assert "distance_nerve_mm" in cut.to_pandas()
     plain = bone.uncut().cut(BURR, TIPS, TIMES)
@@ -106,6 +121,7 @@ def test_a_loop_measures_its_distance_from_structures(tmp_path):
         ({"nerve": "none.stl"}, r"keep_clear\[nerve\] must exist"),
         ({"nerve": 3}, r"keep_clear\[nerve\] must be a closed surface .*, got int"),
         ("nerve.stl", "keep_clear must be a mapping"),
+        ({"nerve": tiny_surface()}, r"^keep_clear\[nerve\] must make the longest side"),
     ],
 )
 def test_what_cannot_be_kept_clear_of_is_refused(keep_clear, words):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from tissue import load_scene, simulate
+from tissue import InputError, load_scene, simulate
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr
 from tissue.models.tissue_model import FreeSpace
@@ -27,6 +27,11 @@ def run_of(name="milling", **changes):
 @pytest.fixture(scope="module")
 def run():
     return run_of(output__low_pass_ms=5.0)
+
+
+def test_a_coefficient_without_effect_is_refused_with_its_value():
+    with pytest.raises(InputError, match=r"density_exponent .*got 1\.5: set another coefficient"):
+        run_of(cutting__density_exponent=1.5)
 
 
 @pytest.mark.parametrize(("name", "unit"), AXES)
