@@ -249,7 +249,8 @@ def _notes(runs: Mapping[str, Run]) -> Iterator[str]:
             yield f"the path of {name} is {note}"
     outside: dict[str, list[object]] = {
         "simulated time, which peaks, means and volumes depend on,": [
-            f"{run.summary.get('simulated_s', 0.0):.3g} s" for run in runs.values()
+            f"{round(float(run.summary.get('simulated_s', 0.0)), 3):.12g} s"
+            for run in runs.values()
         ],
         "scene": [run.scene.name for run in runs.values()],
         **{

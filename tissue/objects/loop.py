@@ -42,6 +42,7 @@ from tissue.prediction.guard import GuardedMaker, Observes
 from tissue.scene.coupling import Coupling
 from tissue.scene.coupling import Device as StatedDevice
 from tissue.scene.named_parts import unknown_name
+from tissue.scene.registry import PREDICTORS
 from tissue.scene.scene import Output
 from tissue.scene.used_constants import used_of_device
 from tissue.simulation import loop as engine
@@ -65,6 +66,13 @@ CLEARANCE_MM = 2.0
 """Default height of the tool above the surface at the start [mm]."""
 ACROSS = 7
 """Number of points across the reach at which contact with an organ is searched for."""
+ARGUMENTS = {
+    **{f"coupling.{key}": key for key in Coupling.model_fields},
+    "output.low_pass_ms": "low_pass_ms",
+    "prediction": "predictor",
+    "kind": "limits",
+}
+"""Arguments of `Loop` by the keys of a scene that errors name."""
 
 
 class LoopOptions(TypedDict, total=False):
@@ -186,21 +194,17 @@ class Loop:
         longest = require_range("longest_s", longest_s, TICK_S, LONGEST_S, "use 600")
         self._most = round(longest / TICK_S)
         constants = Materials.of(options.get("materials"))
-        settings = _settings(device, options, constants, cuts=isinstance(tissue, Bone))
+        with names_of_caller(ARGUMENTS):
+            settings = _settings(device, options, constants, cuts=isinstance(tissue, Bone))
         scale = options.get("force_scale")
         scale_note = ""
         cutter: Cutter | None = None
-        clear = None
-        model: TissueModel
+        probe: PressingTool | None = None
         if isinstance(tissue, Bone):
             burr = tool or ball_burr(diameter_mm=4, flutes=6, spin_rpm=20_000)
             tissue.require_cutter(burr)
             assert isinstance(burr, Cutter)
             cutter = burr
-            model, self._keep_ready = tissue.voxel_bone.around(
-                cutter, start_m, along, reach_m=reach_m
-            )
-            clear = clearance_of(keep_clear, cutter)
             if scale is None:
                 usual_N = slot_force_N(tissue.voxel_bone, cutter)
                 scale = fitted_scale(usual_N, settings.limits)
@@ -213,20 +217,19 @@ class Loop:
                 raise InputError(
                     "keep_clear", "be left out for an organ", "structures", "use it in bone"
                 )
-            probe = tool or ball(diameter_mm=10)
-            if not isinstance(probe, PressingTool):
+            pressing = tool or ball(diameter_mm=10)
+            if not isinstance(pressing, PressingTool):
                 raise InputError(
                     "tool", "press an organ", type(tool).__name__, "make one by tissue.ball"
                 )
-            model = _organ(tissue, probe, start_m, along, reach_m=reach_m)
-            self._keep_ready = lambda tip_m: None
+            probe = pressing
         x, y, z = along.tolist()
         script = Script(
             motion=StaysAt(start_m, (x, y, z)),
             motion_scale=settings.coupling.motion_scale,
             device_origin_m=start_m,
         )
-        with names_of_caller({"coupling.stiffness_N_m": "stiffness_N_m"}):
+        with names_of_caller(ARGUMENTS):
             self._motion, found = device_motion(
                 settings,
                 script,
@@ -238,6 +241,19 @@ class Loop:
                 rng=np.random.default_rng(0),
                 allow_unstable=options.get("allow_unstable", False),
             )
+        # A refused coupling leaves the bone as it was: the tissue is prepared after the judgement.
+        clear = None
+        model: TissueModel
+        if isinstance(tissue, Bone):
+            assert cutter is not None
+            model, self._keep_ready = tissue.voxel_bone.around(
+                cutter, start_m, along, reach_m=reach_m
+            )
+            clear = clearance_of(keep_clear, cutter)
+        else:
+            assert probe is not None
+            model = _organ(tissue, probe, start_m, along, reach_m=reach_m)
+            self._keep_ready = lambda tip_m: None
         self.notes = dict(tissue.notes) | _constants_note(constants, tissue, options)
         self.notes["coupling"] = "; ".join(found)
         self._closing = ExitStack()
@@ -426,7 +442,15 @@ def _settings(
         guarded = GuardedMaker(type(predictor).__name__, lambda: deepcopy(predictor))
         own_predictor = partial(guarded, None, limits.force_limit_N)
     coupling = {key: options.get(key) for key in ("stiffness_N_m", "motion_scale", "delay_ms")}
-    if file is not None:
+    is_trained = name is not None and name in PREDICTORS and PREDICTORS[name].trained
+    if is_trained:
+        if file is None:
+            raise InputError(
+                "predictor_file",
+                f"be given for the predictor {name}",
+                "nothing",
+                "give the file that `tissue train SCENE --out FILE` wrote",
+            )
         coupling["predictor_file"] = str(file)
     held = {
         "kind": given if isinstance(given, str) else "touch",

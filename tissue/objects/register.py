@@ -354,12 +354,23 @@ def _check_name(kind: str, given: object, *, argument: bool = False) -> None:
 
 def _check_callable_part(kind: str, given: str, part: object, methods: Sequence[str] = ()) -> None:
     """Refuse a part that is not callable, or a class without the required methods."""
-    wanted = f"be a class with {' and '.join(methods)}, or a function"
-    is_class = isinstance(part, type)
-    if not callable(part) or (
-        is_class and not all(callable(getattr(part, method, None)) for method in methods)
-    ):
-        raise InputError(f"{kind} {given}", wanted, shown(part), "add what is missing")
+    if not callable(part):
+        raise InputError(
+            f"{kind} {given}",
+            "be a class or a function",
+            shown(part),
+            f"give the class or function that makes the {kind}",
+        )
+    if not isinstance(part, type):
+        return
+    missing = [method for method in methods if not callable(getattr(part, method, None))]
+    if missing:
+        raise InputError(
+            f"{kind} {given}",
+            f"have {' and '.join(methods)}",
+            f"{part.__name__} without {' and '.join(missing)}",
+            f"add {' and '.join(missing)}",
+        )
 
 
 def _check_profile(given: str, part: Any, keys: Sequence[str]) -> None:
@@ -401,14 +412,18 @@ def _check_numbers_of(kind: Any, numbers: Any, *, needed: Sequence[str] = ()) ->
     """Return the values of a class of parameters, from an instance or a checked mapping."""
     if isinstance(numbers, kind):
         return asdict(numbers)
-    known = [field.name for field in fields(kind)]
-    names = list(numbers) if isinstance(numbers, Mapping) else []
-    if strange := [each for each in names if each not in known]:
-        given = f"{strange[0]}{nearest(strange[0], known)}"
-        raise InputError("numbers", f"be of {', '.join(known)}", given, "rename or remove it")
-    if (not names and numbers) or not set(needed) <= set(names):
+    if not isinstance(numbers, Mapping):
         wanted = f"be a mapping with {' and '.join(needed) or 'numbers by name'}"
-        raise InputError("numbers", wanted, shown(numbers), "add what is missing")
+        raise InputError("numbers", wanted, shown(numbers), "give names and values")
+    known = [field.name for field in fields(kind)]
+    if strange := [each for each in numbers if each not in known]:
+        given = f"{shown(strange[0])}{nearest(str(strange[0]), known)}"
+        raise InputError("numbers", f"be of {', '.join(known)}", given, "rename or remove it")
+    if missing := [each for each in needed if each not in numbers]:
+        lacking = " and ".join(missing)
+        raise InputError(
+            "numbers", f"have {' and '.join(needed)}", f"none for {lacking}", f"add {lacking}"
+        )
     for each, value in numbers.items():
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise InputError(each, "be a number", shown(value), "give it in the unit of its name")
@@ -423,8 +438,12 @@ def _check_looks(colour: str, marker: str) -> None:
 
     if not is_color_like(colour):
         raise InputError("colour", "be one of matplotlib's", shown(colour), "use for example red")
-    if marker not in MarkerStyle.markers:
-        raise InputError("marker", "be one of matplotlib's", shown(marker), "use for example o")
+    try:
+        MarkerStyle(marker)
+    except ValueError:
+        raise InputError(
+            "marker", "be one of matplotlib's", shown(marker), "use for example o"
+        ) from None
 
 
 def _scene_name(path: Path) -> str:
@@ -473,16 +492,21 @@ def _require_material(path: Path, table: str, material: str, entries: dict[str, 
     if not re.fullmatch(NAME, material) or material in listed(table):
         known = ", ".join(listed(table))
         raise InputError(
-            table, f"name materials other than {known}", f"{material} in {path}", "rename it"
+            table,
+            f"name materials other than {known}, in lower-case letters, digits, - and _",
+            f"{material} in {path}",
+            "choose another name",
         )
     needed = tuple(constants("cutting", "bone")) if table == "cutting" else SOFT
-    wrong = set(needed) - set(entries) or set(entries) - set(needed)
-    if wrong and (table == "cutting" or not set(needed) <= set(entries)):
+    missing = ", ".join(each for each in needed if each not in entries)
+    if missing:
         raise InputError(
-            where,
-            f"have {', '.join(needed)}",
-            f"{', '.join(entries)} in {path}",
-            f"add or remove {', '.join(sorted(wrong))}",
+            where, f"have {', '.join(needed)}", f"none for {missing} in {path}", f"add {missing}"
+        )
+    extra = ", ".join(each for each in entries if each not in needed)
+    if extra and table == "cutting":
+        raise InputError(
+            where, f"have only {', '.join(needed)}", f"{extra} in {path}", f"remove {extra}"
         )
     for constant, entry in entries.items():
         checked_constant(f"{where}.{constant}", entry, str(path))

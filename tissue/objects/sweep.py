@@ -1,6 +1,7 @@
 """Sweep: a scene run at all combinations of some values: `tissue.sweep`."""
 
 import csv
+import json
 import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -17,7 +18,8 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, require_range
 from meshes.base.progress import Progress
-from meshes.base.text_tables import read_toml
+from meshes.base.text_tables import read_json, read_toml
+from meshes.base.whole_file import whole_file
 from tissue.evaluation.assessment import path_note
 from tissue.objects.comparison import Comparison, write_rows
 from tissue.objects.html import figures_of, table_html
@@ -30,7 +32,7 @@ from tissue.scene.load import changed, load_scene, parse_override
 from tissue.scene.scene import Scene
 from tissue.scene.texts import registered_parts, unknown_parts
 from tissue.show.figures.figure import field_words, plain, save, styled
-from tissue.simulation.run_folder import summary_of
+from tissue.simulation.run_folder import read_summary, summary_of
 from tissue.system.owned_folder import owned_folder
 from tissue.system.workers import first_done, worker_pool
 
@@ -41,6 +43,11 @@ __all__ = ["Sweep", "SweptRun", "parse_values", "planned", "sweep"]
 
 FILES = ("sweep.csv", "sweep.png", "compare.png")
 """Files of a sweep in addition to its runs."""
+RECORD = "scenes.json"
+"""File with the swept scenes that require a fidelity, by run.
+
+`simulate` replaces such a scene by one with chosen settings, and saves only the latter.
+"""
 LONGEST_NAME = 24
 """Letters of a value in a folder name; longer values, and lists, are numbered."""
 MOST_RUNS = 10_000
@@ -77,7 +84,7 @@ class SweptRun:
     @cached_property
     def figures(self) -> dict[str, float]:
         """Figures of the run by names with units; empty for a run with a problem."""
-        return {} if self.problem else figures_of(summary_of(self.path))
+        return {} if self.problem else figures_of(read_summary(self.path))
 
     @cached_property
     def note(self) -> str:
@@ -85,7 +92,7 @@ class SweptRun:
 
         It is also empty for a run with a problem.
         """
-        return "" if self.problem else path_note(summary_of(self.path))
+        return "" if self.problem else path_note(read_summary(self.path))
 
     def open(self) -> Run:
         """Read the run from its folder."""
@@ -325,8 +332,9 @@ def sweep(
     run = partial(
         _run, pictures=pictures, compute=compute, cores=cores, allow_unstable=allow_unstable
     )
-    with owned_folder(out, "sweep", (), shared=FILES), reporting(progress) as report:
-        left = _unfinished(runs, overwrite=overwrite)
+    with owned_folder(out, "sweep", (), shared=(*FILES, RECORD)), reporting(progress) as report:
+        left = _unfinished(runs, out, overwrite=overwrite)
+        _record([each for each, _ in left], out)
         problems = dict(_results(run, left, workers=min(workers, len(left)), report=report))
         runs = [replace(each, problem=problems.get(each.name, each.problem)) for each in runs]
         found = Sweep(list(runs[0].values), runs)
@@ -425,7 +433,7 @@ def _words(key: str, values: Sequence[object], swept: Mapping[str, object]) -> l
     return [f"{short}={word}" for word in words]
 
 
-def _unfinished(runs: list[SweptRun], *, overwrite: bool) -> list[tuple[SweptRun, bool]]:
+def _unfinished(runs: list[SweptRun], out: Path, *, overwrite: bool) -> list[tuple[SweptRun, bool]]:
     """Return the remaining runs, and for each whether it may replace a run of the same scene.
 
     Raises
@@ -434,12 +442,15 @@ def _unfinished(runs: list[SweptRun], *, overwrite: bool) -> list[tuple[SweptRun
         If a folder holds a run of another scene.
     """
     left: list[tuple[SweptRun, bool]] = []
+    recorded = _recorded(out)
     for each in runs:
         if each.scene is None:
             continue
-        kept = each.path / "scene.toml"
-        begun = kept.is_file()
-        same = begun and each.scene.to_toml() in kept.read_text("utf-8")
+        begun = (each.path / "scene.toml").is_file()
+        if each.scene.fidelity is None:
+            same = begun and _holds(each.path, each.scene)
+        else:
+            same = begun and recorded.get(each.name) == each.scene.to_toml()
         if begun and not (same or overwrite):
             raise InputError(
                 "out",
@@ -450,6 +461,38 @@ def _unfinished(runs: list[SweptRun], *, overwrite: bool) -> list[tuple[SweptRun
         if overwrite or not begun or summary_of(each.path).get("status") != "complete":
             left.append((each, overwrite or begun))
     return left
+
+
+def _holds(path: Path, scene: Scene) -> bool:
+    """Return whether a run's folder holds this scene; versions and comments are ignored."""
+    try:
+        kept = read_toml((path / "scene.toml").read_text("utf-8"))
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError):
+        return False
+    entries = {key: value for key, value in kept.items() if key not in ("format", "tissue")}
+    return entries == tomllib.loads(scene.to_toml())
+
+
+def _record(runs: list[SweptRun], out: Path) -> None:
+    """Record the scenes of runs that require a fidelity, before the runs begin."""
+    demanding = {
+        each.name: each.scene.to_toml()
+        for each in runs
+        if each.scene is not None and each.scene.fidelity is not None
+    }
+    if demanding:
+        with whole_file(out / RECORD) as temporary:
+            scenes = _recorded(out) | demanding
+            temporary.write_text(json.dumps(scenes, indent=2) + "\n", "utf-8")
+
+
+def _recorded(out: Path) -> dict[str, str]:
+    """Return the recorded scenes by run; empty without a readable record."""
+    try:
+        held = read_json((out / RECORD).read_text("utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return held if isinstance(held, dict) else {}
 
 
 def _results(

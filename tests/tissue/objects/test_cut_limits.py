@@ -3,16 +3,16 @@
 They concern structures to keep clear of, element size, and limits of the cutting law.
 """
 
-import warnings
-
+from scipy.spatial.transform import (Rotation)
+from tissue.simulation.builders.bone import (element_spacing_m)
 import numpy as np
 import pytest
 import pyvista
-import trimesh
-from scipy.spatial.transform import Rotation
-
 import tissue
-from tissue.simulation.builders.bone import element_spacing_m
+import trimesh
+import warnings
+
+
 
 BURR = tissue.cutters.ball_burr(diameter_mm=3, flutes=6, spin_rpm=20_000)
 NERVE_MM = 0.3
@@ -30,6 +30,21 @@ def nerve():
     return made
 
 
+def tiny_surface():
+    """A surface that is no structure at a millimetre a unit."""
+    return pyvista.Sphere(radius=1e-3)
+
+
+class PathOfOther:
+    """Path that is neither text nor a `pathlib.Path`."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __fspath__(self):
+        return str(self.path)
+
+
 def require_measured(distance_mm, events):
     assert (distance_mm <= EXACT_MM + 1e-5).all() and (distance_mm >= EXACT_MM - 0.01).all()
     first, last = events
@@ -44,7 +59,7 @@ def require_measured(distance_mm, events):
 def test_a_cut_measures_its_distance_from_structures(tmp_path):
     nerve().export(tmp_path / "nerve.stl")
     bone = tissue.Bone.block((12, 8, 6), spacing_mm=0.5)
-    cut = bone.cut(BURR, TIPS, TIMES, keep_clear={"nerve": tmp_path / "nerve.stl"})
+    cut = bone.cut(BURR, TIPS, TIMES, keep_clear={"nerve": PathOfOther(tmp_path / "nerve.stl")})
     require_measured(cut.distance_mm("nerve"), cut.events)
     assert "distance_nerve_mm" in cut.to_pandas()
     plain = bone.uncut().cut(BURR, TIPS, TIMES)

@@ -1,10 +1,11 @@
 """A user's device in the loop: figures equal to a scene's, safe hold, bone made along its path."""
 
+from tissue.haptics.device.recorded import (RecordedDevice)
 import numpy as np
 import pytest
-
 import tissue
-from tissue.haptics.device.recorded import RecordedDevice
+
+
 
 BURR = tissue.cutters.ball_burr(diameter_mm=3, flutes=6, spin_rpm=20_000)
 START_MM = np.array([-3.0, 0.0, 1.0])
@@ -170,11 +171,14 @@ def test_an_organ_pushes_back_as_when_it_is_pressed():
         ({"limits": {"mass": 0.1}}, "did you mean mass_kg"),
         ({"limits": {"force_limit_N": 3.0}}, "mass_kg and damping_N_s_m"),
         ({"tool": tissue.ball(diameter_mm=3)}, "tool must be a cutter"),
-        ({"stiffness_N_m": 2e4}, "^stiffness_N_m must be below .*allow an unstable"),
+        ({"stiffness_N_m": 2e4}, "^stiffness_N_m must be below .* or set allow_unstable"),
         ({"limits": "tuch"}, "did you mean touch"),
         ({"hand": "surgeon"}, "hand must be one of"),
         ({"renderer": "magic"}, "renderer must be one of"),
-        ({"predictor": "oracle"}, "must be one of .*hold"),
+        ({"predictor": "oracle"}, "^predictor must be one of .*hold"),
+        ({"predictor": "koopman"}, "^predictor_file must be given for the predictor koopman"),
+        ({"low_pass_ms": -1.0}, "^low_pass_ms must"),
+        ({"motion_scale": 0.0}, "^motion_scale must"),
         ({"predictor": object()}, "must have observe and predict"),
         ({"predictor_file": "a.npz"}, "predictor_file must come with"),
         ({"axis": (0, 0, 0)}, "axis must"),
@@ -189,6 +193,17 @@ def test_what_cannot_be_is_refused_in_a_sentence(options, words):
             | options
         )
     assert "\n" not in str(refused.value)
+
+
+def test_a_refused_coupling_leaves_the_bone_as_it_was():
+    block = bone()
+    with pytest.raises(tissue.InputError, match="stiffness_N_m"):
+        tissue.Loop(block, BURR, device=Moves(down), start_mm=START_MM, stiffness_N_m=2e4)
+    assert len(block.voxel_bone.store.places) == 0
+
+
+def test_a_predictor_without_training_ignores_a_file():
+    tissue.Loop(bone(), BURR, device=Moves(down), predictor="hold", predictor_file="a.npz")
 
 
 def test_a_loop_that_is_not_held_or_full_is_refused():

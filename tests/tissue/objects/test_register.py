@@ -3,30 +3,26 @@
 Scenes name them; they are listed, judged and charted, or refused in a sentence.
 """
 
+from outside_tissue import (CHANGES, Jelly, jelly)
+from pydantic import (model_validator)
+from tissue import (InputError, load_scene, register, simulate)
+from tissue.cutters.profile import (cylinder)
+from tissue.evaluation.charts.prediction import (Interval, PredictorComparison, comparison_lines, draw_tasks)
+from tissue.evaluation.stability_report import (scene_stability)
+from tissue.evaluation.training import (HORIZONS)
+from tissue.haptics.device.device import (DeviceParameters, Sample)
+from tissue.motion.motion import (Motion)
+from tissue.prediction.guard import (Guarded)
+from tissue.scene.anatomy import (Part)
+from tissue.scene.registry import (PREDICTORS)
+from tissue.scene.texts import (schema_text)
+from tissue.scene.tool import (Probe)
+from typing import (Literal)
 import json
-from typing import Literal
-
 import numpy as np
 import pytest
-from outside_tissue import CHANGES, Jelly, jelly
 
-from tissue import InputError, load_scene, register, simulate
-from tissue.cutters.profile import cylinder
-from tissue.evaluation.charts.prediction import (
-    Interval,
-    PredictorComparison,
-    comparison_lines,
-    draw_tasks,
-)
-from tissue.evaluation.stability_report import scene_stability
-from tissue.evaluation.training import HORIZONS
-from tissue.haptics.device.device import DeviceParameters, Sample
-from tissue.motion.motion import Motion
-from tissue.prediction.guard import Guarded
-from tissue.scene.anatomy import Part
-from tissue.scene.registry import PREDICTORS
-from tissue.scene.texts import schema_text
-from tissue.scene.tool import Probe
+
 
 LIGHT = {"mass_kg": 0.03, "damping_N_s_m": 0.2, "force_limit_N": 1.0}
 
@@ -233,6 +229,25 @@ def test_motion_and_tissue():
     assert '"dip"' in schema_text() and '"jelly"' in schema_text()
 
 
+class Slope(Part):
+    """Motion whose validator raises an error of Python."""
+
+    kind: Literal["slope"] = "slope"
+    angle_deg: float = 0.0
+
+    @model_validator(mode="after")
+    def _angle_is_small(self):
+        if self.angle_deg > 45.0:
+            raise ValueError("angle_deg exceeds 45")
+        return self
+
+
+def test_an_error_of_a_parts_validator_is_passed_on():
+    register.motion("slope", Slope, Dipping)
+    with pytest.raises(InputError, match=r"^angle_deg exceeds 45$"):
+        load_scene("wall", {"motion": {"kind": "slope", "angle_deg": 60.0}})
+
+
 FOAM = "\n".join(
     (
         f'[cutting.foam.{name}]\nvalue = {value}\nrange = [0.0, 1000.0]\nsource = "made '
@@ -287,14 +302,22 @@ REFUSED = {
     "taken": (lambda: register.predictor("kalman", Drift), "kalman"),
     "of another tool": (lambda: register.tool("needle", cylinder), "needle"),
     "no name": (lambda: register.hand("My Hand", {}), "My Hand"),
-    "no callable": (lambda: register.renderer("mine", 3), "renderer mine .* 3"),
-    "methods": (lambda: register.predictor("mine", Lacking), "predictor mine .*predict"),
+    "no callable": (
+        lambda: register.renderer("mine", 3),
+        "renderer mine must be a class or a function, got 3",
+    ),
+    "no methods needed": (lambda: register.tool("mine", 5), "be a class or a function, got 5"),
+    "methods": (
+        lambda: register.predictor("mine", Lacking),
+        "got Lacking without predict: add predict$",
+    ),
     "device methods": (lambda: register.device("mine", LIGHT, Lacking), "device mine .*read"),
     "motion": (lambda: register.motion("dip", Dip, Lacking), "motion dip .*sweep_m"),
     "kind": (lambda: register.motion("drop", Dip, Dipping), r'kind: Literal\["drop'),
     "no part": (lambda: register.motion("dip", Drift, Dipping), "parameters of the motion dip "),
     "number": (lambda: register.device("mine", LIGHT | {"mass": 1.0}), "mean mass_kg"),
-    "numbers": (lambda: register.device("mine", {"mass_kg": 1.0}), "damping_N_s_m"),
+    "numbers": (lambda: register.device("mine", {"mass_kg": 1.0}), "got none for damping_N_s_m:"),
+    "no mapping": (lambda: register.device("mine", 3), "numbers must be a mapping with mass_kg"),
     "text": (lambda: register.device("mine", LIGHT | {"mass_kg": "1"}), "mass_kg .* 1"),
     "range": (lambda: register.device("mine", LIGHT | {"mass_kg": -1.0}), "mass_kg .* -1"),
     "hand": (lambda: register.hand("mine", {}, like="robot"), "hand .* ro"),
@@ -305,6 +328,12 @@ REFUSED = {
     "no file": (lambda: register.material("none.toml"), r"none\.toml"),
     "no scene": (lambda: register.scene("none.toml"), r"none\.toml"),
 }
+
+
+@pytest.mark.parametrize("marker", ["$A$", (5, 1), [[0, 0], [1, 1]]])
+def test_markers_of_matplotlib_are_accepted(marker):
+    register.predictor("drift", Drift, marker=marker)
+    assert PREDICTORS["drift"].marker == marker
 
 
 @pytest.mark.parametrize("case", REFUSED)
@@ -322,7 +351,8 @@ def test_what_cannot_be_registered_is_refused_in_a_sentence(case):
     [
         ("[bone.foam.a]", "bone in"),
         (FOAM.replace("cutting.foam", "cutting.bone"), "got bone in"),
-        (FOAM.replace("radial_chip_N_mm2", "chip"), "radial_chip_N_mm2"),
+        (FOAM.replace("radial_chip_N_mm2", "chip"), "got none for radial_chip_N_mm2 in"),
+        (f"{FOAM}\n[cutting.foam.chip]\nvalue = 1.0", "remove chip"),
         (FOAM.replace('"made up"', '""'), "tangential_chip_N_mm2.source"),
         (FOAM.replace("15.0", "1500.0"), "tangential_chip_N_mm2 .*1500"),
         (GEL.replace("poisson_ratio", "poisson"), "poisson_ratio"),

@@ -1,17 +1,19 @@
 """A scene at all combinations of values: names, what is kept, what fails, tables and pictures."""
 
+from dataclasses import (replace)
+from pathlib import (Path)
+from tissue import (InputError)
+from tissue.objects import (sweep as module)
+from tissue.objects.sweep import (parse_values)
+from tissue.scene.load import (changed, saved_text)
 import csv
 import json
+import pytest
 import subprocess
 import sys
-from pathlib import Path
-
-import pytest
-
 import tissue
-from tissue import InputError
-from tissue.objects import sweep as module
-from tissue.objects.sweep import parse_values
+
+
 
 QUICK = {"voxels.spacing_mm": 0.5, "duration_s": 0.05}
 

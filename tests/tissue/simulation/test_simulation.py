@@ -1,11 +1,12 @@
 """`simulate`: the output filter, what is recorded, and what is left alone."""
 
+from scipy.signal import (lfilter)
+from tissue import (InputError, load_scene, simulate)
+from tissue.simulation.simulate import (TICK_S)
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
-from tissue import load_scene, simulate
-from tissue.simulation.simulate import TICK_S
+
 
 COARSE = {"voxels.spacing_mm": 0.4, "duration_s": 0.2}
 AXES = [("force", "N"), ("torque", "Nm")]
@@ -20,6 +21,11 @@ def run_of(name="milling", **changes):
 @pytest.fixture(scope="module")
 def run():
     return run_of(output__low_pass_ms=5.0)
+
+
+def test_a_coefficient_without_effect_is_refused_with_its_value():
+    with pytest.raises(InputError, match=r"density_exponent .*got 1\.5: set another coefficient"):
+        run_of(cutting__density_exponent=1.5)
 
 
 @pytest.mark.parametrize(("name", "unit"), AXES)

@@ -23,6 +23,7 @@ from tissue.scene.named_parts import nearest, shown
 from tissue.scene.part import Part
 from tissue.scene.scene import Scene
 from tissue.scene.used_constants import Used, used_constants
+from tissue.simulation.builders.parts import FILE_WORDS
 
 __all__ = [
     "given_note",
@@ -74,6 +75,14 @@ def stated(model: type[Table], values: Mapping[str, object], *, prefix: str = ""
         If a value is out of its range, or there is no such key.
     """
     given = {name: value for name, value in values.items() if value is not None}
+    for name in given:
+        if not isinstance(name, str):
+            raise InputError(
+                f"each name in {prefix.rstrip('.') or 'a mapping of arguments'}",
+                "be text",
+                repr(name),
+                f"use for example {next(iter(model.model_fields))!r}",
+            )
     try:
         return model.model_validate(given)
     except ValidationError as error:
@@ -175,14 +184,16 @@ def surface_of(
         If it is no surface, its size points to another unit, or it encloses no solid.
     """
     source = name
-    if isinstance(given, str | Path):
+    words = dict.fromkeys(FILE_WORDS, name)
+    words["anatomy.scale_mm"] = name if is_part else "scale_mm"
+    if isinstance(given, str | PathLike):
         source = Path(given).name
-        with names_of_caller({"file": name}):
+        with names_of_caller(words):
             vertices, faces = read_triangles(Path(given))
     else:
         vertices, faces = _triangles(name, given)
     scale = require_millimetres(name, vertices, scale_mm)
-    with names_of_caller(dict.fromkeys(("surface", "vertices", "faces", "triangles"), name)):
+    with names_of_caller(words):
         return surface_from_triangles(
             vertices,
             faces,

@@ -165,22 +165,35 @@ def _require_effect(scene: Scene, volume: VoxelVolume) -> None:
     cutting = scene.cutting
     filled = volume.fraction > 0
     layers = {volume.layer_names[at] for at in np.unique(volume.layer[filled])}
-    key = where = ""
     if is_given(cutting, "density_exponent"):
         cited = scene.constants.coefficients(volume.layer_names, {}, bone=cutting.material)
         reference = np.array([each.reference_density_kg_m3 for each in cited])
         if (volume.density_kg_m3[filled] == reference[volume.layer[filled]]).all():
-            key = "cutting.density_exponent"
-            where = "all that the tool can reach has the density of the coefficients"
+            raise InputError(
+                "cutting.density_exponent",
+                "be left out where all that the tool can reach has the density of the coefficients",
+                f"{cutting.density_exponent:g}",
+                "set another coefficient such as cutting.tangential_chip_N_mm2, or remove it",
+            )
     if is_given(cutting, "material") and layers <= set(CUT_AS):
-        key = "cutting.material"
-        where = "the tool reaches no bone, for layers of a tooth have their own"
-    no_ligament = isinstance(anatomy, MolarAnatomy) and "ligament" not in layers
-    if no_ligament and scene.stress is None and is_given(anatomy, "ligament_thickness_mm"):
-        key = "anatomy.ligament_thickness_mm"
-        where = "the tool reaches no ligament and no stress is computed"
-    if key:
-        raise InputError(key, f"be left out where {where}", "a value", "remove it")
+        raise InputError(
+            "cutting.material",
+            "be left out where the tool reaches no bone, for layers of a tooth have their own",
+            cutting.material,
+            "set a coefficient such as cutting.tangential_chip_N_mm2, or remove it",
+        )
+    if (
+        isinstance(anatomy, MolarAnatomy)
+        and "ligament" not in layers
+        and scene.stress is None
+        and is_given(anatomy, "ligament_thickness_mm")
+    ):
+        raise InputError(
+            "anatomy.ligament_thickness_mm",
+            "be left out where the tool reaches no ligament and no stress is computed",
+            f"{anatomy.ligament_thickness_mm:g}",
+            "add [stress], or remove it",
+        )
 
 
 def _probed(volume: VoxelVolume, cutter: Cutter, motion: Motion, *, compute: str) -> "ProbedBone":

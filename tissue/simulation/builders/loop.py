@@ -412,20 +412,28 @@ def _too_slow(settings: LoopSettings, what: str, remedy: str) -> InputError:
 
 def _refusal(settings: LoopSettings, verdict: Verdict, stiffness: float, key: str) -> InputError:
     """Return the error for an unstable coupling."""
+    allow = "set allow_unstable (--allow-unstable)"
+    if verdict.critical_N_m == 0.0 and not settings.scene_name:  # of a caller's loop
+        return InputError(
+            "delay_ms",
+            "leave some stiffness stable",
+            f"{settings.coupling.delay_ms:g}",
+            f"lower it or low_pass_ms, use another predictor, or {allow}",
+        )
     if verdict.critical_N_m == 0.0:
         return InputError(
             "coupling.damping_N_s_m",
             "leave some stiffness stable",
             f"{settings.coupling.damping_N_s_m:g}",
             "lower it, coupling.delay_ms, output.low_pass_ms or coupling.prediction_gain, or "
-            "allow an unstable coupling",
+            f"{allow}",
         )
     return InputError(
         f"coupling.{key}",
         f"be below {verdict.critical_N_m:.4g} to be stable with device = {settings.name} in the "
         f"hand of {person_of(settings.held.hand)}",
         f"{stiffness:g} (margin {100.0 * verdict.margin:.1f} %)",
-        f"use {verdict.nearest_N_m:g}, or allow an unstable coupling",
+        f"use {verdict.nearest_N_m:g}, or {allow}",
     )
 
 
