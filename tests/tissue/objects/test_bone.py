@@ -1,13 +1,12 @@
 """Bone object: equal forces to a scene, closed forms, and bricks only along the tool's path."""
 
-from scipy.spatial.transform import (Rotation)
-from tissue.fitting.fit_files import (FittedEntry, write_fitted)
 import numpy as np
 import pytest
-import tissue
 import trimesh
+from scipy.spatial.transform import Rotation
 
-
+import tissue
+from tissue.fitting.fit_files import FittedEntry, write_fitted
 
 BURR = tissue.cutters.ball_burr(diameter_mm=3, flutes=6, spin_rpm=20_000)
 PATH = [[-4, 0, 3], [-4, 0, -0.8], [3, 0.5, -0.8]]

@@ -1,16 +1,17 @@
 """Comparison of runs: figures, differences of their scenes, and their forces in one picture."""
 
-from matplotlib import (pyplot)
-from tissue import (InputError)
-from tissue.objects.comparison import (_notes)
-from tissue.objects.plots import (overlay)
-from tissue.simulation.trace import (Table, TraceLayout)
-from types import (SimpleNamespace)
 import csv
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
-import tissue
+from matplotlib import pyplot
 
+import tissue
+from tissue import InputError
+from tissue.objects.comparison import _notes
+from tissue.objects.plots import overlay
+from tissue.simulation.trace import Table, TraceLayout
 
 
 @pytest.fixture(scope="module")
@@ -102,3 +103,11 @@ def test_files_are_written_once(run, other, tmp_path):
     assert picture.stat().st_size > 20_000 and not pyplot.get_fignums()
     with pytest.raises(InputError, match="out must not hold another comparison"):
         found.save(tmp_path / "out")
+
+
+def test_lengths_are_compared_to_the_tick(run):
+    runs = {
+        name: SimpleNamespace(status="complete", scene=run.scene, summary={"simulated_s": length_s})
+        for name, length_s in (("a", 10.001), ("b", 10.002))
+    }
+    assert any("a 10.001 s, b 10.002 s" in note for note in _notes(runs))

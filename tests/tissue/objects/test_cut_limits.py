@@ -3,16 +3,16 @@
 They concern structures to keep clear of, element size, and limits of the cutting law.
 """
 
-from scipy.spatial.transform import (Rotation)
-from tissue.simulation.builders.bone import (element_spacing_m)
+import warnings
+
 import numpy as np
 import pytest
 import pyvista
-import tissue
 import trimesh
-import warnings
+from scipy.spatial.transform import Rotation
 
-
+import tissue
+from tissue.simulation.builders.bone import element_spacing_m
 
 BURR = tissue.cutters.ball_burr(diameter_mm=3, flutes=6, spin_rpm=20_000)
 NERVE_MM = 0.3

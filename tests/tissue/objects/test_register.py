@@ -3,26 +3,31 @@
 Scenes name them; they are listed, judged and charted, or refused in a sentence.
 """
 
-from outside_tissue import (CHANGES, Jelly, jelly)
-from pydantic import (model_validator)
-from tissue import (InputError, load_scene, register, simulate)
-from tissue.cutters.profile import (cylinder)
-from tissue.evaluation.charts.prediction import (Interval, PredictorComparison, comparison_lines, draw_tasks)
-from tissue.evaluation.stability_report import (scene_stability)
-from tissue.evaluation.training import (HORIZONS)
-from tissue.haptics.device.device import (DeviceParameters, Sample)
-from tissue.motion.motion import (Motion)
-from tissue.prediction.guard import (Guarded)
-from tissue.scene.anatomy import (Part)
-from tissue.scene.registry import (PREDICTORS)
-from tissue.scene.texts import (schema_text)
-from tissue.scene.tool import (Probe)
-from typing import (Literal)
 import json
+from typing import Literal
+
 import numpy as np
 import pytest
+from outside_tissue import CHANGES, Jelly, jelly
+from pydantic import model_validator
 
-
+from tissue import InputError, load_scene, register, simulate
+from tissue.cutters.profile import cylinder
+from tissue.evaluation.charts.prediction import (
+    Interval,
+    PredictorComparison,
+    comparison_lines,
+    draw_tasks,
+)
+from tissue.evaluation.stability_report import scene_stability
+from tissue.evaluation.training import HORIZONS
+from tissue.haptics.device.device import DeviceParameters, Sample
+from tissue.motion.motion import Motion
+from tissue.prediction.guard import Guarded
+from tissue.scene.anatomy import Part
+from tissue.scene.registry import PREDICTORS
+from tissue.scene.texts import schema_text
+from tissue.scene.tool import Probe
 
 LIGHT = {"mass_kg": 0.03, "damping_N_s_m": 0.2, "force_limit_N": 1.0}
 

@@ -1,19 +1,19 @@
 """A scene at all combinations of values: names, what is kept, what fails, tables and pictures."""
 
-from dataclasses import (replace)
-from pathlib import (Path)
-from tissue import (InputError)
-from tissue.objects import (sweep as module)
-from tissue.objects.sweep import (parse_values)
-from tissue.scene.load import (changed, saved_text)
 import csv
 import json
-import pytest
 import subprocess
 import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
 import tissue
-
-
+from tissue import InputError
+from tissue.objects import sweep as module
+from tissue.objects.sweep import parse_values
+from tissue.scene.load import changed, saved_text
 
 QUICK = {"voxels.spacing_mm": 0.5, "duration_s": 0.05}
 
@@ -197,3 +197,31 @@ def test_processes_know_the_parts_that_a_script_registers_at_its_top(tmp_path):
     assert (ended[0].returncode, ended[0].stdout) == (0, "['', '']\n")
     assert ended[1].returncode != 0 and "device sprung" in ended[1].stderr.splitlines()[-1]
     assert not list((tmp_path / "below" / "out").glob("*/trace*"))
+
+
+def test_a_sweep_with_a_fidelity_is_continued(pressed, out, monkeypatch):
+    def at_settings(scene, *, report):
+        return changed(scene, {"fidelity": None, "coupling.delay_ms": 1}), "a later force"
+
+    monkeypatch.setattr("tissue.evaluation.charts.frontier.with_fidelity", at_settings)
+    demanding = changed(pressed, {"device": "touch", "fidelity.force_error": 0.5})
+    assert not tissue.sweep(demanding, {"seed": [1, 2]}, out=out).failures
+    before = (out / "seed=1/trace.csv").stat().st_mtime_ns
+    assert len(tissue.sweep(demanding, {"seed": [1, 2]}, out=out).finished) == 2
+    assert (out / "seed=1/trace.csv").stat().st_mtime_ns == before
+    stricter = changed(demanding, {"fidelity.force_error": 0.1})
+    with pytest.raises(InputError, match=r"out must hold runs of this scene, .*seed=1"):
+        tissue.sweep(stricter, {"seed": [1, 2]}, out=out)
+
+
+def test_a_run_of_a_scene_with_more_tables_is_another(tmp_path):
+    whole = tissue.load_scene("molar")
+    (tmp_path / "scene.toml").write_text(saved_text(whole) + "\n# centre_mm = [0.0, 0.0, 0.0]\n")
+    (tmp_path / "summary.json").write_text('{"status": "complete"}')
+    run = SweptRun("molar", {}, tmp_path, scene=whole)
+    assert module._unfinished([run], tmp_path, overwrite=False) == []
+    part = replace(run, scene=changed(whole, {"stress": None}))
+    with pytest.raises(InputError, match="out must hold runs of this scene"):
+        module._unfinished([part], tmp_path, overwrite=False)
+    with pytest.raises(InputError, match=r"summary\.json"):
+        _ = run.figures

@@ -1,12 +1,11 @@
 """`simulate`: the output filter, what is recorded, and what is left alone."""
 
-from scipy.signal import (lfilter)
-from tissue import (InputError, load_scene, simulate)
-from tissue.simulation.simulate import (TICK_S)
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
-
+from tissue import InputError, load_scene, simulate
+from tissue.simulation.simulate import TICK_S
 
 COARSE = {"voxels.spacing_mm": 0.4, "duration_s": 0.2}
 AXES = [("force", "N"), ("torque", "Nm")]
