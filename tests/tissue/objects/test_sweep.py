@@ -12,7 +12,7 @@ import pytest
 import tissue
 from tissue import InputError
 from tissue.objects import sweep as module
-from tissue.objects.sweep import parse_values
+from tissue.objects.sweep import SweptRun, parse_values
 from tissue.scene.load import changed, saved_text
 
 QUICK = {"voxels.spacing_mm": 0.5, "duration_s": 0.05}
