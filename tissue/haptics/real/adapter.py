@@ -236,6 +236,13 @@ def _samples(path: Path) -> list[HardwareSample]:
     with names_of_caller({"motion.file": "hardware.address"}):
         motion = read_replay(path, step_s=TICK_S)
     tips = motion.sweep_m()
+    if len(tips) < 2:
+        raise InputError(
+            "hardware.address",
+            f"be a recording of at least {1e3 * TICK_S:g} ms",
+            f"{path.name} with a single pose",
+            "record a longer motion",
+        )
     turns = Rotation.from_matrix(motion.rotations()).as_quat()
     times = TICK_S * np.arange(len(tips), dtype=np.float64)
     played = RecordedDevice(times, tips, turns)

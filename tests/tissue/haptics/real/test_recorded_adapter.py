@@ -10,6 +10,9 @@ from tissue.objects.simulate import simulate
 from tissue.scene.coupling import Hardware
 from tissue.scene.load import load_scene
 
+SHORT = f"time_s,{','.join(POSE_COLUMNS)}\n0,1,2,3,0,0,0,1\n0.0004,1,2,3,0,0,0,1\n"
+"""Poses that last less than half a tick."""
+
 
 def table(path, times, heights_mm, quaternion=(0.0, 0.0, 0.0, 1.0)):
     """A file of poses that go up and down."""
@@ -49,6 +52,7 @@ def test_a_record_gives_a_pose_each_tick_and_none_after_the_last(tmp_path):
     [
         (None, r"hardware\.address must be an existing file of poses, got .*poses\.csv"),
         ("time_s,tool_x_mm\n0,1\n", r"hardware\.address must have the columns"),
+        (SHORT, r"hardware\.address must be a recording of at least 1 ms, got poses\.csv with a"),
     ],
 )
 def test_a_file_that_is_no_record_is_refused(tmp_path, content, sentence):
