@@ -250,9 +250,11 @@ def _samples(path: Path) -> list[HardwareSample]:
 
 
 def checked_url(
-    address: str, schemes: tuple[str, ...], meant: str, usual: str
+    address: str, schemes: tuple[str, ...], meant: str, usual: str, *, any_port: bool = False
 ) -> tuple[SplitResult, str, int]:
     """Return the parts of ``hardware.address`` as a URL, with its host and port.
+
+    Port 0 means any free port of this machine, so it is valid only with `any_port`.
 
     Raises
     ------
@@ -265,7 +267,9 @@ def checked_url(
         port = parts.port
     except ValueError:
         host = port = None
-    if host and port is not None and parts.scheme in schemes and not parts.path.strip("/"):
+    has_port = port is not None and (port > 0 or any_port)
+    if host and has_port and parts.scheme in schemes and not parts.path.strip("/"):
+        assert port is not None
         return parts, host, port
     raise InputError("hardware.address", f"be {meant}", address, f"use {usual}")
 

@@ -152,7 +152,16 @@ def test_the_version_of_a_service(answer, version):
 
 
 @pytest.mark.parametrize(
-    "address", ["localhost:10001", "http://x:1", "ws://x", "ws://x:99999", "ws://x:1/path", "049D"]
+    "address",
+    [
+        "localhost:10001",
+        "http://x:1",
+        "ws://x",
+        "ws://x:0",
+        "ws://x:99999",
+        "ws://x:1/path",
+        "049D",
+    ],
 )
 def test_what_is_no_address_is_refused(address):
     with pytest.raises(
