@@ -190,16 +190,13 @@ class Loop:
         scale = options.get("force_scale")
         scale_note = ""
         cutter: Cutter | None = None
+        probe: PressingTool | None = None
         clear = None
-        model: TissueModel
         if isinstance(tissue, Bone):
             burr = tool or ball_burr(diameter_mm=4, flutes=6, spin_rpm=20_000)
             tissue.require_cutter(burr)
             assert isinstance(burr, Cutter)
             cutter = burr
-            model, self._keep_ready = tissue.voxel_bone.around(
-                cutter, start_m, along, reach_m=reach_m
-            )
             clear = clearance_of(keep_clear, cutter)
             if scale is None:
                 usual_N = slot_force_N(tissue.voxel_bone, cutter)
@@ -213,13 +210,12 @@ class Loop:
                 raise InputError(
                     "keep_clear", "be left out for an organ", "structures", "use it in bone"
                 )
-            probe = tool or ball(diameter_mm=10)
-            if not isinstance(probe, PressingTool):
+            pressing = tool or ball(diameter_mm=10)
+            if not isinstance(pressing, PressingTool):
                 raise InputError(
                     "tool", "press an organ", type(tool).__name__, "make one by tissue.ball"
                 )
-            model = _organ(tissue, probe, start_m, along, reach_m=reach_m)
-            self._keep_ready = lambda tip_m: None
+            probe = pressing
         x, y, z = along.tolist()
         script = Script(
             motion=StaysAt(start_m, (x, y, z)),
@@ -238,6 +234,17 @@ class Loop:
                 rng=np.random.default_rng(0),
                 allow_unstable=options.get("allow_unstable", False),
             )
+        # Preparing the tissue takes long and makes bone, so a refused coupling comes first.
+        model: TissueModel
+        if isinstance(tissue, Bone):
+            assert cutter is not None
+            model, self._keep_ready = tissue.voxel_bone.around(
+                cutter, start_m, along, reach_m=reach_m
+            )
+        else:
+            assert probe is not None
+            model = _organ(tissue, probe, start_m, along, reach_m=reach_m)
+            self._keep_ready = lambda tip_m: None
         self.notes = dict(tissue.notes) | _constants_note(constants, tissue, options)
         self.notes["coupling"] = "; ".join(found)
         self._closing = ExitStack()

@@ -205,6 +205,14 @@ def test_what_cannot_be_is_refused_in_a_sentence(options, words):
     assert "\n" not in str(refused.value)
 
 
+def test_an_unstable_coupling_is_refused_before_the_bone_is_prepared(monkeypatch):
+    monkeypatch.setattr("tissue.simulation.builders.bone.VoxelBone.around", None)
+    with pytest.raises(tissue.InputError, match="^stiffness_N_m must be below"):
+        tissue.Loop(
+            bone(), BURR, device=Moves(down), start_mm=START_MM, stiffness_N_m=2e4, force_scale=1.0
+        )
+
+
 def test_a_loop_that_is_not_held_or_full_is_refused():
     loop = tissue.Loop(bone(), BURR, device=Moves(down), start_mm=START_MM, longest_s=0.01)
     with pytest.raises(tissue.InputError, match="with loop"):
