@@ -249,7 +249,7 @@ def _notes(runs: Mapping[str, Run]) -> Iterator[str]:
             yield f"the path of {name} is {note}"
     outside: dict[str, list[object]] = {
         "simulated time, which peaks, means and volumes depend on,": [
-            f"{run.summary.get('simulated_s', 0.0):.3g} s" for run in runs.values()
+            _seconds(run.summary.get("simulated_s", 0.0)) for run in runs.values()
         ],
         "scene": [run.scene.name for run in runs.values()],
         **{
@@ -268,6 +268,11 @@ def _each(names: Iterable[str], values: Iterable[object]) -> str:
     """Return the value of each run as text."""
     pairs = zip(names, values, strict=True)
     return ", ".join(f"{name} {_short(value)}" for name, value in pairs)
+
+
+def _seconds(seconds: float) -> str:
+    """Return a simulated time to a millisecond, because a run has whole ticks of 1 ms."""
+    return f"{round(seconds, 3):.12g} s"
 
 
 def _names(runs: list[Run]) -> list[str]:

@@ -1,6 +1,7 @@
 """Comparison of runs: figures, differences of their scenes, and their forces in one picture."""
 
 import csv
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from matplotlib import pyplot
 
 import tissue
 from tissue import InputError
+from tissue.objects.comparison import Comparison
 from tissue.objects.plots import overlay
 from tissue.simulation.trace import Table, TraceLayout
 
@@ -82,6 +84,19 @@ def test_runs_of_other_kinds_stopped_or_elsewhere_are_named(run, wall, monkeypat
     peak, removed = (dict(found.rows()[1])[name] for name in ("peak_force_N", "removed_mm3"))
     assert None not in peak and removed[1:] == [None, None, None]
     assert found.plot().shape == (3,)
+
+
+def test_runs_that_differ_by_some_ticks_are_named(wall):
+    runs = {
+        name: SimpleNamespace(
+            scene=wall.scene, status="complete", summary=wall.summary | {"simulated_s": seconds}
+        )
+        for name, seconds in (("a", 10.01), ("b", 10.04), ("c", 10.0099999999))
+    }
+    (note,) = Comparison(runs).notes
+    assert "simulated time" in note and note.endswith("a 10.01 s, b 10.04 s, c 10.01 s")
+    del runs["b"]
+    assert Comparison(runs).notes == []
 
 
 def pressing(force_N, *, speed_mm_s):

@@ -207,7 +207,7 @@ def test_what_cannot_be_is_refused_in_a_sentence(options, words):
 
 def test_an_unstable_coupling_is_refused_before_the_bone_is_prepared(monkeypatch):
     monkeypatch.setattr("tissue.simulation.builders.bone.VoxelBone.around", None)
-    with pytest.raises(tissue.InputError, match="^stiffness_N_m must be below"):
+    with pytest.raises(tissue.InputError, match=r"^stiffness_N_m must be below"):
         tissue.Loop(
             bone(), BURR, device=Moves(down), start_mm=START_MM, stiffness_N_m=2e4, force_scale=1.0
         )
