@@ -93,10 +93,10 @@ def test_runs_that_differ_by_some_ticks_are_named(wall):
         )
         for name, seconds in (("a", 10.01), ("b", 10.04), ("c", 10.0099999999))
     }
-    (note,) = Comparison(runs).notes
-    assert "simulated time" in note and note.endswith("a 10.01 s, b 10.04 s, c 10.01 s")
+    note = next(note for note in Comparison(runs).notes if note.startswith("simulated time"))
+    assert note.endswith("a 10.01 s, b 10.04 s, c 10.01 s")
     del runs["b"]
-    assert Comparison(runs).notes == []
+    assert not any(note.startswith("simulated time") for note in Comparison(runs).notes)
 
 
 def pressing(force_N, *, speed_mm_s):
