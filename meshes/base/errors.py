@@ -1,15 +1,17 @@
-"""Error for an input that cannot be used, the checks that raise it, and dataclasses with ranges."""
+"""Error for an input that cannot be used, the checks that raise it, and dataclasses with ranges.
+
+NumPy is imported when a vector is checked, because the command line imports this module first.
+"""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from meshes.base.arrays import Array
+if TYPE_CHECKING:
+    from meshes.base.arrays import Array
 
 __all__ = [
     "DamagedFileError",
@@ -181,8 +183,10 @@ def require_ranges(*rows: tuple[str, float, float, float, str]) -> list[float]:
     return [require_range(*row) for row in rows]
 
 
-def as_vector(value: object) -> Array | None:
+def as_vector(value: object) -> "Array | None":
     """Return three finite numbers as an array, or None for any other value."""
+    import numpy as np
+
     try:
         vector = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -190,7 +194,7 @@ def as_vector(value: object) -> Array | None:
     return vector if vector.shape == (3,) and np.isfinite(vector).all() else None
 
 
-def require_vector(name: str, value: Sequence[float] | Array) -> Array:
+def require_vector(name: str, value: "Sequence[float] | Array") -> "Array":
     """Return `value` as three floats.
 
     Raises
@@ -206,9 +210,9 @@ def require_vector(name: str, value: Sequence[float] | Array) -> Array:
 
 def require_direction(
     name: str,
-    value: Sequence[float] | Array,
+    value: "Sequence[float] | Array",
     remedy: str = "use for example (0, 0, 1)",
-) -> Array:
+) -> "Array":
     """Return the unit vector along `value`, shape (3,).
 
     Raises
@@ -216,6 +220,8 @@ def require_direction(
     InputError
         If the value is not three finite numbers, or zero.
     """
+    import numpy as np
+
     vector = require_vector(name, value)
     length = float(np.linalg.norm(vector))
     if length == 0.0:

@@ -9,11 +9,13 @@ from contextvars import ContextVar
 from io import BytesIO
 from math import prod
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 from meshes.base.errors import InputError, require_positive
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 __all__ = [
     "given_limit_GB",
@@ -112,7 +114,7 @@ def require_regular(file: Path) -> Path:
     return file
 
 
-def read_npz(path: Path) -> dict[str, NDArray[np.generic]]:
+def read_npz(path: Path) -> "dict[str, NDArray[np.generic]]":
     """Read the arrays of a NumPy archive, after checking their stated sizes.
 
     The sizes are compared with the file and the memory limit.
@@ -124,6 +126,8 @@ def read_npz(path: Path) -> dict[str, NDArray[np.generic]]:
     ValueError
         If an array states another size than its entry of the archive, or holds objects.
     """
+    import numpy as np
+
     require_regular(path)
     with zipfile.ZipFile(path) as archive:
         entries = [entry for entry in archive.infolist() if entry.filename.endswith(".npy")]
@@ -146,6 +150,8 @@ def read_npz(path: Path) -> dict[str, NDArray[np.generic]]:
 
 def _npy_bytes(first: bytes) -> int:
     """Return the bytes of a file of one array by its header, which `first` begins with."""
+    import numpy as np
+
     stream = BytesIO(first)
     version = np.lib.format.read_magic(stream)
     if version == (1, 0):

@@ -18,10 +18,7 @@ from importlib import import_module
 from pathlib import Path
 from threading import Event, Thread
 from time import monotonic
-from typing import IO, Any
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import IO, TYPE_CHECKING, Any
 
 from meshes.base.errors import DamagedFileError, InputError
 from meshes.base.file_limits import (
@@ -30,6 +27,10 @@ from meshes.base.file_limits import (
     memory_limit_bytes,
     require_regular,
 )
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 __all__ = ["Answer", "kill_with_parent", "parse_isolated", "python_command", "start_code"]
 
@@ -69,7 +70,7 @@ def kill_with_parent() -> None:
 
 Facts = dict[str, Any]
 """Values that JSON can hold, by name."""
-Answer = tuple[Facts, dict[str, NDArray[np.number]]]
+Answer = tuple[Facts, "dict[str, NDArray[np.number]]"]
 """Result of a parser: facts, and arrays by name."""
 
 _START = start_code("meshes.base.isolated_parser", "_serve")
@@ -213,6 +214,8 @@ class _Monitor:
 
 def _receive(answers: IO[bytes]) -> Answer:
     """Return the child's answer; raise ValueError if it is incomplete."""
+    import numpy as np
+
     answer: Facts = json.loads(answers.readline() or b"{")
     arrays = {}
     for name, kind, shape in answer.get("arrays", ()):
@@ -230,6 +233,8 @@ def _serve() -> None:
 
     The answer goes to the standard output.
     """
+    import numpy as np
+
     request, parent, limit_s = sys.argv[1:]
     # where no process is left to end it
     faulthandler.dump_traceback_later(2.0 * float(limit_s), exit=True)

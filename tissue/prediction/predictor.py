@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, require_positive
+from meshes.base.errors import InputError, require_positive, require_range
 from tissue.prediction.operator import Operator
 
 __all__ = [
@@ -156,6 +156,8 @@ WINDOW = 10
 Of 3 to 30 it is the best value on the recorded wall at 4 to 8 ms, except for a window of 8. It is
 better than 8 on the slower scenes. A shorter window mistakes an encoder step for a slope.
 """
+LONGEST_WINDOW = 1000
+"""Longest window of a slope [ticks]: 1 s, longer than any contact keeps its slope."""
 JERKINESS = 1e-3
 """Variance of the force's third difference over the variance of its noise.
 
@@ -170,7 +172,8 @@ class Linear:
     is_primary = trusted = True
 
     def __init__(self, window: int = WINDOW) -> None:
-        self._window = int(require_positive("window", window, f"use {WINDOW} ticks"))
+        ticks = require_range("window", window, 1, LONGEST_WINDOW, f"use {WINDOW} ticks")
+        self._window = int(ticks)
         self._clock = 0
         self._seen: deque[tuple[int, Array]] = deque([(0, np.zeros(3))])
         self._slope = np.zeros(3)

@@ -25,7 +25,7 @@ from meshes.base.errors import InputError
 from tissue.scene.named_parts import Registry, ask_packages, refusal, shown
 
 if TYPE_CHECKING:
-    from pydantic import BaseModel, GetCoreSchemaHandler, ValidatorFunctionWrapHandler
+    from pydantic import GetCoreSchemaHandler, ValidatorFunctionWrapHandler
     from pydantic_core import CoreSchema
 
 __all__ = [
@@ -77,8 +77,6 @@ class OneOf(Generic[T]):
         return (*self.others, *self.table.known)
 
     def _check(self, name: str) -> str:
-        from pydantic_core import PydanticCustomError
-
         if name not in self.others:
             try:
                 self.table.split(name, *self.others)

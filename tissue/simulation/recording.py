@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -16,14 +16,7 @@ from tissue.scene.tool import Tool
 from tissue.simulation.bone_surface import CarvedRun
 from tissue.simulation.trace import RECORDING, write_trace
 
-if TYPE_CHECKING:
-    pass
-
 __all__ = ["write_formats", "write_recording"]
-
-
-if TYPE_CHECKING:
-    pass
 
 
 DRILL, ANATOMY = "mastoidectomy_drill", "anatomy_object_name"

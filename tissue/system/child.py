@@ -249,6 +249,10 @@ class Helper:
     """
 
     def __init__(self, module: str, *, does: str) -> None:
+        # The import brings Warp and may fail. No process may be running then, because nothing would
+        # end it before `weakref.finalize`.
+        from tissue.system.priorities import BackgroundPriority
+
         pipe = subprocess.PIPE
         # An own process group keeps Ctrl-C from the helper. An own session would make its priority
         # ineffective against this process, because Linux may first share the processor among
@@ -260,8 +264,6 @@ class Helper:
             process_group=0,
             env=os.environ | ONE_THREAD,
         )
-        from tissue.system.priorities import BackgroundPriority  # brings Warp
-
         self.priority = BackgroundPriority(self._process.pid)
         self._does = does
         self._answers: SimpleQueue[Any] = SimpleQueue()

@@ -8,13 +8,13 @@ import weakref
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TextIO
-
-import numpy as np
-from numpy.typing import ArrayLike
+from typing import TYPE_CHECKING, TextIO
 
 from meshes.base.errors import InputError
 from meshes.base.whole_file import whole_file
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 if sys.platform == "win32":
     import msvcrt
@@ -116,8 +116,10 @@ def require_place(path: Path, *, folder: bool, name: str = "out") -> None:
         raise InputError(name, "be writable", f"permission denied at {existing}", choose)
 
 
-def write_columns(path: Path, columns: Mapping[str, ArrayLike]) -> None:
+def write_columns(path: Path, columns: "Mapping[str, ArrayLike]") -> None:
     """Write columns of equal length as CSV with their names, with all digits."""
+    import numpy as np  # not needed by the other functions, which the command line imports
+
     rows = zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True)
     lines = [",".join(columns), *(",".join(map(repr, row)) for row in rows)]
     with whole_file(path) as temporary:

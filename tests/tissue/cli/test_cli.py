@@ -3,6 +3,7 @@
 Each of these gives one sentence and exit code 2.
 """
 
+import subprocess
 import sys
 import tomllib
 from pathlib import Path
@@ -161,3 +162,9 @@ def test_the_version_is_that_of_the_project(command):
     ]
     assert command("--version") == (0, f"{project['version']}\n", "")
     assert tissue.__version__ == project["version"]
+
+
+def test_the_command_line_starts_without_numpy():
+    code = "import sys, tissue.cli.main; print('numpy' in sys.modules)"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout == "False\n"

@@ -23,7 +23,15 @@ CAPSULE = LIVER.membranes[0]
 @pytest.mark.parametrize(
     ("make", "argument"),
     [
+        (lambda: replace(CAPSULE, depth_m=-1e-3), "depth_m of the capsule"),
+        (lambda: replace(CAPSULE, puncture_N=0.0), "puncture_N of the capsule must be positive"),
+        (lambda: replace(CAPSULE, hold_N=2e4), "hold_N of the capsule"),
+        (lambda: replace(FRICTION, sliding_out_N_m=-11.96), "sliding_out_N_m"),
+        (lambda: replace(FRICTION, viscous_in_N_s_m2=np.nan), "viscous_in_N_s_m2"),
         (lambda: replace(FRICTION, static_in_N_m=5.0), "static_in_N_m"),
+        (lambda: replace(LIVER, linear_N_m=np.nan), "linear_N_m must be positive"),
+        (lambda: replace(LIVER, quadratic_N_m2=-1.0), "quadratic_N_m2"),
+        (lambda: replace(LIVER, cutting_N=5e4), "cutting_N must be in"),
         (lambda: replace(LIVER, linear_N_m=18.0), "linear_N_m"),
         (lambda: replace(LIVER, membranes=(CAPSULE, CAPSULE)), "membranes"),
         (

@@ -3,19 +3,18 @@
 They have no display, a window that is closed, fails or hangs, or are driven by the mouse.
 """
 
+from tissue import (load_scene)
+from tissue.simulation.live.run import (LiveObserver, LiveSettings, live as run_live)
+from tissue.simulation.live.window import (WindowProcess)
+from tissue.simulation.observer import (WallClock)
+from tissue.simulation.run_folder import (SavedRun)
+from tissue.simulation.simulate import (TICK_S)
+import numpy as np
+import pytest
 import signal
 import time
 import typing
 
-import numpy as np
-import pytest
-
-from tissue import load_scene
-from tissue.simulation.live.run import LiveObserver, LiveSettings
-from tissue.simulation.live.run import live as run_live
-from tissue.simulation.observer import WallClock
-from tissue.simulation.run_folder import SavedRun
-from tissue.simulation.simulate import TICK_S
 
 
 @pytest.fixture
@@ -201,3 +200,14 @@ def test_ctrl_c_is_given_back(monkeypatch):
     assert not observer.on_tick(0, np.zeros(3), np.zeros(8))
     observer.on_end()
     assert signal.getsignal(signal.SIGINT) == before
+
+
+def test_a_missing_process_is_refused_before_the_run_and_leaves_no_folder(monkeypatch):
+    monkeypatch.setattr("tissue.simulation.live.run.display_problem", lambda: None)
+    monkeypatch.setattr("tissue.simulation.live.run.await_display", lambda: None)
+    monkeypatch.setattr("tissue.system.child.entry_points", lambda **_: ())
+    with pytest.raises(InputError, match="tissue-sim must have the process window"):
+        LiveSettings().check(load_scene("wall"))
+    monkeypatch.setattr("tissue.simulation.live.window._new_folder", None)
+    with pytest.raises(InputError, match="tissue-sim must have the process window"):
+        WindowProcess(None, None, ())

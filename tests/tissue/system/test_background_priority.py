@@ -73,3 +73,12 @@ def test_a_helper_has_one_thread_for_linear_algebra_and_a_group_of_its_own(tmp_p
         assert group == helper.number != os.getpgid(0) and session == os.getsid(0)
     finally:
         helper.kill()
+
+
+def test_a_helper_whose_priority_cannot_be_imported_starts_no_process(monkeypatch):
+    started = []
+    monkeypatch.setitem(sys.modules, "tissue.system.priorities", None)
+    monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: started.append(True))
+    with pytest.raises(ImportError):
+        Helper("tissue.nowhere", does="waits")
+    assert not started

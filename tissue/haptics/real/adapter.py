@@ -236,6 +236,13 @@ def _samples(path: Path) -> list[HardwareSample]:
     with names_of_caller({"motion.file": "hardware.address"}):
         motion = read_replay(path, step_s=TICK_S)
     tips = motion.sweep_m()
+    if len(tips) < 2:
+        raise InputError(
+            "hardware.address",
+            f"be a recording of at least {1e3 * TICK_S:g} ms",
+            f"{path.name} with a single pose",
+            "record a longer motion",
+        )
     turns = Rotation.from_matrix(motion.rotations()).as_quat()
     times = TICK_S * np.arange(len(tips), dtype=np.float64)
     played = RecordedDevice(times, tips, turns)
@@ -243,9 +250,11 @@ def _samples(path: Path) -> list[HardwareSample]:
 
 
 def checked_url(
-    address: str, schemes: tuple[str, ...], meant: str, usual: str
+    address: str, schemes: tuple[str, ...], meant: str, usual: str, *, any_port: bool = False
 ) -> tuple[SplitResult, str, int]:
     """Return the parts of ``hardware.address`` as a URL, with its host and port.
+
+    Port 0 means any free port of this machine, so it is valid only with `any_port`.
 
     Raises
     ------
@@ -258,7 +267,9 @@ def checked_url(
         port = parts.port
     except ValueError:
         host = port = None
-    if host and port is not None and parts.scheme in schemes and not parts.path.strip("/"):
+    has_port = port is not None and (port > 0 or any_port)
+    if host and has_port and parts.scheme in schemes and not parts.path.strip("/"):
+        assert port is not None
         return parts, host, port
     raise InputError("hardware.address", f"be {meant}", address, f"use {usual}")
 

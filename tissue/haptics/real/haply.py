@@ -66,14 +66,90 @@ START_IT = "start the Inverse Service (it runs while Haply Hub is open), or set 
 class HaplyAdapter(HardwareAdapter):
     """Inverse3 in its own frame: x to the right, y forward, z up.
 
-    `poll` and `push` only exchange numbers with a thread, so that they never wait. Torque is not
-    played. However the block ends, the last force sent to the service is zero.
+    `poll` and `push` only exchange numbers with the thread of a `_Session`, so that they never
+    wait. Torque is not played. However the block ends, the last force sent to the service is zero.
 
     Parameters
     ----------
     hardware
         Its ``address`` is the address of the service, ``ws://HOST:PORT``, with ``#DEVICE`` for one
         of several devices.
+    """
+
+    name = "haply"
+
+    def __init__(self, hardware: Hardware | None = None) -> None:
+        super().__init__(hardware)
+        self._session = _Session(self._given)
+
+    @classmethod
+    def find(cls, address: str = "") -> list[FoundDevice]:
+        """Return the devices of a service, or the reason for none."""
+        try:
+            session = _Session(address)
+            session.connect()
+        except InputError as error:
+            return cls.missing(error, address)
+        try:
+            state = session.state
+            version = session.version
+            stated = "of unknown version" if version is None else "{}.{}".format(*version)
+            found = []
+            if not state.device_ids:
+                return cls.missing(problem_of(state), session.url)
+            for device_id in state.device_ids:
+                state.device_id = device_id
+                busy = ", used by another program" if state.status("in_use") is True else ""
+                detail = f"{state.model()}, service {stated}{busy}"
+                found.append(cls.found(f"{session.url}#{device_id}", detail, problem_of(state)))
+            return found
+        finally:
+            session.end()
+
+    def open(self) -> None:
+        """Start to exchange frames, without force, and wait for the first sample.
+
+        Raises
+        ------
+        InputError
+            If the service does not answer, or the device cannot be used in its present state.
+        """
+        self._session.end()
+        # The thread of the last session may still try to reconnect. It keeps its own session, which
+        # has ended, so it cannot send over the new connection.
+        self._session = _Session(self._given)
+        self._session.connect()
+        self._session.start()
+        self.releases = self._session.releases
+
+    def poll(self) -> HardwareSample | None:
+        """Return the newest sample; None if there is no new one since the last call."""
+        session = self._session
+        sample = session.newest()
+        self.releases = session.releases
+        return sample
+
+    def push(self, force_N: Array, torque_Nm: Array) -> None:
+        """Send a force now, and again every millisecond while it is renewed."""
+        x, y, z = force_N.tolist()
+        self._session.play((x, y, z))
+
+    def close(self) -> None:
+        """Send zero as the last force and disconnect from the service."""
+        self._session.end()
+
+    def happened(self) -> list[str]:
+        """Return the events of the exchange with the service so far, as sentences."""
+        return self._session.events
+
+
+class _Session:
+    """One session with the service, and the thread that exchanges its frames.
+
+    Parameters
+    ----------
+    address
+        Address of the service; empty for the default address and the first device.
 
     Attributes
     ----------
@@ -81,21 +157,20 @@ class HaplyAdapter(HardwareAdapter):
         Address of the service.
     state
         State of the devices, as stated by the service.
+    version
+        Major and minor version of the service; None if not stated.
+    events
+        Events so far, as sentences.
+    releases
+        Number of times that the force was removed here.
     """
 
-    name = "haply"
-
-    def __init__(self, hardware: Hardware | None = None) -> None:
-        super().__init__(hardware)
-        self.url, self._host, self._port, self._device_id = service_address(self._given)
-        self._begin()
-
-    def _begin(self) -> None:
-        """Reset the session."""
+    def __init__(self, address: str) -> None:
+        self.url, self._host, self._port, self._device_id = service_address(address)
         self.state = ServiceState(self._device_id)
+        self.version: tuple[int, int] | None = None
+        self.events: list[str] = []
         self.releases = 0
-        self._version: tuple[int, int] | None = None
-        self._events: list[str] = []
         self._was_off = True
         self._spelling = "vector"
         self._socket: ClientConnection | None = None
@@ -111,40 +186,14 @@ class HaplyAdapter(HardwareAdapter):
         self._thread: threading.Thread | None = None
         self._sending = threading.Lock()  # no frame may follow the zero of the end
 
-    @classmethod
-    def find(cls, address: str = "") -> list[FoundDevice]:
-        """Return the devices of a service, or the reason for none."""
-        try:
-            adapter = cls(Hardware(address=address))
-            adapter._connect()
-        except InputError as error:
-            return cls.missing(error, address)
-        try:
-            state = adapter.state
-            version = adapter._version
-            stated = "of unknown version" if version is None else "{}.{}".format(*version)
-            found = []
-            if not state.device_ids:
-                return cls.missing(problem_of(state), adapter.url)
-            for device_id in state.device_ids:
-                state.device_id = device_id
-                busy = ", used by another program" if state.status("in_use") is True else ""
-                detail = f"{state.model()}, service {stated}{busy}"
-                found.append(cls.found(f"{adapter.url}#{device_id}", detail, problem_of(state)))
-            return found
-        finally:
-            adapter.close()
-
-    def open(self) -> None:
-        """Start to exchange frames, without force, and wait for the first sample.
+    def start(self) -> None:
+        """Start the thread, without force, and wait for the first sample.
 
         Raises
         ------
         InputError
-            If the service does not answer, or the device cannot be used in its present state.
+            If the device cannot be used in its present state.
         """
-        self._begin()
-        self._connect()
         if problem := problem_of(self.state):
             raise InputError(problem)
         if self.state.status("in_use") is True:
@@ -159,8 +208,14 @@ class HaplyAdapter(HardwareAdapter):
         while self._sample is None and not self._problem and perf_counter() < until:
             sleep(PERIOD_S)  # the state in the first frame may be old by now
 
-    def poll(self) -> HardwareSample | None:
-        """Return the newest sample; None if there is no new one since the last call."""
+    def newest(self) -> HardwareSample | None:
+        """Return the newest sample; None if there is no new one since the last call.
+
+        Raises
+        ------
+        DeviceError
+            If the service or the device is permanently lost.
+        """
         sample = self._sample
         self._sample = None
         if self._problem:
@@ -168,22 +223,24 @@ class HaplyAdapter(HardwareAdapter):
         is_silent = perf_counter() - self._sampled_s > GIVE_UP_S
         if sample is None and is_silent and not self._ended.is_set():
             raise DeviceError(
-                self.name,
+                HaplyAdapter.name,
                 "answer",
                 f"no state of {self.state.device_id} for {GIVE_UP_S:g} s",
                 "check the device's cable and power, and restart the Inverse Service",
             )
         return sample
 
-    def push(self, force_N: Array, torque_Nm: Array) -> None:
-        """Send a force now, and again every millisecond while it is renewed."""
-        x, y, z = force_N.tolist()
-        self._force = (x, y, z)
+    def play(self, force_N: Triple) -> None:
+        """Set the force to send from now on."""
+        self._force = force_N
         self._pushed_s = perf_counter()
         self._wake.set()
 
-    def close(self) -> None:
-        """Send zero as the last force and disconnect from the service."""
+    def end(self) -> None:
+        """Send zero as the last force and disconnect.
+
+        It may be called repeatedly and from any thread.
+        """
         self._force = NOTHING
         self._ended.set()
         self._wake.set()
@@ -198,12 +255,14 @@ class HaplyAdapter(HardwareAdapter):
             self._sending.release()
         self._disconnect(cut=not is_read)
 
-    def happened(self) -> list[str]:
-        """Return the events of the exchange with the service so far, as sentences."""
-        return self._events
+    def connect(self) -> None:
+        """Connect to the service and receive its first frame.
 
-    def _connect(self) -> None:
-        """Connect to the service and receive its first frame."""
+        Raises
+        ------
+        InputError
+            If the library is missing or the service does not answer.
+        """
         try:
             from websockets.exceptions import WebSocketException
             from websockets.sync.client import connect
@@ -230,11 +289,13 @@ class HaplyAdapter(HardwareAdapter):
         except (OSError, WebSocketException) as error:
             self._disconnect()
             words = " ".join(str(error).split()) or type(error).__name__
-            raise InputError(self.name, f"be reached at {self.url}", words, START_IT) from None
+            raise InputError(
+                HaplyAdapter.name, f"be reached at {self.url}", words, START_IT
+            ) from None
         self.state.take(first)
-        self._version = asked_version(self._host, self._port)
+        self.version = asked_version(self._host, self._port)
         text = first.encode() if isinstance(first, str) else first
-        self._spelling = spelling_of(self._version, has_session=b"session_id" in text)
+        self._spelling = spelling_of(self.version, has_session=b"session_id" in text)
 
     def _run(self) -> None:
         """Exchange frames until the end, and reconnect to a restarted service."""
@@ -336,7 +397,7 @@ class HaplyAdapter(HardwareAdapter):
         while perf_counter() < until and not self._ended.wait(0.05):
             self._disconnect()
             with suppress(InputError):
-                self._connect()
+                self.connect()
                 if not problem_of(self.state):
                     self._sampled_s = perf_counter()
                     return True
@@ -353,8 +414,8 @@ class HaplyAdapter(HardwareAdapter):
         return self._socket
 
     def _log(self, what: str) -> None:
-        if len(self._events) < MOST_EVENTS:
-            self._events.append(what)
+        if len(self.events) < MOST_EVENTS:
+            self.events.append(what)
 
     def _disconnect(self, *, cut: bool = False) -> None:
         """Close the connection, and cut it first if the service no longer reads a pending frame."""

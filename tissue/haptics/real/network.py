@@ -321,7 +321,9 @@ class NetworkAdapter(HardwareAdapter):
     def __init__(self, hardware: "Hardware | None" = None) -> None:
         super().__init__(hardware)
         meant = "udp://HOST:PORT or ws://HOST:PORT where a device is awaited"
-        parts, host, self._port = checked_url(self._given or USUAL, ("udp", "ws"), meant, USUAL)
+        parts, host, self._port = checked_url(
+            self._given or USUAL, ("udp", "ws"), meant, USUAL, any_port=True
+        )
         self._scheme = parts.scheme
         self._host = f"[{host}]" if ":" in host else host
         self.session = NetworkSession()

@@ -1,15 +1,19 @@
 """Needle parameters along its axis: membranes, cut tissue and shaft friction."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import pairwise
 from math import sqrt
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, names_of_caller, require_positive, require_range
 from tissue.materials.scene_constants import Materials
 
 __all__ = ["Membrane", "NeedleTissue", "ShaftFriction", "needle_tissue", "vessel_wall"]
 
+GREATEST_N = 1e4
+"""Largest force that a parameter may have [N]; a larger force is a mistaken unit."""
+GREATEST_N_M = 1e6
+"""Largest force per length of a parameter [N/m], and of its viscous part [N s/m2]."""
 LEAST_COSINE = 0.17
 """Smallest cosine between the needle's axis and the surface normal.
 
@@ -40,6 +44,27 @@ class Membrane:
     puncture_N: float
     hold_N: float
 
+    def __post_init__(self) -> None:
+        require_range(
+            f"depth_m of the {self.name}",
+            self.depth_m,
+            0.0,
+            1.0,
+            "measure it in metres from the surface",
+        )
+        require_positive(
+            f"puncture_N of the {self.name}",
+            self.puncture_N,
+            "leave the membrane out if it does not hold",
+        )
+        require_range(
+            f"hold_N of the {self.name}",
+            self.hold_N,
+            0.0,
+            GREATEST_N,
+            "use 0 for a hole that does not cling",
+        )
+
 
 @dataclass(frozen=True, kw_only=True)
 class ShaftFriction:
@@ -69,6 +94,14 @@ class ShaftFriction:
     stick_band_m_s: float
 
     def __post_init__(self) -> None:
+        for entry in fields(self):
+            require_range(
+                entry.name,
+                getattr(self, entry.name),
+                0.0,
+                GREATEST_N_M,
+                "give its size, in SI units",
+            )
         for side in ("in", "out"):
             sliding = getattr(self, f"sliding_{side}_N_m")
             static = getattr(self, f"static_{side}_N_m")
@@ -100,7 +133,7 @@ class NeedleTissue:
     Raises
     ------
     InputError
-        If membranes are out of order, or friction grows faster with the
+        If a number is not plausible, membranes are out of order, or friction grows faster with the
         inserted length than the organ's pull: a needle that is drawn back would then jump out.
     """
 
@@ -111,6 +144,17 @@ class NeedleTissue:
     membranes: tuple[Membrane, ...] = ()
 
     def __post_init__(self) -> None:
+        require_positive(
+            "linear_N_m", self.linear_N_m, "an organ that does not push back needs no model"
+        )
+        require_range(
+            "quadratic_N_m2",
+            self.quadratic_N_m2,
+            0.0,
+            1e3 * GREATEST_N_M,
+            "give it in N/m2, 0 for a linear one",
+        )
+        require_range("cutting_N", self.cutting_N, 0.0, GREATEST_N, "give it in N")
         depths = [membrane.depth_m for membrane in self.membranes]
         if any(below <= above for above, below in pairwise(depths)):
             listed = ", ".join(f"{1e3 * depth:g} mm" for depth in depths)
@@ -186,12 +230,14 @@ def needle_tissue(
         If the membranes do not lie below the capsule, one below the other.
     """
     liver = {name: entry.value for name, entry in constants.constants("needle", "liver").items()}
-    capsule = Membrane(
-        name="capsule",
-        depth_m=0.0,
-        puncture_N=liver["capsule_puncture_N"],
-        hold_N=liver["capsule_hold_N"],
-    )
+    keys = {f"{name} of the capsule": f"capsule_{name}" for name in ("puncture_N", "hold_N")}
+    with names_of_caller(keys):
+        capsule = Membrane(
+            name="capsule",
+            depth_m=0.0,
+            puncture_N=liver["capsule_puncture_N"],
+            hold_N=liver["capsule_hold_N"],
+        )
     return NeedleTissue(
         linear_N_m=1e3 * liver["linear_N_mm"],
         quadratic_N_m2=1e6 * liver["quadratic_N_mm2"],

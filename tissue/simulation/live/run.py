@@ -36,6 +36,7 @@ from tissue.simulation.observer import (
 )
 from tissue.simulation.run import DEADLINE_US, Run
 from tissue.simulation.simulate import TICK_S, RunSettings, simulate
+from tissue.system.child import process_module
 from tissue.system.offscreen import await_display, display_problem
 
 __all__ = ["LiveObserver", "LiveSettings", "live"]
@@ -112,17 +113,22 @@ class LiveSettings:
         ------
         InputError
             If a display does not answer, a page cannot be served or is asked for with a real
-            device, the port for 3D Slicer is taken, something else moves the tool, or ROS 2 is not
-            installed.
+            device, the port for 3D Slicer is taken, something else moves the tool, ROS 2 is not
+            installed, or the installed package lacks a process of the live run.
         """
         if self.slicer is not None:
             require_link(self.slicer, scene, web=self.opened is not None)
+            process_module("slicer")
         if self.ros2:
             require_ros2()
+            process_module("ros2")
         if self.opened is None:
             if not self.by_slicer:
                 await_display()
+                if self.mover(scene)[0]:
+                    process_module("window")
             return
+        process_module("page")
         require_web()
         if opens_device(scene):
             raise InputError(

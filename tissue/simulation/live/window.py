@@ -136,7 +136,7 @@ class WindowProcess:
     Raises
     ------
     InputError
-        If the window does not open.
+        If the installed package has no such process, or the window does not open.
     """
 
     process = "window"
@@ -156,6 +156,8 @@ class WindowProcess:
         more_layout: Layout | None = None,
         more_start: Mapping[str, AnyArray] | None = None,
     ) -> None:
+        # A missing entry point is refused before the folder exists, which would stay behind.
+        module = process_module(self.process)
         self._folder = _new_folder()
         self._shared = shared_tissue(parts) if self.shows_tissue else SharedTissue()
         layout: Layout = {
@@ -186,7 +188,7 @@ class WindowProcess:
         self._shared.publish(self.arrays, 0)
         with (self._folder / "output.txt").open("w+", encoding="utf-8", errors="replace") as output:
             self._child = subprocess.Popen(
-                child_command(process_module(self.process), str(self._folder)),
+                child_command(module, str(self._folder)),
                 env={**os.environ, **(environment or {})},
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,

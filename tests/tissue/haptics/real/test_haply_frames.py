@@ -1,19 +1,12 @@
 """Frames of Haply's Inverse Service, as its documentation prints them."""
 
+from tissue import (InputError)
+from tissue.haptics.real.haply_frames import (ServiceState, force_frame, opening_frame, problem_of, service_address, version_in)
 import json
-
 import numpy as np
 import pytest
 
-from tissue import InputError
-from tissue.haptics.real.haply_frames import (
-    ServiceState,
-    force_frame,
-    opening_frame,
-    problem_of,
-    service_address,
-    version_in,
-)
+
 
 FIRST = {
     "session_id": 7,
@@ -134,7 +127,16 @@ def test_the_version_of_a_service(answer, version):
 
 
 @pytest.mark.parametrize(
-    "address", ["localhost:10001", "http://x:1", "ws://x", "ws://x:99999", "ws://x:1/path", "049D"]
+    "address",
+    [
+        "localhost:10001",
+        "http://x:1",
+        "ws://x",
+        "ws://x:0",
+        "ws://x:99999",
+        "ws://x:1/path",
+        "049D",
+    ],
 )
 def test_what_is_no_address_is_refused(address):
     with pytest.raises(

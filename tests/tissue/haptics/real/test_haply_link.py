@@ -1,14 +1,15 @@
 """Exchange with a service: content and times of frames. The stand-in uses the documented frames."""
 
-import time
-
+from haply_service import (DEVICE, HaplyService)
+from tissue import (InputError)
+from tissue.haptics.real.haply import (HaplyAdapter)
+from tissue.scene.coupling import (Hardware)
 import numpy as np
 import pytest
-from haply_service import DEVICE, HaplyService
+import threading
+import time
 
-from tissue import InputError
-from tissue.haptics.real.haply import HaplyAdapter
-from tissue.scene.coupling import Hardware
+
 
 PATIENCE_S = 20.0
 """Longest time to wait for an expected event [s]; no result depends on it."""
@@ -110,3 +111,41 @@ def test_closing_ends_with_zero_from_any_thread_and_twice(service):
         adapter.push(np.ones(3), np.zeros(3))
         adapter.close()
     assert len(service.commands) == count
+
+
+def test_entering_again_while_the_service_is_away_leaves_one_thread_that_sends(service):
+    """Entering again leaves one thread that sends.
+
+    The thread of the first session still reconnects when the adapter is entered again. It ends with
+    its own session, and its connection carries no force.
+    """
+    adapter = adapter_of(service)
+    resume = threading.Event()
+    with adapter:
+        session = adapter._session
+        connect = session.connect
+
+        def slow_connect():
+            assert resume.wait(PATIENCE_S)
+            connect()
+
+        session.connect = slow_connect
+        service.stop()
+        wait_for(lambda _: any("closed the connection" in what for what in adapter.happened()))
+        time.sleep(0.2)
+    service.start()
+    sessions = service.sessions
+    with adapter:
+        resume.set()
+        session._thread.join(PATIENCE_S)
+        assert not session._thread.is_alive()
+        start = len(service.commands)
+        wait_for(
+            lambda _: len(service.commands) > start + 50 and service.last_N() == (1.0, 0.0, 0.0),
+            adapter,
+            (1.0, 0.0, 0.0),
+        )
+        pushing = {number for _, number, force in list(service.commands) if any(force)}
+        assert len({number for number in pushing if number > sessions}) == 1
+    wait_for(lambda _: not service.is_open)
+    assert service.last_N() == (0.0, 0.0, 0.0)
