@@ -1,28 +1,28 @@
 """Comparison of several runs: differences of their scenes and figures, and plotted forces."""
 
-from collections import (Counter)
-from collections.abc import (Iterable, Iterator, Mapping, Sequence)
-from io import (StringIO)
-from meshes.base.errors import (InputError)
-from meshes.base.whole_file import (whole_file)
-from pathlib import (Path)
-from tissue.evaluation.assessment import (path_note)
-from tissue.objects.html import (figures_of, table_html)
-from tissue.objects.run import (Run)
-from tissue.objects.trace import (needed)
-from tissue.scene.scene import (Scene)
-from tissue.system.owned_folder import (owned_folder, require_folder)
-from typing import (Literal, TYPE_CHECKING)
 import csv
 import tomllib
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from io import StringIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from meshes.base.errors import InputError
+from meshes.base.whole_file import whole_file
+from tissue.evaluation.assessment import path_note
+from tissue.objects.html import figures_of, table_html
+from tissue.objects.run import Run
+from tissue.objects.trace import needed
+from tissue.scene.scene import Scene
+from tissue.system.owned_folder import owned_folder, require_folder
 
 if TYPE_CHECKING:
-    from numpy.typing import (NDArray)
     import numpy as np
     import pandas
+    from numpy.typing import NDArray
 
 __all__ = ["Comparison", "Over", "compare", "entries_of", "write_rows"]
-
 
 
 Over = Literal["time", "depth"]
@@ -269,11 +269,6 @@ def _each(names: Iterable[str], values: Iterable[object]) -> str:
     """Return the value of each run as text."""
     pairs = zip(names, values, strict=True)
     return ", ".join(f"{name} {_short(value)}" for name, value in pairs)
-
-
-def _seconds(seconds: float) -> str:
-    """Return a simulated time to a millisecond, because a run has whole ticks of 1 ms."""
-    return f"{round(seconds, 3):.12g} s"
 
 
 def _names(runs: list[Run]) -> list[str]:

@@ -1,53 +1,63 @@
 """Loop of a user's device with bone or an organ: tick by tick, or for some seconds."""
 
-from collections.abc import (Callable, Mapping)
-from contextlib import (ExitStack)
-from copy import (deepcopy)
-from dataclasses import (fields)
-from functools import (partial)
-from meshes.base.arrays import (Array)
-from meshes.base.errors import (InputError, by, names_of_caller, require_direction, require_positive, require_range, require_vector)
-from numpy.typing import (ArrayLike)
-from os import (PathLike)
-from pathlib import (Path)
-from tissue.cutters import (Cutter, ball_burr)
-from tissue.haptics.device.device import (Device, DeviceParameters, device_parameters)
-from tissue.haptics.device.safe_device import (run_held)
-from tissue.haptics.hand_motion import (Script)
-from tissue.materials.scene_constants import (Materials)
-from tissue.models.bone.model import (BoneModel)
-from tissue.models.tissue_model import (TICK_S, TissueModel)
-from tissue.motion.motion import (StaysAt, frame_along)
-from tissue.objects.bone import (Bone)
-from tissue.objects.cut import (saved_table)
-from tissue.objects.cutting import (Structures, clearance_of, warn_of)
-from tissue.objects.organ import (Organ)
-from tissue.objects.simulate import (TickRow)
-from tissue.objects.tools import (PressingTool, ball)
-from tissue.objects.trace import (Trace)
-from tissue.prediction.guard import (GuardedMaker, Observes)
-from tissue.scene.coupling import (Coupling, Device as StatedDevice)
-from tissue.scene.named_parts import (unknown_name)
-from tissue.scene.registry import (PREDICTORS)
-from tissue.scene.scene import (Output)
-from tissue.scene.used_constants import (used_of_device)
-from tissue.simulation import (loop as engine)
-from tissue.simulation.builders.arguments import (given_note, require_known, stated)
-from tissue.simulation.builders.force_met import (fitted_scale, slot_force_N)
-from tissue.simulation.builders.hand import (device_motion)
-from tissue.simulation.builders.loop import (LoopSettings, sampled)
-from tissue.simulation.builders.parts import (Parts, require_device, require_stated_rate)
-from tissue.simulation.observer import (WallClock)
-from tissue.simulation.trace import (Table)
-from types import (TracebackType)
-from typing import (Any, Self, TYPE_CHECKING, TypedDict, Unpack)
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from copy import deepcopy
+from dataclasses import fields
+from functools import partial
+from os import PathLike
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self, TypedDict, Unpack
+
 import numpy as np
+from numpy.typing import ArrayLike
+
+from meshes.base.arrays import Array
+from meshes.base.errors import (
+    InputError,
+    by,
+    names_of_caller,
+    require_direction,
+    require_positive,
+    require_range,
+    require_vector,
+)
+from tissue.cutters import Cutter, ball_burr
+from tissue.haptics.device.device import Device, DeviceParameters, device_parameters
+from tissue.haptics.device.safe_device import run_held
+from tissue.haptics.hand_motion import Script
+from tissue.materials.scene_constants import Materials
+from tissue.models.bone.model import BoneModel
+from tissue.models.tissue_model import TICK_S, TissueModel
+from tissue.motion.motion import StaysAt, frame_along
+from tissue.objects.bone import Bone
+from tissue.objects.cut import saved_table
+from tissue.objects.cutting import Structures, clearance_of, warn_of
+from tissue.objects.organ import Organ
+from tissue.objects.simulate import TickRow
+from tissue.objects.tools import PressingTool, ball
+from tissue.objects.trace import Trace
+from tissue.prediction.guard import GuardedMaker, Observes
+from tissue.scene.coupling import Coupling
+from tissue.scene.coupling import Device as StatedDevice
+from tissue.scene.named_parts import unknown_name
+from tissue.scene.registry import PREDICTORS
+from tissue.scene.scene import Output
+from tissue.scene.used_constants import used_of_device
+from tissue.simulation import loop as engine
+from tissue.simulation.builders.arguments import given_note, require_known, stated
+from tissue.simulation.builders.force_met import fitted_scale, slot_force_N
+from tissue.simulation.builders.hand import device_motion
+from tissue.simulation.builders.loop import LoopSettings, sampled
+from tissue.simulation.builders.parts import Parts, require_device, require_stated_rate
+from tissue.simulation.observer import WallClock
+from tissue.simulation.trace import Table
 
 if TYPE_CHECKING:
     import pandas
 
 __all__ = ["Loop"]
-
 
 
 LONGEST_S = 3600.0

@@ -1,16 +1,17 @@
 """Comparison of runs: figures, differences of their scenes, and their forces in one picture."""
 
-from matplotlib import (pyplot)
-from tissue import (InputError)
-from tissue.objects.comparison import (Comparison, _notes)
-from tissue.objects.plots import (overlay)
-from tissue.simulation.trace import (Table, TraceLayout)
-from types import (SimpleNamespace)
 import csv
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
-import tissue
+from matplotlib import pyplot
 
+import tissue
+from tissue import InputError
+from tissue.objects.comparison import _notes
+from tissue.objects.plots import overlay
+from tissue.simulation.trace import Table, TraceLayout
 
 
 @pytest.fixture(scope="module")

@@ -1,11 +1,10 @@
 """A user's device in the loop: figures equal to a scene's, safe hold, bone made along its path."""
 
-from tissue.haptics.device.recorded import (RecordedDevice)
 import numpy as np
 import pytest
+
 import tissue
-
-
+from tissue.haptics.device.recorded import RecordedDevice
 
 BURR = tissue.cutters.ball_burr(diameter_mm=3, flutes=6, spin_rpm=20_000)
 START_MM = np.array([-3.0, 0.0, 1.0])

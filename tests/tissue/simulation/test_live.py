@@ -3,18 +3,20 @@
 They have no display, a window that is closed, fails or hangs, or are driven by the mouse.
 """
 
-from tissue import (load_scene)
-from tissue.simulation.live.run import (LiveObserver, LiveSettings, live as run_live)
-from tissue.simulation.live.window import (WindowProcess)
-from tissue.simulation.observer import (WallClock)
-from tissue.simulation.run_folder import (SavedRun)
-from tissue.simulation.simulate import (TICK_S)
-import numpy as np
-import pytest
 import signal
 import time
 import typing
 
+import numpy as np
+import pytest
+
+from tissue import load_scene
+from tissue.simulation.live.run import LiveObserver, LiveSettings
+from tissue.simulation.live.run import live as run_live
+from tissue.simulation.live.window import WindowProcess
+from tissue.simulation.observer import WallClock
+from tissue.simulation.run_folder import SavedRun
+from tissue.simulation.simulate import TICK_S
 
 
 @pytest.fixture

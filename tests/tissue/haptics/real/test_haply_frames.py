@@ -1,12 +1,19 @@
 """Frames of Haply's Inverse Service, as its documentation prints them."""
 
-from tissue import (InputError)
-from tissue.haptics.real.haply_frames import (ServiceState, force_frame, opening_frame, problem_of, service_address, version_in)
 import json
+
 import numpy as np
 import pytest
 
-
+from tissue import InputError
+from tissue.haptics.real.haply_frames import (
+    ServiceState,
+    force_frame,
+    opening_frame,
+    problem_of,
+    service_address,
+    version_in,
+)
 
 FIRST = {
     "session_id": 7,

@@ -1,15 +1,15 @@
 """Exchange with a service: content and times of frames. The stand-in uses the documented frames."""
 
-from haply_service import (DEVICE, HaplyService)
-from tissue import (InputError)
-from tissue.haptics.real.haply import (HaplyAdapter)
-from tissue.scene.coupling import (Hardware)
-import numpy as np
-import pytest
 import threading
 import time
 
+import numpy as np
+import pytest
+from haply_service import DEVICE, HaplyService
 
+from tissue import InputError
+from tissue.haptics.real.haply import HaplyAdapter
+from tissue.scene.coupling import Hardware
 
 PATIENCE_S = 20.0
 """Longest time to wait for an expected event [s]; no result depends on it."""

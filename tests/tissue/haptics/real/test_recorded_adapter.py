@@ -1,14 +1,13 @@
 """A record as a device: the poses of a file, one a tick, and the run that it moves."""
 
-from meshes.paths.toolpath import (POSE_COLUMNS)
-from tissue.haptics.real.adapter import (RecordedAdapter)
-from tissue.objects.simulate import (simulate)
-from tissue.scene.coupling import (Hardware)
-from tissue.scene.load import (load_scene)
 import numpy as np
 import pytest
 
-
+from meshes.paths.toolpath import POSE_COLUMNS
+from tissue.haptics.real.adapter import RecordedAdapter
+from tissue.objects.simulate import simulate
+from tissue.scene.coupling import Hardware
+from tissue.scene.load import load_scene
 
 SHORT = f"time_s,{','.join(POSE_COLUMNS)}\n0,1,2,3,0,0,0,1\n0.0004,1,2,3,0,0,0,1\n"
 """Poses that last less than half a tick."""
