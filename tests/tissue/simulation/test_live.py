@@ -10,7 +10,7 @@ import typing
 import numpy as np
 import pytest
 
-from tissue import load_scene
+from tissue import InputError, load_scene
 from tissue.simulation.live.run import LiveObserver, LiveSettings
 from tissue.simulation.live.run import live as run_live
 from tissue.simulation.live.window import WindowProcess
