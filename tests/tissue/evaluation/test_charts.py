@@ -182,8 +182,9 @@ def test_a_finished_chart_is_not_measured_again_and_a_fidelity_chooses_from_it(b
     coarse, fine = found.points
     assert coarse.force_error > 2.0 * fine.force_error > 0.0
     assert found.gap > 0.0 and fine.elements > coarse.elements
-    monkeypatch.setattr(module, "measure", lambda *given, **more: pytest.fail("measured again"))
-    frontier_of(block)
+    with monkeypatch.context() as measured:
+        measured.setattr(module, "measure", lambda *given, **more: pytest.fail("measured again"))
+        frontier_of(block)
     wanted = changed(block, {"fidelity": {"force_error": 1.01 * SAFETY * coarse.force_error}})
     chosen, message = with_fidelity(wanted)
     assert chosen.fidelity is None and chosen.voxels.spacing_mm in (0.2, 0.4)
