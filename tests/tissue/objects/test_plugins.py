@@ -166,7 +166,7 @@ def test_a_package_that_cannot_be_imported_stops_nothing_but_its_part(tmp_path):
 
 REFUSED = {
     "built in": ({"proxy": "parts:make"}, "built-in renderer"),
-    "no methods": ({"mine": "parts:Lacking"}, "renderer mine must be a class with render"),
+    "no methods": ({"mine": "parts:Lacking"}, "without render and pause"),
     "not there": ({"mine": "parts:nothing"}, "AttributeError"),
     "ends": ({"mine": "ends:make"}, "SystemExit: 3"),
 }
