@@ -27,7 +27,8 @@ FIGURES.mkdir(exist_ok=True)
 
 run = tissue.simulate(tissue.load_scene("glenoid"))
 removed = run.trace["removed_mm3"][-1]
-thrust, torque = run.trace["model_force_z_N"].max(), run.trace["model_torque_z_Nm"].max()
+thrust = run.trace["model_force_z_N"].max()
+torque = run.trace["model_torque_z_Nm"].max()
 print(f"removed {removed:.1f} mm3, peak thrust {thrust:.1f} N, peak torque {torque:.3f} N m")
 print(f"tick: median {run.summary['tick_us']['median']:.0f} us")
 assert abs(removed - 234.4) < 0.5

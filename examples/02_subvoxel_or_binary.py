@@ -20,7 +20,10 @@ import tissue
 
 FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
-RADIUS_MM, DEPTHS_MM, LENGTH_MM, FEED_MM_S = 3.0, (0.25, 0.35), 4.0, 10.0
+RADIUS_MM = 3.0
+DEPTHS_MM = (0.25, 0.35)
+LENGTH_MM = 4.0
+FEED_MM_S = 10.0
 SPACINGS_MM = (0.4, 0.2, 0.1, 0.05)
 REFERENCE_MM = 0.03
 

@@ -22,7 +22,8 @@ import tissue
 
 FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
-DEPTH_MM, FEED_MM_S = 4.4, 1.5
+DEPTH_MM = 4.4
+FEED_MM_S = 1.5
 LAYERS = ("enamel", "dentin")
 PUBLISHED_N = (0.1, 4.9)
 
@@ -38,7 +39,9 @@ changes = {
     "stress": None,
 }
 run = tissue.simulate(tissue.load_scene("molar", changes))
-depth, force, layer = -run.trace["tool_z_mm"], run.trace["model_force_z_N"], run.trace["layer"]
+depth = -run.trace["tool_z_mm"]
+force = run.trace["model_force_z_N"]
+layer = run.trace["layer"]
 
 # %%
 # In each layer: the mean axial force in the middle half of the ticks in which the bur meets mostly

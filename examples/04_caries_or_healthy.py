@@ -26,7 +26,8 @@ import tissue
 Floats = NDArray[np.float64]
 FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
-DEPTH_MM, FEED_MM_S = 3.4, 1.5
+DEPTH_MM = 3.4
+FEED_MM_S = 1.5
 
 # %%
 # Three runs: sound, carious, and sound at half the feed, in voxels of 0.1 mm and without the
@@ -45,7 +46,8 @@ def drill(scene: str, feed_mm_s: float) -> tissue.Run:
     return tissue.simulate(tissue.load_scene(scene, changes))
 
 
-sound, carious = drill("molar", FEED_MM_S).trace, drill("caries", FEED_MM_S).trace
+sound = drill("molar", FEED_MM_S).trace
+carious = drill("caries", FEED_MM_S).trace
 slow = drill("molar", 0.5 * FEED_MM_S).trace
 
 # %%
@@ -67,7 +69,8 @@ def best_threshold(soft: Floats, hard: Floats) -> tuple[float, float, float]:
     return float(thresholds[best]), float(0.5 * (below + above)[best]), float(area)
 
 
-soft, hard = carious["model_force_z_N"], sound["model_force_z_N"]
+soft = carious["model_force_z_N"]
+hard = sound["model_force_z_N"]
 lesion = carious["layer"] == "caries"
 parts = {
     "the lesion": lesion,

@@ -24,8 +24,10 @@ import tissue
 
 FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
-DEPTH_MM, RADIUS_MM = 5.0, 10.0
-YOUNG_PA, POISSON = 5.4e3, 0.49
+DEPTH_MM = 5.0
+RADIUS_MM = 10.0
+YOUNG_PA = 5.4e3
+POISSON = 0.49
 
 # %%
 # The built-in liver, straight down, with a frame of its fields at the end.
@@ -36,7 +38,8 @@ changes = {
     "organ.interval_ms": 119.0,
 }
 run = tissue.simulate(tissue.load_scene("liver-press", changes))
-depth, force = -run.trace["tool_z_mm"], run.trace["model_force_z_N"]
+depth = -run.trace["tool_z_mm"]
+force = run.trace["model_force_z_N"]
 hertz_N = (
     4
     / 3
@@ -56,7 +59,8 @@ assert [what.split(":")[0] for _, what in run.events] == ["pressed 3.7 mm deep"]
 # The mesh of the last frame, in pyvista: displacement over its points, stress over its cells.
 
 mesh = run.dataset()
-moved, stress = mesh.point_data["displacement_mm"], mesh.cell_data["von_mises_kPa"]
+moved = mesh.point_data["displacement_mm"]
+stress = mesh.cell_data["von_mises_kPa"]
 under = int(np.argmin(np.linalg.norm(mesh.points, axis=1)))
 away = float(np.linalg.norm(mesh.cell_centers().points[np.argmax(stress)]))
 print(f"the surface at the ball's middle has moved by {-moved[under, 2]:.1f} mm")

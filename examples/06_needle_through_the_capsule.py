@@ -27,7 +27,10 @@ import tissue
 
 FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
-FEED_MM_S, DEEP_MM, OUT_MM, WALL_MM = 5.0, 70.0, -20.0, 30.0
+FEED_MM_S = 5.0
+DEEP_MM = 70.0
+OUT_MM = -20.0
+WALL_MM = 30.0
 
 # %%
 # The needle's scene with a path that goes in, out and in again; travel counts from the undeformed
@@ -41,7 +44,8 @@ changes = {
 }
 run = tissue.simulate(tissue.load_scene("needle", changes))
 trace = run.trace
-travel, force = -trace["tool_z_mm"], trace["model_force_z_N"]
+travel = -trace["tool_z_mm"]
+force = trace["model_force_z_N"]
 for time_s, event in run.events:
     print(f"after {time_s:5.2f} s: {event}")
 
@@ -52,7 +56,8 @@ first = int(np.flatnonzero(travel > DEEP_MM - 1e-6)[0])
 last = first + int(np.argmin(travel[first:]))
 puncture = int(np.argmax(force[:first] * (travel[:first] < 20.0)))
 drop = force[puncture] - force[puncture + 1]
-held, deflection = trace["elastic_N"][puncture + 1], trace["deflection_mm"][puncture + 1]
+held = trace["elastic_N"][puncture + 1]
+deflection = trace["deflection_mm"][puncture + 1]
 print(f"capsule: {force[puncture]:.2f} N at {travel[puncture]:.1f} mm, drop {drop:.2f} N")
 print(
     f"left after it: {held:.2f} N held by the hole's edge, the organ deflected by "

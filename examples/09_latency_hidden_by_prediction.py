@@ -79,7 +79,8 @@ figure, panels = plt.subplots(1, 2, figsize=(9.0, 3.6), sharey=True, layout="con
 for panel, kind in zip(panels, ("none", "koopman-look-ahead"), strict=True):
     touch = forces[kind][0]
     start = int(np.flatnonzero(touch.ideal[:, 2])[0])
-    shown, time_ms = slice(start - 15, start + 75), np.arange(-15, 75)
+    shown = slice(start - 15, start + 75)
+    time_ms = np.arange(-15, 75)
     panel.plot(time_ms, touch.ideal[shown, 2], color="0.15", linewidth=2.0, label="ideal")
     panel.plot(
         time_ms,

@@ -19,7 +19,9 @@ import tissue
 
 FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
-WEBER, EXPONENT, PEOPLE = 0.07, 1.7, 200
+WEBER = 0.07
+EXPONENT = 1.7
+PEOPLE = 200
 TRUTH = {
     "alpha": 1.0,
     "beta": EXPONENT,

@@ -32,7 +32,8 @@ WINDOW_S = 0.1  # as long as a person averages a force
 # The needle's run, and the mean force in a window on either side of the puncture.
 
 run = tissue.simulate(tissue.load_scene("needle", {"duration_s": 1.5}))
-time_s, force_N = run.trace["time_s"], np.linalg.norm(run.trace.vectors("model_force", "N"), axis=1)
+time_s = run.trace["time_s"]
+force_N = np.linalg.norm(run.trace.vectors("model_force", "N"), axis=1)
 puncture_s = next(time for time, what in run.events if "capsule" in what)
 starts = {"capsule": puncture_s - WINDOW_S - 1e-3, "parenchyma": puncture_s + 1e-3}
 levels = {

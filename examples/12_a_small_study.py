@@ -39,7 +39,8 @@ if __name__ == "__main__":
             f"{method}: force error {100 * figures['force_error']:.1f} %, "
             f"{figures['latency_ms']:.1f} ms late"
         )
-    plain, predicted = means["penalty"], means["koopman"]
+    plain = means["penalty"]
+    predicted = means["koopman"]
     assert (
         0.02 < plain["force_error"] < 0.1 and predicted["force_error"] < 0.85 * plain["force_error"]
     )

@@ -54,7 +54,8 @@ class Slope:
     """Predictor that continues the force along its slope over the last ticks."""
 
     def __init__(self) -> None:
-        self.force_N, self.slope_N = np.zeros(3), np.zeros(3)
+        self.force_N = np.zeros(3)
+        self.slope_N = np.zeros(3)
 
     def observe(self, position_m: Floats, velocity_m_s: Floats, force_N: Floats | None) -> None:
         """Take in a tick; a slow model answers in some only."""
@@ -94,7 +95,9 @@ def played(delay_ms: int, predictor: Slope | None) -> Floats:
     return loop.run(1.0).trace["device_force_z_N"]
 
 
-prompt, late, predicted = played(0, None), played(LATENCY_MS, None), played(LATENCY_MS, Slope())
+prompt = played(0, None)
+late = played(LATENCY_MS, None)
+predicted = played(LATENCY_MS, Slope())
 errors = [
     float(np.linalg.norm(force - prompt) / np.linalg.norm(prompt)) for force in (late, predicted)
 ]

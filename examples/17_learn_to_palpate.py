@@ -18,10 +18,13 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
-TIP_MM, FORCE_N, TOP_MM_S = 22.0, 1.0, np.array([60.0, 60.0, 30.0])
+TIP_MM = 22.0
+FORCE_N = 1.0
+TOP_MM_S = np.array([60.0, 60.0, 30.0])
 """Scales of the observation and the action, as ``env.unwrapped.entries`` states them."""
 STEP_S = 0.02
-LOW, HIGH = np.array([-2.5, 4.0, 5.0, 0.0]), np.array([-0.3, 20.0, 60.0, 0.9])
+LOW = np.array([-2.5, 4.0, 5.0, 0.0])
+HIGH = np.array([-0.3, 20.0, 60.0, 0.9])
 """Bounds of the tip's height [mm], the radius [mm], the speed [mm/s] and the share of the radius.
 """
 
@@ -45,7 +48,9 @@ def score(env: Any, policy: Floats, seed: int) -> float:
     turns = np.linspace(0.0, 2.0 * np.pi, 25)
     plan = [radius * np.array([np.cos(turn), np.sin(turn)]) for turn in turns]
     felt: list[Floats] = []
-    stage, over, info = 0, False, {"score": 0.0}
+    stage = 0
+    over = False
+    info = {"score": 0.0}
     while not over:
         tip = TIP_MM * observation[:3].astype(float)
         force = FORCE_N * float(np.linalg.norm(observation[6:9]))
@@ -76,14 +81,16 @@ def learn(
     env: Any, rng: np.random.Generator, *, generations: int = 5, count: int = 16, episodes: int = 3
 ) -> Floats:
     """Mean and spread of the policies of every generation, shape (generations + 1, 2, 4)."""
-    mean, spread = np.array([-0.6, 7.0, 15.0, 0.1]), 0.3 * (HIGH - LOW)
+    mean = np.array([-0.6, 7.0, 15.0, 0.1])
+    spread = 0.3 * (HIGH - LOW)
     history = [np.array([mean, spread])]
     for generation in range(generations):
         policies = rng.normal(mean, spread, (count, 4))
         seeds = 1000 + generation * episodes + np.arange(episodes)
         scores = [np.mean([score(env, policy, int(seed)) for seed in seeds]) for policy in policies]
         best = np.clip(policies[np.argsort(scores)[-count // 4 :]], LOW, HIGH)
-        mean, spread = best.mean(axis=0), best.std(axis=0) + 0.02 * (HIGH - LOW)
+        mean = best.mean(axis=0)
+        spread = best.std(axis=0) + 0.02 * (HIGH - LOW)
         history.append(np.array([mean, spread]))
     return np.array(history)
 

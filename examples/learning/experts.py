@@ -14,7 +14,9 @@ from tissue.environments.palpation import Palpation
 
 __all__ = ["DrillingExpert", "MillingExpert", "PalpationExpert", "expert_of"]
 
-TRACK_MM, LAYER_MM, ABOVE_MM = 0.7, 0.27, 0.3
+TRACK_MM = 0.7
+LAYER_MM = 0.27
+ABOVE_MM = 0.3
 REACHED_MM = 0.03
 SOFTER = 0.5
 """Share of the enamel's resistance below which the bur counts as beyond the enamel."""

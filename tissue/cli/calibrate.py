@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 __all__ = ["calibrate"]
 
 
-TRIALS, NUMBERS = 120, 24
+TRIALS = 120
+NUMBERS = 24
 """Default numbers of comparisons, and of forces with a magnitude, in a session."""
 
 

@@ -19,12 +19,14 @@ if TYPE_CHECKING:
 __all__ = ["Removed", "bone_surface", "plot_surface", "removed_surface"]
 
 
-MERGED, SEAM = 1e-3, 3.0
+MERGED = 1e-3
+SEAM = 3.0
 """Largest distances [voxels] of points that are merged, and of loops that are joined.
 
 Both are between two parts of a surface.
 """
-NEAR, AGREE = 0.5, 0.8
+NEAR = 0.5
+AGREE = 0.8
 """Largest distance [voxels] and smallest cosine of normals for shading like a file's surface.
 
 A cut bone is shaded like its file where both limits hold.

@@ -74,7 +74,8 @@ class Picture:
         return self._png, {"width": min(self.array.shape[1], WIDE_PX)}
 
 
-GHOSTS, HIDDEN = "vtkGhostType", 32
+GHOSTS = "vtkGhostType"
+HIDDEN = 32
 """Cell array by which VTK hides cells, and its bit for hidden ones.
 
 The bit is vtkDataSetAttributes::HIDDENCELL.

@@ -37,7 +37,8 @@ __all__ = ["Loop", "PoseLog", "Stepper", "undisturbed"]
 
 SWITCH_S = 5e-5
 """Longest time for which a background thread may keep the interpreter from the ticks [s]."""
-SPUN_S, SPUN_SHARE = 0.3, 0.1
+SPUN_S = 0.3
+SPUN_SHARE = 0.1
 """Time for which the clock is polled before and after the ticks [s], and its largest share.
 
 The share is relative to the simulated time.

@@ -19,7 +19,8 @@ from tissue.simulation.trace import RECORDING, write_trace
 __all__ = ["write_formats", "write_recording"]
 
 
-DRILL, ANATOMY = "mastoidectomy_drill", "anatomy_object_name"
+DRILL = "mastoidectomy_drill"
+ANATOMY = "anatomy_object_name"
 """Objects by the default names of the recorder, so that scripts for its files find them."""
 DENSEST_KG_M3 = 2000.0
 """Density of bone that is drawn white [kg/m3]."""

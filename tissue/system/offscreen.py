@@ -34,7 +34,8 @@ REMEDY = (
 )
 """Packages that provide OpenGL in software on a bare Linux machine."""
 LONGEST_S = 120.0
-DISPLAY_S, ANSWERS_S = 30.0, 5.0
+DISPLAY_S = 30.0
+ANSWERS_S = 5.0
 """Longest waiting time for a display, and longest time for one answer of it [s]."""
 _drawing: "set[subprocess.Popen[bytes]]" = set()
 

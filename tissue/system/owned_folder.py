@@ -25,7 +25,8 @@ __all__ = [
 
 MARKER = ".tissue.json"
 """Name of the marker file, which lists the files that tissue wrote into a folder."""
-FORMAT, VERSION = "tissue output folder", 1
+FORMAT = "tissue output folder"
+VERSION = 1
 """Format and version that the marker states."""
 LONGEST_MARKER = 1 << 24
 """Largest marker that is read [bytes]; a file of 40,000 names has 2 MB."""

@@ -27,7 +27,8 @@ REALTIME = 20
 """Real-time priority on Linux, 1 to 99; kernel threads that serve devices have 50."""
 NICE = -10
 """Niceness requested if no real-time priority is granted."""
-USER_INTERACTIVE, DEFAULT = 0x21, 0x15
+USER_INTERACTIVE = 0x21
+DEFAULT = 0x15
 """Quality-of-service classes of macOS, from its header sys/qos.h."""
 HIGH = 0x80
 """HIGH_PRIORITY_CLASS of Windows, from its header winbase.h."""

@@ -17,9 +17,11 @@ PEN = DeviceParameters(
     workspace_depth_m=0.2,
 )
 """Numbers of the pen, by which its loop is judged; made up for the example."""
-SPRING_N_M, DAMPER_N_S_M = 80.0, 4.0
+SPRING_N_M = 80.0
+DAMPER_N_S_M = 4.0
 """Stiffness and damping that pull the device down, towards a point that sinks."""
-SINK_M_S, DEPTH_M = 0.05, 0.03
+SINK_M_S = 0.05
+DEPTH_M = 0.03
 """Speed at which that point sinks, and the depth at which it stops."""
 
 
@@ -35,11 +37,9 @@ class ToyPen(ComputedDevice):
 
     def __init__(self, start_m: tuple[float, float, float]) -> None:
         self.start_m = np.array(start_m)
-        self.position_m, self.velocity_m_s, self.force_N = (
-            np.array(start_m),
-            np.zeros(3),
-            np.zeros(3),
-        )
+        self.position_m = np.array(start_m)
+        self.velocity_m_s = np.zeros(3)
+        self.force_N = np.zeros(3)
         self.time_s = 0.0
 
     def read(self, time_s: float) -> Sample:

@@ -18,7 +18,8 @@ class DampedLine:
     """
 
     def __init__(self) -> None:
-        self.force_N, self.slope_N = np.zeros(3), np.zeros(3)
+        self.force_N = np.zeros(3)
+        self.slope_N = np.zeros(3)
 
     def observe(self, position_m: Floats, velocity_m_s: Floats, force_N: Floats | None) -> None:
         """Take in the force of a tick; None where the tissue did not answer in it."""

@@ -12,7 +12,9 @@ def step_drill(diameter_m: float, length_m: float) -> Profile:
 
     A scene gives diameter and length in mm.
     """
-    wide, narrow, step = 0.5 * diameter_m, 0.25 * diameter_m, length_m / 3.0
+    wide = 0.5 * diameter_m
+    narrow = 0.25 * diameter_m
+    step = length_m / 3.0
     corners = [
         (0.0, 0.0),
         (narrow, 0.0),

@@ -45,7 +45,8 @@ def statistics_sections(table: TrialTable, rng: np.random.Generator) -> list[Sec
         try:
             sentences, rows = make(table, rng)
         except InputError as error:
-            sentences, rows = [f"This could not be tested: {error}."], []
+            sentences = [f"This could not be tested: {error}."]
+            rows = []
         sections.append(Section(name, title, sentences, rows))
     return sections
 

@@ -153,10 +153,8 @@ class LaneVector:
         self.slots = layout.slots
         count = layout.slots - LANES + 1
         self.single = wp.zeros((3, layout.slots), scalar, device)
-        self.from_each, self.by_eight = (
-            self._seen(1, count),
-            self._seen(LANES, layout.slots // LANES),
-        )
+        self.from_each = self._seen(1, count)
+        self.by_eight = self._seen(LANES, layout.slots // LANES)
 
     def _seen(self, step: int, count: int) -> Any:
         size = wp.types.type_size_in_bytes(self.scalar)

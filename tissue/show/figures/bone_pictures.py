@@ -49,7 +49,8 @@ __all__ = ["draw_before_after", "draw_removed_depth"]
 
 HEIGHTS_PX = 64, 170
 """Above and below the renderings [pixel]."""
-TILT_DEG, OPENED_DEG = (36.0, 12.0), (58.0, 12.0)
+TILT_DEG = (36.0, 12.0)
+OPENED_DEG = (58.0, 12.0)
 """Angles of the view from the tool's axis, down and to the side, for a whole and an opened bone."""
 DEEP = 0.5
 """A cut deeper than this share of its narrower side is cut open: from the tool's side its bottom
@@ -258,7 +259,8 @@ def _draw_spin(axes: "Axes", run: Run, camera: Camera) -> None:
 
 EXPOSED: tuple[Any, ...] = ("--", ":", "-.")
 """Line styles around the layers that a run exposed."""
-SMALL, AROUND = 0.5, 0.4
+SMALL = 0.5
+AROUND = 0.4
 """Share of the region along both axes below which a cut is drawn enlarged, and its margin.
 
 The margin is a share of the cut's longer side.

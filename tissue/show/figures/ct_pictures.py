@@ -32,7 +32,8 @@ __all__ = [
     "draw_path_depth",
 ]
 
-BONE_HU, SOFT_HU = (-200.0, 1300.0), (-160.0, 240.0)
+BONE_HU = (-200.0, 1300.0)
+SOFT_HU = (-160.0, 240.0)
 """Grey values from black to white for bone and for soft tissue.
 
 The first range covers fat to cortical bone, the second is the usual abdominal window.
@@ -40,7 +41,9 @@ The first range covers fat to cortical bone, the second is the usual abdominal w
 VIEWS = ((0, 1, 2, "axial"), (0, 2, 1, "coronal"), (1, 2, 0, "sagittal"))
 """Axes of a slice to the right and upward, the axis through it, and its name."""
 AXES = ("left", "back", "head")
-BODY, SITE, PATH = "#E69F00", "#D55E00", "#CC79A7"
+BODY = "#E69F00"
+SITE = "#D55E00"
+PATH = "#CC79A7"
 OTHERS = ("#56B4E9", "#009E73", "#F0E442", "#0072B2")
 """Colours of outlines after Okabe and Ito (2008)."""
 LINES = ("solid", "dashed", "dotted")
@@ -210,7 +213,10 @@ def draw_ct_organ(
     draw_ct_slices(around, path, outlines, Marks(middle), title=title, window_HU=SOFT_HU)
 
 
-HEAD_PX, FOOT_PX, PATH_FOOT_PX, AXES_PX = 110, 150, 330, 150
+HEAD_PX = 110
+FOOT_PX = 150
+PATH_FOOT_PX = 330
+AXES_PX = 150
 """Heights above and below the renderings, and edge of the small axes [pixel]."""
 UNDER_MM = 2.0
 """Depth at which the density is read that a point of the surface shows."""
@@ -376,7 +382,9 @@ def draw_path_depth(
     )
 
 
-ALL, INSIDE, LEVEL = "0.6", "#E69F00", "#D55E00"
+ALL = "0.6"
+INSIDE = "#E69F00"
+LEVEL = "#D55E00"
 BINS = 160
 RANGE_HU = (-1100.0, 2200.0)
 

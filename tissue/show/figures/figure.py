@@ -197,7 +197,9 @@ LAYERS = {
     "vessel wall": "#D55E00",
 }
 DEPTH_COLOURS = "viridis"
-SIGNED, STRESS, OTHER = "coolwarm", "magma_r", "YlGnBu"
+SIGNED = "coolwarm"
+STRESS = "magma_r"
+OTHER = "YlGnBu"
 """Colour maps of fields.
 
 Small values are light, so that a body does not turn black in unloaded parts. Colour-blind readers

@@ -31,8 +31,11 @@ __all__ = [
     "draw_sobol",
 ]
 
-MEASURED, SIMULATED, PRIOR = "0.55", "#0072B2", "0.75"
-ROW, FRAME = 0.44, 1.0
+MEASURED = "0.55"
+SIMULATED = "#0072B2"
+PRIOR = "0.75"
+ROW = 0.44
+FRAME = 1.0
 """Height of a constant's row, and of the frame around the rows [in]."""
 
 
@@ -183,9 +186,11 @@ def draw_constants(constants: Sequence[FittedConstant], path: Path) -> None:
     save(chart, path)
 
 
-OUTER, INNER = 0.22, 0.4
+OUTER = 0.22
+INNER = 0.4
 """Opacity of the 90 % band, and of the 50 % band upon it."""
-FIRST, TOTAL = "#0072B2", "#E69F00"
+FIRST = "#0072B2"
+TOTAL = "#E69F00"
 SHOWN = 8
 """Constants in a bar chart. The least important ones are left out and counted."""
 UNIT = re.compile(r"(_(N|Nm|[mu]?m[23]?|m?s|kg|kgK|[kMG]Pa|Hz|J|W|mK|rad))+$")

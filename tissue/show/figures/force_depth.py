@@ -219,7 +219,10 @@ def draw_insertion(run: Run, path: Path) -> None:
     save(chart, path)
 
 
-WALL, BALL, DEVICE, FORCE = "#CC79A7", "0.1", "#D55E00", "#0072B2"
+WALL = "#CC79A7"
+BALL = "0.1"
+DEVICE = "#D55E00"
+FORCE = "#0072B2"
 LONGEST = 0.28
 """Length of the arrow of the largest force, as a share of the picture's height."""
 

@@ -38,9 +38,11 @@ if TYPE_CHECKING:
 __all__ = ["draw_held", "draw_press"]
 
 
-EYE, ACROSS = (0.25, -0.75, 0.62), (0.0, -1.0, 0.0)
+EYE = (0.25, -0.75, 0.62)
+ACROSS = (0.0, -1.0, 0.0)
 """Directions towards the eye: lower than in `tissue view`, and at right angles to a section."""
-TOOL, INCLUSION = (0.72, 0.72, 0.75), "#56B4E9"
+TOOL = (0.72, 0.72, 0.75)
+INCLUSION = "#56B4E9"
 """Colours of the tool and of an inclusion's edge, which is seen on light and on dark ones."""
 NUDGE = (0.0, 1e-4, 0.0)
 """Distance of a section behind the tool's tip [mm], so that it does not cut a row of nodes."""

@@ -30,7 +30,8 @@ SHARP_DEG = 40.0
 """Edges of a greater angle are drawn sharp."""
 LEVELS = 2
 """Number of times that each triangle of the boundary is divided into four."""
-CAP_EDGE, MOST_PASSES = 0.012, 10
+CAP_EDGE = 0.012
+MOST_PASSES = 10
 """Longest edge of a section's triangles, in diagonals of the organ, and most divisions."""
 
 

@@ -31,7 +31,9 @@ OVERSAMPLING = 2
 """Pixels drawn for a pixel shown, along each edge: smooth outlines where the graphics card
 smooths none.
 """
-AMBIENT, FIELD_AMBIENT, ALL_LIGHT = 0.34, 0.72, 1.08
+AMBIENT = 0.34
+FIELD_AMBIENT = 0.72
+ALL_LIGHT = 1.08
 """Ambient light on bone and on a field, and the total light with lamps.
 
 The colours of a field must agree with its scale.

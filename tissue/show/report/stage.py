@@ -31,7 +31,10 @@ if TYPE_CHECKING:
 
 __all__ = ["stage"]
 
-TOOL, DEVICE, PATH, FORCE = "#808080", "#D55E00", "#D55E00", COMPONENTS[0]
+TOOL = "#808080"
+DEVICE = "#D55E00"
+PATH = "#D55E00"
+FORCE = COMPONENTS[0]
 MOST_POSES = 6000
 """Maximum number of poses of the tool. The browser interpolates between them."""
 MOST_POINTS = 3000

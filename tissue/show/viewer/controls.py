@@ -159,9 +159,14 @@ class ClipPlane:
 MARK = "#56B4E9"
 NEGLIGIBLE = 1e-5
 """Share of a vector below which one of its components is rounding."""
-LEFT, TOP, ROW, WIDTH, LETTER = 0.012, 0.80, 0.032, 0.2, 0.024
+LEFT = 0.012
+TOP = 0.80
+ROW = 0.032
+WIDTH = 0.2
+LETTER = 0.024
 """Place and size of the list in shares of the window: a row lies upon the line of its letters."""
-CHOSEN, OTHER = "#0072B2", (0.45, 0.45, 0.45)
+CHOSEN = "#0072B2"
+OTHER = (0.45, 0.45, 0.45)
 
 
 class PointRead:

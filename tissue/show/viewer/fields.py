@@ -29,12 +29,14 @@ __all__ = ["REFERENCE", "BoneShown", "FieldsShown", "interpolated", "layer_look"
 
 TETRAHEDRON = 10
 """VTK's number of the cell."""
-AMBIENT, DIFFUSE = 0.78, 0.25
+AMBIENT = 0.78
+DIFFUSE = 0.25
 """Light on a field.
 
 The shade shows the shape but keeps the colours in agreement with the scale.
 """
-REFERENCE, SHOWN = "reference_mm", "shown"
+REFERENCE = "reference_mm"
+SHOWN = "shown"
 """Arrays that are only there to be drawn and read."""
 
 

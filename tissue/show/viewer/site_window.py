@@ -18,7 +18,8 @@ __all__ = ["is_imported", "show_site"]
 
 
 SIZE = (1400, 950)
-SITE, UNSAVED = "#0072B2", "#D55E00"
+SITE = "#0072B2"
+UNSAVED = "#D55E00"
 SAMPLES = 60_000
 EYE = np.array([0.35, -1.0, 0.35])
 """Direction to the eye where there is no site: from the front of the patient, a little from the
@@ -26,7 +27,8 @@ left and above.
 """
 ASIDE = 0.6
 """Lateral offset of the eye from the site's normal, as a share of it, to show the arrow."""
-MARK, ARROW = 0.012, 0.16
+MARK = 0.012
+ARROW = 0.16
 """Radius of the mark and length of the arrow, in parts of the bone's size."""
 ZOOM = 0.9
 """Leaves the text above free."""

@@ -285,7 +285,8 @@ def show(
 
 
 PAGE = "tissue.show.viewer.web.view_page"
-OPENS_S, CLOSES_S = 120.0, 10.0
+OPENS_S = 120.0
+CLOSES_S = 10.0
 """Maximum time until a page is served, and until it is closed [s]."""
 
 

@@ -46,7 +46,8 @@ LONGEST = 0.15
 """Longest scale bar, as a share of the window's width."""
 BORDER = 0.02
 """Free border of a clean picture before it is cropped, as a share of its edges."""
-FINE, AROUND_PX = 2, 8
+FINE = 2
+AROUND_PX = 8
 """Pixels of a clean picture per window pixel, and margin around the content [pixel]."""
 
 
@@ -102,7 +103,8 @@ def write_clean(plotter: Plotter, file: Path) -> None:
 
 FRAMES_PER_S = 20
 """Both kinds can hold it: a GIF counts in hundredths of a second."""
-SHORTEST_S, LONGEST_S = 4.0, 12.0
+SHORTEST_S = 4.0
+LONGEST_S = 12.0
 """A movie that would be shorter or longer plays slower or faster than it really was [s]."""
 KINDS = (".mp4", ".gif")
 

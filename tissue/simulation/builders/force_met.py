@@ -24,7 +24,8 @@ from tissue.simulation.builders.parts import motion_of
 
 __all__ = ["chosen_scale", "cut", "fitted_scale", "pierced", "pressed", "slot_force_N"]
 
-POSES, FINE_POSES = 250, 3000
+POSES = 250
+FINE_POSES = 3000
 """Numbers of poses of the scripted motion at which the force is evaluated.
 
 The first is for a cutter. The second is for a needle, which breaks through within tenths of a
@@ -37,7 +38,8 @@ Up to 32 voxels the largest force of the built-in scenes changes by less than 4 
 """
 ELEMENTS = 1500
 """Number of elements of a cutter."""
-SLOT_VOXELS, SLOT_M_S = 10, 2e-3
+SLOT_VOXELS = 10
+SLOT_M_S = 2e-3
 """Voxels across a cutter, and its feed [m/s], for the estimate of its usual force."""
 MOST = 0.35
 """Upper bound of the script's largest scaled force, as a ratio to the device's force limit.

@@ -38,7 +38,8 @@ ROS2_PACKAGES = ("rclpy", "geometry_msgs")
 PORT = 18944
 """Port of OpenIGTLink."""
 LOCAL = "127.0.0.1"
-EVENTS, EVENT_BYTES = 64, 256
+EVENTS = 64
+EVENT_BYTES = 256
 """Number of events kept until they are sent, and longest event [bytes]."""
 
 

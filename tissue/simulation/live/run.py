@@ -43,14 +43,16 @@ __all__ = ["LiveObserver", "LiveSettings", "live"]
 
 LONGEST_S = 600.0
 """Duration of a run by the mouse if none is given [s]; its trace is held in memory."""
-ROAM_MM, ROAM_ON_WALL_MM = 8.0, 40.0
+ROAM_MM = 8.0
+ROAM_ON_WALL_MM = 40.0
 """Largest distance of the tool from the scripted path under the pointer [mm].
 
 The second value is for a wall, which has no edge.
 """
 LOOK_S = 0.01
 """Time between two checks while the run waits [s]."""
-STALLED_S, HELD_S = 3.0, 60.0
+STALLED_S = 3.0
+HELD_S = 60.0
 """Time without a picture after which the run waits for its window, and longest wait [s]."""
 
 

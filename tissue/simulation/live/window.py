@@ -70,7 +70,8 @@ COUNTERS = (
 )
 """Shared numbers: writes of an array, and states of the window and of the run."""
 
-ABOVE_M, BELOW_M = 0.02, 0.01
+ABOVE_M = 0.02
+BELOW_M = 0.01
 """Distances above and below the path within the pointer's reach [m].
 
 The first bounds how far a tool is drawn back, the second how far a probe is pressed beyond the

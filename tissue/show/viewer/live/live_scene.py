@@ -305,7 +305,8 @@ class LiveScene:
         self._tool = ToolShown(self.plotter, tool, longest_mm=0.25 * size_mm, opacity=0.5)
 
 
-NOTCH_MM, KEY_MM = 0.5, 0.5
+NOTCH_MM = 0.5
+KEY_MM = 0.5
 """Travel of a notch of the wheel and of a press of a key [mm]."""
 DEEPER = ("Next", "s")
 HIGHER = ("Prior", "w")

@@ -18,7 +18,8 @@ __all__ = ["Values", "serve"]
 
 LARGEST = 1024
 """Longest message [byte]."""
-MOST_PER_S, AT_ONCE = 400.0, 200.0
+MOST_PER_S = 400.0
+AT_ONCE = 200.0
 """Messages that are read in a second, and at once after a pause: a page sends one for each move of
 the mouse and each picture, some 150 a second."""
 LONGEST_REASON = 123
@@ -33,7 +34,8 @@ NUMBERS = {
     "time": {"time_s": (-1e6, 1e6)},
 }
 """Entries that are numbers, with their ranges."""
-WORDS, SWITCHES = ("key", "field", "layer"), ("pause", "play")
+WORDS = ("key", "field", "layer")
+SWITCHES = ("pause", "play")
 """Messages with one entry, ``name``, a word, or ``on``, true or false."""
 ALONE = ("reset", "end", "seen")
 """Messages without any."""
@@ -90,7 +92,8 @@ class Pace:
 
 
 PAGE = Path(__file__).parent / "page"
-FRAME_S, REST_S = 1.0 / 30.0, 0.004
+FRAME_S = 1.0 / 30.0
+REST_S = 0.004
 """Time between two frames, and minimum time per frame for the page's messages [s]."""
 LEFT_S = 8.0
 """Time that a page may be closed before its session ends [s], enough to load it again."""

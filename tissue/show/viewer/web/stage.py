@@ -130,7 +130,8 @@ class Stage:
         self._turned = self.changed = True
 
 
-STOPS, MARKS = 24, 5
+STOPS = 24
+MARKS = 5
 """Colours and labels along a scale."""
 
 

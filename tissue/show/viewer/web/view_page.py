@@ -28,7 +28,8 @@ MARGINS = (0.05, 0.82, 0.06, 0.94)
 """Layers and the scale of colours lie at the right."""
 MOST_ROWS = 2000
 """Rows of the trace that the page plots."""
-DEPTH, LAYER = "removed depth", "layer"
+DEPTH = "removed depth"
+LAYER = "layer"
 """Colourings of the bone, among the names of fields."""
 
 
