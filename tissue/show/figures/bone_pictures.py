@@ -308,9 +308,11 @@ def draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
         f"{run.scene.name}: {summary}", (8.0, per_mm * (v1 - v0) + 1.35), layout="compressed"
     )
     placed = {"origin": "lower", "extent": depth.extent_mm, "interpolation": "nearest"}
-    shade = _hillshade(depth.height_mm * depth.outward, spacing)
+    # Slopes are smoothed: the depth of a hole would shade a rim around it.
+    uncut = np.where(depth.depth_mm < least, depth.height_mm * depth.outward, np.nan)
+    shade = _hillshade(uncut, spacing)
     ground = np.clip(np.array(BONE) * shade[..., None], 0.0, 1.0)
-    ground[~(depth.bone & np.isfinite(depth.height_mm))] = 1.0
+    ground[~(depth.bone & np.isfinite(uncut))] = 1.0
     axes.imshow(ground.swapaxes(0, 1), **placed)
     image = axes.imshow(
         np.ma.masked_less(depth.depth_mm, least).T,
@@ -338,7 +340,7 @@ def draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
 
 
 def _hillshade(height_mm: Array, spacing_mm: float) -> Array:
-    """Compute the brightness of a face lit from the upper left, darker where it lies deep."""
+    """Compute the brightness of a face lit from the upper left."""
     from scipy.ndimage import gaussian_filter
 
     there = np.isfinite(height_mm)
