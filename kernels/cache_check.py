@@ -7,6 +7,7 @@ removed, and Warp compiles it again.
 
 import json
 import os
+import re
 import shutil
 import struct
 from contextlib import suppress
@@ -23,6 +24,8 @@ The checksums were computed when the files were first seen.
 """
 CHECKED = (".o", ".meta", ".ptx", ".cubin")
 """Endings of the files that Warp loads; Warp writes sources only for readers."""
+BUILDING = re.compile(r"_p\d+_t\d+$")
+"""End of the name of a folder that a process compiles into; Warp renames it when it is whole."""
 ELF_MAGIC = b"\x7fELF\x02\x01"
 """First bytes of a little-endian 64-bit ELF object."""
 
@@ -37,6 +40,8 @@ def remove_damaged(cache: Path) -> list[str]:
     removed = []
     with suppress(OSError):
         for entry in sorted(cache.glob("wp_*")):
+            if BUILDING.search(entry.name):
+                continue
             if entry.is_dir() and not _is_whole(entry):
                 shutil.rmtree(entry, ignore_errors=True)
                 removed.append(entry.name)
