@@ -74,6 +74,8 @@ def test_full_cell_is_symmetric_to_the_bit_with_six_rigid_modes():
     particles, grid = block((2, 2, 2), 1e-3, modulus_Pa=84e9)
     matrices = CellStiffness(particles, grid, inner_strength=1.0).cell_matrices()
     assert np.array_equal(matrices, matrices.transpose(0, 2, 1))
+    bare = CellStiffness(particles, grid, inner_strength=0.0).cell_matrices()
+    assert np.abs(matrices - bare).max() <= ROUNDING * np.abs(matrices).max()
     values = np.linalg.eigvalsh(matrices[0])
     assert np.abs(values[:6]).max() < 1e-13 * values[-1] and values[6] > 1e-3 * values[-1]
     rigid = rigid_modes(grid.node_position_m[grid.cell_nodes[0]], np.zeros(3)).reshape(24, 6)

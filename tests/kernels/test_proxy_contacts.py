@@ -184,6 +184,9 @@ def test_a_point_keeps_the_plane_that_it_met_while_it_goes_up_a_wall():
     )
     assert looker.read("normal", 1) == pytest.approx(np.array([[0.0, 0.0, 1.0]]), abs=1e-12)
     looker.contacts.press.assign([force, 0.0, 0.0])
+    assert (
+        looker.look((far, far + spacing, edge + 0.3 * spacing), step_m=step)[0] == 1
+    )  # same plane
     found, _, _ = looker.look((edge + 0.3 * spacing, far, edge + 0.6 * spacing), step_m=step)
     slots, gaps, normals = (looker.read(name, found) for name in ("slot", "gap", "normal"))
     assert found == 2 and slots[0] == 0

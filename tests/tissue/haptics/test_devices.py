@@ -272,3 +272,17 @@ def test_a_force_is_brought_into_range_by_a_law_that_can_be_undone():
     for wrong in (np.nan, np.inf):
         with pytest.raises(InputError, match="force must be finite"):
             law.play(np.array([0.0, wrong, 0.0]))
+
+
+def test_the_axes_of_a_plant_are_alike():
+    places = []
+    for axis in range(3):
+        plant = Plant(mass_kg=0.1, damping_N_s_m=0.5, friction_N=0.05, amplifier_Hz=100.0)
+        plant.hold(stiffness_N_m=300.0, damping_N_s_m=2.0, mass_kg=0.2)
+        unit = np.eye(3)[axis]
+        for tick in range(50):
+            command = tuple((0.8 * unit).tolist())
+            external = tuple((0.3 * np.sin(tick) * unit).tolist())
+            plant.advance(1e-3, command=command, external=external, substeps=4)
+        places.append([plant.position[axis], plant.velocity[axis], plant.motor_work_J])
+    assert places[0] == places[1] == places[2] and places[0][0] > 0.0

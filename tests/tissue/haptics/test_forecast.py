@@ -173,3 +173,11 @@ def test_what_cannot_be_judged_is_refused():
 
     with pytest.raises(InputError, match="predictor must forget a change within 512 ticks"):
         forecast_of(Sum(), lead_ticks=0, stiffness_N_m=400.0)
+
+
+def test_a_lead_between_two_ticks_is_interpolated():
+    CONTROL.pause()
+    CONTROL.observe(np.array([0.0, 0.0, -1e-3]), np.array([0.0, 0.0, -0.01]), np.ones(3))
+    after = [CONTROL.predict(ticks) for ticks in (1, 2)]
+    assert not np.allclose(*after)
+    assert CONTROL.predict(1.25) == pytest.approx(0.75 * after[0] + 0.25 * after[1], rel=1e-12)

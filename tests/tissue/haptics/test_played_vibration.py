@@ -11,7 +11,13 @@ from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.hand.hand import hand_parameters
 from tissue.haptics.hand_measures import PLAYED_FORCE, RAW_FORCE
-from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands
+from tissue.haptics.loop.critical_stiffness import (
+    NARROW_STEPS,
+    STEPS,
+    _steps,
+    critical_stiffness_N_m,
+    in_hands,
+)
 from tissue.haptics.loop.sampled_loop import spectral_radius
 from tissue.haptics.loop.stability_map import growth_while_running
 from tissue.haptics.loop.vibration import ENVELOPE_S, PlayedForce, PlayedVibration, Vibration
@@ -156,3 +162,13 @@ def test_a_long_period_is_judged_by_the_nearest_short_one(frequency_Hz, ticks, j
         [Vibration(judged_Hz, share=SHARE, step_s=STEP_S).factor(tick) for tick in range(ticks)],
         atol=1e-12,
     )
+
+
+def test_the_search_is_finer_from_a_quarter_of_the_vibration_on():
+    """The mass rings at f / 4 with the stiffness (m + m_hand) (pi f / 2)^2, hand included."""
+    loop = device_parameters("touch").loop(800.0)
+    loop = replace(loop, vibration=Vibration(100.0, share=0.1, step_s=1e-3))
+    rings_N_m = (loop.mass_kg + loop.hand_mass_kg) * (50.0 * np.pi) ** 2
+    stiffness_N_m = rings_N_m - loop.hand_stiffness_N_m
+    assert _steps(0.99 * stiffness_N_m, loop) == STEPS
+    assert _steps(1.01 * stiffness_N_m, loop) == NARROW_STEPS

@@ -5,8 +5,9 @@ import pytest
 
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.hand.hand import Grip, HandAction
+from tissue.haptics.hand.hand import Grip, HandAction, hand_parameters
 from tissue.haptics.renderer import PassivityRenderer, PenaltyRenderer, TurningRenderer, renderer
+from tissue.haptics.rigid_wall import knock
 from tissue.motion.quaternion import exponential, logarithm, product, unit
 from tissue.scene.registry import RENDERERS
 
@@ -122,3 +123,9 @@ def test_a_stop_for_a_rotation_creates_energy_unless_it_is_supervised(supervised
         assert given[-1] < 0.2 * 2e-3
     else:
         assert given[-1] > 2e-3
+
+
+def test_a_knocked_hand_presses_the_wall_before_the_jerk():
+    run, _ = knock(device_parameters("touch"), hand_parameters("expert"), "penalty", 500.0)
+    before = (run.time_s > 0.6) & (run.time_s < 0.8)
+    assert (run.position_m[before, 2] < 0.0).all() and (run.force_N[before, 2] > 0.0).all()

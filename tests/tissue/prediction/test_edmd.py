@@ -173,3 +173,15 @@ def test_collinear_data_can_be_had_with_ridge_or_rank():
     episodes = [row(np.column_stack([e.states, e.states[:, 0] * 3.0 + 1.0])) for e in SWING]
     for edmd in (Edmd(Identity(), ridge=1e-10), Edmd(Identity(), rank=3)):
         assert horizon_errors(edmd.fit(episodes), episodes, 1)[0] < 0.01
+
+
+def test_the_ridge_spares_the_free_regressors():
+    """The reference is the solution of the normal equations with a penalty on the slope alone."""
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=200)
+    y = 0.7 * x + 3.0 + rng.normal(size=200)
+    rows = np.column_stack([x, np.ones(200)])
+    factor, samples = triangle([np.column_stack([rows, y])])
+    weights, _ = regress(factor, samples, size=2, ridge=0.5, rank=None, free=1)
+    gram = rows.T @ rows + 0.5 * 200 * np.diag([1.0, 0.0])
+    assert weights.ravel() == pytest.approx(np.linalg.solve(gram, rows.T @ y), rel=1e-10)

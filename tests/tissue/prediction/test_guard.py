@@ -21,7 +21,7 @@ class Fake:
 
     def predict(self, ticks):
         """The constant."""
-        return np.full(3, self.constant)
+        return np.full(3, self.constant) if np.isscalar(self.constant) else self.constant
 
     def pause(self):
         """Count it."""
@@ -158,3 +158,20 @@ def test_both_differ_by_no_more_than_the_reach(reach_N, size):
     guarded = Guarded(Fake(size / np.sqrt(3.0)), Fake(0.0), reach_N=reach_N)
     guarded.observe(np.zeros(3), np.zeros(3), np.zeros(3))
     assert guarded.predict(1.0) == pytest.approx(np.full(3, min(size, reach_N) / np.sqrt(3.0)))
+
+
+def test_errors_count_alike_on_every_axis():
+    """The inner predictor misses by 0.5, the other by -0.6, and holding by nothing."""
+    chosen = []
+    for unit in np.eye(3):
+        inner = Fake(0.5 * unit)
+        other = Fake(1.6 * unit)
+        guarded = Guarded(inner, other, reach_N=10.0)
+        primary = []
+        for _ in range(2000):
+            guarded.observe(np.zeros(3), np.zeros(3), unit)
+            guarded.predict(4)
+            primary.append(guarded.is_primary)
+        chosen.append(primary)
+    assert chosen[0] == chosen[1] == chosen[2]
+    assert any(chosen[0]) and not all(chosen[0])
