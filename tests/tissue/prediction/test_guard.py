@@ -161,11 +161,11 @@ def test_both_differ_by_no_more_than_the_reach(reach_N, size):
 
 
 def test_errors_count_alike_on_every_axis():
-    """The inner predictor misses by 0.5, the other by -0.6, and holding by nothing."""
+    """The inner predictor misses by -0.5, the other by 0.6, and holding by nothing."""
     chosen = []
     for unit in np.eye(3):
-        inner = Fake(0.5 * unit)
-        other = Fake(1.6 * unit)
+        inner = Fake(1.5 * unit)
+        other = Fake(0.4 * unit)
         guarded = Guarded(inner, other, reach_N=10.0)
         primary = []
         for _ in range(2000):
