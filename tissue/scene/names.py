@@ -1,6 +1,6 @@
-"""Names of the parts that a scene's keys choose from, a table for each kind of part.
+"""Names of the parts that a scene's keys choose from, with a registry for each kind of part.
 
-The entries hold the properties of a part. Factories of built-in parts lie in the packages above.
+The entries hold the properties of a part. Factories of built-in parts are in the packages above.
 """
 
 from collections.abc import Callable, Mapping
@@ -38,7 +38,7 @@ Factory = Callable[..., Any]
 
 @dataclass(frozen=True)
 class AnatomyEntry:
-    """A tissue.
+    """Properties of a tissue.
 
     Attributes
     ----------
@@ -62,13 +62,13 @@ class AnatomyEntry:
 
     @property
     def variants(self) -> tuple[type[Part], ...]:
-        """Tables that a scene may state of it."""
+        """Tables for this tissue in a scene."""
         return self.parameters if isinstance(self.parameters, tuple) else (self.parameters,)
 
 
 @dataclass(frozen=True)
 class CutterEntry:
-    """A cutter.
+    """Properties of a cutter.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class CutterEntry:
 
 @dataclass(frozen=True)
 class ProbeEntry:
-    """A probe.
+    """Properties of a probe.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ class ProbeEntry:
 
 @dataclass(frozen=True)
 class MotionEntry:
-    """A motion.
+    """Properties of a motion.
 
     Attributes
     ----------
@@ -117,7 +117,7 @@ class MotionEntry:
 
 @dataclass(frozen=True)
 class DeviceEntry:
-    """A haptic device.
+    """Properties of a haptic device.
 
     Attributes
     ----------
@@ -136,13 +136,13 @@ class DeviceEntry:
 
     @property
     def is_real(self) -> bool:
-        """Whether a real device can be opened."""
+        """True if a real device can be opened."""
         return self.make is not None or self.has_adapter
 
 
 @dataclass(frozen=True)
 class PredictorEntry:
-    """A predictor.
+    """Properties of a predictor.
 
     Attributes
     ----------
@@ -174,7 +174,7 @@ CUTTERS: Registry[CutterEntry] = Registry(
     },
     group="tissue.tools",
 )
-"""Rotating cutters, by their shape."""
+"""Rotating cutters by shape."""
 
 
 PROBES: Registry[ProbeEntry] = Registry(
@@ -186,17 +186,18 @@ PROBES: Registry[ProbeEntry] = Registry(
     },
     group="tissue.probes",
 )
-"""Smooth tools that press, by their shape."""
+"""Smooth tools that press, by shape."""
 NEEDLES: Registry[Callable[..., Any] | None] = Registry(
     "tool.kind", {"needle": None}, group="tissue.needles"
 )
-"""Needles: what each meets in tissue, from ``walls``, the membranes under the capsule from the
-surface downwards.
+"""Needles: functions that return the tissue of a registered needle from ``walls``.
+
+``walls`` are the membranes below the capsule, from the surface downwards.
 """
 
 
 def _numbers(table: str, *names: str) -> dict[str, float]:
-    """Values of a data file, later names over earlier ones."""
+    """Return the values of a data file; later names override earlier ones."""
     return {key: entry.value for name in names for key, entry in constants(table, name).items()}
 
 
@@ -216,11 +217,9 @@ HANDS: Registry[Mapping[str, float]] = Registry(
     {name: _numbers("hands", "any", name) for name in listed("hands") if name != "any"},
     group="tissue.hands",
 )
-"""Hands that hold a device: the numbers of `tissue.haptics.hand.hand.HandParameters` by their
-names.
-"""
+"""Hands that hold a device, as values of `tissue.haptics.hand.hand.HandParameters` by name."""
 GROUPS = HANDS.known
-"""Groups of people whose senses are known beside their hands: those of studies and of training."""
+"""Groups of operators with known hands and known senses, used in studies and in training."""
 RENDERERS: Registry[Callable[..., Any] | None] = Registry(
     "renderer",
     {
@@ -230,7 +229,7 @@ RENDERERS: Registry[Callable[..., Any] | None] = Registry(
     },
     group="tissue.renderers",
 )
-"""Laws by which a device plays what the tool meets: each from the loop of its wall."""
+"""Rendering laws: functions that return the law of a registered renderer from its wall's loop."""
 
 
 PREDICTORS: Registry[PredictorEntry] = Registry(
@@ -246,7 +245,7 @@ PREDICTORS: Registry[PredictorEntry] = Registry(
     },
     group="tissue.predictors",
 )
-"""What predicts the force on a device; colours after Okabe and Ito (2008)."""
+"""Predictors of the force on a device; colours after Okabe and Ito (2008)."""
 PERCEPTIONS: Registry[Callable[..., Any] | None] = Registry(
     "perception",
     {
@@ -255,20 +254,18 @@ PERCEPTIONS: Registry[Callable[..., Any] | None] = Registry(
     },
     group="tissue.perceptions",
 )
-"""For whom the force on a device is scaled."""
+"""Perception models that scale the force on a device."""
 CUTTING_MATERIALS: Registry[tuple[str, str]] = Registry(
     "cutting.material",
     {name: ("cutting", name) for name in ("bone", "enamel", "dentin", "soft")},
     group="tissue.materials",
 )
-"""What bone may be cut as: the table of `tissue.materials.constants` and the name there."""
+"""Materials for cutting bone: table of `tissue.materials.constants`, and name in it."""
 ORGAN_MATERIALS: Registry[tuple[str, str]] = Registry(
     "organ.material",
     {name: ("soft", name) for name in ("liver", "kidney")},
     group="tissue.materials",
 )
-"""What a soft organ may be made of."""
+"""Materials of a soft organ: table of `tissue.materials.constants`, and name in it."""
 SCENES: Registry[Path] = Registry("scene", {}, group="tissue.scenes")
-"""Files of scenes from elsewhere, by the names that they hold; those of the library are not
-among them.
-"""
+"""Files of registered scenes by scene name, without the built-in scenes."""
