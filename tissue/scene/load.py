@@ -174,15 +174,15 @@ def load_scene(
     overrides
         Values by dotted key, such as ``{"voxels.spacing_mm": 0.2}``; ``device``, ``hand``,
         ``coupling.delay_ms`` and other keys of the device may be given without the table's name.
-        What one of them makes of no effect is left out.
+        Keys of the scene that lose their effect through an override are left out.
     live
-        Whether a mouse replaces the device of a scene without one.
+        True if a mouse replaces the device of a scene without one.
 
     Raises
     ------
     InputError
-        If a key has no effect in the scene, or the scene is unknown, unreadable or invalid: a
-        sentence on what to change.
+        If a key has no effect in the scene, or the scene is unknown, unreadable or invalid. The
+        message explains the necessary change.
     """
     path = Path(source)
     if path.suffix == ".toml":
@@ -255,7 +255,7 @@ def _replaced(
         if whole in full:
             raise InputError(whole, "be given once", f"it twice, once as {key}", "remove one")
         full[whole] = None if (key, value) == ("device", "none") else value
-    # A new kind starts its part afresh, so kinds go first, in whatever order they were given.
+    # A new kind resets its part, so kinds are placed first, in any order of the overrides.
     for key, value in sorted(
         full.items(), key=lambda item: item[0] != "device" and not item[0].endswith(".kind")
     ):
@@ -270,7 +270,7 @@ def _replaced(
         placed["device"] = _with_absolute_record(placed["device"], Path.cwd())
     asked = placed.get("device")
     if isinstance(asked, dict) and asked and all(value == "none" for value in asked.values()):
-        del placed["device"]  # no prediction and no perception ask for no device
+        del placed["device"]  # values of none alone request no device
     if isinstance(before, InputError):
         return _scene(placed)
 
@@ -312,7 +312,7 @@ def _settled(
             faults = error.errors(include_url=False)
         idle = {key for fault in faults for key in idle_keys(fault, left) if not keep(key)}
         if idle <= found:
-            # A misspelt key that is required gives two faults: report the one that names it.
+            # A misspelt required key gives two faults. The one that names the key is reported.
             first = min(faults, key=lambda fault: fault["type"] != "extra_forbidden")
             return error_of(first, left), found
         for key in idle:

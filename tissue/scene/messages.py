@@ -32,7 +32,7 @@ def error_of(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) 
         if kind == "unknown_name" and error.requirement:
             error.argument = key
         return error
-    if kind == "value_error":  # of a registered part's validator
+    if kind == "value_error":  # raised by the validator of a registered part
         return InputError(str(error))
     if kind == "idle_keys":
         return _idle_error(names, context["refused"])

@@ -59,7 +59,7 @@ def ask_packages(group: str) -> None:
     """
     if not group or group in _asked:
         return
-    _asked.add(group)  # before any is imported, which may ask in its turn
+    _asked.add(group)  # before an import that may call this function
     first: dict[str, EntryPoint] = {}
     for offer in _offers().get(group, ()):
         other = first.setdefault(offer.name, offer)
@@ -148,23 +148,23 @@ def shown(value: object) -> str:
 
 
 class Registry(Generic[T]):
-    """Named parts of one kind, in the order in which they are listed.
+    """Registry of named parts of one kind, in listing order.
 
     Parameters
     ----------
     key
-        Key of a scene whose value is a name of this table, as messages have it.
+        Scene key whose value is a name in this registry, as used in messages.
     parts
-        The parts by their names. A name such as ``observer:FILE`` stands for all
-        texts with something else behind the colon.
+        Parts by name. A name such as ``observer:FILE`` matches all texts with another argument
+        after the colon.
     group
-        Group of entry points by which installed packages offer more parts. They are asked for a
-        name that is not known, and when the names are listed.
+        Group of entry points by which installed packages offer more parts. The packages are asked
+        for an unknown name, and when the names are listed.
 
     Attributes
     ----------
     built_in
-        Names of the parts that it was made with.
+        Names of the parts given at construction.
     """
 
     def __init__(self, key: str, parts: Mapping[str, T], *, group: str = "") -> None:
@@ -214,7 +214,7 @@ class Registry(Generic[T]):
         Raises
         ------
         InputError
-            If the text stands for none; the sentence lists `others` beside the names of the table.
+            If the text matches no part. The message lists `others` and the names of the registry.
         """
         if (found := self._split(text)) is not None:
             return found

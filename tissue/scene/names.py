@@ -43,14 +43,14 @@ class AnatomyEntry:
     Attributes
     ----------
     parameters
-        Tables that a scene may state of it, whose ``kind`` is the entry's name, by the source of
-        its shape.
+        Tables for this tissue in a scene, one for each source of its shape. Their ``kind`` is the
+        entry's name.
     tool
-        The table that describes the tools that it meets.
+        Table of the tools that act on it.
     build, force_N, pictures, faces
-        Of a part from outside, see `tissue.register`: what makes the parts of a run, estimates the
-        largest force on a scene's scripted motion [N], draws pictures of a run by their files'
-        names, and returns the faces in a window.
+        Functions of a registered tissue, see `tissue.register`. They make the parts of a run,
+        estimate the largest force on a scene's scripted motion [N], draw pictures of a run by file
+        name, and return the faces in a window.
     """
 
     parameters: "tuple[type[Part], ...] | type[Part]"
@@ -73,10 +73,11 @@ class CutterEntry:
     Attributes
     ----------
     profile
-        Of a part from outside: its half section from ``diameter_m`` and what else shapes it,
-        ``length_m`` of ``length_mm``, ``point_angle_rad`` of ``point_angle_deg``.
+        Function of a registered cutter that returns its half section from ``diameter_m`` and the
+        sizes of `keys`: ``length_m`` for ``length_mm``, ``point_angle_rad`` for
+        ``point_angle_deg``.
     keys
-        Keys of the tool that shape it, next to its diameter.
+        Keys of the tool that define its shape, in addition to its diameter.
     """
 
     profile: Factory | None = None
@@ -90,9 +91,9 @@ class ProbeEntry:
     Attributes
     ----------
     make
-        Of a part from outside: makes a probe of what a scene states of it.
+        Function of a registered probe that makes it from its table in a scene.
     keys
-        Keys of the tool that shape it.
+        Keys of the tool that define its shape.
     """
 
     make: Factory | None = None
@@ -106,9 +107,9 @@ class MotionEntry:
     Attributes
     ----------
     parameters
-        Table that a scene states of it, whose ``kind`` is the entry's name.
+        Table for this motion in a scene, whose ``kind`` is the entry's name.
     make
-        Of a part from outside: makes a motion of that table, for ticks of so many seconds.
+        Function of a registered motion that makes it from that table and the length of a tick [s].
     """
 
     parameters: type[Part]
@@ -122,12 +123,13 @@ class DeviceEntry:
     Attributes
     ----------
     numbers
-        Values of `tissue.haptics.device.device.DeviceParameters` by their names, which judge and
-        simulate it.
+        Values of `tissue.haptics.device.device.DeviceParameters` by name. They are used to judge
+        and simulate the device.
     make
-        Of a part from outside: opens the real device, from where the tool starts in the scene [m].
+        Function of a registered device that opens the real device, given the start position of the
+        tool in the scene [m].
     has_adapter
-        Whether `tissue.haptics.real` opens the real device.
+        True if `tissue.haptics.real` opens the real device.
     """
 
     numbers: Mapping[str, float]
@@ -147,12 +149,12 @@ class PredictorEntry:
     Attributes
     ----------
     make
-        Of a part from outside: makes a predictor from what was trained for the scene, None for one
-        that is not trained, and the device's largest force [N].
+        Function of a registered predictor that makes it from the trained data of the scene and the
+        device's largest force [N]. The data are None for a predictor that is not trained.
     trained
-        Whether it needs what `tissue train` writes.
+        True if it needs the output of `tissue train`.
     colour, marker
-        Its colour and marker in charts, as matplotlib has them.
+        Colour and marker in charts, in matplotlib's notation.
     """
 
     make: Factory | None = None

@@ -140,7 +140,7 @@ class ByKind:
     parts
         Returns the tables that are known so far.
     groups
-        Groups of entry points that offer more of them.
+        Groups of entry points that offer more tables.
     """
 
     parts: "Callable[[], tuple[type[BaseModel], ...]]"
@@ -177,7 +177,7 @@ class ByKind:
             """Validate a value, after asking installed packages for an unknown kind."""
             if not isinstance(value, Mapping):
                 return validate(value)
-            # An empty name is no file, whatever the table takes by default.
+            # An empty name means no file, whatever the default of the table is.
             if value.get("file") == "":
                 value = {name: each for name, each in value.items() if name != "file"}
             kind = value.get("kind")
@@ -241,9 +241,9 @@ class Needs:
     key
         The other key, with the name of the part, such as ``anatomy.nodule_diameter_mm``.
     value
-        Value that the other key must have; None for any but its default.
+        Value that the other key must have; None for any value except its default.
     is_absent
-        Whether the other key must be absent instead.
+        True if the other key must be absent instead.
     """
 
     key: str
@@ -285,7 +285,7 @@ class Part(BaseModel):
     def idle(self) -> dict[str, Idle]:
         """Return the keys that have no effect, with the reasons.
 
-        Keys of inner tables, and whole inner tables of inner tables, are dotted.
+        Keys of inner tables, and whole inner tables, are dotted.
         """
         found: dict[str, Idle] = {}
         for keys, is_idle, where, remedy in self.rules():
@@ -304,7 +304,7 @@ class Part(BaseModel):
             value = getattr(self, name)
             if isinstance(value, Part):
                 inner = value.changed_entries(f"{prefix}{name}.")
-                # An optional table asks for something even where it holds defaults alone.
+                # An optional table has an effect even if it holds only defaults.
                 found |= inner or ({f"{prefix}{name}": {}} if field.default is None else {})
             elif name != "kind" and value != field.get_default(call_default_factory=True):
                 found[f"{prefix}{name}"] = value

@@ -46,7 +46,7 @@ def folders_of(scene: Scene) -> list[str]:
     """
     found = set()
     for text in _texts_of(scene):
-        # a file may follow a part's name, as in observer:FILE
+        # a file may follow the name of a part, as in observer:FILE
         for each in (text, text.partition(":")[2]):
             kinds: tuple[type[PurePath], ...] = (PurePosixPath, PureWindowsPath)
             path = next((kind(each) for kind in kinds if kind(each).is_absolute()), None)

@@ -25,14 +25,14 @@ class Used:
     of
         Table and material.
     name
-        Its name, with its unit.
+        Name of the constant, with its unit.
     cited
-        Value, range, source and confidence: of the scene's own file, where it states the constant.
+        Value, range, source and confidence, from the scene's own file if it has the constant.
     full
-        Its name ``TABLE.MATERIAL.NAME``; of a layer's own cutting constant the layer stands for the
-        material.
+        Full name ``TABLE.MATERIAL.NAME``. For a layer's own cutting constant, the layer replaces
+        the material.
     stated
-        What the scene states in its place, None where that of the tables or of its file is used.
+        Value that the scene states instead. None uses the value of the tables or of the file.
     """
 
     of: str
