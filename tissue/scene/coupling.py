@@ -84,9 +84,7 @@ class Coupling(Part):
     prediction_gain: float = Field(1.0, ge=0, le=2)
     """Gain C in F + C (F_ahead - F): 0 plays the present force, 1 the predicted force."""
     predictor_file: FileName = ""
-    """File of a trained predictor, as `tissue train` writes it; empty for the scene's own
-    predictor.
-    """
+    """Trained predictor, as `tissue train` writes it; empty for the scene's own predictor."""
     roam_mm: float | None = Field(None, ge=0, le=100, examples=[8.0])
     """Distance around the scripted motion within which tissue is prepared for the tool. Default: 2
     mm on an organ, otherwise none.
@@ -144,7 +142,7 @@ class Device(Part):
 class Fidelity(Part):
     """Required fidelity of a run.
 
-    With `force_error`, the fastest setting on this machine that meets the requirements is used.
+    With `force_error`, the fastest setting on this machine that satisfies the requirements is used.
     With `tick_ms` alone, the most accurate one is used.
     """
 

@@ -214,7 +214,7 @@ def load_scene(
 
 
 def saved_text(scene: Scene) -> str:
-    """Return the TOML of a scene for a run folder, with the versions of the format and of tissue."""
+    """Return the TOML of a scene for a run folder, with the versions of format and tissue."""
     return f'format = {FORMAT}\ntissue = "{package_version()}"\n{scene.to_toml()}'
 
 

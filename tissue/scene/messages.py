@@ -82,7 +82,7 @@ def _idle_error(names: tuple[str, ...], refused: Mapping[str, tuple[object, Idle
 def _unknown_key(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> InputError:
     """Return the error for a key that the chosen table does not have.
 
-    The remedy depends on whether another table has the key.
+    The remedy names another table that has the key, or the known keys.
     """
     key = ".".join(map(shown, names))
     word = names[-1]

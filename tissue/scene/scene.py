@@ -120,8 +120,8 @@ class Output(Part):
     plays it too.
     """
     cue_N: float = Field(0.0, ge=0, le=1, examples=[0.3])
-    """Amplitude of the transient that a device plays at first contact, another layer and a
-    puncture. 0 plays no transient.
+    """Amplitude of the transient that a device plays at events; 0 plays no transient. The events
+    are first contact, another layer and a puncture.
     """
 
 
@@ -171,8 +171,8 @@ class Scene(Part):
     seed: int = Field(0, ge=0, lt=2**63)
     """Seed of all random draws."""
     duration_s: float | None = Field(None, ge=1e-3, le=3600, examples=[5.0])
-    """Simulated time. Default: the duration of the motion. A time that covers the whole motion is
-    extended by the delay of the hand.
+    """Simulated time. Default: the duration of the motion. A given time that covers the whole
+    motion is extended for the delay of the hand.
     """
     anatomy: AnyAnatomy
     """Anatomy on which the tool acts."""
@@ -393,9 +393,7 @@ class Scene(Part):
         return tomli_w.dumps(self.effective_table())
 
     def _repr_html_(self) -> str:
-        """Return HTML for a notebook: the keys that the scene states, and all its keys folded
-        below.
-        """
+        """Return HTML for a notebook with the stated keys, and all keys folded below."""
         import tomli_w
 
         stated = self.model_dump(

@@ -216,7 +216,7 @@ def schema_text() -> str:
 
 
 def scene_for_editors(name: str) -> str:
-    """Return the TOML of a named scene; its first line names the schema in the cache.
+    """Return the TOML of a built-in scene with the schema named in its first line.
 
     The schema is written to the cache for it. The line holds a ``file:`` URL. Taplo and editors
     that use it resolve this URL from any folder and without a network. If the cache cannot be

@@ -247,6 +247,4 @@ class ReplayMotion(Part):
     kind: Literal["replay"] = "replay"
     """Recorded."""
     file: FileName = Field(examples=["runs/glenoid/trace.csv"])
-    """CSV table of poses, such as a run's own trace, or an HDF5 recording of
-    volumetric_drilling.
-    """
+    """CSV table of poses, such as a run's trace, or an HDF5 recording of volumetric_drilling."""

@@ -139,8 +139,9 @@ def _device(device: str | None, hand: str) -> Iterator[Part]:
 def _cutting(
     given: Materials, layers: Sequence[str], bone: str, *, has_reference_density: bool
 ) -> Iterator[Part]:
-    """Yield the cutting constants of materials that layers use, and of layers with their own
-    values.
+    """Yield the cutting constants that layers use, by material or by layer.
+
+    A layer with its own value of a constant replaces the material.
     """
     needed = dict[str, dict[str, None]]()
     fixed = {"density_exponent"} if has_reference_density else set()
