@@ -1,1 +1,1 @@
-"""Scenes: the validated description of what to simulate, read from TOML."""
+"""Scenes: validated descriptions of simulations, read from TOML."""

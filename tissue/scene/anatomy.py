@@ -1,5 +1,6 @@
-"""Anatomies that cutters meet: bone and teeth, procedural or from files, each with the keys that
-shape it alone.
+"""Anatomies of a scene for cutters: bone and teeth, procedural or from files.
+
+Each table has only the keys of its own shape.
 """
 
 from typing import Annotated, ClassVar, Literal
@@ -36,14 +37,15 @@ class CutAnatomy(Part):
     kind: str
 
     source: ClassVar[str] = "procedural"
-    """Origin of the shape, as messages call it."""
+    """Origin of the shape, as used in messages."""
     reads: ClassVar[tuple[str, ...]] = ("voxels", "cutting", "keep_clear")
-    """Tables of a scene that describe it."""
+    """Tables of a scene that apply to this anatomy."""
 
     @property
     def from_file(self) -> str | None:
-        """File of the whole shape; None for a procedural anatomy and for a tooth of one file a
-        layer.
+        """File of the whole shape; None without one.
+
+        A procedural anatomy and a tooth with one file per layer have no such file.
         """
         file: str | None = getattr(self, "file", None)
         return file
@@ -66,16 +68,16 @@ class Drilled(CutAnatomy):
     guide_hole_depth_mm: Annotated[float, Needs("anatomy.guide_hole_diameter_mm")] = Field(
         0.0, ge=0, le=100
     )
-    """Depth of the guide hole under the face."""
+    """Depth of the guide hole below the face."""
 
 
 class Placed(Drilled):
-    """Bone in a file, turned and moved to its working face."""
+    """Bone from a file, moved and rotated to its working face."""
 
     file: FileName = Field(examples=["scapula.stl"])
     """Surface (.stl .obj .ply .vtk .vtp), image volume, or folder of TIFF slices."""
     centre_mm: Vector | None = Field(None, examples=[(0.0, 0.0, 0.0)])
-    """Centre of the working face in the file's frame [mm]; without it that of a glenoid is
+    """Centre of the working face in the file's frame [mm]. Without it, the face of a glenoid is
     searched for.
     """
     normal: Annotated[Vector | None, Needs("anatomy.centre_mm")] = Field(
@@ -83,30 +85,30 @@ class Placed(Drilled):
     )
     """Outward normal of the working face in the file's frame."""
     along: Vector | None = Field(None, examples=[(1.0, 0.0, 0.0)])
-    """Direction in the file's frame that becomes x, as far as it lies across the normal."""
+    """Direction in the file's frame whose component perpendicular to the normal becomes x."""
     cortical_thickness_mm: float = Field(1.5, gt=0, le=10)
-    """Thickness of the cortical shell under the surface of a bone from a file."""
+    """Thickness of the cortical shell below the surface of a bone from a file."""
 
 
 class SurfaceAnatomy(Placed):
-    """Bone in a surface file."""
+    """Bone from a surface file."""
 
     source: ClassVar[str] = "from a surface"
     scale_mm: float | None = Field(None, gt=0, le=1e5, examples=[1.0])
-    """Millimetres per unit of a surface file; without it the unit is guessed and shown."""
+    """Millimetres per unit of a surface file. Without it, the unit is guessed and shown."""
 
 
 class Image(Part):
-    """Image volume of which the voxels above a threshold are bone."""
+    """Image volume in which the voxels above a threshold are bone."""
 
     spacing_mm: float | None = Field(None, gt=0, le=10, examples=[0.0195])
-    """Voxel edge of an image that does not state one, such as TIFF slices."""
+    """Voxel edge for an image that does not state one, such as TIFF slices."""
     threshold: float | None = Field(None, ge=-1e9, le=1e9, examples=[200.0])
     """Image value above which a voxel is bone."""
 
 
 class ImageAnatomy(Placed, Image):
-    """Bone in an image volume."""
+    """Bone from an image volume."""
 
     source: ClassVar[str] = "from an image"
 
@@ -119,8 +121,9 @@ class Glenoid(Part):
 
 
 class GlenoidAnatomy(Glenoid, Drilled):
-    """A glenoid: concave face with a subchondral plate over a trabecular vault. Origin at its
-    centre, +z outward.
+    """A glenoid: concave face with a subchondral plate over a trabecular vault.
+
+    The origin is at the centre of the face, with +z outward.
     """
 
     width_mm: float = Field(27.8, ge=20, le=34)
@@ -128,7 +131,7 @@ class GlenoidAnatomy(Glenoid, Drilled):
     height_mm: float = Field(37.5, ge=28, le=45)
     """Height of the face, inferior to superior; at least 1.1 times its width."""
     curvature_radius_mm: float = Field(35.0, ge=22, le=80)
-    """Radius of the sphere that dishes the face; above half its height."""
+    """Radius of the sphere that shapes the concave face; more than half the height of the face."""
     subchondral_thickness_mm: float = Field(1.9, ge=1.2, le=2.9)
     """Mean thickness of the subchondral plate."""
 
@@ -142,13 +145,13 @@ class GlenoidImage(Glenoid, ImageAnatomy):
 
 
 class Block(Part):
-    """Block of bone of one density."""
+    """Block of bone with uniform density."""
 
     kind: Literal["block"] = "block"
-    """A block, or the image in `file` as it is."""
+    """A block, or the unchanged image in `file`."""
     density_kg_m3: float = Field(1800.0, ge=100, le=2500)
-    """Apparent density; 1800 to 2000 is cortical bone. Of a surface from a file the density of
-    its shell.
+    """Apparent density; 1800 to 2000 is cortical bone. For a surface from a file, density of its
+    shell.
     """
 
 
@@ -160,21 +163,25 @@ class BlockAnatomy(Block, Drilled):
 
 
 class BlockSurface(Block, SurfaceAnatomy):
-    """Bone of one density in its shell, from a surface at a site that the scene states."""
+    """Bone from a surface, with uniform density in its shell.
+
+    The scene states its site.
+    """
 
 
 class BlockImage(Block, ImageAnatomy):
-    """Bone from an image: at the site `centre_mm`, else the whole image as it is with its top at
-    z = 0.
+    """Bone from an image, either at a site or as the whole unchanged image.
+
+    With `centre_mm`, the bone lies at that site. Without it, the top of the image is at z = 0.
     """
 
     @property
     def is_whole(self) -> bool:
-        """Whether the bone is the whole block of the image, which no site turns or moves."""
+        """True if the bone is the whole block of the image, without a site to rotate or move it."""
         return self.centre_mm is None
 
     def idle(self) -> dict[str, Idle]:
-        """Return the keys without effect: an image as it is has no site."""
+        """Return the keys without effect; an unchanged image has no site."""
         whole = Idle("for an image as it is, without anatomy.centre_mm", "set anatomy.centre_mm")
         placing = (
             "along",
@@ -186,21 +193,23 @@ class BlockImage(Block, ImageAnatomy):
 
 
 class Bone(Part):
-    """Bone at a site on its surface, its inside given by its density, by its core, or by a shell
-    of even thickness.
+    """Bone from a file, at a site on its surface.
+
+    Its interior follows from an image of its density, from the surface of its core, or from a shell
+    of uniform thickness.
     """
 
     kind: Literal["bone"] = "bone"
     """The bone in `file` at a site on its surface."""
     density_file: FileName | None = Field(None, examples=["density.nrrd"])
-    """Image of the apparent density [kg/m3] in the frame of `file`; layers follow from it."""
+    """Image of the apparent density [kg/m3] in the frame of `file`. The layers follow from it."""
     cortical_above_kg_m3: Annotated[float, Needs("anatomy.density_file")] = Field(
         1000.0, ge=300, le=2000
     )
-    """Apparent density from which bone of a `density_file` is cortical."""
+    """Lowest apparent density of cortical bone in a `density_file`."""
     articular_radius_mm: Annotated[float, Needs("anatomy.density_file")] = Field(0.0, ge=0, le=100)
-    """Distance from the site within which dense bone near the surface is the subchondral plate;
-    0 for no joint.
+    """Distance from the site within which dense bone near the surface is the subchondral plate. 0
+    is for no joint.
     """
     core_file: Annotated[FileName | None, Needs("anatomy.density_file", is_absent=True)] = Field(
         None, examples=["cancellous.stl"]
@@ -211,41 +220,46 @@ class Bone(Part):
         Needs("anatomy.density_file", is_absent=True),
         Needs("anatomy.core_file", is_absent=True),
     ] = Field(1.5, gt=0, le=10)
-    """Thickness of the cortical shell under the surface."""
+    """Thickness of the cortical shell below the surface."""
 
 
 class BoneSurface(Bone, SurfaceAnatomy):
-    """A bone from a surface, as `tissue import` writes of a CT. Origin at the site on its
-    surface, +z outward.
+    """A bone from a surface, such as `tissue import` writes from a CT image.
+
+    The origin is at the site on its surface, with +z outward.
     """
 
 
 class BoneImage(Bone, ImageAnatomy):
-    """A bone from an image. Origin at the site on its surface, +z outward."""
+    """A bone from an image.
+
+    The origin is at the site on its surface, with +z outward.
+    """
 
 
 class Tooth(CutAnatomy):
-    """Tooth in its socket. Origin at the bottom of the central fossa, +z out of the tooth."""
+    """Tooth in its socket.
+
+    The origin is at the bottom of the central fossa, with +z out of the tooth.
+    """
 
     reads: ClassVar[tuple[str, ...]] = (*CutAnatomy.reads, "stress", "heat")
     kind: Literal["molar"] = "molar"
     """A molar."""
     ligament_thickness_mm: float = Field(0.22, ge=0.1, le=0.5)
-    """Thickness of the periodontal ligament; of a tooth from files it counts for the stress
-    alone.
-    """
+    """Thickness of the periodontal ligament. For a tooth from files, it affects only the stress."""
 
     @property
     def layer_files(self) -> dict[str, str]:
-        """Surface file of each layer that has one."""
+        """Surface files by layer, for the layers that have one."""
         return {}
 
 
 class MolarAnatomy(Tooth, Drilled):
-    """A molar in its socket. Origin at the bottom of the central fossa, +z out of the tooth.
+    """A molar in its socket.
 
-    Real teeth come from one surface a layer (`enamel_file` ...), or from a label volume (`file`
-    with `spacing_mm`).
+    The origin is at the bottom of the central fossa, with +z out of the tooth. Real teeth come from
+    one surface per layer (`enamel_file` ...), or from a label volume (`file` with `spacing_mm`).
     """
 
     crown_width_mm: float = Field(11.0, ge=9, le=13)
@@ -253,30 +267,30 @@ class MolarAnatomy(Tooth, Drilled):
     crown_length_mm: float = Field(10.5, ge=8.5, le=12.5)
     """Buccolingual size of the crown."""
     enamel_thickness_mm: float = Field(2.2, ge=1, le=3)
-    """Enamel over the highest cusp; 62 % of it in the fossa."""
+    """Thickness of the enamel over the highest cusp; in the fossa it is 62 % of this value."""
     pulp_roof_mm: float = Field(5.0, ge=3.5, le=6.5)
-    """Depth of the pulp chamber's roof below the fossa."""
+    """Depth of the roof of the pulp chamber below the fossa."""
     caries_depth_mm: float = Field(0.0, ge=0, le=6)
-    """Depth of a lesion under the fossa; 0 is a sound tooth."""
+    """Depth of a lesion below the fossa; 0 is a sound tooth."""
     caries_diameter_mm: Annotated[float, Needs("anatomy.caries_depth_mm")] = Field(3.0, gt=0, le=8)
     """Width of the lesion."""
 
 
 class ToothSite(Tooth):
-    """Tooth from files, at the site where the tool comes in."""
+    """Tooth from files, at the tool's entry site."""
 
     site: Literal["enamel", "caries"] = "enamel"
-    """Where the tool comes in: down the axis of a tooth from files, or straight over its lesion."""
+    """Entry site of the tool: down the axis of a tooth from files, or straight over its lesion."""
 
 
 class MolarSurfaces(ToothSite, Drilled):
-    """A tooth from one closed surface a layer, all in one frame."""
+    """A tooth from one closed surface per layer, all in one frame."""
 
     source: ClassVar[str] = "from surfaces"
     scale_mm: float | None = Field(None, gt=0, le=1e5, examples=[1.0])
-    """Millimetres per unit of the surface files; without it the unit is guessed and shown."""
+    """Millimetres per unit of the surface files. Without it, the unit is guessed and shown."""
     enamel_file: FileName | None = Field(None, examples=["enamel.stl"])
-    """Closed surface of the enamel, in one frame with the other layers."""
+    """Closed surface of the enamel, in the frame of the other layers."""
     dentin_file: FileName | None = Field(None, examples=["dentin.stl"])
     """Closed surface of the dentin."""
     pulp_file: FileName | None = Field(None, examples=["pulp.stl"])
@@ -286,11 +300,11 @@ class MolarSurfaces(ToothSite, Drilled):
     ligament_file: FileName | None = Field(None, examples=["ligament.stl"])
     """Closed surface of the periodontal ligament."""
     socket_mm: float = Field(0.0, ge=0, le=10)
-    """Bone laid around the ligament of a tooth from surfaces."""
+    """Thickness of the bone added around the ligament of a tooth from surfaces."""
 
     @property
     def layer_files(self) -> dict[str, str]:
-        """Surface file of each layer that has one."""
+        """Surface files by layer, for the layers that have one."""
         files = {name: getattr(self, f"{name}_file") for name in LAYERS}
         return {name: file for name, file in files.items() if file is not None}
 
@@ -302,14 +316,14 @@ class MolarLabels(ToothSite):
     file: FileName = Field(examples=["labels.nii.gz"])
     """Label volume of the layers."""
     spacing_mm: float | None = Field(None, gt=0, le=10, examples=[0.0195])
-    """Voxel edge of a volume that does not state one, such as TIFF slices."""
+    """Voxel edge for a volume that does not state one, such as TIFF slices."""
 
 
 class VertebraAnatomy(Drilled):
-    """A lumbar vertebra. Origin behind its left pedicle, +z outward along the pedicle's axis, +y
-    up.
+    """A lumbar vertebra.
 
-    Its structure `canal`, for `keep_clear.names`, lies at +x.
+    The origin is behind its left pedicle, with +z outward along the pedicle's axis and +y up. The
+    structure `canal`, for `keep_clear.names`, lies at +x.
     """
 
     kind: Literal["vertebra"] = "vertebra"
@@ -325,20 +339,20 @@ class VertebraAnatomy(Drilled):
     canal_depth_mm: float = Field(18.6, ge=11, le=26)
     """Depth of the spinal canal, front to back."""
     pedicle_width_mm: float = Field(12.9, ge=5, le=22)
-    """Width of the pedicle; more than three times its cortex."""
+    """Width of the pedicle; more than three times the thickness of its cortex."""
     pedicle_height_mm: float = Field(14.8, ge=8, le=22)
     """Height of the pedicle."""
     pedicle_angle_deg: float = Field(17.7, ge=0, le=35)
-    """Angle by which the pedicle leans to the middle toward the front."""
+    """Angle of the pedicle's axis towards the midline, from back to front."""
     pedicle_cortex_mm: float = Field(1.0, ge=0.3, le=3)
     """Thickness of the cortex of pedicle and arch."""
 
 
 class WallAnatomy(Part):
-    """A stiff wall with its face at z = 0, for a ball to be pushed against."""
+    """A stiff wall with its face at z = 0, against which a ball is pushed."""
 
     reads: ClassVar[tuple[str, ...]] = ()
     kind: Literal["wall"] = "wall"
     """A wall."""
     stiffness_kN_m: float = Field(10.0, ge=1, le=40)
-    """Stiffness of the wall, without friction or damping."""
+    """Stiffness of the wall, which has no friction or damping."""

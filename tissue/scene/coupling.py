@@ -1,6 +1,4 @@
-"""A scene's haptic device: whose hand holds it, how it is coupled to the tool, and what is done
-to its force.
-"""
+"""Haptic device of a scene: its hand, its coupling to the tool, and the processing of its force."""
 
 from collections.abc import Iterator
 from typing import Annotated, Literal
@@ -18,29 +16,28 @@ Button = Annotated[int, Field(ge=0, le=31)]
 
 
 class Hardware(Part):
-    """How a real device is opened, and how its workspace lies in the scene;
-    ``coupling.motion_scale`` is its scale.
+    """Connection of a real device, and placement of its workspace in the scene.
+
+    The scale of the workspace is ``coupling.motion_scale``.
     """
 
     address: str = Field("", max_length=1000, examples=["ws://localhost:10001"])
-    """Where the device is, as its adapter takes it: an address, a serial number; empty for the
-    usual place.
-    """
+    """Device address or serial number, as the adapter takes it; empty for the default location."""
     turn_deg: Vector = (0.0, 0.0, 0.0)
-    """Turn of the device's axes into the world's: about the world's x, then y, then z."""
+    """Rotation of the device's axes into the world's axes, about the world's x, then y, then z."""
     clutch_button: Button | None = Field(None, examples=[1])
-    """Button, 0 the first, that lets the device move without the tool while it is held; without
-    it there is none.
+    """Number of the button that lets the device move without the tool while it is held. The first
+    button is 0. Default: no such button.
     """
     force_button: Button | None = Field(None, examples=[0])
-    """Button, 0 the first, that must be held for any force (dead man's switch); without it none
-    has to be held.
+    """Number of the button that must be held for any force (dead man's switch). The first button is
+    0. Default: no button has to be held.
     """
     force_cap_N: float | None = Field(None, gt=0, le=100, examples=[3.0])
-    """Greatest force on the hand; without it the device's own limit."""
+    """Largest force on the hand. Default: the device's limit."""
     ramp_ms: float = Field(500.0, ge=0, le=10_000)
-    """Time in which the force comes on from zero: after the start, the clutch, the force button
-    and a lost device.
+    """Time in which the force ramps up from zero. The ramp follows the start, the clutch, the force
+    button and a lost device.
     """
     watchdog_ms: float = Field(20.0, ge=2, le=1000)
     """Time without a new sample after which the force is zero."""
@@ -58,66 +55,67 @@ class Hardware(Part):
 
 
 class Coupling(Part):
-    """How a device is coupled to the tool."""
+    """Coupling of a device to the tool."""
 
     stiffness_N_m: float | None = Field(None, ge=1, le=1e5, examples=[400.0])
-    """Stiffness at the device; without it half the critical one in that hand, at most the
+    """Stiffness at the device. Default: half the critical stiffness in that hand, at most the
     device's published limit.
     """
     stiffness_Nm_rad: float | None = Field(None, ge=0.06, le=1000, examples=[0.3])
-    """The same for rotation, with a device that plays torque."""
+    """Rotational stiffness at the device, for a device that plays torque. Default: half the
+    critical stiffness in that hand, at most the device's published limit.
+    """
     damping_N_s_m: float = Field(0.0, ge=0, le=1000)
     """Damping at the device."""
     force_scale: Annotated[float, Field(ge=1e-4, le=100)] | Literal["auto"] = Field(
         "auto", examples=[0.1]
     )
-    """Newtons at the device for each newton at the tool; auto fits the script's largest force to
+    """Newtons at the device for each newton at the tool. `auto` fits the script's largest force to
     the device.
     """
     motion_scale: float = Field(1.0, ge=0.01, le=100)
-    """Metres at the tool for each metre at the device, both from where the motion starts; angles
-    stay.
+    """Metres at the tool for each metre at the device, from the start of the motion. Angles are not
+    scaled.
     """
     delay_ms: int = Field(0, ge=0, le=200)
     """Latency added before the device, in whole ticks."""
     model_ms: int = Field(1, ge=1, le=100)
-    """Time for which one answer of the tissue holds, in whole ticks; 10 is a model at 100 Hz."""
+    """Time for which one tissue response is held, in whole ticks; 10 is a model at 100 Hz."""
     prediction_gain: float = Field(1.0, ge=0, le=2)
-    """C of F + C (F_ahead - F): 0 plays the present force, 1 the one that is predicted."""
+    """Gain C in F + C (F_ahead - F): 0 plays the present force, 1 the predicted force."""
     predictor_file: FileName = ""
-    """Trained predictor, as `tissue train` writes it; empty for the scene's own."""
+    """Trained predictor, as `tissue train` writes it; empty for the scene's own predictor."""
     roam_mm: float | None = Field(None, ge=0, le=100, examples=[8.0])
-    """How far around the scripted motion tissue is made ready for the tool; without it 2 mm on
-    an organ, else none.
+    """Distance around the scripted motion within which tissue is prepared for the tool. Default: 2
+    mm on an organ, otherwise none.
     """
 
 
 class Device(Part):
-    """A haptic device by which a hand moves the tool. Without this table the motion moves the
-    tool.
+    """A haptic device with which a hand moves the tool.
+
+    Without this table, the motion moves the tool.
     """
 
     kind: Annotated[str, OneOf(DEVICES)] = Field(examples=["touch"])
     """Name of the device."""
     hand: Annotated[str, OneOf(HANDS)] = "expert"
-    """Whose hand holds the device."""
+    """Hand that holds the device."""
     renderer: Annotated[str, OneOf(RENDERERS)] = "proxy"
-    """Law by which the device plays what the tool meets."""
+    """Law that renders the tool's contact force at the device."""
     prediction: Annotated[str, OneOf(PREDICTORS, ("none",))] = "none"
-    """What predicts the device's force ahead of latency and slow models."""
+    """Predictor of the device's force ahead of latency and slow models."""
     perception: Annotated[str, OneOf(PERCEPTIONS, ("none",))] = "none"
-    """For whom the device's force is scaled: none, population, or observer:FILE, as `tissue
-    calibrate` writes it.
+    """Perception model that scales the device's force: none, population, or observer:FILE. `tissue
+    calibrate` writes the file.
     """
     coupling: Coupling = Coupling()
-    """How the device is coupled to the tool."""
+    """Coupling of the device to the tool."""
     hardware: Hardware = Hardware()
-    """Where a real device is, how its axes lie in the scene, and what protects the hand that
-    holds it.
-    """
+    """Address and axes of a real device, and limits that protect the hand."""
 
     def rules(self) -> Iterator[Rule]:
-        """Yield the rules of what the device and the prediction do not use."""
+        """Yield the rules for keys that the device and the prediction do not use."""
         entry = DEVICES[self.kind]
         has_torque = entry.numbers.get("torque_limit_Nm", 0.0) > 0.0
         is_trained = self.prediction != "none" and PREDICTORS[self.prediction].trained
@@ -142,12 +140,16 @@ class Device(Part):
 
 
 class Fidelity(Part):
-    """The least fidelity of a run; the fastest setting of this machine that meets it is taken."""
+    """Required fidelity of a run.
+
+    With `force_error`, the fastest setting on this machine that satisfies the requirements is used.
+    With `tick_ms` alone, the most accurate one is used.
+    """
 
     force_error: float | None = Field(None, gt=0, le=1, examples=[0.03])
-    """Greatest error of the force, as a share of the reference force without latency."""
+    """Largest error of the force, as a fraction of the reference force without latency."""
     tick_ms: float | None = Field(None, gt=0, le=100, examples=[0.7])
-    """Time within which 99 % of the ticks shall end."""
+    """Time within which 99 % of the ticks must end."""
 
     @model_validator(mode="after")
     def _asks_for_something(self) -> "Fidelity":

@@ -1,6 +1,6 @@
-"""Scenes from built-in names and TOML files, with overrides.
+"""Loading of scenes by name or from TOML files, with overrides.
 
-Files of version 0.2, whose keys of the device stood at the top, are converted.
+Files of version 0.2 have the device's keys at the top level. They are converted.
 """
 
 import tomllib
@@ -39,26 +39,29 @@ __all__ = [
 ]
 
 FORMAT = 2
-"""Version of a scene's file. A file without one is of the version that its form shows."""
+"""Version of the scene file format; the form of a file without it shows its version."""
 OF_DEVICE = ("hand", "renderer", "prediction", "perception", "coupling", "hardware")
-"""Keys of the table [device] that stood at the top of a file of version 0.2, and may be given so
-as overrides.
+"""Keys of the table [device] that were at the top level of a file of version 0.2.
+
+Overrides may give them in this form.
 """
 KEPT = {"description", "seed", "voxels", "output", "device", "hand", "renderer"}
-"""Keys of every scene that a run kept before its file stated its version: it held all defaults."""
-REMOVED = {"organ": {"law_method": "offset", "law_basis_size": 40, "law_sampling_error": 0.02}}
-"""Keys of version 0.2 that are gone, with the values by which they had no effect, by the table
-that held them.
+"""Keys of every scene that a run saved before files had a version.
+
+Such a file contained all defaults.
 """
+REMOVED = {"organ": {"law_method": "offset", "law_basis_size": 40, "law_sampling_error": 0.02}}
+"""Removed keys of version 0.2 by table, with the values that had no effect."""
 
 
 class OldSceneWarning(UserWarning):
-    """A scene file has the form of version 0.2."""
+    """Warning about a scene file in the form of version 0.2."""
 
 
 def full_key(key: str, value: object = None) -> str:
-    """Return a dotted key with the table of the device where it is given without: ``hand`` is
-    ``device.hand``.
+    """Return the full dotted key: ``hand`` becomes ``device.hand``.
+
+    ``device`` becomes ``device.kind`` if the value is the name of a device.
     """
     if key == "device" and not isinstance(value, Mapping) and value not in (None, "none"):
         return "device.kind"
@@ -66,7 +69,7 @@ def full_key(key: str, value: object = None) -> str:
 
 
 def converted(table: dict[str, Any], path: Path) -> tuple[dict[str, Any], bool]:
-    """Return the table of a scene's file in the form of today, and whether a run wrote the file.
+    """Return the table of a scene file in the current form, and True if a run wrote the file.
 
     Raises
     ------
@@ -105,7 +108,7 @@ def converted(table: dict[str, Any], path: Path) -> tuple[dict[str, Any], bool]:
 
 
 def _drop_removed(table: Mapping[str, Any]) -> None:
-    """Drop keys that are gone, where they have the value by which they had no effect."""
+    """Drop removed keys with a value that had no effect."""
     for part, keys in REMOVED.items():
         inner = table.get(part)
         if isinstance(inner, dict):
@@ -119,7 +122,7 @@ PARTS_WITH_FILES = ("anatomy", "motion", "tool", "device")
 RECORDED = "recorded"
 """Device whose address is a file."""
 REPLACED_DEVICE = "touch"
-"""Device replaced by the mouse of a live session, for a scene with a coupling but no device."""
+"""Device that the mouse of a live session replaces, for a scene with a coupling but no device."""
 
 
 def library_names() -> list[str]:
@@ -132,12 +135,12 @@ def library_names() -> list[str]:
 
 
 def scene_names() -> list[str]:
-    """Return the names of built-in and registered scenes, and of scenes of installed packages."""
+    """Return the names of all scenes: built-in, registered, and of installed packages."""
     return sorted({*library_names(), *SCENES})
 
 
 def scene_text(name: str) -> str:
-    """Return the TOML of a scene that has a name.
+    """Return the TOML text of a scene by its name.
 
     Raises
     ------
@@ -171,15 +174,15 @@ def load_scene(
     overrides
         Values by dotted key, such as ``{"voxels.spacing_mm": 0.2}``; ``device``, ``hand``,
         ``coupling.delay_ms`` and other keys of the device may be given without the table's name.
-        What one of them makes of no effect is left out.
+        Keys of the scene that lose their effect through an override are left out.
     live
-        Whether a mouse replaces the device of a scene without one.
+        True if a mouse replaces the device of a scene without one.
 
     Raises
     ------
     InputError
-        If a key has no effect in the scene, or the scene is unknown, unreadable or invalid: a
-        sentence on what to change.
+        If a key has no effect in the scene, or the scene is unknown, unreadable or invalid. The
+        message explains the necessary change.
     """
     path = Path(source)
     if path.suffix == ".toml":
@@ -216,7 +219,7 @@ def saved_text(scene: Scene) -> str:
 
 
 def changed(scene: Scene, overrides: Mapping[str, object]) -> Scene:
-    """Return a scene with other values by dotted key; None resets an entry to its default.
+    """Return a scene with changed values by dotted key; None resets an entry to its default.
 
     Raises
     ------
@@ -229,10 +232,11 @@ def changed(scene: Scene, overrides: Mapping[str, object]) -> Scene:
 def _replaced(
     table: dict[str, Any], overrides: Mapping[str, object], *, live: bool = False
 ) -> Scene:
-    """Return the scene of a table with other values by dotted key.
+    """Return the scene of a table with changed values by dotted key.
 
-    Keys of the table that lose their effect by an override are dropped. Keys without effect that
-    the table had before, or that an override gives, stay and are refused.
+    Keys of the table that lose their effect through an override are dropped. Keys that had no
+    effect before stay and are refused. Keys without effect in an override also stay and are
+    refused.
     """
     try:
         require_shallow(dict(overrides))
@@ -251,7 +255,7 @@ def _replaced(
         if whole in full:
             raise InputError(whole, "be given once", f"it twice, once as {key}", "remove one")
         full[whole] = None if (key, value) == ("device", "none") else value
-    # A new kind starts its part afresh, so kinds go first, in whatever order they were given.
+    # A new kind resets its part, so kinds are placed first, in any order of the overrides.
     for key, value in sorted(
         full.items(), key=lambda item: item[0] != "device" and not item[0].endswith(".kind")
     ):
@@ -266,7 +270,7 @@ def _replaced(
         placed["device"] = _with_absolute_record(placed["device"], Path.cwd())
     asked = placed.get("device")
     if isinstance(asked, dict) and asked and all(value == "none" for value in asked.values()):
-        del placed["device"]  # no prediction and no perception ask for no device
+        del placed["device"]  # values of none alone request no device
     if isinstance(before, InputError):
         return _scene(placed)
 
@@ -280,7 +284,10 @@ def _replaced(
 
 
 def _scene(table: Mapping[str, Any], keep: Callable[[str], bool] = lambda key: True) -> Scene:
-    """Return the scene of a table, or raise an InputError for its first fault; see `_settled`."""
+    """Return the scene of a table; see `_settled`.
+
+    An invalid table raises an InputError for its first fault.
+    """
     found, _ = _settled(table, keep)
     if isinstance(found, InputError):
         raise found
@@ -290,11 +297,11 @@ def _scene(table: Mapping[str, Any], keep: Callable[[str], bool] = lambda key: T
 def _settled(
     table: Mapping[str, Any], keep: Callable[[str], bool] = lambda key: False
 ) -> tuple[Scene | InputError, set[str]]:
-    """Return the scene of a table without the keys that have no effect in it, and these keys.
+    """Return the scene of a table without the keys that have no effect, and these keys.
 
     Dropping a key can make another one idle, so the table is validated until no key is dropped.
-    Keys that `keep` accepts stay. A table that is no valid scene gives the error of its first
-    fault.
+    Keys that `keep` accepts stay. For an invalid table, the error of its first fault is returned
+    instead of a scene.
     """
     left = _without_nothing(table)
     found = set[str]()
@@ -305,7 +312,7 @@ def _settled(
             faults = error.errors(include_url=False)
         idle = {key for fault in faults for key in idle_keys(fault, left) if not keep(key)}
         if idle <= found:
-            # A misspelt key that is required gives two faults: report the one that names it.
+            # A misspelt required key gives two faults. The one that names the key is reported.
             first = min(faults, key=lambda fault: fault["type"] != "extra_forbidden")
             return error_of(first, left), found
         for key in idle:
@@ -314,7 +321,7 @@ def _settled(
 
 
 def _absolute(value: Any, folder: Path, key: str = "") -> Any:
-    """Return a value, or a table of values, with absolute paths of files."""
+    """Return a value, or a table of values, with absolute file paths."""
     if isinstance(value, Mapping):
         found = {
             name: _absolute(each, folder, f"{key}.{name}" if key else name)
@@ -345,7 +352,10 @@ def _with_absolute_record(device: dict[str, Any], folder: Path) -> dict[str, Any
 
 
 def _absolute_path(folder: Path, name: str) -> str:
-    """Return the absolute path of a file; a loop of links stays as it is and is refused later."""
+    """Return the absolute path of a file.
+
+    A loop of links is not resolved. It is refused later.
+    """
     try:
         return str((folder / name).resolve())
     except RuntimeError:
@@ -353,7 +363,7 @@ def _absolute_path(folder: Path, name: str) -> str:
 
 
 def _require_no_nul(value: object, key: str = "") -> None:
-    """Refuse texts with the character NUL, which no name of a file can hold."""
+    """Refuse texts with the character NUL, which file names cannot contain."""
     if isinstance(value, str) and "\0" in value:
         raise InputError(key, "be a text without the character NUL", shown(value), "leave it out")
     if isinstance(value, Mapping):
@@ -400,7 +410,9 @@ def _read(path: Path) -> str:
 def parse_override(
     text: str, *, option: str = "--set", example: str = "voxels.spacing_mm=0.2"
 ) -> tuple[str, object]:
-    """Return key and value of ``key=value``; the value is TOML, otherwise a string.
+    """Return key and value of ``key=value``.
+
+    The value is read as TOML. A value that is not TOML is a string.
 
     Raises
     ------
@@ -434,7 +446,7 @@ def parse_overrides(texts: Iterable[str]) -> dict[str, object]:
 
 
 def _place(table: dict[str, object], key: str, value: object) -> None:
-    """Set a dotted key in nested tables; a new kind of a part starts that part afresh."""
+    """Set a dotted key in nested tables; a new kind of a part resets that part."""
     *parents, last = key.split(".")
     if len(parents) > DEEPEST:
         raise InputError(

@@ -1,4 +1,4 @@
-"""Errors of a scene: key, requirement, value and remedy."""
+"""Error messages for a scene: key, requirement, value and remedy."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from types import UnionType
@@ -32,7 +32,7 @@ def error_of(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) 
         if kind == "unknown_name" and error.requirement:
             error.argument = key
         return error
-    if kind == "value_error":  # of a registered part's validator
+    if kind == "value_error":  # raised by the validator of a registered part
         return InputError(str(error))
     if kind == "idle_keys":
         return _idle_error(names, context["refused"])
@@ -61,7 +61,10 @@ def error_of(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) 
 
 
 def _idle_error(names: tuple[str, ...], refused: Mapping[str, tuple[object, Idle]]) -> InputError:
-    """Return the error for keys without effect; it names all that have none for one reason."""
+    """Return the error for keys without effect.
+
+    It names all keys that have no effect for the first key's reason.
+    """
     first = next(iter(refused.values()))[1]
     given = {
         ".".join((*names, key)): value for key, (value, why) in refused.items() if why == first
@@ -77,7 +80,10 @@ def _idle_error(names: tuple[str, ...], refused: Mapping[str, tuple[object, Idle
 
 
 def _unknown_key(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> InputError:
-    """Return the error for a key that the chosen table does not have: another has it, or none."""
+    """Return the error for a key that the chosen table does not have.
+
+    The remedy names another table that has the key, or the known keys.
+    """
     key = ".".join(map(shown, names))
     word = names[-1]
     part = ".".join(names[:-1])
@@ -108,9 +114,7 @@ def _source(part: type[BaseModel]) -> str:
 
 
 def idle_keys(fault: ErrorDetails, table: Table) -> list[str]:
-    """Return the dotted keys of a scene's table that a fault refuses because they have no effect
-    in it.
-    """
+    """Return the dotted keys that a fault refuses because they have no effect in the scene."""
     names = tuple(str(step) for step in _without_tags(fault["loc"], table, Scene))
     if fault["type"] == "idle_keys":
         return [".".join((*names, key)) for key in fault["ctx"]["refused"]]
@@ -120,9 +124,7 @@ def idle_keys(fault: ErrorDetails, table: Table) -> list[str]:
 
 
 def _holders(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> list[type[BaseModel]]:
-    """Return the other tables of a union that have a key, those for the same tool or tissue
-    first.
-    """
+    """Return the tables of a union that have a key, in the order of the union."""
     if len(names) < 2:
         return []
     outer = _model_at(names[:-2], table, model)
@@ -143,14 +145,14 @@ def _entries(table: Table, prefix: str = "") -> Iterator[tuple[str, object]]:
 
 
 def _shown(value: object) -> str:
-    """A value that was refused, with the point or the quotes that may be what is wrong."""
+    """Return a refused value as text, with its decimal point or quotes, which may be the fault."""
     if isinstance(value, float) and value.is_integer():
         return repr(value)
     return f'"{shown(value)}"' if isinstance(value, str) and value[:1].isdigit() else shown(value)
 
 
 def choices_of(field: FieldInfo) -> list[str]:
-    """All values of a field that takes one of some names; none for any other."""
+    """Return the names that a field accepts; an empty list for any other field."""
     literals = [part for part in _alternatives(field.annotation) if get_origin(part) is Literal]
     named = [name for each in field.metadata if isinstance(each, OneOf) for name in each.names]
     return named or [str(choice) for part in literals for choice in get_args(part)]
@@ -183,7 +185,7 @@ def _requirement(field: FieldInfo, kind: str, inside: bool) -> str:
 
 
 def _bounds(metadata: Iterable[object]) -> str:
-    """Return the limits in annotations as words."""
+    """Return the limits of annotations as text."""
     flat = [
         inner
         for each in metadata
@@ -219,16 +221,14 @@ FITTING = (str, int, float, list, tuple, Mapping)
 
 
 def _toml(value: object) -> str:
-    """Return a value as a scene's file holds it."""
+    """Return a value in the form of a scene file."""
     if isinstance(value, Mapping):
         return f"{{ {', '.join(f'{name} = {shown(each)}' for name, each in value.items())} }}"
     return f'"{value}"' if isinstance(value, str) else shown(value)
 
 
 def _field_at(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> FieldInfo:
-    """Return what the last of some keys may hold, an entry of a scene or of a table of values in
-    it.
-    """
+    """Return the field of the last key, in a scene or in a table of values in it."""
     if len(names) > 2:
         values = _values(_model_at(names[:-2], table, model).model_fields[names[-2]])
         if values is not None:
@@ -237,13 +237,13 @@ def _field_at(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> F
 
 
 def _values(field: FieldInfo) -> FieldInfo | None:
-    """What the values of a table by name may be; None for a field that holds no such table."""
+    """Return the field for the values of a table by name; None for any other field."""
     part = _alternatives(field.annotation)[0]
     return FieldInfo.from_annotation(get_args(part)[1]) if get_origin(part) is dict else None
 
 
 def _model_at(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> type[BaseModel]:
-    """Return the table of a model that holds the keys under ``names``."""
+    """Return the model that contains the keys under ``names``."""
     for name in names:
         field = model.model_fields[name]
         table = _inner(table, name)
@@ -259,7 +259,7 @@ def _by_kind(field: FieldInfo) -> ByKind | None:
 
 
 def _parts(field: FieldInfo) -> list[type[BaseModel]]:
-    """The parts that a field may hold; none for a value."""
+    """Return the models that a field may hold; an empty list for a plain value."""
     mark = _by_kind(field)
     if mark is not None:
         return list(mark.parts())
@@ -271,7 +271,7 @@ def _parts(field: FieldInfo) -> list[type[BaseModel]]:
 
 
 def _alternatives(annotation: object) -> list[object]:
-    """Types that an annotation allows, besides None."""
+    """Return the types that an annotation allows, except None."""
     if get_origin(annotation) is Annotated:
         return _alternatives(get_args(annotation)[0])
     if get_origin(annotation) in (Union, UnionType):
@@ -285,7 +285,7 @@ def _alternatives(annotation: object) -> list[object]:
 
 
 def _limits(annotation: object) -> list[object]:
-    """What binds one of several types alone."""
+    """Return the limits that apply to one of several types only."""
     return [limit for each in get_args(annotation) for limit in getattr(each, "__metadata__", ())]
 
 
@@ -303,8 +303,9 @@ def _value_at(names: tuple[str, ...], table: Table) -> object:
 def _without_tags(
     location: tuple[int | str, ...], table: Table, model: type[BaseModel]
 ) -> list[int | str]:
-    """Return a fault's location without what pydantic adds: a part's class, or which type of
-    several a value is not.
+    """Return a fault's location without the steps that pydantic adds.
+
+    These steps are a part's class, or the type of several that a value is not.
     """
     path = list(location)
     inner: type[BaseModel] | None = model

@@ -1,6 +1,6 @@
-"""Tables of named parts, and the parts that installed packages add to them by entry points.
+"""Registries of named parts, with the parts of installed packages from entry points.
 
-Entry points are read once, when a table is asked for more than it knows.
+Entry points are read once, when a name is unknown or the names are listed.
 """
 
 import difflib
@@ -42,24 +42,24 @@ OFFERED = {
         "scene",
     )
 }
-"""Groups of entry points, by the function of `tissue.register` that takes what one names."""
+"""Function of `tissue.register` for the parts of each group of entry points."""
 _asked: set[str] = set()
 _refused: dict[tuple[str, str], str] = {}
 
 
 class PluginWarning(UserWarning):
-    """A part that an installed package offers cannot be used; all else goes on without it."""
+    """Warning about a part of an installed package that cannot be used and is left out."""
 
 
 def ask_packages(group: str) -> None:
-    """Make known what installed packages offer in a group of entry points; once for each group.
+    """Register the parts that installed packages offer in a group of entry points.
 
-    A part that cannot be had is left out with a `PluginWarning`, see `refusal`. Its name stays with
-    who had it before: with what is built in, or was registered by a call.
+    Each group is read once. A part that cannot be used is left out with a `PluginWarning`, see
+    `refusal`. Its name then keeps its earlier part, which is built in or was registered by a call.
     """
     if not group or group in _asked:
         return
-    _asked.add(group)  # before any is imported, which may ask in its turn
+    _asked.add(group)  # before an import that may call this function
     first: dict[str, EntryPoint] = {}
     for offer in _offers().get(group, ()):
         other = first.setdefault(offer.name, offer)
@@ -83,17 +83,17 @@ def ask_packages(group: str) -> None:
 
 
 def refusal(group: str, name: str) -> str | None:
-    """Why a part that a package offers cannot be used; None where none by that name was refused."""
+    """Return the reason why an offered part cannot be used; None if it was not refused."""
     return _refused.get((group, name))
 
 
 def offered_names() -> dict[str, list[str]]:
-    """Names of what installed packages offer, by kind, without importing any of them."""
+    """Return the names of the parts of installed packages by kind, without importing them."""
     return {OFFERED[group]: [offer.name for offer in offers] for group, offers in _offers().items()}
 
 
 def _refuse(offer: EntryPoint, cause: str) -> str:
-    """Warn of an offer that is left out; the sentence."""
+    """Warn about an offered part that is left out, and return the warning text."""
     what = f"{OFFERED[offer.group]} {offer.name} of the package {_package(offer)}"
     sentence = f"{what} cannot be used ({cause}): update or uninstall that package"
     warnings.warn(sentence, PluginWarning, stacklevel=4)
@@ -101,13 +101,13 @@ def _refuse(offer: EntryPoint, cause: str) -> str:
 
 
 def _package(offer: EntryPoint) -> str:
-    """Name and version of the package that offers it."""
+    """Return the name and version of the package that offers a part."""
     return offer.value if offer.dist is None else f"{offer.dist.name} {offer.dist.version}"
 
 
 @cache
 def _offers() -> dict[str, list[EntryPoint]]:
-    """Entry points of all groups that are there."""
+    """Return the installed entry points by group, for groups with any."""
     installed = entry_points()
     found = {group: list(installed.select(group=group)) for group in OFFERED}
     return {group: offers for group, offers in found.items() if offers}
@@ -115,17 +115,17 @@ def _offers() -> dict[str, list[EntryPoint]]:
 
 T = TypeVar("T")
 LONGEST = 120
-"""Characters of a value that a sentence repeats."""
+"""Largest number of characters of a value in a message."""
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """The known word that ``word`` may have been meant to be, in brackets, or nothing."""
+    """Return the most similar known word as a question in brackets, or an empty text."""
     close = difflib.get_close_matches(word, list(known), n=1)
     return f" (did you mean {close[0]}?)" if close else ""
 
 
 def unknown_name(key: str, known: Iterable[str], got: object) -> InputError:
-    """Return the error for a name that is not one of those known."""
+    """Return the error for an unknown name."""
     known = list(known)
     word = shown(got)
     return InputError(
@@ -134,7 +134,7 @@ def unknown_name(key: str, known: Iterable[str], got: object) -> InputError:
 
 
 def shown(value: object) -> str:
-    """A value as a person would write it."""
+    """Return a value as a user would write it."""
     if isinstance(value, float):
         return f"{value:g}"
     if isinstance(value, list | tuple):
@@ -148,23 +148,23 @@ def shown(value: object) -> str:
 
 
 class Registry(Generic[T]):
-    """Named parts of one kind, in the order in which they are listed.
+    """Registry of named parts of one kind, in listing order.
 
     Parameters
     ----------
     key
-        Key of a scene whose value is a name of this table, as messages have it.
+        Scene key whose value is a name in this registry, as used in messages.
     parts
-        The parts by their names. A name such as ``observer:FILE`` stands for all
-        texts with something else behind the colon.
+        Parts by name. A name such as ``observer:FILE`` matches all texts with another argument
+        after the colon.
     group
-        Group of entry points by which installed packages offer more parts. They are asked for a
-        name that is not known, and when the names are listed.
+        Group of entry points by which installed packages offer more parts. The packages are asked
+        for an unknown name, and when the names are listed.
 
     Attributes
     ----------
     built_in
-        Names of the parts that it was made with.
+        Names of the parts given at construction.
     """
 
     def __init__(self, key: str, parts: Mapping[str, T], *, group: str = "") -> None:
@@ -173,7 +173,7 @@ class Registry(Generic[T]):
         self._parts = dict(parts)
         self.built_in = frozenset(parts)
         self.on_change: list[Callable[[], object]] = []
-        """Called after a part is added or removed."""
+        """Functions called after a part is added or removed."""
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.names)
@@ -197,23 +197,24 @@ class Registry(Generic[T]):
 
     @property
     def known(self) -> tuple[str, ...]:
-        """Names of the parts so far, without asking installed packages."""
+        """Names of the parts known so far, without asking installed packages."""
         return tuple(self._parts)
 
     def _why_not(self, name: str, *others: str) -> InputError:
-        """Return the error for a name that stands for no part."""
+        """Return the error for a name that matches no part."""
         if why := refusal(self.group, name):
             return InputError(why)
         return unknown_name(self.key, (*others, *self), name)
 
     def split(self, text: str, *others: str) -> tuple[str, str]:
-        """The name of a part that a text stands for, and its argument: observer:FILE and a.json for
-        observer:a.json.
+        """Return the name of the part that a text names, and its argument.
+
+        For ``observer:a.json`` these are ``observer:FILE`` and ``a.json``.
 
         Raises
         ------
         InputError
-            If the text stands for none; the sentence lists `others` beside the names of the table.
+            If the text matches no part. The message lists `others` and the names of the registry.
         """
         if (found := self._split(text)) is not None:
             return found
@@ -223,7 +224,7 @@ class Registry(Generic[T]):
         raise self._why_not(text, *others)
 
     def _split(self, text: str) -> tuple[str, str] | None:
-        """The same among the parts so far."""
+        """Return name and argument of a text among the parts known so far; None without a match."""
         for name in self.known:
             head, colon, _ = name.partition(":")
             if text == name and not colon:
@@ -233,8 +234,9 @@ class Registry(Generic[T]):
         return None
 
     def with_file_at(self, text: str, folder: Path) -> str:
-        """A text such as observer:a.json with its file made absolute, a relative one taken from
-        ``folder``.
+        """Return a text such as observer:a.json with an absolute file path.
+
+        A relative path starts at ``folder``.
         """
         for name in self if ":" in text else ():
             head = name.removesuffix("FILE")
@@ -243,7 +245,7 @@ class Registry(Generic[T]):
         return text
 
     def add(self, name: str, part: T) -> None:
-        """Make a part known by a name that no other has.
+        """Add a part by a new name.
 
         Raises
         ------
@@ -260,12 +262,12 @@ class Registry(Generic[T]):
         self.put(name, part)
 
     def put(self, name: str, part: T) -> None:
-        """Make a part known by a name, in place of the one that has it."""
+        """Set the part of a name, in place of an existing one."""
         self._parts[name] = part
         self._changed()
 
     def remove(self, name: str) -> None:
-        """Forget a part that was added, so that its name is free again."""
+        """Remove a part that was added, and free its name."""
         self[name]
         del self._parts[name]
         self._changed()

@@ -1,6 +1,6 @@
-"""Names of the parts that a scene's keys choose from, a table for each kind of part.
+"""Names of the parts that a scene's keys choose from, with a registry for each kind of part.
 
-The entries hold the properties of a part. Factories of built-in parts lie in the packages above.
+The entries hold the properties of a part. Factories of built-in parts are in the packages above.
 """
 
 from collections.abc import Callable, Mapping
@@ -38,19 +38,19 @@ Factory = Callable[..., Any]
 
 @dataclass(frozen=True)
 class AnatomyEntry:
-    """A tissue.
+    """Properties of a tissue.
 
     Attributes
     ----------
     parameters
-        Tables that a scene may state of it, whose ``kind`` is the entry's name, by the source of
-        its shape.
+        Tables for this tissue in a scene, one for each source of its shape. Their ``kind`` is the
+        entry's name.
     tool
-        The table that describes the tools that it meets.
+        Table of the tools that act on it.
     build, force_N, pictures, faces
-        Of a part from outside, see `tissue.register`: what makes the parts of a run, estimates the
-        largest force on a scene's scripted motion [N], draws pictures of a run by their files'
-        names, and returns the faces in a window.
+        Functions of a registered tissue, see `tissue.register`. They make the parts of a run,
+        estimate the largest force on a scene's scripted motion [N], draw pictures of a run by file
+        name, and return the faces in a window.
     """
 
     parameters: "tuple[type[Part], ...] | type[Part]"
@@ -62,21 +62,22 @@ class AnatomyEntry:
 
     @property
     def variants(self) -> tuple[type[Part], ...]:
-        """Tables that a scene may state of it."""
+        """Tables for this tissue in a scene."""
         return self.parameters if isinstance(self.parameters, tuple) else (self.parameters,)
 
 
 @dataclass(frozen=True)
 class CutterEntry:
-    """A cutter.
+    """Properties of a cutter.
 
     Attributes
     ----------
     profile
-        Of a part from outside: its half section from ``diameter_m`` and what else shapes it,
-        ``length_m`` of ``length_mm``, ``point_angle_rad`` of ``point_angle_deg``.
+        Function of a registered cutter that returns its half section from ``diameter_m`` and the
+        sizes of `keys`: ``length_m`` for ``length_mm``, ``point_angle_rad`` for
+        ``point_angle_deg``.
     keys
-        Keys of the tool that shape it, next to its diameter.
+        Keys of the tool that define its shape, in addition to its diameter.
     """
 
     profile: Factory | None = None
@@ -85,14 +86,14 @@ class CutterEntry:
 
 @dataclass(frozen=True)
 class ProbeEntry:
-    """A probe.
+    """Properties of a probe.
 
     Attributes
     ----------
     make
-        Of a part from outside: makes a probe of what a scene states of it.
+        Function of a registered probe that makes it from its table in a scene.
     keys
-        Keys of the tool that shape it.
+        Keys of the tool that define its shape.
     """
 
     make: Factory | None = None
@@ -101,14 +102,14 @@ class ProbeEntry:
 
 @dataclass(frozen=True)
 class MotionEntry:
-    """A motion.
+    """Properties of a motion.
 
     Attributes
     ----------
     parameters
-        Table that a scene states of it, whose ``kind`` is the entry's name.
+        Table for this motion in a scene, whose ``kind`` is the entry's name.
     make
-        Of a part from outside: makes a motion of that table, for ticks of so many seconds.
+        Function of a registered motion that makes it from that table and the length of a tick [s].
     """
 
     parameters: type[Part]
@@ -117,17 +118,18 @@ class MotionEntry:
 
 @dataclass(frozen=True)
 class DeviceEntry:
-    """A haptic device.
+    """Properties of a haptic device.
 
     Attributes
     ----------
     numbers
-        Values of `tissue.haptics.device.device.DeviceParameters` by their names, which judge and
-        simulate it.
+        Values of `tissue.haptics.device.device.DeviceParameters` by name. They are used to judge
+        and simulate the device.
     make
-        Of a part from outside: opens the real device, from where the tool starts in the scene [m].
+        Function of a registered device that opens the real device, given the start position of the
+        tool in the scene [m].
     has_adapter
-        Whether `tissue.haptics.real` opens the real device.
+        True if `tissue.haptics.real` opens the real device.
     """
 
     numbers: Mapping[str, float]
@@ -136,23 +138,23 @@ class DeviceEntry:
 
     @property
     def is_real(self) -> bool:
-        """Whether a real device can be opened."""
+        """True if a real device can be opened."""
         return self.make is not None or self.has_adapter
 
 
 @dataclass(frozen=True)
 class PredictorEntry:
-    """A predictor.
+    """Properties of a predictor.
 
     Attributes
     ----------
     make
-        Of a part from outside: makes a predictor from what was trained for the scene, None for one
-        that is not trained, and the device's largest force [N].
+        Function of a registered predictor that makes it from the trained data of the scene and the
+        device's largest force [N]. The data are None for a predictor that is not trained.
     trained
-        Whether it needs what `tissue train` writes.
+        True if it needs the output of `tissue train`.
     colour, marker
-        Its colour and marker in charts, as matplotlib has them.
+        Colour and marker in charts, in matplotlib's notation.
     """
 
     make: Factory | None = None
@@ -174,7 +176,7 @@ CUTTERS: Registry[CutterEntry] = Registry(
     },
     group="tissue.tools",
 )
-"""Rotating cutters, by their shape."""
+"""Rotating cutters by shape."""
 
 
 PROBES: Registry[ProbeEntry] = Registry(
@@ -186,17 +188,18 @@ PROBES: Registry[ProbeEntry] = Registry(
     },
     group="tissue.probes",
 )
-"""Smooth tools that press, by their shape."""
+"""Smooth tools that press, by shape."""
 NEEDLES: Registry[Callable[..., Any] | None] = Registry(
     "tool.kind", {"needle": None}, group="tissue.needles"
 )
-"""Needles: what each meets in tissue, from ``walls``, the membranes under the capsule from the
-surface downwards.
+"""Needles: functions that return the tissue of a registered needle from ``walls``.
+
+``walls`` are the membranes below the capsule, from the surface downwards.
 """
 
 
 def _numbers(table: str, *names: str) -> dict[str, float]:
-    """Values of a data file, later names over earlier ones."""
+    """Return the values of a data file; later names override earlier ones."""
     return {key: entry.value for name in names for key, entry in constants(table, name).items()}
 
 
@@ -216,11 +219,9 @@ HANDS: Registry[Mapping[str, float]] = Registry(
     {name: _numbers("hands", "any", name) for name in listed("hands") if name != "any"},
     group="tissue.hands",
 )
-"""Hands that hold a device: the numbers of `tissue.haptics.hand.hand.HandParameters` by their
-names.
-"""
+"""Hands that hold a device, as values of `tissue.haptics.hand.hand.HandParameters` by name."""
 GROUPS = HANDS.known
-"""Groups of people whose senses are known beside their hands: those of studies and of training."""
+"""Groups of operators with known hands and known senses, used in studies and in training."""
 RENDERERS: Registry[Callable[..., Any] | None] = Registry(
     "renderer",
     {
@@ -230,7 +231,7 @@ RENDERERS: Registry[Callable[..., Any] | None] = Registry(
     },
     group="tissue.renderers",
 )
-"""Laws by which a device plays what the tool meets: each from the loop of its wall."""
+"""Rendering laws: functions that return the law of a registered renderer from its wall's loop."""
 
 
 PREDICTORS: Registry[PredictorEntry] = Registry(
@@ -246,7 +247,7 @@ PREDICTORS: Registry[PredictorEntry] = Registry(
     },
     group="tissue.predictors",
 )
-"""What predicts the force on a device; colours after Okabe and Ito (2008)."""
+"""Predictors of the force on a device; colours after Okabe and Ito (2008)."""
 PERCEPTIONS: Registry[Callable[..., Any] | None] = Registry(
     "perception",
     {
@@ -255,20 +256,18 @@ PERCEPTIONS: Registry[Callable[..., Any] | None] = Registry(
     },
     group="tissue.perceptions",
 )
-"""For whom the force on a device is scaled."""
+"""Perception models that scale the force on a device."""
 CUTTING_MATERIALS: Registry[tuple[str, str]] = Registry(
     "cutting.material",
     {name: ("cutting", name) for name in ("bone", "enamel", "dentin", "soft")},
     group="tissue.materials",
 )
-"""What bone may be cut as: the table of `tissue.materials.constants` and the name there."""
+"""Materials for cutting bone: table of `tissue.materials.constants`, and name in it."""
 ORGAN_MATERIALS: Registry[tuple[str, str]] = Registry(
     "organ.material",
     {name: ("soft", name) for name in ("liver", "kidney")},
     group="tissue.materials",
 )
-"""What a soft organ may be made of."""
+"""Materials of a soft organ: table of `tissue.materials.constants`, and name in it."""
 SCENES: Registry[Path] = Registry("scene", {}, group="tissue.scenes")
-"""Files of scenes from elsewhere, by the names that they hold; those of the library are not
-among them.
-"""
+"""Files of registered scenes by scene name, without the built-in scenes."""

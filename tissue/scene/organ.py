@@ -22,23 +22,23 @@ __all__ = [
 ]
 
 LAYERS = ("capsule", "parenchyma")
-"""What a needle meets in every scene."""
+"""Layers that a needle passes in every scene."""
 
 
 class SoftAnatomy(Part):
     """Meshed organ."""
 
     source: ClassVar[str] = "procedural"
-    """Origin of the shape, as messages call it."""
+    """Origin of the shape, as used in messages."""
     reads: ClassVar[tuple[str, ...]] = ("organ",)
-    """Tables of a scene that describe it."""
+    """Tables of a scene that apply to this anatomy."""
     kind: str
     edge_mm: float = Field(20.0, ge=1, le=50)
     """Edge of a tetrahedron away from the tool."""
     touch_edge_mm: float | None = Field(None, ge=0.2, le=50, examples=[4.0])
-    """Longest edge where the tool goes; without it a quarter of the probe's diameter."""
+    """Longest edge on the tool's path. Default: a quarter of the probe's diameter."""
     edge_growth: float = Field(0.5, gt=0, le=5)
-    """Growth of the edges with the distance from the tool's path, as far as `edge_mm`."""
+    """Growth of the edges per distance from the tool's path, up to `edge_mm`."""
 
     @property
     def nodule_mm(self) -> float:
@@ -50,9 +50,9 @@ class WithNodule(SoftAnatomy):
     """Meshed organ that may hold a nodule."""
 
     nodule_diameter_mm: float = Field(0.0, ge=0, le=60)
-    """Diameter of a stiff ball in the tissue; 0 has none."""
+    """Diameter of a stiff ball in the tissue; 0 adds no ball."""
     nodule_centre_mm: Annotated[Vector, Needs("anatomy.nodule_diameter_mm")] = (0.0, 0.0, -15.0)
-    """Its centre in the site's frame."""
+    """Centre of the stiff ball in the site's frame."""
 
 
 class Held(SoftAnatomy):
@@ -61,46 +61,52 @@ class Held(SoftAnatomy):
     kind: Literal["liver"] = "liver"
     """A liver, or the organ in `file`."""
     held: Literal["below", "back", "plane", "part"] = "below"
-    """What holds it: the surface it rests on, its back, all below `held_below_mm`, or the part
-    `held_part`.
+    """Support of the organ. `below` holds the surface it rests on, `back` its back, `plane` the
+    surface below `held_below_mm`, and `part` the part `held_part`.
     """
     held_below_mm: Annotated[float, Needs("anatomy.held", "plane")] = Field(-80.0, ge=-1000, le=0)
     """Height below which the surface is held by `held = "plane"`."""
     held_part: Annotated[str | None, Needs("anatomy.held", "part")] = Field(
         None, examples=["ligament"]
     )
-    """Part of the file, by its name or number, that is held by `held = "part"`."""
+    """Part of the file that is held by `held = "part"`, by its name or number."""
 
 
 class LiverAnatomy(Held, WithNodule):
-    """A liver. Origin on top of the right lobe, z to the head, x to the patient's left."""
+    """A liver.
+
+    The origin is on top of the right lobe, with z to the head and x to the patient's left.
+    """
 
 
 class LiverFile(Held):
-    """An organ from a file. Its origin is the surface point nearest to `centre_mm`, else the
-    highest along `normal`.
+    """An organ from a file.
+
+    Its origin is the surface point nearest to `centre_mm`. Without `centre_mm`, it is the highest
+    surface point along `normal`.
     """
 
     source: ClassVar[str] = "from a file"
     file: FileName = Field(examples=["liver.vtu"])
-    """Tetrahedra (.vtk .vtu .msh .mesh) or a closed surface (.stl .obj .ply .vtk .vtp), which is
-    meshed.
+    """Tetrahedra (.vtk .vtu .msh .mesh) or a closed surface (.stl .obj .ply .vtk .vtp). A surface
+    is meshed.
     """
     scale_mm: float | None = Field(None, gt=0, le=1e5, examples=[1.0])
     """Millimetres per unit of the file."""
     centre_mm: Vector | None = Field(None, examples=[(0.0, 0.0, 50.0)])
-    """Where the tool comes in, in the file's frame; the nearest point of the surface becomes the
+    """Entry point of the tool in the file's frame. The nearest point of the surface becomes the
     origin.
     """
     normal: Vector = (0.0, 0.0, 1.0)
     """Direction in the file's frame that points up to the tool."""
     along: Vector | None = Field(None, examples=[(1.0, 0.0, 0.0)])
-    """Direction in the file's frame that becomes x, as far as it lies across the normal."""
+    """Direction in the file's frame whose component perpendicular to the normal becomes x."""
 
 
 class SlabAnatomy(WithNodule):
-    """A block of soft tissue with its top face at z = 0, bonded to the ground: a phantom for
-    palpation.
+    """A block of soft tissue with its top face at z = 0, bonded to the ground.
+
+    It is a phantom for palpation.
     """
 
     kind: Literal["slab"] = "slab"
@@ -108,11 +114,14 @@ class SlabAnatomy(WithNodule):
     size_mm: Annotated[tuple[Length_mm, Length_mm, Length_mm], Strict(False)] = (120.0, 80.0, 40.0)
     """Edge lengths along x, y and z."""
     edge_mm: float = Field(8.0, ge=0.5, le=20)
-    """Edge of a tetrahedron at the top, away from the tool; they grow downwards."""
+    """Edge of a tetrahedron at the top, away from the tool. The edges grow downwards."""
 
 
 def _apart(depths_mm: dict[str, float]) -> dict[str, float] | None:
-    """Refuse membranes that lie at one depth or have the name of a layer; of none, None."""
+    """Refuse membranes that lie at one depth or have the name of a layer.
+
+    An empty table gives None.
+    """
     listed = sorted(depths_mm.items(), key=lambda each: each[1])
     for name, _ in listed:
         if name in LAYERS:
@@ -144,26 +153,26 @@ Holds_N = Annotated[
 
 
 class LayersAnatomy(Part):
-    """What a needle meets: a capsule at z = 0, the tissue under it and, where given, membranes
-    in it.
-    """
+    """Layers for a needle: a capsule at z = 0, the tissue below it, and optional membranes in it."""
 
     reads: ClassVar[tuple[str, ...]] = ()
     kind: Literal["layers"] = "layers"
     """Layers, one below the other."""
     membrane_depths_mm: Depths_mm | None = Field(None, examples=[{"vessel wall": 40.0}])
-    """Depths of membranes under the capsule by their names, such as the two walls of a vessel;
-    without them none.
+    """Depths of membranes below the capsule by name, such as the two walls of a vessel. Default: no
+    membranes.
     """
     membrane_punctures_N: Punctures_N | None = Field(None, examples=[{"vessel wall": 1.8}])
-    """Forces of the tip at which they break; of those that are not named the force of
+    """Tip forces at which membranes break, by name. Other membranes use the force of
     `needle.vessel_wall`.
     """
     membrane_holds_N: Holds_N | None = Field(None, examples=[{"vessel wall": 0.3}])
-    """Forces with which the edges of their holes cling to the shaft; likewise."""
+    """Forces with which the edges of the holes cling to the shaft, by membrane. Other membranes use
+    the force of `needle.vessel_wall`.
+    """
     interval_ms: float = Field(100.0, ge=0, le=10_000)
-    """Time between two frames of displacement, strain and stress around the needle; 0 computes
-    none.
+    """Time between two frames of displacement, strain and stress around the needle. 0 computes no
+    frames.
     """
 
     @model_validator(mode="after")
@@ -190,45 +199,45 @@ class LayersAnatomy(Part):
 
 Modulus_kPa = Annotated[float, Field(ge=0.1, le=1e5, examples=[80.0])]
 Moduli_kPa = Annotated[dict[str, Modulus_kPa], AfterValidator(lambda moduli: moduli or None)]
-"""Of no part: the same as without the table."""
+"""Young's moduli by part [kPa]; an empty table counts as no table."""
 
 
 class Organ(Part):
-    """What a soft organ is made of, and how it is solved."""
+    """Material of a soft organ, and the method of its solution."""
 
     material: Annotated[str, OneOf(ORGAN_MATERIALS)] = "liver"
-    """Tissue whose cited constants are used where nothing else is stated."""
+    """Tissue whose cited constants are used for keys that are left out."""
     young_kPa: float | None = Field(None, ge=0.1, le=1e5, examples=[5.4])
-    """Young's modulus; without it the cited one."""
+    """Young's modulus. Default: the cited value."""
     young_end_kPa: float | None = Field(None, ge=0.1, le=1e5, examples=[50.0])
-    """Young's modulus at the greatest x; between, it is graded from `young_kPa` at the least x."""
+    """Young's modulus at the largest x. It is graded from `young_kPa` at the smallest x."""
     grading_exponent: Annotated[float, Needs("organ.young_end_kPa")] = Field(1.0, ge=0.2, le=5)
-    """Power of the distance from one end to the other by which it is graded; 1 is linear."""
+    """Exponent of the grading over the distance from one end to the other; 1 is linear."""
     parts: Moduli_kPa | None = Field(None, examples=[{"nodule": 80.0}])
-    """Young's moduli of parts, by their names or numbers in the file [kPa]; the ball is
-    `nodule`, without it 50 kPa.
+    """Young's moduli of parts by name or number in the file [kPa]. The stiff ball is `nodule`; its
+    default is 50 kPa.
     """
     poisson_ratio: float | None = Field(None, gt=-1, lt=0.5, examples=[0.45])
-    """Poisson's ratio; without it the cited one."""
+    """Poisson's ratio. Default: the cited value."""
     fibre_direction: Annotated[Vector | None, Needs("organ.fibre_modulus_ratio")] = Field(
         None, examples=[(1.0, 0.0, 0.0)]
     )
-    """Direction of fibres; with it the tissue is transversely isotropic."""
+    """Direction of the fibres. With fibres, the tissue is transversely isotropic."""
     fibre_modulus_ratio: Annotated[float, Needs("organ.fibre_direction")] = Field(
         1.0, ge=0.25, le=10
     )
-    """Young's modulus along the fibres over that across them. The bulk modulus is that of the
-    tissue without fibres.
+    """Ratio of Young's modulus along the fibres to Young's modulus across them. The bulk modulus is
+    that of the tissue without fibres.
     """
     capsule: bool = False
-    """Whether a capsule of the cited thickness and modulus lies on the surface."""
+    """Capsule of the cited thickness and modulus on the surface."""
     gravity: bool = False
-    """Whether the organ hangs in its own weight, along -z."""
+    """Deformation of the organ by its own weight, along -z."""
     viscous: bool = False
-    """Whether it relaxes by the cited Prony series."""
+    """Relaxation of the organ by the cited Prony series."""
     law: Literal["linear", "neo-hookean", "mooney-rivlin", "yeoh", "ogden"] = "linear"
-    """Law of large strains, its small strains by the moduli above; all but the first are solved
-    between ticks.
+    """Material law at large strains; at small strains the given moduli apply. All laws but `linear`
+    are solved between ticks.
     """
     second_share: Annotated[float | None, Needs("organ.law", "mooney-rivlin")] = Field(
         None, ge=0, le=1, examples=[0.3]
@@ -237,34 +246,34 @@ class Organ(Part):
     square_ratio: Annotated[float | None, Needs("organ.law", "yeoh")] = Field(
         None, ge=-1, le=100, examples=[0.1]
     )
-    """Coefficient of the second power of a Yeoh law over that of the first."""
+    """Ratio of the second-power coefficient of a Yeoh law to its first-power coefficient."""
     cube_ratio: Annotated[float, Needs("organ.law", "yeoh")] = Field(0.0, ge=-1, le=100)
-    """The same of the third power."""
+    """Ratio of the third-power coefficient of a Yeoh law to its first-power coefficient."""
     exponent: Annotated[float | None, Needs("organ.law", "ogden")] = Field(
         None, ge=-30, le=30, examples=[8.0]
     )
-    """Exponent of the stretches of an Ogden law of one term; not 0."""
+    """Exponent of the stretches of a one-term Ogden law; not 0."""
     law_interval_ms: Annotated[float, Needs("organ.law")] = Field(25.0, ge=5, le=1000)
-    """Time between two solves of a law that is not linear."""
+    """Time between two solves of a nonlinear law."""
     law_edge_ratio: Annotated[float, Needs("organ.law")] = Field(1.4, ge=1, le=4)
-    """Edges of the mesh on which that law is solved, over those of the organ's."""
+    """Ratio of the edge lengths of the mesh for a nonlinear law to those of the organ's mesh."""
     friction: float = Field(0.3, ge=0, le=2)
     """Coulomb friction between tool and organ."""
     order: Literal[1, 2] = 2
-    """Order of the tetrahedra: linear ones lock near incompressibility, quadratic ones take
-    longer to set up.
+    """Order of the tetrahedra. Linear ones lock near incompressibility; quadratic ones take longer
+    to set up.
     """
     path: Literal["condensed", "lazy", "reduced"] = "condensed"
-    """How the compliance at 1 kHz is had: whole, column by column where the tool is, or from a
-    reduced basis.
+    """Method used to evaluate the compliance in the 1 kHz loop. `condensed` computes all of it,
+    `lazy` computes columns where the tool is, and `reduced` uses a reduced basis.
     """
     basis_size: Annotated[int, Needs("organ.path", "reduced")] = Field(300, ge=10, le=3000)
-    """Vectors of a reduced basis."""
+    """Number of vectors of a reduced basis."""
     interval_ms: float = Field(100.0, ge=0, le=10_000)
-    """Time between two frames of displacement, strain and stress; 0 computes none."""
+    """Time between two frames of displacement, strain and stress; 0 computes no frames."""
 
     def rules(self) -> Iterator[Rule]:
-        """Yield the rule of a material none of whose constants is used."""
+        """Yield the rule for a material whose constants are not used."""
         is_stated = self.young_kPa is not None and self.poisson_ratio is not None
         is_cited = self.capsule or self.gravity or self.viscous
         both = "with both organ.young_kPa and organ.poisson_ratio"

@@ -48,8 +48,9 @@ __all__ = [
 ]
 
 SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
-"""Ends of the names of surface files; a file of any other name is an image, or a folder of its
-slices.
+"""File name suffixes of surface files.
+
+A file with any other name is an image, or a folder of image slices.
 """
 LAYERS = ("enamel", "dentin", "pulp", "caries", "ligament")
 """Layers of a tooth that have a surface of their own."""
@@ -59,8 +60,9 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class OneOf(Generic[T]):
-    """Marks a scene's text as a name of a table, or one of some others; it is checked when the
-    scene is.
+    """Mark of a text key whose value is a name in a registry or one of some other names.
+
+    The value is checked when the scene is validated.
     """
 
     table: Registry[T]
@@ -68,12 +70,12 @@ class OneOf(Generic[T]):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All names that are accepted now."""
+        """All names that are currently accepted."""
         return (*self.others, *self.table)
 
     @property
     def known(self) -> tuple[str, ...]:
-        """Those so far, without asking installed packages."""
+        """Names known so far, without asking installed packages."""
         return (*self.others, *self.table.known)
 
     def _check(self, name: str) -> str:
@@ -101,7 +103,7 @@ class OneOf(Generic[T]):
 
 
 def kinds_of(part: "type[BaseModel]") -> tuple[str, ...]:
-    """Return the kinds that a part of a scene describes, of those known so far."""
+    """Return the kinds known so far that a part of a scene describes."""
     field = part.model_fields["kind"]
     return next(
         (each.known for each in field.metadata if isinstance(each, OneOf)),
@@ -115,11 +117,11 @@ SOURCES = {
     "surface": ("from a surface", "from a file", "from labels"),
     "image": ("from an image", "from labels", "from a file"),
 }
-"""Sources of a shape by what a table of it holds, the first that its kind knows is meant."""
+"""Sources of a shape by the files in its table; the first source that its kind supports is used."""
 
 
 def source_of(table: Mapping[str, object]) -> tuple[str, ...]:
-    """Return the sources that a table of a shape can mean, by its files."""
+    """Return the sources of a shape that its table can mean, by its files."""
     file = table.get("file")
     if not isinstance(file, str) or not file:
         has_layers = any(f"{layer}_file" in table for layer in LAYERS)
@@ -129,22 +131,23 @@ def source_of(table: Mapping[str, object]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class ByKind:
-    """Mark of a union of tables, of which the key ``kind`` chooses one, and of those with several
-    the source.
+    """Mark of a union of tables, from which the key ``kind`` chooses one.
+
+    If a kind has several tables, the source of the shape chooses among them.
 
     Attributes
     ----------
     parts
         Returns the tables that are known so far.
     groups
-        Groups of entry points that offer more of them.
+        Groups of entry points that offer more tables.
     """
 
     parts: "Callable[[], tuple[type[BaseModel], ...]]"
     groups: tuple[str, ...]
 
     def chosen(self, table: Mapping[str, object]) -> "type[BaseModel] | None":
-        """Return the table class that entries with a kind mean; None for an unknown kind."""
+        """Return the table class for entries with a kind; None for an unknown kind."""
         variants = [part for part in self.parts() if table.get("kind") in kinds_of(part)]
         for source in source_of(table):
             for part in variants:
@@ -161,7 +164,7 @@ class ByKind:
         choices = {part.__name__: handler.generate_schema(part) for part in parts}
 
         def tag(value: object) -> str | None:
-            """Return the name of the class that a table means; an unknown kind as it is."""
+            """Return the name of the class for a table; an unknown kind is returned unchanged."""
             if not isinstance(value, Mapping):
                 return type(value).__name__
             kind = value.get("kind")
@@ -171,10 +174,10 @@ class ByKind:
             return None if kind is None else shown(kind)
 
         def check(value: object, validate: "ValidatorFunctionWrapHandler") -> object:
-            """Ask installed packages for a kind that is not known; from then on it is."""
+            """Validate a value, after asking installed packages for an unknown kind."""
             if not isinstance(value, Mapping):
                 return validate(value)
-            # An empty name is no file, whatever the table takes by default.
+            # An empty name means no file, whatever the default of the table is.
             if value.get("file") == "":
                 value = {name: each for name, each in value.items() if name != "file"}
             kind = value.get("kind")
@@ -193,29 +196,28 @@ class ByKind:
 
 
 READ_BACK = {"written by": "tissue"}
-"""Context in which keys without effect pass: a live run gives a wall's tool its reach."""
+"""Validation context that accepts keys without effect: a live run gives a wall's tool its reach."""
 LONGEST_PATH = 1000
-"""Characters of a file's path. Longer texts are no paths that a user wrote."""
+"""Largest number of characters of a file path; a longer text is no path that a user wrote."""
 FileName = Annotated[str, StringConstraints(max_length=LONGEST_PATH)]
 Length_mm = Annotated[float, Field(ge=0.1, le=500)]
 Vector = Annotated[tuple[float, float, float], Strict(False)]
 
 Rule = tuple[str, bool, str, str]
-"""Keys separated by blanks, whether they have no effect, in which case that is so, and what to
-set instead.
-"""
+"""Keys separated by blanks, True if they have no effect, the condition, and the remedy."""
 
 
 class Idle(NamedTuple):
-    """Reason why a key has no effect, such as ``without a nodule``, and what to set instead."""
+    """Condition under which a key has no effect, such as ``without a nodule``, and the remedy."""
 
     where: str
     remedy: str
 
 
 def is_given(part: "Part", name: str) -> bool:
-    """Return whether an entry was set to other than its default: what a build asks that finds it
-    without effect.
+    """Return True if an entry was set to a value other than its default.
+
+    A build checks this for a key that it finds without effect.
     """
     return (
         name in part.model_fields_set
@@ -224,23 +226,24 @@ def is_given(part: "Part", name: str) -> bool:
 
 
 def is_file_key(name: str) -> bool:
-    """Return whether a key of an anatomy, motion, tool or device names a file."""
+    """Return True if a key of an anatomy, motion, tool or device names a file."""
     return name == "file" or name.endswith("_file")
 
 
 @dataclass(frozen=True)
 class Needs:
-    """Mark of a key that has an effect only where another key of its part differs from its default,
-    or has a value.
+    """Mark of a key that has an effect only together with another key of its part.
+
+    The other key must differ from its default, or have a given value.
 
     Attributes
     ----------
     key
         The other key, with the name of the part, such as ``anatomy.nodule_diameter_mm``.
     value
-        Value that the other key must have; None for any but its default.
+        Value that the other key must have; None for any value except its default.
     is_absent
-        Whether the other key must be absent instead.
+        True if the other key must be absent instead.
     """
 
     key: str
@@ -248,7 +251,7 @@ class Needs:
     is_absent: bool = False
 
     def why_not(self, part: "Part") -> Idle | None:
-        """Return why the marked key has no effect in a part; None where it has one."""
+        """Return the reason why the marked key has no effect in a part; None if it has one."""
         name = self.key.rpartition(".")[2]
         given = getattr(part, name)
         is_set = bool(given) and given != type(part).model_fields[name].default
@@ -269,21 +272,20 @@ class Needs:
 
 
 class Part(BaseModel):
-    """Frozen table of a scene. A key that it does not know, or that has no effect in it, is
-    refused.
-    """
+    """Frozen table of a scene; a key that is unknown or has no effect is refused."""
 
     model_config = ConfigDict(
         frozen=True, extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True
     )
 
     def rules(self) -> Iterator[Rule]:
-        """Yield the rules about keys without effect that no single mark states."""
+        """Yield the rules for keys without effect that no single mark expresses."""
         yield from ()
 
     def idle(self) -> dict[str, Idle]:
-        """Return the keys that have no effect, and why; keys of inner tables and whole inner
-        tables are dotted.
+        """Return the keys that have no effect, with the reasons.
+
+        Keys of inner tables, and whole inner tables, are dotted.
         """
         found: dict[str, Idle] = {}
         for keys, is_idle, where, remedy in self.rules():
@@ -296,20 +298,20 @@ class Part(BaseModel):
         return found
 
     def changed_entries(self, prefix: str = "") -> dict[str, object]:
-        """Return the dotted keys and values that differ from their defaults; kinds are left out."""
+        """Return the dotted keys and values that differ from their defaults, without kinds."""
         found: dict[str, object] = {}
         for name, field in type(self).model_fields.items():
             value = getattr(self, name)
             if isinstance(value, Part):
                 inner = value.changed_entries(f"{prefix}{name}.")
-                # An optional table asks for something even where it holds defaults alone.
+                # An optional table has an effect even if it holds only defaults.
                 found |= inner or ({f"{prefix}{name}": {}} if field.default is None else {})
             elif name != "kind" and value != field.get_default(call_default_factory=True):
                 found[f"{prefix}{name}"] = value
         return found
 
     def effective_table(self) -> dict[str, Any]:
-        """Return the table with its defaults as TOML holds it, without keys that have no effect."""
+        """Return the table for TOML, with its defaults and without keys that have no effect."""
         table = self.model_dump(mode="json", exclude_none=True)
         for name in type(self).model_fields:
             value = getattr(self, name)

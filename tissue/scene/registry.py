@@ -1,8 +1,7 @@
-"""The parts that a scene names, a table for each kind: choices, messages, loops and charts derive
-from it.
+"""Registries of the parts that a scene names, one for each kind of part.
 
-A line in a table makes a part known. `tissue.register` and the entry points of installed packages
-add parts.
+Choices, messages, loops and charts derive from them. A line in a registry adds a part.
+`tissue.register` and the entry points of installed packages also add parts.
 """
 
 from typing import Any
@@ -85,7 +84,7 @@ ANATOMIES: Registry[AnatomyEntry] = Registry(
     },
     group="tissue.tissues",
 )
-"""What a tool meets: the tables of each kind, by the source of its shape, and its tools."""
+"""Anatomies: the tables of each kind by the source of its shape, and the table of its tools."""
 MOTIONS: Registry[MotionEntry] = Registry(
     "motion.kind",
     {
@@ -95,7 +94,7 @@ MOTIONS: Registry[MotionEntry] = Registry(
     },
     group="tissue.motions",
 )
-"""What moves the tool."""
+"""Motions of the tool."""
 
 TABLES: dict[str, tuple[Registry[Any], ...]] = {
     **dict.fromkeys(("tool", "probe", "needle"), (CUTTERS, PROBES, NEEDLES)),
@@ -109,4 +108,4 @@ TABLES: dict[str, tuple[Registry[Any], ...]] = {
     "material": (CUTTING_MATERIALS, ORGAN_MATERIALS),
     "scene": (SCENES,),
 }
-"""The tables in which a part of each kind has a name of its own."""
+"""Registries in which the names of each kind of part are unique."""

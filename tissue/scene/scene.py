@@ -1,8 +1,8 @@
-"""Scenes: frozen, validated descriptions of what to simulate.
+"""Scenes: frozen, validated descriptions of a simulation.
 
-A scene is a TOML file. Every quantity carries its unit in its name; anything unknown, missing, out
-of range or not finite is refused with one sentence that names the key, the value, the requirement
-and a remedy.
+A scene is a TOML file. Every quantity carries its unit in its name. Anything unknown, missing, out
+of range or not finite is refused. The message names the key, the value, the requirement and a
+remedy.
 """
 
 import math
@@ -43,15 +43,16 @@ Name = Annotated[str, StringConstraints(pattern=r"^[a-z0-9][a-z0-9_]*$")]
 
 
 class KeepClear(Part):
-    """Structures that the tool must not touch: their distance is in the trace, a breach is an
-    event.
+    """Structures that the tool must not touch.
+
+    Their distance is in the trace. A breach is an event.
     """
 
     names: tuple[Name, ...] = Field((), strict=False, examples=[("canal",)])
-    """Structures that the anatomy knows by name, such as a vertebra's canal."""
+    """Names of structures of the anatomy, such as a vertebra's canal."""
     files: dict[Name, str] = Field(default_factory=dict, examples=[{"canal": "canal.ply"}])
-    """Closed surface of each other structure, in the frame and unit of `anatomy.file`, or of the
-    site in mm.
+    """Closed surface of each other structure, by name. It is in the frame and unit of
+    `anatomy.file`, or in the site's frame in mm.
     """
 
     @model_validator(mode="after")
@@ -70,23 +71,28 @@ class KeepClear(Part):
 
 
 class Voxels(Part):
-    """How the bone is divided and removed."""
+    """Voxels of the bone, and their removal."""
 
     spacing_mm: float = Field(0.1, gt=0, le=2, examples=[0.1])
     """Edge of a voxel."""
     removal: Literal["subvoxel", "binary"] = "subvoxel"
-    """Whether a voxel loses the part inside the tool, or all of itself once its centre is
-    inside.
+    """Method of removal: `subvoxel` removes the part of a voxel inside the tool. `binary` removes a
+    whole voxel once its centre is inside.
     """
     margin_mm: float = Field(3.0, ge=0.5, le=50)
-    """Bone kept around what the tool can reach."""
+    """Margin of bone kept around the reach of the tool."""
 
 
 class Cutting(Part):
-    """Changes to the cited cutting coefficients of bone; empty entries keep the cited value."""
+    """Changes to the cited cutting coefficients of bone.
+
+    Coefficients that are left out keep the cited value.
+    """
 
     material: Annotated[str, OneOf(CUTTING_MATERIALS)] = "bone"
-    """Material whose cited coefficients bone has; layers of a tooth keep their own."""
+    """Material whose cited coefficients bone uses. The layers of a tooth keep their own
+    coefficients.
+    """
 
     tangential_chip_N_mm2: float | None = Field(None, ge=0, le=5000, examples=[150.0])
     """Chip force along the cutting speed, per area of the chip's section."""
@@ -99,37 +105,38 @@ class Cutting(Part):
     radial_edge_N_mm: float | None = Field(None, ge=0, le=500, examples=[4.0])
     """Edge force normal to the tool's surface, per length of the edge."""
     axial_edge_N_mm: float | None = Field(None, ge=0, le=500, examples=[0.0])
-    """Edge force along the edge, per length of it."""
+    """Edge force along the edge, per length of the edge."""
     density_exponent: float | None = Field(None, ge=0, le=5, examples=[1.5])
-    """Power of the density over its reference that scales all coefficients."""
+    """Exponent of the ratio of density to reference density, which scales all coefficients."""
 
 
 class Output(Part):
-    """What is made of the model's force before it is commanded to a device."""
+    """Processing of the model's force before it is commanded to a device."""
 
     low_pass_ms: float = Field(1.0, ge=0, le=1000)
-    """Time constant of the low-pass y += (1 - exp(-T/a)) (u - y); 0 passes the model's force on."""
+    """Time constant of the low-pass y += (1 - exp(-T/a)) (u - y); 0 leaves the force unchanged."""
     vibration_share: float = Field(0.0, ge=0, le=1)
-    """Amplitude of the teeth's vibration relative to the average force, at 250 Hz at most; a
-    device plays it too.
+    """Amplitude of the teeth's vibration relative to the average force, at 250 Hz at most. A device
+    plays it too.
     """
     cue_N: float = Field(0.0, ge=0, le=1, examples=[0.3])
-    """Amplitude of the transient that a device plays at first contact, another layer and a
-    puncture; 0 plays none.
+    """Amplitude of the transient that a device plays at events; 0 plays no transient. The events
+    are first contact, another layer and a puncture.
     """
 
 
 class Stress(Part):
-    """Displacement and stress of a tooth by particle finite elements; a scene without it builds
-    none.
+    """Displacement and stress of a tooth by particle finite elements.
+
+    A scene without this table computes neither.
     """
 
     cell_mm: float = Field(0.5, ge=0.2, le=1.5)
-    """Edge of a cell; its half, the particles' spacing, must be a whole multiple of
+    """Edge of a cell. Half of it, the spacing of the particles, must be a whole multiple of
     voxels.spacing_mm.
     """
     interval_ms: float = Field(100.0, ge=10, le=10_000)
-    """Time between two solves; the stress belongs to a state at most this old."""
+    """Time between two solves. The stress belongs to a state at most this old."""
 
 
 def anatomy_parts() -> tuple[type[Part], ...]:
@@ -155,59 +162,58 @@ AnyMotion = Annotated[
 
 
 class Scene(Part):
-    """Everything one simulation needs; equal scenes give equal traces."""
+    """Complete description of one simulation; equal scenes give equal traces."""
 
     name: str = Field(pattern=r"^[a-z0-9][a-z0-9_-]*$", examples=["glenoid-2"])
     """Name of the scene and of the folder under runs/; lower-case letters, digits, - and _."""
     description: str = ""
-    """What it models, in a line."""
+    """Description of the simulation in one line."""
     seed: int = Field(0, ge=0, lt=2**63)
-    """Seed of every random draw."""
+    """Seed of all random draws."""
     duration_s: float | None = Field(None, ge=1e-3, le=3600, examples=[5.0])
-    """Simulated time; without it as long as the motion lasts. One that holds the whole motion
-    waits for a late hand.
+    """Simulated time. Default: the duration of the motion. A given time that covers the whole
+    motion is extended for the delay of the hand.
     """
     anatomy: AnyAnatomy
-    """What the tool meets."""
+    """Anatomy on which the tool acts."""
     voxels: Voxels = Voxels()
-    """How the bone is divided and removed."""
+    """Voxels of the bone, and their removal."""
     tool: AnyTool
-    """What meets it."""
+    """Tool that acts on the anatomy."""
     motion: AnyMotion
-    """How the tool moves."""
+    """Motion of the tool."""
     keep_clear: KeepClear | None = None
     """Structures that the tool must not touch."""
     cutting: Cutting = Cutting()
     """Changes to the cutting coefficients."""
     output: Output = Output()
-    """What becomes of the force."""
+    """Processing of the force."""
     device: Device | None = None
-    """Device by which a hand moves the tool; without it the motion moves the tool."""
+    """Device with which a hand moves the tool. Without it, the motion moves the tool."""
     stress: Stress | None = None
-    """Whether and how finely displacement and stress are computed."""
+    """Cell size and interval for the displacement and stress of a tooth."""
     heat: bool = False
-    """Whether the temperature of a tooth and its pulp is computed."""
+    """Computation of the temperature of a tooth and its pulp."""
     organ: Organ = Organ()
-    """What a soft organ is made of, and how it is solved."""
+    """Material of a soft organ, and the method of its solution."""
     materials: FileName = Field("", examples=["fitted.toml"])
-    """TOML file of constants in place of the cited ones, such as `tissue fit` writes; empty
-    takes the cited ones.
+    """TOML file of constants that replace the cited ones, such as `tissue fit` writes. Empty uses
+    the cited ones.
     """
 
     fidelity: Fidelity | None = None
-    """The fidelity demanded of the run; its settings are then chosen by what was measured on
-    this machine.
+    """Required fidelity of the run. Its settings are then chosen from measurements on this machine.
     """
 
     @property
     def bone(self) -> CutAnatomy:
-        """The anatomy of a scene in which a tool cuts."""
+        """Anatomy of a scene in which a tool cuts."""
         assert isinstance(self.anatomy, CutAnatomy), self.anatomy.kind
         return self.anatomy
 
     @property
     def held(self) -> Device:
-        """The device of a scene that has one."""
+        """Device of a scene that has one."""
         assert self.device is not None, "the scene has no device"
         return self.device
 
@@ -218,12 +224,12 @@ class Scene(Part):
 
     @property
     def predictor_file(self) -> str:
-        """File of a trained predictor; empty for the scene's own."""
+        """File of a trained predictor; empty for the scene's own predictor."""
         return "" if self.device is None else self.device.coupling.predictor_file
 
     @property
     def constants(self) -> Materials:
-        """Constants that the scene rests on: the cited ones, with those of its file in their place.
+        """Constants of the scene: the cited ones, where its file does not replace them.
 
         Raises
         ------
@@ -291,11 +297,11 @@ class Scene(Part):
 
     @classmethod
     def read_back(cls, text: str) -> "Scene":
-        """Read a scene from the JSON that this program wrote, keys without effect included."""
+        """Read a scene from the JSON that this program wrote, including keys without effect."""
         return cls.model_validate_json(text, context=READ_BACK)
 
     def rules(self) -> Iterator[Rule]:
-        """Yield the rules of keys that another table makes idle."""
+        """Yield the rules for keys that another table leaves without effect."""
         yield from self._anatomy_rules()
         yield from self._tool_rules()
         yield from self._device_rules()
@@ -381,15 +387,13 @@ class Scene(Part):
             yield "organ.order", not is_held and isinstance(self.tool, Probe), where, remedy
 
     def to_toml(self) -> str:
-        """Return the whole scene, defaults included, as TOML, without keys that have no effect
-        in it.
-        """
+        """Return the whole scene as TOML, with defaults and without keys that have no effect."""
         import tomli_w
 
         return tomli_w.dumps(self.effective_table())
 
     def _repr_html_(self) -> str:
-        """Show in a notebook what the scene states, and all its keys folded below."""
+        """Return HTML for a notebook with the stated keys, and all keys folded below."""
         import tomli_w
 
         stated = self.model_dump(

@@ -1,6 +1,6 @@
 """Texts of scenes for editors and reports.
 
-They are the folders of a scene's files, the names of parts that only this process knows, the site
+They include the folders of a scene's files, the names of parts known only to this process, the site
 in a scene's file, and the JSON schema.
 """
 
@@ -35,17 +35,18 @@ __all__ = [
 
 
 def _texts_of(scene: Scene) -> list[str]:
-    """Every text in a scene but its name."""
+    """Return all texts of a scene except its name."""
     return list(_texts(scene.model_dump(mode="json", exclude={"name"})))
 
 
 def folders_of(scene: Scene) -> list[str]:
-    """Absolute folders of the files that a scene names, but roots, with the separator behind
-    each; longest first.
+    """Return the absolute folders of the files that a scene names, longest first.
+
+    Each ends with its separator. Root folders are left out.
     """
     found = set()
     for text in _texts_of(scene):
-        # a file may follow a part's name, as in observer:FILE
+        # a file may follow the name of a part, as in observer:FILE
         for each in (text, text.partition(":")[2]):
             kinds: tuple[type[PurePath], ...] = (PurePosixPath, PureWindowsPath)
             path = next((kind(each) for kind in kinds if kind(each).is_absolute()), None)
@@ -66,8 +67,9 @@ def _texts(value: Any) -> Iterator[str]:
 
 
 def registered_parts(scenes: Iterable[Scene]) -> list[tuple[str, str]]:
-    """Kind and name of the parts that scenes name and neither this package nor an installed one
-    offers.
+    """Return kind and name of the parts that scenes name and no installed package offers.
+
+    Built-in parts are left out as well.
     """
     offered = {name for names in offered_names().values() for name in names}
     named = {text.partition(":")[0] for scene in scenes for text in _texts_of(scene)}
@@ -82,7 +84,7 @@ def registered_parts(scenes: Iterable[Scene]) -> list[tuple[str, str]]:
 
 
 def unknown_parts(parts: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
-    """Those of some parts that this process does not know."""
+    """Return the parts that this process does not know."""
     return [
         (kind, name) for kind, name in parts if not any(name in table for table in TABLES[kind])
     ]
@@ -93,7 +95,7 @@ _ANATOMY = re.compile(r"^\s*\[\s*anatomy\s*\]\s*(#.*)?$")
 
 
 def anatomy_of(scene: Path) -> dict[str, object]:
-    """Table ``anatomy`` of a scene's file as it stands there.
+    """Return the table ``anatomy`` of a scene's file without changes.
 
     Raises
     ------
@@ -128,8 +130,9 @@ def save_site(scene: Path, centre_mm: Sequence[float], normal: Sequence[float]) 
 
 
 def with_site(text: str, centre_mm: Sequence[float], normal: Sequence[float]) -> str:
-    """Text of a scene with ``anatomy.centre_mm`` and ``anatomy.normal``, comments and all other
-    lines as they were.
+    """Return the text of a scene with new ``anatomy.centre_mm`` and ``anatomy.normal``.
+
+    Comments and all other lines stay unchanged.
 
     Raises
     ------
@@ -163,8 +166,9 @@ def with_site(text: str, centre_mm: Sequence[float], normal: Sequence[float]) ->
 
 
 def _put(lines: list[str], first: int, key: str, line: str) -> None:
-    """Replace a key's lines in a table that begins at a line, its comment kept, or add one after
-    the table's last.
+    """Replace a key's lines in the table from line ``first``, or add a line at its end.
+
+    A comment in the replaced lines is kept.
     """
     last = first
     for number in range(first, len(lines)):
@@ -187,7 +191,7 @@ def _put(lines: list[str], first: int, key: str, line: str) -> None:
 
 
 def _closed(lines: list[str]) -> bool:
-    """Whether an array of numbers that begins in the first line ends in the last."""
+    """Return True if an array of numbers that begins in the first line ends in the last."""
     plain = "".join(re.sub(r"#.*", "", line) for line in lines)
     return plain.count("[") == plain.count("]")
 
@@ -196,12 +200,13 @@ STATED = {
     "format": {"description": "Version of this file's format.", "minimum": 1, "type": "integer"},
     "tissue": {"description": "Version of tissue that wrote this file.", "type": "string"},
 }
-"""Entries that a scene's file may hold besides those of `Scene`."""
+"""Entries of a scene's file in addition to those of `Scene`."""
 
 
 def schema_text() -> str:
-    """JSON schema of a scene's file: keys with descriptions, units in their names, ranges and
-    choices.
+    """Return the JSON schema of a scene's file.
+
+    It contains keys with descriptions, units in their names, ranges and choices.
     """
     for group in OFFERED:
         ask_packages(group)
@@ -211,11 +216,11 @@ def schema_text() -> str:
 
 
 def scene_for_editors(name: str) -> str:
-    """TOML of a built-in scene; its first line names the schema, which is written to the cache for
-    it.
+    """Return the TOML of a built-in scene with the schema named in its first line.
 
-    The line holds a ``file:`` URL, which taplo and editors that use it resolve from any folder and
-    without a network. Where the cache cannot be written the scene comes without it.
+    The schema is written to the cache for it. The line holds a ``file:`` URL. Taplo and editors
+    that use it resolve this URL from any folder and without a network. If the cache cannot be
+    written, the scene is returned without this line.
 
     Raises
     ------
@@ -229,7 +234,7 @@ def scene_for_editors(name: str) -> str:
 
 
 def _written_schema() -> Path:
-    """Path of the schema in the cache, where it is written unless the same one is there."""
+    """Return the path of the schema in the cache, and write it unless it is up to date."""
     path = (cache_folder() / "scene.schema.json").absolute()
     text = schema_text()
     if not (path.is_file() and path.read_bytes() == text.encode()):

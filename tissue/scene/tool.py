@@ -1,5 +1,6 @@
-"""Tools and their motions. Cutters and probes have the keys that their tables in
-`tissue.scene.names` list.
+"""Tools and motions of a scene.
+
+Cutters and probes have the keys that their registries in `tissue.scene.names` list.
 """
 
 import math
@@ -40,7 +41,7 @@ CUTTER_KEYS: dict[str, Any] = {
         Field(0.0, ge=0, le=50, description="Length of the peg beyond the tip."),
     ),
 }
-"""Keys that shape some cutters, next to the diameter."""
+"""Keys that define the shape of some cutters, in addition to the diameter."""
 PROBE_KEYS: dict[str, Any] = {
     "diameter_mm": (
         float,
@@ -58,21 +59,19 @@ PROBE_KEYS: dict[str, Any] = {
     ),
     "scale_mm": (float, Field(1.0, gt=0, le=1e5, description="Millimetres per unit of that file.")),
 }
-"""Keys that shape some probes."""
+"""Keys that define the shape of some probes."""
 USUAL_PROBE_MM = 20.0
-"""Diameter that a probe without one counts as where a mesh is refined around it [mm]: a
-fingertip's.
-"""
+"""Diameter for mesh refinement around a probe without a diameter [mm]; that of a fingertip."""
 
 
 class Shaped(Part):
-    """Tool whose class is made from its table."""
+    """Tool whose class is created from its registry entry."""
 
     kind: str
     """Shape of the tool."""
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the entries: a class that is made from a table has no place in a module."""
+        """Pickle the entries, because a class created at run time is in no module."""
         return tool_of, (self.model_dump(exclude_unset=True),)
 
 
@@ -82,16 +81,16 @@ class Tool(Shaped):
     diameter_mm: float = Field(gt=0.1, le=100, examples=[6.0])
     """Largest diameter."""
     flutes: Annotated[int, Needs("tool.spin_rpm")] = Field(4, ge=1, le=200)
-    """Cutting edges around the axis."""
+    """Number of cutting edges around the axis."""
     spin_rpm: float = Field(ge=-500_000, le=500_000, examples=[500.0])
-    """Spin, clockwise as seen from the shank, the sense of common burs, drills and reamers; a
-    negative one is counter-clockwise. A tool that does not turn (0) cuts nothing: a hand on a
-    device feels the bone with it.
+    """Spin, clockwise as seen from the shank, as in common burs, drills and reamers. A negative
+    spin is counter-clockwise. A tool that does not turn (0) cuts nothing; a hand on a device feels
+    the bone with it.
     """
     shell_spacing_mm: Annotated[float | None, Needs("tool.spin_rpm")] = Field(
         None, gt=0, le=10, examples=[0.2]
     )
-    """Distance between the cutter's elements; without it as wide as gives 6000 elements."""
+    """Distance between the cutter's elements. Default: the distance that gives 6000 elements."""
 
     @property
     def peg_mm(self) -> tuple[float, float]:
@@ -99,7 +98,7 @@ class Tool(Shaped):
         return getattr(self, "peg_diameter_mm", 0.0), getattr(self, "peg_length_mm", 0.0)
 
     def without_peg(self) -> "Tool":
-        """Return the cutter without its peg, its elements as fine as usual."""
+        """Return the cutter without its peg, with the default spacing of its elements."""
         pegs: dict[str, Any] = {
             name: 0.0
             for name in ("peg_diameter_mm", "peg_length_mm")
@@ -142,13 +141,13 @@ class Probe(Shaped):
 
     @property
     def size_mm(self) -> float:
-        """Diameter of a round probe; of another one a fingertip's [mm]."""
+        """Diameter of a round probe, or of a fingertip for any other probe [mm]."""
         return float(getattr(self, "diameter_mm", USUAL_PROBE_MM))
 
 
 @cache
 def _shaped(base: type[Shaped], kind: str, keys: tuple[str, ...]) -> type[Shaped]:
-    """Return the class of a tool that has some keys."""
+    """Return the class of a tool with the given keys."""
     shapes = CUTTER_KEYS if base is Tool else PROBE_KEYS
     word = kind.title().replace("-", "").replace("_", "")
     entries = {key: shapes[key] for key in keys}
@@ -182,16 +181,19 @@ def tool_of(entries: dict[str, Any]) -> Shaped:
 
 
 class Needle(Part):
-    """A needle that pierces; its friction and cutting force are those of the tissue's table."""
+    """A needle that pierces tissue.
+
+    Its friction and cutting force are constants of the tissue.
+    """
 
     kind: Annotated[str, OneOf(NEEDLES)] = "needle"
     """A needle."""
     diameter_mm: float = Field(1.27, ge=0.2, le=5)
-    """Outer diameter, 1.27 mm for 18 gauge; it scales nothing but the crack's width."""
+    """Outer diameter, 1.27 mm for 18 gauge. It scales only the width of the crack."""
 
 
 class Motion(Part):
-    """Motion whose tool keeps its orientation."""
+    """Motion with a fixed orientation of the tool."""
 
     axis: Vector = (0.0, 0.0, 1.0)
     """Direction of the tool's axis from tip to shank."""
@@ -204,45 +206,45 @@ class Motion(Part):
 
 
 class PathMotion(Motion):
-    """The tip follows straight lines at a given feed, then stays at the end."""
+    """Motion of the tip along straight lines at a given feed; it then stays at the end."""
 
     kind: Literal["path"] = "path"
     """Position-driven."""
     points_mm: Annotated[tuple[Vector, ...], Strict(False)] = Field(
         min_length=2, examples=[((0.0, 0.0, 0.5), (0.0, 0.0, -2.0))]
     )
-    """Where the tip goes, corner by corner, in the frame of the site."""
+    """Corners of the tip's path, in the frame of the site."""
     feed_mm_s: float = Field(gt=0, le=1000, examples=[1.0])
     """Speed of the tip."""
 
 
 class ThrustMotion(Motion):
-    """A given thrust pushes the tool along its axis; the feed follows from the balance with the
-    cutting force.
+    """Motion of the tool along its axis under a given thrust.
+
+    The feed follows from the balance with the cutting force.
     """
 
     kind: Literal["thrust"] = "thrust"
     """Force-driven."""
     start_mm: Vector = (0.0, 0.0, 0.5)
-    """Where the tip starts, in the frame of the site."""
+    """Start position of the tip, in the frame of the site."""
     thrust_N: float = Field(gt=0, le=1000, examples=[40.0])
-    """Push along the tool's axis."""
+    """Thrust along the tool's axis."""
     mass_kg: float = Field(0.5, gt=0, le=20)
     """Mass that moves with the tool."""
     max_feed_mm_s: float = Field(5.0, gt=0, le=200)
-    """Feed the hand allows in free space."""
+    """Largest feed, which the hand allows in free space."""
     depth_mm: float = Field(2.0, gt=0, le=100)
     """Travel from the face (z = 0 of the site) at which the feed stops."""
 
 
 class ReplayMotion(Part):
-    """Poses from a table with the columns of ``trace.csv``: time_s, tool_x_mm ... tool_qw; or
-    from a recording.
+    """Motion of recorded poses, from a table or a recording.
+
+    A table has the columns of ``trace.csv``: time_s, tool_x_mm ... tool_qw.
     """
 
     kind: Literal["replay"] = "replay"
     """Recorded."""
     file: FileName = Field(examples=["runs/glenoid/trace.csv"])
-    """CSV table of poses, such as a run's own trace, or an HDF5 recording of
-    volumetric_drilling.
-    """
+    """CSV table of poses, such as a run's trace, or an HDF5 recording of volumetric_drilling."""

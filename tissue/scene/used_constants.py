@@ -1,4 +1,4 @@
-"""The constants that a scene rests on, and those that it states itself."""
+"""Constants that a scene uses, and constants that it states itself."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from tissue.scene.tool import Tool
 __all__ = ["Used", "used_constants", "used_of_cutting", "used_of_device"]
 
 Part = tuple[str, str, tuple[str, ...] | None]
-"""Table, material, and the names that are used where it is not all of them."""
+"""Table, material, and names of the constants used; None for all of them."""
 
 
 @dataclass(frozen=True)
@@ -25,14 +25,14 @@ class Used:
     of
         Table and material.
     name
-        Its name, with its unit.
+        Name of the constant, with its unit.
     cited
-        Value, range, source and confidence: of the scene's own file, where it states the constant.
+        Value, range, source and confidence, from the scene's own file if it has the constant.
     full
-        Its name ``TABLE.MATERIAL.NAME``; of a layer's own cutting constant the layer stands for the
-        material.
+        Full name ``TABLE.MATERIAL.NAME``. For a layer's own cutting constant, the layer replaces
+        the material.
     stated
-        What the scene states in its place, None where that of the tables or of its file is used.
+        Value that the scene states instead. None uses the value of the tables or of the file.
     """
 
     of: str
@@ -43,11 +43,10 @@ class Used:
 
 
 def used_constants(scene: Scene, layers: Sequence[str], *, varied: bool = False) -> list[Used]:
-    """Constants of the tissue's layers, and of device and hand where there are any, in the order of
-    their tables.
+    """Return the constants of a scene's tissue layers, device and hand, in the order of the tables.
 
-    Where all of them are `varied` together, the density exponent counts in bone of the reference
-    density too.
+    If all of them are `varied` together, the density exponent also counts in bone of the reference
+    density.
     """
     return _used(
         scene.constants,
@@ -64,15 +63,19 @@ def used_of_cutting(
     stated: Mapping[str, float],
     has_reference_density: bool,
 ) -> list[Used]:
-    """Those of layers that are cut, `bone` being the material of bone; `stated` are a caller's
-    own.
+    """Return the constants of layers that are cut.
+
+    `bone` is the material of bone. `stated` are values of the caller.
     """
     parts = _cutting(given, layers, bone, has_reference_density=has_reference_density)
     return _used(given, parts, lambda table, material: stated)
 
 
 def used_of_device(given: Materials, device: str | None, hand: str) -> list[Used]:
-    """Those of a device, None where a caller states its numbers, and of the hand that holds it."""
+    """Return the constants of a device and of the hand that holds it.
+
+    `device` is None if the caller states the device's numbers.
+    """
     return _used(given, _device(device, hand), lambda table, material: {})
 
 
@@ -96,7 +99,7 @@ def _used(
 
 
 def _tables(scene: Scene, layers: Sequence[str], varied: bool) -> Iterator[Part]:
-    """Tables and materials of a scene."""
+    """Yield the tables and materials of a scene."""
     anatomy = scene.anatomy
     if isinstance(scene.tool, Tool) and scene.tool.spin_rpm != 0.0:
         even = not varied and _has_reference_density(scene)
@@ -136,8 +139,9 @@ def _device(device: str | None, hand: str) -> Iterator[Part]:
 def _cutting(
     given: Materials, layers: Sequence[str], bone: str, *, has_reference_density: bool
 ) -> Iterator[Part]:
-    """Cutting constants of materials as far as a layer takes them, and those that layers have of
-    their own.
+    """Yield the cutting constants that layers use, by material or by layer.
+
+    A layer with its own value of a constant replaces the material.
     """
     needed = dict[str, dict[str, None]]()
     fixed = {"density_exponent"} if has_reference_density else set()
@@ -152,9 +156,9 @@ def _cutting(
 
 
 def _tooth(scene: Scene, layers: Sequence[str]) -> Iterator[tuple[str, str, tuple[str, ...]]]:
-    """Elastic constants of what bears stress, thermal ones of what conducts heat.
+    """Yield the elastic constants of layers under stress and the thermal ones of layers with heat.
 
-    The modulus of caries follows from its density and the modulus of dentin; bone holds the
+    The modulus of caries follows from its density and the modulus of dentin. Bone holds the
     ligament and is rigid.
     """
     for layer in dict.fromkeys((*layers, "ligament")):
@@ -170,8 +174,9 @@ def _tooth(scene: Scene, layers: Sequence[str]) -> Iterator[tuple[str, str, tupl
 
 
 def _has_reference_density(scene: Scene) -> bool:
-    """Whether all that is cut has the density of its coefficients, so that no power of their
-    ratio counts.
+    """Return True if all cut material has the reference density of its coefficients.
+
+    Then the power of the density ratio has no effect.
     """
     if not isinstance(scene.anatomy, BlockAnatomy):
         return False
@@ -182,7 +187,7 @@ def _has_reference_density(scene: Scene) -> bool:
 
 
 def _stated(scene: Scene, table: str, material: str) -> dict[str, float | None]:
-    """What a scene states in place of a table's constants."""
+    """Return the values that a scene states in place of a table's constants."""
     if table == "cutting":
         return dict(scene.cutting.model_dump(exclude={"material"}))
     if (table, material) == ("soft", scene.organ.material) and isinstance(
