@@ -63,7 +63,7 @@ def _part(schema: Schema, name: str, entry: Schema) -> Iterator[Part]:
     """A table, and those inside of it."""
     models = _models(schema, entry)
     text = entry.get("description") or models[0]["description"]
-    left_out = " A scene without this table has none." if entry.get("default", {}) is None else ""
+    left_out = " This table is optional." if entry.get("default", {}) is None else ""
     by_model = [_kinds(model) if len(models) > 1 else () for model in models]
     kinds = tuple(dict.fromkeys(kind for each in by_model for kind in each))
     yield Part(name, text + left_out, kinds, tuple(_groups(schema, models, by_model)))

@@ -153,7 +153,7 @@ Holds_N = Annotated[
 
 
 class LayersAnatomy(Part):
-    """Layers for a needle: a capsule at z = 0, the tissue below it, and optional membranes in it."""
+    """Layers for a needle: a capsule at z = 0, tissue below it, and optional membranes in it."""
 
     reads: ClassVar[tuple[str, ...]] = ()
     kind: Literal["layers"] = "layers"
