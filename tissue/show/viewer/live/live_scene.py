@@ -170,7 +170,7 @@ class LiveOrgan:
     def __init__(self, plotter: Plotter, organ: OrganSurface) -> None:
         self.colours: dict[str, tuple[float, float, float]] = {}
         self._organ = organ
-        self._actor = plotter.add_mesh(
+        plotter.add_mesh(
             organ.surface,
             color=ORGAN,
             smooth_shading=True,
