@@ -19,7 +19,7 @@ LOADED = {
     ("source", "src"),
     ("video", "src"),
 }
-"""What a browser fetches by itself; of links those that are no mere relations."""
+"""Tags and attributes of files that a browser loads with a page, except links in `RELATIONS`."""
 RELATIONS = {"canonical", "next", "prev", "search", "index", "author", "copyright"}
 
 

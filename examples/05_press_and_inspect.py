@@ -64,14 +64,12 @@ stress = mesh.cell_data["von_mises_kPa"]
 under = int(np.argmin(np.linalg.norm(mesh.points, axis=1)))
 away = float(np.linalg.norm(mesh.cell_centers().points[np.argmax(stress)]))
 print(f"the surface at the ball's middle has moved by {-moved[under, 2]:.1f} mm")
-print(
-    f"greatest von Mises stress {stress.max():.1f} kPa, {away:.1f} mm from where the ball came in"
-)
+print(f"largest von Mises stress {stress.max():.1f} kPa, {away:.1f} mm from where the ball came in")
 assert abs(-moved[under, 2] - DEPTH_MM) < 1.0
 assert away < RADIUS_MM
 
 # %%
-# Force over depth beside Hertz's.
+# Force over depth, compared with Hertz's solution.
 
 figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
 axes.plot(depth, force, color="#0072B2", linewidth=2.2, label="liver")

@@ -50,7 +50,7 @@ for time_s, event in run.events:
     print(f"after {time_s:5.2f} s: {event}")
 
 # %%
-# The puncture of the capsule: the force drops, and the edge of the hole goes on holding.
+# The puncture of the capsule: the force drops, and the edge of the hole keeps holding the needle.
 
 first = int(np.flatnonzero(travel > DEEP_MM - 1e-6)[0])
 last = first + int(np.argmin(travel[first:]))

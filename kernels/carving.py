@@ -56,7 +56,7 @@ def carve(
     remaining_out: wp.array2d(dtype=wp.uint16),
     # distance to the solid that the tool has swept, see `swept_steps`
     swept_out: wp.array2d(dtype=wp.uint16),
-    older_out: wp.array2d(dtype=wp.uint16),  # the same, of older cuts
+    older_out: wp.array2d(dtype=wp.uint16),  # distance in older cuts
     # [brick], one bit a block of 2 x 2 x 2 voxels that may hold material
     alive_out: wp.array(dtype=wp.uint64),
     touched_out: wp.array(dtype=wp.uint8),  # [brick], set to 1 where this launch removed something

@@ -125,7 +125,7 @@ def restrict(
 @wp.kernel
 def interpolate(
     coarse_of: wp.array2d(dtype=wp.int32),  # [fine node, 8], coarse node or -1
-    weight: wp.array(dtype=wp.float32),  # [fine node], the same for each of its coarse nodes
+    weight: wp.array(dtype=wp.float32),  # [fine node], equal for all its coarse nodes
     free: wp.array(dtype=wp.vec3f),  # [fine node]
     correction: wp.array(dtype=wp.vec3f),  # [coarse node]
     offset: int,

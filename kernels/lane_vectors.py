@@ -38,7 +38,7 @@ def cube_weights(
     # out
     # [strip, WEIGHTS, lane] [N/m], zero in cells that are not regular
     weight_out: wp.array3d(dtype=wp.float64),
-    single_out: wp.array3d(dtype=wp.float32),  # the same in single precision
+    single_out: wp.array3d(dtype=wp.float32),  # rounded to single precision
 ):
     """Compute the weights of the changed cells in `kernels.cell_strips`."""
     cell = changed[wp.tid() + offset]

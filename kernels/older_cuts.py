@@ -95,8 +95,8 @@ def taken_before(
             total += weight[c] * difference
             least = wp.min(least, difference)
             most = wp.max(most, difference)
-    # Where all corners differ alike, as on an end of an older cut that the tool has come back to,
-    # nothing bends.
+    # The bend is zero if all corners differ by an equal amount, for example at the end of an older
+    # cut to which the tool has returned.
     bent = wp.min(bend_below(bend, heading, part), 0.5 * (most - least))
     return total < (SLACK - bent) * counted
 

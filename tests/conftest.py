@@ -8,7 +8,6 @@ import gc
 import os
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
@@ -69,19 +68,3 @@ def refused(command):
         return message.removeprefix("error: ").removesuffix("\n")
 
     return run
-
-
-@pytest.fixture
-def full_disk(monkeypatch):
-    """Leave no space for the files that replace others.
-
-    Their temporary files are written to a device that is always full.
-    """
-    if not Path("/dev/full").exists():
-        pytest.skip("needs a device that is always full")
-    monkeypatch.setattr("meshes.base.whole_file.uuid4", lambda: SimpleNamespace(hex="0" * 32))
-
-    def fill(path):
-        (path.parent / f".{'0' * 12}-{path.name}").symlink_to("/dev/full")
-
-    return fill

@@ -83,7 +83,7 @@ def cached_arrays(kind: str, key: Iterable[object], make: Callable[[], Arrays]) 
 def read_entry(path: Path) -> str | None:
     """Return the text of a cache entry, or None.
 
-    None stands for an entry that is missing, damaged or of another version of tissue.
+    The result is None if the entry is missing, damaged or of another version of tissue.
     """
     try:
         head, _, text = path.read_bytes().decode("utf-8").partition("\n")

@@ -103,7 +103,7 @@ class SurfaceSamples:
     points, normals
         Positions [m] and outward unit normals, shape (n, 3).
     area
-        Surface area that each point stands for [m2].
+        Surface area that each point represents [m2].
     """
 
     points: Array

@@ -92,7 +92,7 @@ def bisected(
                 "use a hundredth of the body",
             )
         rank = np.empty(len(keys), dtype=np.int64)
-        # Ties go by number, the same for every tetrahedron.
+        # Ties are broken by number, equally in every tetrahedron.
         rank[np.lexsort((keys, np.round(length / length.max(), 12)))] = np.arange(len(keys))
         edge = edge.reshape(-1, 6)
         place = rank[edge].argmax(axis=1)

@@ -194,7 +194,7 @@ def _neighbours(label: Bytes, axis: int) -> tuple[Bytes, Bytes, NDArray[np.int16
     first = np.maximum.accumulate(np.where(label > 0, place, np.int16(-1)), axis=axis)
     backward = np.flip(np.where(label > 0, place, np.int16(count)), axis)
     last = np.flip(np.minimum.accumulate(backward, axis=axis), axis)
-    # An empty plane at both ends stands for a missing filled point.
+    # An empty plane at both ends represents a missing filled point.
     ends = [(1, 1) if k == axis else (0, 0) for k in range(3)]
     padded = np.pad(label, ends)
     before = np.take_along_axis(padded, first.astype(np.intp) + 1, axis)

@@ -129,7 +129,7 @@ def main() -> None:
     parser.add_argument("--fits", type=int, default=1000)
     parser.add_argument("--first", type=int, default=0, help="seed of the first fit")
     parser.add_argument(
-        "--noise", type=float, default=0.005, help="scale in shares of the greatest force"
+        "--noise", type=float, default=0.005, help="scale in shares of the largest force"
     )
     parser.add_argument("--processes", type=int, default=2)
     options = parser.parse_args()

@@ -237,8 +237,8 @@ def test_a_signal_ends_at_zero(name, tmp_path):
         child.communicate(timeout=60)
     finally:
         child.kill()
-    last, greatest, left = json.loads(message.read_text("utf-8"))
-    assert last == [0.0] * 6 and greatest > PUSHING_N and left == 1
+    last, largest, left = json.loads(message.read_text("utf-8"))
+    assert last == [0.0] * 6 and largest > PUSHING_N and left == 1
     assert (SavedRun(out).status, SavedRun(out).problem) == (
         "interrupted",
         "Ctrl-C" if name == "SIGINT" else name,

@@ -156,7 +156,7 @@ def test_a_run_that_loses_its_stress_keeps_all_else(plain, tmp_path, monkeypatch
     assert (
         len(message) == 1
         and how in message[0]
-        and message[0].endswith("no stress and no frames, everything else goes on")
+        and message[0].endswith("no stress and no frames, everything else continues")
     )
     if (out / "pictures").is_dir():
         assert {"removed_depth.png", "force_torque.png"} <= {

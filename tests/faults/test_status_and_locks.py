@@ -99,8 +99,9 @@ def test_a_run_is_running_complete_failed_or_interrupted(tmp_path):
     folder.begin(load_scene("milling"))
     saved = SavedRun(out)
     assert (saved.status, saved.complete) == ("running", False)
-    assert f"goes on before its first tick was written, process {os.getpid()} writes it" in _about(
-        saved
+    assert (
+        f"is running before its first tick was written, process {os.getpid()} writes it"
+        in _about(saved)
     )
     held = json.loads((out / "summary.json").read_text())
     held["process"]["started_s"] -= 1000.0

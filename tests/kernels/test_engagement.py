@@ -43,7 +43,7 @@ def test_each_coefficient_of_a_ball_that_plunges():
     want[0, 5], want[3, 5] = 0.5 * around * chip, around
     want[1, 2], want[4, 2] = 0.25 * np.pi * along * chip, along
     want[2, 2], want[5, 2] = -along * chip, -0.5 * np.pi * along
-    # 20,000 elements: 1e-3 of the greatest component of each coefficient's load, sideways too,
+    # 20,000 elements: 1e-3 of the largest component of each coefficient's load, sideways too,
     # where loads cancel.
     for coefficient in range(6):
         size = np.abs(want[coefficient]).max()

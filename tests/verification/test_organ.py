@@ -131,7 +131,7 @@ def test_a_press_is_what_the_scene_runner_gives(monkeypatch):
         error = np.abs(press.forces_N.T - expected).max() / np.abs(expected).max()
         print(
             f"tolerance {tolerance:g}: largest difference from the scene {100 * error:.3f} % "
-            "of the greatest force"
+            "of the largest force"
         )
         assert error < allowed
     assert [what.split(":")[0] for _, what in run.events] == ["pressed 3.7 mm deep"]

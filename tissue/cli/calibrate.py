@@ -52,7 +52,7 @@ def calibrate(
         File to write; default observer.json, or population.json. Trials and picture are written
         next to it.
     device
-        Device that plays forces to a person, default mouse: mouse (bars stand for forces), or
+        Device that plays forces to a person, default mouse: mouse (bars show the forces), or
         simulated: touch, omni, six-dof, haply, forcedimension, sigma-7, openhaptics, network,
         recorded.
     trials
@@ -115,10 +115,10 @@ def _session(
     from tissue.perception.observer import write_observer
 
     log = begin(target, name, plan, overwrite=overwrite)
-    if log.mended:
+    if log.repaired:
         problems.print(f"{log.path} ended within a line: that trial is asked again")
     if log.session.trial:
-        problems.print(f"going on at trial {log.session.trial + 1} of {log.path}")
+        problems.print(f"continuing at trial {log.session.trial + 1} of {log.path}")
     _ask_all(log, answer, live=live)
     session = log.session
     # Both files are put in place together: if either exists, the session is complete.
@@ -157,7 +157,7 @@ def _ask_all(log: "TrialLog", answer: "Answer", *, live: bool) -> None:
         log.close()
         problems.print(
             f"stopped after trial {read_log(log.path)[1].trial}: all are in {log.path}; the "
-            "same command goes on there"
+            "same command continues there"
         )
         sys.exit(stopped.exit_code if isinstance(stopped, Terminated) else 130)
     log.close()

@@ -131,7 +131,7 @@ def import_(
 
 
 def _arguments(options: dict[str, Any]) -> dict[str, Any]:
-    """Return the arguments of `import_ct` that the options stand for."""
+    """Convert the options to arguments of `import_ct`."""
     given = dict(options)
     crop = given.pop("crop")
     if crop is not None:

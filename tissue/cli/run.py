@@ -89,7 +89,7 @@ def _scheduling_rows(summary: "Summary") -> Iterator[tuple[str, str]]:
         large = f"{chosen['split_launches']} of {chosen['large_launches']} large ones"
         yield "launches split over cores", f"{large}, {chosen['cores']} cores"
         if "background" in chosen:
-            yield "while the ticks go on", chosen["background"]
+            yield "during the ticks", chosen["background"]
 
 
 def _pair(figures: dict[str, float], unit: str) -> str:

@@ -221,7 +221,7 @@ def _block(pocket_mm: tuple[float, float, float]) -> VoxelVolume:
         np.maximum(np.abs(x)[:, None, None] - 0.5 * length, 0.0),
         np.maximum(np.abs(y)[:, None] - 0.5 * width, 0.0),
     )
-    # Pockets are shallower than the ball's radius, so its sphere bounds them below and beside.
+    # Pockets are shallower than the ball's radius: its sphere bounds them below and at the sides.
     wall = np.sqrt(aside[0] ** 2 + aside[1] ** 2 + (z - 0.5 * BURR_MM + depth) ** 2) - 0.5 * BURR_MM
     layer = 1 + (wall > TOLERANCE_MM).astype(np.uint8) - (wall < -TOLERANCE_MM).astype(np.uint8)
     density = np.full(layer.shape, 1800.0)  # replaced at every reset by the drawn density

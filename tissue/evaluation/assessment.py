@@ -62,7 +62,7 @@ The value is a convention, not a standard.
 
 @dataclass(frozen=True)
 class AssessedRun:
-    """What an assessment reads of a run. `path` is None without a folder."""
+    """Data of a run that an assessment reads. `path` is None without a folder."""
 
     path: Path | None
     summary: Summary

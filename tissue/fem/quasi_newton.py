@@ -161,7 +161,7 @@ class QuasiNewton:
         self.factor = at_rest
         self._displacement = np.zeros(fixed.shape)
         self._energy, self._internal = body.energy_and_force(self._displacement)
-        self._greatest_N = 0.0
+        self._largest_N = 0.0
         self.indefinite = 0
         self._memory: deque[tuple[Array, Array]] = deque(maxlen=MEMORY)
         self._pairs: list[tuple[Array, Array, float]] = []
@@ -185,8 +185,8 @@ class QuasiNewton:
         self._spring_up(springs or Springs.none(self._fixed.size))
         carried = np.where(self._fixed, 0.0, self._internal)
         now_N = float(max(np.abs(load_N).max(), np.abs(carried).max()))
-        self._greatest_N = max(self._greatest_N, now_N)
-        size = max(now_N, SMALL * self._greatest_N)
+        self._largest_N = max(self._largest_N, now_N)
+        size = max(now_N, SMALL * self._largest_N)
         steps = 0
         start = self._displacement, self._energy, self._internal
         acting, left = self._left(load_N)

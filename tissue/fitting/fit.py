@@ -195,9 +195,7 @@ class SceneFit:
             *self.notes,
         ]
         if not self.posterior.converged:
-            found.append(
-                "the search did not come to a maximum: the intervals are not to be trusted"
-            )
+            found.append("the search did not reach a maximum: do not rely on the intervals")
         return tuple(found)
 
 
@@ -246,11 +244,11 @@ def fit_scene(
     found = identified(posterior)
     if found.is_empty:
         forces = [at for at, name in enumerate(log.channels) if name.startswith("force_")]
-        greatest = float(np.abs(posterior.simulated - posterior.nuisances.bias)[:, forces].max())
+        largest = float(np.abs(posterior.simulated - posterior.nuisances.bias)[:, forces].max())
         raise InputError(
             "measured",
             "determine a constant",
-            f"a log with a force of {greatest:.2g} N at most and noise of "
+            f"a log with a force of {largest:.2g} N at most and noise of "
             f"{posterior.nuisances.scale[forces].max():.2g} N, which leaves all of the scene's "
             "constants at their ranges",
             "give one of a deeper or faster cut, and check that the scene is what was cut",

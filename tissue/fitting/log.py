@@ -49,7 +49,7 @@ a rotation vector that replaces a quaternion. Forces and torques act on the tool
 frame, torques about the tip. ``load_time_s`` is the clock of forces and torques if it differs from
 the clock of the poses.
 """
-GREATEST = {"N": 1e5, "Nm": 1e4}
+LARGEST = {"N": 1e5, "Nm": 1e4}
 """Loads beyond which a log is in another unit [N, N m]."""
 FARTHEST_M = 10.0
 """Distance from the scene's origin beyond which a tool position is refused [m].
@@ -289,11 +289,11 @@ def _checked(
         )
     for channel, values in zip(channels, loads.T, strict=True):
         unit = channel.rpartition("_")[2]
-        greatest = float(np.nanmax(np.abs(values), initial=0.0))
-        if greatest >= GREATEST[unit]:
+        largest = float(np.nanmax(np.abs(values), initial=0.0))
+        if largest >= LARGEST[unit]:
             raise refuse(
-                f"hold loads below {GREATEST[unit]:g} in {channel}",
-                f"{greatest:.3g}",
+                f"hold loads below {LARGEST[unit]:g} in {channel}",
+                f"{largest:.3g}",
                 f"give its unit, --column {channel}=COLUMN:m{unit} for example",
             )
     loads = without_saturation(loads, channels, notes)
@@ -380,9 +380,9 @@ def _saturated(values: Array) -> list[float]:
     neighbours = np.maximum(around[:-2], around[2:])
     long = (lengths >= PLATEAU) & (lengths >= SHARPER * neighbours)
     plateaus = set(known[starts[long]].tolist())
-    greatest = float(np.abs(known).max())
+    largest = float(np.abs(known).max())
     ends = {float(known.min()), float(known.max())}
-    return sorted(each for each in ends & plateaus if abs(each) >= BASELINE * greatest > 0.0)
+    return sorted(each for each in ends & plateaus if abs(each) >= BASELINE * largest > 0.0)
 
 
 def pose_notes(times_s: Array, tips_m: Array, load_period_s: float) -> list[str]:

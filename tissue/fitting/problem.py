@@ -1,4 +1,4 @@
-"""What a fit compares: loads by free constants, and measured loads averaged over blocks."""
+"""Data of a fit: loads computed from the free constants, and measured loads averaged in blocks."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -144,12 +144,14 @@ BIAS_SHARE = 0.5
 """Standard deviation of a sensor's bias, in shares of the size of the log's loads."""
 NOISE_SHARE = 0.05
 NOISE_SPREAD = 1.5
-"""Median of the noise in shares of the same, and standard deviation of its logarithm: 90 %
-within a factor of 12.
+"""Median of the noise in shares of the size of the log's loads, and spread of the noise.
+
+The spread is the standard deviation of the logarithm: 90 % lie within a factor of 12.
 """
 LEAST_NOISE = 1e-3
-"""Least noise in shares of the same: a load's decimals in a file, and the velocity of a replayed
-tool over a tick.
+"""Smallest noise in shares of the size of the log's loads.
+
+It covers the rounding of loads in a file, and the velocity of a replayed tool over a tick.
 """
 CORRELATION_SPREAD = 1.5
 MOST_CORRELATED = 0.9995

@@ -42,8 +42,8 @@ class Materials:
     ----------
     given
         Constants of a user's file by their names ``TABLE.MATERIAL.NAME``. In the table ``cutting``,
-        a layer may stand for the material. Constants of the layer take precedence over constants of
-        the material.
+        the name of a layer may replace that of the material. Constants of the layer take
+        precedence over constants of the material.
     names, matrix
         Names and correlation matrix of constants in the file. The correlation applies to the normal
         numbers of `tissue.materials.constants.Prior`.

@@ -244,7 +244,7 @@ def _notes(runs: Mapping[str, Run]) -> Iterator[str]:
     """Yield notes on incomplete runs, and on differences other than the scenes."""
     for name, run in runs.items():
         if run.status != "complete":
-            yield f"{name} did not come to its end: it is {run.status}"
+            yield f"{name} did not reach its end: it is {run.status}"
         if note := path_note(run.summary):
             yield f"the path of {name} is {note}"
     outside: dict[str, list[object]] = {

@@ -261,7 +261,7 @@ class register:
         """Register a perception, which maps forces for a person.
 
         ``make(argument, *, rng, force_limit_N, tick_s, friction_N)`` returns a `Perception`. A name
-        such as ``share:NUMBER`` stands for all texts with an argument after the colon.
+        such as ``share:NUMBER`` matches all texts with an argument after the colon.
         """
         return _added("perception", name, make, PERCEPTIONS, methods=("step", "pause"))
 

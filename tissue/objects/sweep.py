@@ -52,7 +52,7 @@ LONGEST_NAME = 24
 """Letters of a value in a folder name; longer values, and lists, are numbered."""
 MOST_RUNS = 10_000
 """Runs of a sweep: three hours at a second each, and a minute to check their scenes."""
-LOST = "the process that ran it was lost: run the sweep again to go on"
+LOST = "the process that ran it was lost: run the sweep again to continue"
 FIRST_FIGURES = ("peak_force_N", "mean_force_N", "removed_mm3", "tick_median_us")
 """Figures of the printed table; the file has all figures."""
 

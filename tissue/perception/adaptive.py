@@ -39,7 +39,7 @@ LOW_FORCE_N = 0.2
 
 It lies between 0.1 and 0.3 N (memory of the literature, low confidence).
 """
-GREATEST_LAPSE = 0.2
+LARGEST_LAPSE = 0.2
 LAPSE_POWER = 2.5
 LAPSE_PRIOR = (0.5, 5.0)
 """Largest lapse of the grid, exponent of its cell growth, and Beta parameters of the lapse prior.
@@ -121,7 +121,7 @@ class ThresholdPrior:
             if self.offset_cells > 1
             else np.array([LOW_FORCE_N])
         )
-        lapse_edges = GREATEST_LAPSE * np.linspace(0.0, 1.0, self.lapse_cells + 1) ** LAPSE_POWER
+        lapse_edges = LARGEST_LAPSE * np.linspace(0.0, 1.0, self.lapse_cells + 1) ** LAPSE_POWER
         lapses = 0.5 * (lapse_edges[1:] + lapse_edges[:-1])
         masses = (
             norm.pdf(np.log(self.webers / self.weber), scale=self.weber_log_spread)[:, None, None]

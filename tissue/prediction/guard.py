@@ -79,7 +79,7 @@ class Guarded:
         self.inner = inner
         self.instead = instead
         self._shown = [each for each in (inner, instead) if isinstance(each, SeesContact)]
-        self._reach = require_positive("reach_N", reach_N, "use the device's greatest force")
+        self._reach = require_positive("reach_N", reach_N, "use the device's largest force")
         self._share = 1.0
         self._good = PROBATION
         self._difference: Triple = (0.0, 0.0, 0.0)
@@ -164,8 +164,8 @@ class Guarded:
             self._over_held = min(
                 self._over_held + (1.0 - LONG_MEMORY) * (primary - held), MOST_DEBT * LEAST_N**2
             )
-            # Where the fallback or the measured force is zero, a contact is absent, begins or ends:
-            # such ticks do not compare the predictors.
+            # A contact is absent, begins or ends if the fallback or the measured force is zero.
+            # Such ticks do not compare the predictors.
             if any(kept[1]) and any(now):
                 self._missed[0] += (1.0 - MEMORY) * primary
                 self._missed[1] += (1.0 - MEMORY) * other

@@ -43,7 +43,7 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
         came = float((trace.vectors("tool", "mm") @ heading).max())
         if came < wanted - TOLERANCE_MM:
             found["path"] = (
-                f"not finished: the tool came to {came:.3g} of motion.depth_mm = {wanted:g}; raise "
+                f"not finished: the tool reached {came:.3g} of motion.depth_mm = {wanted:g}; raise "
                 "motion.thrust_N or duration_s"
             )
     elif wanted_s >= path_s + 5e-4:

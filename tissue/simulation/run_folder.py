@@ -348,7 +348,7 @@ def copy_run(saved: SavedRun, out: Path, *, pictures: bool, overwrite: bool) -> 
         return
     if saved.status == "running":
         raise InputError(
-            "run", "have ended to be copied", f"{saved.path}, which goes on", "wait for it"
+            "run", "have ended to be copied", f"{saved.path}, which is still running", "wait for it"
         )
     names = files_of_run(saved.path)
     with _held(

@@ -249,7 +249,7 @@ class SavedFields:
         moved: Singles = np.float32(self.unit_mm) * np.asarray(mesh.point_data[self.displacement])
         return moved
 
-    def greatest_mm(self) -> float:
+    def largest_mm(self) -> float:
         """Return the largest displacement over the whole run [mm]."""
         return max(
             (

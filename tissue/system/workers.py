@@ -141,7 +141,7 @@ def executor(
         Number of processes of this machine.
     scheduler
         Address that a Dask scheduler prints, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``
-        (``dask://`` stands for ``tcp://``), or None. A ``tls`` address uses the certificates of
+        (``dask://`` means ``tcp://``), or None. A ``tls`` address uses the certificates of
         Dask's configuration.
     patience_s
         Longest time for an answer of the scheduler [s].

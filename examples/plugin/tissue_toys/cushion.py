@@ -43,7 +43,7 @@ class CushionModel(WallModel):
         return response
 
 
-def greatest_force_N(scene: Any) -> float:
+def largest_force_N(scene: Any) -> float:
     """Return the force at the deepest point of the scripted motion [N].
 
     The scale of forces at a device is chosen from it.
@@ -66,7 +66,7 @@ def draw(run: Any, path: Path) -> None:
 
 
 @register.tissue(
-    "cushion", Cushion, tool=Probe, force_N=greatest_force_N, pictures={"cushion.png": draw}
+    "cushion", Cushion, tool=Probe, force_N=largest_force_N, pictures={"cushion.png": draw}
 )
 def build(scene: Any, motion: Motion, **settings: Any) -> Parts:
     """The parts of a run in which a ball presses it."""

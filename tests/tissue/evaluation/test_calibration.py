@@ -62,7 +62,7 @@ def test_a_session_goes_on_at_any_trial(tmp_path, log):
             path = tmp_path / "cut.trials.jsonl"
             path.write_bytes(b"".join(lines[:kept]) + extra)
             again = TrialLog(path, "somebody", SHORT)
-            assert again.mended == bool(extra) and again.session.trial == max(kept - 1, 0)
+            assert again.repaired == bool(extra) and again.session.trial == max(kept - 1, 0)
             again.close()
             session = answered(SHORT, answers, path)
             assert path.read_bytes() == whole

@@ -109,5 +109,5 @@ def test_a_person_at_the_keyboard_may_stop_and_go_on(command, here, monkeypatch)
     assert code == 130 and "stopped after trial 2" in error
     assert "answer must be 1 or 2, got 7" in out and "█" in out
     code, _, error = go("1", "1", "5", "much", "10")
-    assert code == 0 and "going on at trial 3" in error
+    assert code == 0 and "continuing at trial 3" in error
     assert read_observer(here / "observer.json").trials == 6

@@ -77,7 +77,7 @@ def push(**changes):
     return PushAlongAxis(np.array([1e-3, 0.0, 5e-3]), **settings)
 
 
-def test_free_flight_gains_speed_as_thrust_over_mass_up_to_the_greatest_feed_and_stops_at_depth():
+def test_free_flight_gains_speed_as_thrust_over_mass_up_to_the_largest_feed_and_stops_at_depth():
     tips, _, headings, speeds = ticks(push(), 200)
     # Implicit Euler under a constant force: v_n = n dt F / m, exactly.
     np.testing.assert_allclose(speeds[:25], STEP_S * 2.0 / 0.5 * np.arange(1, 26), rtol=1e-12)

@@ -202,7 +202,12 @@ def test_a_refused_coupling_leaves_the_bone_as_it_was():
 
 
 def test_a_predictor_without_training_ignores_a_file():
-    tissue.Loop(bone(), BURR, device=Moves(down), predictor="hold", predictor_file="a.npz")
+    block = bone()
+    plain = tissue.Loop(block, BURR, device=Moves(down), predictor="hold")
+    loop = tissue.Loop(
+        block, BURR, device=Moves(down), predictor="hold", predictor_file="missing.npz"
+    )
+    assert loop.notes == plain.notes
 
 
 def test_a_loop_that_is_not_held_or_full_is_refused():

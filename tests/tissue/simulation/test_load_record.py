@@ -46,7 +46,7 @@ def wrenches(trace):
     return np.hstack([trace.vectors("model_force", "N"), trace.vectors("model_torque", "Nm")])
 
 
-def greatest_difference(got, want):
+def largest_difference(got, want):
     """Return the largest difference of force and torque, relative to the run's largest value."""
     size = [np.linalg.norm(want[:, part], axis=1).max() for part in (slice(3), slice(3, 6))]
     off = [np.linalg.norm((got - want)[:, part], axis=1).max() for part in (slice(3), slice(3, 6))]
@@ -72,8 +72,8 @@ def test_reweighing_equals_rerunning(tables, kind, exponent):
     )
     trace = simulate(other, cores=1).trace
     loads, want = record.loads(coefficients_in(other, record.layer_names)), wrenches(trace)
-    assert greatest_difference(loads, want) < EQUAL
-    assert greatest_difference(record.loads(coefficients_in(scene, record.layer_names)), want) > 0.1
+    assert largest_difference(loads, want) < EQUAL
+    assert largest_difference(record.loads(coefficients_in(scene, record.layer_names)), want) > 0.1
     for name in ("tool_z_mm", "removed_mm3"):
         assert np.array_equal(record.trace[name], trace[name])
     assert 1e6 * record.engaged_m2.sum(axis=1) == pytest.approx(
@@ -107,7 +107,7 @@ def test_a_density_factor_is_another_reference_density(tables):
         motion.advance(1e-3 * tick, 1e-3, Response.empty(1), tool)
         model.advance(tool)
         found.append(model.respond(tool).wrench.copy())
-    assert greatest_difference(record.loads(given, factors), np.array(found)) < EQUAL
+    assert largest_difference(record.loads(given, factors), np.array(found)) < EQUAL
 
 
 def test_derivatives_are_those_of_the_loads(tables):

@@ -44,7 +44,7 @@ class Plan:
     numbers
         Forces that are given a number.
     force_limit_N
-        Greatest force of the device [N].
+        Largest force of the device [N].
     prior
         Belief about the threshold before the first trial.
     """
@@ -60,7 +60,7 @@ class Plan:
         require_range("trials", self.trials, 0, 100_000, "use 120")
         require_range("numbers", self.numbers, 0, 100_000, "use 24")
         require_range(
-            "force_limit_N", self.force_limit_N, 0.5, 1000.0, "give the device's greatest force"
+            "force_limit_N", self.force_limit_N, 0.5, 1000.0, "give the device's largest force"
         )
         counts = (self.seed, self.trials, self.numbers)
         if not all(isinstance(each, int) for each in counts):
@@ -277,7 +277,7 @@ class TrialLog:
     ----------
     session
         Session with all trials that the file held.
-    mended
+    repaired
         True if the file ended within a line, for example after a loss of power. This one trial is
         asked again.
 
@@ -297,12 +297,12 @@ class TrialLog:
         }
         head = json.dumps(about | {"plan": asdict(plan)}) + "\n"
         self.path = require_regular(path)
-        self.mended = False
+        self.repaired = False
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             text = path.read_bytes() if path.exists() else b""
             if head.encode().startswith(text):
-                self.mended = 0 < len(text) < len(head)
+                self.repaired = 0 < len(text) < len(head)
                 self.session = Session(plan)
                 kept = head.encode()
             else:
@@ -310,12 +310,12 @@ class TrialLog:
                 if who != observer or self.session.plan != plan:
                     raise InputError(
                         "out",
-                        "go on with the session it began",
+                        "continue the session it began",
                         f"one of another observer or plan ({who}) in {path}",
                         "use the same again, another --out, or --overwrite",
                     )
                 kept = text[: text.rfind(b"\n") + 1]
-                self.mended = kept != text
+                self.repaired = kept != text
             if kept != text:
                 with path.open("r+b" if path.exists() else "xb") as file:
                     file.write(kept)

@@ -238,7 +238,7 @@ def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
     ):
         return scene, ""
     assert isinstance(scene.tool, Probe)
-    depth = _greatest_depth_mm(scene) / (0.5 * scene.tool.size_mm)
+    depth = _largest_depth_mm(scene) / (0.5 * scene.tool.size_mm)
     error = linear_error(depth)
     off = f"{100.0 * error:.2g} % off"
     deep = f"{depth:.2g} radii deep"
@@ -270,7 +270,7 @@ def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
     return lawful, why
 
 
-def _greatest_depth_mm(scene: Scene) -> float:
+def _largest_depth_mm(scene: Scene) -> float:
     """Return the largest indentation by the script [mm], on the coarsest cells; kept on disk."""
     coarse = changed(of_model(scene), settings_of(scene, quick=True)[0].changes)
 

@@ -172,7 +172,7 @@ def stratum_test(
         raise InputError(
             cells.metric,
             "vary among users to be tested",
-            f"no variation beside {name}",
+            f"no variation other than {name}",
             "print its values, which need no test",
         )
     residuals = scores - group_means(scores, groups)[groups]

@@ -174,7 +174,7 @@ def _convergence(
         return Assumption(
             name,
             False,
-            "restricted likelihood has no maximum: nothing varies beside users and trials",
+            "restricted likelihood has no maximum: nothing varies apart from users and trials",
         )
     return Assumption(name, True, "restricted likelihood at its maximum")
 

@@ -86,10 +86,10 @@ def force_section(table: TrialTable) -> Section:
         "newtons.",
         "Ratios of intensity show the effect of scaling: the spread, over windows of 0.1 s, of the "
         "logarithm of this person's intensity of the force at the skin over the reference's "
-        "intensity of the ideal force. The other columns hold the same of a perfect force through "
-        "the encoder, of the ideal force by this person's exponent, and of a force that never "
-        "changes. That a calibration brings a person to the reference's exponent is a recovery of "
-        "the parameters by which these people were made, no finding on people.",
+        "intensity of the ideal force. The other columns hold this ratio of a perfect force "
+        "through the encoder, of the ideal force by this person's exponent, and of a force that "
+        "never changes. That a calibration brings a person to the reference's exponent is a "
+        "recovery of the parameters by which these people were made, no finding on people.",
         *_unresolved(table),
         *left,
     )

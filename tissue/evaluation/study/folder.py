@@ -429,9 +429,11 @@ def _run_trials(
                     "workers",
                     "stay alive",
                     f"{barren} losses with {len(waiting)} trials left",
-                    "look for what kills them, memory for one, and run the study again to go on",
+                    "look for what kills them, memory for one, and run the study again to continue",
                 ) from error
-            report_share(f"workers were lost ({type(error).__name__}), {len(waiting)} trials go on")
+            report_share(
+                f"workers were lost ({type(error).__name__}), {len(waiting)} trials continue"
+            )
             if suspects and running:
                 failure = "RuntimeError: the worker was lost each time this trial ran on it"
                 keep(_failed(plan, suspects[0], failure))

@@ -252,8 +252,8 @@ def plan_text(plan: Plan) -> str:
         },
         "tests": {
             "method": "analysis of strata with people as the unit; multivariate analysis of "
-            "metrics together; a mixed model over all tasks; tests that rest on less stand beside "
-            "them and decide nothing",
+            "metrics together; a mixed model over all tasks; tests with fewer assumptions are "
+            "listed in addition and decide nothing",
             "correction": f"Bonferroni over all {len(tests)} tests"
             if tests
             else "none, as nothing is tested",

@@ -27,7 +27,7 @@ from tissue.fitting.bands.sample import (
 )
 from tissue.fitting.bands.sample_loads import (
     CHANNELS,
-    GREATEST,
+    LARGEST_PREFIX,
     LEVELS,
     LOADS,
     Figure,
@@ -290,7 +290,9 @@ def _rerun(
     times_s = run.trace["time_s"]
     quantiles, span = over_time([loads for loads, _ in held], times_s)
     names, figures = table_of([each for _, each in held])
-    places = [at for at, name in enumerate(names) if name in LOADS or name[0].startswith(GREATEST)]
+    places = [
+        at for at, name in enumerate(names) if name in LOADS or name[0].startswith(LARGEST_PREFIX)
+    ]
     explained_names = tuple(names[at] for at in places)
     indices, explained = surrogate_indices(free[kept], figures[:, places], ranges.groups, seed=seed)
     how = HOW_ASKED if is_linear else HOW_RERUN

@@ -27,7 +27,7 @@ from tissue.system.workers import LOST, executor, first_done
 __all__ = [
     "CHANNELS",
     "DENSITY",
-    "GREATEST",
+    "LARGEST_PREFIX",
     "LEVELS",
     "LOADS",
     "Figure",
@@ -190,7 +190,7 @@ A percentage is not matched: it is a threshold, which distinguishes two events.
 """
 PEAKS = "_K"
 STRESS = "von_mises_"
-GREATEST = "greatest_"
+LARGEST_PREFIX = "greatest_"
 """Prefix of fields, and of the figure's name, whose largest value is a figure.
 
 `PEAKS` is the suffix of trace columns (temperatures) whose largest value is a figure.
@@ -221,13 +221,13 @@ def figures_of(run: Run) -> dict[Figure, float]:
         }
     for name in run.parts.tissue.measure_names:
         if name.endswith(PEAKS):
-            found[f"{GREATEST}{name}",] = float(trace[name].max())
+            found[f"{LARGEST_PREFIX}{name}",] = float(trace[name].max())
     if (fields := run.parts.fields) is not None:
         for frame in fields.frames:
             for name, values in frame.cells.items():
                 if name.startswith(STRESS) and np.isfinite(values).any():
-                    greatest = f"{GREATEST}{name}"
-                    found[greatest,] = max(found.get((greatest,), 0.0), float(np.nanmax(values)))
+                    largest = f"{LARGEST_PREFIX}{name}"
+                    found[largest,] = max(found.get((largest,), 0.0), float(np.nanmax(values)))
     for first in summary.get("break_through", ())[:1]:
         found |= {("break_through", name): value for name, value in first.items()}
     for event in summary["events"]:
@@ -425,7 +425,7 @@ def _in_pool(
                 f"{workers.scheduler} ({error})",
                 "start it with `dask scheduler`",
             ) from error
-        report("workers were lost, the other samples go on", 0.0)
+        report("workers were lost, the other samples continue", 0.0)
 
 
 def _outcome(scene: Scene, file: str, compute: str) -> Outcome:

@@ -276,7 +276,7 @@ class SampleGuard:
         if len(self.events) < MOST_EVENTS:
             self.events.append((time_s, what))
         elif len(self.events) == MOST_EVENTS:
-            self.events.append((time_s, "faults go on, and are not listed from here"))
+            self.events.append((time_s, "further faults occur and are not listed"))
 
     def _fault_of(self, sample: Sample | None, turned: Quaternion | None, time_s: float) -> str:
         """Return the fault of a sample as a text; empty for a valid sample."""

@@ -45,15 +45,15 @@ class FeltDrop:
 
     def __post_init__(self) -> None:
         self._last = deque([0.0] * max(round(self.integration_s / TICK_S), 1))
-        self._sum = self._greatest = 0.0
+        self._sum = self._largest = 0.0
 
     def feel(self, force_N: float) -> bool:
         """Add a force [N], positive against the push, and return whether a drop is noticed."""
         self._last.append(force_N)
         self._sum += force_N - self._last.popleft()
         mean = self._sum / len(self._last)
-        self._greatest = max(self._greatest, mean)
-        return self._greatest - mean > THRESHOLDS * self.kappa * (self._greatest + self.offset_N)
+        self._largest = max(self._largest, mean)
+        return self._largest - mean > THRESHOLDS * self.kappa * (self._largest + self.offset_N)
 
 
 class PushingHand:

@@ -181,7 +181,7 @@ class ForceRange:
     knee_share: float = 0.7
 
     def __post_init__(self) -> None:
-        require_positive("limit_N", self.limit_N, "give the device's greatest force")
+        require_positive("limit_N", self.limit_N, "give the device's largest force")
         require_positive("scale", self.scale, "use 1, or 0.05 for forces twenty times the device's")
         require_range("knee_share", self.knee_share, 0.0, 0.99, "use 0.7")
 

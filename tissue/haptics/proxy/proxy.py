@@ -259,7 +259,7 @@ class ProxyResult:
     quaternion
         Rotation from tool to world (x, y, z, w), shape (4,).
     settled
-        False if the steps of a tick ran out. The proxy then goes on in the next tick.
+        False if the steps of a tick ran out. The proxy then continues in the next tick.
     contacts
         Number of pressing contacts.
     push_m, push_moment_m2

@@ -10,9 +10,9 @@ from tissue.materials.scene_constants import Materials
 
 __all__ = ["Membrane", "NeedleTissue", "ShaftFriction", "needle_tissue", "vessel_wall"]
 
-GREATEST_N = 1e4
+LARGEST_N = 1e4
 """Largest force that a parameter may have [N]; a larger force is a mistaken unit."""
-GREATEST_N_M = 1e6
+LARGEST_N_M = 1e6
 """Largest force per length of a parameter [N/m], and of its viscous part [N s/m2]."""
 LEAST_COSINE = 0.17
 """Smallest cosine between the needle's axis and the surface normal.
@@ -61,7 +61,7 @@ class Membrane:
             f"hold_N of the {self.name}",
             self.hold_N,
             0.0,
-            GREATEST_N,
+            LARGEST_N,
             "use 0 for a hole that does not cling",
         )
 
@@ -99,7 +99,7 @@ class ShaftFriction:
                 entry.name,
                 getattr(self, entry.name),
                 0.0,
-                GREATEST_N_M,
+                LARGEST_N_M,
                 "give its size, in SI units",
             )
         for side in ("in", "out"):
@@ -151,10 +151,10 @@ class NeedleTissue:
             "quadratic_N_m2",
             self.quadratic_N_m2,
             0.0,
-            1e3 * GREATEST_N_M,
+            1e3 * LARGEST_N_M,
             "give it in N/m2, 0 for a linear one",
         )
-        require_range("cutting_N", self.cutting_N, 0.0, GREATEST_N, "give it in N")
+        require_range("cutting_N", self.cutting_N, 0.0, LARGEST_N, "give it in N")
         depths = [membrane.depth_m for membrane in self.membranes]
         if any(below <= above for above, below in pairwise(depths)):
             listed = ", ".join(f"{1e3 * depth:g} mm" for depth in depths)

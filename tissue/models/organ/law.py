@@ -250,7 +250,7 @@ class LawOffset:
         if residual > TOLERANCE and self.unsettled == 1:
             self.notices.append(
                 f"the law's equilibrium was not reached in {STEPS} steps: {residual:.0%} of "
-                "the greatest nodal force "
+                "the largest nodal force "
                 "is not balanced"
             )
         if took_s > self.interval_s and not self._late:

@@ -270,7 +270,6 @@ class Conduction:
     def __init__(self, grid: HeatGrid, *, device: str = "cpu") -> None:
         shape = grid.filled.shape
         self.grid = grid
-        self._device = device
         self.filled = grid.filled.copy()
         self.removed_J = 0.0
         self._capacity_J_K = grid.heat_capacity_J_m3K * grid.volumes_m3

@@ -297,7 +297,7 @@ class ToothModel:
         """
         self._stress_lost = True
         self.notices.append(
-            f"{lost}: this run has no stress and no frames, everything else goes on"
+            f"{lost}: this run has no stress and no frames, everything else continues"
         )
 
     def remaining(self) -> Bytes:

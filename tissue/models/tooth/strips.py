@@ -200,7 +200,7 @@ class StripProduct:
         )
         start = put(layout.start, wp.int32, device)
         base = put(layout.base, wp.vec4i, device)
-        self._kept = weight
+        self._kept = weight  # `lanes` points into this array and does not own it
         self._launches = [
             SplitLaunch(
                 strip_products(vector.scalar),

@@ -157,7 +157,7 @@ def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
         carved = _depth_paint(after.point_data["removed_depth_mm"], limit)[
             after.regular_faces
         ].mean(axis=1)
-        # The box that was simulated; the bone goes on beyond it.
+        # The box that was simulated; the bone continues beyond it.
         simulated_m = reach(run.cutter, run.parts.motion, run.scene.voxels.margin_mm * 1e-3)
         carved[cut_out(after, volume, simulated_m)] = CUT_OUT
         opened = view.opened(after)

@@ -215,7 +215,7 @@ def draw_band(times_s: Array, nominal: Array, quantiles: Array, path: Path, *, t
         Loads at the constants' nominal values: x, y, z and size of force [N] and of torque [N m],
         shape (n, 8).
     quantiles
-        5, 25, 50, 75 and 95 % quantiles of the same, shape (5, n, 8).
+        5, 25, 50, 75 and 95 % quantiles of these loads, shape (5, n, 8).
     path
         File to write.
     title

@@ -283,7 +283,7 @@ def draw_played(run: Run, path: Path) -> None:
             label="compressed into the device's range",
         )
     if sizes["device_force"].max() > 0.5 * limit_N:
-        label = f"greatest force of the {held.kind}, {limit_N:g} N"
+        label = f"largest force of the {held.kind}, {limit_N:g} N"
         panels[0].axhline(limit_N, color="0.2", linewidth=1.0, linestyle=(0, (6, 3)), label=label)
     panels[0].axvspan(time[moment][0], time[moment][-1], color="0.85", linewidth=0.0, zorder=0)
     panels[1].set_title("the steepest moment, grey above", loc="left")

@@ -74,12 +74,12 @@ def moment_of_press(series: FieldSeries, trace: Table) -> tuple[Frame | None, st
     """Return the frame to draw, and the reason: nearest to an inclusion, or the largest
     displacement.
     """
-    pressed = [frame for frame in series.frames if _greatest(frame) > 0.0]
+    pressed = [frame for frame in series.frames if _largest(frame) > 0.0]
     if not pressed:
         return None, ""
     inclusion = inclusions(series.nodes_m[series.cells], series.layer)
     if not len(inclusion):
-        return max(pressed, key=_greatest), "when the organ had moved most"
+        return max(pressed, key=_largest), "when the organ had moved most"
     middle = 1e3 * series.nodes_m[series.cells[inclusion]].mean(axis=(0, 1))
     tips = trace.vectors("tool", "mm")
     near = min(
@@ -238,7 +238,7 @@ def _displacement(frame: Frame) -> str:
     return next((name for name in lengths if name.rpartition("_")[2] in IN_MM), "")
 
 
-def _greatest(frame: Frame) -> float:
+def _largest(frame: Frame) -> float:
     name = _displacement(frame)
     return float(np.linalg.norm(frame.points[name], axis=1).max(initial=0.0)) if name else 0.0
 

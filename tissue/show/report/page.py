@@ -44,11 +44,11 @@ def figures_of(saved: SavedRun, text: Text) -> str:
         return ""
     cards = [
         ("simulated", f"{summary['simulated_s']:g} s"),
-        ("greatest force on the tool", f"{summary['force_N']['peak']:.3g} N"),
+        ("largest force on the tool", f"{summary['force_N']['peak']:.3g} N"),
         ("mean force in contact", f"{summary['force_N'].get('mean_in_contact', 0.0):.3g} N"),
     ]
     if summary["torque_Nm"]["peak"] > 0.0:
-        cards.append(("greatest torque about the tip", _torque(summary["torque_Nm"]["peak"])))
+        cards.append(("largest torque about the tip", _torque(summary["torque_Nm"]["peak"])))
     removed = {name: value for name, value in summary.get("removed_mm3", {}).items() if value > 0.0}
     for name, value in removed.items():
         start = summary.get("start_mm3", {}).get(name, 0.0)
@@ -210,7 +210,7 @@ def _pictures(saved: SavedRun) -> str:
     return "".join(found)
 
 
-GREATEST = "greatest_"
+LARGEST_PREFIX = "greatest_"
 """Beginning of the name of a figure that is the largest value of a column or a field."""
 
 
@@ -228,9 +228,9 @@ def band_lines(band: Summary) -> Iterator[str]:
     """Yield sentences on a band: its samples, figures with 90 % intervals, and left-out samples."""
     yield _band_text(band)
     for name, ends in band.items():
-        if name.startswith(GREATEST):
-            quantity, _, unit = name.removeprefix(GREATEST).rpartition("_")
-            yield f"greatest {quantity.replace('_', ' ')}: 90 % {_between(ends)} {unit}"
+        if name.startswith(LARGEST_PREFIX):
+            quantity, _, unit = name.removeprefix(LARGEST_PREFIX).rpartition("_")
+            yield f"largest {quantity.replace('_', ' ')}: 90 % {_between(ends)} {unit}"
     for layer, ends in band.get("removed_mm3", {}).items():
         if ends["p95"] > 0.0:
             yield f"removed {layer}: 90 % {_between(ends)} mm³"
@@ -260,4 +260,4 @@ def band_lines(band: Summary) -> Iterator[str]:
 def _between(ends: dict[str, float]) -> str:
     low = f"{ends['p05']:.4g}"
     high = f"{ends['p95']:.4g}"
-    return f"{low} to {high}" if low != high else f"{low}, the same to four digits"
+    return f"{low} to {high}" if low != high else f"{low}, equal to four digits"

@@ -148,11 +148,11 @@ def _add_tool(
     longest = LONGEST * max(size_mm, 1.0)
     force = tool_force(trace)
     row = int(np.linalg.norm(force, axis=1).argmax())
-    greatest = float(np.linalg.norm(force[row]))
-    around.see([tips[row], tips[row] + longest * force[row] / max(greatest, 1e-9)])
+    largest = float(np.linalg.norm(force[row]))
+    around.see([tips[row], tips[row] + longest * force[row] / max(largest, 1e-9)])
     record |= {
         "poses": poses,
-        "force": {"greatest_N": greatest, "longest_mm": longest},
+        "force": {"largest_N": largest, "longest_mm": longest},
         "peak_row": row,
     }
 

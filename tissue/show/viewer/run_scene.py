@@ -78,14 +78,14 @@ class MomentShown:
             self._chart, self._cursor = _chart(plotter, trace, every)
 
     @property
-    def _greatest_N(self) -> float:
+    def _largest_N(self) -> float:
         return max(float(np.linalg.norm(self._force[self._peak])), 1e-9)
 
     @property
     def extent_mm(self) -> Array:
         """Both ends of the tool's path and of the longest arrow [mm], shape (4, 3)."""
         tip = self._tips[self._peak]
-        arrow = self._longest * self._force[self._peak] / self._greatest_N
+        arrow = self._longest * self._force[self._peak] / self._largest_N
         return np.stack([self._tips[0], self._tips[-1], tip, tip + arrow])
 
     def near_tip_mm(self, tool_mm: Array, *, reach_mm: float) -> Array:
@@ -107,7 +107,7 @@ class MomentShown:
         trace = self._trace
         row = row_at(trace, time_s)
         force = self._force[row]
-        self._tool.show(self._tips[row], self._turns[row], force, greatest_N=self._greatest_N)
+        self._tool.show(self._tips[row], self._turns[row], force, largest_N=self._largest_N)
         if not self._charted:
             return
         size = float(np.linalg.norm(force))
@@ -148,7 +148,7 @@ def _chart(
     chart.y_range = (min(ends) - border, max(ends) + border)
     chart.x_range = (float(time[0]), float(max(time[-1], time[0] + 1e-3)))
     cursor = chart.line([time[0], time[0]], list(chart.y_range), color=(0.4, 0.4, 0.4), width=1.5)
-    chart.GetLegend().SetInline(False)  # beside the curves, for it hides what it lies upon
+    chart.GetLegend().SetInline(False)  # next to the curves: the legend would hide curves behind it
     for axis in (chart.x_axis, chart.y_axis):
         axis.label_size = 24
         axis.tick_label_size = 22
@@ -202,7 +202,7 @@ class ToolShown:
         self._value.SetDisplayOffset(8, 4)
         plotter.add_actor(self._value, reset_camera=False, render=False)
 
-    def show(self, tip_mm: Array, turn: Array, force_N: Array, *, greatest_N: float) -> None:
+    def show(self, tip_mm: Array, turn: Array, force_N: Array, *, largest_N: float) -> None:
         """Show the tool at its tip [mm] and turn (x, y, z, w), and its force [N].
 
         The arrow's length is in proportion to the largest force.
@@ -212,12 +212,12 @@ class ToolShown:
         if self._tool is not None:
             self._tool.user_matrix = pose(tip_mm, turn)
         size = float(np.linalg.norm(force_N))
-        shown = size > LEAST * greatest_N
+        shown = size > LEAST * largest_N
         self._arrow.SetVisibility(shown)
         self._value.SetVisibility(shown)
         if not shown:
             return
-        length = self._longest * size / greatest_N
+        length = self._longest * size / largest_N
         self._arrow.mapper.dataset = pyvista.Arrow(
             start=tip_mm,
             direction=force_N,

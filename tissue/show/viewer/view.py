@@ -230,7 +230,7 @@ def _about(saved: SavedRun) -> str:
             f"{saved.summary['scene']}: {saved.summary['simulated_s']:g} s, force up to "
             f"{force:.3g} N, torque up to {torque:.3g} N·m"
         )
-    begun = {"running": "goes on", "failed": "failed"}.get(saved.status, "was interrupted")
+    begun = {"running": "is running", "failed": "failed"}.get(saved.status, "was interrupted")
     where = "before its first tick was written"
     if saved.trace is not None and len(saved.trace.rows):
         last = float(saved.trace["time_s"][-1])

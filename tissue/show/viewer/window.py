@@ -308,8 +308,8 @@ class Window:
         names.mark(fields.name)
         point = self.point = PointRead(plotter, fields, size_mm=0.02 * self._shown.size_mm)
         ClipPlane(plotter, fields, start=cut_plane(self._saved, series))
-        if series.displacement is not None and series.greatest_mm() > 0.0:
-            top = max(LARGEST * series.size_mm / series.greatest_mm(), fields.scale, 2.0)
+        if series.displacement is not None and series.largest_mm() > 0.0:
+            top = max(LARGEST * series.size_mm / series.largest_mm(), fields.scale, 2.0)
             place = (0.72, 0.97, SLIDERS)
             add_slider(
                 plotter,

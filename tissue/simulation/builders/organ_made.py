@@ -110,7 +110,7 @@ class MadeOrgan:
     def refined(self, edge_mm: float, near_mm: ArrayLike | None) -> "MadeOrgan":
         """Return the organ with shorter edges near some points, or on the whole surface.
 
-        The points `near_mm` have shape (k, 3); each stands for the nearest point of the surface.
+        The points `near_mm` have shape (k, 3). Each is replaced by the nearest surface point.
 
         Raises
         ------

@@ -44,7 +44,7 @@ def test_a_scale_spans_the_whole_run(pressed):
     low, high = fields.limits("principal_1_kPa")
     assert low == -high < 0.0
     assert fields.limits("displacement_mm") == (0.0, pytest.approx(6.0, rel=ROUNDING))
-    assert fields.greatest_mm() == pytest.approx(6.0, rel=ROUNDING)
+    assert fields.largest_mm() == pytest.approx(6.0, rel=ROUNDING)
 
 
 def test_between_two_frames_of_one_mesh_values_are_interpolated(pressed):

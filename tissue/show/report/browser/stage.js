@@ -83,9 +83,9 @@ async function makeStage(stage, trace, moment) {
       if (record.follows === "tool") actor.setUserMatrix(matrix(...axes, tip));
       if (record.follows === "device") actor.setUserMatrix(matrix(...axes, place(poses.device)));
       if (record.follows === "force") {
-        const shown = size > 1e-3 * Math.max(stage.force.greatest_N, 1e-9);
+        const shown = size > 1e-3 * Math.max(stage.force.largest_N, 1e-9);
         actor.setVisibility(shown);
-        if (shown) actor.setUserMatrix(arrow(pushed.map((one) => one / size), (stage.force.longest_mm * size) / stage.force.greatest_N, tip));
+        if (shown) actor.setUserMatrix(arrow(pushed.map((one) => one / size), (stage.force.longest_mm * size) / stage.force.largest_N, tip));
       }
     }
     words.textContent = `force ${size.toPrecision(3)} N`;

@@ -170,7 +170,7 @@ class LiveOrgan:
     def __init__(self, plotter: Plotter, organ: OrganSurface) -> None:
         self.colours: dict[str, tuple[float, float, float]] = {}
         self._organ = organ
-        self._actor = plotter.add_mesh(
+        plotter.add_mesh(
             organ.surface,
             color=ORGAN,
             smooth_shading=True,
@@ -263,7 +263,7 @@ class LiveScene:
         }
         self._updated = 0.0
         self._took = 0.0
-        self._greatest = LEAST_N
+        self._largest = LEAST_N
 
     def update_tissue(self) -> bool:
         """Update the tissue if it is due; return whether it changed."""
@@ -288,8 +288,8 @@ class LiveScene:
             return None
         self._mark.position = tuple(target_mm)
         self._spring.points = np.stack([readings.tip_mm, target_mm])
-        self._greatest = max(self._greatest, float(np.linalg.norm(readings.force_N)))
-        self._tool.show(readings.tip_mm, readings.turn, readings.force_N, greatest_N=self._greatest)
+        self._largest = max(self._largest, float(np.linalg.norm(readings.force_N)))
+        self._tool.show(readings.tip_mm, readings.turn, readings.force_N, largest_N=self._largest)
         return readings
 
     def _add_tool(self) -> None:

@@ -29,7 +29,7 @@ class ForcePlot {
     this.draw();
   }
 
-  // The time at a pixel from the left, or null beside the plot.
+  // The time at a pixel from the left, or null outside the plot.
   timeAt(pixel) {
     const [left, right] = [LEFT, this.canvas.clientWidth - RIGHT], [first, last] = this.range || [0, 0];
     if (pixel < left || pixel > right) return null;
