@@ -9,7 +9,7 @@ from held_cube import BOTTOM, SURFACE, body_of
 
 from meshes.base.progress import silent
 from tissue.fem.solvers.compliance import LazyCompliance
-from tissue.models.organ.compliance import Factor, compliance_of
+from tissue.models.organ.compliance import Factor, KeptColumns, compliance_of
 
 TOUCHABLE = SURFACE[~BOTTOM[SURFACE]][::9]
 
@@ -68,3 +68,13 @@ def test_a_lazy_compliance_holds_nothing_until_it_is_asked(exact):
     while lazy.pour(found):
         pass
     assert found == pytest.approx(exact, abs=1e-9 * np.abs(exact).max())
+
+
+def test_kept_columns_are_the_inverse_stiffness_and_stay(exact):
+    kept = KeptColumns(Factor(body_of()), np.sort(SURFACE))
+    order = np.array([2, 0, 1])
+    rows = (3 * order[:, None] + np.arange(3)).ravel()
+    for _ in range(2):
+        found = kept.between(TOUCHABLE[order])
+        assert found == pytest.approx(exact[np.ix_(rows, rows)], abs=1e-9 * np.abs(exact).max())
+        assert np.array_equal(found, found.T)

@@ -77,3 +77,13 @@ def moved_at(given, grid, nodes):
             value += np.prod(np.where(corner, part, 1.0 - part)) * nodes[node]
         found.append(value)
     return np.array(found)
+
+
+def test_nodes_of_the_coarse_grid_are_nodes_of_the_fine_one():
+    _, grid = block((4, 6, 2), 1e-3)
+    coarse, of_cell = grid.coarse()
+    fine = {tuple(each) for each in np.rint(grid.node_position_m * 1e6).astype(int).tolist()}
+    assert {
+        tuple(each) for each in np.rint(coarse.node_position_m * 1e6).astype(int).tolist()
+    } <= fine
+    assert coarse.edge_m == 2e-3 and np.array_equal(np.bincount(of_cell), np.full(6, 8))
