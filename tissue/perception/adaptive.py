@@ -37,7 +37,7 @@ STEPS = (0.005, 1.5)
 LOW_FORCE_N = 0.2
 """Low-force term of Weber's law, for the choice of steps and as the median of the prior [N].
 
-It lies between 0.1 and 0.3 N (memory of the literature, low confidence).
+It lies between 0.1 and 0.3 N, as in `tissue/materials/perception.toml` (low confidence).
 """
 LARGEST_LAPSE = 0.2
 LAPSE_POWER = 2.5

@@ -42,7 +42,7 @@ VTK_ORDER = (0, 4, 6, 2, 1, 5, 7, 3)
 INFECTED_SHARE = 0.05
 """Modulus of fully softened dentin relative to sound dentin.
 
-It is 1 of 18.6 GPa (infected 0.1-5 GPa, low confidence).
+It is 1 of 18.6 GPa. Carious dentin was measured at 0.015 to 14.55 GPa (Angker et al. 2004).
 """
 
 TOLERANCE = 7e-4
