@@ -1,14 +1,20 @@
 """Forces on the elements of a rotating cutter, averaged over a revolution.
 
-Mechanistic model with chip and edge coefficients (Altintas 2012, Manufacturing Automation, ch. 2),
-per element::
+Mechanistic model with chip and edge coefficients (Altintas 2012, Manufacturing Automation, ch. 2)
+and a size effect, per element::
 
-    h  = (v . n) 2 pi / (N omega)
-    dF = -(N A / (2 pi r)) [(K_tc h + K_te) t + (K_rc h + K_re) n + (K_ac h + K_ae) a] share
+    h  = (v . n) 2 pi / (N omega)                      chip thickness
+    c  = h (max(h, h_min) / h_0) ** -m                 effective chip thickness
+    e  = min(h / h_min, 1)                             share of the edge force
+    dF = -(N A / (2 pi r)) [(K_tc c + K_te e) t + (K_rc c + K_re e) n + (K_ac c + K_ae e) a] share
 
-with every K scaled by (density / reference density) ** exponent of the layer. Elements that do not
-advance do not cut. The share is the part of the element's width that lies below the bone's original
-surface. It is 0 where an older cut has removed the bone.
+with every K scaled by (density / reference density) ** exponent of the layer. Below the minimum
+chip thickness h_min the force is proportional to h, so that it is a Lipschitz function of the
+velocity. With m = 0 and h_min = 0 the law is linear in h. Elements that do not advance do not cut.
+The share is the part of the element's width that lies below the bone's original surface. It is 0
+where an older cut has removed the bone.
+
+The law is concave in the speed. The kernel returns its tangent at the given speed.
 """
 
 import warp as wp
@@ -46,9 +52,9 @@ wp.set_module_options({"enable_backward": False})
 CHIP_FORCE, CHIP_TORQUE, EDGE_FORCE, EDGE_TORQUE, RATE, AREA = 0, 3, 6, 9, 12, 13
 """Places in the sums.
 
-Three each per unit of speed: force [N s/m], torque about the tip [N s]. Three each independent of
-speed: force [N] and torque [N m]. Then the removal rate per unit of speed [m2] and the engaged area
-of each layer [m2].
+The first six are the derivative by the speed: force [N s/m], torque about the tip [N s]. The next
+six are the tangent's value at zero speed: force [N] and torque [N m]. Then the removal rate per
+unit of speed [m2] and the engaged area of each layer [m2].
 """
 WIDEST = wp.constant(3.5)  # across the surface, an element is taken as this wide at most [voxel]
 DENSITIES = wp.constant(20001)
@@ -66,6 +72,8 @@ class Coefficients:
     edge: wp.array(dtype=lever16)  # [layer] [N/m]
     # [layer, density in kg/m3]: (density / reference) ** exponent
     strength: wp.array2d(dtype=wp.float32)
+    # [layer]: exponent m of the size effect, minimum and reference chip thickness [m]
+    size: wp.array(dtype=wp.vec3)
 
 
 @wp.kernel
@@ -74,7 +82,7 @@ def cutting_forces(
     tool: Revolution,
     elements: Elements,
     coefficients: Coefficients,
-    # rows: tip [voxel]; tool axes x, y, z; tip's and angular velocity, own frame
+    # rows: tip [voxel]; tool axes x, y, z; tip's and angular velocity, own frame; speed [m/s], -, -
     motion: wp.array2d(dtype=wp.float64),
     chip_per_speed: float,  # 2 pi / (N omega) [s]
     spacing: float,  # [m]
@@ -89,15 +97,16 @@ def cutting_forces(
     seen_out: wp.array2d(dtype=corner8f),  # [chunk, SLOTS + 1], see `kernels.older_cuts.SLOTS`
     sums_out: wp.array2d(dtype=wp.float64),  # [chunk, AREA + layers], tool frame: see CHIP_FORCE
 ):
-    """Sum the forces on one chunk of elements for a motion of unit speed.
+    """Sum the forces on one chunk of elements, as a tangent in the speed.
 
-    Unit speed means 1 m/s times the given velocities.
+    The velocities are those of unit speed, 1 m/s.
     """
     chunk = wp.tid() + chunk_offset
     for m in range(AREA, sums_out.shape[1]):
         sums_out[chunk, m] = wp.float64(0.0)
     seen_out[chunk, SLOTS] = corner8f()
     travel = travel_of(motion, spacing)
+    thickness_per_advance = float(motion[6, 0]) * chip_per_speed
     chip = lever16()
     edge = lever16()
     rate = float(0.0)
@@ -118,6 +127,9 @@ def cutting_forces(
             lane += 1
             length = float(0.0)  # of cutting edge in bone, by the bone's strength [m]
             m = int(0)
+            tangent = Tangent()
+            tangent.chip_slope = 1.0
+            tangent.edge_value = 1.0
             if advance > travel.least:
                 met = bone_met(
                     tool,
@@ -139,18 +151,52 @@ def cutting_forces(
                     m = met.layer
                     strength = coefficients.strength[m, met.density]
                     length = elements.edge_length[e] * met.share * strength
+                    size = coefficients.size[m]
+                    if size[1] > 0.0:
+                        tangent = tangent_at(advance * thickness_per_advance, size)
                     engaged = elements.area[e] * met.share
                     rate += engaged * advance
                     sums_out[chunk, AREA + m] += wp.float64(engaged)
             # Outside of any branch: a compiler keeps values in registers if no branch changes
             # them. This saves a twentieth of this kernel's time.
             lever = elements.lever[e]
-            chip += (length * advance) * wp.cw_mul(coefficients.chip[m], lever)
-            edge += length * wp.cw_mul(coefficients.edge[m], lever)
+            slope = tangent.chip_slope * coefficients.chip[m]
+            slope += tangent.edge_slope * coefficients.edge[m]
+            value = tangent.edge_value * coefficients.edge[m]
+            value += tangent.chip_value * coefficients.chip[m]
+            chip += (length * advance) * wp.cw_mul(slope, lever)
+            edge += length * wp.cw_mul(value, lever)
     chip *= chip_per_speed
     set_loads(chip, chunk, CHIP_FORCE, CHIP_TORQUE, sums_out)
     set_loads(edge, chunk, EDGE_FORCE, EDGE_TORQUE, sums_out)
     sums_out[chunk, RATE] = wp.float64(rate)
+
+
+@wp.struct
+class Tangent:
+    """Tangent of the force per length of edge at a chip thickness."""
+
+    chip_slope: wp.float32  # derivative by the thickness: factor of the chip coefficients
+    edge_slope: wp.float32  # and of the edge coefficients [1/m]
+    edge_value: wp.float32  # value at zero thickness: factor of the edge coefficients
+    chip_value: wp.float32  # and of the chip coefficients [m]
+
+
+@wp.func
+def tangent_at(thickness: float, size: wp.vec3):
+    """Compute the tangent at a chip thickness [m], for a size effect as in `Coefficients`."""
+    exponent = size[0]
+    least = size[1]
+    scale = wp.pow(wp.max(thickness, least) / size[2], -exponent)
+    tangent = Tangent()
+    if thickness < least:
+        tangent.chip_slope = scale
+        tangent.edge_slope = 1.0 / least
+    else:
+        tangent.chip_slope = (1.0 - exponent) * scale
+        tangent.edge_value = 1.0
+        tangent.chip_value = exponent * scale * thickness
+    return tangent
 
 
 @wp.struct

@@ -22,7 +22,7 @@ from tissue.fem.space import Space
 from tissue.materials.constants import cutting_coefficients
 from tissue.materials.elasticity import lame, stiffness_of_lame
 from tissue.materials.hyperelasticity import Hyperelastic
-from tissue.models.bone.engagement import EngagedBone
+from tissue.models.bone.engagement import EngagedBone, chip_nodes
 from tissue.models.bone.model import BoneModel
 from tissue.models.organ.probe import ShellProbe
 from tissue.models.tissue_model import ToolMotion
@@ -65,7 +65,7 @@ def test_bone(monkeypatch):
         bone = BoneModel(
             volume, cutter, (cutting_coefficients("bone"),), shell_spacing_m=8e-5, cores=cores
         )
-        engaged = EngagedBone(bone, cores=cores)
+        engaged = EngagedBone(bone, chip_nodes(2e-5, is_linear=False), cores=cores)
         motion, found = ToolMotion(speed_m_s=4e-3), []
         motion.heading[0] = (0.6, 0.0, -0.8)
         for tick in range(12):

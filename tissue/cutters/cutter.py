@@ -130,6 +130,14 @@ class Cutter:
         """
         return _shells.of((self.profile, spacing_m), lambda: self._shell(spacing_m))
 
+    def load_factors(self, radii_m: Array) -> Array:
+        """Return factors of tangential and radial loads at distances from the axis, shape (n, 2).
+
+        They are ones unless the cutter is a drill with a chisel edge.
+        """
+        point = self.profile.point
+        return np.ones((len(radii_m), 2)) if point is None else point.load_factors(radii_m)
+
     @property
     def has_smooth_surface(self) -> bool:
         """True if some of the surface, such as a peg or a flat top, does not cut."""

@@ -8,11 +8,12 @@ pose.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import cos, hypot, pi, sin, tan
+from math import cos, hypot, pi, radians, sin, tan
 
 import numpy as np
 
 from meshes.base.arrays import Array, Flags
+from tissue.cutters.drill_point import DrillPoint
 
 __all__ = [
     "Arc",
@@ -29,6 +30,10 @@ __all__ = [
 
 SMOOTH = 0.999
 """Cosine of the angle between normals above which an outline counts as smooth."""
+WEB = 0.18
+"""Usual thickness of a twist drill's web, relative to its diameter; drills have 0.12 to 0.23."""
+HELIX_RAD = radians(30.0)
+"""Usual helix angle of a twist drill; surgical drills have 20 to 40 degrees."""
 AXIS_M = 1e-9
 """Distance below which points count as lying on the axis [m]."""
 
@@ -147,6 +152,8 @@ class Profile:
 
     pieces: tuple[Piece, ...]
     convex: bool
+    point: DrillPoint | None = None
+    """Point of a twist drill with a chisel edge."""
 
     def __post_init__(self) -> None:
         # a tuple is hashable: a profile is the key of caches
@@ -236,21 +243,32 @@ def cylinder(*, diameter_m: float, length_m: float) -> Profile:
     )
 
 
-def twist_drill(*, diameter_m: float, length_m: float, point_angle_rad: float) -> Profile:
+def twist_drill(
+    *,
+    diameter_m: float,
+    length_m: float,
+    point_angle_rad: float,
+    web_m: float | None = 0.0,
+    helix_rad: float = HELIX_RAD,
+) -> Profile:
     """Return a twist drill with conical lips and a cylindrical margin.
 
-    ``point_angle_rad`` is the included angle of the lips.
+    ``point_angle_rad`` is the included angle of the lips. With a web, the drill has a chisel edge
+    and its rake varies along the lips. A web of None is `WEB` times the diameter. Without a web,
+    the lips reach the axis and have one rake.
     """
     r = 0.5 * diameter_m
-    shoulder = r / tan(0.5 * point_angle_rad)
-    return Profile(
-        (
-            Line((0, 0), (r, shoulder)),
-            Line((r, shoulder), (r, length_m)),
-            Line((r, length_m), (0, length_m), False),
-        ),
-        convex=True,
+    web_m = WEB * diameter_m if web_m is None else web_m
+    point = DrillPoint(r, web_m, helix_rad, point_angle_rad) if web_m > 0.0 else None
+    chisel = 0.0 if point is None else point.chisel_radius_m
+    shoulder = (r - chisel) / tan(0.5 * point_angle_rad)
+    pieces = (
+        Line((chisel, 0), (r, shoulder)),
+        Line((r, shoulder), (r, length_m)),
+        Line((r, length_m), (0, length_m), False),
     )
+    tip = () if point is None else (Line((0, 0), (chisel, 0)),)
+    return Profile((*tip, *pieces), convex=True, point=point)
 
 
 def _peg(radius: float, length: float, top: float) -> list[Piece]:

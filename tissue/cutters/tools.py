@@ -66,16 +66,29 @@ def twist_drill(
     diameter_mm: float,
     length_mm: float,
     point_angle_deg: float = 118.0,
+    web_mm: float | None = None,
+    helix_deg: float = 30.0,
     flutes: int = 2,
     spin_rpm: float,
 ) -> Cutter:
     """Return a twist drill `length_mm` [mm] long with a point angle of 60 to 170 degrees.
 
-    For the other parameters see `ball_burr`.
+    `web_mm` is the thickness of the web [mm], up to half the diameter, which makes a chisel edge;
+    by default 18 % of the diameter. `helix_deg` is the helix angle of the flutes, 0 to 60 degrees.
+    Without a web (0) the lips reach the axis and have one rake. For the other parameters see
+    `ball_burr`.
     """
     angle = radians(require_range("point_angle_deg", point_angle_deg, 60.0, 170.0, "use 118"))
+    helix = radians(require_range("helix_deg", helix_deg, 0.0, 60.0, "use 30"))
+    if web_mm is not None:
+        require_range("web_mm", web_mm, 0.0, 0.5 * diameter_mm, "use 18 % of the diameter")
     _require_longer(length_mm, 0.5 * diameter_mm / tan(0.5 * angle), "the height of its point")
-    make = partial(profile.twist_drill, point_angle_rad=angle)
+    make = partial(
+        profile.twist_drill,
+        point_angle_rad=angle,
+        web_m=None if web_mm is None else 1e-3 * web_mm,
+        helix_rad=helix,
+    )
     return _cutter(make, flutes, spin_rpm, diameter_mm=diameter_mm, length_mm=length_mm)
 
 

@@ -15,7 +15,7 @@ from tissue.fitting.log import MeasuredLog
 from tissue.fitting.log_files import CHANNELS
 from tissue.fitting.posterior import require_signs
 from tissue.fitting.problem import MeasuredLoads, Parameter, Problem, chosen, shift_operators
-from tissue.materials.constants import CUT_AS, N_MM, N_MM2, CuttingCoefficients, Prior
+from tissue.materials.constants import CUT_AS, N_MM, N_MM2, UM, CuttingCoefficients, Prior
 from tissue.models.bone.engagement import DensityNodes
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.motion import FollowPath
@@ -40,6 +40,8 @@ FIELDS = {
     **{field.removesuffix("_Pa") + "_N_mm2": (field, N_MM2) for field in CuttingCoefficients.CHIP},
     **{field.removesuffix("_N_m") + "_N_mm": (field, N_MM) for field in CuttingCoefficients.EDGE},
     "density_exponent": ("density_exponent", 1.0),
+    "size_exponent": ("size_exponent", 1.0),
+    "minimum_chip_um": ("minimum_chip_m", UM),
 }
 """The constants of a layer: field of `CuttingCoefficients`, and its value for 1."""
 
@@ -313,28 +315,24 @@ def cutting_candidates(like: CuttingForward) -> dict[str, CuttingForward]:
     radius_m = 0.5e-3 * tool.diameter_mm
     found = {}
     for kind, depth in product(TRAVEL, DEPTHS):
-        unit, recorded_m_s = _steady(like.record.scene, tool, kind, depth * radius_m)
+        steady, recorded_m_s = _steady(like.record.scene, tool, kind, depth * radius_m)
         for at, feed, spin in product(like.record.layers, FEEDS, SPINS):
-            loads = unit.copy()
-            loads[:3] *= feed * feed_m_s / recorded_m_s / spin
+            chips_m = steady.chips_m * (feed * feed_m_s / recorded_m_s / spin)
             name = (
                 f"a {kind} {1e3 * depth * radius_m:.3g} mm deep in "
                 f"{like.record.layer_names[at]} at "
                 f"{1e3 * feed * feed_m_s:.3g} mm/s and {spin * abs(tool.spin_rpm):.6g} rpm"
             )
-            found[name] = _second_of(like, at, loads)
+            found[name] = _second_of(like, at, replace(steady, chips_m=chips_m))
     return found
 
 
-def _second_of(like: CuttingForward, layer: int, unit: Array) -> CuttingForward:
-    """Return a record of air, then one second of steady loads in one layer.
-
-    The loads are given for a unit of each coefficient, shape (6, 6).
-    """
+def _second_of(like: CuttingForward, layer: int, steady: LayerLoads) -> CuttingForward:
+    """Return a record of air, then one second of steady loads in one layer."""
     density = round(like.record.layers[layer].nodes.middle_kg_m3)
-    ticks = np.repeat(unit[None, :, None], LASTS, axis=2)
+    ticks = np.repeat(steady.unit, LASTS, axis=2)
     ticks[:, :, :AIR] = 0.0
-    loads = LayerLoads(DensityNodes.of(density, density), ticks)
+    loads = LayerLoads(DensityNodes.of(density, density), steady.chips_m, ticks)
     times_s = TICK_S * np.arange(LASTS, dtype=np.float64)
     return replace(
         like, record=replace(like.record, times_s=times_s, layers={layer: loads}), times_s=times_s
@@ -352,11 +350,8 @@ def _feed_m_s(like: CuttingForward) -> float:
     return float(np.median(speed[(trace["contact_mm2"][1:] > 0.0) & (speed > 0.0)]))
 
 
-def _steady(scene: Scene, tool: Tool, kind: str, depth_m: float) -> tuple[Array, float]:
-    """Return the steady loads in a block, shape (6, 6), and their feed [m/s].
-
-    The loads are given for a unit of each coefficient.
-    """
+def _steady(scene: Scene, tool: Tool, kind: str, depth_m: float) -> tuple[LayerLoads, float]:
+    """Return the steady loads of one tick in a block, and their feed [m/s]."""
     radius_m = 0.5e-3 * tool.diameter_mm
     travel_m = TRAVEL[kind] * radius_m
     deep = np.array([0.0, 0.0, -depth_m])
@@ -377,4 +372,5 @@ def _steady(scene: Scene, tool: Tool, kind: str, depth_m: float) -> tuple[Array,
     )
     record = record_loads(block, motion=motion)
     (layer,) = record.layers.values()
-    return layer.unit[0, :, STEADY].mean(axis=1), feed_m_s
+    unit = layer.unit[:1, :, STEADY].mean(axis=2, keepdims=True)
+    return replace(layer, unit=unit), feed_m_s

@@ -16,6 +16,7 @@ from meshes.base.errors import InputError
 
 __all__ = [
     "CUT_AS",
+    "LINEAR",
     "Constant",
     "CuttingCoefficients",
     "Entry",
@@ -24,12 +25,16 @@ __all__ = [
     "changed_coefficients",
     "constants",
     "cutting_coefficients",
+    "effective_chip",
     "listed",
     "remove_material",
 ]
 
+UM = 1e-6  # [m]
 N_MM2 = 1e6  # [Pa]
 N_MM = 1e3  # [N/m]
+LINEAR = {"size_exponent": 0.0, "minimum_chip_um": 0.0, "reference_chip_um": 100.0}
+"""Constants of the size effect for a material that has none: a law linear in the chip thickness."""
 CUT_AS = {
     "enamel": "enamel",
     "dentin": "dentin",
@@ -62,7 +67,11 @@ class Entry(TypedDict):
 
 @dataclass(frozen=True)
 class CuttingCoefficients:
-    """Mechanistic cutting coefficients of a material: chip in [Pa], edge in [N/m]."""
+    """Mechanistic cutting coefficients of a material: chip in [Pa], edge in [N/m].
+
+    The chip coefficients hold at the reference chip thickness. Their size effect is described in
+    `effective_chip`. Without a minimum chip thickness the law is linear in the chip thickness.
+    """
 
     tangential_chip_Pa: float
     radial_chip_Pa: float
@@ -72,9 +81,44 @@ class CuttingCoefficients:
     axial_edge_N_m: float
     reference_density_kg_m3: float
     density_exponent: float
+    size_exponent: float = 0.0
+    minimum_chip_m: float = 0.0
+    reference_chip_m: float = 1e-4
+
+    def __post_init__(self) -> None:
+        if self.size_exponent > 0.0 and self.minimum_chip_m <= 0.0:
+            raise InputError(
+                "cutting.minimum_chip_um",
+                "be above 0 with a size effect, whose coefficients grow without bound otherwise",
+                f"{1e6 * self.minimum_chip_m:g}",
+                "use 1, or set cutting.size_exponent to 0",
+            )
 
     CHIP: ClassVar[tuple[str, ...]] = "tangential_chip_Pa", "radial_chip_Pa", "axial_chip_Pa"
     EDGE: ClassVar[tuple[str, ...]] = "tangential_edge_N_m", "radial_edge_N_m", "axial_edge_N_m"
+
+
+def effective_chip(
+    thickness_m: Array, exponent: ArrayLike, minimum_m: ArrayLike, reference_m: ArrayLike
+) -> tuple[Array, Array]:
+    """Return the effective chip thickness [m] and the share of the edge force, each shape (n,).
+
+    The force per length of edge is the chip coefficient times the effective thickness plus the edge
+    coefficient times the share. See `kernels.cutting` for the law.
+
+    Parameters
+    ----------
+    thickness_m
+        Chip thickness h [m], shape (n,).
+    exponent, minimum_m, reference_m
+        Exponent m, minimum thickness h_min [m] and reference thickness h_0 [m] of each chip.
+    """
+    minimum = np.asarray(minimum_m, float)
+    cut = np.maximum(thickness_m, minimum)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scale = np.where(cut > 0.0, (cut / reference_m) ** -np.asarray(exponent, float), 1.0)
+        share = np.where(thickness_m < minimum, thickness_m / minimum, 1.0)
+    return thickness_m * scale, share
 
 
 @cache
@@ -160,7 +204,7 @@ def changed_coefficients(
     InputError
         If a change names no constant.
     """
-    values = {name: constant.value for name, constant in cited.items()}
+    values = LINEAR | {name: constant.value for name, constant in cited.items()}
     for name, value in changes.items():
         if name not in values:
             raise InputError(
@@ -176,6 +220,9 @@ def changed_coefficients(
         **found,
         reference_density_kg_m3=values["reference_density_kg_m3"],
         density_exponent=values["density_exponent"],
+        size_exponent=values["size_exponent"],
+        minimum_chip_m=values["minimum_chip_um"] * UM,
+        reference_chip_m=values["reference_chip_um"] * UM,
     )
 
 

@@ -80,9 +80,11 @@ class Response:
     Attributes
     ----------
     resistance
-        Force [N s/m] and torque [N s] per unit of speed along the direction of motion, shape (6,).
+        Derivative of force [N s/m] and torque [N s] by the speed along the direction of motion,
+        shape (6,).
     edge
-        Force [N] and torque [N m] that arise as soon as the tool moves, for any speed, shape (6,).
+        Force [N] and torque [N m] of the tangent at zero speed, shape (6,). For a law that is
+        linear in the speed, it arises as soon as the tool moves.
     wrench
         Force [N] and torque [N m] at the motion's speed, shape (6,).
     removal_rate_m3_s

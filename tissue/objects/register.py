@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from meshes.base.errors import InputError
 from meshes.base.file_limits import require_regular
 from meshes.base.text_tables import read_toml
-from tissue.materials.constants import Entry, add_material, constants, listed
+from tissue.materials.constants import LINEAR, Entry, add_material, constants, listed
 from tissue.materials.scene_constants import checked_constant
 from tissue.scene.named_parts import nearest, shown
 from tissue.scene.registry import (
@@ -497,7 +497,8 @@ def _require_material(path: Path, table: str, material: str, entries: dict[str, 
             f"{material} in {path}",
             "choose another name",
         )
-    needed = tuple(constants("cutting", "bone")) if table == "cutting" else SOFT
+    cutting = tuple(name for name in constants("cutting", "bone") if name not in LINEAR)
+    needed = cutting if table == "cutting" else SOFT
     missing = ", ".join(each for each in needed if each not in entries)
     if missing:
         raise InputError(

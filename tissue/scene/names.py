@@ -170,7 +170,7 @@ CUTTERS: Registry[CutterEntry] = Registry(
         "ball-burr": CutterEntry(),
         "pear-bur": CutterEntry(keys=("length_mm",)),
         "cylinder": CutterEntry(keys=("length_mm",)),
-        "twist-drill": CutterEntry(keys=("length_mm", "point_angle_deg")),
+        "twist-drill": CutterEntry(keys=("length_mm", "point_angle_deg", "web_mm", "helix_deg")),
         "hemispherical-reamer": CutterEntry(keys=PEG),
         "flat-reamer": CutterEntry(keys=("length_mm", *PEG)),
     },

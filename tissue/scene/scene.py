@@ -108,6 +108,13 @@ class Cutting(Part):
     """Edge force along the edge, per length of the edge."""
     density_exponent: float | None = Field(None, ge=0, le=5, examples=[1.5])
     """Exponent of the ratio of density to reference density, which scales all coefficients."""
+    size_exponent: float | None = Field(None, ge=0, lt=1, examples=[0.5])
+    """Exponent m of the size effect: chip coefficients grow as (chip thickness) ** -m. 0 has none.
+    """
+    minimum_chip_um: float | None = Field(None, ge=0, le=50, examples=[1.0])
+    """Minimum chip thickness, below which the force is proportional to the chip thickness. 0 is the
+    linear law, whose edge force is present at any feed.
+    """
 
 
 class Output(Part):

@@ -32,6 +32,20 @@ CUTTER_KEYS: dict[str, Any] = {
         Field(10.0, gt=0, le=200, description="Length; thickness of a flat reamer."),
     ),
     "point_angle_deg": (float, Field(118.0, ge=30, lt=180, description="Included point angle.")),
+    "web_mm": (
+        float | None,
+        Field(
+            None,
+            ge=0,
+            le=20,
+            examples=[0.5],
+            description=(
+                "Thickness of a drill's web, which makes its chisel edge. Default: 18 % of the "
+                "diameter. 0 is a drill whose lips reach the axis and have one rake."
+            ),
+        ),
+    ),
+    "helix_deg": (float, Field(30.0, ge=0, le=60, description="Helix angle of a drill's flutes.")),
     "peg_diameter_mm": (
         Annotated[float, Needs("tool.peg_length_mm")],
         Field(0.0, ge=0, le=20, description="Diameter of a reamer's guide peg; 0 has no peg."),
@@ -107,13 +121,21 @@ class Tool(Shaped):
         return self.model_copy(update={**pegs, "shell_spacing_mm": None})
 
     @model_validator(mode="after")
-    def _spins_and_peg_fits(self) -> "Tool":
+    def _spins_and_fits(self) -> "Tool":
         if 0.0 < abs(self.spin_rpm) < 1.0:
             raise InputError(
                 "tool.spin_rpm",
                 "be at least 1 in size, or 0 for a tool that only touches",
                 f"{self.spin_rpm:g}",
                 "use 500",
+            )
+        web_mm = getattr(self, "web_mm", None) or 0.0
+        if web_mm > 0.5 * self.diameter_mm:
+            raise InputError(
+                "tool.web_mm",
+                f"be at most half of tool.diameter_mm ({self.diameter_mm:g})",
+                f"{web_mm:g}",
+                f"use {0.18 * self.diameter_mm:.3g}",
             )
         peg_mm, _ = self.peg_mm
         if peg_mm >= self.diameter_mm:

@@ -6,13 +6,13 @@ over a revolution, N edges of a tool that spins at omega put ``N ds dphi / (2 pi
 r)`` of cutting edge into a part of the surface. With v the velocity of the surface point (without
 the spin) and h = max(0, v . n) 2 pi / (N omega) the chip::
 
-    F = - (N / 2 pi) integral [(K_tc h + K_te) t + (K_rc h + K_re) n + (K_ac h + K_ae) a] engaged ds
-    dphi
+    dF = - (N / 2 pi) [(K_tc c + K_te e) t + (K_rc c + K_re e) n + (K_ac c + K_ae e) a] ds dphi
 
-t is the direction in which the spin moves the point, n the outward normal, a the axis from tip to
-shank. Every K is the coefficient of the layer at the point, times (density / reference density) **
-exponent. A point is engaged where it advances (v . n > 0), lies in the solid (signed distance below
-0), and in nothing that the tool has swept before.
+c is the effective chip thickness and e the share of the edge force, functions of h by
+`tissue.materials.constants.effective_chip`. t is the direction in which the spin moves the point, n
+the outward normal, a the axis from tip to shank. Every K is the coefficient of the layer at the
+point, times (density / reference density) ** exponent. A point is engaged where it advances (v . n
+> 0), lies in the solid (signed distance below 0), and in nothing that the tool has swept before.
 
 Smooth cells in (s, phi) are integrated by two by two Gauss points. Cells that a boundary may cross
 are divided into four, down to a finest size, where one point per cell decides. The distances are
@@ -32,7 +32,7 @@ from meshes.shapes.sdf import Shape
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import Arc, Piece
 from tissue.evaluation.reference.path import ToolPath, convex_parts
-from tissue.materials.constants import CuttingCoefficients
+from tissue.materials.constants import CuttingCoefficients, effective_chip
 
 __all__ = ["Resolution", "Solid", "wrench_at"]
 
@@ -76,10 +76,11 @@ class Solid:
         return self.anatomy.classify(points, -self.anatomy.shape.distance(points))[0]
 
     def strengths(self, points: Array) -> Array:
-        """Return chip and edge coefficients at points, shape (6, n).
+        """Return chip and edge coefficients at points, and the size effect, shape (9, n).
 
-        The order is tangential, radial, axial chip [Pa], then edge [N/m]. Each is the coefficient
-        of the point's layer times (density / reference density) ** exponent of the layer.
+        The order is tangential, radial, axial chip [Pa], then edge [N/m], then exponent, minimum
+        and reference chip thickness [m]. The first six are the coefficients of the point's layer
+        times (density / reference density) ** exponent of the layer.
         """
         layer, density = self.anatomy.classify(points, -self.anatomy.shape.distance(points))
         names = CuttingCoefficients.CHIP + CuttingCoefficients.EDGE
@@ -87,7 +88,9 @@ class Solid:
         reference = np.array([each.reference_density_kg_m3 for each in self.coefficients])
         exponent = np.array([each.density_exponent for each in self.coefficients])
         scale = (np.asarray(density, dtype=np.float64) / reference[layer]) ** exponent[layer]
-        return np.asarray(table[:, layer] * scale)
+        names = ("size_exponent", "minimum_chip_m", "reference_chip_m")
+        size = np.array([[getattr(each, name) for each in self.coefficients] for name in names])
+        return np.vstack([table[:, layer] * scale, size[:, layer]])
 
 
 @dataclass(frozen=True)
@@ -261,7 +264,11 @@ class _AtTick:
         chip = advance * self.cutter.chip_per_speed_s
         strengths = self.solid.strengths(world)
         length = weights * (self.cutter.flute_count / (2.0 * pi))
-        tangential, radial, axial = -length * (strengths[:3] * chip + strengths[3:])
+        effective, share = effective_chip(chip, *strengths[6:])
+        loads = strengths[:3] * effective + strengths[3:6] * share
+        factors = self.cutter.load_factors(np.hypot(points[:, 0], points[:, 1])).T
+        tangential, radial = -length * factors * loads[:2]
+        axial = -length * loads[2]
         force = (np.sign(self.cutter.spin_rad_s) * tangential)[:, None] * around + radial[
             :, None
         ] * normals

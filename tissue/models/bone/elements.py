@@ -64,16 +64,18 @@ def elements_of(shell: PointShell, cutter: Cutter, *, spacing_m: float, device: 
 def levers_of(shell: PointShell, cutter: Cutter) -> Array:
     """Return the directions of a tangential, a radial and an axial load on each element, (n, 18).
 
-    Each direction is followed by its moment about the tip [m].
+    Each direction is scaled by its load factor, see `Cutter.load_factors`. Each is followed by its
+    moment about the tip [m].
     """
     around = np.column_stack(
         [-shell.points_m[:, 1], shell.points_m[:, 0], np.zeros(len(shell.radii_m))]
     )
     around *= np.sign(cutter.spin_rad_s) / shell.radii_m[:, None]
     axis = np.broadcast_to([0.0, 0.0, 1.0], around.shape)
+    tangential, radial = cutter.load_factors(shell.radii_m).T[:, :, None]
     parts = [
         part
-        for each in (around, shell.normals, axis)
+        for each in (tangential * around, radial * shell.normals, axis)
         for part in (each, np.cross(shell.points_m, each))
     ]
     return np.hstack(parts)
@@ -204,6 +206,7 @@ class SmoothSurface:
         no_force.chip = wp.zeros(layers, lever16, device)
         no_force.edge = wp.zeros(layers, lever16, device)
         no_force.strength = wp.zeros((layers, DENSITIES), wp.float32, device)
+        no_force.size = wp.zeros(layers, wp.vec3, device)
         elements = elements_of(shell, cutter, spacing_m=store.grid.spacing_m, device=device)
         self.forces = ForceSums(
             store, tool, elements, no_force, motion, chip_per_speed_s=0.0, cores=1

@@ -88,7 +88,7 @@ class BoneModel:
         self._response = Response(
             self._parts[:2].reshape(6), self._parts[2:].reshape(6), np.zeros(6), np.zeros(layers)
         )
-        self._motion = Mirror((6, 3), dtype=wp.float64, device=device)
+        self._motion = Mirror((7, 3), dtype=wp.float64, device=device)
         self.motion_rows = self._motion.device
         """Device array of the pose and motion of the last `take`, see the force kernel."""
         self._rows = self._motion.host[0], self._motion.host[1:4], self._motion.host[4:6]
@@ -108,6 +108,7 @@ class BoneModel:
             smooth = SmoothSurface(cutter, store, self.carver.tool, self._motion.device)
         self.limits = LawLimits(cutter, smooth)
         self.notices = self.limits.notices
+        self._is_linear = not any(each.minimum_chip_m for each in coefficients)
         # motion, and state of the bone, that the sums are for
         self._answered: tuple[bytes, int] | None = None
 
@@ -147,13 +148,12 @@ class BoneModel:
         tip /= self._spacing
         axes[:] = motion.rotation.T
         np.dot(motion.heading, motion.rotation, out=velocities)
+        # The sums of a linear law hold for any speed.
+        self._motion.host[6, 0] = 0.0 if self._is_linear else motion.speed_m_s
         self._motion.push()
 
     def respond(self, motion: ToolMotion) -> Response:
-        """Return the cutting force at the motion's pose.
-
-        It has a part that increases with speed and a part that does not.
-        """
+        """Return the cutting force at the motion's pose, and its tangent in the speed."""
         self.take(motion)
         asked = self._motion.host.tobytes(), self.carver.changes
         is_new = asked != self._answered
@@ -205,4 +205,9 @@ def _on_device(coefficients: tuple[CuttingCoefficients, ...], *, device: str) ->
         for layer in coefficients
     ]
     arrays.strength = put(np.array(strength), wp.float32, device)
+    size = [
+        (layer.size_exponent, layer.minimum_chip_m, layer.reference_chip_m)
+        for layer in coefficients
+    ]
+    arrays.size = put(np.array(size), wp.vec3, device)
     return arrays

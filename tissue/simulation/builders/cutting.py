@@ -139,7 +139,8 @@ def cutter_of(tool: Tool) -> Cutter:
     for key in ("diameter_mm", *entry.keys):
         name, _, unit = key.rpartition("_")
         si, factor = SI[unit]
-        sizes[f"{name}_{si}"] = factor * getattr(tool, key)
+        value = getattr(tool, key)
+        sizes[f"{name}_{si}"] = None if value is None else factor * value
     section = entry.profile or getattr(profile, tool.kind.replace("-", "_"))
     return Cutter(section(**sizes), tool.flutes, -tool.spin_rpm * 2.0 * pi / 60.0)
 
