@@ -18,8 +18,8 @@ from tissue.cli.terminal import (
     Texts,
     console,
     left_out,
-    progress,
 )
+from tissue.system.progress import progress
 
 if TYPE_CHECKING:
     from tissue.scene.scene import Scene

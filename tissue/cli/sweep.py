@@ -4,7 +4,8 @@ import os
 import sys
 from pathlib import Path
 
-from tissue.cli.terminal import Flag, MaybeWhole, Overrides, console, problems, progress
+from tissue.cli.terminal import Flag, MaybeWhole, Overrides, console, problems
+from tissue.system.progress import progress
 
 __all__ = ["sweep"]
 

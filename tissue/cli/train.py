@@ -2,8 +2,9 @@
 
 from pathlib import Path
 
-from tissue.cli.terminal import Flag, MaybeWhole, Overrides, Whole, console, progress
+from tissue.cli.terminal import Flag, MaybeWhole, Overrides, Whole, console
 from tissue.system.outputs import output_locked
+from tissue.system.progress import progress
 
 __all__ = ["train"]
 

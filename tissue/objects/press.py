@@ -16,9 +16,9 @@ from meshes.tets.tetrahedra import TetMesh, grid_of
 from tissue.models.organ.probe import ProbeShape, SphereProbe
 from tissue.motion.motion import frame_along
 from tissue.objects.html import table_html
-from tissue.objects.progress import quiet_without_display
 from tissue.objects.tools import PressingTool
 from tissue.objects.trace import needed
+from tissue.system.offscreen import quiet_without_display
 
 if TYPE_CHECKING:
     import pandas as pd

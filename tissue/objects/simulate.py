@@ -7,7 +7,6 @@ from meshes.base.errors import InputError
 from meshes.base.file_limits import memory_limit
 from tissue.haptics.device.device import Device
 from tissue.haptics.device.safe_device import SafeDevice
-from tissue.objects.progress import Bar, reporting
 from tissue.objects.run import Run
 from tissue.scene.scene import Scene
 from tissue.show.figures import draw_pictures
@@ -16,6 +15,7 @@ from tissue.simulation.builders.parts import opened_device
 from tissue.simulation.live.run import LiveSettings
 from tissue.simulation.live.run import live as simulate_live
 from tissue.simulation.observer import Observers, OnTick, Paced, Prioritised, RunObserver, TickRow
+from tissue.system.progress import Bar, reporting
 
 __all__ = ["TickRow", "simulate"]
 

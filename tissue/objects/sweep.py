@@ -24,7 +24,6 @@ from tissue.evaluation.assessment import path_note
 from tissue.objects.comparison import Comparison, write_rows
 from tissue.objects.html import figures_of, table_html
 from tissue.objects.plots import COLOURS
-from tissue.objects.progress import Bar, reporting
 from tissue.objects.run import Run
 from tissue.objects.simulate import simulate
 from tissue.objects.trace import needed
@@ -34,6 +33,7 @@ from tissue.scene.texts import registered_parts, unknown_parts
 from tissue.show.figures.figure import field_words, plain, save, styled
 from tissue.simulation.run_folder import read_summary, summary_of
 from tissue.system.owned_folder import owned_folder
+from tissue.system.progress import Bar, reporting
 from tissue.system.workers import first_done, worker_pool
 
 if TYPE_CHECKING:
