@@ -13,8 +13,8 @@ import pytest
 
 from tissue import InputError, load_scene, simulate
 from tissue.show.viewer.view import _about
-from tissue.simulation.observer import RunObserver
 from tissue.simulation.run_folder import RunFolder, SavedRun
+from tissue.simulation.simulate import RunObserver
 from tissue.system.outputs import OutputLock, identity, is_alive, output_locked
 from tissue.system.stopping import Terminated
 

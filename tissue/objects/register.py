@@ -156,7 +156,7 @@ class register:
 
         def entry(part: Any) -> AnatomyEntry:
             _check_parameters("tissue", name, parameters)
-            return AnatomyEntry(parameters, tool, part, force_N, pictures or {}, faces)
+            return AnatomyEntry((parameters,), tool, part, force_N, pictures or {}, faces)
 
         return _added("tissue", name, build, ANATOMIES, entry)
 

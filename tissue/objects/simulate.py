@@ -14,7 +14,8 @@ from tissue.simulation import simulate as engine
 from tissue.simulation.builders.parts import opened_device
 from tissue.simulation.live.run import LiveSettings
 from tissue.simulation.live.run import live as simulate_live
-from tissue.simulation.observer import Observers, OnTick, Paced, Prioritised, RunObserver, TickRow
+from tissue.simulation.observer import Observers, OnTick, Paced, Prioritised, TickRow
+from tissue.simulation.simulate import RunObserver
 from tissue.system.progress import Bar, reporting
 
 __all__ = ["TickRow", "simulate"]
@@ -67,7 +68,7 @@ def simulate(
         column to value; the run ends if it returns False. Its duration adds to the time between two
         ticks.
     observer
-        Observer of the ticks instead of `on_tick`; see `tissue.simulation.observer.RunObserver`.
+        Observer of the ticks instead of `on_tick`; see `tissue.simulation.simulate.RunObserver`.
     live
         Settings of a run in real time, in a window, in a browser or with a device.
 

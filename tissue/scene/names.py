@@ -53,17 +53,12 @@ class AnatomyEntry:
         name, and return the faces in a window.
     """
 
-    parameters: "tuple[type[Part], ...] | type[Part]"
+    parameters: tuple[type[Part], ...]
     tool: type[Part]
     build: Factory | None = None
     force_N: Factory | None = None
     pictures: Mapping[str, Factory] = field(default_factory=dict)
     faces: Factory | None = None
-
-    @property
-    def variants(self) -> tuple[type[Part], ...]:
-        """Tables for this tissue in a scene."""
-        return self.parameters if isinstance(self.parameters, tuple) else (self.parameters,)
 
 
 @dataclass(frozen=True)

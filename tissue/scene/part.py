@@ -313,11 +313,12 @@ class Part(BaseModel):
     def effective_table(self) -> dict[str, Any]:
         """Return the table for TOML, with its defaults and without keys that have no effect."""
         table = self.model_dump(mode="json", exclude_none=True)
+        idle = self.idle()
         for name in type(self).model_fields:
             value = getattr(self, name)
-            if isinstance(value, Part):
+            if isinstance(value, Part) and name not in idle:
                 table[name] = value.effective_table()
-        for key in self.idle():
+        for key in idle:
             *outer, name = key.split(".")
             inner: Any = table
             for step in outer:
