@@ -32,7 +32,7 @@ from tissue.scene.scene import Scene
 from tissue.scene.texts import registered_parts, unknown_parts
 from tissue.show.figures.figure import field_words, plain, save, styled
 from tissue.simulation.run_folder import read_summary, summary_of
-from tissue.system.owned_folder import owned_folder
+from tissue.system.owned_folder import OwnedFolder
 from tissue.system.progress import Bar, reporting
 from tissue.system.workers import first_done, worker_pool
 
@@ -332,7 +332,7 @@ def sweep(
     run = partial(
         _run, pictures=pictures, compute=compute, cores=cores, allow_unstable=allow_unstable
     )
-    with owned_folder(out, "sweep", (), shared=(*FILES, RECORD)), reporting(progress) as report:
+    with OwnedFolder(out, "sweep", (), shared=(*FILES, RECORD)), reporting(progress) as report:
         left = _unfinished(runs, out, overwrite=overwrite)
         _record([each for each, _ in left], out)
         problems = dict(_results(run, left, workers=min(workers, len(left)), report=report))
