@@ -12,6 +12,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
+from meshes.base.text_tables import shown
 from meshes.base.whole_file import whole_file
 from tissue.evaluation.statistics.metrics import (
     acceleration_change_m_s2,
@@ -22,7 +23,6 @@ from tissue.evaluation.statistics.metrics import (
     spectral_arc_length,
 )
 from tissue.models.tissue_model import TICK_S
-from tissue.scene.named_parts import shown
 from tissue.scene.part import is_file_key
 from tissue.scene.scene import Scene
 from tissue.show.figures.figure import figure, save

@@ -23,6 +23,7 @@ from meshes.base.errors import (
     require_range,
     require_vector,
 )
+from meshes.base.text_tables import unknown_name
 from tissue.cutters import Cutter, ball_burr
 from tissue.haptics.device.device import Device, DeviceParameters, device_parameters
 from tissue.haptics.device.safe_device import run_held
@@ -41,7 +42,6 @@ from tissue.objects.trace import Trace
 from tissue.prediction.guard import GuardedMaker, Observes
 from tissue.scene.coupling import Coupling
 from tissue.scene.coupling import Device as StatedDevice
-from tissue.scene.named_parts import unknown_name
 from tissue.scene.registry import PREDICTORS
 from tissue.scene.scene import Output
 from tissue.scene.used_constants import used_of_device

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
+from meshes.base.text_tables import nearest
 from tissue.objects.trace import Trace
-from tissue.scene.named_parts import nearest
 from tissue.show.figures.figure import COMPONENTS, MAGNITUDE, field_words, plain, styled
 from tissue.show.figures.force_depth import first_descent
 from tissue.show.figures.force_time import mark_events

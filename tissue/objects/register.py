@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from meshes.base.errors import InputError
 from meshes.base.file_limits import require_regular
-from meshes.base.text_tables import read_toml
+from meshes.base.text_tables import nearest, read_toml, shown
 from tissue.materials.constants import Entry, add_material, constants, listed
 from tissue.materials.scene_constants import checked_constant
-from tissue.scene.named_parts import nearest, shown
 from tissue.scene.registry import (
     ANATOMIES,
     CUTTERS,

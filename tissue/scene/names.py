@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tissue.materials.constants import constants, listed
-from tissue.scene.named_parts import Registry
-from tissue.scene.part import Part
+from tissue.scene.part import Part, Registry
 
 __all__ = [
     "CUTTERS",

@@ -20,10 +20,12 @@ from tissue.scene.registry import CUTTERS
 from tissue.scene.scene import Scene, Stress
 from tissue.scene.tool import PathMotion, ReplayMotion, Tool
 from tissue.simulation.builders.bone import VoxelBone
-from tissue.simulation.builders.parts import Parts, motion_of, recorded_file
-from tissue.simulation.builders.tool_path import (
-    keep_clear,
+from tissue.simulation.builders.keep_clear import keep_clear
+from tissue.simulation.builders.parts import (
+    Parts,
+    motion_of,
     reach,
+    recorded_file,
     require_outside,
     require_touch,
     w_first_notice,

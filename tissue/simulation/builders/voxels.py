@@ -41,8 +41,7 @@ from tissue.scene.anatomy import (
     VertebraAnatomy,
 )
 from tissue.scene.scene import Scene
-from tissue.simulation.builders.parts import FILE_WORDS
-from tissue.simulation.builders.tool_path import Corners, box_text, reach, require_whole
+from tissue.simulation.builders.parts import FILE_WORDS, Corners, box_text, reach, require_whole
 
 if TYPE_CHECKING:
     from meshes.surfaces.site import Site
