@@ -10,7 +10,7 @@ from meshes.surfaces.repair import close_seams
 from meshes.voxels.volume import VoxelVolume
 from tissue.simulation.bone_surface import bone_surface as voxel_surface
 from tissue.simulation.bone_surface import smooth_normals, with_layers
-from tissue.simulation.builders.bone import VoxelBone
+from tissue.simulation.builders.cutting import VoxelBone
 from tissue.system.offscreen import quiet_without_display
 
 if TYPE_CHECKING:
