@@ -140,7 +140,7 @@ def test_what_ends_a_run_is_in_its_summary_and_its_trace_is_kept(
     scene = load_scene("milling", QUICK)
     monkeypatch.setattr("tissue.simulation.bone_files.write_bone", fail)
     with pytest.raises(type(error)):
-        simulate(scene, out=out, observer=Ends()).save(out, pictures=False)
+        simulate(scene, out=out, on_tick=Ends()).save(out, pictures=False)
     saved = SavedRun(out)
     assert (saved.status, saved.problem) == (status, problem)
     assert len(saved.trace.rows) == (7 if when == "ticks" else 20)
