@@ -11,6 +11,7 @@ from tissue.haptics.device.safe_device import SafeDevice
 from tissue.objects.run import Run
 from tissue.scene.scene import Scene
 from tissue.show.figures import draw_pictures
+from tissue.simulation import run as runs
 from tissue.simulation import simulate as engine
 from tissue.simulation.builders.parts import opened_device
 from tissue.simulation.live.run import LiveSettings, live
@@ -139,7 +140,7 @@ def _with_fidelity(scene: Scene, report: Progress) -> tuple[Scene, dict[str, str
     return scene, {"fidelity": note}
 
 
-def _shown(run: engine.Run, notes: dict[str, str]) -> Run:
+def _shown(run: runs.Run, notes: dict[str, str]) -> Run:
     """Return a finished run for users, with its notes and its pictures."""
     run.parts.notes |= notes
     run.draw = draw_pictures
