@@ -1,10 +1,11 @@
 """Text from files: TOML and JSON that are not nested too deeply, numbers, and text for display."""
 
+import difflib
 import json
 import math
 import tomllib
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,15 @@ from meshes.base.errors import InputError
 
 __all__ = [
     "DEEPEST",
+    "nearest",
     "number_in",
     "number_or_nan",
     "read_json",
     "read_toml",
     "require_distinct_columns",
     "require_shallow",
+    "shown",
+    "unknown_name",
     "visible",
     "whole_number_in",
 ]
@@ -163,3 +167,40 @@ def visible(text: str) -> str:
         else each
         for each in text
     ).replace("\\n", "\n")
+
+
+LONGEST_SHOWN = 120
+"""Largest number of characters of a value in a message."""
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """Return the most similar known word as a question in brackets, or an empty text."""
+    close = difflib.get_close_matches(word, list(known), n=1)
+    return f" (did you mean {close[0]}?)" if close else ""
+
+
+def unknown_name(key: str, known: Iterable[str], got: object) -> InputError:
+    """Return the error for an unknown name."""
+    known = list(known)
+    word = shown(got)
+    return InputError(
+        key, f"be one of {', '.join(known)}", f"{word}{nearest(word, known)}", "choose one of these"
+    )
+
+
+def shown(value: object) -> str:
+    """Return a value as a user would write it."""
+    if isinstance(value, float):
+        return f"{value:g}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(shown(item) for item in value) + "]"
+    if isinstance(value, Mapping):
+        return "a table"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    text = "".join(each if each.isprintable() else repr(each)[1:-1] for each in str(value))
+    return (
+        text
+        if len(text) <= LONGEST_SHOWN
+        else f"{text[:LONGEST_SHOWN]}... ({len(text)} characters)"
+    )

@@ -1,4 +1,4 @@
-"""Atomic writing of files, which are complete or absent, and the versions that they state."""
+"""Atomic writing of files, checks before they are written, and the versions that they state."""
 
 import os
 from collections.abc import Iterator, Mapping
@@ -6,13 +6,25 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 from uuid import uuid4
 from weakref import WeakSet
 
 from meshes.base.errors import InputError
 
-__all__ = ["OWNERS", "claim", "package_version", "require_version", "whole_file"]
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+__all__ = [
+    "OWNERS",
+    "claim",
+    "package_version",
+    "require_new_file",
+    "require_place",
+    "require_version",
+    "whole_file",
+    "write_columns",
+]
 
 
 class Owner(Protocol):
@@ -114,3 +126,80 @@ def require_version(
             "read it with that version of tissue",
         )
     return stated
+
+
+def require_new_file(path: Path, *, overwrite: bool, name: str = "out") -> None:
+    """Check that a file can be written as a new file or in place of a replaceable regular file.
+
+    Parameters
+    ----------
+    path
+        File to write.
+    overwrite
+        Allow a regular file to be replaced.
+    name
+        Option that names the file, for messages.
+
+    Raises
+    ------
+    InputError
+        If a file exists that may not be replaced, the path is not a regular file, or the folder
+        does not exist.
+    """
+    other = _other_output(name)
+    require_place(path, folder=False, name=name)
+    if os.path.lexists(path) and (path.is_symlink() or not path.is_file()):
+        kind = "symbolic link" if path.is_symlink() else "device or pipe"
+        raise InputError(name, "be a regular file", f"the {kind} {path}", f"choose {other}")
+    if path.exists() and not overwrite:
+        raise InputError(name, "not exist yet", path, f"pass --overwrite or choose {other}")
+    if not path.absolute().parent.is_dir():
+        raise InputError(name, "lie in a folder that exists", path, f"create {path.parent}")
+
+
+def _other_output(name: str) -> str:
+    """Return the advice to choose another output."""
+    return "another --out" if name == "out" else f"another file for --{name}"
+
+
+def require_place(path: Path, *, folder: bool, name: str = "out") -> None:
+    """Check the name of an output and the folder above it, without any change.
+
+    Raises
+    ------
+    InputError
+        If such a file or folder cannot be created there.
+    """
+    choose = f"choose {_other_output(name)}"
+    text = str(path)
+    try:
+        text.encode("utf-8")
+        is_named = "\0" not in text
+    except UnicodeEncodeError:
+        is_named = False
+    if not is_named:
+        raise InputError(name, "be a name in UTF-8 without NUL", f"{text!r}", choose)
+    if not folder and path.is_dir():
+        raise InputError(name, "be a file", f"the folder {path}", "add the name of a file")
+    place = path.absolute()
+    existing = next(each for each in (place, *place.parents) if os.path.lexists(each))
+    if existing.is_symlink() and not existing.exists():
+        raise InputError(name, "not use a symbolic link that leads nowhere", existing, choose)
+    if existing == place and not folder:
+        existing = place.parent
+    if not existing.is_dir():
+        if existing == place:
+            raise InputError(name, "be a folder", f"the file {path}", choose)
+        raise InputError(name, "lie in a folder", f"{path} under the file {existing}", choose)
+    if not os.access(existing, os.W_OK | os.X_OK):
+        raise InputError(name, "be writable", f"permission denied at {existing}", choose)
+
+
+def write_columns(path: Path, columns: "Mapping[str, ArrayLike]") -> None:
+    """Write columns of equal length as CSV with their names, with all digits."""
+    import numpy as np  # not needed by the other functions, which the command line imports
+
+    rows = zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True)
+    lines = [",".join(columns), *(",".join(map(repr, row)) for row in rows)]
+    with whole_file(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", "utf-8")

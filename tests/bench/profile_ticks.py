@@ -21,9 +21,8 @@ from tissue.evaluation.charts.measure import excerpt
 from tissue.evaluation.charts.settings import by_hand
 from tissue.scene.load import changed, load_scene, scene_names
 from tissue.scene.scene import Scene
-from tissue.simulation.observer import RunObserver
 from tissue.simulation.run import Run
-from tissue.simulation.simulate import simulate
+from tissue.simulation.simulate import RunObserver, simulate
 from tissue.simulation.trace import TIMING_COLUMNS
 
 STAGES = tuple(name.removesuffix("_us") for name in TIMING_COLUMNS[1:])

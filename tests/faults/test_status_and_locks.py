@@ -13,13 +13,13 @@ import pytest
 
 from tissue import InputError, load_scene, simulate
 from tissue.show.viewer.view import _about
-from tissue.simulation.observer import RunObserver
 from tissue.simulation.run_folder import RunFolder, SavedRun
-from tissue.system.outputs import OutputLock, identity, is_alive, output_locked
+from tissue.simulation.simulate import RunObserver
+from tissue.system.owned_folder import OutputLock, identity, is_alive
 from tissue.system.stopping import Terminated
 
 QUICK = {"voxels.spacing_mm": 0.8, "duration_s": 0.02}
-HOLD = "import sys; from pathlib import Path; from tissue.system.outputs import OutputLock; \
+HOLD = "import sys; from pathlib import Path; from tissue.system.owned_folder import OutputLock; \
 held = OutputLock(Path(sys.argv[1]), folder=sys.argv[2] == 'folder'); print('held', flush=True); sys.stdin.read()"
 
 
@@ -56,7 +56,7 @@ def test_a_second_process_is_kept_off_and_the_owner_is_named(tmp_path, holder, k
             OutputLock(out, folder=kind == "folder")
     process.kill()
     process.wait()
-    with output_locked(out, folder=kind == "folder"):
+    with OutputLock(out, folder=kind == "folder"):
         pass
     assert not out.exists() or not list(out.iterdir())
 
@@ -140,7 +140,7 @@ def test_what_ends_a_run_is_in_its_summary_and_its_trace_is_kept(
     scene = load_scene("milling", QUICK)
     monkeypatch.setattr("tissue.simulation.bone_files.write_bone", fail)
     with pytest.raises(type(error)):
-        simulate(scene, out=out, observer=Ends()).save(out, pictures=False)
+        simulate(scene, out=out, on_tick=Ends()).save(out, pictures=False)
     saved = SavedRun(out)
     assert (saved.status, saved.problem) == (status, problem)
     assert len(saved.trace.rows) == (7 if when == "ticks" else 20)
@@ -167,7 +167,7 @@ def test_what_ends_a_run_is_in_its_summary_and_its_trace_is_kept(
 )
 def test_no_command_writes_what_another_process_writes(tmp_path, refused, kind, command_line):
     out = tmp_path / kind
-    with output_locked(out, folder=kind == "folder"):
+    with OutputLock(out, folder=kind == "folder"):
         before = sorted(each.relative_to(tmp_path) for each in tmp_path.rglob("*"))
         message = refused(*command_line, "--out", out)
         assert message.startswith(

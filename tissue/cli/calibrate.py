@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from meshes.base.errors import InputError
 from tissue.cli.terminal import Flag, MaybeWhole, Whole, console, left_out, problems
-from tissue.system.outputs import output_locked
+from tissue.system.owned_folder import OutputLock
 from tissue.system.stopping import Terminated
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def calibrate(
         from tissue.evaluation.calibration.population_fit import fit_population
 
         target = out or Path("population.json")
-        with output_locked(target, folder=False):
+        with OutputLock(target, folder=False):
             lines = fit_population(
                 population, target, seed=seed, overwrite=overwrite, progress=problems.is_terminal
             )
@@ -101,7 +101,7 @@ def calibrate(
         numbers=NUMBERS if numbers is None else numbers,
         force_limit_N=limit_N,
     )
-    with output_locked(target, folder=False):
+    with OutputLock(target, folder=False):
         _session(target, name, plan, answer, live=not ask, overwrite=overwrite)
 
 

@@ -3,7 +3,8 @@
 from pathlib import Path
 
 from meshes.base.errors import InputError
-from tissue.cli.terminal import Flag, MaybeWhole, console, left_out, progress
+from tissue.cli.terminal import Flag, MaybeWhole, console, left_out
+from tissue.system.progress import progress
 
 __all__ = ["chart"]
 

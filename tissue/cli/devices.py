@@ -93,12 +93,12 @@ def _limits(found: "FoundDevice") -> str:
 def _test(
     name: str, address: str, seconds: float, out: Path | None, *, yes: bool, overwrite: bool
 ) -> None:
+    from meshes.base.text_tables import unknown_name
+    from meshes.base.whole_file import require_new_file
     from tissue.haptics.real.adapter import adapter_class
     from tissue.haptics.real.self_test import BUMP_N, BUMP_S, bump, self_test, write_measured
     from tissue.scene.coupling import Hardware
-    from tissue.scene.named_parts import unknown_name
     from tissue.scene.registry import DEVICES
-    from tissue.system.outputs import require_new_file
 
     known = [each for each in DEVICES if DEVICES[each].has_adapter]
     if name not in known:

@@ -9,8 +9,8 @@ from tissue.cli.terminal import (
     Overrides,
     Texts,
     console,
-    progress,
 )
+from tissue.system.progress import progress
 
 __all__ = ["fit"]
 

@@ -7,7 +7,8 @@ from typing import Any, Literal
 from cyclopts import Parameter
 
 from meshes.base.errors import InputError, names_of_caller
-from tissue.cli.terminal import Flag, MaybeWhole, MemoryGB, Texts, console, progress
+from tissue.cli.terminal import Flag, MaybeWhole, MemoryGB, Texts, console
+from tissue.system.progress import progress
 
 __all__ = ["import_"]
 

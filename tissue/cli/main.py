@@ -134,7 +134,7 @@ def install_completion(*, shell: str | None = None) -> None:
     """
     from cyclopts.completion.detect import ShellDetectionError, detect_shell
 
-    from tissue.scene.named_parts import unknown_name
+    from meshes.base.text_tables import unknown_name
 
     chosen = shell
     if chosen is None:
@@ -228,7 +228,7 @@ def _plain_warnings() -> Iterator[None]:
 
 def _print_offered() -> None:
     """Print names that installed packages add to those in a command's help."""
-    from tissue.scene.named_parts import offered_names
+    from tissue.scene.plugins import offered_names
 
     if offered := offered_names():
         console.print(
@@ -262,7 +262,7 @@ def _refuse(sentence: str, *, code: int = BAD_INPUT) -> NoReturn:
 
 def _usage(error: CycloptsError) -> str:
     """Return one sentence for a command line that cannot be parsed."""
-    from tissue.scene.named_parts import nearest
+    from meshes.base.text_tables import nearest
 
     command = " ".join(["tissue", *(error.command_chain or ())])
     match error:

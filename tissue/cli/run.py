@@ -18,8 +18,8 @@ from tissue.cli.terminal import (
     Texts,
     console,
     left_out,
-    progress,
 )
+from tissue.system.progress import progress
 
 if TYPE_CHECKING:
     from tissue.scene.scene import Scene
@@ -279,11 +279,14 @@ def run(
         # In a live run a progress bar would take the interpreter from the ticks.
         with nullcontext(silent) if live.live else progress() as report:
             report("starting Warp", 0.0)
-            from tissue.objects.simulate import simulate
+            from tissue.objects.simulate import simulate, simulate_live
 
-            if how is not None:
+            options = {"out": folder, "progress": report, **asdict(engine)}
+            if how is None:
+                finished = simulate(loaded, **options)
+            else:
                 console.print(f"live: {how.mover(loaded)[1]}; Ctrl-C ends it")
-            finished = simulate(loaded, out=folder, progress=report, live=how, **asdict(engine))
+                finished = simulate_live(loaded, how, **options)
         simulated = perf_counter()
         with progress() as report:
             finished.save(folder, formats=files.format_, pictures=drawn, progress=report)

@@ -8,7 +8,8 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from meshes.base.progress import silent
-from tissue.cli.terminal import Flag, Texts, console, left_out, progress
+from tissue.cli.terminal import Flag, Texts, console, left_out
+from tissue.system.progress import progress
 
 __all__ = ["assess", "compare", "report", "view"]
 

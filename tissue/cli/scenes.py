@@ -43,9 +43,8 @@ def schema(*, out: Path | None = None, overwrite: Flag = False) -> None:
     overwrite
         Replace an existing file.
     """
-    from meshes.base.whole_file import whole_file
+    from meshes.base.whole_file import require_new_file, whole_file
     from tissue.scene.texts import schema_text
-    from tissue.system.outputs import require_new_file
 
     if out is None:
         left_out("where the schema is printed", "give --out or leave it out", overwrite=overwrite)

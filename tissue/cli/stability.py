@@ -3,7 +3,8 @@
 from pathlib import Path
 
 from meshes.base.errors import InputError
-from tissue.cli.terminal import Flag, Overrides, Texts, console, left_out, problems, progress
+from tissue.cli.terminal import Flag, Overrides, Texts, console, left_out, problems
+from tissue.system.progress import progress
 
 __all__ = ["stability"]
 

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
-from tissue.cli.terminal import Flag, MaybeWhole, Whole, console, left_out, problems, progress
+from tissue.cli.terminal import Flag, MaybeWhole, Whole, console, left_out, problems
+from tissue.system.progress import progress
 
 if TYPE_CHECKING:
     from tissue.evaluation.study.plan import Plan

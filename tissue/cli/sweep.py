@@ -1,12 +1,18 @@
 """``tissue sweep``."""
 
+import csv
 import os
 import sys
+import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 
-from tissue.cli.terminal import Flag, MaybeWhole, Overrides, console, problems, progress
+from meshes.base.errors import InputError
+from meshes.base.text_tables import read_toml
+from tissue.cli.terminal import Flag, MaybeWhole, Overrides, console, problems
+from tissue.system.progress import progress
 
-__all__ = ["sweep"]
+__all__ = ["parse_values", "sweep"]
 
 
 def sweep(
@@ -49,7 +55,6 @@ def sweep(
     """
     from rich.table import Table
 
-    from tissue.objects.sweep import parse_values
     from tissue.objects.sweep import sweep as swept
     from tissue.scene.load import load_scene
 
@@ -87,3 +92,37 @@ def sweep(
     )
     if found.failures:
         sys.exit(1)
+
+
+def parse_values(texts: Sequence[str]) -> dict[str, list[object]]:
+    """Parse values by key from ``key=value,value``.
+
+    A comma within brackets or quotes belongs to a value.
+
+    Raises
+    ------
+    InputError
+        If there is no ``=``, a value is empty, or a key is repeated.
+    """
+    from tissue.scene.load import parse_override
+
+    found: dict[str, list[object]] = {}
+    for text in texts:
+        key, _, listed = text.partition("=")
+        key = key.strip()
+        try:
+            pieces = next(csv.reader([listed], skipinitialspace=True), [])
+        except csv.Error:  # such as a line break
+            pieces = []
+        if not pieces or not all(pieces) or key in found:
+            raise InputError(
+                "--set",
+                "be key=value,value, each key once",
+                text,
+                "use for example voxels.spacing_mm=0.2,0.4",
+            )
+        try:
+            found[key] = read_toml(f"values = [{listed}]")["values"]
+        except tomllib.TOMLDecodeError:  # such as words without quotes
+            found[key] = [parse_override(f"{key}={piece}")[1] for piece in pieces]
+    return found

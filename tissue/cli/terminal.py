@@ -1,17 +1,13 @@
-"""Terminal output shared by all commands: consoles, progress bar, and whole numbers."""
+"""Terminal output shared by all commands: consoles, types of options, and whole numbers."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from time import perf_counter
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 from cyclopts import CoercionError, Parameter, Token
 from rich.console import Console
 
 from meshes.base.errors import InputError
-from meshes.base.progress import Progress
 from meshes.base.text_tables import visible, whole_number_in
-from tissue.objects.progress import terminal_bar
 
 __all__ = [
     "Flag",
@@ -23,12 +19,7 @@ __all__ = [
     "console",
     "left_out",
     "problems",
-    "progress",
 ]
-
-
-QUIET_S = 30.0
-"""Time between two lines of progress without a terminal for a bar [s]."""
 
 
 class _Terminal(Console):
@@ -77,26 +68,3 @@ def left_out(where: str, remedy: str, **flags: object) -> None:
         if value is not None and value is not False and value != ():
             got = "it" if value is True else value
             raise InputError(f"--{name.replace('_', '-')}", f"be left out {where}", got, remedy)
-
-
-@contextmanager
-def progress() -> Iterator[Progress]:
-    """Show a progress bar, or print a line at intervals without a terminal.
-
-    Yields
-    ------
-    Function that is called with the present work and its completed share.
-    """
-    if problems.is_terminal:
-        with terminal_bar(problems) as report:
-            yield report
-        return
-    printed_s = perf_counter()
-
-    def print_sometimes(doing: str, share: float) -> None:
-        nonlocal printed_s
-        if perf_counter() - printed_s >= QUIET_S:
-            printed_s = perf_counter()
-            problems.print(f"{doing}, {100.0 * share:.0f} %")
-
-    yield print_sometimes

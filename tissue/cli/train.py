@@ -2,8 +2,9 @@
 
 from pathlib import Path
 
-from tissue.cli.terminal import Flag, MaybeWhole, Overrides, Whole, console, progress
-from tissue.system.outputs import output_locked
+from tissue.cli.terminal import Flag, MaybeWhole, Overrides, Whole, console
+from tissue.system.owned_folder import OutputLock
+from tissue.system.progress import progress
 
 __all__ = ["train"]
 
@@ -37,14 +38,14 @@ def train(
     overwrite
         Replace the file.
     """
+    from meshes.base.whole_file import require_new_file
     from tissue.scene.load import load_scene, parse_overrides
     from tissue.scene.registry import PREDICTORS
-    from tissue.system.outputs import require_new_file
 
     loaded = load_scene(scene, parse_overrides(set_))
     path = out or Path(f"{loaded.name}.npz")
     require_new_file(path, overwrite=overwrite)
-    with output_locked(path, folder=False), progress() as report:
+    with OutputLock(path, folder=False), progress() as report:
         report("starting Warp", 0.0)
         from tissue.evaluation.training import train as trained_on
 

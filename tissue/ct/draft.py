@@ -16,7 +16,7 @@ from meshes.ct.labels import Labels
 from meshes.images.frame import Image
 from meshes.surfaces.surface import Surface
 from tissue.scene.scene import Scene
-from tissue.system.owned_folder import listed_files, owned_folder
+from tissue.system.owned_folder import OwnedFolder, listed_files
 
 __all__ = [
     "RECORD",
@@ -84,7 +84,7 @@ class Draft:
             "files": names,
         }
         sentences = list(self.sentences)
-        with owned_folder(
+        with OwnedFolder(
             out, "import", {*names, *listed_files(out).get("import", ())}, overwrite=overwrite
         ):
             _write_text(out / RECORD, json.dumps(record, indent=2, ensure_ascii=False) + "\n")

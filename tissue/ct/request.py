@@ -20,6 +20,7 @@ from meshes.base.errors import (
     require_range,
 )
 from meshes.base.progress import Progress
+from meshes.base.text_tables import nearest
 from meshes.ct.extraction import Box, kept_label
 from meshes.ct.labels import Labels, on_grid_of, read_labels
 from meshes.images.frame import Image
@@ -29,7 +30,6 @@ from meshes.surfaces.landmarks import find_site
 from meshes.surfaces.markups import TO_LPS, read_site
 from meshes.surfaces.site import Site, place_site
 from meshes.surfaces.surface import Surface, surface_from_triangles
-from tissue.scene.named_parts import nearest
 
 __all__ = [
     "NAMED_SITES",

@@ -22,7 +22,7 @@ from tissue.models.tissue_model import TICK_S, Response, TissueModel, ToolMotion
 from tissue.motion.motion import Motion
 from tissue.scene.used_constants import used_of_cutting
 from tissue.simulation.builders.arguments import given_note
-from tissue.simulation.builders.bone import VoxelBone
+from tissue.simulation.builders.cutting import VoxelBone
 from tissue.simulation.loop import Stepper
 
 if TYPE_CHECKING:

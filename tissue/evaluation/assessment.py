@@ -12,6 +12,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
+from meshes.base.text_tables import shown
 from meshes.base.whole_file import whole_file
 from tissue.evaluation.statistics.metrics import (
     acceleration_change_m_s2,
@@ -22,14 +23,13 @@ from tissue.evaluation.statistics.metrics import (
     spectral_arc_length,
 )
 from tissue.models.tissue_model import TICK_S
-from tissue.scene.named_parts import shown
 from tissue.scene.part import is_file_key
 from tissue.scene.scene import Scene
 from tissue.show.figures.figure import figure, save
 from tissue.simulation.bone_surface import tool_axes
 from tissue.simulation.run_folder import Summary
 from tissue.simulation.trace import Table
-from tissue.system.owned_folder import owned_folder, require_folder
+from tissue.system.owned_folder import OwnedFolder, require_folder
 
 __all__ = [
     "AssessedRun",
@@ -310,7 +310,7 @@ def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> lis
         "notes": list(found.notes),
         "events": [{"time_s": at, "what": what} for at, what in found.events],
     }
-    with owned_folder(folder, "assessment", FILES, overwrite=overwrite):
+    with OwnedFolder(folder, "assessment", FILES, overwrite=overwrite):
         with whole_file(folder / FILES[0]) as temporary:
             temporary.write_text(json.dumps(data, indent=2) + "\n", "utf-8")
         _draw(found, folder / FILES[1])

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from meshes.base.errors import InputError
+from meshes.base.whole_file import write_columns
 from tissue.haptics.hand.hand import hand_parameters
 from tissue.haptics.loop.critical_stiffness import in_hands
 from tissue.haptics.loop.stability_map import StabilityChart, StabilityMap, stability_map
@@ -14,8 +15,7 @@ from tissue.scene.registry import DEVICES
 from tissue.scene.scene import Scene
 from tissue.show.figures.figure import figure, save
 from tissue.simulation.builders.loop import judged_loop, loop_settings
-from tissue.system.outputs import write_columns
-from tissue.system.owned_folder import owned_folder, require_folder
+from tissue.system.owned_folder import OwnedFolder, require_folder
 
 __all__ = ["scene_stability", "stability_lines", "write_stability_files"]
 
@@ -96,7 +96,7 @@ def write_stability_files(
     InputError
         If the folder is a file, or holds another map.
     """
-    with owned_folder(folder, "map", FILES, overwrite=overwrite):
+    with OwnedFolder(folder, "map", FILES, overwrite=overwrite):
         _draw_stability(
             found, folder / FILES[0], title=f"{scene.name}: {scene.held.kind}, {scene.held.hand}"
         )

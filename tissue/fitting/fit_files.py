@@ -13,7 +13,7 @@ import numpy as np
 import tomli_w
 
 from meshes.base.arrays import Array
-from meshes.base.whole_file import package_version, whole_file
+from meshes.base.whole_file import package_version, whole_file, write_columns
 from tissue.fitting.fit import ConstantFit, SceneFit
 from tissue.show.figures.fit_pictures import (
     FittedConstant,
@@ -22,8 +22,7 @@ from tissue.show.figures.fit_pictures import (
     draw_residuals,
 )
 from tissue.system.html import html_page, html_picture
-from tissue.system.outputs import write_columns
-from tissue.system.owned_folder import owned_folder
+from tissue.system.owned_folder import OwnedFolder
 
 __all__ = ["FILES", "FittedEntry", "write_fit", "write_fitted"]
 
@@ -148,7 +147,7 @@ def write_fit(fit: SceneFit, folder: Path, *, overwrite: bool) -> list[Path]:
         columns[f"measured_{name}"] = log.values[:, at]
         columns[f"simulated_{name}"] = simulated[:, at]
     digest = sha256(fit.path.read_bytes()).hexdigest()
-    with owned_folder(folder, "fit", FILES, overwrite=overwrite):
+    with OwnedFolder(folder, "fit", FILES, overwrite=overwrite):
         _write_constants(fit, folder / "fitted.toml", digest)
         draw_measured(log.times_s, log.values, simulated, log.channels, folder / "measured.png")
         residuals = folder / "residuals.png"

@@ -1,4 +1,9 @@
-"""Simulation of a hand that presses a device onto a rigid wall, tick by tick, without a tissue."""
+"""Simulation of a hand that presses a device onto a rigid wall, tick by tick, without a tissue.
+
+The run has its own loop. The stepper of `tissue.simulation` is in a higher layer, and moves a tool
+through a tissue in ticks of 1 ms. Here there is neither tool nor tissue, and a tick lasts one
+sampling period of the device.
+"""
 
 from dataclasses import dataclass, replace
 

@@ -31,7 +31,7 @@ from tissue.scene.part import SURFACE_SUFFIXES
 from tissue.scene.scene import Cutting
 from tissue.scene.used_constants import used_of_cutting
 from tissue.simulation.builders.arguments import given_note, require_known, stated
-from tissue.simulation.builders.bone import VoxelBone, element_spacing_m
+from tissue.simulation.builders.cutting import VoxelBone, element_spacing_m
 
 if TYPE_CHECKING:
     import pyvista

@@ -8,10 +8,10 @@ import numpy as np
 from meshes.base.arrays import Array, Bytes
 from meshes.surfaces.repair import close_seams
 from meshes.voxels.volume import VoxelVolume
-from tissue.objects.progress import quiet_without_display
 from tissue.simulation.bone_surface import bone_surface as voxel_surface
 from tissue.simulation.bone_surface import smooth_normals, with_layers
-from tissue.simulation.builders.bone import VoxelBone
+from tissue.simulation.builders.cutting import VoxelBone
+from tissue.system.offscreen import quiet_without_display
 
 if TYPE_CHECKING:
     import pyvista

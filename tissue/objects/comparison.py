@@ -15,7 +15,7 @@ from tissue.objects.html import figures_of, table_html
 from tissue.objects.run import Run
 from tissue.objects.trace import needed
 from tissue.scene.scene import Scene
-from tissue.system.owned_folder import owned_folder, require_folder
+from tissue.system.owned_folder import OwnedFolder, require_folder
 
 if TYPE_CHECKING:
     import numpy as np
@@ -158,7 +158,7 @@ class Comparison:
         require_folder(out, KIND, FILES, overwrite=overwrite)
         panels = self.plot(over)
         titles, rows = self.rows()
-        with owned_folder(out, KIND, FILES, overwrite=overwrite):
+        with OwnedFolder(out, KIND, FILES, overwrite=overwrite):
             lines = [[figure, *values] for figure, values in rows]
             write_rows(out / FILES[0], ["figure", *titles], lines)
             save(panels[0].figure, out / FILES[1])

@@ -24,7 +24,7 @@ from tissue.motion.replay import GivenPoses
 from tissue.objects.cut import Cut
 from tissue.scene.scene import Output
 from tissue.simulation.builders.arguments import surface_of
-from tissue.simulation.builders.bone import VoxelBone, tool_boxes
+from tissue.simulation.builders.cutting import VoxelBone, tool_boxes
 from tissue.simulation.builders.parts import Parts
 from tissue.simulation.loop import Loop, undisturbed
 

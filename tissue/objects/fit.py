@@ -8,8 +8,8 @@ from meshes.base.file_limits import memory_limit
 from tissue.fitting.fit import SceneFit, fit_scene
 from tissue.fitting.fit_files import verdicts, write_fit
 from tissue.fitting.log import read_log
-from tissue.objects.progress import Bar, reporting
 from tissue.scene.scene import Scene
+from tissue.system.progress import Bar, reporting
 
 if TYPE_CHECKING:
     import pandas

@@ -23,6 +23,7 @@ from meshes.base.errors import (
     require_range,
     require_vector,
 )
+from meshes.base.text_tables import unknown_name
 from tissue.cutters import Cutter, ball_burr
 from tissue.haptics.device.device import Device, DeviceParameters, device_parameters
 from tissue.haptics.device.safe_device import run_held
@@ -30,18 +31,18 @@ from tissue.haptics.hand_motion import Script
 from tissue.materials.scene_constants import Materials
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import TICK_S, TissueModel
-from tissue.motion.motion import StaysAt, frame_along
+from tissue.motion.motion import StaysAt
 from tissue.objects.bone import Bone
 from tissue.objects.cut import saved_table
 from tissue.objects.cutting import Structures, clearance_of, warn_of
 from tissue.objects.organ import Organ
+from tissue.objects.press import organ_around
 from tissue.objects.simulate import TickRow
 from tissue.objects.tools import PressingTool, ball
 from tissue.objects.trace import Trace
 from tissue.prediction.guard import GuardedMaker, Observes
 from tissue.scene.coupling import Coupling
 from tissue.scene.coupling import Device as StatedDevice
-from tissue.scene.named_parts import unknown_name
 from tissue.scene.registry import PREDICTORS
 from tissue.scene.scene import Output
 from tissue.scene.used_constants import used_of_device
@@ -64,8 +65,6 @@ LONGEST_S = 3600.0
 """Longest duration of a loop for which rows are allocated [s]."""
 CLEARANCE_MM = 2.0
 """Default height of the tool above the surface at the start [mm]."""
-ACROSS = 7
-"""Number of points across the reach at which contact with an organ is searched for."""
 ARGUMENTS = {
     **{f"coupling.{key}": key for key in Coupling.model_fields},
     "output.low_pass_ms": "low_pass_ms",
@@ -252,7 +251,7 @@ class Loop:
             clear = clearance_of(keep_clear, cutter)
         else:
             assert probe is not None
-            model = _organ(tissue, probe, start_m, along, reach_m=reach_m)
+            model = organ_around(tissue.soft, probe, start_m, along, reach_m=reach_m)
             self._keep_ready = lambda tip_m: None
         self.notes = dict(tissue.notes) | _constants_note(constants, tissue, options)
         self.notes["coupling"] = "; ".join(found)
@@ -384,23 +383,6 @@ class Loop:
             f"Loop({type(self._motion.device).__name__}, {self.ticks} ticks; "
             f"{self.notes['coupling']})"
         )
-
-
-def _organ(
-    organ: Organ, tool: PressingTool, start_m: Array, axis: Array, *, reach_m: float
-) -> TissueModel:
-    """Return an organ under a pressing tool, within `reach_m` around and below its start."""
-    from tissue.models.organ.model import ContactSolution, LiverModel
-    from tissue.models.organ.soft_organ import ToolPath
-
-    turn = frame_along((float(axis[0]), float(axis[1]), float(axis[2])))
-    across = np.linspace(-reach_m, reach_m, ACROSS)
-    x, y, z = (
-        each.ravel() for each in np.meshgrid(across, across, np.linspace(0.0, -reach_m, ACROSS))
-    )
-    tips = start_m + np.column_stack([x, y, z]) @ turn.T
-    path = ToolPath(tool.shape, tips, np.broadcast_to(turn, (len(tips), 3, 3)))
-    return LiverModel(organ.soft, path, ContactSolution("condensed"))
 
 
 def _start_above(tissue: Bone | Organ, axis: Array) -> Array:

@@ -3,10 +3,10 @@
 from typing import TYPE_CHECKING
 
 from meshes.base.errors import InputError
+from meshes.base.text_tables import nearest
 from tissue.materials.constants import Constant, constants, listed
 from tissue.objects.html import table_html
 from tissue.objects.trace import needed
-from tissue.scene.named_parts import nearest
 
 if TYPE_CHECKING:
     import pandas

@@ -20,8 +20,8 @@ from meshes.base.progress import Progress, silent
 from meshes.tets.tetrahedra import grid_of
 from tissue.objects.html import table_html
 from tissue.objects.press import MATTE, Press, new_plotter, press_at, shaded
-from tissue.objects.progress import quiet_without_display
 from tissue.objects.tools import PressingTool
+from tissue.system.offscreen import quiet_without_display
 
 if TYPE_CHECKING:
     from os import PathLike

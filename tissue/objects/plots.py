@@ -1,16 +1,16 @@
-"""Plots of a trace, and of several runs over each other."""
+"""Plots of a trace, of several runs over each other, and of figures over a swept value."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import cycle
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
+from meshes.base.text_tables import nearest
 from tissue.objects.trace import Trace
-from tissue.scene.named_parts import nearest
 from tissue.show.figures.figure import COMPONENTS, MAGNITUDE, field_words, plain, styled
 from tissue.show.figures.force_depth import first_descent
 from tissue.show.figures.force_time import mark_events
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from tissue.simulation.trace import Table
 
-__all__ = ["COLOURS", "overlay", "plot_columns"]
+__all__ = ["COLOURS", "overlay", "plot_columns", "plot_figures"]
 
 
 FORCE_AND_TORQUE = tuple(
@@ -203,3 +203,61 @@ def _colour(number: int, count: int) -> object:
     from matplotlib import colormaps
 
     return colormaps["viridis"](number / (count - 1))
+
+
+@styled
+def plot_figures(
+    lines: Mapping[str, Sequence[tuple[object, Mapping[str, float]]]],
+    names: Sequence[str],
+    *,
+    over: str,
+    title: str,
+) -> NDArray[np.object_]:
+    """Draw figures of runs over a swept value, with a line for each group of runs.
+
+    Parameters
+    ----------
+    lines
+        Value and figures of each run, by the label of its line.
+    names
+        Figures to draw, one in a panel.
+    over
+        Name of the value.
+    title
+        Title of the legend; empty for a single line without a legend.
+
+    Returns
+    -------
+    The panels, shape (names,).
+    """
+    from matplotlib import pyplot
+
+    columns = min(len(names), 3)
+    rows = -(-len(names) // columns)
+    size = 3.2 * columns, 2.4 * rows + 0.3
+    chart, grid = pyplot.subplots(rows, columns, squeeze=False, figsize=size, layout="constrained")
+    panels, empty = np.split(grid.ravel(), [len(names)])
+    for axes in empty:
+        axes.remove()
+    for axes, name in zip(panels, names, strict=True):
+        for number, (label, runs) in enumerate(lines.items()):
+            points = [(_place_of(value), found[name]) for value, found in runs if name in found]
+            if not any(isinstance(place, str) for place, _ in points):
+                points.sort()
+            look = {"marker": "o", "markersize": 3.5, "color": COLOURS[number % len(COLOURS)]}
+            axes.plot(*zip(*points, strict=True), label=label, **look)
+        axes.set_title(field_words(name), loc="left")
+        axes.set_xlabel(over, parse_math=False)
+    plain(panels)
+    for axes in panels:
+        axes.margins(x=0.05)
+    if title:
+        entries = panels[0].get_legend_handles_labels()
+        chart.legend(*entries, loc="outside upper left", ncols=6, title=title)
+    return np.asarray(panels)
+
+
+def _place_of(value: Any) -> float | str:
+    """Return a swept value as a place on an axis: a number, or a text for any other value."""
+    is_number = isinstance(value, float | int) and not isinstance(value, bool)
+    return value if is_number else str(value)

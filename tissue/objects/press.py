@@ -16,9 +16,9 @@ from meshes.tets.tetrahedra import TetMesh, grid_of
 from tissue.models.organ.probe import ProbeShape, SphereProbe
 from tissue.motion.motion import frame_along
 from tissue.objects.html import table_html
-from tissue.objects.progress import quiet_without_display
 from tissue.objects.tools import PressingTool
 from tissue.objects.trace import needed
+from tissue.system.offscreen import quiet_without_display
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,8 +26,9 @@ if TYPE_CHECKING:
 
     from tissue.models.organ.press import PressCurve
     from tissue.models.organ.soft_organ import SoftOrgan
+    from tissue.models.tissue_model import TissueModel
 
-__all__ = ["MATTE", "Press", "new_plotter", "press_at", "shaded"]
+__all__ = ["MATTE", "Press", "new_plotter", "organ_around", "press_at", "shaded"]
 
 SLOPE_SHARE = 0.1
 """Share of the depth, at its end, over which the stiffness is computed."""
@@ -47,6 +48,8 @@ longer.
 """
 WORDS = {"point_m": "at_mm", "motion": "at_mm", "touch_edge_m": "edges of the mesh"}
 """Names of the caller's arguments, by the names that the press uses."""
+ACROSS = 7
+"""Number of points across the reach at which a loop searches for contact."""
 TOOL = (0.45, 0.48, 0.52)
 COLOURS = "YlOrRd"
 """Colour map that is light where the displacement is small."""
@@ -435,3 +438,20 @@ def new_plotter(options: dict[str, Any]) -> pyvista.Plotter:
     plotter = pyvista.Plotter(**mine)
     plotter.background_color = pyvista.Color("white")
     return plotter
+
+
+def organ_around(
+    organ: SoftOrgan, tool: PressingTool, start_m: Array, axis: Array, *, reach_m: float
+) -> TissueModel:
+    """Return an organ under a pressing tool, within `reach_m` around and below its start."""
+    from tissue.models.organ.model import ContactSolution, LiverModel
+    from tissue.models.organ.soft_organ import ToolPath
+
+    turn = frame_along((float(axis[0]), float(axis[1]), float(axis[2])))
+    across = np.linspace(-reach_m, reach_m, ACROSS)
+    x, y, z = (
+        each.ravel() for each in np.meshgrid(across, across, np.linspace(0.0, -reach_m, ACROSS))
+    )
+    tips = start_m + np.column_stack([x, y, z]) @ turn.T
+    path = ToolPath(tool.shape, tips, np.broadcast_to(turn, (len(tips), 3, 3)))
+    return LiverModel(organ, path, ContactSolution("condensed"))

@@ -1,11 +1,8 @@
 """Registration of user-defined parts by the names that scenes use: `tissue.register`."""
 
-import inspect
 import re
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, fields
-from itertools import chain
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -14,7 +11,15 @@ from meshes.base.file_limits import require_regular
 from meshes.base.text_tables import read_toml
 from tissue.materials.constants import LINEAR, Entry, add_material, constants, listed
 from tissue.materials.scene_constants import checked_constant
-from tissue.scene.named_parts import nearest, shown
+from tissue.objects.part_checks import (
+    NAME,
+    check_callable,
+    check_looks,
+    check_name,
+    check_parameters,
+    check_profile,
+    checked_numbers,
+)
 from tissue.scene.registry import (
     ANATOMIES,
     CUTTERS,
@@ -46,8 +51,6 @@ __all__ = ["register"]
 
 
 F = TypeVar("F")
-COLOUR = "#D55E00"
-MARKER = "*"
 
 
 class register:
@@ -78,7 +81,7 @@ class register:
         """
 
         def entry(part: Any) -> CutterEntry:
-            _check_profile(name, part, keys)
+            check_profile(name, part, keys)
             return CutterEntry(part, tuple(keys))
 
         return _added("tool", name, profile, CUTTERS, entry)
@@ -116,7 +119,7 @@ class register:
         """
 
         def entry(part: Any) -> MotionEntry:
-            _check_parameters("motion", name, parameters)
+            check_parameters("motion", name, parameters)
             return MotionEntry(parameters, part)
 
         methods = ("sweep_m", "rotations", "begin", "advance")
@@ -155,8 +158,8 @@ class register:
         """
 
         def entry(part: Any) -> AnatomyEntry:
-            _check_parameters("tissue", name, parameters)
-            return AnatomyEntry(parameters, tool, part, force_N, pictures or {}, faces)
+            check_parameters("tissue", name, parameters)
+            return AnatomyEntry((parameters,), tool, part, force_N, pictures or {}, faces)
 
         return _added("tissue", name, build, ANATOMIES, entry)
 
@@ -189,11 +192,11 @@ class register:
         """
         from tissue.haptics.device.device import DeviceParameters
 
-        _check_name("device", name)
-        given = _check_numbers_of(DeviceParameters, numbers, needed=("mass_kg", "damping_N_s_m"))
+        check_name("device", name)
+        given = checked_numbers(DeviceParameters, numbers, needed=("mass_kg", "damping_N_s_m"))
 
         def opens(part: Any) -> Any:
-            _check_callable_part("device", name, part, ("read", "command"))
+            check_callable("device", name, part, ("read", "command"))
             DEVICES.put(name, DeviceEntry(given, part))
             return part
 
@@ -208,8 +211,8 @@ class register:
         """Register a hand by values of `HandParameters` in SI; a known hand has the others."""
         from tissue.haptics.hand.hand import HandParameters
 
-        _check_name("hand", name)
-        HANDS.add(name, _check_numbers_of(HandParameters, {**HANDS[like], **numbers}))
+        check_name("hand", name)
+        HANDS.add(name, checked_numbers(HandParameters, {**HANDS[like], **numbers}))
 
     @staticmethod
     def renderer(name: str, make: F | None = None) -> Any:
@@ -225,8 +228,8 @@ class register:
         make: F | None = None,
         *,
         trained: bool = False,
-        colour: str = COLOUR,
-        marker: str = MARKER,
+        colour: str = PredictorEntry.colour,
+        marker: str = PredictorEntry.marker,
     ) -> Any:
         """Register a predictor of the force: a class with `observe` and `predict`.
 
@@ -249,7 +252,7 @@ class register:
         def entry(part: Any) -> PredictorEntry:
             from tissue.prediction.guard import GuardedMaker
 
-            _check_looks(colour, marker)
+            check_looks(colour, marker)
             return PredictorEntry(
                 GuardedMaker(name, part, trained=trained), trained, colour, marker
             )
@@ -320,130 +323,18 @@ def _added(
     """Check a part and add its entry to a table; without a part, return a decorator."""
 
     def add(each: Any) -> Any:
-        _check_name(kind, name, argument=kind == "perception")
-        _check_callable_part(kind, name, each, methods)
+        check_name(kind, name, argument=kind == "perception")
+        check_callable(kind, name, each, methods)
         table.add(name, entry(each))
         return each
 
     return add if part is None else add(part)
 
 
-NAME = "[a-z0-9][a-z0-9_-]*"
 SOFT = ("modulus_kPa", "poisson_ratio", "density_kg_m3")
 """Constants that every soft material has."""
 CAPSULE = "_capsule"
 """End of the name of a capsule, which lies on an organ and is no organ's material."""
-
-
-def _check_name(kind: str, given: object, *, argument: bool = False) -> None:
-    """Refuse a name that is invalid or taken."""
-    pattern = f"{NAME}(:[A-Z]+)?" if argument else NAME
-    if not isinstance(given, str) or not re.fullmatch(pattern, given):
-        raise InputError(
-            "name",
-            "be of lower-case letters, digits, - and _",
-            shown(given),
-            f"choose such a one for the {kind}",
-        )
-    taken = ["none", *(each for table in TABLES[kind] for each in table.known)]
-    if given in taken:
-        raise InputError(
-            "name", f"be none of {', '.join(taken)}", given, f"choose another name for this {kind}"
-        )
-
-
-def _check_callable_part(kind: str, given: str, part: object, methods: Sequence[str] = ()) -> None:
-    """Refuse a part that is not callable, or a class without the required methods."""
-    if not callable(part):
-        raise InputError(
-            f"{kind} {given}",
-            "be a class or a function",
-            shown(part),
-            f"give the class or function that makes the {kind}",
-        )
-    if not isinstance(part, type):
-        return
-    missing = [method for method in methods if not callable(getattr(part, method, None))]
-    if missing:
-        raise InputError(
-            f"{kind} {given}",
-            f"have {' and '.join(methods)}",
-            f"{part.__name__} without {' and '.join(missing)}",
-            f"add {' and '.join(missing)}",
-        )
-
-
-def _check_profile(given: str, part: Any, keys: Sequence[str]) -> None:
-    """Refuse a half section that cannot be called with a tool's sizes."""
-    known = dict.fromkeys(chain.from_iterable(CUTTERS[each].keys for each in CUTTERS.built_in))
-    for key in keys:
-        if key not in known:
-            raise InputError(
-                "keys", f"be of {', '.join(sorted(known))}", shown(key), "use one of a tool's keys"
-            )
-    sizes = ["diameter_m", *(key.replace("_mm", "_m").replace("_deg", "_rad") for key in keys)]
-    try:
-        inspect.signature(part).bind(**dict.fromkeys(sizes, 1.0))
-    except TypeError as error:
-        raise InputError(
-            f"tool {given}",
-            f"take {' and '.join(sizes)}",
-            f"one that does not ({error})",
-            "name its arguments so",
-        ) from None
-
-
-def _check_parameters(kind: str, given: str, part: Any) -> None:
-    """Refuse parameters that are no subclass of `Part` whose kind is the name."""
-    from tissue.scene.anatomy import Part
-    from tissue.scene.part import kinds_of
-
-    is_part = isinstance(part, type) and issubclass(part, Part)
-    if not is_part or "kind" not in part.model_fields or kinds_of(part) != (given,):
-        raise InputError(
-            f"parameters of the {kind} {given}",
-            "be a subclass of tissue.scene.anatomy.Part of this kind",
-            shown(part),
-            f'derive it from that and write kind: Literal["{given}"] = "{given}"',
-        )
-
-
-def _check_numbers_of(kind: Any, numbers: Any, *, needed: Sequence[str] = ()) -> dict[str, float]:
-    """Return the values of a class of parameters, from an instance or a checked mapping."""
-    if isinstance(numbers, kind):
-        return asdict(numbers)
-    if not isinstance(numbers, Mapping):
-        wanted = f"be a mapping with {' and '.join(needed) or 'numbers by name'}"
-        raise InputError("numbers", wanted, shown(numbers), "give names and values")
-    known = [field.name for field in fields(kind)]
-    if strange := [each for each in numbers if each not in known]:
-        given = f"{shown(strange[0])}{nearest(str(strange[0]), known)}"
-        raise InputError("numbers", f"be of {', '.join(known)}", given, "rename or remove it")
-    if missing := [each for each in needed if each not in numbers]:
-        lacking = " and ".join(missing)
-        raise InputError(
-            "numbers", f"have {' and '.join(needed)}", f"none for {lacking}", f"add {lacking}"
-        )
-    for each, value in numbers.items():
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise InputError(each, "be a number", shown(value), "give it in the unit of its name")
-    kind(**numbers)
-    return dict(numbers)
-
-
-def _check_looks(colour: str, marker: str) -> None:
-    """Refuse a colour or a marker that matplotlib cannot draw."""
-    from matplotlib.colors import is_color_like
-    from matplotlib.markers import MarkerStyle
-
-    if not is_color_like(colour):
-        raise InputError("colour", "be one of matplotlib's", shown(colour), "use for example red")
-    try:
-        MarkerStyle(marker)
-    except ValueError:
-        raise InputError(
-            "marker", "be one of matplotlib's", shown(marker), "use for example o"
-        ) from None
 
 
 def _scene_name(path: Path) -> str:
@@ -451,7 +342,7 @@ def _scene_name(path: Path) -> str:
     from tissue.scene.load import library_names
 
     found = _table(path, "scene").get("name")
-    _check_name("scene", found)
+    check_name("scene", found)
     taken = [*library_names(), *SCENES.known]
     if found in taken:
         raise InputError(

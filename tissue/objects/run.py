@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress
 from tissue.objects.html import run_html, run_line
-from tissue.objects.progress import Bar, reporting
 from tissue.objects.trace import Trace
 from tissue.simulation import run as engine
 from tissue.simulation.run_folder import Summary, picture_format, summary_of
+from tissue.system.progress import Bar, reporting
 
 if TYPE_CHECKING:
     import pandas

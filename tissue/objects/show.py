@@ -13,9 +13,9 @@ import numpy as np
 from meshes.base.arrays import Bytes
 from meshes.base.errors import InputError
 from meshes.base.whole_file import whole_file
-from tissue.objects.progress import in_notebook
 from tissue.simulation.bone_surface import HALF
 from tissue.system.offscreen import display_problem
+from tissue.system.progress import in_notebook
 
 __all__ = ["Picture", "show_folder", "with_empty_hidden"]
 

@@ -2,22 +2,24 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Unpack
 
-from meshes.base.errors import InputError
 from meshes.base.file_limits import memory_limit
+from meshes.base.progress import Progress, silent
 from tissue.haptics.device.device import Device
 from tissue.haptics.device.safe_device import SafeDevice
-from tissue.objects.progress import Bar, reporting
 from tissue.objects.run import Run
 from tissue.scene.scene import Scene
 from tissue.show.figures import draw_pictures
+from tissue.simulation import run as runs
 from tissue.simulation import simulate as engine
 from tissue.simulation.builders.parts import opened_device
-from tissue.simulation.live.run import LiveSettings
-from tissue.simulation.live.run import live as simulate_live
-from tissue.simulation.observer import Observers, OnTick, Paced, Prioritised, RunObserver, TickRow
+from tissue.simulation.live.run import LiveSettings, live
+from tissue.simulation.observer import Observers, OnTick, Paced, Prioritised, TickRow
+from tissue.simulation.simulate import RunObserver, RunSettings
+from tissue.system.progress import Bar, reporting
 
-__all__ = ["TickRow", "simulate"]
+__all__ = ["TickRow", "simulate", "simulate_live"]
 
 
 def simulate(
@@ -32,9 +34,7 @@ def simulate(
     allow_unstable: bool = False,
     max_memory_GB: float | None = None,
     device: Device | SafeDevice | None = None,
-    on_tick: Callable[[int, TickRow], object] | None = None,
-    observer: RunObserver | None = None,
-    live: LiveSettings | None = None,
+    on_tick: Callable[[int, TickRow], object] | RunObserver | None = None,
 ) -> Run:
     """Simulate a scene with the settings that meet its fidelity requirement.
 
@@ -65,11 +65,7 @@ def simulate(
     on_tick
         Called after every tick of 1 ms with its number and its row of the trace, a mapping from
         column to value; the run ends if it returns False. Its duration adds to the time between two
-        ticks.
-    observer
-        Observer of the ticks instead of `on_tick`; see `tissue.simulation.observer.RunObserver`.
-    live
-        Settings of a run in real time, in a window, in a browser or with a device.
+        ticks. A `tissue.simulation.simulate.RunObserver` is called at the start and the end too.
 
     Raises
     ------
@@ -78,47 +74,74 @@ def simulate(
         device's coupling is unstable, or ``out`` holds another run. If the device fails, the error
         is a `DeviceError`.
     """
-    if on_tick is not None and observer is not None:
-        raise InputError(
-            "on_tick", "be left out with observer", "both", "call it from the observer's on_tick"
-        )
-    if live is not None and any(each is not None for each in (on_tick, observer, device)):
-        raise InputError(
-            "live",
-            "be left out with a device, on_tick or observer",
-            "both",
-            "leave one of them out",
-        )
-    if on_tick is not None:
-        observer = OnTick(on_tick)
-    notes: dict[str, str] = {}
+    observer = OnTick(on_tick) if callable(on_tick) else on_tick
     with memory_limit(max_memory_GB), reporting(progress) as report:
-        settings: engine.RunSettings = {
-            "compute": compute,
-            "cores": cores,
-            "out": out,
-            "overwrite": overwrite,
-            "progress": report,
-            "allow_unstable": allow_unstable,
-        }
-        if scene.fidelity is not None:
-            from tissue.evaluation.charts.frontier import with_fidelity
+        scene, notes = _with_fidelity(scene, report)
+        if device is None and (device := opened_device(scene)) is not None:
+            notes["device"] = f"{scene.held.kind} is read and played by {type(device).__name__}"
+        prioritised = None
+        played_on = device.device if isinstance(device, SafeDevice) else device
+        if getattr(played_on, "real_time", False):
+            prioritised = Prioritised()
+            observer = Observers(prioritised, observer or RunObserver(), Paced())
+        run = engine.simulate(
+            scene,
+            compute=compute,
+            cores=cores,
+            out=out,
+            overwrite=overwrite,
+            progress=report,
+            allow_unstable=allow_unstable,
+            device=device,
+            observer=observer,
+        )
+    if prioritised is not None:
+        notes["priority"] = prioritised.note
+    return _shown(run, notes)
 
-            scene, notes["fidelity"] = with_fidelity(scene, report=report)
-        if live is not None:
-            run = simulate_live(scene, live, **settings)
-        else:
-            if device is None and (device := opened_device(scene)) is not None:
-                notes["device"] = f"{scene.held.kind} is read and played by {type(device).__name__}"
-            if getattr(
-                device.device if isinstance(device, SafeDevice) else device, "real_time", False
-            ):
-                prioritised = Prioritised()
-                observer = Observers(prioritised, observer or RunObserver(), Paced())
-                run = engine.simulate(scene, device=device, observer=observer, **settings)
-                notes["priority"] = prioritised.note
-            else:
-                run = engine.simulate(scene, device=device, observer=observer, **settings)
+
+def simulate_live(
+    scene: Scene,
+    how: LiveSettings,
+    /,
+    *,
+    max_memory_GB: float | None = None,
+    **settings: Unpack[RunSettings],
+) -> Run:
+    """Simulate a scene in real time, in a window, in a browser or with a device.
+
+    Parameters
+    ----------
+    scene, how
+        Scene to simulate, and the settings of the live run.
+    max_memory_GB
+        As for `simulate`.
+    settings
+        As for `tissue.simulation.simulate.simulate`.
+
+    Raises
+    ------
+    InputError
+        As for `simulate` and `tissue.simulation.live.run.live`.
+    """
+    with memory_limit(max_memory_GB):
+        scene, notes = _with_fidelity(scene, settings.get("progress") or silent)
+        run = live(scene, how, **settings)
+    return _shown(run, notes)
+
+
+def _with_fidelity(scene: Scene, report: Progress) -> tuple[Scene, dict[str, str]]:
+    """Return the scene with the settings that meet its requirement, and the note on them."""
+    if scene.fidelity is None:
+        return scene, {}
+    from tissue.evaluation.charts.frontier import with_fidelity
+
+    scene, note = with_fidelity(scene, report=report)
+    return scene, {"fidelity": note}
+
+
+def _shown(run: runs.Run, notes: dict[str, str]) -> Run:
+    """Return a finished run for users, with its notes and its pictures."""
     run.parts.notes |= notes
     run.draw = draw_pictures
     return Run(run)

@@ -1,6 +1,5 @@
 """Sweep: a scene run at all combinations of some values: `tissue.sweep`."""
 
-import csv
 import json
 import re
 import tomllib
@@ -23,23 +22,23 @@ from meshes.base.whole_file import whole_file
 from tissue.evaluation.assessment import path_note
 from tissue.objects.comparison import Comparison, write_rows
 from tissue.objects.html import figures_of, table_html
-from tissue.objects.plots import COLOURS
-from tissue.objects.progress import Bar, reporting
+from tissue.objects.plots import plot_figures
 from tissue.objects.run import Run
 from tissue.objects.simulate import simulate
 from tissue.objects.trace import needed
-from tissue.scene.load import changed, load_scene, parse_override
+from tissue.scene.load import changed, load_scene
 from tissue.scene.scene import Scene
 from tissue.scene.texts import registered_parts, unknown_parts
-from tissue.show.figures.figure import field_words, plain, save, styled
+from tissue.show.figures.figure import save
 from tissue.simulation.run_folder import read_summary, summary_of
-from tissue.system.owned_folder import owned_folder
+from tissue.system.owned_folder import OwnedFolder
+from tissue.system.progress import Bar, reporting
 from tissue.system.workers import first_done, worker_pool
 
 if TYPE_CHECKING:
     import pandas
 
-__all__ = ["Sweep", "SweptRun", "parse_values", "planned", "sweep"]
+__all__ = ["Sweep", "SweptRun", "planned", "sweep"]
 
 FILES = ("sweep.csv", "sweep.png", "compare.png")
 """Files of a sweep in addition to its runs."""
@@ -195,7 +194,12 @@ class Sweep:
                 f"{len(names)} figures and {len(self.keys)} keys",
                 "see the table",
             )
-        return self._plotted(names)
+        over, *second = self.keys
+        lines: dict[str, list[tuple[object, dict[str, float]]]] = {}
+        for each in self.finished:
+            label = str(each.values[second[0]]) if second else ""
+            lines.setdefault(label, []).append((each.values[over], each.figures))
+        return plot_figures(lines, names, over=over, title="".join(second))
 
     def _differing(self) -> list[str]:
         """Return the figures that differ between finished runs."""
@@ -203,45 +207,6 @@ class Sweep:
             name: {each.figures.get(name) for each in self.finished} for name in self.figure_names
         }
         return [name for name, found in values.items() if len(found) > 1]
-
-    @styled
-    def _plotted(self, names: list[str]) -> NDArray[np.object_]:
-        from matplotlib import pyplot
-
-        columns = min(len(names), 3)
-        rows = -(-len(names) // columns)
-        size = 3.2 * columns, 2.4 * rows + 0.3
-        chart, grid = pyplot.subplots(
-            rows, columns, squeeze=False, figsize=size, layout="constrained"
-        )
-        panels, empty = np.split(grid.ravel(), [len(names)])
-        for axes in empty:
-            axes.remove()
-        first, *second = self.keys
-        lines: dict[str, list[SweptRun]] = {}
-        for each in self.finished:
-            label = str(each.values[second[0]]) if second else ""
-            lines.setdefault(label, []).append(each)
-        for axes, name in zip(panels, names, strict=True):
-            for number, (label, runs) in enumerate(lines.items()):
-                points = [
-                    (_place(run.values[first]), run.figures[name])
-                    for run in runs
-                    if name in run.figures
-                ]
-                if not any(isinstance(place, str) for place, _ in points):
-                    points.sort()
-                look = {"marker": "o", "markersize": 3.5, "color": COLOURS[number % len(COLOURS)]}
-                axes.plot(*zip(*points, strict=True), label=label, **look)
-            axes.set_title(field_words(name), loc="left")
-            axes.set_xlabel(first, parse_math=False)
-        plain(panels)
-        for axes in panels:
-            axes.margins(x=0.05)
-        if second:
-            entries = panels[0].get_legend_handles_labels()
-            chart.legend(*entries, loc="outside upper left", ncols=6, title=second[0])
-        return np.asarray(panels)
 
     def write(self, out: Path) -> None:
         """Write ``sweep.csv``, and with several finished runs ``compare.png`` and ``sweep.png``."""
@@ -268,12 +233,6 @@ class Sweep:
             if texts:
                 shown += table_html(texts.items(), titles=("run", title))
         return f"<div>{shown}</div>"
-
-
-def _place(value: Any) -> float | str:
-    """Return a swept value as a place on an axis: a number, or a text for any other value."""
-    is_number = isinstance(value, float | int) and not isinstance(value, bool)
-    return value if is_number else str(value)
 
 
 def sweep(
@@ -332,7 +291,7 @@ def sweep(
     run = partial(
         _run, pictures=pictures, compute=compute, cores=cores, allow_unstable=allow_unstable
     )
-    with owned_folder(out, "sweep", (), shared=(*FILES, RECORD)), reporting(progress) as report:
+    with OwnedFolder(out, "sweep", (), shared=(*FILES, RECORD)), reporting(progress) as report:
         left = _unfinished(runs, out, overwrite=overwrite)
         _record([each for each, _ in left], out)
         problems = dict(_results(run, left, workers=min(workers, len(left)), report=report))
@@ -373,38 +332,6 @@ def planned(
     if all(each.problem for each in found.values()):
         raise InputError(next(iter(found.values())).problem)
     return list(found.values())
-
-
-def parse_values(texts: Sequence[str]) -> dict[str, list[object]]:
-    """Parse values by key from ``key=value,value``.
-
-    A comma within brackets or quotes belongs to a value.
-
-    Raises
-    ------
-    InputError
-        If there is no ``=``, a value is empty, or a key is repeated.
-    """
-    found: dict[str, list[object]] = {}
-    for text in texts:
-        key, _, listed = text.partition("=")
-        key = key.strip()
-        try:
-            pieces = next(csv.reader([listed], skipinitialspace=True), [])
-        except csv.Error:  # such as a line break
-            pieces = []
-        if not pieces or not all(pieces) or key in found:
-            raise InputError(
-                "--set",
-                "be key=value,value, each key once",
-                text,
-                "use for example voxels.spacing_mm=0.2,0.4",
-            )
-        try:
-            found[key] = read_toml(f"values = [{listed}]")["values"]
-        except tomllib.TOMLDecodeError:  # such as words without quotes
-            found[key] = [parse_override(f"{key}={piece}")[1] for piece in pieces]
-    return found
 
 
 def _listed(key: str, values: Iterable[object]) -> list[object]:

@@ -13,9 +13,8 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_range
 from meshes.base.file_limits import require_regular
 from meshes.base.text_tables import read_json
-from meshes.base.whole_file import package_version, require_version, whole_file
+from meshes.base.whole_file import package_version, require_new_file, require_version, whole_file
 from tissue.materials.constants import constants
-from tissue.system.outputs import require_new_file
 
 __all__ = [
     "PARAMETERS",

@@ -13,7 +13,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import DamagedFileError, InputError
 from meshes.base.file_limits import read_npz
 from meshes.base.text_tables import read_json
-from meshes.base.whole_file import package_version, require_version, whole_file
+from meshes.base.whole_file import package_version, require_new_file, require_version, whole_file
 from tissue.prediction.operator import (
     Delays,
     Dictionary,
@@ -22,7 +22,6 @@ from tissue.prediction.operator import (
     Operator,
     Polynomials,
 )
-from tissue.system.outputs import require_new_file
 
 __all__ = ["VALIDATED_AT", "Trained", "from_plain", "is_trained", "shipped_file", "to_plain"]
 

@@ -14,11 +14,11 @@ from typing import Any
 from pydantic import ValidationError
 
 from meshes.base.errors import InputError, is_file
-from meshes.base.text_tables import DEEPEST, read_toml, require_shallow
+from meshes.base.text_tables import DEEPEST, nearest, read_toml, require_shallow, shown
 from meshes.base.whole_file import package_version, require_version
 from tissue.scene.messages import error_of, idle_keys
-from tissue.scene.named_parts import nearest, refusal, shown
 from tissue.scene.part import is_file_key
+from tissue.scene.plugins import refusal
 from tissue.scene.registry import PERCEPTIONS, SCENES
 from tissue.scene.scene import Scene
 

@@ -9,7 +9,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from meshes.base.errors import InputError
-from tissue.scene.named_parts import nearest, shown, unknown_name
+from meshes.base.text_tables import nearest, shown, unknown_name
 from tissue.scene.part import LONGEST_PATH, ByKind, Idle, OneOf, kinds_of
 from tissue.scene.scene import Scene
 

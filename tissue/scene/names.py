@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tissue.materials.constants import constants, listed
-from tissue.scene.named_parts import Registry
-from tissue.scene.part import Part
+from tissue.scene.part import Part, Registry
 
 __all__ = [
     "CUTTERS",
@@ -53,17 +52,12 @@ class AnatomyEntry:
         name, and return the faces in a window.
     """
 
-    parameters: "tuple[type[Part], ...] | type[Part]"
+    parameters: tuple[type[Part], ...]
     tool: type[Part]
     build: Factory | None = None
     force_N: Factory | None = None
     pictures: Mapping[str, Factory] = field(default_factory=dict)
     faces: Factory | None = None
-
-    @property
-    def variants(self) -> tuple[type[Part], ...]:
-        """Tables for this tissue in a scene."""
-        return self.parameters if isinstance(self.parameters, tuple) else (self.parameters,)
 
 
 @dataclass(frozen=True)

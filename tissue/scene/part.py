@@ -1,7 +1,7 @@
-"""Base class of a scene's tables, and marks of their keys.
+"""Base class of a scene's tables, marks of their keys, and registries of names for keys.
 
 `Needs` marks a key that has an effect only together with another key. `OneOf` and `ByKind` take the
-choices of a key from tables of named parts.
+choices of a key from a registry of named parts.
 """
 
 import re
@@ -22,7 +22,8 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from meshes.base.errors import InputError
-from tissue.scene.named_parts import Registry, ask_packages, refusal, shown
+from meshes.base.text_tables import shown, unknown_name
+from tissue.scene.plugins import ask_packages, refusal
 
 if TYPE_CHECKING:
     from pydantic import GetCoreSchemaHandler, ValidatorFunctionWrapHandler
@@ -40,6 +41,7 @@ __all__ = [
     "Needs",
     "OneOf",
     "Part",
+    "Registry",
     "Rule",
     "Vector",
     "is_file_key",
@@ -56,6 +58,136 @@ LAYERS = ("enamel", "dentin", "pulp", "caries", "ligament")
 """Layers of a tooth that have a surface of their own."""
 
 T = TypeVar("T")
+
+
+class Registry(Generic[T]):
+    """Registry of named parts of one kind, in listing order.
+
+    Parameters
+    ----------
+    key
+        Scene key whose value is a name in this registry, as used in messages.
+    parts
+        Parts by name. A name such as ``observer:FILE`` matches all texts with another argument
+        after the colon.
+    group
+        Group of entry points by which installed packages offer more parts. The packages are asked
+        for an unknown name, and when the names are listed.
+
+    Attributes
+    ----------
+    built_in
+        Names of the parts given at construction.
+    """
+
+    def __init__(self, key: str, parts: Mapping[str, T], *, group: str = "") -> None:
+        self.key = key
+        self.group = group
+        self._parts = dict(parts)
+        self.built_in = frozenset(parts)
+        self.on_change: list[Callable[[], object]] = []
+        """Functions called after a part is added or removed."""
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.names)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._parts or name in self.names
+
+    def __getitem__(self, name: str) -> T:
+        if name not in self:
+            raise self._why_not(name)
+        return self._parts[name]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parts."""
+        ask_packages(self.group)
+        return self.known
+
+    @property
+    def known(self) -> tuple[str, ...]:
+        """Names of the parts known so far, without asking installed packages."""
+        return tuple(self._parts)
+
+    def _why_not(self, name: str, *others: str) -> InputError:
+        """Return the error for a name that matches no part."""
+        if why := refusal(self.group, name):
+            return InputError(why)
+        return unknown_name(self.key, (*others, *self), name)
+
+    def split(self, text: str, *others: str) -> tuple[str, str]:
+        """Return the name of the part that a text names, and its argument.
+
+        For ``observer:a.json`` these are ``observer:FILE`` and ``a.json``.
+
+        Raises
+        ------
+        InputError
+            If the text matches no part. The message lists `others` and the names of the registry.
+        """
+        if (found := self._split(text)) is not None:
+            return found
+        ask_packages(self.group)
+        if (found := self._split(text)) is not None:
+            return found
+        raise self._why_not(text, *others)
+
+    def _split(self, text: str) -> tuple[str, str] | None:
+        """Return name and argument of a text among the parts known so far; None without a match."""
+        for name in self.known:
+            head, colon, _ = name.partition(":")
+            if text == name and not colon:
+                return name, ""
+            if colon and text.startswith(head + colon) and len(text) > len(head + colon):
+                return name, text.removeprefix(head + colon)
+        return None
+
+    def with_file_at(self, text: str, folder: Path) -> str:
+        """Return a text such as observer:a.json with an absolute file path.
+
+        A relative path starts at ``folder``.
+        """
+        for name in self if ":" in text else ():
+            head = name.removesuffix("FILE")
+            if head.endswith(":") and text.startswith(head) and text != head:
+                return f"{head}{(folder / text.removeprefix(head)).resolve()}"
+        return text
+
+    def add(self, name: str, part: T) -> None:
+        """Add a part by a new name.
+
+        Raises
+        ------
+        InputError
+            If the name is taken.
+        """
+        if name in self._parts:
+            raise InputError(
+                "name",
+                f"be none of {', '.join(self.known)}",
+                name,
+                f"choose another name for this {self.key}",
+            )
+        self.put(name, part)
+
+    def put(self, name: str, part: T) -> None:
+        """Set the part of a name, in place of an existing one."""
+        self._parts[name] = part
+        self._changed()
+
+    def remove(self, name: str) -> None:
+        """Remove a part that was added, and free its name."""
+        self[name]
+        del self._parts[name]
+        self._changed()
+
+    def _changed(self) -> None:
+        for call in self.on_change:
+            call()
 
 
 @dataclass(frozen=True)
@@ -313,11 +445,12 @@ class Part(BaseModel):
     def effective_table(self) -> dict[str, Any]:
         """Return the table for TOML, with its defaults and without keys that have no effect."""
         table = self.model_dump(mode="json", exclude_none=True)
+        idle = self.idle()
         for name in type(self).model_fields:
             value = getattr(self, name)
-            if isinstance(value, Part):
+            if isinstance(value, Part) and name not in idle:
                 table[name] = value.effective_table()
-        for key in self.idle():
+        for key in idle:
             *outer, name = key.split(".")
             inner: Any = table
             for step in outer:

@@ -21,7 +21,6 @@ from tissue.scene.anatomy import (
     VertebraAnatomy,
     WallAnatomy,
 )
-from tissue.scene.named_parts import Registry
 from tissue.scene.names import (
     CUTTERS,
     CUTTING_MATERIALS,
@@ -43,6 +42,7 @@ from tissue.scene.names import (
     ProbeEntry,
 )
 from tissue.scene.organ import LayersAnatomy, LiverAnatomy, LiverFile, SlabAnatomy
+from tissue.scene.part import Registry
 from tissue.scene.tool import Needle, PathMotion, Probe, ReplayMotion, ThrustMotion, Tool
 
 __all__ = [

@@ -148,7 +148,7 @@ class Stress(Part):
 
 def anatomy_parts() -> tuple[type[Part], ...]:
     """Return the tables of all anatomies that are known so far."""
-    return tuple(part for kind in ANATOMIES.known for part in ANATOMIES[kind].variants)
+    return tuple(part for kind in ANATOMIES.known for part in ANATOMIES[kind].parameters)
 
 
 def motion_parts() -> tuple[type[Part], ...]:

@@ -18,7 +18,7 @@ from meshes.base.file_limits import require_regular
 from meshes.base.text_tables import read_toml
 from meshes.base.whole_file import whole_file
 from tissue.scene.load import scene_text
-from tissue.scene.named_parts import OFFERED, ask_packages, offered_names
+from tissue.scene.plugins import OFFERED, ask_packages, offered_names
 from tissue.scene.registry import TABLES
 from tissue.scene.scene import Scene
 

@@ -2,8 +2,9 @@
 
 import gc
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from math import exp
 from time import perf_counter
 from typing import Any
@@ -30,9 +31,8 @@ from tissue.motion.replay import COLUMNS
 from tissue.scene.scene import Output
 from tissue.simulation.builders.parts import Parts
 from tissue.simulation.trace import LEAST_LOAD, TIMING_COLUMNS, Table, TraceLayout, load_columns
-from tissue.system.priorities import LEAST_GAP_S, MachineGaps, spin
 
-__all__ = ["Loop", "PoseLog", "Stepper", "undisturbed"]
+__all__ = ["Loop", "MachineGaps", "PoseLog", "Stepper", "spin", "undisturbed"]
 
 
 SWITCH_S = 5e-5
@@ -258,8 +258,11 @@ class Loop:
         self._gain = 1.0 - exp(-TICK_S / lag_s) if lag_s > 0.0 else 1.0
         self._filtered = np.zeros(6)
         self._commanded = np.zeros(6)
-        passing_Hz = 0.0 if cutter is None else cutter.tooth_passing_Hz
-        self._vibration = Vibration(passing_Hz, share=output.vibration_share, step_s=TICK_S)
+        self._vibration: Vibration | None = None
+        if cutter is not None and output.vibration_share > 0.0:
+            self._vibration = Vibration(
+                cutter.tooth_passing_Hz, share=output.vibration_share, step_s=TICK_S
+            )
         self._rotation = b""
         self._quaternion = np.zeros(4)
 
@@ -295,7 +298,10 @@ class Loop:
             self.parts.keep_clear.measure(stepper.tool)
         forced = perf_counter()
         self._filtered += self._gain * (response.wrench - self._filtered)
-        np.multiply(self._filtered, 1.0 + self._vibration.factor(index), out=self._commanded)
+        factor = 1.0
+        if self._vibration is not None:
+            factor += self._vibration.factor(index)
+        np.multiply(self._filtered, factor, out=self._commanded)
         self._record(self.trace.rows[index], index, response)
         recorded = perf_counter()
         stepper.start_background(index)
@@ -356,6 +362,63 @@ class Loop:
         for notices in self._notices:
             while notices:
                 self.events.append((time_s, notices.pop(0)))
+
+
+LEAST_GAP_S = 2e-4
+"""Shortest interval between two clock readings that counts as a gap [s]; a reading takes 0.1 us."""
+
+
+@dataclass(frozen=True)
+class MachineGaps:
+    """Scheduling gaps measured by a spinning clock.
+
+    Attributes
+    ----------
+    spun_s
+        Measurement time [s].
+    gaps_s
+        Gaps of at least `LEAST_GAP_S` [s].
+    """
+
+    spun_s: float = 0.0
+    gaps_s: tuple[float, ...] = ()
+
+    def __add__(self, other: "MachineGaps") -> "MachineGaps":
+        return MachineGaps(self.spun_s + other.spun_s, self.gaps_s + other.gaps_s)
+
+    def expected(self, seconds: float) -> float:
+        """Return the expected number of gaps in a given time [s]."""
+        return len(self.gaps_s) / self.spun_s * seconds if self.spun_s > 0.0 else 0.0
+
+    @property
+    def lost_share(self) -> float:
+        """Share of the measurement time lost in gaps."""
+        return sum(self.gaps_s) / self.spun_s if self.spun_s > 0.0 else 0.0
+
+    @property
+    def longest_s(self) -> float:
+        """Longest gap [s]; 0 without gaps."""
+        return max(self.gaps_s, default=0.0)
+
+
+def spin(seconds: float, *, now: Callable[[], float] = perf_counter) -> MachineGaps:
+    """Read the clock repeatedly for some seconds and return the gaps.
+
+    Parameters
+    ----------
+    seconds
+        Measurement time [s].
+    now
+        Clock [s].
+    """
+    gaps = []
+    start = last = now()
+    while last - start < seconds:
+        this = now()
+        if this - last >= LEAST_GAP_S:
+            gaps.append(this - last)
+        last = this
+    return MachineGaps(last - start, tuple(gaps))
 
 
 def spin_time_s(simulated_s: float) -> float:

@@ -14,6 +14,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import require_positive
 from tissue.models.tissue_model import TICK_S
 from tissue.simulation.builders.parts import Parts
+from tissue.simulation.simulate import RunObserver
 from tissue.system.priorities import TickPriority
 
 __all__ = [
@@ -23,7 +24,6 @@ __all__ = [
     "OnTick",
     "Paced",
     "Prioritised",
-    "RunObserver",
     "TickRow",
     "WallClock",
 ]
@@ -48,33 +48,6 @@ SPIN_S = 1.5e-4
 
 A sleep ends up to 0.1 ms late.
 """
-
-
-class RunObserver:
-    """Base class of observers; each method does nothing until it is overridden."""
-
-    timing_columns: tuple[str, ...] = ()
-    """Columns that the observer adds to the timing table; it fills the last entries of a row."""
-
-    def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
-        """Prepare for a run of `parts` with the columns of its trace."""
-
-    def before_tick(self, index: int) -> None:
-        """Wait until a tick may begin."""
-
-    def on_tick(self, index: int, row: Array, times: Array) -> bool:
-        """Read a tick's rows of trace and timing; return whether the run continues."""
-        return True
-
-    def on_event(self, time_s: float, what: str) -> None:
-        """Handle an event in the tick in which the tissue reports it: time [s] and a sentence."""
-
-    def on_end(self) -> list[tuple[float, str]]:
-        """Release resources, also after an error, and return the observer's events.
-
-        An event is a time [s] and a sentence.
-        """
-        return []
 
 
 class Observers(RunObserver):

@@ -19,8 +19,7 @@ from tissue.scene.load import load_scene, saved_text
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 from tissue.simulation.trace import FORMATS, Table, TraceWriter, read_trace
-from tissue.system.outputs import identity, is_alive
-from tissue.system.owned_folder import OwnedFolder, listed_files, require_folder
+from tissue.system.owned_folder import OwnedFolder, identity, is_alive, listed_files, require_folder
 from tissue.system.stopping import Terminated
 
 __all__ = [
@@ -326,12 +325,9 @@ def _remark(placement: Placement | None) -> str:
     )
 
 
-@contextmanager
-def added_to_run(path: Path) -> Iterator[None]:
-    """Lock the folder of a finished run while the block adds or replaces files of the run."""
-    folder = OwnedFolder(path, "run", (), shared=run_file_names(), adopted=_adopted(path))
-    with _held(folder):
-        yield
+def added_to_run(path: Path) -> OwnedFolder:
+    """Return the folder of a finished run, locked while a block adds or replaces its files."""
+    return OwnedFolder(path, "run", (), shared=run_file_names(), adopted=_adopted(path))
 
 
 def copy_run(saved: SavedRun, out: Path, *, pictures: bool, overwrite: bool) -> None:
@@ -351,24 +347,13 @@ def copy_run(saved: SavedRun, out: Path, *, pictures: bool, overwrite: bool) -> 
             "run", "have ended to be copied", f"{saved.path}, which is still running", "wait for it"
         )
     names = files_of_run(saved.path)
-    with _held(
-        OwnedFolder(out, "run", run_file_names(), overwrite=overwrite, adopted=_adopted(out))
-    ):
+    with OwnedFolder(out, "run", run_file_names(), overwrite=overwrite, adopted=_adopted(out)):
         for name in names:
             if not pictures and name.startswith("pictures/"):
                 continue
             (out / name).parent.mkdir(parents=True, exist_ok=True)
             with whole_file(out / name) as temporary:
                 shutil.copyfile(saved.path / name, temporary)
-
-
-@contextmanager
-def _held(folder: OwnedFolder) -> Iterator[None]:
-    try:
-        folder.begin()
-        yield
-    finally:
-        folder.release()
 
 
 def files_of_run(path: Path) -> list[str]:

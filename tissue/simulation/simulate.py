@@ -9,6 +9,7 @@ from typing import Protocol, TypedDict, runtime_checkable
 
 import numpy as np
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from tissue.haptics.device.device import Device, device_parameters
@@ -23,7 +24,6 @@ from tissue.simulation.builders.arguments import note_own_constants
 from tissue.simulation.builders.parts import Parts, TissueBuilder, motion_of, require_stated_rate
 from tissue.simulation.findings import break_throughs, shortfalls
 from tissue.simulation.loop import Loop, Scheduling, spin_time_s, undisturbed
-from tissue.simulation.observer import RunObserver
 from tissue.simulation.run import Run
 from tissue.simulation.run_folder import RunFolder
 from tissue.simulation.trace import Table
@@ -44,6 +44,33 @@ class RunSettings(TypedDict, total=False):
     overwrite: bool
     progress: Progress | None
     allow_unstable: bool
+
+
+class RunObserver:
+    """Base class of observers; each method does nothing until it is overridden."""
+
+    timing_columns: tuple[str, ...] = ()
+    """Columns that the observer adds to the timing table; it fills the last entries of a row."""
+
+    def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
+        """Prepare for a run of `parts` with the columns of its trace."""
+
+    def before_tick(self, index: int) -> None:
+        """Wait until a tick may begin."""
+
+    def on_tick(self, index: int, row: Array, times: Array) -> bool:
+        """Read a tick's rows of trace and timing; return whether the run continues."""
+        return True
+
+    def on_event(self, time_s: float, what: str) -> None:
+        """Handle an event in the tick in which the tissue reports it: time [s] and a sentence."""
+
+    def on_end(self) -> list[tuple[float, str]]:
+        """Release resources, also after an error, and return the observer's events.
+
+        An event is a time [s] and a sentence.
+        """
+        return []
 
 
 @runtime_checkable
@@ -313,7 +340,8 @@ def build(
         scene, motion, step_s=step_s, compute=compute, cores=cores, report=report
     )
     parts.notes |= coupling
-    note_own_constants(scene, parts.tissue.layer_names, parts.notes)
+    if scene.materials:
+        note_own_constants(scene, parts.tissue.layer_names, parts.notes)
     return parts
 
 

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from tempfile import TemporaryDirectory
@@ -26,6 +26,7 @@ __all__ = [
     "draw_apart",
     "drawing_environments",
     "end_drawing",
+    "quiet_without_display",
 ]
 
 REMEDY = (
@@ -250,3 +251,18 @@ def _library(name: str) -> ctypes.CDLL | None:
         return ctypes.CDLL(name)
     except OSError:
         return None
+
+
+@contextmanager
+def quiet_without_display() -> Iterator[None]:
+    """Restrict VTK's output to errors if no display is set.
+
+    VTK warns about a missing display, and then draws without one.
+    """
+    if os.environ.get("DISPLAY"):
+        yield
+        return
+    import pyvista
+
+    with pyvista.vtk_verbosity("error"):
+        yield

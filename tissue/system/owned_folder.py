@@ -1,24 +1,39 @@
-"""Output folders in which a command writes its files and touches no file of the user."""
+"""Output folders in which a command writes its files and touches no file of the user.
 
+A lock keeps a second writer away from an output folder or file.
+"""
+
+import errno
 import json
 import os
+import platform
+import sys
 import threading
-from collections.abc import Collection, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+import weakref
+from collections.abc import Collection, Iterable, Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path, PurePosixPath
+from typing import Self, TextIO
 
 from meshes.base.errors import InputError
 from meshes.base.text_tables import read_json
-from meshes.base.whole_file import OWNERS, package_version, whole_file
-from tissue.system.outputs import OutputLock, require_place
+from meshes.base.whole_file import OWNERS, package_version, require_place, whole_file
+
+if sys.platform == "win32":
+    import msvcrt
+else:
+    import fcntl
 
 __all__ = [
+    "LOCK",
     "MARKER",
+    "OutputLock",
     "OwnedFolder",
     "anything_claimed",
+    "identity",
+    "is_alive",
     "listed_files",
-    "owned_folder",
     "require_folder",
     "require_listed",
 ]
@@ -31,6 +46,21 @@ VERSION = 1
 LONGEST_MARKER = 1 << 24
 """Largest marker that is read [bytes]; a file of 40,000 names has 2 MB."""
 
+LOCK = ".lock"
+"""Name of the lock of a folder, and suffix of the hidden lock next to an output file."""
+FAR = 1 << 30
+"""Locked byte on Windows, where locked bytes cannot be read; far behind the process id."""
+LONGEST_LOCK = 32
+"""Longest content of a lock [characters]: a process id and the end of its line."""
+NO_LINK = getattr(os, "O_NOFOLLOW", 0)
+"""Flag of the system that refuses to open a symbolic link."""
+SAME_S = 5.0
+"""Largest difference between two readings of the start time of one process [s].
+
+The system clock may be set in between.
+"""
+HELD = (errno.EAGAIN, errno.EACCES, errno.EDEADLK)
+"""Error codes of a lock held by another process; other codes mean that locks are not supported."""
 _claimed: set[Path] = set()
 """Folders for which this process has listed a file."""
 Files = dict[str, set[str]]
@@ -145,6 +175,17 @@ class OwnedFolder:
         OWNERS.discard(self)
         self._lock.release()
 
+    def __enter__(self) -> Self:
+        try:
+            self.begin()
+        except BaseException:
+            self.release()
+            raise
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.release()
+
     def _write_marker(self) -> None:
         files = {kind: sorted(names) for kind, names in sorted(self._files.items())}
         data = {"format": FORMAT, "version": VERSION, "tissue": package_version(), "files": files}
@@ -155,25 +196,6 @@ class OwnedFolder:
 def anything_claimed() -> bool:
     """Return whether this process has begun to write a file into an output folder."""
     return bool(_claimed)
-
-
-@contextmanager
-def owned_folder(
-    path: Path,
-    kind: str,
-    names: Iterable[str],
-    *,
-    overwrite: bool = False,
-    shared: Iterable[str] = (),
-    adopted: Collection[str] = (),
-) -> Iterator[None]:
-    """Hold an output folder while the block writes its files; see `OwnedFolder`."""
-    folder = OwnedFolder(path, kind, names, overwrite=overwrite, shared=shared, adopted=adopted)
-    try:
-        folder.begin()
-        yield
-    finally:
-        folder.release()
 
 
 def require_folder(
@@ -312,3 +334,154 @@ def _foreign(path: Path, name: str, files: Mapping[str, set[str]]) -> InputError
             owner = f", which belongs to another kind of output ({kind})"
     got = f"{path} with {name}{owner}"
     return InputError("out", "not hold files of other origin", got, "choose another --out")
+
+
+class OutputLock:
+    """Exclusive lock on an output folder or file, until `release` or the end of the process.
+
+    Parameters
+    ----------
+    out
+        Output folder or file.
+    folder
+        True for a folder. A missing folder is created. If it stays empty, it is removed with the
+        lock.
+
+    Raises
+    ------
+    InputError
+        If another process, or another writer in this process, holds the lock, or the folder cannot
+        be created.
+    """
+
+    def __init__(self, out: Path, *, folder: bool) -> None:
+        require_place(out, folder=folder)
+        place = (out if folder else out.parent).absolute()
+        made = [each for each in (place, *place.parents) if not each.exists()]
+        place.mkdir(parents=True, exist_ok=True)
+        path = place / (LOCK if folder else f".{out.name}{LOCK}")
+        self.release = weakref.finalize(self, _let_go, _taken(path, out), path, made)
+        """Release the lock; a second call does nothing."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.release()
+
+
+def _taken(path: Path, out: Path) -> TextIO:
+    """Return the locked lock file, with the id of this process in it."""
+    while True:
+        file = _opened(path)
+        if not _lock(file):
+            file.seek(0)
+            owner = file.read().strip()
+            file.close()
+            raise InputError(
+                "out",
+                "have one writer at a time",
+                f"{out}, which process {owner or 'of unknown number'} is writing",
+                "wait for it, end it, or choose another --out",
+            )
+        with suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                break
+        file.close()  # the previous holder removed it in between
+    file.truncate(0)
+    file.write(f"{os.getpid()}\n")
+    file.flush()
+    return file
+
+
+def _opened(path: Path) -> TextIO:
+    """Open the lock file, and refuse a file of the user with the same name."""
+    plain = not path.is_symlink() and (path.is_file() or not path.exists())
+    if plain:
+        file = os.fdopen(
+            os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | NO_LINK, 0o666),
+            "a+",
+            encoding="utf-8",
+        )
+        if _is_lock(file):
+            return file
+        file.close()
+    raise InputError(
+        "out",
+        f"hold no file {path.name} of other origin",
+        f"one in {path.parent}",
+        "move it or choose another --out",
+    )
+
+
+def _is_lock(file: TextIO) -> bool:
+    """Return whether a file is empty or contains only a process id, as a lock file does."""
+    try:
+        file.seek(0)
+        held = file.read(LONGEST_LOCK + 1)
+    except UnicodeDecodeError:
+        return False
+    except OSError:  # locked bytes cannot be read on Windows: another writer holds the lock
+        return True
+    return not held or (held.strip().isdecimal() and len(held) <= LONGEST_LOCK)
+
+
+def _lock(file: TextIO) -> bool:
+    """Lock an open file, and return whether it succeeded or the file system has no locks."""
+    try:
+        if sys.platform == "win32":
+            os.lseek(file.fileno(), FAR, os.SEEK_SET)
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        return error.errno not in HELD
+    return True
+
+
+def _let_go(file: TextIO, path: Path, made: list[Path]) -> None:
+    """Remove and release the lock file, and remove the created folders that stayed empty.
+
+    The file is removed while no other process can lock it.
+    """
+    if sys.platform == "win32":
+        file.close()  # Windows cannot remove an open file, of this or another process
+    with suppress(OSError):
+        path.unlink()
+    with suppress(OSError):
+        file.close()
+    for each in made:
+        with suppress(OSError):
+            each.rmdir()
+
+
+def identity() -> dict[str, int | float | str]:
+    """Return the id and start time [s since 1970] of this process, and its machine."""
+    import psutil
+
+    return {
+        "id": os.getpid(),
+        "started_s": psutil.Process().create_time(),
+        "machine": platform.node(),
+    }
+
+
+def is_alive(process: object) -> bool:
+    """Return whether the process of an `identity` still runs.
+
+    A process of another machine cannot be checked and counts as running.
+    """
+    import psutil
+
+    if not isinstance(process, dict) or "id" not in process:
+        return False
+    if process.get("machine") != platform.node():
+        return True
+    try:
+        found = psutil.Process(int(process["id"]))
+        same = abs(found.create_time() - float(process["started_s"])) < SAME_S
+        return same and found.status() != psutil.STATUS_ZOMBIE
+    except (psutil.NoSuchProcess, KeyError, TypeError, ValueError):
+        return False
+    except psutil.AccessDenied:
+        return True

@@ -61,12 +61,12 @@ def test_a_file_in_the_place_of_the_folder_is_refused(refused, here):
 def test_a_folder_that_cannot_be_written_is_refused(refused, here, monkeypatch):
     (here / "shut").mkdir()
     monkeypatch.setattr(
-        "tissue.system.outputs.os.access", lambda path, mode: Path(path) != here / "shut"
+        "meshes.base.whole_file.os.access", lambda path, mode: Path(path) != here / "shut"
     )
     assert refused("run", "milling", "--out", "shut/run") == (
         f"out must be writable, got permission denied at {here / 'shut'}: choose another --out"
     )
-    monkeypatch.setattr("tissue.system.outputs.os.access", lambda path, mode: True)
+    monkeypatch.setattr("meshes.base.whole_file.os.access", lambda path, mode: True)
 
     def read_only(self, *_, **__):
         raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(self))

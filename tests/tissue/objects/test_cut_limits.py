@@ -12,7 +12,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 import tissue
-from tissue.simulation.builders.bone import element_spacing_m
+from tissue.simulation.builders.cutting import element_spacing_m
 
 BURR = tissue.cutters.ball_burr(diameter_mm=3, flutes=6, spin_rpm=20_000)
 NERVE_MM = 0.3

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tissue.scene.named_parts import OFFERED
+from tissue.scene.plugins import OFFERED
 from tissue.scene.registry import TABLES
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -43,7 +43,7 @@ def test_the_example_package_is_listed_drilled_and_judged(tmp_path):
     listing = """
 import json
 from tissue import scene_names
-from tissue.scene.named_parts import offered_names
+from tissue.scene.plugins import offered_names
 from tissue.scene.registry import TABLES
 from tissue.scene.texts import schema_text
 found = {kind: sorted({name for table in tables for name in table} - {n for t in tables for n in t.built_in})

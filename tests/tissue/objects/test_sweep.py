@@ -11,8 +11,9 @@ import pytest
 
 import tissue
 from tissue import InputError
+from tissue.cli.sweep import parse_values
 from tissue.objects import sweep as module
-from tissue.objects.sweep import SweptRun, parse_values
+from tissue.objects.sweep import SweptRun
 from tissue.scene.load import changed, saved_text
 
 QUICK = {"voxels.spacing_mm": 0.5, "duration_s": 0.05}

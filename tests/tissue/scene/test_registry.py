@@ -12,7 +12,7 @@ from tissue import InputError, Scene, load_scene, simulate
 from tissue.cli.calibrate import calibrate
 from tissue.cli.study import PlanOptions
 from tissue.materials.constants import listed
-from tissue.scene.named_parts import Registry
+from tissue.scene.part import Registry
 from tissue.scene.registry import CUTTING_MATERIALS, DEVICES, GROUPS, RENDERERS, SCENES, TABLES
 
 

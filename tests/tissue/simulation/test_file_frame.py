@@ -16,7 +16,7 @@ from meshes.shapes import sdf
 from meshes.shapes.anatomy import Anatomy, cortical_block
 from meshes.voxels.voxelise import voxelise
 from tissue import load_scene, simulate
-from tissue.simulation.builders.tool_path import require_whole
+from tissue.simulation.builders.parts import require_whole
 
 pyvista = pytest.importorskip("pyvista")
 

@@ -29,7 +29,7 @@ def live_by(priority, changes=HALF, device=None):
     scene = load_scene("wall", {"device": "touch"} | changes)
     prioritised = Prioritised(priority)
     both = Observers(prioritised, LiveObserver(scene, None, WallClock(TICK_S)))
-    return simulate(scene, observer=both, device=device), prioritised
+    return simulate(scene, on_tick=both, device=device), prioritised
 
 
 def test_the_thread_of_the_ticks_has_its_priority_raised_while_they_run():

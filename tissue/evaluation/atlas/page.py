@@ -24,10 +24,9 @@ from numpy.typing import ArrayLike
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
-from meshes.base.whole_file import whole_file
+from meshes.base.whole_file import whole_file, write_columns
 from tissue.system.html import html_page, html_picture
-from tissue.system.outputs import write_columns
-from tissue.system.owned_folder import owned_folder
+from tissue.system.owned_folder import OwnedFolder
 
 __all__ = [
     "ENGINE",
@@ -329,7 +328,7 @@ def write_atlas(
     """
     names = [INDEX, *(f"{page.name}{end}" for page in pages for end in (".png", "_*.csv"))]
     entries = []
-    with owned_folder(folder, "atlas", names, overwrite=overwrite):
+    with OwnedFolder(folder, "atlas", names, overwrite=overwrite):
         for number, page in enumerate(pages):
             progress(page.title, number / len(pages))
             entries.append(_written(page, folder))

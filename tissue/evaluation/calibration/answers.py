@@ -11,6 +11,7 @@ import numpy as np
 
 from meshes.base.errors import InputError
 from meshes.base.text_tables import number_in
+from meshes.base.whole_file import require_new_file
 from tissue.evaluation.calibration.observers import SimulatedObservers, draw_observers
 from tissue.evaluation.calibration.session import (
     Comparison,
@@ -25,7 +26,6 @@ from tissue.haptics.device.recorded import MouseDevice
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.registry import DEVICES, GROUPS
-from tissue.system.outputs import require_new_file
 
 __all__ = [
     "Answer",

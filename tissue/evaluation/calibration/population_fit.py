@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from meshes.base.errors import InputError
-from meshes.base.whole_file import whole_file
+from meshes.base.whole_file import require_new_file, whole_file
 from tissue.evaluation.calibration.session import Session, read_log
 from tissue.perception.hierarchy import (
     ESS,
@@ -20,7 +20,6 @@ from tissue.perception.hierarchy import (
 from tissue.perception.laws import D_PRIME_75, correct_of_d_prime, with_lapse
 from tissue.perception.observer import Observer, write_observer
 from tissue.show.figures.figure import figure, save
-from tissue.system.outputs import require_new_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

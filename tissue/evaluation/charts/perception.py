@@ -23,7 +23,7 @@ from tissue.scene.load import load_scene
 from tissue.show.figures.figure import figure, save
 from tissue.simulation.builders.prediction import CAUTION, perception_for
 from tissue.simulation.simulate import simulate
-from tissue.system.owned_folder import owned_folder
+from tissue.system.owned_folder import OwnedFolder
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,7 +57,7 @@ def perception_charts(out: Path, observer: Path | None, *, overwrite: bool = Fal
     someone = EXAMPLE if observer is None else read_observer(observer)
     drawn = {"people": _people, "command": _command, "deadband": _deadband}
     pictures = {f"perception-{name}.png": draw for name, draw in drawn.items()}
-    with owned_folder(out, "chart", pictures, overwrite=overwrite):
+    with OwnedFolder(out, "chart", pictures, overwrite=overwrite):
         for name, draw in pictures.items():
             draw(someone, out / name)
     return [out / name for name in pictures]

@@ -30,7 +30,7 @@ from tissue.scene.registry import PREDICTORS
 from tissue.scene.scene import Scene
 from tissue.show.figures.figure import figure, plain_numbers, save
 from tissue.simulation.builders.prediction import trained_predictor
-from tissue.system.owned_folder import owned_folder
+from tissue.system.owned_folder import OwnedFolder
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -241,7 +241,7 @@ def chart_prediction(
         raise InputError("trials", f"be from 2 to {MOST_TRIALS}", trials, "use 30")
     files = ("prediction_tasks.png", *HEADS, *(f"prediction_{scene.name}.png" for scene in scenes))
     found = []
-    with owned_folder(folder, "chart", files, overwrite=overwrite):
+    with OwnedFolder(folder, "chart", files, overwrite=overwrite):
         for index, scene in enumerate(scenes):
             onward = lambda doing, share, index=index: report(doing, (index + share) / len(scenes))  # noqa: E731
             found.append(_compare(scene, trials=trials, report=onward))

@@ -19,7 +19,7 @@ from tissue.scene.organ import SoftAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.show.figures.figure import figure, plain_numbers, save
-from tissue.system.owned_folder import owned_folder
+from tissue.system.owned_folder import OwnedFolder
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -49,7 +49,7 @@ def chart_scenes(
     """
     scenes = [load_scene(name) for name in names or scene_names()]
     files = [f"{scene.name}{end}" for scene in scenes for end in (".csv", ".png")]
-    with owned_folder(
+    with OwnedFolder(
         out, "chart", files, overwrite=overwrite, shared=("frontier.png", "machine.txt")
     ):
         found = []

@@ -32,8 +32,7 @@ from tissue.evaluation.study.registration import (
     require_unchanged,
 )
 from tissue.evaluation.study.trial import Row, Trial, error_sentence, run_trial, trial_seed
-from tissue.system.outputs import LOCK
-from tissue.system.owned_folder import MARKER, OwnedFolder, require_listed
+from tissue.system.owned_folder import LOCK, MARKER, OwnedFolder, require_listed
 from tissue.system.workers import LOST, executor, first_done
 
 __all__ = ["Stamp", "StudyFolder", "run_study"]

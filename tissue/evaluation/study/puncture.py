@@ -43,9 +43,8 @@ from tissue.scene.load import changed
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion
 from tissue.simulation.builders.parts import Parts
-from tissue.simulation.observer import RunObserver
 from tissue.simulation.run import Run
-from tissue.simulation.simulate import TICK_S, simulate
+from tissue.simulation.simulate import TICK_S, RunObserver, simulate
 
 __all__ = ["NOTICED", "RATE_N_S", "Notice", "Pierced", "pierce"]
 

@@ -38,7 +38,7 @@ from tissue.evaluation.study.trial import (
 )
 from tissue.materials.constants import constants
 from tissue.system.html import html_page, html_picture
-from tissue.system.owned_folder import owned_folder
+from tissue.system.owned_folder import OwnedFolder
 
 __all__ = ["found_section", "registration_section", "sections_of", "write_report"]
 
@@ -84,7 +84,7 @@ def write_report(path: Path, *, report: Progress = silent) -> tuple[Path, list[s
     out = path / "report"
     folder.plan()  # refuses a folder that is no study before anything is made in it
     page = out / "index.html"
-    with owned_folder(out, "study report", (), shared=["index.html"]):
+    with OwnedFolder(out, "study report", (), shared=["index.html"]):
         sections = sections_of(folder, report=report)
         links = " · ".join(
             f'<a href="#{escape(each.name)}">{escape(each.title)}</a>' for each in sections

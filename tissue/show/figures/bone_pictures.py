@@ -36,7 +36,7 @@ from tissue.simulation.bone_surface import (
     with_depth,
     with_layers,
 )
-from tissue.simulation.builders.tool_path import reach
+from tissue.simulation.builders.parts import reach
 from tissue.simulation.run import Run
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from zipfile import ZIP_DEFLATED, ZipFile
 from meshes.base.errors import InputError
 from meshes.base.isolated_parser import parse_isolated
 from meshes.base.progress import Progress, silent
-from meshes.base.whole_file import package_version, whole_file
+from meshes.base.whole_file import package_version, require_new_file, whole_file
 from tissue.scene.texts import folders_of
 from tissue.scene.used_constants import used_constants
 from tissue.show.report.charts import Record, charts, columns
@@ -34,7 +34,6 @@ from tissue.show.report.stage import stage
 from tissue.simulation.run_folder import SavedRun, added_to_run
 from tissue.simulation.saved_fields import require_whole
 from tissue.system.html import html_page
-from tissue.system.outputs import require_new_file
 
 __all__ = ["NAME", "write_report"]
 

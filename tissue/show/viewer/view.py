@@ -16,7 +16,7 @@ from typing import IO
 
 from meshes.base.errors import InputError, require_range
 from meshes.base.progress import Progress, silent
-from meshes.base.whole_file import whole_file
+from meshes.base.whole_file import require_new_file, whole_file
 from tissue.models.tissue_model import TICK_S
 from tissue.show.viewer.run_scene import Choice, times_of
 from tissue.show.viewer.saved_surfaces import saved_fields
@@ -34,7 +34,6 @@ from tissue.system.offscreen import (
     draw_apart,
     drawing_environments,
 )
-from tissue.system.outputs import require_new_file
 from tissue.system.stopping import Terminated
 
 __all__ = ["view"]

@@ -10,6 +10,7 @@ from pydantic import ValidationError
 
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, names_of_caller
+from meshes.base.text_tables import nearest, shown
 from meshes.surfaces.glenoid import GLENOID_LAYERS
 from meshes.surfaces.surface import Surface, surface_from_triangles
 from meshes.surfaces.triangle_files import read_triangles
@@ -19,7 +20,6 @@ from meshes.vertebra.lumbar import VERTEBRA_LAYERS
 from tissue.materials.constants import listed
 from tissue.materials.scene_constants import Materials
 from tissue.scene.messages import error_of
-from tissue.scene.named_parts import nearest, shown
 from tissue.scene.part import Part
 from tissue.scene.scene import Scene
 from tissue.scene.used_constants import Used, used_constants

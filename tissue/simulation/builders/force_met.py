@@ -18,9 +18,10 @@ from tissue.scene.part import is_file_key
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Needle, Probe, ThrustMotion, Tool
-from tissue.simulation.builders.bone import VoxelBone
+from tissue.simulation.builders.cutting import VoxelBone, cutter_of
 from tissue.simulation.builders.organ_scene import pierced_tissue
 from tissue.simulation.builders.parts import motion_of
+from tissue.simulation.builders.voxels import volume_of
 
 __all__ = ["chosen_scale", "cut", "fitted_scale", "pierced", "pressed", "slot_force_N"]
 
@@ -128,9 +129,6 @@ def cut(scene: Scene) -> float:
 
     For a tool that is pushed, it is the thrust.
     """
-    from tissue.simulation.builders.cutting import cutter_of, milling_of
-    from tissue.simulation.builders.voxels import volume_of
-
     assert isinstance(scene.tool, Tool)
     if isinstance(scene.motion, ThrustMotion):
         return scene.motion.thrust_N
@@ -143,7 +141,9 @@ def cut(scene: Scene) -> float:
     motion = motion_of(scene, step_s=TICK_S)
     volume = volume_of(coarse, cutter, motion, notes={}, report=silent)
     spacing_m = (cutter.cutting_area_m2 / ELEMENTS) ** 0.5
-    return _largest(motion, milling_of(coarse, volume, cutter, shell_spacing_m=spacing_m), POSES)
+    bone = VoxelBone.stated(volume, coarse.cutting, coarse.constants)
+    model = bone.model(cutter, removal=voxels.removal, shell_spacing_m=spacing_m)
+    return _largest(motion, model, POSES)
 
 
 def pressed(scene: Scene) -> float:

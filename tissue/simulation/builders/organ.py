@@ -11,6 +11,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError, names_of_caller
 from meshes.base.placement import Placement
 from meshes.base.progress import Progress
+from meshes.base.text_tables import shown
 from meshes.organs.liver import Nodule, liver, liver_region, onto_liver, slab, slab_base
 from meshes.surfaces.site import axes_along
 from meshes.tets.files import read_tets
@@ -21,7 +22,6 @@ from meshes.voxels.mesh_sampling import nearest_on_triangles
 from tissue.materials.hyperelasticity import Hyperelastic
 from tissue.materials.scene_constants import Materials
 from tissue.motion.motion import frame_along
-from tissue.scene.named_parts import shown
 from tissue.scene.organ import (
     Held,
     LiverAnatomy,

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, names_of_caller, require_positive, require_range
+from meshes.base.text_tables import nearest
 from meshes.tets.regions import Nodes, faces_of, nodes_behind_plane, nodes_facing, nodes_of_part
 from meshes.tets.tetrahedra import TetMesh
 from meshes.voxels.mesh_sampling import nearest_on_triangles
@@ -22,7 +23,6 @@ from tissue.materials.elasticity import (
     transversely_isotropic,
     volume_preserving_ratio,
 )
-from tissue.scene.named_parts import nearest
 
 if TYPE_CHECKING:
     from tissue.models.organ.soft_organ import OrganLaw, SoftOrgan

@@ -21,8 +21,7 @@ from tissue.scene.registry import NEEDLES, PROBES
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Needle, Probe
 from tissue.simulation.builders.organ import OF_ORGAN, HeldMesh, held_mesh, material_of, organ_law
-from tissue.simulation.builders.parts import FILE_WORDS, Parts
-from tissue.simulation.builders.tool_path import poses_along
+from tissue.simulation.builders.parts import FILE_WORDS, Parts, poses_along
 
 if TYPE_CHECKING:
     from tissue.models.needle.parameters import NeedleTissue

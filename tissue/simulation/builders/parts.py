@@ -1,4 +1,4 @@
-"""Parts of a run, and the motions and real devices that scenes of all kinds share."""
+"""Parts of a run, the motion of its tool with checks of its path, and real devices."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -6,10 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from meshes.base.errors import InputError, is_file, names_of_caller
+from meshes.base.arrays import Array, Bytes, Ints
+from meshes.base.errors import InputError, in_brackets, is_file, names_of_caller
 from meshes.base.placement import Placement
-from meshes.voxels.volume import VoxelVolume
+from meshes.paths.toolpath import arc_length, points_along
+from meshes.shapes.anatomy import Anatomy
+from meshes.voxels.volume import FULL, VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.fem.fields import FieldSeries
 from tissue.haptics.device.device import Device, DeviceParameters
@@ -17,7 +21,7 @@ from tissue.haptics.device.safe_device import SafeDevice
 from tissue.models.keep_clear import KeepClear
 from tissue.models.tissue_model import TICK_S, HasFields, TissueModel
 from tissue.motion.motion import FollowPath, Motion
-from tissue.motion.replay import read_replay
+from tissue.motion.replay import RECORDINGS, SHAFT_TO_X, read_replay
 from tissue.motion.thrust import PushAlongAxis
 from tissue.scene.registry import DEVICES, MOTIONS
 from tissue.scene.scene import Scene
@@ -25,21 +29,36 @@ from tissue.scene.tool import PathMotion, ReplayMotion, ThrustMotion
 
 __all__ = [
     "FILE_WORDS",
+    "Corners",
     "Parts",
     "TissueBuilder",
+    "box_text",
     "motion_of",
     "opened_device",
     "opens_device",
     "plays_record",
+    "poses_along",
+    "reach",
     "recorded_file",
     "require_device",
+    "require_outside",
     "require_stated_rate",
+    "require_touch",
+    "require_whole",
+    "swept_box",
+    "w_first_notice",
 ]
 
 FILE_WORDS = ("file", "surface", "vertices", "faces", "triangles", "cells", "nodes", "labels")
 """Argument names of the functions that read files of anatomy or tools."""
 RECORDED = "recorded"
 """Device that plays a motion recorded in a file."""
+Corners = tuple[Array, Array]
+"""Lowest and highest corner of a box [m]."""
+POSES_TRIED = 300
+"""Number of poses along a motion at which contact is searched for."""
+MUCH_MORE = 2.0
+"""Ratio of the volumes inside the bone above which the other quaternion order is suggested."""
 
 
 @dataclass
@@ -133,6 +152,170 @@ def motion_of(scene: Scene, *, step_s: float) -> Motion:
             depth_m=1e-3 * motion.depth_mm,
         )
     return read_replay(Path(motion.file), step_s=step_s)
+
+
+def reach(cutter: Cutter, motion: Motion, margin: float) -> Corners:
+    """Return a box around everything that the cutting surface can reach, with a margin [m]."""
+    return swept_box(cutter.shell(spacing_m=cutter.profile.radius_m / 8.0).points_m, motion, margin)
+
+
+def swept_box(shell: Array, motion: Motion, margin: float) -> Corners:
+    """Return a box around the reach of the tool's points, shape (n, 3), with a margin [m]."""
+    tips = motion.sweep_m()
+    rotations = motion.rotations()
+    starts = np.arange(0, len(tips), max(len(tips) // 500, 1))
+    turned = [shell @ turn.T for turn in rotations[starts]]
+    low = np.minimum.reduceat(tips, starts) + [points.min(axis=0) for points in turned]
+    high = np.maximum.reduceat(tips, starts) + [points.max(axis=0) for points in turned]
+    return low.min(axis=0) - margin, high.max(axis=0) + margin
+
+
+def poses_along(motion: Motion, chosen: slice | Ints, count: int) -> tuple[Array, Array]:
+    """Return poses along a motion at which contact is searched for.
+
+    They are tips [m], shape (p, 3), and turns, shape (p, 3, 3): `count` poses with equal distances
+    and the chosen corners of the motion.
+    """
+    corners = motion.sweep_m()
+    turns = motion.rotations()
+    along = arc_length(corners)
+    wanted = np.unique(np.concatenate([np.linspace(0.0, along[-1], count), along[chosen]]))
+    at = np.searchsorted(along, wanted).clip(max=len(turns) - 1)
+    return points_along(corners, wanted), turns[at]
+
+
+def box_text(corners: Corners) -> str:
+    """Return text for the corners of a box [mm]."""
+    low, high = (in_brackets(1e3 * corner, ".4g") for corner in corners)
+    return f"between {low} and {high} mm"
+
+
+def _fraction_at(volume: VoxelVolume, points_m: Array) -> Bytes:
+    """Return the filling of the voxels around points [m]; points outside are left out."""
+    at = np.floor((points_m - volume.origin_m) / volume.spacing_m).astype(int)
+    at = at[((at >= 0) & (at < np.array(volume.shape))).all(axis=1)]
+    return volume.fraction[at[:, 0], at[:, 1], at[:, 2]]
+
+
+def _fine_shell(volume: VoxelVolume, cutter: Cutter) -> Array:
+    """Return points of the cutting surface that miss no voxel [m], shape (n, 3)."""
+    return cutter.shell(spacing_m=max(cutter.profile.radius_m / 24.0, volume.spacing_m)).points_m
+
+
+def require_touch(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None:
+    """Refuse a motion that never brings the cutting surface into bone."""
+    shell = _fine_shell(volume, cutter)
+    every = slice(None, None, len(motion.sweep_m()) // POSES_TRIED + 1)
+    tips, turns = poses_along(motion, every, POSES_TRIED)
+    for tip, turn in zip(tips[::-1], turns[::-1], strict=True):
+        if _fraction_at(volume, tip + shell @ turn.T).any():
+            return
+    held = np.argwhere(volume.fraction)
+    low, high = (
+        volume.origin_m + volume.spacing_m * corner
+        for corner in (held.min(axis=0), held.max(axis=0) + 1)
+    )
+    raise InputError(
+        "motion",
+        "bring the tool to the bone",
+        "a tool that never touches it",
+        f"move it to the bone {box_text((low, high))}",
+    )
+
+
+def require_outside(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None:
+    """Refuse a motion that starts with the cutting surface inside the tooth."""
+    shell = _fine_shell(volume, cutter)
+    points = motion.sweep_m()[0] + shell @ motion.rotations()[0].T
+    inside = int((_fraction_at(volume, points) == FULL).sum())
+    if inside:
+        start = in_brackets(1e3 * motion.sweep_m()[0], ".4g")
+        raise InputError(
+            "motion",
+            "start outside the tooth",
+            f"a bur at {start} mm with {inside / len(points):.0%} of its surface inside",
+            "start higher",
+        )
+
+
+def require_whole(anatomy: Anatomy, region: Corners, *, is_image: bool) -> None:
+    """Refuse bone that is cut off by the edge of its scan within the tool's reach."""
+    how = "with a hole"
+    remedy = "close it in a mesh editor"
+    if is_image:
+        how = "cut off by the edge of the image"
+        remedy = "take an image that holds more of the bone"
+    for points in anatomy.caps_m:
+        low = points.min(axis=0)
+        high = points.max(axis=0)
+        is_near = (low <= region[1]).all() and (high >= region[0]).all()
+        if is_near and not _on_one_side(points, region):
+            raise InputError(
+                "anatomy.file",
+                "enclose a solid where the tool goes",
+                f"{anatomy.name} {how} {box_text((low, high))}, for a tool that reaches "
+                f"{box_text(region)}",
+                f"{remedy}, or move the site away from it",
+            )
+
+
+def _on_one_side(points: Array, region: Corners) -> bool:
+    """Return whether a box lies completely on one side of a cap.
+
+    The box of a cap itself is too wide where the cut is oblique.
+    """
+    normal = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][-1]
+    corners = np.array(np.meshgrid(*np.array(region).T)).reshape(3, -1).T
+    cap = points @ normal
+    box = corners @ normal
+    return bool(box.max() < cap.min() or box.min() > cap.max())
+
+
+def w_first_notice(volume: VoxelVolume, cutter: Cutter, motion: Motion, file: str) -> str | None:
+    """Return a sentence if the start pose suggests that w is the first column; else None.
+
+    The tool then starts inside the bone, and would hardly do so with the other order. A quaternion
+    has unit length in either order, so only the position of the tool shows the order.
+
+    Parameters
+    ----------
+    volume, cutter, motion
+        The bone, the tool, and the recorded motion.
+    file
+        File of the recorded poses, whose kind gives the axis of the recorded tool.
+    """
+    turn = SHAFT_TO_X if Path(file).suffix.lower() in RECORDINGS else Rotation.identity()
+    rotation = Rotation.from_matrix(motion.rotations()[0])
+    first, second, third, fourth = (rotation * turn.inv()).as_quat()
+    other = Rotation.from_quat([second, third, fourth, first]) * turn
+    inside, by_other = (
+        _inside_mm3(volume, cutter, motion.sweep_m()[0], each) for each in (rotation, other)
+    )
+    if inside <= MUCH_MORE * by_other:
+        return None
+    return (
+        f"the tool starts with {inside:.3g} mm3 inside the bone. With its quaternions read as "
+        f"(w, x, y, z) it would be {by_other:.3g} mm3: their order is (x, y, z, w), so swap the "
+        f"columns of {file} if w comes first"
+    )
+
+
+def _inside_mm3(volume: VoxelVolume, cutter: Cutter, tip_m: Array, rotation: Rotation) -> float:
+    """Return the bone inside the cutter at a pose [mm3], by the centres of the voxels."""
+    spacing_m = volume.spacing_m
+    far_m = np.hypot(cutter.profile.radius_m, np.abs(cutter.profile.height_range_m).max())
+    middle = (tip_m - volume.origin_m) / spacing_m
+    first = np.clip(np.floor(middle - far_m / spacing_m).astype(int), 0, volume.shape)
+    last = np.clip(np.ceil(middle + far_m / spacing_m).astype(int), 0, volume.shape)
+    held = volume.fraction[tuple(slice(start, end) for start, end in zip(first, last, strict=True))]
+    filled = np.argwhere(held)
+    if not len(filled):
+        return 0.0
+    centres_m = volume.origin_m + spacing_m * (first + filled + 0.5)
+    x, y, z = rotation.inv().apply(centres_m - tip_m).T
+    distance_m, _ = cutter.profile.distance(np.column_stack([np.hypot(x, y), z]))
+    shares = held[tuple(filled.T)] / FULL
+    return float(1e9 * spacing_m**3 * shares[distance_m < 0.0].sum())
 
 
 def opens_device(scene: Scene) -> bool:

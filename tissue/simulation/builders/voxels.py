@@ -11,7 +11,7 @@ import numpy as np
 
 from meshes.base.cache import Kept
 from meshes.base.errors import InputError, in_brackets, is_file, names_of_caller
-from meshes.base.progress import Progress, silent
+from meshes.base.progress import Progress
 from meshes.shapes import sdf
 from meshes.shapes.anatomy import Anatomy, cortical_block
 from meshes.surfaces.glenoid import glenoid
@@ -41,14 +41,13 @@ from tissue.scene.anatomy import (
     VertebraAnatomy,
 )
 from tissue.scene.scene import Scene
-from tissue.simulation.builders.parts import FILE_WORDS
-from tissue.simulation.builders.tool_path import Corners, box_text, reach, require_whole
+from tissue.simulation.builders.parts import FILE_WORDS, Corners, box_text, reach, require_whole
 
 if TYPE_CHECKING:
     from meshes.surfaces.site import Site
     from meshes.surfaces.surface import Surface
 
-__all__ = ["is_procedural", "solid_of", "structures", "volume_of", "whole_tooth"]
+__all__ = ["is_procedural", "solid_of", "structures", "volume_of"]
 
 
 DENSE_BYTES_PER_VOXEL = 18
@@ -73,15 +72,6 @@ NO_SHAPE = {"kind", "guide_hole_diameter_mm", "guide_hole_depth_mm"}
 """Keys of an anatomy that do not affect its shape."""
 
 
-def whole_tooth(scene: Scene, *, spacing_m: float, report: Progress = silent) -> VoxelVolume:
-    """Return the whole tooth that a scene describes, in coarser voxels and undrilled."""
-    parameters = scene.bone
-    with _named(parameters):
-        if isinstance(parameters, MolarLabels):
-            return labelled_tooth(parameters, spacing_m=spacing_m, notes={}, report=report)
-        return voxelise(_anatomy(parameters, {}), spacing_m=spacing_m)
-
-
 def volume_of(
     scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, str], report: Progress
 ) -> VoxelVolume:
@@ -89,14 +79,14 @@ def volume_of(
     spacing = scene.voxels.spacing_mm * 1e-3
     parameters = scene.bone
     region = reach(cutter, motion, scene.voxels.margin_mm * 1e-3)
-    with _named(parameters):
+    with names_of_anatomy(parameters):
         if isinstance(parameters, BlockImage) and parameters.is_whole:
             return whole_image(parameters, spacing_mm=scene.voxels.spacing_mm, notes=notes)
         if isinstance(parameters, MolarLabels):
             return labelled_tooth(
                 parameters, spacing_m=spacing, region=region, notes=notes, report=report
             )
-        anatomy = _anatomy(parameters, notes)
+        anatomy = anatomy_of(parameters, notes)
     if anatomy.caps_m:
         require_whole(anatomy, region, is_image=isinstance(parameters, ImageAnatomy))
     bone = np.array(anatomy.shape.lower_m), np.array(anatomy.shape.upper_m)
@@ -137,7 +127,7 @@ def structures(scene: Scene) -> Mapping[str, sdf.Shape]:
 
     An anatomy from files has no such structures.
     """
-    return _anatomy(scene.bone, {}).structures if is_procedural(scene.bone) else {}
+    return anatomy_of(scene.bone, {}).structures if is_procedural(scene.bone) else {}
 
 
 def solid_of(scene: Scene, motion: Motion) -> tuple[Anatomy, sdf.Shape | None]:
@@ -158,7 +148,7 @@ def solid_of(scene: Scene, motion: Motion) -> tuple[Anatomy, sdf.Shape | None]:
             f"a {scene.anatomy.kind} from a file",
             "leave the file out",
         )
-    return _anatomy(parameters, {}), _guide_hole(scene, motion)
+    return anatomy_of(parameters, {}), _guide_hole(scene, motion)
 
 
 PROCEDURAL: dict[type[CutAnatomy], Callable[..., Anatomy]] = {
@@ -170,7 +160,7 @@ PROCEDURAL: dict[type[CutAnatomy], Callable[..., Anatomy]] = {
 """Functions that make an anatomy from the keys of its table."""
 
 
-def _anatomy(parameters: CutAnatomy, notes: dict[str, str]) -> Anatomy:
+def anatomy_of(parameters: CutAnatomy, notes: dict[str, str]) -> Anatomy:
     """Return the procedural bone, or the one in a file placed at its site."""
     if isinstance(parameters, MolarSurfaces):
         anatomy = layered_surfaces(
@@ -187,7 +177,7 @@ def _anatomy(parameters: CutAnatomy, notes: dict[str, str]) -> Anatomy:
     return anatomy
 
 
-def _named(parameters: CutAnatomy) -> AbstractContextManager[None]:
+def names_of_anatomy(parameters: CutAnatomy) -> AbstractContextManager[None]:
     """Make a refusal name the scene's key.
 
     Geometry functions know their arguments, not the key in which a scene gives them.

@@ -20,8 +20,9 @@ from tissue.scene.scene import Scene
 from tissue.simulation.builders.parts import Parts, opens_device
 from tissue.simulation.live.shared import AnyArray, Layout
 from tissue.simulation.live.window import Clock, WindowProcess, push
-from tissue.simulation.observer import LOOK_TICKS, RunObserver
+from tissue.simulation.observer import LOOK_TICKS
 from tissue.simulation.run import DEADLINE_US
+from tissue.simulation.simulate import RunObserver
 
 __all__ = [
     "PORT",

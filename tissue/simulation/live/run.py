@@ -31,11 +31,10 @@ from tissue.simulation.observer import (
     LOOK_TICKS,
     Observers,
     Prioritised,
-    RunObserver,
     WallClock,
 )
 from tissue.simulation.run import DEADLINE_US, Run
-from tissue.simulation.simulate import TICK_S, RunSettings, simulate
+from tissue.simulation.simulate import TICK_S, RunObserver, RunSettings, simulate
 from tissue.system.child import process_module
 from tissue.system.offscreen import await_display, display_problem
 

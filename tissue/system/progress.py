@@ -1,20 +1,16 @@
-"""Progress in a notebook or in a terminal, and VTK's warnings there."""
+"""Display of progress in a notebook or in a terminal."""
 
-import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from html import escape
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from meshes.base.progress import Progress, silent
 from meshes.base.text_tables import visible
 
-if TYPE_CHECKING:
-    from rich.console import Console
-
-__all__ = ["Bar", "in_notebook", "quiet_without_display", "reporting", "terminal_bar"]
+__all__ = ["Bar", "in_notebook", "progress", "reporting"]
 
 
 Bar = Progress | bool | None
@@ -24,6 +20,8 @@ The default None shows a bar in a notebook only.
 """
 EVERY_S = 0.2
 """Time between two updates of a notebook's bar [s]."""
+QUIET_S = 30.0
+"""Time between two lines of progress without a terminal for a bar [s]."""
 
 
 def in_notebook() -> bool:
@@ -31,21 +29,6 @@ def in_notebook() -> bool:
     module = sys.modules.get("IPython")
     shell: Any = module.get_ipython() if module is not None else None
     return shell is not None and hasattr(shell, "kernel")
-
-
-@contextmanager
-def quiet_without_display() -> Iterator[None]:
-    """Restrict VTK's output to errors if no display is set.
-
-    VTK warns about a missing display, and then draws without one.
-    """
-    if os.environ.get("DISPLAY"):
-        yield
-        return
-    import pyvista
-
-    with pyvista.vtk_verbosity("error"):
-        yield
 
 
 @contextmanager
@@ -57,21 +40,41 @@ def reporting(wanted: Bar) -> Iterator[Progress]:
         with _notebook_bar() as report:
             yield report
     elif wanted:
-        from rich.console import Console
-
-        with terminal_bar(Console(stderr=True, emoji=False, markup=False)) as report:
+        with _terminal_bar(silent) as report:
             yield report
     else:
         yield silent
 
 
 @contextmanager
-def terminal_bar(console: "Console") -> Iterator[Progress]:
-    """Yield the report function of a temporary bar; it does nothing without a terminal."""
-    from rich import progress as bars
+def progress() -> Iterator[Progress]:
+    """Show the progress of a command: a bar, or a line at intervals without a terminal.
 
+    Yields
+    ------
+    Function that is called with the present work and its completed share.
+    """
+    printed_s = perf_counter()
+
+    def print_sometimes(doing: str, share: float) -> None:
+        nonlocal printed_s
+        if perf_counter() - printed_s >= QUIET_S:
+            printed_s = perf_counter()
+            print(f"{visible(doing)}, {100.0 * share:.0f} %", file=sys.stderr, flush=True)
+
+    with _terminal_bar(print_sometimes) as report:
+        yield report
+
+
+@contextmanager
+def _terminal_bar(otherwise: Progress) -> Iterator[Progress]:
+    """Yield the report function of a temporary bar, or another one without a terminal."""
+    from rich import progress as bars
+    from rich.console import Console
+
+    console = Console(stderr=True, emoji=False, markup=False)
     if not console.is_terminal:  # older versions of rich end even a disabled bar with an empty line
-        yield silent
+        yield otherwise
         return
     text = bars.TextColumn("{task.description}", markup=False)
     columns = (text, bars.BarColumn(), bars.TaskProgressColumn(), bars.TimeElapsedColumn())

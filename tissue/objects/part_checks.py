@@ -1,0 +1,136 @@
+"""Checks of the parts that users register: name, signature, methods and numbers."""
+
+import inspect
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, fields
+from itertools import chain
+from typing import Any
+
+from meshes.base.errors import InputError
+from meshes.base.text_tables import nearest, shown
+from tissue.scene.registry import CUTTERS, TABLES
+
+__all__ = [
+    "NAME",
+    "check_callable",
+    "check_looks",
+    "check_name",
+    "check_parameters",
+    "check_profile",
+    "checked_numbers",
+]
+
+NAME = "[a-z0-9][a-z0-9_-]*"
+"""Pattern of a part's name."""
+
+
+def check_name(kind: str, given: object, *, argument: bool = False) -> None:
+    """Refuse a name that is invalid or taken."""
+    pattern = f"{NAME}(:[A-Z]+)?" if argument else NAME
+    if not isinstance(given, str) or not re.fullmatch(pattern, given):
+        raise InputError(
+            "name",
+            "be of lower-case letters, digits, - and _",
+            shown(given),
+            f"choose such a one for the {kind}",
+        )
+    taken = ["none", *(each for table in TABLES[kind] for each in table.known)]
+    if given in taken:
+        raise InputError(
+            "name", f"be none of {', '.join(taken)}", given, f"choose another name for this {kind}"
+        )
+
+
+def check_callable(kind: str, given: str, part: object, methods: Sequence[str] = ()) -> None:
+    """Refuse a part that is not callable, or a class without the required methods."""
+    if not callable(part):
+        raise InputError(
+            f"{kind} {given}",
+            "be a class or a function",
+            shown(part),
+            f"give the class or function that makes the {kind}",
+        )
+    if not isinstance(part, type):
+        return
+    missing = [method for method in methods if not callable(getattr(part, method, None))]
+    if missing:
+        raise InputError(
+            f"{kind} {given}",
+            f"have {' and '.join(methods)}",
+            f"{part.__name__} without {' and '.join(missing)}",
+            f"add {' and '.join(missing)}",
+        )
+
+
+def check_profile(given: str, part: Any, keys: Sequence[str]) -> None:
+    """Refuse a half section that cannot be called with a tool's sizes."""
+    known = dict.fromkeys(chain.from_iterable(CUTTERS[each].keys for each in CUTTERS.built_in))
+    for key in keys:
+        if key not in known:
+            raise InputError(
+                "keys", f"be of {', '.join(sorted(known))}", shown(key), "use one of a tool's keys"
+            )
+    sizes = ["diameter_m", *(key.replace("_mm", "_m").replace("_deg", "_rad") for key in keys)]
+    try:
+        inspect.signature(part).bind(**dict.fromkeys(sizes, 1.0))
+    except TypeError as error:
+        raise InputError(
+            f"tool {given}",
+            f"take {' and '.join(sizes)}",
+            f"one that does not ({error})",
+            "name its arguments so",
+        ) from None
+
+
+def check_parameters(kind: str, given: str, part: Any) -> None:
+    """Refuse parameters that are no subclass of `Part` whose kind is the name."""
+    from tissue.scene.anatomy import Part
+    from tissue.scene.part import kinds_of
+
+    is_part = isinstance(part, type) and issubclass(part, Part)
+    if not is_part or "kind" not in part.model_fields or kinds_of(part) != (given,):
+        raise InputError(
+            f"parameters of the {kind} {given}",
+            "be a subclass of tissue.scene.anatomy.Part of this kind",
+            shown(part),
+            f'derive it from that and write kind: Literal["{given}"] = "{given}"',
+        )
+
+
+def checked_numbers(kind: Any, numbers: Any, *, needed: Sequence[str] = ()) -> dict[str, float]:
+    """Return the values of a class of parameters, from an instance or a checked mapping."""
+    if isinstance(numbers, kind):
+        return asdict(numbers)
+    if not isinstance(numbers, Mapping):
+        wanted = f"be a mapping with {' and '.join(needed) or 'numbers by name'}"
+        raise InputError("numbers", wanted, shown(numbers), "give names and values")
+    known = [field.name for field in fields(kind)]
+    if strange := [each for each in numbers if each not in known]:
+        given = f"{shown(strange[0])}{nearest(str(strange[0]), known)}"
+        raise InputError("numbers", f"be of {', '.join(known)}", given, "rename or remove it")
+    if missing := [each for each in needed if each not in numbers]:
+        lacking = " and ".join(missing)
+        raise InputError(
+            "numbers", f"have {' and '.join(needed)}", f"none for {lacking}", f"add {lacking}"
+        )
+    for each, value in numbers.items():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise InputError(each, "be a number", shown(value), "give it in the unit of its name")
+    kind(**numbers)
+    return dict(numbers)
+
+
+def check_looks(colour: str, marker: str) -> None:
+    """Refuse a colour or a marker that matplotlib cannot draw."""
+    from matplotlib.colors import is_color_like
+    from matplotlib.markers import MarkerStyle
+
+    if not is_color_like(colour):
+        raise InputError("colour", "be one of matplotlib's", shown(colour), "use for example red")
+    try:
+        MarkerStyle(marker)
+    except ValueError:
+        raise InputError(
+            "marker", "be one of matplotlib's", shown(marker), "use for example o"
+        ) from None

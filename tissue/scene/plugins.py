@@ -1,0 +1,103 @@
+"""Parts that installed packages offer by entry points.
+
+Entry points are read once, when a name is unknown or the names are listed.
+"""
+
+import warnings
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+
+__all__ = [
+    "OFFERED",
+    "PluginWarning",
+    "ask_packages",
+    "offered_names",
+    "refusal",
+]
+
+OFFERED = {
+    f"tissue.{kind}s": kind
+    for kind in (
+        "tool",
+        "probe",
+        "needle",
+        "motion",
+        "tissue",
+        "device",
+        "hand",
+        "renderer",
+        "predictor",
+        "perception",
+        "material",
+        "scene",
+    )
+}
+"""Function of `tissue.register` for the parts of each group of entry points."""
+_asked: set[str] = set()
+_refused: dict[tuple[str, str], str] = {}
+
+
+class PluginWarning(UserWarning):
+    """Warning about a part of an installed package that cannot be used and is left out."""
+
+
+def ask_packages(group: str) -> None:
+    """Register the parts that installed packages offer in a group of entry points.
+
+    Each group is read once. A part that cannot be used is left out with a `PluginWarning`, see
+    `refusal`. Its name then keeps its earlier part, which is built in or was registered by a call.
+    """
+    if not group or group in _asked:
+        return
+    _asked.add(group)  # before an import that may call this function
+    first: dict[str, EntryPoint] = {}
+    for offer in _offers().get(group, ()):
+        other = first.setdefault(offer.name, offer)
+        if other is not offer:
+            _refuse(
+                offer, f"the package {_package(other)} offers one by that name, too, which is used"
+            )
+            continue
+        try:
+            from tissue import register
+
+            register.offered(OFFERED[group], offer.name, offer.load)
+        except (Exception, SystemExit) as error:
+            reason = (str(error).splitlines() or [""])[0]
+            cause = (
+                reason
+                if type(error).__name__ == "InputError"
+                else f"{type(error).__name__}: {reason}"
+            )
+            _refused[group, offer.name] = _refuse(offer, cause)
+
+
+def refusal(group: str, name: str) -> str | None:
+    """Return the reason why an offered part cannot be used; None if it was not refused."""
+    return _refused.get((group, name))
+
+
+def offered_names() -> dict[str, list[str]]:
+    """Return the names of the parts of installed packages by kind, without importing them."""
+    return {OFFERED[group]: [offer.name for offer in offers] for group, offers in _offers().items()}
+
+
+def _refuse(offer: EntryPoint, cause: str) -> str:
+    """Warn about an offered part that is left out, and return the warning text."""
+    what = f"{OFFERED[offer.group]} {offer.name} of the package {_package(offer)}"
+    sentence = f"{what} cannot be used ({cause}): update or uninstall that package"
+    warnings.warn(sentence, PluginWarning, stacklevel=4)
+    return sentence
+
+
+def _package(offer: EntryPoint) -> str:
+    """Return the name and version of the package that offers a part."""
+    return offer.value if offer.dist is None else f"{offer.dist.name} {offer.dist.version}"
+
+
+@cache
+def _offers() -> dict[str, list[EntryPoint]]:
+    """Return the installed entry points by group, for groups with any."""
+    installed = entry_points()
+    found = {group: list(installed.select(group=group)) for group in OFFERED}
+    return {group: offers for group, offers in found.items() if offers}

@@ -1,0 +1,87 @@
+"""Build the measurement of a tool's distance from structures that it must not touch."""
+
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from kernels.tool_distance import TOLERANCE_M
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from meshes.base.placement import Placement
+from meshes.base.progress import Progress
+from meshes.shapes.sdf import Shape, shape_triangles
+from meshes.voxels.mesh_sampling import triangle_distance
+from tissue.cutters.body import body_points
+from tissue.cutters.cutter import Cutter
+from tissue.models.keep_clear import Distance, KeepClear, Structure
+from tissue.motion.motion import Motion
+from tissue.scene.scene import KeepClear as Wanted
+from tissue.simulation.builders.arguments import surface_of
+from tissue.simulation.builders.parts import swept_box
+
+__all__ = ["keep_clear"]
+
+MARGIN_M = 10e-3
+"""Margin beyond the scripted motion, since a hand may leave it [m]."""
+POINTS_ACROSS = 12.0
+"""Number of points of the tool's surface over its radius, for pictures."""
+
+
+def keep_clear(
+    wanted: Wanted,
+    shapes: Mapping[str, Shape],
+    cutter: Cutter,
+    motion: Motion,
+    *,
+    placement: Placement | None,
+    notes: dict[str, str],
+    report: Progress,
+) -> KeepClear:
+    """Build the measurement of a cutter's distance from the structures that a scene names.
+
+    Parameters
+    ----------
+    shapes
+        Structures that the anatomy knows, in the frame of the scene, by name.
+    placement
+        Pose of the scene in the frame of the anatomy's file; None where both frames are the same.
+
+    Raises
+    ------
+    InputError
+        If the anatomy has no such structure, or a file cannot be used.
+    """
+    points = body_points(cutter.profile, spacing_m=cutter.profile.radius_m / POINTS_ACROSS)
+    low, high = swept_box(points, motion, MARGIN_M)
+    distances: dict[str, Distance] = {}
+    found: dict[str, Structure] = {}
+    for name in wanted.names:
+        if name not in shapes:
+            raise InputError(
+                "keep_clear.names",
+                f"be structures of the anatomy ({', '.join(shapes) or 'none'})",
+                name,
+                "give its surface in [keep_clear.files]",
+            )
+        report(f"meshing the surface of {name}", 0.0)
+        distances[name] = shapes[name].distance
+        found[name] = Structure(*shape_triangles(shapes[name], low, high))
+    for name, file in wanted.files.items():
+        report(f"reading the surface of {name}", 0.0)
+        unit = 1.0 if placement is None else placement.unit_mm
+        surface = surface_of(f"keep_clear.files.{name}", Path(file), unit, is_part=True)
+        vertices: Array = surface.vertices_m
+        if placement is not None:
+            vertices = 1e-3 * placement.to_scene(1e3 * vertices / unit)
+        found[name] = Structure(vertices, surface.faces)
+        distances[name] = partial(triangle_distance, vertices, surface.faces)
+        if surface.report.repairs:
+            notes[f"surface of {name}"] = " ".join(surface.report.repairs)
+    for name, structure in found.items():
+        below_mm = 1e3 * (structure.slack_m + float(TOLERANCE_M))
+        notes[f"keep clear of {name}"] = (
+            f"its distance is in the trace, exact or up to {below_mm:.2g} mm too small"
+        )
+    return KeepClear(cutter.profile, found, distances, points_m=points, box_m=np.array([low, high]))

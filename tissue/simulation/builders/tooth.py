@@ -1,0 +1,74 @@
+"""Build the stress and the heat of a tooth around the voxels that a bur cuts."""
+
+from meshes.base.progress import Progress
+from meshes.voxels.volume import VoxelVolume
+from meshes.voxels.voxelise import voxelise
+from tissue.models.bone.model import BoneModel
+from tissue.models.tissue_model import TissueModel
+from tissue.models.tooth import stress_process
+from tissue.models.tooth.cutting_heat import CuttingHeat
+from tissue.models.tooth.model import ToothModel
+from tissue.motion.motion import Motion
+from tissue.scene.anatomy import MolarLabels, Tooth
+from tissue.scene.scene import Scene, Stress
+from tissue.simulation.builders.parts import reach
+from tissue.simulation.builders.voxels import anatomy_of, labelled_tooth, names_of_anatomy
+
+__all__ = ["tooth_around"]
+
+HEAT_CELL = 0.25
+"""Edge of the temperature cells within the bur's reach, relative to the edge of the stress cells.
+
+By default the temperature cells are 0.125 mm. The rise of the pulp in the molar scene is 0.614,
+0.731 and 0.749 K with cells of 0.25, 0.125 and 0.083 mm.
+"""
+
+
+def tooth_around(
+    scene: Scene, milling: BoneModel, motion: Motion, *, compute: str, report: Progress
+) -> TissueModel:
+    """Return the tooth around the milled voxels, with its stress where the scene requests it."""
+    anatomy = scene.anatomy
+    if not isinstance(anatomy, Tooth) or not (scene.stress or scene.heat):
+        return ToothModel(milling, device=compute)
+    stress = scene.stress or Stress()
+    cell_m = stress.cell_mm * 1e-3
+    field = None
+    if scene.stress is not None:
+        report("assembling the tooth's stiffness", 0.0)
+        whole = _whole_tooth(scene, spacing_m=0.5 * cell_m, report=report)
+        field = stress_process.StressProcess(
+            whole,
+            milling.store,
+            cell_m=cell_m,
+            ligament_thickness_m=anatomy.ligament_thickness_mm * 1e-3,
+            contact_m=milling.cutter.profile.radius_m,
+            constants=scene.constants,
+            device=compute,
+            cores=1,  # the ticks need their own core
+        )
+    heat = None
+    if scene.heat:
+        report("building the grid of the temperature", 0.0)
+        heat = CuttingHeat(
+            _whole_tooth(
+                scene,
+                spacing_m=max(HEAT_CELL * cell_m, milling.store.grid.spacing_m),
+                report=report,
+            ),
+            milling,
+            reach_m=reach(milling.cutter, motion, 0.0),
+            constants=scene.constants,
+            device=compute,
+        )
+    interval_s = stress.interval_ms * 1e-3
+    return ToothModel(milling, stress=field, interval_s=interval_s, heat=heat, device=compute)
+
+
+def _whole_tooth(scene: Scene, *, spacing_m: float, report: Progress) -> VoxelVolume:
+    """Return the whole tooth that a scene describes, in coarser voxels and undrilled."""
+    parameters = scene.bone
+    with names_of_anatomy(parameters):
+        if isinstance(parameters, MolarLabels):
+            return labelled_tooth(parameters, spacing_m=spacing_m, notes={}, report=report)
+        return voxelise(anatomy_of(parameters, {}), spacing_m=spacing_m)
