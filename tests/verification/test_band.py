@@ -55,7 +55,7 @@ def band():
         tool=BURR | {"flutes": FLUTES, "diameter_mm": 2.0 * RADIUS_MM, "spin_rpm": SPIN_RPM},
         voxels={"spacing_mm": 0.2, "margin_mm": 0.5},
         motion={"kind": "path", "points_mm": [[0, 0, 0.2], [0, 0, -1.8]], "feed_mm_s": FEED_MM_S},
-        cutting=others | {"density_exponent": 0.0},
+        cutting=others | {"density_exponent": 0.0, "minimum_chip_um": 0.0},
     )
     return band_of(scene, 1024, cores=1)
 

@@ -197,7 +197,8 @@ def changed_coefficients(
 ) -> CuttingCoefficients:
     """Return the cutting coefficients of cutting constants in SI units.
 
-    ``changes`` replace single constants.
+    ``changes`` replace single constants. A minimum chip thickness of zero is the linear law, without
+    a size effect.
 
     Raises
     ------
@@ -212,6 +213,8 @@ def changed_coefficients(
             )
         if value is not None:
             values[name] = value
+    if values["minimum_chip_um"] == 0.0 and not changes.get("size_exponent"):
+        values["size_exponent"] = 0.0  # the linear law
     found: dict[str, float] = {}
     for side in ("tangential", "radial", "axial"):
         found[f"{side}_chip_Pa"] = values[f"{side}_chip_N_mm2"] * N_MM2

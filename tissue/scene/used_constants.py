@@ -189,7 +189,10 @@ def _has_reference_density(scene: Scene) -> bool:
 def _stated(scene: Scene, table: str, material: str) -> dict[str, float | None]:
     """Return the values that a scene states in place of a table's constants."""
     if table == "cutting":
-        return dict(scene.cutting.model_dump(exclude={"material"}))
+        stated = scene.cutting.model_dump(exclude={"material"})
+        if stated["minimum_chip_um"] == 0.0 and stated["size_exponent"] is None:
+            stated["size_exponent"] = 0.0  # the linear law
+        return dict(stated)
     if (table, material) == ("soft", scene.organ.material) and isinstance(
         scene.anatomy, SoftAnatomy
     ):

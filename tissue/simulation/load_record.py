@@ -313,10 +313,9 @@ def _is_linear(scene: Scene, layer_names: tuple[str, ...]) -> bool:
     changes = scene.cutting.model_dump(exclude={"material"}, exclude_none=True)
     for layer in layer_names:
         known = scene.constants.layer_constants(layer, bone=scene.cutting.material)
-        for name in ("size_exponent", "minimum_chip_um"):
-            highest = known[name].high if name in known else 0.0
-            if changes.get(name, highest) > 0.0:
-                return False
+        highest = known["minimum_chip_um"].high if "minimum_chip_um" in known else 0.0
+        if changes.get("minimum_chip_um", highest) > 0.0:
+            return False
     return True
 
 

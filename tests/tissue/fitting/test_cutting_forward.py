@@ -16,7 +16,7 @@ USUAL = [
     f"{kind}_{part}"
     for part in ("chip_N_mm2", "edge_N_mm")
     for kind in ("tangential", "radial", "axial")
-]
+] + ["size_exponent", "minimum_chip_um"]
 SLANT = [[-1, 0, 0.2], [-1, 0, -0.8], [1, 0, -1.0]]
 
 
@@ -30,8 +30,8 @@ def test_loads_of_a_log_are_those_of_a_run_along_it():
         f"cutting.cortical.{name}" for name in USUAL
     ] + ["density.cortical"]
     cited = constants("cutting", "bone")
-    assert values(forward)[:6].tolist() == [cited[name].value for name in USUAL]
-    x = np.array([97.0, 31.0, 4.0, 2.9, 3.3, 0.2, 1.0])
+    assert values(forward)[:8].tolist() == [cited[name].value for name in USUAL]
+    x = np.array([97.0, 31.0, 4.0, 2.9, 3.3, 0.2, 0.1, 0.4, 1.0])
     motion = {
         "kind": "path",
         "points_mm": [[-1, 0, 0.2], [1, 0, -0.8]],
@@ -48,7 +48,7 @@ def test_loads_of_a_log_are_those_of_a_run_along_it():
     assert forward.loads(x)[1:] == pytest.approx(want[1:], abs=1e-3 * np.abs(want[:, :3]).max())
     assert forward.times_s[[0, -1]] == pytest.approx([2.0, 2.099])
     exponent = constants("cutting", "bone")["density_exponent"].value
-    denser = np.append(x[:6], 1.1)
+    denser = np.append(x[:8], 1.1)
     assert forward.loads(denser) == pytest.approx(
         1.1**exponent * forward.loads(x), rel=1e-9, abs=1e-12
     )
@@ -56,7 +56,8 @@ def test_loads_of_a_log_are_those_of_a_run_along_it():
 
 def test_derivatives_by_the_parameters():
     forward = forward_along(SLANT, [0.0, 0.05, 0.1], free=("cutting", "density"))
-    assert len(forward.parameters) == 8  # six coefficients, the exponent, the density
+    # six coefficients, the exponents of density and size, the minimum chip, the density
+    assert len(forward.parameters) == 10
     x = values(forward) * 1.1
     slopes = forward.jacobian(x)
     for column, step in enumerate(1e-5 * np.maximum(x, 1.0)):

@@ -13,14 +13,17 @@ from tissue.scene.load import changed
 from tissue.scene.scene import Scene
 from tissue.simulation.builders.cutting import cutter_of, milled_voxels
 from tissue.simulation.builders.parts import motion_of
-from tissue.simulation.load_record import record_loads
+from tissue.simulation.load_record import SENSITIVITIES, record_loads
 from tissue.simulation.simulate import simulate
 
 EQUAL = 1e-6
-"""Tolerance relative to the run's largest force or torque.
+"""Tolerance of a linear law relative to the run's largest force or torque.
 
 The force kernel adds in single precision, 1e-7 a chunk of elements.
 """
+CLOSE = 2e-3
+"""Tolerance of a law with a size effect, which is interpolated between nodes of chip thickness."""
+LINEAR = {"cutting.minimum_chip_um": 0.0}
 OTHERS = {
     "cutting.tangential_chip_N_mm2": 97.3,
     "cutting.radial_chip_N_mm2": 31.7,
@@ -54,6 +57,14 @@ def largest_difference(got, want):
 
 
 @pytest.mark.parametrize(
+    ("law", "tolerance"),
+    [
+        (LINEAR, EQUAL),
+        ({"cutting.minimum_chip_um": 0.4, "cutting.size_exponent": 0.4}, CLOSE),
+    ],
+    ids=["linear", "size effect"],
+)
+@pytest.mark.parametrize(
     ("kind", "exponent"),
     [
         ("bone, density", 2.3),
@@ -64,15 +75,15 @@ def largest_difference(got, want):
         pytest.param("vertebra", 2.6, marks=pytest.mark.slow),
     ],
 )
-def test_reweighing_equals_rerunning(tables, kind, exponent):
-    scene = Scene(**tables[kind])
+def test_reweighing_equals_rerunning(tables, kind, exponent, law, tolerance):
+    scene = changed(Scene(**tables[kind]), LINEAR if law is LINEAR else {})
     record = record_loads(scene, cores=1)
     other = changed(
-        scene, OTHERS | ({} if exponent is None else {"cutting.density_exponent": exponent})
+        scene, OTHERS | law | ({} if exponent is None else {"cutting.density_exponent": exponent})
     )
     trace = simulate(other, cores=1).trace
     loads, want = record.loads(coefficients_in(other, record.layer_names)), wrenches(trace)
-    assert largest_difference(loads, want) < EQUAL
+    assert largest_difference(loads, want) < tolerance
     assert largest_difference(record.loads(coefficients_in(scene, record.layer_names)), want) > 0.1
     for name in ("tool_z_mm", "removed_mm3"):
         assert np.array_equal(record.trace[name], trace[name])
@@ -107,18 +118,22 @@ def test_a_density_factor_is_another_reference_density(tables):
         motion.advance(1e-3 * tick, 1e-3, Response.empty(1), tool)
         model.advance(tool)
         found.append(model.respond(tool).wrench.copy())
-    assert largest_difference(record.loads(given, factors), np.array(found)) < EQUAL
+    assert largest_difference(record.loads(given, factors), np.array(found)) < CLOSE
 
 
 def test_derivatives_are_those_of_the_loads(tables):
     record = record_loads(Scene(**tables["bone, density"]), every=3, cores=1)
-    given = Materials.cited.coefficients(record.layer_names, {})
-    names = [*type(given[0]).CHIP, *type(given[0]).EDGE, "density_exponent"]
+    given = Materials.cited.coefficients(
+        record.layer_names, {"size_exponent": 0.2, "minimum_chip_um": 3.3}
+    )
+    names = [name for name in SENSITIVITIES if name != "density_factor"]
+    steps = {"density_exponent": 1e-4, "size_exponent": 1e-4, "minimum_chip_m": 1e-10}
     factors = np.full(len(given), 1.05)
     slopes = record.jacobian(given, factors)
     for at in record.layers:
-        for column, name in enumerate(names):
-            step = 1e-4 if name == "density_exponent" else 1e3  # linear in all others
+        for name in names:
+            column = SENSITIVITIES.index(name)
+            step = steps.get(name, 1e3)  # linear in all others
             up, down = (
                 record.loads(
                     (

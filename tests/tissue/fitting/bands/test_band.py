@@ -38,7 +38,12 @@ def test_of_a_force_linear_in_one_coefficient_the_band_is_that_of_the_coefficien
     a geometry.
     """
     fixed = dict.fromkeys(
-        (f"cutting.{name}" for name in NAMES if "chip" in name or "edge" in name), 0.0
+        (
+            f"cutting.{name}"
+            for name in NAMES
+            if ("chip" in name or "edge" in name) and not name.startswith("reference")
+        ),
+        0.0,
     )
     del fixed["cutting.radial_edge_N_mm"]
     scene = changed(block, fixed)
@@ -55,7 +60,7 @@ def test_of_a_force_linear_in_one_coefficient_the_band_is_that_of_the_coefficien
     assert found == pytest.approx(exact, rel=1e-4, abs=1e-12)
     assert per_unit[0] > 0.0
     size = reweighed.quantiles(x[::16], tuple(levels))[..., 3]
-    assert size[:, np.argmax(size[2])] == pytest.approx(exact[:, 0], rel=2e-2)
+    assert size[:, np.argmax(size[2])] == pytest.approx(exact[:, 0], rel=3e-2)
 
 
 def test_in_bone_of_the_reference_density_the_exponent_counts_where_that_density_varies(block):
@@ -82,14 +87,17 @@ def test_in_bone_of_the_reference_density_the_exponent_counts_where_that_density
 
 
 def test_the_file_of_a_sample_gives_its_figures_when_it_is_run(block, tmp_path):
-    """Reweighed against rerun, for every constant at once."""
+    """Reweighed against rerun, for every constant at once.
+
+    Loads are interpolated between nodes of chip thickness, with an error of 0.2 % at most.
+    """
     band = band_of(block, 16, cores=1)
     for number in (3, 11):
         file = tmp_path / "sample.toml"
         file.write_text(band.files[number], "utf-8")
         summary = simulate(changed(block, {"materials": str(file)}), cores=1).summary
         want = [summary[outer][inner] for outer, inner in LOADS]
-        assert band.figures[number] == pytest.approx(want, rel=1e-6)
+        assert band.figures[number] == pytest.approx(want, rel=2e-3)
         assert band.figures[number] != pytest.approx(band.figures[number - 1], rel=0.01)
 
 
