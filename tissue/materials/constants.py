@@ -197,8 +197,8 @@ def changed_coefficients(
 ) -> CuttingCoefficients:
     """Return the cutting coefficients of cutting constants in SI units.
 
-    ``changes`` replace single constants. A minimum chip thickness of zero is the linear law, without
-    a size effect.
+    ``changes`` replace single constants. A minimum chip thickness of zero is the linear law, which
+    has no size effect.
 
     Raises
     ------
@@ -214,7 +214,7 @@ def changed_coefficients(
         if value is not None:
             values[name] = value
     if values["minimum_chip_um"] == 0.0 and not changes.get("size_exponent"):
-        values["size_exponent"] = 0.0  # the linear law
+        values["size_exponent"] = 0.0
     found: dict[str, float] = {}
     for side in ("tangential", "radial", "axial"):
         found[f"{side}_chip_Pa"] = values[f"{side}_chip_N_mm2"] * N_MM2
