@@ -21,7 +21,7 @@ THRESHOLDS = 2.0
 At one threshold, an answer is right in 75 % of cases, which is too unreliable to end a push.
 """
 EASED = 0.2
-"""Relative speed of an aim after a cue; assumed."""
+"""Relative speed of an aim after a cue; assumed, because no measurement was found."""
 
 
 @dataclass
@@ -254,6 +254,7 @@ class CompensatedPath:
             aimed = self._aims_m[1] - self._aims_m[0]
             square = float(aimed @ aimed)
             if square > 0.0:
+                # Chosen: the mean of old and new ratio, so that one odd correction counts half.
                 self._yields += 0.5 * (
                     min(max(float(went @ aimed) / square, LEAST_YIELD), 1.0) - self._yields
                 )

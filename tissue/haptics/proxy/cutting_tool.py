@@ -168,6 +168,7 @@ class CuttingTool(HeldTool):
             return self._wait(stretch, not asked)
         edge, drag = np.maximum(np.maximum(resisted @ heading, self._felt @ heading), 0.0).tolist()
         step = max(float(pull.dot(heading)) - edge, 0.0) / (spring + damping + drag)
+        # A motion straight back meets no resistance and may be long.
         if float(self._felt[0].dot(heading)) >= 0.0 or resisted.any():
             step = min(step, max(2.0 * self._before_m, CAREFUL_M))
         across = pull - resisted[0] - step * resisted[1]
@@ -177,6 +178,7 @@ class CuttingTool(HeldTool):
             max(self._slopes[0], sizes[0])
             + (DAMPED * max(self._slopes[1], sizes[1]) + spring + damping) * step
         )
+        # At most one radian, where no slope is known yet.
         self.heading = _turned(heading, across / (max(slope, missing) or 1.0), stretch)
         step = min(step, _furthest(stretch, self.heading, self._moved_m))
         if (step < LEAST_M and drag < VISCOUS * spring) or step == 0.0:
@@ -226,8 +228,11 @@ class CuttingTool(HeldTool):
         """Store the resistance and its change with direction; return its sizes [N], [N/m]."""
         turned = heading - self._asked
         square = float(turned.dot(turned))
+        # One over the turn, but zero for a turn well below SMALL_RAD.
         share = sqrt(square) / (square + SMALL_RAD**2)
         changed = resisted - self._last
+        # A tool that rests against a pull has not left the tissue: what it felt does not fade. A
+        # stretch of twice the smallest motion is no pull.
         held = float(self.push.dot(self.push)) > (LEAST_N + 2.0 * self.stiffness_N_m * LEAST_M) ** 2
         keep = 1.0 if held else FADE
         sizes = [0.0, 0.0]

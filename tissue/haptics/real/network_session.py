@@ -41,7 +41,10 @@ WRENCH = struct.Struct("<6d")
 """Force [N] and torque [N m]."""
 HALF = 1 << 31
 WHOLE = 1 << 32
-"""Half of the number of sequence numbers, and their number."""
+"""Half of the number of sequence numbers, and their number.
+
+Numbers restart after 2^32 packets. One of two numbers is newer if it is less than half ahead.
+"""
 
 
 class Kind(IntEnum):
@@ -146,9 +149,15 @@ def is_newer(sequence: int, before: int) -> bool:
 
 
 SILENCE_S = 0.5
-"""Silence after which a device is given up and another one may connect [s]."""
+"""Silence after which a device is given up and another one may connect [s].
+
+A device sends at least five packets a second, so that two in a row are missing.
+"""
 KEPT = 1024
-"""Number of wrenches whose send time is stored for round trips; a power of two."""
+"""Number of wrenches whose send time is stored for round trips, a second at 1 kHz.
+
+It is a power of two, so that the places stay consecutive when the sequence numbers restart.
+"""
 BUSY = (
     "one device must be used at a time, got a second: end the first, or wait half a second after "
     "it has stopped"
