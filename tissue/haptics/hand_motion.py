@@ -288,6 +288,7 @@ class HandMotion(Motion):
         tip = self.tool.follow(device, sample.quaternion, response, motion.heading[0], self._step)
         self._went[:] = (tip - self._before) / self._step
         motion.tip_m[:] = tip
+        # Most tools never turn: the matrix is computed only after a change.
         if self.tool.quaternion != self._turned:
             self._turned = self.tool.quaternion
             motion.rotation[:] = matrix_of(np.array(self._turned)) @ self._start
@@ -319,6 +320,7 @@ class HandMotion(Motion):
                 row[at.PREDICTED_FORCE] = predicted
                 row[at.RESIDUAL] = self.predictor.residual_N
                 row[at.PREDICTED_BY] = self.predictor.is_primary
+                # With gain 1 the prediction is played without rounding.
                 force = force + self._gain * (predicted - force) if self._gain != 1.0 else predicted
                 if self._control is not None:
                     force = self._control.step(force, here, speed, TICK_S)
@@ -373,6 +375,7 @@ class HandMotion(Motion):
         """
         if self._sample is not None:
             self._render(self._sample)
+        # After missing samples, the velocity filter starts at rest.
         elif self._speeds is not None:
             self._speeds.pause()
         return self._raw

@@ -142,6 +142,7 @@ class SafeDevice:
         return stated + [(self._time_s, what) for what in found]
 
     def __enter__(self) -> Self:
+        # A holder has entered the device, and leaves it.
         held = self._holder is not None and self._holder.entered
         if isinstance(self.device, AbstractContextManager) and not held:
             with self._calling("__enter__"):
@@ -273,6 +274,7 @@ class SafeDevice:
     def _command(self, force: Array, torque: Array) -> None:
         """Send one command and record its time."""
         if not self.in_process:
+            # Zero needs no release, so that its time is not watched.
             self._played = perf_counter() if any(force.tolist()) or any(torque.tolist()) else inf
         with self._calling("command"):
             self.device.command(force, torque)
@@ -344,6 +346,7 @@ class SafeDevice:
 
     def _failed(self, name: str, error: Exception) -> DeviceError:
         """Return an exception of the device as a DeviceError of one sentence."""
+        # Its message is a sentence for the user already.
         if isinstance(error, InputError):
             return DeviceError(str(error))
         message = " ".join(str(error).split())

@@ -284,6 +284,7 @@ class SampleGuard:
             force_N = None
         if force_N is not None and not self._fault:
             self.share = min(self.share + change, 1.0)
+            # Most devices play no torque: no length is computed.
             turning = torque if torque is NO_TORQUE else _capped(torque, self._caps[1])
             self._wrench = _capped(force_N, self._caps[0]), turning
         else:

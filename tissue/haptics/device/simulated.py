@@ -298,6 +298,7 @@ class SimulatedDevice(ComputedDevice):
             (a, b, c) = self.rotation.position
             (x, y, z) = turned
             self.orientation = product(exponential((a - x, b - y, c - z)), self.orientation)
+        # Without motors of rotation, the handle turns freely with the hand.
         elif stiffness > 0.0:
             self.orientation = action.aim_quaternion
         self._tick += 1

@@ -232,6 +232,7 @@ class CompensatedPath:
 
     def __call__(self, time_s: float) -> Array:
         """Return the aim at a time [s]; each call is a correction."""
+        # Before that, the path has asked nothing of the tool.
         if time_s > self.lead_s:
             self._learn()
             self.beyond_m += (
@@ -296,6 +297,7 @@ class Thrust:
         """Return the aim at a time [s]: the position of the device that holds the tool."""
         share = self.share
         aim: Array = self.start_m + share * self.path_m
+        # No push before the start and after the end, so no stretch.
         if time_s <= 0.0 or share == 1.0:
             return aim
         return aim + self.stretch_m * self.path_m / sqrt(self.path_m @ self.path_m)

@@ -133,7 +133,8 @@ def _critical_N_m(loop: WallLoop) -> float:
 def _steps(stiffness_N_m: float, loop: WallLoop) -> int:
     """Return the search steps per decade from a stiffness on.
 
-    Steps are smaller where the undamped mass rings at f / 4 or above.
+    Steps are smaller where the undamped mass rings at f / 4 or above. Windows are near f / 2, and
+    damping and delay lower the frequency of the loop.
     """
     if loop.vibration is None:
         return STEPS

@@ -81,6 +81,7 @@ class Vibration:
         If the period of the vibration is longer than `MOST_PERIOD_TICKS` ticks, the nearest
         vibration with a shorter period is used.
         """
+        # A vibration below half the slowest frequency would round to none.
         turns = Fraction(self._turns).limit_denominator(MOST_PERIOD_TICKS) or Fraction(
             1, MOST_PERIOD_TICKS
         )

@@ -203,6 +203,7 @@ class CuttingTool(HeldTool):
         requested. Material that has been cut is not restored.
         """
         force = response.wrench[:3]
+        # A free tool may land on bone from any side.
         met = -float(force.dot(heading)) if self.driven else sqrt(force.dot(force))
         moved = self._gone_m > 0.0 or not self.driven
         self._again = self._asks or (moved and met > TOO_MUCH * self._pull_N + LEAST_N)
@@ -254,6 +255,7 @@ class CuttingTool(HeldTool):
         """Rest, held by the spring, and return the tip."""
         self._asks = asks
         self._left_m = stretch
+        # A tool that has rested starts with a careful step.
         if not asks:
             self._before_m = 0.0
         np.multiply(stretch, self.stiffness_N_m, out=self.push[:3])
@@ -278,6 +280,7 @@ class CuttingTool(HeldTool):
 
     def _let_go(self, stretch: Array) -> None:
         """Move to the device, except for a fading rest of the stretch."""
+        # The rest is dropped once the device has moved back over it, or its force is negligible.
         left = FADE * self._left_m
         if (
             float((stretch - left).dot(left)) < 0.0
@@ -305,4 +308,5 @@ def _furthest(stretch: Array, heading: Array, moved: Array) -> float:
     The condition is (stretch - s u) . (moved + s u) >= 0.
     """
     more = float(stretch.dot(heading)) - float(moved.dot(heading))
+    # The larger root of the quadratic equation.
     return 0.5 * (more + sqrt(more * more + 4.0 * max(float(stretch.dot(moved)), 0.0)))

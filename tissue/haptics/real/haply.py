@@ -409,6 +409,7 @@ class _Session:
         """Reconnect to a restarted service, and return whether it answers in time."""
         self._release("the service closed the connection: the force is zero until it is back")
         until = perf_counter() + AGAIN_S
+        # A pause between attempts: a service that restarts refuses connections for a while.
         while perf_counter() < until and not self._ended.wait(0.05):
             self._disconnect()
             with suppress(InputError):

@@ -224,6 +224,7 @@ def problem_of(state: ServiceState) -> str:
         ("power_supply", "have power", "connect its power supply"),
         ("ready", "be ready", "wait until its light shows that it is, and start again"),
     ):
+        # A status that is not stated does not prevent the use.
         if state.status(entry) is False:
             return f"haply must {must}, got {entry} = false of {name}: {remedy}"
     return ""
@@ -280,6 +281,7 @@ def _part(whole: object, name: str) -> dict[str, Any]:
 def _numbers(table: object, names: str) -> list[float]:
     """Return finite numbers of a table by name; empty if one is missing or invalid."""
     found = [table.get(name) for name in names] if isinstance(table, dict) else [None]
+    # bool is a subclass of int.
     numbers = [
         float(each)
         for each in found

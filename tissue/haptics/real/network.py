@@ -107,6 +107,7 @@ class UdpTransport:
             except ConnectionError:  # Windows reports that an earlier packet had no receiver
                 continue
             except OSError:
+                # Another thread has closed the socket during the read.
                 if self._closed:
                     return
                 raise
@@ -247,6 +248,7 @@ class WebTransport:
             async with asyncio.timeout(CLOSE_S):
                 await self._send_waiting()
         for connection, line in list(lines.items()):
+            # Lines that are no WebSockets yet cannot be closed in order.
             if connection not in self._connections.values():
                 _abort(line)
         server.close()
@@ -262,6 +264,7 @@ class WebTransport:
         self._connections[connection.id] = connection
         try:
             async for message in connection:
+                # A text message is no packet: it is counted as foreign.
                 reply = self._session.receive(
                     message if isinstance(message, bytes) else b"", connection.id
                 )

@@ -288,11 +288,13 @@ class NetworkSession:
     def _packet(self, kind: Kind, payload: bytes = b"") -> bytes:
         now = self._clock()
         self._sent = (self._sent + 1) % WHOLE
+        # Only wrenches are measured: a device may answer other packets at its own time.
         self._sent_at[self._sent % KEPT] = now if kind is Kind.WRENCH else nan
         return packed(kind, self._sent, echo=self._seen, time_s=now, payload=payload)
 
     def _measure(self, echo: int) -> None:
         """Record the round trip if a packet is the first to show one of our wrenches."""
+        # Send times of older packets have been overwritten.
         if is_newer(echo, self._shown) and 0 <= (self._sent - echo) % WHOLE < KEPT:
             self._shown = echo
             if not isnan(sent := self._sent_at[echo % KEPT]):

@@ -202,6 +202,7 @@ class OpenHapticsAdapter(HardwareAdapter):
         sample = HardwareSample((x, y, z), quaternion=of_matrix(rows), buttons=buttons)
         before, oldest = self._past[0] if self._past else (now, sample)
         self._past.append((now, sample))
+        # The first call, or a coarse clock: no time has passed.
         if now <= before:
             return sample
         rate = 1.0 / (now - before)
