@@ -186,6 +186,7 @@ class FinestLevel:
 
         self._steps = [
             launch(smooth, vectors[0].shape[1], [inverse, *step], vectors)
+            # The last step adds the last direction and starts no new one.
             for step in (*STEPS, (0.0, 0.0))
         ]
         slot = strips.slot_on
