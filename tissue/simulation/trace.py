@@ -361,6 +361,7 @@ def read_table(path: Path, layer_names: tuple[str, ...]) -> Table:
                 wanted = f"name a layer of the run ({', '.join(index)})"
                 raise _line_error(path, number, wanted, repr(cell[:40])) from None
             except ValueError:
+                # A damaged cell may be long.
                 got = f"{cell[:40]!r} for {name}"
                 raise _line_error(path, number, "hold numbers", got) from None
     return Table(columns, rows, layer_names)
