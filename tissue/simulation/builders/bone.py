@@ -22,7 +22,7 @@ __all__ = ["VoxelBone", "element_spacing_m", "tool_boxes"]
 Pose = tuple[Array, Array]
 """Tip [m], shape (3,), and rotation from tool to world, shape (3, 3)."""
 STRIDE_M = 1e-3
-"""Largest distance between poses at which the bone is made ready [m].
+"""Largest distance between poses at which the bone is made ready [m]; chosen.
 
 Poses are inserted between two given ones that are further apart.
 """
@@ -189,6 +189,7 @@ class VoxelBone:
         def keep_ready(tip_m: Array) -> None:
             """Make more bone once half of the reach is used up; such a tick takes longer."""
             moved = tip_m - made_at
+            # Half of the reach: the tool never meets bone that is not made.
             if moved.dot(moved) > (0.5 * reach_m) ** 2:
                 made_at[:] = tip_m
                 if self.reach(boxes(tip_m)):
@@ -209,6 +210,7 @@ class VoxelBone:
         Earlier removal is booked as older cuts.
         """
         store = self.store
+        # Cuts of another tool are older cuts for this one.
         if self._was_cut:
             wp.copy(store.older, store.swept)
         self._was_cut = True
@@ -275,6 +277,7 @@ def element_spacing_m(cutter: Cutter, *, depth_m: float, tolerance: float) -> fl
     InputError
         If the cutter would have more than `MOST_ELEMENTS` elements.
     """
+    # Solved for N: the error is SCATTER / N ** 0.75.
     wanted = (SCATTER / tolerance) ** (4.0 / 3.0)
     # a ball's cap engages with half of its area
     engaged_m2 = np.pi * cutter.profile.radius_m * min(depth_m, cutter.profile.radius_m)
