@@ -28,7 +28,7 @@ __all__ = [
 
 
 QUIET_S = 30.0
-"""Time between two lines of progress without a terminal for a bar [s]."""
+"""Time between two lines of progress without a terminal for a bar [s]: a log stays short."""
 
 
 class _Terminal(Console):

@@ -23,7 +23,7 @@ Bar = Progress | bool | None
 The default None shows a bar in a notebook only.
 """
 EVERY_S = 0.2
-"""Time between two updates of a notebook's bar [s]."""
+"""Time between two updates of a notebook's bar [s]: each is a message to the browser."""
 
 
 def in_notebook() -> bool:

@@ -113,6 +113,7 @@ def simulate(
             if getattr(
                 device.device if isinstance(device, SafeDevice) else device, "real_time", False
             ):
+                # A real device needs ticks on time; other runs go as fast as they can.
                 prioritised = Prioritised()
                 observer = Observers(prioritised, observer or RunObserver(), Paced())
                 run = engine.simulate(scene, device=device, observer=observer, **settings)

@@ -210,6 +210,7 @@ class Sweep:
 
         columns = min(len(names), 3)
         rows = -(-len(names) // columns)
+        # Inches for a panel, and for the legend above all.
         size = 3.2 * columns, 2.4 * rows + 0.3
         chart, grid = pyplot.subplots(
             rows, columns, squeeze=False, figsize=size, layout="constrained"
@@ -327,6 +328,7 @@ def sweep(
     out = Path(out)
     workers = int(require_range("workers", workers, 1, 4096, "use one a core"))
     runs = planned(scene, changes, out)
+    # Runs side by side already use all cores.
     if cores is None and workers > 1:
         cores = 1
     run = partial(
@@ -370,6 +372,7 @@ def planned(
             found[name] = replace(each, scene=changed(base, fixed | values))
         except InputError as refused:
             found[name] = replace(each, problem=str(refused))
+    # The fault is then in the scene or in all values: nothing is left to run.
     if all(each.problem for each in found.values()):
         raise InputError(next(iter(found.values())).problem)
     return list(found.values())
@@ -447,6 +450,7 @@ def _unfinished(runs: list[SweptRun], out: Path, *, overwrite: bool) -> list[tup
         if each.scene is None:
             continue
         begun = (each.path / "scene.toml").is_file()
+        # The folder holds the chosen settings, not the demand, which is in the record.
         if each.scene.fidelity is None:
             same = begun and _holds(each.path, each.scene)
         else:

@@ -92,6 +92,7 @@ class Trace(dict[str, NDArray[Any]], Table):
 
     def _repr_html_(self) -> str:
         count = len(self.rows)
+        # A single row is shown, not replaced by dots.
         cut = count > 2 * SHOWN_ROWS + 1
         picked = (
             [*range(SHOWN_ROWS), *range(count - SHOWN_ROWS, count)] if cut else list(range(count))
