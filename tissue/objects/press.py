@@ -292,6 +292,7 @@ def _require_growing(curve: PressCurve, *, relaxes: bool) -> None:
     """
     size = np.linalg.norm(curve.force_N, axis=1)
     falls = np.flatnonzero(size < (1.0 - FALLS) * np.maximum.accumulate(size))
+    # The force of tissue that relaxes may fall, too.
     if relaxes or not (falls.size or not size.any()):
         return
     most = (

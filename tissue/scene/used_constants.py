@@ -87,6 +87,7 @@ def _used(
     found: list[Used] = []
     for table, material, chosen in parts:
         stated = stated_of(table, material)
+        # A file of constants may state values for a single layer.
         is_listed = material in listed(table)
         known = given.constants(table, material) if is_listed else given.layer_constants(material)
         of = f"{table}, {material.replace('_', ' ')}"

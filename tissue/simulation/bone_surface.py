@@ -194,8 +194,8 @@ def cut_out(
         itself ends.
     """
     cut = np.zeros(surface.n_cells, dtype=bool)
-    # The volume ends at whole voxels, up to one and a half beyond the requested corner. A face
-    # there is within rounding of the boundary.
+    # 1.5 voxels cover the rounding of the region to whole voxels. Where the volume ends farther
+    # from the requested corner, the bone itself ends. A face on the boundary is within 0.25 voxel.
     near = 0.25 * volume.spacing_m
     for corner, asked, side in zip(volume.bounds_m, reach_m, (-1.0, 1.0), strict=True):
         for axis in np.flatnonzero(np.abs(corner - asked) < 1.5 * volume.spacing_m):

@@ -326,6 +326,7 @@ class SimulatedDevice(ComputedDevice):
         grip = self._grip
         moves = self.translation
         rate = self.parameters.rate_Hz
+        # Means over the tick: half a step of the aim's motion, and half of both end positions.
         half = 0.5 * self._step
         (i, j, k) = moves.position
         (u, v, w) = moves.velocity
