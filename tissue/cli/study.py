@@ -126,7 +126,6 @@ def run(
         def report(doing: str, share: float) -> None:
             """Move the bar, and print messages other than progress."""
             bar(doing, share)
-            # Messages on progress state the time or the trials that are left.
             if " left" not in doing:
                 problems.print(doing)
 

@@ -50,7 +50,7 @@ def folders_of(scene: Scene) -> list[str]:
         for each in (text, text.partition(":")[2]):
             kinds: tuple[type[PurePath], ...] = (PurePosixPath, PureWindowsPath)
             path = next((kind(each) for kind in kinds if kind(each).is_absolute()), None)
-            # A root folder is part of every path, and says nothing of a user.
+            # A root folder is part of every path, and shows nothing about a user.
             if path is not None and path.parent != path.parent.parent:
                 found.add(each[: len(each.rstrip("/\\")) - len(path.name)])
     return sorted(found, key=len, reverse=True)

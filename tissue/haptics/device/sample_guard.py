@@ -104,7 +104,7 @@ class Roughness:
         start, ax, ay, az, aw = first
         between, bx, by, bz, bw = middle
         span = time_s - start
-        # Samples may have equal times: the middle one then counts as half-way.
+        # Samples may have equal times: the middle one then counts as in the middle.
         part = (between - start) / span if span > 0.0 else 0.5
         dx = bx - ax - part * (x - ax)
         dy = by - ay - part * (y - ay)

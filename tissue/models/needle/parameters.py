@@ -194,6 +194,7 @@ class NeedleTissue:
 
 def positive_root(a: float, b: float, c: float) -> float:
     """Return the x >= 0 with a x² + b x = c for a >= 0 and b > 0; 0 where c is negative."""
+    # This form of the solution loses no digits for a small a.
     return 2.0 * c / (b + sqrt(b * b + 4.0 * a * c)) if c > 0.0 else 0.0
 
 

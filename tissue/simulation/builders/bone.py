@@ -235,6 +235,7 @@ def _between(tips_m: Array, axes: Array, *, most_m: float) -> tuple[Array, Array
     wanted = np.arange(int(at[-1]) + 1, dtype=np.float64)
     tips = np.column_stack([np.interp(wanted, at, column) for column in tips_m.T])
     turned = np.column_stack([np.interp(wanted, at, column) for column in axes.T])
+    # 1e-12: the mean of two opposite axes vanishes.
     return tips, turned / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-12)
 
 

@@ -328,7 +328,7 @@ class Page:
             self._process.begin_again(parts)
             return self._process
         failed: InputError | None = None
-        # A display may exist and still not draw: the next way is tried.
+        # A display may exist and still not draw: the next one is tried.
         for environment in drawing_environments():
             try:
                 self._process = PageProcess(scene, parts, columns, environment=environment)
