@@ -233,7 +233,7 @@ class HandMotion(Motion):
         tips = self._scripted.sweep_m()
         if self._stray == 0.0:
             return tips
-        # Tissue is prepared around these positions. Along z the tool only leaves it.
+        # The surface at the site lies across z: these copies cover it around the path.
         aside = self._stray * np.array([[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0], [0, -1.0, 0]])
         return np.concatenate([tips, *(tips + shift for shift in aside)])
 
