@@ -120,6 +120,7 @@ def needed(name: str, *, extra: str) -> Any:
     try:
         return import_module(name)
     except ModuleNotFoundError as missing:
+        # It is installed, but a package that it imports is missing: another fault, shown as it is.
         if missing.name is None or missing.name.split(".")[0] != name.split(".")[0]:
             raise
         raise InputError(

@@ -312,6 +312,7 @@ def _h5(columns: Columns, path: Path) -> None:
     image = BytesIO()
     with h5py.File(image, "w") as file:
         for name, values in columns.items():
+            # h5py refuses NumPy's Unicode text ("No conversion path for dtype").
             file.create_dataset(
                 name, data=values.astype("S") if values.dtype.kind == "U" else values
             )

@@ -334,6 +334,7 @@ class LiveObserver(RunObserver):
     def _pause(self, window: WindowProcess, index: int) -> None:
         """Wait until the user ends the pause."""
         waited_s = self._waited_s(window, lambda _: window.paused and not window.reset)
+        # Before the first tick it is the wait until somebody opens the page: no pause of the run.
         if index > 0:
             self._events.append((index * TICK_S, f"the run was paused for {waited_s:.1f} s"))
 

@@ -228,7 +228,7 @@ class WindowProcess:
 
     @property
     def paused(self) -> bool:
-        """True if the user has paused the run."""
+        """True if the user has paused the run or no page of it is open."""
         return self._count("paused") > 0
 
     @property
