@@ -10,7 +10,7 @@ __all__ = ["chart"]
 
 
 TRIALS = 30
-"""Default number of unseen runs of each scene for charts of predictors."""
+"""Default number of unseen runs of each scene for charts of predictors: ten for each hand."""
 TASKS = ("palpation", "wall", "milling")
 """Scenes of the tasks T1 to T3."""
 

@@ -138,6 +138,7 @@ def _arguments(options: dict[str, Any]) -> dict[str, Any]:
     if crop is not None:
         box = _numbers("crop", crop, 6, "X0,Y0,Z0,X1,Y1,Z1")
         given["crop_mm"] = box[:3], box[3:]
+    # A site is a point, or the name of one, which has no comma.
     if given["site"] and "," in given["site"]:
         given["site"] = _numbers("site", given["site"], 3, "X,Y,Z")
     if given["normal"] is not None:

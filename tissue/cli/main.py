@@ -168,6 +168,7 @@ def main() -> NoReturn:
             try:
                 app(sys.argv[1:], exit_on_error=False, print_error=False)
             finally:
+                # Only the help of a command names parts. Asking the packages takes time.
                 if len(sys.argv) > 2 and sys.argv[-1] in ("--help", "-h"):
                     _print_offered()
     except CycloptsError as error:
@@ -180,6 +181,7 @@ def main() -> NoReturn:
         leave_pipe()
     except OSError as error:
         if error.errno not in FULL + CLOSED:
+            # Without a file it is a fault of the program, not of the disk.
             if not error.filename or not error.strerror:
                 raise
             _refuse(
@@ -201,9 +203,11 @@ def main() -> NoReturn:
         kept = f"stopped: what was written so far is kept{seen}"
         if not anything_claimed():
             kept = "stopped before anything was written"
+        # Code that knows more about what was written has put it into the exception.
         sentence = next(filter(lambda each: isinstance(each, str), stopped.args), "") or kept
         with suppress(OSError):  # such as a terminal that was closed
             problems.print(sentence)
+        # 130: 128 plus the number of SIGINT, as shells expect it.
         sys.exit(stopped.exit_code if isinstance(stopped, Terminated) else 130)
     sys.exit(0)
 

@@ -43,6 +43,7 @@ def print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s: 
     band = summary.get("band")
     for name, key, unit in (("force", "force_N", "N"), ("torque", "torque_Nm", "N·m")):
         table.add_row(f"{name}, peak / mean in contact", _pair(summary[key], unit))
+        # A tool that meets nothing has no band.
         if band is not None and band[key]["peak"]["p95"] > 0.0:
             table.add_row(f"{name}, 90 % of {band['samples']} samples", _ends(band[key], unit))
     tick = summary["tick_us"]

@@ -91,6 +91,7 @@ def sweep(
         f"{', '.join(sorted(path.name for path in folder.iterdir() if path.is_file()))}"
     )
     if found.failures:
+        # Scripts must see that runs are missing.
         sys.exit(1)
 
 

@@ -27,7 +27,8 @@ SMOOTH_S = 0.01
 SMOOTH_SAMPLES = 5
 """Shortest time [s] and smallest number of samples used to estimate the speed of a free tool.
 
-Speeds are averaged because encoder positions change in steps.
+Speeds are averaged because encoder positions change in steps. One step of a Touch (0.055 mm) is
+55 mm/s over a tick of 1 ms, and 5.5 mm/s over 10 ms. Below 500 Hz, the number of samples counts.
 """
 
 
@@ -184,7 +185,9 @@ class HandMotion(Motion):
         self._turning = LowPass(loop.filter_s, step_s=TICK_S)
         self._turning_delay = DelayLine(rendering.delay_ticks)
         self._turning_law = rendering.turning_law
+        # A device without torque has the limit 0, which a range refuses. Its range is not used.
         self._torques = ForceRange(limit_N=limits.torque_limit_Nm or 1.0)
+        # The amplifier delays by its time constant, 1 / (2 pi f).
         lag_s = loop.delay_s + 1.0 / (2.0 * pi * loop.amplifier_Hz)
         # The observer books the force after the delay line, so that its delay is subtracted here.
         self.observer = PassivityObserver(
@@ -230,6 +233,7 @@ class HandMotion(Motion):
         tips = self._scripted.sweep_m()
         if self._stray == 0.0:
             return tips
+        # The surface at the site lies across z: these copies cover it around the path.
         aside = self._stray * np.array([[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0], [0, -1.0, 0]])
         return np.concatenate([tips, *(tips + shift for shift in aside)])
 
@@ -285,6 +289,7 @@ class HandMotion(Motion):
         tip = self.tool.follow(device, sample.quaternion, response, motion.heading[0], self._step)
         self._went[:] = (tip - self._before) / self._step
         motion.tip_m[:] = tip
+        # Most tools never turn: the matrix is computed only after a change.
         if self.tool.quaternion != self._turned:
             self._turned = self.tool.quaternion
             motion.rotation[:] = matrix_of(np.array(self._turned)) @ self._start
@@ -316,6 +321,7 @@ class HandMotion(Motion):
                 row[at.PREDICTED_FORCE] = predicted
                 row[at.RESIDUAL] = self.predictor.residual_N
                 row[at.PREDICTED_BY] = self.predictor.is_primary
+                # With gain 1 the prediction is played without rounding.
                 force = force + self._gain * (predicted - force) if self._gain != 1.0 else predicted
                 if self._control is not None:
                     force = self._control.step(force, here, speed, TICK_S)
@@ -332,6 +338,7 @@ class HandMotion(Motion):
             row[at.FILTERED_FORCE] = filtered
             row[self._person] = self._played.measures
             if self._truth is not None:
+                # The columns `TRUE` and `HAND_FORCE` are the last six.
                 row[-6:-3] = 1e3 * np.array(self._truth.true_position_m)
                 row[-3:] = self._truth.hand_force_N
         played, turning = self.held.play(*self.guard.limit_force(wanted, torque))
@@ -369,6 +376,7 @@ class HandMotion(Motion):
         """
         if self._sample is not None:
             self._render(self._sample)
+        # After missing samples, the velocity filter starts at rest.
         elif self._speeds is not None:
             self._speeds.pause()
         return self._raw
@@ -379,6 +387,7 @@ class HandMotion(Motion):
         both[:3] = here = np.array(sample.position_m)
         both[3:] = tip = (self.tool.tip_m - self._shift) / self._scale
         if self._speeds is not None:
+            # A slower device repeats its last sample. Repeated samples would count as rest.
             if self._is_new:
                 self._rates = self._speeds.step(both)
             speed = self._rates[:3]

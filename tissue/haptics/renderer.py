@@ -28,7 +28,11 @@ __all__ = [
 ]
 
 SPEED_TICKS = 3
-"""Number of ticks over which the speed is averaged."""
+"""Number of ticks over which the speed is averaged.
+
+Chosen. In `tissue.haptics.rigid_wall.knock` on a Touch and a six-DOF device, with latencies up to
+8 ms, no value from 1 to 8 is better throughout.
+"""
 RELEASE_M_S = (0.03, 0.1)
 RELEASE_RAD_S = (1.2, 4.0)
 """Outward speeds at which the removal of an unpaid force begins and is complete [m/s], [rad/s].
@@ -37,9 +41,9 @@ They are far above the speeds of encoder steps and of a hand that rests on a wal
 values correspond to a handle of 25 mm.
 """
 LEAST_N = 1e-6
-"""Force below which a force counts as zero [N], such as the tail of a low-pass."""
+"""Force below which a force counts as zero [N]: the tail of a low-pass never reaches zero."""
 STILL = 1e-6
-"""Speed below which no energy can be dissipated [m/s]."""
+"""Speed below which no energy can be dissipated [m/s]; the force for it would divide by zero."""
 
 
 class PassivityObserver:
@@ -64,10 +68,12 @@ class PassivityObserver:
     """
 
     def __init__(self, *, delay_ticks: float = 0.0) -> None:
+        # 1e-9: a delay of whole ticks that is rounded down stays whole.
         whole = int(delay_ticks + 1e-9)
         self._delay = max(delay_ticks - whole, 0.0)
         self.energy_J = 0.0
         self._position: Array | None = None
+        # A fraction of a tick needs the older and the newer force.
         self._forces: deque[Array] = deque([np.zeros(3)] * (whole + 2), maxlen=whole + 2)
 
     def observe(self, position_m: Array) -> float:
@@ -162,6 +168,7 @@ class PassivityControl:
             velocity_m_s = (places[-1] - places[0]) / (step_s * (len(places) - 1))
         direction = force_N / size
         pushes = np.append(observer.waiting_N() @ direction, size)
+        # Half of each gain: the mean speed within its tick.
         gained = (step_s / self._mass) * pushes
         speeds = float(velocity_m_s.dot(direction)) + np.cumsum(gained) - 0.5 * gained
         speeds[-1] -= 0.5 * gained[-1]  # a device at rest is subject to its spring

@@ -21,9 +21,16 @@ from tissue.models.tissue_model import TICK_S
 __all__ = ["WallRun", "knock", "press_wall"]
 
 DEPTH_M = 5e-3
+"""Start above the wall and aim below it [m]."""
 JERK_N = 2.0
+"""Force of the jerk [N]: on a Touch at 400 N/m, a hand comes from 2 mm deep to the surface."""
 JERK_S = (0.8, 0.82)
 LASTS_S = 1.3
+"""Begin and end of the jerk, and end of the run [s].
+
+At 0.7 s, hands of all groups rest on the wall. A stable loop rests again 0.2 s after the jerk, so
+that motion in the last 0.3 s is caused by the loop.
+"""
 
 
 @dataclass(frozen=True)
@@ -99,6 +106,7 @@ def press_wall(
             force[tick] = played if guard is None else guard.limit_force(wanted)[0]
             held.play(force[tick], nothing)
 
+    # An unstable loop may grow without bound. Its run is a result, not a fault.
     with np.errstate(invalid="ignore", over="ignore"):
         run_held(press, held)
     moved = np.diff(position, axis=0)
@@ -120,6 +128,7 @@ def knock(
     The hand has no noise and no tremor. Motion after the jerk is therefore caused by the loop.
     """
     quiet = replace(hand, endpoint_noise=0.0, force_noise=0.0, tremor_m=0.0)
+    # The target jumps within one tick. The hand itself makes a smooth movement of it.
     path = waypoints(np.array([0.0, 1e-3]), np.array([[0.0, 0.0, DEPTH_M], [0.0, 0.0, -DEPTH_M]]))
     jerk = np.array([0.0, 0.0, JERK_N])
     holding = Hand(

@@ -197,6 +197,7 @@ class _Search:
         vertices = structure.vertices_m
         self._origin = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
         self._turn = np.linalg.eigh(np.cov((vertices - self._origin).T))[1]
+        # Eigenvectors may form a reflection. A reflection would turn the triangles inside out.
         self._turn[:, 0] *= np.sign(np.linalg.det(self._turn))
         corners = cut_long(vertices[structure.faces], box_m)
         tree = box_tree((corners - self._origin) @ self._turn)
@@ -230,6 +231,7 @@ class _Search:
             outputs=[self._distance.device],
             offset_index=0,
             device=DEVICE,
+            # The search is one thread: dim is 1.
             cores=1,
         )
 

@@ -41,7 +41,8 @@ __all__ = ["Bone"]
 SHOWN_VOXELS = 4e6
 """Largest number of voxels for drawing the surface of a bone given by a formula.
 
-The surface is drawn before the bone is cut.
+The surface is drawn before the bone is cut. Its voxels may be coarse: 4 million show a ball in
+about 200,000 triangles.
 """
 KEY = "anatomy."
 """Prefix that readers add to the keys of a scene."""
@@ -344,6 +345,7 @@ class Bone:
                 "tool", "be a cutter", type(tool).__name__, "make one by tissue.cutters.ball_burr"
             )
         width_mm = 2e3 * tool.profile.radius_m
+        # Fewer than four voxels across show no shape of a tool. The suggestion has twenty.
         if width_mm < 4.0 * self.spacing_mm:
             raise InputError(
                 "tool",
@@ -409,6 +411,7 @@ def _anatomy_source(
         volume = voxelise(anatomy, spacing_m=coarse_m)
         return bone_surface(volume, volume.fraction)
 
+    # A bone stays in the frame of its file, and has no site.
     notes = {name: note.replace(KEY, "") for name, note in anatomy.notes.items() if name != "site"}
     return BoneSource(lambda: BricksOnDemand(anatomy, spacing_m=spacing_m), outer or drawn, notes)
 

@@ -23,13 +23,15 @@ MERGED = 1e-3
 SEAM = 3.0
 """Largest distances [voxels] of points that are merged, and of loops that are joined.
 
-Both are between two parts of a surface.
+Both are between two parts of a surface. The first is for rounding. The second is for the gap that
+clipping and half-full voxels leave; it is chosen.
 """
 NEAR = 0.5
 AGREE = 0.8
 """Largest distance [voxels] and smallest cosine of normals for shading like a file's surface.
 
-A cut bone is shaded like its file where both limits hold.
+A cut bone is shaded like its file where both limits hold. Voxels show the surface of the file
+within half a voxel; across an edge, normals differ by more than 37 degrees.
 """
 
 

@@ -149,6 +149,7 @@ def share_right(
     """
     commands = None
     if calibrated_by is not None:
+        # A random stream of its own: the answers below draw from the seed alone.
         commands = calibrated_commands(
             crowd, np.random.default_rng([seed, 2]), numbers=calibrated_by
         )

@@ -81,6 +81,7 @@ class Comparison:
             for name in others:
                 value = self.figures[name].get(figure)
                 apart = None if value is None or base is None else value - base
+                # A ratio to 0 does not exist.
                 values += [value, apart, None if apart is None or not base else apart / base]
             found.append((figure, values))
         return titles, found

@@ -92,6 +92,7 @@ def cut_along(
 def warn_of(sentences: Sequence[str]) -> None:
     """Issue a Python warning for each sentence."""
     for sentence in sentences:
+        # 4: the caller of `Bone.cut` or `Loop.step`.
         warnings.warn(sentence, stacklevel=4)
 
 
@@ -142,6 +143,7 @@ def feed_along(points_mm: ArrayLike, feed_mm_s: float) -> tuple[Array, Array]:
             f"{feed:g} which takes {duration_s:.4g}",
             f"use {feed * duration_s / LONGEST_S:.3g} or more",
         )
+    # 1e-6: a duration of whole ticks gets no additional one.
     whole: Array = TICK_S * np.arange(ceil(duration_s / TICK_S - 1e-6), dtype=np.float64)
     times = np.append(whole, duration_s)  # the last step is shorter: the feed holds to the end
     return points_along(corners, feed * times), times
@@ -180,11 +182,13 @@ def poses_of(poses: ArrayLike, axis: ArrayLike | None) -> tuple[Array, Rotation]
         turn = frame_along((float(along[0]), float(along[1]), float(along[2])))
         return 1e-3 * rows, Rotation.from_matrix(np.broadcast_to(turn, (len(rows), 3, 3)).copy())
     if shape[1:] == (7,):
+        # Any other length is normalised; a vector of rounding errors has no orientation.
         if (np.linalg.norm(rows[:, 3:], axis=1) < 1e-6).any():
             raise InputError("poses", "hold unit quaternions", "a zero one", "use 0, 0, 0, 1 there")
         return 1e-3 * rows[:, :3], Rotation.from_quat(rows[:, 3:])
     turns = rows[:, :3, :3]
     error = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max()
+    # 1e-4 allows for matrices in single precision or of five digits.
     if error > 1e-4 or (np.linalg.det(turns) < 0.0).any():
         raise InputError(
             "poses",

@@ -41,6 +41,7 @@ def curve(values: Sequence[float], *, title: str, width: int = 320, height: int 
     """Return a small curve from zero, without axes."""
     top = max(*values, 0.0) or 1.0
     step = width / max(len(values) - 1, 1)
+    # One pixel is left above and below for the width of the line.
     points = " ".join(
         f"{step * i:.1f},{height - 1 - (height - 2) * value / top:.1f}"
         for i, value in enumerate(values)
@@ -74,7 +75,7 @@ def _cells(row: Sequence[object], name: str, side: str) -> str:
 
 
 CURVE_POINTS = 300
-"""Largest number of points of the small force curve."""
+"""Largest number of points of the small force curve: it is 320 pixels wide."""
 
 
 def run_line(summary: Summary) -> list[str]:
@@ -158,6 +159,7 @@ def run_html(summary: Summary, events: list[tuple[float, str]], force_N: Array) 
     shown = table_html(run_rows(summary), caption=f"run of {summary.get('scene')}")
     if len(force_N):
         every = max(len(force_N) // CURVE_POINTS, 1)
+        # The highest of each group: no peak is lost.
         highest = np.maximum.reduceat(force_N, np.arange(0, len(force_N), every))
         shown += curve(highest.tolist(), title=f"force over time, up to {force_N.max():.3g} N")
     if events:

@@ -62,7 +62,10 @@ __all__ = ["Loop"]
 
 
 LONGEST_S = 3600.0
-"""Longest duration of a loop for which rows are allocated [s]."""
+"""Longest duration of a loop for which rows are allocated [s].
+
+An hour of 60 columns takes 1.7 GB.
+"""
 CLEARANCE_MM = 2.0
 """Default height of the tool above the surface at the start [mm]."""
 ARGUMENTS = {
@@ -200,6 +203,7 @@ class Loop:
         cutter: Cutter | None = None
         probe: PressingTool | None = None
         if isinstance(tissue, Bone):
+            # Sizes of a burr and of a fingertip's ball, for a first try without a tool.
             burr = tool or ball_burr(diameter_mm=4, flutes=6, spin_rpm=20_000)
             tissue.require_cutter(burr)
             assert isinstance(burr, Cutter)
@@ -237,6 +241,7 @@ class Loop:
                     require_positive("force_scale", 1.0 if scale is None else scale, "use 1"),
                     scale_note,
                 ),
+                # Only a perception draws, and a caller's loop has none.
                 rng=np.random.default_rng(0),
                 allow_unstable=options.get("allow_unstable", False),
             )
@@ -435,6 +440,7 @@ def _settings(
             )
         coupling["predictor_file"] = str(file)
     held = {
+        # Numbers without a name: the name is not used.
         "kind": given if isinstance(given, str) else "touch",
         "hand": options.get("hand"),
         "renderer": options.get("renderer"),

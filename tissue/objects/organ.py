@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 __all__ = ["Organ"]
 
 SPEED_MM_S = 10.0
-"""Default speed of a press [mm/s]."""
+"""Default speed of a press [mm/s]; it matters only to an organ that relaxes."""
 TISSUE = (0.93, 0.78, 0.72)
 HELD = (0.35, 0.45, 0.6)
 
@@ -414,6 +414,7 @@ def plot_organ(organ: Organ, **options: Any) -> Any:
     grid = organ.mesh
     names = list(organ.moduli_kPa)
     plotter = new_plotter(options)
+    # A single part needs no translucent outside to be seen.
     alone = len(names) == 1
     plotter.add_mesh(shaded(grid), color=TISSUE, opacity=1.0 if alone else 0.35, **MATTE)
     for number, name in enumerate(names[1:], 1):

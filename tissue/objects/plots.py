@@ -58,6 +58,7 @@ def plot_columns(
     panels = new_panels(len(wanted)) if ax is None else np.array([ax])
     for axes, names in zip(panels, wanted.values(), strict=True):
         labels = [field_label(name)[0] for name in names]
+        # Only the three components of a vector have a size.
         if [label[-2:] for label in labels] == [" x", " y", " z"]:
             size = np.linalg.norm([trace[name] for name in names], axis=0)
             axes.fill_between(
@@ -119,7 +120,7 @@ def new_panels(count: int) -> "NDArray[np.object_]":
 
 
 MOST_NAMED = 12
-"""Largest number of curves that a legend names."""
+"""Largest number of curves that a legend names: four lines above the panels."""
 LONG = 28
 """Number of letters of a name above which a line of the legend holds only two names."""
 
@@ -156,6 +157,7 @@ def overlay(traces: "Mapping[str, Table]", *, over: str = "time") -> NDArray[np.
         if first is None:
             first = place, force
         else:
+            # A difference exists only where both have values.
             common = first[0][(first[0] >= place[0]) & (first[0] <= place[-1])]
             apart = _at(common, place, force) - _at(common, *first)
             panels[2].plot(common, np.linalg.norm(apart, axis=1), **look)

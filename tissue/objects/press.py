@@ -31,11 +31,14 @@ if TYPE_CHECKING:
 __all__ = ["MATTE", "Press", "new_plotter", "organ_around", "press_at", "shaded"]
 
 SLOPE_SHARE = 0.1
-"""Share of the depth, at its end, over which the stiffness is computed."""
+"""Share of the depth, at its end, over which the stiffness is computed: ten of 100 steps."""
 FAR = 0.1
-"""Largest accepted distance of a point from the surface, over the organ's longest side."""
+"""Largest accepted distance of a point from the surface, over the organ's longest side.
+
+A point farther away is a mistake, such as of the unit; chosen.
+"""
 NEAR_M = 1e-4
-"""Distance below which a point counts as on the surface [m]."""
+"""Distance below which a point counts as on the surface [m]: the digits of a typed point."""
 TOOL_EDGES = 4.0
 """Number of edges across a tool in scenes."""
 FALLS = 0.05
@@ -262,6 +265,7 @@ def press_at(
     point, normal = place_on_surface(mesh, at_m, probe.size_m[0])
     away = float(np.linalg.norm(point - at_m))
     notes = {}
+    # Adding 0.0 turns -0.0 into 0.0.
     nearest = in_brackets(np.round(1e3 * point, 3) + 0.0)
     found = f"the nearest point of the surface, {nearest} mm, is {1e3 * away:.3g} mm away"
     if away > FAR * size:
@@ -291,6 +295,7 @@ def _require_growing(curve: PressCurve, *, relaxes: bool) -> None:
     """
     size = np.linalg.norm(curve.force_N, axis=1)
     falls = np.flatnonzero(size < (1.0 - FALLS) * np.maximum.accumulate(size))
+    # The force of tissue that relaxes may fall, too.
     if relaxes or not (falls.size or not size.any()):
         return
     most = (
@@ -312,6 +317,7 @@ def _resolution(mesh: TetMesh, probe: ProbeShape, point_m: Array) -> dict[str, s
     corners = mesh.nodes_m[mesh.surface]
     near = np.linalg.norm(corners.mean(axis=1) - point_m, axis=1)
     radius = probe.size_m[0]
+    # Triangles under the middle of the tool, at least the nearest one.
     chosen = corners[near <= max(0.5 * radius, float(near.min()))]
     edge = float(np.linalg.norm(chosen - np.roll(chosen, 1, axis=1), axis=2).max())
     wanted = 2.0 * radius / TOOL_EDGES
@@ -398,6 +404,8 @@ def plot_press(press: Press, *, scalars: str = "displacement_mm", **options: Any
     plotter.add_mesh(press.tool_mesh, color=TOOL, smooth_shading=True)
     middle = np.asarray(moved.center)
     size = float(np.linalg.norm(np.ptp(moved.points, axis=0)))
+    # Seen from the cut side and from above, at twice the size of the body: the whole of it is in
+    # view.
     plotter.camera_position = [
         middle + size * (1.9 * across - 0.5 * press.along),
         middle,
@@ -413,6 +421,7 @@ def plot_press(press: Press, *, scalars: str = "displacement_mm", **options: Any
 
 def _across(along: Any) -> Any:
     """Return a direction perpendicular to a press, as close to -y as possible."""
+    # Nearly parallel directions leave no component across.
     first = np.array([0.0, -1.0, 0.0]) if abs(along[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
     first = first - (first @ along) * along
     return first / np.linalg.norm(first)
@@ -421,6 +430,7 @@ def _across(along: Any) -> Any:
 def shaded(body: pyvista.DataSet) -> pyvista.PolyData:
     """Return the surface of a body with outward normals that keep its edges."""
     surface = body.extract_surface(algorithm="dataset_surface").triangulate()
+    # 40 degrees: above the angles between triangles of a round surface, below those of an edge.
     return surface.compute_normals(
         auto_orient_normals=True, split_vertices=True, feature_angle=40.0
     )

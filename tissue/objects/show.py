@@ -106,6 +106,7 @@ def show_folder(
 
     notebook = in_notebook()
     if interactive is None:
+        # A window needs a display, and a notebook the packages of its viewer.
         interactive = screenshot is None and (
             is_interactive() if notebook else display_problem() is None
         )

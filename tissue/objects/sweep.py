@@ -286,6 +286,7 @@ def sweep(
     out = Path(out)
     workers = int(require_range("workers", workers, 1, 4096, "use one a core"))
     runs = planned(scene, changes, out)
+    # Runs side by side already use all cores.
     if cores is None and workers > 1:
         cores = 1
     run = partial(
@@ -329,6 +330,7 @@ def planned(
             found[name] = replace(each, scene=changed(base, fixed | values))
         except InputError as refused:
             found[name] = replace(each, problem=str(refused))
+    # The fault is then in the scene or in all values: nothing is left to run.
     if all(each.problem for each in found.values()):
         raise InputError(next(iter(found.values())).problem)
     return list(found.values())
@@ -374,6 +376,7 @@ def _unfinished(runs: list[SweptRun], out: Path, *, overwrite: bool) -> list[tup
         if each.scene is None:
             continue
         begun = (each.path / "scene.toml").is_file()
+        # The folder holds the chosen settings, not the demand, which is in the record.
         if each.scene.fidelity is None:
             same = begun and _holds(each.path, each.scene)
         else:

@@ -92,6 +92,7 @@ class Trace(dict[str, NDArray[Any]], Table):
 
     def _repr_html_(self) -> str:
         count = len(self.rows)
+        # A single row is shown, not replaced by dots.
         cut = count > 2 * SHOWN_ROWS + 1
         picked = (
             [*range(SHOWN_ROWS), *range(count - SHOWN_ROWS, count)] if cut else list(range(count))
@@ -119,6 +120,7 @@ def needed(name: str, *, extra: str) -> Any:
     try:
         return import_module(name)
     except ModuleNotFoundError as missing:
+        # It is installed, but a package that it imports is missing: another fault, shown as it is.
         if missing.name is None or missing.name.split(".")[0] != name.split(".")[0]:
             raise
         raise InputError(

@@ -78,6 +78,7 @@ def converted(table: dict[str, Any], path: Path) -> tuple[dict[str, Any], bool]:
     """
     was_kept = "tissue" in table or ("format" not in table and table.keys() >= KEPT)
     stated = {name: table[name] for name in ("format", "tissue") if name in table}
+    # Files of version 0.2 state no version: they count as format 1.
     require_version("scene", {"format": 1} | stated, FORMAT, where=path, remedy="leave format out")
     table = {name: value for name, value in table.items() if name not in stated}
     moved = {name: table.pop(name) for name in OF_DEVICE if name in table}
@@ -88,12 +89,14 @@ def converted(table: dict[str, Any], path: Path) -> tuple[dict[str, Any], bool]:
             "read as a table [device]; see "
             "`tissue scenes wall` for the new form.",
             OldSceneWarning,
+            # 3: the caller of `load_scene`.
             stacklevel=3,
         )
         held = dict(name) if isinstance(name, Mapping) else {}
         if isinstance(name, str) and name != "none":
             held = {"kind": name}
         table.pop("device", None)
+        # A run of version 0.2 kept the hand of a scene without a device, where it had no effect.
         if held or not was_kept:
             held |= moved
         if held:
@@ -208,6 +211,7 @@ def load_scene(
     table, was_kept = converted(table, path)
     table = _absolute(table, folder)
     if was_kept:
+        # A run of version 0.2 wrote all defaults, also of keys without effect.
         for key in _settled(table)[1]:
             _drop(table, key)
     return _replaced(table, overrides or {}, live=live)
@@ -265,12 +269,14 @@ def _replaced(
         and "device" not in table
         and full.keys() & {"seed", *(key for key in full if key.startswith("device."))}
     ):
+        # The mouse stands in for a device, whose keys need a device in the scene.
         placed["device"] = {"kind": REPLACED_DEVICE} | (placed.get("device") or {})
     if "device.hardware.address" in full:
         placed["device"] = _with_absolute_record(placed["device"], Path.cwd())
     asked = placed.get("device")
     if isinstance(asked, dict) and asked and all(value == "none" for value in asked.values()):
         del placed["device"]  # values of none alone request no device
+    # Of an invalid table no key is known to have had an effect: its own fault is raised.
     if isinstance(before, InputError):
         return _scene(placed)
 
@@ -465,6 +471,7 @@ def _place(table: dict[str, object], key: str, value: object) -> None:
                 "see `tissue scenes NAME`",
             )
         table = inner
+    # Devices of all kinds have the same keys, so that a new kind keeps them.
     if last == "kind" and parents != ["device"] and table.get("kind", value) != value:
         table.clear()
     table[last] = value

@@ -52,8 +52,10 @@ def error_of(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) 
     if kind == "union_tag_invalid" and isinstance(_value_at(names, table), Mapping):
         choices = list(dict.fromkeys(each for part in _parts(field) for each in kinds_of(part)))
         return unknown_name(f"{key}.kind", choices, _value_at((*names, "kind"), table))
+    # The fault of one entry of a list: the user sees the whole list.
     got = fault["input"] if len(path) == len(names) else _value_at(names, table)
     choices = choices_of(field)
+    # A key that takes a number or a name, such as auto, states both.
     if choices and _alternatives(field.annotation)[0] not in (int, float):
         return unknown_name(key, choices, got)
     wanted = " or ".join((_requirement(field, kind, len(path) > len(names)), *choices))

@@ -386,6 +386,7 @@ class Needs:
         """Return the reason why the marked key has no effect in a part; None if it has one."""
         name = self.key.rpartition(".")[2]
         given = getattr(part, name)
+        # A default stands for no choice: 0 mm has no hole, and an empty name no file.
         is_set = bool(given) and given != type(part).model_fields[name].default
         if self.is_absent:
             return Idle(f"with {self.key}", f"remove {self.key}") if is_set else None
@@ -468,6 +469,7 @@ class Part(BaseModel):
             return self
         refused: dict[str, tuple[object, Idle]] = {}
         for key, value in self.changed_entries().items():
+            # A whole table may have no effect.
             why = idle.get(key) or idle.get(key.split(".")[0])
             if why is not None:
                 refused[key] = value, why

@@ -257,6 +257,7 @@ class Scene(Part):
             raise InputError(
                 "tool.kind", f"be one of {names} for a {kind}", got, "choose one of these"
             )
+        # The wall's model is one spring under the lowest point of a ball.
         if kind == "wall" and self.tool.kind != "sphere-probe":
             raise InputError(
                 "tool.kind", "be sphere-probe for a wall", self.tool.kind, "use a ball"
@@ -278,6 +279,7 @@ class Scene(Part):
                     "anatomy.guide_hole_depth_mm"
                 ),
             )
+        # Fewer than four voxels across show no shape of a tool. The suggestion has twenty.
         if tool.diameter_mm < 4.0 * self.voxels.spacing_mm:
             raise InputError(
                 "voxels.spacing_mm",
@@ -291,6 +293,7 @@ class Scene(Part):
     def _stress_fits(self, stress: Stress) -> None:
         spacing = self.voxels.spacing_mm
         ratio = 0.5 * stress.cell_mm / spacing
+        # 0.1 and 0.75 mm are half of the smallest and largest cell; 1e-6 is for rounding.
         if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:
             least = math.ceil(0.1 / spacing - 1e-6)
             most = math.floor(0.75 / spacing + 1e-6)

@@ -50,6 +50,7 @@ def folders_of(scene: Scene) -> list[str]:
         for each in (text, text.partition(":")[2]):
             kinds: tuple[type[PurePath], ...] = (PurePosixPath, PureWindowsPath)
             path = next((kind(each) for kind in kinds if kind(each).is_absolute()), None)
+            # A root folder is part of every path, and shows nothing about a user.
             if path is not None and path.parent != path.parent.parent:
                 found.add(each[: len(each.rstrip("/\\")) - len(path.name)])
     return sorted(found, key=len, reverse=True)
@@ -140,6 +141,7 @@ def with_site(text: str, centre_mm: Sequence[float], normal: Sequence[float]) ->
         If the text has no line ``[anatomy]``, or something else would change.
     """
     values = {
+        # A micrometre, and a millionth of a unit vector. Adding 0.0 turns -0.0 into 0.0.
         "centre_mm": [round(float(value), 3) + 0.0 for value in centre_mm],
         "normal": [round(float(value), 6) + 0.0 for value in normal],
     }

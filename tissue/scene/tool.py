@@ -222,6 +222,7 @@ class Motion(Part):
 
     @model_validator(mode="after")
     def _axis_has_length(self) -> "Motion":
+        # A vector of rounding errors has no direction.
         if math.hypot(*self.axis) < 1e-9:
             raise InputError("motion.axis", "have a length", "(0, 0, 0)", "use [0, 0, 1]")
         return self
@@ -231,7 +232,7 @@ class PathMotion(Motion):
     """Motion of the tip along straight lines at a given feed; it then stays at the end."""
 
     kind: Literal["path"] = "path"
-    """Position-driven."""
+    """Motion along a given path."""
     points_mm: Annotated[tuple[Vector, ...], Strict(False)] = Field(
         min_length=2, examples=[((0.0, 0.0, 0.5), (0.0, 0.0, -2.0))]
     )
@@ -247,7 +248,7 @@ class ThrustMotion(Motion):
     """
 
     kind: Literal["thrust"] = "thrust"
-    """Force-driven."""
+    """Motion under a given thrust."""
     start_mm: Vector = (0.0, 0.0, 0.5)
     """Start position of the tip, in the frame of the site."""
     thrust_N: float = Field(gt=0, le=1000, examples=[40.0])
@@ -267,6 +268,6 @@ class ReplayMotion(Part):
     """
 
     kind: Literal["replay"] = "replay"
-    """Recorded."""
+    """Recorded motion."""
     file: FileName = Field(examples=["runs/glenoid/trace.csv"])
     """CSV table of poses, such as a run's trace, or an HDF5 recording of volumetric_drilling."""

@@ -87,6 +87,7 @@ def _used(
     found: list[Used] = []
     for table, material, chosen in parts:
         stated = stated_of(table, material)
+        # A file of constants may state values for a single layer.
         is_listed = material in listed(table)
         known = given.constants(table, material) if is_listed else given.layer_constants(material)
         of = f"{table}, {material.replace('_', ' ')}"
@@ -102,6 +103,7 @@ def _tables(scene: Scene, layers: Sequence[str], varied: bool) -> Iterator[Part]
     """Yield the tables and materials of a scene."""
     anatomy = scene.anatomy
     if isinstance(scene.tool, Tool) and scene.tool.spin_rpm != 0.0:
+        # At the reference density the exponent has no effect.
         even = not varied and _has_reference_density(scene)
         yield from _cutting(
             scene.constants, layers, scene.cutting.material, has_reference_density=even
@@ -144,6 +146,7 @@ def _cutting(
     A layer with its own value of a constant replaces the material.
     """
     needed = dict[str, dict[str, None]]()
+    # At the reference density, every exponent gives the same coefficients.
     fixed = {"density_exponent"} if has_reference_density else set()
     for layer in layers:
         material = CUT_AS.get(layer, bone)

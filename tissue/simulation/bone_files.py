@@ -56,7 +56,10 @@ __all__ = [
 UNIT_NAMES = {1.0: "mm", 10.0: "cm", 1000.0: "m"}
 """Names that NRRD uses for length units, by their length [mm]."""
 MOST_FRAMES = 40
-"""Largest number of moments in a file of the carving, the end included."""
+"""Largest number of moments in a file of the carving, the end included.
+
+With `MOST_TRIANGLES` it bounds the size of the files; both are chosen.
+"""
 MOST_TRIANGLES = 40_000
 """Largest number of triangles of one moment; a larger cut is drawn in blocks of voxels."""
 STEPS_S = (0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 25.0, 50.0, 100.0)
@@ -221,6 +224,8 @@ def _write_nrrd(run: CarvedRun, path: Path) -> None:
             f"space origin: ({','.join(repr(float(v)) for v in origin)})",
         ]
     )
+    # Level 1 takes a quarter of the time of level 6 for a file 1.3 times as large. Without a time,
+    # equal bone gives equal files.
     data = gzip.compress(run.remaining.tobytes(order="F"), compresslevel=1, mtime=0)
     with whole_file(path) as temporary:
         temporary.write_bytes(header.encode("ascii") + b"\n\n" + data)
@@ -240,6 +245,7 @@ def carving_ticks(run: CarvedRun) -> list[int]:
         lasts = last * TICK_S
         step = next(
             (step for step in STEPS_S if lasts <= step * (MOST_FRAMES - 2)),
+            # Two moments are added: the start and the end.
             lasts / (MOST_FRAMES - 2),
         )
         times = np.arange(0.0, lasts, step).tolist()

@@ -146,6 +146,7 @@ def with_depth(
         volume.fraction - remaining, at, order=1, mode="nearest", output=np.float32
     )
     columns = map_coordinates(depth_mm, np.delete(at, axis, axis=0), order=1, mode="nearest")
+    # A quarter of a voxel separates both, and the depth fades in over it.
     bare = np.clip(missing / (0.25 * FULL), 0.0, 1.0)
     surface.point_data["removed_depth_mm"] = (bare * columns).astype(np.float32)
     return surface
@@ -155,7 +156,9 @@ def smooth_normals(surface: "pyvista.PolyData", *, passes: int = 16) -> Singles:
     """Return unit normals averaged over neighbours, shape (n, 3).
 
     A picture then shows the bone rather than its voxels. Neighbours are weighted by how well their
-    normals agree; across an edge they are ignored.
+    normals agree; across an edge, where they differ by more than 37 degrees, they are ignored. On
+    a ball of binary voxels, 16 passes reduce the error of the normals from 16 to 6 degrees, and 32
+    to 5.7.
     """
     from scipy.sparse import csr_array
 
@@ -191,6 +194,8 @@ def cut_out(
         itself ends.
     """
     cut = np.zeros(surface.n_cells, dtype=bool)
+    # 1.5 voxels cover the rounding of the region to whole voxels. Where the volume ends farther
+    # from the requested corner, the bone itself ends. A face on the boundary is within 0.25 voxel.
     near = 0.25 * volume.spacing_m
     for corner, asked, side in zip(volume.bounds_m, reach_m, (-1.0, 1.0), strict=True):
         for axis in np.flatnonzero(np.abs(corner - asked) < 1.5 * volume.spacing_m):
@@ -309,6 +314,7 @@ def coarse_volume(volume: VoxelVolume, block: int) -> VoxelVolume:
     layer = np.zeros_like(fraction)
     density = np.zeros(fraction.shape, dtype=np.uint16)
     for target, source in ((layer, volume.layer[middle]), (density, volume.density_kg_m3[middle])):
+        # A last, incomplete block may have no middle: its layer and density stay 0.
         target[tuple(slice(n) for n in source.shape)] = source
     return VoxelVolume(
         volume.origin_m, block * volume.spacing_m, fraction, layer, density, volume.layer_names

@@ -19,9 +19,15 @@ from tissue.simulation.trace import Table
 __all__ = ["BreakThrough", "break_throughs", "shortfalls"]
 
 MOSTLY = 0.5
-"""Share of a tooth's caries within reach below which the removal counts as missed."""
+"""Share of a tooth's caries within reach below which the removal counts as missed.
+
+Chosen: half.
+"""
 TOLERANCE_MM = 0.05
-"""Tolerance for the depth of a thrust, below which a shortfall is not noted [mm]."""
+"""Tolerance for the depth of a thrust, below which a shortfall is not noted [mm].
+
+It is half a voxel of the default size.
+"""
 FORWARD = 0.5
 """Smallest share of a tick's travel along the tool's axis that counts as forward.
 
@@ -46,6 +52,7 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
                 f"not finished: the tool reached {came:.3g} of motion.depth_mm = {wanted:g}; raise "
                 "motion.thrust_N or duration_s"
             )
+    # Half a tick: durations are rounded to ticks.
     elif wanted_s >= path_s + 5e-4:
         found["path"] = (
             f"not finished: the run ends at {path_s:g} s, the motion at {wanted_s:.6g} s; set "
@@ -87,6 +94,7 @@ def _missed_caries(anatomy: Tooth, parts: Parts) -> str:
     removed_m3, there_m3 = next((v for name, *v in volumes if name == "caries"), (0.0, 0.0))
     missed = "nothing of the caries: the tool never met the lesion"
     if removed_m3 > 0.0:
+        # In a tooth from files the place of the lesion is not known, and a path may only graze it.
         if parts.placement is None or removed_m3 >= MOSTLY * there_m3:
             return ""
         missed = (

@@ -365,6 +365,7 @@ def _recorded(
                 engaged[tick // every] = bone.engaged_m2
                 for all_ticks, each in zip(unit, bone.unit_loads, strict=True):
                     all_ticks[:, :, tick // every] = each
+            # Ten reports a second are enough for a reader.
             if perf_counter() - reported_s > 0.1:
                 reported_s = perf_counter()
                 report("recording the geometry", tick / ticks)

@@ -36,12 +36,16 @@ __all__ = ["Loop", "MachineGaps", "PoseLog", "Stepper", "spin", "undisturbed"]
 
 
 SWITCH_S = 5e-5
-"""Longest time for which a background thread may keep the interpreter from the ticks [s]."""
+"""Longest time for which a background thread may keep the interpreter from the ticks [s].
+
+It is a twentieth of a tick; Python's default of 5 ms is five ticks.
+"""
 SPUN_S = 0.3
 SPUN_SHARE = 0.1
 """Time for which the clock is polled before and after the ticks [s], and its largest share.
 
-The share is relative to the simulated time.
+The share is relative to the simulated time. Both are chosen, so that a short run does not take much
+longer by it.
 """
 
 
@@ -148,6 +152,7 @@ class Stepper:
         self.moved_s = self.searched_s = self.removed_s = perf_counter()
         if index % motion.model_ticks != 0:
             return
+        # A thrust tries poses before any bone is cut. Other motions are corrected after the cut.
         if self._balances:
             response = tissue.respond(tool)
             while motion.correct(response, tool):
@@ -306,6 +311,7 @@ class Loop:
         recorded = perf_counter()
         stepper.start_background(index)
         end = perf_counter()
+        # Stages overlap with the search of a balance, which counts as force.
         self.timing.rows[index, : len(TIMING_COLUMNS)] = (
             (end - start) * 1e6,
             (stepper.moved_s - start) * 1e6,
@@ -322,6 +328,7 @@ class Loop:
         """Write one row of the trace, in the units of its columns."""
         tool = self._stepper.tool
         at = self._at
+        # Most tools never turn: the quaternion is computed only after a change.
         if tool.rotation.tobytes() != self._rotation:
             self._rotation = tool.rotation.tobytes()
             self._quaternion[:] = quaternion_of(tool.rotation)
@@ -342,6 +349,7 @@ class Loop:
         row[self._motion_measures] = self.parts.motion.measures
         if self.parts.keep_clear is not None:
             row[self._clear_measures] = self.parts.keep_clear.measures
+        # -1 stands for no layer, see `Table`.
         row[at.layer] = response.engaged_m2.argmax() if area > 0.0 else -1.0
         row[self._loads[np.abs(row[self._loads]) < LEAST_LOAD]] = 0.0
 

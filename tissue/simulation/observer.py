@@ -28,7 +28,10 @@ __all__ = [
     "WallClock",
 ]
 LOOK_TICKS = 200
-"""Ticks between two checks of the ticks' load and of a live run's processes."""
+"""Ticks between two checks of the ticks' load and of a live run's processes.
+
+0.2 s is well below the second after which Linux stops a thread that leaves no time.
+"""
 FULL = 0.9
 """Largest share of the time that ticks may take at a raised priority.
 

@@ -23,7 +23,7 @@ DRILL = "mastoidectomy_drill"
 ANATOMY = "anatomy_object_name"
 """Objects by the default names of the recorder, so that scripts for its files find them."""
 DENSEST_KG_M3 = 2000.0
-"""Density of bone that is drawn white [kg/m3]."""
+"""Density of bone that is drawn white [kg/m3]: the densest cortical bone has 1800 to 2000."""
 ABOUT = (
     "Lengths in m, times in s from the start of the run, forces in N, torques in N m about "
     "the tool's tip. Poses are\n"
@@ -102,6 +102,7 @@ def _write_poses(file: Any, run: CarvedRun) -> None:
     _store(file, f"{POSES}/{ANATOMY}_pose", times, pose=still)
     loads = np.hstack([trace.vectors("force", "N"), trace.vectors("torque", "Nm")])
     _store(file, f"{EVENTS}/drill_force_feedback", times, wrench=loads)
+    # Only a burr has a size in this layout.
     if size_mm > 0.0:
         _store(
             file, f"{EVENTS}/burr_change", times[:1], burr_size=np.array([size_mm])[: len(times)]

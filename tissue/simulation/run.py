@@ -217,6 +217,7 @@ class Run:
         device = self._compute
         if self._saved is not None:
             recorded = str(self.summary.get("compute"))
+            # This machine may lack the device of the run.
             device = recorded if recorded in map(str, warp.get_devices()) else "cpu"
         removal = self.scene.voxels.removal
         return CarvingReplay(self.volume, self.cutter, self.poses, removal=removal, device=device)
@@ -277,6 +278,7 @@ class Run:
         exposed_s = 1e-6 * float(ticks.sum())
         by_clock: Summary = {}
         if "late_us" in self.timing:
+            # Only runs by the wall clock have lateness.
             late = self.timing["late_us"]
             exposed_s = len(ticks) * TICK_S
             by_clock = {

@@ -444,6 +444,7 @@ def read_summary(folder: Path) -> Summary:
             raise InputError(
                 "summary.json",
                 f"hold {name} as `tissue run` writes it",
+                # A wrong entry may be long.
                 f"{str(held.get(name))[:60]} in {path}",
                 AGAIN,
             )

@@ -31,9 +31,9 @@ __all__ = [
 PEAK = 99.8
 """Percentile of a cell field at the end of its scale; single cells at the tool lie above it."""
 SPAN = 1e-3
-"""Ratio of lowest to highest stress of a logarithmic scale."""
+"""Smallest ratio of lowest to highest stress of a logarithmic scale: three decades of colours."""
 FAINT = 5.0
-"""Percentile at which the scale may begin, for the frame with the largest stress."""
+"""Percentile at which the scale may begin, for the frame with the largest stress; chosen."""
 UNITS = {
     "mm3_s": "mm³/s",
     "mm_s": "mm/s",
@@ -224,6 +224,7 @@ class SavedFields:
         """
         frames = self.frames
         times = self.times_s
+        # 1e-9 s: the time of a frame may be rounded.
         index = int(np.clip(np.searchsorted(times, time_s + 1e-9) - 1, 0, len(times) - 1))
         if index + 1 == len(times) or time_s <= times[index] + 1e-9 or not self._same[index]:
             return frames[index], float(times[index])
@@ -277,14 +278,17 @@ def field_limits(name: str, values: Sequence[Singles]) -> tuple[float, float]:
     """
     values = [one[np.isfinite(one)] for one in values]
     values = [one for one in values if one.size]
+    # Displacements are continuous and have no single high values.
     share = 100.0 if name.startswith(DISPLACEMENT) else PEAK
     peak = max((float(np.percentile(np.abs(one), share)) for one in values), default=0.0)
+    # A percentile of 0, or of a field of zeros, is no end of a scale.
     peak = peak or max((float(np.abs(one).max()) for one in values), default=0.0) or 1.0
     if any(float(one.min()) < 0.0 for one in values):
         return -peak, peak
     if not name.startswith(STRESS):
         return 0.0, peak
     widest = max(values, key=lambda one: float(one.max()), default=np.zeros(1, dtype=np.float32))
+    # At least a decade of the scale is used.
     return max(SPAN * peak, min(float(np.percentile(widest, FAINT)), 0.1 * peak)), peak
 
 

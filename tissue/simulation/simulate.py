@@ -138,6 +138,7 @@ def simulate(
     """
     report = progress or silent
     if cores is not None and not 1 <= cores <= MOST_CORES:
+        # The message is cut, because a number may have thousands of digits.
         raise InputError(
             "cores", f"be from 1 to {MOST_CORES}", str(cores)[:12], "leave it out to use all"
         )
@@ -170,6 +171,7 @@ def simulate(
                 ),
             )
             parts.motion.device = device
+            # The device of a caller needs no time for a simulated hand to react.
             parts.motion.after_s = 0.0
         ticks = tick_count(scene, parts.motion)
         columns = observer.timing_columns if observer is not None else ()
@@ -184,6 +186,7 @@ def simulate(
         trace = loop.trace
         if isinstance(parts.motion, MovedByDevice) and parts.motion.predictor is not None:
             parts.notes |= _prediction_note(trace, parts.motion)
+        # A user ends a run by a device when they like: an early end is no finding.
         parts.notes |= shortfalls(
             scene, parts, trace, path_s=ticks * TICK_S if device is None else inf
         )
@@ -234,12 +237,14 @@ def _run_ticks(
             goes_on = observer.on_tick(row, trace.rows[row], timing.rows[row])
             if folder is not None:
                 folder.flush(loop.ticks, force=each_row)
+            # Ten reports a second are enough for a reader.
             if goes_on and perf_counter() - reported_s > 0.1:
                 reported_s = perf_counter()
                 report("simulating", loop.ticks / ticks)
 
     try:
         observer.on_begin(loop.parts, trace.columns)
+        # The garbage collector is off during the ticks.
         gc.collect()
         spin_s = spin_time_s(ticks * TICK_S) if folder is not None else 0.0
         scheduling = Scheduling(loop.parts.tissue, cores=cores, spin_s=spin_s)
@@ -275,6 +280,7 @@ def _prediction_note(trace: Table, motion: MovedByDevice) -> dict[str, str]:
     size = float(np.linalg.norm(raw))
     if size == 0.0 or not 0 < ticks < len(raw) or motion.model_ticks > 1:
         return {}
+    # Beyond, the force that was predicted is not known.
     known = len(raw) - ceil(ticks)
     later = force_later_N(raw, ticks)
     missed, held = (

@@ -312,6 +312,7 @@ def _h5(columns: Columns, path: Path) -> None:
     image = BytesIO()
     with h5py.File(image, "w") as file:
         for name, values in columns.items():
+            # h5py refuses NumPy's Unicode text ("No conversion path for dtype").
             file.create_dataset(
                 name, data=values.astype("S") if values.dtype.kind == "U" else values
             )
@@ -361,6 +362,7 @@ def read_table(path: Path, layer_names: tuple[str, ...]) -> Table:
                 wanted = f"name a layer of the run ({', '.join(index)})"
                 raise _line_error(path, number, wanted, repr(cell[:40])) from None
             except ValueError:
+                # A damaged cell may be long.
                 got = f"{cell[:40]!r} for {name}"
                 raise _line_error(path, number, "hold numbers", got) from None
     return Table(columns, rows, layer_names)

@@ -85,6 +85,8 @@ def _placed(image: Any, origin: Array, spacing: list[float], turn: Array) -> Any
 def write_vtk_xml(writer: "vtkXMLWriter", data: "pyvista.DataSet", path: Path) -> None:
     """Write a VTK XML file with compressed raw data."""
     writer.SetCompressorTypeToZLib()
+    # Level 1 takes a quarter of the time of level 6 for a file 1.3 times as large. VTK compresses
+    # block by block: 1 MiB leaves few blocks.
     writer.SetCompressionLevel(1)
     writer.SetBlockSize(1 << 20)
     writer.SetDataModeToAppended()

@@ -169,6 +169,7 @@ class DeviceParameters:
     workspace_depth_m: float = inf
 
     def __post_init__(self) -> None:
+        # The bounds refuse values in a wrong unit.
         for name in ("mass_kg", "force_limit_N", "inertia_kg_m2"):
             require_positive(name, getattr(self, name), "see devices.toml for what is usual")
         for name, low, high in (
@@ -250,9 +251,12 @@ The Touch has a stated workspace of 160 x 120 x 70 mm, and its arm moves in 431 
 Positions in millimetres exceed this reach after 0.6 mm.
 """
 UNSTATED_M = 3.0
-"""Reach of a device without a stated workspace [m]."""
+"""Reach of a device without a stated workspace [m]: more than an arm's length in any direction."""
 MOST_WRONG = 20
-"""Number of consecutive samples beyond the reach that counts as an error of the device."""
+"""Number of consecutive samples beyond the reach that counts as an error of the device.
+
+A single wild sample is a fault that passes, and the guard of the samples handles it.
+"""
 
 
 class Reach:
@@ -291,6 +295,7 @@ class Reach:
         DeviceError
             If the device is out of its reach.
         """
+        # The guard of the samples reports a position that is not finite.
         if not isfinite(sum(position_m)):
             return
         first = self._first = self._first or position_m

@@ -66,14 +66,20 @@ class RecordedDevice(ComputedDevice):
 
     def read(self, time_s: float) -> Sample | None:
         """Return the last recorded sample that is not after a time; None outside the recording."""
+        # 1e-9 s: the first and last time may be rounded.
         if not self._first - 1e-9 <= time_s <= self._last + 1e-9:
             return None
+        # 1e-6: a time of a whole tick may be rounded down.
         tick = int((time_s - self._first) / TICK_S + 1e-6)
         return self._samples[min(tick, len(self._samples) - 1)]
 
 
 RESPONSE_S = 0.03
-"""Time constant of the response of a mouse to a push [s]."""
+"""Time constant of the response of a mouse to a push [s].
+
+It is about the time between two frames of a window (1/30 s): a shorter one would show the pushes as
+jerks.
+"""
 
 
 class MouseDevice(ComputedDevice):
@@ -118,6 +124,7 @@ class MouseDevice(ComputedDevice):
         x, y, z = (at + more for at, more in zip(last.position_m, moved, strict=True))
         quaternion = last.quaternion
         spin = NOTHING
+        # A pointer that does not turn costs no quaternions.
         if turned != quaternion or any(last.spin_rad_s):
             turn, spin = _followed(turn_between(quaternion, turned), last.spin_rad_s, step)
             quaternion = unit(product(exponential(turn), quaternion)) or turned
@@ -138,8 +145,9 @@ def _followed(offset: Sequence[float], speed: Triple, step_s: float) -> tuple[Tr
 
 FaultKind = Literal["dropped", "late", "duplicated", "non-finite", "wild"]
 WILD_M = 1e9
+"""Position of a wild sample [m]: finite, but far beyond any device."""
 LATE_READS = 5
-"""Delay of a late sample [reads]."""
+"""Delay of a late sample [reads]: twice the age at which a guard refuses a sample."""
 
 
 @dataclass(frozen=True)

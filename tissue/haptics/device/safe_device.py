@@ -29,15 +29,31 @@ __all__ = ["GIVE_UP_S", "RAMP_S", "STALL_S", "SafeDevice", "run_held"]
 
 
 RAMP_S = 0.03
-"""Time in which the last force is ramped to zero on a device whose loop still runs [s]."""
+"""Time in which the last force is ramped to zero on a device whose loop still runs [s].
+
+A sudden loss of force lets the hand jump. The ramp is shorter than `STALL_S`, so that every end
+removes the force within 50 ms.
+"""
 STALL_S = 0.05
-"""Longest time without a command before a force is removed [s]."""
+"""Longest time without a command before a force is removed [s].
+
+It is the time of the network protocol, after which a device removes its force by itself.
+"""
 GIVE_UP_S = 1.0
-"""Longest duration of a read or a command before the device counts as lost [s]."""
+"""Longest duration of a read or a command before the device counts as lost [s].
+
+The force is removed long before, after `STALL_S`. This time only ends the wait of the user.
+"""
 OPENING_S = 10.0
-"""Longest duration of opening a device, including search, connection and wake-up [s]."""
+"""Longest duration of opening a device, including search, connection and wake-up [s].
+
+The slowest built-in adapter waits 5 s.
+"""
 ANSWER_S = 0.2
-"""Longest duration of a zero command from a second thread, or of a close [s]."""
+"""Longest duration of a zero command from a second thread, or of a close [s].
+
+The waits for the lock, the command and the close take 0.6 s together, less than `GIVE_UP_S`.
+"""
 OPENED = ", and give it without `with`: the run opens and closes it"
 IDLE = ("", inf)
 """Marker for no running call."""
@@ -126,6 +142,7 @@ class SafeDevice:
         return stated + [(self._time_s, what) for what in found]
 
     def __enter__(self) -> Self:
+        # A holder has entered the device, and leaves it.
         held = self._holder is not None and self._holder.entered
         if isinstance(self.device, AbstractContextManager) and not held:
             with self._calling("__enter__"):
@@ -181,6 +198,7 @@ class SafeDevice:
         if took > self._tick:
             self.slow_reads += 1
             self.slowest_read_s = max(self.slowest_read_s, took)
+        # 2.5 ticks: the age at which the guard of the samples refuses a sample.
         return sample if took <= 2.5 * self._tick else None
 
     def play(self, force_N: Array, torque_Nm: Array) -> tuple[Array, Array]:
@@ -234,6 +252,7 @@ class SafeDevice:
         self._played = inf
         self.released = True
         self._releases += 1
+        # The loop's thread may hold the lock in a command that hangs.
         if self._lock.acquire(timeout=ANSWER_S):
             try:
                 self._force.value = np.zeros(3)
@@ -255,6 +274,7 @@ class SafeDevice:
     def _command(self, force: Array, torque: Array) -> None:
         """Send one command and record its time."""
         if not self.in_process:
+            # Zero needs no release, so that its time is not watched.
             self._played = perf_counter() if any(force.tolist()) or any(torque.tolist()) else inf
         with self._calling("command"):
             self.device.command(force, torque)
@@ -326,6 +346,7 @@ class SafeDevice:
 
     def _failed(self, name: str, error: Exception) -> DeviceError:
         """Return an exception of the device as a DeviceError of one sentence."""
+        # Its message is a sentence for the user already.
         if isinstance(error, InputError):
             return DeviceError(str(error))
         message = " ".join(str(error).split())
@@ -338,7 +359,10 @@ class SafeDevice:
 
 
 POLL_S = 0.01
-"""Interval between two checks [s]; each check costs the ticks some microseconds."""
+"""Interval between two checks [s], a fifth of `STALL_S`.
+
+Each check costs the ticks some microseconds.
+"""
 
 
 def run_held(work: Callable[[], None], held: SafeDevice) -> None:
@@ -395,6 +419,7 @@ def _supervise(work: Callable[[], None], held: SafeDevice) -> None:
         thread.start()
         while not done.wait(POLL_S):
             lost = held.stop_if_stuck()
+            # A call that returns just now ends the work in order, with its own error.
             if lost is not None and not done.wait(STALL_S):
                 raise lost
     if raised:

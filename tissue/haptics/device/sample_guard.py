@@ -30,9 +30,17 @@ from tissue.motion.quaternion import (
 __all__ = ["GuardLimits", "NewSamples", "Roughness", "SampleGuard", "guard_of"]
 
 MEMORY = 8.0
-"""Number of new samples over which roughness is averaged."""
+"""Number of new samples over which roughness is averaged.
+
+Two rough samples in a row, from a jump or a blow, give the share 0.23. Six exceed `ROUGH`.
+"""
 STALE = 0.25
-"""Weight of a sample that only repeats the last one."""
+"""Weight of a sample that only repeats the last one.
+
+With weight 0, a device at rest would never be valid again. With weight 1, noise of a device at
+250 Hz, which repeats each sample three times, would have the share 0.25 and not be found. With
+0.25 its share is 0.57.
+"""
 ROUGH = 0.5
 SMOOTH = 0.05
 """Share of rough samples above which a signal is noise, and below which it is valid again."""
@@ -68,6 +76,7 @@ class Roughness:
     """
 
     def __init__(self, limit: float) -> None:
+        # Three samples span 2 T, so that a T^2 / 2 is a span^2 / 8.
         self._limit = limit / 8.0
         self.noisy = False
         self.share = 0.0
@@ -95,6 +104,7 @@ class Roughness:
         start, ax, ay, az, aw = first
         between, bx, by, bz, bw = middle
         span = time_s - start
+        # Samples may have equal times: the middle one then counts as in the middle.
         part = (between - start) / span if span > 0.0 else 0.5
         dx = bx - ax - part * (x - ax)
         dy = by - ay - part * (y - ay)
@@ -114,19 +124,26 @@ class Roughness:
             self.noisy = True
         elif self.share < SMOOTH:
             self.noisy = False
+            # Exactly zero, so that a quiet signal needs no more counting.
             if self.share < 1e-6:
                 self.share = 0.0
 
 
 MOST_EVENTS = 200
-"""Largest number of listed changes between valid and invalid samples."""
+"""Largest number of listed changes between valid and invalid samples.
+
+A device that flickers in every tick would fill memory and report.
+"""
 NO_TORQUE = np.zeros(3)
 SHAPES: tuple[tuple[int, ...], ...] = ((), (3,), (3,), (4,), (3,))
 """Shapes of the parts of a sample."""
 PLAIN = {float, int, np.float64}
 """Types of numbers that are accepted unchanged; bool is excluded."""
 HALF_TURN = 1e-3
-"""Tolerance around one for a quaternion component in a half-turn about its axis."""
+"""Tolerance around one for a quaternion component in a half-turn about its axis.
+
+It is a turn of 5 degrees: the first pose of a device that starts near its zero.
+"""
 W_FIRST = (
     "the first orientation is half a turn about x. A quaternion is (x, y, z, w); a device that "
     "gives w first starts so"
@@ -217,6 +234,7 @@ class SampleGuard:
         self._clock: float | None = None
         self._step = 0.0
         self._places = Roughness(self._limits.roughest_m_s2)
+        # A quaternion changes by half the angle of a rotation.
         self._turns = Roughness(0.5 * self._limits.roughest_rad_s2)
         self._turned: Quaternion = UPRIGHT
 
@@ -266,6 +284,7 @@ class SampleGuard:
             force_N = None
         if force_N is not None and not self._fault:
             self.share = min(self.share + change, 1.0)
+            # Most devices play no torque: no length is computed.
             turning = torque if torque is NO_TORQUE else _capped(torque, self._caps[1])
             self._wrench = _capped(force_N, self._caps[0]), turning
         else:
@@ -297,6 +316,7 @@ class SampleGuard:
         x, y, z, w = turned
         if turned != self._turned:
             a, b, c, d = self._turned
+            # q and -q are the same orientation: take the one next to the last sample.
             if a * x + b * y + c * z + d * w < 0.0:
                 x = -x
                 y = -y
@@ -311,6 +331,8 @@ class SampleGuard:
         if max(map(abs, sample.spin_rad_s)) > limits.fastest_rad_s:
             return "a spin that no hand has"
         if good is None:
+            # The first position has no predecessor. No hand is 10 m from a device's origin, but a
+            # position in millimetres often is.
             is_near = max(map(abs, sample.position_m)) < 10.0
             return "" if is_near else "a position that no hand reaches"
         elapsed = max(sample.time_s - good.time_s, 0.0) + limits.oldest_s
@@ -359,6 +381,7 @@ def _repaired(sample: Sample) -> Sample:
         except (TypeError, ValueError):
             is_right = False
         if not is_right or any(isinstance(each, bool | np.bool_) for each in listed):
+            # An array may have a long text.
             got = " ".join(repr(given).split())[:60]
             wanted = f"{shape[0]} numbers" if shape else "a number"
             raise DeviceError(
@@ -377,7 +400,10 @@ def _capped(vector: Array, limit: float) -> Array:
 ROUNDING = 1e-9
 """Tolerance for equal times [s], and for a number of ticks."""
 OLDEST = 2.5
-"""Age at which a sample counts as missing, relative to the time between two samples."""
+"""Age at which a sample counts as missing, relative to the time between two samples.
+
+Up to two missing samples are tolerated, with half a period of jitter.
+"""
 
 
 class NewSamples:

@@ -155,7 +155,8 @@ class SimulatedDevice(ComputedDevice):
     position_m
         Start position [m].
     substeps
-        Integration steps of the plant per tick; they affect only friction.
+        Integration steps of the plant per tick; they affect only friction. With 5, the encoder
+        positions of a hand on a wall differ by single steps (rms 4.5 um) from those with 100.
 
     Attributes
     ----------
@@ -197,6 +198,7 @@ class SimulatedDevice(ComputedDevice):
         self.hand_force_N: Triple = NOTHING
         self.saturated_ticks = self.refused_commands = 0
         step = self._step = 1.0 / parameters.rate_Hz
+        # The small numbers are for delays and times that are whole ticks except for rounding.
         whole = int(parameters.transport_delay_s / step + 1e-9)
         delay = parameters.transport_delay_s - whole * step
         fine = lambda length: max(ceil(substeps * length / step - 1e-9), 1)  # noqa: E731
@@ -225,6 +227,7 @@ class SimulatedDevice(ComputedDevice):
 
     def read(self, time_s: float) -> Sample | None:
         """Advance to the last device tick that is not after ``time_s``, and return its sample."""
+        # 1e-6: a time of a whole tick may be rounded down.
         due = int(time_s * self.parameters.rate_Hz + 1e-6)
         while self._tick < due:
             self._advance()
@@ -274,6 +277,8 @@ class SimulatedDevice(ComputedDevice):
         turned = NOTHING
         if self.six_dof:
             turned = turn_between(action.aim_quaternion, self.orientation)
+            # Rotation vectors are small and add only near zero, so they start at the aim in every
+            # tick.
             self.rotation.position = turned
         time = at
         where = self.translation.position
@@ -293,6 +298,7 @@ class SimulatedDevice(ComputedDevice):
             (a, b, c) = self.rotation.position
             (x, y, z) = turned
             self.orientation = product(exponential((a - x, b - y, c - z)), self.orientation)
+        # Without motors of rotation, the handle turns freely with the hand.
         elif stiffness > 0.0:
             self.orientation = action.aim_quaternion
         self._tick += 1
@@ -303,6 +309,7 @@ class SimulatedDevice(ComputedDevice):
         (x, y, z) = position
         (a, b, c) = before.position_m
         spin = NOTHING
+        # The rotation of two equal quaternions would be rounding noise.
         if orientation != before.quaternion:
             spin = _times(rate, turn_between(before.quaternion, orientation))
         velocity = rate * (x - a), rate * (y - b), rate * (z - c)
@@ -319,6 +326,7 @@ class SimulatedDevice(ComputedDevice):
         grip = self._grip
         moves = self.translation
         rate = self.parameters.rate_Hz
+        # Means over the tick: half a step of the aim's motion, and half of both end positions.
         half = 0.5 * self._step
         (i, j, k) = moves.position
         (u, v, w) = moves.velocity

@@ -139,6 +139,7 @@ class Aim:
             seen = [
                 a + b - (c if unseen else 0.0) for a, b, c in zip(seen, move, missed, strict=True)
             ]
+        # Half a correction before its end: see the class.
         arrival = time_s + self._duration - 0.5 * self._interval
         wanted = [float(a) - b for a, b in zip(self._path(arrival), seen, strict=True)]
         size = sqrt(sum(a * a for a in wanted))
@@ -147,7 +148,7 @@ class Aim:
 
 
 BLOCK = 500
-"""Number of ticks whose random numbers are drawn at once."""
+"""Number of ticks whose random numbers are drawn at once: one call instead of a call per tick."""
 
 
 class Grip(NamedTuple):
@@ -225,6 +226,7 @@ class HandParameters:
     reflex_s: float
 
     def __post_init__(self) -> None:
+        # The upper bound only refuses values in a wrong unit.
         for entry in fields(self):
             require_range(
                 entry.name, getattr(self, entry.name), 0.0, 1e5, "see hands.toml for what is usual"
@@ -319,6 +321,7 @@ class Hand:
         self._pending = deque([NOTHING] * round(parameters.reflex_s / step_s))
         self._keep = exp(-step_s / parameters.force_noise_s)
         self._fresh = sqrt(1.0 - self._keep**2)
+        # A complex first-order filter has the bandwidth w (half power) for the decay exp(-pi w T).
         decay = exp(-pi * parameters.tremor_width_Hz * step_s)
         self._turning = decay * np.exp(2j * pi * parameters.tremor_Hz * step_s).item()
         self._shaken = parameters.tremor_m * sqrt(1.0 - decay**2)

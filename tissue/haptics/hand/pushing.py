@@ -21,7 +21,7 @@ THRESHOLDS = 2.0
 At one threshold, an answer is right in 75 % of cases, which is too unreliable to end a push.
 """
 EASED = 0.2
-"""Relative speed of an aim after a cue; assumed."""
+"""Relative speed of an aim after a cue; assumed, because no measurement was found."""
 
 
 @dataclass
@@ -232,6 +232,7 @@ class CompensatedPath:
 
     def __call__(self, time_s: float) -> Array:
         """Return the aim at a time [s]; each call is a correction."""
+        # Before that, the path has asked nothing of the tool.
         if time_s > self.lead_s:
             self._learn()
             self.beyond_m += (
@@ -254,6 +255,7 @@ class CompensatedPath:
             aimed = self._aims_m[1] - self._aims_m[0]
             square = float(aimed @ aimed)
             if square > 0.0:
+                # Chosen: the mean of old and new ratio, so that one odd correction counts half.
                 self._yields += 0.5 * (
                     min(max(float(went @ aimed) / square, LEAST_YIELD), 1.0) - self._yields
                 )
@@ -295,6 +297,7 @@ class Thrust:
         """Return the aim at a time [s]: the position of the device that holds the tool."""
         share = self.share
         aim: Array = self.start_m + share * self.path_m
+        # No push before the start and after the end, so no stretch.
         if time_s <= 0.0 or share == 1.0:
             return aim
         return aim + self.stretch_m * self.path_m / sqrt(self.path_m @ self.path_m)

@@ -67,6 +67,7 @@ def constant_acceleration_map(memory: float) -> tuple[Array, Array]:
     memory, without delay for a constant acceleration.
     """
     fresh = 1.0 - memory
+    # Gains of the fading-memory polynomial filter of second order (Morrison, 1969).
     gains = np.array([1.0 - memory**3, 1.5 * fresh**2 * (1.0 + memory), fresh**3])
     onward = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
     return onward - np.outer(gains, onward[0]), gains
@@ -173,7 +174,8 @@ class ForceRange:
     scale
         Device newtons per newton.
     knee_share
-        Share of the limit that is unchanged, below 1.
+        Share of the limit that is unchanged, below 1. The default 0.7 is chosen: forces above it
+        get the upper 30 % of the range.
     """
 
     limit_N: float

@@ -21,15 +21,30 @@ __all__ = ["Forecast", "forecast_of"]
 
 
 PROBES = (1e-5, 1e-3, 1e-3)
-"""Changes used to probe a predictor: position [m], velocity [m/s], force [N]."""
+"""Changes used to probe a predictor: position [m], velocity [m/s], force [N].
+
+The position is 1 % of the depth of the contact, so that the response is linear.
+"""
 LONGEST = 512
-"""Largest number of ticks for which the response to a change is recorded."""
+"""Largest number of ticks for which the response to a change is recorded.
+
+It is five times the longest memory of the built-in predictors, 102 ticks.
+"""
 FADED = 1e-3
-"""Share of the largest response below which a response has decayed."""
+"""Share of the largest response below which a response has decayed.
+
+Shorter responses make the analysis faster: the map of the loop has one state per tick of memory.
+"""
 RIGID = 1e6
-"""Stiffness of the tissue under the tool during a probe, relative to the coupling stiffness."""
+"""Stiffness of the tissue under the tool during a probe, relative to the coupling stiffness.
+
+In the loop that is analysed, the coupling is the wall: a rigid tissue lies behind it.
+"""
 SETTLING = 300
-"""Ticks of a contact at rest before a predictor is probed."""
+"""Ticks of a contact at rest before a predictor is probed.
+
+It is three times the longest memory of the built-in predictors.
+"""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -72,7 +87,7 @@ class Forecast:
 
 
 _forecasts: Kept["Forecast"] = Kept(64)
-"""Cache for the methods of a study in tens of trials."""
+"""Cache of 64 forecasts: a study runs the same few methods in tens of trials."""
 OUT = np.array([0.0, 0.0, 1.0])
 """Direction out of the tissue during a probe."""
 
@@ -137,6 +152,7 @@ class _Probe:
         taps = np.zeros((count, LONGEST + 1, 3))
         quiet = self._answers(deepcopy(settled), seen, seen, 0)
         for phase in range(count):
+            # A force is observed only in phase 0.
             for channel in range(3 if phase == 0 else 2):
                 changed = [each.copy() for each in seen]
                 changed[channel] += PROBES[channel] * OUT
@@ -167,6 +183,7 @@ class _Probe:
 
 def _faded(taps: Array) -> Array:
     """Return the responses up to the age at which they have decayed."""
+    # 1e-300: a channel without any response has the share 0.
     sizes = np.abs(taps) / np.maximum(np.abs(taps).max(axis=(0, 1)), 1e-300)
     ages = sizes.max(axis=(0, 2))
     if not np.isfinite(ages).all() or ages[-1] > FADED:
@@ -176,4 +193,5 @@ def _faded(taps: Array) -> Array:
             "one that does not",
             "train it with capped eigenvalues, or use another",
         )
+    # A tenth of the bound is kept, so that the cut itself does not show in the analysis.
     return taps[:, : int(np.flatnonzero(ages > 0.1 * FADED)[-1]) + 1]

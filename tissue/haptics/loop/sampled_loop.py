@@ -95,6 +95,7 @@ class WallLoop:
         require_positive("mass_kg", self.mass_kg, "give the device's apparent mass, such as 0.045")
         require_positive("tick_s", self.tick_s, "use 1e-3 for 1 kHz")
         longest_s = MOST_TICKS * self.tick_s
+        # The bounds refuse values in a wrong unit, and keep the matrix exponential finite.
         for name, low, high in (
             ("damping_N_s_m", 0.0, 1e9),
             ("stiffness_N_m", 0.0, 1e9),
@@ -123,7 +124,7 @@ class WallLoop:
         return replace(self, stiffness_N_m=stiffness_N_m)
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=4096)  # a stability map needs 14 entries
 def plant_step(
     mass_kg: float, damping_N_s_m: float, stiffness_N_m: float, amplifier_Hz: float, step_s: float
 ) -> tuple[tuple[float, ...], ...]:
@@ -156,6 +157,7 @@ def loop_matrix(loop: WallLoop) -> Array:
     tick by tick. Over a period, it is the product of the maps of its steps, whose eigenvalues
     determine stability (Floquet).
     """
+    # The small numbers are for delays that are whole ticks except for rounding.
     whole = int(loop.delay_s / loop.tick_s + 1e-9)
     delay = max(loop.delay_s - whole * loop.tick_s, 0.0)
     parts = (
@@ -174,6 +176,7 @@ def loop_matrix(loop: WallLoop) -> Array:
     places, ages = (0, 0) if loop.forecast is None else loop.forecast.memory
     estimated, speeds = (0, 0) if loop.velocity_memory is None else (3, places)
     shaken = loop.vibration is not None
+    # 5: position, velocity, motor force, position at the last model step, filtered force.
     ends = np.cumsum([5, shaken, queued, estimated, places, speeds, ages]).tolist()
     size = ends[-1]
     factors = loop.vibration_factors
@@ -273,6 +276,7 @@ class ForecastMemory:
         speeds = [*([] if speed is None else [speed]), *self.speeds]
         predicted = 0.0 * model
         shown = forecast.stiffness_N_m
+        # See `Forecast.stiffness_N_m`: these responses are proportional to the stiffness.
         stiffer = 1.0 if shown is None else self._loop.stiffness_N_m / shown
         for age in range(ages):
             phase = (tick - age) % count
@@ -341,6 +345,7 @@ def motor_force_N(loop: WallLoop, force_N: Array) -> Array:
     """
     gain = low_pass_gain(loop.filter_s, loop.tick_s)
     delay = loop.delay_s / loop.tick_s
+    # 1e-9: a delay of whole ticks that is rounded down stays whole.
     whole = int(delay + 1e-9)
     part = max(delay - whole, 0.0)
     filtered = lfilter([gain], [1.0, gain - 1.0], force_N, axis=0)

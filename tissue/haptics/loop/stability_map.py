@@ -35,6 +35,7 @@ __all__ = [
 
 SOFTEST_N_M = 0.1
 STIFFEST_N_M = 1e6
+"""Range of the bisection [N/m]: the limits of built-in devices are between 400 and 5000 N/m."""
 BISECTIONS = 15
 """Number of bisections of seven decades: resolution 0.05 %."""
 
@@ -86,13 +87,15 @@ def growth_while_running(
     Several loops run at once after a push. They share tick, model ticks, velocity, forecast and
     vibration. They run as on a device: sample, velocity, force, filter, delay, hold. The amplitude
     is the root of kinetic and stored energy, weighted by windows around 45 and 85 % of the run. The
-    growth is infinite on overflow.
+    growth is infinite on overflow. With 4000 ticks, the critical stiffness of validation case 21 is
+    within 0.02 % of the eigenvalues.
     """
     first = loops[0]
     tick = first.tick_s
     count = len(loops)
     of = lambda name: np.array([getattr(each, name) for each in loops])  # noqa: E731
     delay = of("delay_s")
+    # 1e-9: a delay of whole ticks that is rounded down stays whole.
     whole = (delay / tick + 1e-9).astype(int)
     part = np.maximum(delay - whole * tick, 0.0)
     mass = of("mass_kg") + of("hand_mass_kg")
@@ -100,6 +103,8 @@ def growth_while_running(
     damped = of("damping_N_s_m") + of("hand_damping_N_s_m")
     steps = []
     for behind, lengths in ((whole + 1, part), (whole, tick - part)):
+        # A loop with a whole delay has an empty first part beside loops without one. A step of
+        # 1e-12 s changes nothing.
         given = (mass, damped, held, of("amplifier_Hz"), np.maximum(lengths, 1e-12))
         rows = [plant_step(*each) for each in zip(*(each.tolist() for each in given), strict=True)]
         steps.append((np.moveaxis(np.array(rows)[:, :, :4], 0, -1), behind))
@@ -115,10 +120,13 @@ def growth_while_running(
     seen = ForecastMemory(first, nothing * places, nothing * (places * filtering), nothing * ages)
     velocity = SampledVelocity(first, np.zeros((3 * filtering, count)))
     plant = np.zeros((4, count))
+    # The loop is linear: the size of the push [m/s] does not matter.
     plant[1] = 1e-3
     before, force, filtered, envelope = np.zeros((4, count))
     follows = low_pass_gain(ENVELOPE_S, tick)
     share = np.arange(ticks) / ticks
+    # Smooth windows: the phase of the ringing at their ends does not matter. The first one begins
+    # after the transients of the push.
     windows = [
         np.where(abs(share - at) < 0.15, np.cos((share - at) * np.pi / 0.3) ** 2, 0.0)
         for at in (0.45, 0.85)
@@ -178,6 +186,7 @@ def stability_map(chosen: WallLoop, *, rows: int = 60, columns: int = 25) -> Sta
         values = np.linspace(0.0, highest, columns)
         loops = [replace(chosen, **{along: value}) for value in values.tolist()]
         exact = np.array([critical_stiffness_N_m(each) for each in loops])
+        # A chart needs a range even if no stiffness is stable and the chosen one is 0.
         found = np.append(exact[(exact > 0.0) & (exact < inf)], chosen.stiffness_N_m or 100.0)
         stiffnesses = np.geomspace(0.05 * found.min(), 3.0 * found.max(), rows)
         lines = {

@@ -41,7 +41,10 @@ MOST_PERIOD_TICKS = 200
 It covers frequencies from 5 Hz at 1 kHz, with an error of at most half a per cent of f.
 """
 SLEW_SHARE = 0.5
-"""Share of the device's slew that the vibration may use."""
+"""Share of the device's slew that the vibration may use.
+
+The other half is left to the force itself, because a loop at its slew limit rings.
+"""
 
 
 class Vibration:
@@ -78,6 +81,7 @@ class Vibration:
         If the period of the vibration is longer than `MOST_PERIOD_TICKS` ticks, the nearest
         vibration with a shorter period is used.
         """
+        # A vibration below half the slowest frequency would round to none.
         turns = Fraction(self._turns).limit_denominator(MOST_PERIOD_TICKS) or Fraction(
             1, MOST_PERIOD_TICKS
         )
@@ -112,6 +116,7 @@ class PlayedVibration:
     ) -> None:
         self._vibration = vibration
         self._limit = limit_N
+        # 2 sin(pi f T) is the largest change of a unit sine at f within a tick.
         self._most = SLEW_SHARE * slew_N / (2.0 * sin(pi * vibration.frequency_Hz * step_s))
         self._envelope = LowPass(ENVELOPE_S, step_s=step_s)
         self._tick = 0
@@ -140,9 +145,15 @@ an eighth of the tick rate, so that it is played smoothly.
 PERIODS = 5
 """Periods of a transient under a Hann window: 40 ms, with a half-height bandwidth of 50 Hz."""
 APART_S = 0.1
-"""Time without contact before a first contact, and shortest time between two transients [s]."""
+"""Time without contact before a first contact, and shortest time between two transients [s].
+
+A transient takes 40 ms, so that two never overlap, and a tool that bounces gets one.
+"""
 SETTLED_S = 0.01
-"""Time for which another layer must have the largest contact area [s]."""
+"""Time for which another layer must have the largest contact area [s].
+
+On a border, the two areas are nearly equal and may change places from tick to tick.
+"""
 
 
 class TouchEvents:
@@ -202,8 +213,11 @@ class Cues:
 
     def __init__(self, amplitude_N: float, *, limit_N: float, slew_N: float, tick_s: float) -> None:
         count = round(PERIODS / (CUE_HZ * tick_s))
+        # A sine of whole periods under a Hann window; its mean is subtracted to push the hand
+        # nowhere.
         at = (np.arange(count) + 0.5) / count
         burst = np.sin(2.0 * pi * PERIODS * at) * np.sin(pi * at) ** 2
+        # See `PlayedVibration`: the largest change of a unit sine within a tick.
         most = SLEW_SHARE * slew_N / (2.0 * sin(pi * CUE_HZ * tick_s))
         self._burst = (min(amplitude_N, most) * (burst - burst.mean())).tolist()
         self._events = TouchEvents(tick_s=tick_s)
@@ -219,6 +233,7 @@ class Cues:
         if not self._left:
             return np.zeros(3)
         size = sqrt(force_N.dot(force_N))
+        # The first tick of a contact may have no force and so no direction: the transient waits.
         if not self._along.any() and size > 0.0:
             self._along = force_N / size
         if not self._along.any():

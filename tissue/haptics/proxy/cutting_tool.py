@@ -168,6 +168,7 @@ class CuttingTool(HeldTool):
             return self._wait(stretch, not asked)
         edge, drag = np.maximum(np.maximum(resisted @ heading, self._felt @ heading), 0.0).tolist()
         step = max(float(pull.dot(heading)) - edge, 0.0) / (spring + damping + drag)
+        # A motion straight back meets no resistance and may be long.
         if float(self._felt[0].dot(heading)) >= 0.0 or resisted.any():
             step = min(step, max(2.0 * self._before_m, CAREFUL_M))
         across = pull - resisted[0] - step * resisted[1]
@@ -177,6 +178,7 @@ class CuttingTool(HeldTool):
             max(self._slopes[0], sizes[0])
             + (DAMPED * max(self._slopes[1], sizes[1]) + spring + damping) * step
         )
+        # At most one radian, where no slope is known yet.
         self.heading = _turned(heading, across / (max(slope, missing) or 1.0), stretch)
         step = min(step, _furthest(stretch, self.heading, self._moved_m))
         if (step < LEAST_M and drag < VISCOUS * spring) or step == 0.0:
@@ -201,6 +203,7 @@ class CuttingTool(HeldTool):
         requested. Material that has been cut is not restored.
         """
         force = response.wrench[:3]
+        # A free tool may land on bone from any side.
         met = -float(force.dot(heading)) if self.driven else sqrt(force.dot(force))
         moved = self._gone_m > 0.0 or not self.driven
         self._again = self._asks or (moved and met > TOO_MUCH * self._pull_N + LEAST_N)
@@ -226,8 +229,11 @@ class CuttingTool(HeldTool):
         """Store the resistance and its change with direction; return its sizes [N], [N/m]."""
         turned = heading - self._asked
         square = float(turned.dot(turned))
+        # One over the turn, but zero for a turn well below SMALL_RAD.
         share = sqrt(square) / (square + SMALL_RAD**2)
         changed = resisted - self._last
+        # A tool that rests against a pull has not left the tissue: what it felt does not fade. A
+        # stretch of twice the smallest motion is no pull.
         held = float(self.push.dot(self.push)) > (LEAST_N + 2.0 * self.stiffness_N_m * LEAST_M) ** 2
         keep = 1.0 if held else FADE
         sizes = [0.0, 0.0]
@@ -249,6 +255,7 @@ class CuttingTool(HeldTool):
         """Rest, held by the spring, and return the tip."""
         self._asks = asks
         self._left_m = stretch
+        # A tool that has rested starts with a careful step.
         if not asks:
             self._before_m = 0.0
         np.multiply(stretch, self.stiffness_N_m, out=self.push[:3])
@@ -273,6 +280,7 @@ class CuttingTool(HeldTool):
 
     def _let_go(self, stretch: Array) -> None:
         """Move to the device, except for a fading rest of the stretch."""
+        # The rest is dropped once the device has moved back over it, or its force is negligible.
         left = FADE * self._left_m
         if (
             float((stretch - left).dot(left)) < 0.0
@@ -300,4 +308,5 @@ def _furthest(stretch: Array, heading: Array, moved: Array) -> float:
     The condition is (stretch - s u) . (moved + s u) >= 0.
     """
     more = float(stretch.dot(heading)) - float(moved.dot(heading))
+    # The larger root of the quadratic equation.
     return 0.5 * (more + sqrt(more * more + 4.0 * max(float(stretch.dot(moved)), 0.0)))

@@ -24,7 +24,8 @@ Source: Shirazi-Adl et al., 1993, from memory: confidence L.
 RIGID_LEVER_M = 10.0
 """Lever of the spring of rotation for a device that imposes its rotation [m].
 
-It is a hundred times the lever of any tool.
+It is a hundred times the lever of any tool, so that contacts turn the tool by 1e-4 of what they
+would with its own lever (the compliance is 1 / lever^2).
 """
 
 
@@ -160,6 +161,7 @@ class ProbedBone(FreeSpace):
         """
         volume = self._volume
         size = float(np.sqrt(push_m @ push_m))
+        # The point is on the surface, and may lie in a voxel without bone.
         inward = -0.5 * volume.spacing_m / size * push_m if size > 0.0 else 0.0
         at = np.floor((point_m + inward - volume.origin_m) / volume.spacing_m).astype(int)
         return int(volume.layer[tuple(np.clip(at, 0, np.array(volume.shape) - 1))])

@@ -43,6 +43,7 @@ __all__ = ["Ball", "Box", "ContactField", "HalfSpace", "Proxy", "ProxyResult", "
 FELT_VOXELS = 0.5 * sqrt(3.0)
 """Largest distance from a voxel at which its trilinear fraction is not zero [voxel]."""
 NOWHERE_M = 1e30
+"""Clearance where there is no bone at all [m]; finite in single precision."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,6 +160,7 @@ def _solid(solid: Solid) -> tuple[int, Array, Array, Array]:
     match solid:
         case HalfSpace():
             z = np.asarray(solid.normal, dtype=np.float64) / np.linalg.norm(solid.normal)
+            # The axis that is farthest from the normal: the cross product never vanishes.
             helper = np.eye(3)[int(np.argmin(np.abs(z)))]
             x = helper - z * (helper @ z)
             x /= np.linalg.norm(x)
@@ -182,6 +184,7 @@ def _clearance(holds: NDArray[np.bool_], spacing_m: float) -> NDArray[np.float32
     full = padded.reshape(x, CELL, y, CELL, z, CELL).any(axis=(1, 3, 5))
     if not full.any():
         return np.full(counts, NOWHERE_M, dtype=np.float32)
+    # Centres are compared, and a point lies up to half a diagonal from its centre, in both cells.
     cells = distance_transform_edt(~full) - sqrt(3.0)
     return np.maximum(spacing_m * (CELL * cells - FELT_VOXELS), 0.0).astype(np.float32)
 
@@ -217,7 +220,11 @@ class ToolShell:
 
     @classmethod
     def of_cutter(cls, cutter: Cutter, *, point_count: int = 700) -> "ToolShell":
-        """Return about ``point_count`` points over the cutting surface of a cutter."""
+        """Return about ``point_count`` points over the cutting surface of a cutter.
+
+        The default keeps a tick below 1 ms: a ball of 4 mm on rough voxels of 0.2 mm takes 0.2 ms
+        at the 99th percentile with 700 points, 0.9 ms with 1400 and 4 ms with 2800.
+        """
         shell = cutter.shell(spacing_m=(cutter.cutting_area_m2 / point_count) ** 0.5)
         return cls(shell.points_m, shell.normals)
 
@@ -228,9 +235,13 @@ class ToolShell:
 
 
 STEP_M = 2.5e-4
-"""Longest step near solids [m]."""
+"""Longest step near solids [m]; chosen. The tests on exact solids also pass with 1 and 10 mm."""
 STEP_VOXELS = 0.5
-"""Longest step near voxels [voxel]."""
+"""Longest step near voxels [voxel].
+
+On rough voxels of 0.2 mm, points of a burr sink in by up to 11 um with steps of 1, and by 23 um
+with steps of 2. The bound of the tests is 10 um.
+"""
 TOLERANCE_M = 1e-12
 TOLERANCE_VOXELS = 1e-3
 """Step below which the proxy has settled [m], [voxel].
@@ -239,7 +250,11 @@ The first value covers rounding near exact solids. The second is a thousandth vo
 """
 STEP_LIMIT = 64
 SOLVE_LIMIT = 150
-"""Largest number of steps and of active-set solves in a tick; the rest is done in the next tick."""
+"""Largest number of steps and of active-set solves in a tick; the rest is done in the next tick.
+
+On a jerky path over rough voxels, 6 of 1500 ticks reach these limits. Half of them leave 49 ticks
+unsettled.
+"""
 _POSITION = slice(POSITION, POSITION + 3)
 _ROTATION = slice(ROTATION, ROTATION + 4)
 _FORCE = slice(FORCE, FORCE + 3)

@@ -236,6 +236,7 @@ def _samples(path: Path) -> list[HardwareSample]:
     with names_of_caller({"motion.file": "hardware.address"}):
         motion = read_replay(path, step_s=TICK_S)
     tips = motion.sweep_m()
+    # Speeds need two poses.
     if len(tips) < 2:
         raise InputError(
             "hardware.address",

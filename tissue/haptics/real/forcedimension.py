@@ -25,7 +25,10 @@ FAILED = -1
 UNCHANGED = 1
 """Return values of a call: error, and no new data so soon after the last call (TIMEGUARD)."""
 MOST_FAILURES = 100
-"""Number of consecutive failed calls after which the device counts as lost."""
+"""Number of consecutive failed calls after which the device counts as lost.
+
+Two calls in each tick take 50 ms, after which the force of a silent device is removed anyway.
+"""
 MISSING = (
     "must be installed for a device of Force Dimension, got none: pip install "
     "'tissue-sim[forcedimension]' with Python "
@@ -83,6 +86,7 @@ class ForceDimensionAdapter(HardwareAdapter):
         try:
             dhd = _library()
         except InputError as error:
+            # Both classes need the same library: only one of them reports that it is missing.
             return [] if cls.has_motors else cls.missing(error)
         found = []
         for index in range(max(dhd.getDeviceCount(), 0)):
@@ -99,6 +103,7 @@ class ForceDimensionAdapter(HardwareAdapter):
                     dhd.close(number)
             if address in ("", serial):
                 found.append(cls.found(serial, model))
+        # Both classes search the same library: only one of them reports that nothing is connected.
         if not found and not cls.has_motors:
             return cls.missing("a device must be connected, got none: check power and cable")
         return found
@@ -151,6 +156,7 @@ class ForceDimensionAdapter(HardwareAdapter):
             (vx, vy, vz) if moves else NOTHING,
             of_matrix(self._matrix) if self._has_wrist else UPRIGHT,
             (wx, wy, wz) if turns else NOTHING,
+            # The vendor's mask has 32 bits, and so has the one of `HardwareSample`.
             dhd.getButtonMask(number) & 0xFFFFFFFF,
         )
 

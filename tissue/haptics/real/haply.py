@@ -41,21 +41,33 @@ __all__ = ["HaplyAdapter"]
 
 
 PERIOD_S = 1e-3
-"""Longest time between an answer and the next frame [s]."""
+"""Longest time between an answer and the next frame [s]: a tick."""
 ANSWER_S = 0.02
-"""Longest time for an answer [s]."""
+"""Longest time for an answer [s].
+
+It is the default of ``hardware.watchdog_ms``. The vendor states no time.
+"""
 LOST_S = 0.5
-"""Silence after which late answers count as lost [s]."""
+"""Silence after which late answers count as lost [s].
+
+No force is sent meanwhile, so that a long wait is safe.
+"""
 PATIENCE_S = 0.01
 """Interval at which the thread checks whether it must end [s]."""
 HOLD_S = 0.03
-"""Longest time for which a force is sent again without a new command of the loop [s]."""
+"""Longest time for which a force is sent again without a new command of the loop [s].
+
+It allows for ticks that are late, and removes the force within 50 ms.
+"""
 GIVE_UP_S = 3.0
-"""Longest time for which a run continues without a sample [s]."""
+"""Longest time for which a run continues without a sample [s].
+
+It is longer than `AGAIN_S`, so that an attempt to reconnect can end first.
+"""
 AGAIN_S = 2.5
-"""Longest time for attempts to reconnect to the service [s]."""
+"""Longest time for attempts to reconnect to the service, as after its restart [s]."""
 MOST_EVENTS = 100
-"""Largest number of stored events."""
+"""Largest number of stored events: a service that flickers would otherwise fill memory."""
 MOST_BEHIND = 20
 """Largest number of frames read at once, if a service sends more than requested."""
 OPEN_S = 2.0
@@ -245,6 +257,7 @@ class _Session:
         self._ended.set()
         self._wake.set()
         if self._thread is not None and self._thread is not threading.current_thread():
+            # The waits of this function take 0.3 s together. A run gives up a device after 1 s.
             self._thread.join(0.15)
         zero = force_frame(self.state.device_id, NOTHING, self._spelling)
         is_read = self._thread is None
@@ -360,6 +373,7 @@ class _Session:
         elif (sample := self.state.sample()) is not None:
             was_wrong = self._order.is_wrong
             now = perf_counter()
+            # States in a wrong order are no samples.
             if not self._order.observe(sample, now):
                 # this thread may have been suspended before it received the answer
                 if now - self._asked_s < ANSWER_S:
@@ -382,6 +396,7 @@ class _Session:
         )
         self._send(NOTHING)
         link = self._open_socket
+        # The late answer, and the one to the zero that was just sent.
         missing = 2
         until = perf_counter() + LOST_S
         while missing > 0 and perf_counter() < until and not self._ended.is_set():
@@ -394,6 +409,7 @@ class _Session:
         """Reconnect to a restarted service, and return whether it answers in time."""
         self._release("the service closed the connection: the force is zero until it is back")
         until = perf_counter() + AGAIN_S
+        # A pause between attempts: a service that restarts refuses connections for a while.
         while perf_counter() < until and not self._ended.wait(0.05):
             self._disconnect()
             with suppress(InputError):

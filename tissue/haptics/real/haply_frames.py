@@ -36,7 +36,7 @@ GRIPS = ("wireless_verse_grip", "verse_grip", "custom_verse_grip")
 VECTOR_SINCE = (3, 5)
 """First service version that names a force ``vector``; earlier versions use ``values``."""
 MOST = 1e6
-"""Bound on valid numbers: a number of this size or more is not a value of a device."""
+"""Bound on valid numbers: no position, velocity or quaternion in SI units has this size."""
 PROFILE = "tissue:simulation"
 """Name of the session in the vendor's window."""
 
@@ -45,7 +45,7 @@ ANSWER_S = 0.5
 STATED_S = 2.0
 """Longest silence of the service before it states its version, and longest total time [s]."""
 LONGEST = 65_536
-"""Largest number of bytes read from a version answer."""
+"""Largest number of bytes read from a version answer: another program may use the port."""
 MEMORY_S = 0.024
 LONGEST_S = 0.005
 """Averaging time of contradictions, and longest time for which one state counts [s].
@@ -62,7 +62,10 @@ LEAST_M_S = 0.05
 Below them, a wrong order has no perceptible effect.
 """
 AGAINST = -0.5
-"""Cosine of the angle between step and velocity below which they contradict each other."""
+"""Cosine of the angle between step and velocity below which they contradict each other.
+
+In a turn, step and velocity differ. More than 120 degrees need a step back.
+"""
 
 
 class ServiceState:
@@ -164,6 +167,7 @@ def version_in(text: str | bytes) -> tuple[int, int] | None:
     inner = _part(answer, "data") or answer
     for name in ("project_version", "git_tag", "git_describe"):
         stated = inner.get(name) if isinstance(inner, Mapping) else None
+        # A tag may have a prefix such as v.
         if isinstance(stated, str) and (found := re.match(r"\D{0,3}(\d+)\.(\d+)", stated)):
             return int(found[1]), int(found[2])
     return None
@@ -220,6 +224,7 @@ def problem_of(state: ServiceState) -> str:
         ("power_supply", "have power", "connect its power supply"),
         ("ready", "be ready", "wait until its light shows that it is, and start again"),
     ):
+        # A status that is not stated does not prevent the use.
         if state.status(entry) is False:
             return f"haply must {must}, got {entry} = false of {name}: {remedy}"
     return ""
@@ -230,6 +235,7 @@ def asked_version(host: str, port: int) -> tuple[int, int] | None:
     found: list[tuple[int, int]] = []
 
     def ask() -> None:
+        # Versions before 3.5 answer at the second path.
         for path in ("/version", "/3.1/version"):
             with suppress(OSError, HTTPException):
                 connection = HTTPConnection(host, port, timeout=ANSWER_S)
@@ -275,6 +281,7 @@ def _part(whole: object, name: str) -> dict[str, Any]:
 def _numbers(table: object, names: str) -> list[float]:
     """Return finite numbers of a table by name; empty if one is missing or invalid."""
     found = [table.get(name) for name in names] if isinstance(table, dict) else [None]
+    # bool is a subclass of int.
     numbers = [
         float(each)
         for each in found

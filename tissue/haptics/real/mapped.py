@@ -120,7 +120,7 @@ class Workspace:
 
 
 MOST_EVENTS = 100
-"""Largest number of stored events."""
+"""Largest number of stored events: a device that flickers would otherwise fill memory."""
 
 
 class MappedDevice:
@@ -218,6 +218,7 @@ class MappedDevice:
         DeviceError
             If the device leaves its reach, as a device that reports millimetres does.
         """
+        # Time that goes back means another run with the same device.
         if time_s < self._time or not self._space.is_placed:
             self._begin(time_s)
         elapsed = time_s - self._time
@@ -246,6 +247,7 @@ class MappedDevice:
         newest = self._newest
         clutched = _held(newest.buttons, self._settings.clutch_button, otherwise=False)
         wanted = not clutched and _held(newest.buttons, self._settings.force_button, otherwise=True)
+        # Without a ramp the whole force is played at once.
         step = elapsed / self._ramp if self._ramp > 0.0 else 1.0
         self.share = min(self.share + step, 1.0) if wanted else 0.0
         position, quaternion = self._space.pose(

@@ -30,11 +30,16 @@ USUAL = "udp://127.0.0.1:24930"
 MOST_READS = 256
 """Largest number of packets per poll: a quarter of a second of a device, in about 2 ms."""
 LONGEST_PACKET = 1024
+"""Bytes read of a datagram: a longer one is cut, and its length refuses it. A pose has 140."""
 LOOK_S = 0.6
 """Longest time for which a search waits for a device [s]; a device asks ten times a second."""
 OPEN_S = 5.0
-"""Longest time for the thread to start listening, and to end [s]."""
+"""Longest time for the thread to start listening, and to end [s].
+
+It needs milliseconds to start, and at most three times `CLOSE_S` to end.
+"""
 LONGEST_MESSAGE = 4096
+"""Largest message of a WebSocket that is accepted [bytes]: a pose has 140."""
 CLOSE_S = 0.2
 """Longest time of each step of a close [s].
 
@@ -42,9 +47,15 @@ The steps: the device receives its last packets, ends its connection, and is cut
 they take less than the second after which a run gives up a device that does not close.
 """
 SEND_S = 0.25
-"""Longest time for which a device may receive no packets before its connection is ended [s]."""
+"""Longest time for which a device may receive no packets before its connection is ended [s].
+
+It is half of the silence after which the session gives the device up.
+"""
 HANDSHAKE_S = 2.0
-"""Longest time for a connection to become a WebSocket [s]."""
+"""Longest time for a connection to become a WebSocket [s].
+
+A program that only connects would otherwise hold a connection for as long as it likes.
+"""
 MOST_WAITING = 2
 """Largest number of packets that wait for the thread; a further wrench replaces the oldest.
 
@@ -96,6 +107,7 @@ class UdpTransport:
             except ConnectionError:  # Windows reports that an earlier packet had no receiver
                 continue
             except OSError:
+                # Another thread has closed the socket during the read.
                 if self._closed:
                     return
                 raise
@@ -236,6 +248,7 @@ class WebTransport:
             async with asyncio.timeout(CLOSE_S):
                 await self._send_waiting()
         for connection, line in list(lines.items()):
+            # Lines that are no WebSockets yet cannot be closed in order.
             if connection not in self._connections.values():
                 _abort(line)
         server.close()
@@ -251,6 +264,7 @@ class WebTransport:
         self._connections[connection.id] = connection
         try:
             async for message in connection:
+                # A text message is no packet: it is counted as foreign.
                 reply = self._session.receive(
                     message if isinstance(message, bytes) else b"", connection.id
                 )
@@ -339,6 +353,7 @@ class NetworkAdapter(HardwareAdapter):
                 until = perf_counter() + LOOK_S
                 while adapter.session.peer is None and perf_counter() < until:
                     adapter.poll()
+                    # Ten checks between two packets of a device that asks.
                     sleep(0.01)
                 peer = adapter.session.peer
                 dropped = adapter.happened()

@@ -41,7 +41,10 @@ WRENCH = struct.Struct("<6d")
 """Force [N] and torque [N m]."""
 HALF = 1 << 31
 WHOLE = 1 << 32
-"""Half of the number of sequence numbers, and their number."""
+"""Half of the number of sequence numbers, and their number.
+
+Numbers restart after 2^32 packets. One of two numbers is newer if it is less than half ahead.
+"""
 
 
 class Kind(IntEnum):
@@ -146,9 +149,15 @@ def is_newer(sequence: int, before: int) -> bool:
 
 
 SILENCE_S = 0.5
-"""Silence after which a device is given up and another one may connect [s]."""
+"""Silence after which a device is given up and another one may connect [s].
+
+A device sends at least five packets a second, so that two in a row are missing.
+"""
 KEPT = 1024
-"""Number of wrenches whose send time is stored for round trips; a power of two."""
+"""Number of wrenches whose send time is stored for round trips, a second at 1 kHz.
+
+It is a power of two, so that the places stay consecutive when the sequence numbers restart.
+"""
 BUSY = (
     "one device must be used at a time, got a second: end the first, or wait half a second after "
     "it has stopped"
@@ -279,11 +288,13 @@ class NetworkSession:
     def _packet(self, kind: Kind, payload: bytes = b"") -> bytes:
         now = self._clock()
         self._sent = (self._sent + 1) % WHOLE
+        # Only wrenches are measured: a device may answer other packets at its own time.
         self._sent_at[self._sent % KEPT] = now if kind is Kind.WRENCH else nan
         return packed(kind, self._sent, echo=self._seen, time_s=now, payload=payload)
 
     def _measure(self, echo: int) -> None:
         """Record the round trip if a packet is the first to show one of our wrenches."""
+        # Send times of older packets have been overwritten.
         if is_newer(echo, self._shown) and 0 <= (self._sent - echo) % WHOLE < KEPT:
             self._shown = echo
             if not isnan(sent := self._sent_at[echo % KEPT]):

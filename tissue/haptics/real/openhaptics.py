@@ -35,15 +35,24 @@ __all__ = ["OpenHapticsAdapter"]
 USUAL = "Default Device"
 """Name of a single device in the vendor's configuration."""
 NONE = (None, 0x0104, 0xFFFFFFFF)
-"""Values returned in place of a device."""
+"""Values returned in place of a device: none, HD_BAD_HANDLE and HD_INVALID_HANDLE."""
 HELD_S = 0.05
-"""Longest time for which a force is played without a new one [s]."""
+"""Longest time for which a force is played without a new one [s].
+
+It is the time of the network protocol, after which a device removes its force by itself.
+"""
 REST_S = 0.05
-"""Longest time for the vendor's thread to play zero at the end [s]."""
+"""Longest time for the vendor's thread to play zero at the end [s]: 50 of its calls."""
 ROUND_S = 5e-3
-"""Time in which the vendor's thread calls the functions of all devices at least once [s]."""
+"""Time in which the vendor's thread calls the functions of all devices at least once [s].
+
+It calls them a thousand times a second. Five periods allow for a busy machine.
+"""
 WINDOW = 10
-"""Number of calls of the vendor's thread over which velocities are computed, 10 ms."""
+"""Number of calls of the vendor's thread over which velocities are computed, 10 ms.
+
+An encoder step of a Touch (0.055 mm) changes the velocity by 5.5 mm/s, instead of 55 mm/s.
+"""
 MISSING = (
     "must be installed for a Touch device, got none: pip install 'tissue-sim[openhaptics]', "
     "and OpenHaptics with the "
@@ -193,6 +202,7 @@ class OpenHapticsAdapter(HardwareAdapter):
         sample = HardwareSample((x, y, z), quaternion=of_matrix(rows), buttons=buttons)
         before, oldest = self._past[0] if self._past else (now, sample)
         self._past.append((now, sample))
+        # The first call, or a coarse clock: no time has passed.
         if now <= before:
             return sample
         rate = 1.0 / (now - before)

@@ -20,9 +20,12 @@ __all__ = ["BUMP_N", "BUMP_S", "Bump", "SelfTest", "bump", "self_test", "write_m
 
 BUMP_N = 0.5
 BUMP_S = 0.3
-"""Largest force of the push [N] and its duration [s]."""
+"""Largest force of the push [N] and its duration [s].
+
+The force is above the friction of a Touch (0.26 N) and below its continuous force (0.88 N).
+"""
 FEWEST = 20
-"""Smallest number of samples for a result."""
+"""Smallest number of samples for a result: the slowest device, 10 Hz, gives 20 in 2 s."""
 PAUSE_S = 5e-5
 """Pause between two calls [s]: short against a tick, and other threads can run."""
 START_S = 5.0
@@ -122,6 +125,7 @@ def self_test(
         if sample is not None:
             if not times:
                 end = now + seconds
+                # The measurement starts with the first sample.
                 calls.clear()
             reach.require(sample.position_m)
             times.append(now)
@@ -198,7 +202,10 @@ def _middle_and_99(
 
 
 EVERY_TICK = 0.95
-"""Share of ticks with a new sample above which the device counts as running at our rate."""
+"""Share of ticks with a new sample above which the device counts as running at our rate.
+
+A busy machine misses some samples of a device that gives one in every tick.
+"""
 SLOWEST_HZ = 10.0
 LONGEST_S = 0.2
 """Smallest rate and longest delay that `tissue.haptics.device.device.DeviceParameters` accepts."""

@@ -29,7 +29,10 @@ __all__ = ["NeedleFields", "Track", "needle_block"]
 
 
 SIDE_M = 0.08
-"""Side of the block across the needle [m]."""
+"""Side of the block across the needle [m].
+
+The block is a picture. No force depends on its size or its edges, which are chosen.
+"""
 BELOW_M = 0.03
 """Tissue between the deepest tip and the base [m]."""
 COARSE_M = 0.01
@@ -78,6 +81,7 @@ class Track:
         steep = outward[:, 2] >= LEAST_COSINE
         travel = np.where(steep, -tips_m[:, 2] / np.where(steep, outward[:, 2], 1.0), -np.inf)
         inside = np.flatnonzero(travel > 0.0)
+        # It stays outside, or starts inside, where no entry is known.
         if len(inside) == 0 or inside[0] == 0:
             return None
         entries = tips_m[inside] + travel[inside, None] * outward[inside]

@@ -115,6 +115,7 @@ class Insertion:
         """
         pull = self.pull_N
         length = self.inserted_m
+        # Nothing is cut or rubbed yet: the surface holds the tip.
         if length == 0.0 and (self.blocked or self._depths[:1] == (0.0,)):
             return pull, 0.0, 0.0
         friction = self.tissue.friction
@@ -169,6 +170,7 @@ class Insertion:
                 self.punctures.append((self.inserted_m + tissue.deflection_m(limit), limit))
                 self.punctured += 1
                 continue
+            # A slow shaft creeps under the static friction and does not slide.
             self.sliding = max(self.sliding, int(quick))
             per_length = friction.sliding_in_N_m if self.sliding > 0 else friction.static_in_N_m
             resists = tip + self._hold_N(inwards=True) + per_length * self.travel_m
@@ -203,6 +205,7 @@ class Insertion:
             ):
                 self.deflection_m = self.travel_m - self.inserted_m
                 return
+            # A slow shaft creeps under the static friction and does not slide.
             self.sliding = min(self.sliding, -int(quick))
             per_length = friction.sliding_out_N_m if self.sliding < 0 else friction.static_out_N_m
             drawn = positive_root(
@@ -345,6 +348,7 @@ class NeedleModel:
 
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
         """Store the deflection where a frame is due."""
+        # 1e-9 s: the time of a tick is rounded.
         if self._fields is not None and time_s >= self._fields.next_s - 1e-9:
             insertion = self.insertion
             self._fields.keep(
@@ -370,6 +374,7 @@ class NeedleModel:
             raise InputError(
                 "the needle's pose", "be finite", f"its tip at {motion.tip_m}", "fix the motion"
             )
+        # A flatter needle has no travel along its axis. Outside the organ it is measured upright.
         if cosine >= LEAST_COSINE:
             return below / cosine
         if below > 0.0 or self.insertion.inserted_m > 0.0:
@@ -387,6 +392,7 @@ class NeedleModel:
         It is the last track if that lies there, else a new one.
         """
         entry = motion.tip_m + travel_m * motion.rotation[:, 2]
+        # Also true for the first entry, before which the last one is NaN.
         if not float(np.linalg.norm(entry - self._entry_m)) <= self._diameter_m:
             self.insertion = Insertion(self.tissue)
             self._entry_m[:] = entry

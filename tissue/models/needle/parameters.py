@@ -151,6 +151,7 @@ class NeedleTissue:
             "quadratic_N_m2",
             self.quadratic_N_m2,
             0.0,
+            # It reaches the largest force per length at a deflection of 1 mm.
             1e3 * LARGEST_N_M,
             "give it in N/m2, 0 for a linear one",
         )
@@ -162,6 +163,7 @@ class NeedleTissue:
                 "membranes", "be listed from the surface downwards", f"depths {listed}", "sort them"
             )
         names = [membrane.name for membrane in self.membranes]
+        # Layers of the trace are named by membranes, and parenchyma is one of them.
         if len({*names, "parenchyma"}) <= len(names):
             raise InputError(
                 "membranes",
@@ -192,6 +194,7 @@ class NeedleTissue:
 
 def positive_root(a: float, b: float, c: float) -> float:
     """Return the x >= 0 with a x² + b x = c for a >= 0 and b > 0; 0 where c is negative."""
+    # This form of the solution loses no digits for a small a.
     return 2.0 * c / (b + sqrt(b * b + 4.0 * a * c)) if c > 0.0 else 0.0
 
 

@@ -117,7 +117,10 @@ TOGETHER = 16
 More columns are not faster, and threads on small blocks are slower.
 """
 LIMIT_BYTES = 1_000_000_000
-"""Memory above which the columns of earlier places are dropped [bytes]."""
+"""Memory above which the columns of earlier places are dropped [bytes].
+
+A surface of 5,000 nodes needs 0.36 MB for each touched node, so that 2,800 nodes fit.
+"""
 
 
 class KeptColumns:
@@ -143,12 +146,14 @@ class KeptColumns:
         if isinstance(solver, DirectSolver) and np.isin(nodes, solver.last).all():
             return solver.compliance_between(nodes)
         missing = [int(node) for node in nodes if int(node) not in self._columns]
+        # Three columns of 8-byte numbers for each node.
         if 8 * 3 * len(self._rows) * (len(self._columns) + len(missing)) > LIMIT_BYTES:
             self._columns.clear()
             missing = [int(node) for node in nodes]
         self._find(missing)
         rows = components_of(np.searchsorted(self._surface, nodes))
         matrix: Array = np.concatenate([self._columns[int(node)][rows] for node in nodes], axis=1)
+        # Rounding differs between columns, and the contact needs symmetry.
         return 0.5 * (matrix + matrix.T)
 
     def _find(self, nodes: list[int]) -> None:

@@ -45,7 +45,7 @@ __all__ = [
 
 
 MOST_DIVISIONS = 16
-"""Largest number of contact points along the edge of a triangle."""
+"""Largest number of contact points along the edge of a triangle: 256 points on a triangle."""
 
 
 def contact_points(nodes_m: Array, faces: Ints, spacing_m: float) -> tuple[Int32s, Array, Array]:
@@ -91,6 +91,7 @@ def contact_points(nodes_m: Array, faces: Ints, spacing_m: float) -> tuple[Int32
             ),
             "mesh the touchable surface finer, or take a larger tool",
         )
+    # 1e-9: an edge of whole spacings is not divided once more.
     division = np.maximum(np.ceil(longest / spacing_m - 1e-9), 1).astype(int)
     node_area = np.zeros(len(nodes_m))
     np.add.at(node_area, faces[division == 1], area[division == 1, None] / 3.0)
@@ -100,6 +101,7 @@ def contact_points(nodes_m: Array, faces: Ints, spacing_m: float) -> tuple[Int32
     areas = [node_area[named]]
     for n in np.unique(division[division > 1]):
         i, j = (index.ravel() for index in np.meshgrid(np.arange(n), np.arange(n), indexing="ij"))
+        # The centres of the upright and of the inverted parts, in units of an edge's n-th part.
         up = np.column_stack([i, j])[i + j < n] + 1.0 / 3.0
         down = np.column_stack([i, j])[i + j < n - 1] + 2.0 / 3.0
         inner = np.vstack([up, down]) / n
@@ -241,9 +243,12 @@ class ContactResult:
 OUTCOMES = tuple(ContactOutcome)
 """Outcomes in the order of the kernel's states."""
 START_M = 1e-6
-"""Largest penetration of the organ by the tool at its start [m]."""
+"""Largest penetration of the organ by the tool at its start [m]: rounding of a first touch."""
 REACH_M = 1e-4
-"""Distance beyond the largest displacement within which triangles are searched [m]."""
+"""Distance beyond the largest displacement within which triangles are searched [m].
+
+A tool at 100 mm/s moves by this distance in a tick.
+"""
 
 
 class SurfaceContact:
@@ -432,6 +437,7 @@ class SurfaceContact:
         It is the creep of the tissue.
         """
         self._body.free.assign(self.nodes_m + offset_m)
+        # The search for near triangles must reach as far as the nodes are shifted.
         self._results.host[LARGEST] += float(np.linalg.norm(offset_m, axis=1).max())
         self._results.push()
         self._shifted = True
@@ -473,6 +479,7 @@ class SurfaceContact:
         for stage in self._stages:
             stage()
         if self._shifted:
+            # Slip in the next tick counts from the free positions of this one.
             wp.copy(self._body.last_free, self._body.free)
         self._keep(tip_m, rotation)
         self._results.pull()

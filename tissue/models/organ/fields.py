@@ -20,12 +20,13 @@ TOLERANCE = 1e-3
 STEPS = 100
 """Residual and number of steps allowed for a frame's equilibrium under a hyperelastic law.
 
-The residual is the largest unbalanced force over the largest force of the load.
+The residual is the largest unbalanced force over the largest force of the load. It is smaller than
+between ticks (`tissue.models.organ.law`), because frames are solved after the run.
 """
 PLACES = np.array([[0, 0], [1, 1], [2, 2], [1, 2], [0, 2], [0, 1]])
 """Rows and columns of the components xx, yy, zz, yz, xz, xy."""
 BATCH = 16
-"""Number of frames solved at once."""
+"""Number of frames solved at once: it bounds the memory of their displacements."""
 
 
 class OrganFields:
@@ -188,6 +189,7 @@ def cauchy_stress(
         The law, and the factor on its moduli in each cell, shape (m,).
     """
     corners = np.asarray(space.gradients[0].numpy())
+    # A quarter each: the centre of the cell.
     shape = np.einsum("aci,i->ac", gradient_slopes(4, space.order), np.full(4, 0.25))
     gradient = np.eye(3) + np.einsum(
         "mai,ac,mcj->mij", displacement_m[space.cell_nodes], shape, corners, optimize=True

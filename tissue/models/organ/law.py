@@ -42,18 +42,30 @@ __all__ = ["LawOffset", "follower_of"]
 
 TOLERANCE = 0.02
 STEPS = 30
-"""Unbalanced force at the end of a solve, over the largest nodal force; largest number of steps."""
+"""Unbalanced force at the end of a solve, over the largest nodal force; largest number of steps.
+
+From 0.005 to 0.1, the force of a deep press (neo-Hookean, Yeoh) changes by at most 0.4 %. The
+solves of docs/decisions.md need at most 9 steps; with a limit of 5, one in eight is not reached.
+"""
 MISSED = 0.05
 """Deviation of an equilibrium from the expected one above which the compliance is renewed.
 
 The deviation is relative to the displacement.
 
-A compliance that is kept too long lets forces wander from interval to interval.
+A compliance that is kept too long lets forces wander from interval to interval. From 0.01 to 0.2,
+the force of a deep press changes by at most 0.4 %.
 """
 APART_M = 2e-4
-"""Smallest change of depth from which the slope of the offset is computed [m]."""
+"""Smallest change of depth from which the slope of the offset is computed [m].
+
+With 5e-5 a deep press has the same force; with 8e-4 the largest error of the moving tool grows
+from 1.5 to 1.9 %.
+"""
 FARTHEST = 2.0
 """Longest extrapolation of the offset, over the change of depth that its slope was computed from.
+
+Without extrapolation, the largest error of the moving tool in a deep press is 2.4 instead of 1.5 %.
+Beyond 2 nothing changes.
 """
 
 
@@ -156,6 +168,7 @@ class LawOffset:
 
         The solution sets the offset of the next interval. Within an interval nothing is done.
         """
+        # 1e-9 s: the time of a tick is rounded.
         if time_s < self._next_s - 1e-9:
             return
         started = perf_counter()
@@ -179,6 +192,7 @@ class LawOffset:
         last_m, *last = self._apart
         slope = self._now.slope
         reach_m = self._now.reach_m
+        # A smaller change of depth would divide the noise of two solves by almost zero.
         if abs(depth_m - last_m) >= APART_M:
             slope = (offset - self._off(*last)) / (depth_m - last_m)
             reach_m = FARTHEST * abs(depth_m - last_m)
@@ -225,6 +239,7 @@ class LawOffset:
         before = self._between
         self._between = self._factor.compliance_between(self._nodes)
         change = self._each @ (self._each @ (self._between - self._rest)).T
+        # Rounding makes the change unsymmetric.
         contact.change_compliance(self._at_rest + 0.5 * (change + change.T))
         at_m = np.zeros_like(self.latest_m)
         self._now.into(at_m, depth_m, 1.0)

@@ -18,7 +18,11 @@ from tissue.models.tissue_model import ToolMotion
 __all__ = ["PressCurve", "press"]
 
 STEPS = 100
-"""Smallest number of steps from the first touch to the depth."""
+"""Smallest number of steps from the first touch to the depth.
+
+They are the rows of the curve. Even with friction, 10 and 400 steps change the force of a slanted
+press by 0.01 %.
+"""
 TOLERANCE = 1e-5
 SWEEPS = 5000
 """Largest number of sweeps of the contact, which has no tick to keep.
@@ -26,9 +30,12 @@ SWEEPS = 5000
 A rod under a flat punch then has its stress within 1 %.
 """
 PER_RELAXATION = 5
-"""Number of steps within the shortest relaxation time of an organ that relaxes."""
+"""Number of steps within the shortest relaxation time of an organ that relaxes; chosen."""
 POSES = 60
-"""Number of poses along the press at which the touchable surface is searched."""
+"""Number of poses along the press at which the touchable surface is searched.
+
+From 5 to 240 the force of a slanted press is the same: the last poses decide.
+"""
 CLEARANCES = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 4.0)
 """Possible start distances of the tool from the target, over its size.
 
@@ -122,6 +129,7 @@ def press(
         organ,
         ToolPath(probe, tips, turns),
         ContactSolution(tolerance=TOLERANCE, sweeps=SWEEPS),
+        # Any finite interval: the single frame is stored at the end.
         interval_s=1.0,
         step_s=step_s,
         report=report,
@@ -168,6 +176,7 @@ def _clearance_m(organ: SoftOrgan, probe: ProbeShape, point_m: Array, rotation: 
     """Return the distance before the point at which the tool is clear of the organ [m]."""
     nodes = organ.space.nodes_m + organ.rest[1]
     triangles = linear_triangles(organ.space.faces)
+    # A shell has its own contact points, so that the organ's nodes suffice.
     if isinstance(probe, ShellProbe):
         points = nodes[np.unique(triangles)]
     else:

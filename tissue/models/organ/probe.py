@@ -22,7 +22,7 @@ __all__ = ["CylinderProbe", "ProbeShape", "ShellProbe", "SphereProbe"]
 
 
 SPACINGS = 2.0
-"""Number of contact points along the radius of a tool."""
+"""Number of contact points along the radius of a tool: the tool cannot slip between them."""
 
 
 class ProbeShape(ABC):
@@ -172,6 +172,8 @@ class ShellProbe(ProbeShape):
             raise InputError(
                 "mesh", "be closed with outward triangles", mesh, "repair the tool's surface"
             )
+        # Leg of a right triangle with the area of one point. Triangles up to half as long again are
+        # not divided, because the thinning evens out their number.
         longest = (2.0 * surface.area / points) ** 0.5
         vertices, faces = trimesh.remesh.subdivide_to_size(
             surface.vertices, surface.faces, 1.5 * longest

@@ -32,7 +32,11 @@ __all__ = ["Membrane", "OrganLaw", "SoftOrgan", "ToolPath", "linear_triangles"]
 
 
 MARGIN_EDGES = 0.25
-"""Distance from the tool's path, in mesh edges, within which the surface may be touched."""
+"""Distance from the tool's path, in mesh edges, within which the surface may be touched.
+
+The surface moves under the tool. Chosen: a deep straight press has the same force for 0, 0.25
+and 1.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +77,7 @@ def _touchable_patch(space: Space, tool: ToolPath) -> tuple[Ints, Ints]:
             "a tool that never touches it",
             f"move it to the organ between {low} and {high} mm",
         )
+    # The reach is about half an edge.
     chosen = triangles[nearest < reach * (1.0 + 2.0 * MARGIN_EDGES)]
     nodes, places = np.unique(chosen, return_inverse=True)
     return nodes.astype(np.int64), places.reshape(-1, 3).astype(np.int64)

@@ -45,7 +45,10 @@ LEAST_RESTRAINT = 1e-9
 Rounding is 1e-16; a part held at three corners of a cell has 1e-2.
 """
 ENOUGH = 200
-"""Number of springs, spread over a part, that are tried before all of them."""
+"""Number of springs, spread over a part, that are tried before all of them.
+
+The molar has 4,796. A few hundred of them restrain it as well, and cost less.
+"""
 
 
 def supported_cells(
@@ -131,7 +134,10 @@ LEAST_FILL = 1e-3
 Its share of the stiffness is then smaller than the effect of one particle's position.
 """
 MORE_ITERATIONS = 1.5
-"""Growth factor of the iteration count at which the coarsest grid is solved anew."""
+"""Growth factor of the iteration count at which the coarsest grid is solved anew; chosen.
+
+In the molar scene with cells of 0.6 mm, 25 solves take 58 iterations for any factor from 1 to 3.
+"""
 TOLERANCE = 1e-4
 
 
@@ -256,6 +262,8 @@ class ParticleBody:
                 )
             self._filled = filled
             self.cells.set_live(live)
+            # A cell with too little material beside a live cell is not loose: it rests on its
+            # neighbour.
             borders = np.zeros_like(live)
             pairs = self.grid.face_pairs
             borders[pairs[live[pairs[:, 0]], 1]] = True
@@ -299,6 +307,7 @@ class ParticleBody:
         off = (cell < 0) | (self.cells.live[cell] == 0)
         if len(live) == 0:
             return np.zeros((self.grid.node_count, 3))
+        # A cut has emptied the cell, or the point lies in air: take the nearest cell that carries.
         if off.any():
             cell[off] = live[cKDTree(self.grid.cell_centre_m[live]).query(points[off])[1]]
         place = np.clip(
@@ -327,6 +336,7 @@ class ParticleBody:
         left = self.cells.remaining[self.cells.rank[near]] / FULL_STEPS
         away = np.linalg.norm(self.particles.position_m[near] - point_m, axis=1)
         weight = self.particles.volume_m3[near] * left * ball_weight(away, radius_m)
+        # No particle within the radius, or all of them removed.
         if not weight.sum() > 0.0:
             return self.spread(point_m, force_N)
         return self.spread(

@@ -54,7 +54,8 @@ a hundred times larger.
 _MARGIN = 6
 """Voxels of air added around a tooth that may fill its volume.
 
-They cover the reach of the smooth normal of its surface.
+They cover the reach of the smooth normal of its surface: a Gaussian of 1.5 voxels ends after four
+standard deviations.
 """
 
 
@@ -137,6 +138,7 @@ class StressField:
             cores=cores,
         )
         weights = np.zeros(grid.node_count)
+        # Each of the eight corners takes an eighth of the cell's material.
         np.add.at(weights, grid.cell_nodes, (self.body.cells.fill * cell_m**3 / 8.0)[:, None])
         self.reference_m = np.average(grid.node_position_m, axis=0, weights=weights)
         self.compliance: SupportCompliance = support_compliance(
@@ -147,6 +149,7 @@ class StressField:
                 "stress.cell_mm",
                 "give a tooth that its ligament holds",
                 "a solve that did not converge",
+                # Twice the cell: larger cells hold more material each.
                 f"use {2000.0 * cell_m:g}",
             )
         self._guess = FirstGuess(
@@ -259,9 +262,11 @@ def _particles(tooth: VoxelVolume, places: Ints, constants: Materials) -> Partic
     layer = tooth.layer[at]
     fraction = tooth.fraction[at]
     modulus = np.ones(len(places))
+    # Placeholder: every particle belongs to a layer and is set below.
     ratio = np.full(len(places), 0.3)
     for index, name in enumerate(tooth.layer_names):
         chosen = layer == index
+        # Ligament and bone have no particles, so that any table does.
         table = constants.constants("tooth", name if name in TOOTH else "dentin")
         modulus[chosen] = 1e9 * table["modulus_GPa"].value
         ratio[chosen] = table["poisson_ratio"].value
@@ -297,6 +302,7 @@ def _ligament_springs(
         solid = np.pad(solid, _MARGIN)
         origin_m = origin_m - _MARGIN * tooth.spacing_m
         depth = np.flatnonzero(solid.any(axis=(0, 1)))
+        # The lower third stands for the root, which hangs in the ligament.
         below = np.arange(solid.shape[2]) < depth[0] + (depth[-1] - depth[0]) // 3
         bed = ~solid & below[None, None, :]
     springs, area = bed_springs(

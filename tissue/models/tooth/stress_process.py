@@ -28,7 +28,10 @@ __all__ = ["Bricks", "Drilled", "InlineStressSolver", "StressProcess", "StressSo
 
 ASSEMBLY_S = 3600.0
 SOLVE_S = 600.0
-"""Largest time of the other process before its first answer, and for one solve [s]."""
+"""Largest time of the other process before its first answer, and for one solve [s].
+
+They only end the wait for a process that hangs.
+"""
 
 
 @dataclass(frozen=True, eq=False)

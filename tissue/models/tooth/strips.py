@@ -245,6 +245,7 @@ class CellStrips:
     ) -> None:
         self.layout = StripLayout(grid)
         self.device = device
+        # Cubes of half an edge have their centres at 1/4 and 3/4.
         off = (np.abs(np.abs(place - 0.5) - 0.25) > AT_CUBE).any(axis=1)
         self.regular = np.ones(grid.cell_count, np.bool_)
         self.regular[particle_cell[off]] = False

@@ -185,6 +185,7 @@ def surface_of(
     """
     source = name
     words = dict.fromkeys(FILE_WORDS, name)
+    # A structure has the unit of its anatomy, and no scale of its own.
     words["anatomy.scale_mm"] = name if is_part else "scale_mm"
     if isinstance(given, str | PathLike):
         source = Path(given).name

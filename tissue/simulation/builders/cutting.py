@@ -99,6 +99,7 @@ def milled(
     report("building the anatomy", 0.0)
     volume = volume_of(scene, cutter, motion, notes=notes, report=report)
     require_touch(volume, cutter, motion)
+    # A recorded tool may have started in contact. Its start is reported, see `w_first_notice`.
     if isinstance(scene.anatomy, Tooth) and not isinstance(scene.motion, ReplayMotion):
         require_outside(volume, cutter, motion)
     report("compiling kernels (the first time on a machine)", 0.0)
@@ -179,6 +180,7 @@ def cutter_of(tool: Tool) -> Cutter:
 
 def _require_chips(scene: Scene, cutter: Cutter) -> None:
     """Refuse a stated feed at which a tooth's chip would be thicker than the tool's radius."""
+    # Only a path states its feed before the run. Other runs report the event.
     if scene.device is not None or not isinstance(scene.motion, PathMotion):
         return
     chip_mm = scene.motion.feed_mm_s * cutter.chip_per_speed_s

@@ -30,7 +30,8 @@ FINE_POSES = 3000
 """Numbers of poses of the scripted motion at which the force is evaluated.
 
 The first is for a cutter. The second is for a needle, which breaks through within tenths of a
-millimetre.
+millimetre. With four times as many poses, the largest force of the built-in scenes changes by less
+than 0.2 %, but by 21 % in `milling`, whose peak at a corner is short.
 """
 ACROSS = 8.0
 """Voxels across a cutter.
@@ -38,10 +39,16 @@ ACROSS = 8.0
 Up to 32 voxels the largest force of the built-in scenes changes by less than 4 %.
 """
 ELEMENTS = 1500
-"""Number of elements of a cutter."""
+"""Number of elements of a cutter.
+
+From 400 to 6000, the largest force of the built-in scenes changes by at most 1 %.
+"""
 SLOT_VOXELS = 10
 SLOT_M_S = 2e-3
-"""Voxels across a cutter, and its feed [m/s], for the estimate of its usual force."""
+"""Voxels across a cutter, and its feed [m/s], for the estimate of its usual force.
+
+It only chooses a force scale of two digits. The feed is typical of milling by hand; assumed.
+"""
 MOST = 0.35
 """Upper bound of the script's largest scaled force, as a ratio to the device's force limit.
 
@@ -73,6 +80,7 @@ def chosen_scale(scene: Scene) -> tuple[float, str]:
         return given, ""
     limits = device_parameters(scene.held.kind, scene.constants)
     force = _met(
+        # Keys that do not change the force of the script.
         scene.model_dump_json(exclude={"seed", "duration_s", "device", "fidelity"}),
         (scene.constants.key, *_file_stamps(scene)),
     )
@@ -92,6 +100,7 @@ def fitted_scale(force_N: float, limits: DeviceParameters) -> float:
     high = MOST * limits.force_limit_N / force_N
     scale = min(max(1.0, low), high)
     digits = 1 - floor(log10(scale))
+    # Rounded to nine digits first, so that 0.3 stays 0.3.
     return floor(round(scale * 10.0**digits, 9)) / 10.0**digits
 
 

@@ -40,7 +40,10 @@ __all__ = ["device_motion", "hand_motion"]
 
 
 STRAY_M = 2e-3
-"""Largest distance of an organ's surface from the scripted path [m]."""
+"""Distance around the scripted path within which an organ is prepared for a hand [m].
+
+A hand trembles and misses its targets; assumed.
+"""
 DAMPING_S = 0.01
 """Ratio of damper to spring for a tool that cuts [s].
 
@@ -98,6 +101,7 @@ def _stray_m(scene: Scene) -> float:
     if scene.held.coupling.roam_mm is not None:
         return 1e-3 * scene.held.coupling.roam_mm
     return (
+        # Voxels have their own margin, and a wall needs no preparation.
         0.0 if isinstance(scene.tool, Tool) or isinstance(scene.anatomy, WallAnatomy) else STRAY_M
     )
 
@@ -111,6 +115,7 @@ def _require_workspace(scene: Scene, scripted: Motion, limits: DeviceParameters)
     extent = np.sort(np.ptp(scripted.sweep_m(), axis=0))
     scale = scene.held.coupling.motion_scale
     if (extent > scale * workspace).any():
+        # Rounded up to two decimals; 1e-9 keeps a value that fits exactly.
         fits = ceil(100.0 * float((extent / workspace).max()) - 1e-9) / 100.0
         sizes = lambda edges: " x ".join(f"{1e3 * each:.0f}" for each in edges[::-1])  # noqa: E731
         raise InputError(
@@ -170,6 +175,7 @@ def _timed(scripted: Motion, *, recorded: bool) -> tuple[Array, Array]:
     if recorded:
         return TICK_S * np.arange(len(corners_m), dtype=np.float64), corners_m
     along = arc_length(corners_m)
+    # Repeated corners have the same time, which an interpolation cannot use.
     keep = np.diff(along, prepend=-1.0) > 0.0
     times = along * (scripted.duration_s / along[-1])
     return times[keep], corners_m[keep]

@@ -61,7 +61,10 @@ seventh to a ninth of it. At either stiffness a device that is released on a wal
 within some hundredths of a second, see tests/stability/test_wall_laws.py.
 """
 REST_SHARE = 0.3
-"""Share of the device's largest force at which a predictor is linearised."""
+"""Share of the device's largest force at which a predictor is linearised.
+
+It is well below the 70 % from which the range of the device compresses forces.
+"""
 USUAL_N_M = 1000.0
 """Stiffness about which a predictor is linearised, typical of a desktop device [N/m].
 
@@ -153,6 +156,7 @@ class LoopSettings:
     @property
     def is_slow(self) -> bool:
         """True if the device gives fewer samples than there are ticks."""
+        # 1e-6: a rate of 1 kHz is no slow device because of rounding.
         return self.sample_s > TICK_S * (1.0 + 1e-6)
 
     def vibration(self, step_s: float) -> Vibration | None:
@@ -387,6 +391,7 @@ def _chosen(
     """
     if given is None:
         critical = critical_stiffness_N_m(in_hands(loop, [hand])[0])
+        # A critical stiffness of 0 leaves the limit, which is then refused with the reason.
         given = min(SHARE * critical / steepest, limit) or limit
     return loop.with_stiffness(given)
 

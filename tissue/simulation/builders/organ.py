@@ -73,7 +73,10 @@ OF_ORGAN = {
 }
 """Keys of a scene, by the fields of `SoftMaterial`."""
 LOCKING_RATIO = 0.45
-"""Poisson's ratio above which a run notes that linear tetrahedra lock."""
+"""Poisson's ratio above which a run notes that linear tetrahedra lock.
+
+Their error in a cantilever is 32 % at 0.3 and 72 % at 0.49 (Aycock 2020).
+"""
 
 
 NOT_WITH = ("capsule", "gravity", "viscous", "fibre_direction")
@@ -203,6 +206,7 @@ def material_of(
             raise InputError(
                 "organ.path", "not be lazy for a viscous organ", "lazy", "use condensed"
             )
+        # Terms of the series are numbered in the file of constants.
         numbers = [k for k in range(1, 10) if f"prony_g{k}" in cited]
         if not numbers:
             raise InputError(
@@ -270,6 +274,7 @@ def _modulus_note(
 def _nodule(anatomy: WithNodule) -> Nodule | None:
     if anatomy.nodule_diameter_mm == 0.0:
         return None
+    # With fewer edges across, the mesh is no ball.
     if anatomy.nodule_diameter_mm < 2.0 * anatomy.edge_mm:
         raise InputError(
             "anatomy.nodule_diameter_mm",
@@ -289,6 +294,7 @@ def _away(points_m: Array, path_m: Array) -> Array:
     nearest = np.full(len(points_m), np.inf)
     for start, end in pairwise(path_m):
         along = end - start
+        # 1e-30: a path may rest at a corner.
         share = np.clip((points_m - start) @ along / max(float(along @ along), 1e-30), 0.0, 1.0)
         nearest = np.minimum(
             nearest, np.linalg.norm(points_m - start - share[:, None] * along, axis=1)
@@ -320,6 +326,7 @@ def _from_file(
     surface = (
         mesh.nodes_m[mesh.surface_nodes] if found.surface is None else found.surface.vertices_m
     )
+    # Without a given site, the tool comes down on the highest point.
     if anatomy.centre_mm is None:
         origin = surface[np.argmax(surface @ turn[:, 2])]
     else:
@@ -419,6 +426,7 @@ def coarser_mesh(
     """
     anatomy = scene.anatomy
     assert isinstance(anatomy, SoftAnatomy)
+    # See the docstring: a nodule needs its edges.
     edge_mm = anatomy.edge_mm * (1.0 if anatomy.nodule_mm else ratio)
     # The key must not count as set: tetrahedra from a file have their own edges.
     given = anatomy.model_fields_set - {"edge_mm"}

@@ -186,6 +186,8 @@ class SoftMaterial:
         return transversely_isotropic(
             young_fibre_Pa=1e3 * along,
             young_across_Pa=1e3,
+            # No shear modulus is stated: the mean modulus along and across, as for isotropic
+            # tissue.
             shear_fibre_Pa=1e3 * (0.5 + 0.5 * along) / (2.0 * (1.0 + ratio)),
             poisson_fibre=ratio,
             poisson_across=volume_preserving_ratio(poisson_ratio=ratio, modulus_ratio=along),
@@ -274,6 +276,7 @@ def hold_of(
 
     def hold(other: TetMesh) -> Nodes:
         """Return the nodes of a finer mesh that lie on the named points or between them."""
+        # The caller's own mesh needs no search.
         if other is mesh:
             return nodes
         from scipy.spatial import cKDTree

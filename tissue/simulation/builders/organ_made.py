@@ -36,7 +36,10 @@ FINE_EDGES = 1.0
 It is the radius of a tool of four edges.
 """
 TOUCHED_EDGES = 3.0
-"""Radius around a point, in edges, that a tool of four edges is expected to touch."""
+"""Radius around a point, in edges, that a tool of four edges is expected to touch.
+
+The tool has a radius of two edges. A press beyond needs more time, see `SoftOrgan.expect`.
+"""
 
 
 class OrganOptions(TypedDict, total=False):

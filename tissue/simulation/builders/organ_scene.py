@@ -30,7 +30,10 @@ __all__ = ["pierced", "pierced_tissue", "pressed", "probe_of", "wall"]
 
 
 POSES_TRIED = 200
-"""Number of poses along a motion at which contact with the organ is searched for."""
+"""Number of poses along a motion at which contact with the organ is searched for; chosen.
+
+The search adds a margin around the triangles found, `tissue.models.organ.soft_organ.MARGIN_EDGES`.
+"""
 KEPT = 0.01
 """Largest distance of an omitted path corner from the remaining path, in edges of the mesh.
 
@@ -118,12 +121,15 @@ def pressed(
     assert isinstance(anatomy, SoftAnatomy) and isinstance(scene.tool, Probe)
     material, notes = material_of(anatomy, organ, scene.constants)
     report("meshing the organ", 0.0)
+    # A quarter of the tool: the force of a ball is then 0.14 % off that of eighths
+    # (docs/verification.md).
     edge_mm = anatomy.touch_edge_mm or 0.25 * scene.tool.size_mm
     edge_m = 1e-3 * edge_mm
     kept = kept_corners(motion.sweep_m(), 1e-3 * KEPT * edge_mm)
     path = motion.sweep_m()[kept]
     meshed = partial(held_mesh, anatomy, path_m=path, touch_edge_m=edge_m, report=report)
     if isinstance(anatomy, LiverFile):
+        # A file may change between two runs, so that its mesh is not kept.
         found = meshed()
     else:
         found = _meshes.of((anatomy.model_dump_json(), path.tobytes(), edge_mm), meshed)
@@ -244,6 +250,8 @@ def probe_of(tool: Probe) -> ProbeShape:
     if tool.kind == "sphere-probe":
         return SphereProbe(radius)
     if tool.kind == "cylinder-probe":
+        # A turned edge: a tenth of the radius, at most 0.5 mm. A sharp edge has no limit of its
+        # pressure.
         return CylinderProbe(radius, min(0.1 * radius, 5e-4))
     return _shell(tool)
 

@@ -378,6 +378,7 @@ def require_stated_rate(
     held = device.device if isinstance(device, SafeDevice) else device
     for name in ("limits", "parameters"):
         stated = getattr(held, name, None)
+        # 1e-6: rounding. A device faster than the ticks is fast enough.
         if isinstance(stated, DeviceParameters) and stated.rate_Hz < min(
             limits.rate_Hz, 1.0 / TICK_S
         ) * (1.0 - 1e-6):

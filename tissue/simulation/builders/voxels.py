@@ -205,6 +205,7 @@ def _guide_hole(scene: Scene, motion: Motion) -> sdf.Shape | None:
     axis = motion.rotations()[0][:, 2]
     tip = motion.sweep_m()[0]
     on_face = tip - axis * float(tip @ axis)
+    # 50 mm above the face, so that the hole is open whatever the surface.
     return sdf.cylinder(0.5 * diameter, tuple(on_face - depth * axis), tuple(on_face + 0.05 * axis))
 
 
@@ -217,6 +218,7 @@ def _covered(region: Corners, bone: Corners, spacing: float) -> Corners:
     around = AROUND_VOXELS * spacing
     low = np.maximum(region[0], bone[0] - around)
     high = np.minimum(region[1], bone[1] + around)
+    # 1e-6: a box of whole bricks must not grow by rounding.
     return brick * np.floor(low / brick + 1e-6), brick * np.ceil(high / brick - 1e-6)
 
 
@@ -229,6 +231,7 @@ def _require_memory(region: Corners, bone: Corners, spacing: float) -> None:
         return float(np.prod(high - low)) / size**3 * DENSE_BYTES_PER_VOXEL
 
     free = psutil.virtual_memory().available
+    # A tenth is left to the rest of the run; the suggestion leaves a fifth.
     if needed(spacing) > 0.9 * free:
         fits = np.ceil(spacing * 1e5) / 1e5
         while needed(fits) > 0.8 * free:
@@ -273,6 +276,7 @@ def bone_from_file(parameters: Placed, notes: dict[str, str]) -> Anatomy:
         surface,
         site,
         cortical_thickness_mm=parameters.cortical_thickness_mm,
+        # 1800 kg/m3 is cortical bone: kinds without the key are cortical on their surface.
         cortical_density_kg_m3=getattr(parameters, "density_kg_m3", 1800.0),
     )
 

@@ -37,11 +37,14 @@ __all__ = [
 
 ROS2_PACKAGES = ("rclpy", "geometry_msgs")
 PORT = 18944
-"""Port of OpenIGTLink."""
+"""Port that programs of OpenIGTLink use by default, 3D Slicer among them."""
 LOCAL = "127.0.0.1"
 EVENTS = 64
 EVENT_BYTES = 256
-"""Number of events kept until they are sent, and longest event [bytes]."""
+"""Number of events kept until they are sent, and longest event [bytes].
+
+The memory is shared and so has a fixed size. A run reports few events in a second.
+"""
 
 
 class PublishingProcess(WindowProcess):
@@ -243,6 +246,7 @@ class SlicerProcess(WindowProcess):
         if int(self._target_turn[0]) == self._taken or (read := self.arrays.read("target")) is None:
             return None
         turn, values = read
+        # The counter rises before and after each write, see `SharedArrays.read`.
         self._taken = 2 * turn
         x, y, z, a, b, c, d = values.tolist()
         return (1e-3 * x, 1e-3 * y, 1e-3 * z), (a, b, c, d)

@@ -48,21 +48,31 @@ MEMORY = Path("/dev/shm")
 On other systems the folder for temporary files is used.
 """
 TRIES = 20
-"""Number of attempts to read an array."""
+"""Number of attempts to read an array.
+
+A write takes some microseconds. If it never ends, its process has died.
+"""
 ALIGNED = 64
 """Alignment of every array [bytes]: one cache line."""
 TURN_TICKS = 200
-"""Ticks in which every brick of a bone is copied once."""
+"""Ticks in which every brick of a bone is copied once.
+
+The carved bone is shown five times a second, and a tick copies only a 200th of it.
+"""
 MOVED_TICKS = 33
-"""Ticks between two pictures of an organ's surface."""
+"""Ticks between two pictures of an organ's surface: a window draws 30 a second."""
 MOST_SHOWN = 600_000
 """Number of voxels above which the window shows larger blocks.
 
-The blocks then have four by four by four voxels instead of two by two by two.
+The blocks then have four by four by four voxels instead of two by two by two. The surface of
+600,000 blocks takes 29 ms, a picture of 30 a second.
 """
 Start = Mapping[str, NDArray[np.generic]]
 FADES_MM = 20.0
-"""Distance over which the displacement fades beyond the nodes whose displacement is known."""
+"""Distance over which the displacement fades beyond the nodes whose displacement is known.
+
+It is chosen for the picture. No force depends on it.
+"""
 
 
 class SharedArrays:
@@ -95,6 +105,7 @@ class SharedArrays:
         file = folder / "arrays.bin"
         if layout is not None:
             with file.open("wb") as made:
+                # An empty file cannot be mapped.
                 made.truncate(max(end, 1))
         with file.open("r+b") as opened:
             self._map = mmap.mmap(opened.fileno(), 0)
@@ -131,6 +142,7 @@ class SharedArrays:
         for _ in range(TRIES):
             before = int(turn[0])
             copy = values.copy()
+            # The counter is odd while a write is running.
             if before % 2 == 0 and int(turn[0]) == before:
                 return before // 2, copy
         return None
@@ -184,6 +196,7 @@ class BoneShared(SharedTissue):
         )
         self._slice = -(-count // TURN_TICKS)
         self._count = count
+        # A block of two by two by two voxels holds 8.
         block = 2 if np.prod(volume.shape, dtype=float) <= 8 * MOST_SHOWN else 4
         grid = store.brick_of.shape
         layer = np.zeros([n * BRICK // block for n in grid], dtype=np.uint8)
@@ -311,8 +324,10 @@ class BoneSurface:
 
         block = self._block
         count = BRICK // block
+        # A brick stores its 8 x 8 x 8 voxels as 4 x 4 x 4 blocks of 2 x 2 x 2.
         bricks = self._seen[rows].reshape(-1, 4, 4, 4, 2, 2, 2).transpose(0, 1, 4, 2, 5, 3, 6)
         parts = bricks.reshape(-1, count, block, count, block, count, block)
+        # 65535 steps of a full voxel over 255.
         means = np.rint(parts.mean(axis=(2, 4, 6)) / 257.0).astype(np.uint8)
         offsets = np.arange(count)
         x, y, z = count * self._places[rows].T[:, :, None] + offsets

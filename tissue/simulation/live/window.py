@@ -47,15 +47,15 @@ CLOCK = ("tick_us", "late_us", "missed", "skipped_ms")
 LOAD = ("time_s", *(f"model_force_{c}_N" for c in "xyz"))
 """Columns that a window plots."""
 ROW_TICKS = 8
-"""Ticks between two rows that a window receives."""
+"""Ticks between two rows that a window receives: four rows for each of 30 pictures a second."""
 LOADS = 1024
 """Number of rows of time and force kept for a window that plots them: 8 s."""
 COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 """Pattern of terminal colours in the output of a process."""
 CLOSES_S = 10.0
-"""Longest time for a window to close [s]."""
+"""Longest time for a window to close [s]; then it is killed."""
 OPENS_S = 120.0
-"""Longest time for a window to open [s]."""
+"""Longest time for a window to open [s]; then the run is refused."""
 FOLDER = "tissue-live-"
 COUNTERS = (
     "row_turn",
@@ -203,6 +203,7 @@ class WindowProcess:
             self.address, last = await_ready(self._child, longest_s=OPENS_S, closes_s=CLOSES_S)
             if last is not None:
                 last = last or self._last_words()
+                # The output of a library may be long.
                 raise InputError(f"--live {self.place}, but {last[:200]}: {self.remedy}")
         except BaseException:
             self._child.kill()
@@ -227,7 +228,7 @@ class WindowProcess:
 
     @property
     def paused(self) -> bool:
-        """True if the user has paused the run."""
+        """True if the user has paused the run or no page of it is open."""
         return self._count("paused") > 0
 
     @property
@@ -255,6 +256,7 @@ class WindowProcess:
         ):
             return None
         turn, (x, y, z) = pointed
+        # The counter rises before and after each write, see `SharedArrays.read`.
         self._seen = 2 * turn
         return 1e-3 * float(x), 1e-3 * float(y), 1e-3 * float(z)
 
@@ -274,6 +276,7 @@ class WindowProcess:
         self.arrays["ended"][0] = 1
         try:
             self._child.communicate(timeout=CLOSES_S)
+        # A window that hangs must not keep the run from its end.
         except subprocess.TimeoutExpired:
             self._child.kill()
             self._child.communicate()
@@ -325,6 +328,7 @@ class Page:
             self._process.begin_again(parts)
             return self._process
         failed: InputError | None = None
+        # A display may exist and still not draw: the next one is tried.
         for environment in drawing_environments():
             try:
                 self._process = PageProcess(scene, parts, columns, environment=environment)
