@@ -125,9 +125,9 @@ def run(
     with progress() as bar:
 
         def report(doing: str, share: float) -> None:
-            """Move the bar, and print messages other than progress."""
+            """Move the bar, and print messages from before the first trial."""
             bar(doing, share)
-            if " left" not in doing:
+            if share == 0.0:
                 problems.print(doing)
 
         bar("starting workers", 0.0)
