@@ -22,6 +22,7 @@ from tissue.fitting.bands.sample import normals
 from tissue.materials.constants import Prior, constants, effective_chip
 
 __all__ = [
+    "DEFAULT",
     "GEOMETRY",
     "OLD",
     "SAMPLES",
@@ -229,11 +230,13 @@ def drill_loads(
     return Loads(**parts)
 
 
+DEFAULT = "minimum chip, chisel and rake (default)"
+"""Variant of the cited constants and the usual drill."""
 VARIANTS: dict[str, tuple[dict[str, float], bool]] = {
     "earlier constants, simple law, simple drill": (OLD | {"minimum_chip_um": 0.0}, False),
     "simple law, simple drill": ({"minimum_chip_um": 0.0}, False),
     "minimum chip, simple drill": ({}, False),
-    "minimum chip, chisel and rake (default)": ({}, True),
+    DEFAULT: ({}, True),
     "size exponent 0.15, chisel and rake": ({"size_exponent": 0.15}, True),
 }
 """Variants by name: constants that change, and whether the drill has chisel edge and rake."""

@@ -16,7 +16,7 @@ from scipy.optimize import nnls
 from meshes.base.arrays import Array
 from tissue.materials.constants import Prior, constants
 
-__all__ = ["Compared", "FitResult", "Ratio", "compared", "fitted", "ratios"]
+__all__ = ["Compared", "FitResult", "Ratio", "compared", "fitted", "log_errors", "ratios"]
 
 MERCHANT = np.arctan(160.0 / 250.0)
 """Friction angle at the cited chip coefficients; see `tissue.cutters.drill_point`."""
@@ -42,7 +42,7 @@ class Compared:
         Prediction at the cited constants.
     band
         Ends of the 90 % band over the ranges.
-    pull_free
+    without_axial
         Ends of the band with the axial coefficients at their cited value of 0.
     """
 
@@ -53,7 +53,7 @@ class Compared:
     high: float | None
     predicted: float
     band: tuple[float, float]
-    pull_free: tuple[float, float]
+    without_axial: tuple[float, float]
 
     @property
     def inside(self) -> bool:
@@ -61,9 +61,9 @@ class Compared:
         return self.band[0] <= self.measured <= self.band[1]
 
     @property
-    def inside_pull_free(self) -> bool:
+    def inside_without_axial(self) -> bool:
         """Whether the band without axial coefficients contains the measured value."""
-        return self.pull_free[0] <= self.measured <= self.pull_free[1]
+        return self.without_axial[0] <= self.measured <= self.without_axial[1]
 
     @property
     def error(self) -> float:
@@ -87,7 +87,7 @@ class Drawn:
     unknown: dict[str, Array]
     z: Array | None = None
 
-    def pull_free(self) -> "Drawn":
+    def without_axial(self) -> "Drawn":
         """Return the samples with the axial coefficients at 0."""
         law = self.law.changed(axial_chip_N_mm2=0.0, axial_edge_N_mm=0.0)
         return Drawn(law, self.point, self.unknown, self.z)
@@ -99,7 +99,7 @@ def _samples() -> tuple[Array, drilling.Law, drilling.Point]:
     return z, drilling.sampled_law(z), drilling.sampled_points(z)
 
 
-def nominal(data: DataSet, name: str = "minimum chip, chisel and rake (default)") -> Drawn:
+def nominal(data: DataSet, name: str = drilling.DEFAULT) -> Drawn:
     """Return law, drill and unknown quantities at their cited or assumed values."""
     law, point = drilling.variant(name)
     unknown = {key: np.array([each.value]) for key, each in data.unknown.items()}
@@ -158,7 +158,7 @@ def _of_rows(data: DataSet) -> list[Compared]:
     for row in data.rows:
         at_centre = row_loads(data, row, centre)
         over = row_loads(data, row, spread)
-        free = row_loads(data, row, spread.pull_free())
+        free = row_loads(data, row, spread.without_axial())
         for quantity, unit, value, pm in measured_of(row):
             name = f"{quantity}_{unit}"
             found.append(
@@ -282,6 +282,17 @@ def ligament(data: DataSet, figure: Figure, drawn: Drawn) -> Array:
     return 1e3 * Prior.of(cited, "modulus_GPa").x(drawn.z[:, 0])
 
 
+def molar(data: DataSet, figure: Figure, drawn: Drawn) -> Array:
+    """Force [N] in the scene ``molar``: cited value, or the two ends of its band.
+
+    The quantiles of two equal halves of samples are those ends.
+    """
+    from engine_runs import molar_figures
+
+    cited, low, high = molar_figures()[figure.kind]
+    return np.array([cited]) if drawn.z is None else np.repeat([low, high], 100)
+
+
 def reamed(data: DataSet, figure: Figure, drawn: Drawn) -> Array:
     """Error of a reamed surface [mm]: measured on the engine's voxels, the same in every sample."""
     from engine_runs import reamed_error_mm
@@ -297,6 +308,7 @@ FORMULAS: dict[str, Formula] = {
     "foam": foam,
     "dental ratio": dental,
     "ligament": ligament,
+    "molar": molar,
     "reamed diameter": reamed,
     "reamed sphere": reamed,
 }
@@ -321,7 +333,7 @@ def compared(key: str) -> tuple[Compared, ...]:
                 figure.high,
                 float(formula(data, figure, nominal(data))[0]),
                 _ends(formula(data, figure, spread)),
-                _ends(formula(data, figure, spread.pull_free())),
+                _ends(formula(data, figure, spread.without_axial())),
             )
         )
     return tuple(found)
@@ -331,7 +343,8 @@ def compared(key: str) -> tuple[Compared, ...]:
 class Ratio:
     """Measured and predicted ratio of two rows.
 
-    ``kind`` is ``speed``, ``feed`` or ``both``, after the quantity that differs between the rows.
+    ``kind`` is ``speed``, ``feed`` or ``both``, after the quantity that differs between the rows,
+    or ``torque over thrust`` for two loads of one row [mm].
     """
 
     label: str
@@ -347,7 +360,7 @@ class Ratio:
         return self.predicted / self.measured - 1.0
 
 
-def ratios(key: str, variant: str = "minimum chip, chisel and rake (default)") -> list[Ratio]:
+def ratios(key: str, variant: str = drilling.DEFAULT) -> list[Ratio]:
     """Return the ratios of a data set's loads to its row of lowest speed or feed."""
     data = data_sets()[key]
     if data.law == "drill ratio":
@@ -376,6 +389,20 @@ def ratios(key: str, variant: str = "minimum chip, chisel and rake (default)") -
                     predicted[0] / predicted[1],
                 )
             )
+    return found + _arms(data, drawn)
+
+
+def _arms(data: DataSet, drawn: Drawn) -> list[Ratio]:
+    """Return torque over thrust [mm] of rows that have both."""
+    found = []
+    for row in data.rows:
+        if row.torque_Nmm is None or row.thrust_N is None:
+            continue
+        loads = row_loads(data, row, drawn)
+        arm = float(loads.torque_Nmm[0] / loads.thrust_N[0])
+        measured = row.torque_Nmm / row.thrust_N
+        label = f"torque over thrust, {_condition(row)} / mm"
+        found.append(Ratio(label, "torque over thrust", "both", measured, None, arm))
     return found
 
 
@@ -393,6 +420,18 @@ def _pairs(rows: tuple[Row, ...]) -> list[tuple[str, Row, Row]]:
     if not found and len(rows) == 2 and rows[0].rpm is not None:
         found = [("both", rows[1], rows[0])]
     return found
+
+
+def log_errors(key: str, variant: str = drilling.DEFAULT) -> Array:
+    """Return logarithms of predicted over measured loads of a drilling set, shape (n,)."""
+    data = data_sets()[key]
+    drawn = nominal(data, variant)
+    found = []
+    for row in data.rows:
+        loads = row_loads(data, row, drawn)
+        for quantity, unit, value, _ in measured_of(row):
+            found.append(np.log(float(getattr(loads, f"{quantity}_{unit}")[0]) / value))
+    return np.array(found)
 
 
 @dataclass(frozen=True)
@@ -413,10 +452,8 @@ class FitResult:
     test_error: float
 
 
-def fitted(
-    key: str, factors: int, variant: str = "minimum chip, chisel and rake (default)"
-) -> FitResult | None:
-    """Fit one or two factors to the half of a set's rows; None if a half is empty.
+def fitted(key: str, factors: int, variant: str = drilling.DEFAULT) -> FitResult | None:
+    """Fit one or two factors to the half of a set's rows; None if the set has too few rows.
 
     The relative errors are minimised by least squares. Two factors are at least 0.
     """
@@ -434,6 +471,8 @@ def fitted(
     if not parts["fit"] or not parts["test"]:
         return None
     matrix = np.array(parts["fit"])
+    if len(matrix) < factors:
+        return None
     if factors == 1:
         matrix = matrix.sum(axis=1, keepdims=True)
     found = nnls(matrix, np.ones(len(matrix)))[0]

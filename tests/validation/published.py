@@ -32,8 +32,9 @@ ORDER = (
     "james2012",
     "james2013",
     "saw_thesis",
+    "crown",
 )
-"""Data sets in the order of the tables: drilling, other cutting, ligament, geometry, sawing."""
+"""Data sets in the order of the tables: drilling, other cutting, ligament, geometry, sources."""
 
 
 @dataclass(frozen=True)

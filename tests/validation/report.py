@@ -4,28 +4,39 @@ With a path, a picture of measured against predicted figures is written.
 """
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import drilling
 import numpy as np
-from predictions import Compared, compared, fitted, ratios
+from predictions import Compared, compared, fitted, log_errors, ratios
 from published import DataSet, data_sets
 
-__all__ = ["main", "set_is_inside"]
+from meshes.base.arrays import Array
+
+__all__ = ["VariantErrors", "controlled", "main", "ratio_errors", "set_is_inside", "variant_errors"]
 
 WITHIN = 0.15
 """Largest error of a ratio over speed or feed that counts as agreement."""
 
 
-def set_is_inside(key: str, *, pull_free: bool = False) -> bool:
+def set_is_inside(key: str, *, without_axial: bool = False) -> bool:
     """Return whether the band contains every measured figure of a set."""
-    return all(each.inside_pull_free if pull_free else each.inside for each in compared(key))
+    return all(
+        each.inside_without_axial if without_axial else each.inside for each in compared(key)
+    )
 
 
-def coverage(keys: list[str], *, pull_free: bool = False) -> str:
+def coverage(keys: list[str], *, without_axial: bool = False) -> str:
     """Return the number of sets whose band contains all their figures."""
-    count = sum(set_is_inside(key, pull_free=pull_free) for key in keys)
+    count = sum(set_is_inside(key, without_axial=without_axial) for key in keys)
     return f"{count} of {len(keys)} ({count / len(keys):.0%})"
+
+
+def figure_coverage(keys: list[str]) -> str:
+    """Return the number of figures inside their bands."""
+    inside = [each.inside for key in keys for each in compared(key)]
+    return f"{sum(inside)} of {len(inside)} ({np.mean(inside):.0%})"
 
 
 def width(band: tuple[float, float]) -> str:
@@ -41,8 +52,8 @@ def _line(each: Compared) -> str:
     return (
         f"  {each.label:58} {each.measured:8.3g} {floor:>5} {each.predicted:8.3g} "
         f"{each.band[0]:8.3g} {each.band[1]:8.3g} {width(each.band):>8} "
-        f"{'yes' if each.inside else 'NO':>4} {each.pull_free[0]:8.3g} {each.pull_free[1]:8.3g} "
-        f"{'yes' if each.inside_pull_free else 'NO':>4}"
+        f"{'yes' if each.inside else 'NO':>4} {each.without_axial[0]:8.3g} {each.without_axial[1]:8.3g} "
+        f"{'yes' if each.inside_without_axial else 'NO':>4}"
     )
 
 
@@ -78,50 +89,92 @@ def print_ratios(sets: dict[str, DataSet]) -> None:
         for each in ratios(key):
             floor = "" if each.floor is None else f"noise {each.floor:.0%}"
             print(
-                f"  {data.name:42} {each.kind:5} {each.label:68} {each.measured:6.3f} "
+                f"  {data.name:42} {each.label:68} {each.measured:6.3f} "
                 f"{each.predicted:6.3f} {each.error:+7.1%} {floor}"
             )
+    print(f"\nratios within {WITHIN:.0%}")
+    for label, keys in (("controlled sets", controlled(sets)), ("all sets", list(sets))):
+        for kind in ("speed", "feed"):
+            errors = ratio_errors(keys, kind)
+            count = int((np.abs(errors) <= WITHIN).sum())
+            print(f"  {label}, over {kind}: {count} of {len(errors)}")
+
+
+def controlled(sets: dict[str, DataSet]) -> list[str]:
+    """Return the drilling sets whose source states speed and feed of at least two rows."""
+    return [
+        key
+        for key, data in sets.items()
+        if data.law == "drill" and data.set_up_known and len(data.rows) > 1
+    ]
+
+
+def ratio_errors(keys: list[str], kind: str, variant: str = drilling.DEFAULT) -> Array:
+    """Return the relative errors of the ratios of one kind."""
+    return np.array(
+        [each.error for key in keys for each in ratios(key, variant) if each.kind == kind]
+    )
+
+
+@dataclass(frozen=True)
+class VariantErrors:
+    """Errors of a variant of law and drill over some sets.
+
+    Attributes
+    ----------
+    factor
+        Typical factor between prediction and measured load at cited constants: exponential of the
+        root mean square logarithm.
+    speed, feed, arm
+        Root mean squares of the relative errors of ratios over speed, over feed, and of torque over
+        thrust.
+    held_one, held_two
+        Root mean squares of the relative errors on the held-out half, one and two factors fitted.
+    """
+
+    factor: float
+    speed: float
+    feed: float
+    arm: float
+    held_one: float
+    held_two: float
+
+
+def variant_errors(keys: list[str], name: str) -> VariantErrors:
+    """Return the errors of a variant over drilling sets."""
+    logarithms = np.concatenate([log_errors(key, name) for key in keys])
+    held = []
+    for factors in (1, 2):
+        fits = [fitted(key, factors, name) for key in keys]
+        held.append(_rms(np.array([each.test_error for each in fits if each is not None])))
+    arms = ratio_errors(keys, "torque over thrust", name)
+    return VariantErrors(
+        float(np.exp(_rms(logarithms))),
+        _rms(ratio_errors(keys, "speed", name)),
+        _rms(ratio_errors(keys, "feed", name)),
+        _rms(arms),
+        held[0],
+        held[1],
+    )
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def print_variants(sets: dict[str, DataSet]) -> None:
-    """Print what each refinement of law and drill changes."""
+    """Print what each refinement changes, over the controlled sets."""
+    keys = controlled(sets)
     print(
-        "\nvariants: typical factor of absolute error; ratio errors; held-out error, 1 and 2 factors"
+        "\nvariants over the controlled sets: factor of absolute error; RMS errors of ratios over "
+        "speed, feed, torque over thrust; held-out half with one and two factors"
     )
     for name in drilling.VARIANTS:
+        each = variant_errors(keys, name)
         print(
-            f"  {name:46} "
-            + "; ".join(f"{k} {v:.3g}" for k, v in variant_errors(sets, name).items())
+            f"  {name:44} {each.factor:5.2f} {each.speed:6.1%} {each.feed:6.1%} {each.arm:6.1%} "
+            f"{each.held_one:6.1%} {each.held_two:6.1%}"
         )
-
-
-def variant_errors(sets: dict[str, DataSet], name: str) -> dict[str, float]:
-    """Return the errors of a variant over all drilling sets that are no source of constants."""
-    from predictions import measured_of, nominal, row_loads
-
-    logs = []
-    errors = []
-    held: dict[int, list[float]] = {1: [], 2: []}
-    for key, data in sets.items():
-        errors += [each.error for each in ratios(key, name) if each.kind != "both"]
-        if data.law != "drill":
-            continue
-        for row in data.rows:
-            loads = row_loads(data, row, nominal(data, name))
-            for quantity, unit, value, _ in measured_of(row):
-                logs.append(abs(np.log(float(getattr(loads, f"{quantity}_{unit}")[0]) / value)))
-        for factors, found in held.items():
-            fit = fitted(key, factors, name)
-            if fit is not None:
-                found.append(fit.test_error)
-    sizes = np.abs(errors)
-    return {
-        "factor": float(np.exp(np.median(logs))),
-        "ratio rms": float(np.sqrt(np.mean(sizes**2))),
-        "ratios within 15 %": float(np.mean(sizes <= WITHIN)),
-        "held out 1": float(np.median(held[1])),
-        "held out 2": float(np.median(held[2])),
-    }
 
 
 def main(picture: Path | None = None) -> None:
@@ -137,7 +190,10 @@ def main(picture: Path | None = None) -> None:
         ("of these, that bound no range", free),
         ("of these, with a stated set-up", known),
     ):
-        print(f"  {label:34} {coverage(keys)}  [{coverage(keys, pull_free=True)}]")
+        print(
+            f"  {label:34} {coverage(keys)}  [{coverage(keys, without_axial=True)}]; "
+            f"figures: {figure_coverage(keys)}"
+        )
     print_fits(sets)
     print_ratios(sets)
     print_variants(sets)
