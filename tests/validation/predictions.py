@@ -71,7 +71,7 @@ class Compared:
         return self.predicted / self.measured - 1.0
 
     @property
-    def floor(self) -> float | None:
+    def noise(self) -> float | None:
         """Half the measured scatter over the measured value; None without scatter."""
         if self.low is None or self.high is None:
             return None
@@ -351,7 +351,7 @@ class Ratio:
     kind: str
     quantity: str
     measured: float
-    floor: float | None
+    noise: float | None
     predicted: float
 
     @property
@@ -376,16 +376,16 @@ def ratios(key: str, variant: str = drilling.DEFAULT) -> list[Ratio]:
         for at, (quantity, unit, value, pm) in enumerate(measured_of(row)):
             _, _, base_value, base_pm = measured_of(base)[at]
             predicted = [float(getattr(each, f"{quantity}_{unit}")[0]) for each in loads]
-            floor = None
+            noise = None
             if pm is not None and base_pm is not None and data.specimens is not None:
-                floor = float(np.hypot(pm / value, base_pm / base_value) / data.specimens**0.5)
+                noise = float(np.hypot(pm / value, base_pm / base_value) / data.specimens**0.5)
             found.append(
                 Ratio(
                     f"{quantity}, {_condition(row)} over {_condition(base)}",
                     kind,
                     quantity,
                     value / base_value,
-                    floor,
+                    noise,
                     predicted[0] / predicted[1],
                 )
             )

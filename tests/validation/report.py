@@ -48,9 +48,9 @@ def width(band: tuple[float, float]) -> str:
 
 
 def _line(each: Compared) -> str:
-    floor = "" if each.floor is None else f"{each.floor:.0%}"
+    noise = "" if each.noise is None else f"{each.noise:.0%}"
     return (
-        f"  {each.label:58} {each.measured:8.3g} {floor:>5} {each.predicted:8.3g} "
+        f"  {each.label:58} {each.measured:8.3g} {noise:>5} {each.predicted:8.3g} "
         f"{each.band[0]:8.3g} {each.band[1]:8.3g} {width(each.band):>8} "
         f"{'yes' if each.inside else 'NO':>4} {each.without_axial[0]:8.3g} {each.without_axial[1]:8.3g} "
         f"{'yes' if each.inside_without_axial else 'NO':>4}"
@@ -67,6 +67,26 @@ def print_sets(sets: dict[str, DataSet]) -> None:
         print(f"{data.name} [{key}; {data.role}]")
         for each in compared(key):
             print(_line(each))
+
+
+def print_summary(sets: dict[str, DataSet]) -> None:
+    """Print one line per set, as in `docs/validation.md`."""
+    print(
+        "\n| data set | inside the band | width | predicted / measured | held-out error | noise |"
+    )
+    print("|---|---|---|---|---|---|")
+    for key, data in sets.items():
+        figures = compared(key)
+        count = sum(each.inside for each in figures)
+        widths = [each.without_axial[1] / each.without_axial[0] for each in figures]
+        factor = np.exp(np.mean([np.log(each.predicted / each.measured) for each in figures]))
+        fit = fitted(key, 2) or fitted(key, 1)
+        noises = [each.noise for each in figures if each.noise is not None]
+        print(
+            f"| {data.name} | {count} of {len(figures)} | {np.median(widths):.3g} | {factor:.2g} | "
+            f"{'' if fit is None else f'{fit.test_error:.0%}'} | "
+            f"{f'{np.mean(noises):.0%}' if noises else ''} |"
+        )
 
 
 def print_fits(sets: dict[str, DataSet]) -> None:
@@ -87,10 +107,10 @@ def print_ratios(sets: dict[str, DataSet]) -> None:
     print("\nratios at cited constants")
     for key, data in sets.items():
         for each in ratios(key):
-            floor = "" if each.floor is None else f"noise {each.floor:.0%}"
+            noise = "" if each.noise is None else f"noise {each.noise:.0%}"
             print(
                 f"  {data.name:42} {each.label:68} {each.measured:6.3f} "
-                f"{each.predicted:6.3f} {each.error:+7.1%} {floor}"
+                f"{each.predicted:6.3f} {each.error:+7.1%} {noise}"
             )
     print(f"\nratios within {WITHIN:.0%}")
     for label, keys in (("controlled sets", controlled(sets)), ("all sets", list(sets))):
@@ -194,6 +214,7 @@ def main(picture: Path | None = None) -> None:
             f"  {label:34} {coverage(keys)}  [{coverage(keys, without_axial=True)}]; "
             f"figures: {figure_coverage(keys)}"
         )
+    print_summary(sets)
     print_fits(sets)
     print_ratios(sets)
     print_variants(sets)
