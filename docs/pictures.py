@@ -3,10 +3,13 @@
 A page's Python and bash run from top to bottom; after each block of Python what it has plotted,
 pyvista's scenes and then matplotlib's figures, becomes the next pictures that the page shows.
 FOLDER-NAME.png is what a command wrote as FOLDER/NAME.png.
+
+The picture of the page ``validation`` is drawn by tests/validation/report.py.
 """
 
 import os
 import re
+import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -73,8 +76,23 @@ def draw(page: Path) -> None:
         )
 
 
+def draw_validation() -> None:
+    """Draw the picture of measured against predicted forces."""
+    script = GUIDE.parents[1] / "tests" / "validation" / "report.py"
+    path = GUIDE.parent / "_static" / "validation.png"
+    environment = os.environ | {"PYTHONPATH": str(GUIDE.parents[1])}
+    subprocess.run([sys.executable, str(script), str(path)], check=True, env=environment)
+    print(path)
+
+
 if __name__ == "__main__":
-    pages = [GUIDE / f"{name}.md" for name in sys.argv[1:]] or sorted(GUIDE.glob("*.md"))
+    asked = sys.argv[1:]
+    if not asked or "validation" in asked:
+        draw_validation()
+    names = [name for name in asked if name != "validation"]
+    pages = [GUIDE / f"{name}.md" for name in names]
+    if not asked:
+        pages = sorted(GUIDE.glob("*.md"))
     wanted = [page for page in pages if "](pictures/" in page.read_text("utf-8")]
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
