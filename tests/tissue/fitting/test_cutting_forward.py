@@ -13,9 +13,7 @@ from tissue.scene.scene import Scene
 from tissue.simulation.simulate import simulate
 
 USUAL = [
-    f"{kind}_{part}"
-    for part in ("chip_N_mm2", "edge_N_mm")
-    for kind in ("tangential", "radial", "axial")
+    f"{kind}_{part}" for part in ("chip_N_mm2", "edge_N_mm") for kind in ("tangential", "radial")
 ] + ["size_exponent", "minimum_chip_um"]
 SLANT = [[-1, 0, 0.2], [-1, 0, -0.8], [1, 0, -1.0]]
 
@@ -30,8 +28,8 @@ def test_loads_of_a_log_are_those_of_a_run_along_it():
         f"cutting.cortical.{name}" for name in USUAL
     ] + ["density.cortical"]
     cited = constants("cutting", "bone")
-    assert values(forward)[:8].tolist() == [cited[name].value for name in USUAL]
-    x = np.array([97.0, 31.0, 4.0, 2.9, 3.3, 0.2, 0.1, 0.4, 1.0])
+    assert values(forward)[:6].tolist() == [cited[name].value for name in USUAL]
+    x = np.array([97.0, 31.0, 2.9, 3.3, 0.1, 0.4, 1.0])
     motion = {
         "kind": "path",
         "points_mm": [[-1, 0, 0.2], [1, 0, -0.8]],
@@ -48,7 +46,7 @@ def test_loads_of_a_log_are_those_of_a_run_along_it():
     assert forward.loads(x)[1:] == pytest.approx(want[1:], abs=1e-3 * np.abs(want[:, :3]).max())
     assert forward.times_s[[0, -1]] == pytest.approx([2.0, 2.099])
     exponent = constants("cutting", "bone")["density_exponent"].value
-    denser = np.append(x[:8], 1.1)
+    denser = np.append(x[:6], 1.1)
     assert forward.loads(denser) == pytest.approx(
         1.1**exponent * forward.loads(x), rel=1e-9, abs=1e-12
     )
@@ -56,8 +54,8 @@ def test_loads_of_a_log_are_those_of_a_run_along_it():
 
 def test_derivatives_by_the_parameters():
     forward = forward_along(SLANT, [0.0, 0.05, 0.1], free=("cutting", "density"))
-    # six coefficients, the exponents of density and size, the minimum chip, the density
-    assert len(forward.parameters) == 10
+    # four coefficients, the exponents of density and size, the minimum chip, the density
+    assert len(forward.parameters) == 8
     x = values(forward) * 1.1
     slopes = forward.jacobian(x)
     for column, step in enumerate(1e-5 * np.maximum(x, 1.0)):
@@ -89,9 +87,9 @@ def test_a_cut_averaged_as_a_log_has_the_loads_averaged():
 @pytest.mark.parametrize(
     ("free", "names"),
     [
-        (("cutting.edge",), ["tangential_edge_N_mm", "radial_edge_N_mm", "axial_edge_N_mm"]),
+        (("cutting.edge",), ["tangential_edge_N_mm", "radial_edge_N_mm"]),
         (("cutting.cortical.radial",), ["radial_chip_N_mm2", "radial_edge_N_mm"]),
-        (("cutting.bone.axial_chip_N_mm2",), ["axial_chip_N_mm2"]),
+        (("cutting.bone.tangential_chip_N_mm2",), ["tangential_chip_N_mm2"]),
         (
             ("cutting.density_exponent", "cutting.chip.radial"),
             ["radial_chip_N_mm2", "density_exponent"],
@@ -145,15 +143,11 @@ def test_candidate_slots_of_a_cylinder_against_closed_forms():
         ("radial_chip_N_mm2", 4 * 0.5 / 4.0, chip_mm),
         ("tangential_edge_N_mm", edge_mm, None),
         ("tangential_chip_N_mm2", 4 * 0.5 / 4.0, chip_mm),
-        ("axial_edge_N_mm", 4 * 0.5 / 2.0, None),
-        ("axial_chip_N_mm2", 4 * 0.5 / np.pi, chip_mm),
     ):
         want = np.zeros(3)
         # clockwise from above, at +x of a tool that moves along +x the edge goes to -y and the bone
         # pushes it to +y
-        axis, sign = {"radial": (0, -1.0), "tangential": (1, 1.0), "axial": (2, -1.0)}[
-            kind.split("_")[0]
-        ]
+        axis, sign = {"radial": (0, -1.0), "tangential": (1, 1.0)}[kind.split("_")[0]]
         want[axis] = sign * size * (chip or 1.0)
         got = slopes[:3, names.index(kind)]
         assert got == pytest.approx(want, abs=0.02 * np.abs(want).max())
