@@ -215,6 +215,7 @@ class ImportRequest:
         if self.crop_mm is None:
             return None
         (a, b, c), (d, e, f) = map(self._lps, self.crop_mm)
+        # the reversed signs of RAS exchange the lower and the upper end of x and y
         return (min(a, d), min(b, e), c), (max(a, d), max(b, e), f)
 
     def _lps(self, point: Point) -> Point:
@@ -258,9 +259,15 @@ KEYS = {
 FEED_MM_S = 2.0
 """Feed of a path without a feed, between reaming (0.5) and milling (5) of the built-in scenes."""
 CLEARANCE_MM = 5.0
-"""Distance outside the first point of a path at which the tool begins."""
+"""Distance outside the first point of a path at which the tool begins.
+
+A tool that begins in bone removes the bone that it covers without a force.
+"""
 LONGEST = 60
-"""Letters of a structure's name, which is part of a file's name."""
+"""Letters of a structure's name, which is part of a file's name.
+
+The names of files have at most 255 bytes on common file systems.
+"""
 
 
 @dataclass(frozen=True)
