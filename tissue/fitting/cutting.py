@@ -117,6 +117,8 @@ class CuttingForward:
         A fit asks for loads thousands of times, so they are averaged once.
         """
         span_s = log.within_s[-1] - log.within_s[0]
+        # interpolation between three points a block misses 0.1 to 0.4 % of a milling force (root
+        # mean square); one point a block misses 1 to 2 %
         every = max(round(span_s / TICK_S / 3.0), 1)
         times_s = self.times_s[::every]
         means, _ = shift_operators(self.times_s, times_s, 0.0, log.within_s)
@@ -219,6 +221,7 @@ def _free_constants(
     for at, layer in record.layers.items():
         name = record.layer_names[at]
         known = scene.constants.layer_constants(name, bone=scene.cutting.material)
+        # the exponent has no effect where the density is the reference density
         is_scaled = (layer.nodes.densities_kg_m3 != known[REFERENCE].value).any()
         for constant, (field, unit) in FIELDS.items():
             if known[constant].low == known[constant].high:
@@ -247,7 +250,11 @@ REFERENCE = "reference_density_kg_m3"
 FEEDS = (0.25, 1.0, 4.0)
 SPINS = (0.5, 1.0, 2.0)
 DEPTHS = (0.25, 0.5, 1.0)
-"""Times the log's feed, the tool's spin, and its radius."""
+"""Times the log's feed, the tool's spin, and its radius.
+
+Feed and spin change the chip force but not the edge force, which separates their coefficients.
+Depth changes the directions in which the elements of the surface push.
+"""
 UP = (0.0, 0.0, 1.0)
 TICKS = 60
 STEADY = slice(30, 60)
@@ -259,10 +266,10 @@ length of a record.
 TRAVEL = {"slot": 1.0, "plunge": 0.1}
 """Travel of the tool in a record, in radii. A plunge is short enough to have one depth."""
 VOXELS = 20
-"""Voxels on a radius."""
+"""Voxels on a radius. With 10, 20 and 40 the steady loads of a ball burr agree within 0.12 %."""
 AIR = 250
 LASTS = 1250
-"""Ticks in air, and all ticks of a candidate."""
+"""Ticks in air, which show the bias of the sensor, and all ticks of a candidate."""
 
 
 def cutting_problem(
@@ -316,6 +323,8 @@ def cutting_candidates(like: CuttingForward) -> dict[str, CuttingForward]:
         unit, recorded_m_s = _steady(like.record.scene, tool, kind, depth * radius_m)
         for at, feed, spin in product(like.record.layers, FEEDS, SPINS):
             loads = unit.copy()
+            # the first three loads are those of the chip, whose thickness is proportional to feed
+            # over spin
             loads[:3] *= feed * feed_m_s / recorded_m_s / spin
             name = (
                 f"a {kind} {1e3 * depth * radius_m:.3g} mm deep in "
@@ -362,9 +371,11 @@ def _steady(scene: Scene, tool: Tool, kind: str, depth_m: float) -> tuple[Array,
     deep = np.array([0.0, 0.0, -depth_m])
     along = np.array([travel_m, 0.0, 0.0]) if kind == "slot" else np.array([0.0, 0.0, -travel_m])
     feed_m_s = travel_m / (TICKS * TICK_S)
+    # the averaged ticks are the second half: a quarter of the travel to either side of the depth
     motion = FollowPath(
         np.stack([deep - 0.75 * along, deep + 0.25 * along]), feed_m_s=feed_m_s, axis=UP
     )
+    # the block holds the tool, its travel and the deepest plunge, with a radius of bone around them
     wide_mm = 3.0 * tool.diameter_mm
     size_mm = 2.0 * tool.diameter_mm
     block = scene.model_copy(

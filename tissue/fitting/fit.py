@@ -239,6 +239,7 @@ def fit_scene(
         raise InputError("scene", "be one of tissue", f"a {scene.anatomy.kind}", FITTED)
     of_tissue = cutting_problem if isinstance(scene.anatomy, CutAnatomy) else organ_problem
     problem = of_tissue(scene, log, free, cores=cores, progress=report)
+    # recording the geometry, or the runs of an organ, takes most of the time
     report("fitting", 0.8)
     posterior = maximum_posterior(problem.forward, problem.measured)
     found = identified(posterior)

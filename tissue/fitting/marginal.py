@@ -117,10 +117,12 @@ def marginal(target: Target, maximum: Array, covariance: Array, at: int) -> Marg
     patience = 0.0
     start = maximum
     if at == target.constants:
+        # one sample of the log, in standard deviations of the offset's prior
         patience = float(np.median(np.diff(target.log.times_s))) / OFFSET_S
         distances = np.unique(np.concatenate([patience * WITHIN, spread * ABOUT]))
     else:
         side = float(target.sides[at])
+        # a maximum beyond the end of a one-sided constant is moved to the end
         start = maximum - min(side * maximum[at], 0.0) * side * along
     first = log_density_at(target, start, at)
     found = {float(start[at]): first}
@@ -193,11 +195,13 @@ def log_factor(mean: Array, covariance: Array) -> float:
     logarithms = np.zeros(len(uniform))
     for at, spread in enumerate(np.diag(root).tolist()):
         ratio = (mean[at] + drawn[:, :at] @ root[at, :at]) / spread
+        # half of the prior's probability is at the end, see the module's description
         zero = np.log(0.5) - 0.5 * ratio**2 - np.log(spread)
         above = log_ndtr(ratio)
         both = np.logaddexp(zero, above)
         logarithms += both
         share = np.exp(zero - both)
+        # the limits keep the logarithm finite where the end has all of the probability
         rest = np.clip((1.0 - uniform[:, at]) / np.maximum(1.0 - share, 1e-300), 1e-12, 1.0)
         drawn[:, at] = np.where(uniform[:, at] < share, -ratio, -ndtri_exp(np.log(rest) + above))
     return float(logsumexp(logarithms) - np.log(len(logarithms)))

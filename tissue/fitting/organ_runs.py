@@ -114,6 +114,7 @@ def _stated(scene: Scene) -> list[Parameter]:
     anatomy = scene.anatomy
     assert isinstance(anatomy, SoftAnatomy)
     parts = dict(organ.parts or {})
+    # the nodule of a slab is a part with a default modulus
     if anatomy.nodule_mm > 0.0:
         parts.setdefault(PART_NODULE, NODULE_KPA)
     found = {"organ.young_kPa": organ.young_kPa, "organ.young_end_kPa": organ.young_end_kPa}
@@ -129,6 +130,7 @@ def _stated(scene: Scene) -> list[Parameter]:
         if (value := getattr(organ, name)) is not None
         and (prior := _shape_prior(name, value)) is not None
     ]
+    # a prior relative to a value of 0 has no width
     if (friction := organ.friction) == 0.0:
         return [*moduli, *shapes]
     low, high = FRICTION
@@ -256,6 +258,7 @@ def _loads(
         with_values = _with(scene, values, Path(name, "sample.toml"))
         motion = ReplayPoses(poses.times_s, poses.tips_m, poses.quaternions, step_s=TICK_S)
         stands_in = ReplayMotion(kind="replay", file="poses that were given")
+        # no frames of the organ are needed, only loads
         prompt = {"interval_ms": 0.0, "law_interval_ms": LAW_MS}
         organ = with_values.organ.model_copy(update=prompt)
         ran = with_values.model_copy(

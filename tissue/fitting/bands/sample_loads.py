@@ -73,6 +73,7 @@ class Reweighed:
         self.record = record
         self._contact = record.trace["contact_mm2"] > 0.0
         units = [layer.unit.any(axis=(0, 1, 3)) for layer in record.layers.values()]
+        # ticks without a load stay zero in every sample and are not computed
         self._loaded = (
             np.flatnonzero(np.logical_or.reduce(units, axis=0))
             if units
@@ -141,6 +142,7 @@ class Reweighed:
 
         A block holds a few consecutive loaded ticks.
         """
+        # six loads of each sample and tick
         step = max(BLOCK // (6 * len(weights)), 1)
         for first in range(0, len(self._loaded), step):
             ticks = self._loaded[first : first + step]
@@ -228,6 +230,7 @@ def figures_of(run: Run) -> dict[Figure, float]:
                 if name.startswith(STRESS) and np.isfinite(values).any():
                     largest = f"{LARGEST_PREFIX}{name}"
                     found[largest,] = max(found.get((largest,), 0.0), float(np.nanmax(values)))
+    # the first hole only: samples may have different numbers of holes
     for first in summary.get("break_through", ())[:1]:
         found |= {("break_through", name): value for name, value in first.items()}
     for event in summary["events"]:
@@ -311,6 +314,7 @@ def over_time(loads: list[Array], times_s: Array) -> tuple[Array, Summary]:
         quantiles[:, tick] = np.quantile(
             [each[tick] for each in loads if len(each) > tick], levels, axis=0
         )
+    # the first time of a trace is one step after the start
     step_s = times_s[0] if len(times_s) == 1 else times_s[1] - times_s[0]
     return quantiles, {
         "ticks": last,
@@ -355,6 +359,7 @@ def reruns(
     InputError
         If no scheduler answers, or workers are lost again and again.
     """
+    # one process needs no pool
     if workers.count <= 1 and workers.scheduler is None:
         for number, text in enumerate(files):
             report(f"sample {number + 1} of {len(files)}", number / len(files))
@@ -394,6 +399,7 @@ def _in_pool(
 
     The outcome of a sample is None when it is submitted.
     """
+    # two samples for each process keep it busy; all that were submitted are run again if it is lost
     most = 2 * min(workers.count, len(numbers)) if workers.scheduler is None else len(numbers)
     connected = False
     fresh = iter(numbers)
