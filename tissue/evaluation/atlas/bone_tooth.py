@@ -43,7 +43,7 @@ from tissue.scene.load import load_scene
 __all__ = ["Contrast", "CutCells", "ExplicitCutting"]
 
 THRUST_N = 20.0
-"""Thrust above the edge force."""
+"""Thrust above the edge force. The equation is linear in it, so that no result depends on it."""
 STEPS = 400
 """Steps after which a mode of 2 % growth is a thousand times as large."""
 MASS_KG = 0.05
@@ -52,6 +52,8 @@ MASS_KG = 0.05
 
 def bone_model(size_mm: tuple[float, float, float], profile: Profile, flutes: int) -> BoneModel:
     """Return a cutter at 1,000 rpm in a block of cortical bone."""
+    # voxels of 0.1 mm are the default of a scene; 100 rad/s is the spin that `ExplicitCutting`
+    # names
     volume = voxelise(cortical_block(size_mm=size_mm), spacing_m=1e-4)
     return BoneModel(volume, Cutter(profile, flutes, 100.0), (cutting_coefficients("bone"),))
 
@@ -66,6 +68,7 @@ def drag_N_s_m() -> float:
     motion = ToolMotion(speed_m_s=1e-3)
     motion.heading[0] = (0.0, 0.0, -1.0)
     model.place(motion)
+    # steps of 10 um remove the bone above, so that the last one meets a full spherical cap
     for depth in np.arange(0.0, 1e-3, 1e-5):
         motion.tip_m[2] = -depth
         model.advance(motion)
@@ -83,6 +86,7 @@ def left_over(step_s: float, mass_kg: float, *, implicit: bool) -> float:
             speed = implicit_speed(speed, thrust=THRUST_N, drag=drag, mass=mass_kg, step_s=step_s)
         else:
             speed += step_s / mass_kg * (THRUST_N - drag * speed)
+        # the explicit step has diverged; larger numbers would overflow
         if abs(speed) > 1e12 * settled:
             break
     return abs(speed / settled - 1.0)
@@ -114,6 +118,7 @@ def plunge(mass_kg: float, thrust_N: float) -> tuple[float, float]:
         response = model.respond(motion)
         axial.append(float(response.wrench[2]))
         speed.append(motion.speed_m_s)
+    # in the last 0.2 s the drill is fully engaged
     return float(np.mean(axial[-200:])), max(speed)
 
 
@@ -133,12 +138,17 @@ class ExplicitCutting(Page):
 
     def measure(self) -> Data:
         """Find the longest stable step over mass, and sweep the step at one mass."""
+        # from far below the explicit limit, 1 on this axis, to a tick of some milliseconds
         steps = 2.0 * MASS_KG / drag_N_s_m() * np.geomspace(0.05, 200.0, 24)
 
         def limit_s(mass: float) -> dict[str, float]:
             """Return the step above which the explicit feed grows, measured and by theory."""
             runs_away = boundary(
-                lambda step: left_over(step, mass, implicit=False) > 1.0, 1e-8, 1.0, steps=30
+                # thirty bisections of eight decades find the limit to 2e-8
+                lambda step: left_over(step, mass, implicit=False) > 1.0,
+                1e-8,
+                1.0,
+                steps=30,
             )
             return {"explicit_s": runs_away, "theory_s": 2.0 * mass / drag_N_s_m()}
 
@@ -159,9 +169,12 @@ class ExplicitCutting(Page):
         """
         step = data["step"]
         off = error_of(data["mass"]["explicit_s"], data["mass"]["theory_s"])
+        # 5 % beyond the explicit limit, so that 400 steps diverge clearly
         beyond = step["step_s"] > 2.1 * MASS_KG / drag_N_s_m()
         worst = float(step["implicit"][beyond].max())
         return Verdict(
+            # measured: the explicit limit to 1e-8, growth beyond it by more than 1e12, the implicit
+            # rule to 2e-16
             bool(off < 0.01 and (step["explicit"][beyond] > 1e3).all()),
             worst < 1e-6,
             f"The burr resists with {drag_N_s_m():.0f} N s/m, so an explicit step must be shorter "
@@ -172,11 +185,14 @@ class ExplicitCutting(Page):
 
     def ask(self) -> list[Answer]:
         """Push a tool too light for an explicit step, and give a scene a thrust that is NaN."""
+        # at 1 ms, an explicit step of 10 g would be 380 times too long
         force, speed = plunge(0.01, 40.0)
         scene = {"motion.kind": "thrust", "motion.thrust_N": float("nan")}
         return [
             shown(
                 "a drill of 10 g pushed with 40 N at the tick of 1 ms",
+                # 1 % is the tolerance of the thrust balance (`docs/models.md`); 5 mm/s is the feed
+                # limit of `plunge`
                 abs(force / 40.0 - 1.0) < 0.01 and speed <= 5e-3,
                 f"cuts with {force:.2f} N, at no time faster than its limit of "
                 f"{1e3 * speed:.1f} mm/s",
@@ -217,12 +233,15 @@ def cut_block(fill: float, strength: float) -> ParticleBody:
 
     A cut cell has one particle of a volume ``fill``.
     """
+    # two particles along each edge, at the middles of the eight parts of a cell
     places = 0.25 + 0.5 * np.argwhere(np.ones((2, 2, 2)))
     cells = np.argwhere(np.ones((CELLS, CELLS, CELLS + 1)))
     full = cells[cells[:, 2] < CELLS]
     cut = cells[cells[:, 2] == CELLS]
     inside = (full[:, None] + places).reshape(-1, 3)
+    # the particle of a cut cell lies in the middle of its filled part
     position = CUT_EDGE_M * np.concatenate([inside, cut + np.array([0.5, 0.5, 0.5 * fill])])
+    # an eighth of a cell for each of its eight particles
     volume = np.concatenate([np.full(len(inside), 0.125), np.full(len(cut), fill)])
     particles = ParticleSet.uniform(position, volume_m3=CUT_EDGE_M**3, modulus_Pa=1e9)
     particles.volume_m3[:] *= volume
@@ -240,6 +259,7 @@ def conditions(body: ParticleBody) -> tuple[float, float]:
     scale = 1.0 / np.sqrt(np.diag(inner))
     plain, scaled = (np.linalg.eigvalsh(each) for each in (inner, scale[:, None] * inner * scale))
     return (
+        # 1e17 is beyond the resolution of doubles, and avoids a division by zero
         float(plain[-1] / max(plain[0], 1e-17 * plain[-1])),
         float(scaled[-1] / max(scaled[0], 1e-17 * scaled[-1])),
     )
@@ -247,6 +267,7 @@ def conditions(body: ParticleBody) -> tuple[float, float]:
 
 def compliance_m_N(body: ParticleBody, fill: float) -> float:
     """Compute the compliance at a force on the top [m/N]."""
+    # in the middle of the top face, just inside the filled part of the cut cell
     place = CUT_EDGE_M * np.array([1.5, 1.5, CELLS + 0.999 * fill])
     load = body.spread(place, np.array([0.0, 0.0, -1.0]))
     return float((load * body.solve(load, tolerance=1e-10).displacement_m).sum())
@@ -285,6 +306,7 @@ class CutCells(Page):
 
     def measure(self) -> Data:
         """Sweep the fill of the cut cells."""
+        # from a full cell to a fifth of `LEAST_FILL`, below which cells are dropped
         return {"fill": sweep("fill", np.geomspace(1.0, 2e-4, 13), at_fill)}
 
     def judge(self, data: Data) -> Verdict:
@@ -295,6 +317,7 @@ class CutCells(Page):
         cost = float(table["cost"].max())
         slope = log_slope(table["fill"][carried], table["condition"][carried])
         return Verdict(
+            # measured: slope -1.01 (theory -1), scaled condition number 304, cost 9.3 %
             bool((table["bare_scaled"][carried] > SINGULAR).all() and -1.2 < slope < -0.7),
             worst < 1e3 and cost < 0.1 and bool((table["fill"][carried] >= LEAST_FILL).all()),
             "With one particle in a cell the stiffness is singular at every fill. With "
@@ -345,6 +368,7 @@ class CutCells(Page):
                 (Conduct.HOLDS, LEAST_FILL, 1.0),
                 (Conduct.FALLS_BACK, fill.min(), LEAST_FILL),
             ],
+            # condition numbers are limited to 1e17
             ylim=(10.0, 1e19),
             legend="center right",
         )
@@ -365,6 +389,7 @@ def soft_middle(cells: int, contrast: float) -> ParticleBody:
     Both are softer than the block by the contrast.
     """
     position = (np.argwhere(np.ones((2 * cells,) * 3)) + 0.5) * 0.5 * EDGE_M / cells
+    # a ball of half the block's width as pulp, and a layer of an eighth of its height as ligament
     soft = (np.linalg.norm(position - 0.5 * EDGE_M, axis=1) < 0.25 * EDGE_M) | (
         position[:, 2] < 0.125 * EDGE_M
     )
@@ -377,6 +402,7 @@ def soft_middle(cells: int, contrast: float) -> ParticleBody:
 
 def pushed(body: ParticleBody) -> Array:
     """Return the load of an oblique force on the top."""
+    # off the middle and oblique, so that no symmetry of the block makes the solve easier
     return body.spread(np.array([0.5, 0.4, 1.0]) * EDGE_M, np.array([0.3, 0.0, -1.0]))
 
 
@@ -389,6 +415,7 @@ def plain_iterations(body: ParticleBody, *, scaled: bool) -> float:
     kept = np.flatnonzero(matrix.diagonal() > 0.0)
     free = kept[body.grid.node_place[kept // 3, 2] > 0]
     inner = csr_array(matrix[free][:, free])
+    # six orders below the goal of 1e-6
     exact = body.solve(pushed(body), tolerance=1e-12, cold=True).displacement_m.ravel()[free]
     goal = TOLERANCE**2 * float(exact @ (inner @ exact))
     count = 0
@@ -398,6 +425,7 @@ def plain_iterations(body: ParticleBody, *, scaled: bool) -> float:
         nonlocal count
         count += 1
         left = iterate - exact
+        # the comparison takes a product with the matrix, as long as an iteration
         if count % 5 == 0 and float(left @ (inner @ left)) <= goal:
             raise StopIteration
 
@@ -427,6 +455,7 @@ class Contrast(Page):
     def measure(self) -> Data:
         """Sweep the contrast, with the multigrid on two grids."""
         table = {"contrast": CONTRASTS}
+        # two grids, to show whether iterations grow with the number of cells
         for cells in (8, 12):
             bodies = [soft_middle(cells, contrast) for contrast in CONTRASTS.tolist()]
             solutions = [
@@ -434,6 +463,8 @@ class Contrast(Page):
             ]
             iterations = [each.iterations for each in solutions]
             table[f"multigrid_{cells}"] = np.array(iterations, dtype=float)
+            # plain iterations on the coarser grid only: on the finer one they take longest and grow
+            # further
             if cells == 8:
                 for name, scaled in (("diagonal", True), ("plain", False)):
                     counts = [plain_iterations(each, scaled=scaled) for each in bodies]
@@ -446,6 +477,8 @@ class Contrast(Page):
         plain = table["plain"]
         multigrid = np.concatenate([table["multigrid_8"], table["multigrid_12"]])
         return Verdict(
+            # measured: 120 to 655 plain iterations, 6 to 8 with the multigrid, whose bounds of 25
+            # and 12 hold the other bodies of `docs/verification.md` too (7 to 23)
             float(plain[-1] / plain[0]) > 3.0,
             float(multigrid.max()) <= 25.0 and float(np.ptp(multigrid)) <= 12.0,
             f"From a contrast of 1 to {table['contrast'][-1]:.0e} plain conjugate gradients take "
@@ -457,6 +490,7 @@ class Contrast(Page):
     def ask(self) -> list[Answer]:
         """Request a solve in too few iterations, and without supports."""
         body = soft_middle(8, REAL)
+        # two of the 6 to 8 iterations that a cold solve takes
         short = body.solve(pushed(body), limit=2, cold=True)
         loose = ParticleBody(body.particles, body.grid, NodeSupports.of(body.grid.node_count))
         unheld = loose.solve(pushed(loose))
