@@ -68,6 +68,7 @@ def stability_lines(scene: Scene, found: StabilityMap) -> list[str]:
             f"{data.exact_N_m[index]:8.0f} N/m by eigenvalues, "
             f"{data.measured_N_m[index]:8.0f} measured, "
             f"{data.lines_N_m['passive'][index]:6.0f} passive"
+            # every sixth delay: a few lines of text
             for index in range(0, len(data.values), 6)
         ),
     ]
@@ -137,10 +138,18 @@ def _draw(panel: Axes, data: StabilityChart, found: StabilityMap) -> None:
     high = data.stiffnesses_N_m[-1]
     grows = np.where(data.growth >= 1.0, 1.0, np.nan)
     panel.pcolormesh(
-        across, data.stiffnesses_N_m, grows, cmap="Greys", vmin=0.0, vmax=4.0, shading="nearest"
+        # a value of 1 of 4 is a light grey
+        across,
+        data.stiffnesses_N_m,
+        grows,
+        cmap="Greys",
+        vmin=0.0,
+        vmax=4.0,
+        shading="nearest",
     )
     panel.plot(across, data.exact_N_m, color="0.1", label="eigenvalues, exact delay")
     panel.plot(
+        # every other mark, so that the line of the eigenvalues stays visible
         across[::2],
         data.measured_N_m[::2],
         "o",

@@ -260,7 +260,7 @@ class WildInput(Page):
         # a rejected sample takes 1/20 of the force
         bridged = error_of(table["guarded_N"][beyond], 0.95 * table["before_N"][beyond])
         return Verdict(
-            # measured: bare up to 1.5e12 N, off below 1e-15; the limit of the device holds to rounding
+            # measured: bare up to 1.5e12 N, off below 1e-15; the device limit holds to rounding
             bool(table["bare_N"].max() > 1e6 and off < 0.01),
             bool((table["not_believed"] == beyond).all())
             and worst <= OMNI.force_limit_N * (1.0 + 1e-12)

@@ -67,6 +67,7 @@ def new_person(fit: PopulationFit, *, trials: int, rng: np.random.Generator) -> 
         "beta": person("beta"),
         "kappa": np.exp(person("log_kappa")),
         "offset_N": np.exp(person("log_offset")),
+        # logarithm and logit of a lapse must be finite, and 0.5 is an answer without any attention
         "lapse": np.clip(
             lapses[np.arange(count), rng.integers(lapses.shape[1], size=count)], 1e-6, 0.5
         ),
@@ -110,6 +111,7 @@ def fit_population(
             sessions.append(session)
         else:
             empty.append(path.name)
+    # two people do not determine a spread between people
     if len(sessions) < 3:
         raise InputError(
             "population",
@@ -167,6 +169,7 @@ def posterior_panel(session: Session) -> "Panel":
     from rich.panel import Panel
 
     masses = session.threshold.weber_masses()[:, 0]
+    # a character shows an eighth to a whole of its height
     eighths = np.rint(8 * HEIGHT * masses / masses.max()).astype(int)
     rows = [
         "".join(BLOCKS[np.clip(each - 8 * row, 0, 8)] for each in eighths)
@@ -240,6 +243,8 @@ def _answers(session: Session, axes: "Axes") -> None:
     )
     right = np.array([answer == asked.greater for asked, answer in session.asked])
     order = np.argsort(steps, kind="stable")
+    # six answers or more in a bin, so that a share has a standard error below 0.2; at most eight
+    # bins
     for bin_ in np.array_split(order, max(min(8, len(order) // 6), 1)):
         if len(bin_):
             axes.semilogx(
@@ -247,6 +252,7 @@ def _answers(session: Session, axes: "Axes") -> None:
                 100.0 * right[bin_].mean(),
                 "o",
                 color=ORANGE,
+                # the area of a mark grows with the number of answers
                 ms=3.0 + np.sqrt(len(bin_)),
             )
     at = np.geomspace(0.1, max(steps.max(initial=5.0), 5.0), 200)
@@ -257,6 +263,7 @@ def _answers(session: Session, axes: "Axes") -> None:
     axes.set(
         xlabel="step / threshold",
         ylabel="right answers / %",
+        # 50 % is chance; a bin of few answers may lie below it
         ylim=(35.0, 103.0),
         title="Answers and fitted function",
     )

@@ -57,6 +57,7 @@ class Plan:
 
     def __post_init__(self) -> None:
         require_range("seed", self.seed, 0, 2**32, "use a whole number")
+        # more trials than anyone answers in a day: a typing error
         require_range("trials", self.trials, 0, 100_000, "use 120")
         require_range("numbers", self.numbers, 0, 100_000, "use 24")
         require_range(
@@ -135,6 +136,7 @@ class Session:
         if len(self.asked) == self.plan.trials:
             return Magnitude(self._forces[len(self.given)])
         index = int(self.threshold.propose()[0])
+        # 0 distinguishes this stream from other users of the seed
         greater = int(np.random.default_rng([self.plan.seed, 0, self.trial]).integers(1, 3))
         return Comparison(
             float(self.threshold.base_N[index]), float(self.threshold.step_N[index]), greater
@@ -183,6 +185,8 @@ class Session:
         threshold = coordinates @ masses
         numbers = self.magnitudes()
         log_sigma, log_sigma_variance = numbers.log_sigma()
+        # blocks: two parameters of Stevens' law, three of the threshold, one of the scatter of
+        # numbers
         covariance = np.zeros((6, 6))
         covariance[:2, :2] = numbers.covariance
         covariance[2:5, 2:5] = (coordinates * masses) @ coordinates.T - np.outer(
@@ -219,6 +223,7 @@ class Session:
         count = len(self.asked)
         right = sum(answer == asked.greater for asked, answer in self.asked)
         high = float(self.threshold.weber_quantiles(np.array([0.95]))[0, 0])
+        # ten answers in a row are right by guessing once in a thousand sessions
         if count >= 10 and right == count:
             found.append(
                 f"all {count} comparisons were right: that bounds the threshold from above "
@@ -243,6 +248,7 @@ class Session:
                     f"%: the threshold may lie {word} it, and the prior decides; calibrate "
                     "again with a wider one"
                 )
+        # a slope needs two forces
         if len({force for force, _ in self.given}) < 2:
             found.append(
                 "fewer than two forces were given numbers: Stevens' exponent is the prior's"
@@ -301,6 +307,7 @@ class TrialLog:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             text = path.read_bytes() if path.exists() else b""
+            # the file is new, or ended within its first line
             if head.encode().startswith(text):
                 self.repaired = 0 < len(text) < len(head)
                 self.session = Session(plan)

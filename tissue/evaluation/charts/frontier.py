@@ -153,6 +153,7 @@ def frontier_of(scene: Scene, *, quick: bool = True, report: Progress = silent) 
         full = full or (setting.finer and known[key].p99_us > OFFERED_US)
     report(f"{scene.name}: reference", len(settings) / (len(settings) + 1))
     found = Frontier(scene, tuple(points), _gap(scene, path, quick=quick), tuple(offered))
+    # rounding and law belong to the model, which the full chart by script measures
     if quick or scene.device is not None:
         return found
     short = short or short_of(scene, quick)

@@ -69,16 +69,20 @@ def _people(someone: Observer, path: Path) -> None:
     forces = np.geomspace(0.1, 10.0, 200)
     for name, entry in constants("perception", "exponent").items():
         left.plot(forces, forces**entry.value, ":", color=GREY)
+        # to the right of the curves, which end at 10 N
         left.text(10.3, 10.0**entry.value, name.replace("_", " "), color="0.3")
+    # with 4000 people, the ends of eight in ten are known to 0.5 % of the people
     drawn = population().draws(4000, np.random.default_rng(0))
     percent = 100.0 * drawn["kappa"] * (1.0 + drawn["offset_N"] / forces[:, None])
     low, high = np.quantile(percent, [0.1, 0.9], axis=1)
     right.fill_between(forces, low, high, color=POPULATION, alpha=0.18, label="eight in ten people")
+    # 7 % from 2.5 to 10 N
     right.plot([2.5, 10.0], [7.0, 7.0], color="#009E73", label="Pang et al. 1991")
     for who, colour in ((population_observer(), POPULATION), (someone, PERSON)):
         law = intensity_of(who)
         mean = law.expected(forces)
         spread = law.spread(forces)
+        # logarithmic axes show no zero
         low = np.maximum(mean - spread, 1e-4)
         left.fill_between(forces, low, mean + spread, color=colour, alpha=0.18)
         left.plot(forces, mean, color=colour, label=f"{who.name}: mean, ± 1 standard deviation")
@@ -98,6 +102,7 @@ def _command(someone: Observer, path: Path) -> None:
     limit_N = device_parameters(DEVICE).force_limit_N
     device = ForceRange(limit_N=limit_N)
     forces = np.geomspace(0.02, 3.0 * limit_N, 600)
+    # exponent of muscle force (Stevens), the reference's
     right.plot(forces, forces**1.7, "--", color=WANTED, label="wanted: reference, physical force")
     for who, colour in ((population_observer(), POPULATION), (someone, PERSON)):
         rng = np.random.default_rng(0)
@@ -148,8 +153,10 @@ def _deadband(someone: Observer, path: Path) -> None:
     error = np.linalg.norm(wanted - played, axis=1) / threshold
     lower.plot(time, error, color=POPULATION, label="error / threshold")
     lower.axhline(1.0, color="0.3", linestyle="--")
+    # the error stays below 1 by construction
     lower.set(xlabel="time / s", ylim=(0.0, 1.15))
     for axes in (upper, lower):
+        # 20 ms before and after the contact
         axes.set_xlim(time[contact][[0, -1]] + [-0.02, 0.02])
     _finish(chart, path)
 

@@ -65,7 +65,7 @@ voxels is cut better than one between them. No share is a half, third or quarter
 differs on finer grids as well.
 """
 COARSEST = 4.0
-"""Ratio of the coarsest voxel of a chart to the scene's voxel."""
+"""Ratio of the coarsest voxel of a quick chart to the scene's voxel, see `_voxels`."""
 Changes = Mapping[str, object]
 
 
@@ -101,6 +101,7 @@ class Setting:
 def by_hand(scene: Scene) -> Scene:
     """Return the scene on a device, with a latency to hide."""
     changes: dict[str, object] = {} if scene.device is not None else {"device": "touch"}
+    # without a latency, predictors have nothing to predict
     if scene.device is None or scene.device.coupling.delay_ms == 0:
         changes["coupling.delay_ms"] = LATENCY_MS
     return changed(scene, changes)
@@ -195,6 +196,7 @@ def moved(scene: Scene, x_mm: float, y_mm: float, *, depth: float = 1.0) -> Scen
     points = np.array(scene.motion.points_mm)
     points[:, 2] = np.where(points[:, 2] < 0.0, depth * points[:, 2], points[:, 2])
     points[:, :2] += x_mm, y_mm
+    # 10 nm is far below a voxel and keeps the text of the scene short
     path = tuple((x, y, z) for x, y, z in points.round(5).tolist())
     return scene.model_copy(update={"motion": scene.motion.model_copy(update={"points_mm": path})})
 
@@ -203,6 +205,7 @@ def edge_mm(scene: Scene) -> float:
     """Return the edge of a tetrahedron under the probe of an organ [mm]."""
     assert isinstance(scene.anatomy, SoftAnatomy)
     assert isinstance(scene.tool, Probe)
+    # a quarter of the probe's size is the default of a scene
     return scene.anatomy.touch_edge_mm or 0.25 * scene.tool.size_mm
 
 
@@ -229,8 +232,10 @@ def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
     plain = force_only(scene)
     base = scene.voxels.spacing_mm
     shell = _shell_mm(tool)
+    # coarse to fine, evenly on a logarithmic axis of cost
     for factor in (4.0, 3.0, 2.0, 1.0) if quick else (5.0, 4.0, 3.0, 2.0, 1.5, 1.0):
         spacing = round(factor * base, 4)
+        # a scene refuses tools narrower than four voxels
         if spacing > 0.25 * tool.diameter_mm:
             continue
         coarse: Changes = (
@@ -243,6 +248,7 @@ def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
     for factor in (2.0,) if quick else (4.0, 3.0, 2.0, 1.5):
         wide = {"tool.shell_spacing_mm": round(factor * shell, 4)}
         yield Setting(f"{base:g} mm, shell {factor * shell:.2g} mm", "shell", plain | wide)
+    # finer than the scene; 0.6 has 4.6 times as many voxels
     for share in (0.7,) if quick else (0.8, 0.6):
         name = f"{share * base:.3g} mm, shell {share * shell:.2g} mm"
         yield Setting(name, "voxels", refined(scene, share), finer=True)
@@ -250,6 +256,7 @@ def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
         return
     yield from _cores(f"{base:g} mm, one core", plain)
     if scene.stress is not None:
+        # 0.7 to 0.4 mm in the molar, the cells whose solves `docs/verification.md` reports
         for cell in (14.0, 10.0, 8.0):
             edge = round(cell * base, 4)
             yield Setting(f"{base:g} mm, stress {edge:g} mm", "stress", {"stress.cell_mm": edge})
@@ -356,6 +363,7 @@ def _code_of(part: Any) -> str:
         return _code_of(vars(part))
     if isinstance(part, Path):
         return part.read_text("utf-8") if part.is_file() else ""
+    # a tuple names a table and material of constants
     if isinstance(part, tuple) and part[:1] in (("cutting",), ("soft",)):
         return repr(constants(*part))
     return _package_sum(part.__module__.partition(".")[0]) if callable(part) else repr(part)
@@ -367,6 +375,7 @@ def _package_sum(name: str) -> str:
     Without a file, the result is unique to the call.
     """
     file = getattr(sys.modules.get(name), "__file__", None)
+    # code from an interactive session cannot be compared: its results are never reused
     if file is None:
         return f"{os.getpid()} {time_ns()}"
     path = Path(file)

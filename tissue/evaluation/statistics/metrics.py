@@ -33,7 +33,10 @@ SPARC_AMPLITUDE = 0.05
 SPARC_PADDING = 4
 """Exponent of the finer sampling of the spectrum, base 2 (Balasubramanian et al. 2015)."""
 POINTS = 800
-"""Samples of each path for the alignment. Distances are refined between them."""
+"""Samples of each path for the alignment. Distances are refined between them.
+
+The alignment takes memory and time with their square.
+"""
 
 
 def force_error(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
@@ -128,6 +131,7 @@ def latency_ms(
         raise InputError("longest_ms", "exceed the lag", f"{longest_ms:g}", "use a larger one")
     before, peak, after = match[best - 1 : best + 2]
     curved = before - 2.0 * peak + after
+    # vertex of the parabola through three shifts; a flat top has no vertex
     part = 0.5 * (before - after) / curved if curved < 0.0 else 0.0
     return float((best - reach + part) * tick_s * 1e3)
 
@@ -233,6 +237,7 @@ def _correlation(force: Array, ideal: Array, shift: int) -> float:
     late = late - late.mean(axis=0)
     early = early - early.mean(axis=0)
     sizes = float(np.linalg.norm(late) * np.linalg.norm(early))
+    # a part without any change is the worst match
     return float((late * early).sum()) / sizes if sizes > 0.0 else -1.0
 
 

@@ -86,6 +86,7 @@ def _reaming(table: TrialTable, seed: int) -> Section:
         pair = [
             Stimulus(factor * each, factor * scatter) for each in (level, level + TORQUE_STEP_NM)
         ]
+        # torques in N m take the place of forces in N: no limit of a device applies
         share = share_right(holders, *pair, seed=seed, limits=ForceRange(limit_N=1e3)).mean()
         shares.append(f"{100.0 * share:.0f} % {where}")
     sentences = (
@@ -108,6 +109,7 @@ def _drilling(table: TrialTable, seed: int) -> Section:
     for method in methods_of(table):
         part = table.where(method=method)
         lag = part.values("latency_ms")
+        # compared in the digits that the table shows
         if round(float(lag.mean()), 2) >= paper.mean:
             late.append(method)
         for number, tooth in enumerate(TEETH):
@@ -228,6 +230,7 @@ def _travels(shared: TrialTable) -> tuple[str, bytes]:
     """
     found = []
     methods = methods_of(shared)
+    # 0.4 inches a line, 1.4 for axis and label
     figure, (axes,) = drawing(9.0, 0.4 * len(methods) + 1.4)
     for line, method in enumerate(methods):
         middle, low, high = median_interval(travel_by_people(shared, method))
@@ -240,6 +243,7 @@ def _travels(shared: TrialTable) -> tuple[str, bytes]:
         axes.plot([low, high], [line, line], color=COLOURS[method])
         axes.plot(middle, line, "o", color=COLOURS[method], mec="black")
         if paper := PAPERS.get(method):
+            # a quarter of a line below, so that both marks are visible
             axes.errorbar(paper.mean, line + 0.25, xerr=paper.spread, fmt="x", color="black")
     axes.set_yticks(range(len(methods)), methods)
     axes.invert_yaxis()

@@ -47,7 +47,7 @@ RATIOS = {
 }
 """Columns on ratios of intensity."""
 UNRESOLVED = 0.05
-"""Share of rows with a smallest possible error above the error that makes the excess invalid.
+"""Share of rows whose least error exceeds the error, above which the excess is invalid.
 
 Above this share, the report marks the excess as not meaningful.
 """
@@ -268,6 +268,7 @@ def sensitivity_section(folder: StudyFolder) -> Section | None:
     for name, ratios in found.items():
         variant = VARIANTS[name]
         known = (ratios / usual)[np.isfinite(ratios / usual)]
+        # no trial yet: no change
         moves[name] = float(known.mean()) if len(known) else 1.0
         rows.append(
             {"parameter": variant.parameter, "value": variant.value}
@@ -366,6 +367,7 @@ def _as_texts(tasks: Sequence[str], ratios: Array) -> dict[str, str]:
 
 def _picture(found: Mapping[str, Array], tasks: Sequence[str], usual: Array) -> bytes:
     """Draw the ratios by variant, one colour a task, the study's own as lines."""
+    # 0.32 inches a line, 1.2 for axis and label
     figure, (axes,) = drawing(9.0, 0.32 * len(found) + 1.2)
     looks = zip(("#0072B2", "#D55E00", "#009E73"), "os^", strict=True)
     for at, (task, (colour, mark)) in enumerate(zip(tasks, looks, strict=False)):

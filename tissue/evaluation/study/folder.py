@@ -154,6 +154,7 @@ class StudyFolder:
             there = self.registrations()
             require_unchanged(self.path, there)
             return there
+        # the marker, the lock and a registered plan may be there before the first trial
         if self.path.is_dir() and any(
             each.name not in (LOCK, MARKER, PLAN_FILE) for each in self.path.iterdir()
         ):
@@ -319,11 +320,14 @@ TRIALS_PER_WORKER = 3
 No worker waits, and memory does not grow with the number of trials.
 """
 LOSSES = 3
-"""Losses after which a running trial is run alone to check whether it ends its worker."""
+"""Losses after which a running trial is run alone to check whether it ends its worker.
+
+One or two losses may be due to other trials on the same worker, or to the machine.
+"""
 BARREN = 20
-"""Losses without a trial in between after which a study gives up."""
+"""Losses without a trial in between after which a study gives up, 21 s of pauses in all."""
 PATIENCE_S = 30.0
-"""Time that a scheduler may take to answer [s]."""
+"""Time that a scheduler may take to answer [s]: a cluster may still be starting."""
 
 
 def run_study(
@@ -364,6 +368,7 @@ def run_study(
         If the folder holds another study, no scheduler answers, or workers are lost again and
         again.
     """
+    # more processes than any machine has cores: a typing error
     count = int(
         require_range(
             "workers",
@@ -434,6 +439,7 @@ def _run_trials(
             report_share(
                 f"workers were lost ({type(error).__name__}), {len(waiting)} trials continue"
             )
+            # a suspect was alone on its worker, so that it caused the loss
             if suspects and running:
                 failure = "RuntimeError: the worker was lost each time this trial ran on it"
                 keep(_failed(plan, suspects[0], failure))

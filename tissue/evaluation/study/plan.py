@@ -324,6 +324,7 @@ class Plan:
     sensitivity: bool = True
 
     def __post_init__(self) -> None:
+        # more than a hundred times the default is a typing error
         require_range("trials", self.trials, 1, 10_000, "use 100")
         require_range("seed", self.seed, 0, 2**63 - 1, "use 0")
         for name, known in (
@@ -379,5 +380,6 @@ class Plan:
 
     def person(self, key: TrialKey) -> np.random.Generator:
         """Return the generator of the person of the trial, the same in every task."""
+        # 1000 separates people from the streams of trials, which begin with the index of a task
         place = (1000, GROUPS.index(key.group), key.user)
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=place))

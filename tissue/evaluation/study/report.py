@@ -112,6 +112,7 @@ def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Secti
                 f"{table.failed} failures",
                 "see trials.csv",
             )
+        # the progress follows the time of the sections: the tests take half of it
         report("force and tasks", 0.1)
         sections += [force_section(whole), latency_section(whole), task_section(whole)]
         report("discrimination", 0.2)

@@ -231,6 +231,7 @@ def interval_by_users(table: TrialTable, metric: str) -> tuple[float, float, flo
     people, person = np.unique(table.people(), return_inverse=True)
     means = np.bincount(person, table.values(metric)) / np.bincount(person)
     centre = float(means.mean())
+    # one person has no interval
     if len(people) < 2:
         return centre, centre, centre
     low, high = ttest_1samp(means, 0.0).confidence_interval(0.95)
@@ -268,6 +269,7 @@ def grouped_bars(
         Published figures by the group's index and the method.
     """
     methods = list(dict.fromkeys(method for _, method in bars))
+    # the bars of a group take 0.84 of its unit, each bar 0.92 of its share: gaps on both sides
     width = 0.84 / len(methods)
     middle = 0.5 * (len(methods) - 1)
     for method in methods:
