@@ -31,7 +31,10 @@ __all__ = ["draw_force_depth", "draw_insertion", "draw_wall", "first_descent"]
 
 
 RISE_MM = 0.2
-"""A tool that rises by this much has ended its descent."""
+"""A tool that rises by this much has ended its descent.
+
+It is twice the tremor of a novice's hand (0.1 mm, tissue/materials/hands.toml).
+"""
 
 
 def first_descent(coordinate_mm: Array, contact: Flags) -> slice:
@@ -52,6 +55,8 @@ def first_descent(coordinate_mm: Array, contact: Flags) -> slice:
     down = coordinate_mm[first:]
     risen = down > np.minimum.accumulate(down) + RISE_MM
     stop = int(risen.argmax()) if risen.any() else len(down)
+    # the first row at the deepest point, up to rounding: a tool that rests there would add a
+    # vertical line
     last = first + int(np.argmax(down[:stop] <= down[:stop].min() + 1e-6))
     before = int(np.searchsorted(-coordinate_mm[:first], -(coordinate_mm[first] + RISE_MM)))
     return slice(before, last + 1)
@@ -87,6 +92,7 @@ def draw_force_depth(run: Run, path: Path, *, axis: int, outward: int) -> str | 
     trace = run.trace
     tips = trace.vectors("tool", "mm")
     rows = first_descent(outward * tips[:, axis], trace["contact_mm2"] > 0.0)
+    # a single point is no curve
     if len(tips[rows]) < 2:
         return "the tool did not go down into the tissue"
     coordinate_mm = outward * tips[rows, axis]
@@ -128,6 +134,7 @@ def draw_force_depth(run: Run, path: Path, *, axis: int, outward: int) -> str | 
     panels[-1].set_xlim(depth[0], depth[-1])
     panels[-1].set_xlabel("depth of the tool's tip below the surface / mm")
     chart.align_ylabels(panels)
+    # the lines drawn last: magnitude and axial force of the model, and the entry of the pale lines
     legend_above(panels[0], 2, panels[0].lines[2:5])
     save(chart, path)
     return None
@@ -147,6 +154,7 @@ def _shade(
             axes.axvline(ends[0], color="0.35", linewidth=0.7, zorder=1)
         share = (ends[1] - ends[0]) / (depth[-1] - depth[0])
         mean = f"mean {force[first:last].mean():.2g} N"
+        # a narrower band has no space even for upright text; up to 0.12 it is written upright
         if share > 0.02:
             panels[0].text(
                 0.5 * sum(ends),
@@ -159,6 +167,7 @@ def _shade(
                 size=8.5,
             )
     low, high = panels[0].get_ylim()
+    # the names of the layers need a fifth of the panel above the curves
     panels[0].set_ylim(min(low, 0.0), high + 0.2 * (high - low))
 
 
@@ -196,10 +205,12 @@ def draw_insertion(run: Run, path: Path) -> None:
     for when, what in run.events:
         row = int(np.searchsorted(time, when))
         if "punctured" in what and row < len(time):
+            # points above the curve; a line of text is 14 points high
             height = height + 14 if depth[row] - last_mm < BESIDE * np.ptp(depth) else 10
             last_mm = depth[row]
             over_depth.annotate(
                 what.partition(" is punctured")[0].removeprefix("the "),
+                # the force before the puncture, at its peak
                 (depth[row], force[max(row - 1, 0)]),
                 xytext=(0, height),
                 textcoords="offset points",
@@ -249,6 +260,7 @@ def draw_wall(run: Run, path: Path) -> None:
     across = int(np.ptp(tips[:, :2], axis=0).argmax())
     title = f"{run.scene.name}: {tool.size_mm:g} mm ball on a wall of {wall.stiffness_kN_m:g} kN/m"
     chart, (side, felt) = panelled(title, (8.0, 6.6), 2, height_ratios=(1.5, 1.0))
+    # the wall has no bottom: 1 m is beyond every view
     side.axhspan(-1e3, 0.0, color=WALL, alpha=0.35, linewidth=0.0, label="wall")
     felt.set_xlabel("depth of the ball below the wall's face / mm")
     if "device_x_mm" in trace:
@@ -261,6 +273,7 @@ def draw_wall(run: Run, path: Path) -> None:
     row = int(force.argmax())
     at, deep = tips[row, [across, 2]]
     side.add_patch(Circle((at, deep + radius), radius, fill=False, edgecolor=BALL))
+    # 1.3 of the depth, at least 1 mm, shows the wall below the path; 2.2 radii show the whole ball
     low = min(1.3 * tips[:, 2].min(), 1.3 * aimed[:, 2].min(), -1.0)
     high = max(tips[:, 2].max(), 2.2 * radius)
     if force[row] > 0.0:
@@ -271,6 +284,7 @@ def draw_wall(run: Run, path: Path) -> None:
     side.set_aspect("equal", adjustable="datalim")
     felt.plot(-aimed[:, 2], force, color=FORCE, linewidth=1.4, label="of the wall on the ball")
     felt.set_ylabel("force along z / N")
+    # a fifth of the depth is shown before the contact
     felt.set_xlim(left=0.2 * min(float(aimed[:, 2].min()), -1.0))
     plain((side, felt))
     side.legend(loc="upper right")

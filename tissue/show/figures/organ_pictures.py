@@ -129,6 +129,7 @@ def draw_press(
     unit_mm = np.float32(IN_MM[moved.rpartition("_")[2]])
     mesh.points = np.asarray(mesh.points) + unit_mm * mesh.point_data[moved]
     shown: list[_Shown] = []
+    # one stress: there are two panels
     for name in (moved, *[name for name in frame.cells if name.startswith("von_mises_")][:1]):
         if (array := field_values(mesh, name)) is not None:
             shown.append(_Shown(name, field_limits(name, [array]), opened=flat or bool(shown)))
@@ -144,6 +145,8 @@ def draw_press(
         probe = pyvista.PolyData() if tool is None else tool.transform(place, inplace=False)
         surfaces = [_organ(mesh, each, tips, edge, eye) for each in shown]
         organ = np.asarray(surfaces[0].points)
+        # a needle is several times as long as an organ is high: its shaft would make the organ
+        # small
         if flat and probe.n_points:
             probe = probe.clip(
                 normal="z", origin=(0.0, 0.0, organ[:, 2].max() + ABOVE * np.ptp(organ[:, 2]))
@@ -205,6 +208,7 @@ def _organ(
     if shown.opened and edge is not None:
         from matplotlib.colors import to_rgb
 
+        # 0.25 % of the organ's diagonal, about two pixels of the picture
         tube = with_normals(edge[1].tube(radius=0.0025 * whole.length).triangulate())
         parts.append(paint(tube, np.tile(to_rgb(INCLUSION), (tube.n_points, 1))))
     return parts[0].append_polydata(*parts[1:]) if len(parts) > 1 else parts[0]

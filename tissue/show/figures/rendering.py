@@ -27,6 +27,7 @@ __all__ = ["FIELD_AMBIENT", "Camera", "Shaded", "draw_axes", "draw_shaded", "pai
 
 PANEL_PX = 780
 GAP_PX = 40
+"""Width of a panel and of the space between two panels: two panels are 8 inches at 200 dpi [px]."""
 OVERSAMPLING = 2
 """Pixels drawn for a pixel shown, along each edge: smooth outlines where the graphics card
 smooths none.
@@ -36,7 +37,7 @@ FIELD_AMBIENT = 0.72
 ALL_LIGHT = 1.08
 """Ambient light on bone and on a field, and the total light with lamps.
 
-The colours of a field must agree with its scale.
+The colours of a field must agree with its scale, so that it has little shade.
 """
 LIGHTS = (((-0.6, 0.7, 0.9), 0.74), ((0.9, 0.1, 0.7), 0.26), ((0.1, -0.9, 0.55), 0.34))
 """Direction (right, up, towards the eye) and strength of the lights: key, fill, rim."""
@@ -74,7 +75,9 @@ class Camera:
         seen = np.asarray(points_mm) @ axes.T
         first = seen.min(axis=0)
         last = seen.max(axis=0)
+        # a border of 3 % on each side
         width, height = 1.06 * (last - first)[:2]
+        # limits of the panel's height, so that very flat or tall objects leave space for legends
         tall = int(np.clip(PANEL_PX * height / width, 0.45 * PANEL_PX, 1.15 * PANEL_PX)) // 2 * 2
         height = max(height, width * tall / PANEL_PX)
         centre = 0.5 * (first + last) @ axes
@@ -243,6 +246,7 @@ def _draw(mesh: "pyvista.PolyData", camera: Camera, averaged: int, ambient: floa
     towards, up, centre = map(np.array, (camera.towards_eye, camera.up, camera.centre_mm))
     axes = np.stack([np.cross(up, towards), up, towards])
     for direction, strength in LIGHTS:
+        # a metre away: lamps and eye are outside of every object, which is some centimetres large
         place = centre + 1e3 * np.array(direction) @ axes
         plotter.add_light(pyvista.Light(place, centre, intensity=strength))
     plotter.camera_position = [centre + 1e3 * towards, centre, up]
@@ -268,7 +272,9 @@ def _draw_scale(axes: "Axes", camera: Camera) -> None:
     parallel.
     """
     per_mm = camera.size[1] / camera.height_mm
+    # at most a quarter of the width
     length = round_length(0.25 * camera.size[0] / per_mm)
+    # 20 and 16 pixels from the corner
     right = camera.size[0] - 20.0
     left = right - length * per_mm
     y = camera.size[1] - 16.0
@@ -284,9 +290,11 @@ def draw_axes(axes: "Axes", names: Sequence[str], camera: Camera) -> None:
     axes.set(xlim=(-1.5, 1.5), ylim=(-0.75, 1.35), aspect="equal")
     axes.set_axis_off()
     for along, name in zip(0.8 * view.T, names, strict=True):
+        # an axis that points at the viewer has no visible length and no direction for its name
         if np.hypot(*along) < 0.2:
             continue
         draw_arrow(axes, (0.0, 0.0), along, "0.2", width=1.0)
+        # the name is 0.12 beyond the arrow's tip
         x, y = along * (1.0 + 0.12 / np.hypot(*along))
         axes.text(x, y, name, ha="left" if along[0] > -0.05 else "right", va="center", size=9)
 

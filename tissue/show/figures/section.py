@@ -43,7 +43,7 @@ PATH = "#CC79A7"
 """Colour of the tip's path."""
 TOOL: dict[str, Any] = {"color": "0.1", "linewidth": 1.0, "linestyle": (0, (3, 1.5))}
 DECADES = 3.0
-"""Widest span of a logarithmic scale."""
+"""Widest span of a logarithmic scale: over more, colours of neighbouring values look alike."""
 
 
 @dataclass(frozen=True)
@@ -166,6 +166,7 @@ def draw_section(run: Run, path: Path, *, axis: int, outward: int) -> None:
     window = kept_window(kept, section)
     u0, u1, v0, v1 = window
     shape = (v1 - v0) / (u1 - u0)
+    # inches: two panels and a colour bar, or one panel of at most 5.2 in both directions
     wide = 3.05 if frame is not None else min(5.2, 5.2 / shape)
     x, y, normal = (f"{axis_names(run)[each]}" for each in section.axes)
     chart, panels = panelled(
@@ -215,6 +216,7 @@ def _draw_tool(axes: "Axes", run: Run, section: Section) -> None:
     plane = list(section.axes[:2])
     tips = run.trace.vectors("tool", "mm")[: section.row + 1, plane]
     along = tool_axes(tool_turns(run.trace))[section.row, plane]
+    # a tool at right angles to the section has no direction in it
     along = along / max(float(np.hypot(*along)), 1e-9)
     side = np.array([along[1], -along[0]])
     outline = 1e3 * run.cutter.profile.outline
@@ -234,6 +236,7 @@ def _draw_stress(axes: "Axes", series: FieldSeries, frame: Frame, section: Secti
     stress = _section_stress(series, frame, section)
     there = section.left >= HALF / FULL
     shown = stress[there & np.isfinite(stress)]
+    # single cells at sharp edges would stretch the scale; the span is one to three decades
     low, peak = np.percentile(shown, (2.0, 99.8)) if shown.size else (1.0, 1.0)
     peak = max(float(peak), 1e-9)
     scale = LogNorm(float(np.clip(low, peak * 10.0**-DECADES, 0.1 * peak)), peak)
@@ -336,6 +339,7 @@ def nearest_places(run: Run) -> list[Nearest]:
         steps = np.vstack([np.zeros(3), STEP_M * np.eye(3), -STEP_M * np.eye(3)])
         values = np.asarray(distance(point + steps), dtype=np.float64)
         slope = (values[1:4] - values[4:]) / (2.0 * STEP_M)
+        # the gradient of a distance is zero where two places are equally near
         on_surface = point - values[0] * slope / max(float(np.linalg.norm(slope)), 1e-9)
         least = float(trace[f"distance_{name}_mm"][row])
         found.append(Nearest(name, distance, 1e3 * point, 1e3 * on_surface, least))
@@ -380,6 +384,7 @@ def draw_kept_clear(
     for number, place in enumerate(places):
         colour = STRUCTURES[number % len(STRUCTURES)]
         depth = np.asarray(place.distance(1e-3 * points.reshape(-1, 3))).reshape(ACROSS, ACROSS)
+        # the section does not meet the structure otherwise, and contour() would warn
         if depth.min() < 0.0 < depth.max():
             axes.contourf(u, v, depth, [float(depth.min()), 0.0], colors=[colour], alpha=0.15)
             axes.contour(u, v, depth, [0.0], colors=[colour], linewidths=[1.6])

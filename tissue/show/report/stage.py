@@ -36,9 +36,9 @@ DEVICE = "#D55E00"
 PATH = "#D55E00"
 FORCE = COMPONENTS[0]
 MOST_POSES = 6000
-"""Maximum number of poses of the tool. The browser interpolates between them."""
+"""Maximum number of poses of the tool, 84 kB. The browser interpolates between them."""
 MOST_POINTS = 3000
-"""Points of the path that is drawn."""
+"""Points of the path that is drawn: more than a screen has pixels across."""
 LONGEST = 0.3
 """Ratio of the arrow length of the largest force to the size of the touched object."""
 
@@ -110,6 +110,7 @@ def stage(saved: SavedRun) -> Record:
 
 def _ends(points_mm: Array) -> list[list[float]]:
     """Return the lowest and highest corner around points."""
+    # nothing is shown: any box will do
     if not len(points_mm):
         return [[-1.0] * 3, [1.0] * 3]
     return [points_mm.min(axis=0).tolist(), points_mm.max(axis=0).tolist()]
@@ -145,10 +146,12 @@ def _add_tool(
     around.see(path)
     line = {"line": packed_vectors(path), "colour": PATH, "label": "path of the tip"}
     record["parts"].append(line)
+    # at least 0.3 mm long in a run without tissue
     longest = LONGEST * max(size_mm, 1.0)
     force = tool_force(trace)
     row = int(np.linalg.norm(force, axis=1).argmax())
     largest = float(np.linalg.norm(force[row]))
+    # a run without force has an arrow of no length
     around.see([tips[row], tips[row] + longest * force[row] / max(largest, 1e-9)])
     record |= {
         "poses": poses,
@@ -168,7 +171,7 @@ def _still(surface: "pyvista.PolyData") -> Record:
 
 
 MOST_MOMENTS = 40
-"""Maximum number of moments of the bone of an incomplete run."""
+"""Maximum number of moments of the bone of an incomplete run. Each is a surface in the report."""
 
 
 def bone_shown(saved: SavedRun) -> Shown | None:
@@ -211,6 +214,7 @@ def _bone_moments(saved: SavedRun) -> Iterator[tuple[float, bool, Any]]:
         entries = _entries(index) if index.is_file() else [(0.0, 0, "bone.vtp")]
         read: dict[str, Any] = {}
         for time_s, part, name in entries:
+            # a surface that does not change is listed at every moment
             if name in read:
                 continue
             read[name] = mesh_in_scene(pyvista.read(saved.path / name), placement)
@@ -224,6 +228,7 @@ def _bone_moments(saved: SavedRun) -> Iterator[tuple[float, bool, Any]]:
     for tick in np.unique(
         np.linspace(0, max(len(times) - 1, 0), MOST_MOMENTS).astype(int)
     ).tolist():
+        # moments without a change are left out, except the first
         if bone.at(tick) or tick == 0:
             yield float(times[tick]), False, bone.cut(bone.layers)
 
@@ -330,6 +335,7 @@ def _is_same(a: Any, b: Any) -> bool:
     return bool(
         a.n_points == b.n_points
         and np.array_equal(a.faces, b.faces)
+        # 0.1 um: the reference positions are equal up to rounding
         and np.allclose(a.points, b.points, atol=1e-4)
     )
 
@@ -354,6 +360,7 @@ def field_scale(name: str, limits: tuple[float, float]) -> Record:
 def layer_scale(names: Sequence[str], shown: Sequence[int]) -> Record:
     """Return the colours of layers. The legend names the shown layers."""
     colours = layer_colours(tuple(names))
+    # an index of one byte
     table = np.zeros((256, 3))
     table[: len(names)] = np.array([colours[name] for name in names])
     legend = [[names[index], to_hex(colours[names[index]])] for index in shown]

@@ -27,7 +27,7 @@ __all__ = ["CHART_SHARE", "Choice", "RunScene", "ToolShown", "times_of"]
 CHART_SHARE = 0.27
 """Height of the chart in the window."""
 MOST_ROWS = 4000
-"""Rows of the trace that a path or a curve shows."""
+"""Rows of the trace that a path or a curve shows: several for each pixel across."""
 LONGEST = 0.3
 """Ratio of the longest arrow's length to the size of the touched object."""
 
@@ -70,6 +70,7 @@ class MomentShown:
         if travel_mm > 0.0:
             plotter.add_mesh(pyvista.lines_from_points(path), color="#D55E00", line_width=3)
         self._peak = int(np.linalg.norm(self._force, axis=1).argmax())
+        # at least 0.3 mm long where nothing has a size
         self._longest = LONGEST * max(travel_mm, size_mm, tool.length if tool else 0.0, 1.0)
         self._tool = ToolShown(plotter, tool, longest_mm=self._longest, opacity=0.35)
         self._charted = chart
@@ -134,6 +135,7 @@ def _chart(
         size=(0.98, CHART_SHARE), loc=(0.01, 0.0), x_label="time / s", y_label="force / N"
     )
     time = trace["time_s"][every]
+    # an axis needs a range in a run without force
     ends = [0.0, 1e-3]
     forces = (trace.vectors("force", "N"), 0.3, 1.5), (tool_force(trace), 1.0, 2.0)
     for values, opacity, width in forces:
@@ -215,6 +217,7 @@ class ToolShown:
         shown = size > LEAST * largest_N
         self._arrow.SetVisibility(shown)
         self._value.SetVisibility(shown)
+        # an arrow without length has no direction
         if not shown:
             return
         length = self._longest * size / largest_N
@@ -224,6 +227,7 @@ class ToolShown:
             scale=length,
             shaft_radius=0.02 * self._longest / length,
             tip_radius=0.05 * self._longest / length,
+            # head and shaft keep their width whatever the length; a short arrow is not only a head
             tip_length=min(0.12 * self._longest / length, 0.6),
         )
         self._value.SetInput(f"{size:.3g} N")
@@ -233,7 +237,7 @@ class ToolShown:
 TISSUE = ("bone", "bone beyond the cut", "field")
 """Names of the simulated tissue among the meshes of a scene."""
 MOST_POINTS = 20_000
-"""Maximum number of points of a surface for its extent."""
+"""Maximum number of points of a surface for its extent: the camera needs no more."""
 NEAR_TIP = 0.5
 """Part of the tool from its tip that has to be seen, as a share of the size of the tissue."""
 

@@ -94,10 +94,12 @@ def write_clean(plotter: Plotter, file: Path) -> None:
         plotter.screenshot(None, return_img=True, transparent_background=True, scale=FINE)
     )
     there = np.argwhere(drawn[..., 3] > 0)
+    # an empty view has no content to crop to
     if len(there):
         (top, left) = np.maximum(there.min(axis=0) - AROUND_PX, 0)
         (low, right) = there.max(axis=0) + AROUND_PX + 1
         drawn = drawn[top:low, left:right]
+    # the resolution that journals ask for
     Image.fromarray(drawn).save(file, dpi=(300, 300))
 
 
@@ -164,6 +166,7 @@ def _write_gif(path: Path, pictures: Iterable[Bytes]) -> None:
     from PIL import Image
 
     def small(picture: Bytes) -> "Picture":
+        # a GIF has 256 colours; dithering would flicker from picture to picture
         return Image.fromarray(picture).reduce(2).quantize(256, dither=Image.Dither.NONE)
 
     each = iter(pictures)
@@ -172,6 +175,7 @@ def _write_gif(path: Path, pictures: Iterable[Bytes]) -> None:
         format="GIF",
         save_all=True,
         append_images=(small(picture) for picture in each),
+        # milliseconds
         duration=1000 // FRAMES_PER_S,
         loop=0,
     )
@@ -181,6 +185,7 @@ def _write_mp4(path: Path, pictures: Iterable[Bytes]) -> None:
     import imageio.v2
     from imageio.core.format import Format
 
+    # quality 8 of 10; blocks of 2 keep the size of the pictures, which is even
     with imageio.v2.get_writer(path, fps=FRAMES_PER_S, quality=8, macro_block_size=2) as writer:
         assert isinstance(writer, Format.Writer)
         for picture in pictures:
@@ -234,6 +239,7 @@ class Window:
         )
         if len(shown.times_s):
             self._add_time()
+        # bone is shown before fields
         first = shown.series.names[0] if shown.series is not None and self.bone is None else None
         self.choose(choice.field or first)
         if not off_screen:
@@ -285,6 +291,7 @@ class Window:
         shown = self._shown
         shown.at(shown.start_s)
         if len(shown.times_s) > 1:
+            # a picture has no button at the left, and no slider of the displacement at the right
             left = 0.03 if self._off_screen else 0.1
             right = 0.97 if shown.series is None or self._off_screen else 0.66
             slider = (left, right, SLIDERS)
@@ -309,6 +316,8 @@ class Window:
         point = self.point = PointRead(plotter, fields, size_mm=0.02 * self._shown.size_mm)
         ClipPlane(plotter, fields, start=cut_plane(self._saved, series))
         if series.displacement is not None and series.largest_mm() > 0.0:
+            # the largest displacement becomes a fraction of the mesh, and true size and twice that
+            # are always in range
             top = max(LARGEST * series.size_mm / series.largest_mm(), fields.scale, 2.0)
             place = (0.72, 0.97, SLIDERS)
             add_slider(

@@ -83,6 +83,7 @@ class LiveWindow:
         while not self.over:
             began = perf_counter()
             self.frame()
+            # 2 ms for the ticks on the same cores even where drawing takes all of the time
             sleep(max(FRAME_S - (perf_counter() - began), 0.002))
         self.plotter.close()
 

@@ -163,9 +163,12 @@ class LivePage:
     def _loads(self) -> list[list[float]]:
         """Return the rows of time [s] and force [N] since the last frame."""
         count = int(self.arrays["loads_count"][0])
+        # the ticks overwrite the oldest rows while they are read; the newer half of the ring is
+        # safe
         first = max(self._count, count - LOADS // 2)
         rows = self.arrays["loads"][np.arange(first, count) % LOADS]
         self._count = count
+        # 0.1 mN and 0.1 ms: finer than a pixel of the plot, and shorter messages
         return np.round(rows, 4).tolist()
 
     def _figures(self, loads: list[list[float]]) -> dict[str, Any] | None:

@@ -16,7 +16,7 @@ __all__ = ["Stage", "taken_scale"]
 MOST_PX = 1_000_000
 """Largest picture [pixel]: more takes OpenGL in software longer than a frame."""
 QUALITY = 88
-"""Quality of a picture as JPEG."""
+"""Quality of a picture as JPEG, 0 to 100: text and edges stay legible at this value."""
 STILL_S = 0.25
 """Time without changes after which smooth edges are drawn [s].
 
@@ -153,8 +153,10 @@ def taken_scale(plotter: Plotter) -> dict[str, Any] | None:
             colour = [0.0, 0.0, 0.0]
             table.GetColor(value, colour)
             colours.append(to_hex((colour[0], colour[1], colour[2])))
+        # three digits of the scale's range; beyond four decimals, significant digits are shorter
         digits = max(2 - floor(log10(max(high - low, 1e-12))), 0)
         kind = ".2g" if table.UsingLogScale() or digits > 4 else f".{digits}f"
         labels = [format(value, kind) for value in spaced(low, high, MARKS).tolist()]
+        # the lines after the first are written by the page itself
         found = {"title": title.split("\n")[0], "colours": colours, "labels": labels}
     return found
