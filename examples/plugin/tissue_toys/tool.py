@@ -23,5 +23,6 @@ def step_drill(diameter_m: float, length_m: float) -> Profile:
         (wide, length_m),
         (0.0, length_m),
     ]
+    # the top does not cut
     pieces = [Line(start, end, cutting=end != corners[-1]) for start, end in pairwise(corners)]
     return Profile(tuple(pieces), convex=False)
