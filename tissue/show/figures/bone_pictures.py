@@ -240,6 +240,8 @@ def _annotate(shaded: Shaded, run: Run, view: _View, limit: float) -> None:
         )
     camera = shaded.cameras[0]
     _draw_spin(shaded.panels[0], run, camera)
+    # the triad between the two legends; the colour bar in the upper half under the right of the
+    # second panel, so that its label fits below
     draw_axes(chart.add_axes((0.28, 0.0, 0.18, foot)), axis_names(run), camera)
     bar = chart.add_axes((left + 0.45 * wide, 0.58 * foot, 0.48 * wide, 0.14 * foot))
     mapped = ScalarMappable(Normalize(0.0, limit), DEPTH_COLOURS)
@@ -334,6 +336,7 @@ def draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
     )
     chart.colorbar(image, ax=axes, label="removed depth / mm")
     draw_outline(axes, depth.bone, depth.extent_mm, color="0.15", linewidth=1.0)
+    # white under black keeps the outline of a layer visible on dark depths
     handles: list[Artist] = [
         Patch(facecolor=BONE, label="not cut", **EDGE),
         Line2D([], [], color="0.15", linewidth=1.0, label="bone in the simulated region"),

@@ -129,6 +129,7 @@ def draw_ct_slices(
     low, high = window_HU if hounsfield else np.percentile(image.values, (1, 99.8))
     looks: list[dict[str, Any]] = [{"color": BODY, "linestyle": "solid"}]
     looks += [{"color": colour, "linestyle": line} for line, colour in product(LINES, OTHERS)]
+    # inches: three near square panels, and the legend below
     chart, panels = panelled(title, (9.0, 3.9), 1, 3)
     for axes, (u, v, through, name) in zip(panels, VIEWS, strict=True):
         plane = [u, v]
@@ -273,6 +274,7 @@ def draw_ct_bone(
         wide, tall = shaded.size_px
         foot = FOOT_PX / tall
         for axes, camera, left in zip(shaded.panels, shaded.cameras, (0.06, 0.84), strict=True):
+            # a triad under the outer half of each panel, the colour bar between them
             # arrows of 15 mm, visible next to a bone of some centimetres
             marks.draw(axes, camera.pixels, 15.0)
             draw_axes(shaded.chart.add_axes((left, 0.02, AXES_PX / wide, 0.9 * foot)), AXES, camera)
@@ -384,6 +386,7 @@ def draw_path_depth(
             AXES,
             shaded.cameras[0],
         )
+        # the triad in the lower left corner, the depth over path length to the right of it
         low = shaded.chart.add_axes(
             (0.2, 0.32 * PATH_FOOT_PX / tall, 0.75, 0.55 * PATH_FOOT_PX / tall)
         )

@@ -133,6 +133,7 @@ def draw_residuals(innovations: Array, correlations: Array, freedom: float, path
     """
     from scipy.stats import t
 
+    # inches: two panels side by side
     chart, (spread, over) = panelled("residuals and noise model", (8.0, 3.4), 1, 2)
     known = innovations[np.isfinite(innovations)]
     # innovations beyond six scales are counted in the last bins
@@ -175,6 +176,7 @@ def draw_constants(constants: Sequence[FittedConstant], path: Path) -> None:
             for least, value, most in (one.cited, one.fitted)
         )
         lines = found if one.is_identified else "not narrowed by this log", f"cited {cited}"
+        # two lines of text within a row of height 1
         for shift, line, look in zip((-0.2, 0.22), lines, (colour, "0.45"), strict=True):
             across = axes.get_yaxis_transform()
             # to the right of the panel, the fitted interval above the cited one
@@ -228,6 +230,7 @@ def draw_band(times_s: Array, nominal: Array, quantiles: Array, path: Path, *, t
     title
         Name of the scene.
     """
+    # columns 0 to 3 are the force, 4 to 7 the torque
     torque = np.abs(quantiles[..., 4:]).max(initial=0.0)
     groups = [("force", "N", 0, 1.0)]
     if torque > 0.0:
@@ -262,6 +265,7 @@ def draw_band(times_s: Array, nominal: Array, quantiles: Array, path: Path, *, t
         components.set_ylabel(f"{name} / {unit}")
     for c, colour in enumerate(COMPONENTS):
         panels[0].plot([], [], color=colour, linewidth=3.0, label="xyz"[c])
+    # three axes, the median, the run itself and two bands in one line
     legend_above(panels[0], 7)
     panels[-1].set_xlabel("time / s")
     plain(panels)
@@ -296,6 +300,7 @@ def draw_sobol(
     more = f"; {left} that matter less are left out" if left else ""
     chart, panels = panelled(
         f"{title}: which constant matters{more}",
+        # inches: title and legend, then in each row a title and 0.36 for each constant
         (8.0, 0.75 + rows * (0.75 + 0.36 * len(shown))),
         rows,
         2,

@@ -38,9 +38,9 @@ It is twice the tremor of a novice's hand (0.1 mm, tissue/materials/hands.toml).
 
 
 def first_descent(coordinate_mm: Array, contact: Flags) -> slice:
-    """Return the rows from the first contact to the deepest point before the tool rises.
+    """Return the rows from before the first contact to the deepest point before the tool rises.
 
-    They start one row before the first contact.
+    They start where the tool is `RISE_MM` above its first contact.
 
     Parameters
     ----------
@@ -66,6 +66,7 @@ def layers_passed(run: Run, tips_mm: Array) -> NDArray[np.str_]:
     """Return the names of the layers at tip positions before the run, shape (tips,)."""
     volume = run.volume
     place = np.floor((tips_mm * 1e-3 - volume.origin_m) / volume.spacing_m).astype(int)
+    # tips outside of the voxels are clipped to have an index, and get no layer
     inside = ((place >= 0) & (place < volume.shape)).all(axis=1)
     x, y, z = np.clip(place, 0, np.array(volume.shape) - 1).T
     inside &= volume.fraction[x, y, z] >= HALF
@@ -101,6 +102,8 @@ def draw_force_depth(run: Run, path: Path, *, axis: int, outward: int) -> str | 
     measures: dict[str, list[str]] = {}
     for name in run.parts.tissue.measure_names:
         measures.setdefault(field_label(name)[1], []).append(name)
+    # inches per panel at about 1.3: the force has the tallest panel, as it holds the names of
+    # layers
     heights = [2.2, *([1.0] * len(measures))]
     chart, panels = panelled(
         f"{run.scene.name}: force on the tool over depth, first descent",
@@ -111,6 +114,7 @@ def draw_force_depth(run: Run, path: Path, *, axis: int, outward: int) -> str | 
     )
     turns = tool_axes(tool_turns(trace)[rows])
     model = trace.vectors("model_force", "N")[rows]
+    # the commanded force, which vibrates, is pale and thin, so that it does not hide the model's
     for force, alpha, width in ((trace.vectors("force", "N")[rows], 0.35, 0.8), (model, 1.0, 1.4)):
         size = np.linalg.norm(force, axis=1)
         along = np.einsum("ij,ij->i", force, turns)
@@ -187,6 +191,7 @@ def draw_insertion(run: Run, path: Path) -> None:
     time = trace["time_s"]
     depth = -trace["tool_z_mm"]
     force = trace["model_force_z_N"]
+    # inches: two panels of equal height
     chart, panels = panelled(f"{run.scene.name}: axial force on the needle", (8.0, 6.4), 2)
     over_depth, over_time = panels
     inward = np.gradient(depth) > 0.0
@@ -224,6 +229,7 @@ def draw_insertion(run: Run, path: Path) -> None:
     over_time.set(xlabel="time / s", ylabel="parts of the\naxial force / N")
     plain(panels)
     for axes in panels:
+        # the zero line lies under the curves; a margin of 12 % holds the names of the punctures
         axes.axhline(0.0, color="0.7", linewidth=0.6, zorder=0)
         axes.margins(y=0.12)
         axes.legend(loc="best")
@@ -259,6 +265,7 @@ def draw_wall(run: Run, path: Path) -> None:
     force = trace["model_force_z_N"]
     across = int(np.ptp(tips[:, :2], axis=0).argmax())
     title = f"{run.scene.name}: {tool.size_mm:g} mm ball on a wall of {wall.stiffness_kN_m:g} kN/m"
+    # inches; the panel of the paths is the taller one, since its axes have one scale
     chart, (side, felt) = panelled(title, (8.0, 6.6), 2, height_ratios=(1.5, 1.0))
     # the wall has no bottom: 1 m is beyond every view
     side.axhspan(-1e3, 0.0, color=WALL, alpha=0.35, linewidth=0.0, label="wall")

@@ -181,6 +181,7 @@ def _draw_components(
     """
     time = run.trace["time_s"]
     commanded, model = (scale * run.trace.vectors(f"{of}{name}", unit) for of in ("", "model_"))
+    # all commanded components first, so that none of them hides a component of the model
     for c, colour in enumerate(COMPONENTS):
         axes.plot(time, commanded[:, c], color=colour, linewidth=2.4, alpha=COMMANDED)
     for c, colour in enumerate(COMPONENTS):
@@ -253,6 +254,7 @@ def draw_played(run: Run, path: Path) -> None:
     scale, _ = chosen_scale(run.scene)
     limit_N = device_parameters(held.kind, run.scene.constants).force_limit_N
     turns = bool(trace.vectors("device_torque", "Nm").any())
+    # inches: the whole run, its steepest moment, the positions, and the torque if there is any
     heights = (2.4, 2.0, 1.5, 1.2)[: 3 + turns]
     chart, panels = panelled(
         f"{run.scene.name}: what the {held.kind} played ({held.hand}, {held.renderer}); "
@@ -297,6 +299,7 @@ def draw_played(run: Run, path: Path) -> None:
     panels[1].set_title("the steepest moment, grey above", loc="left")
     apart = np.abs(trace.vectors("tool", "mm") - trace.vectors("device", "mm")).max(axis=0)
     axis = "xyz"[int(apart.argmax())]
+    # the tool's line is thinner and drawn last, so that both are visible where they coincide
     for name, colour, width in (("device", "#56B4E9", 2.0), ("tool", "0.1", 1.2)):
         panels[2].plot(time, trace[f"{name}_{axis}_mm"], label=name, color=colour, linewidth=width)
     panels[2].set_ylabel(f"{axis} / mm")

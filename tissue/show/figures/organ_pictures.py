@@ -163,6 +163,7 @@ def draw_press(
             left, _, wide, _ = axes.get_position().bounds
             if each.opened and edge is not None:
                 _name_inclusion(axes, *edge, shaded.cameras[0])
+            # in the upper part under each panel, with space for ticks and label below
             place = shaded.chart.add_axes(
                 (left + 0.25 * wide, 0.66 * foot, 0.6 * wide, 0.16 * foot)
             )
@@ -233,6 +234,7 @@ def _edge_of_inclusion(
 def _name_inclusion(axes: "Axes", name: str, line: "pyvista.PolyData", camera: Camera) -> None:
     """Write the inclusion's name below its outline."""
     pixels = camera.pixels(line.points)
+    # the lowest point of the outline; y of pixels increases downward
     x, y = pixels[pixels[:, 1].argmax()]
     axes.text(x, y + 8.0, name, ha="center", va="top", size=9, color="0.1", path_effects=halo(2.5))
 
@@ -293,6 +295,7 @@ def _surface(series: FieldSeries) -> "pyvista.PolyData":
     member = np.column_stack([np.isin(nodes, series.node_sets.get(name, ())) for name in marks])
     surface = drawn_surface(grid, member.astype(np.float32))
     colours = np.tile(FREE, (surface.n_cells, 1))
+    # a triangle is coloured if all of its nodes belong to the set
     whole = np.asarray(surface.point_data[SHOWN])[surface.regular_faces].min(axis=1) == 1.0
     for index, colour in enumerate(marks.values()):
         colours[whole[:, index]] = colour

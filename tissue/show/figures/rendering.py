@@ -77,7 +77,8 @@ class Camera:
         last = seen.max(axis=0)
         # a border of 3 % on each side
         width, height = 1.06 * (last - first)[:2]
-        # limits of the panel's height, so that very flat or tall objects leave space for legends
+        # limits of the panel's height, so that very flat or tall objects leave space for legends;
+        # it is rounded to an even number, though an odd one renders as well
         tall = int(np.clip(PANEL_PX * height / width, 0.45 * PANEL_PX, 1.15 * PANEL_PX)) // 2 * 2
         height = max(height, width * tall / PANEL_PX)
         centre = 0.5 * (first + last) @ axes
@@ -103,6 +104,7 @@ def paint(surface: "pyvista.PolyData", colours: Array) -> "pyvista.PolyData":
     3).
     """
     data = surface.point_data if len(colours) == surface.n_points else surface.cell_data
+    # VTK draws bytes as they are; other numbers would go through a colour table
     data["colours"] = np.rint(255.0 * colours).astype(np.uint8)
     return surface
 
@@ -197,6 +199,7 @@ def draw_shaded(
             panels.append(axes)
         for axes, name in zip(panels, names, strict=False):
             axes.set_title(name, size=10)
+        # 38 pixels below the upper edge, above the titles of the panels
         chart.text(0.5, 1.0 - 38 / size[1], title, ha="center", va="center", size=11)
         annotate(Shaded(chart, panels, cameras, size))
         save(chart, path)
@@ -252,6 +255,7 @@ def _draw(mesh: "pyvista.PolyData", camera: Camera, averaged: int, ambient: floa
     plotter.camera_position = [centre + 1e3 * towards, centre, up]
     plotter.camera.parallel_projection = True
     plotter.camera.parallel_scale = 0.5 * camera.height_mm
+    # from the eye, which is 1 m before the centre, to 1 m behind it [mm]
     plotter.camera.clipping_range = (1.0, 2e3)
     large = np.asarray(plotter.screenshot(None, return_img=True))[..., :3]
     plotter.close()
@@ -281,12 +285,14 @@ def _draw_scale(axes: "Axes", camera: Camera) -> None:
     axes.plot([left, right], [y, y], color="0.1", linewidth=2.2, path_effects=halo())
     middle = 0.5 * (left + right)
     words = f"{length:g} mm"
+    # 8 pixels above the bar
     axes.text(middle, y - 8.0, words, ha="center", va="bottom", size=9, path_effects=halo())
 
 
 def draw_axes(axes: "Axes", names: Sequence[str], camera: Camera) -> None:
     """Draw the world's axes as the camera sees them."""
     view = np.stack([np.cross(camera.up, camera.towards_eye), camera.up])
+    # arrows of length 0.8 and their names fit; up is wider, since z points up in most views
     axes.set(xlim=(-1.5, 1.5), ylim=(-0.75, 1.35), aspect="equal")
     axes.set_axis_off()
     for along, name in zip(0.8 * view.T, names, strict=True):

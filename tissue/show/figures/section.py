@@ -86,6 +86,7 @@ def plane_of(run: Run, *, axis: int, outward: int, row: int) -> tuple[int, int, 
     tips = run.trace.vectors("tool", "mm")
     cutting = np.flatnonzero(run.trace["contact_mm2"] > 0.0)
     rows = cutting if cutting.size else np.arange(len(tips))
+    # a moment before the first contact shows the plane of the deepest point of the whole run
     so_far = rows[rows <= row] if (rows <= row).any() else rows
     deepest = int(so_far[np.argmin(outward * tips[so_far, axis])])
     sides = [a for a in range(3) if a != axis]
@@ -113,6 +114,7 @@ def section_of(run: Run, *, axis: int, outward: int, row: int) -> Section:
     index = int(np.clip(np.floor((place - origin[normal]) / spacing), 0, volume.shape[normal] - 1))
     left = run.remaining if run.poses is None else run.replay().at(row)
     planes = (np.take(array, index, axis=normal) for array in (volume.fraction, left, volume.layer))
+    # `take` keeps the order of the world's axes, but the first index of a section runs across
     start, left, layer = (plane if across < axis else plane.T for plane in planes)
     ends = [
         (float(origin[a]), float(origin[a] + spacing * volume.shape[a])) for a in (across, axis)
@@ -137,6 +139,7 @@ def loaded_frame(series: FieldSeries) -> Frame | None:
         float(np.nanmax(frame.cells.get(STRESS, np.zeros(1)), initial=0.0))
         for frame in series.frames
     ]
+    # 1e-12 MPa: without any stress, no frame counts as loaded
     loaded = np.flatnonzero(np.array(peaks) >= max(0.1 * max(peaks, default=0.0), 1e-12))
     return series.frames[loaded[-1]] if len(loaded) else None
 
@@ -197,6 +200,7 @@ def draw_section(run: Run, path: Path, *, axis: int, outward: int) -> None:
 def _draw_layers(axes: "Axes", run: Run, section: Section) -> None:
     """Draw every voxel in its layer's colour, pale where it was removed."""
     colours = np.array(list(layer_colours(run.volume.layer_names).values()))[section.layer]
+    # white where there was no tissue
     pale = 1.0 - REMOVED_TINT * (1.0 - colours)
     left = section.left[..., None]
     start = section.start[..., None]
@@ -243,6 +247,7 @@ def _draw_stress(axes: "Axes", series: FieldSeries, frame: Frame, section: Secti
     for index in np.unique(section.layer[there]):
         left = there & (section.layer == index)
         draw_outline(axes, left, section.extent_mm, color="0.55", linewidth=0.7)
+    # a logarithm needs positive values; the scale begins far above 1e-12 MPa
     picture = np.ma.masked_where(~there, np.maximum(stress, 1e-12))
     return axes.imshow(
         picture.T,

@@ -62,6 +62,7 @@ def tool_surface(tool: Tool | Probe | Needle | None) -> "pyvista.PolyData | None
             return _turned(np.column_stack([outline[:, 0], np.zeros(len(outline)), outline[:, 1]]))
         case Probe(kind="sphere-probe"):
             radius = 0.5 * tool.size_mm
+            # from pole to pole is half a turn: the same 5 degrees a step
             return pyvista.Sphere(
                 radius=radius, center=(0.0, 0.0, radius), theta_resolution=SIDES, phi_resolution=36
             )
@@ -84,6 +85,8 @@ def turning_tool(tool: Tool | Probe | Needle | None) -> "pyvista.PolyData | None
     if surface is None or not isinstance(tool, Tool) or tool.spin_rpm == 0.0:
         return surface
     arc = ABOVE * spin_arc_mm(tool) + [0.0, 0.0, surface.bounds[5]]
+    # radius of the line; the head is three times as long as the line is thick, and 2.5 times as
+    # wide
     thick = 0.02 * tool.diameter_mm
     head = pyvista.Cone(
         center=arc[-1],

@@ -85,6 +85,7 @@ def stage(saved: SavedRun) -> Record:
     parts = [part for shown in groups.values() for part in shown.parts]
     around = Shown()
     faces = faces_of(scene)
+    # faces are translucent, since the tool passes through them
     for name, colour in layer_colours(tuple(faces)).items():
         parts.append(
             {**_still(faces[name]), "colour": to_hex(colour), "opacity": 0.4, "label": name}
@@ -135,6 +136,7 @@ def _add_tool(
         device = tips[0] + scene.motion_scale * (trace.vectors("device", "mm") - tips[0])
         poses["device"] = packed_vectors(device[rows])
         followers.append(("device", surface, DEVICE, 0.25, "device"))
+    # length 1: the browser scales it to the force
     arrow = pyvista.Arrow(shaft_radius=0.025, tip_radius=0.06, tip_length=0.18).triangulate()
     followers.append(("tool", surface, TOOL, 0.5, "tool"))
     followers.append(("force", arrow, FORCE, 1.0, "force on the tool"))
@@ -190,12 +192,14 @@ def bone_shown(saved: SavedRun) -> Shown | None:
         {int(layer) for one in surfaces for layer in np.unique(one.cell_data.get("layer", []))}
     )
     if deepest > 0.0:
+        # a run without a cut is shown by layer only
         shown.scales.append({**depth_scale(deepest), "group": "bone", "on": "points"})
     shown.scales.append({**layer_scale(names, layers), "group": "bone", "on": "cells"})
     for part in (False, True):
         taken = [(time_s, surface) for time_s, is_rest, surface in moments if is_rest is part]
         if taken:
             shown.parts.append(
+                # uncut bone has depth 0, and a share of it needs a divisor
                 {"group": "bone", "smooth": True, **_moments_of_bone(taken, max(deepest, 1e-9))}
             )
     for surface in surfaces:
@@ -378,4 +382,5 @@ def _ends_of_scale(low: float, high: float) -> Record:
 
 
 def _colours(name: str) -> Array:
+    # matplotlib's maps have 256 colours
     return np.array(colormaps[name](np.linspace(0.0, 1.0, 256)))[:, :3]

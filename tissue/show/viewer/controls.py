@@ -394,6 +394,7 @@ class PlaybackWidgets:
             color_off="#BBBBBB",
         )
         self._mark_button = button.GetRepresentation().SetState
+        # to the right of the button, in shares of the window
         add_text(plotter, "play", (0.035, 0.298))
         plotter.add_key_event(PLAY_KEY, lambda: self.play(not self._playback.playing))
         plotter.iren.add_observer("TimerEvent", lambda *_: self._tick())

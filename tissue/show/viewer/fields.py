@@ -171,6 +171,7 @@ class FieldsShown:
     def _draw(self) -> None:
         mesh, shown_s = self._fields.at(self._time_s)
         key = (self.name, self.scale, self.clip, self._hidden, shown_s)
+        # the same picture: many moments of playback lie between two frames
         if key == self._last:
             return
         self._last = key
@@ -206,6 +207,7 @@ class FieldsShown:
         return moved
 
     def _add(self, mesh: "pyvista.DataSet", shown_s: float, name: str) -> None:
+        # a frame may not have the field
         if field_values(mesh, name) is None:
             return
         part = self._part(mesh)
@@ -372,6 +374,7 @@ class BoneShown:
         actors = [self._draw_part(name) for name in self._parts]
         shown = [actor for actor in actors if actor is not None]
         if self.by_depth and shown:
+            # above the chart and the sliders; the legend takes its place if layers are shown
             add_colour_scale(
                 plotter, DEPTH_TITLE, shown[0].mapper, bottom=0.45, fmt="%.2f", below_label=""
             )
@@ -385,6 +388,7 @@ class BoneShown:
                 entries,
                 bcolor=None,
                 face="rectangle",
+                # shares of the window: 0.03 a line
                 size=(0.14, 0.03 * len(entries) + 0.01),
                 loc="upper right",
             )

@@ -117,6 +117,8 @@ def add_slider(
         pointa=(left, height),
         pointb=(right, height),
         color="black",
+        # shares of the window: letters as high as in the lists of `controls`, and a handle that
+        # is wider than its line
         title_height=0.024,
         slider_width=0.012,
         tube_width=0.003,
@@ -153,6 +155,7 @@ def add_colour_scale(
         title,
         mapper=mapper,
         vertical=True,
+        # to the right of the scene, which ends at 0.86, see `MARGINS`
         position_x=0.87,
         position_y=bottom,
         height=0.42,
@@ -225,6 +228,7 @@ def aim(
     plotter.reset_camera()
     left, right, low, high = margins
     if not len(points_mm):
+        # everything is in view already: it is only moved to the middle height of the area
         plotter.camera.SetWindowCenter(0.0, 1.0 - (low + high))
         return
     wide, tall = plotter.window_size

@@ -80,6 +80,7 @@ class MomentShown:
 
     @property
     def _largest_N(self) -> float:
+        # a divisor, also in a run without force
         return max(float(np.linalg.norm(self._force[self._peak])), 1e-9)
 
     @property
@@ -131,6 +132,7 @@ def _chart(
     """
     import pyvista
 
+    # shares of the window: the lower edge from side to side
     chart = pyvista.Chart2D(
         size=(0.98, CHART_SHARE), loc=(0.01, 0.0), x_label="time / s", y_label="force / N"
     )
@@ -146,6 +148,7 @@ def _chart(
         ):
             look = {"color": pyvista.Color(colour, opacity=opacity), "width": width}
             chart.line(time, curve, label=name if opacity == 1.0 else "", **look)
+    # the curves do not touch the frame of the chart
     border = 0.05 * (max(ends) - min(ends))
     chart.y_range = (min(ends) - border, max(ends) + border)
     chart.x_range = (float(time[0]), float(max(time[-1], time[0] + 1e-3)))
@@ -200,6 +203,8 @@ class ToolShown:
         look.SetBold(True)
         look.SetColor(*pyvista.Color(FORCE).float_rgb)
         look.SetBackgroundColor(1.0, 1.0, 1.0)
+        # legible on the tissue, which still shines through; the offset is in pixels from the
+        # arrow's tip
         look.SetBackgroundOpacity(0.6)
         self._value.SetDisplayOffset(8, 4)
         plotter.add_actor(self._value, reset_camera=False, render=False)
@@ -220,6 +225,7 @@ class ToolShown:
         # an arrow without length has no direction
         if not shown:
             return
+        # radii and lengths of an arrow are shares of its scale
         length = self._longest * size / largest_N
         self._arrow.mapper.dataset = pyvista.Arrow(
             start=tip_mm,

@@ -91,6 +91,7 @@ class SiteWindow:
         )
         self._words = add_text(self.plotter, "", (0.012, 0.9), size=11)
         if not off_screen:
+            # one line below the text about the site, which has two lines from 0.9 on
             add_text(self.plotter, HELP, (0.012, 0.86))
             self.plotter.add_key_event("Return", self.save)
         self._draw("site in scene.toml", SITE)

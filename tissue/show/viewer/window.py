@@ -66,6 +66,7 @@ def add_scale_bar(plotter: Plotter) -> None:
     mapper.ScalarVisibilityOff()
     bar = vtkActor2D()
     bar.SetMapper(mapper)
+    # the number is written 8 pixels above the bar
     bar.GetProperty().SetColor(0.1, 0.1, 0.1)
     bar.GetProperty().SetLineWidth(5.0)
     plotter.add_actor(bar, reset_camera=False, render=False)
@@ -313,6 +314,7 @@ class Window:
             plotter, "shown (click, or m)", [*bone, *labels], choose=self.choose
         )
         names.mark(fields.name)
+        # 2 % of the run's size: visible, and small next to a layer
         point = self.point = PointRead(plotter, fields, size_mm=0.02 * self._shown.size_mm)
         ClipPlane(plotter, fields, start=cut_plane(self._saved, series))
         if series.displacement is not None and series.largest_mm() > 0.0:
@@ -336,6 +338,7 @@ class Window:
             first = [self.bone.help if self.bone is not None else "", self.layers.help]
             second = [CLIP_HELP, "click: read a point"] if self.fields is not None else []
             second += ["space: play or pause"] if self.widgets is not None else []
+            # below the readings of the moment, which `run_scene` writes at 0.932
             for keys, height in ((first, 0.898), ([*second, "q: close"], 0.87)):
                 lines.append(("    ".join(key for key in keys if key), 9, height))
         for words, size, height in lines:

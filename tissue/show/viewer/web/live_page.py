@@ -182,6 +182,7 @@ class LivePage:
         read = self._readings
         if read is not None:
             figures |= read.numbers
+            # 0.1 mN and 1 uN m: finer than the page shows
             figures["force_N"] = np.round(read.force_N, 4).tolist()
             figures["torque_Nm"] = round(float(np.linalg.norm(read.torque_Nm)), 6)
             figures["device_N"] = read.device_N

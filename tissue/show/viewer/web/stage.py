@@ -72,6 +72,7 @@ class Stage:
     def resize(self, wide: float, tall: float) -> None:
         """Draw pictures of this shape, and of this size [pixel] where that is not too much."""
         scale = min(1.0, float(np.sqrt(MOST_PX / (wide * tall))))
+        # even numbers, though odd ones are drawn as well
         size = [int(scale * wide) // 2 * 2, int(scale * tall) // 2 * 2]
         if size != list(self._plotter.window_size):
             self._plotter.window_size = size
