@@ -323,7 +323,8 @@ def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> lis
 
 def _draw(found: Assessment, path: Path) -> None:
     """Draw the quantities of trainee and reference over time, and the limits with breaches."""
-    # inches; the margins are shares of the figure, with space for title and legend on top
+    # inches for three panels below each other; the margins are shares of the figure, with space
+    # for title and legend on top
     chart = figure(9.0, 7.2)
     panels = chart.subplots(3, 1, sharex=True)
     chart.subplots_adjust(left=0.09, right=0.98, top=0.9, bottom=0.08, hspace=0.14)

@@ -118,6 +118,7 @@ def _draw_stability(found: StabilityMap, path: Path, *, title: str) -> None:
     """Draw both charts: growth by eigenvalues as shading, the measured boundary, lines of
     theory, the chosen point.
     """
+    # inches; the margins are shares of the figure: title and chosen point above, legend below
     chart = figure(9.0, 4.9)
     axes = chart.subplots(1, 2)
     chart.subplots_adjust(left=0.09, right=0.98, top=0.84, bottom=0.25, wspace=0.24)

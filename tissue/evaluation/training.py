@@ -189,6 +189,7 @@ class Recorder:
             )
         speed = ConstantAcceleration(VELOCITY_MEMORY, step_s=TICK_S)
         velocity = np.array([speed.step(place) for place in (begin, *rows[:, :3])])[1:]
+        # columns of `_run`: measured position, force, true position
         return Recording(
             rows[:, :3],
             velocity,
@@ -442,6 +443,7 @@ def forecast(
             zip(run.position_m, run.velocity_m_s, run.force_N, strict=True)
         ):
             if shown is not None:
+                # of the last tick of the model
                 shown.meet(Contact.of_row(run.contact[index - index % model_ticks]))
             predictor.observe(position, velocity, force if index % model_ticks == 0 else None)
             predicted[index] = [predictor.predict(horizon) for horizon in horizons]

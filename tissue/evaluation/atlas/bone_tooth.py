@@ -64,6 +64,7 @@ def drag_N_s_m() -> float:
 
     The force is computed by the bone model.
     """
+    # a block that is wider than the burr and 1 mm deeper than the plunge
     model = bone_model((7, 7, 2), ball_burr(diameter_m=6e-3), 2)
     motion = ToolMotion(speed_m_s=1e-3)
     motion.heading[0] = (0.0, 0.0, -1.0)
@@ -97,6 +98,7 @@ def plunge(mass_kg: float, thrust_N: float) -> tuple[float, float]:
 
     The force is in N and the speed in m/s.
     """
+    # a drill of 4 mm in a block that is wide enough for it and 1 mm deeper than its path
     model = bone_model((6, 6, 5), cylinder(diameter_m=4e-3, length_m=8e-3), 4)
     push = PushAlongAxis(
         np.array([0.0, 0.0, 1e-4]),
@@ -112,6 +114,7 @@ def plunge(mass_kg: float, thrust_N: float) -> tuple[float, float]:
     response = model.respond(motion)
     axial = []
     speed = []
+    # 0.5 s: at 5 mm/s at most, the drill goes no deeper than 2.5 of the 4 mm
     for tick in range(500):
         push.advance(1e-3 * tick, 1e-3, response, motion)
         model.advance(motion)
@@ -159,6 +162,7 @@ class ExplicitCutting(Page):
                 "implicit": left_over(step, MASS_KG, implicit=True),
             }
 
+        # three masses in a decade on both sides of `MASS_KG`
         masses = np.geomspace(0.01, 5.0, 9)
         return {"mass": sweep("mass_kg", masses, limit_s), "step": sweep("step_s", steps, left)}
 
@@ -330,6 +334,7 @@ class CutCells(Page):
     def ask(self) -> list[Answer]:
         """Load a singular body, and build cells of debris."""
         random = np.random.default_rng(0)
+        # a tenth filled, without inner stiffness: singular as at every fill, see `judge`
         body = cut_block(0.1, 0.0)
         load = random.normal(size=(body.grid.node_count, 3)) * body.carrying[:, None]
         outcome = body.solve(load).outcome
@@ -526,5 +531,6 @@ class Contrast(Page):
                 ("multigrid (engine), 8³ cells", table["multigrid_8"], ENGINE),
                 ("multigrid (engine), 12³ cells", table["multigrid_12"], ("D", ENGINE[1])),
             ],
+            # from one iteration to above the bound by the condition number
             ylim=(1.0, 3e5),
         )

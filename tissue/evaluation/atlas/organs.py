@@ -67,6 +67,7 @@ def deflection(order: int, cells: tuple[int, int, int], ratio: float) -> tuple[f
     faces = space.faces[(space.nodes_m[space.faces[:, :3], 0] > LENGTH - 1e-9).all(axis=1)]
     body = HeldBody(assemble(space, lame(YOUNG, ratio)), space.nodes_m, held)
     solution = DirectSolver(body).solve(traction(space, (0.0, 0.0, 1.0), faces=faces))
+    # all nodes of the end face, to rounding
     tip = solution.displacement_m[space.nodes_m[:, 0] > LENGTH - 1e-9, 2].mean()
     return float(tip), float(solution.outcome is SolverOutcome.CONVERGED)
 
@@ -154,6 +155,7 @@ class Locking(Page):
             conduct=[(Conduct.HOLDS, limit, gap[0]), (Conduct.REFUSES, gap[-1], limit)],
             log="x",
             xlim=gap[[0, -1]],
+            # 1 is the deflection of the beam
             ylim=(0.0, 1.15),
             legend="center right",
         )
@@ -197,6 +199,7 @@ def false_stress_Pa(law: Law) -> Array:
             solution = solver.solve(turned(nodes, part), start_m=moved)
             moved = solution.displacement_m
         reached = angle
+        # the nodes of the fixed end, to rounding
         pull_N = np.linalg.norm(solution.force_N[nodes[:, 0] < 1e-9].sum(axis=0))
         stresses.append(float(pull_N) / WIDTH_M**2 if solution.converged else np.nan)
     return np.array(stresses)
@@ -236,6 +239,7 @@ class LargeRotation(Page):
 
     def ask(self) -> list[Answer]:
         """Rotate too far in one step, and press a linear organ deep in a scene."""
+        # nearly incompressible, as soft tissue
         solver = bar_solver(Law.NEO_HOOKEAN, 0.45)
         nodes = solver.body.nodes_m
         # half a turn in one step maps cells through themselves, so that no Newton step can follow
@@ -304,6 +308,7 @@ def middle_node(nodes_m: Array) -> int:
 
 def squashed(height: float) -> tuple[Array, Ints]:
     """Return a cube of 4 x 4 x 4 bricks with a middle node lowered to a fraction of its height."""
+    # few enough nodes for dense eigenvalues; even, so that one node is in the middle
     good = box((SIZE_M,) * 3, (4, 4, 4))
     nodes = good.nodes_m.copy()
     inner = middle_node(nodes)
@@ -316,6 +321,7 @@ def squashed(height: float) -> tuple[Array, Ints]:
 def condition(nodes_m: Array, cells: Ints) -> float:
     """Compute the condition number of the stiffness with the base held."""
     space = Space(TetMesh(nodes_m, cells))
+    # condition numbers do not depend on the modulus, here 5 kPa of soft tissue
     free = np.repeat(nodes_m[:, 2] > 1e-9, 3)
     values = eigvalsh(assemble(space, lame(5e3, 0.3)).toarray()[np.ix_(free, free)])
     return float(values[-1] / values[0])
@@ -346,6 +352,7 @@ class BadTetrahedra(Page):
 
     def measure(self) -> Data:
         """Sweep the remaining height of the cell."""
+        # two heights in a decade, from a good cell to a flat one
         return {"sliver": sweep("height", np.geomspace(1.0, 1e-5, 11), at_height)}
 
     def judge(self, data: Data) -> Verdict:

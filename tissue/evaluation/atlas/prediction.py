@@ -73,6 +73,7 @@ def tapped(stiffness_N_m: float, *, seed: int, seconds: float) -> Recording:
     depths = np.where(np.arange(len(times)) % 2, -rng.uniform(2e-3, 8e-3, len(times)), 4e-3)
     points = np.column_stack([2e-3 * np.sin(times), 2e-3 * np.cos(1.3 * times), depths])
     hand = Hand(hand_parameters("novice"), waypoints(times, points), rng=rng)
+    # at the first waypoint, 4 mm above the wall
     simulated = SimulatedDevice(SIX_DOF, hand, position_m=(0.0, 0.0, 4e-3))
     wall = renderer("penalty", SIX_DOF.loop(stiffness_N_m))
     run = press_wall(simulated, wall, duration_s=seconds)
@@ -123,6 +124,7 @@ class Horizon(Page):
 
     def measure(self) -> Data:
         """Sweep the horizon on a recording that no predictor was trained on."""
+        # none of the seeds of `recordings`
         recording = tapped(HOME_N_M, seed=9, seconds=4.0)
         force = recording.force_N
         table = {"ahead_ms": 1e3 * TICK_S * AHEAD}
@@ -176,6 +178,7 @@ class Horizon(Page):
     def ask(self) -> list[Answer]:
         """Give the predictor samples that are NaN, and build one without noise."""
         predictor = guarded(fit("wall", recordings()))
+        # none of the seeds of `recordings`
         recording = tapped(HOME_N_M, seed=9, seconds=2.0)
         position = recording.position_m
         force = recording.force_N
@@ -225,6 +228,7 @@ class Horizon(Page):
                 ("error of no force at all", 100.0, (":", GREEN)),
             ],
             conduct=[(Conduct.HOLDS, horizon_ms[0], LEADS_MS)],
+            # from the error at 1 ms to above that of the diverging filter
             ylim=(0.5, 400.0),
             legend="upper left",
         )
@@ -270,10 +274,12 @@ class TrainedElsewhere(Page):
         """Sweep the stiffness of the wall that the operators are used on."""
         learnt = recordings()
         trained = fit("wall", learnt)
+        # an eighth to three times the stiffness of the training runs
         stiffnesses = np.array([100, 150, 200, 300, 400, 600, 800, 1100, 1600, 2400], dtype=float)
 
         def errors(stiffness: float) -> dict[str, float]:
             """Measure the errors on one wall, and how often the guarded operator is trusted."""
+            # none of the seeds of `recordings`
             recording = tapped(stiffness, seed=9, seconds=2.0)
             force = recording.force_N
             predictors: dict[str, Predictor] = {"hold": Hold(), "guarded": guarded(trained)}

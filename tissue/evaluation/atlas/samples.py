@@ -215,6 +215,7 @@ def forced(jump_m: float, *, guarded: bool) -> tuple[float, float, int]:
 
     The number of rejected samples is returned too.
     """
+    # the jump is in one tick; the run ends right after it
     size, guard = pressed(
         lambda device: _Jumping(device, jump_m), seconds=FAULT_S + 3e-3, guarded=guarded
     )

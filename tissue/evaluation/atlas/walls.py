@@ -213,6 +213,7 @@ def at_vendors_limit(name: str) -> Answer:
     device = device_parameters(name)
     allowed = 2.0 * device.friction_N / device.encoder_step_m
     run, _ = knock(device, hand_parameters("expert"), "proxy", device.stiffness_limit_N_m)
+    # in the last 0.2 s, when the knock has died away
     ripple = run.ripple_N(0.2)
     return shown(
         f"{name} at its vendor's limit of {device.stiffness_limit_N_m:g} N/m",
@@ -291,6 +292,7 @@ class Quantisation(Page):
         """Run the devices of the engine at and beyond their limits."""
         touch = device_parameters("touch")
         allowed = 2.0 * touch.friction_N / touch.encoder_step_m
+        # any duration will do: the scene is refused before its first tick
         beyond = {"device": "touch", "coupling.stiffness_N_m": allowed, "duration_s": 0.3}
         return [
             refused(

@@ -301,6 +301,7 @@ def gain_of(before: Array, after: Array, rng: np.random.Generator) -> Effect:
     drawn = rng.integers(len(before), size=(RESAMPLES, len(before)))
     changes = 100.0 * (after[drawn].mean(axis=1) / before[drawn].mean(axis=1) - 1.0)
     value = 100.0 * float(after.mean() / before.mean() - 1.0)
+    # 2.5 to 97.5 %: the 95 % interval
     return Effect(
         "change of right answers in percent", value, *np.quantile(changes, [0.025, 0.975]).tolist()
     )

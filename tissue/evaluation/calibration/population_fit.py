@@ -177,6 +177,7 @@ def posterior_panel(session: Session) -> "Panel":
     ]
     webers = session.plan.prior.webers
     axis = [" "] * len(masses)
+    # 1, 2 and 5 of each decade, within the range of the prior
     for tick in (0.02, 0.05, 0.1, 0.2, 0.5):
         if webers[0] <= tick <= webers[-1]:
             at = int(np.argmin(np.abs(np.log(webers / tick))))
@@ -193,6 +194,7 @@ def posterior_panel(session: Session) -> "Panel":
 
 def draw_session(session: Session, path: Path) -> None:
     """Draw posterior, answers and numbers of a session into a PNG file."""
+    # inches: three panels side by side
     chart = figure(13.0, 4.2)
     chart.set_layout_engine("constrained")
     left, middle, right = chart.subplots(1, 3)
@@ -215,6 +217,7 @@ def _posterior(session: Session, axes: "Axes") -> None:
         alpha=0.6,
         label="posterior",
     )
+    # 2.5 to 97.5 %: the 95 % interval
     for quantile in session.threshold.weber_quantiles(np.array([0.025, 0.975]))[:, 0]:
         axes.axvline(100.0 * quantile, color=BLUE, ls="--")
     axes.set_xscale("log")
@@ -259,6 +262,7 @@ def _answers(session: Session, axes: "Axes") -> None:
     share = with_lapse(2.0 * correct_of_d_prime(D_PRIME_75 * at) - 1.0, lapse)
     axes.semilogx(at, 100.0 * share, color=BLUE)
     _ticks(axes, [0.1, 0.3, 1, 3, 10])
+    # at the threshold, 75 % of the answers are right, see `D_PRIME_75`
     axes.axhline(75.0, color=GREY, ls=":")
     axes.set(
         xlabel="step / threshold",
@@ -276,6 +280,7 @@ def _numbers(session: Session, axes: "Axes") -> None:
         return
     fit = session.magnitudes()
     (forces, numbers) = np.array(session.given).T
+    # a straight line on both logarithmic axes
     at = np.geomspace(forces.min(), forces.max(), 50)
     axes.loglog(forces, numbers, "o", color=ORANGE, alpha=0.7)
     axes.loglog(at, np.exp(fit.mean[0]) * at ** fit.mean[1], color=BLUE)

@@ -200,6 +200,7 @@ class Session:
 
     def lines(self) -> list[str]:
         """Return the present estimates as sentences."""
+        # the median and the ends of the 95 % interval
         low, middle, high = (
             float(q[0]) for q in self.threshold.weber_quantiles(np.array([0.025, 0.5, 0.975]))
         )
@@ -222,6 +223,7 @@ class Session:
         found = []
         count = len(self.asked)
         right = sum(answer == asked.greater for asked, answer in self.asked)
+        # one-sided: right answers alone bound the threshold from above
         high = float(self.threshold.weber_quantiles(np.array([0.95]))[0, 0])
         # ten answers in a row are right by guessing once in a thousand sessions
         if count >= 10 and right == count:
@@ -230,6 +232,7 @@ class Session:
                 "alone, the Weber fraction "
                 f"lies below {100 * high:.1f} % with a probability of 95 %; ask more trials"
             )
+        # guessing gives this many right answers or more with a probability above 5 %
         if count >= 10 and binom.sf(right - 1, count, 0.5) > 0.05:
             found.append(
                 f"{right} of {count} comparisons were right, no more than by guessing: the "

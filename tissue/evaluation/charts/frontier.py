@@ -243,6 +243,7 @@ def choose(points: Sequence[Measured], wanted: Fidelity, *, gap: float = 0.0) ->
         return max(error, tick)
 
     fits = [point for point in settings if excess(point) <= 1.0]
+    # with a demanded error, all that fits is accurate enough
     if fits and wanted.force_error is not None:
         return min(fits, key=lambda point: point.median_us)
     if fits:

@@ -120,6 +120,7 @@ def law_error(scene: Scene, *, report: Progress = silent) -> LawError | None:
         """Solve both laws at the instants."""
         from tissue.fem.hyperelastic import Law
 
+        # the last work on the scene: its share of the progress is about to be complete
         report(f"{scene.name}: linear law and neo-Hookean one", 0.99)
         solvers = _solvers(scene, (Law.LINEAR, Law.NEO_HOOKEAN))
         tips_m, direction = _touching(scene, solvers[0])
@@ -181,6 +182,7 @@ def _touching(scene: Scene, solver: "NewtonSolver") -> tuple[Array, Array]:
     surface = solver.body.nodes_m[np.unique(solver.body.space.faces)]
     away, _ = KDTree(surface).query(points_along(corners, along) + radius_m * axis)
     touching = along[away < radius_m]
+    # the path stays outside of the undeformed organ
     if not len(touching):
         return np.empty((0, 3)), -axis
     # the middle of each of the equal parts
@@ -203,6 +205,7 @@ def _pressed(
             solver, tip, direction, radius_m=radius_m, tolerance=TOLERANCE
         )
         rows.append([*(solution.tool_force_N if solution.converged else np.full(3, np.nan)), depth])
+    # three components of force and a depth a row; the shape holds without rows too
     table = np.array(rows).reshape(-1, 4)
     return table[:, :3], table[:, 3]
 
@@ -214,6 +217,7 @@ def linear_error(depth: float) -> float:
     `LINEAR_ERROR`, from zero at rest, and extrapolated beyond the last one.
     """
     depths, errors = np.array([(0.0, 0.0), *LINEAR_ERROR]).T
+    # a deeper press has a larger error than the table's last one; the last slope continues
     beyond = (errors[-1] - errors[-2]) / (depths[-1] - depths[-2]) * max(depth - depths[-1], 0.0)
     return float(np.interp(depth, depths, errors)) + float(beyond)
 
@@ -236,6 +240,7 @@ def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
         If ticks with the needed law take longer than demanded.
     """
     organ = scene.organ
+    # only a demanded error can need another law, and `LINEAR_ERROR` is known for balls only
     if (
         wanted.force_error is None
         or scene.device is not None
@@ -260,6 +265,7 @@ def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
         )
     lawful = changed(scene, {"organ.law": LAW})
     why = f"; organ.law = {LAW}, for the linear one is {off} {deep}"
+    # the ticks of the chosen setting were measured with the linear law
     if wanted.tick_ms is not None:
         run = simulate(lawful)
         tick_ms = 1e-3 * float(

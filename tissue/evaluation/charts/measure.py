@@ -248,6 +248,7 @@ def excerpt(scene: Scene, coarse: Changes, *, quick: bool) -> Scene:
     A hand has the same path as a script, so both have the same references, and more time.
     """
     if isinstance(scene.tool, Tool):
+        # a hand strays from its path, so that it needs more of the scene's own margin
         margin = (
             MARGIN_MM
             if scene.device is None
@@ -300,6 +301,7 @@ def _first_contact_s(scene: Scene, span_s: float) -> float:
 
 def _length_s(scene: Scene) -> float:
     """Return the duration of a scene [s], or zero if only its run shows the duration."""
+    # the duration of a tool that is pushed follows from the force, so that only its run shows it
     if scene.duration_s is not None or not isinstance(scene.motion, PathMotion):
         return scene.duration_s or 0.0
     return float(arc_length(scene.motion.points_mm)[-1]) / scene.motion.feed_mm_s

@@ -66,6 +66,7 @@ def perception_charts(out: Path, observer: Path | None, *, overwrite: bool = Fal
 def _people(someone: Observer, path: Path) -> None:
     """Draw intensity and threshold over force, of the population and of one observer."""
     chart, (left, right) = _panels(1, 2)
+    # a decade on both sides of 1 N, where the reference's intensity is 1
     forces = np.geomspace(0.1, 10.0, 200)
     for name, entry in constants("perception", "exponent").items():
         left.plot(forces, forces**entry.value, ":", color=GREY)
@@ -101,6 +102,7 @@ def _command(someone: Observer, path: Path) -> None:
     chart, (left, right) = _panels(1, 2)
     limit_N = device_parameters(DEVICE).force_limit_N
     device = ForceRange(limit_N=limit_N)
+    # up to three times the limit, where the played force has reached it
     forces = np.geomspace(0.02, 3.0 * limit_N, 600)
     # exponent of muscle force (Stevens), the reference's
     right.plot(forces, forces**1.7, "--", color=WANTED, label="wanted: reference, physical force")
@@ -128,6 +130,7 @@ def _command(someone: Observer, path: Path) -> None:
 
 def _deadband(someone: Observer, path: Path) -> None:
     """Draw a recorded force as the deadband plays it."""
+    # any seed will do: the title names the share of this run
     run = simulate(load_scene(SCENE, {"device": DEVICE, "hand": "novice", "seed": 3}))
     wanted = run.trace.vectors("filtered_force", "N")
     time = run.trace["time_s"]
@@ -163,6 +166,7 @@ def _deadband(someone: Observer, path: Path) -> None:
 
 def _panels(rows: int, columns: int) -> "tuple[Figure, tuple[Axes, Axes]]":
     """Return a figure with two panels."""
+    # inches; two panels side by side, or one below the other
     chart = figure(10.0, 4.6)
     chart.set_layout_engine("constrained")
     first, second = chart.subplots(rows, columns)

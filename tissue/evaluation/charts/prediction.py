@@ -325,6 +325,7 @@ def draw_scene(found: PredictorComparison, path: Path) -> None:
     The panels show error over horizon and over cost, the spectrum, training sizes, and a model at
     100 Hz.
     """
+    # inches: two rows of three panels
     chart = figure(11.0, 7.0)
     chart.set_layout_engine("constrained")
     (over_horizon, over_cost, spectrum), (over_size, slow, names) = chart.subplots(2, 3)
@@ -349,6 +350,7 @@ def draw_scene(found: PredictorComparison, path: Path) -> None:
     for axes in (over_cost, slow):
         axes.set(xscale="log", ylim=(0, None))
         plain_numbers(axes.xaxis)
+    # the unit circle: modes outside of it grow
     turn = np.linspace(0.0, 2.0 * np.pi, 200)
     values = found.eigenvalues
     spectrum.plot(np.cos(turn), np.sin(turn), color="0.6")
@@ -378,6 +380,7 @@ def _whiskers(axes: "Axes", x: float, at: Interval, *, color: str, fmt: str) -> 
 
 def draw_tasks(found: Sequence[PredictorComparison], path: Path) -> None:
     """Draw the error of every predictor at 4 ms on every scene, next to the paper's errors."""
+    # inches: 1.9 for the bars of a scene, and at least the width of the legend
     chart = figure(max(1.9 * len(found) + 1.6, 6.0), 4.4)
     chart.set_layout_engine("constrained")
     axes = chart.subplots()

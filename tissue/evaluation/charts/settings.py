@@ -245,6 +245,7 @@ def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
             name = f"{spacing:g} mm" + (" binary" if removal == "binary" else "")
             grid = {"voxels.spacing_mm": spacing, "voxels.removal": removal}
             yield Setting(name, "voxels", {**plain, **grid, **coarse})
+    # only coarser elements than the scene's: finer ones come with finer voxels below
     for factor in (2.0,) if quick else (4.0, 3.0, 2.0, 1.5):
         wide = {"tool.shell_spacing_mm": round(factor * shell, 4)}
         yield Setting(f"{base:g} mm, shell {factor * shell:.2g} mm", "shell", plain | wide)
@@ -266,6 +267,7 @@ def _elements(scene: Scene, *, quick: bool) -> Iterator[Setting]:
     """Yield settings of order and edge of tetrahedra, compliance method and cores."""
     plain = force_only(scene)
     base = edge_mm(scene)
+    # coarse to fine; linear tetrahedra have fewer nodes at the same edge, so finer ones are tried
     linear, quadratic = (
         ((1.0,), (2.0, 1.4, 1.0)) if quick else ((2.0, 1.4, 1.0, 0.8), (2.0, 1.7, 1.4, 1.2, 1.0))
     )
@@ -275,9 +277,11 @@ def _elements(scene: Scene, *, quick: bool) -> Iterator[Setting]:
         yield Setting(f"P{order} {edge:g} mm", "elements", changes)
     if quick:
         return
+    # nearly twice as many tetrahedra as at 1
     fine = refined(scene, 0.8) | {"organ.order": 2}
     yield Setting(f"P2 {0.8 * base:.3g} mm", "elements", fine, finer=True)
     if scene.organ.law == "linear":
+        # numbers of basis vectors, evenly on a logarithmic axis of cost
         for size in (100, 300, 1000):
             yield Setting(
                 f"reduced {size}",
@@ -314,6 +318,7 @@ def _loops(scene: Scene, *, quick: bool) -> Iterator[Setting]:
             yield Setting(
                 f"100 Hz, {kind}",
                 "loop",
+                # ten ticks of 1 ms
                 plain | {"prediction": kind, "coupling.model_ms": 10},
             )
 
@@ -347,6 +352,7 @@ def sources() -> str:
     Both the time of a tick and its error may change with any of them. External parts count by their
     names and by the code of their packages.
     """
+    # 8 bytes: only compared with checksums of other versions of the code
     digest = blake2b(code_sha256().encode(), digest_size=8)
     for kind, table in ((kind, table) for kind, tables in TABLES.items() for table in tables):
         for name in table.known:
@@ -380,6 +386,7 @@ def _package_sum(name: str) -> str:
         return f"{os.getpid()} {time_ns()}"
     path = Path(file)
     files = sorted(path.parent.rglob("*.py")) if path.name == "__init__.py" else [path]
+    # 8 bytes: only compared with checksums of other versions of the package
     return blake2b(b"".join(each.read_bytes() for each in files), digest_size=8).hexdigest()
 
 
@@ -389,6 +396,7 @@ def code_sha256() -> str:
     digest = sha256()
     for package in PACKAGES:
         for path in sorted(Path(str(files(package))).rglob("*")):
+            # compiled files follow from the sources and change when they are first imported
             if path.is_file() and path.parent.name != "__pycache__":
                 digest.update(path.read_bytes())
     return digest.hexdigest()
@@ -398,4 +406,5 @@ def setting_key(scene: Scene, setting: Setting, *, quick: bool) -> str:
     """Return the hash of a scene at a setting, of the machine and of the code."""
     at = scene_text(changed(scene, setting.changes))
     text = f"{at}|{setting.cores}|{setting.compute}|{quick}|{machine()}|{sources()}"
+    # 24 digits: short in a table, and too long for two settings to agree by chance
     return blake2b(text.encode(), digest_size=12).hexdigest()

@@ -234,6 +234,7 @@ class _AtTick:
         if len(self.solid.coefficients) > 1:
             one = np.flatnonzero(smooth)
             corners = _surface(piece, cells.chosen(smooth).points(CORNERS))[0]
+            # four corners a cell
             layers = self.solid.layer(self.path.in_world(self.tick, corners)).reshape(-1, 4)
             smooth[one] = (layers == layers[:, :1]).all(axis=1)
         return cells, smooth

@@ -242,6 +242,7 @@ def _over_ticks(
     while waiting:
         first, last = waiting.pop()
         middle = (first + last) // 2
+        # neighbouring ticks have none between them
         if middle == first:
             continue
         line = wrench[first] + (middle - first) / (last - first) * (wrench[last] - wrench[first])
@@ -340,6 +341,7 @@ def grid_index(forces_N: Sequence[Array], spacings: Sequence[float]) -> Order:
     order = np.argsort(spacings)[::-1]
     h = [float(spacings[k]) for k in order]
     coarse, middle, fine = (np.asarray(forces_N[k], dtype=np.float64) for k in order)
+    # a motion without force has no size, and its differences are zero
     size = max(float(np.linalg.norm(fine)), 1e-300)
     distance = tuple(float(np.linalg.norm(each - fine)) / size for each in (coarse, middle, fine))
     observed = observed_order(float(np.linalg.norm(coarse - middle)) / size, distance[1], h)
@@ -360,6 +362,7 @@ def observed_order(coarse: float, fine: float, spacings: Sequence[float]) -> flo
     spacings
         h3 > h2 > h1.
     """
+    # equal forces on all grids have no order; equal forces on two of them have an infinite one
     if coarse == fine == 0.0:
         return float("nan")
     if fine == 0.0 or coarse == 0.0:
@@ -375,4 +378,5 @@ def observed_order(coarse: float, fine: float, spacings: Sequence[float]) -> flo
         return float("inf")
     if excess(-STEEPEST) > 0.0:
         return float("-inf")
+    # far below the digits of an order that anybody reads
     return float(brentq(excess, -STEEPEST, STEEPEST, xtol=1e-10))

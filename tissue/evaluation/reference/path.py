@@ -269,6 +269,7 @@ class ToolPath:
         )
         chord = seen[-1] - seen[0]
         length = np.linalg.norm(chord, axis=1)
+        # a point at rest has no direction: its deviation is zero
         along = chord / np.maximum(length, 1e-300)[:, None]
         progress = np.einsum("tpc,pc->tp", seen - seen[0], along)
         off = seen - seen[0] - progress[..., None] * along

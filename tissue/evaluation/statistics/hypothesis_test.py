@@ -216,6 +216,7 @@ def _noncentrality(statistic: float, above: float, below: float, chance: float) 
     high = 1.0 + statistic * above
     while excess(high) < 0.0:
         high *= 2.0
+    # an effect size is reported with three digits
     return float(brentq(excess, 0.0, high, xtol=1e-9))
 
 

@@ -175,6 +175,7 @@ def spectral_arc_length(speed_mm_s: ArrayLike, *, tick_s: float) -> float:
     count = 2 ** (int(np.ceil(np.log2(len(speed)))) + SPARC_PADDING)
     frequencies = np.fft.rfftfreq(count, tick_s)
     spectrum = np.abs(np.fft.rfft(speed, count))
+    # a tool at rest has no spectrum, and is refused below
     spectrum /= max(float(spectrum.max()), 1e-300)
     loud = np.flatnonzero((frequencies <= SPARC_CUTOFF_HZ) & (spectrum >= SPARC_AMPLITUDE))
     if len(loud) < 2:

@@ -200,6 +200,7 @@ def _tests(
     """Return Wald's F of every effect, in its stratum."""
     found = []
     for term, row in fitted.wald_test_terms(scalar=True).table.iterrows():
+        # the mean of all trials is no effect
         if term == "Intercept":
             continue
         above = int(row["df_constraint"])

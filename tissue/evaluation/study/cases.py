@@ -164,6 +164,7 @@ def median_interval(values: Array) -> tuple[float, float, float]:
     """
     ordered = np.sort(values)
     rank = int(binom.ppf(0.025, len(ordered), 0.5))
+    # of five values, even the whole range misses the median with a probability of 2 / 2^5 = 6 %
     if len(ordered) < 6:
         return _middle(ordered), -inf, inf
     return _middle(ordered), float(ordered[rank - 1]), float(ordered[len(ordered) - rank])

@@ -146,6 +146,7 @@ def changes_of(observers: SimulatedObservers, plain: FeltPair, other: FeltPair) 
         (d, right), (new_d, new_right) = (
             [each.mean() for each in pair.felt_by(observers)] for pair in (one, two)
         )
+        # a d' of 0 has no ratio; below `LEAST_D` the caller gives none either
         return np.array(
             [new_d - d, 100.0 * (new_d / d - 1.0) if d else 0.0, 100.0 * (new_right - right)]
         )
@@ -320,6 +321,7 @@ def _right_answers(rows: Sequence[Mapping[str, str]]) -> bytes:
     figure, (axes,) = drawing(11.0, 4.4)
     grouped_bars(axes, ["\n".join(wrap(name, WIDEST)) for name in names], bars)
     axes.axhline(50.0, color="black", ls=":")
+    # 50 % is chance, and a method may lie below it by the sampling of trials
     axes.set_ylim(40.0, 100.0)
     axes.set_ylabel("right answers / %; dotted: by guessing")
     legend(figure, axes)

@@ -428,6 +428,7 @@ def _run_trials(
                     f"{scheduler} ({error})",
                     "start it with `dask scheduler`",
                 ) from error
+            # losses in a row without a finished trial
             barren = barren + 1 if len(waiting) == before else 1
             if barren > BARREN:
                 raise InputError(
@@ -445,6 +446,8 @@ def _run_trials(
                 keep(_failed(plan, suspects[0], failure))
             else:
                 losses.update(running.values())
+            # the pause [s] grows with the losses in a row: a cause that passes, such as a full
+            # memory, costs no trials
             sleep(min(2.0, 0.1 * barren))
 
 

@@ -219,6 +219,7 @@ class _Bystander(RunObserver):
         self.rows.append((hand.felt_N, 1e3 * hand.aim_m))
         if insertion.punctured and self.puncture_s == inf:
             self.puncture_s = now
+            # without a reaction time, as a bound for the other two cues
             if self._notice == "at once":
                 hand.stop(now)
         if now >= self._frame:

@@ -102,6 +102,7 @@ def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Secti
     plan = folder.plan()
     folder.write_tables()
     sections: list[Section] = []
+    # without compared tasks, a study has case studies alone
     if plan.compared:
         table = folder.table(*plan.compared)
         whole = table.complete()
@@ -299,6 +300,7 @@ def _origins(folder: StudyFolder, plan: Plan, kept: list[Trial]) -> Iterator[Dif
         yield (
             "code changed between trials",
             f"{len(codes)} versions",
+            # 12 digits distinguish versions of the code
             ", ".join(each[:12] or "none" for each in codes),
         )
     elif codes and codes != [code_sha256()]:

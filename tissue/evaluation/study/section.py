@@ -289,6 +289,7 @@ def legend(figure: Drawing, axes: Axes) -> None:
     figure.legend(
         *axes.get_legend_handles_labels(),
         loc="outside upper center",
+        # all five methods in one line
         ncols=5,
         frameon=False,
     )
@@ -297,5 +298,6 @@ def legend(figure: Drawing, axes: Axes) -> None:
 def image(figure: Drawing) -> bytes:
     """Return a figure as PNG."""
     held = io.BytesIO()
+    # 1320 pixels for the usual 11 inches: sharp on a page of 62 rem, 992 pixels
     figure.savefig(held, format="png", dpi=120)
     return held.getvalue()

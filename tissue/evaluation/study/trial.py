@@ -176,6 +176,7 @@ def failures_of(trials: Iterable[Trial]) -> dict[str, list[str]]:
 
 def trial_seed(plan: Plan, key: TrialKey) -> int:
     """Return the seed of a trial's scenes."""
+    # the first number of the trial's generator, as in `trial_scene`
     return int(plan.rng(key).integers(2**62))
 
 
@@ -225,6 +226,7 @@ def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
     return TrialScene(scenes, specimen, truth, pace)
 
 
+# the size bounds the memory; a scene that was dropped is computed again, with the same result
 @lru_cache(maxsize=64)
 def _force_scale(scene: Scene) -> float:
     """Return the chosen ratio of device force to tool force of a scene on the study's device.
@@ -241,6 +243,7 @@ def _all_specimens(task: str) -> list[Scene]:
     return [changed(load_scene(usual.scene), {**usual.changes, **each}) for each in usual.specimens]
 
 
+# the size bounds the memory; a scene that was dropped is computed again, with the same result
 @lru_cache(maxsize=64)
 def _stiffness_N_m(scene: Scene) -> float:
     """Return the chosen stiffness of a scene [N/m].
@@ -358,6 +361,7 @@ def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict
     }
     if task == "needle":
         found |= _pierced(run)
+    # compared in newtons at the reamer, while `force_rms_N` is at the device
     if task == "reaming":
         found["tracking_rms_N"] = found["force_rms_N"] / chosen_scale(run.scene)[0]
         found |= _reamed(run, touching)
