@@ -36,6 +36,7 @@ def mill(spacing_mm: float, removal: str) -> tissue.Run:
     """The slot on voxels of one size."""
     half, (first, second) = LENGTH_MM / 2, DEPTHS_MM
     path = [
+        # starts 0.1 mm above the bone
         [-half, 0, 0.1],
         [-half, 0, -first],
         [half, 0, -first],

@@ -84,6 +84,7 @@ def played(delay_ms: int, predictor: Slope | None) -> Floats:
     """Force at the device over a second [N], shape (1000,)."""
     loop = tissue.Loop(
         block,
+        # small against the block of 40 mm; the start is 2 mm above it
         tissue.ball(diameter_mm=12.0),
         device=Shaker(),
         limits=numbers,

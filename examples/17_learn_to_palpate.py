@@ -55,6 +55,7 @@ def score(env: Any, policy: Floats, seed: int) -> float:
     info = {"score": 0.0}
     while not over:
         tip = TIP_MM * observation[:3].astype(float)
+        # entries 0 to 2 are the tip, 3 to 5 its velocity, 6 to 8 the force
         force = FORCE_N * float(np.linalg.norm(observation[6:9]))
         # while it moves outward, the tip is not at its depth yet
         if np.hypot(*tip[:2]) > 0.5 * radius:
@@ -93,6 +94,7 @@ def learn(
     spread = 0.3 * (HIGH - LOW)
     history = [np.array([mean, spread])]
     for generation in range(generations):
+        # height, radius, speed and share, see `score`
         policies = rng.normal(mean, spread, (count, 4))
         # seeds of learning start at 1000, those of the unseen episodes at 0
         seeds = 1000 + generation * episodes + np.arange(episodes)

@@ -269,6 +269,7 @@ def _parts() -> list[_Part]:
     """Bodies in the order in which they are painted over each other."""
     head = HEAD_CENTRE_MM
     shaft = (_SHAFT_X_MM, HEAD_CENTRE_MM[1])
+    # sizes and places in mm, made up as those of `_HALF_MM`
     spine = (-40.0, -8.0)
     canal = (spine[0], 21.5)
     rods = [
@@ -373,6 +374,7 @@ def _arch(at: Array, *, spine_x: float) -> Array:
     across = np.abs(at[..., 0] - spine_x)
     y = at[..., 1]
     z = at[..., 2]
+    # boxes by middle and half width [mm], made up as those of `_HALF_MM`
     pedicle = np.maximum(
         np.maximum(np.abs(across - 12.0) - 4.0, np.abs(y - 16.0) - 14.0), np.abs(z - 5.0) - 6.5
     )
@@ -383,6 +385,7 @@ def _arch(at: Array, *, spine_x: float) -> Array:
 
 def _pad(at: Array) -> Array:
     """A pad of water below the body."""
+    # as wide as the body, and 2 mm thicker than the rods on both sides [mm]
     return np.asarray(np.maximum(np.abs(at[..., 0]) - 100.0, np.abs(at[..., 1] - 70.0) - 8.5))
 
 

@@ -112,6 +112,7 @@ class PalpationExpert:
         self._felt: list[Array] = []
         self._plan: list[Array] = [np.array([0.0, 0.0])]
         self._stage = 0
+        # wanted height of the tip: 2 mm deep, unless the force becomes too large
         self._height_mm = -2.0
 
     def __call__(self, observation: Any) -> Array:
@@ -124,6 +125,7 @@ class PalpationExpert:
             self._felt.append(np.array([tip[0], tip[1], force / max(-tip[2], 0.3) ** 1.5]))
         # force above the limit reduces the reward: press less, but never lift off
         if force > 0.9 * self._env.force_limit_N:
+            # 0.15 mm less in each step, and at least 0.5 mm deep [mm]
             self._height_mm = min(self._height_mm + 0.15, -0.5)
         # within 0.4 mm a place counts as reached; the first one when the tip is deep enough
         while (
@@ -160,6 +162,7 @@ class PalpationExpert:
             self._plan = [hardest, hardest - aside, hardest + aside]
         elif self._stage == 4:
             self._plan = [hardest]
+        # kept at the end, since `_hardest_place` needs at least one place when it is called again
         self._felt = [] if self._stage < 4 else self._felt
 
     def _hardest_place(self) -> Array:

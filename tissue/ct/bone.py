@@ -207,6 +207,7 @@ def _bone(request: ImportRequest, source: _Source) -> tuple[BoneOfImage, float |
         threshold, note = suggest_threshold(
             source.histogram, is_hounsfield=source.inspection.is_hounsfield
         )
+        # a threshold of the user replaces the suggested one
         if request.threshold is not None:
             threshold = request.threshold
             note = f"threshold {threshold:g}, as given"
@@ -259,6 +260,7 @@ def _followed(like: str | None, at: Placed | None, *, replay: bool) -> dict[str,
     A guide hole is returned under ``anatomy``.
     """
     wanted = like or USUAL.get((at.kind if at else None) or "")
+    # no scene fits the site: the tool plunges along the site's normal
     if wanted is None:
         tables: dict[str, Any] = dict(PLUNGE)
     else:
@@ -271,6 +273,7 @@ def _followed(like: str | None, at: Placed | None, *, replay: bool) -> dict[str,
         tables["anatomy"] = {key: value for key, value in tables["anatomy"].items() if key in HOLE}
     if replay:
         tables["motion"] = {"kind": "replay", "file": "path.csv"}
+        # a replay lasts as long as its path
         tables.pop("duration_s", None)
     return tables
 

@@ -230,6 +230,7 @@ def _organ_scene(request: ImportRequest, name: str, source: str) -> dict[str, An
     }
     if request.point_mm is not None:
         anatomy["centre_mm"] = [round(value, 3) for value in request.point_mm]
+    # the library has these two materials of organs; any other organ begins as a liver
     organ: dict[str, object] = {"material": "kidney" if "kidney" in region.lower() else "liver"}
     if request.parts:
         organ["parts"] = {each: float(modulus) for each, modulus in request.parts.items()}

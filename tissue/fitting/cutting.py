@@ -240,6 +240,7 @@ def _free_constants(
     wanted = {
         each.name for each in chosen(free, [each.parameter for each in possible + factors], tags)
     }
+    # without patterns, keys that the scene states and exponents without effect stay fixed
     if not free:
         wanted = usual
     return (*(each for each in possible if each.parameter.name in wanted), *factors)

@@ -254,6 +254,7 @@ def fit_scene(
             "constants at their ranges",
             "give one of a deeper or faster cut, and check that the scene is what was cut",
         )
+    # between the search, which begins at 0.8, and the end
     report("what to measure next", 0.9)
     material = [at for at, name in enumerate(posterior.names) if not name.startswith(NUISANCES)]
     gains = expected_information(posterior, problem.candidates(), among=material)

@@ -89,6 +89,7 @@ def write_fitted(
             "confidence": entry.confidence,
         }
     content: dict[str, object] = dict(tables)
+    # rounding may leave the matrix slightly unsymmetric; a single constant has no correlation
     if len(entries) > 1:
         matrix = 0.5 * (correlation + correlation.T)
         np.fill_diagonal(matrix, 1.0)

@@ -209,6 +209,7 @@ def _combination(
     if not linear.any():
         total = measure(x)
         size = abs(measure(x))
+    # weights of opposite sign nearly cancel: powers over such a total would be meaningless
     if abs(total) < BALANCED * size:
         linear = named
         scales = np.zeros_like(scales)

@@ -140,6 +140,7 @@ def read_log(path: Path, columns: Sequence[str] = ()) -> MeasuredLog:
     notes = list(found.notes)
     if "model_force_x_N" in found.names:
         for name in CHANNELS:
+            # a column that the user has named is kept
             if f"model_{name}" in found.names:
                 asked.setdefault(name, f"model_{name}")
         notes.append("forces are those of the model (model_force), before low-pass and device")
@@ -383,9 +384,11 @@ def without_saturation(loads: Array, channels: Sequence[str], notes: list[str]) 
 def _saturated(values: Array) -> list[float]:
     """Return the extreme values at which a channel stays, as a saturated sensor does."""
     known = values[np.isfinite(values)]
+    # too short for any plateau
     if len(known) < PLATEAU:
         return []
     turns = np.diff(known)
+    # a signal without noise may rest at its extreme without saturation, see `ROUGH`
     if np.mean(turns[1:] * turns[:-1] < 0.0) < ROUGH:
         return []
     starts = np.flatnonzero(np.append(True, turns != 0.0))
@@ -411,6 +414,7 @@ def pose_notes(times_s: Array, tips_m: Array, load_period_s: float) -> list[str]
     """
     moved = np.any(np.diff(tips_m, axis=0) != 0.0, axis=1)
     new: Ints = np.flatnonzero(np.append(True, moved))
+    # a tool that hardly moves needs no path between its poses
     if len(new) < PLATEAU:
         return []
     times_s = times_s[new]

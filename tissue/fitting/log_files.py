@@ -275,6 +275,7 @@ def _parquet(path: Path) -> LogColumns:
 
 def _mat(path: Path) -> LogColumns:
     with path.open("rb") as stream:
+        # the length of "MATLAB 7.3"
         first = stream.read(10)
     # such files are HDF5, which the reader of older MATLAB files refuses
     if first == b"MATLAB 7.3":

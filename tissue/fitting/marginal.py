@@ -159,6 +159,8 @@ def log_density_at(target: Target, u: Array, at: int) -> tuple[float, Array]:
         moved = u.copy()
         moved[others] += step
         tried = _reweighted(target, moved, others)
+        # Levenberg and Marquardt's damping: less after a step that succeeds, more after one that
+        # fails
         if tried[0] > log_density:
             u = moved
             log_density, gradient, normal = tried
@@ -283,6 +285,7 @@ def _law(found: Mapping[float, float], side: float) -> Marginal:
 
     For a one-sided number, the end at 0 has a probability.
     """
+    # a one-sided number is handled as a positive one
     sign = side or 1.0
     logarithms = {sign * place: logarithm for place, logarithm in found.items()}
     places = np.array(sorted(logarithms))
@@ -293,6 +296,7 @@ def _law(found: Mapping[float, float], side: float) -> Marginal:
         places,
     )
     density = np.exp(PchipInterpolator(places, heights - heights.max())(fine))
+    # the grid reaches the end of a one-sided number, where part of the probability lies
     end = END * float(density[0]) if side and fine[0] == 0.0 else 0.0
     summed = end + cumulative_trapezoid(density, fine, initial=0.0)
     mean = float(trapezoid(density * fine, fine)) / summed[-1]

@@ -64,6 +64,7 @@ class OrganForward:
     def reduced(self, x: Array) -> tuple[float, Array]:
         """Return the scale of the loads, and the constants that a run uses for x, shape (p,)."""
         x = np.asarray(x, dtype=float)
+        # no loads in proportion to moduli: a run at x itself is needed
         if not self.moduli:
             return 1.0, x
         first = self.moduli[0]
@@ -84,6 +85,7 @@ class OrganForward:
         scale, same = self.reduced(x)
         distance = self.distance(same)
         found = self._slopes_at(distance) / np.where(self._logarithmic, same, 1.0)
+        # below, the loads scale with the first modulus, and the other moduli with its ratio
         if not self.moduli:
             return found
         first = self.moduli[0]

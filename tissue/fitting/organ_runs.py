@@ -144,8 +144,10 @@ def _stated(scene: Scene) -> list[Parameter]:
 def _shape_prior(name: str, value: float) -> Prior | None:
     """Return the prior of a constant that gives a law its shape, or None if it has no range."""
     low, high = SHAPE
+    # a range of factors needs a positive value, and a share of 1 has no space above
     if value <= 0.0 or (name == SHARE and value >= 1.0):
         return None
+    # a share stays below 1: what is left of it shrinks by a factor instead
     if name == SHARE:
         return Prior(
             value, low * value, min(high * value, 1.0 - NEAREST * (1.0 - value)), (0.0, 1.0)
@@ -238,6 +240,7 @@ class OrganRuns:
             is one run.
         """
         self.count += len(samples)
+        # the first runs are timed in this process: short runs do not pay for the start of a pool
         if self._pool is None and min(self._cores, len(samples)) > 1 and self._longest_s > PAYS_S:
             self._pool = self._ends.enter_context(worker_pool(self._cores))
         if self._pool is not None:

@@ -217,6 +217,7 @@ class Target:
         self.constants = len(self._priors)
         self.sides = np.array([each.side for each in forward.parameters])
         """Side of each constant, shape (p,), see `tissue.fitting.problem.Parameter.side`."""
+        # constants, the offset, and for each channel bias, noise, correlation and freedom
         self.size = self.constants + 1 + 4 * len(log.channels)
         self._linearised: tuple[Array, Array, Array] | None = None
         self._last_shift: tuple[float, tuple[csr_array, csr_array]] | None = None
@@ -225,6 +226,7 @@ class Target:
         """Return the numbers of a fit from its vector, shape (size,)."""
         p = self.constants
         c = len(self.log.channels)
+        # in the order of `size`
         bias, noise, correlation, freedom = u[p + 1 :].reshape(4, c)
         scale = self._sizes * (LEAST_NOISE + NOISE_SHARE * np.exp(NOISE_SPREAD * noise))
         return Unpacked(

@@ -58,6 +58,7 @@ def _entries() -> list[int]:
     """Return the remainder of every byte followed by eight zero bytes."""
     found = []
     for byte in range(256):
+        # the byte at the top of 64 bits; each round divides by the polynomial for one bit
         value = byte << 56
         for _ in range(8):
             value = ((value << 1) ^ POLYNOMIAL if value >> 63 else value << 1) & MASK
@@ -82,6 +83,7 @@ def crc64(body: bytes | bytearray | memoryview) -> int:
     if len(body) < LONG:
         value = 0
         for byte in body:
+            # the highest 8 of the 64 bits leave the remainder
             value = ((value << 8) & MASK) ^ ENTRIES[(value >> 56) ^ byte]
         return value
     width = -(-len(body) // LANES)
@@ -216,6 +218,7 @@ def parse_header(header: bytes | bytearray) -> Header:
     kind, name = (text.split(b"\0")[0].decode("ascii", "replace").strip() for text in (kind, name))
     if not kind or not (kind + name).isascii() or not (kind + name).isprintable():
         raise IgtlError("a header whose type or name is no ASCII text")
+    # fractions of a second in units of 2**-32 s
     return Header(version, kind, name, seconds + fraction / 2**32, size, crc)
 
 
@@ -229,6 +232,7 @@ def content_of(header: Header, body: bytes | bytearray) -> bytes:
     """
     if crc64(body) != header.crc:
         raise IgtlError("a message with another checksum than its body has")
+    # version 1 has no extended header
     if header.version == 1:
         return bytes(body)
     # a body that is too short for the extended header is padded; its size of 0 fails the check
@@ -256,6 +260,7 @@ def parse_transform(content: bytes) -> Array:
     IgtlError
         If the content has the wrong length or is not finite.
     """
+    # twelve float32: three columns of the rotation, and the position
     if len(content) != 48:
         raise IgtlError(f"a TRANSFORM of {len(content)} bytes instead of 48")
     values = struct.unpack(">12f", content)

@@ -405,8 +405,10 @@ class Publisher(RunPublisher):
         client = received.client
         verb, _, stream = kind.partition("_")
         if stream in STREAMS:
+            # before the first row there is nothing to answer with
             if verb == "GET" and self._row.size:
                 self._send_to(client, stream)
+            # start and stop a stream; OpenIGTLink wants a reply of type RTS
             elif verb in ("STT", "STP"):
                 (client.wants.add if verb == "STT" else client.wants.discard)(stream)
                 reply = igtl.packed(f"RTS_{stream}", received.header.name, b"\0", time_s=time())
@@ -422,6 +424,7 @@ class Publisher(RunPublisher):
         if now - self._posed < FRAME_S:
             return
         message = self._arrays.read("row")
+        # no row yet, or the last one was sent already
         if message is None or message[0] == self._turn:
             return
         self._turn, self._row = message

@@ -31,6 +31,7 @@ def test_the_foam_is_drilled_by_the_pen_under_the_guard():
 def test_a_step_drill_removes_less_than_a_straight_one():
     changes = {"voxels.spacing_mm": 0.4, "device": "none", "duration_s": 0.6}
     stepped = simulate(load_scene("toy-drilling", changes)).trace["removed_mm3"][-1]
+    # the step drill of the scene without its step
     cylinder = {
         "tool.kind": "cylinder",
         "tool.diameter_mm": 4.0,
@@ -51,6 +52,7 @@ def test_the_cushion_hardens():
     np.testing.assert_allclose(
         trace["model_force_z_N"], 100.0 * depth_m * (1.0 + depth_m / 0.01), atol=1e-9
     )
+    # 10 mm deep, where it is twice as stiff: 2 x 100 N/m x 10 mm
     assert trace["model_force_z_N"].max() == pytest.approx(2.0, rel=0.02)
 
 

@@ -326,6 +326,7 @@ def surrogate_indices(
             [_shares(_fitted(basis[each], values[each], ridge), alone, members) for each in rows]
         )
         found[:, 0, :, column] = drawn[0]
+        # 5 to 95 %: the 90 % interval over the resampled runs
         found[:, 1:, :, column] = np.moveaxis(np.quantile(drawn[1:], (0.05, 0.95), axis=0), 0, 1)
     return SobolIndices(found[0, 0], found[1, 0], found[0, 1:], found[1, 1:]), explained
 

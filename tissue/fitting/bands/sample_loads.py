@@ -108,6 +108,7 @@ class Reweighed:
         The values `x` have shape (samples, p).
         """
         layers = len(self.record.layer_names)
+        # without an image of densities, no sample changes them
         place = self.ranges.names.index(DENSITY) if DENSITY in self.ranges.names else None
         rows = []
         for each in x:
@@ -266,6 +267,7 @@ def intervals(names: tuple[Figure, ...], values: Array) -> Summary:
             inside = inside.setdefault(part, {})
         there = column[np.isfinite(column)]
         inside[name[-1]] = _by_level(there)
+        # the share of an event is given even if it is 1, next to its time
         if name[0] == "events":
             inside["share"] = len(there) / len(column)
         elif len(there) < len(column):
@@ -333,7 +335,7 @@ LOST_WORKER = "the process that ran it was lost"
 BARREN = 5
 """Consecutive losses without a finished sample after which the workers are abandoned.
 
-The value is equal to the value of a study.
+A sample that ends its worker costs at most two: once with others, and once alone.
 """
 
 
@@ -369,6 +371,7 @@ def reruns(
     suspects = list[int]()
     barren = 0
     while waiting or suspects:
+        # all others come first, so that a sample that ends its worker delays none of them
         alone = not waiting
         numbers = [suspects.pop(0)] if alone else waiting
         returned = set[int]()
