@@ -39,6 +39,7 @@ class MillingExpert:
         self._corners = [np.array([-0.5 * length, rows[0], ABOVE_MM])]
         side = -0.5 * length
         for z in np.linspace(0.0, -depth, int(np.ceil(depth / LAYER_MM)) + 1)[1:]:
+            # to and fro, and each layer from the end of the last one
             for y in rows:
                 self._corners += [np.array([side, y, z]), np.array([-side, y, z])]
                 side = -side

@@ -117,6 +117,7 @@ def bone_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
         sentences.append(f"density by {certainty} ({source.law.source})")
         files["density.nrrd"] = partial(write_density, density, law=certainty)
         tables["density_file"] = "density.nrrd"
+    # labels of the user are kept on the voxels of the bone
     if source.labels is not None:
         blank = replace(bone.image, values=np.zeros(bone.image.values.shape, np.uint8))
         files["labels.seg.nrrd"] = partial(write_labels, on_grid_of(source.labels, blank))
@@ -366,6 +367,7 @@ def _pictures(
         for name, structure in clear.items():
             outlines[f"{name}, to keep clear of"] = _depth(structure, bone.image)
         middle_mm = 0.5 * (low_mm + high_mm)
+        # without a site, the slices go through the middle of the bone
         around_site = marks if centre_mm is not None else replace(marks, centre_mm=middle_mm)
         draw_ct_slices(around, file, outlines, around_site, title=title)
 
@@ -386,6 +388,7 @@ def _pictures(
         "histogram.png": histogram,
         "bone.png": lambda file: draw_ct_bone(surface, file, marks, density=density, title=title),
     }
+    # the path is seen along the site's normal
     if path is not None and normal is not None:
         pictures["path.png"] = lambda file: draw_path_depth(
             surface, path.depth, file, normal=normal, title=surface.report.source

@@ -186,6 +186,7 @@ def organ_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
         if not modulus > 0.0:
             raise InputError("parts", "have a modulus above 0", f"{each}={modulus:g}", "give kPa")
     mask = labels.mask(region)
+    # the check compares Hounsfield units inside the label with those of soft tissue
     note = (
         soft_label_note(image, mask, region) if mask.any() and inspect(image).is_hounsfield else ""
     )

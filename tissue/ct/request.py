@@ -168,6 +168,7 @@ class ImportRequest:
                 "coordinates", "be LPS or RAS", self.coordinates, "give the frame of the numbers"
             )
         path_in_numbers = self.path is not None and self.path.suffix.lower() not in MARKUPS
+        # files of markups state their own frame
         in_numbers = path_in_numbers or self.crop_mm is not None or self.point_mm is not None
         if self.coordinates == "RAS" and not in_numbers:
             raise InputError(
@@ -311,6 +312,7 @@ def placed(request: ImportRequest, surface: Surface) -> tuple[Placed | None, str
             return Placed(site), f"site: {site.confidence}"
     if isinstance(request.site, str):
         return _searched(request.site, surface)
+    # the label's name suggests a joint, such as a scapula its glenoid
     usual = next((kind for word, kind in USUAL if re.search(word, request.region or "")), None)
     pick = "pick one by `tissue view`, or give --site"
     if usual is None:

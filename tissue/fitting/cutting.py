@@ -140,6 +140,7 @@ class CuttingForward:
         found = list(self.coefficients)
         factors = np.ones(len(found))
         for each, value in zip(self.free, np.asarray(x, dtype=float).tolist(), strict=True):
+            # a density factor belongs to the layer, all others are fields of its coefficients
             if each.field == FACTOR:
                 factors[each.layer] = value
             else:

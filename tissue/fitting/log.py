@@ -112,6 +112,7 @@ class MeasuredLog:
         """
         if self.quaternions is not None:
             return self.quaternions
+        # a log without orientations: the tool keeps that of the scene's motion
         first = motion_of(scene, step_s=TICK_S).rotations()[0]
         return np.tile(Rotation.from_matrix(first).as_quat(), (len(self.times_s), 1))
 

@@ -115,6 +115,7 @@ def _text(path: Path) -> LogColumns:
             try:
                 found[row] = number_in(cell.replace(",", ".")) if cell else np.nan
             except ValueError:
+                # a cell of a damaged file may be long
                 text = f"{cell[:40]!r} for {name} in line {at + 1}"
                 raise InputError("log", "hold numbers", text, _AGAIN) from None
         return found
@@ -286,6 +287,7 @@ def _mat(path: Path) -> LogColumns:
 def _h5(path: Path) -> LogColumns:
     h5py = _module("h5py", "h5")
     with h5py.File(path, "r") as file:
+        # groups that only recordings of volumetric_drilling have
         if any(name in file for name in DRILLING):
             return _drilling(path)
         sets: dict[str, Any] = {}

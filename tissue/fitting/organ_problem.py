@@ -114,6 +114,7 @@ class OrganForward:
         widths = np.array([float(each.prior.slope(0.0)) for each in self.parameters])
         step = distance / np.where(self._logarithmic, widths / middle, widths)
         slopes = self._slopes_at(distance)
+        # a shorter step would explain single nodes that come into contact
         if float(np.linalg.norm(step)) >= learnt:
             missed = base - self._of_run(distance)
             along = np.divide(step**2, distance, out=np.zeros_like(step), where=distance != 0.0)

@@ -83,6 +83,7 @@ def organ_parameters(
     parameters = tuple(chosen(free, [*cited, *stated]))
     places = tuple(at for at, each in enumerate(parameters) if each.name in stiffnesses)
     together = len(places) == len(stiffnesses) and not scene.organ.gravity
+    # with weight or a fixed modulus, scaling the free moduli does not scale the loads
     return parameters, places if together else ()
 
 

@@ -169,6 +169,7 @@ def maximum_posterior(forward: Forward, log: MeasuredLoads) -> Posterior:
     for _ in range(REFINED):
         nearby = max(_shifted(target, best[1]), key=target.value)
         higher = climbed(target, nearby)
+        # the neighbourhood holds no better maximum
         if higher[0] <= best[0] + STEEP:
             break
         best = higher
@@ -242,6 +243,7 @@ def _scored(target: Restricted, u: Array) -> tuple[Array, Array, bool]:
         gain = float(gradient @ step)
         if gain < STEEP:
             return u, information, True
+        # a full step may overshoot; without any better place the search has stopped short
         for share in SHORTER:
             tried, there = target.value_and_gradient(u + share * step)
             if tried > value:
@@ -329,6 +331,7 @@ def _search(
     """
     target = Target(forward, replace(log, values=log.values * signs))
     density, u = starts(target)[0]
+    # the search takes most of the time: it is left out where the first guess is far worse
     if density > wanted - SCREENED:
         density, u = climbed(target, u)
     left = np.nanvar(target.log.values - target.simulated(u), axis=0)

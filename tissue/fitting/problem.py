@@ -51,6 +51,7 @@ class Parameter:
     @classmethod
     def of(cls, name: str, cited: Prior) -> "Parameter":
         """Return the parameter of a cited constant, its value inside its range or at an end."""
+        # a search needs values on both sides; `side` marks which of them are possible
         return cls(name, cited.mirrored(), cited) if cited.is_one_sided else cls(name, cited)
 
     @property
@@ -91,6 +92,7 @@ def chosen(
     words = {}
     for each in possible:
         table, material, *rest = each.name.split(".")
+        # names such as specific_energy_J_mm3 are found by their first two words too
         parts = [word for full in rest for word in (full, *full.split("_")[:2])]
         words[each.name] = (table, {material, (tags or {}).get(each.name, material), *rest, *parts})
     selected = set[str]()

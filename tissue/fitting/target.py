@@ -269,6 +269,7 @@ class Target:
         each = self.unpacked(u)
         c = len(self.log.channels)
         place = u[: self.constants + 1]
+        # the last place is kept, since gradient and information need the slopes of one place
         if self._linearised is None or not np.array_equal(self._linearised[0], place):
             self._linearised = (place.copy(), *self._by_place(each))
         loads, by_place = self._linearised[1:]

@@ -205,8 +205,10 @@ class IgtlServer:
         received: list[Received] = []
         for key, _ in self._selector.select(timeout_s):
             client = key.data
+            # the listening socket has no client
             if client is None:
                 fresh += self._accept()
+            # a client that failed earlier in this call is gone
             elif client in self.clients:
                 came = self._try(client, client.read)
                 received += [
@@ -225,6 +227,7 @@ class IgtlServer:
         """
         sent = 0
         for client in list(self.clients if to is None else to):
+            # the next message of a stream replaces one that a slow client would get late
             if not (is_stream and client.waits) and client in self.clients:
                 client.put(message)
                 sent += 1

@@ -85,6 +85,7 @@ class Ros2Publisher(RunPublisher):
             self._turn, row = found
             self._row_s = now
             self._publish(row)
+        # no new rows: the run is paused
         state = "ENABLED" if now - self._row_s < PAUSED_S else "PAUSED"
         if state != self._state or now - self._stated_s >= STATE_S:
             self._publish_state(state)

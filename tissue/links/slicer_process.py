@@ -53,6 +53,7 @@ class SlicerFrame:
 
     def __init__(self, placement: Placement | None) -> None:
         self.matrix = LPS_TO_RAS.copy()
+        # without a placement, the scene's axes are those of the patient
         if placement is not None:
             self.matrix = LPS_TO_RAS @ _pose(placement.origin_mm, placement.rotation)
 
@@ -188,6 +189,7 @@ class SlicerContent:
             ("SENSOR", FORCE, igtl.sensor_body(force, igtl.NEWTON)),
             ("SENSOR", TORQUE, igtl.sensor_body(torque, igtl.NEWTON_METRE)),
         ]
+        # one array of six numbers; sensors have one unit each
         if kind == "NDARRAY":
             bodies = [("NDARRAY", WRENCH, igtl.ndarray_body(np.concatenate([force, torque])))]
         metadata = {"time_s": f"{row[self._time]:.3f}"}

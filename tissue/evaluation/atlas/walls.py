@@ -470,5 +470,6 @@ class ThinWalls(Page):
                 ("one tick is longer than the wall", penalty["sampling_m_s"], (":", ORANGE)),
             ],
             title="device of 50 g, wall of 1 kN/m",
+            # from below the slowest crossing, 7 mm/s, to above the fastest throw, 5 m/s
             ylim=(0.5e-3, 20.0),
         )

@@ -416,6 +416,7 @@ def _entry(line: str) -> tuple[Comparison | Magnitude, float, int]:
     """Return a line's trial, answer and number."""
     entry = read_json(line)
     if not isinstance(entry, dict):
+        # a damaged line may be long
         raise ValueError(f"{line[:40]}")
     trial = entry.pop("trial")
     answer = entry.pop("answer")

@@ -172,6 +172,7 @@ def _gap(scene: Scene, path: Path, *, quick: bool) -> float:
 
 def _store(scene: Scene, *, quick: bool) -> Path:
     """Return the file of a scene's measurements, next to the computed arrays of this machine."""
+    # 8 bytes: the name of the scene is in the file name too
     text = f"{scene_text(scene)}|{machine()}|{quick}|{sources()}"
     return (
         cache_folder()

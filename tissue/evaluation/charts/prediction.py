@@ -187,6 +187,7 @@ def _cost_us(predictor: Predictor, run: Recording) -> tuple[float, float]:
 
     The time includes observing the tick and predicting the force after the latency.
     """
+    # the loop too shows contacts only to predictors that use them
     shown = predictor if isinstance(predictor, SeesContact) else None
     times = []
     for position, velocity, force, row in zip(

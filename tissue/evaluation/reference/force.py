@@ -257,6 +257,7 @@ class _AtTick:
         if tested:
             engaged = (advance > 0.0) & (self.solid.distance(world) < 0.0)
             found = np.flatnonzero(engaged)
+            # twice: larger distances are only known to be larger, and `TOUCHING_M` must be decided
             within = np.full(len(found), 2.0 * TOUCHING_M)
             swept = self.path.swept_distance(self.tick, self.parts, world[found], within=within)
             found = found[swept > TOUCHING_M]
@@ -266,6 +267,7 @@ class _AtTick:
             weights = weights[found]
             advance = advance[found]
             world = world[found]
+        # no point is engaged
         if len(points) == 0:
             return np.zeros(6)
         chip = advance * self.cutter.chip_per_speed_s

@@ -73,6 +73,7 @@ class ConvexPart:
         """
         height, radius = self.bounding_ball
         bound = _to_segment(np.array([0.0, 0.0, height]), start, end) - radius
+        # the distance of a ball's centre from the path is exact; other bodies need a search
         if self.ball:
             arc = self.pieces[0]
             assert isinstance(arc, Arc)

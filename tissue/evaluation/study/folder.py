@@ -191,6 +191,7 @@ class StudyFolder:
                 raise InputError(
                     "study",
                     f"be of tissue {package_version()}",
+                    # a damaged file may hold any text
                     f"{str(made)[:40]} in {path}",
                     "run it in a new folder, trials of two versions are not put together",
                 )
@@ -235,6 +236,7 @@ class StudyFolder:
         there = self.registrations()
         content = {
             "seed": trial.seed,
+            # to 1 ms, far below what a trial takes
             "took_s": round(trial.took_s, 3),
             "plan_sha256": there[-1]["sha256"] if there else "",
             "code_sha256": code_sha256(),

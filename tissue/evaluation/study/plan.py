@@ -286,6 +286,7 @@ class TrialKey:
         InputError
             If there can be no such trial.
         """
+        # empty texts stand for missing parts, which are refused below
         task, group, number, variant, *_ = *name.split("-", 3), "", "", ""
         known = task in TASKS and group in GROUPS and variant in ("", REFERENCE, *VARIANTS)
         if not (known and number.isdecimal()):

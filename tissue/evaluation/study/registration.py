@@ -287,6 +287,7 @@ def _effects(factors: list[str]) -> list[str]:
 
 
 def _rounded(power: dict[str, float]) -> dict[str, float]:
+    # a tenth of a per cent: the same text on machines that round differently
     return {name: round(value, 3) for name, value in power.items()}
 
 

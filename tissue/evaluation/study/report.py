@@ -224,6 +224,7 @@ def registration_section(folder: StudyFolder, tests: Sequence[Section]) -> Secti
         *_origins(folder, plan, kept),
         *_tests(folder, tests),
     ]
+    # its SHA-256 is shown by 16 digits, which distinguish versions of a plan
     newest = folder.registrations()[-1]
     before = newest["trials_before"]
     when = f"after {before} trials" if before else "before the first trial"
@@ -248,6 +249,7 @@ def _plans(folder: StudyFolder) -> Iterator[Difference]:
     for each in folder.registrations():
         name = str(each["file"])
         if (got := file_sha256(folder.path / name)) != each["sha256"]:
+            # 16 digits distinguish versions of a plan
             how = f"its SHA-256 is {got[:16]}" if got else "it is not there"
             yield "plan changed", name, f"registered as {str(each['sha256'])[:16]}, {how}"
         if each["trials_before"]:

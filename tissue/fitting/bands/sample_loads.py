@@ -124,10 +124,12 @@ class Reweighed:
         peak = np.zeros((len(x), 2))
         sums = np.zeros((len(x), 2))
         for ticks, loads in self._blocks(weights):
+            # force and torque, three components each
             parts = loads.reshape(*loads.shape[:2], 2, 3)
             sizes = np.sqrt(np.einsum("sncd,sncd->snc", parts, parts))
             peak = np.maximum(peak, sizes.max(axis=1))
             sums += sizes[:, self._contact[ticks]].sum(axis=1)
+        # without contact, the means are 0
         means = sums / max(int(self._contact.sum()), 1)
         return np.stack([peak[:, 0], means[:, 0], peak[:, 1], means[:, 1]], axis=1)
 
@@ -169,6 +171,7 @@ def density_prior(law: str) -> Prior | None:
     density; it is applied as a relative band to every voxel.
     """
     found = LAW.search(law)
+    # a density that the scene states has no law and no band
     if found is None:
         return None
     median, low, high = map(float, found.groups())

@@ -141,11 +141,13 @@ def section_cap(
     filler.Update()
     cap: pyvista.PolyData = pyvista.wrap(filler.GetOutput())
     cap.clear_data()
+    # the plane misses the mesh
     if not cap.n_cells:
         return cap
     cap = cap.subdivide_adaptive(max_edge_len=CAP_EDGE * surface.length, max_n_passes=MOST_PASSES)
     places = np.asarray(cap.points, dtype=np.float64)
     layers = np.asarray(mesh.cell_data["layer"])
+    # a single layer needs no search for the cell of each place
     several = layers.min() < layers.max()
     layer = layers[mesh.find_closest_cell(places)] if several else np.full(len(places), layers[0])
     values = np.zeros(len(places))

@@ -260,6 +260,7 @@ def _moments_of_bone(moments: Sequence[tuple[float, Any]], deepest_mm: float) ->
     meshes: list[Record] = []
     frames: list[Record] = []
     for _, surface in moments:
+        # an empty surface has no array of shape (n, 3)
         triangles = surface.regular_faces if surface.n_cells else np.zeros((0, 3), dtype=int)
         mesh, order = packed_mesh(surface.points, triangles)
         depth = np.asarray(surface.point_data["removed_depth_mm"])[order] / deepest_mm
@@ -279,6 +280,7 @@ def fields_shown(fields: SavedFields, plane: tuple[Any, Any]) -> Shown:
     for name in fields.names:
         on = "cells" if name in first.cell_data else "points"
         shown.scales.append({**field_scale(name, fields.limits(name)), "group": "field", "on": on})
+    # a single layer needs no colours of its own
     if len(fields.layer_names) > 1:
         layers = sorted({int(layer) for layer in np.unique(first.cell_data["layer"])})
         shown.scales.append(

@@ -132,6 +132,7 @@ class ClipPlane:
         """Move the plane along its normal, by a share of the mesh's diagonal."""
         normal, origin = self._plane
         moved = np.add(origin, share * self._fields.size_mm * np.array(normal)).tolist()
+        # the widget is made when the plane is first switched on
         if self._widget is not None:
             self._widget.SetOrigin(*moved)
         self.move(normal, moved)

@@ -336,6 +336,7 @@ class BoneShown:
     def at(self, tick: int) -> None:
         """Show the bone at the end of a tick."""
         if self._bone.at(tick):
+            # the bone beyond the cut is the same at all ticks
             self._take(rest=False)
             if self._visible:
                 self._draw_part("bone")

@@ -157,6 +157,7 @@ def add_colour_scale(
         vertical=True,
         # to the right of the scene, which ends at 0.86, see `MARGINS`
         position_x=0.87,
+        # it ends below the title of the window
         position_y=bottom,
         height=0.42,
         width=0.07,

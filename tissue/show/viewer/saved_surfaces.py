@@ -51,6 +51,7 @@ def saved_fields(saved: SavedRun) -> SavedFields | None:
     if not (saved.path / "fields.pvd").is_file():
         return None
     fields = SavedFields(saved.path)
+    # a run that was stopped early may have written neither frames nor fields
     return fields if len(fields.times_s) and fields.names else None
 
 
@@ -147,6 +148,7 @@ class BoneOverTime:
             self._shown = frozenset(shown)
             volume = self._volume
             fraction = volume.fraction
+            # voxels of hidden layers count as empty
             if not self._shown >= set(self.layers):
                 fraction = np.where(np.isin(volume.layer, list(shown)), fraction, np.uint8(0))
             self._carved = CarvedSurface(

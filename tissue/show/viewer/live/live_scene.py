@@ -145,6 +145,7 @@ class LiveBone:
 
     def _draw(self) -> None:
         surface = self._bone.surface
+        # all bone is removed: the last surface must not stay in view
         if not surface.n_cells:
             self._plotter.remove_actor("bone", render=False)
             return
@@ -273,6 +274,7 @@ class LiveScene:
     def update_tissue(self) -> bool:
         """Update the tissue if it is due; return whether it changed."""
         now = perf_counter()
+        # an update takes at most half of the time, so that the tool still moves smoothly
         if self.tissue is None or now - self._updated <= max(TISSUE_S, 2.0 * self._took):
             return False
         changed = self.tissue.update()

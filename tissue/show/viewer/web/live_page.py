@@ -111,6 +111,7 @@ class LivePage:
             self.arrays["resets"][0] = self._resets
         elif do == "end":
             self.leave()
+        # a paused tool must not jump to another place when the run continues
         elif not (self._paused or self._resetting):
             self._move(do, values)
 
@@ -123,6 +124,7 @@ class LivePage:
             self._sent_mm = self.target.target_mm
             self.arrays.write("pointer", self._sent_mm)
             self.stage.changed = True
+        # the page has not taken the last picture yet
         if not drawing:
             return None, None
         loads = self._loads()

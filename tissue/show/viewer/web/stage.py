@@ -91,6 +91,7 @@ class Stage:
     def zoom(self, by: float) -> None:
         """Bring the camera nearer by a factor."""
         camera = self._plotter.camera
+        # a parallel projection does not depend on the distance of the camera
         if camera.GetParallelProjection():
             camera.SetParallelScale(camera.GetParallelScale() / by)
         else:

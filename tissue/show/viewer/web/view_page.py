@@ -121,6 +121,7 @@ class ViewPage:
     def frame(self, drawing: bool) -> tuple[dict[str, Any] | None, bytes | None]:
         """Advance the time during playback, and show the moment."""
         self._playback.advance()
+        # the page has not taken the last picture yet
         if not drawing:
             return None, None
         if self.time_s != self._shown_s or self._dirty:
