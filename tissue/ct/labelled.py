@@ -230,6 +230,7 @@ def _organ_scene(request: ImportRequest, name: str, source: str) -> dict[str, An
         "held": "below",
     }
     if request.point_mm is not None:
+        # to 1 um, far below the spacing of any CT
         anatomy["centre_mm"] = [round(value, 3) for value in request.point_mm]
     # the library has these two materials of organs; any other organ begins as a liver
     organ: dict[str, object] = {"material": "kidney" if "kidney" in region.lower() else "liver"}
@@ -243,6 +244,7 @@ def _organ_scene(request: ImportRequest, name: str, source: str) -> dict[str, An
         "tool": {"kind": "sphere-probe", "diameter_mm": BALL_MM},
         "motion": {
             "kind": "path",
+            # begins 2 mm above the surface
             "points_mm": [[0, 0, 2], [0, 0, -DEPTH_MM]],
             "feed_mm_s": FEED_MM_S,
         },

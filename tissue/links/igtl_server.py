@@ -227,7 +227,6 @@ class IgtlServer:
         """
         sent = 0
         for client in list(self.clients if to is None else to):
-            # the next message of a stream replaces one that a slow client would get late
             if not (is_stream and client.waits) and client in self.clients:
                 client.put(message)
                 sent += 1

@@ -101,6 +101,7 @@ def plunge(mass_kg: float, thrust_N: float) -> tuple[float, float]:
     # a drill of 4 mm in a block that is wide enough for it and 1 mm deeper than its path
     model = bone_model((6, 6, 5), cylinder(diameter_m=4e-3, length_m=8e-3), 4)
     push = PushAlongAxis(
+        # 0.1 mm above the bone; at most 5 mm/s, and 4 mm deep
         np.array([0.0, 0.0, 1e-4]),
         axis=(0, 0, 1),
         thrust_N=thrust_N,
@@ -274,6 +275,7 @@ def compliance_m_N(body: ParticleBody, fill: float) -> float:
     # in the middle of the top face, just inside the filled part of the cut cell
     place = CUT_EDGE_M * np.array([1.5, 1.5, CELLS + 0.999 * fill])
     load = body.spread(place, np.array([0.0, 0.0, -1.0]))
+    # 1e-6 to 1e-12 give the same compliance to 2e-9
     return float((load * body.solve(load, tolerance=1e-10).displacement_m).sum())
 
 
@@ -399,7 +401,10 @@ def soft_middle(cells: int, contrast: float) -> ParticleBody:
         position[:, 2] < 0.125 * EDGE_M
     )
     particles = ParticleSet.uniform(
-        position, volume_m3=(0.5 * EDGE_M / cells) ** 3, modulus_Pa=84e9
+        # enamel, see `REAL`
+        position,
+        volume_m3=(0.5 * EDGE_M / cells) ** 3,
+        modulus_Pa=84e9,
     )
     particles.modulus_Pa[soft] /= contrast
     return body_of(particles, EDGE_M / cells, INNER_STRENGTH)

@@ -172,6 +172,7 @@ def bar_solver(law: Law, poisson_ratio: float) -> NewtonSolver:
     """Return the solver of a bar with all components held at both ends."""
     # the strain of a rotated bar is uniform, so that a coarse mesh is exact
     space = Space(box((LENGTH_M, WIDTH_M, WIDTH_M), (6, 2, 2)))
+    # both end faces, to rounding
     ends = (space.nodes_m[:, 0] < 1e-9) | (space.nodes_m[:, 0] > LENGTH_M - 1e-9)
     body = NonlinearBody(space, lame(YOUNG_PA, poisson_ratio), law=law)
     return NewtonSolver(body, np.repeat(ends[:, None], 3, axis=1))
@@ -388,6 +389,7 @@ class BadTetrahedra(Page):
         folded = nodes.copy()
         # 1.6 edges to the side: the node passes through its neighbours' faces
         folded[middle_node(nodes)] += [0.4 * SIZE_M, 0.0, 0.0]
+        # as flat as the slivers of the sweep
         mesh, sliver = repair_tets(*squashed(1e-4))
         flat = len(sliver) > 0 and bool(mean_ratio(mesh.nodes_m, mesh.cells).min() >= SLIVER)
         return [

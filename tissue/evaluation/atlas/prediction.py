@@ -189,6 +189,7 @@ class Horizon(Page):
             predictor.observe(position[tick], np.zeros(3), force[tick])
         before = predictor.is_primary
         predictor.observe(np.full(3, np.nan), np.zeros(3), force[deep])
+        # `HORIZON_TICKS` ahead
         kept = float(np.linalg.norm(predictor.predict(5)))
         size = float(np.linalg.norm(force[deep]))
         # 15 samples in a row are too many to bridge by prediction
@@ -334,6 +335,7 @@ class TrainedElsewhere(Page):
                     force_limit_N=SIX_DOF.force_limit_N,
                 )(),
             )
+        # none of the seeds of `recordings`
         recording = tapped(HOME_N_M, seed=9, seconds=1.0)
         # 10 mm a tick along each axis, 17 m/s, which no hand reaches
         away = np.cumsum(np.full((1000, 3), 1e-2), axis=0)

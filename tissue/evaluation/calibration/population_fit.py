@@ -221,6 +221,7 @@ def _posterior(session: Session, axes: "Axes") -> None:
     for quantile in session.threshold.weber_quantiles(np.array([0.025, 0.975]))[:, 0]:
         axes.axvline(100.0 * quantile, color=BLUE, ls="--")
     axes.set_xscale("log")
+    # 1, 2 and 5 of each decade, within the range of the prior
     ticks = [tick for tick in (2.0, 5.0, 10.0, 20.0, 50.0) if edges[0] <= tick <= edges[-1]]
     _ticks(axes, ticks)
     axes.set(
@@ -258,6 +259,7 @@ def _answers(session: Session, axes: "Axes") -> None:
                 # the area of a mark grows with the number of answers
                 ms=3.0 + np.sqrt(len(bin_)),
             )
+    # from where answers are guesses to where nearly all are right
     at = np.geomspace(0.1, max(steps.max(initial=5.0), 5.0), 200)
     share = with_lapse(2.0 * correct_of_d_prime(D_PRIME_75 * at) - 1.0, lapse)
     axes.semilogx(at, 100.0 * share, color=BLUE)
@@ -284,6 +286,7 @@ def _numbers(session: Session, axes: "Axes") -> None:
     at = np.geomspace(forces.min(), forces.max(), 50)
     axes.loglog(forces, numbers, "o", color=ORANGE, alpha=0.7)
     axes.loglog(at, np.exp(fit.mean[0]) * at ** fit.mean[1], color=BLUE)
+    # the range of `MAGNITUDE_FORCES_N`
     _ticks(axes, [0.3, 0.5, 1, 2, 3])
     axes.set(
         xlabel="force / N", ylabel="number given", title=f"Stevens' exponent {fit.mean[1]:.2f}"

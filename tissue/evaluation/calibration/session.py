@@ -59,6 +59,7 @@ class Plan:
         require_range("seed", self.seed, 0, 2**32, "use a whole number")
         # more trials than anyone answers in a day: a typing error
         require_range("trials", self.trials, 0, 100_000, "use 120")
+        # as for trials
         require_range("numbers", self.numbers, 0, 100_000, "use 24")
         require_range(
             "force_limit_N", self.force_limit_N, 0.5, 1000.0, "give the device's largest force"
@@ -211,6 +212,7 @@ class Session:
             f"threshold at {REPORTED_N:g} N {at[0]:.3f} N, after {len(self.asked)} comparisons"
         ]
         if self.given:
+            # the median and the ends of the 95 % interval
             least, exponent, most = self.magnitudes().exponent_at([0.025, 0.5, 0.975])
             notes.append(
                 f"Stevens' exponent {exponent:.2f} (95 % within {least:.2f} to {most:.2f}), "

@@ -75,6 +75,7 @@ def _people(someone: Observer, path: Path) -> None:
     # with 4000 people, the ends of eight in ten are known to 0.5 % of the people
     drawn = population().draws(4000, np.random.default_rng(0))
     percent = 100.0 * drawn["kappa"] * (1.0 + drawn["offset_N"] / forces[:, None])
+    # eight in ten people lie between them
     low, high = np.quantile(percent, [0.1, 0.9], axis=1)
     right.fill_between(forces, low, high, color=POPULATION, alpha=0.18, label="eight in ten people")
     # 7 % from 2.5 to 10 N
@@ -91,6 +92,7 @@ def _people(someone: Observer, path: Path) -> None:
         right.plot(forces, threshold, color=colour, label=who.name)
     wanted = intensity_of(reference_observer()).expected(forces)
     left.plot(forces, wanted, "--", color=WANTED, label="reference")
+    # the limits hold all curves; beyond 10 N they leave space for the names of the exponents
     left.set(xscale="log", yscale="log", ylim=(0.01, 200.0), xlim=(0.1, 45.0))
     left.set(xlabel="force / N", ylabel="intensity / reference's at 1 N")
     right.set(xscale="log", xlabel="force / N", ylabel="threshold / % of the force", ylim=(0, 46))
@@ -121,6 +123,7 @@ def _command(someone: Observer, path: Path) -> None:
     left.axhline(limit_N, color=GREY, label=f"limit of {DEVICE}")
     for axes in (left, right):
         axes.axvline(device.knee_share * limit_N, color=GREY, linestyle="--")
+        # these limits and those below hold all curves
         axes.set(xscale="log", yscale="log", xlabel="force at the device / N", xlim=(0.05, 10.0))
     left.set(ylabel="force played / N", ylim=(0.02, 8.0))
     right.set(ylabel="intensity / that at 1 N", ylim=(0.005, 60.0))

@@ -234,6 +234,7 @@ def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
     shell = _shell_mm(tool)
     # coarse to fine, evenly on a logarithmic axis of cost
     for factor in (4.0, 3.0, 2.0, 1.0) if quick else (5.0, 4.0, 3.0, 2.0, 1.5, 1.0):
+        # to 0.1 um, which keeps names and texts of scenes short
         spacing = round(factor * base, 4)
         # a scene refuses tools narrower than four voxels
         if spacing > 0.25 * tool.diameter_mm:

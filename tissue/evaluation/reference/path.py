@@ -45,6 +45,7 @@ class ConvexPart:
     @property
     def bounding_ball(self) -> tuple[float, float]:
         """Height of the centre and radius of a ball that holds the body [m]."""
+        # 64 parts of each piece
         share = np.linspace(0.0, 1.0, 65)
         outline = np.concatenate([piece.at(share)[0] for piece in self.pieces])
         centre = 0.5 * float(outline[:, 1].min() + outline[:, 1].max())

@@ -290,6 +290,7 @@ def _checks(loadings: Array, variances: Array, spread: Array) -> tuple[Assumptio
     """Check whether one number may represent these metrics."""
     # a loading of zero may be negative by rounding
     agree = bool((loadings > -1e-9).all())
+    # of two metrics that agree entirely, the second variance is zero
     gap = float(variances[0] / max(float(variances[1]), 1e-300))
     widest = float((spread[1] - spread[0]).max())
     return (

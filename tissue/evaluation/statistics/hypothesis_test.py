@@ -272,6 +272,7 @@ def mardia(residuals: ArrayLike) -> Assumption:
     distances = centred @ np.linalg.solve(centred.T @ centred / count, centred.T)
     # Mardia's (1974) correction for small samples
     small = (width + 1) * (count + 1) * (count + 3) / (count * ((count + 1) * (width + 1) - 6.0))
+    # n b / 6 is chi squared with p (p + 1) (p + 2) / 6 degrees of freedom
     skewed = chi2.sf(
         small * count / 6.0 * (distances**3).mean(), width * (width + 1) * (width + 2) / 6
     )

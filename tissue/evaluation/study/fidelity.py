@@ -104,6 +104,7 @@ def force_section(table: TrialTable) -> Section:
         "Force fidelity",
         sentences,
         rows,
+        # inches; two panels at most
         _bars(table, metrics, (11.0, 4.2)),
         " ".join([f"Force error at the motor in %: {means}.", *left]),
     )
@@ -246,6 +247,7 @@ def task_section(table: TrialTable) -> Section:
         "position_error_mm": ("position error / mm", 1.0),
         "spectral_arc_length": ("spectral arc length", 1.0),
     }
+    # 12 x 3.6 inches for three panels
     return Section("tasks", "Task metrics", sentences, rows, _bars(table, metrics, (12.0, 3.6)))
 
 

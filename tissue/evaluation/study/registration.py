@@ -333,6 +333,7 @@ def planned_power(
 
     # smaller chances of a false alarm are not in use
     require_range("alpha", alpha, 1e-9, 1.0, "use 0.05")
+    # beyond this range a typing error: to show 0.01 takes more than 100 000 people
     require_range("effect", effect, 0.01, 10.0, "use 1")
     found: dict[str, float] = {}
     # no variation between people

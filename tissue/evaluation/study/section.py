@@ -234,6 +234,7 @@ def interval_by_users(table: TrialTable, metric: str) -> tuple[float, float, flo
     # one person has no interval
     if len(people) < 2:
         return centre, centre, centre
+    # the interval does not depend on the tested mean of zero
     low, high = ttest_1samp(means, 0.0).confidence_interval(0.95)
     return centre, float(low), float(high)
 

@@ -264,6 +264,7 @@ def _draw_spin(axes: "Axes", run: Run, camera: Camera) -> None:
     axes.plot(*arc[:-3].T, color="0.1", linewidth=1.6, path_effects=halo())
     draw_arrow(axes, arc[-4], arc[-1], "0.1")
     x, y = arc[np.argmin(arc[:, 1])]
+    # 8 pixels above the arc
     axes.text(x, y - 8.0, "spin", ha="center", va="bottom", size=9, path_effects=halo())
 
 
@@ -343,6 +344,7 @@ def draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
     ]
     for (name, mask), dashes in zip(depth.exposed.items(), cycle(EXPOSED), strict=False):
         draw_outline(axes, mask, depth.extent_mm, color="white", linewidth=2.6)
+        # half as wide as the white line below
         look = {"color": "black", "linewidth": 1.3, "linestyle": dashes}
         draw_outline(axes, mask, depth.extent_mm, **look)
         handles.append(Line2D([], [], label=f"{name} laid bare", **look))

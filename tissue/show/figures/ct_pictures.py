@@ -364,6 +364,7 @@ def draw_path_depth(
         from matplotlib.collections import LineCollection
 
         middle = 0.5 * (found.depth_mm[1:] + found.depth_mm[:-1])
+        # a path outside of the bone has no depth, and a share of it needs a divisor
         deepest = max(found.deepest_mm, 1e-6)
         # the first 15 % of the colour map are too light on bone
         shades = colormaps[PATH_COLOURS](0.15 + 0.85 * np.clip(middle / deepest, 0.0, 1.0))

@@ -126,6 +126,7 @@ def panelled(
 
 def legend_above(axes: "Axes", columns: int, handles: "list[Artist] | None" = None) -> None:
     """Put the legend of a panel above it."""
+    # shares of the panel: on its upper edge, flush with its left one
     axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=columns)
 
 

@@ -109,6 +109,7 @@ def draw_measured(
         shown = unit.replace("Nm", "N m")
         loads.set_ylabel(f"{what} / {shown}")
         rest.set_ylabel(f"residual / {shown}")
+    # the measured load and three axes
     legend_above(panels[0], 4)
     panels[-1].set_xlabel("time / s")
     plain(panels)
@@ -138,6 +139,7 @@ def draw_residuals(innovations: Array, correlations: Array, freedom: float, path
     known = innovations[np.isfinite(innovations)]
     # innovations beyond six scales are counted in the last bins
     at = np.linspace(-6.0, 6.0, 121)
+    # five bins a scale
     spread.hist(np.clip(known, -6.0, 6.0), bins=60, range=(-6.0, 6.0), density=True, color="0.8")
     label = f"Student's t, {freedom:.3g} degrees of freedom"
     spread.plot(at, t.pdf(at, freedom), color=SIMULATED, label=label)
@@ -166,6 +168,7 @@ def draw_constants(constants: Sequence[FittedConstant], path: Path) -> None:
     chart, (axes,) = panelled("constants of the fit", (8.0, FRAME + ROW * len(constants)))
     for row, one in enumerate(constants):
         least, most = one.cited_z
+        # 0.3 of the row is left between two bars
         axes.barh(row, most - least, left=least, height=0.7, color=PRIOR, linewidth=0.0)
         low, middle, high = one.fitted_z
         colour = SIMULATED if one.is_identified else "0.45"
@@ -341,7 +344,7 @@ def _bars(axes: "Axes", rows: list[Mapping[str, Any]]) -> None:
         axes.barh(
             np.arange(len(rows)) + shift,
             value,
-            0.36,
+            0.36,  # height of a bar
             color=colour,
             label=label,
             xerr=spread,

@@ -105,6 +105,7 @@ def draw_force_depth(run: Run, path: Path, *, axis: int, outward: int) -> str | 
     # inches per panel at about 1.3: the force has the tallest panel, as it holds the names of
     # layers
     heights = [2.2, *([1.0] * len(measures))]
+    # 3.55 in: the panel of the force, title, and label of the axis
     chart, panels = panelled(
         f"{run.scene.name}: force on the tool over depth, first descent",
         (8.0, 3.55 + 1.3 * len(measures)),
@@ -205,6 +206,7 @@ def draw_insertion(run: Run, path: Path) -> None:
         over_time.plot(time, trace[name], color=colour, linewidth=1.8, label=label)
     over_time.plot(time, force, color="0.1", linewidth=1.0, label="all together")
     last_mm = -np.inf
+    # points above the curve
     height = 10
     label = "puncture"
     for when, what in run.events:

@@ -111,6 +111,7 @@ def mark_events(
     lowered = 0
     for number, (time, _) in enumerate(events[:MOST_EVENTS], 1):
         for axes in panels:
+            # dashes, since layers and steps have full lines
             axes.axvline(time, color="0.15", linewidth=0.9, linestyle=(0, (4, 2)), zorder=3)
         # numbers closer than 2 % of the axis would overlap; they are placed at three heights
         lowered = (lowered + 1) % 3 if time - place < 0.02 * (high - low) else 0
@@ -146,6 +147,7 @@ def draw_force_torque(run: Run, path: Path) -> None:
     turns = bool(trace.vectors("torque", "Nm").any() or trace.vectors("model_torque", "Nm").any())
     # inches of the panels; force is the largest, removal rate and path need less
     heights = (2.2, *([1.6] if turns else []), 0.9, 1.0)
+    # 1.4 in for title, legends and the label of the axis
     full = sum(heights) + 1.4 + EVENT_IN * len(event_footnotes(events))
     chart, panels = panelled(
         f"{run.scene.name}: force on the tool{'' if turns else ' (no torque)'}",
@@ -256,6 +258,7 @@ def draw_played(run: Run, path: Path) -> None:
     turns = bool(trace.vectors("device_torque", "Nm").any())
     # inches: the whole run, its steepest moment, the positions, and the torque if there is any
     heights = (2.4, 2.0, 1.5, 1.2)[: 3 + turns]
+    # 1 in for title, legends and the label of the axis
     chart, panels = panelled(
         f"{run.scene.name}: what the {held.kind} played ({held.hand}, {held.renderer}); "
         f"{scale:g} N for each newton at the tool",

@@ -171,6 +171,7 @@ def draw_press(
             words = field_words(each.name)
             bar.set_label(words + (", cut open at the tool" if each.opened else ""))
             if each.ends[0] > 0.0:  # a logarithmic scale, whose default ticks would overlap
+                # four ticks with two digits fit the width of the bar
                 ticks = np.geomspace(*each.ends, 4).tolist()
                 bar.set_ticks(ticks, labels=[f"{tick:.2g}" for tick in ticks])
                 bar.minorticks_off()

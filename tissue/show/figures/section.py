@@ -172,6 +172,7 @@ def draw_section(run: Run, path: Path, *, axis: int, outward: int) -> None:
     # inches: two panels and a colour bar, or one panel of at most 5.2 in both directions
     wide = 3.05 if frame is not None else min(5.2, 5.2 / shape)
     x, y, normal = (f"{axis_names(run)[each]}" for each in section.axes)
+    # 1.75 in for title, titles of the panels, label of the axis and legend
     chart, panels = panelled(
         f"{run.scene.name} at {run.trace['time_s'][row]:.3f} s: section at {normal} = "
         f"{section.place_mm:.2f} mm, through the deepest point",
@@ -242,6 +243,7 @@ def _draw_stress(axes: "Axes", series: FieldSeries, frame: Frame, section: Secti
     shown = stress[there & np.isfinite(stress)]
     # single cells at sharp edges would stretch the scale; the span is one to three decades
     low, peak = np.percentile(shown, (2.0, 99.8)) if shown.size else (1.0, 1.0)
+    # a logarithmic scale needs a range above zero, even without stress
     peak = max(float(peak), 1e-9)
     scale = LogNorm(float(np.clip(low, peak * 10.0**-DECADES, 0.1 * peak)), peak)
     for index in np.unique(section.layer[there]):

@@ -135,6 +135,7 @@ def _add_tool(
     if "device_x_mm" in trace and scene is not None:
         device = tips[0] + scene.motion_scale * (trace.vectors("device", "mm") - tips[0])
         poses["device"] = packed_vectors(device[rows])
+        # paler than the tool, with which it nearly coincides
         followers.append(("device", surface, DEVICE, 0.25, "device"))
     # length 1: the browser scales it to the force
     arrow = pyvista.Arrow(shaft_radius=0.025, tip_radius=0.06, tip_length=0.18).triangulate()

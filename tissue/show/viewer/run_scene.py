@@ -139,6 +139,7 @@ def _chart(
     time = trace["time_s"][every]
     # an axis needs a range in a run without force
     ends = [0.0, 1e-3]
+    # opacity and line width: the model's force is full and wide
     forces = (trace.vectors("force", "N"), 0.3, 1.5), (tool_force(trace), 1.0, 2.0)
     for values, opacity, width in forces:
         curves = np.column_stack([np.linalg.norm(values, axis=1), values])[every].T
@@ -231,6 +232,7 @@ class ToolShown:
             start=tip_mm,
             direction=force_N,
             scale=length,
+            # 2 and 5 % of the longest arrow
             shaft_radius=0.02 * self._longest / length,
             tip_radius=0.05 * self._longest / length,
             # head and shaft keep their width whatever the length; a short arrow is not only a head

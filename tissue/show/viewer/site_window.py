@@ -84,6 +84,7 @@ class SiteWindow:
         bone = pyvista.PolyData.from_regular_faces(
             1e3 * self._surface.vertices_m, self._surface.faces.astype(int)
         )
+        # little ambient light shows the shape of the bone
         look = {"color": BONE, "smooth_shading": True, "ambient": 0.15, "specular": 0.1}
         self._bone = self.plotter.add_mesh(bone, name="bone", **look)
         self.plotter.add_axes(

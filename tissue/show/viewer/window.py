@@ -168,7 +168,8 @@ def _write_gif(path: Path, pictures: Iterable[Bytes]) -> None:
     from PIL import Image
 
     def small(picture: Bytes) -> "Picture":
-        # a GIF has 256 colours; dithering would flicker from picture to picture
+        # a quarter of the pixels keeps a GIF small; it has 256 colours, and dithering would
+        # flicker from picture to picture
         return Image.fromarray(picture).reduce(2).quantize(256, dither=Image.Dither.NONE)
 
     each = iter(pictures)
@@ -323,6 +324,7 @@ class Window:
             # the largest displacement becomes a fraction of the mesh, and true size and twice that
             # are always in range
             top = max(LARGEST * series.size_mm / series.largest_mm(), fields.scale, 2.0)
+            # to the right of the slider of the time
             place = (0.72, 0.97, SLIDERS)
             add_slider(
                 plotter,
@@ -335,6 +337,7 @@ class Window:
         on_click(plotter, lambda x, y: names.click(x, y) or point.click(x, y))
 
     def _write(self, title: str) -> None:
+        # at the top, in larger letters than the keys
         lines = [(title, 11, 0.965)]
         if not self._off_screen:
             first = [self.bone.help if self.bone is not None else "", self.layers.help]

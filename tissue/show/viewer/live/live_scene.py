@@ -311,6 +311,7 @@ class LiveScene:
         self._spring = pyvista.Line((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
         self.plotter.add_mesh(self._spring, line_width=3, **look)
         tool = turning_tool(self.scene.tool)
+        # the tissue behind the tool stays visible
         self._tool = ToolShown(self.plotter, tool, longest_mm=0.25 * size_mm, opacity=0.5)
 
 
