@@ -409,6 +409,7 @@ def mat_columns(file: Path) -> Answer:
 
     columns: dict[str, Numbers] = {}
     for name, value in loadmat(file, squeeze_me=True).items():
+        # SciPy's own entries, such as __header__
         if name.startswith("__"):
             continue
         held = {name: value}

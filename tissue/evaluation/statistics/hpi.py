@@ -225,7 +225,7 @@ def composite_index(
     rng
         Generator that draws users for the intervals.
     count
-        Number of resampled populations.
+        Number of resampled populations. With 2000, tails of 2.5 % have a standard error of 0.35 %.
     """
     names = tuple(directions)
     kept = table.failure == ""

@@ -105,7 +105,7 @@ def latency_ms(
     tick_s
         Time from tick to tick [s].
     longest_ms
-        Largest shift in either direction [ms].
+        Largest shift in either direction [ms]; 50 is twelve times the latency of a study's loop.
 
     Raises
     ------

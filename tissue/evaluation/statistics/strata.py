@@ -88,6 +88,7 @@ def scores_of(values: Array, sizes: tuple[int, ...], chosen: tuple[int, ...]) ->
     Array
         Shape (..., users, contrasts).
     """
+    # a factor outside of the effect contributes its mean, by weights of unit length
     parts = [
         helmert(size) if index in chosen else np.full((1, size), size**-0.5)
         for index, size in enumerate(sizes)
