@@ -36,6 +36,7 @@ def mill(spacing_mm: float, removal: str) -> tissue.Run:
     """The slot on voxels of one size."""
     half, (first, second) = LENGTH_MM / 2, DEPTHS_MM
     path = [
+        # starts 0.1 mm above the bone
         [-half, 0, 0.1],
         [-half, 0, -first],
         [half, 0, -first],
@@ -45,10 +46,13 @@ def mill(spacing_mm: float, removal: str) -> tissue.Run:
     changes = {
         "voxels.spacing_mm": spacing_mm,
         "voxels.removal": removal,
+        # just enough bone around a burr of 6 mm on a path of 4 mm
         "anatomy.size_mm": [12, 8, 2],
+        # the same elements of the burr on all voxels, so that only the voxels differ
         "tool.shell_spacing_mm": 0.1,
         "motion.points_mm": path,
         "motion.feed_mm_s": FEED_MM_S,
+        # the time of the path, and 10 ticks more
         "duration_s": (0.1 + second + 2 * LENGTH_MM) / FEED_MM_S + 0.01,
     }
     return tissue.simulate(tissue.load_scene("milling", changes))
@@ -56,6 +60,7 @@ def mill(spacing_mm: float, removal: str) -> tissue.Run:
 
 def steady_force(run: tissue.Run) -> NDArray[np.float64]:
     """Force [N] over the middle of the second pass, shape (ticks, 3)."""
+    # the middle half of the second pass, which takes 400 ticks before the last 10 ticks at rest
     return run.trace.vectors("model_force", "N")[-310:-110]
 
 

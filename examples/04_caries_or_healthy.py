@@ -37,6 +37,7 @@ FEED_MM_S = 1.5
 def drill(scene: str, feed_mm_s: float) -> tissue.Run:
     """A built-in tooth drilled straight down."""
     changes = {
+        # twice the spacing of the scene, an eighth of its voxels
         "voxels.spacing_mm": 0.1,
         "motion.points_mm": [[0, 0, 0.2], [0, 0, -DEPTH_MM]],
         "motion.feed_mm_s": feed_mm_s,
@@ -66,6 +67,7 @@ def best_threshold(soft: Floats, hard: Floats) -> tuple[float, float, float]:
     above = 1.0 - np.searchsorted(np.sort(hard), thresholds) / len(hard)
     best = int(np.argmax(below + above))
     area = 1.0 - np.searchsorted(np.sort(hard), soft, side="right").mean() / len(hard)
+    # the mean of the shares of right calls in both groups, so that a larger group does not decide
     return float(thresholds[best]), float(0.5 * (below + above)[best]), float(area)
 
 

@@ -34,6 +34,7 @@ class Shaker:
 
     def read(self, time_s: float) -> tissue.Sample:
         """Return a sample with the position and velocity of the device at a time."""
+        # two turns a second
         turn = 4.0 * np.pi
         height = 3e-3 * np.cos(turn * time_s) - 3e-3
         return tissue.Sample(
@@ -60,6 +61,7 @@ class Slope:
     def observe(self, position_m: Floats, velocity_m_s: Floats, force_N: Floats | None) -> None:
         """Take in a tick; a slow model answers in some only."""
         if force_N is not None:
+            # the mean over about 5 ticks, so that single encoder steps do not count
             self.slope_N = 0.8 * self.slope_N + 0.2 * (force_N - self.force_N)
             self.force_N = force_N
 
@@ -82,14 +84,17 @@ def played(delay_ms: int, predictor: Slope | None) -> Floats:
     """Force at the device over a second [N], shape (1000,)."""
     loop = tissue.Loop(
         block,
+        # small against the block of 40 mm; the start is 2 mm above it
         tissue.ball(diameter_mm=12.0),
         device=Shaker(),
         limits=numbers,
         start_mm=(0.0, 0.0, 2.0),
+        # 61 % below the critical stiffness at 4 ms of latency
         stiffness_N_m=300.0,
         delay_ms=delay_ms,
         predictor=predictor,
     )
+    # with latency, the coupling is judged alike with and without the predictor
     if predictor is not None or not delay_ms:
         print(loop.notes["coupling"])
     return loop.run(1.0).trace["device_force_z_N"]

@@ -37,6 +37,7 @@ HIGH = np.array([-0.3, 20.0, 60.0, 0.9])
 def hardest(felt: list[Floats]) -> Floats:
     """Mean of the places felt, by how much harder than most they are [mm]."""
     x, y, hard = np.array(felt).T
+    # only the hardest quarter counts; 1e-12 is for places that are all alike
     weight = np.clip(hard - np.quantile(hard, 0.75), 0.0, None) ** 2 + 1e-12
     return np.array([weight @ x, weight @ y]) / weight.sum()
 
@@ -45,6 +46,7 @@ def score(env: Any, policy: Floats, seed: int) -> float:
     """Score of an episode by a policy of height, radius, speed and share of the radius."""
     height, radius, speed, share = np.clip(policy, LOW, HIGH)
     observation, _ = env.reset(seed=seed)
+    # corners of 15 degrees, back to the first
     turns = np.linspace(0.0, 2.0 * np.pi, 25)
     plan = [radius * np.array([np.cos(turn), np.sin(turn)]) for turn in turns]
     felt: list[Floats] = []
@@ -53,17 +55,23 @@ def score(env: Any, policy: Floats, seed: int) -> float:
     info = {"score": 0.0}
     while not over:
         tip = TIP_MM * observation[:3].astype(float)
+        # entries 0 to 2 are the tip, 3 to 5 its velocity, 6 to 8 the force
         force = FORCE_N * float(np.linalg.norm(observation[6:9]))
+        # while it moves outward, the tip is not at its depth yet
         if np.hypot(*tip[:2]) > 0.5 * radius:
+            # above 0.3 mm of depth, force and depth are too small for their ratio
             felt.append(np.array([*tip[:2], force / max(-tip[2], 0.3) ** 1.5]))
+        # a corner counts as reached within 0.5 mm: a step at 60 mm/s is 1.2 mm long
         while plan and np.hypot(*(plan[0] - tip[:2])) < 0.5:
             plan.pop(0)
+        # stage 1: across the hardest place of the circle; stage 2: the hardest place of that line
         if not plan and stage < 2 and felt:
             place, stage = hardest(felt), stage + 1
             felt = felt if stage == 2 else []
             plan = [place] if stage == 2 else [place, (1.0 - share) * place, (1.0 + share) * place]
         away = (plan[0] if plan else tip[:2]) - tip[:2]
         aside = away / max(float(np.hypot(*away)), speed * STEP_S) * speed
+        # without a plan the tip rises as fast as it can, above the 3 mm that count as lifted
         rise = (height if plan else 10.0) - tip[2]
         action = np.array([*aside, rise / STEP_S]) / TOP_MM_S
         observation, _, terminated, truncated, info = env.step(np.clip(action, -1.0, 1.0))
@@ -81,15 +89,19 @@ def learn(
     env: Any, rng: np.random.Generator, *, generations: int = 5, count: int = 16, episodes: int = 3
 ) -> Floats:
     """Mean and spread of the policies of every generation, shape (generations + 1, 2, 4)."""
+    # a first guess that presses too lightly (score 0.12), and a third of the bounds around it
     mean = np.array([-0.6, 7.0, 15.0, 0.1])
     spread = 0.3 * (HIGH - LOW)
     history = [np.array([mean, spread])]
     for generation in range(generations):
+        # height, radius, speed and share, see `score`
         policies = rng.normal(mean, spread, (count, 4))
+        # seeds of learning start at 1000, those of the unseen episodes at 0
         seeds = 1000 + generation * episodes + np.arange(episodes)
         scores = [np.mean([score(env, policy, int(seed)) for seed in seeds]) for policy in policies]
         best = np.clip(policies[np.argsort(scores)[-count // 4 :]], LOW, HIGH)
         mean = best.mean(axis=0)
+        # 2 % of the bounds are always left, since the best of few may agree by chance
         spread = best.std(axis=0) + 0.02 * (HIGH - LOW)
         history.append(np.array([mean, spread]))
     return np.array(history)

@@ -48,7 +48,10 @@ _VERTEBRA_SHELL_KG_M3 = 1000.0
 _VERTEBRA_CORE_KG_M3 = 250.0
 _ARCH_KG_M3 = 1100.0
 _HALF_MM = (108.0, 80.0, 52.0)
-"""Half size of the image [mm]; the shaft is cut off at its lower edge."""
+"""Half size of the image [mm]; the shaft is cut off at its lower edge.
+
+Sizes and densities of the bones are made up, within the usual range of adults.
+"""
 _LOWEST_HU = -1024
 _HIGHEST_HU = 3071
 """Range of 12-bit values."""
@@ -181,8 +184,10 @@ def ct_phantom(
     InputError
         If an option is out of range.
     """
+    # the energies of the attenuation tables
     energy = require_range("energy_keV", energy_keV, 30.0, 150.0, "use 70")
     noise = require_range("noise_HU", noise_HU, 0.0, 500.0, "use 20")
+    # the range of a scanner's gantry
     tilt = math.radians(require_range("tilt_deg", tilt_deg, -30.0, 30.0, "use 0"))
     spacing = np.array([require_positive("spacing_mm", each, "use 0.9") for each in spacing_mm])
     directions = np.array([[1.0, 0.0, 0.0], [0.0, math.cos(tilt), 0.0], [0.0, math.sin(tilt), 1.0]])
@@ -205,6 +210,7 @@ def ct_phantom(
         attenuation[:, :, k], density[:, :, k], labels[:, :, k] = _painted(
             parts, names, at, energy, person, spacing
         )
+    # definition of the Hounsfield unit
     true = 1000.0 * (attenuation / linear_attenuation("water", energy) - 1.0)
     values = person.scale * true + person.water_HU + rng.normal(0.0, noise, shape)
     values = np.clip(np.rint(values), _LOWEST_HU, _HIGHEST_HU).astype(np.int16)
@@ -233,9 +239,11 @@ def _painted(
     width = float(np.mean(spacing))
     for part in parts:
         distance = part.distance(at)
+        # a voxel on the surface holds half of each material
         share = np.clip(0.5 - distance / width, 0.0, 1.0)
         total += share * (_attenuation(part, energy_keV, person) - total)
         density += share * ((part.density_kg_m3 or 0.0) - density)
+        # the pad lies under the patient and has no label
         labels[distance < 0.0] = 0 if part.label == "pad" else names.index(part.label) + 1
     return total, density, labels
 
@@ -243,6 +251,7 @@ def _painted(
 def _attenuation(part: _Part, energy_keV: float, person: Person) -> float:
     """Linear attenuation [1/m] of a part's material."""
     factor = person.attenuation.get(part.tissue, 1.0)
+    # soft tissue and water
     if part.density_kg_m3 is None:
         return factor * linear_attenuation(part.tissue, energy_keV)
     fat = person.marrow_fat
@@ -251,6 +260,7 @@ def _attenuation(part: _Part, energy_keV: float, person: Person) -> float:
     )
     share = part.density_kg_m3 / density_of("cortex")
     over_marrow = share * (linear_attenuation("cortex", energy_keV) - marrow)
+    # the shaft's cortex has a factor of its own, see `Person.attenuation`
     is_shaft = part.density_kg_m3 == CORTEX_KG_M3
     return factor * (marrow + over_marrow) if is_shaft else marrow + person.mineral * over_marrow
 
@@ -259,9 +269,11 @@ def _parts() -> list[_Part]:
     """Bodies in the order in which they are painted over each other."""
     head = HEAD_CENTRE_MM
     shaft = (_SHAFT_X_MM, HEAD_CENTRE_MM[1])
+    # sizes and places in mm, made up as those of `_HALF_MM`
     spine = (-40.0, -8.0)
     canal = (spine[0], 21.5)
     rods = [
+        # rods 22 mm apart from right to left, 13 mm thick, in the pad below the body
         _Part(f"rod_{rod:g}", partial(_cylinder, centre=(22.0 * (k - 4), 70.0), radius=6.5), rod)
         for k, rod in enumerate(RODS_KG_M3)
     ]
@@ -318,6 +330,7 @@ def _ellipse(at: Array, *, centre: tuple[float, float], radii: tuple[float, floa
     x, y = ((at[..., k] - centre[k]) / radii[k] for k in (0, 1))
     level = np.hypot(x, y)
     return np.asarray(
+        # the axis of the cylinder, where the slope is zero
         (level - 1.0) * level / np.maximum(np.hypot(x / radii[0], y / radii[1]), 1e-9)
     )
 
@@ -361,6 +374,7 @@ def _arch(at: Array, *, spine_x: float) -> Array:
     across = np.abs(at[..., 0] - spine_x)
     y = at[..., 1]
     z = at[..., 2]
+    # boxes by middle and half width [mm], made up as those of `_HALF_MM`
     pedicle = np.maximum(
         np.maximum(np.abs(across - 12.0) - 4.0, np.abs(y - 16.0) - 14.0), np.abs(z - 5.0) - 6.5
     )
@@ -371,6 +385,7 @@ def _arch(at: Array, *, spine_x: float) -> Array:
 
 def _pad(at: Array) -> Array:
     """A pad of water below the body."""
+    # as wide as the body, and 2 mm thicker than the rods on both sides [mm]
     return np.asarray(np.maximum(np.abs(at[..., 0]) - 100.0, np.abs(at[..., 1] - 70.0) - 8.5))
 
 
@@ -384,6 +399,7 @@ def reoriented(stored: StoredImage, axes: str) -> StoredImage:
     InputError
         If the axes are not one of each pair L or R, P or A, S or I.
     """
+    # axis 3 does not exist: an unknown letter is refused below
     found = [_AXES.get(letter.upper(), (3, 1.0)) for letter in axes]
     if sorted(axis for axis, _ in found) != [0, 1, 2]:
         raise InputError(f"axes must name each direction once, got {axes!r}: use LPS or RAS")
@@ -513,6 +529,7 @@ def _set_pixels(slice_: Any, values: NDArray[np.number]) -> None:
     slice_.SamplesPerPixel = 1
     slice_.PhotometricInterpretation = "MONOCHROME2"
     slice_.BitsAllocated = 16
+    # 12 of 16 bits, as scanners store them; 1024 moves the lowest value to 0 (RescaleIntercept)
     slice_.BitsStored = 12
     slice_.HighBit = 11
     slice_.PixelRepresentation = 0

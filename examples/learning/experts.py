@@ -15,11 +15,18 @@ from tissue.environments.palpation import Palpation
 __all__ = ["DrillingExpert", "MillingExpert", "PalpationExpert", "expert_of"]
 
 TRACK_MM = 0.7
+"""Distance of two tracks: the scallops between them, 0.03 mm high, lie within the margin."""
 LAYER_MM = 0.27
+"""Depth of a layer: three layers in the pocket of 0.8 mm."""
 ABOVE_MM = 0.3
+"""Height of the first corner above the bone, the lowest start of the tip."""
 REACHED_MM = 0.03
+"""Distance at which a corner counts as reached: as small as the scallops."""
 SOFTER = 0.5
-"""Share of the enamel's resistance below which the bur counts as beyond the enamel."""
+"""Share of the enamel's resistance below which the bur counts as beyond the enamel.
+
+Sound dentin has an eighth of the enamel's force (`examples/03_drill_through_the_layers.py`).
+"""
 
 
 class MillingExpert:
@@ -32,6 +39,7 @@ class MillingExpert:
         self._corners = [np.array([-0.5 * length, rows[0], ABOVE_MM])]
         side = -0.5 * length
         for z in np.linspace(0.0, -depth, int(np.ceil(depth / LAYER_MM)) + 1)[1:]:
+            # to and fro, and each layer from the end of the last one
             for y in rows:
                 self._corners += [np.array([side, y, z]), np.array([-side, y, z])]
                 side = -side
@@ -43,6 +51,8 @@ class MillingExpert:
         env = self._env
         seen = self._env.named(observation)
         share = float(np.linalg.norm(seen["force"])) / env.force_limit_N
+        # The force rises with the speed: aim at 0.9 of the limit, with a limited change in a step,
+        # and at least a fifth of the top speed.
         self._speed = float(
             np.clip(self._speed * np.clip(0.9 / max(share, 0.1), 0.6, 1.5), 2.0, env.top_speed_mm_s)
         )
@@ -74,16 +84,23 @@ class DrillingExpert:
         depth = float(seen["depth"][0])
         velocity = float(seen["velocity"][0])
         force = float(seen["force"][2])
+        # force above the limit reduces the reward
         limit = 0.95 * env.force_limit_N / env.thrust_N
+        # reached to 0.01 mm
         if self._out or depth >= self._stop_mm - 0.01:
             self._out = True
             return np.array([-1.0])
+        # in dentin, which resists less: a lighter push, and lighter still in the last 0.15 mm;
+        # scores change by less than 0.01 between 0.2 and 0.5 of the push, then 0.06 and 0.25
         if self._stop_mm < np.inf:
             return np.array([0.35 * limit if depth < self._stop_mm - 0.15 else 0.12 * limit])
+        # at first the bur's tip is not yet covered; below 0.05 mm/s the ratio is mostly noise
         if depth > 0.3 and velocity > 0.05:
             self._hardest = max(self._hardest, force / velocity)
             if force / velocity < SOFTER * self._hardest:
+                # the resistance halves about 0.08 mm beyond the junction; wanted are 0.5 mm
                 self._stop_mm = depth + 0.42
+        # a light push in air, where the bur would meet the tooth at full speed
         return np.array([limit if depth > 0.0 else 0.3 * limit])
 
 
@@ -98,6 +115,7 @@ class PalpationExpert:
         self._felt: list[Array] = []
         self._plan: list[Array] = [np.array([0.0, 0.0])]
         self._stage = 0
+        # wanted height of the tip: 2 mm deep, unless the force becomes too large
         self._height_mm = -2.0
 
     def __call__(self, observation: Any) -> Array:
@@ -106,10 +124,13 @@ class PalpationExpert:
         tip = seen["tip"]
         force = float(np.linalg.norm(seen["force"]))
         if self._stage > 0:
-            # a ball's law
+            # a ball's law; above 0.3 mm of depth, force and depth are too small for their ratio
             self._felt.append(np.array([tip[0], tip[1], force / max(-tip[2], 0.3) ** 1.5]))
+        # force above the limit reduces the reward: press less, but never lift off
         if force > 0.9 * self._env.force_limit_N:
+            # 0.15 mm less in each step, and at least 0.5 mm deep [mm]
             self._height_mm = min(self._height_mm + 0.15, -0.5)
+        # within 0.4 mm a place counts as reached; the first one when the tip is deep enough
         while (
             self._plan
             and np.linalg.norm(self._plan[0] - tip[:2]) < 0.4
@@ -122,6 +143,7 @@ class PalpationExpert:
             return np.array([0.0, 0.0, 1.0])
         away = self._plan[0] - tip[:2]
         step_s = 1e-3 * self._env.ticks
+        # top speeds of the environment: 60 mm/s along the surface, 30 mm/s along z
         aside = away / max(float(np.linalg.norm(away)), 60.0 * step_s)
         rise = np.clip((self._height_mm - tip[2]) / (30.0 * step_s), -1.0, 1.0)
         return np.array([*aside, rise])
@@ -130,6 +152,8 @@ class PalpationExpert:
         """Plan the next stage from the forces felt since the last stage."""
         self._stage += 1
         hardest = self._hardest_place() if self._stage > 1 else np.zeros(2)
+        # The nodule lies 10 to 18 mm from the start: a circle of 14 mm, a line from 8 to 20 mm
+        # through its hardest place, and 5 mm to both sides of the hardest place of the line.
         if self._stage == 1:
             angles = np.linspace(0.0, 2.0 * np.pi, 25)
             self._plan = [14.0 * np.array([np.cos(angle), np.sin(angle)]) for angle in angles]
@@ -141,6 +165,7 @@ class PalpationExpert:
             self._plan = [hardest, hardest - aside, hardest + aside]
         elif self._stage == 4:
             self._plan = [hardest]
+        # kept at the end, since `_hardest_place` needs at least one place when it is called again
         self._felt = [] if self._stage < 4 else self._felt
 
     def _hardest_place(self) -> Array:
@@ -149,6 +174,7 @@ class PalpationExpert:
         The excess is relative to the third quartile of the stiffness.
         """
         felt = np.array(self._felt)
+        # 1e-12 is for places that are all alike
         weight = np.clip(felt[:, 2] - np.quantile(felt[:, 2], 0.75), 0.0, None) ** 2 + 1e-12
         return np.asarray((weight[:, None] * felt[:, :2]).sum(axis=0) / weight.sum())
 

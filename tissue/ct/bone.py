@@ -53,9 +53,9 @@ from tissue.show.figures.ct_pictures import (
 __all__ = ["bone_draft"]
 
 _SIDE_MM = (1.0, 1000.0)
-"""Longest side of a bone."""
+"""Range of the longest side of a bone; outside it the spacing in the header has another unit."""
 SHOWN_MM = 15.0
-"""Width of the surroundings of a bone in pictures."""
+"""Width of the surroundings of a bone in pictures, so that the next bone of a joint is visible."""
 USUAL = {
     "glenoid": "glenoid",
     "vertebra": "pedicle",
@@ -68,7 +68,11 @@ PLUNGE: Mapping[str, Mapping[str, object]] = {
     "tool": {"kind": "ball-burr", "diameter_mm": 4.0, "flutes": 6, "spin_rpm": 20000.0},
     "motion": {"kind": "path", "points_mm": [[0, 0, 3], [0, 0, -2]], "feed_mm_s": 1.0},
 }
-"""Default at other sites: a ball burr moves 2 mm into the bone along the normal."""
+"""Default at other sites: a ball burr moves 2 mm into the bone along the normal.
+
+The feed per tooth of 0.5 um is far below 0.1 mm, up to which the cutting law holds
+(`docs/models.md`). Voxels of 0.2 mm put ten of them on the radius of the burr.
+"""
 HOLE = ("guide_hole_diameter_mm", "guide_hole_depth_mm")
 HEAD = ("duration_s", "seed")
 TABLES = ("voxels", "tool", "motion", "cutting", "output", "device", "fidelity")
@@ -113,6 +117,7 @@ def bone_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
         sentences.append(f"density by {certainty} ({source.law.source})")
         files["density.nrrd"] = partial(write_density, density, law=certainty)
         tables["density_file"] = "density.nrrd"
+    # labels of the user are kept on the voxels of the bone
     if source.labels is not None:
         blank = replace(bone.image, values=np.zeros(bone.image.values.shape, np.uint8))
         files["labels.seg.nrrd"] = partial(write_labels, on_grid_of(source.labels, blank))
@@ -158,6 +163,7 @@ def _source(request: ImportRequest, progress: Progress) -> tuple[_Source, list[s
             "shell of even thickness. "
             "Give --density line:SLOPE,OFFSET to use them"
         )
+    # of the whole image: a crop may hold neither the air nor the soft tissue that a threshold needs
     histogram = histogram_of(image.values)
     box = request.box_mm
     if box is not None:
@@ -177,6 +183,7 @@ def _law(text: str, image: Image, found: Inspection) -> DensityLaw | None:
     if not found.is_hounsfield:
         if is_auto:
             return None
+        # these laws start from Hounsfield units; a line of the user may start from any values
         if text.lower() == "internal" or text.lower() in DENSITY_LAWS:
             raise InputError(
                 "density",
@@ -187,6 +194,7 @@ def _law(text: str, image: Image, found: Inspection) -> DensityLaw | None:
     try:
         return density_law("internal" if is_auto else text, image)
     except InputError as error:
+        # the user asked for this calibration; the default falls back to the line of another scanner
         if not is_auto:
             raise
         return replace(
@@ -200,6 +208,7 @@ def _bone(request: ImportRequest, source: _Source) -> tuple[BoneOfImage, float |
         threshold, note = suggest_threshold(
             source.histogram, is_hounsfield=source.inspection.is_hounsfield
         )
+        # a threshold of the user replaces the suggested one
         if request.threshold is not None:
             threshold = request.threshold
             note = f"threshold {threshold:g}, as given"
@@ -252,6 +261,7 @@ def _followed(like: str | None, at: Placed | None, *, replay: bool) -> dict[str,
     A guide hole is returned under ``anatomy``.
     """
     wanted = like or USUAL.get((at.kind if at else None) or "")
+    # no scene fits the site: the tool plunges along the site's normal
     if wanted is None:
         tables: dict[str, Any] = dict(PLUNGE)
     else:
@@ -264,6 +274,7 @@ def _followed(like: str | None, at: Placed | None, *, replay: bool) -> dict[str,
         tables["anatomy"] = {key: value for key, value in tables["anatomy"].items() if key in HOLE}
     if replay:
         tables["motion"] = {"kind": "replay", "file": "path.csv"}
+        # a replay lasts as long as its path
         tables.pop("duration_s", None)
     return tables
 
@@ -279,10 +290,12 @@ def _scene_text(
     head |= {key: followed.pop(key) for key in HEAD if key in followed}
     if at is not None:
         anatomy |= {
+            # to 1 um, and directions to 1e-6: far below the spacing of any CT
             "centre_mm": [round(value, 3) for value in (1e3 * at.site.centre_m).tolist()],
             "normal": [round(value, 6) for value in at.site.rotation[:, 2].tolist()],
             "along": [round(value, 6) for value in at.site.rotation[:, 0].tolist()],
         }
+        # the radius marks the joint's surface in a density map and has no effect without one
         if "density_file" in anatomy and at.articular_radius_mm:
             anatomy["articular_radius_mm"] = at.articular_radius_mm
     anatomy |= followed.pop("anatomy", {})
@@ -354,6 +367,7 @@ def _pictures(
         for name, structure in clear.items():
             outlines[f"{name}, to keep clear of"] = _depth(structure, bone.image)
         middle_mm = 0.5 * (low_mm + high_mm)
+        # without a site, the slices go through the middle of the bone
         around_site = marks if centre_mm is not None else replace(marks, centre_mm=middle_mm)
         draw_ct_slices(around, file, outlines, around_site, title=title)
 
@@ -374,6 +388,7 @@ def _pictures(
         "histogram.png": histogram,
         "bone.png": lambda file: draw_ct_bone(surface, file, marks, density=density, title=title),
     }
+    # the path is seen along the site's normal
     if path is not None and normal is not None:
         pictures["path.png"] = lambda file: draw_path_depth(
             surface, path.depth, file, normal=normal, title=surface.report.source
@@ -390,6 +405,7 @@ def _depth(surface: Surface, image: Image) -> Image:
     grid = lattice(*axes)
     low = 1e3 * surface.vertices_m.min(axis=0)
     high = 1e3 * surface.vertices_m.max(axis=0)
+    # two voxels around the surface hold the outline; all others only need a negative depth
     around = 2.0 * max(image.spacing_mm)
     near = ((grid > low - around) & (grid < high + around)).all(axis=1)
     depth = np.full(len(grid), -1.0, dtype=np.float32)

@@ -168,6 +168,7 @@ class ImportRequest:
                 "coordinates", "be LPS or RAS", self.coordinates, "give the frame of the numbers"
             )
         path_in_numbers = self.path is not None and self.path.suffix.lower() not in MARKUPS
+        # files of markups state their own frame
         in_numbers = path_in_numbers or self.crop_mm is not None or self.point_mm is not None
         if self.coordinates == "RAS" and not in_numbers:
             raise InputError(
@@ -215,6 +216,7 @@ class ImportRequest:
         if self.crop_mm is None:
             return None
         (a, b, c), (d, e, f) = map(self._lps, self.crop_mm)
+        # the reversed signs of RAS exchange the lower and the upper end of x and y
         return (min(a, d), min(b, e), c), (max(a, d), max(b, e), f)
 
     def _lps(self, point: Point) -> Point:
@@ -258,9 +260,15 @@ KEYS = {
 FEED_MM_S = 2.0
 """Feed of a path without a feed, between reaming (0.5) and milling (5) of the built-in scenes."""
 CLEARANCE_MM = 5.0
-"""Distance outside the first point of a path at which the tool begins."""
+"""Distance outside the first point of a path at which the tool begins.
+
+A tool that begins in bone removes the bone that it covers without a force.
+"""
 LONGEST = 60
-"""Letters of a structure's name, which is part of a file's name."""
+"""Letters of a structure's name, which is part of a file's name.
+
+The names of files have at most 255 bytes on common file systems.
+"""
 
 
 @dataclass(frozen=True)
@@ -304,6 +312,7 @@ def placed(request: ImportRequest, surface: Surface) -> tuple[Placed | None, str
             return Placed(site), f"site: {site.confidence}"
     if isinstance(request.site, str):
         return _searched(request.site, surface)
+    # the label's name suggests a joint, such as a scapula its glenoid
     usual = next((kind for word, kind in USUAL if re.search(word, request.region or "")), None)
     pick = "pick one by `tissue view`, or give --site"
     if usual is None:

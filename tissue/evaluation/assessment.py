@@ -45,9 +45,12 @@ __all__ = [
 
 
 GAP_S = 0.15
-"""Breaches closer than a period of slow tremor are one."""
+"""Breaches closer than a period of slow tremor are one.
+
+A trembling hand that rests at a limit would otherwise make a breach a period.
+"""
 MOST_BREACHES = 8
-"""Breaches that are printed. All are in the file."""
+"""Breaches that are printed. All are in the file, and a terminal shows the other lines too."""
 FILES = ("assessment.json", "assessment.png")
 TRAINEE = "#0072B2"
 REFERENCE = "0.45"
@@ -212,6 +215,7 @@ def assess(
     time = mine["time_s"]
     deepest = float(plan.max())
     limit = FORCE_MARGIN * float(ideal_size.max()) if force_limit_N is None else force_limit_N
+    # a reference without a force would give a default limit of zero
     require_positive(
         "force_limit_N", limit, "use a reference that touches the tissue, or give --force-limit-N"
     )
@@ -319,6 +323,8 @@ def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> lis
 
 def _draw(found: Assessment, path: Path) -> None:
     """Draw the quantities of trainee and reference over time, and the limits with breaches."""
+    # inches for three panels below each other; the margins are shares of the figure, with space
+    # for title and legend on top
     chart = figure(9.0, 7.2)
     panels = chart.subplots(3, 1, sharex=True)
     chart.subplots_adjust(left=0.09, right=0.98, top=0.9, bottom=0.08, hspace=0.14)
@@ -331,6 +337,7 @@ def _draw(found: Assessment, path: Path) -> None:
         for breach in (breach for breach in found.breaches if breach.what == each.what):
             end = max(breach.end_s, breach.start_s + least)
             axes.axvspan(breach.start_s, end, color=SHADE, alpha=0.35)
+        # the distance from the reference has no reference itself
         if each.reference is not None:
             axes.plot(
                 time,
@@ -345,6 +352,7 @@ def _draw(found: Assessment, path: Path) -> None:
         high = max(each.limit, float(each.values.max()))
         # the approach would leave no space for the depth
         low = max(min(0.0, float(each.values.min())), -high)
+        # 8 % of free space keep the limit's line off the frame
         axes.set_ylim(low, high + 0.08 * (high - low))
     panels[2].set(xlabel="time / s", xlim=(float(time[0]), float(time[-1])))
     chart.legend(
@@ -366,6 +374,7 @@ def _draw(found: Assessment, path: Path) -> None:
 
 def _trace(run: AssessedRun, name: str) -> Table:
     """Return the trace of a run, long enough to compare."""
+    # the change of acceleration and the spectrum of the speed need several ticks
     if run.trace is None or len(run.trace.rows) < 10:
         got = run.path or "a run"
         raise InputError(

@@ -68,6 +68,7 @@ def stability_lines(scene: Scene, found: StabilityMap) -> list[str]:
             f"{data.exact_N_m[index]:8.0f} N/m by eigenvalues, "
             f"{data.measured_N_m[index]:8.0f} measured, "
             f"{data.lines_N_m['passive'][index]:6.0f} passive"
+            # every sixth delay: a few lines of text
             for index in range(0, len(data.values), 6)
         ),
     ]
@@ -117,6 +118,7 @@ def _draw_stability(found: StabilityMap, path: Path, *, title: str) -> None:
     """Draw both charts: growth by eigenvalues as shading, the measured boundary, lines of
     theory, the chosen point.
     """
+    # inches; the margins are shares of the figure: title and chosen point above, legend below
     chart = figure(9.0, 4.9)
     axes = chart.subplots(1, 2)
     chart.subplots_adjust(left=0.09, right=0.98, top=0.84, bottom=0.25, wspace=0.24)
@@ -137,10 +139,18 @@ def _draw(panel: Axes, data: StabilityChart, found: StabilityMap) -> None:
     high = data.stiffnesses_N_m[-1]
     grows = np.where(data.growth >= 1.0, 1.0, np.nan)
     panel.pcolormesh(
-        across, data.stiffnesses_N_m, grows, cmap="Greys", vmin=0.0, vmax=4.0, shading="nearest"
+        # a value of 1 of 4 is a light grey
+        across,
+        data.stiffnesses_N_m,
+        grows,
+        cmap="Greys",
+        vmin=0.0,
+        vmax=4.0,
+        shading="nearest",
     )
     panel.plot(across, data.exact_N_m, color="0.1", label="eigenvalues, exact delay")
     panel.plot(
+        # every other mark, so that the line of the eigenvalues stays visible
         across[::2],
         data.measured_N_m[::2],
         "o",

@@ -58,7 +58,7 @@ __all__ = [
 
 
 DELAYS_MS = (0, 4, 8)
-"""Latencies of training runs, in turn: a late force makes a hand move otherwise."""
+"""Latencies of training runs, in turn [ms]: with a late force, a hand moves differently."""
 DITHER_N = 1e-6
 """Noise added to a training force [N], so that an axis without force can be scaled."""
 
@@ -189,6 +189,7 @@ class Recorder:
             )
         speed = ConstantAcceleration(VELOCITY_MEMORY, step_s=TICK_S)
         velocity = np.array([speed.step(place) for place in (begin, *rows[:, :3])])[1:]
+        # columns of `_run`: measured position, force, true position
         return Recording(
             rows[:, :3],
             velocity,
@@ -202,6 +203,7 @@ class Recorder:
 
     def _parts(self, scene: Scene) -> tuple[HandMotion, TissueModel]:
         """Return the hand of a scene and the tissue that it touches."""
+        # only an elastic organ is unchanged by a run
         organ = (
             isinstance(scene.tool, Probe)
             and not isinstance(scene.anatomy, WallAnatomy)
@@ -233,6 +235,7 @@ def _run(motion: HandMotion, tissue: TissueModel, ticks: int) -> tuple[Array, Ar
     tool = ToolMotion()
     motion.begin(tool)
     tissue.place(tool)
+    # columns: measured position, force, true position
     rows: Array = np.zeros((ticks, 9))
     contact = np.zeros((ticks, CONTACT_WIDTH))
     took = np.zeros(ticks)
@@ -249,6 +252,8 @@ def _run(motion: HandMotion, tissue: TissueModel, ticks: int) -> tuple[Array, Ar
         start = perf_counter()
         tissue.advance(tool)
         response = tissue.respond(tool)
+        # a tool that cuts moves to where its spring balances the force, which changes the tissue
+        # again
         if motion.correct(response, tool):
             tissue.advance(tool)
             response = tissue.respond(tool)
@@ -271,7 +276,10 @@ MOST_TRIALS = 10_000
 A hundred times the runs of the shipped predictors would take days and is treated as a typing error.
 """
 HELD_OUT = 4
-"""Interval of the runs that validate: one run in this number. The others train."""
+"""Interval of the runs that validate: one run in this number. The others train.
+
+It shares no factor with the three groups of hands, so that each group validates in turn.
+"""
 HORIZONS = (1, 2, 3, 4, 6, 8, 10)
 """Ticks ahead at which predictors are compared."""
 LEAST_RUNS = 3
@@ -314,6 +322,7 @@ def train(
     recorder = Recorder(cores=cores)
     runs = []
     for index in range(trials):
+        # fit and validation count as two more trials
         progress(f"running trial {index + 1} of {trials}", index / (trials + 2))
         runs.append(recorder.record(trial(scene, index)))
     progress("fitting", trials / (trials + 2))
@@ -434,6 +443,7 @@ def forecast(
             zip(run.position_m, run.velocity_m_s, run.force_N, strict=True)
         ):
             if shown is not None:
+                # of the last tick of the model
                 shown.meet(Contact.of_row(run.contact[index - index % model_ticks]))
             predictor.observe(position, velocity, force if index % model_ticks == 0 else None)
             predicted[index] = [predictor.predict(horizon) for horizon in horizons]

@@ -119,6 +119,8 @@ class CuttingForward:
         A fit asks for loads thousands of times, so they are averaged once.
         """
         span_s = log.within_s[-1] - log.within_s[0]
+        # interpolation between three points a block misses 0.1 to 0.4 % of a milling force (root
+        # mean square); one point a block misses 1 to 2 %
         every = max(round(span_s / TICK_S / 3.0), 1)
         times_s = self.times_s[::every]
         means, _ = shift_operators(self.times_s, times_s, 0.0, log.within_s)
@@ -140,6 +142,7 @@ class CuttingForward:
         found = list(self.coefficients)
         factors = np.ones(len(found))
         for each, value in zip(self.free, np.asarray(x, dtype=float).tolist(), strict=True):
+            # a density factor belongs to the layer, all others are fields of its coefficients
             if each.field == FACTOR:
                 factors[each.layer] = value
             else:
@@ -221,6 +224,7 @@ def _free_constants(
     for at, layer in record.layers.items():
         name = record.layer_names[at]
         known = scene.constants.layer_constants(name, bone=scene.cutting.material)
+        # the exponent has no effect where the density is the reference density
         is_scaled = (layer.nodes.densities_kg_m3 != known[REFERENCE].value).any()
         for constant, (field, unit) in FIELDS.items():
             if known[constant].low == known[constant].high:
@@ -239,6 +243,7 @@ def _free_constants(
     wanted = {
         each.name for each in chosen(free, [each.parameter for each in possible + factors], tags)
     }
+    # without patterns, keys that the scene states and exponents without effect stay fixed
     if not free:
         wanted = usual
     return (*(each for each in possible if each.parameter.name in wanted), *factors)
@@ -249,7 +254,11 @@ REFERENCE = "reference_density_kg_m3"
 FEEDS = (0.25, 1.0, 4.0)
 SPINS = (0.5, 1.0, 2.0)
 DEPTHS = (0.25, 0.5, 1.0)
-"""Times the log's feed, the tool's spin, and its radius."""
+"""Times the log's feed, the tool's spin, and its radius.
+
+Feed and spin change the chip force but not the edge force, which separates their coefficients.
+Depth changes the directions in which the elements of the surface push.
+"""
 UP = (0.0, 0.0, 1.0)
 TICKS = 60
 STEADY = slice(30, 60)
@@ -261,10 +270,10 @@ length of a record.
 TRAVEL = {"slot": 1.0, "plunge": 0.1}
 """Travel of the tool in a record, in radii. A plunge is short enough to have one depth."""
 VOXELS = 20
-"""Voxels on a radius."""
+"""Voxels on a radius. With 10, 20 and 40 the steady loads of a ball burr agree within 0.12 %."""
 AIR = 250
 LASTS = 1250
-"""Ticks in air, and all ticks of a candidate."""
+"""Ticks in air, which show the bias of the sensor, and all ticks of a candidate."""
 
 
 def cutting_problem(
@@ -317,6 +326,7 @@ def cutting_candidates(like: CuttingForward) -> dict[str, CuttingForward]:
     for kind, depth in product(TRAVEL, DEPTHS):
         steady, recorded_m_s = _steady(like.record.scene, tool, kind, depth * radius_m)
         for at, feed, spin in product(like.record.layers, FEEDS, SPINS):
+            # The chip thickness is proportional to feed over spin.
             chips_m = steady.chips_m * (feed * feed_m_s / recorded_m_s / spin)
             name = (
                 f"a {kind} {1e3 * depth * radius_m:.3g} mm deep in "
@@ -357,9 +367,11 @@ def _steady(scene: Scene, tool: Tool, kind: str, depth_m: float) -> tuple[LayerL
     deep = np.array([0.0, 0.0, -depth_m])
     along = np.array([travel_m, 0.0, 0.0]) if kind == "slot" else np.array([0.0, 0.0, -travel_m])
     feed_m_s = travel_m / (TICKS * TICK_S)
+    # the averaged ticks are the second half: a quarter of the travel to either side of the depth
     motion = FollowPath(
         np.stack([deep - 0.75 * along, deep + 0.25 * along]), feed_m_s=feed_m_s, axis=UP
     )
+    # the block holds the tool, its travel and the deepest plunge, with a radius of bone around them
     wide_mm = 3.0 * tool.diameter_mm
     size_mm = 2.0 * tool.diameter_mm
     block = scene.model_copy(

@@ -239,6 +239,7 @@ def fit_scene(
         raise InputError("scene", "be one of tissue", f"a {scene.anatomy.kind}", FITTED)
     of_tissue = cutting_problem if isinstance(scene.anatomy, CutAnatomy) else organ_problem
     problem = of_tissue(scene, log, free, cores=cores, progress=report)
+    # recording the geometry, or the runs of an organ, takes most of the time
     report("fitting", 0.8)
     posterior = maximum_posterior(problem.forward, problem.measured)
     found = identified(posterior)
@@ -253,6 +254,7 @@ def fit_scene(
             "constants at their ranges",
             "give one of a deeper or faster cut, and check that the scene is what was cut",
         )
+    # between the search, which begins at 0.8, and the end
     report("what to measure next", 0.9)
     material = [at for at, name in enumerate(posterior.names) if not name.startswith(NUISANCES)]
     gains = expected_information(posterior, problem.candidates(), among=material)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, counted
 from tissue.fitting.log_files import CHANNELS, QUATERNION, TIPS, LogColumns, read_columns
-from tissue.fitting.problem import MeasuredLoads, block_averages, block_ticks
+from tissue.fitting.problem import SD_PER_MAD, MeasuredLoads, block_averages, block_ticks
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.scene import Scene
 from tissue.simulation.builders.parts import motion_of
@@ -50,16 +50,19 @@ frame, torques about the tip. ``load_time_s`` is the clock of forces and torques
 the clock of the poses.
 """
 LARGEST = {"N": 1e5, "Nm": 1e4}
-"""Loads beyond which a log is in another unit [N, N m]."""
+"""Loads beyond which a log is in another unit [N, N m]. No instrument exerts 100 kN."""
 FARTHEST_M = 10.0
 """Distance from the scene's origin beyond which a tool position is refused [m].
 
 The position is then in another unit or damaged, and carving along such a jump would not end.
 """
 GAP = 5.0
-"""Time between two samples, in medians, that is a gap."""
+"""Time between two samples, in medians, that is a gap. A few lost samples are not reported."""
 SHORTEST_S = 0.5
-"""Shortest log whose noise can be estimated [s]."""
+"""Shortest log whose noise can be estimated [s].
+
+It holds 100 blocks of 5 ms. `tissue.fitting.problem.FEWEST` samples are needed after gaps.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +112,7 @@ class MeasuredLog:
         """
         if self.quaternions is not None:
             return self.quaternions
+        # a log without orientations: the tool keeps that of the scene's motion
         first = motion_of(scene, step_s=TICK_S).rotations()[0]
         return np.tile(Rotation.from_matrix(first).as_quat(), (len(self.times_s), 1))
 
@@ -137,6 +141,7 @@ def read_log(path: Path, columns: Sequence[str] = ()) -> MeasuredLog:
     notes = list(found.notes)
     if "model_force_x_N" in found.names:
         for name in CHANNELS:
+            # a column that the user has named is kept
             if f"model_{name}" in found.names:
                 asked.setdefault(name, f"model_{name}")
         notes.append("forces are those of the model (model_force), before low-pass and device")
@@ -170,6 +175,7 @@ def _quantities(found: LogColumns, asked: Mapping[str, str], notes: list[str]) -
                 notes.append(remark)
             values[name] = factor * found.numbers(column)
             used.add(column)
+    # the trace of a run has many columns: the note names the first 12
     if left := [name for name in found.names if name not in used]:
         notes.append(f"not used: {', '.join(left[:12])}{' and others' if len(left) > 12 else ''}")
     return values
@@ -189,6 +195,7 @@ def _column(name: str, asked: str, known: Sequence[str]) -> tuple[str, float, st
         "column",
         f"map {name} to a column of the log",
         _split(asked)[0].removeprefix("-"),
+        # a table of a simulator may have hundreds of columns
         f"choose one of {', '.join(sorted(known)[:60])}",
     )
 
@@ -200,6 +207,7 @@ def _factor(name: str, asked: str, column: str, unit: str) -> tuple[float, str]:
     """
     measure = QUANTITIES[name]
     factors = UNITS[measure]
+    # components of a quaternion have no unit
     if not factors and not unit:
         return 1.0, ""
     default = name.rpartition("_")[2]
@@ -255,6 +263,7 @@ def _checked(
     for name, times_s in clocks.items():
         steps = np.diff(times_s)
         if not (np.isfinite(times_s).all() and (steps > 0.0).all()):
+            # rows are counted from 1, and a step ends at the later of its two rows
             line = int(np.argmax(~(steps > 0.0))) + 2
             raise refuse(
                 "hold times that increase", f"{name} that does not in row {line}", "sort it"
@@ -307,6 +316,7 @@ def _turns(taken: Mapping[str, Array], path: Path) -> Array | None:
     if taken.keys() >= set(QUATERNION):
         quaternions = np.column_stack([taken[name] for name in QUATERNION])
         sizes = np.linalg.norm(quaternions, axis=1, keepdims=True)
+        # a smaller one is a zero with rounding and has no direction
         if not (sizes > 1e-6).all():
             raise InputError(
                 "measured", "hold unit quaternions", f"a zero one in {path.name}", "leave it out"
@@ -319,7 +329,10 @@ def _turns(taken: Mapping[str, Array], path: Path) -> Array | None:
 
 
 PLATEAU = 10
-"""Consecutive samples at a channel's extreme from which a sensor counts as saturated."""
+"""Consecutive samples at a channel's extreme from which a sensor counts as saturated.
+
+Noise makes as many equal neighbours unlikely.
+"""
 SHARPER = 5
 """Length of a row of equal values over the lengths of the rows before and after it.
 
@@ -336,7 +349,10 @@ BASELINE = 0.5
 Such an extreme is not the end of a sensor's range.
 """
 SLOWER = 5.0
-"""Ratio of the pose interval to the load interval from which the path between poses matters."""
+"""Ratio of the pose interval to the load interval from which the path between poses matters.
+
+With loads at 1 kHz, a block of 5 ms then holds less than one pose.
+"""
 CORNER_M = 2e-5
 """Largest error of a straight line between two poses [m], half the noise of an optical tracker."""
 SPEED_S = 0.1
@@ -369,9 +385,11 @@ def without_saturation(loads: Array, channels: Sequence[str], notes: list[str]) 
 def _saturated(values: Array) -> list[float]:
     """Return the extreme values at which a channel stays, as a saturated sensor does."""
     known = values[np.isfinite(values)]
+    # too short for any plateau
     if len(known) < PLATEAU:
         return []
     turns = np.diff(known)
+    # a signal without noise may rest at its extreme without saturation, see `ROUGH`
     if np.mean(turns[1:] * turns[:-1] < 0.0) < ROUGH:
         return []
     starts = np.flatnonzero(np.append(True, turns != 0.0))
@@ -397,12 +415,14 @@ def pose_notes(times_s: Array, tips_m: Array, load_period_s: float) -> list[str]
     """
     moved = np.any(np.diff(tips_m, axis=0) != 0.0, axis=1)
     new: Ints = np.flatnonzero(np.append(True, moved))
+    # a tool that hardly moves needs no path between its poses
     if len(new) < PLATEAU:
         return []
     times_s = times_s[new]
     tips_m = tips_m[new]
     period_s = float(np.median(np.diff(times_s)))
     notes = []
+    # a curve with second difference d is d / 8 off its chord
     bend_m = float(np.linalg.norm(np.diff(tips_m, 2, axis=0), axis=1).max()) / 8.0
     if period_s > SLOWER * load_period_s and bend_m > CORNER_M:
         notes.append(
@@ -411,11 +431,12 @@ def pose_notes(times_s: Array, tips_m: Array, load_period_s: float) -> list[str]
             "corner, log them faster"
         )
     # third differences of independent noise have sqrt(20) times its standard deviation
-    deviations_m = 1.4826 * np.median(np.abs(np.diff(tips_m, 3, axis=0)), axis=0)
+    deviations_m = SD_PER_MAD * np.median(np.abs(np.diff(tips_m, 3, axis=0)), axis=0)
     noise_m = float(np.linalg.norm(deviations_m)) / np.sqrt(20.0)
     lag = max(round(SPEED_S / period_s), 1)
     moved_m = np.linalg.norm(tips_m[lag:] - tips_m[:-lag], axis=1)
     fastest_m_s = float((moved_m / (times_s[lag:] - times_s[:-lag])).max(initial=0.0))
+    # the difference of two noisy poses has sqrt(2) times the noise of one
     shaken_m_s = np.sqrt(2.0) * noise_m / period_s
     if shaken_m_s > fastest_m_s:
         notes.append(

@@ -34,7 +34,10 @@ __all__ = [
 
 _DELIMITERS = (",", ";", "\t", " ")
 _LOOKED_AT = 50
-"""Number of lines at the end of a file that determine the form of a data line."""
+"""Number of lines at the end of a file that determine the form of a data line.
+
+Lines at the start may be text of the instrument. The last line may be cut short.
+"""
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
 _AGAIN = "fix that line or export the log again"
 
@@ -88,6 +91,7 @@ def _text(path: Path) -> LogColumns:
     places = [at for at in range(start, len(lines)) if lines[at].strip()]
     if blank := len(lines) - start - len(places):
         notes.append(f"{counted(blank, 'blank line')} between the rows")
+    # a logger that was stopped may leave an incomplete last line
     if len(cells[places[-1]]) < width:
         places.pop()
         notes.append("the last line, which is cut short, is left out")
@@ -111,6 +115,7 @@ def _text(path: Path) -> LogColumns:
             try:
                 found[row] = number_in(cell.replace(",", ".")) if cell else np.nan
             except ValueError:
+                # a cell of a damaged file may be long
                 text = f"{cell[:40]!r} for {name} in line {at + 1}"
                 raise InputError("log", "hold numbers", text, _AGAIN) from None
         return found
@@ -124,8 +129,10 @@ def _decoded(path: Path) -> str:
     A file that is not UTF-8 is read as UTF-16 if it begins like UTF-16, otherwise as Windows-1252.
     """
     content = path.read_bytes()
+    # the byte order mark of UTF-16
     if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return content.decode("utf-16", "replace")
+    # text in other encodings has no zero bytes; the start of a binary file has some
     if b"\0" in content[:4096]:
         raise InputError(
             "log", "be a table of text", f"other data in {path.name}", "export it as CSV"
@@ -149,6 +156,7 @@ def _form(lines: list[str], path: Path) -> tuple[str, int]:
         if not widths:
             continue
         width = widths.most_common(1)[0][0]
+        # numbers minus other cells, so that a wrong delimiter that cuts numbers apart loses
         score = sum(2 * _count(row) - len(row) for row in rows if len(row) == width)
         if score > best:
             best = score
@@ -165,6 +173,7 @@ def _form(lines: list[str], path: Path) -> tuple[str, int]:
 
 def _cells(line: str, delimiter: str) -> list[str]:
     """Return the cells of a line. An empty cell after the last delimiter is dropped."""
+    # columns aligned by several spaces
     if delimiter == " ":
         return line.split()
     row = next(csv.reader(StringIO(line), delimiter=delimiter), [])
@@ -192,6 +201,7 @@ def _header(above: list[list[str]], width: int) -> tuple[tuple[str, ...], int, b
     if at < 0 or len(above[at]) != width:
         return (), 0, False
     names = [cell.strip().removeprefix("#").strip() for cell in above[at]]
+    # a unit has at most six characters, such as mm/min; longer cells are names
     units = [re.fullmatch(r"[\[(]?([A-Za-zµ°%/*· -]{0,6})[\])]?", name) for name in names]
     if at > 0 and len(above[at - 1]) == width and all(units):
         first = [cell.strip().removeprefix("#").strip() for cell in above[at - 1]]
@@ -266,7 +276,9 @@ def _parquet(path: Path) -> LogColumns:
 
 def _mat(path: Path) -> LogColumns:
     with path.open("rb") as stream:
+        # the length of "MATLAB 7.3"
         first = stream.read(10)
+    # such files are HDF5, which the reader of older MATLAB files refuses
     if first == b"MATLAB 7.3":
         return _structs(path)
     return _isolated("mat_columns", path)
@@ -275,6 +287,7 @@ def _mat(path: Path) -> LogColumns:
 def _h5(path: Path) -> LogColumns:
     h5py = _module("h5py", "h5")
     with h5py.File(path, "r") as file:
+        # groups that only recordings of volumetric_drilling have
         if any(name in file for name in DRILLING):
             return _drilling(path)
         sets: dict[str, Any] = {}
@@ -296,6 +309,7 @@ def _structs(path: Path) -> LogColumns:
     Columns of structs have the names of their fields if these are unique.
     """
     found = _h5(path)
+    # MATLAB keeps its own data in groups such as #refs#
     whole = [name for name in found.names if not name.startswith("#")]
     fields = [name.rpartition("/")[2] for name in whole]
     places = {
@@ -312,6 +326,7 @@ def _drilling(path: Path) -> LogColumns:
     columns = {"time_s": held.times_s, **dict(zip(TIPS + QUATERNION, poses.T, strict=True))}
     if held.load_times_s is not None and held.loads is not None and len(held.load_times_s):
         first, last = held.load_times_s[[0, -1]].tolist()
+        # the times of forces and poses do not overlap, so they are on different clocks
         if first > held.times_s[-1] or last < 0.0:
             raise InputError(
                 "measured",
@@ -394,10 +409,12 @@ def mat_columns(file: Path) -> Answer:
 
     columns: dict[str, Numbers] = {}
     for name, value in loadmat(file, squeeze_me=True).items():
+        # SciPy's own entries, such as __header__
         if name.startswith("__"):
             continue
         held = {name: value}
         fields = getattr(getattr(value, "dtype", None), "names", None)
+        # one struct of columns; an array of structs is not a column
         if fields and value.ndim == 0:
             held = {inner: value[inner].item() for inner in fields}
         for inner, each in held.items():

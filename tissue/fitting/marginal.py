@@ -117,10 +117,12 @@ def marginal(target: Target, maximum: Array, covariance: Array, at: int) -> Marg
     patience = 0.0
     start = maximum
     if at == target.constants:
+        # one sample of the log, in standard deviations of the offset's prior
         patience = float(np.median(np.diff(target.log.times_s))) / OFFSET_S
         distances = np.unique(np.concatenate([patience * WITHIN, spread * ABOUT]))
     else:
         side = float(target.sides[at])
+        # a maximum beyond the end of a one-sided constant is moved to the end
         start = maximum - min(side * maximum[at], 0.0) * side * along
     first = log_density_at(target, start, at)
     found = {float(start[at]): first}
@@ -157,6 +159,8 @@ def log_density_at(target: Target, u: Array, at: int) -> tuple[float, Array]:
         moved = u.copy()
         moved[others] += step
         tried = _reweighted(target, moved, others)
+        # Levenberg and Marquardt's damping: less after a step that succeeds, more after one that
+        # fails
         if tried[0] > log_density:
             u = moved
             log_density, gradient, normal = tried
@@ -193,11 +197,13 @@ def log_factor(mean: Array, covariance: Array) -> float:
     logarithms = np.zeros(len(uniform))
     for at, spread in enumerate(np.diag(root).tolist()):
         ratio = (mean[at] + drawn[:, :at] @ root[at, :at]) / spread
+        # half of the prior's probability is at the end, see the module's description
         zero = np.log(0.5) - 0.5 * ratio**2 - np.log(spread)
         above = log_ndtr(ratio)
         both = np.logaddexp(zero, above)
         logarithms += both
         share = np.exp(zero - both)
+        # the limits keep the logarithm finite where the end has all of the probability
         rest = np.clip((1.0 - uniform[:, at]) / np.maximum(1.0 - share, 1e-300), 1e-12, 1.0)
         drawn[:, at] = np.where(uniform[:, at] < share, -ratio, -ndtri_exp(np.log(rest) + above))
     return float(logsumexp(logarithms) - np.log(len(logarithms)))
@@ -279,6 +285,7 @@ def _law(found: Mapping[float, float], side: float) -> Marginal:
 
     For a one-sided number, the end at 0 has a probability.
     """
+    # a one-sided number is handled as a positive one
     sign = side or 1.0
     logarithms = {sign * place: logarithm for place, logarithm in found.items()}
     places = np.array(sorted(logarithms))
@@ -289,6 +296,7 @@ def _law(found: Mapping[float, float], side: float) -> Marginal:
         places,
     )
     density = np.exp(PchipInterpolator(places, heights - heights.max())(fine))
+    # the grid reaches the end of a one-sided number, where part of the probability lies
     end = END * float(density[0]) if side and fine[0] == 0.0 else 0.0
     summed = end + cumulative_trapezoid(density, fine, initial=0.0)
     mean = float(trapezoid(density * fine, fine)) / summed[-1]

@@ -64,6 +64,7 @@ class OrganForward:
     def reduced(self, x: Array) -> tuple[float, Array]:
         """Return the scale of the loads, and the constants that a run uses for x, shape (p,)."""
         x = np.asarray(x, dtype=float)
+        # no loads in proportion to moduli: a run at x itself is needed
         if not self.moduli:
             return 1.0, x
         first = self.moduli[0]
@@ -84,6 +85,7 @@ class OrganForward:
         scale, same = self.reduced(x)
         distance = self.distance(same)
         found = self._slopes_at(distance) / np.where(self._logarithmic, same, 1.0)
+        # below, the loads scale with the first modulus, and the other moduli with its ratio
         if not self.moduli:
             return found
         first = self.moduli[0]
@@ -112,6 +114,7 @@ class OrganForward:
         widths = np.array([float(each.prior.slope(0.0)) for each in self.parameters])
         step = distance / np.where(self._logarithmic, widths / middle, widths)
         slopes = self._slopes_at(distance)
+        # a shorter step would explain single nodes that come into contact
         if float(np.linalg.norm(step)) >= learnt:
             missed = base - self._of_run(distance)
             along = np.divide(step**2, distance, out=np.zeros_like(step), where=distance != 0.0)
@@ -151,11 +154,13 @@ FIRST_STEP = 0.5
 SETTLED = 0.3
 """Distance at which the most probable constants agree with the constants of the runs.
 
-It is measured in standard deviations of the constants.
+It is measured in standard deviations of the constants: intervals are 3.3 of them wide.
 """
 ROUNDS = 3
 TRIES = 6
 """Number of times that slopes are computed, and number of runs that follow with each set of slopes.
+
+They limit the runs of a fit that does not settle, which `UNSETTLED` reports.
 """
 LEARNT = 0.1
 """Step from which slopes are corrected, in standard deviations of the priors of the constants."""
@@ -168,7 +173,10 @@ WIDE = 0.2
 Such a constant is stepped together with each other constant of this kind.
 """
 FARTHEST = 3.0
-"""Standard deviations of a prior beyond which no run is made."""
+"""Standard deviations of a prior beyond which no run is made.
+
+The ends of a cited range are 1.6 standard deviations from its median.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,8 +243,10 @@ def settled(
         parameters, measured.channels, times_s, moduli, at, base, nothing, nothing, none
     )
     for number in range(ROUNDS):
+        # three rounds fill three quarters of the progress; `fit_scene` continues at 0.8
         progress(f"round {number + 1} of runs of the organ", 0.25 * number)
         forward = _sloped(forward, runs, spread)
+        # before the first slopes, the loads do not depend on the constants
         if number == 0:
             require_signs(forward, measured)
         for tried in range(TRIES + 1):
@@ -247,6 +257,7 @@ def settled(
                 break
             progress(f"run {runs.count + 1} of the organ", 0.25 * (number + (tried + 1) / TRIES))
             forward = forward.moved(at, runs([_named(parameters, at)])[0], learnt=LEARNT)
+        # the first slopes are one-sided, so that a second round always follows
         if number and away < SETTLED:
             break
     return Settled(forward, posterior, away)
@@ -305,6 +316,7 @@ def _sloped(forward: OrganForward, runs: OrganRuns, spread: Array | None) -> Org
         powers = np.linalg.inv(steps[:, None] ** np.arange(1.0, sides + 1.0))
         found = np.tensordot(powers, np.stack(risen[of]), 1)
         slopes[..., at] = found[0]
+        # a step to one side shows no curvature
         if sides == 2:
             curvatures[..., at] = found[1]
     for (first, second), x, both in zip(pairs, corners, risen[len(others) :], strict=True):

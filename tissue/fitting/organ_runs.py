@@ -83,6 +83,7 @@ def organ_parameters(
     parameters = tuple(chosen(free, [*cited, *stated]))
     places = tuple(at for at, each in enumerate(parameters) if each.name in stiffnesses)
     together = len(places) == len(stiffnesses) and not scene.organ.gravity
+    # with weight or a fixed modulus, scaling the free moduli does not scale the loads
     return parameters, places if together else ()
 
 
@@ -114,6 +115,7 @@ def _stated(scene: Scene) -> list[Parameter]:
     anatomy = scene.anatomy
     assert isinstance(anatomy, SoftAnatomy)
     parts = dict(organ.parts or {})
+    # the nodule of a slab is a part with a default modulus
     if anatomy.nodule_mm > 0.0:
         parts.setdefault(PART_NODULE, NODULE_KPA)
     found = {"organ.young_kPa": organ.young_kPa, "organ.young_end_kPa": organ.young_end_kPa}
@@ -129,6 +131,7 @@ def _stated(scene: Scene) -> list[Parameter]:
         if (value := getattr(organ, name)) is not None
         and (prior := _shape_prior(name, value)) is not None
     ]
+    # a prior relative to a value of 0 has no width
     if (friction := organ.friction) == 0.0:
         return [*moduli, *shapes]
     low, high = FRICTION
@@ -142,8 +145,10 @@ def _stated(scene: Scene) -> list[Parameter]:
 def _shape_prior(name: str, value: float) -> Prior | None:
     """Return the prior of a constant that gives a law its shape, or None if it has no range."""
     low, high = SHAPE
+    # a range of factors needs a positive value, and a share of 1 has no space above
     if value <= 0.0 or (name == SHARE and value >= 1.0):
         return None
+    # a share stays below 1: what is left of it shrinks by a factor instead
     if name == SHARE:
         return Prior(
             value, low * value, min(high * value, 1.0 - NEAREST * (1.0 - value)), (0.0, 1.0)
@@ -236,6 +241,7 @@ class OrganRuns:
             is one run.
         """
         self.count += len(samples)
+        # the first runs are timed in this process: short runs do not pay for the start of a pool
         if self._pool is None and min(self._cores, len(samples)) > 1 and self._longest_s > PAYS_S:
             self._pool = self._ends.enter_context(worker_pool(self._cores))
         if self._pool is not None:
@@ -256,6 +262,7 @@ def _loads(
         with_values = _with(scene, values, Path(name, "sample.toml"))
         motion = ReplayPoses(poses.times_s, poses.tips_m, poses.quaternions, step_s=TICK_S)
         stands_in = ReplayMotion(kind="replay", file="poses that were given")
+        # no frames of the organ are needed, only loads
         prompt = {"interval_ms": 0.0, "law_interval_ms": LAW_MS}
         organ = with_values.organ.model_copy(update=prompt)
         ran = with_values.model_copy(

@@ -38,6 +38,10 @@ A force may rise at several times, so there may be several maxima. Offsets beyon
 deviations of the prior find clocks that contradict it.
 """
 STARTS = 2
+"""Number of the best starts that are searched from.
+
+On a milled block, 1, 2 and 5 starts lead to the same maximum.
+"""
 NEARBY = np.linspace(-2.5, 2.5, 101)
 REFINED = 3
 """Number of searches for a higher maximum at nearby offsets.
@@ -45,14 +49,24 @@ REFINED = 3
 `NEARBY` holds these offsets from a maximum, in samples of the log.
 """
 FARTHEST = 12.0
-"""Standard deviations of a prior beyond which nothing is looked for."""
+"""Standard deviations of a prior beyond which nothing is looked for.
+
+The limit keeps the exponentials of the priors finite when a search takes a long step.
+"""
 STEEP = 1e-2
-"""Squared distance to the maximum, in standard deviations, at which it counts as found."""
+"""Squared distance to the maximum, in standard deviations, at which it counts as found.
+
+A tenth of a standard deviation is small against an interval, which is 3.3 of them wide.
+"""
 SCORING_STEPS = 20
+"""Limit of the steps of Fisher's scoring. It begins at the maximum of a search: one is usual."""
 SHORTER = 0.5 ** np.arange(10)
 """Shares of a scoring step that are tried until the log density rises."""
 RESTRICTED = 2
-"""Number of times that the noise is estimated again with updated sensitivities of the constants."""
+"""Number of times that the noise is estimated again with updated sensitivities of the constants.
+
+On a milled block, 1, 2 and 4 times give the same maximum within 0.001 standard deviations.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,6 +169,7 @@ def maximum_posterior(forward: Forward, log: MeasuredLoads) -> Posterior:
     for _ in range(REFINED):
         nearby = max(_shifted(target, best[1]), key=target.value)
         higher = climbed(target, nearby)
+        # the neighbourhood holds no better maximum
         if higher[0] <= best[0] + STEEP:
             break
         best = higher
@@ -181,6 +196,8 @@ def climbed(target: Target | Restricted, start: Array) -> tuple[float, Array]:
         value, gradient = target.value_and_gradient(place(v))
         return -value, -root @ gradient
 
+    # In coordinates of unit information, gtol is in standard deviations. The small ftol lets the
+    # search follow a flat ridge. A milled block takes 200 iterations.
     found = minimize(
         downwards,
         np.zeros(len(start)),
@@ -226,6 +243,7 @@ def _scored(target: Restricted, u: Array) -> tuple[Array, Array, bool]:
         gain = float(gradient @ step)
         if gain < STEEP:
             return u, information, True
+        # a full step may overshoot; without any better place the search has stopped short
         for share in SHORTER:
             tried, there = target.value_and_gradient(u + share * step)
             if tried > value:
@@ -284,6 +302,7 @@ def reversed_channels(forward: Forward, log: MeasuredLoads) -> tuple[str, ...]:
     signs = np.ones(len(log.channels))
     best, _ = _search(forward, log, signs, -np.inf)
     groups = [[at] for at in range(len(signs))]
+    # all forces, all torques, and all loads
     for kind in ("force_", "torque_", ""):
         places = [at for at, name in enumerate(log.channels) if name.startswith(kind)]
         if len(places) > 1 and places not in groups:
@@ -312,6 +331,7 @@ def _search(
     """
     target = Target(forward, replace(log, values=log.values * signs))
     density, u = starts(target)[0]
+    # the search takes most of the time: it is left out where the first guess is far worse
     if density > wanted - SCREENED:
         density, u = climbed(target, u)
     left = np.nanvar(target.log.values - target.simulated(u), axis=0)

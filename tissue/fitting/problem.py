@@ -13,6 +13,7 @@ from tissue.materials.constants import Prior
 from tissue.models.tissue_model import TICK_S
 
 __all__ = [
+    "SD_PER_MAD",
     "Forward",
     "MeasuredLoads",
     "Parameter",
@@ -50,6 +51,7 @@ class Parameter:
     @classmethod
     def of(cls, name: str, cited: Prior) -> "Parameter":
         """Return the parameter of a cited constant, its value inside its range or at an end."""
+        # a search needs values on both sides; `side` marks which of them are possible
         return cls(name, cited.mirrored(), cited) if cited.is_one_sided else cls(name, cited)
 
     @property
@@ -90,6 +92,7 @@ def chosen(
     words = {}
     for each in possible:
         table, material, *rest = each.name.split(".")
+        # names such as specific_energy_J_mm3 are found by their first two words too
         parts = [word for full in rest for word in (full, *full.split("_")[:2])]
         words[each.name] = (table, {material, (tags or {}).get(each.name, material), *rest, *parts})
     selected = set[str]()
@@ -133,10 +136,13 @@ class Forward(Protocol):
         ...
 
 
+SD_PER_MAD = 1.4826
+"""Standard deviation of a normal variable over its median absolute deviation."""
 FEWEST = 50
 """Minimum number of samples of a channel.
 
-With fewer samples, the scale and the correlation of its noise cannot be estimated.
+With fewer samples, the scale and the correlation of its noise cannot be estimated: the standard
+error of a correlation is about 1 / sqrt(50) = 0.14.
 """
 
 
@@ -185,8 +191,11 @@ class MeasuredLoads:
         Channels of one unit share the largest, since a channel without load has nothing but noise.
         """
         middle = np.nanmedian(self.values, axis=0)
-        spread = 1.4826 * np.nanmedian(np.abs(self.values - middle), axis=0)
+        spread = SD_PER_MAD * np.nanmedian(np.abs(self.values - middle), axis=0)
+        # ten standard deviations of a normal law hold all loads but damaged samples
         cut = np.clip(self.values, middle - 10.0 * spread, middle + 10.0 * spread)
+        # a channel that rests at one value for more than half of the log has no robust spread: it
+        # is not clipped
         size = np.sqrt(np.nanmean(np.where(spread > 0.0, cut, self.values) ** 2, axis=0))
         units = np.array([name.rpartition("_")[2] for name in self.channels])
         return np.array([size[units == unit].max() for unit in units])
@@ -241,6 +250,7 @@ def block_ticks(duration_s: float, period_s: float) -> int:
     duration_s, period_s
         Duration of the log, and time between two of its samples [s].
     """
+    # 1e-6 ticks cover the rounding of a quotient that is a whole number
     return max(LEAST_BLOCK, int(np.ceil(max(duration_s / MOST_SAMPLES, period_s) / TICK_S - 1e-6)))
 
 
@@ -263,6 +273,7 @@ def block_averages(
         Ticks of a block.
     """
     block_s = ticks * TICK_S
+    # a sample at the start of a block may lie before it by rounding
     place = np.floor((times_s - times_s[0]) / block_s + 1e-9).astype(np.int64)
     count = int(place[-1]) + 1
     rate = float(np.median(np.diff(times_s)))
@@ -318,12 +329,15 @@ def shift_operators(
     width = end - start
     u = (asked - start) / width
     slopes = np.stack([width / (end - before), width / (after - start)])
+    # Hermite's cubic: values at both ends, and slopes by the neighbours of each end
     blend = u * u * (3.0 - 2.0 * u)
     weights = _hermite(1.0 - blend, blend, slopes * [u * (1.0 - u) ** 2, u * u * (u - 1.0)])
+    # the derivative of the same cubic by u
     blend = 6.0 * u * (1.0 - u)
     tangents = [(1.0 - u) * (1.0 - 3.0 * u), u * (3.0 * u - 2.0)]
     rates = _hermite(-blend, blend, slopes * tangents)
     rates *= np.where(inside, -1.0 / width, 0.0)[:, None]
+    # each of the times of a mean has four neighbours
     each = 4 * len(within_s)
     starts = np.arange(0, weights.size + 1, each)
     shape = (len(wanted_s), last + 1)

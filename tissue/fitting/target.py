@@ -10,7 +10,7 @@ from scipy.sparse import csr_array
 from scipy.special import digamma, gammaln, polygamma
 
 from meshes.base.arrays import Array
-from tissue.fitting.problem import Forward, MeasuredLoads, shift_operators
+from tissue.fitting.problem import SD_PER_MAD, Forward, MeasuredLoads, shift_operators
 
 __all__ = [
     "OFFSET_S",
@@ -88,6 +88,7 @@ def noise_terms(residuals: Array, scale: Array, correlation: Array, freedom: Arr
     stationary = 1.0 - correlation**2
     count = here.sum(axis=0)
     begun = starts.sum(axis=0)
+    # logarithm of the density of Student's law, and below its derivatives
     constant = (
         gammaln(0.5 * (freedom + 1.0)) - gammaln(0.5 * freedom) - 0.5 * np.log(freedom * np.pi)
     )
@@ -216,6 +217,7 @@ class Target:
         self.constants = len(self._priors)
         self.sides = np.array([each.side for each in forward.parameters])
         """Side of each constant, shape (p,), see `tissue.fitting.problem.Parameter.side`."""
+        # constants, the offset, and for each channel bias, noise, correlation and freedom
         self.size = self.constants + 1 + 4 * len(log.channels)
         self._linearised: tuple[Array, Array, Array] | None = None
         self._last_shift: tuple[float, tuple[csr_array, csr_array]] | None = None
@@ -224,6 +226,7 @@ class Target:
         """Return the numbers of a fit from its vector, shape (size,)."""
         p = self.constants
         c = len(self.log.channels)
+        # in the order of `size`
         bias, noise, correlation, freedom = u[p + 1 :].reshape(4, c)
         scale = self._sizes * (LEAST_NOISE + NOISE_SHARE * np.exp(NOISE_SPREAD * noise))
         return Unpacked(
@@ -266,6 +269,7 @@ class Target:
         each = self.unpacked(u)
         c = len(self.log.channels)
         place = u[: self.constants + 1]
+        # the last place is kept, since gradient and information need the slopes of one place
         if self._linearised is None or not np.array_equal(self._linearised[0], place):
             self._linearised = (place.copy(), *self._by_place(each))
         loads, by_place = self._linearised[1:]
@@ -310,6 +314,7 @@ class Target:
         samples = np.isfinite(self.log.values).sum(axis=0)
         nu = each.freedom
         place = place_information(each.freedom)
+        # derivative of the scaled hyperbolic tangent in `unpacked`
         flat = MOST_CORRELATED - each.correlation**2 / MOST_CORRELATED
         of_correlation = place * nu / (nu - 2.0) / (1.0 - each.correlation**2)
         of_freedom, crossed = freedom_information(nu)
@@ -393,11 +398,14 @@ class Target:
         u = np.zeros(self.size)
         u[self.constants] = offset_s / OFFSET_S
         free = self.constants + 1 + len(self.log.channels)
+        # the second step starts from slopes at the first result
         for _ in range(2):
             simulated, sensitivities = self.linearised(u)
             residuals = self.log.values - simulated
             known = np.isfinite(residuals)
-            scale = 1.4826 * np.nanmedian(np.abs(residuals), axis=0) + 1e-3 * self._sizes
+            # robust least squares (Huber): residuals beyond two standard deviations get less
+            # weight. A thousandth of the loads keeps the scale of a log without noise above zero
+            scale = SD_PER_MAD * np.nanmedian(np.abs(residuals), axis=0) + 1e-3 * self._sizes
             weights = np.where(
                 known, 1.0 / np.maximum(scale, np.abs(np.where(known, residuals, 0.0)) / 2.0), 0.0
             )
@@ -405,11 +413,12 @@ class Target:
             wanted = (weights * np.where(known, residuals, 0.0)).ravel()
             normal = columns.T @ columns / MOST_WEIGHT + np.eye(free)
             step = np.linalg.solve(normal, columns.T @ wanted / MOST_WEIGHT - u[:free])
+            # loads are not linear in constants farther from the middle of their priors
             u[:free] = np.clip(u[:free] + step, -4.0, 4.0)
         residuals = self.log.values - self.simulated(u)
         e = residuals[1:] - CORRELATED * residuals[:-1]
         spread = (
-            1.4826 * np.nanmedian(np.abs(e - np.nanmedian(e, axis=0)), axis=0)
+            SD_PER_MAD * np.nanmedian(np.abs(e - np.nanmedian(e, axis=0)), axis=0)
             + LEAST_NOISE * self._sizes
         )
         noise = slice(free, free + len(self._sizes))
@@ -420,9 +429,12 @@ class Target:
 
 
 MOST_WEIGHT = 10.0
-"""Neighbouring samples counted as one while the noise's correlation is unknown."""
+"""Neighbouring samples counted as one while the noise's correlation is unknown.
+
+Samples of correlation 0.8 hold as much information as a ninth of independent ones.
+"""
 CORRELATED = 0.5
-"""Correlation of neighbours at the start of an optimiser."""
+"""Correlation of neighbours at the start of an optimiser, between white noise and a slow drift."""
 
 
 class Restricted:

@@ -40,10 +40,17 @@ __all__ = [
 POLYNOMIAL = 0x42F0E1EBA9EA3693
 """Polynomial of ECMA-182, highest bit first, initial value zero, not inverted."""
 LANES = 4096
-"""Number of parts of a long body that are processed in parallel; a power of two."""
+"""Number of parts of a long body that are processed in parallel; a power of two.
+
+A body of 2 MB takes 11 ms with 4096 parts, 19 ms with 1024 parts and 209 ms byte by byte.
+"""
 LONG = 2 * LANES
-"""Body length from which the parallel method is faster than a loop over bytes [bytes]."""
+"""Body length from which the parts are processed in parallel [bytes].
+
+Both methods take less than 2 ms there; the parallel method is faster from about 16 kB on.
+"""
 MASK = 0xFFFFFFFFFFFFFFFF
+"""The 64 bits of a remainder, since integers of Python have no limit."""
 Words = NDArray[np.uint64]
 
 
@@ -51,6 +58,7 @@ def _entries() -> list[int]:
     """Return the remainder of every byte followed by eight zero bytes."""
     found = []
     for byte in range(256):
+        # the byte at the top of 64 bits; each round divides by the polynomial for one bit
         value = byte << 56
         for _ in range(8):
             value = ((value << 1) ^ POLYNOMIAL if value >> 63 else value << 1) & MASK
@@ -75,6 +83,7 @@ def crc64(body: bytes | bytearray | memoryview) -> int:
     if len(body) < LONG:
         value = 0
         for byte in body:
+            # the highest 8 of the 64 bits leave the remainder
             value = ((value << 8) & MASK) ^ ENTRIES[(value >> 56) ^ byte]
         return value
     width = -(-len(body) // LANES)
@@ -82,6 +91,7 @@ def crc64(body: bytes | bytearray | memoryview) -> int:
     # leading zeros do not change the remainder
     padded[len(padded) - len(body) :] = np.frombuffer(body, dtype=np.uint8)
     found = np.zeros(LANES, dtype=np.uint64)
+    # moved[i]: remainder of a body whose only set bit is i, advanced by the length of a part
     moved = np.uint64(1) << BITS
     for column in np.ascontiguousarray(padded.reshape(LANES, width).T):
         found = (found << BYTE) ^ TABLE[(found >> TOP) ^ column]
@@ -112,6 +122,7 @@ ASCII = 3
 UTF8 = 106
 """IANA numbers of the encodings."""
 LONGEST_TEXT = 0xFFFF
+"""Largest length of a text that the 16 bits of its length field can hold [bytes]."""
 SCALARS = {"i1": 2, "u1": 3, "i2": 4, "u2": 5, "i4": 6, "u4": 7, "f4": 10, "f8": 11}
 """Type numbers of scalars."""
 NEWTON = 0x0B << 54 | 1 << 50
@@ -177,6 +188,7 @@ def packed(
         values = b"".join(key + value for key, _, value in texts)
         body = EXTENDED.pack(EXTENDED.size, len(index), len(values), number) + body + index + values
     seconds = int(time_s)
+    # the header counts fractions of a second in units of 2**-32 s
     fraction = int((time_s - seconds) * 2**32)
     return (
         HEADER.pack(
@@ -206,6 +218,7 @@ def parse_header(header: bytes | bytearray) -> Header:
     kind, name = (text.split(b"\0")[0].decode("ascii", "replace").strip() for text in (kind, name))
     if not kind or not (kind + name).isascii() or not (kind + name).isprintable():
         raise IgtlError("a header whose type or name is no ASCII text")
+    # fractions of a second in units of 2**-32 s
     return Header(version, kind, name, seconds + fraction / 2**32, size, crc)
 
 
@@ -219,8 +232,11 @@ def content_of(header: Header, body: bytes | bytearray) -> bytes:
     """
     if crc64(body) != header.crc:
         raise IgtlError("a message with another checksum than its body has")
+    # version 1 has no extended header
     if header.version == 1:
         return bytes(body)
+    # a body that is too short for the extended header is padded; its size of 0 fails the check
+    # below
     first, index, values, _ = EXTENDED.unpack(body[: EXTENDED.size].ljust(EXTENDED.size, b"\0"))
     last = len(body) - index - values
     if not EXTENDED.size <= first <= last:
@@ -244,6 +260,7 @@ def parse_transform(content: bytes) -> Array:
     IgtlError
         If the content has the wrong length or is not finite.
     """
+    # twelve float32: three columns of the rotation, and the position
     if len(content) != 48:
         raise IgtlError(f"a TRANSFORM of {len(content)} bytes instead of 48")
     values = struct.unpack(">12f", content)
@@ -266,6 +283,7 @@ def status_body(code: int, message: str, *, subcode: int = 0, name: str = "") ->
 def string_body(text: str) -> bytes:
     """Return a STRING body in ASCII, or in UTF-8 if necessary, truncated to 65535 bytes."""
     code, encoded = _encoded(text)
+    # "ignore" drops a character of several bytes that the limit cuts apart
     encoded = encoded[:LONGEST_TEXT].decode("utf-8", "ignore").encode()
     return struct.pack(">HH", code, len(encoded)) + encoded
 
@@ -273,6 +291,7 @@ def string_body(text: str) -> bytes:
 def sensor_body(values: ArrayLike, unit: int) -> bytes:
     """Return a SENSOR body of at most 255 values in one unit such as `NEWTON`."""
     data = np.asarray(values, dtype=">f8").ravel()
+    # one byte holds the number of values; the status byte is reserved and 0
     return struct.pack(">BBQ", len(data), 0, unit) + data.tobytes()
 
 
@@ -306,9 +325,12 @@ def polydata_body(
     cells[:, 0] = corners.shape[1]
     cells[:, 1:] = corners
     named = dict(scalars or {})
+    # numbers and sizes of points, vertices, lines, polygons, strips and attributes: only polygons
+    # here
     counts = (len(points), 0, 0, 0, 0, len(cells), cells.nbytes, 0, 0, len(named))
     parts = [struct.pack(">10I", *counts), points.tobytes(), cells.tobytes()]
     parts += [struct.pack(">BBI", POINT_SCALARS, 1, len(values)) for values in named.values()]
+    # the format pads the names to an even number of bytes
     names = b"".join(name.encode("ascii") + b"\0" for name in named)
     parts += [names + b"\0" * (len(names) % 2)]
     parts += [np.asarray(values, dtype=">f4").tobytes() for values in named.values()]
@@ -328,9 +350,12 @@ def image_body(voxels: NDArray[np.generic], ijk_to_ras_mm: ArrayLike) -> bytes:
     """
     matrix = np.asarray(ijk_to_ras_mm, dtype=float)
     shape = voxels.shape
+    # the index of the centre is half the index of the last voxel
     middle = matrix @ [*(0.5 * (np.array(shape) - 1.0)), 1.0]
     placed = np.concatenate([matrix[:3, :3].T.ravel(), middle[:3]]).astype(">f4")
+    # version 1 of the format, one component a voxel
     head = struct.pack(">HBBBB3H", 1, 1, _scalar(voxels), LITTLE, RAS, *shape) + placed.tobytes()
+    # the sent part of the volume begins at index 0 and is the whole volume
     window = struct.pack(">6H", 0, 0, 0, *shape)
     return (
         head + window + voxels.astype(voxels.dtype.newbyteorder("<"), copy=False).tobytes(order="F")

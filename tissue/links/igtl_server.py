@@ -18,14 +18,24 @@ Result = TypeVar("Result")
 
 LOCAL = "127.0.0.1"
 LARGEST = 1 << 16
-"""Size of the largest body that is read [bytes]; a larger body is skipped, see `OVERLARGE`."""
+"""Size of the largest body that is read [bytes]; a larger body is skipped, see `OVERLARGE`.
+
+A run uses transforms and requests only, which are far smaller. Images and meshes are skipped.
+"""
 OVERLARGE = 1 << 34
-"""Body size above which a message counts as invalid [bytes]."""
+"""Body size above which a message counts as invalid [bytes].
+
+No image has 16 GiB: such a size comes from bytes that are not a header.
+"""
 PIECE = 1 << 16
-"""Bytes read from a client at a time."""
+"""Bytes read from a client at a time: as many as the largest body that is read."""
 STALLED_S = 10.0
-"""Longest time for which a client may take no data from its send queue [s]."""
+"""Longest time for which a client may take no data from its send queue [s].
+
+A client that hangs would otherwise keep one of the `MOST_CLIENTS` places until the run ends.
+"""
 MOST_CLIENTS = 16
+"""Largest number of clients. Each has its own queue: the limit bounds memory and sending time."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,6 +79,7 @@ class Client:
 
     def put(self, message: bytes) -> None:
         """Append a message to the send queue."""
+        # the time without progress begins when the first message has to wait
         if not self._outbox:
             self._moved_s = perf_counter()
         self._outbox.append(memoryview(message))
@@ -110,6 +121,7 @@ class Client:
             self._inbox += came
         found = []
         while len(self._inbox) >= HEADER_BYTES or self._left_out:
+            # the rest of a body that is too large to be read
             if self._left_out:
                 gone = min(self._left_out, len(self._inbox))
                 del self._inbox[:gone]
@@ -124,6 +136,7 @@ class Client:
             if header.body_bytes > LARGEST:
                 self._left_out = end
                 continue
+            # the rest of the message has not arrived yet
             if len(self._inbox) < end:
                 break
             found.append((header, content_of(header, self._inbox[HEADER_BYTES:end])))
@@ -192,8 +205,10 @@ class IgtlServer:
         received: list[Received] = []
         for key, _ in self._selector.select(timeout_s):
             client = key.data
+            # the listening socket has no client
             if client is None:
                 fresh += self._accept()
+            # a client that failed earlier in this call is gone
             elif client in self.clients:
                 came = self._try(client, client.read)
                 received += [
@@ -236,6 +251,7 @@ class IgtlServer:
             self.refused += 1
             return []
         connection.setblocking(False)
+        # send each pose at once instead of collecting small messages (Nagle's algorithm)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         client = Client(connection)
         self._selector.register(connection, selectors.EVENT_READ, client)

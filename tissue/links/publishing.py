@@ -60,8 +60,11 @@ class RunPublisher(ABC):
 def publish(make: Callable[[Path], RunPublisher], folder: str) -> None:
     """Make a publisher, report its address on standard output, and run it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the ticks determine the end of this process
+    # Windows has no niceness
     if hasattr(os, "nice"):
         os.nice(NICE)
+    # libraries may print to standard output, whose reader waits for the line "ready"; such text
+    # goes to standard error
     standard_output = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
     try:

@@ -24,9 +24,12 @@ DEPTH = 10
 STATE_S = 1.0
 """Interval between repeated messages of an unchanged state [s]."""
 PAUSED_S = 0.5
-"""Time without a tick after which the run counts as paused [s]."""
+"""Time without a tick after which the run counts as paused [s].
+
+It is 500 ticks, so that late ticks do not count as a pause.
+"""
 LOOK_S = 1e-3
-"""Interval between two checks for a new row [s]."""
+"""Interval between two checks for a new row [s]: one tick, so that no row is missed for long."""
 POSE = (*(f"tool_{c}_mm" for c in "xyz"), *(f"tool_q{c}" for c in "xyzw"))
 TWIST = (*(f"velocity_{c}_mm_s" for c in "xyz"), *(f"angular_velocity_{c}_rad_s" for c in "xyz"))
 WRENCH = (*(f"model_force_{c}_N" for c in "xyz"), *(f"model_torque_{c}_Nm" for c in "xyz"))
@@ -82,6 +85,7 @@ class Ros2Publisher(RunPublisher):
             self._turn, row = found
             self._row_s = now
             self._publish(row)
+        # no new rows: the run is paused
         state = "ENABLED" if now - self._row_s < PAUSED_S else "PAUSED"
         if state != self._state or now - self._stated_s >= STATE_S:
             self._publish_state(state)
@@ -107,6 +111,7 @@ class Ros2Publisher(RunPublisher):
         for (first, second), places, scale in zip(parts, self._rows, scales, strict=True):
             values = row[places]
             _fill(first, "xyz", (scale * values[:3]).tolist())
+            # an orientation has 4 values, an angular velocity and a torque have 3
             _fill(second, "xyzw"[: len(values) - 3], values[3:].tolist())
         for publisher, message in zip(self._publishers, (pose, twist, wrench), strict=True):
             _fill(message.header, header, header.values())
@@ -116,6 +121,7 @@ class Ros2Publisher(RunPublisher):
     def _publish_state(self, state: str) -> None:
         self._state = state
         self._stated_s = perf_counter()
+        # crtk_msgs may not be installed
         if self._states is not None:
             message = self._new_state(state=state, is_homed=True, is_busy=False)
             message.header.stamp = self._node.get_clock().now().to_msg()

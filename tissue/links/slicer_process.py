@@ -53,6 +53,7 @@ class SlicerFrame:
 
     def __init__(self, placement: Placement | None) -> None:
         self.matrix = LPS_TO_RAS.copy()
+        # without a placement, the scene's axes are those of the patient
         if placement is not None:
             self.matrix = LPS_TO_RAS @ _pose(placement.origin_mm, placement.rotation)
 
@@ -143,11 +144,14 @@ class SlicerContent:
         density = self._start.get("density_kg_m3")
         if density is not None:
             spacing_mm = 1e3 * float(self._start["spacing_m"])
+            # the origin is the corner of the first voxel; an image has its position at the voxel's
+            # centre
             first_mm = 1e3 * self._start["origin_m"].astype(float) + 0.5 * spacing_mm
             voxels = self._frame.matrix @ _pose(first_mm, spacing_mm * np.eye(3))
             messages.append(self._packed("IMAGE", IMAGE, igtl.image_body(density, voxels)))
         for name, face in faces_of(self._scene).items():
             body = self._mesh(face.triangulate())
+            # a name in the header has 20 bytes
             messages.append(self._packed("POLYDATA", f"tissue-{name}"[:20], body))
         return messages
 
@@ -157,6 +161,7 @@ class SlicerContent:
         The surface of a bone has the layer as values at the points.
         """
         surface = tissue.surface
+        # organs have no layers, and an empty mesh has no cells to take them from
         if not isinstance(tissue, BoneSurface) or not surface.n_cells:
             return self._packed("POLYDATA", TISSUE, self._mesh(surface.triangulate()))
         layers = np.zeros(surface.n_points)
@@ -167,6 +172,7 @@ class SlicerContent:
 
     def pose_message(self, row: Array) -> bytes | None:
         """Return the pose of the tool tip; None if the row has no pose yet."""
+        # a quaternion of zeros: the row has not been written yet
         if not row[self._turn].any():
             return None
         pose = self._frame.pose(row[self._tip], matrix_of(row[self._turn]))
@@ -183,6 +189,7 @@ class SlicerContent:
             ("SENSOR", FORCE, igtl.sensor_body(force, igtl.NEWTON)),
             ("SENSOR", TORQUE, igtl.sensor_body(torque, igtl.NEWTON_METRE)),
         ]
+        # one array of six numbers; sensors have one unit each
         if kind == "NDARRAY":
             bodies = [("NDARRAY", WRENCH, igtl.ndarray_body(np.concatenate([force, torque])))]
         metadata = {"time_s": f"{row[self._time]:.3f}"}
@@ -237,7 +244,7 @@ TARGET = "tissue-target"
 OFF = 0.01
 """Largest deviation of a rotation times its transpose from the identity.
 
-Single precision has a deviation of 1e-7.
+Transforms in single precision deviate by 1e-7. A scale of 1 % deviates by 0.02 and is refused.
 """
 
 
@@ -277,11 +284,13 @@ class SlicerTarget:
         """
         if received.header.name != TARGET:
             return None
+        # the first client that sends a target drives, until it disconnects
         if self._driver not in clients:
             self._driver = received.client
         try:
             matrix = parse_transform(received.content)
         except IgtlError:
+            # not a rotation, so that it is ignored below
             matrix = np.zeros((4, 4))
         turn = matrix[:3, :3]
         rigid = np.abs(turn.T @ turn - np.eye(3)).max() < OFF and np.linalg.det(turn) > 0.0
@@ -292,17 +301,21 @@ class SlicerTarget:
 
         tip_mm, rotation = self._frame.pose_in_scene(matrix)
         quaternion = Rotation.from_matrix(rotation @ self._turn.T).as_quat()
+        # tissue is prepared only in the box around the scripted path, see `window.reach_m`
         return np.concatenate([np.clip(tip_mm, self._low, self._high), quaternion])
 
 
 FRAME_S = 0.02
-"""Interval between two poses [s]."""
+"""Interval between two poses [s]: 50 poses a second appear as a continuous motion."""
 WORDS_S = 0.2
 STATUS_S = 1.0
 SURFACE_S = 1.0
-"""Shortest interval between two force texts, two states and two surfaces [s]."""
+"""Shortest interval between two force texts, two states and two surfaces [s].
+
+A text that changes faster cannot be read. A surface is the largest message.
+"""
 WAIT_S = 0.005
-"""Longest wait for the server at a time [s]."""
+"""Longest wait for the server at a time [s], a quarter of the interval between poses."""
 LINGERS_S = 2.0
 """Longest time to send the last messages after the end of the run [s]."""
 STREAMS = ("SENSOR", "NDARRAY")
@@ -331,6 +344,7 @@ class Publisher(RunPublisher):
         self.server = IgtlServer(int(start["port"]))
         self.address = "{}:{}".format(*self.server.address)
         placed = start.get("file_to_scene_mm")
+        # lengths are sent in mm whatever the unit of the file
         record = {"file_to_scene_mm": placed, "file_unit_mm": 1.0}
         frame = SlicerFrame(None if placed is None else Placement.from_record(record))
         self._tissue = tissue_surface(start, self._arrays)
@@ -393,8 +407,10 @@ class Publisher(RunPublisher):
         client = received.client
         verb, _, stream = kind.partition("_")
         if stream in STREAMS:
+            # before the first row there is nothing to answer with
             if verb == "GET" and self._row.size:
                 self._send_to(client, stream)
+            # start and stop a stream; OpenIGTLink wants a reply of type RTS
             elif verb in ("STT", "STP"):
                 (client.wants.add if verb == "STT" else client.wants.discard)(stream)
                 reply = igtl.packed(f"RTS_{stream}", received.header.name, b"\0", time_s=time())
@@ -410,6 +426,7 @@ class Publisher(RunPublisher):
         if now - self._posed < FRAME_S:
             return
         message = self._arrays.read("row")
+        # no row yet, or the last one was sent already
         if message is None or message[0] == self._turn:
             return
         self._turn, self._row = message

@@ -16,6 +16,7 @@ def test_the_scenes_and_parts_are_listed():
 
 
 def test_the_foam_is_drilled_by_the_pen_under_the_guard():
+    # coarse and short: enough to remove some bone in a second of computing
     run = simulate(load_scene("toy-drilling", {"voxels.spacing_mm": 0.4, "duration_s": 0.4}))
     motion = run.parts.motion
     assert type(motion.device).__name__ == "ToyPen" and isinstance(motion.predictor, Guarded)
@@ -30,6 +31,7 @@ def test_the_foam_is_drilled_by_the_pen_under_the_guard():
 def test_a_step_drill_removes_less_than_a_straight_one():
     changes = {"voxels.spacing_mm": 0.4, "device": "none", "duration_s": 0.6}
     stepped = simulate(load_scene("toy-drilling", changes)).trace["removed_mm3"][-1]
+    # the step drill of the scene without its step
     cylinder = {
         "tool.kind": "cylinder",
         "tool.diameter_mm": 4.0,
@@ -37,6 +39,7 @@ def test_a_step_drill_removes_less_than_a_straight_one():
         "tool.spin_rpm": 3000.0,
     }
     straight = simulate(load_scene("toy-drilling", changes | cylinder))
+    # half of the diameter is a quarter of the section, and more once the wide part cuts
     assert (
         0.2 * straight.trace["removed_mm3"][-1] < stepped < 0.8 * straight.trace["removed_mm3"][-1]
     )
@@ -45,9 +48,11 @@ def test_a_step_drill_removes_less_than_a_straight_one():
 def test_the_cushion_hardens():
     trace = simulate(load_scene("toy-cushion")).trace
     depth_m = 1e-3 * trace["depth_mm"]
+    # the stiffness and the hardening depth of `Cushion` by default
     np.testing.assert_allclose(
         trace["model_force_z_N"], 100.0 * depth_m * (1.0 + depth_m / 0.01), atol=1e-9
     )
+    # 10 mm deep, where it is twice as stiff: 2 x 100 N/m x 10 mm
     assert trace["model_force_z_N"].max() == pytest.approx(2.0, rel=0.02)
 
 
@@ -58,4 +63,5 @@ def test_the_pens_loop_is_judged():
         InputError,
         match=r"^coupling.stiffness_N_m must be below \d+ to be stable with device = toy-pen",
     ):
+        # 1e5 N/m is far above the critical stiffness of any such device
         simulate(load_scene("wall", {"device": "toy-pen", "coupling.stiffness_N_m": 1e5}))

@@ -39,6 +39,7 @@ class CushionModel(WallModel):
         depth_m = 1e-3 * response.measures[0]
         response.wrench *= 1.0 + depth_m / self.hardening_m
         response.edge[:] = response.wrench
+        # the slope of k d (1 + d / d0)
         response.stiffness_N_m = response.stiffness_N_m * (1.0 + 2.0 * depth_m / self.hardening_m)
         return response
 
@@ -61,6 +62,7 @@ def draw(run: Any, path: Path) -> None:
     axes = chart.subplots()
     axes.plot(run.trace["depth_mm"], run.trace["model_force_z_N"])
     axes.set(xlabel="depth / mm", ylabel="force / N")
+    # space for the labels of the axes
     chart.subplots_adjust(left=0.15, bottom=0.17)
     save(chart, path)
 

@@ -13,6 +13,7 @@ def step_drill(diameter_m: float, length_m: float) -> Profile:
     A scene gives diameter and length in mm.
     """
     wide = 0.5 * diameter_m
+    # radii: half of the diameter, and half of half of it
     narrow = 0.25 * diameter_m
     step = length_m / 3.0
     corners = [
@@ -23,5 +24,6 @@ def step_drill(diameter_m: float, length_m: float) -> Profile:
         (wide, length_m),
         (0.0, length_m),
     ]
+    # the top does not cut
     pieces = [Line(start, end, cutting=end != corners[-1]) for start, end in pairwise(corners)]
     return Profile(tuple(pieces), convex=False)

@@ -43,7 +43,7 @@ from tissue.scene.load import load_scene
 __all__ = ["Contrast", "CutCells", "ExplicitCutting"]
 
 THRUST_N = 20.0
-"""Thrust above the edge force."""
+"""Thrust above the edge force. The equation is linear in it, so that no result depends on it."""
 STEPS = 400
 """Steps after which a mode of 2 % growth is a thousand times as large."""
 MASS_KG = 0.05
@@ -52,6 +52,8 @@ MASS_KG = 0.05
 
 def bone_model(size_mm: tuple[float, float, float], profile: Profile, flutes: int) -> BoneModel:
     """Return a cutter at 1,000 rpm in a block of cortical bone."""
+    # voxels of 0.1 mm are the default of a scene; 100 rad/s is the spin that `ExplicitCutting`
+    # names
     volume = voxelise(cortical_block(size_mm=size_mm), spacing_m=1e-4)
     return BoneModel(volume, Cutter(profile, flutes, 100.0), (cutting_coefficients("bone"),))
 
@@ -62,10 +64,12 @@ def drag_N_s_m() -> float:
 
     The force is computed by the bone model.
     """
+    # a block that is wider than the burr and 1 mm deeper than the plunge
     model = bone_model((7, 7, 2), ball_burr(diameter_m=6e-3), 2)
     motion = ToolMotion(speed_m_s=1e-3)
     motion.heading[0] = (0.0, 0.0, -1.0)
     model.place(motion)
+    # steps of 10 um remove the bone above, so that the last one meets a full spherical cap
     for depth in np.arange(0.0, 1e-3, 1e-5):
         motion.tip_m[2] = -depth
         model.advance(motion)
@@ -83,6 +87,7 @@ def left_over(step_s: float, mass_kg: float, *, implicit: bool) -> float:
             speed = implicit_speed(speed, thrust=THRUST_N, drag=drag, mass=mass_kg, step_s=step_s)
         else:
             speed += step_s / mass_kg * (THRUST_N - drag * speed)
+        # the explicit step has diverged; larger numbers would overflow
         if abs(speed) > 1e12 * settled:
             break
     return abs(speed / settled - 1.0)
@@ -93,8 +98,10 @@ def plunge(mass_kg: float, thrust_N: float) -> tuple[float, float]:
 
     The force is in N and the speed in m/s.
     """
+    # a drill of 4 mm in a block that is wide enough for it and 1 mm deeper than its path
     model = bone_model((6, 6, 5), cylinder(diameter_m=4e-3, length_m=8e-3), 4)
     push = PushAlongAxis(
+        # 0.1 mm above the bone; at most 5 mm/s, and 4 mm deep
         np.array([0.0, 0.0, 1e-4]),
         axis=(0, 0, 1),
         thrust_N=thrust_N,
@@ -108,12 +115,14 @@ def plunge(mass_kg: float, thrust_N: float) -> tuple[float, float]:
     response = model.respond(motion)
     axial = []
     speed = []
+    # 0.5 s: at 5 mm/s at most, the drill goes no deeper than 2.5 of the 4 mm
     for tick in range(500):
         push.advance(1e-3 * tick, 1e-3, response, motion)
         model.advance(motion)
         response = model.respond(motion)
         axial.append(float(response.wrench[2]))
         speed.append(motion.speed_m_s)
+    # in the last 0.2 s the drill is fully engaged
     return float(np.mean(axial[-200:])), max(speed)
 
 
@@ -133,12 +142,17 @@ class ExplicitCutting(Page):
 
     def measure(self) -> Data:
         """Find the longest stable step over mass, and sweep the step at one mass."""
+        # from far below the explicit limit, 1 on this axis, to a tick of some milliseconds
         steps = 2.0 * MASS_KG / drag_N_s_m() * np.geomspace(0.05, 200.0, 24)
 
         def limit_s(mass: float) -> dict[str, float]:
             """Return the step above which the explicit feed grows, measured and by theory."""
             runs_away = boundary(
-                lambda step: left_over(step, mass, implicit=False) > 1.0, 1e-8, 1.0, steps=30
+                # thirty bisections of eight decades find the limit to 2e-8
+                lambda step: left_over(step, mass, implicit=False) > 1.0,
+                1e-8,
+                1.0,
+                steps=30,
             )
             return {"explicit_s": runs_away, "theory_s": 2.0 * mass / drag_N_s_m()}
 
@@ -149,6 +163,7 @@ class ExplicitCutting(Page):
                 "implicit": left_over(step, MASS_KG, implicit=True),
             }
 
+        # three masses in a decade on both sides of `MASS_KG`
         masses = np.geomspace(0.01, 5.0, 9)
         return {"mass": sweep("mass_kg", masses, limit_s), "step": sweep("step_s", steps, left)}
 
@@ -159,9 +174,12 @@ class ExplicitCutting(Page):
         """
         step = data["step"]
         off = error_of(data["mass"]["explicit_s"], data["mass"]["theory_s"])
+        # 5 % beyond the explicit limit, so that 400 steps diverge clearly
         beyond = step["step_s"] > 2.1 * MASS_KG / drag_N_s_m()
         worst = float(step["implicit"][beyond].max())
         return Verdict(
+            # measured: the explicit limit to 1e-8, growth beyond it by more than 1e12, the implicit
+            # rule to 2e-16
             bool(off < 0.01 and (step["explicit"][beyond] > 1e3).all()),
             worst < 1e-6,
             f"The burr resists with {drag_N_s_m():.0f} N s/m, so an explicit step must be shorter "
@@ -172,11 +190,14 @@ class ExplicitCutting(Page):
 
     def ask(self) -> list[Answer]:
         """Push a tool too light for an explicit step, and give a scene a thrust that is NaN."""
+        # at 1 ms, an explicit step of 10 g would be 380 times too long
         force, speed = plunge(0.01, 40.0)
         scene = {"motion.kind": "thrust", "motion.thrust_N": float("nan")}
         return [
             shown(
                 "a drill of 10 g pushed with 40 N at the tick of 1 ms",
+                # 1 % is the tolerance of the thrust balance (`docs/models.md`); 5 mm/s is the feed
+                # limit of `plunge`
                 abs(force / 40.0 - 1.0) < 0.01 and speed <= 5e-3,
                 f"cuts with {force:.2f} N, at no time faster than its limit of "
                 f"{1e3 * speed:.1f} mm/s",
@@ -217,12 +238,15 @@ def cut_block(fill: float, strength: float) -> ParticleBody:
 
     A cut cell has one particle of a volume ``fill``.
     """
+    # two particles along each edge, at the middles of the eight parts of a cell
     places = 0.25 + 0.5 * np.argwhere(np.ones((2, 2, 2)))
     cells = np.argwhere(np.ones((CELLS, CELLS, CELLS + 1)))
     full = cells[cells[:, 2] < CELLS]
     cut = cells[cells[:, 2] == CELLS]
     inside = (full[:, None] + places).reshape(-1, 3)
+    # the particle of a cut cell lies in the middle of its filled part
     position = CUT_EDGE_M * np.concatenate([inside, cut + np.array([0.5, 0.5, 0.5 * fill])])
+    # an eighth of a cell for each of its eight particles
     volume = np.concatenate([np.full(len(inside), 0.125), np.full(len(cut), fill)])
     particles = ParticleSet.uniform(position, volume_m3=CUT_EDGE_M**3, modulus_Pa=1e9)
     particles.volume_m3[:] *= volume
@@ -240,6 +264,7 @@ def conditions(body: ParticleBody) -> tuple[float, float]:
     scale = 1.0 / np.sqrt(np.diag(inner))
     plain, scaled = (np.linalg.eigvalsh(each) for each in (inner, scale[:, None] * inner * scale))
     return (
+        # 1e17 is beyond the resolution of doubles, and avoids a division by zero
         float(plain[-1] / max(plain[0], 1e-17 * plain[-1])),
         float(scaled[-1] / max(scaled[0], 1e-17 * scaled[-1])),
     )
@@ -247,8 +272,10 @@ def conditions(body: ParticleBody) -> tuple[float, float]:
 
 def compliance_m_N(body: ParticleBody, fill: float) -> float:
     """Compute the compliance at a force on the top [m/N]."""
+    # in the middle of the top face, just inside the filled part of the cut cell
     place = CUT_EDGE_M * np.array([1.5, 1.5, CELLS + 0.999 * fill])
     load = body.spread(place, np.array([0.0, 0.0, -1.0]))
+    # 1e-6 to 1e-12 give the same compliance to 2e-9
     return float((load * body.solve(load, tolerance=1e-10).displacement_m).sum())
 
 
@@ -285,6 +312,7 @@ class CutCells(Page):
 
     def measure(self) -> Data:
         """Sweep the fill of the cut cells."""
+        # from a full cell to a fifth of `LEAST_FILL`, below which cells are dropped
         return {"fill": sweep("fill", np.geomspace(1.0, 2e-4, 13), at_fill)}
 
     def judge(self, data: Data) -> Verdict:
@@ -295,6 +323,7 @@ class CutCells(Page):
         cost = float(table["cost"].max())
         slope = log_slope(table["fill"][carried], table["condition"][carried])
         return Verdict(
+            # measured: slope -1.01 (theory -1), scaled condition number 304, cost 9.3 %
             bool((table["bare_scaled"][carried] > SINGULAR).all() and -1.2 < slope < -0.7),
             worst < 1e3 and cost < 0.1 and bool((table["fill"][carried] >= LEAST_FILL).all()),
             "With one particle in a cell the stiffness is singular at every fill. With "
@@ -307,6 +336,7 @@ class CutCells(Page):
     def ask(self) -> list[Answer]:
         """Load a singular body, and build cells of debris."""
         random = np.random.default_rng(0)
+        # a tenth filled, without inner stiffness: singular as at every fill, see `judge`
         body = cut_block(0.1, 0.0)
         load = random.normal(size=(body.grid.node_count, 3)) * body.carrying[:, None]
         outcome = body.solve(load).outcome
@@ -345,6 +375,7 @@ class CutCells(Page):
                 (Conduct.HOLDS, LEAST_FILL, 1.0),
                 (Conduct.FALLS_BACK, fill.min(), LEAST_FILL),
             ],
+            # condition numbers are limited to 1e17
             ylim=(10.0, 1e19),
             legend="center right",
         )
@@ -365,11 +396,15 @@ def soft_middle(cells: int, contrast: float) -> ParticleBody:
     Both are softer than the block by the contrast.
     """
     position = (np.argwhere(np.ones((2 * cells,) * 3)) + 0.5) * 0.5 * EDGE_M / cells
+    # a ball of half the block's width as pulp, and a layer of an eighth of its height as ligament
     soft = (np.linalg.norm(position - 0.5 * EDGE_M, axis=1) < 0.25 * EDGE_M) | (
         position[:, 2] < 0.125 * EDGE_M
     )
     particles = ParticleSet.uniform(
-        position, volume_m3=(0.5 * EDGE_M / cells) ** 3, modulus_Pa=84e9
+        # enamel, see `REAL`
+        position,
+        volume_m3=(0.5 * EDGE_M / cells) ** 3,
+        modulus_Pa=84e9,
     )
     particles.modulus_Pa[soft] /= contrast
     return body_of(particles, EDGE_M / cells, INNER_STRENGTH)
@@ -377,6 +412,7 @@ def soft_middle(cells: int, contrast: float) -> ParticleBody:
 
 def pushed(body: ParticleBody) -> Array:
     """Return the load of an oblique force on the top."""
+    # off the middle and oblique, so that no symmetry of the block makes the solve easier
     return body.spread(np.array([0.5, 0.4, 1.0]) * EDGE_M, np.array([0.3, 0.0, -1.0]))
 
 
@@ -389,6 +425,7 @@ def plain_iterations(body: ParticleBody, *, scaled: bool) -> float:
     kept = np.flatnonzero(matrix.diagonal() > 0.0)
     free = kept[body.grid.node_place[kept // 3, 2] > 0]
     inner = csr_array(matrix[free][:, free])
+    # six orders below the goal of 1e-6
     exact = body.solve(pushed(body), tolerance=1e-12, cold=True).displacement_m.ravel()[free]
     goal = TOLERANCE**2 * float(exact @ (inner @ exact))
     count = 0
@@ -398,6 +435,7 @@ def plain_iterations(body: ParticleBody, *, scaled: bool) -> float:
         nonlocal count
         count += 1
         left = iterate - exact
+        # the comparison takes a product with the matrix, as long as an iteration
         if count % 5 == 0 and float(left @ (inner @ left)) <= goal:
             raise StopIteration
 
@@ -427,6 +465,7 @@ class Contrast(Page):
     def measure(self) -> Data:
         """Sweep the contrast, with the multigrid on two grids."""
         table = {"contrast": CONTRASTS}
+        # two grids, to show whether iterations grow with the number of cells
         for cells in (8, 12):
             bodies = [soft_middle(cells, contrast) for contrast in CONTRASTS.tolist()]
             solutions = [
@@ -434,6 +473,8 @@ class Contrast(Page):
             ]
             iterations = [each.iterations for each in solutions]
             table[f"multigrid_{cells}"] = np.array(iterations, dtype=float)
+            # plain iterations on the coarser grid only: on the finer one they take longest and grow
+            # further
             if cells == 8:
                 for name, scaled in (("diagonal", True), ("plain", False)):
                     counts = [plain_iterations(each, scaled=scaled) for each in bodies]
@@ -446,6 +487,8 @@ class Contrast(Page):
         plain = table["plain"]
         multigrid = np.concatenate([table["multigrid_8"], table["multigrid_12"]])
         return Verdict(
+            # measured: 120 to 655 plain iterations, 6 to 8 with the multigrid, whose bounds of 25
+            # and 12 hold the other bodies of `docs/verification.md` too (7 to 23)
             float(plain[-1] / plain[0]) > 3.0,
             float(multigrid.max()) <= 25.0 and float(np.ptp(multigrid)) <= 12.0,
             f"From a contrast of 1 to {table['contrast'][-1]:.0e} plain conjugate gradients take "
@@ -457,6 +500,7 @@ class Contrast(Page):
     def ask(self) -> list[Answer]:
         """Request a solve in too few iterations, and without supports."""
         body = soft_middle(8, REAL)
+        # two of the 6 to 8 iterations that a cold solve takes
         short = body.solve(pushed(body), limit=2, cold=True)
         loose = ParticleBody(body.particles, body.grid, NodeSupports.of(body.grid.node_count))
         unheld = loose.solve(pushed(loose))
@@ -492,5 +536,6 @@ class Contrast(Page):
                 ("multigrid (engine), 8³ cells", table["multigrid_8"], ENGINE),
                 ("multigrid (engine), 12³ cells", table["multigrid_12"], ("D", ENGINE[1])),
             ],
+            # from one iteration to above the bound by the condition number
             ylim=(1.0, 3e5),
         )

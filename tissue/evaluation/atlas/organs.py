@@ -62,10 +62,12 @@ def deflection(order: int, cells: tuple[int, int, int], ratio: float) -> tuple[f
     The trust is 1 if the solver reports a valid result and 0 otherwise.
     """
     space = Space(box((LENGTH, 1.0, 1.0), cells), order)
+    # rounding of node coordinates, far below an edge
     held = np.repeat(space.nodes_m[:, :1] < 1e-9, 3, axis=1)
     faces = space.faces[(space.nodes_m[space.faces[:, :3], 0] > LENGTH - 1e-9).all(axis=1)]
     body = HeldBody(assemble(space, lame(YOUNG, ratio)), space.nodes_m, held)
     solution = DirectSolver(body).solve(traction(space, (0.0, 0.0, 1.0), faces=faces))
+    # all nodes of the end face, to rounding
     tip = solution.displacement_m[space.nodes_m[:, 0] > LENGTH - 1e-9, 2].mean()
     return float(tip), float(solution.outcome is SolverOutcome.CONVERGED)
 
@@ -86,6 +88,7 @@ class Locking(Page):
 
     def measure(self) -> Data:
         """Sweep 1 - 2 nu."""
+        # 1 - 2 nu from 0.4 (nu = 0.3) to 2e-4 (nu = 0.4999), evenly on a logarithmic axis
         ratios = 0.5 * (1.0 - np.geomspace(0.4, 2e-4, 8))
         shear = YOUNG / (2.0 * (1.0 + ratios))
         # P L^3 / (3 E I) + P L / (kappa G A) with kappa = 5/6, for a force of 1 N
@@ -106,6 +109,8 @@ class Locking(Page):
         last = ratio[trusted].max()
         lost = "" if trusted.all() else "; above that the solver reports a loss of precision"
         return Verdict(
+            # measured: linear cells bend 50 % of the beam's deflection at nu = 0.3 and 1 % at
+            # 0.4999
             bool(linear[-1] < 0.5 and linear[-1] < 0.7 * linear[0]),
             # A clamp that stops bulging takes 1 to 4 % off a beam that may bulge, increasing
             # towards 0.5. The coarse cells take off a few per cent more.
@@ -118,6 +123,7 @@ class Locking(Page):
     def ask(self) -> list[Answer]:
         """Request the limit itself, and an organ of locking cells."""
         _, note = elasticity_of(
+            # any mesh will do: the note depends on order and Poisson's ratio only
             box((0.02, 0.02, 0.02), (1, 1, 1)),
             SlabAnatomy(kind="slab", nodule_diameter_mm=0.0),
             Organ(order=1, poisson_ratio=0.49),
@@ -149,6 +155,7 @@ class Locking(Page):
             conduct=[(Conduct.HOLDS, limit, gap[0]), (Conduct.REFUSES, gap[-1], limit)],
             log="x",
             xlim=gap[[0, -1]],
+            # 1 is the deflection of the beam
             ylim=(0.0, 1.15),
             legend="center right",
         )
@@ -163,7 +170,9 @@ LAW_LOOKS = {Law.LINEAR: FAILING, Law.COROTATIONAL: ("^", GREEN), Law.NEO_HOOKEA
 
 def bar_solver(law: Law, poisson_ratio: float) -> NewtonSolver:
     """Return the solver of a bar with all components held at both ends."""
+    # the strain of a rotated bar is uniform, so that a coarse mesh is exact
     space = Space(box((LENGTH_M, WIDTH_M, WIDTH_M), (6, 2, 2)))
+    # both end faces, to rounding
     ends = (space.nodes_m[:, 0] < 1e-9) | (space.nodes_m[:, 0] > LENGTH_M - 1e-9)
     body = NonlinearBody(space, lame(YOUNG_PA, poisson_ratio), law=law)
     return NewtonSolver(body, np.repeat(ends[:, None], 3, axis=1))
@@ -191,6 +200,7 @@ def false_stress_Pa(law: Law) -> Array:
             solution = solver.solve(turned(nodes, part), start_m=moved)
             moved = solution.displacement_m
         reached = angle
+        # the nodes of the fixed end, to rounding
         pull_N = np.linalg.norm(solution.force_N[nodes[:, 0] < 1e-9].sum(axis=0))
         stresses.append(float(pull_N) / WIDTH_M**2 if solution.converged else np.nan)
     return np.array(stresses)
@@ -220,6 +230,7 @@ class LargeRotation(Page):
         worst = float(np.max([turn["corotational_pa"], turn["neo_hookean_pa"]]))
         return Verdict(
             off < 1e-3,  # exact for ν = 0 by Betti's theorem, up to the tolerance of the solve
+            # measured: 7e-12 of the modulus, the rounding of a solve
             worst < 1e-4 * YOUNG_PA,
             f"Rotated by {turn['angle_deg'][-1]:.0f}° without strain, the bar has a stress of "
             f"{100 * turn['linear_pa'][-1] / YOUNG_PA:.0f} % of E by the linear law. It is E(1 − "
@@ -229,10 +240,14 @@ class LargeRotation(Page):
 
     def ask(self) -> list[Answer]:
         """Rotate too far in one step, and press a linear organ deep in a scene."""
+        # nearly incompressible, as soft tissue
         solver = bar_solver(Law.NEO_HOOKEAN, 0.45)
         nodes = solver.body.nodes_m
+        # half a turn in one step maps cells through themselves, so that no Newton step can follow
         goal = np.where(nodes[:, :1] > LENGTH_M - 1e-9, turned(nodes, 180.0), 0.0)
         outcome = solver.solve(goal).outcome
+        # a coarse slab that builds in seconds; 4 mm is beyond 0.37 of the ball's radius, the limit
+        # of the linear law
         small_slab = {
             "anatomy.size_mm": [60, 60, 30],
             "anatomy.edge_mm": 15,
@@ -262,6 +277,7 @@ class LargeRotation(Page):
     def draw(self, data: Data, chart: Figure) -> None:
         """Draw the false stress over the angle."""
         turn = data["turn"]
+        # zeros on a logarithmic axis: below the rounding of a solve, 1e-12 of the modulus
         least = 1e-13
         curves = [
             (
@@ -293,6 +309,7 @@ def middle_node(nodes_m: Array) -> int:
 
 def squashed(height: float) -> tuple[Array, Ints]:
     """Return a cube of 4 x 4 x 4 bricks with a middle node lowered to a fraction of its height."""
+    # few enough nodes for dense eigenvalues; even, so that one node is in the middle
     good = box((SIZE_M,) * 3, (4, 4, 4))
     nodes = good.nodes_m.copy()
     inner = middle_node(nodes)
@@ -305,6 +322,7 @@ def squashed(height: float) -> tuple[Array, Ints]:
 def condition(nodes_m: Array, cells: Ints) -> float:
     """Compute the condition number of the stiffness with the base held."""
     space = Space(TetMesh(nodes_m, cells))
+    # condition numbers do not depend on the modulus, here 5 kPa of soft tissue
     free = np.repeat(nodes_m[:, 2] > 1e-9, 3)
     values = eigvalsh(assemble(space, lame(5e3, 0.3)).toarray()[np.ix_(free, free)])
     return float(values[-1] / values[0])
@@ -335,17 +353,20 @@ class BadTetrahedra(Page):
 
     def measure(self) -> Data:
         """Sweep the remaining height of the cell."""
+        # two heights in a decade, from a good cell to a flat one
         return {"sliver": sweep("height", np.geomspace(1.0, 1e-5, 11), at_height)}
 
     def judge(self, data: Data) -> Verdict:
         """Compare the growth of the condition number with 1 / height, before and after repair."""
         table = data["sliver"]
+        # where the flat cell alone determines the largest eigenvalue
         flat = table["height"] < 0.03
         slope = log_slope(table["height"][flat], table["condition"][flat])
         first = table["condition"][0]
         worst = float(table["repaired_condition"].max())
         quality = float(table["repaired_quality"].min())
         return Verdict(
+            # measured: slope -0.99 (theory -1), growth by 7600
             -1.15 < slope < -0.85 and table["condition"].max() > 100.0 * first,
             # Cells just above the sliver limit stay as they are: a tenth of the quality is a tenth
             # of the height.
@@ -359,12 +380,16 @@ class BadTetrahedra(Page):
         """Give the engine meshes with inverted, folded and flat cells."""
         nodes, cells = squashed(1.0)
         turned_cells = cells.copy()
+        # three arbitrary cells of the 384
         turned_cells[[17, 200, 301]] = cells[[17, 200, 301]][:, [1, 0, 2, 3]]
         repaired, repairs = repair_tets(nodes, turned_cells)
         volume = float(signed_volumes(repaired.nodes_m, repaired.cells).sum())
+        # 1e-12 is the rounding of a sum of 384 volumes
         whole = "Turned 3 inverted" in repairs[0] and abs(volume / SIZE_M**3 - 1.0) < 1e-12
         folded = nodes.copy()
+        # 1.6 edges to the side: the node passes through its neighbours' faces
         folded[middle_node(nodes)] += [0.4 * SIZE_M, 0.0, 0.0]
+        # as flat as the slivers of the sweep
         mesh, sliver = repair_tets(*squashed(1e-4))
         flat = len(sliver) > 0 and bool(mean_ratio(mesh.nodes_m, mesh.cells).min() >= SLIVER)
         return [

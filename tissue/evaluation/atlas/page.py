@@ -209,7 +209,9 @@ def error_of(found: Array, expected: Array) -> float:
 
 def picture(page: Page, data: Data) -> bytes:
     """Return the figure of a page as PNG, drawn without a window."""
+    # 11 points become 14 pixels in the page, nearly as large as its own letters
     with matplotlib.rc_context({"font.size": 11.0, "legend.fontsize": 9.5, "lines.linewidth": 2.0}):
+        # inches and dots per inch: 1352 pixels, as wide as the page
         chart = Figure(figsize=(10.4, 4.4), dpi=130, layout="constrained")
         page.draw(data, chart)
         image = BytesIO()

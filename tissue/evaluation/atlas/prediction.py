@@ -59,6 +59,7 @@ LABELS = {
 LEADS_MS = 10.0
 """Horizon up to which the loop predicts [ms]. Its delay and filter take some milliseconds."""
 HORIZON_TICKS = 5
+"""Ticks ahead at which the operators are compared, in the middle of the range of `LEADS_MS`."""
 LAGS = 6
 """Delays of the operator on positions and forces."""
 
@@ -66,10 +67,13 @@ LAGS = 6
 def tapped(stiffness_N_m: float, *, seed: int, seconds: float) -> Recording:
     """Record positions, velocities and forces of a novice who taps a wall and leans on it."""
     rng = np.random.default_rng(seed)
+    # a tap every 0.7 s, 2 to 8 mm deep, with a drift of 2 mm along the wall at two frequencies, so
+    # that no tap repeats another. The path lasts 2 s longer than the run
     times = np.arange(0.0, seconds + 2.0, 0.35)
     depths = np.where(np.arange(len(times)) % 2, -rng.uniform(2e-3, 8e-3, len(times)), 4e-3)
     points = np.column_stack([2e-3 * np.sin(times), 2e-3 * np.cos(1.3 * times), depths])
     hand = Hand(hand_parameters("novice"), waypoints(times, points), rng=rng)
+    # at the first waypoint, 4 mm above the wall
     simulated = SimulatedDevice(SIX_DOF, hand, position_m=(0.0, 0.0, 4e-3))
     wall = renderer("penalty", SIX_DOF.loop(stiffness_N_m))
     run = press_wall(simulated, wall, duration_s=seconds)
@@ -85,6 +89,7 @@ def tapped(stiffness_N_m: float, *, seed: int, seconds: float) -> Recording:
 
 def recordings() -> list[Recording]:
     """Record three training runs."""
+    # other seeds than the recordings of the tests, whose seed is 9
     return [tapped(HOME_N_M, seed=seed, seconds=3.0) for seed in (1, 2, 3)]
 
 
@@ -99,9 +104,11 @@ def relative_error(predictions: Array, force: Array, horizon: int) -> float:
 
     The first 100 ticks are left out.
     """
+    # in the first 0.1 s the operator's delays of 80 ticks fill up
     later = force[100 + horizon :]
     predicted = predictions[100 : len(predictions) - horizon]
     error = float(np.linalg.norm(predicted - later) / np.linalg.norm(later))
+    # a force that diverges must not hide the other curves of a chart
     return min(float(np.nan_to_num(error, nan=1e6, posinf=1e6)), 1e6)
 
 
@@ -118,6 +125,7 @@ class Horizon(Page):
 
     def measure(self) -> Data:
         """Sweep the horizon on a recording that no predictor was trained on."""
+        # none of the seeds of `recordings`
         recording = tapped(HOME_N_M, seed=9, seconds=4.0)
         force = recording.force_N
         table = {"ahead_ms": 1e3 * TICK_S * AHEAD}
@@ -142,7 +150,7 @@ class Horizon(Page):
         """Find the horizon at which each predictor becomes worse than zero-order hold.
 
         A predictor is useless where its error is a quarter of the force. At 64 ms the Koopman error
-        is 0.34.
+        is 0.30.
         """
         table = data["horizon"]
         horizon = table["ahead_ms"]
@@ -155,6 +163,8 @@ class Horizon(Page):
         gain = float((table["koopman"] / hold)[within].max())
         at = {name: 100.0 * float(table[name][horizon == 8.0][0]) for name in LABELS}
         return Verdict(
+            # measured at 64 ms: the filter 1.8 and hold 0.45 of the force; the Koopman predictor at
+            # most 0.77 of hold up to 10 ms
             bool(table["kalman"][-1] > 2.0 * hold[-1] and (table["koopman"][-1] > 0.25)),
             gain < 1.0 and bool((table["koopman"] < 1.1 * hold).all()),
             f"At 8 ms the error is {at['hold']:.1f} % of the force by zero-order hold, "
@@ -169,6 +179,7 @@ class Horizon(Page):
     def ask(self) -> list[Answer]:
         """Give the predictor samples that are NaN, and build one without noise."""
         predictor = guarded(fit("wall", recordings()))
+        # none of the seeds of `recordings`
         recording = tapped(HOME_N_M, seed=9, seconds=2.0)
         position = recording.position_m
         force = recording.force_N
@@ -178,14 +189,18 @@ class Horizon(Page):
             predictor.observe(position[tick], np.zeros(3), force[tick])
         before = predictor.is_primary
         predictor.observe(np.full(3, np.nan), np.zeros(3), force[deep])
+        # `HORIZON_TICKS` ahead
         kept = float(np.linalg.norm(predictor.predict(5)))
         size = float(np.linalg.norm(force[deep]))
+        # 15 samples in a row are too many to bridge by prediction
         for tick in range(deep + 1, deep + 16):
             predictor.observe(position[min(tick, len(force) - 1)], np.zeros(3), np.full(3, np.nan))
         return [
             refused("a Kalman filter without noise", lambda: Kalman(0.0)),
             shown(
                 "5 ms ahead after a sample that is NaN",
+                # 5 ms ahead, the force changes by 5 % on average (`Horizon`), and more while a tap
+                # begins or ends
                 before and bool(abs(kept - size) < 0.2 * size),
                 f"the sample is ignored: {kept:.3f} N where the force is {size:.3f} N",
             ),
@@ -215,6 +230,7 @@ class Horizon(Page):
                 ("error of no force at all", 100.0, (":", GREEN)),
             ],
             conduct=[(Conduct.HOLDS, horizon_ms[0], LEADS_MS)],
+            # from the error at 1 ms to above that of the diverging filter
             ylim=(0.5, 400.0),
             legend="upper left",
         )
@@ -229,9 +245,12 @@ def bound_force_N(learnt: list[Recording], recording: Recording) -> Array:
     states = [np.hstack((each.position_m, each.force_N)) for each in (*learnt, recording)]
     nx, ny, nz = TURN[:, 2].tolist()
     episodes = [Episode(each, None, TICK_S) for each in states[:-1]]
+    # a ridge at the rounding of the data: nothing is traded for the claim that such operators fail
+    # elsewhere
     operator = Edmd(Delays(LAGS, GapProducts((nx, ny, nz))), ridge=1e-9).fit(episodes)
     matrix, offset = operator.predicted_states(HORIZON_TICKS)[-1]
     force = np.zeros_like(recording.force_N)
+    # columns 0 to 2 of a state are the position, 3 to 5 the force
     force[LAGS:] = operator.dictionary.lift(window(states[-1], LAGS)) @ matrix[3:].T + offset[3:]
     return force
 
@@ -257,10 +276,12 @@ class TrainedElsewhere(Page):
         """Sweep the stiffness of the wall that the operators are used on."""
         learnt = recordings()
         trained = fit("wall", learnt)
+        # an eighth to three times the stiffness of the training runs
         stiffnesses = np.array([100, 150, 200, 300, 400, 600, 800, 1100, 1600, 2400], dtype=float)
 
         def errors(stiffness: float) -> dict[str, float]:
             """Measure the errors on one wall, and how often the guarded operator is trusted."""
+            # none of the seeds of `recordings`
             recording = tapped(stiffness, seed=9, seconds=2.0)
             force = recording.force_N
             predictors: dict[str, Predictor] = {"hold": Hold(), "guarded": guarded(trained)}
@@ -281,9 +302,14 @@ class TrainedElsewhere(Page):
         table = data["wall"]
         ratio = table["guarded"] / table["hold"]
         home = int(np.argmin(np.abs(table["stiffness_N_m"] - HOME_N_M)))
+        # about a factor of two from the own wall, where the error by the foreign wall exceeds the
+        # operator's own
         far = np.abs(np.log2(table["stiffness_N_m"] / HOME_N_M)) > 0.9
         worst = float((table["bare"] / table["hold"]).max())
         return Verdict(
+            # measured: worst 69; bare within 1 % of theory; ratio 0.26 to 0.80, on the own wall
+            # 0.40; trusted in 84 % of the ticks. The bounds leave space for operators that are
+            # trained anew
             worst > 5.0 and error_of(table["bare"][far], table["theory"][far]) < 0.6,
             bool((ratio < 1.0).all() and ratio[home] < 0.8 and (table["own_share"] > 0.8).all()),
             "Five ticks ahead the error of an operator on positions and forces is "
@@ -309,7 +335,9 @@ class TrainedElsewhere(Page):
                     force_limit_N=SIX_DOF.force_limit_N,
                 )(),
             )
+        # none of the seeds of `recordings`
         recording = tapped(HOME_N_M, seed=9, seconds=1.0)
+        # 10 mm a tick along each axis, 17 m/s, which no hand reaches
         away = np.cumsum(np.full((1000, 3), 1e-2), axis=0)
         wild = replace(recording, position_m=recording.position_m + away)
         forces, is_primary = forecast(guarded(trained), wild, [HORIZON_TICKS])
@@ -318,6 +346,7 @@ class TrainedElsewhere(Page):
             replace(other, result=other.result.replace(f"{folder}/", "")),
             shown(
                 "a device that moves at 17 m/s",
+                # after 0.2 s the delays of 80 ticks hold nothing but the wild motion
                 bool(np.isfinite(forces).all()) and not is_primary[200:].any(),
                 "falls back to zero-order hold; no tick changes the force by more than "
                 f"{steps:.2f} N",
@@ -335,6 +364,7 @@ class TrainedElsewhere(Page):
             table["stiffness_N_m"],
             ("stiffness of the wall / (N/m)", "force error 5 ms ahead / %"),
             [
+                # zero at the own wall, which a logarithmic axis cannot show
                 ("theory: ∝ |K₀/K − 1|", np.maximum(100.0 * table["theory"], 0.1), THEORY),
                 ("operator on positions and forces", 100.0 * table["bare"], FAILING),
                 ("zero-order hold", 100.0 * table["hold"], ("^", ORANGE)),

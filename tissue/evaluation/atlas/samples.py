@@ -39,7 +39,7 @@ __all__ = ["LostSamples", "WildInput"]
 
 OMNI = device_parameters("omni")
 STIFFNESS_N_M = 1500.0
-"""Stiffness of the wall that is pressed [N/m]."""
+"""Stiffness of the wall that is pressed [N/m]: stable, and 1.2 N under the expert's push."""
 FAULT_S = 0.15
 """Start of the faults [s], when the hand is at rest in the wall."""
 FIRST = round(FAULT_S / TICK_S)
@@ -66,6 +66,7 @@ class _Jumping:
     def read(self, time_s: float) -> Sample | None:
         """Return the sample, deeper at `FAULT_S`."""
         sample = self._device.read(time_s)
+        # one sample only: times of ticks are sums with rounding
         if sample is None or abs(time_s - FAULT_S) > 0.5 * TICK_S:
             return sample
         x, y, z = sample.position_m
@@ -80,7 +81,9 @@ def pressed(
     Return the force in every tick [N] and the sample guard. With a guard, samples pass it as in the
     engine.
     """
+    # the aim is 5 mm deep from the first tick on
     path = waypoints(np.array([0.0, 1e-3]), np.full((2, 3), (0.0, 0.0, -5e-3)))
+    # any seed will do: four of them gave the same verdicts
     hand = Hand(hand_parameters("expert"), path, rng=np.random.default_rng(7))
     device = make(SimulatedDevice(OMNI, hand, position_m=(0.0, 0.0, 0.0)))
     guard = SampleGuard(force_limit_N=OMNI.force_limit_N) if guarded else None
@@ -97,6 +100,7 @@ def shares(kind: FaultKind, gap_s: float, *, guarded: bool) -> list[float]:
     fault = Fault(kind, FAULT_S, FAULT_S + gap_s)
     size, _ = pressed(
         lambda device: FaultyDevice(device, [fault]),
+        # 80 ms after the fault, in which the force returns
         seconds=FAULT_S + gap_s + 0.08,
         guarded=guarded,
     )
@@ -139,6 +143,7 @@ class LostSamples(Page):
 
     def measure(self) -> Data:
         """Sweep the length of the gap for every kind of fault."""
+        # short of, at and beyond the 20 ms in which the force fades
         gaps = 1e-3 * np.array([1, 2, 5, 8, 12, 16, 20, 30, 60])
         return {kind: over_gap(kind, gaps) for kind in STYLES}
 
@@ -146,12 +151,14 @@ class LostSamples(Page):
         """Compare stale or stepping forces without the guard with the fading force with it."""
         tables = data.values()
         off = max(float(np.abs(t["guarded_at_end"] - t["theory_at_end"]).max()) for t in tables)
+        # 25 ms: the 20 ms of the fade, and the age that a repeated sample may have
         gone = max(float(t["guarded_at_end"][t["gap_s"] > 0.025].max()) for t in tables)
         back = min(float(t["guarded_after"].min()) for t in tables)
         step = max(float(t["guarded_step"].max()) for t in tables)
         stale = float(data["duplicated"]["bare_at_end"].min())
         jump = float(data["dropped"]["bare_step"].max())
         return Verdict(
+            # measured: stale 1.00, jump 1.00; gone 0, back 1.00, step 0.05 (1/20), off 0
             stale > 0.5 and jump > 0.9,
             gone < 1e-9 and back > 0.5 and step < 0.1 and off < 0.1,
             f"Without a guard repeated samples keep at least {100 * stale:.0f} % of the force as "
@@ -164,6 +171,7 @@ class LostSamples(Page):
         """Read the report of the guard for every kind of fault."""
         answers = []
         for kind in STYLES:
+            # 40 ms: twice the time of the fade, so that the force is gone and returns
             fault = Fault(kind, FAULT_S, FAULT_S + 0.04)
             size, guard = pressed(
                 lambda device, fault=fault: FaultyDevice(device, [fault]),  # type: ignore[misc]
@@ -171,6 +179,7 @@ class LostSamples(Page):
                 guarded=True,
             )
             assert guard is not None
+            # the first 0.1 s are the start of the device
             events = [event for time_s, event in guard.events if time_s > 0.1]
             right = events[-1] == "samples are good again" and bool(np.isfinite(size).all())
             asked = f"40 ms of {kind} samples"
@@ -187,6 +196,7 @@ class LostSamples(Page):
         ):
             guarded = column == "guarded_at_end"
             if guarded:
+                # 1/20 of the force in each missing tick: zero after 20 ms
                 axes.plot([0.0, 20.0, 60.0], [1.0, 0.0, 0.0], color=GREY, label="theory")
             panel(
                 axes,
@@ -206,6 +216,7 @@ def forced(jump_m: float, *, guarded: bool) -> tuple[float, float, int]:
 
     The number of rejected samples is returned too.
     """
+    # the jump is in one tick; the run ends right after it
     size, guard = pressed(
         lambda device: _Jumping(device, jump_m), seconds=FAULT_S + 3e-3, guarded=guarded
     )
@@ -225,7 +236,9 @@ class WildInput(Page):
 
     def measure(self) -> Data:
         """Sweep the size of the jump."""
+        # just below and above the longest jump that the guard accepts
         near = VALID_M * np.array([0.9, 1.1])
+        # a damaged sample may hold any number
         far = 10.0 ** np.array([-1, 0, 2, 4, 6, 9])
         jumps = np.sort(np.concatenate([np.geomspace(1e-4, 1e-2, 6), near, far]))
         bare = np.array([forced(jump, guarded=False) for jump in jumps.tolist()])
@@ -247,8 +260,10 @@ class WildInput(Page):
         beyond = table["jump_m"] > VALID_M
         off = error_of(table["bare_N"], table["theory_N"])
         worst = float(table["guarded_N"].max())
+        # a rejected sample takes 1/20 of the force
         bridged = error_of(table["guarded_N"][beyond], 0.95 * table["before_N"][beyond])
         return Verdict(
+            # measured: bare up to 1.5e12 N, off below 1e-15; the device limit holds to rounding
             bool(table["bare_N"].max() > 1e6 and off < 0.01),
             bool((table["not_believed"] == beyond).all())
             and worst <= OMNI.force_limit_N * (1.0 + 1e-12)
@@ -264,6 +279,7 @@ class WildInput(Page):
         first = SampleGuard(force_limit_N=OMNI.force_limit_N)
         valid = first.validate_sample(Sample(0.0, (0.0, nan, 0.0)), 0.0)
         guard = SampleGuard(force_limit_N=OMNI.force_limit_N)
+        # 30 ticks of 1 N, then 10 ticks of NaN, half of the time in which the force fades
         for tick in range(40):
             guard.validate_sample(Sample(TICK_S * tick, (0.0, 0.0, 0.0)), TICK_S * tick)
             force, _ = guard.limit_force(np.array([0.0, nan if tick >= 30 else 1.0, 0.0]))
@@ -282,6 +298,7 @@ class WildInput(Page):
             ),
             refused(
                 "the device's range for a force that is NaN",
+                # any limit will do
                 lambda: ForceRange(limit_N=3.3).play(np.array([nan, 0.0, 0.0])),
             ),
         ]

@@ -46,7 +46,11 @@ DIRECTION = np.array([0.0, 0.0, -1.0])
 LENGTH_S = 0.8
 RAMP_S = 0.1
 PAUSE_S = 0.4
-"""Length of an interval, of its soft start and end, and of the pause between two [s]."""
+"""Length of an interval, of its soft start and end, and of the pause between two [s].
+
+The constant force lasts 0.6 s, six times the 0.1 s over which a person averages a force
+(`integration_s` in perception.toml). A force without soft ends would be felt as a tap.
+"""
 
 
 class StoppedError(Exception):
@@ -83,6 +87,7 @@ def play(
     try:
         while (at := clock() - began) < length_s:
             edge = min(at, length_s - at, RAMP_S) / RAMP_S
+            # a device without a sample may be lost: it gets no force
             if device.read(began + at) is not None:
                 device.command(force_N * 0.5 * (1.0 - cos(pi * edge)) * DIRECTION, still)
             else:
@@ -157,6 +162,7 @@ class Person:
                 self._present(forces)
                 continue
             try:
+                # a decimal comma is in use too
                 number = number_in(word.replace(",", "."))
             except ValueError:
                 number = 0.0
@@ -169,6 +175,7 @@ class Person:
 
     def _present(self, forces_N: tuple[float, ...]) -> None:
         for index, force in enumerate(forces_N, start=1):
+            # a device that can push needs no bar; 60 characters fit into a line of a terminal
             bar = (
                 ""
                 if self._bars_N is None
@@ -213,10 +220,13 @@ def simulated_answers(people: SimulatedObservers, seed: int) -> Answer:
     """
 
     def answer(asked: Comparison | Magnitude, trial: int) -> float:
+        # 2 distinguishes this stream from the streams of `Session.ask` (0) and of other users of
+        # the seed
         rng = np.random.default_rng([seed, 2, trial])
         if isinstance(asked, Magnitude):
             return float(people.number(asked.force_N, rng)[0])
         right = bool(people.correct(asked.base_N, asked.step_N, rng, trial=trial)[0])
+        # 3 minus an interval is the other interval, 1 or 2
         return asked.greater if right else 3 - asked.greater
 
     return answer
@@ -241,6 +251,7 @@ def questioner(
     """
     if device not in ("mouse", *DEVICES):
         raise InputError("device", f"be one of mouse, {', '.join(DEVICES)}", device, "use mouse")
+    # a mouse has no force limit; its bars represent forces of a Touch
     limits = device_parameters("touch" if device == "mouse" else device)
     if observer is not None:
         people, observer_seed = simulated_observer(observer)

@@ -66,6 +66,7 @@ def new_person(fit: PopulationFit, *, trials: int, rng: np.random.Generator) -> 
         "beta": person("beta"),
         "kappa": np.exp(person("log_kappa")),
         "offset_N": np.exp(person("log_offset")),
+        # logarithm and logit of a lapse must be finite, and 0.5 is an answer without any attention
         "lapse": np.clip(
             lapses[np.arange(count), rng.integers(lapses.shape[1], size=count)], 1e-6, 0.5
         ),
@@ -109,6 +110,7 @@ def fit_population(
             sessions.append(session)
         else:
             empty.append(path.name)
+    # two people do not determine a spread between people
     if len(sessions) < 3:
         raise InputError(
             "population",
@@ -166,6 +168,7 @@ def posterior_panel(session: Session) -> "Panel":
     from rich.panel import Panel
 
     masses = session.threshold.weber_masses()[:, 0]
+    # a character shows an eighth to a whole of its height
     eighths = np.rint(8 * HEIGHT * masses / masses.max()).astype(int)
     rows = [
         "".join(BLOCKS[np.clip(each - 8 * row, 0, 8)] for each in eighths)
@@ -173,6 +176,7 @@ def posterior_panel(session: Session) -> "Panel":
     ]
     webers = session.plan.prior.webers
     axis = [" "] * len(masses)
+    # 1, 2 and 5 of each decade, within the range of the prior
     for tick in (0.02, 0.05, 0.1, 0.2, 0.5):
         if webers[0] <= tick <= webers[-1]:
             at = int(np.argmin(np.abs(np.log(webers / tick))))
@@ -189,6 +193,7 @@ def posterior_panel(session: Session) -> "Panel":
 
 def draw_session(session: Session, path: Path) -> None:
     """Draw posterior, answers and numbers of a session into a PNG file."""
+    # inches: three panels side by side
     chart = figure(13.0, 4.2)
     chart.set_layout_engine("constrained")
     left, middle, right = chart.subplots(1, 3)
@@ -211,9 +216,11 @@ def _posterior(session: Session, axes: "Axes") -> None:
         alpha=0.6,
         label="posterior",
     )
+    # 2.5 to 97.5 %: the 95 % interval
     for quantile in session.threshold.weber_quantiles(np.array([0.025, 0.975]))[:, 0]:
         axes.axvline(100.0 * quantile, color=BLUE, ls="--")
     axes.set_xscale("log")
+    # 1, 2 and 5 of each decade, within the range of the prior
     ticks = [tick for tick in (2.0, 5.0, 10.0, 20.0, 50.0) if edges[0] <= tick <= edges[-1]]
     _ticks(axes, ticks)
     axes.set(
@@ -239,6 +246,8 @@ def _answers(session: Session, axes: "Axes") -> None:
     )
     right = np.array([answer == asked.greater for asked, answer in session.asked])
     order = np.argsort(steps, kind="stable")
+    # six answers or more in a bin, so that a share has a standard error below 0.2; at most eight
+    # bins
     for bin_ in np.array_split(order, max(min(8, len(order) // 6), 1)):
         if len(bin_):
             axes.semilogx(
@@ -246,16 +255,20 @@ def _answers(session: Session, axes: "Axes") -> None:
                 100.0 * right[bin_].mean(),
                 "o",
                 color=ORANGE,
+                # the area of a mark grows with the number of answers
                 ms=3.0 + np.sqrt(len(bin_)),
             )
+    # from where answers are guesses to where nearly all are right
     at = np.geomspace(0.1, max(steps.max(initial=5.0), 5.0), 200)
     share = with_lapse(2.0 * correct_of_d_prime(D_PRIME_75 * at) - 1.0, lapse)
     axes.semilogx(at, 100.0 * share, color=BLUE)
     _ticks(axes, [0.1, 0.3, 1, 3, 10])
+    # at the threshold, 75 % of the answers are right, see `D_PRIME_75`
     axes.axhline(75.0, color=GREY, ls=":")
     axes.set(
         xlabel="step / threshold",
         ylabel="right answers / %",
+        # 50 % is chance; a bin of few answers may lie below it
         ylim=(35.0, 103.0),
         title="Answers and fitted function",
     )
@@ -268,9 +281,11 @@ def _numbers(session: Session, axes: "Axes") -> None:
         return
     fit = session.magnitudes()
     (forces, numbers) = np.array(session.given).T
+    # a straight line on both logarithmic axes
     at = np.geomspace(forces.min(), forces.max(), 50)
     axes.loglog(forces, numbers, "o", color=ORANGE, alpha=0.7)
     axes.loglog(at, np.exp(fit.mean[0]) * at ** fit.mean[1], color=BLUE)
+    # the range of `MAGNITUDE_FORCES_N`
     _ticks(axes, [0.3, 0.5, 1, 2, 3])
     axes.set(
         xlabel="force / N", ylabel="number given", title=f"Stevens' exponent {fit.mean[1]:.2f}"

@@ -57,7 +57,9 @@ class Plan:
 
     def __post_init__(self) -> None:
         require_range("seed", self.seed, 0, 2**32, "use a whole number")
+        # more trials than anyone answers in a day: a typing error
         require_range("trials", self.trials, 0, 100_000, "use 120")
+        # as for trials
         require_range("numbers", self.numbers, 0, 100_000, "use 24")
         require_range(
             "force_limit_N", self.force_limit_N, 0.5, 1000.0, "give the device's largest force"
@@ -135,6 +137,7 @@ class Session:
         if len(self.asked) == self.plan.trials:
             return Magnitude(self._forces[len(self.given)])
         index = int(self.threshold.propose()[0])
+        # 0 distinguishes this stream from other users of the seed
         greater = int(np.random.default_rng([self.plan.seed, 0, self.trial]).integers(1, 3))
         return Comparison(
             float(self.threshold.base_N[index]), float(self.threshold.step_N[index]), greater
@@ -183,6 +186,8 @@ class Session:
         threshold = coordinates @ masses
         numbers = self.magnitudes()
         log_sigma, log_sigma_variance = numbers.log_sigma()
+        # blocks: two parameters of Stevens' law, three of the threshold, one of the scatter of
+        # numbers
         covariance = np.zeros((6, 6))
         covariance[:2, :2] = numbers.covariance
         covariance[2:5, 2:5] = (coordinates * masses) @ coordinates.T - np.outer(
@@ -196,6 +201,7 @@ class Session:
 
     def lines(self) -> list[str]:
         """Return the present estimates as sentences."""
+        # the median and the ends of the 95 % interval
         low, middle, high = (
             float(q[0]) for q in self.threshold.weber_quantiles(np.array([0.025, 0.5, 0.975]))
         )
@@ -206,6 +212,7 @@ class Session:
             f"threshold at {REPORTED_N:g} N {at[0]:.3f} N, after {len(self.asked)} comparisons"
         ]
         if self.given:
+            # the median and the ends of the 95 % interval
             least, exponent, most = self.magnitudes().exponent_at([0.025, 0.5, 0.975])
             notes.append(
                 f"Stevens' exponent {exponent:.2f} (95 % within {least:.2f} to {most:.2f}), "
@@ -218,13 +225,16 @@ class Session:
         found = []
         count = len(self.asked)
         right = sum(answer == asked.greater for asked, answer in self.asked)
+        # one-sided: right answers alone bound the threshold from above
         high = float(self.threshold.weber_quantiles(np.array([0.95]))[0, 0])
+        # ten answers in a row are right by guessing once in a thousand sessions
         if count >= 10 and right == count:
             found.append(
                 f"all {count} comparisons were right: that bounds the threshold from above "
                 "alone, the Weber fraction "
                 f"lies below {100 * high:.1f} % with a probability of 95 %; ask more trials"
             )
+        # guessing gives this many right answers or more with a probability above 5 %
         if count >= 10 and binom.sf(right - 1, count, 0.5) > 0.05:
             found.append(
                 f"{right} of {count} comparisons were right, no more than by guessing: the "
@@ -243,6 +253,7 @@ class Session:
                     f"%: the threshold may lie {word} it, and the prior decides; calibrate "
                     "again with a wider one"
                 )
+        # a slope needs two forces
         if len({force for force, _ in self.given}) < 2:
             found.append(
                 "fewer than two forces were given numbers: Stevens' exponent is the prior's"
@@ -301,6 +312,7 @@ class TrialLog:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             text = path.read_bytes() if path.exists() else b""
+            # the file is new, or ended within its first line
             if head.encode().startswith(text):
                 self.repaired = 0 < len(text) < len(head)
                 self.session = Session(plan)
@@ -406,6 +418,7 @@ def _entry(line: str) -> tuple[Comparison | Magnitude, float, int]:
     """Return a line's trial, answer and number."""
     entry = read_json(line)
     if not isinstance(entry, dict):
+        # a damaged line may be long
         raise ValueError(f"{line[:40]}")
     trial = entry.pop("trial")
     answer = entry.pop("answer")

@@ -153,6 +153,7 @@ def frontier_of(scene: Scene, *, quick: bool = True, report: Progress = silent) 
         full = full or (setting.finer and known[key].p99_us > OFFERED_US)
     report(f"{scene.name}: reference", len(settings) / (len(settings) + 1))
     found = Frontier(scene, tuple(points), _gap(scene, path, quick=quick), tuple(offered))
+    # rounding and law belong to the model, which the full chart by script measures
     if quick or scene.device is not None:
         return found
     short = short or short_of(scene, quick)
@@ -171,6 +172,7 @@ def _gap(scene: Scene, path: Path, *, quick: bool) -> float:
 
 def _store(scene: Scene, *, quick: bool) -> Path:
     """Return the file of a scene's measurements, next to the computed arrays of this machine."""
+    # 8 bytes: the name of the scene is in the file name too
     text = f"{scene_text(scene)}|{machine()}|{quick}|{sources()}"
     return (
         cache_folder()
@@ -242,6 +244,7 @@ def choose(points: Sequence[Measured], wanted: Fidelity, *, gap: float = 0.0) ->
         return max(error, tick)
 
     fits = [point for point in settings if excess(point) <= 1.0]
+    # with a demanded error, all that fits is accurate enough
     if fits and wanted.force_error is not None:
         return min(fits, key=lambda point: point.median_us)
     if fits:

@@ -44,9 +44,12 @@ __all__ = ["LawError", "law_error", "linear_error", "with_law"]
 LAW = "neo-hookean"
 """Law that replaces the linear one. It needs no constants beyond the small-strain constants."""
 INSTANTS = 4
-"""Number of solved instants of the contact, in the middle of equal parts of it."""
+"""Number of solved instants of the contact, in the middle of equal parts of it.
+
+An instant takes two nonlinear solves, about 5 s each in liver-press.
+"""
 POSES = 400
-"""Poses of the motion that are searched for contact."""
+"""Poses of the motion that are searched for contact: 0.1 mm apart on a path of 40 mm."""
 COARSER = 1.4
 """Ratio of the mesh's edges to the scene's edges.
 
@@ -108,6 +111,8 @@ def law_error(scene: Scene, *, report: Progress = silent) -> LawError | None:
     organ = scene.organ
     if not _pressed_by_a_ball(scene) or not isinstance(scene.motion, PathMotion):
         return None
+    # the nonlinear solver has neither fibres nor capsules, and an organ without weight begins at
+    # rest
     if organ.fibre_direction is not None or organ.capsule or organ.gravity:
         return None
 
@@ -115,6 +120,7 @@ def law_error(scene: Scene, *, report: Progress = silent) -> LawError | None:
         """Solve both laws at the instants."""
         from tissue.fem.hyperelastic import Law
 
+        # the last work on the scene: its share of the progress is about to be complete
         report(f"{scene.name}: linear law and neo-Hookean one", 0.99)
         solvers = _solvers(scene, (Law.LINEAR, Law.NEO_HOOKEAN))
         tips_m, direction = _touching(scene, solvers[0])
@@ -176,8 +182,10 @@ def _touching(scene: Scene, solver: "NewtonSolver") -> tuple[Array, Array]:
     surface = solver.body.nodes_m[np.unique(solver.body.space.faces)]
     away, _ = KDTree(surface).query(points_along(corners, along) + radius_m * axis)
     touching = along[away < radius_m]
+    # the path stays outside of the undeformed organ
     if not len(touching):
         return np.empty((0, 3)), -axis
+    # the middle of each of the equal parts
     chosen = touching[((np.arange(INSTANTS) + 0.5) / INSTANTS * len(touching)).astype(int)]
     return points_along(corners, chosen), -axis
 
@@ -197,6 +205,7 @@ def _pressed(
             solver, tip, direction, radius_m=radius_m, tolerance=TOLERANCE
         )
         rows.append([*(solution.tool_force_N if solution.converged else np.full(3, np.nan)), depth])
+    # three components of force and a depth a row; the shape holds without rows too
     table = np.array(rows).reshape(-1, 4)
     return table[:, :3], table[:, 3]
 
@@ -208,6 +217,7 @@ def linear_error(depth: float) -> float:
     `LINEAR_ERROR`, from zero at rest, and extrapolated beyond the last one.
     """
     depths, errors = np.array([(0.0, 0.0), *LINEAR_ERROR]).T
+    # a deeper press has a larger error than the table's last one; the last slope continues
     beyond = (errors[-1] - errors[-2]) / (depths[-1] - depths[-2]) * max(depth - depths[-1], 0.0)
     return float(np.interp(depth, depths, errors)) + float(beyond)
 
@@ -230,6 +240,7 @@ def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
         If ticks with the needed law take longer than demanded.
     """
     organ = scene.organ
+    # only a demanded error can need another law, and `LINEAR_ERROR` is known for balls only
     if (
         wanted.force_error is None
         or scene.device is not None
@@ -254,9 +265,11 @@ def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
         )
     lawful = changed(scene, {"organ.law": LAW})
     why = f"; organ.law = {LAW}, for the linear one is {off} {deep}"
+    # the ticks of the chosen setting were measured with the linear law
     if wanted.tick_ms is not None:
         run = simulate(lawful)
         tick_ms = 1e-3 * float(
+            # 99 %, as in the measurements of settings
             np.percentile(run.timing["tick_us"][run.trace["contact_mm2"] > 0.0], 99)
         )
         if tick_ms > wanted.tick_ms:

@@ -104,6 +104,7 @@ def reference_gap(scene: Scene, *, quick: bool, by_hand: bool = False) -> float:
     model = of_model(scene)
     if not has_exact_geometry(model):
         changes = grids(model, quick=quick)
+        # a wall or a needle: the model is its own reference
         if not changes:
             return 0.0
         forces = [grid_force_N(model, each) for each in changes]
@@ -247,6 +248,7 @@ def excerpt(scene: Scene, coarse: Changes, *, quick: bool) -> Scene:
     A hand has the same path as a script, so both have the same references, and more time.
     """
     if isinstance(scene.tool, Tool):
+        # a hand strays from its path, so that it needs more of the scene's own margin
         margin = (
             MARGIN_MM
             if scene.device is None
@@ -257,6 +259,7 @@ def excerpt(scene: Scene, coarse: Changes, *, quick: bool) -> Scene:
     short = _until(scene, _first_contact_s(changed(of_model(scene), coarse), span_s) + span_s)
     if scene.device is None or short.duration_s is None:
         return short
+    # times of ticks are whole milliseconds
     return short.model_copy(update={"duration_s": round(short.duration_s + LATE_S, 3)})
 
 
@@ -298,6 +301,7 @@ def _first_contact_s(scene: Scene, span_s: float) -> float:
 
 def _length_s(scene: Scene) -> float:
     """Return the duration of a scene [s], or zero if only its run shows the duration."""
+    # the duration of a tool that is pushed follows from the force, so that only its run shows it
     if scene.duration_s is not None or not isinstance(scene.motion, PathMotion):
         return scene.duration_s or 0.0
     return float(arc_length(scene.motion.points_mm)[-1]) / scene.motion.feed_mm_s
@@ -309,6 +313,7 @@ def _until(scene: Scene, end_s: float) -> Scene:
     """
     if 0.0 < _length_s(scene) <= end_s:
         return scene
+    # times of ticks are whole milliseconds
     changes: dict[str, object] = {"duration_s": round(end_s, 3)}
     if isinstance(scene.motion, PathMotion):
         points = np.array(scene.motion.points_mm)
@@ -337,6 +342,7 @@ def measure(scene: Scene, setting: Setting, *, quick: bool) -> Measured:
             continue
         over_50_ms = force_error(means_over_50_ms(force_N), means_over_50_ms(reference_N))
         errors.append((force_error(force_N, reference_N), over_50_ms))
+    # three places give three runs, of which the fastest counts; a single place is run again
     if len(places) == 1 and not (quick and scene.device is not None):
         runs += [_run(scene, setting) for _ in range(REPEATS - 1)]
     took_s = (perf_counter() - started) / len(runs)
@@ -356,6 +362,7 @@ def measure(scene: Scene, setting: Setting, *, quick: bool) -> Measured:
         error_50_ms=max(error for _, error in errors),
         median_us=float(np.median(ticks[counted])),
         p99_us=float(np.percentile(ticks[counted], 99)),
+        # 1 ms, the haptic tick
         missed=int((ticks > 1e3).sum()),
         far_us=nan if touching.all() else float(np.median(ticks[~touching])),
         engaged_mm2=float(run.trace["contact_mm2"][counted].mean()),
@@ -398,4 +405,5 @@ def counts(run: Run, counted: NDArray[np.intp]) -> tuple[int, float, float]:
             float(np.median(contacts**2 * sweeps)),
             edge_mm(scene),
         )
+    # walls and needles: one contact, without a grid
     return 1, 1.0, 1.0

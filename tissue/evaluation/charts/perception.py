@@ -66,19 +66,25 @@ def perception_charts(out: Path, observer: Path | None, *, overwrite: bool = Fal
 def _people(someone: Observer, path: Path) -> None:
     """Draw intensity and threshold over force, of the population and of one observer."""
     chart, (left, right) = _panels(1, 2)
+    # a decade on both sides of 1 N, where the reference's intensity is 1
     forces = np.geomspace(0.1, 10.0, 200)
     for name, entry in constants("perception", "exponent").items():
         left.plot(forces, forces**entry.value, ":", color=GREY)
+        # to the right of the curves, which end at 10 N
         left.text(10.3, 10.0**entry.value, name.replace("_", " "), color="0.3")
+    # with 4000 people, the ends of eight in ten are known to 0.5 % of the people
     drawn = population().draws(4000, np.random.default_rng(0))
     percent = 100.0 * drawn["kappa"] * (1.0 + drawn["offset_N"] / forces[:, None])
+    # eight in ten people lie between them
     low, high = np.quantile(percent, [0.1, 0.9], axis=1)
     right.fill_between(forces, low, high, color=POPULATION, alpha=0.18, label="eight in ten people")
+    # 7 % from 2.5 to 10 N
     right.plot([2.5, 10.0], [7.0, 7.0], color="#009E73", label="Pang et al. 1991")
     for who, colour in ((population_observer(), POPULATION), (someone, PERSON)):
         law = intensity_of(who)
         mean = law.expected(forces)
         spread = law.spread(forces)
+        # logarithmic axes show no zero
         low = np.maximum(mean - spread, 1e-4)
         left.fill_between(forces, low, mean + spread, color=colour, alpha=0.18)
         left.plot(forces, mean, color=colour, label=f"{who.name}: mean, ± 1 standard deviation")
@@ -86,6 +92,7 @@ def _people(someone: Observer, path: Path) -> None:
         right.plot(forces, threshold, color=colour, label=who.name)
     wanted = intensity_of(reference_observer()).expected(forces)
     left.plot(forces, wanted, "--", color=WANTED, label="reference")
+    # the limits hold all curves; beyond 10 N they leave space for the names of the exponents
     left.set(xscale="log", yscale="log", ylim=(0.01, 200.0), xlim=(0.1, 45.0))
     left.set(xlabel="force / N", ylabel="intensity / reference's at 1 N")
     right.set(xscale="log", xlabel="force / N", ylabel="threshold / % of the force", ylim=(0, 46))
@@ -97,7 +104,9 @@ def _command(someone: Observer, path: Path) -> None:
     chart, (left, right) = _panels(1, 2)
     limit_N = device_parameters(DEVICE).force_limit_N
     device = ForceRange(limit_N=limit_N)
+    # up to three times the limit, where the played force has reached it
     forces = np.geomspace(0.02, 3.0 * limit_N, 600)
+    # exponent of muscle force (Stevens), the reference's
     right.plot(forces, forces**1.7, "--", color=WANTED, label="wanted: reference, physical force")
     for who, colour in ((population_observer(), POPULATION), (someone, PERSON)):
         rng = np.random.default_rng(0)
@@ -114,6 +123,7 @@ def _command(someone: Observer, path: Path) -> None:
     left.axhline(limit_N, color=GREY, label=f"limit of {DEVICE}")
     for axes in (left, right):
         axes.axvline(device.knee_share * limit_N, color=GREY, linestyle="--")
+        # these limits and those below hold all curves
         axes.set(xscale="log", yscale="log", xlabel="force at the device / N", xlim=(0.05, 10.0))
     left.set(ylabel="force played / N", ylim=(0.02, 8.0))
     right.set(ylabel="intensity / that at 1 N", ylim=(0.005, 60.0))
@@ -123,6 +133,7 @@ def _command(someone: Observer, path: Path) -> None:
 
 def _deadband(someone: Observer, path: Path) -> None:
     """Draw a recorded force as the deadband plays it."""
+    # any seed will do: the title names the share of this run
     run = simulate(load_scene(SCENE, {"device": DEVICE, "hand": "novice", "seed": 3}))
     wanted = run.trace.vectors("filtered_force", "N")
     time = run.trace["time_s"]
@@ -148,14 +159,17 @@ def _deadband(someone: Observer, path: Path) -> None:
     error = np.linalg.norm(wanted - played, axis=1) / threshold
     lower.plot(time, error, color=POPULATION, label="error / threshold")
     lower.axhline(1.0, color="0.3", linestyle="--")
+    # the error stays below 1 by construction
     lower.set(xlabel="time / s", ylim=(0.0, 1.15))
     for axes in (upper, lower):
+        # 20 ms before and after the contact
         axes.set_xlim(time[contact][[0, -1]] + [-0.02, 0.02])
     _finish(chart, path)
 
 
 def _panels(rows: int, columns: int) -> "tuple[Figure, tuple[Axes, Axes]]":
     """Return a figure with two panels."""
+    # inches; two panels side by side, or one below the other
     chart = figure(10.0, 4.6)
     chart.set_layout_engine("constrained")
     first, second = chart.subplots(rows, columns)

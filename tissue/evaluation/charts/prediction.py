@@ -53,11 +53,13 @@ SHARES = (0.7, 1.3)
 """Ratio of the tissue's force in unseen runs to its force in training, in turn."""
 OURS = "koopman-look-ahead"
 DELAY_MS = 4
+"""Latency of the compared loops [ms], near the paper's mean of 4.3 ms."""
 SLOW_TICKS = 10
+"""Ticks between two answers of the slow model: 100 Hz, a tenth of the haptic rate."""
 SIZES = (3, 6, 12)
-"""Numbers of training runs."""
+"""Numbers of training runs: the fewest that a fit accepts, its double, and the default."""
 SIZED_RUNS = 8
-"""Number of unseen runs for the comparison of training sizes."""
+"""Number of unseen runs for the comparison of training sizes, each of which is a fit."""
 HEADS = {
     "errors.csv": "scene,predictor,horizon_ms,runs,error,low,high",
     "cost.csv": "scene,predictor,median_us,p99_us",
@@ -119,6 +121,7 @@ def interval(values: Array) -> Interval:
     mean = float(values.mean())
     count = len(values)
     half = (
+        # two-sided 95 % interval of a mean
         float(t.ppf(0.975, count - 1) * values.std(ddof=1) / np.sqrt(count)) if count > 1 else 0.0
     )
     return Interval(mean, mean - half, mean + half)
@@ -184,6 +187,7 @@ def _cost_us(predictor: Predictor, run: Recording) -> tuple[float, float]:
 
     The time includes observing the tick and predicting the force after the latency.
     """
+    # the loop too shows contacts only to predictors that use them
     shown = predictor if isinstance(predictor, SeesContact) else None
     times = []
     for position, velocity, force, row in zip(
@@ -237,6 +241,7 @@ def chart_prediction(
         If the folder is a file or holds another chart, there are fewer than two trials, or a scene
         cannot be used.
     """
+    # one run has no interval
     if not 2 <= trials <= MOST_TRIALS:
         raise InputError("trials", f"be from 2 to {MOST_TRIALS}", trials, "use 30")
     files = ("prediction_tasks.png", *HEADS, *(f"prediction_{scene.name}.png" for scene in scenes))
@@ -321,6 +326,7 @@ def draw_scene(found: PredictorComparison, path: Path) -> None:
     The panels show error over horizon and over cost, the spectrum, training sizes, and a model at
     100 Hz.
     """
+    # inches: two rows of three panels
     chart = figure(11.0, 7.0)
     chart.set_layout_engine("constrained")
     (over_horizon, over_cost, spectrum), (over_size, slow, names) = chart.subplots(2, 3)
@@ -345,6 +351,7 @@ def draw_scene(found: PredictorComparison, path: Path) -> None:
     for axes in (over_cost, slow):
         axes.set(xscale="log", ylim=(0, None))
         plain_numbers(axes.xaxis)
+    # the unit circle: modes outside of it grow
     turn = np.linspace(0.0, 2.0 * np.pi, 200)
     values = found.eigenvalues
     spectrum.plot(np.cos(turn), np.sin(turn), color="0.6")
@@ -374,9 +381,11 @@ def _whiskers(axes: "Axes", x: float, at: Interval, *, color: str, fmt: str) -> 
 
 def draw_tasks(found: Sequence[PredictorComparison], path: Path) -> None:
     """Draw the error of every predictor at 4 ms on every scene, next to the paper's errors."""
+    # inches: 1.9 for the bars of a scene, and at least the width of the legend
     chart = figure(max(1.9 * len(found) + 1.6, 6.0), 4.4)
     chart.set_layout_engine("constrained")
     axes = chart.subplots()
+    # a group of bars takes 0.8 of its unit: a bar for each predictor, and two stars of the paper
     width = 0.8 / (len(PREDICTORS) + 2)
     places = np.arange(len(found)) - 0.4 + 0.5 * width
     for index, kind in enumerate(PREDICTORS):

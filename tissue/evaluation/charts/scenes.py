@@ -155,6 +155,7 @@ def draw_frontiers(found: Sequence[Frontier], path: Path) -> None:
     The uncertainty of the reference is shaded. Lines across are errors that no setting reduces: of
     the linear law, dashed, and of float32, dotted.
     """
+    # inches for each panel with its legend to the right
     chart = figure(7.0 * len(found), 4.6)
     chart.set_layout_engine("constrained")
     panels = chart.subplots(1, len(found), squeeze=False)[0]
@@ -167,6 +168,7 @@ def draw_overview(found: Sequence[Sequence[Frontier]], path: Path) -> None:
     """Draw a small panel for each scene with its Pareto-optimal settings by script and by hand."""
     columns = min(COLUMNS, len(found))
     rows = -(-len(found) // columns)
+    # inches for each panel, and 0.4 for the legend above
     chart = figure(4.0 * columns, 2.6 * rows + 0.4)
     chart.set_layout_engine("constrained")
     panels = chart.subplots(rows, columns, squeeze=False).ravel()
@@ -193,6 +195,7 @@ def _draw_best(axes: "Axes", found: Frontier, colour: str, label: str) -> None:
     axes.step(ticks, errors, "-o", where="post", color=colour, label=label)
     for point, error in zip(found.best, errors, strict=True):
         place = (point.median_us, error)
+        # 4 points to the right of the mark and above it
         axes.annotate(point.setting, place, (4, 4), textcoords="offset points", color=colour)
 
 
@@ -211,6 +214,7 @@ def _draw_frontier(axes: "Axes", found: Frontier) -> None:
         error = _percent(row.force_error)
         rounding = row.family == "rounding"
         label = f"float32 rounding, {error:.1g} %"
+        # the other family is the linear law
         if not rounding:
             label = f"linear law: {error:.2g} % off neo-Hookean"
         axes.axhline(error, color="#882255", linestyle=":" if rounding else "--", label=label)

@@ -65,7 +65,7 @@ voxels is cut better than one between them. No share is a half, third or quarter
 differs on finer grids as well.
 """
 COARSEST = 4.0
-"""Ratio of the coarsest voxel of a chart to the scene's voxel."""
+"""Ratio of the coarsest voxel of a quick chart to the scene's voxel, see `_voxels`."""
 Changes = Mapping[str, object]
 
 
@@ -101,6 +101,7 @@ class Setting:
 def by_hand(scene: Scene) -> Scene:
     """Return the scene on a device, with a latency to hide."""
     changes: dict[str, object] = {} if scene.device is not None else {"device": "touch"}
+    # without a latency, predictors have nothing to predict
     if scene.device is None or scene.device.coupling.delay_ms == 0:
         changes["coupling.delay_ms"] = LATENCY_MS
     return changed(scene, changes)
@@ -195,6 +196,7 @@ def moved(scene: Scene, x_mm: float, y_mm: float, *, depth: float = 1.0) -> Scen
     points = np.array(scene.motion.points_mm)
     points[:, 2] = np.where(points[:, 2] < 0.0, depth * points[:, 2], points[:, 2])
     points[:, :2] += x_mm, y_mm
+    # 10 nm is far below a voxel and keeps the text of the scene short
     path = tuple((x, y, z) for x, y, z in points.round(5).tolist())
     return scene.model_copy(update={"motion": scene.motion.model_copy(update={"points_mm": path})})
 
@@ -203,6 +205,7 @@ def edge_mm(scene: Scene) -> float:
     """Return the edge of a tetrahedron under the probe of an organ [mm]."""
     assert isinstance(scene.anatomy, SoftAnatomy)
     assert isinstance(scene.tool, Probe)
+    # a quarter of the probe's size is the default of a scene
     return scene.anatomy.touch_edge_mm or 0.25 * scene.tool.size_mm
 
 
@@ -229,8 +232,11 @@ def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
     plain = force_only(scene)
     base = scene.voxels.spacing_mm
     shell = _shell_mm(tool)
+    # coarse to fine, evenly on a logarithmic axis of cost
     for factor in (4.0, 3.0, 2.0, 1.0) if quick else (5.0, 4.0, 3.0, 2.0, 1.5, 1.0):
+        # to 0.1 um, which keeps names and texts of scenes short
         spacing = round(factor * base, 4)
+        # a scene refuses tools narrower than four voxels
         if spacing > 0.25 * tool.diameter_mm:
             continue
         coarse: Changes = (
@@ -240,9 +246,11 @@ def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
             name = f"{spacing:g} mm" + (" binary" if removal == "binary" else "")
             grid = {"voxels.spacing_mm": spacing, "voxels.removal": removal}
             yield Setting(name, "voxels", {**plain, **grid, **coarse})
+    # only coarser elements than the scene's: finer ones come with finer voxels below
     for factor in (2.0,) if quick else (4.0, 3.0, 2.0, 1.5):
         wide = {"tool.shell_spacing_mm": round(factor * shell, 4)}
         yield Setting(f"{base:g} mm, shell {factor * shell:.2g} mm", "shell", plain | wide)
+    # finer than the scene; 0.6 has 4.6 times as many voxels
     for share in (0.7,) if quick else (0.8, 0.6):
         name = f"{share * base:.3g} mm, shell {share * shell:.2g} mm"
         yield Setting(name, "voxels", refined(scene, share), finer=True)
@@ -250,6 +258,7 @@ def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
         return
     yield from _cores(f"{base:g} mm, one core", plain)
     if scene.stress is not None:
+        # 0.7 to 0.4 mm in the molar, the cells whose solves `docs/verification.md` reports
         for cell in (14.0, 10.0, 8.0):
             edge = round(cell * base, 4)
             yield Setting(f"{base:g} mm, stress {edge:g} mm", "stress", {"stress.cell_mm": edge})
@@ -259,6 +268,7 @@ def _elements(scene: Scene, *, quick: bool) -> Iterator[Setting]:
     """Yield settings of order and edge of tetrahedra, compliance method and cores."""
     plain = force_only(scene)
     base = edge_mm(scene)
+    # coarse to fine; linear tetrahedra have fewer nodes at the same edge, so finer ones are tried
     linear, quadratic = (
         ((1.0,), (2.0, 1.4, 1.0)) if quick else ((2.0, 1.4, 1.0, 0.8), (2.0, 1.7, 1.4, 1.2, 1.0))
     )
@@ -268,9 +278,11 @@ def _elements(scene: Scene, *, quick: bool) -> Iterator[Setting]:
         yield Setting(f"P{order} {edge:g} mm", "elements", changes)
     if quick:
         return
+    # nearly twice as many tetrahedra as at 1
     fine = refined(scene, 0.8) | {"organ.order": 2}
     yield Setting(f"P2 {0.8 * base:.3g} mm", "elements", fine, finer=True)
     if scene.organ.law == "linear":
+        # numbers of basis vectors, evenly on a logarithmic axis of cost
         for size in (100, 300, 1000):
             yield Setting(
                 f"reduced {size}",
@@ -307,6 +319,7 @@ def _loops(scene: Scene, *, quick: bool) -> Iterator[Setting]:
             yield Setting(
                 f"100 Hz, {kind}",
                 "loop",
+                # ten ticks of 1 ms
                 plain | {"prediction": kind, "coupling.model_ms": 10},
             )
 
@@ -340,6 +353,7 @@ def sources() -> str:
     Both the time of a tick and its error may change with any of them. External parts count by their
     names and by the code of their packages.
     """
+    # 8 bytes: only compared with checksums of other versions of the code
     digest = blake2b(code_sha256().encode(), digest_size=8)
     for kind, table in ((kind, table) for kind, tables in TABLES.items() for table in tables):
         for name in table.known:
@@ -356,6 +370,7 @@ def _code_of(part: Any) -> str:
         return _code_of(vars(part))
     if isinstance(part, Path):
         return part.read_text("utf-8") if part.is_file() else ""
+    # a tuple names a table and material of constants
     if isinstance(part, tuple) and part[:1] in (("cutting",), ("soft",)):
         return repr(constants(*part))
     return _package_sum(part.__module__.partition(".")[0]) if callable(part) else repr(part)
@@ -367,10 +382,12 @@ def _package_sum(name: str) -> str:
     Without a file, the result is unique to the call.
     """
     file = getattr(sys.modules.get(name), "__file__", None)
+    # code from an interactive session cannot be compared: its results are never reused
     if file is None:
         return f"{os.getpid()} {time_ns()}"
     path = Path(file)
     files = sorted(path.parent.rglob("*.py")) if path.name == "__init__.py" else [path]
+    # 8 bytes: only compared with checksums of other versions of the package
     return blake2b(b"".join(each.read_bytes() for each in files), digest_size=8).hexdigest()
 
 
@@ -380,6 +397,7 @@ def code_sha256() -> str:
     digest = sha256()
     for package in PACKAGES:
         for path in sorted(Path(str(files(package))).rglob("*")):
+            # compiled files follow from the sources and change when they are first imported
             if path.is_file() and path.parent.name != "__pycache__":
                 digest.update(path.read_bytes())
     return digest.hexdigest()
@@ -389,4 +407,5 @@ def setting_key(scene: Scene, setting: Setting, *, quick: bool) -> str:
     """Return the hash of a scene at a setting, of the machine and of the code."""
     at = scene_text(changed(scene, setting.changes))
     text = f"{at}|{setting.cores}|{setting.compute}|{quick}|{machine()}|{sources()}"
+    # 24 digits: short in a table, and too long for two settings to agree by chance
     return blake2b(text.encode(), digest_size=12).hexdigest()

@@ -21,7 +21,10 @@ GOLDEN = 0.6180339887498949
 RESOLUTION_M = 1e-12
 """Length to which the nearest position on a path is bracketed [m]."""
 STRAIGHT_M = 5e-9
-"""Largest bend of a point's path through the tool's frame within a leg [m]."""
+"""Largest bend of a point's path through the tool's frame within a leg [m].
+
+It is far below a chip, which has tenths of a micrometre and more.
+"""
 
 
 @dataclass(frozen=True)
@@ -42,10 +45,11 @@ class ConvexPart:
     @property
     def bounding_ball(self) -> tuple[float, float]:
         """Height of the centre and radius of a ball that holds the body [m]."""
+        # 64 parts of each piece
         share = np.linspace(0.0, 1.0, 65)
         outline = np.concatenate([piece.at(share)[0] for piece in self.pieces])
         centre = 0.5 * float(outline[:, 1].min() + outline[:, 1].max())
-        # what an arc bulges between its samples, and more
+        # an arc of half a turn bulges by 3e-4 of its radius between 65 samples
         slack = 1e-3 * float(np.abs(outline).max())
         return centre, float(np.hypot(outline[:, 0], outline[:, 1] - centre).max()) + slack
 
@@ -70,6 +74,7 @@ class ConvexPart:
         """
         height, radius = self.bounding_ball
         bound = _to_segment(np.array([0.0, 0.0, height]), start, end) - radius
+        # the distance of a ball's centre from the path is exact; other bodies need a search
         if self.ball:
             arc = self.pieces[0]
             assert isinstance(arc, Arc)
@@ -115,6 +120,7 @@ def convex_parts(profile: Profile) -> tuple[ConvexPart, ...]:
     pieces = profile.pieces
     if profile.convex:
         arc = pieces[0]
+        # a half circle from tip to top, up to rounding
         ball = len(pieces) == 1 and isinstance(arc, Arc) and arc.last - arc.first > pi - 1e-9
         return (ConvexPart(pieces, ball),)
     first = next(k for k, piece in enumerate(pieces) if piece.cutting)
@@ -149,6 +155,7 @@ def _seen(piece: Piece, points: Array) -> tuple[Array, Array]:
 def _to_segment(point: Array, start: Array, end: Array) -> Array:
     """Return the distance [m] of a point, shape (3,), from segments with ends of shape (n, 3)."""
     along = end - start
+    # a segment without length is its start
     squared = np.maximum((along * along).sum(axis=1), 1e-300)
     share = np.clip(((point - start) * along).sum(axis=1) / squared, 0.0, 1.0)
     return np.linalg.norm(start + share[:, None] * along - point, axis=1)
@@ -252,6 +259,8 @@ class ToolPath:
 
         The motion is judged in the tool's frame.
         """
+        # the motion of all points is an affine combination of that of four points that are not in
+        # one plane; the fifth is the tip
         corners = self.reach_m * np.array(
             [[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, -1, -1], [0, 0, 0]], dtype=float
         )
@@ -262,6 +271,7 @@ class ToolPath:
         )
         chord = seen[-1] - seen[0]
         length = np.linalg.norm(chord, axis=1)
+        # a point at rest has no direction: its deviation is zero
         along = chord / np.maximum(length, 1e-300)[:, None]
         progress = np.einsum("tpc,pc->tp", seen - seen[0], along)
         off = seen - seen[0] - progress[..., None] * along

@@ -177,10 +177,12 @@ def stratum_test(
         )
     residuals = scores - group_means(scores, groups)[groups]
     assumptions: list[Assumption] = []
+    # Anderson and Darling's test needs eight values
     if residuals.size >= 8:
         assumptions.append(normal_residuals(residuals))
     shuffled_F, shuffled = permutation(values, groups, sizes, within, between=between, rng=rng)
     others = [HypothesisTest("permutation", question, "F", shuffled_F, (), shuffled)]
+    # one contrast is spherical by itself
     if scores.shape[1] > 1:
         epsilon = float(found.epsilon)
         p = mauchly(scores, groups)
@@ -198,6 +200,7 @@ def stratum_test(
                 float(found.corrected_p),
             )
         )
+    # about the median, two values of a group always have the same distance
     if between and min(np.bincount(groups)) > 2:
         assumptions.append(_equal_variances(scores, groups))
     notes = (

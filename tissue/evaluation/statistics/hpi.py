@@ -123,6 +123,7 @@ def rejection_rates(null: Array, planted: Array, groups: Ints) -> tuple[Power, .
     """
     found = []
     for name, (chosen, between) in TESTS.items():
+        # one group or one method has nothing to compare
         if (between and groups.max() == 0) or (chosen and null.shape[-1] < 2):
             continue
         false_alarms, hits = (
@@ -224,7 +225,7 @@ def composite_index(
     rng
         Generator that draws users for the intervals.
     count
-        Number of resampled populations.
+        Number of resampled populations. With 2000, tails of 2.5 % have a standard error of 0.35 %.
     """
     names = tuple(directions)
     kept = table.failure == ""
@@ -258,6 +259,7 @@ def composite_index(
         again, _, _ = weights_of(_correlation(scaled, times))
         drawn_weights.append(again)
         drawn_means.append(_means(scaled @ again, member * times))
+    # percentiles of a two-sided interval
     tails = [50.0 * (1.0 - LEVEL), 50.0 * (1.0 + LEVEL)]
     spread = np.percentile(drawn_weights, tails, axis=0)
     reach = np.percentile(drawn_means, tails, axis=0)
@@ -286,7 +288,9 @@ def _means(values: Array, shares: Array) -> Array:
 
 def _checks(loadings: Array, variances: Array, spread: Array) -> tuple[Assumption, ...]:
     """Check whether one number may represent these metrics."""
+    # a loading of zero may be negative by rounding
     agree = bool((loadings > -1e-9).all())
+    # of two metrics that agree entirely, the second variance is zero
     gap = float(variances[0] / max(float(variances[1]), 1e-300))
     widest = float((spread[1] - spread[0]).max())
     return (
@@ -304,6 +308,7 @@ def _checks(loadings: Array, variances: Array, spread: Array) -> tuple[Assumptio
         ),
         Assumption(
             "weights are stable",
+            # a weight that moves by half of the sum of all weights is not determined; a convention
             widest <= 0.5,
             f"weights move by up to {widest:.2f} with the users drawn",
         ),

@@ -125,6 +125,7 @@ def format_p(p: float) -> str:
     """Return a p value as a reader expects it."""
     if not np.isfinite(p):
         return "p unknown"
+    # smaller values depend on the tails of the assumed law
     return "p < 0.0001" if p < 1e-4 else f"p = {p:.4f}"
 
 
@@ -211,9 +212,11 @@ def _noncentrality(statistic: float, above: float, below: float, chance: float) 
 
     if excess(0.0) >= 0.0:
         return 0.0
+    # an upper bound is searched by doubling from the noncentrality that F itself suggests
     high = 1.0 + statistic * above
     while excess(high) < 0.0:
         high *= 2.0
+    # an effect size is reported with three digits
     return float(brentq(excess, 0.0, high, xtol=1e-9))
 
 
@@ -267,10 +270,13 @@ def mardia(residuals: ArrayLike) -> Assumption:
     count, width = rows.shape
     centred = rows - rows.mean(axis=0)
     distances = centred @ np.linalg.solve(centred.T @ centred / count, centred.T)
+    # Mardia's (1974) correction for small samples
     small = (width + 1) * (count + 1) * (count + 3) / (count * ((count + 1) * (width + 1) - 6.0))
+    # n b / 6 is chi squared with p (p + 1) (p + 2) / 6 degrees of freedom
     skewed = chi2.sf(
         small * count / 6.0 * (distances**3).mean(), width * (width + 1) * (width + 2) / 6
     )
+    # the expected kurtosis of normal columns, and below its variance 8 p (p + 2) / n
     tails = (np.diag(distances) ** 2).mean() - width * (width + 2)
     tailed = 2.0 * norm.sf(abs(tails) / np.sqrt(8.0 * width * (width + 2) / count))
     holds = bool(min(skewed, tailed) >= 0.5 * ALPHA)

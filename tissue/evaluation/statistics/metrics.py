@@ -33,7 +33,10 @@ SPARC_AMPLITUDE = 0.05
 SPARC_PADDING = 4
 """Exponent of the finer sampling of the spectrum, base 2 (Balasubramanian et al. 2015)."""
 POINTS = 800
-"""Samples of each path for the alignment. Distances are refined between them."""
+"""Samples of each path for the alignment. Distances are refined between them.
+
+The alignment takes memory and time with their square.
+"""
 
 
 def force_error(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
@@ -102,7 +105,7 @@ def latency_ms(
     tick_s
         Time from tick to tick [s].
     longest_ms
-        Largest shift in either direction [ms].
+        Largest shift in either direction [ms]; 50 is twelve times the latency of a study's loop.
 
     Raises
     ------
@@ -128,6 +131,7 @@ def latency_ms(
         raise InputError("longest_ms", "exceed the lag", f"{longest_ms:g}", "use a larger one")
     before, peak, after = match[best - 1 : best + 2]
     curved = before - 2.0 * peak + after
+    # vertex of the parabola through three shifts; a flat top has no vertex
     part = 0.5 * (before - after) / curved if curved < 0.0 else 0.0
     return float((best - reach + part) * tick_s * 1e3)
 
@@ -171,6 +175,7 @@ def spectral_arc_length(speed_mm_s: ArrayLike, *, tick_s: float) -> float:
     count = 2 ** (int(np.ceil(np.log2(len(speed)))) + SPARC_PADDING)
     frequencies = np.fft.rfftfreq(count, tick_s)
     spectrum = np.abs(np.fft.rfft(speed, count))
+    # a tool at rest has no spectrum, and is refused below
     spectrum /= max(float(spectrum.max()), 1e-300)
     loud = np.flatnonzero((frequencies <= SPARC_CUTOFF_HZ) & (spectrum >= SPARC_AMPLITUDE))
     if len(loud) < 2:
@@ -233,6 +238,7 @@ def _correlation(force: Array, ideal: Array, shift: int) -> float:
     late = late - late.mean(axis=0)
     early = early - early.mean(axis=0)
     sizes = float(np.linalg.norm(late) * np.linalg.norm(early))
+    # a part without any change is the worst match
     return float((late * early).sum()) / sizes if sizes > 0.0 else -1.0
 
 

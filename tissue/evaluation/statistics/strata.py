@@ -88,6 +88,7 @@ def scores_of(values: Array, sizes: tuple[int, ...], chosen: tuple[int, ...]) ->
     Array
         Shape (..., users, contrasts).
     """
+    # a factor outside of the effect contributes its mean, by weights of unit length
     parts = [
         helmert(size) if index in chosen else np.full((1, size), size**-0.5)
         for index, size in enumerate(sizes)
@@ -138,6 +139,7 @@ def strata(
         squares = ((means - overall) ** 2).sum(axis=-1) @ counts
         above = contrasts * (group_count - 1)
     else:
+        # the mean over groups of equal weight has the variance of sum(1 / n) / G**2
         squares = (means.mean(axis=-2) ** 2).sum(axis=-1) * group_count**2 / (1.0 / counts).sum()
         above = contrasts
     below = contrasts * (user_count - group_count)
@@ -169,10 +171,12 @@ def mauchly(scores: Array, groups: Ints) -> float:
         return 1.0
     residuals = scores - group_means(scores, groups)[groups]
     degrees = len(scores) - groups.max() - 1
+    # the covariance of the scores is singular
     if degrees <= count:
         return float("nan")
     spread = residuals.T @ residuals / degrees
     log_w = np.linalg.slogdet(spread)[1] - count * np.log(np.trace(spread) / count)
+    # Bartlett's correction of the chi-squared approximation
     scale = degrees - (2.0 * count * count + count + 2.0) / (6.0 * count)
     return float(chi2.sf(-scale * log_w, count * (count + 1) / 2 - 1))
 
@@ -242,6 +246,7 @@ def shuffled_p(measured: float, shuffled: Array) -> float:
 
     The figures are the shuffled ones and the measured one.
     """
+    # equal figures count as reached although their sums are rounded
     return (1 + int((shuffled >= measured * (1.0 - 1e-12)).sum())) / (len(shuffled) + 1)
 
 
@@ -259,7 +264,8 @@ def permutation(
 
     For an effect of groups, users are shuffled over groups. For an effect within users, the levels
     of the chosen factors are shuffled within each user. Both tests are exact if the labels have no
-    effect (Edgington 1995). Returned are F and its p-value.
+    effect (Edgington 1995). Returned are F and its p-value. With 4999 shuffles and the measured F,
+    a p of 0.05 has a standard error of 0.003.
     """
     centred = values
     if chosen and between:
@@ -344,6 +350,8 @@ def multivariate(
         zero.
     question
         Question of the test, for the sentence.
+    permutations
+        Number of shuffles. With 1999, a p of 0.05 has a standard error of 0.005.
 
     Returns
     -------
@@ -362,6 +370,7 @@ def multivariate(
         )
     scaled = scores / scores.std(axis=0)
     residuals = scaled - group_means(scaled, groups)[groups]
+    # rounding of standardised columns, whose singular values grow with the number of rows
     if np.linalg.matrix_rank(residuals, tol=1e-8 * len(scores)) < width:
         raise InputError(
             "columns",
@@ -399,6 +408,7 @@ def _equal_covariances(scores: Array, groups: Ints) -> Assumption:
 
     counts = np.bincount(groups)
     name = "equal covariances of groups"
+    # the covariance of a group is singular
     if counts.min() <= scores.shape[1]:
         return Assumption(name, False, "too few users a group for a test")
     found = test_cov_oneway(

@@ -227,6 +227,7 @@ class TrialTable:
         groups = np.searchsorted(group_names, self.group[first]).astype(np.int64)
         for index, group in enumerate(group_names):
             count = int((whole & (groups == index)).sum())
+            # one user has no variation between users
             if count < 2:
                 raise InputError(
                     f"group {group}",

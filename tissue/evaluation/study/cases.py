@@ -86,6 +86,7 @@ def _reaming(table: TrialTable, seed: int) -> Section:
         pair = [
             Stimulus(factor * each, factor * scatter) for each in (level, level + TORQUE_STEP_NM)
         ]
+        # torques in N m take the place of forces in N: no limit of a device applies
         share = share_right(holders, *pair, seed=seed, limits=ForceRange(limit_N=1e3)).mean()
         shares.append(f"{100.0 * share:.0f} % {where}")
     sentences = (
@@ -108,6 +109,7 @@ def _drilling(table: TrialTable, seed: int) -> Section:
     for method in methods_of(table):
         part = table.where(method=method)
         lag = part.values("latency_ms")
+        # compared in the digits that the table shows
         if round(float(lag.mean()), 2) >= paper.mean:
             late.append(method)
         for number, tooth in enumerate(TEETH):
@@ -162,6 +164,7 @@ def median_interval(values: Array) -> tuple[float, float, float]:
     """
     ordered = np.sort(values)
     rank = int(binom.ppf(0.025, len(ordered), 0.5))
+    # of five values, even the whole range misses the median with a probability of 2 / 2^5 = 6 %
     if len(ordered) < 6:
         return _middle(ordered), -inf, inf
     return _middle(ordered), float(ordered[rank - 1]), float(ordered[len(ordered) - rank])
@@ -228,6 +231,7 @@ def _travels(shared: TrialTable) -> tuple[str, bytes]:
     """
     found = []
     methods = methods_of(shared)
+    # 0.4 inches a line, 1.4 for axis and label
     figure, (axes,) = drawing(9.0, 0.4 * len(methods) + 1.4)
     for line, method in enumerate(methods):
         middle, low, high = median_interval(travel_by_people(shared, method))
@@ -240,6 +244,7 @@ def _travels(shared: TrialTable) -> tuple[str, bytes]:
         axes.plot([low, high], [line, line], color=COLOURS[method])
         axes.plot(middle, line, "o", color=COLOURS[method], mec="black")
         if paper := PAPERS.get(method):
+            # a quarter of a line below, so that both marks are visible
             axes.errorbar(paper.mean, line + 0.25, xerr=paper.spread, fmt="x", color="black")
     axes.set_yticks(range(len(methods)), methods)
     axes.invert_yaxis()

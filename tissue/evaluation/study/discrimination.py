@@ -53,7 +53,7 @@ WIDEST = 12
 LEAST_D = 0.5
 """Sensitivity under plain scaling below which no relative change is given.
 
-A change in percent would be a division by almost zero.
+A change in percent would be a division by almost zero: at 0.5, only 64 % of the answers are right.
 """
 CHANGES = (("change of d′", 2), ("in %", 1), ("change of right, points", 1))
 """Names and digits of the columns on changes."""
@@ -146,6 +146,7 @@ def changes_of(observers: SimulatedObservers, plain: FeltPair, other: FeltPair) 
         (d, right), (new_d, new_right) = (
             [each.mean() for each in pair.felt_by(observers)] for pair in (one, two)
         )
+        # a d' of 0 has no ratio; below `LEAST_D` the caller gives none either
         return np.array(
             [new_d - d, 100.0 * (new_d / d - 1.0) if d else 0.0, 100.0 * (new_right - right)]
         )
@@ -157,6 +158,7 @@ def changes_of(observers: SimulatedObservers, plain: FeltPair, other: FeltPair) 
         [change(plain.of(kept), other.of(kept)) for kept in (np.delete(who, each) for each in who)]
     )
     error = np.sqrt((count - 1) / count * ((without - without.mean(axis=0)) ** 2).sum(axis=0))
+    # two-sided 95 % interval; a single person has no interval
     reach = float(t.ppf(0.975, max(count - 1, 1))) * error
     return np.column_stack([value, value - reach, value + reach])
 
@@ -243,6 +245,7 @@ def discrimination_section(folder: StudyFolder, table: TrialTable, seed: int) ->
             if method != PLAIN and PLAIN in found:
                 change = changes_of(people, found[PLAIN], found[method])
                 if found[PLAIN].felt_by(people)[0].mean() < LEAST_D:
+                    # row 1 is the change in percent
                     change[1] = np.nan
                 changes[what, group, method] = change
                 row |= {
@@ -318,6 +321,7 @@ def _right_answers(rows: Sequence[Mapping[str, str]]) -> bytes:
     figure, (axes,) = drawing(11.0, 4.4)
     grouped_bars(axes, ["\n".join(wrap(name, WIDEST)) for name in names], bars)
     axes.axhline(50.0, color="black", ls=":")
+    # 50 % is chance, and a method may lie below it by the sampling of trials
     axes.set_ylim(40.0, 100.0)
     axes.set_ylabel("right answers / %; dotted: by guessing")
     legend(figure, axes)

@@ -47,7 +47,7 @@ RATIOS = {
 }
 """Columns on ratios of intensity."""
 UNRESOLVED = 0.05
-"""Share of rows with a smallest possible error above the error that makes the excess invalid.
+"""Share of rows whose least error exceeds the error, above which the excess is invalid.
 
 Above this share, the report marks the excess as not meaningful.
 """
@@ -104,6 +104,7 @@ def force_section(table: TrialTable) -> Section:
         "Force fidelity",
         sentences,
         rows,
+        # inches; two panels at most
         _bars(table, metrics, (11.0, 4.2)),
         " ".join([f"Force error at the motor in %: {means}.", *left]),
     )
@@ -246,6 +247,7 @@ def task_section(table: TrialTable) -> Section:
         "position_error_mm": ("position error / mm", 1.0),
         "spectral_arc_length": ("spectral arc length", 1.0),
     }
+    # 12 x 3.6 inches for three panels
     return Section("tasks", "Task metrics", sentences, rows, _bars(table, metrics, (12.0, 3.6)))
 
 
@@ -268,6 +270,7 @@ def sensitivity_section(folder: StudyFolder) -> Section | None:
     for name, ratios in found.items():
         variant = VARIANTS[name]
         known = (ratios / usual)[np.isfinite(ratios / usual)]
+        # no trial yet: no change
         moves[name] = float(known.mean()) if len(known) else 1.0
         rows.append(
             {"parameter": variant.parameter, "value": variant.value}
@@ -366,6 +369,7 @@ def _as_texts(tasks: Sequence[str], ratios: Array) -> dict[str, str]:
 
 def _picture(found: Mapping[str, Array], tasks: Sequence[str], usual: Array) -> bytes:
     """Draw the ratios by variant, one colour a task, the study's own as lines."""
+    # 0.32 inches a line, 1.2 for axis and label
     figure, (axes,) = drawing(9.0, 0.32 * len(found) + 1.2)
     looks = zip(("#0072B2", "#D55E00", "#009E73"), "os^", strict=True)
     for at, (task, (colour, mark)) in enumerate(zip(tasks, looks, strict=False)):

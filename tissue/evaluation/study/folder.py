@@ -153,6 +153,7 @@ class StudyFolder:
             there = self.registrations()
             require_unchanged(self.path, there)
             return there
+        # the marker, the lock and a registered plan may be there before the first trial
         if self.path.is_dir() and any(
             each.name not in (LOCK, MARKER, PLAN_FILE) for each in self.path.iterdir()
         ):
@@ -189,6 +190,7 @@ class StudyFolder:
                 raise InputError(
                     "study",
                     f"be of tissue {package_version()}",
+                    # a damaged file may hold any text
                     f"{str(made)[:40]} in {path}",
                     "run it in a new folder, trials of two versions are not put together",
                 )
@@ -233,6 +235,7 @@ class StudyFolder:
         there = self.registrations()
         content = {
             "seed": trial.seed,
+            # to 1 ms, far below what a trial takes
             "took_s": round(trial.took_s, 3),
             "plan_sha256": there[-1]["sha256"] if there else "",
             "code_sha256": code_sha256(),
@@ -318,11 +321,14 @@ TRIALS_PER_WORKER = 3
 No worker waits, and memory does not grow with the number of trials.
 """
 LOSSES = 3
-"""Losses after which a running trial is run alone to check whether it ends its worker."""
+"""Losses after which a running trial is run alone to check whether it ends its worker.
+
+One or two losses may be due to other trials on the same worker, or to the machine.
+"""
 BARREN = 20
-"""Losses without a trial in between after which a study gives up."""
+"""Losses without a trial in between after which a study gives up, 21 s of pauses in all."""
 PATIENCE_S = 30.0
-"""Time that a scheduler may take to answer [s]."""
+"""Time that a scheduler may take to answer [s]: a cluster may still be starting."""
 
 
 def run_study(
@@ -363,6 +369,7 @@ def run_study(
         If the folder holds another study, no scheduler answers, or workers are lost again and
         again.
     """
+    # more processes than any machine has cores: a typing error
     count = int(
         require_range(
             "workers",
@@ -422,6 +429,7 @@ def _run_trials(
                     f"{scheduler} ({error})",
                     "start it with `dask scheduler`",
                 ) from error
+            # losses in a row without a finished trial
             barren = barren + 1 if len(waiting) == before else 1
             if barren > BARREN:
                 raise InputError(
@@ -433,11 +441,14 @@ def _run_trials(
             report_share(
                 f"workers were lost ({type(error).__name__}), {len(waiting)} trials continue"
             )
+            # a suspect was alone on its worker, so that it caused the loss
             if suspects and running:
                 failure = "RuntimeError: the worker was lost each time this trial ran on it"
                 keep(_failed(plan, suspects[0], failure))
             else:
                 losses.update(running.values())
+            # the pause [s] grows with the losses in a row: a cause that passes, such as a full
+            # memory, costs no trials
             sleep(min(2.0, 0.1 * barren))
 
 

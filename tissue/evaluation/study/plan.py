@@ -286,6 +286,7 @@ class TrialKey:
         InputError
             If there can be no such trial.
         """
+        # empty texts stand for missing parts, which are refused below
         task, group, number, variant, *_ = *name.split("-", 3), "", "", ""
         known = task in TASKS and group in GROUPS and variant in ("", REFERENCE, *VARIANTS)
         if not (known and number.isdecimal()):
@@ -324,6 +325,7 @@ class Plan:
     sensitivity: bool = True
 
     def __post_init__(self) -> None:
+        # more than a hundred times the default is a typing error
         require_range("trials", self.trials, 1, 10_000, "use 100")
         require_range("seed", self.seed, 0, 2**63 - 1, "use 0")
         for name, known in (
@@ -379,5 +381,6 @@ class Plan:
 
     def person(self, key: TrialKey) -> np.random.Generator:
         """Return the generator of the person of the trial, the same in every task."""
+        # 1000 separates people from the streams of trials, which begin with the index of a task
         place = (1000, GROUPS.index(key.group), key.user)
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=place))

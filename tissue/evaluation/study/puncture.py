@@ -157,6 +157,7 @@ def pierce(
     start, end = 1e-3 * np.array(scene.motion.points_mm[:2])
     limits = device_parameters(scene.held.kind, scene.constants)
     integration_s = constants("perception", "force")["integration_s"].value
+    # 9 separates these streams from the other users of the scene's seed
     noise, frames = np.random.default_rng([scene.seed, 9]).spawn(2)
     hand = PushingHand(
         hand_parameters(scene.held.hand, scene.constants),
@@ -170,6 +171,7 @@ def pierce(
     x, y, z = start.tolist()
     device = SimulatedDevice(limits, hand, position_m=(x, y, z))
     cue_after_s = 1e-3 * scene.held.coupling.delay_ms if cue else inf
+    # the display is not synchronised with the push
     frame_s = float(frames.uniform(0.0, FRAME_S))
     length_m = float(np.linalg.norm(end - start))
     bystander = _Bystander(
@@ -216,11 +218,13 @@ class _Bystander(RunObserver):
         self.rows.append((hand.felt_N, 1e3 * hand.aim_m))
         if insertion.punctured and self.puncture_s == inf:
             self.puncture_s = now
+            # without a reaction time, as a bound for the other two cues
             if self._notice == "at once":
                 hand.stop(now)
         if now >= self._frame:
             self._frame += FRAME_S
             if self._notice == "sight" and insertion.punctured and insertion.inserted_m > VISIBLE_M:
+                # a display shows the state of the frame before
                 hand.see(now + FRAME_S)
         if (
             not self._cued

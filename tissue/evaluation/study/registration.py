@@ -109,6 +109,7 @@ def register(
     """
     kept = list(held)
     path = folder / PLAN_FILE
+    # a wider plan: the earlier file is kept under its number
     if kept:
         earlier = f"plan-{len(kept)}.toml"
         claim(folder / earlier)
@@ -157,6 +158,7 @@ def require_unchanged(folder: Path, held: list[Registration]) -> None:
         if (got := file_sha256(folder / str(each["file"]))) != each["sha256"]:
             raise InputError(
                 each["file"],
+                # twelve digits of a checksum are enough to compare by eye
                 f"be as it was registered (SHA-256 {str(each['sha256'])[:12]})",
                 f"{got[:12] or 'no such file'} in {folder}",
                 "put it back, or run another plan in a new folder",
@@ -285,6 +287,7 @@ def _effects(factors: list[str]) -> list[str]:
 
 
 def _rounded(power: dict[str, float]) -> dict[str, float]:
+    # a tenth of a per cent: the same text on machines that round differently
     return {name: round(value, 3) for name, value in power.items()}
 
 
@@ -328,9 +331,12 @@ def planned_power(
     """  # noqa: E501 a table
     from scipy.stats import f, ncf
 
+    # smaller chances of a false alarm are not in use
     require_range("alpha", alpha, 1e-9, 1.0, "use 0.05")
+    # beyond this range a typing error: to show 0.01 takes more than 100 000 people
     require_range("effect", effect, 0.01, 10.0, "use 1")
     found: dict[str, float] = {}
+    # no variation between people
     if people < 2:
         return found
     error = groups * (people - 1)
@@ -341,6 +347,7 @@ def planned_power(
         ("group", people * effect**2 * between, groups - 1, error),
         ("group x method", within * between, (groups - 1) * (methods - 1), error * (methods - 1)),
     ):
+        # one method or one group has nothing to compare
         if above:
             found[name] = float(ncf.sf(f.isf(alpha, above, below), above, below, noncentrality))
     return found

@@ -102,6 +102,7 @@ def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Secti
     plan = folder.plan()
     folder.write_tables()
     sections: list[Section] = []
+    # without compared tasks, a study has case studies alone
     if plan.compared:
         table = folder.table(*plan.compared)
         whole = table.complete()
@@ -112,6 +113,7 @@ def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Secti
                 f"{table.failed} failures",
                 "see trials.csv",
             )
+        # the progress follows the time of the sections: the tests take half of it
         report("force and tasks", 0.1)
         sections += [force_section(whole), latency_section(whole), task_section(whole)]
         report("discrimination", 0.2)
@@ -222,6 +224,7 @@ def registration_section(folder: StudyFolder, tests: Sequence[Section]) -> Secti
         *_origins(folder, plan, kept),
         *_tests(folder, tests),
     ]
+    # its SHA-256 is shown by 16 digits, which distinguish versions of a plan
     newest = folder.registrations()[-1]
     before = newest["trials_before"]
     when = f"after {before} trials" if before else "before the first trial"
@@ -246,6 +249,7 @@ def _plans(folder: StudyFolder) -> Iterator[Difference]:
     for each in folder.registrations():
         name = str(each["file"])
         if (got := file_sha256(folder.path / name)) != each["sha256"]:
+            # 16 digits distinguish versions of a plan
             how = f"its SHA-256 is {got[:16]}" if got else "it is not there"
             yield "plan changed", name, f"registered as {str(each['sha256'])[:16]}, {how}"
         if each["trials_before"]:
@@ -298,6 +302,7 @@ def _origins(folder: StudyFolder, plan: Plan, kept: list[Trial]) -> Iterator[Dif
         yield (
             "code changed between trials",
             f"{len(codes)} versions",
+            # 12 digits distinguish versions of the code
             ", ".join(each[:12] or "none" for each in codes),
         )
     elif codes and codes != [code_sha256()]:

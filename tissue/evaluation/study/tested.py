@@ -26,7 +26,10 @@ from tissue.evaluation.study.section import COMPOSITE, Section, drawing, image, 
 __all__ = ["statistics_sections", "tests_sections"]
 
 LOOSE = 0.06
-"""False alarms of a test at 5 %, above which it is reported that it finds too much."""
+"""False alarms of a test at 5 %, above which it is reported that it finds too much.
+
+Null data give 4.2 to 5.4 % (`docs/verification.md`).
+"""
 Outcome = tuple[str, HypothesisTest]
 """Task, or "all", and a test."""
 
@@ -193,12 +196,15 @@ def _pairs(found: Sequence[MetricComparison]) -> Section:
 
 def _sizes_picture(sizes: Sequence[tuple[str, Effect]]) -> bytes:
     """Draw Cohen's d with intervals, one a line, on a scale that holds large and small."""
+    # 0.24 inches a line, 1 for axis and label
     figure, (axes,) = drawing(9.0, 0.24 * len(sizes) + 1.0)
     for line, (_, size) in enumerate(sizes):
+        # grey: the interval holds zero
         colour = "#0072B2" if size.low * size.high > 0.0 else "#999999"
         axes.plot([size.low, size.high], [line, line], color=colour)
         axes.plot(size.value, line, "o", color=colour)
     axes.axvline(0.0, color="black")
+    # sizes reach from a fraction to tens of standard deviations, of both signs
     axes.set_xscale("symlog", linthresh=1.0)
     axes.xaxis.set_major_formatter("{x:g}")
     axes.set_yticks(range(len(sizes)), [name for name, _ in sizes])
@@ -279,6 +285,7 @@ def _power(table: TrialTable, rng: np.random.Generator) -> Content:
         chosen, _ = _distinct(table.where(task=task), ("force_error",))
         for each in redrawn_power(chosen.cells("force_error"), rng=rng):
             remarks.append(f"{task}, {each.sentence}")
+            # the whole interval of the rate lies above
             if each.false_alarms.low > LOOSE:
                 loose.append(f"{task} {each.test}")
             rows.append(

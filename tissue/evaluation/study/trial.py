@@ -66,13 +66,19 @@ PACE_SPREAD = 0.15
 WITHIN_SPREAD = 0.05
 """Spread of the logarithm of people's pace, and of one person's pace between trials; assumed."""
 NUMBERS = 24
-"""Number of forces that a person rated in the calibration."""
+"""Number of forces that a person rated in the calibration, the default of a session."""
 ARRIVED_MM = 2.0
-"""Distance from the path's end within which a task counts as done."""
+"""Distance from the path's end within which a task counts as done.
+
+A trembling hand does not hold the end itself.
+"""
 LEAST_N = 1e-3
 """Force below which nothing is felt, for the logarithm [N]."""
 TOUCHES = 0.05
-"""Share of a trial's largest force above which a contact counts."""
+"""Share of a trial's largest force above which a contact counts.
+
+At the beginning and end of a contact, ratios of forces have no meaning.
+"""
 WINDOW_S = 0.1
 """Time over which a person averages a force; `integration_s` in perception.toml."""
 PLAIN = Variant("", "", {})
@@ -170,6 +176,7 @@ def failures_of(trials: Iterable[Trial]) -> dict[str, list[str]]:
 
 def trial_seed(plan: Plan, key: TrialKey) -> int:
     """Return the seed of a trial's scenes."""
+    # the first number of the trial's generator, as in `trial_scene`
     return int(plan.rng(key).integers(2**62))
 
 
@@ -184,6 +191,7 @@ def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
     person = plan.person(key)
     task = TASKS[key.task]
     variant = VARIANTS.get(key.variant, PLAIN)
+    # a seed is a signed 64-bit integer in tables
     seed = int(rng.integers(2**62))
     pace = variant.pace * float(
         np.exp(PACE_SPREAD * person.standard_normal() + WITHIN_SPREAD * rng.standard_normal())
@@ -210,12 +218,15 @@ def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
         name: {"perception": f"observer:{observer}"} if name in PERSONAL else {} for name in METHODS
     }
     scenes = {name: changed(scene, {**method, **felt[name]}) for name, method in METHODS.items()}
+    # one stiffness for all methods, so that only the method differs; the smallest is stable under
+    # each
     common_N_m = min(floor(_stiffness_N_m(each)) for each in scenes.values())
     for name, scene in scenes.items():
         scenes[name] = changed(scene, {**per_trial, "coupling.stiffness_N_m": common_N_m})
     return TrialScene(scenes, specimen, truth, pace)
 
 
+# the size bounds the memory; a scene that was dropped is computed again, with the same result
 @lru_cache(maxsize=64)
 def _force_scale(scene: Scene) -> float:
     """Return the chosen ratio of device force to tool force of a scene on the study's device.
@@ -232,6 +243,7 @@ def _all_specimens(task: str) -> list[Scene]:
     return [changed(load_scene(usual.scene), {**usual.changes, **each}) for each in usual.specimens]
 
 
+# the size bounds the memory; a scene that was dropped is computed again, with the same result
 @lru_cache(maxsize=64)
 def _stiffness_N_m(scene: Scene) -> float:
     """Return the chosen stiffness of a scene [N/m].
@@ -278,6 +290,7 @@ def _metrics(trial: TrialScene, method: str, key: TrialKey) -> dict[str, float]:
     """Return the metrics of a trial under one method."""
     scene = trial.scenes[method]
     person = trial.person
+    # a needle is pushed by force and stopped by a reaction, not moved along a path
     if key.task == "needle":
         run = pierce(
             scene, kappa=person.kappa, offset_N=person.offset_N, rate_N_s=trial.pace * RATE_N_S
@@ -323,6 +336,7 @@ def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict
     tip = trace.vectors("tool", "mm")
     assert isinstance(run.scene.motion, PathMotion)
     done = np.linalg.norm(tip - np.array(run.scene.motion.points_mm[-1]), axis=1) < ARRIVED_MM
+    # a path may end where it begins: the tool must have left the end before
     took = metrics.completion_time_s(trace["time_s"], done & (np.cumsum(~done) > 0))
     error = metrics.force_error(played, ideal)
     least = metrics.force_error(nearest, ideal)
@@ -347,6 +361,7 @@ def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict
     }
     if task == "needle":
         found |= _pierced(run)
+    # compared in newtons at the reamer, while `force_rms_N` is at the device
     if task == "reaming":
         found["tracking_rms_N"] = found["force_rms_N"] / chosen_scale(run.scene)[0]
         found |= _reamed(run, touching)
@@ -410,6 +425,7 @@ def intensity_ratios(
     count = max(len(ideal_N) // round(WINDOW_S / TICK_S), 1)
     sizes = np.linalg.norm(ideal_N, axis=1)
     met = np.array([part.min() for part in np.array_split(sizes, count)]) > TOUCHES * sizes.max()
+    # a spread needs two windows
     if met.sum() < 2:
         raise InputError(
             "tool",
@@ -438,6 +454,7 @@ def _from_path(tip_mm: Array, path_mm: Array) -> Array:
     nearest = np.full(len(tip_mm), np.inf)
     for start, end in pairwise(path_mm):
         leg = end - start
+        # a leg without length is its start
         along = np.clip((tip_mm - start) @ leg / max(float(leg @ leg), 1e-12), 0.0, 1.0)
         nearest = np.minimum(nearest, np.linalg.norm(tip_mm - start - along[:, None] * leg, axis=1))
     return nearest

@@ -73,6 +73,7 @@ class Reweighed:
         self.record = record
         self._contact = record.trace["contact_mm2"] > 0.0
         units = [layer.unit.any(axis=(0, 1, 3)) for layer in record.layers.values()]
+        # ticks without a load stay zero in every sample and are not computed
         self._loaded = (
             np.flatnonzero(np.logical_or.reduce(units, axis=0))
             if units
@@ -107,6 +108,7 @@ class Reweighed:
         The values `x` have shape (samples, p).
         """
         layers = len(self.record.layer_names)
+        # without an image of densities, no sample changes them
         place = self.ranges.names.index(DENSITY) if DENSITY in self.ranges.names else None
         rows = []
         for each in x:
@@ -122,10 +124,12 @@ class Reweighed:
         peak = np.zeros((len(x), 2))
         sums = np.zeros((len(x), 2))
         for ticks, loads in self._blocks(weights):
+            # force and torque, three components each
             parts = loads.reshape(*loads.shape[:2], 2, 3)
             sizes = np.sqrt(np.einsum("sncd,sncd->snc", parts, parts))
             peak = np.maximum(peak, sizes.max(axis=1))
             sums += sizes[:, self._contact[ticks]].sum(axis=1)
+        # without contact, the means are 0
         means = sums / max(int(self._contact.sum()), 1)
         return np.stack([peak[:, 0], means[:, 0], peak[:, 1], means[:, 1]], axis=1)
 
@@ -141,6 +145,7 @@ class Reweighed:
 
         A block holds a few consecutive loaded ticks.
         """
+        # six loads of each sample and tick
         step = max(BLOCK // (6 * len(weights)), 1)
         for first in range(0, len(self._loaded), step):
             ticks = self._loaded[first : first + step]
@@ -166,6 +171,7 @@ def density_prior(law: str) -> Prior | None:
     density; it is applied as a relative band to every voxel.
     """
     found = LAW.search(law)
+    # a density that the scene states has no law and no band
     if found is None:
         return None
     median, low, high = map(float, found.groups())
@@ -228,6 +234,7 @@ def figures_of(run: Run) -> dict[Figure, float]:
                 if name.startswith(STRESS) and np.isfinite(values).any():
                     largest = f"{LARGEST_PREFIX}{name}"
                     found[largest,] = max(found.get((largest,), 0.0), float(np.nanmax(values)))
+    # the first hole only: samples may have different numbers of holes
     for first in summary.get("break_through", ())[:1]:
         found |= {("break_through", name): value for name, value in first.items()}
     for event in summary["events"]:
@@ -263,6 +270,7 @@ def intervals(names: tuple[Figure, ...], values: Array) -> Summary:
             inside = inside.setdefault(part, {})
         there = column[np.isfinite(column)]
         inside[name[-1]] = _by_level(there)
+        # the share of an event is given even if it is 1, next to its time
         if name[0] == "events":
             inside["share"] = len(there) / len(column)
         elif len(there) < len(column):
@@ -311,6 +319,7 @@ def over_time(loads: list[Array], times_s: Array) -> tuple[Array, Summary]:
         quantiles[:, tick] = np.quantile(
             [each[tick] for each in loads if len(each) > tick], levels, axis=0
         )
+    # the first time of a trace is one step after the start
     step_s = times_s[0] if len(times_s) == 1 else times_s[1] - times_s[0]
     return quantiles, {
         "ticks": last,
@@ -329,7 +338,7 @@ LOST_WORKER = "the process that ran it was lost"
 BARREN = 5
 """Consecutive losses without a finished sample after which the workers are abandoned.
 
-The value is equal to the value of a study.
+A sample that ends its worker costs at most two: once with others, and once alone.
 """
 
 
@@ -355,6 +364,7 @@ def reruns(
     InputError
         If no scheduler answers, or workers are lost again and again.
     """
+    # one process needs no pool
     if workers.count <= 1 and workers.scheduler is None:
         for number, text in enumerate(files):
             report(f"sample {number + 1} of {len(files)}", number / len(files))
@@ -364,6 +374,7 @@ def reruns(
     suspects = list[int]()
     barren = 0
     while waiting or suspects:
+        # all others come first, so that a sample that ends its worker delays none of them
         alone = not waiting
         numbers = [suspects.pop(0)] if alone else waiting
         returned = set[int]()
@@ -394,6 +405,7 @@ def _in_pool(
 
     The outcome of a sample is None when it is submitted.
     """
+    # two samples for each process keep it busy; all that were submitted are run again if it is lost
     most = 2 * min(workers.count, len(numbers)) if workers.scheduler is None else len(numbers)
     connected = False
     fresh = iter(numbers)

@@ -58,6 +58,7 @@ def draw_pictures(run: "Run", folder: Path, kind: str = "png") -> list[str]:
             draw_removed_depth(run, depth, path("removed_depth"))
             has_measures = len(parts.tissue.layer_names) > 1 and parts.tissue.measure_names
             side = {"axis": depth.axis, "outward": depth.outward}
+            # a tool that does not turn removes nothing, so that its section would show nothing new
             is_drilled = bool(has_measures) and run.cutter.spin_rad_s != 0.0
             if is_drilled or parts.keep_clear is not None:
                 draw_section(run, path("section"), **side)

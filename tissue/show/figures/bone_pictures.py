@@ -59,6 +59,7 @@ is not seen.
 CUT_OUT = (0.82, 0.82, 0.85)
 """Colour of faces at the end of the simulated region, beyond which the bone continues."""
 MOST_POINTS = 20_000
+"""Points of a surface that place the camera: enough for the extent of the surface."""
 WIDEST_ARC = 0.4
 """Widest arrow around the tool's axis, as a share of the picture's height."""
 
@@ -128,6 +129,7 @@ class _View:
             return np.zeros(surface.n_cells, dtype=bool)
         axis, place = self.plane
         near = np.abs(np.asarray(surface.points)[:, axis] - place) < 1e3 * self.volume.spacing_m
+        # within 26 degrees of the plane's normal: smoothed normals of the cut face are not exact
         flat = np.abs(np.asarray(surface.point_data["Normals"])[:, axis]) > 0.9
         return np.asarray((near & flat)[surface.regular_faces].all(axis=1))
 
@@ -143,6 +145,7 @@ def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
     view = _View.of(run, depth)
     volume = view.volume
     remaining = view.remaining
+    # a surface is drawn where voxels are half full
     if min(int(volume.fraction.max()), int(remaining.max())) < HALF:
         return "no bone is left to show"
 
@@ -187,6 +190,7 @@ def _depth_paint(depth_mm: Singles, limit: float) -> Array:
     """
     from matplotlib import colormaps
 
+    # from bone at 1 % of the depth scale to the full colour at 4 %
     share = np.clip((depth_mm / limit - 0.01) / 0.03, 0.0, 1.0)[:, None]
     return share * colormaps[DEPTH_COLOURS](depth_mm / limit)[:, :3] + (1.0 - share) * np.array(
         BONE
@@ -199,6 +203,8 @@ def _seen(surface: "pyvista.PolyData", camera: Camera) -> "pyvista.PolyData":
 
     normals = surface.point_data["Normals"]
     triangles = surface.regular_faces
+    # smoothed normals differ from those of the triangles, so some triangles that face slightly away
+    # are kept
     facing = np.asarray(normals) @ np.array(camera.towards_eye, dtype=np.float32) > -0.2
     part = pyvista.PolyData.from_regular_faces(
         surface.points, triangles[facing[triangles].any(axis=1)]
@@ -222,6 +228,7 @@ def _annotate(shaded: Shaded, run: Run, view: _View, limit: float) -> None:
         {"not cut": BONE, "edge of the\nsimulated region": CUT_OUT},
     )
     for axes, legend in zip(shaded.panels, named, strict=True):
+        # `foot` is the height below the panel, which the legends and the colour bar share
         left, foot, wide, _ = axes.get_position().bounds
         chart.legend(
             handles=[
@@ -233,6 +240,8 @@ def _annotate(shaded: Shaded, run: Run, view: _View, limit: float) -> None:
         )
     camera = shaded.cameras[0]
     _draw_spin(shaded.panels[0], run, camera)
+    # the triad between the two legends; the colour bar in the upper half under the right of the
+    # second panel, so that its label fits below
     draw_axes(chart.add_axes((0.28, 0.0, 0.18, foot)), axis_names(run), camera)
     bar = chart.add_axes((left + 0.45 * wide, 0.58 * foot, 0.48 * wide, 0.14 * foot))
     mapped = ScalarMappable(Normalize(0.0, limit), DEPTH_COLOURS)
@@ -251,9 +260,11 @@ def _draw_spin(axes: "Axes", run: Run, camera: Camera) -> None:
     share = min(1.0, WIDEST_ARC * camera.height_mm / tool.diameter_mm)
     axes.set_autoscale_on(False)
     arc = camera.pixels(share * spin_arc_mm(tool) @ matrix[:3, :3].T + matrix[:3, 3])
+    # the last three points are left to the head of the arrow
     axes.plot(*arc[:-3].T, color="0.1", linewidth=1.6, path_effects=halo())
     draw_arrow(axes, arc[-4], arc[-1], "0.1")
     x, y = arc[np.argmin(arc[:, 1])]
+    # 8 pixels above the arc
     axes.text(x, y - 8.0, "spin", ha="center", va="bottom", size=9, path_effects=halo())
 
 
@@ -294,8 +305,11 @@ def draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
     from matplotlib.patches import Patch
 
     u0, u1, v0, v1 = shown_mm(depth)
+    # the map is at most 6 inches wide and 6.4 tall; the rest of the figure holds colour bar and
+    # legend
     per_mm = min(6.0 / (u1 - u0), 6.4 / (v1 - v0))
     spacing = run.volume.spacing_m * 1e3
+    # a hundredth of a voxel: smaller depths are steps of a fraction's byte
     least = 0.01 * spacing
     cut = depth.depth_mm[depth.depth_mm >= least]
     summary = "nothing removed"
@@ -323,12 +337,14 @@ def draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
     )
     chart.colorbar(image, ax=axes, label="removed depth / mm")
     draw_outline(axes, depth.bone, depth.extent_mm, color="0.15", linewidth=1.0)
+    # white under black keeps the outline of a layer visible on dark depths
     handles: list[Artist] = [
         Patch(facecolor=BONE, label="not cut", **EDGE),
         Line2D([], [], color="0.15", linewidth=1.0, label="bone in the simulated region"),
     ]
     for (name, mask), dashes in zip(depth.exposed.items(), cycle(EXPOSED), strict=False):
         draw_outline(axes, mask, depth.extent_mm, color="white", linewidth=2.6)
+        # half as wide as the white line below
         look = {"color": "black", "linewidth": 1.3, "linestyle": dashes}
         draw_outline(axes, mask, depth.extent_mm, **look)
         handles.append(Line2D([], [], label=f"{name} laid bare", **look))
@@ -343,6 +359,9 @@ def _hillshade(height_mm: Array, spacing_mm: float) -> Array:
     """Compute the brightness of a face lit from the upper left."""
     from scipy.ndimage import gaussian_filter
 
+    # the filter of 2 voxels hides the steps of the voxels. 1e-6 keeps places far from bone finite.
+    # The light comes from the upper left, 60 degrees above the face, and the last line maps its
+    # share to a light grey
     there = np.isfinite(height_mm)
     weight = np.maximum(gaussian_filter(there.astype(np.float64), 2.0), 1e-6)
     filled = gaussian_filter(np.where(there, height_mm, 0.0), 2.0) / weight

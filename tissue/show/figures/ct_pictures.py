@@ -49,6 +49,7 @@ OTHERS = ("#56B4E9", "#009E73", "#F0E442", "#0072B2")
 LINES = ("solid", "dashed", "dotted")
 """Strokes of the outlines. The next stroke is used after all colours."""
 NORMAL_MM = 12.0
+"""Length of the arrow along the normal, visible in slices of a joint [mm]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,10 +123,13 @@ def draw_ct_slices(
     spacing = np.array(image.spacing_mm)
     shape = np.array(image.values.shape)
     at = np.rint((marks.centre_mm - origin) / spacing).astype(int).clip(0, shape - 1)
+    # air and fat are far below 0 HU; other images have no negative values or small ones
     hounsfield = float(image.values.min()) < -100.0
+    # 1 and 99.8 %: a few bright voxels, such as metal, do not darken the image
     low, high = window_HU if hounsfield else np.percentile(image.values, (1, 99.8))
     looks: list[dict[str, Any]] = [{"color": BODY, "linestyle": "solid"}]
     looks += [{"color": colour, "linestyle": line} for line, colour in product(LINES, OTHERS)]
+    # inches: three near square panels, and the legend below
     chart, panels = panelled(title, (9.0, 3.9), 1, 3)
     for axes, (u, v, through, name) in zip(panels, VIEWS, strict=True):
         plane = [u, v]
@@ -163,6 +167,7 @@ def _outline(
     """Draw the line where a field is 0 in the slice at a place along its axis."""
     through = order[2]
     at = round((place_mm - field.origin_mm[through]) / field.spacing_mm[through])
+    # the slice lies outside the extent of the structure's image
     if not 0 <= at < field.values.shape[through]:
         return
     values = np.take(field.values, at, axis=through).T
@@ -170,6 +175,7 @@ def _outline(
         field.origin_mm[a] + field.spacing_mm[a] * np.arange(field.values.shape[a])
         for a in order[:2]
     )
+    # a slice next to the structure has no line, and contour() would warn
     if values.min() < 0.0 < values.max():
         axes.contour(
             x, y, values, [0.0], colors=look["color"], linestyles=look["linestyle"], linewidths=1.1
@@ -177,6 +183,7 @@ def _outline(
 
 
 AROUND_ORGAN_MM = 10.0
+"""Shown surroundings of an organ [mm]."""
 
 
 def draw_ct_organ(
@@ -202,6 +209,7 @@ def draw_ct_organ(
     high = np.minimum(high, image.values.shape)
     part = tuple(map(slice, low.astype(int).tolist(), high.astype(int).tolist()))
     around = part_of(image, part)
+    # a slice through the organ's middle might miss a small part
     smallest = min(parts or [organ], key=lambda name: int(np.count_nonzero(masks[name])))
     middle = origin + spacing * np.argwhere(masks[smallest]).mean(axis=0)
     sizes = zip(around.origin_mm, around.spacing_mm, around.values.shape, strict=True)
@@ -209,6 +217,7 @@ def draw_ct_organ(
     depth = -triangle_distance(mesh.nodes_m, mesh.surface, 1e-3 * grid).reshape(around.values.shape)
     outlines = {f"{organ}, meshed": replace(around, values=depth.astype(np.float32))}
     for name in parts:
+        # outlines are drawn at 0, halfway between inside and outside
         outlines[name] = replace(around, values=masks[name][part] - np.float32(0.5))
     draw_ct_slices(around, path, outlines, Marks(middle), title=title, window_HU=SOFT_HU)
 
@@ -219,8 +228,12 @@ PATH_FOOT_PX = 330
 AXES_PX = 150
 """Heights above and below the renderings, and edge of the small axes [pixel]."""
 UNDER_MM = 2.0
-"""Depth at which the density is read that a point of the surface shows."""
+"""Depth at which the density is read that a point of the surface shows.
+
+Voxels at the surface hold a part of the tissue outside, and their density is too low.
+"""
 DENSITIES = (0.0, 1800.0)
+"""Range of the density's colours, up to dense cortical bone [kg/m3]."""
 COLOURS = "YlGnBu"
 """Colour map with light colours where bone is sparse, so that shading stays visible.
 
@@ -261,6 +274,8 @@ def draw_ct_bone(
         wide, tall = shaded.size_px
         foot = FOOT_PX / tall
         for axes, camera, left in zip(shaded.panels, shaded.cameras, (0.06, 0.84), strict=True):
+            # a triad under the outer half of each panel, the colour bar between them
+            # arrows of 15 mm, visible next to a bone of some centimetres
             marks.draw(axes, camera.pixels, 15.0)
             draw_axes(shaded.chart.add_axes((left, 0.02, AXES_PX / wide, 0.9 * foot)), AXES, camera)
         if density is not None:
@@ -280,7 +295,10 @@ def _eyes(normal: Array | None) -> dict[str, tuple[Array, Array]]:
     if normal is None:
         front = np.array(FRONT)
         return {"from the front": (front, head), "from the back": (front * [1.0, -1.0, 1.0], head)}
+    # the head cannot be up in a view along the head's direction; then the front of the patient is
+    # up
     upright = head if abs(normal[2]) < 0.9 else np.array([0.0, -1.0, 0.0])
+    # from the side and a little from above, so that the arrow and the face are both visible
     aside = np.cross(upright, normal) + 0.25 * upright
     return {"along the site's axis": (normal, upright), "from aside": (aside, upright)}
 
@@ -331,6 +349,8 @@ def draw_path_depth(
     None, or the reason why it could not be drawn.
     """
     points = found.points_mm
+    # 0.7 of the longest extent leaves a margin around the path; the cube's half edge is 0.6 of it,
+    # as the camera adds a border
     half = max(AROUND_PATH_MM, 0.7 * float(np.ptp(points, axis=0).max()))
     corners = points.mean(axis=0) + 0.6 * half * lattice(*[[-1.0, 1.0]] * 3)
     mesh = _painted(surface, None)
@@ -344,7 +364,9 @@ def draw_path_depth(
         from matplotlib.collections import LineCollection
 
         middle = 0.5 * (found.depth_mm[1:] + found.depth_mm[:-1])
+        # a path outside of the bone has no depth, and a share of it needs a divisor
         deepest = max(found.deepest_mm, 1e-6)
+        # the first 15 % of the colour map are too light on bone
         shades = colormaps[PATH_COLOURS](0.15 + 0.85 * np.clip(middle / deepest, 0.0, 1.0))
         inside = middle > 0.0
 
@@ -365,6 +387,7 @@ def draw_path_depth(
             AXES,
             shaded.cameras[0],
         )
+        # the triad in the lower left corner, the depth over path length to the right of it
         low = shaded.chart.add_axes(
             (0.2, 0.32 * PATH_FOOT_PX / tall, 0.75, 0.55 * PATH_FOOT_PX / tall)
         )
@@ -386,7 +409,9 @@ ALL = "0.6"
 INSIDE = "#E69F00"
 LEVEL = "#D55E00"
 BINS = 160
+"""Edges of the bins: 20 HU wide, about the noise of a CT."""
 RANGE_HU = (-1100.0, 2200.0)
+"""Range of the histogram, from air to dense cortical bone; metal is left out."""
 
 
 @styled
@@ -424,6 +449,7 @@ def draw_ct_histogram(
     if threshold is not None:
         axes.axvline(threshold, color=LEVEL, linestyle="--", label=f"threshold {threshold:g}")
     axes.set_yscale("log")
+    # single voxels are visible on the logarithmic axis
     axes.set(xlim=(low, high), ylim=(0.7, None), xlabel="grey value", ylabel="voxels")
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(loc="upper right")
@@ -435,6 +461,7 @@ def draw_ct_histogram(
         )
         upper.set_xlabel("apparent density of bone [kg/m³]")
         upper.set_xticks(
+            # densities beyond 4000 kg/m3 are not tissue
             [ticks for ticks in range(0, 4000, 500) if offset <= ticks <= slope * high + offset]
         )
     save(chart, path)

@@ -91,6 +91,7 @@ def draw_measured(
         groups.setdefault(name.partition("_")[0], []).append(at)
     chart, panels = panelled(
         "measured and simulated loads",
+        # inches: each group has its loads, and its residuals at half the height
         (8.0, 0.9 + 2.9 * len(groups)),
         2 * len(groups),
         sharex=True,
@@ -108,6 +109,7 @@ def draw_measured(
         shown = unit.replace("Nm", "N m")
         loads.set_ylabel(f"{what} / {shown}")
         rest.set_ylabel(f"residual / {shown}")
+    # the measured load and three axes
     legend_above(panels[0], 4)
     panels[-1].set_xlabel("time / s")
     plain(panels)
@@ -132,16 +134,21 @@ def draw_residuals(innovations: Array, correlations: Array, freedom: float, path
     """
     from scipy.stats import t
 
+    # inches: two panels side by side
     chart, (spread, over) = panelled("residuals and noise model", (8.0, 3.4), 1, 2)
     known = innovations[np.isfinite(innovations)]
+    # innovations beyond six scales are counted in the last bins
     at = np.linspace(-6.0, 6.0, 121)
+    # five bins a scale
     spread.hist(np.clip(known, -6.0, 6.0), bins=60, range=(-6.0, 6.0), density=True, color="0.8")
     label = f"Student's t, {freedom:.3g} degrees of freedom"
     spread.plot(at, t.pdf(at, freedom), color=SIMULATED, label=label)
     spread.set(xlabel="noise added in a sample / its scale", ylabel="density")
+    # on a logarithmic axis, tails are visible down to one sample in thousands
     spread.set(yscale="log", ylim=(1e-4, 1.0))
     legend_above(spread, 1)
     lags = np.arange(correlations.shape[1])
+    # 95 % of the autocorrelations of n samples of white noise lie within 1.96 / sqrt(n)
     white = 1.96 / np.sqrt(max(len(innovations), 1))
     over.axhspan(-white, white, color="0.9", label="95 % of white noise")
     over.plot(lags, correlations[0], color=MEASURED, label="residual")
@@ -161,6 +168,7 @@ def draw_constants(constants: Sequence[FittedConstant], path: Path) -> None:
     chart, (axes,) = panelled("constants of the fit", (8.0, FRAME + ROW * len(constants)))
     for row, one in enumerate(constants):
         least, most = one.cited_z
+        # 0.3 of the row is left between two bars
         axes.barh(row, most - least, left=least, height=0.7, color=PRIOR, linewidth=0.0)
         low, middle, high = one.fitted_z
         colour = SIMULATED if one.is_identified else "0.45"
@@ -171,14 +179,18 @@ def draw_constants(constants: Sequence[FittedConstant], path: Path) -> None:
             for least, value, most in (one.cited, one.fitted)
         )
         lines = found if one.is_identified else "not narrowed by this log", f"cited {cited}"
+        # two lines of text within a row of height 1
         for shift, line, look in zip((-0.2, 0.22), lines, (colour, "0.45"), strict=True):
             across = axes.get_yaxis_transform()
+            # to the right of the panel, the fitted interval above the cited one
             axes.text(1.03, row + shift, line, transform=across, va="center", size=8, color=look)
     axes.barh(0, 0, color=PRIOR, label="cited")
     axes.plot([], [], "o-", color=SIMULATED, linewidth=3.2, label="fitted")
     legend_above(axes, 2)
     axes.set_yticks(range(len(constants)), [one.label for one in constants])
+    # the first constant on top, with a margin around the bars of height 0.7
     axes.set_ylim(len(constants) - 0.4, -0.6)
+    # at least the cited range, 1.64 standard deviations to either side, with a margin
     reach = 1.05 * max(2.2, *(abs(z) for one in constants for z in one.fitted_z))
     axes.set_xlim(-reach, reach)
     axes.set_xlabel("standard deviations of the cited range")
@@ -221,6 +233,7 @@ def draw_band(times_s: Array, nominal: Array, quantiles: Array, path: Path, *, t
     title
         Name of the scene.
     """
+    # columns 0 to 3 are the force, 4 to 7 the torque
     torque = np.abs(quantiles[..., 4:]).max(initial=0.0)
     groups = [("force", "N", 0, 1.0)]
     if torque > 0.0:
@@ -228,6 +241,7 @@ def draw_band(times_s: Array, nominal: Array, quantiles: Array, path: Path, *, t
         groups.append(("torque", unit, 4, scale))
     chart, panels = panelled(
         f"{title}: loads on the tool over the ranges of constants",
+        # inches: each group has a panel of sizes and one of components
         (8.0, 1.3 + 3.9 * len(groups)),
         2 * len(groups),
         sharex=True,
@@ -236,6 +250,7 @@ def draw_band(times_s: Array, nominal: Array, quantiles: Array, path: Path, *, t
     for (name, unit, first, scale), size, components in zip(
         groups, panels[::2], panels[1::2], strict=True
     ):
+        # columns of a group: three components, then the size
         for axes, at, colour in (
             (size, first + 3, "0.25"),
             *((components, first + c, COMPONENTS[c]) for c in range(3)),
@@ -253,6 +268,7 @@ def draw_band(times_s: Array, nominal: Array, quantiles: Array, path: Path, *, t
         components.set_ylabel(f"{name} / {unit}")
     for c, colour in enumerate(COMPONENTS):
         panels[0].plot([], [], color=colour, linewidth=3.0, label="xyz"[c])
+    # three axes, the median, the run itself and two bands in one line
     legend_above(panels[0], 7)
     panels[-1].set_xlabel("time / s")
     plain(panels)
@@ -281,11 +297,13 @@ def draw_sobol(
     groups = list(next(iter(indices.values())))
     most = {group: max(each[group]["total"] for each in indices.values()) for group in groups}
     shown = sorted(groups, key=lambda group: -most[group])[:SHOWN]
+    # two panels a row
     rows = -(-len(indices) // 2)
     left = len(groups) - len(shown)
     more = f"; {left} that matter less are left out" if left else ""
     chart, panels = panelled(
         f"{title}: which constant matters{more}",
+        # inches: title and legend, then in each row a title and 0.36 for each constant
         (8.0, 0.75 + rows * (0.75 + 0.36 * len(shown))),
         rows,
         2,
@@ -300,8 +318,10 @@ def draw_sobol(
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(axis="x", color="0.92", linewidth=0.6)
         axes.set_axisbelow(True)
+    # an odd number of figures leaves a panel empty
     for axes in panels[len(indices) :]:
         axes.set_visible(False)
+    # a total index may exceed 1 by its sampling error
     panels[0].set(xlim=(0.0, 1.05), ylim=(len(shown) - 0.5, -0.5))
     # the lowest of each column
     for axes in panels[max(len(indices) - 2, 0) : len(indices)]:
@@ -314,6 +334,7 @@ def draw_sobol(
 
 def _bars(axes: "Axes", rows: list[Mapping[str, Any]]) -> None:
     for shift, name, colour, label in (
+        # two bars of height 0.36 in a row of 1
         (-0.19, "first", FIRST, "first-order: alone"),
         (0.19, "total", TOTAL, "total: with what it does together with others"),
     ):
@@ -323,7 +344,7 @@ def _bars(axes: "Axes", rows: list[Mapping[str, Any]]) -> None:
         axes.barh(
             np.arange(len(rows)) + shift,
             value,
-            0.36,
+            0.36,  # height of a bar
             color=colour,
             label=label,
             xerr=spread,

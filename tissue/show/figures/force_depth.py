@@ -31,13 +31,16 @@ __all__ = ["draw_force_depth", "draw_insertion", "draw_wall", "first_descent"]
 
 
 RISE_MM = 0.2
-"""A tool that rises by this much has ended its descent."""
+"""A tool that rises by this much has ended its descent.
+
+It is twice the tremor of a novice's hand (0.1 mm, tissue/materials/hands.toml).
+"""
 
 
 def first_descent(coordinate_mm: Array, contact: Flags) -> slice:
-    """Return the rows from the first contact to the deepest point before the tool rises.
+    """Return the rows from before the first contact to the deepest point before the tool rises.
 
-    They start one row before the first contact.
+    They start where the tool is `RISE_MM` above its first contact.
 
     Parameters
     ----------
@@ -52,6 +55,8 @@ def first_descent(coordinate_mm: Array, contact: Flags) -> slice:
     down = coordinate_mm[first:]
     risen = down > np.minimum.accumulate(down) + RISE_MM
     stop = int(risen.argmax()) if risen.any() else len(down)
+    # the first row at the deepest point, up to rounding: a tool that rests there would add a
+    # vertical line
     last = first + int(np.argmax(down[:stop] <= down[:stop].min() + 1e-6))
     before = int(np.searchsorted(-coordinate_mm[:first], -(coordinate_mm[first] + RISE_MM)))
     return slice(before, last + 1)
@@ -61,6 +66,7 @@ def layers_passed(run: Run, tips_mm: Array) -> NDArray[np.str_]:
     """Return the names of the layers at tip positions before the run, shape (tips,)."""
     volume = run.volume
     place = np.floor((tips_mm * 1e-3 - volume.origin_m) / volume.spacing_m).astype(int)
+    # tips outside of the voxels are clipped to have an index, and get no layer
     inside = ((place >= 0) & (place < volume.shape)).all(axis=1)
     x, y, z = np.clip(place, 0, np.array(volume.shape) - 1).T
     inside &= volume.fraction[x, y, z] >= HALF
@@ -87,6 +93,7 @@ def draw_force_depth(run: Run, path: Path, *, axis: int, outward: int) -> str | 
     trace = run.trace
     tips = trace.vectors("tool", "mm")
     rows = first_descent(outward * tips[:, axis], trace["contact_mm2"] > 0.0)
+    # a single point is no curve
     if len(tips[rows]) < 2:
         return "the tool did not go down into the tissue"
     coordinate_mm = outward * tips[rows, axis]
@@ -95,7 +102,10 @@ def draw_force_depth(run: Run, path: Path, *, axis: int, outward: int) -> str | 
     measures: dict[str, list[str]] = {}
     for name in run.parts.tissue.measure_names:
         measures.setdefault(field_label(name)[1], []).append(name)
+    # inches per panel at about 1.3: the force has the tallest panel, as it holds the names of
+    # layers
     heights = [2.2, *([1.0] * len(measures))]
+    # 3.55 in: the panel of the force, title, and label of the axis
     chart, panels = panelled(
         f"{run.scene.name}: force on the tool over depth, first descent",
         (8.0, 3.55 + 1.3 * len(measures)),
@@ -105,6 +115,7 @@ def draw_force_depth(run: Run, path: Path, *, axis: int, outward: int) -> str | 
     )
     turns = tool_axes(tool_turns(trace)[rows])
     model = trace.vectors("model_force", "N")[rows]
+    # the commanded force, which vibrates, is pale and thin, so that it does not hide the model's
     for force, alpha, width in ((trace.vectors("force", "N")[rows], 0.35, 0.8), (model, 1.0, 1.4)):
         size = np.linalg.norm(force, axis=1)
         along = np.einsum("ij,ij->i", force, turns)
@@ -128,6 +139,7 @@ def draw_force_depth(run: Run, path: Path, *, axis: int, outward: int) -> str | 
     panels[-1].set_xlim(depth[0], depth[-1])
     panels[-1].set_xlabel("depth of the tool's tip below the surface / mm")
     chart.align_ylabels(panels)
+    # the lines drawn last: magnitude and axial force of the model, and the entry of the pale lines
     legend_above(panels[0], 2, panels[0].lines[2:5])
     save(chart, path)
     return None
@@ -147,6 +159,7 @@ def _shade(
             axes.axvline(ends[0], color="0.35", linewidth=0.7, zorder=1)
         share = (ends[1] - ends[0]) / (depth[-1] - depth[0])
         mean = f"mean {force[first:last].mean():.2g} N"
+        # a narrower band has no space even for upright text; up to 0.12 it is written upright
         if share > 0.02:
             panels[0].text(
                 0.5 * sum(ends),
@@ -159,6 +172,7 @@ def _shade(
                 size=8.5,
             )
     low, high = panels[0].get_ylim()
+    # the names of the layers need a fifth of the panel above the curves
     panels[0].set_ylim(min(low, 0.0), high + 0.2 * (high - low))
 
 
@@ -178,6 +192,7 @@ def draw_insertion(run: Run, path: Path) -> None:
     time = trace["time_s"]
     depth = -trace["tool_z_mm"]
     force = trace["model_force_z_N"]
+    # inches: two panels of equal height
     chart, panels = panelled(f"{run.scene.name}: axial force on the needle", (8.0, 6.4), 2)
     over_depth, over_time = panels
     inward = np.gradient(depth) > 0.0
@@ -191,15 +206,18 @@ def draw_insertion(run: Run, path: Path) -> None:
         over_time.plot(time, trace[name], color=colour, linewidth=1.8, label=label)
     over_time.plot(time, force, color="0.1", linewidth=1.0, label="all together")
     last_mm = -np.inf
+    # points above the curve
     height = 10
     label = "puncture"
     for when, what in run.events:
         row = int(np.searchsorted(time, when))
         if "punctured" in what and row < len(time):
+            # points above the curve; a line of text is 14 points high
             height = height + 14 if depth[row] - last_mm < BESIDE * np.ptp(depth) else 10
             last_mm = depth[row]
             over_depth.annotate(
                 what.partition(" is punctured")[0].removeprefix("the "),
+                # the force before the puncture, at its peak
                 (depth[row], force[max(row - 1, 0)]),
                 xytext=(0, height),
                 textcoords="offset points",
@@ -213,6 +231,7 @@ def draw_insertion(run: Run, path: Path) -> None:
     over_time.set(xlabel="time / s", ylabel="parts of the\naxial force / N")
     plain(panels)
     for axes in panels:
+        # the zero line lies under the curves; a margin of 12 % holds the names of the punctures
         axes.axhline(0.0, color="0.7", linewidth=0.6, zorder=0)
         axes.margins(y=0.12)
         axes.legend(loc="best")
@@ -248,7 +267,9 @@ def draw_wall(run: Run, path: Path) -> None:
     force = trace["model_force_z_N"]
     across = int(np.ptp(tips[:, :2], axis=0).argmax())
     title = f"{run.scene.name}: {tool.size_mm:g} mm ball on a wall of {wall.stiffness_kN_m:g} kN/m"
+    # inches; the panel of the paths is the taller one, since its axes have one scale
     chart, (side, felt) = panelled(title, (8.0, 6.6), 2, height_ratios=(1.5, 1.0))
+    # the wall has no bottom: 1 m is beyond every view
     side.axhspan(-1e3, 0.0, color=WALL, alpha=0.35, linewidth=0.0, label="wall")
     felt.set_xlabel("depth of the ball below the wall's face / mm")
     if "device_x_mm" in trace:
@@ -261,6 +282,7 @@ def draw_wall(run: Run, path: Path) -> None:
     row = int(force.argmax())
     at, deep = tips[row, [across, 2]]
     side.add_patch(Circle((at, deep + radius), radius, fill=False, edgecolor=BALL))
+    # 1.3 of the depth, at least 1 mm, shows the wall below the path; 2.2 radii show the whole ball
     low = min(1.3 * tips[:, 2].min(), 1.3 * aimed[:, 2].min(), -1.0)
     high = max(tips[:, 2].max(), 2.2 * radius)
     if force[row] > 0.0:
@@ -271,6 +293,7 @@ def draw_wall(run: Run, path: Path) -> None:
     side.set_aspect("equal", adjustable="datalim")
     felt.plot(-aimed[:, 2], force, color=FORCE, linewidth=1.4, label="of the wall on the ball")
     felt.set_ylabel("force along z / N")
+    # a fifth of the depth is shown before the contact
     felt.set_xlim(left=0.2 * min(float(aimed[:, 2].min()), -1.0))
     plain((side, felt))
     side.legend(loc="upper right")

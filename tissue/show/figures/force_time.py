@@ -33,6 +33,7 @@ __all__ = ["FLICKER_S", "draw_force_torque", "draw_played", "event_lines", "mark
 
 
 MOST_EVENTS = 6
+"""Events that are numbered and listed below a picture; more would take more height than a panel."""
 FOOTNOTE_LETTERS = 92
 """Letters of a line of 8.5 points in 7 inches: 101 of them went over the edge."""
 EVENT_IN = 0.17
@@ -57,8 +58,10 @@ def spells(names: NDArray[np.generic], *, shortest: int = 1) -> list[tuple[int, 
     found: list[tuple[int, int, str]] = []
     for first, behind in zip(starts.tolist(), [*starts[1:].tolist(), len(names)], strict=True):
         name = str(names[first])
+        # too short, or the same as before a run that was too short
         if found and (behind - first < shortest or found[-1][2] == name):
             found[-1] = (found[-1][0], behind, found[-1][2])
+        # the first run is too short itself
         elif found and len(found) == 1 and found[0][1] - found[0][0] < shortest:
             found[0] = (0, behind, name)
         else:
@@ -108,7 +111,9 @@ def mark_events(
     lowered = 0
     for number, (time, _) in enumerate(events[:MOST_EVENTS], 1):
         for axes in panels:
+            # dashes, since layers and steps have full lines
             axes.axvline(time, color="0.15", linewidth=0.9, linestyle=(0, (4, 2)), zorder=3)
+        # numbers closer than 2 % of the axis would overlap; they are placed at three heights
         lowered = (lowered + 1) % 3 if time - place < 0.02 * (high - low) else 0
         place = time
         panels[0].annotate(
@@ -140,7 +145,9 @@ def draw_force_torque(run: Run, path: Path) -> None:
     time = trace["time_s"]
     events = joined_events(run.events)
     turns = bool(trace.vectors("torque", "Nm").any() or trace.vectors("model_torque", "Nm").any())
+    # inches of the panels; force is the largest, removal rate and path need less
     heights = (2.2, *([1.6] if turns else []), 0.9, 1.0)
+    # 1.4 in for title, legends and the label of the axis
     full = sum(heights) + 1.4 + EVENT_IN * len(event_footnotes(events))
     chart, panels = panelled(
         f"{run.scene.name}: force on the tool{'' if turns else ' (no torque)'}",
@@ -176,6 +183,7 @@ def _draw_components(
     """
     time = run.trace["time_s"]
     commanded, model = (scale * run.trace.vectors(f"{of}{name}", unit) for of in ("", "model_"))
+    # all commanded components first, so that none of them hides a component of the model
     for c, colour in enumerate(COMPONENTS):
         axes.plot(time, commanded[:, c], color=colour, linewidth=2.4, alpha=COMMANDED)
     for c, colour in enumerate(COMPONENTS):
@@ -203,6 +211,7 @@ def _draw_path(axes: "Axes", run: Run) -> None:
     for first, last, name in spells(trace["layer"], shortest=round(FLICKER_S / TICK_S)):
         if name == NO_LAYER:
             continue
+        # one legend entry for each layer
         label = "" if name in named else f"tip in {name}".replace("$", r"\$")
         end = time[min(last, len(time) - 1)]
         axes.axvspan(time[first], end, color=colours[name], alpha=0.45, linewidth=0.0, label=label)
@@ -212,7 +221,7 @@ def _draw_path(axes: "Axes", run: Run) -> None:
 
 
 MOMENT_S = 0.06
-"""Length of the steepest moment [s]."""
+"""Length of the steepest moment [s]: latencies of some milliseconds are visible in it."""
 LINES: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ("model_force", "the tissue's, at the device's scale", {"color": "0.6", "linewidth": 3.0}),
     ("raw_force", "as the renderer gives it", {"color": "#0072B2", "linewidth": 1.6}),
@@ -247,7 +256,9 @@ def draw_played(run: Run, path: Path) -> None:
     scale, _ = chosen_scale(run.scene)
     limit_N = device_parameters(held.kind, run.scene.constants).force_limit_N
     turns = bool(trace.vectors("device_torque", "Nm").any())
+    # inches: the whole run, its steepest moment, the positions, and the torque if there is any
     heights = (2.4, 2.0, 1.5, 1.2)[: 3 + turns]
+    # 1 in for title, legends and the label of the axis
     chart, panels = panelled(
         f"{run.scene.name}: what the {held.kind} played ({held.hand}, {held.renderer}); "
         f"{scale:g} N for each newton at the tool",
@@ -262,6 +273,7 @@ def draw_played(run: Run, path: Path) -> None:
     }
     sizes["model_force"] *= scale
     steepest = int(np.abs(np.diff(sizes["raw_force"], prepend=0.0)).argmax())
+    # a quarter of the moment is shown before the steepest change
     first = max(steepest - round(0.25 * MOMENT_S / TICK_S), 0)
     moment = slice(first, first + round(MOMENT_S / TICK_S))
     for axes, span in ((panels[0], slice(None)), (panels[1], moment)):
@@ -282,6 +294,7 @@ def draw_played(run: Run, path: Path) -> None:
             zorder=0,
             label="compressed into the device's range",
         )
+    # the line of the limit far above the forces would flatten them
     if sizes["device_force"].max() > 0.5 * limit_N:
         label = f"largest force of the {held.kind}, {limit_N:g} N"
         panels[0].axhline(limit_N, color="0.2", linewidth=1.0, linestyle=(0, (6, 3)), label=label)
@@ -289,6 +302,7 @@ def draw_played(run: Run, path: Path) -> None:
     panels[1].set_title("the steepest moment, grey above", loc="left")
     apart = np.abs(trace.vectors("tool", "mm") - trace.vectors("device", "mm")).max(axis=0)
     axis = "xyz"[int(apart.argmax())]
+    # the tool's line is thinner and drawn last, so that both are visible where they coincide
     for name, colour, width in (("device", "#56B4E9", 2.0), ("tool", "0.1", 1.2)):
         panels[2].plot(time, trace[f"{name}_{axis}_mm"], label=name, color=colour, linewidth=width)
     panels[2].set_ylabel(f"{axis} / mm")

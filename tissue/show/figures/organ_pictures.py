@@ -129,6 +129,7 @@ def draw_press(
     unit_mm = np.float32(IN_MM[moved.rpartition("_")[2]])
     mesh.points = np.asarray(mesh.points) + unit_mm * mesh.point_data[moved]
     shown: list[_Shown] = []
+    # one stress: there are two panels
     for name in (moved, *[name for name in frame.cells if name.startswith("von_mises_")][:1]):
         if (array := field_values(mesh, name)) is not None:
             shown.append(_Shown(name, field_limits(name, [array]), opened=flat or bool(shown)))
@@ -144,6 +145,8 @@ def draw_press(
         probe = pyvista.PolyData() if tool is None else tool.transform(place, inplace=False)
         surfaces = [_organ(mesh, each, tips, edge, eye) for each in shown]
         organ = np.asarray(surfaces[0].points)
+        # a needle is several times as long as an organ is high: its shaft would make the organ
+        # small
         if flat and probe.n_points:
             probe = probe.clip(
                 normal="z", origin=(0.0, 0.0, organ[:, 2].max() + ABOVE * np.ptp(organ[:, 2]))
@@ -160,6 +163,7 @@ def draw_press(
             left, _, wide, _ = axes.get_position().bounds
             if each.opened and edge is not None:
                 _name_inclusion(axes, *edge, shaded.cameras[0])
+            # in the upper part under each panel, with space for ticks and label below
             place = shaded.chart.add_axes(
                 (left + 0.25 * wide, 0.66 * foot, 0.6 * wide, 0.16 * foot)
             )
@@ -167,6 +171,7 @@ def draw_press(
             words = field_words(each.name)
             bar.set_label(words + (", cut open at the tool" if each.opened else ""))
             if each.ends[0] > 0.0:  # a logarithmic scale, whose default ticks would overlap
+                # four ticks with two digits fit the width of the bar
                 ticks = np.geomspace(*each.ends, 4).tolist()
                 bar.set_ticks(ticks, labels=[f"{tick:.2g}" for tick in ticks])
                 bar.minorticks_off()
@@ -205,6 +210,7 @@ def _organ(
     if shown.opened and edge is not None:
         from matplotlib.colors import to_rgb
 
+        # 0.25 % of the organ's diagonal, about two pixels of the picture
         tube = with_normals(edge[1].tube(radius=0.0025 * whole.length).triangulate())
         parts.append(paint(tube, np.tile(to_rgb(INCLUSION), (tube.n_points, 1))))
     return parts[0].append_polydata(*parts[1:]) if len(parts) > 1 else parts[0]
@@ -229,6 +235,7 @@ def _edge_of_inclusion(
 def _name_inclusion(axes: "Axes", name: str, line: "pyvista.PolyData", camera: Camera) -> None:
     """Write the inclusion's name below its outline."""
     pixels = camera.pixels(line.points)
+    # the lowest point of the outline; y of pixels increases downward
     x, y = pixels[pixels[:, 1].argmax()]
     axes.text(x, y + 8.0, name, ha="center", va="top", size=9, color="0.1", path_effects=halo(2.5))
 
@@ -289,6 +296,7 @@ def _surface(series: FieldSeries) -> "pyvista.PolyData":
     member = np.column_stack([np.isin(nodes, series.node_sets.get(name, ())) for name in marks])
     surface = drawn_surface(grid, member.astype(np.float32))
     colours = np.tile(FREE, (surface.n_cells, 1))
+    # a triangle is coloured if all of its nodes belong to the set
     whole = np.asarray(surface.point_data[SHOWN])[surface.regular_faces].min(axis=1) == 1.0
     for index, colour in enumerate(marks.values()):
         colours[whole[:, index]] = colour

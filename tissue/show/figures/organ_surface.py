@@ -27,16 +27,25 @@ __all__ = [
 SHOWN = "shown"
 """Point array of the values that are drawn."""
 SHARP_DEG = 40.0
-"""Edges of a greater angle are drawn sharp."""
+"""Edges of a greater angle are drawn sharp: those of a block, not those between facets."""
 LEVELS = 2
-"""Number of times that each triangle of the boundary is divided into four."""
+"""Number of times that each triangle of the boundary is divided into four.
+
+Sixteen triangles in place of one appear smooth at the size of a picture.
+"""
 CAP_EDGE = 0.012
 MOST_PASSES = 10
-"""Longest edge of a section's triangles, in diagonals of the organ, and most divisions."""
+"""Longest edge of a section's triangles, in diagonals of the organ, and most divisions.
+
+The edge is about ten pixels of a picture.
+"""
 
 
 INWARD = 5e-3
-"""Share of the distance to a cell's middle by which a boundary point is moved inside."""
+"""Share of the distance to a cell's middle by which a boundary point is moved inside.
+
+A point on the boundary itself counts as outside by rounding.
+"""
 
 
 def drawn_surface(mesh: "pyvista.DataSet", values: Singles) -> "pyvista.PolyData":
@@ -83,6 +92,8 @@ def _divided(surface: "pyvista.PolyData") -> "pyvista.PolyData":
     first, second = edges.T
     along = points[second] - points[first]
     bent = np.zeros_like(along)
+    # the middle of a cubic whose end tangents are at right angles to the normals: an eighth of the
+    # slope at each end
     for end, sign in ((first, -0.125), (second, 0.125)):
         bent += sign * np.einsum("ij,ij->i", along, normals[end])[:, None] * normals[end]
     place = np.unique(points, axis=0, return_inverse=True)[1].reshape(-1)
@@ -130,11 +141,13 @@ def section_cap(
     filler.Update()
     cap: pyvista.PolyData = pyvista.wrap(filler.GetOutput())
     cap.clear_data()
+    # the plane misses the mesh
     if not cap.n_cells:
         return cap
     cap = cap.subdivide_adaptive(max_edge_len=CAP_EDGE * surface.length, max_n_passes=MOST_PASSES)
     places = np.asarray(cap.points, dtype=np.float64)
     layers = np.asarray(mesh.cell_data["layer"])
+    # a single layer needs no search for the cell of each place
     several = layers.min() < layers.max()
     layer = layers[mesh.find_closest_cell(places)] if several else np.full(len(places), layers[0])
     values = np.zeros(len(places))
@@ -240,6 +253,7 @@ def interpolate_in_layers(
         totals, weights = (
             map_coordinates(each, at, order=1, mode="grid-constant") for each in (total, weight)
         )
+        # no cell of the layer is among the eight around: the weight is zero up to rounding
         found = weights > 1e-9
         result[here[found]] = totals[found] / weights[found]
         rows = same if len(same) else np.arange(len(there))

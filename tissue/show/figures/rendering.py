@@ -27,6 +27,7 @@ __all__ = ["FIELD_AMBIENT", "Camera", "Shaded", "draw_axes", "draw_shaded", "pai
 
 PANEL_PX = 780
 GAP_PX = 40
+"""Width of a panel and of the space between two panels: two panels are 8 inches at 200 dpi [px]."""
 OVERSAMPLING = 2
 """Pixels drawn for a pixel shown, along each edge: smooth outlines where the graphics card
 smooths none.
@@ -36,7 +37,7 @@ FIELD_AMBIENT = 0.72
 ALL_LIGHT = 1.08
 """Ambient light on bone and on a field, and the total light with lamps.
 
-The colours of a field must agree with its scale.
+The colours of a field must agree with its scale, so that it has little shade.
 """
 LIGHTS = (((-0.6, 0.7, 0.9), 0.74), ((0.9, 0.1, 0.7), 0.26), ((0.1, -0.9, 0.55), 0.34))
 """Direction (right, up, towards the eye) and strength of the lights: key, fill, rim."""
@@ -74,7 +75,10 @@ class Camera:
         seen = np.asarray(points_mm) @ axes.T
         first = seen.min(axis=0)
         last = seen.max(axis=0)
+        # a border of 3 % on each side
         width, height = 1.06 * (last - first)[:2]
+        # limits of the panel's height, so that very flat or tall objects leave space for legends;
+        # it is rounded to an even number, though an odd one renders as well
         tall = int(np.clip(PANEL_PX * height / width, 0.45 * PANEL_PX, 1.15 * PANEL_PX)) // 2 * 2
         height = max(height, width * tall / PANEL_PX)
         centre = 0.5 * (first + last) @ axes
@@ -100,6 +104,7 @@ def paint(surface: "pyvista.PolyData", colours: Array) -> "pyvista.PolyData":
     3).
     """
     data = surface.point_data if len(colours) == surface.n_points else surface.cell_data
+    # VTK draws bytes as they are; other numbers would go through a colour table
     data["colours"] = np.rint(255.0 * colours).astype(np.uint8)
     return surface
 
@@ -194,6 +199,7 @@ def draw_shaded(
             panels.append(axes)
         for axes, name in zip(panels, names, strict=False):
             axes.set_title(name, size=10)
+        # 38 pixels below the upper edge, above the titles of the panels
         chart.text(0.5, 1.0 - 38 / size[1], title, ha="center", va="center", size=11)
         annotate(Shaded(chart, panels, cameras, size))
         save(chart, path)
@@ -243,11 +249,13 @@ def _draw(mesh: "pyvista.PolyData", camera: Camera, averaged: int, ambient: floa
     towards, up, centre = map(np.array, (camera.towards_eye, camera.up, camera.centre_mm))
     axes = np.stack([np.cross(up, towards), up, towards])
     for direction, strength in LIGHTS:
+        # a metre away: lamps and eye are outside of every object, which is some centimetres large
         place = centre + 1e3 * np.array(direction) @ axes
         plotter.add_light(pyvista.Light(place, centre, intensity=strength))
     plotter.camera_position = [centre + 1e3 * towards, centre, up]
     plotter.camera.parallel_projection = True
     plotter.camera.parallel_scale = 0.5 * camera.height_mm
+    # from the eye, which is 1 m before the centre, to 1 m behind it [mm]
     plotter.camera.clipping_range = (1.0, 2e3)
     large = np.asarray(plotter.screenshot(None, return_img=True))[..., :3]
     plotter.close()
@@ -268,25 +276,31 @@ def _draw_scale(axes: "Axes", camera: Camera) -> None:
     parallel.
     """
     per_mm = camera.size[1] / camera.height_mm
+    # at most a quarter of the width
     length = round_length(0.25 * camera.size[0] / per_mm)
+    # 20 and 16 pixels from the corner
     right = camera.size[0] - 20.0
     left = right - length * per_mm
     y = camera.size[1] - 16.0
     axes.plot([left, right], [y, y], color="0.1", linewidth=2.2, path_effects=halo())
     middle = 0.5 * (left + right)
     words = f"{length:g} mm"
+    # 8 pixels above the bar
     axes.text(middle, y - 8.0, words, ha="center", va="bottom", size=9, path_effects=halo())
 
 
 def draw_axes(axes: "Axes", names: Sequence[str], camera: Camera) -> None:
     """Draw the world's axes as the camera sees them."""
     view = np.stack([np.cross(camera.up, camera.towards_eye), camera.up])
+    # arrows of length 0.8 and their names fit; up is wider, since z points up in most views
     axes.set(xlim=(-1.5, 1.5), ylim=(-0.75, 1.35), aspect="equal")
     axes.set_axis_off()
     for along, name in zip(0.8 * view.T, names, strict=True):
+        # an axis that points at the viewer has no visible length and no direction for its name
         if np.hypot(*along) < 0.2:
             continue
         draw_arrow(axes, (0.0, 0.0), along, "0.2", width=1.0)
+        # the name is 0.12 beyond the arrow's tip
         x, y = along * (1.0 + 0.12 / np.hypot(*along))
         axes.text(x, y, name, ha="left" if along[0] > -0.05 else "right", va="center", size=9)
 

@@ -43,7 +43,7 @@ PATH = "#CC79A7"
 """Colour of the tip's path."""
 TOOL: dict[str, Any] = {"color": "0.1", "linewidth": 1.0, "linestyle": (0, (3, 1.5))}
 DECADES = 3.0
-"""Widest span of a logarithmic scale."""
+"""Widest span of a logarithmic scale: over more, colours of neighbouring values look alike."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +86,7 @@ def plane_of(run: Run, *, axis: int, outward: int, row: int) -> tuple[int, int, 
     tips = run.trace.vectors("tool", "mm")
     cutting = np.flatnonzero(run.trace["contact_mm2"] > 0.0)
     rows = cutting if cutting.size else np.arange(len(tips))
+    # a moment before the first contact shows the plane of the deepest point of the whole run
     so_far = rows[rows <= row] if (rows <= row).any() else rows
     deepest = int(so_far[np.argmin(outward * tips[so_far, axis])])
     sides = [a for a in range(3) if a != axis]
@@ -113,6 +114,7 @@ def section_of(run: Run, *, axis: int, outward: int, row: int) -> Section:
     index = int(np.clip(np.floor((place - origin[normal]) / spacing), 0, volume.shape[normal] - 1))
     left = run.remaining if run.poses is None else run.replay().at(row)
     planes = (np.take(array, index, axis=normal) for array in (volume.fraction, left, volume.layer))
+    # `take` keeps the order of the world's axes, but the first index of a section runs across
     start, left, layer = (plane if across < axis else plane.T for plane in planes)
     ends = [
         (float(origin[a]), float(origin[a] + spacing * volume.shape[a])) for a in (across, axis)
@@ -137,6 +139,7 @@ def loaded_frame(series: FieldSeries) -> Frame | None:
         float(np.nanmax(frame.cells.get(STRESS, np.zeros(1)), initial=0.0))
         for frame in series.frames
     ]
+    # 1e-12 MPa: without any stress, no frame counts as loaded
     loaded = np.flatnonzero(np.array(peaks) >= max(0.1 * max(peaks, default=0.0), 1e-12))
     return series.frames[loaded[-1]] if len(loaded) else None
 
@@ -166,8 +169,10 @@ def draw_section(run: Run, path: Path, *, axis: int, outward: int) -> None:
     window = kept_window(kept, section)
     u0, u1, v0, v1 = window
     shape = (v1 - v0) / (u1 - u0)
+    # inches: two panels and a colour bar, or one panel of at most 5.2 in both directions
     wide = 3.05 if frame is not None else min(5.2, 5.2 / shape)
     x, y, normal = (f"{axis_names(run)[each]}" for each in section.axes)
+    # 1.75 in for title, titles of the panels, label of the axis and legend
     chart, panels = panelled(
         f"{run.scene.name} at {run.trace['time_s'][row]:.3f} s: section at {normal} = "
         f"{section.place_mm:.2f} mm, through the deepest point",
@@ -196,6 +201,7 @@ def draw_section(run: Run, path: Path, *, axis: int, outward: int) -> None:
 def _draw_layers(axes: "Axes", run: Run, section: Section) -> None:
     """Draw every voxel in its layer's colour, pale where it was removed."""
     colours = np.array(list(layer_colours(run.volume.layer_names).values()))[section.layer]
+    # white where there was no tissue
     pale = 1.0 - REMOVED_TINT * (1.0 - colours)
     left = section.left[..., None]
     start = section.start[..., None]
@@ -215,6 +221,7 @@ def _draw_tool(axes: "Axes", run: Run, section: Section) -> None:
     plane = list(section.axes[:2])
     tips = run.trace.vectors("tool", "mm")[: section.row + 1, plane]
     along = tool_axes(tool_turns(run.trace))[section.row, plane]
+    # a tool at right angles to the section has no direction in it
     along = along / max(float(np.hypot(*along)), 1e-9)
     side = np.array([along[1], -along[0]])
     outline = 1e3 * run.cutter.profile.outline
@@ -234,12 +241,15 @@ def _draw_stress(axes: "Axes", series: FieldSeries, frame: Frame, section: Secti
     stress = _section_stress(series, frame, section)
     there = section.left >= HALF / FULL
     shown = stress[there & np.isfinite(stress)]
+    # single cells at sharp edges would stretch the scale; the span is one to three decades
     low, peak = np.percentile(shown, (2.0, 99.8)) if shown.size else (1.0, 1.0)
+    # a logarithmic scale needs a range above zero, even without stress
     peak = max(float(peak), 1e-9)
     scale = LogNorm(float(np.clip(low, peak * 10.0**-DECADES, 0.1 * peak)), peak)
     for index in np.unique(section.layer[there]):
         left = there & (section.layer == index)
         draw_outline(axes, left, section.extent_mm, color="0.55", linewidth=0.7)
+    # a logarithm needs positive values; the scale begins far above 1e-12 MPa
     picture = np.ma.masked_where(~there, np.maximum(stress, 1e-12))
     return axes.imshow(
         picture.T,
@@ -336,6 +346,7 @@ def nearest_places(run: Run) -> list[Nearest]:
         steps = np.vstack([np.zeros(3), STEP_M * np.eye(3), -STEP_M * np.eye(3)])
         values = np.asarray(distance(point + steps), dtype=np.float64)
         slope = (values[1:4] - values[4:]) / (2.0 * STEP_M)
+        # the gradient of a distance is zero where two places are equally near
         on_surface = point - values[0] * slope / max(float(np.linalg.norm(slope)), 1e-9)
         least = float(trace[f"distance_{name}_mm"][row])
         found.append(Nearest(name, distance, 1e3 * point, 1e3 * on_surface, least))
@@ -380,6 +391,7 @@ def draw_kept_clear(
     for number, place in enumerate(places):
         colour = STRUCTURES[number % len(STRUCTURES)]
         depth = np.asarray(place.distance(1e-3 * points.reshape(-1, 3))).reshape(ACROSS, ACROSS)
+        # the section does not meet the structure otherwise, and contour() would warn
         if depth.min() < 0.0 < depth.max():
             axes.contourf(u, v, depth, [float(depth.min()), 0.0], colors=[colour], alpha=0.15)
             axes.contour(u, v, depth, [0.0], colors=[colour], linewidths=[1.6])

@@ -33,9 +33,11 @@ __all__ = [
 ]
 
 NEEDLE_MM = 80.0
+"""Length of a needle as it is drawn: longer than the 60 mm of the deepest push in a study."""
 POINT = 2.0
 """Length of a needle's point, in diameters."""
 SIDES = 72
+"""Sides of a round body: a turn of 5 degrees each appears round."""
 ARC = np.radians(270.0)
 """Length of the arc that shows the sense of a tool's spin."""
 ROD_MM = 40.0
@@ -60,6 +62,7 @@ def tool_surface(tool: Tool | Probe | Needle | None) -> "pyvista.PolyData | None
             return _turned(np.column_stack([outline[:, 0], np.zeros(len(outline)), outline[:, 1]]))
         case Probe(kind="sphere-probe"):
             radius = 0.5 * tool.size_mm
+            # from pole to pole is half a turn: the same 5 degrees a step
             return pyvista.Sphere(
                 radius=radius, center=(0.0, 0.0, radius), theta_resolution=SIDES, phi_resolution=36
             )
@@ -82,6 +85,8 @@ def turning_tool(tool: Tool | Probe | Needle | None) -> "pyvista.PolyData | None
     if surface is None or not isinstance(tool, Tool) or tool.spin_rpm == 0.0:
         return surface
     arc = ABOVE * spin_arc_mm(tool) + [0.0, 0.0, surface.bounds[5]]
+    # radius of the line; the head is three times as long as the line is thick, and 2.5 times as
+    # wide
     thick = 0.02 * tool.diameter_mm
     head = pyvista.Cone(
         center=arc[-1],
@@ -96,6 +101,7 @@ def turning_tool(tool: Tool | Probe | Needle | None) -> "pyvista.PolyData | None
 def spin_arc_mm(tool: Tool) -> Array:
     """Return an arc around the tool tip in the sense of rotation, in the tool's own frame [mm]."""
     turned = -np.sign(tool.spin_rpm) * np.linspace(0.0, ARC, SIDES)
+    # 15 % outside of the tool
     radius = 0.575 * tool.diameter_mm
     return np.column_stack([radius * np.cos(turned), radius * np.sin(turned), np.zeros(SIDES)])
 
@@ -116,6 +122,7 @@ def pose(tip_mm: ArrayLike, quaternion: ArrayLike) -> Array:
 def row_at(trace: "Table", time_s: float) -> int:
     """Return the row of a trace at a moment."""
     times = trace["time_s"]
+    # times from files are rounded: a tick at the moment itself counts
     return int(np.clip(np.searchsorted(times, time_s - 1e-9), 0, len(times) - 1))
 
 
@@ -167,8 +174,10 @@ def wall_face(scene: Scene) -> "dict[str, pyvista.PolyData]":
     path_mm = 1e3 * motion_of(scene, step_s=TICK_S).sweep_m()[:, :2]
     low = path_mm.min(axis=0)
     high = path_mm.max(axis=0)
+    # without a device, the tool stays on its path
     roam_mm = (scene.device and scene.device.coupling.roam_mm) or 0.0
     middle = 0.5 * (low + high)
+    # a hand may roam beyond the path on all sides
     (wide, deep) = high - low + max(FACE_MM, 2.0 * roam_mm)
     return {
         "wall": pyvista.Plane(

@@ -28,7 +28,7 @@ Record = dict[str, Any]
 LARGEST = 32767
 """Steps to either side of a quantised number of 16 bits."""
 STEPS = 255
-"""Steps of a colour."""
+"""Steps of a colour: one byte, as many as a screen shows."""
 
 
 def packed(values: NDArray[np.integer[Any]], *, differences: bool = True) -> Record:
@@ -43,6 +43,7 @@ def packed(values: NDArray[np.integer[Any]], *, differences: bool = True) -> Rec
     whole = rows.astype(f"i{size}").astype(np.int64)
     if differences:
         step = np.diff(whole, axis=0, prepend=0).astype(f"i{size}").astype(np.int64)
+        # the sign moves to the lowest bit (zigzag)
         whole = (step << 1) ^ (step >> 63)
     planes = (
         np.ascontiguousarray(whole.astype(f"<u{size}").T)
@@ -56,6 +57,7 @@ def packed(values: NDArray[np.integer[Any]], *, differences: bool = True) -> Rec
         "columns": rows.shape[1],
         "kind": f"{rows.dtype.kind}{size}",
         "differences": differences,
+        # 9 is the smallest output; a report is written once and sent on
         "data": b64encode(zlib.compress(np.ascontiguousarray(planes).tobytes(), 9)).decode("ascii"),
     }
 
@@ -71,6 +73,7 @@ def packed_vectors(values: ArrayLike) -> Record:
         (rows.min(axis=0), rows.max(axis=0)) if len(rows) else (np.zeros(rows.shape[1:]),) * 2
     )
     widest = float(np.max(high - low, initial=0.0)) or float(np.abs(rows).max(initial=0.0))
+    # two steps are kept for the rounding of the lowest value; constant columns have any step
     step = widest / (2 * LARGEST - 2) or 1.0
     low = step * np.floor(low / step)
     whole = np.rint((rows - low) / step) - LARGEST
@@ -144,6 +147,7 @@ def charts(trace: Table, scene: Scene | None) -> list[Record]:
     torque = ("torque", "Nm", *(("torque / mN·m", 1e3) if small else ("torque / N·m", 1.0)))
     drawn = []
     for name, unit, label, scale in (("force", "N", "force / N", 1.0), torque):
+        # an axial load without friction has no torque
         if not trace.vectors(f"model_{name}", unit).any() and name == "torque":
             continue
         model, commanded = (

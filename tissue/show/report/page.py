@@ -40,6 +40,7 @@ def status_of(saved: SavedRun, text: Text) -> str:
 def figures_of(saved: SavedRun, text: Text) -> str:
     """Return cards with the figures of a complete run."""
     summary = saved.summary
+    # the summary of an incomplete run has no figures
     if not saved.complete:
         return ""
     cards = [
@@ -59,6 +60,7 @@ def figures_of(saved: SavedRun, text: Text) -> str:
     ticks = summary.get("tick_us", {})
     if ticks:
         cards.append(("computing a tick of 1 ms, median", f"{ticks['median']:.3g} µs"))
+    # only runs against the wall clock have deadlines
     if "missed_deadlines" in summary:
         count = round(1e3 * summary["simulated_s"])
         cards.append(
@@ -143,6 +145,7 @@ def reproduce(scene_text: str, versions: Iterable[tuple[str, str]], text: Text) 
 
 
 def _torque(torque_Nm: float) -> str:
+    # a bur's torque is a thousandth of a reamer's
     return f"{torque_Nm:.3g} N·m" if torque_Nm >= 0.02 else f"{1e3 * torque_Nm:.3g} mN·m"
 
 
@@ -247,6 +250,7 @@ def band_lines(band: Summary) -> Iterator[str]:
         yield f"without a band: {names} ({why})"
     for name, why in band["problems"].items():
         yield f"{name} failed and is left out: {why}"
+    # half a tick covers the rounding of times
     if (span := band.get("span")) is not None and span["shortest_sample_s"] < span[
         "run_ends_s"
     ] - 0.5e-3:

@@ -95,6 +95,7 @@ def write_report(
         _require_whole(saved)
         clean = _cleaner(saved)
         shown = _cleaned({"stage": stage(saved), **_trace(saved)}, clean)
+        # reading and packing surfaces takes most of the time
         report("writing the report", 0.8)
         text = _html(saved, shown, scripts, clean)
         with whole_file(out) as temporary:
@@ -191,6 +192,7 @@ def _cleaned(value: Any, clean: Clean) -> Any:
         return clean(value)
     if isinstance(value, dict):
         return {
+            # encoded arrays may hold a short folder name by chance
             clean(key): each if key == PACKED and isinstance(each, str) else _cleaned(each, clean)
             for key, each in value.items()
         }

@@ -36,9 +36,9 @@ DEVICE = "#D55E00"
 PATH = "#D55E00"
 FORCE = COMPONENTS[0]
 MOST_POSES = 6000
-"""Maximum number of poses of the tool. The browser interpolates between them."""
+"""Maximum number of poses of the tool, 84 kB. The browser interpolates between them."""
 MOST_POINTS = 3000
-"""Points of the path that is drawn."""
+"""Points of the path that is drawn: more than a screen has pixels across."""
 LONGEST = 0.3
 """Ratio of the arrow length of the largest force to the size of the touched object."""
 
@@ -85,6 +85,7 @@ def stage(saved: SavedRun) -> Record:
     parts = [part for shown in groups.values() for part in shown.parts]
     around = Shown()
     faces = faces_of(scene)
+    # faces are translucent, since the tool passes through them
     for name, colour in layer_colours(tuple(faces)).items():
         parts.append(
             {**_still(faces[name]), "colour": to_hex(colour), "opacity": 0.4, "label": name}
@@ -110,6 +111,7 @@ def stage(saved: SavedRun) -> Record:
 
 def _ends(points_mm: Array) -> list[list[float]]:
     """Return the lowest and highest corner around points."""
+    # nothing is shown: any box will do
     if not len(points_mm):
         return [[-1.0] * 3, [1.0] * 3]
     return [points_mm.min(axis=0).tolist(), points_mm.max(axis=0).tolist()]
@@ -133,7 +135,9 @@ def _add_tool(
     if "device_x_mm" in trace and scene is not None:
         device = tips[0] + scene.motion_scale * (trace.vectors("device", "mm") - tips[0])
         poses["device"] = packed_vectors(device[rows])
+        # paler than the tool, with which it nearly coincides
         followers.append(("device", surface, DEVICE, 0.25, "device"))
+    # length 1: the browser scales it to the force
     arrow = pyvista.Arrow(shaft_radius=0.025, tip_radius=0.06, tip_length=0.18).triangulate()
     followers.append(("tool", surface, TOOL, 0.5, "tool"))
     followers.append(("force", arrow, FORCE, 1.0, "force on the tool"))
@@ -145,10 +149,12 @@ def _add_tool(
     around.see(path)
     line = {"line": packed_vectors(path), "colour": PATH, "label": "path of the tip"}
     record["parts"].append(line)
+    # at least 0.3 mm long in a run without tissue
     longest = LONGEST * max(size_mm, 1.0)
     force = tool_force(trace)
     row = int(np.linalg.norm(force, axis=1).argmax())
     largest = float(np.linalg.norm(force[row]))
+    # a run without force has an arrow of no length
     around.see([tips[row], tips[row] + longest * force[row] / max(largest, 1e-9)])
     record |= {
         "poses": poses,
@@ -168,7 +174,7 @@ def _still(surface: "pyvista.PolyData") -> Record:
 
 
 MOST_MOMENTS = 40
-"""Maximum number of moments of the bone of an incomplete run."""
+"""Maximum number of moments of the bone of an incomplete run. Each is a surface in the report."""
 
 
 def bone_shown(saved: SavedRun) -> Shown | None:
@@ -187,12 +193,14 @@ def bone_shown(saved: SavedRun) -> Shown | None:
         {int(layer) for one in surfaces for layer in np.unique(one.cell_data.get("layer", []))}
     )
     if deepest > 0.0:
+        # a run without a cut is shown by layer only
         shown.scales.append({**depth_scale(deepest), "group": "bone", "on": "points"})
     shown.scales.append({**layer_scale(names, layers), "group": "bone", "on": "cells"})
     for part in (False, True):
         taken = [(time_s, surface) for time_s, is_rest, surface in moments if is_rest is part]
         if taken:
             shown.parts.append(
+                # uncut bone has depth 0, and a share of it needs a divisor
                 {"group": "bone", "smooth": True, **_moments_of_bone(taken, max(deepest, 1e-9))}
             )
     for surface in surfaces:
@@ -211,6 +219,7 @@ def _bone_moments(saved: SavedRun) -> Iterator[tuple[float, bool, Any]]:
         entries = _entries(index) if index.is_file() else [(0.0, 0, "bone.vtp")]
         read: dict[str, Any] = {}
         for time_s, part, name in entries:
+            # a surface that does not change is listed at every moment
             if name in read:
                 continue
             read[name] = mesh_in_scene(pyvista.read(saved.path / name), placement)
@@ -224,6 +233,7 @@ def _bone_moments(saved: SavedRun) -> Iterator[tuple[float, bool, Any]]:
     for tick in np.unique(
         np.linspace(0, max(len(times) - 1, 0), MOST_MOMENTS).astype(int)
     ).tolist():
+        # moments without a change are left out, except the first
         if bone.at(tick) or tick == 0:
             yield float(times[tick]), False, bone.cut(bone.layers)
 
@@ -251,6 +261,7 @@ def _moments_of_bone(moments: Sequence[tuple[float, Any]], deepest_mm: float) ->
     meshes: list[Record] = []
     frames: list[Record] = []
     for _, surface in moments:
+        # an empty surface has no array of shape (n, 3)
         triangles = surface.regular_faces if surface.n_cells else np.zeros((0, 3), dtype=int)
         mesh, order = packed_mesh(surface.points, triangles)
         depth = np.asarray(surface.point_data["removed_depth_mm"])[order] / deepest_mm
@@ -270,6 +281,7 @@ def fields_shown(fields: SavedFields, plane: tuple[Any, Any]) -> Shown:
     for name in fields.names:
         on = "cells" if name in first.cell_data else "points"
         shown.scales.append({**field_scale(name, fields.limits(name)), "group": "field", "on": on})
+    # a single layer needs no colours of its own
     if len(fields.layer_names) > 1:
         layers = sorted({int(layer) for layer in np.unique(first.cell_data["layer"])})
         shown.scales.append(
@@ -330,6 +342,7 @@ def _is_same(a: Any, b: Any) -> bool:
     return bool(
         a.n_points == b.n_points
         and np.array_equal(a.faces, b.faces)
+        # 0.1 um: the reference positions are equal up to rounding
         and np.allclose(a.points, b.points, atol=1e-4)
     )
 
@@ -354,6 +367,7 @@ def field_scale(name: str, limits: tuple[float, float]) -> Record:
 def layer_scale(names: Sequence[str], shown: Sequence[int]) -> Record:
     """Return the colours of layers. The legend names the shown layers."""
     colours = layer_colours(tuple(names))
+    # an index of one byte
     table = np.zeros((256, 3))
     table[: len(names)] = np.array([colours[name] for name in names])
     legend = [[names[index], to_hex(colours[names[index]])] for index in shown]
@@ -371,4 +385,5 @@ def _ends_of_scale(low: float, high: float) -> Record:
 
 
 def _colours(name: str) -> Array:
+    # matplotlib's maps have 256 colours
     return np.array(colormaps[name](np.linspace(0.0, 1.0, 256)))[:, :3]

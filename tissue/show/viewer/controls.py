@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 MOST = 9
-"""Layers that have a key."""
+"""Layers that have a key: the digits from 1 on."""
 
 
 class LayerKeys:
@@ -65,6 +65,7 @@ class LayerKeys:
         self._hide = hide
         self.hidden: frozenset[str] = frozenset()
         self.help = ""
+        # a single layer is never switched off
         keys = dict(enumerate(names[:MOST], 1)) if len(names) > 1 else {}
         if keys:
             listed = "  ".join(f"{number}: {name}" for number, name in keys.items())
@@ -131,6 +132,7 @@ class ClipPlane:
         """Move the plane along its normal, by a share of the mesh's diagonal."""
         normal, origin = self._plane
         moved = np.add(origin, share * self._fields.size_mm * np.array(normal)).tolist()
+        # the widget is made when the plane is first switched on
         if self._widget is not None:
             self._widget.SetOrigin(*moved)
         self.move(normal, moved)
@@ -139,6 +141,7 @@ class ClipPlane:
     def _follow(self) -> None:
         """Show the handles of the plane while there is something that it cuts."""
         wanted = self._on and self._fields.name is not None
+        # the widget is made at first use, since a mesh is needed for its bounds
         if wanted and self._widget is None and self._fields.actor is not None:
             normal, origin = self._plane
             self._widget = self._plotter.add_plane_widget(
@@ -146,6 +149,7 @@ class ClipPlane:
                 normal=normal,
                 origin=origin,
                 bounds=self._fields.bounds_mm,
+                # the handles are just outside of the mesh
                 factor=1.1,
                 color="#CC79A7",
                 outline_opacity=0.15,
@@ -204,6 +208,7 @@ class PointRead:
             render=False,
         )
         self._mark.SetVisibility(False)
+        # at the left, below the list of fields
         self._words = add_text(plotter, "", (0.012, 0.36), size=10)
         fields.drawn.append(self.update)
 
@@ -287,6 +292,7 @@ class NameList:
     def click(self, x: int, y: int) -> bool:
         """Choose the name under a pixel, counted from the lower left; return whether one exists."""
         wide, tall = self._plotter.window_size
+        # the title is row 0 of the list
         row = int((TOP + LETTER - y / tall) // ROW) - 1
         if not (LEFT <= x / wide <= LEFT + WIDTH and 0 <= row < len(self._names)):
             return False
@@ -295,6 +301,7 @@ class NameList:
 
 
 EVERY_MS = 40
+"""Time between two updates during playback: 25 a second [ms]."""
 PLAY_KEY = "space"
 SLOWEST_S = 4.0
 """Duration below which a run is played slower, so that it lasts this time [s]."""
@@ -380,6 +387,7 @@ class PlaybackWidgets:
         plotter = self._plotter
         button = plotter.add_checkbox_button_widget(
             lambda pressed: self.play(bool(pressed)),
+            # pixels from the lower left corner: above the chart, to the left of the slider
             position=(14.0, 282.0),
             size=28,
             border_size=3,
@@ -387,6 +395,7 @@ class PlaybackWidgets:
             color_off="#BBBBBB",
         )
         self._mark_button = button.GetRepresentation().SetState
+        # to the right of the button, in shares of the window
         add_text(plotter, "play", (0.035, 0.298))
         plotter.add_key_event(PLAY_KEY, lambda: self.play(not self._playback.playing))
         plotter.iren.add_observer("TimerEvent", lambda *_: self._tick())

@@ -154,6 +154,7 @@ class FieldsShown:
             return None
         found: Any = mesh.find_closest_cell(reference_mm, return_closest_point=True)
         cell, closest = found
+        # the cell was removed: the nearest one left is a thousandth of the mesh's size or more away
         if np.linalg.norm(closest - reference_mm) > 1e-3 * self._fields.size_mm:
             return None
         layers = self._fields.layer_names
@@ -170,6 +171,7 @@ class FieldsShown:
     def _draw(self) -> None:
         mesh, shown_s = self._fields.at(self._time_s)
         key = (self.name, self.scale, self.clip, self._hidden, shown_s)
+        # the same picture: many moments of playback lie between two frames
         if key == self._last:
             return
         self._last = key
@@ -205,12 +207,14 @@ class FieldsShown:
         return moved
 
     def _add(self, mesh: "pyvista.DataSet", shown_s: float, name: str) -> None:
+        # a frame may not have the field
         if field_values(mesh, name) is None:
             return
         part = self._part(mesh)
         if not part.n_cells:
             return
         in_cells = name in part.cell_data
+        # only the whole boundary of tetrahedra can be drawn without facets, see `drawn_surface`
         smooth = (
             self._fine and self.clip is None and set(np.unique(part.celltypes)) == {TETRAHEDRON}
         )
@@ -238,6 +242,7 @@ class FieldsShown:
             render=False,
         )
         self._title = f"{field_words(name)}\nat {shown_s:.3f} s"
+        # the reader must know that a displacement is enlarged
         if self.scale != 1.0 and self._fields.displacement is not None:
             self._title += f"\ndrawn × {self.scale:.3g}"
         add_colour_scale(self._plotter, self._title, self.actor.mapper, bottom=0.42, fmt="%.2g")
@@ -273,6 +278,7 @@ def layer_look(names: tuple[str, ...]) -> dict[str, object]:
     from matplotlib.colors import ListedColormap
 
     colours = ListedColormap(list(layer_colours(names).values()))
+    # each layer's index lies in the middle of its colour
     limits = (-0.5, len(names) - 0.5)
     return {"scalars": "layer", "preference": "cell", "cmap": colours, "clim": limits, **SHADING}
 
@@ -314,6 +320,7 @@ class BoneShown:
         self._index = {names[i]: i for i in bone.layers}
         self.layers = list(self._index)
         self._hidden: frozenset[str] = frozenset()
+        # a colour scale needs a range
         self._limit = max(bone.deepest_mm, 1e-3)
         self.is_cut = bone.deepest_mm > 0.0
         self.by_depth = self.is_cut
@@ -329,6 +336,7 @@ class BoneShown:
     def at(self, tick: int) -> None:
         """Show the bone at the end of a tick."""
         if self._bone.at(tick):
+            # the bone beyond the cut is the same at all ticks
             self._take(rest=False)
             if self._visible:
                 self._draw_part("bone")
@@ -367,6 +375,7 @@ class BoneShown:
         actors = [self._draw_part(name) for name in self._parts]
         shown = [actor for actor in actors if actor is not None]
         if self.by_depth and shown:
+            # above the chart and the sliders; the legend takes its place if layers are shown
             add_colour_scale(
                 plotter, DEPTH_TITLE, shown[0].mapper, bottom=0.45, fmt="%.2f", below_label=""
             )
@@ -380,6 +389,7 @@ class BoneShown:
                 entries,
                 bcolor=None,
                 face="rectangle",
+                # shares of the window: 0.03 a line
                 size=(0.14, 0.03 * len(entries) + 0.01),
                 loc="upper right",
             )
@@ -392,6 +402,7 @@ class BoneShown:
             return None
         look = layer_look(self._names)
         if self.by_depth:
+            # bone that lost less than 2 % of the deepest cut has the colour of bone
             limits = (0.02 * self._limit, self._limit)
             look = {"scalars": DEPTH, "cmap": DEPTH_COLOURS, "clim": limits, **SHADING}
             look["below_color"] = BONE

@@ -31,7 +31,7 @@ Plotter: TypeAlias = Any
 PyVista declares its methods that forward to a renderer without their arguments.
 """
 STILL_PX = 2
-"""A mouse that moves less between press and release has clicked."""
+"""A mouse that moves less between press and release has clicked [px]: hands are not still."""
 KEPT = tuple("eqrsw")
 """Keys of VTK that stay: leave, leave, reset the camera, surfaces, wires."""
 ROTATE = 1
@@ -51,9 +51,12 @@ def own_process(*, beside_ticks: bool) -> TextIO:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if beside_ticks:
+        # Windows has no niceness
         if hasattr(os, "nice"):
             os.nice(NICE)
         os.environ.setdefault("LP_NUM_THREADS", "1")
+    # libraries may print to standard output, whose reader waits for the line "ready"; such text
+    # goes to standard error
     standard_output = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
     return standard_output
@@ -91,6 +94,7 @@ def add_text(
 def add_names(plotter: Plotter, colours: Mapping[str, tuple[float, float, float]]) -> None:
     """Write names below each other at the right, each in its colour."""
     for row, (name, colour) in enumerate(colours.items()):
+        # one line below the other, to the right of the scene
         add_text(plotter, name, (0.87, 0.93 - 0.035 * row), size=11, colour=colour)
 
 
@@ -113,6 +117,8 @@ def add_slider(
         pointa=(left, height),
         pointb=(right, height),
         color="black",
+        # shares of the window: letters as high as in the lists of `controls`, and a handle that
+        # is wider than its line
         title_height=0.024,
         slider_width=0.012,
         tube_width=0.003,
@@ -128,6 +134,7 @@ def picked(plotter: Plotter, actor: object, x: int, y: int) -> tuple[int, Array]
     from vtkmodules.vtkRenderingCore import vtkCellPicker
 
     picker: Any = vtkCellPicker()
+    # in shares of the window's diagonal: a fraction of a pixel
     picker.SetTolerance(1e-4)
     picker.InitializePickList()
     picker.AddPickList(actor)
@@ -148,7 +155,9 @@ def add_colour_scale(
         title,
         mapper=mapper,
         vertical=True,
+        # to the right of the scene, which ends at 0.86, see `MARGINS`
         position_x=0.87,
+        # it ends below the title of the window
         position_y=bottom,
         height=0.42,
         width=0.07,
@@ -220,6 +229,7 @@ def aim(
     plotter.reset_camera()
     left, right, low, high = margins
     if not len(points_mm):
+        # everything is in view already: it is only moved to the middle height of the area
         plotter.camera.SetWindowCenter(0.0, 1.0 - (low + high))
         return
     wide, tall = plotter.window_size
@@ -230,6 +240,7 @@ def aim(
     first = seen.min(axis=0)
     last = seen.max(axis=0)
     share = 2.0 * np.array([right - left, high - low])
+    # a single point has no extent
     zoom = float((share / np.maximum(last - first, 1e-9)).min())
     plotter.camera.zoom(zoom)
     middle = np.array([left + right, low + high]) - 1.0

@@ -27,7 +27,7 @@ __all__ = ["CHART_SHARE", "Choice", "RunScene", "ToolShown", "times_of"]
 CHART_SHARE = 0.27
 """Height of the chart in the window."""
 MOST_ROWS = 4000
-"""Rows of the trace that a path or a curve shows."""
+"""Rows of the trace that a path or a curve shows: several for each pixel across."""
 LONGEST = 0.3
 """Ratio of the longest arrow's length to the size of the touched object."""
 
@@ -70,6 +70,7 @@ class MomentShown:
         if travel_mm > 0.0:
             plotter.add_mesh(pyvista.lines_from_points(path), color="#D55E00", line_width=3)
         self._peak = int(np.linalg.norm(self._force, axis=1).argmax())
+        # at least 0.3 mm long where nothing has a size
         self._longest = LONGEST * max(travel_mm, size_mm, tool.length if tool else 0.0, 1.0)
         self._tool = ToolShown(plotter, tool, longest_mm=self._longest, opacity=0.35)
         self._charted = chart
@@ -79,6 +80,7 @@ class MomentShown:
 
     @property
     def _largest_N(self) -> float:
+        # a divisor, also in a run without force
         return max(float(np.linalg.norm(self._force[self._peak])), 1e-9)
 
     @property
@@ -130,11 +132,14 @@ def _chart(
     """
     import pyvista
 
+    # shares of the window: the lower edge from side to side
     chart = pyvista.Chart2D(
         size=(0.98, CHART_SHARE), loc=(0.01, 0.0), x_label="time / s", y_label="force / N"
     )
     time = trace["time_s"][every]
+    # an axis needs a range in a run without force
     ends = [0.0, 1e-3]
+    # opacity and line width: the model's force is full and wide
     forces = (trace.vectors("force", "N"), 0.3, 1.5), (tool_force(trace), 1.0, 2.0)
     for values, opacity, width in forces:
         curves = np.column_stack([np.linalg.norm(values, axis=1), values])[every].T
@@ -144,6 +149,7 @@ def _chart(
         ):
             look = {"color": pyvista.Color(colour, opacity=opacity), "width": width}
             chart.line(time, curve, label=name if opacity == 1.0 else "", **look)
+    # the curves do not touch the frame of the chart
     border = 0.05 * (max(ends) - min(ends))
     chart.y_range = (min(ends) - border, max(ends) + border)
     chart.x_range = (float(time[0]), float(max(time[-1], time[0] + 1e-3)))
@@ -198,6 +204,8 @@ class ToolShown:
         look.SetBold(True)
         look.SetColor(*pyvista.Color(FORCE).float_rgb)
         look.SetBackgroundColor(1.0, 1.0, 1.0)
+        # legible on the tissue, which still shines through; the offset is in pixels from the
+        # arrow's tip
         look.SetBackgroundOpacity(0.6)
         self._value.SetDisplayOffset(8, 4)
         plotter.add_actor(self._value, reset_camera=False, render=False)
@@ -215,15 +223,19 @@ class ToolShown:
         shown = size > LEAST * largest_N
         self._arrow.SetVisibility(shown)
         self._value.SetVisibility(shown)
+        # an arrow without length has no direction
         if not shown:
             return
+        # radii and lengths of an arrow are shares of its scale
         length = self._longest * size / largest_N
         self._arrow.mapper.dataset = pyvista.Arrow(
             start=tip_mm,
             direction=force_N,
             scale=length,
+            # 2 and 5 % of the longest arrow
             shaft_radius=0.02 * self._longest / length,
             tip_radius=0.05 * self._longest / length,
+            # head and shaft keep their width whatever the length; a short arrow is not only a head
             tip_length=min(0.12 * self._longest / length, 0.6),
         )
         self._value.SetInput(f"{size:.3g} N")
@@ -233,7 +245,7 @@ class ToolShown:
 TISSUE = ("bone", "bone beyond the cut", "field")
 """Names of the simulated tissue among the meshes of a scene."""
 MOST_POINTS = 20_000
-"""Maximum number of points of a surface for its extent."""
+"""Maximum number of points of a surface for its extent: the camera needs no more."""
 NEAR_TIP = 0.5
 """Part of the tool from its tip that has to be seen, as a share of the size of the tissue."""
 

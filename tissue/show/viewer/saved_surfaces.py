@@ -51,6 +51,7 @@ def saved_fields(saved: SavedRun) -> SavedFields | None:
     if not (saved.path / "fields.pvd").is_file():
         return None
     fields = SavedFields(saved.path)
+    # a run that was stopped early may have written neither frames nor fields
     return fields if len(fields.times_s) and fields.names else None
 
 
@@ -68,7 +69,10 @@ def tool_force(trace: Table) -> Array:
 
 
 COARSE_MM = 0.4
-"""Spacing at which the bone of an incomplete run is built and cut again."""
+"""Spacing at which the bone of an incomplete run is built and cut again [mm].
+
+The voxels of such a run were not saved. They are built while the user waits.
+"""
 
 
 class BoneOverTime:
@@ -144,6 +148,7 @@ class BoneOverTime:
             self._shown = frozenset(shown)
             volume = self._volume
             fraction = volume.fraction
+            # voxels of hidden layers count as empty
             if not self._shown >= set(self.layers):
                 fraction = np.where(np.isin(volume.layer, list(shown)), fraction, np.uint8(0))
             self._carved = CarvedSurface(
@@ -167,6 +172,7 @@ def bone_of(saved: SavedRun, scene: Scene | None) -> BoneOverTime | None:
         cut, origin_m, spacing_m = read_poses(poses)
         # Not as the image states them, rounded: the bits of the carving depend on them.
         exact = replace(volume, origin_m=origin_m, spacing_m=spacing_m)
+        # the image states its origin in digits that are far finer than a thousandth of a voxel
         if not np.allclose(origin_m, volume.origin_m, atol=1e-3 * spacing_m):
             raise InputError(
                 "poses", f"be of the bone in {file}", "those of other voxels", "run the scene again"
@@ -209,6 +215,7 @@ def _over_time(
 
     from tissue.models.bone.carver import CarvingReplay
 
+    # the accelerator of the run may not be in this machine
     device = compute if compute in map(str, wp.get_devices()) else "cpu"
     removal = scene.voxels.removal
     replay = CarvingReplay(volume, cutter_of(scene.tool), poses, removal=removal, device=device)

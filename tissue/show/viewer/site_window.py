@@ -21,6 +21,7 @@ SIZE = (1400, 950)
 SITE = "#0072B2"
 UNSAVED = "#D55E00"
 SAMPLES = 60_000
+"""Points of the surface from which a normal is estimated: about one a square millimetre."""
 EYE = np.array([0.35, -1.0, 0.35])
 """Direction to the eye where there is no site: from the front of the patient, a little from the
 left and above.
@@ -83,6 +84,7 @@ class SiteWindow:
         bone = pyvista.PolyData.from_regular_faces(
             1e3 * self._surface.vertices_m, self._surface.faces.astype(int)
         )
+        # little ambient light shows the shape of the bone
         look = {"color": BONE, "smooth_shading": True, "ambient": 0.15, "specular": 0.1}
         self._bone = self.plotter.add_mesh(bone, name="bone", **look)
         self.plotter.add_axes(
@@ -90,6 +92,7 @@ class SiteWindow:
         )
         self._words = add_text(self.plotter, "", (0.012, 0.9), size=11)
         if not off_screen:
+            # one line below the text about the site, which has two lines from 0.9 on
             add_text(self.plotter, HELP, (0.012, 0.86))
             self.plotter.add_key_event("Return", self.save)
         self._draw("site in scene.toml", SITE)
@@ -150,11 +153,16 @@ class SiteWindow:
         middle = 1e3 * self._surface.vertices_m.mean(axis=0)
         if self.normal is not None:
             aside = np.cross(self.normal, [0.0, 0.0, 1.0])
+            # the normal points to the head or the feet: there is no direction at right angles to
+            # both
             aside = aside if np.linalg.norm(aside) > 0.1 else np.array([1.0, 0.0, 0.0])
             towards = self.normal + ASIDE * aside / np.linalg.norm(aside)
         towards = towards / np.linalg.norm(towards)
+        # the head cannot be up in a view along the head's direction; then the front of the patient
+        # is up
         up = (0.0, 0.0, 1.0) if abs(towards[2]) < 0.95 else (0.0, -1.0, 0.0)
         self.plotter.camera_position = [
+            # outside of the bone; `reset_camera` moves the eye to the right distance
             tuple(middle + 3.0 * self._size_mm * towards),
             tuple(middle),
             up,

@@ -42,6 +42,7 @@ __all__ = ["view"]
 LONGEST_MOVIE_S = 3600.0
 """Maximum time for drawing a movie [s]."""
 LARGEST_SCALE = 1e9
+"""Largest factor on a displacement: from nanometres to a metre."""
 
 
 def view(
@@ -218,6 +219,7 @@ def _check(saved: SavedRun, choice: Choice, series: SavedFields | None) -> None:
     if choice.time_s is not None:
         first, last = (times[0], times[-1]) if len(times) else (0.0, 0.0)
         nearest = f"use {min(max(choice.time_s, first), last):g}"
+        # rounding of times in a file
         require_range("time_s", choice.time_s, first - 1e-9, last + 1e-9, nearest)
 
 
@@ -239,6 +241,7 @@ def _about(saved: SavedRun) -> str:
             with suppress(InputError):
                 planned = saved.scene.duration_s or motion_of(saved.scene, step_s=TICK_S).duration_s
         if planned:
+            # the last tick begins one tick before the end; half a tick more covers rounding
             ended = last > planned - 1.5 * TICK_S
             while_saving = "after its last tick, while its files were written"
             where = while_saving if ended else f"{where} of {planned:g} s"
@@ -286,7 +289,10 @@ def show(
 PAGE = "tissue.show.viewer.web.view_page"
 OPENS_S = 120.0
 CLOSES_S = 10.0
-"""Maximum time until a page is served, and until it is closed [s]."""
+"""Maximum time until a page is served, and until it is closed [s].
+
+A large run is read and drawn before its page is served.
+"""
 
 
 def serve_view(folder: Path, choice: Choice, opened: Callable[[str], object]) -> None:
@@ -327,6 +333,7 @@ def serve_view(folder: Path, choice: Choice, opened: Callable[[str], object]) ->
             finally:
                 child.kill()
                 child.communicate()
+    # the last line of a driver's output may be long
     raise InputError(f"--web must serve a page, but {why[:200]}: {REMEDY}")
 
 

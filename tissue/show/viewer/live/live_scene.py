@@ -31,11 +31,15 @@ __all__ = ["HELP", "NOTCH_MM", "LiveScene", "Pointer", "Readings", "Target"]
 TISSUE_S = 0.2
 """Minimum time between two updates of the tissue [s].
 
-A longer update is followed by a pause of the same length.
+A longer update is followed by a pause of the same length. The window draws and answers the mouse
+in the pause.
 """
 DEVICE = "#D55E00"
 LEAST_N = 1.0
-"""Force that is drawn as the longest arrow until there is a greater one."""
+"""Force that is drawn as the longest arrow until there is a greater one.
+
+Without it, the first touch of some millinewtons would have the longest arrow.
+"""
 
 
 NUMBERS = ("time_s", "removed_mm3", *CLOCK)
@@ -141,6 +145,7 @@ class LiveBone:
 
     def _draw(self) -> None:
         surface = self._bone.surface
+        # all bone is removed: the last surface must not stay in view
         if not surface.n_cells:
             self._plotter.remove_actor("bone", render=False)
             return
@@ -245,6 +250,7 @@ class LiveScene:
                 face,
                 color=colours[name],
                 opacity=0.6,
+                # a wall has no shape of its own; its squares show where it is
                 show_edges=name == "wall",
                 edge_color="white",
             )
@@ -268,6 +274,7 @@ class LiveScene:
     def update_tissue(self) -> bool:
         """Update the tissue if it is due; return whether it changed."""
         now = perf_counter()
+        # an update takes at most half of the time, so that the tool still moves smoothly
         if self.tissue is None or now - self._updated <= max(TISSUE_S, 2.0 * self._took):
             return False
         changed = self.tissue.update()
@@ -284,6 +291,7 @@ class LiveScene:
         if message is None or message[0] == 0:
             return None
         readings = Readings.of(Table(self._columns, message[1][None]))
+        # a quaternion of zeros: the row has not been written yet
         if not readings.turn.any():
             return None
         self._mark.position = tuple(target_mm)
@@ -298,16 +306,18 @@ class LiveScene:
 
         size_mm = float(np.linalg.norm(np.ptp(self.points_mm, axis=0)))
         look = {"reset_camera": False, "render": False, "color": DEVICE}
+        # a mark of 1.6 % and an arrow of a quarter of the scene's size
         self._mark = self.plotter.add_mesh(pyvista.Sphere(radius=0.008 * size_mm), **look)
         self._spring = pyvista.Line((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
         self.plotter.add_mesh(self._spring, line_width=3, **look)
         tool = turning_tool(self.scene.tool)
+        # the tissue behind the tool stays visible
         self._tool = ToolShown(self.plotter, tool, longest_mm=0.25 * size_mm, opacity=0.5)
 
 
 NOTCH_MM = 0.5
 KEY_MM = 0.5
-"""Travel of a notch of the wheel and of a press of a key [mm]."""
+"""Travel of a notch of the wheel and of a press of a key [mm], a fraction of a small burr."""
 DEEPER = ("Next", "s")
 HIGHER = ("Prior", "w")
 ARROWS = {"Left": (-1.0, 0.0), "Right": (1.0, 0.0), "Up": (0.0, 1.0), "Down": (0.0, -1.0)}
@@ -378,6 +388,7 @@ class Target:
             (self.target_mm - camera.GetPosition()) @ np.array(camera.GetDirectionOfProjection())
         )
         tall = self._plotter.window_size[1]
+        # a target at or behind the eye has no size; 1 mm keeps the mouse usable
         return 2.0 * max(away, 1.0) * float(np.tan(np.radians(0.5 * camera.GetViewAngle()))) / tall
 
     def _go(self, travel_mm: Array) -> None:
@@ -439,6 +450,7 @@ class Pointer(Target):
     def _moved(self, *_: object) -> None:
         before = self._at
         self._at = self._interactor.GetEventPosition()
+        # a pressed button turns the view instead
         if before is None or self._style.GetState() != 0:
             return
         pixel = self.mm_per_pixel

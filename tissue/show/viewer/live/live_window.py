@@ -43,6 +43,7 @@ class LiveWindow:
         self.arrays = self.shown.arrays
         if self.shown.tissue is not None:
             add_names(self.plotter, self.shown.tissue.colours)
+        # shares of the window: help in the lower left corner, readings in the upper left one
         for row, line in enumerate(HELP):
             add_text(self.plotter, line, (0.012, 0.1 - 0.025 * row))
         self._words = add_text(self.plotter, "", (0.012, 0.93), size=11)
@@ -83,6 +84,7 @@ class LiveWindow:
         while not self.over:
             began = perf_counter()
             self.frame()
+            # 2 ms for the ticks on the same cores even where drawing takes all of the time
             sleep(max(FRAME_S - (perf_counter() - began), 0.002))
         self.plotter.close()
 

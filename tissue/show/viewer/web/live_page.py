@@ -111,6 +111,7 @@ class LivePage:
             self.arrays["resets"][0] = self._resets
         elif do == "end":
             self.leave()
+        # a paused tool must not jump to another place when the run continues
         elif not (self._paused or self._resetting):
             self._move(do, values)
 
@@ -123,6 +124,7 @@ class LivePage:
             self._sent_mm = self.target.target_mm
             self.arrays.write("pointer", self._sent_mm)
             self.stage.changed = True
+        # the page has not taken the last picture yet
         if not drawing:
             return None, None
         loads = self._loads()
@@ -163,9 +165,12 @@ class LivePage:
     def _loads(self) -> list[list[float]]:
         """Return the rows of time [s] and force [N] since the last frame."""
         count = int(self.arrays["loads_count"][0])
+        # the ticks overwrite the oldest rows while they are read; the newer half of the ring is
+        # safe
         first = max(self._count, count - LOADS // 2)
         rows = self.arrays["loads"][np.arange(first, count) % LOADS]
         self._count = count
+        # 0.1 mN and 0.1 ms: finer than a pixel of the plot, and shorter messages
         return np.round(rows, 4).tolist()
 
     def _figures(self, loads: list[list[float]]) -> dict[str, Any] | None:
@@ -179,6 +184,7 @@ class LivePage:
         read = self._readings
         if read is not None:
             figures |= read.numbers
+            # 0.1 mN and 1 uN m: finer than the page shows
             figures["force_N"] = np.round(read.force_N, 4).tolist()
             figures["torque_Nm"] = round(float(np.linalg.norm(read.torque_Nm)), 6)
             figures["device_N"] = read.device_N

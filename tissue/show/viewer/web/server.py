@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 __all__ = ["Values", "serve"]
 
 LARGEST = 1024
-"""Longest message [byte]."""
+"""Longest message [byte]: the longest known one, a field's name, has some hundred bytes."""
 MOST_PER_S = 400.0
 AT_ONCE = 200.0
 """Messages that are read in a second, and at once after a pause: a page sends one for each move of
@@ -94,15 +94,24 @@ class Pace:
 PAGE = Path(__file__).parent / "page"
 FRAME_S = 1.0 / 30.0
 REST_S = 0.004
-"""Time between two frames, and minimum time per frame for the page's messages [s]."""
+"""Time between two frames, and minimum time per frame for the page's messages [s].
+
+Drawing blocks the reading of messages; without the rest, the mouse would lag behind.
+"""
 LEFT_S = 8.0
 """Time that a page may be closed before its session ends [s], enough to load it again."""
 SENDS_S = 5.0
-"""Time that a page may accept no figures or picture before its connection is ended [s]."""
+"""Time that a page may accept no figures or picture before its connection is ended [s].
+
+The loop waits for the page, so that a page that hangs would stop the session.
+"""
 CLOSES_S = 2.0
 """Time limit for closing a page from the server [s]."""
 REPLACED = 4001
-"""Code with which a page is closed that another one takes the place of."""
+"""Code with which a page is closed that another one takes the place of.
+
+RFC 6455 leaves codes from 4000 on to applications.
+"""
 POLICY = (
     "default-src 'none'; script-src 'nonce-{nonce}'; style-src 'nonce-{nonce}'; img-src data:; "
     "connect-src ws://{home}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -226,6 +235,7 @@ class PageServer:
         return answer
 
     async def _page(self, request: web.Request) -> web.Response:
+        # 96 random bits, which no content of the page can guess
         nonce = token_urlsafe(12)
         policy = POLICY.format(nonce=nonce, home=f"{HOST}:{self._port}")
         text = page_text(self._session.kind, nonce)
@@ -312,6 +322,7 @@ HOST = "127.0.0.1"
 """Served address, which no other machine can reach."""
 SOCKET = "/socket"
 TOKEN_BYTES = 24
+"""Length of the random token: 192 bits cannot be guessed."""
 HEADERS = {
     "Cache-Control": "no-store",
     "Cross-Origin-Opener-Policy": "same-origin",

@@ -16,7 +16,7 @@ __all__ = ["Stage", "taken_scale"]
 MOST_PX = 1_000_000
 """Largest picture [pixel]: more takes OpenGL in software longer than a frame."""
 QUALITY = 88
-"""Quality of a picture as JPEG."""
+"""Quality of a picture as JPEG, 0 to 100: text and edges stay legible at this value."""
 STILL_S = 0.25
 """Time without changes after which smooth edges are drawn [s].
 
@@ -72,6 +72,7 @@ class Stage:
     def resize(self, wide: float, tall: float) -> None:
         """Draw pictures of this shape, and of this size [pixel] where that is not too much."""
         scale = min(1.0, float(np.sqrt(MOST_PX / (wide * tall))))
+        # even numbers, though odd ones are drawn as well
         size = [int(scale * wide) // 2 * 2, int(scale * tall) // 2 * 2]
         if size != list(self._plotter.window_size):
             self._plotter.window_size = size
@@ -90,6 +91,7 @@ class Stage:
     def zoom(self, by: float) -> None:
         """Bring the camera nearer by a factor."""
         camera = self._plotter.camera
+        # a parallel projection does not depend on the distance of the camera
         if camera.GetParallelProjection():
             camera.SetParallelScale(camera.GetParallelScale() / by)
         else:
@@ -153,8 +155,10 @@ def taken_scale(plotter: Plotter) -> dict[str, Any] | None:
             colour = [0.0, 0.0, 0.0]
             table.GetColor(value, colour)
             colours.append(to_hex((colour[0], colour[1], colour[2])))
+        # three digits of the scale's range; beyond four decimals, significant digits are shorter
         digits = max(2 - floor(log10(max(high - low, 1e-12))), 0)
         kind = ".2g" if table.UsingLogScale() or digits > 4 else f".{digits}f"
         labels = [format(value, kind) for value in spaced(low, high, MARKS).tolist()]
+        # the lines after the first are written by the page itself
         found = {"title": title.split("\n")[0], "colours": colours, "labels": labels}
     return found

@@ -27,7 +27,7 @@ SIZE = (960, 720)
 MARGINS = (0.05, 0.82, 0.06, 0.94)
 """Layers and the scale of colours lie at the right."""
 MOST_ROWS = 2000
-"""Rows of the trace that the page plots."""
+"""Rows of the trace that the page plots: two for each pixel across."""
 DEPTH = "removed depth"
 LAYER = "layer"
 """Colourings of the bone, among the names of fields."""
@@ -111,6 +111,7 @@ class ViewPage:
             self._changed()
         elif do == "layer" and values["name"] in self._legend:
             self._hide(self.hidden ^ {str(values["name"])})
+            # a hidden layer is noticed by the colours of layers, not by those of depth
             self.chosen = self._choose(LAYER if self.chosen == DEPTH else self.chosen)
             self._changed()
         elif do == "end":
@@ -120,6 +121,7 @@ class ViewPage:
     def frame(self, drawing: bool) -> tuple[dict[str, Any] | None, bytes | None]:
         """Advance the time during playback, and show the moment."""
         self._playback.advance()
+        # the page has not taken the last picture yet
         if not drawing:
             return None, None
         if self.time_s != self._shown_s or self._dirty:
@@ -167,6 +169,7 @@ class ViewPage:
         every = slice(None, None, max(len(trace.rows) // MOST_ROWS, 1))
         force = tool_force(trace)[every]
         rows = np.column_stack([trace["time_s"][every], force, np.linalg.norm(force, axis=1)])
+        # 0.1 mN and 0.1 ms: finer than a pixel of the plot
         return np.round(rows, 4).tolist()
 
     def _figures(self) -> dict[str, Any]:
@@ -183,6 +186,7 @@ class ViewPage:
             kind = "model_torque" if "model_torque_x_Nm" in trace else "torque"
             cuts = "removed_mm3" in trace and trace["removed_mm3"][-1] > 0.0
             figures |= {
+                # digits that the page shows
                 "force_N": np.round(tool_force(trace)[row], 4).tolist(),
                 "torque_Nm": round(float(np.linalg.norm(trace.vectors(kind, "Nm")[row])), 6),
                 "removed_mm3": float(trace["removed_mm3"][row]) if cuts else None,
