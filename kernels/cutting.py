@@ -56,7 +56,9 @@ The first six are the derivative by the speed: force [N s/m], torque about the t
 six are the tangent's value at zero speed: force [N] and torque [N m]. Then the removal rate per
 unit of speed [m2] and the engaged area of each layer [m2].
 """
-WIDEST = wp.constant(3.5)  # across the surface, an element is taken as this wide at most [voxel]
+# Across the surface, an element is taken as this wide at most [voxel]. Half of it is less than the
+# 1.78 voxels within which distances are interpolated, see `kernels.bone_lookup`.
+WIDEST = wp.constant(3.5)
 DENSITIES = wp.constant(20001)
 """Number of entries of the strength table.
 
@@ -152,6 +154,7 @@ def cutting_forces(
                     strength = coefficients.strength[m, met.density]
                     length = elements.edge_length[e] * met.share * strength
                     size = coefficients.size[m]
+                    # Without a minimum the law is linear and equals its tangent.
                     if size[1] > 0.0:
                         tangent = tangent_at(advance * thickness_per_advance, size)
                     engaged = elements.area[e] * met.share
@@ -189,6 +192,7 @@ def tangent_at(thickness: float, size: wp.vec3):
     least = size[1]
     scale = wp.pow(wp.max(thickness, least) / size[2], -exponent)
     tangent = Tangent()
+    # Below the minimum both forces are proportional to the thickness.
     if thickness < least:
         tangent.chip_slope = scale
         tangent.edge_slope = 1.0 / least
@@ -292,9 +296,11 @@ def share_below(bone: Bone, outward: wp.vec3, area: float, spacing: float):
     The width is taken along the slope of that surface.
     """
     share = float(1.0)
+    # -2 stands for deeper bone, without a slope.
     if bone.distance > -1.9:
         tangent = bone.slope - wp.dot(bone.slope, outward) * outward
         width = wp.min(wp.length(tangent) * wp.sqrt(area) / spacing, WIDEST)
+        # 1e-3: an element parallel to the surface has no width across it.
         share = wp.clamp(0.5 - bone.distance / wp.max(width, 1.0e-3), 0.0, 1.0)
     return share
 

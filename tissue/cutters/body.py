@@ -26,8 +26,9 @@ __all__ = [
 
 ON_SURFACE = 3000
 INSIDE = 1000
-"""Approximate largest number of points on the surface and inside."""
+"""Approximate largest number of points on the surface and inside; chosen for pictures."""
 CONVEX = 1e-9
+"""Largest sine of a turn to the right that counts as rounding."""
 
 
 def body_points(profile: Profile, *, spacing_m: float) -> Array:
@@ -43,6 +44,7 @@ def body_points(profile: Profile, *, spacing_m: float) -> Array:
         *profile.edges.tolist(),
         *((0.0, height) for height in profile.height_range_m),
     ]:
+        # A ring on the axis is one point.
         parts.append(_ring(radius, height, max(ceil(2.0 * pi * radius / spacing), 1)))
     return np.concatenate([*parts, _inside(profile, spacing)])
 
@@ -161,10 +163,14 @@ sampling and merging, each add one deviation.
 """
 FIRST_SAMPLES = 9
 HALVINGS = 26
-"""Initial samples of each piece, and largest number of halvings of the intervals between them."""
+"""Initial samples of each piece, and largest number of halvings of the intervals between them.
+
+The last intervals are 2e-9 of a piece.
+"""
 BISECTIONS = 44
+"""Number of halvings of a ball's radius: to 2e-14 m in the largest tool, far below `TOUCH_M`."""
 TOUCH_M = 1e-10
-"""Distance by which a ball may extend beyond the outline [m]."""
+"""Allowance for rounding, by which a ball may extend beyond the outline [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,6 +206,7 @@ def medial_axis(profile: Profile) -> MedialAxis:
     across = np.zeros(len(starts), np.int32)
     if len(parts) > 1:
         for balls in (starts, middles, ends):
+            # The balls of a polyline deviate by up to STRAIGHT_M.
             held = np.max([-part.distance(balls[:, :2])[0] for part in parts], axis=0)
             across |= (held < balls[:, 2] - STRAIGHT_M).astype(np.int32)
     return MedialAxis(starts, ends, across)
@@ -221,6 +228,7 @@ def _touches(pieces: tuple[Piece, ...]) -> list[Touch]:
         first = before.at(ends)[1][1]
         last = after.at(ends)[1][0]
         turn = float(np.arctan2(first[0] * last[1] - first[1] * last[0], first @ last))
+        # The outline turns to the right: the corner points into the tool.
         if turn < 0.0:
             touches.append(_fan(corner, float(np.arctan2(first[1], first[0])), turn))
     return touches
@@ -264,6 +272,7 @@ def _balls(profile: Profile, points: Array, normals: Array) -> Array:
     """
     low, high = profile.height_range_m
     least = np.zeros(len(points))
+    # No ball inside is larger.
     most = np.full(len(points), 0.5 * (high - low) + profile.radius_m)
     for _ in range(BISECTIONS):
         size = 0.5 * (least + most)
@@ -275,6 +284,7 @@ def _balls(profile: Profile, points: Array, normals: Array) -> Array:
         least = np.where(fits, size, least)
         most = np.where(fits, most, size)
     centres = points - least[:, None] * normals
+    # A ball on the axis may lie beyond it by TOUCH_M.
     centres[:, 0] = np.maximum(centres[:, 0], 0.0)
     return np.column_stack([centres, least])
 
@@ -285,6 +295,7 @@ def _deviation(balls: Array, starts: Array, ends: Array) -> Array:
     Distances are in the space of radius, height and ball radius.
     """
     along = ends - starts
+    # 1e-30: both ends of a segment may coincide.
     squared = np.maximum(np.einsum("ij,ij->i", along, along), 1e-30)
     share = np.clip(np.einsum("ij,ij->i", balls - starts, along) / squared, 0.0, 1.0)
     return np.asarray(np.linalg.norm(balls - starts - share[:, None] * along, axis=1))

@@ -29,7 +29,7 @@ __all__ = [
 ]
 
 SMOOTH = 0.999
-"""Cosine of the angle between normals above which an outline counts as smooth."""
+"""Cosine of the angle between normals above which an outline counts as smooth; chosen."""
 WEB = 0.18
 """Usual thickness of a twist drill's web, relative to its diameter; drills have 0.12 to 0.23."""
 HELIX_RAD = radians(30.0)
@@ -81,6 +81,7 @@ class Line:
         share = np.clip((points - a) @ (b - a) / self.length_m**2, 0.0, 1.0)
         distance = np.linalg.norm(points - a - share[:, None] * (b - a), axis=1)
         ends = (share == 0.0) | (share == 1.0)
+        # Around an end, parallel curves are circles. 1e-12: a point may lie on an end.
         return distance, np.where(ends, 1.0 / np.maximum(distance, 1e-12), 0.0)
 
     def corners(self) -> list[tuple[float, float]]:
@@ -130,15 +131,18 @@ class Arc:
         reach = np.linalg.norm(from_centre, axis=1)
         middle = 0.5 * (self.first + self.last)
         angle = np.arctan2(from_centre[:, 1], from_centre[:, 0])
+        # Wrapped to half a turn.
         off = np.abs(np.angle(np.exp(1j * (angle - middle))))
         within = off <= 0.5 * (self.last - self.first)
         ends = self.at(np.array([0.0, 1.0]))[0]
         to_ends = np.min(np.linalg.norm(points[:, None] - ends[None], axis=2), axis=1)
         distance = np.where(within, np.abs(reach - self.radius), to_ends)
+        # 1e-12: a point may lie at the centre or on an end.
         return distance, 1.0 / np.maximum(np.where(within, reach, to_ends), 1e-12)
 
     def corners(self) -> list[tuple[float, float]]:
         """Return the points that outline the piece to 1e-5 of its radius, without its end."""
+        # The chord of 0.009 rad leaves the arc by 1e-5 of its radius.
         share = np.linspace(0.0, 1.0, max(int((self.last - self.first) / 0.009), 2), endpoint=False)
         return [(float(r), float(z)) for r, z in self.at(share)[0]]
 
@@ -216,6 +220,7 @@ def _inside(outline: Array, points: Array) -> Flags:
     """
     inside = np.zeros(len(points), bool)
     for (r0, z0), (r1, z1) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
+        # A horizontal edge is parallel to the ray, and no ray crosses the axis.
         if z0 == z1 or max(r0, r1) < AXIS_M:
             continue
         spans = (z0 > points[:, 1]) != (z1 > points[:, 1])
@@ -288,6 +293,7 @@ def hemispherical_reamer(
     """
     r = 0.5 * diameter_m
     q = 0.5 * peg_diameter_m
+    # With a peg, the face begins where the ball is as wide as the peg.
     first = -0.5 * pi if q == 0.0 else -float(np.arccos(q / r))
     pieces: Sequence[Piece] = [] if q == 0.0 else _peg(q, peg_length_m, r + r * sin(first))
     face = Arc((0.0, r), r, first, 0.0)

@@ -146,6 +146,7 @@ def of_profile(shape: Profile, *, flutes: int, spin_rpm: float) -> Cutter:
             "0",
             "use 500 for a reamer, 20000 for a burr",
         )
+    # Clockwise as seen from the shank is a negative turn about the axis.
     return Cutter(shape, flutes, -rpm * 2.0 * pi / 60.0)
 
 

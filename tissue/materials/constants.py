@@ -213,6 +213,7 @@ def changed_coefficients(
             )
         if value is not None:
             values[name] = value
+    # A size effect that the caller adds without a minimum is refused below.
     if values["minimum_chip_um"] == 0.0 and not changes.get("size_exponent"):
         values["size_exponent"] = 0.0
     found: dict[str, float] = {}
@@ -242,10 +243,10 @@ BOUNDS = {
 """Smallest and largest value with which a scene can be built, by the name of a constant.
 
 Only constants whose range is close to these limits are listed: nearly incompressible solids, and
-relaxation shares whose sum must stay below one.
+relaxation shares whose sum must stay below one. Cited ranges of Poisson's ratio end at 0.4999.
 """
 NEAR_ZERO = 0.05
-"""Threshold of the soft limit above zero, as a share of the cited value.
+"""Threshold of the soft limit above zero, as a share of the cited value; chosen.
 
 If a range begins at zero, values below this threshold are compressed so that they stay above zero.
 """
@@ -307,6 +308,7 @@ class Prior:
             bounds.
         """
         bounds = BOUNDS.get(name.rpartition(".")[2])
+        # The logit is infinite at a bound.
         is_inside = bounds is not None and bounds[0] < constant.low and constant.high < bounds[1]
         return cls(constant.value, constant.low, constant.high, bounds if is_inside else None)
 
@@ -354,12 +356,15 @@ class Prior:
         if self.is_one_sided:
             w = W_95 * np.maximum(share, 0.0)
             with np.errstate(divide="ignore"):
+                # erf rounds to 1 for large w, erfc for small w.
                 z = np.where(w > 1.0, -ndtri(erfc(w / np.sqrt(2.0))), ndtri(erf(w / np.sqrt(2.0))))
             return z if self._span > 0.0 else -z
         skew = self._skew
+        # -1: values outside the support have an infinite z.
         stretched = np.maximum(share * np.expm1(skew), -1.0)
         with np.errstate(divide="ignore"):
             grown = np.log1p(stretched)
+        # Without a skew the distribution is normal, and the quotient would be 0 / 0.
         return Z_95 * (share if abs(skew) < 1e-9 else grown / skew)
 
     @property
@@ -378,6 +383,7 @@ class Prior:
     def _knots(self) -> tuple[float, float, float]:
         """Coordinates y of low, value and high."""
         low, value, high = self._to_y(np.array([self.low, self.value, self.high])).tolist()
+        # y is -inf at zero; at y = 0 the constant is 0.035 of its value.
         return (0.0 if self._is_near_zero else low), value, high
 
     @cached_property
@@ -413,6 +419,7 @@ class Prior:
             return np.zeros(z.shape)
         if self.is_one_sided:
             w = _absolute(z if self._span > 0.0 else -z)
+            # Ratio of the densities of z and of its absolute value w.
             return abs(self._span) / W_95 * 0.5 * np.exp(0.5 * (w * w - z * z))
         return self._span / Z_95 * np.exp(self._skew * z / Z_95) / self._skewed
 
@@ -440,6 +447,7 @@ class Prior:
 def _relative(power: ArrayLike) -> Array:
     """Return (exp(power) - 1) / power, which is one at zero."""
     power = np.asarray(power, float)
+    # The quotient is 0 / 0 at zero: two terms of its series, exact to rounding.
     small = np.abs(power) < 1e-9
     return np.where(small, 1.0 + 0.5 * power, np.expm1(power) / np.where(small, 1.0, power))
 
@@ -449,5 +457,6 @@ def _absolute(z: Array) -> Array:
 
     The function increases with z and starts from zero.
     """
+    # Both forms are equal; each keeps the digits of one tail.
     upper = -ndtri(0.5 * ndtr(-np.maximum(z, 0.0)))
     return np.where(z > 0.0, upper, np.sqrt(2.0) * erfinv(ndtr(np.minimum(z, 0.0))))

@@ -30,6 +30,7 @@ __all__ = ["Materials", "checked_constant", "energy_note"]
 TABLES = ("cutting", "tooth", "soft", "needle", "devices", "hands")
 """Tables whose constants a file may replace."""
 ENERGY = "tangential_chip_N_mm2"
+"""Constant that is the specific cutting energy."""
 HARD_LIMITS = {"poisson_ratio": 0.5, "heat_share": 1.0}
 """Largest value of a constant, by its name; a Poisson's ratio of one half cannot be solved."""
 
@@ -200,6 +201,7 @@ def _parsed(text: str, path: str) -> Materials:
     for table, materials in tables.items():
         _require_known("a table", table, TABLES, path)
         for material, entries in _table(materials, table, path).items():
+            # In cutting, the name may be that of a layer, with constants named as those of bone.
             if table != "cutting":
                 _require_known(f"a material of {table}", material, listed(table), path)
             known = constants(table, material if material in listed(table) else "bone")
@@ -308,6 +310,7 @@ def _correlation(
             "fix it",
         )
     matrix = np.array(table.matrix).reshape(count, count)
+    # 1e-9: rounding of numbers in a file.
     is_correlation = np.allclose(matrix, matrix.T, rtol=0.0, atol=1e-9) and np.allclose(
         np.diag(matrix), 1.0, rtol=0.0, atol=1e-9
     )

@@ -236,6 +236,7 @@ def plot_figures(
 
     columns = min(len(names), 3)
     rows = -(-len(names) // columns)
+    # Inches for a panel, and for the legend above all.
     size = 3.2 * columns, 2.4 * rows + 0.3
     chart, grid = pyplot.subplots(rows, columns, squeeze=False, figsize=size, layout="constrained")
     panels, empty = np.split(grid.ravel(), [len(names)])

@@ -52,7 +52,10 @@ longer.
 WORDS = {"point_m": "at_mm", "motion": "at_mm", "touch_edge_m": "edges of the mesh"}
 """Names of the caller's arguments, by the names that the press uses."""
 ACROSS = 7
-"""Number of points across the reach at which a loop searches for contact."""
+"""Number of points across the reach at which a loop searches for contact; chosen.
+
+Triangles near a point are found with a margin, so that the points need not be close.
+"""
 TOOL = (0.45, 0.48, 0.52)
 COLOURS = "YlOrRd"
 """Colour map that is light where the displacement is small."""

@@ -82,6 +82,7 @@ def simulate(
         prioritised = None
         played_on = device.device if isinstance(device, SafeDevice) else device
         if getattr(played_on, "real_time", False):
+            # A real device needs ticks on time; other runs go as fast as they can.
             prioritised = Prioritised()
             observer = Observers(prioritised, observer or RunObserver(), Paced())
         run = engine.simulate(

@@ -86,6 +86,7 @@ def _refuse(offer: EntryPoint, cause: str) -> str:
     """Warn about an offered part that is left out, and return the warning text."""
     what = f"{OFFERED[offer.group]} {offer.name} of the package {_package(offer)}"
     sentence = f"{what} cannot be used ({cause}): update or uninstall that package"
+    # 4: the code that used the name, behind `Registry`.
     warnings.warn(sentence, PluginWarning, stacklevel=4)
     return sentence
 

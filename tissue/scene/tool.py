@@ -122,6 +122,7 @@ class Tool(Shaped):
 
     @model_validator(mode="after")
     def _spins_and_fits(self) -> "Tool":
+        # So slow a tool would make chips thicker than itself at any feed.
         if 0.0 < abs(self.spin_rpm) < 1.0:
             raise InputError(
                 "tool.spin_rpm",

@@ -19,9 +19,9 @@ Bar = Progress | bool | None
 The default None shows a bar in a notebook only.
 """
 EVERY_S = 0.2
-"""Time between two updates of a notebook's bar [s]."""
+"""Time between two updates of a notebook's bar [s]: each is a message to the browser."""
 QUIET_S = 30.0
-"""Time between two lines of progress without a terminal for a bar [s]."""
+"""Time between two lines of progress without a terminal for a bar [s]: a log stays short."""
 
 
 def in_notebook() -> bool:

@@ -133,6 +133,7 @@ class BrickStore:
         """
         counts = tuple(-(-n // BRICK) for n in volume.shape)
         surface, layer, density, boundary = near_the_surface(volume)
+        # Subtracted, since blocks are padded with zeros.
         near = _blocked(OUTSIDE - surface, counts)
         holds: Flags = np.asarray(
             _blocked(volume.fraction, counts).any(axis=(1, 3, 5)) | near.any(axis=(1, 3, 5))
@@ -154,6 +155,7 @@ class BrickStore:
         stored_surface = stored(_filled_up(surface, counts))
         blocks = (fraction.astype(bool) | (stored_surface < OUTSIDE)).reshape(-1, 64, 8).any(axis=2)
         layers = stored(layer)
+        # One word for density and layer: one cache line instead of two.
         material = stored(density).astype(np.uint32) << np.uint32(16)
         material |= layers
         nearby = stored(boundary).astype(np.uint16) << np.uint16(8) | stored_surface
@@ -208,6 +210,7 @@ class BrickStore:
         The cost is proportional to the number of these bricks, so that a tick can afford it.
         """
         rows = np.flatnonzero(self.touched.numpy()[: len(self.places)])
+        # On a CPU `numpy` returns a view, from a GPU a copy.
         if self.touched.device.is_cpu:
             self.touched.numpy()[rows] = 0
         else:
@@ -268,6 +271,7 @@ class BrickStore:
         """Return the stored steps that remain in each layer, shape (layers,)."""
         count = len(self.places)
         remaining = self.remaining.numpy()[:count]
+        # The lower byte of a word is the layer.
         layer = self.material.numpy()[:count].astype(np.uint8)
         return np.array(
             [remaining[layer == k].sum(dtype=np.int64) for k in range(len(self.grid.layer_names))]
@@ -281,6 +285,7 @@ def voxels_of(places: Ints, rows: Ints, steps: Ints) -> tuple[Ints, Ints]:
     positions of the store's bricks, and ``rows`` names some of these bricks.
     """
     row, column = np.nonzero(steps)
+    # A row holds block after block, see `_rows`.
     block = column >> 3
     corner = column & 7
     inside = np.stack([block >> 4, (block >> 2) & 3, block & 3], axis=1) * 2

@@ -21,7 +21,7 @@ __all__ = ["Boxes", "BricksOnDemand"]
 Boxes = tuple[Array, Array]
 """Lowest and highest corners of boxes [m], shape (n, 3) both."""
 PATCH = 4
-"""Bricks along the edge of a patch, the unit that is made at once."""
+"""Bricks along the edge of a patch, the unit that is made at once; chosen."""
 MARGIN = 1
 """Bricks voxelised around a patch and not kept.
 
@@ -110,6 +110,7 @@ class BricksOnDemand:
 
         free = psutil.virtual_memory().available
         needed = patches * (PATCH * BRICK) ** 3 * BYTES_WHILE_MADE
+        # A tenth is left to the rest of the run; the suggestion leaves a fifth.
         if needed > 0.9 * free:
             raise _too_fine(
                 self.store.grid.spacing_m,
@@ -132,6 +133,7 @@ class BricksOnDemand:
         """
         at = self.store.places[np.flatnonzero(self.store.touched.numpy()[: len(self.store.places)])]
         wanted = np.zeros_like(self._made)
+        # The surface may continue into the patch of a neighbouring brick.
         for shift in np.ndindex(3, 3, 3):
             near = ((at + np.array(shift) - 1) // PATCH).clip(0, np.array(wanted.shape) - 1)
             wanted[tuple(near.T)] = True
@@ -141,6 +143,7 @@ class BricksOnDemand:
             low = PATCH * first
             high = PATCH * last
             before = self._voxels(low - MARGIN, high + MARGIN)
+            # + 1: the layer that is shared with the next part.
             kept = tuple(
                 slice(MARGIN * BRICK, MARGIN * BRICK + n + 1)
                 for n in (BRICK * (high - low)).tolist()
@@ -184,6 +187,7 @@ class BricksOnDemand:
 
 def _too_fine(spacing_m: float, share: float, requirement: str) -> InputError:
     """Return the error for a spacing whose number of voxels is a multiple of the largest one."""
+    # A tenth coarser than the largest number, and rounded up to 0.01 mm.
     fits_mm = np.ceil(1.1e5 * spacing_m * share ** (1.0 / 3.0)) / 100.0
     return InputError("spacing_mm", requirement, f"{1e3 * spacing_m:g}", f"use {fits_mm:g}")
 

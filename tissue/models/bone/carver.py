@@ -29,20 +29,26 @@ __all__ = ["Carver", "CarverState", "CarvingReplay", "Removal"]
 Removal = Literal["subvoxel", "binary"]
 
 CARVE_LAG_M = 2.0e-5
-"""Largest motion of the tool between two visits of a brick, at most a quarter voxel [m]."""
+"""Largest motion of the tool between two visits of a brick, at most a quarter voxel [m]; chosen.
+
+The force does not depend on when a brick was visited, see docs/decisions.md.
+"""
 LONGEST_STEP_VOXELS = 0.5
-"""Longest step between two carvings; a faster tool is carved in parts of a tick."""
+"""Longest step between two carvings; a faster tool is carved in parts of a tick.
+
+Together with the lag it is less than `LONGEST_STEP` of `kernels.carving`.
+"""
 TURN = 0.9
 """Share of the stored feed direction below which the tool counts as turned.
 
 The share is the projection of the present feed direction on the direction stored at the last turn:
-26 degrees.
+26 degrees; chosen. Completing a cut at a turn takes 0.1 to 1.2 ms, see docs/performance.md.
 """
 CHANGED = ("remaining", "swept", "older", "alive")
 """Arrays of the brick store that carving changes and depends on."""
 WORKERS_CPU = 32
 WORKERS_GPU = 2048
-"""Number of workers that share a carving launch."""
+"""Number of workers that share a carving launch; chosen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +121,7 @@ class Carver:
         table = cutter.table(spacing_m=spacing)
         self.tool = _revolution(table, cutter.profile, device=device)
         self._lag = min(CARVE_LAG_M / spacing, 0.25)
+        # A turn moves the far end of the tool most.
         self._lever = max(abs(table.low), abs(table.high))
         self._next_group = 0
         # Groups follow the world's lattice, so that an equal cut in a larger region is visited at
@@ -205,6 +212,7 @@ class Carver:
         before = self._pose.host[0].copy()
         for part in range(1, parts + 1):
             pose = before + part / parts * (now - before)
+            # An axis between two axes is shorter than one.
             pose[3:] /= np.linalg.norm(pose[3:])
             self._pose.host[0] = pose
             self._visit(PHASES)
@@ -251,6 +259,7 @@ class Carver:
         for visit in range(groups):
             self._pose.host[1 + (first + visit) % PHASES] = self._pose.host[0]
         self._next_group = (first + groups) % PHASES
+        # A visit of all groups leaves none to be visited.
         self._debt = 0.0 if groups == PHASES else max(self._debt - groups, 0.0)
         self._behind -= min(groups, self._behind)
 

@@ -89,7 +89,7 @@ def edge_lengths_m(shell: PointShell, cutter: Cutter) -> Array:
 def _chunk_bounds(shell: PointShell) -> tuple[Array, Array]:
     """Return a bounding ball and a cone of normals for each chunk of points.
 
-    Each array has shape (chunks, 4).    A ball is its centre and radius [m]. A cone is its axis and
+    Each array has shape (chunks, 4). A ball is its centre and radius [m]. A cone is its axis and
     the sine of its half angle, 2 where it is wider than a half space.
     """
     balls = []
@@ -100,6 +100,7 @@ def _chunk_bounds(shell: PointShell) -> tuple[Array, Array]:
         middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
         balls.append([*middle, np.linalg.norm(points - middle, axis=1).max()])
         axis = normals.sum(axis=0)
+        # 1e-12: normals of a whole ring add up to zero.
         axis /= max(float(np.linalg.norm(axis)), 1e-12)
         cosine = float((normals @ axis).min())
         cones.append([*axis, np.sqrt(max(1.0 - cosine**2, 0.0)) if cosine > 0.0 else 2.0])
@@ -113,9 +114,9 @@ Cortical bone is sheared at depths of cut of 10 to 50 um and breaks off in piece
 et al. 2022, Chinese Journal of Mechanical Engineering 35).
 """
 SMOOTH_ELEMENTS = 500
-"""Number of elements over the surface that does not cut."""
+"""Number of elements over the surface that does not cut; chosen."""
 BLOCKED = 0.25
-"""Share of the smooth end's area in contact with bone above which it is reported.
+"""Share of the smooth end's area in contact with bone above which it is reported; chosen.
 
 A peg touches the rim of its pilot hole.
 """
@@ -199,9 +200,11 @@ class SmoothSurface:
             piece for piece in pieces if isinstance(piece, Line) and piece.start[1] == piece.end[1]
         ]
         radii = [max(piece.start[0], piece.end[0]) for piece in ends]
+        # The smallest end counts: a peg is narrow compared with the top of its tool.
         self.blocked_m2 = BLOCKED * min([total_m2, *(pi * radius**2 for radius in radii)])
         device = str(motion.device)
         layers = len(store.grid.layer_names)
+        # Only the engaged area is used.
         no_force = Coefficients()
         no_force.chip = wp.zeros(layers, lever16, device)
         no_force.edge = wp.zeros(layers, lever16, device)
@@ -264,6 +267,7 @@ class LawLimits:
 
         `is_new` is True if the tool or the bone has changed since the last answer.
         """
+        # A tool at rest takes no chip and does not advance into bone.
         if motion.speed_m_s == 0.0:
             return
         if engaged_m2 > 0.0:

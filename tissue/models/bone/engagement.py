@@ -49,12 +49,14 @@ __all__ = [
 HIGHEST_EXPONENT = 5.0
 """Largest density exponent that a scene accepts; the smallest is 0."""
 MIDDLE = 0.5 * HIGHEST_EXPONENT
+"""Middle c of the exponents, which makes the interpolated exponents p - c smallest."""
 ERROR = 1e-8
 """Largest relative error of the factor of an element.
 
 It is a hundredth of the tolerance of reweighed loads.
 """
 MOST_NODES = 64
+"""Upper limit of the search for n; densities of 1 to 20,000 kg/m3 need 38 nodes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +68,7 @@ class DensityNodes:
     densities_kg_m3
         Shape (k,).
     shares
-        M_j of a unit weight by density, an entry of the strength table, shape (4096, k).
+        M_j of a unit weight by density, an entry of the strength table, shape (DENSITIES, k).
     """
 
     densities_kg_m3: Array
@@ -75,6 +77,7 @@ class DensityNodes:
     @classmethod
     def of(cls, least_kg_m3: int, most_kg_m3: int) -> "DensityNodes":
         """Return the nodes for densities in a range; one node for a single density."""
+        # 1: zero has no logarithm.
         least, most = (min(max(each, 1), DENSITIES - 1) for each in (least_kg_m3, most_kg_m3))
         if least == most:
             return cls(np.array([float(least)]), np.ones((DENSITIES, 1)))
@@ -85,6 +88,7 @@ class DensityNodes:
         density = np.clip(np.arange(DENSITIES), least, most)
         x = (np.log(density) - middle) / half
         modes = chebvander(at, count - 1)
+        # The first Chebyshev coefficient is a mean, the others are twice a mean.
         modes[:, 1:] *= 2.0
         polynomials = chebvander(np.clip(x, -1.0, 1.0), count - 1) @ modes.T / count
         return cls(np.exp(middle + half * at), polynomials * (np.exp(half * x) ** MIDDLE)[:, None])
@@ -138,7 +142,7 @@ A power of the thickness with exponent 1 - m is missed by m (1 - m) ln(ratio) **
 which is 0.2 % for m = 0.5.
 """
 THINNEST = 1e-3
-"""Smallest node of chip thickness above zero, as a share of the largest node."""
+"""Smallest node of chip thickness above zero, as a share of the largest node; chosen."""
 
 
 def chip_nodes(thickest_m: float, *, is_linear: bool) -> Array:
@@ -350,6 +354,7 @@ class EngagedBone:
         response.engaged_m2[:] = np.bincount(layers, engaged, minlength=len(self.layer_names))
         response.removal_rate_m3_s = float(engaged @ speeds) * motion.speed_m_s
         chip = self.bone.cutter.chip_per_speed_s * motion.speed_m_s * speeds
+        # A tool at rest bears a share of the edge force.
         pressed = 1.0 if motion.speed_m_s > 0.0 else motion.pressed
         levers = self._levers[met]
         for at, nodes in enumerate(self.nodes):

@@ -168,6 +168,7 @@ class BoneModel:
         response.engaged_m2[:] = sums[AREA:]
         response.removal_rate_m3_s = float(sums[RATE]) * speed
         self.limits.check(motion, float(np.add.reduce(response.engaged_m2)), is_new=is_new)
+        # Bone balances the push on a resting tool.
         if speed == 0.0 and any(motion.push.tolist()):
             np.negative(motion.push, out=response.wrench)
             return response
@@ -194,6 +195,7 @@ def _on_device(coefficients: tuple[CuttingCoefficients, ...], *, device: str) ->
         They are tangential, radial and axial.
         """
         parts = [[getattr(layer, name) for name in names] for layer in coefficients]
+        # 5, 6 and 3: components of `LEVER` for each direction. The last 2 of 16 are unused.
         values = np.pad(np.repeat(parts, (5, 6, 3), axis=1), ((0, 0), (0, 2)))
         return put(values, lever16, device)
 

@@ -55,7 +55,7 @@ SI = {"mm": ("m", 1e-3), "deg": ("rad", radians(1.0))}
 Pose = tuple[Array, Array]
 """Tip [m], shape (3,), and rotation from tool to world, shape (3, 3)."""
 STRIDE_M = 1e-3
-"""Largest distance between poses at which the bone is made ready [m].
+"""Largest distance between poses at which the bone is made ready [m]; chosen.
 
 Poses are inserted between two given ones that are further apart.
 """
@@ -397,6 +397,7 @@ class VoxelBone:
         def keep_ready(tip_m: Array) -> None:
             """Make more bone once half of the reach is used up; such a tick takes longer."""
             moved = tip_m - made_at
+            # Half of the reach: the tool never meets bone that is not made.
             if moved.dot(moved) > (0.5 * reach_m) ** 2:
                 made_at[:] = tip_m
                 if self.reach(boxes(tip_m)):
@@ -412,10 +413,7 @@ class VoxelBone:
         shell_spacing_m: float | None = None,
         cores: int | None = None,
     ) -> BoneModel:
-        """Return the bone under a cutter.
-
-        Earlier removal is booked as older cuts.
-        """
+        """Return the bone under a cutter. Removal by an earlier tool is booked as older cuts."""
         store = self.store
         if self._was_cut:
             wp.copy(store.older, store.swept)
@@ -441,6 +439,7 @@ def _between(tips_m: Array, axes: Array, *, most_m: float) -> tuple[Array, Array
     wanted = np.arange(int(at[-1]) + 1, dtype=np.float64)
     tips = np.column_stack([np.interp(wanted, at, column) for column in tips_m.T])
     turned = np.column_stack([np.interp(wanted, at, column) for column in axes.T])
+    # 1e-12: the mean of two opposite axes vanishes.
     return tips, turned / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-12)
 
 
@@ -483,6 +482,7 @@ def element_spacing_m(cutter: Cutter, *, depth_m: float, tolerance: float) -> fl
     InputError
         If the cutter would have more than `MOST_ELEMENTS` elements.
     """
+    # Solved for N: the error is SCATTER / N ** 0.75.
     wanted = (SCATTER / tolerance) ** (4.0 / 3.0)
     # a ball's cap engages with half of its area
     engaged_m2 = np.pi * cutter.profile.radius_m * min(depth_m, cutter.profile.radius_m)

@@ -24,9 +24,9 @@ from tissue.simulation.builders.parts import swept_box
 __all__ = ["keep_clear"]
 
 MARGIN_M = 10e-3
-"""Margin beyond the scripted motion, since a hand may leave it [m]."""
+"""Margin beyond the scripted motion, since a hand may leave it [m]; assumed."""
 POINTS_ACROSS = 12.0
-"""Number of points of the tool's surface over its radius, for pictures."""
+"""Number of points of the tool's surface over its radius, for pictures; chosen."""
 
 
 def keep_clear(

@@ -36,6 +36,7 @@ def tooth_around(
     field = None
     if scene.stress is not None:
         report("assembling the tooth's stiffness", 0.0)
+        # Two voxels across a cell: one particle at each of its eight cubes.
         whole = _whole_tooth(scene, spacing_m=0.5 * cell_m, report=report)
         field = stress_process.StressProcess(
             whole,
