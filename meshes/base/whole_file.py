@@ -47,6 +47,7 @@ def whole_file(path: Path) -> Iterator[Path]:
     holds the file may refuse it.
     """
     claim(path)
+    # 48 random bits: two processes that write one file have different temporary files.
     temporary = path.with_name(f".{uuid4().hex[:12]}-{path.name}")
     try:
         yield temporary
@@ -101,9 +102,14 @@ def require_version(
         of tissue that wrote the file.
     """
     stated = held.get(key)
+    # Python would count True as version 1.
     if isinstance(stated, bool) or not isinstance(stated, int) or stated < 1:
         raise InputError(
-            what, "state the version of its format", f"{str(stated)[:40]} in {where}", remedy
+            # Cut off, because a damaged file may hold a text of any length.
+            what,
+            "state the version of its format",
+            f"{str(stated)[:40]} in {where}",
+            remedy,
         )
     if stated > newest:
         writer = str(held.get("tissue", "a later version"))[:40]

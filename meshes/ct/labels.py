@@ -25,12 +25,15 @@ from meshes.images.text_headers import header_lines
 __all__ = ["Labels", "header_names", "label_sets", "on_grid_of", "read_labels"]
 
 _MOST_LABELS = 255
+"""Largest number of a label: labels are kept as bytes."""
 _HEADER_BYTES = 1 << 20
+"""Bytes of a NIfTI file that are searched for a table of labels: 4 kB for each of 255 names."""
 _XML_NAME = re.compile(r'<Label Key="(\d+)"[^>]*>\s*<!\[CDATA\[(.*?)\]\]>', re.DOTALL)
 """Line of the label table in an extension of a NIfTI header (Caret, TotalSegmentator)."""
 _SAME_PLACE = 1e-2
 """Largest distance between grids that count as equal [voxel]."""
 _SHOWN_NAMES = 12
+"""Names that an error message lists."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,6 +157,7 @@ def on_grid_of(labels: Labels, image: Image) -> Labels:
     other = image
     scale = np.array(other.spacing_mm) / one.spacing_mm
     shift = (np.array(other.origin_mm) - one.origin_mm) / one.spacing_mm
+    # An error of the spacing adds up over the grid.
     if (
         one.values.shape == other.values.shape
         and np.abs(shift).max() < _SAME_PLACE
@@ -213,6 +217,7 @@ def _of_masks(folder: Path) -> Labels:
                 source=folder.name,
                 notes=(),
             )
+        # 1e-3 mm: headers round spacing and origin.
         if image.values.shape != whole.values.shape or not np.allclose(
             [*image.spacing_mm, *image.origin_mm], [*whole.spacing_mm, *whole.origin_mm], atol=1e-3
         ):

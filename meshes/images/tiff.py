@@ -20,10 +20,12 @@ __all__ = ["read_tiff_slices", "tiff_slices"]
 SUFFIXES = (".tif", ".tiff")
 _PATTERN_MARKS = "*?["
 _COLOUR_AXES = "SC"
+"""Axes of tifffile for samples of a pixel and for channels."""
 _MIN_IS_WHITE = 0
 _RGB = 2
 _PALETTE = 3
 _UNCOMPRESSED = 1
+"""Codes of the tags PhotometricInterpretation and Compression (TIFF 6.0)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +91,7 @@ def tiff_slices(path: Path) -> list[Path]:
         found = [file for file in found if not file.name.startswith(".")]
     else:
         require_file(path, "an image")
+        # Numbers sort after texts (-1); the whole name (-2) decides between 1 and 01.
         return [path] if path.suffix.lower() in SUFFIXES else []
     found.sort(key=_natural)
     _require_numbered(found, path)
@@ -244,6 +247,8 @@ def _planes(file: Path) -> _Planes:
             "export one stack",
         )
     count = prod(stacked)
+    # Pixels of fewer bits are packed, so their size says nothing. A file that is cut off holds
+    # less.
     if plain and bits >= 8 and count * held < size:
         raise _damaged(file)
     return _Planes((count, rows, columns), photometric, bits, dtype, reduced)
