@@ -145,7 +145,7 @@ def _code(make: Callable[[], Arrays]) -> str:
     except OSError:
         # A module without a source file, as in a frozen program, is known by the version alone.
         source = b""
-    # 64 bits are enough: they only have to tell apart the few versions of one module.
+    # 64 bits are enough to distinguish the few versions of one module.
     return f"{package_version()} {hashlib.blake2b(source, digest_size=8).hexdigest()}"
 
 

@@ -274,11 +274,11 @@ def read_nrrd(path: Path) -> StoredImage:
     # They state the scale of quantised values, which is not applied here.
     if found := ", ".join(key for key in _SCALED if key in fields):
         raise _fault(path, "a NRRD image", "hold its values unscaled", f"the key {found}")
-    # Lines of a binary file depend on the values; writers in use do not skip any.
+    # Lines are not skipped here, so voxels would be read from the wrong place.
     for key in _SKIPPED_LINES:
         if fields.get(key, "0") != "0":
             raise _fault(path, key, "be 0", _short(fields[key]))
-    # They place each axis without directions, so the place of the image would be ambiguous.
+    # Whether they are the centre or the edge of a voxel depends on yet another key.
     for key in _AXIS_MINS:
         if key in fields:
             raise _fault(path, key, "be replaced by space origin", _short(fields[key]))

@@ -247,8 +247,7 @@ def _planes(file: Path) -> _Planes:
             "export one stack",
         )
     count = prod(stacked)
-    # Pixels of fewer bits are packed, so their size says nothing. A file that is cut off holds
-    # less.
+    # Pixels of fewer bits are packed, so their size is not known. A cut-off file holds less.
     if plain and bits >= 8 and count * held < size:
         raise _damaged(file)
     return _Planes((count, rows, columns), photometric, bits, dtype, reduced)

@@ -72,6 +72,7 @@ def graded(start_m: float, end_m: float, first_m: float, growth: float) -> Array
     if not growth >= 1.0:
         raise InputError("growth", "be at least 1", growth, "use 1.2")
     steps = [first_m]
+    # Rounding of the sum must not add a step.
     while sum(steps) < distance * (1.0 - 1e-12):
         steps.append(steps[-1] * growth)
     at = np.concatenate([[0.0], np.cumsum(steps)])
