@@ -211,8 +211,8 @@ def stuffed(shape: Shape, spacing_m: float) -> TetMesh:
             f"{1e3 * spacing:.4g} mm",
             f"use {1e3 * possible:.2g} mm or more",
         )
-    # The body lies at least a cube inside the lattice. 1.01 keeps flat faces off the planes of
-    # nodes.
+    # 1.01 moves nodes off flat faces at whole cubes, so that rounding does not decide their side.
+    # Boxes have the same number of cells with 1 and 1.01, and a worst mean ratio of 0.8.
     nodes, cells = _lattice(lower - 1.01 * spacing, upper + spacing, spacing)
     # A cell that the surface crosses has all nodes within an edge of it, at most a cube's side.
     near = shape.distance(nodes) < 1.5 * spacing
