@@ -77,8 +77,10 @@ def _is_complete(ending: str, content: bytes) -> bool:
             return isinstance(json.loads(content), dict)
         except ValueError:
             return False
+    # A full disk leaves a file of zeros.
     if ending == ".o" and os.name == "posix" and not content.strip(b"\0"):
         return False
+    # An ELF header of 64 bits has 64 bytes.
     if content.startswith(ELF_MAGIC) and len(content) >= 64:
         # The section table ends the file: offset at byte 40, size and number of its rows at bytes
         # 58 and 60.
@@ -99,6 +101,7 @@ def _read_manifest(file: Path) -> dict[str, str]:
 
 def _write_manifest(file: Path, checksums: dict[str, str]) -> None:
     """Write the checksums atomically, so that another process never reads part of the file."""
+    # 48 random bits: two processes have different temporary files.
     temporary = file.with_name(f"{uuid4().hex[:12]}-{MANIFEST}")
     with suppress(OSError):
         temporary.write_text(json.dumps(checksums), "utf-8")

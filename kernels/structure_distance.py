@@ -25,6 +25,7 @@ MOST_EVALUATIONS = wp.constant(20000)
 The limit bounds the time of a tick.
 """
 LEAF = wp.constant(4)
+"""Triangles in a leaf, as `meshes.surfaces.box_tree` fills them."""
 
 
 @wp.struct
@@ -119,6 +120,8 @@ def node_bound(outline: Outline, tree: Tree, motion: wp.array2d(dtype=wp.float64
         centre = in_tool(motion, tree.centre[node])
         for part in range(outline.convex.shape[0]):
             value, gradient, _bend = distance_to_part(outline, part, centre)
+            # A distance falls by at most the path. Over a convex part its tangent plane is a
+            # tighter bound.
             drop = wp.length(half)
             if outline.convex[part] == 1:
                 drop = wp.float64(0.0)
