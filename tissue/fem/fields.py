@@ -105,6 +105,7 @@ def cell_stress(space: Space, displacement_m: Array, elasticity: ArrayLike) -> S
         If the elasticity is refused.
     """
     start = np.arange(space.cell_count + 1, dtype=np.int32)
+    # four equal barycentric coordinates: the centre
     return group_stress(space, displacement_m, elasticity, start, start[:-1], np.full((1, 4), 0.25))
 
 

@@ -134,6 +134,7 @@ class ContactSlope:
                 gain = along / (NOISE_M**2 + float(moved.dot(along)))
                 self.matrix -= (changed + self.matrix.dot(moved))[:, None] * gain
                 self._spread -= gain[:, None] * along
+                # every fourth entry of a 3 x 3 matrix: its diagonal
                 self._spread.flat[::4] += DRIFT_PER_M * sqrt(square)
                 self._bound()
         self._before = tip_m.copy(), force_m.copy()
@@ -275,5 +276,6 @@ class LookAhead:
         if not isfinite(contact.gap_m):
             return np.zeros(3)
         overlap = -(contact.gap_m + float(contact.normal.dot(device_m - contact.tip_m)))
+        # coupling and tissue in series
         stiffness = contact.spring_N_m * self._surface / (1.0 + self._surface)
         return max(overlap, 0.0) * stiffness * contact.normal

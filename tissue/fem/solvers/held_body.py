@@ -48,6 +48,7 @@ def free_motion_count(nodes_m: Array, held: Flags) -> int:
         Components that are fixed, shape (n, 3).
     """
     centre = nodes_m.mean(axis=0)
+    # A single node has no size.
     size = max(float(np.linalg.norm(nodes_m - centre, axis=1).max()), 1e-300)
     rows = rigid_modes((nodes_m - centre) / size, np.zeros(3))[held]
     values = np.linalg.eigvalsh(rows.T @ rows / max(len(rows), 1))
