@@ -34,9 +34,13 @@ REMEDY = (
 )
 """Packages that provide OpenGL in software on a bare Linux machine."""
 LONGEST_S = 120.0
+"""Longest drawing time of a picture [s]; pictures of the heavy scenes take some seconds."""
 DISPLAY_S = 30.0
 ANSWERS_S = 5.0
-"""Longest waiting time for a display, and longest time for one answer of it [s]."""
+"""Longest waiting time for a display, and longest time for one answer of it [s].
+
+A display that is still starting refuses connections. A stopped one accepts them and never answers.
+"""
 _drawing: "set[subprocess.Popen[bytes]]" = set()
 
 
@@ -95,6 +99,7 @@ def draw_apart(
                 _drawing.discard(process)
                 process.kill()
                 raise
+        # `end_drawing` has killed it.
         if process not in _drawing:
             return "drawing was stopped"
         _drawing.discard(process)
@@ -105,9 +110,12 @@ def draw_apart(
             return None
         reason = f"OpenGL does not work on this machine (exit code {process.returncode})"
         _, refused, sentence = output.rpartition(f"{InputError.__module__}.{InputError.__name__}: ")
+        # 1 is the exit code of a Python error; a crash in a graphics library has another one, and
+        # then the next environment is tried.
         if process.returncode == 1 and refused:
             raise InputError(" ".join(sentence.split()))
         if process.returncode == 1 and "Error" in output:
+            # 200 characters keep the message on a few lines.
             reason = f"drawing in 3D failed ({output.strip().splitlines()[-1][:200]})"
     return (
         f"{reason}: {REMEDY}"
@@ -202,6 +210,7 @@ def await_display(*, longest_s: float = DISPLAY_S) -> str | None:
                 f"{os.environ['DISPLAY']}, which did not within {longest_s:g} s",
                 "start it, or unset DISPLAY to go without a window",
             )
+        # Short against the seconds that a display takes to start.
         sleep(0.2)
     return problem
 
@@ -239,6 +248,7 @@ def drawing_environments() -> Iterator[dict[str, str]]:
         return
     if _library("libEGL.so.1") is not None:
         yield {key: "vtkEGLRenderWindow"}
+    # Major versions of the library: 8 of current Mesa, 6 of older ones.
     if any(_library(f"libOSMesa.so.{version}") is not None for version in (8, 6)):
         yield {key: "vtkOSOpenGLRenderWindow"}
     if display_problem() is None:
