@@ -215,6 +215,7 @@ def block(body: Body, a: int, b: int):
 @wp.func
 def distance_to(kind: int, size: wp.vec2d, pose: Pose, points: Points, point: int, place: wp.vec3d):
     """Compute the distance to the tool [m] and its gradient at a contact point."""
+    # A shell is a set of points: the point's own tangent plane stands for it.
     if kind == SHELL:
         direction = points.tool_normal[point]
         return wp.dot(place - points.tool_point[point], direction), direction

@@ -178,6 +178,7 @@ def calibrate(pool: CoreThreads, parts: int, *, now: Callable[[], float] = perf_
             job()
         middle = now()
         run_split(pool, jobs)
+        # 1e-9 s: a coarse clock may not have moved.
         ratios.append((middle - start) / max(now() - middle, 1e-9))
     return median(ratios)
 

@@ -165,6 +165,7 @@ def cell_bounds(
     lower = -apart - size - largest
     upper = -apart - middle[2]
     if not is_inside:
+        # 1e9 m stands for no bound, here and below.
         upper = wp.float64(1.0e9)
         lower = apart - size - largest
         if across == 1:

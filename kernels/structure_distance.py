@@ -54,6 +54,7 @@ def smallest_in_triangle(
     Return it, the evaluations so far, and the part that is left open.
     """
     smallest = best
+    # 1e9 m stands for no bound.
     left = wp.float64(1.0e9)
     count = evaluations
     lower, upper = bounds_over(outline, a, b, c, smallest)
@@ -115,6 +116,7 @@ def in_tool(motion: wp.array2d(dtype=wp.float64), point: wp.vec3d):
 def node_bound(outline: Outline, tree: Tree, motion: wp.array2d(dtype=wp.float64), node: int):
     """Compute a lower bound of the distance over a node's box."""
     half = tree.half[node]
+    # 1e9 m stands for no bound: an empty node is never entered.
     bound = wp.float64(1.0e9)
     if half[0] >= wp.float64(0.0):
         centre = in_tool(motion, tree.centre[node])
@@ -151,6 +153,7 @@ def over_surface(
 
     The bound is at most `TOLERANCE_M` below the smallest distance.
     """
+    # 1e9 m stands for no bound.
     smallest = wp.float64(1.0e9)
     left = wp.float64(1.0e9)
     count = int(0)
@@ -253,6 +256,7 @@ def clearance(
     Distances are trilinear between voxel centres.
     """
     chunk = wp.tid() + chunk_offset
+    # 1e9 m stands for no distance yet.
     least = float(1.0e9)
     for e in range(chunk * CHUNK, wp.min(chunk * CHUNK + CHUNK, elements.point.shape[0])):
         arm = elements.point[e] / spacing

@@ -40,6 +40,7 @@ def on_line(shape: wp.array2d(dtype=wp.float64), k: int, p: wp.vec2d):
     free = wp.dot(p - start, along)
     reach = wp.clamp(free, wp.float64(0.0), shape[k, 4])
     offset = p - start - reach * along
+    # 1e9 m: straight
     bend = wp.float64(1.0e9)
     # Beyond an end the distance curves around that end; along the line it is straight.
     if reach != free:
@@ -76,6 +77,7 @@ def distance_to_part(outline: Outline, part: int, point: wp.vec3d):
     """
     radius = wp.sqrt(point[0] * point[0] + point[1] * point[1])
     p = wp.vec2d(radius, point[2])
+    # 1e9 m stands for no piece yet, and for a straight distance.
     nearest = wp.float64(1.0e9)
     away = wp.vec2d()
     normal = wp.vec2d()
@@ -176,6 +178,7 @@ def bounds_over(outline: Outline, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, best: w
     """
     middle = (a + b + c) / wp.float64(3.0)
     size = wp.max(wp.length(a - middle), wp.max(wp.length(b - middle), wp.length(c - middle)))
+    # 1e9 m stands for no bound yet.
     lower = wp.float64(1.0e9)
     upper = wp.float64(1.0e9)
     for part in range(outline.convex.shape[0]):

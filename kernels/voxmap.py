@@ -68,6 +68,7 @@ def box_distance(half: wp.vec3d, local: wp.vec3d):
     """
     outside = wp.vec3d()
     toward = wp.vec3d()
+    # -1e30 m stands for no face yet.
     deepest = wp.float64(-1.0e30)
     for c in range(3):
         side = ONE
@@ -207,6 +208,7 @@ def field_distance(
     Voxels count only within the range in which they are felt.
     """
     i = wp.tid()
+    # 1e30 m: no solid yet
     least = wp.float64(1.0e30)
     direction = wp.vec3d()
     for solid in range(field.kind.shape[0]):

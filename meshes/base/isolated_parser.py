@@ -53,6 +53,7 @@ def python_command(code: str, *arguments: str) -> list[str]:
     """Return the command that runs `start_code` in another Python; empty if none can be started."""
     if not sys.executable:
         return []
+    # -P: a file of the working folder must not stand in for a module of Python.
     return [sys.executable, "-P", "-c", code, str(Path(__file__).resolve().parents[2]), *arguments]
 
 

@@ -199,6 +199,7 @@ def stated_law(path: Path) -> str:
     """Return the density law stated in the header of a density image, or an empty text."""
     if not path.name.lower().endswith((".nrrd", ".nhdr")):
         return ""
+    # NRRD separates a key of the writer's own by :=, so that = is left.
     return header_lines(path, ":", "")[0].get(LAW, "").removeprefix("=").strip()
 
 

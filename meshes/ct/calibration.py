@@ -363,6 +363,7 @@ def _filtered(image: Image, start: int, thickness: int) -> list[Singles]:
     """
     from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
 
+    # Two filters of three voxels after each other need two more slices at each end.
     first = max(start - 2, 0)
     values = image.values[:, :, first : start + thickness + 2].astype(np.float32)
     shift = np.float32(values.mean())  # sums of squares keep their digits

@@ -54,7 +54,12 @@ def image_volume(
         If an option is out of range, or no voxel lies above the threshold.
     """
     limit = require_range(
-        "anatomy.threshold", threshold, -1e9, 1e9, "use 63 for 8-bit micro-CT, about 200 for CT"
+        # 1e9: any grey value, without infinity
+        "anatomy.threshold",
+        threshold,
+        -1e9,
+        1e9,
+        "use 63 for 8-bit micro-CT, about 200 for CT",
     )
     spacing = (
         min(image.spacing_mm)

@@ -91,7 +91,6 @@ def tiff_slices(path: Path) -> list[Path]:
         found = [file for file in found if not file.name.startswith(".")]
     else:
         require_file(path, "an image")
-        # Numbers sort after texts (-1); the whole name (-2) decides between 1 and 01.
         return [path] if path.suffix.lower() in SUFFIXES else []
     found.sort(key=_natural)
     _require_numbered(found, path)
@@ -153,6 +152,7 @@ def read_tiff_slices(
 def _natural(file: Path) -> list[tuple[int, str]]:
     """Return a key that sorts names by the numbers in them."""
     parts = re.split(r"(\d+)", file.stem)
+    # Texts get -1, numbers their value; the whole name with -2 decides between 1 and 01.
     return [
         (int(part), "") if part.isascii() and part.isdigit() else (-1, part) for part in parts
     ] + [(-2, file.name)]
@@ -261,6 +261,7 @@ def _decoded(file: Path, planes: _Planes) -> Numbers:
         values = np.asarray(imread(file)).reshape(planes.shape)
     except Exception as problem:  # the readers raise many kinds, none documented
         raise _damaged(file) from problem
+    # A picture of one bit is read as booleans.
     return values.astype(np.uint8 if values.dtype == bool else values.dtype, copy=False).T
 
 

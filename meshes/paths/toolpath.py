@@ -321,6 +321,7 @@ class _Machine:
                 target[letter] = value
             elif letter == "F":
                 feed = value
+            # N is the number of the line.
             elif letter != "N":
                 raise self._refused(
                     f"only G0, G1, G20, G21, G90, G91, X, Y, Z and F, got {letter}{value:g}", number

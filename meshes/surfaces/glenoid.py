@@ -65,6 +65,7 @@ class _Pear:
         It holds for y above the lower circle's widest point.
         """
         cosine = math.sqrt(1.0 - self.sine**2)
+        # The common tangent of both circles, up to its point on the upper one.
         if y <= self.upper_y + self.upper_radius * self.sine:
             return (self.lower_radius - (y - self.lower_y) * self.sine) / cosine
         return math.sqrt(max(self.upper_radius**2 - (y - self.upper_y) ** 2, 0.0))
@@ -330,6 +331,7 @@ def surface_anatomy(
         If a parameter is not finite or out of range.
     """
     thickness, dense, sparse = require_ranges(
+        # Wide ranges: they refuse values in metres and in g/cm3.
         ("cortical_thickness_mm", cortical_thickness_mm, 0.0, 10.0, "use 1.9"),
         ("cortical_density_kg_m3", cortical_density_kg_m3, 50.0, 2500.0, "use 1800"),
         ("trabecular_density_kg_m3", trabecular_density_kg_m3, 50.0, 2500.0, "use 350"),

@@ -126,7 +126,7 @@ class PlacedLabels:
     @cached_property
     def corners(self) -> Array:
         """Lowest and highest corner [m] of the tooth in the site frame, shape (2, 3)."""
-        # Every few voxels are enough, because the box is grown by the distance of the tested ones.
+        # About 160 planes an axis are enough, because the box grows by their distance.
         steps = [max(n // 160, 1) for n in self.layer.shape]
         index = np.argwhere(self.layer[:: steps[0], :: steps[1], :: steps[2]] != EMPTY) * steps
         points = (index * self.spacing - self.origin) @ self.rotation

@@ -292,6 +292,7 @@ def layered_anatomy(
         ligament.
     """
     require_known(surfaces, "surfaces")
+    # 10 mm: more bone than there is around a root.
     margin = 1e-3 * require_range("socket_mm", socket_mm, 0.0, 10.0, "use 2.5, or 0 for none")
     if margin > 0.0 and ("ligament" not in surfaces or "bone" in surfaces):
         raise InputError(

@@ -239,6 +239,7 @@ def _widest(points: Array, up: Array) -> Array:
     direction = np.linalg.eigh(np.cov(across.T))[1][:, 2]
     direction = direction - (direction @ up) * up
     direction /= np.linalg.norm(direction)
+    # The sign of an eigenvector is free: the largest component becomes positive.
     return direction * (1.0 if direction[int(np.argmax(np.abs(direction)))] > 0.0 else -1.0)
 
 

@@ -176,6 +176,7 @@ class Drilling(ContactEnvironment):
         self._thrust = self.thrust_N * float(self._command[0])
         self._before = self._speed
         self._top_m = float(motion.tip_m[2])
+        # The bone resists only a bur that moves or is pushed down; its cut is open above it.
         down = self._before > 0.0 or self._thrust > 0.0
         self._speed = self._balanced(response, motion, down=down)
         self._searches = down and self._speed > 0.0

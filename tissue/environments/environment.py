@@ -376,6 +376,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         if self.render_mode is None:
             return None
         self._require_episode("render")
+        # 640 x 360 pixels
         figure = Figure(figsize=(6.4, 3.6), dpi=100, layout="constrained")
         force = float(np.linalg.norm(self.mean_force_N))
         done_s = (1.0 - self.time_left) * self.duration_s

@@ -142,6 +142,7 @@ class Palpation(ContactEnvironment):
         turns = np.broadcast_to(np.eye(3), (len(tips), 3, 3))
         organ = material.organ(mesh, slab_base(mesh))
         path = ToolPath(SphereProbe(BALL_RADIUS_M), tips, turns)
+        # One core, because environments run in parallel.
         return LiverModel(organ, path, ContactSolution("condensed", cores=1))
 
     def _prepare(self) -> None:

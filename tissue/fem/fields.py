@@ -122,6 +122,7 @@ def group_stress(
     Parameters as of `kernels.tetrahedra.group_stress`, errors as of `cell_stress`.
     """
     rows = elasticity_rows(elasticity, space.cell_count)
+    # Two columns are Lamé's constants of an isotropic cell, otherwise rows are whole matrices.
     stiffness = stiffness_of_lame(rows) if rows.ndim == 2 else rows
     count = len(start) - 1
     device = space.device

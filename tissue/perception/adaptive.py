@@ -109,8 +109,8 @@ class ThresholdPrior:
         # A fraction of 10 or more means that it was given in percent.
         if not self.lowest < self.highest < 10.0:
             raise InputError("highest", f"be in ({self.lowest:g}, 10)", self.highest, "use 0.6")
-        # `edge_mass` reads two cells at each bound, which must be different ones. Beyond a thousand
-        # cells the grid does not fit into memory.
+        # `edge_mass` reads two cells at each bound, which must be different ones. A thousand bounds
+        # the memory of the likelihoods.
         for name, least in (("cells", 5), ("offset_cells", 1), ("lapse_cells", 1)):
             require_range(name, getattr(self, name), least, 1000, "see the defaults")
 

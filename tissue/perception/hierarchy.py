@@ -158,7 +158,9 @@ def fit_hierarchy(
     seed
         Seed of the draws.
     warm_up, draws
-        Number of draws a chain for tuning, and number of draws that are kept.
+        Number of draws a chain for tuning, and number of draws that are kept. For eight people of
+        60 comparisons and 12 numbers, 600 draws have an effective sample size of 444 to 499, 300
+        draws one of 230. A warm-up of 300 is enough there.
     progress
         Show a bar for each chain.
 
@@ -175,6 +177,7 @@ def fit_hierarchy(
         raise InputError(
             "population", "be fitted by numpyro", "none", "pip install 'tissue-sim[perception]'"
         ) from None
+    # NumPyro's default acceptance, 0.8, leaves the effective sample size at 362, below ESS.
     run = MCMC(
         NUTS(partial(_model, trials.observers), target_accept_prob=0.9),
         num_warmup=warm_up,

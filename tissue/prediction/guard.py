@@ -134,6 +134,8 @@ class Guarded:
         v = v - y
         w = w - z
         size = u * u + v * v + w * w
+        # A force that is not finite is replaced by the last difference. A larger difference than
+        # the device's force limit is shortened to it.
         if not isfinite(size):
             u, v, w = self._difference
         elif size > self._reach**2:

@@ -77,6 +77,7 @@ class FilteredPath:
 
     def __init__(self) -> None:
         self._gains = kalman_gains(1, JERKINESS)[:, None]
+        # Position, velocity and acceleration one tick later, in units of ticks.
         self._onward = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
         self._state: Array | None = None
         self._position, self._stretch = np.zeros((2, 3))
@@ -150,6 +151,7 @@ class ContactSlope:
         Its trace is limited, so that no direction is preferred.
         """
         size = sum(self._spread.flat[::4].tolist())
+        # trace of UNKNOWN times the unit matrix
         if size > 3.0 * UNKNOWN:
             self._spread *= 3.0 * UNKNOWN / size
 

@@ -237,6 +237,7 @@ class Kalman:
 
     def __init__(self, jerkiness: float = JERKINESS) -> None:
         self._jerkiness = require_positive("jerkiness", jerkiness, f"use {JERKINESS:g}")
+        # Force, rate and second rate one tick later, in units of ticks.
         self._onward = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
         self._state = np.zeros((3, 3))
         self._since = 0

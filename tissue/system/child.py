@@ -107,6 +107,7 @@ def _await_end(parent: int) -> None:
     if sys.platform == "win32":
         import psutil
 
+        # Windows keeps the id of a parent that has ended.
         if psutil.pid_exists(parent):
             psutil.Process(parent).wait()
     else:
@@ -384,6 +385,7 @@ def _kill(process: "subprocess.Popen[bytes]", jobs: "SimpleQueue[Job | None]") -
     process.kill()
     process.wait()
     jobs.put(None)
+    # Closing flushes what is left, into a pipe that has no reader any more.
     for stream in (process.stdin, process.stdout):
         with suppress(OSError, ValueError):
             if stream is not None:

@@ -243,9 +243,11 @@ def drawing_environments() -> Iterator[dict[str, str]]:
     They name the classes of VTK windows to try.
     """
     key = "VTK_DEFAULT_OPENGL_WINDOW"
+    # Other systems draw without a display, and a class that the user has chosen is used alone.
     if not sys.platform.startswith("linux") or key in os.environ:
         yield {}
         return
+    # EGL first, because it can use the graphics card; a window on a display may be seen.
     if _library("libEGL.so.1") is not None:
         yield {key: "vtkEGLRenderWindow"}
     # Major versions of the library: 8 of current Mesa, 6 of older ones.

@@ -127,6 +127,7 @@ def signals_handled(
 
 def _send(number: int) -> None:
     """Send a signal to the main thread, even while it sleeps."""
+    # Windows has no `pthread_kill`; there a sleep ends late.
     if hasattr(signal, "pthread_kill"):
         signal.pthread_kill(threading.main_thread().ident or 0, number)
     else:

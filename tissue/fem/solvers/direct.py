@@ -317,6 +317,7 @@ def _along_curve(nodes_m: Array) -> Ints:
     """
     low = nodes_m.min(axis=0)
     steps = (
+        # 1e-300: a single node has no extent
         (nodes_m - low) / max(float(np.ptp(nodes_m, axis=0).max()), 1e-300) * (2**LEVELS - 1)
     ).astype(np.int64)
     code = np.zeros(len(nodes_m), np.int64)
