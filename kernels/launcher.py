@@ -194,7 +194,10 @@ SPLIT_ABOVE_S = 2.5e-4
 GROWTH = 2.0
 """Factor by which a launch is assumed to grow from one run to the next."""
 FIRST_S = 1e-5
-"""Assumed time of a launch before its first run [s]."""
+"""Assumed time of a launch before its first run [s].
+
+With `GROWTH`, a launch is split in its sixth run at the earliest.
+"""
 
 
 @dataclass

@@ -92,5 +92,7 @@ def _kuhn(counts: Sequence[int]) -> Ints:
     for order in permutations(range(3)):
         path = np.concatenate([[0], np.cumsum(stride[list(order)])])
         odd = np.linalg.det(np.eye(3)[list(order)]) < 0.0
+        # An odd permutation mirrors the tetrahedron; exchanging two corners makes its volume
+        # positive.
         tets.append(path[[0, 2, 1, 3]] if odd else path)
     return ((bricks @ stride)[:, None, None] + np.array(tets)[None]).reshape(-1, 4).astype(np.int64)

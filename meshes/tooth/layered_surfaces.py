@@ -388,6 +388,7 @@ def _site(
         [points for name, points in samples.items() if name not in ("enamel", "bone")]
     )
     axes = tooth_axes(samples["enamel"], body)
+    # A lesion may have taken the enamel on the axis.
     for name in ("enamel", "dentin"):
         placed = (surfaces[name].vertices_m - axes.middle_m) @ axes.rotation
         # 1 nm off the axis, where edges of symmetric meshes lie.

@@ -23,7 +23,10 @@ __all__ = [
 ]
 
 LEAST_HOLD = 1e-6
-"""Largest motion of the held components in a free motion, relative to the body's own motion."""
+"""Largest motion of the held components in a free motion, relative to the body's own motion.
+
+It is far above the rounding of such motions, 1e-8.
+"""
 
 
 def rigid_modes(nodes_m: Array, about_m: Array) -> Array:
