@@ -63,6 +63,7 @@ def bone_at(
     elif (near & 255) > DEEP or (near >> 8) < FAR:
         cell = cell_of(point)
         corners = corners_of(brick_of, cell, row)
+        # No change of layer (255), and a surface distance one voxel (63 steps) farther out.
         beyond = 0xFF00 | wp.clamp((near & 255) + 63, BEYOND, 254)
         stored = corner8i()
         for c in range(CORNERS):
@@ -99,6 +100,7 @@ def distance_between(stored: corner8i, inside: wp.vec3, nearest: Bone):
     gz = 1.0 - fz
     s = corner8f()
     for c in range(CORNERS):
+        # from steps to voxels, see SURFACE_STEPS
         s[c] = float((stored[c] & 255) - 128) * (1.0 / 63.0)
     x0 = (s[0] * gz + s[1] * fz) * gy + (s[2] * gz + s[3] * fz) * fy
     x1 = (s[4] * gz + s[5] * fz) * gy + (s[6] * gz + s[7] * fz) * fy
@@ -115,9 +117,10 @@ def distance_between(stored: corner8i, inside: wp.vec3, nearest: Bone):
 def layer_between(stored: corner8i, words: corner8i, inside: wp.vec3, nearest: Bone):
     """Return layer and density at a point whose eight voxels lie in several layers.
 
-    ``stored`` holds fraction (upper byte) and distance (lower byte) of each voxel, ``words`` its
-    density (upper 16 bits) and layer (lower byte), or -1 where no brick is. The bits are read here
-    in place, since a call of `layer_of` for each of 64 pairs costs time.
+    ``stored`` holds the distances of each voxel to the nearest change of layer (upper byte) and to
+    the surface (lower byte), ``words`` its density (upper 16 bits) and layer (lower byte), or -1
+    where no brick is. The bits are read here in place, since a call of `layer_of` for each of 64
+    pairs costs time.
     """
     found = nearest
     far = corner8f()
@@ -129,6 +132,7 @@ def layer_between(stored: corner8i, words: corner8i, inside: wp.vec3, nearest: B
         weight[c] *= wp.where((c & 1) != 0, inside[2], 1.0 - inside[2])
         far[c] = wp.where(words[c] >= 0, float(stored[c] >> 8) * weight[c], 0.0)
         whole += far[c]
+    # Below any share: distances are at most 255 each.
     best = float(-1.0e6)
     done = int(0)  # one bit a corner whose layer has been looked at
     for c in range(CORNERS):

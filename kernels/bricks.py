@@ -48,6 +48,7 @@ def voxel_row(brick_of: wp.array3d(dtype=wp.int32), ix: int, iy: int, iz: int):
 
     The row is -1 outside the grid or where no brick is stored.
     """
+    # Bricks have 8 voxels along each edge.
     bx = ix >> 3
     by = iy >> 3
     bz = iz >> 3
@@ -61,6 +62,8 @@ def voxel_row(brick_of: wp.array3d(dtype=wp.int32), ix: int, iy: int, iz: int):
 @wp.func
 def voxel_column(ix: int, iy: int, iz: int):
     """Return the place of voxel (ix, iy, iz) inside its brick's row."""
+    # Of the three bits of a coordinate in its brick, the upper two number its block and the lowest
+    # its place in the block.
     block = ((ix & 6) << 3) | ((iy & 6) << 1) | ((iz & 6) >> 1)
     return (block << 3) | ((ix & 1) << 2) | ((iy & 1) << 1) | (iz & 1)
 
@@ -89,6 +92,7 @@ def stored(
     row = voxel_row(brick_of, ix, iy, iz)
     if row < 0:
         return float(0.0)
+    # from stored steps, see FULL
     return float(remaining[row, voxel_column(ix, iy, iz)]) * (1.0 / 65535.0)
 
 
@@ -131,6 +135,8 @@ class Corners:
 def corners_of(brick_of: wp.array3d(dtype=wp.int32), cell: Cell, row: int):
     """Find the storage locations of a cell's corners, one of which lies in the brick of ``row``."""
     found = Corners()
+    # The same bits as in `voxel_column`, once an axis and side of the cell instead of once a
+    # corner.
     x0 = ((cell.x & 6) << 6) | ((cell.x & 1) << 2)
     y0 = ((cell.y & 6) << 4) | ((cell.y & 1) << 1)
     z0 = ((cell.z & 6) << 2) | (cell.z & 1)
@@ -141,6 +147,7 @@ def corners_of(brick_of: wp.array3d(dtype=wp.int32), cell: Cell, row: int):
         found.row[c] = row
         part = wp.where((c & 4) != 0, x1, x0) | wp.where((c & 2) != 0, y1, y0)
         found.column[c] = part | wp.where((c & 1) != 0, z1, z0)
+    # The cell begins at the last voxel of the brick, so that some corners lie in the next brick.
     if (cell.x & 7) == 7 or (cell.y & 7) == 7 or (cell.z & 7) == 7:
         for c in range(8):
             found.row[c] = voxel_row(
@@ -198,6 +205,8 @@ def plane_of(normal: wp.vec3):
     y = wp.abs(normal[1])
     z = wp.abs(normal[2])
     plane = Plane()
+    # 1e-6 is for a vanishing normal. Components below 1e-4 are raised to it to avoid divisions by
+    # zero; this changes the volume by less than 2e-4.
     plane.scale = 1.0 / wp.max(x + y + z, 1.0e-6)
     plane.m1 = wp.max(wp.min(x, wp.min(y, z)) * plane.scale, 1.0e-4)
     plane.m3 = wp.max(wp.max(x, wp.max(y, z)) * plane.scale, 1.0e-4)
@@ -217,6 +226,8 @@ def cube_behind_plane(plane: Plane, distance: float):
     cube.
     """
     whole = 0.5 - distance * plane.scale
+    # The volume on the smaller side; the cases below differ in the corners of the cube that lie on
+    # it.
     a = wp.min(whole, 1.0 - whole)
     if a <= 0.0:
         return wp.where(whole > 0.5, 1.0, 0.0)

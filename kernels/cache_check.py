@@ -58,6 +58,7 @@ def _is_whole(entry: Path) -> bool:
         if not file.is_file():
             return False
         content = file.read_bytes()
+        # 16 bytes: damage that keeps the checksum has a chance of 1 in 2^128.
         found[file.name] = blake2b(content, digest_size=16).hexdigest()
         if file.name in known and known[file.name] != found[file.name]:
             return False
@@ -77,8 +78,10 @@ def _is_complete(ending: str, content: bytes) -> bool:
             return isinstance(json.loads(content), dict)
         except ValueError:
             return False
+    # A full disk leaves a file of zeros.
     if ending == ".o" and os.name == "posix" and not content.strip(b"\0"):
         return False
+    # An ELF header of 64 bits has 64 bytes.
     if content.startswith(ELF_MAGIC) and len(content) >= 64:
         # The section table ends the file: offset at byte 40, size and number of its rows at bytes
         # 58 and 60.
@@ -99,6 +102,7 @@ def _read_manifest(file: Path) -> dict[str, str]:
 
 def _write_manifest(file: Path, checksums: dict[str, str]) -> None:
     """Write the checksums atomically, so that another process never reads part of the file."""
+    # 48 random bits: two processes have different temporary files.
     temporary = file.with_name(f"{uuid4().hex[:12]}-{MANIFEST}")
     with suppress(OSError):
         temporary.write_text(json.dumps(checksums), "utf-8")

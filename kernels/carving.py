@@ -76,6 +76,7 @@ def carve(
         spread = tool.radius * wp.sqrt(wp.max(1.0 - axis[c] * axis[c], 0.0)) + BLOCK_REACH
         first = wp.min(tool.low * axis[c], tool.high * axis[c]) - spread
         last = wp.max(tool.low * axis[c], tool.high * axis[c]) + spread
+        # 8: edge of a brick [voxel]
         low[c] = wp.max(int(wp.floor((float(pose[0, c]) + first) / 8.0)), 0)
         high[c] = wp.min(int(wp.floor((float(pose[0, c]) + last) / 8.0)), brick_of.shape[c] - 1)
     columns_y = high[1] - low[1] + 1
@@ -86,6 +87,7 @@ def carve(
         by = low[1] + column % columns_y
         column += worker_count
         for visit in range(plan[COUNT]):
+            # & 15 is the remainder by PHASES. The bricks of a group are 16 apart along z.
             group = (plan[FIRST] + visit) & 15
             bz = low[2] + ((group - plan[ORIGIN] - bx - by - low[2]) & 15)
             while bz <= high[2]:
@@ -148,6 +150,10 @@ def carve_brick(
     step = offset_from(pose, 1 + group, bx * 8 + 4, by * 8 + 4, bz * 8 + 4) - centre
     moved = wp.length(step)
     kink = 1.0 / tool.cells_per_voxel  # next to a kink a slope is taken across a cell of the table
+    # Blocks behind a moving tool were carved before: skipping them saves time only. Over a block,
+    # the normal of a tool of 8 voxels' radius turns by 12 degrees, over a brick that of 24 by 17
+    # degrees. The whole block faces backward below -0.25 (104 degrees), the whole brick below -0.7
+    # (134 degrees).
     skip_behind = every_side == 0 and tool.round == 1 and tool.radius > 8.0
     if (
         skip_behind
@@ -238,12 +244,15 @@ def flattened(near: Nearest, offset: wp.vec3, axis: wp.vec3, step: wp.vec3):
     length = wp.length(step)
     if length == 0.0 or near.bend >= EDGE:
         return float(0.0)
+    # 6 times `bend` is the sum of both principal curvatures: around the axis and along the profile.
+    # Half a voxel bounds the curvature on the axis.
     outward = offset - wp.dot(offset, axis) * axis
     radius = wp.max(wp.length(outward), 0.5)
     around = wp.dot(near.slope, outward) / (radius * radius)
     meridional = wp.max(6.0 * near.bend - around, 0.0)
     part = wp.dot(wp.cross(axis, outward), step) / (radius * length)
     along = meridional + (around - meridional) * part * part
+    # The normal is not perpendicular to the path within a voxel.
     if wp.abs(wp.dot(near.slope, step)) > wp.abs(along) * length:
         return float(0.0)
     return along / 6.0
@@ -286,6 +295,7 @@ def carve_block(
         if kept > 0:
             target = int(65535)
             if binary == 0:
+                # rounded to the nearest stored step
                 target = int(65535.5 - 65535.0 * cube_behind_plane(facing, distance + curving))
             elif distance < 0.0:
                 target = 0
@@ -309,10 +319,14 @@ def distance_at(near: Nearest, offset: wp.vec3):
     The tool is approximated by a tangent sphere.
     """
     along = wp.dot(near.slope, offset)
+    # The sphere's curvature is half of 6 bend, and distance grows by half of it times the square of
+    # the offset across the normal; voxel centres lie sqrt(0.75) from the middle.
     return near.distance + along + 1.5 * near.bend * (0.75 - along * along)
 
 
 @wp.func
 def swept_steps(distance: float):
     """Convert a distance [voxel] to the stored distance to the swept solid."""
+    # 4096 steps a voxel around 32768, up to 8 voxels; 65535 is kept free for a voxel that was never
+    # near.
     return wp.clamp(int(32768.5 + 4096.0 * distance), 0, 65534)

@@ -133,6 +133,8 @@ def strip_products(scalar: Any) -> Any:
     """
     V = lanes_of(scalar)
     half, quarter, two = scalar(0.5), scalar(0.25), scalar(2.0)
+    # Energy of the gradients of XYZ in a full cell of unit Lame constants, over the weight w of the
+    # other modes.
     trilinear = scalar(20.0 / 3.0)
 
     @wp.func

@@ -80,6 +80,7 @@ def find_near(
         gather_again(body_out, patch_out)
     for t in range(centre.shape[0]):
         distance = wp.length(centre[t] - middle) - size[0]
+        # The ball around a shell bounds its distance; the other tools have a formula.
         if kind != SHELL:
             distance, _normal = axis_distance(kind, size, pose, centre[t])
         if distance < radius[t] + margin or lists_out.working_mark[t] == 1:

@@ -103,6 +103,8 @@ def axis_distance(kind: int, size: wp.vec2d, pose: Pose, point: wp.vec3d):
     below = size[1] - height
     direction = -axis
     distance = below - size[1]
+    # Next to the rounded edge the distance is that of its circle, whose centre lies size[1] within
+    # side and face; elsewhere that of the nearer of both.
     if outside > ZERO and below > ZERO:
         corner = wp.sqrt(outside * outside + below * below)
         distance = corner - size[1]
@@ -128,9 +130,6 @@ FORCE, TORQUE, STATE, SWEEPS, CONTACTS, AREA, DEEPEST, LARGEST, RESULTS = (
 
 In order: force on the tool [N], torque on the tool [N m], state at the end of the solve, sweeps,
 contacts, contact area [m2], deepest point and largest displacement [m]; number of entries.
-
-In order: force on the tool [N], torque on the tool [N m], state at the end of the solve, sweeps,
-contacts, contact area [m2], deepest point and largest displacement [m].
 """
 DONE, RUN_OUT, IMMOVABLE, MISSING = 0, 1, 2, 3
 """End states of a solve."""
@@ -216,6 +215,7 @@ def block(body: Body, a: int, b: int):
 @wp.func
 def distance_to(kind: int, size: wp.vec2d, pose: Pose, points: Points, point: int, place: wp.vec3d):
     """Compute the distance to the tool [m] and its gradient at a contact point."""
+    # A shell is a set of points: the point's own tangent plane stands for it.
     if kind == SHELL:
         direction = points.tool_normal[point]
         return wp.dot(place - points.tool_point[point], direction), direction
@@ -223,6 +223,7 @@ def distance_to(kind: int, size: wp.vec2d, pose: Pose, points: Points, point: in
     return distance, direction
 
 
+# Steps at most. Bisection alone, the fallback, brings a bracket to rounding in 53.
 NEWTON_STEPS = 60
 EXACT = wp.constant(wp.float64(1e-13))
 """Relative distance to the friction cone at which slipping is solved."""
@@ -253,6 +254,7 @@ def slipping_force(
     Without the force, the gap is ``apart`` < 0 and the tangential slip is ``drift``.
     """
     side = wp.vec3d(ONE, ZERO, ZERO)
+    # A direction within 45 degrees of the normal would lose digits in the cross product.
     if wp.abs(normal[0]) > wp.float64(0.7):
         side = wp.vec3d(ZERO, ONE, ZERO)
     first = wp.normalize(wp.cross(normal, side))
@@ -302,6 +304,8 @@ def slipping_force(
             rise = -bend / (size * size) + tilt / (friction * press * press)
             if rise > ZERO:
                 guess = share - (ONE / size - ONE / (friction * press)) / rise
+        # Outside the bracket: bisect, or go farther while there is no upper end. k0 + k1 gives the
+        # scale.
         if guess <= low or (high >= ZERO and guess >= high):
             guess = wp.float64(2.0) * share + k0 + k1
             if high >= ZERO:
@@ -324,6 +328,7 @@ def coulomb_force(
     back = compliance * old
     apart = gap - wp.dot(normal, back)
     force = wp.vec3d()
+    # Without this force the point would lie in the tool.
     if apart < ZERO:
         if friction == ZERO:
             normal_compliance = wp.dot(normal, compliance * normal)
@@ -333,6 +338,7 @@ def coulomb_force(
             sideways = slip - wp.dot(slip, normal) * normal
             force = old - inverse * (gap * normal + sideways)
             press = wp.dot(force, normal)
+            # Sticking would pull, or take more than friction can bear.
             if press < ZERO or wp.length(force - press * normal) > friction * press:
                 drift = sideways - (back - wp.dot(back, normal) * normal)
                 force = slipping_force(compliance, normal, apart, drift, friction)

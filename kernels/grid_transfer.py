@@ -111,6 +111,7 @@ def restrict(
     for slot in range(27):
         fine = fine_of[coarse, slot]
         if fine >= 0:
+            # Halfway between two coarse nodes along an axis, each of them has half of the node.
             weight = float(1.0)
             if slot / 9 != 1:
                 weight = weight * 0.5
@@ -212,6 +213,7 @@ def invert_diagonal(
     size = wp.trace(block)
     inverse = wp.mat33d()
     if size > wp.float64(0.0):
+        # Below the rounding of the single precision in which the inverse is used, 6e-8.
         tiny = wp.float64(1e-9) * size
         inverse = wp.inverse(block + wp.diag(wp.vec3d(tiny, tiny, tiny)))
     inverse_out[node] = wp.mat33f(inverse)

@@ -58,12 +58,14 @@ def cube_weights(
                 cube = 2 * cube
                 if at[axis] > wp.float64(0.0):
                     cube += 1
+            # V / 16 h^2, see WEIGHTS
             share = left / (wp.float64(16.0) * edge * edge)
             weight_out[row, cube, lane] = weight_out[row, cube, lane] + share * lame[p, 0]
             weight_out[row, 8 + cube, lane] = weight_out[row, 8 + cube, lane] + share * lame[p, 1]
             shear += left * lame[p, 1]
             moment += left * wp.cw_mul(at, at)
     whole = edge * edge * edge
+    # A full cell has the second moment V / 12 about its middle; what the particles lack is unseen.
     missing = wp.max(wp.float64(1.0) - wp.float64(12.0) * wp.min(moment) / whole, wp.float64(0.0))
     weight_out[row, 16, lane] = strength * missing * shear / whole * edge / wp.float64(12.0)
     for i in range(17):

@@ -130,6 +130,8 @@ def tool_distances(
     # along these axes it lies in two blocks
     odd = ((cell.x & 1) << 2) | ((cell.y & 1) << 1) | (cell.z & 1)
     block = int(0)
+    # A cell lies in one or two blocks along each axis. Both loops count in the bits of `odd` and
+    # outside of it, by carrying over the other bits.
     while block < 8:
         x = (cell.x + (block >> 2)) >> 1
         y = (cell.y + ((block >> 1) & 1)) >> 1

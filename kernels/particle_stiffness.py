@@ -122,6 +122,7 @@ def particle_stiffness(
 
 
 THIRD_TURN = wp.constant(wp.float64(2.0943951023931953))
+"""Angle between two eigenvalues in Smith's formula, 2 pi / 3."""
 
 
 @wp.func
@@ -131,6 +132,7 @@ def principal_values(stress: wp.mat33d):
     shifted = stress - wp.diag(wp.vec3d(mean, mean, mean))
     size = wp.sqrt(wp.ddot(shifted, shifted) / wp.float64(6.0))
     values = wp.vec3d(mean, mean, mean)
+    # Otherwise all three are the mean.
     if size > wp.float64(0.0):
         half = wp.determinant(shifted / size) / wp.float64(2.0)
         angle = wp.acos(wp.clamp(half, wp.float64(-1.0), wp.float64(1.0))) / wp.float64(3.0)

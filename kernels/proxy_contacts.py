@@ -20,7 +20,10 @@ VOXEL_PLANES = 3
 ZERO = wp.constant(wp.float64(0.0))
 FAR = wp.constant(wp.float64(1.0e30))
 AHEAD = wp.constant(wp.float64(4.0))
-"""Number of steps ahead at which a point is checked again."""
+"""Number of steps ahead at which a point is checked again.
+
+It bounds the number of points that wake for a long path.
+"""
 LEAST_SLOPE = wp.constant(wp.float64(0.5))
 """Smallest slope assumed for a level.
 
@@ -28,6 +31,7 @@ A flatter level is read as this steep, so that a point is never assumed to be fa
 voxel.
 """
 SAME_DIRECTION = wp.constant(wp.float64(0.99999999))
+"""Cosine of the angle up to which two planes count as one: 1.4e-4 rad, above rounding."""
 SLACK = wp.constant(wp.float64(1.0e-3))
 """Share of a voxel by which a kept plane may cut off free space."""
 
@@ -128,6 +132,7 @@ def collect_voxels(
     level, slope = voxel_level(field, at)
     size = wp.length(slope)
     gap = level / wp.max(size, LEAST_SLOPE)
+    # Where all voxels around the point are equal, no direction leads out: it has no plane.
     if size == ZERO:
         forget(contacts.plane_normal, contacts.press, point, first)
         return count, step, ZERO

@@ -52,6 +52,7 @@ def turn_between(start: wp.quatd, goal: wp.quatd):
     turn = goal * wp.quat_inverse(start)
     imaginary = wp.vec3d(turn[0], turn[1], turn[2])
     cosine = turn[3]
+    # Both quaternions are the same rotation; this one is the shorter turn.
     if cosine < ZERO:
         imaginary = -imaginary
         cosine = -cosine
@@ -332,6 +333,7 @@ def take_step(
     """
     if before.solves >= settings.solve_limit:
         return before, last, OUT_OF_SOLVES
+    # The goal itself is free.
     if before.arrived == 1 and gap >= -settings.tolerance:
         return before, last, AT_REST
     aimed = aim_at(before, goal_position, goal_rotation, settings.compliance, spacing)

@@ -30,6 +30,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 MEMBERS = 8
 """Planes in the set: six hold a rigid body, and one more waits while another leaves."""
 ROUNDS = 64
+"""Largest number of planes that join in turn: several times the members, in case some alternate."""
 ONE = wp.constant(wp.float64(1.0))
 TINY = wp.constant(wp.float64(1.0e-13))
 """Relative increase of the set's matrix that makes dependent planes solvable."""
@@ -52,6 +53,7 @@ def factorise(contacts: Contacts, members: int, compliance: wp.float64):
             for k in range(j):
                 value -= contacts.lower[i, k] * contacts.lower[j, k]
             if i == j:
+                # Rounding may leave dependent planes a negative pivot.
                 contacts.lower[i, i] = wp.sqrt(wp.max(value, TINY * TINY))
             else:
                 contacts.lower[i, j] = value / contacts.lower[j, j]
@@ -114,6 +116,8 @@ def shrink_set(
         for m in range(members):
             old = contacts.press[contacts.slot[contacts.member[m]]]
             new = contacts.side[m, 0]
+            # The plane would pull: go only so far that the first such force is 0, and let its plane
+            # leave.
             if new <= ZERO:
                 part = wp.float64(0.0)
                 if old > ZERO:
@@ -188,7 +192,9 @@ def normal_forces(
 FRICTION_ROUNDS = 4
 """Number of rounds in which friction and normal forces are solved in turn."""
 STEPS = 50
+"""Largest number of rounds between friction and its bound; each is the other's answer."""
 NEWTON_STEPS = 30
+"""Largest number of Newton steps; from below they converge without a bracket, quadratically."""
 HALF = wp.constant(wp.float64(0.5))
 SOFT = wp.constant(wp.float64(1.0e-11))
 """Compliance given to a point that the planes hold, relative to about 1 of a free point.
@@ -274,6 +280,7 @@ def friction_force(
     arm = arm / total
     normal = wp.normalize(along)
     side = wp.vec3d(ONE, ZERO, ZERO)
+    # A direction within 45 degrees of the normal would lose digits in the cross product.
     if wp.abs(normal[0]) > wp.float64(0.7):
         side = wp.vec3d(ZERO, ONE, ZERO)
     first = wp.normalize(wp.cross(normal, side))
@@ -334,6 +341,7 @@ def resolve(
     for c in range(count):
         contacts.chosen[c] = 0
         if contacts.press[contacts.slot[c]] > ZERO:
+            # One place is kept for a plane that joins.
             if members < MEMBERS - 1:
                 contacts.member[members] = c
                 contacts.chosen[c] = 1

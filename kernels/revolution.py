@@ -8,7 +8,10 @@ import warp as wp
 __all__ = ["EDGE_BEND", "Nearest", "Revolution", "nearest_on", "offset_from"]
 
 EDGE_BEND = 8.0
-"""Bend used near an edge of the profile, where no single plane fits a block of voxels."""
+"""Bend used near an edge of the profile, where no single plane fits a block of voxels.
+
+It marks the edge: a ball of one voxel's radius, smaller than any tool, has a bend of 1/3.
+"""
 
 
 @wp.struct
@@ -68,6 +71,7 @@ def nearest_on(tool: Revolution, offset: wp.vec3, axis: wp.vec3):
     found = Nearest()
     found.distance = (a * (1.0 - fu) + b * fu) * (1.0 - fv) + (c * (1.0 - fu) + d * fu) * fv
     found.bend = tool.bend[i, j]
+    # On the axis `outward` is zero, and so is its slope.
     found.slope = (slope[0] / wp.max(radius, 1.0e-6)) * outward + slope[1] * axis
     return found
 

@@ -15,7 +15,10 @@ ONE = wp.constant(wp.float64(1.0))
 TWICE = wp.constant(wp.float64(2.0))
 """Multiple of a triangle's radius within which each corner lies from any of its points."""
 GRAZING = wp.constant(wp.float64(0.1))
-"""Cosine between a point's normal and a triangle's inward normal below which they do not touch."""
+"""Cosine between a point's normal and a triangle's inward normal below which they do not touch.
+
+At 84 degrees the line along the normal meets the triangle ten times as far away as the triangle is.
+"""
 EDGE = wp.constant(wp.float64(-1e-9))
 """Barycentric weight down to which a point on an edge belongs to either side."""
 

@@ -25,6 +25,7 @@ MOST_EVALUATIONS = wp.constant(20000)
 The limit bounds the time of a tick.
 """
 LEAF = wp.constant(4)
+"""Triangles in a leaf, as `meshes.surfaces.box_tree` fills them."""
 
 
 @wp.struct
@@ -53,6 +54,7 @@ def smallest_in_triangle(
     Return it, the evaluations so far, and the part that is left open.
     """
     smallest = best
+    # 1e9 m stands for no bound.
     left = wp.float64(1.0e9)
     count = evaluations
     lower, upper = bounds_over(outline, a, b, c, smallest)
@@ -114,11 +116,14 @@ def in_tool(motion: wp.array2d(dtype=wp.float64), point: wp.vec3d):
 def node_bound(outline: Outline, tree: Tree, motion: wp.array2d(dtype=wp.float64), node: int):
     """Compute a lower bound of the distance over a node's box."""
     half = tree.half[node]
+    # 1e9 m stands for no bound: an empty node is never entered.
     bound = wp.float64(1.0e9)
     if half[0] >= wp.float64(0.0):
         centre = in_tool(motion, tree.centre[node])
         for part in range(outline.convex.shape[0]):
             value, gradient, _bend = distance_to_part(outline, part, centre)
+            # A distance falls by at most the path. Over a convex part its tangent plane is a
+            # tighter bound.
             drop = wp.length(half)
             if outline.convex[part] == 1:
                 drop = wp.float64(0.0)
@@ -148,6 +153,7 @@ def over_surface(
 
     The bound is at most `TOLERANCE_M` below the smallest distance.
     """
+    # 1e9 m stands for no bound.
     smallest = wp.float64(1.0e9)
     left = wp.float64(1.0e9)
     count = int(0)
@@ -250,6 +256,7 @@ def clearance(
     Distances are trilinear between voxel centres.
     """
     chunk = wp.tid() + chunk_offset
+    # 1e9 m stands for no distance yet.
     least = float(1.0e9)
     for e in range(chunk * CHUNK, wp.min(chunk * CHUNK + CHUNK, elements.point.shape[0])):
         arm = elements.point[e] / spacing

@@ -165,6 +165,8 @@ def report(
             distance, direction = distance_to(kind, size, pose, points, point, place)
             deepest = wp.max(deepest, -distance)
             compliance = points.response[point, 3]
+            # A compliance of rounding along the normal: the body cannot yield there, for example at
+            # a support.
             if (
                 ended == DONE
                 and distance < -slack

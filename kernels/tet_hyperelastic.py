@@ -23,6 +23,7 @@ __all__ = ["stretch_force", "stretch_stiffness"]
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 SWEEPS = wp.constant(12)
+"""Largest number of sweeps over the three pairs; Jacobi's method needs about five."""
 EQUAL = wp.constant(wp.float64(1.0e-5))  # as in tissue.materials.hyperelasticity
 ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
@@ -39,6 +40,7 @@ def stretches_of(f: wp.mat33d):
     v = wp.mat33d(IDENTITY)
     for _ in range(SWEEPS):
         off = c[0, 1] * c[0, 1] + c[0, 2] * c[0, 2] + c[1, 2] * c[1, 2]
+        # rounding of double precision, 2e-16, squared
         if off <= wp.float64(1.0e-31) * wp.ddot(c, c):
             break
         for k in range(3):
@@ -139,6 +141,7 @@ def stretch_force(
     for q in range(share.shape[0]):
         f = deformation(cell, q, nodes, reference, corner, displacement)
         weight = share[q] * volume[cell]
+        # A turned-over cell.
         if wp.determinant(f) <= ZERO:
             energy = wp.float64(wp.INF)
         else:
@@ -170,6 +173,7 @@ def pair_moduli(stretch: wp.vec3d, first: wp.vec3d, second: wp.mat33d):
             if i != j:
                 a = stretch[i]
                 b = stretch[j]
+                # Limit of the difference quotient below for equal stretches.
                 stretching = HALF * (second[i, i] + second[j, j]) - second[i, j]
                 if wp.abs(a - b) >= EQUAL * (a + b):
                     stretching = (first[i] - first[j]) / (a - b)
@@ -232,6 +236,7 @@ def stretch_stiffness(
                             second[i, k] * g_a[i] * g_b[k] + across[i, k] * g_a[k] * g_b[i]
                         )
             block = u * local * wp.transpose(u)
+            # A node's own block is symmetric but for rounding.
             if pair_first[pair] == pair_second[pair]:
                 block = HALF * (block + wp.transpose(block))
             block_out[cell, pair] = block_out[cell, pair] + weight * block

@@ -41,6 +41,7 @@ LINEAR = wp.constant(0)
 COROTATIONAL = wp.constant(1)
 NEO_HOOKEAN = wp.constant(2)
 POLAR_STEPS = wp.constant(30)
+"""Largest number of Newton steps; scaled steps converge in about ten."""
 TWO = wp.constant(wp.float64(2.0))
 HALF = wp.constant(wp.float64(0.5))
 IDENTITY = wp.constant(wp.mat33d(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0))
@@ -59,6 +60,7 @@ def rotation_of(f: wp.mat33d):
         new = HALF * (scale * x + y / scale)
         change = new - x
         x = new
+        # rounding of double precision, 2e-16, squared
         if wp.ddot(change, change) < wp.float64(1.0e-31):
             break
     return x
@@ -187,6 +189,7 @@ def tet_stiffness(
         f = deformation(cell, q, nodes, reference, corner, displacement)
         weight = share[q] * volume[cell]
         turn = wp.mat33d(IDENTITY)  # the gradients are taken to this frame: identity, R, or F^-T
+        # The values below are those of the linear law; the other laws replace what differs.
         spin = wp.mat33d()
         c_dot = mu
         c_ab = lam

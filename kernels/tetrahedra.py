@@ -139,6 +139,7 @@ def pair_stiffness_isotropic(
 @wp.func
 def voigt(i: int, j: int):
     """Return the place of a tensor component in the order xx, yy, zz, yz, xz, xy."""
+    # The pairs (1, 2), (0, 2) and (0, 1) add up to 3, 2 and 1.
     where = 6 - i - j
     if i == j:
         where = i

@@ -40,7 +40,9 @@ def on_line(shape: wp.array2d(dtype=wp.float64), k: int, p: wp.vec2d):
     free = wp.dot(p - start, along)
     reach = wp.clamp(free, wp.float64(0.0), shape[k, 4])
     offset = p - start - reach * along
+    # 1e9 m: straight
     bend = wp.float64(1.0e9)
+    # Beyond an end the distance curves around that end; along the line it is straight.
     if reach != free:
         bend = wp.length(offset)
     return offset, bend
@@ -58,6 +60,7 @@ def on_arc(shape: wp.array2d(dtype=wp.float64), k: int, p: wp.vec2d):
     direction = middle
     if reach > wp.float64(0.0):
         direction = out / reach
+    # Beyond the arc's half angle the nearer end counts.
     if wp.dot(direction, middle) < shape[k, 5]:
         first = wp.vec2d(shape[k, 6], shape[k, 7])
         last = wp.vec2d(shape[k, 8], shape[k, 9])
@@ -74,6 +77,7 @@ def distance_to_part(outline: Outline, part: int, point: wp.vec3d):
     """
     radius = wp.sqrt(point[0] * point[0] + point[1] * point[1])
     p = wp.vec2d(radius, point[2])
+    # 1e9 m stands for no piece yet, and for a straight distance.
     nearest = wp.float64(1.0e9)
     away = wp.vec2d()
     normal = wp.vec2d()
@@ -103,6 +107,7 @@ def distance_to_part(outline: Outline, part: int, point: wp.vec3d):
     gradient = wp.vec3d(slope[0], wp.float64(0.0), slope[1])
     if radius > wp.float64(0.0):
         gradient = wp.vec3d(slope[0] * point[0] / radius, slope[0] * point[1] / radius, slope[1])
+    # Around the axis the distance curves like a circle through the point, wider as the slope tilts.
     if slope[0] > wp.float64(0.0):
         bend = wp.min(bend, radius / slope[0])
     return value, gradient, bend
@@ -173,6 +178,7 @@ def bounds_over(outline: Outline, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, best: w
     """
     middle = (a + b + c) / wp.float64(3.0)
     size = wp.max(wp.length(a - middle), wp.max(wp.length(b - middle), wp.length(c - middle)))
+    # 1e9 m stands for no bound yet.
     lower = wp.float64(1.0e9)
     upper = wp.float64(1.0e9)
     for part in range(outline.convex.shape[0]):
@@ -190,6 +196,7 @@ def bounds_over(outline: Outline, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, best: w
                 wp.dot(gradient, c - tried),
             )
             tangent += wp.vec3d(value)
+            # Without convexity a tangent is no bound, but a distance falls by at most the path.
             if outline.convex[part] == 0:
                 tangent = wp.vec3d(value - size)
                 step = STEPS

@@ -36,6 +36,7 @@ SURFACE = 0.25
 """Trilinear fraction on the surface that a tool feels."""
 LEVEL = wp.constant(wp.float64(SURFACE))
 STEP = wp.constant(wp.float64(1.0 / 65535.0))
+"""Fraction of one stored step, see `kernels.bricks.FULL`."""
 CELLS_PER_VOXEL = wp.constant(wp.float64(1.0 / CELL))
 ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
@@ -67,6 +68,7 @@ def box_distance(half: wp.vec3d, local: wp.vec3d):
     """
     outside = wp.vec3d()
     toward = wp.vec3d()
+    # -1e30 m stands for no face yet.
     deepest = wp.float64(-1.0e30)
     for c in range(3):
         side = ONE
@@ -166,10 +168,12 @@ def voxel_level(field: Field, point: wp.vec3d):
     ix = int(wp.floor(ux))
     iy = int(wp.floor(uy))
     iz = int(wp.floor(uz))
+    # -2: the eight voxels may lie in several bricks.
     row = int(-2)
     if (ix & 7) < 7 and (iy & 7) < 7 and (iz & 7) < 7:
         row = voxel_row(field.brick_of, ix, iy, iz)
         if row < 0:
+            # All eight voxels are empty.
             return LEVEL * field.spacing, wp.vec3d()
     fx = ux - wp.float64(ix)
     fy = uy - wp.float64(iy)
@@ -204,6 +208,7 @@ def field_distance(
     Voxels count only within the range in which they are felt.
     """
     i = wp.tid()
+    # 1e30 m: no solid yet
     least = wp.float64(1.0e30)
     direction = wp.vec3d()
     for solid in range(field.kind.shape[0]):

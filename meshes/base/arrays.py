@@ -75,6 +75,8 @@ def cross_products(points: Array, triangles: Ints) -> Array:
 
 def enclosed_volume(points: Array, triangles: Ints) -> float:
     """Compute the volume that triangles wound outward enclose, in cubed units of the points."""
+    # Volumes of the tetrahedra from the centroid to each triangle, a sixth of the triple product.
+    # An origin far away would cost digits.
     corners = points - points.mean(axis=0)
     return (
         float(np.einsum("ij,ij->", corners[triangles[:, 0]], cross_products(corners, triangles)))

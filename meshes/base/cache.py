@@ -20,6 +20,8 @@ from meshes.base.whole_file import package_version, whole_file
 __all__ = ["Kept", "cache_folder", "cached_arrays", "read_entry", "write_entry"]
 
 _SEAL = "tissue cache entry"
+_DIGEST_BYTES = 16
+"""Size of a checksum: at 128 bits, two of 1e9 entries agree with a probability of 2e-21."""
 Arrays = dict[str, NDArray[np.generic]]
 
 
@@ -57,7 +59,7 @@ def cached_arrays(kind: str, key: Iterable[object], make: Callable[[], Arrays]) 
     and the module of ``make``), their kinds, their shapes and a checksum. A file that does not
     match, or cannot be read, is made again. If the folder cannot be written, nothing is stored.
     """
-    digest = hashlib.blake2b(digest_size=16)
+    digest = hashlib.blake2b(digest_size=_DIGEST_BYTES)
     for part in key:
         if isinstance(part, np.ndarray):
             digest.update(f"{part.dtype}{part.shape}".encode())
@@ -75,6 +77,7 @@ def cached_arrays(kind: str, key: Iterable[object], make: Callable[[], Arrays]) 
         with whole_file(path) as temporary:
             sealed: dict[str, Any] = {_SEAL: np.array(_seal(arrays, code)), **arrays}
             np.savez(temporary, **sealed)
+    # An unwritable folder or a full disk must not end the computation.
     except OSError:
         pass
     return arrays
@@ -105,7 +108,7 @@ def write_entry(path: Path, text: str) -> None:
 def _head(text: str) -> str:
     return (
         f"# {_SEAL} {package_version()} "
-        f"{hashlib.blake2b(text.encode(), digest_size=16).hexdigest()}"
+        f"{hashlib.blake2b(text.encode(), digest_size=_DIGEST_BYTES).hexdigest()}"
     )
 
 
@@ -123,7 +126,7 @@ def _read(path: Path, code: str) -> Arrays | None:
 
 def _seal(arrays: Arrays, code: str) -> str:
     """Describe the arrays of a file as JSON: code, kinds, shapes and a checksum."""
-    checksum = hashlib.blake2b(digest_size=16)
+    checksum = hashlib.blake2b(digest_size=_DIGEST_BYTES)
     for array in arrays.values():
         checksum.update(np.ascontiguousarray(array).tobytes())
     described = {name: [array.dtype.str, array.shape] for name, array in arrays.items()}
@@ -140,7 +143,9 @@ def _code(make: Callable[[], Arrays]) -> str:
             Path(module.__file__).read_bytes() if module is not None and module.__file__ else b""
         )
     except OSError:
+        # A module without a source file, as in a frozen program, is known by the version alone.
         source = b""
+    # 64 bits are enough to distinguish the few versions of one module.
     return f"{package_version()} {hashlib.blake2b(source, digest_size=8).hexdigest()}"
 
 

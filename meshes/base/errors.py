@@ -35,6 +35,7 @@ __all__ = [
 ]
 
 _LONGEST_PATH = 500
+"""Longest path in an error message [characters]; the middle of a longer one is left out."""
 
 
 class InputError(ValueError):
@@ -279,6 +280,7 @@ def require_file(file: Path, content: str) -> None:
 def _as_number(name: str, value: object, remedy: str) -> float:
     """Convert to float; raise for values that are not numbers (including booleans)."""
     if isinstance(value, bool):
+        # Python would count True as 1.
         raise InputError(name, "be a number", f"{value!r}", remedy)
     try:
         return float(value)  # type: ignore[arg-type]
@@ -286,7 +288,11 @@ def _as_number(name: str, value: object, remedy: str) -> float:
         raise InputError(name, "be a number", f"{value!r}", remedy) from problem
     except OverflowError as problem:
         raise InputError(
-            name, "be a number below 1e308", f"{str(value)[:12]}...", remedy
+            # The whole number has 309 digits or more.
+            name,
+            "be a number below 1e308",
+            f"{str(value)[:12]}...",
+            remedy,
         ) from problem
 
 

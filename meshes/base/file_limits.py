@@ -28,8 +28,10 @@ __all__ = [
 
 _GB = 1e9
 _FREE_SHARE = 0.5
+"""Share of the free memory for a file's content; the rest is for the results computed from it."""
 _limit_GB: ContextVar[float | None] = ContextVar("max_memory_GB", default=None)
 _LONGEST_HEADER = 1 << 16
+"""Bytes read for the header of a NumPy array. NumPy itself refuses headers above 10,000 bytes."""
 _CGROUP = Path("/sys/fs/cgroup")
 
 
@@ -154,11 +156,13 @@ def _npy_bytes(first: bytes) -> int:
 
     stream = BytesIO(first)
     version = np.lib.format.read_magic(stream)
+    # Version 1 has a length of two bytes, later versions have one of four.
     if version == (1, 0):
         shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
     else:
         shape, _, dtype = np.lib.format.read_array_header_2_0(stream)
     if dtype.hasobject:
+        # Their size is unknown, and reading pickled objects can run any code.
         raise ValueError("an array of objects")
     return len(first) - len(stream.read()) + prod(shape) * dtype.itemsize
 

@@ -53,6 +53,7 @@ def python_command(code: str, *arguments: str) -> list[str]:
     """Return the command that runs `start_code` in another Python; empty if none can be started."""
     if not sys.executable:
         return []
+    # -P: a file of the working folder must not stand in for a module of Python.
     return [sys.executable, "-P", "-c", code, str(Path(__file__).resolve().parents[2]), *arguments]
 
 
@@ -88,7 +89,12 @@ _LIBRARIES_BYTES = 256 << 20
 It does not count against the memory limit of files.
 """
 _LOOK_EVERY_S = 0.05
+"""Interval at which time and memory of a parser are checked [s].
+
+A process takes some 0.1 GB of memory in it, little against the smallest allowance of 2 GiB.
+"""
 _LAST_S = 2.0
+"""Time that a parser whose pipe has closed has to end, so that its exit code is known [s]."""
 
 
 def parse_isolated(
@@ -143,6 +149,7 @@ def parse_isolated(
         if each.is_file()
     )
     limit_s = longest_s if longest_s is not None else _LONGEST_S + size / _BYTES_A_SECOND
+    # The child has no context variables of this process, so the memory limit is sent along.
     request = json.dumps([parser, str(file.absolute()), options, given_limit_GB()])
     command = python_command(_START, request, str(os.getpid()), str(limit_s))
     with subprocess.Popen(
@@ -236,9 +243,11 @@ def _serve() -> None:
     import numpy as np
 
     request, parent, limit_s = sys.argv[1:]
-    # where no process is left to end it
+    # A parent that lives ends this process at limit_s. Twice as late it ends itself: its parent has
+    # died, and only Linux kills it with its parent.
     faulthandler.dump_traceback_later(2.0 * float(limit_s), exit=True)
     kill_with_parent()
+    # The parent died before the call above, which then has no effect.
     if sys.platform.startswith("linux") and os.getppid() != int(parent):
         return
     answers = os.fdopen(os.dup(1), "wb")
@@ -257,6 +266,7 @@ def _serve() -> None:
     except InputError as problem:
         answer = {"refused": [str(field) for field in problem.args]}
     except DamagedFileError as problem:
+        # One line, cut off because it may quote the damaged content of the file.
         answer = {"problem": " ".join(str(problem).split())[:160]}
     except Exception:  # the libraries raise many kinds, none documented
         answer = {"problem": "it is damaged or cut off"}

@@ -50,6 +50,7 @@ def read_toml(text: str) -> dict[str, Any]:
             f"tables and lists within each other more than {DEEPEST} times"
         ) from None
     except ValueError as error:
+        # A number of too many digits: after the colon, Python's message advises a call in Python.
         raise tomllib.TOMLDecodeError(str(error).split(":")[0]) from None
     return table
 
@@ -72,6 +73,7 @@ def read_json(text: str | bytes) -> Any:
             f"tables and lists within each other more than {DEEPEST} times", "", 0
         ) from None
     except ValueError as error:
+        # as in `read_toml`
         raise json.JSONDecodeError(str(error).split(":")[0], "", 0) from None
     return value
 

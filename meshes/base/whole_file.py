@@ -59,6 +59,7 @@ def whole_file(path: Path) -> Iterator[Path]:
     holds the file may refuse it.
     """
     claim(path)
+    # 48 random bits: two processes that write one file have different temporary files.
     temporary = path.with_name(f".{uuid4().hex[:12]}-{path.name}")
     try:
         yield temporary
@@ -113,9 +114,14 @@ def require_version(
         of tissue that wrote the file.
     """
     stated = held.get(key)
+    # Python would count True as version 1.
     if isinstance(stated, bool) or not isinstance(stated, int) or stated < 1:
         raise InputError(
-            what, "state the version of its format", f"{str(stated)[:40]} in {where}", remedy
+            # Cut off, because a damaged file may hold a text of any length.
+            what,
+            "state the version of its format",
+            f"{str(stated)[:40]} in {where}",
+            remedy,
         )
     if stated > newest:
         writer = str(held.get("tissue", "a later version"))[:40]
@@ -185,6 +191,7 @@ def require_place(path: Path, *, folder: bool, name: str = "out") -> None:
     existing = next(each for each in (place, *place.parents) if os.path.lexists(each))
     if existing.is_symlink() and not existing.exists():
         raise InputError(name, "not use a symbolic link that leads nowhere", existing, choose)
+    # An existing file is replaced by a new one, so its folder must be writable.
     if existing == place and not folder:
         existing = place.parent
     if not existing.is_dir():

@@ -41,6 +41,8 @@ It is ash density 0.6 g/cm3, where Keyak (1998) changes from trabecular to corti
 apparent 0.598 (Schileo 2008).
 """
 _LEAST_KG_M3 = 50.0
+"""Lowest density of bone, as in `DensityLaw`; interpolation next to voxels without bone gives
+less."""
 _PLATE_M = 5e-3
 """Largest depth of a subchondral plate.
 
@@ -93,8 +95,10 @@ def imaged_anatomy(
         If the image does not cover the surface, or a parameter is out of range.
     """
     dense, articular = require_ranges(
+        # Trabecular bone has 350 kg/m3 by default, and the densest cortex 2000 kg/m3.
         ("cortical_above_kg_m3", cortical_above_kg_m3, 300.0, 2000.0, "use 1000"),
         (
+            # 100 mm and more is the whole bone; a glenoid has about 18 mm.
             "articular_radius_mm",
             articular_radius_mm,
             0.0,
@@ -168,6 +172,7 @@ def cored_anatomy(
         If the core lies outside the bone, or a density is out of range.
     """
     dense, sparse = require_ranges(
+        # Dense cortical bone has 2000 kg/m3; values in g/cm3 are refused.
         ("cortical_density_kg_m3", cortical_density_kg_m3, 50.0, 2500.0, "use 1800"),
         ("trabecular_density_kg_m3", trabecular_density_kg_m3, 50.0, 2500.0, "use 350"),
     )
@@ -194,6 +199,7 @@ def stated_law(path: Path) -> str:
     """Return the density law stated in the header of a density image, or an empty text."""
     if not path.name.lower().endswith((".nrrd", ".nhdr")):
         return ""
+    # NRRD separates a key of the writer's own by :=, so that = is left.
     return header_lines(path, ":", "")[0].get(LAW, "").removeprefix("=").strip()
 
 
@@ -245,6 +251,7 @@ def _require_covered(surface: Surface, density: Image) -> None:
             ),
             "give both in one frame (LPS, mm)",
         )
+    # Values in Hounsfield units are negative in air. No implant is denser than gold, 19,300 kg/m3.
     if (
         not np.isfinite(density.values).all()
         or density.values.min() < 0
@@ -260,6 +267,7 @@ def _require_covered(surface: Surface, density: Image) -> None:
 
 def _require_within(surface: Surface, core: Surface) -> None:
     """Raise for a core that lies elsewhere: another bone, frame or unit."""
+    # 2000 points estimate a share of 0.2 with a standard error of 0.01.
     points = core.vertices_m[:: max(len(core.vertices_m) // 2000, 1)]
     away = triangle_distance(surface.vertices_m, surface.faces, points)
     touching = float((away <= _FARTHEST_OUT_M).mean())

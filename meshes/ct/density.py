@@ -13,7 +13,7 @@ __all__ = ["ASH_SHARE", "ASH_SHARE_SD", "CT_DENSITY", "DENSITY_LAWS", "DensityLa
 
 ASH_SHARE = 0.598
 ASH_SHARE_SD = 0.004
-"""Standard deviation of the ratio of ash to apparent density of human bone.
+"""Ratio of ash to apparent density of human bone, and its standard deviation.
 
 The ratio is for cortical and trabecular bone together: 0.598 +- 0.004 (Schileo et al. 2008, J
 Biomech 41:2483).
@@ -176,6 +176,7 @@ def line_law(slope: float, offset: float, equivalent: str = "apparent") -> Densi
     InputError
         If the slope is not positive, or the equivalent is unknown.
     """
+    # Wide ranges: they refuse other units, such as 0.001 g/cm3 per Hounsfield unit.
     require_range("slope", slope, 0.05, 20.0, "use kg/m3 per Hounsfield unit, about 0.8 to 1.5")
     require_range("offset", offset, -2000.0, 2000.0, "use kg/m3 at 0 Hounsfield units, -20 to 110")
     kind = {name.lower(): name for name in _TO_ASH}.get(equivalent.lower())

@@ -58,6 +58,7 @@ BEYOND_VOXELS = 3
 It can thus be interpolated up to the surface.
 """
 _LISTED = 6
+"""Pieces whose volumes a note lists; a label of many fragments would fill the page."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +105,7 @@ class BoneOfImage:
 
         share = self._share()
         inside = share > 0.0
+        # Two voxels of soft tissue: one alone may be a mixture with bone.
         around = binary_dilation(inside, iterations=2) & ~inside
         values = self.image.values.astype(np.float32)
         soft = np.float32(np.median(values[around])) if around.any() else np.float32(0.0)
@@ -147,6 +149,7 @@ def cropped(image: Image, box_mm: Box) -> Image:
     """
     spacing = np.array(image.spacing_mm)
     origin = np.array(image.origin_mm)
+    # Rounding must not drop a voxel whose centre lies on the face of the box.
     first = np.ceil((np.array(box_mm[0]) - origin) / spacing - 1e-6).astype(int).clip(0)
     last = np.floor((np.array(box_mm[1]) - origin) / spacing + 1e-6).astype(int) + 1
     last = np.minimum(last, image.values.shape)
@@ -195,6 +198,8 @@ def by_threshold(image: Image, threshold: float) -> BoneOfImage:
     field = gaussian_filter(part.values.astype(np.float32), NOISE_VOXELS, mode="nearest")
     # Inside, marrow below the threshold is bone. Outside, voxels that touch no voxel of the piece
     # are not this bone.
+    # The step puts such voxels clearly on their side: with 2 to 50 % of the threshold, the volume
+    # of a synthetic humerus changes by 0.1 %.
     step = max(0.1 * abs(threshold), 1.0)
     field[whole & (field <= threshold) & ~(binary_dilation(~whole) & ~piece)] = threshold + step
     apart = ~binary_dilation(whole)
@@ -210,6 +215,7 @@ def _laid(part: Image, field: Singles, level: float, other: float, voxels: int) 
     imaged = replace(part, values=field)
     cuts = image_cuts(imaged, threshold=level)
     notes = []
+    # A smaller piece is hardly the bone that was meant.
     if other >= 0.1:
         notes.append(
             f"The next piece has {other:.0%} of the size of the one that was taken: crop to "
@@ -348,9 +354,11 @@ def _smoothed(piece: Flags) -> Singles:
     below, above = (
         np.partition(field, (outside - 1, outside), axis=None)[[outside - 1, outside]]
         if outside
+        # If the piece fills its whole box, level 0.5 keeps the surface at the box's faces.
         else (0, 1)
     )
     field -= np.float32(0.5 * (below + above))
     lost = piece & ~binary_dilation(field > 0.0, np.ones((3, 3, 3)))
+    # Half of a whole voxel: the surface then encloses the voxel as it is.
     field[lost] = 0.5
     return field

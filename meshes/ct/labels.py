@@ -25,12 +25,15 @@ from meshes.images.text_headers import header_lines
 __all__ = ["Labels", "header_names", "label_sets", "on_grid_of", "read_labels"]
 
 _MOST_LABELS = 255
+"""Largest number of a label: labels are kept as bytes."""
 _HEADER_BYTES = 1 << 20
+"""Bytes of a NIfTI file that are searched for a table of labels: 4 kB for each of 255 names."""
 _XML_NAME = re.compile(r'<Label Key="(\d+)"[^>]*>\s*<!\[CDATA\[(.*?)\]\]>', re.DOTALL)
 """Line of the label table in an extension of a NIfTI header (Caret, TotalSegmentator)."""
 _SAME_PLACE = 1e-2
 """Largest distance between grids that count as equal [voxel]."""
 _SHOWN_NAMES = 12
+"""Names that an error message lists."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +79,7 @@ class Labels:
         """
         one = self.number(name)
         alike = [number for number, each in self.names.items() if each == self.names[one]]
+        # A comparison is several times faster than `isin`, and names are rarely shared.
         found: Flags = (
             self.image.values == one if len(alike) == 1 else np.isin(self.image.values, alike)
         )
@@ -154,6 +158,7 @@ def on_grid_of(labels: Labels, image: Image) -> Labels:
     other = image
     scale = np.array(other.spacing_mm) / one.spacing_mm
     shift = (np.array(other.origin_mm) - one.origin_mm) / one.spacing_mm
+    # An error of the spacing adds up over the grid.
     if (
         one.values.shape == other.values.shape
         and np.abs(shift).max() < _SAME_PLACE
@@ -213,6 +218,7 @@ def _of_masks(folder: Path) -> Labels:
                 source=folder.name,
                 notes=(),
             )
+        # 1e-3 mm: headers round spacing and origin.
         if image.values.shape != whole.values.shape or not np.allclose(
             [*image.spacing_mm, *image.origin_mm], [*whole.spacing_mm, *whole.origin_mm], atol=1e-3
         ):
@@ -315,6 +321,7 @@ def header_names(path: Path) -> dict[int, str]:
     names: dict[int, str] = {}
     for key, value in fields.items():
         if found := re.fullmatch(r"segment(\d+)_name", key):
+            # NRRD separates such keys by :=, so that = is left.
             number = fields.get(f"segment{found[1]}_labelvalue", "=").lstrip("=")
             if number.isdigit():
                 names[int(number)] = value.lstrip("=").strip()

@@ -18,7 +18,9 @@ Density = Callable[[Numbers], Singles]
 """Density [kg/m3] of grey values, same shape, such as a `meshes.ct.density.DensityLaw`."""
 
 _ISOTROPY = 1e-3
+"""Relative difference of two spacings that count as equal; headers round them."""
 _MOST_VOXELS = 5e8
+"""Largest number of voxels after resampling: each of three float32 arrays then takes 2 GB."""
 
 
 def image_volume(
@@ -52,7 +54,12 @@ def image_volume(
         If an option is out of range, or no voxel lies above the threshold.
     """
     limit = require_range(
-        "anatomy.threshold", threshold, -1e9, 1e9, "use 63 for 8-bit micro-CT, about 200 for CT"
+        # 1e9: any grey value, without infinity
+        "anatomy.threshold",
+        threshold,
+        -1e9,
+        1e9,
+        "use 63 for 8-bit micro-CT, about 200 for CT",
     )
     spacing = (
         min(image.spacing_mm)
@@ -72,6 +79,7 @@ def image_volume(
             f"{limit:g} where {image.source} holds {values.min():g} to {values.max():g}",
             "use a value between",
         )
+    # A value outside of the range has another unit, such as g/cm3.
     mass = fraction * (
         density_kg_m3(values)
         if callable(density_kg_m3)
@@ -82,6 +90,7 @@ def image_volume(
     if remark is not None:
         for note in notes:
             remark(note)
+    # Fractions below half a step are stored as 0, where the quotient would be rounding alone.
     density = np.divide(mass, fraction, out=np.zeros_like(mass), where=fraction > 0.25 / FULL)
     nx, ny, nz = fraction.shape
     origin = -1e-3 * spacing * np.array([nx // 2, ny // 2, nz], dtype=np.float64)
@@ -118,6 +127,7 @@ def _refined(values: Numbers, from_mm: tuple[float, float, float], to_mm: float)
         if size <= (1.0 + _ISOTROPY) * to_mm:
             continue
         count = values.shape[axis]
+        # 1e-6 keeps the last voxel if count * size / to_mm is rounded to just below a whole number.
         position = (np.arange(math.floor(count * size / to_mm + 1e-6)) + 0.5) * (to_mm / size) - 0.5
         position = np.clip(position, 0.0, count - 1.0)
         low = np.minimum(position.astype(np.int64), max(count - 2, 0))
@@ -138,6 +148,7 @@ def _averaged(values: Singles, axis: int, ratio: float) -> Singles:
     if ratio <= 1.0 + _ISOTROPY:
         return values
     count = values.shape[axis]
+    # 1e-6 keeps the last voxel if count / ratio is rounded to just below a whole number.
     edges = np.arange(math.floor(count / ratio + 1e-6) + 1) * ratio
     if len(edges) < 2:
         raise InputError(
@@ -175,6 +186,8 @@ def image_triangles(image: Image, *, threshold: float) -> tuple[Array, Ints]:
             f"{threshold:g} where {image.source} holds {values.min():g} to {values.max():g}",
             "use a value between",
         )
+    # The densest bone at the edge then ends half a voxel outside the last centre: where its voxel
+    # ends.
     outside = min(float(values.min()), 2.0 * threshold - float(values.max()))
     padded = np.pad(values, 1, constant_values=outside)
     vertices, faces, _, _ = marching_cubes(padded, threshold, spacing=image.spacing_mm)

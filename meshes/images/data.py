@@ -14,9 +14,11 @@ __all__ = ["first_bytes", "is_gzip", "read_voxels", "scaled"]
 
 _GZIP = b"\x1f\x8b"
 _ZLIB_OR_GZIP = 47
+"""Argument of zlib: 15 for the largest window, and 32 to recognise both formats by their header."""
 _DENSEST = 1100
 """Deflate makes at most 1032 bytes of one."""
 _PIECE = 1 << 17
+"""Bytes read or inflated at once, so that only the voxels themselves take much memory."""
 
 
 def first_bytes(path: Path, count: int) -> bytes:
@@ -57,6 +59,7 @@ def read_voxels(
     """
     needed = dtype.itemsize * int(np.prod(shape, dtype=object))
     require_regular(path)
+    # Checked before memory is taken: a damaged header can state any size.
     if needed > (_DENSEST if compressed else 1) * path.stat().st_size:
         raise _sizes_differ(path, needed, f"a file of {path.stat().st_size}")
     require_memory(needed, path.name, f"{by(shape)} voxels")
@@ -82,6 +85,7 @@ def scaled(values: Numbers, slope: float, intercept: float) -> Numbers:
     """
     if (slope, intercept) == (1.0, 0.0):
         return values
+    # float32 holds every 16-bit value exactly.
     kind = np.float32 if values.dtype.itemsize <= 2 or values.dtype == np.float32 else np.float64
     found: Floats = values.astype(kind)
     found *= kind(slope)

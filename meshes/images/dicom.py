@@ -68,19 +68,28 @@ _INVERTED = "MONOCHROME1"
 _GREY = ("MONOCHROME2", _INVERTED)
 _MAGIC = b"DICM"
 _PREAMBLE = 128
+"""Free bytes at the start of a file, before `_MAGIC` (DICOM PS3.10, 7.1)."""
 _GROUP_LENGTH_BYTES = 12
+"""Element that states the length of the group after it: tag 4, type 2, length 2, value 4 bytes."""
 _PIECE = 1 << 20
+"""Bytes inflated at once, so that a bomb of zeros is noticed at the memory limit."""
 _UNDEFINED_LENGTH = 0xFFFFFFFF
+"""Stated length of pixels that are compressed in parts (DICOM PS3.5, A.4)."""
 _PARALLEL = 1e-4
+"""Largest difference of direction cosines of parallel slices: 0.05 mm over 500 mm."""
 _UNIT = 1e-3
+"""Tolerance of unit vectors, right angles and, relative, of pixel spacings; headers round them."""
 _UNEVEN = 0.05
 """Largest distance of a slice from its place in an even stack, in spacings.
 
 Headers round positions.
 """
 _TILT_DEG = 0.5
+"""Difference of the stated tilt of the gantry from that of the positions; headers round both."""
 _SHEAR_DEG = 0.05
+"""Shear from which a note states it: 0.3 mm over 300 mm; less is rounding of positions."""
 _AIR_HU = (-1100.0, -900.0)
+"""Air is -1000 HU; noise and scatter move it by less than 100 HU."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,8 +234,10 @@ def _header(file: Path, place: str) -> Header:
         raise
     except Exception as problem:  # damaged headers raise many kinds
         raise _damaged(place) from problem
+    # Compressed pixels always come in parts, others never do.
     if compressed != in_parts:
         raise _damaged(place)
+    # DICOM pads every element to an even number of bytes.
     if not compressed and found != needed + needed % 2:
         requirement = f"hold the {needed} bytes of pixels that its header states"
         raise _refused("a DICOM slice", requirement, f"{found} in {place}")
@@ -406,6 +417,7 @@ def _require_even(heights: Array, source: str) -> None:
     gaps = np.diff(heights)
     usual = float(gaps.min())
     widest = float(gaps.max())
+    # 1e-6 mm: the median is 0 if most slices lie in one place.
     if usual <= _UNEVEN * max(float(np.median(gaps)), 1e-6):
         raise InputError(
             "slices",
@@ -456,6 +468,7 @@ def _replace_padding(plane: Numbers, stated: _Slice) -> int:
     first = _number(header, "PixelPaddingValue", 0.0, stated.place)
     last = _number(header, "PixelPaddingRangeLimit", first, stated.place)
     low, high = sorted(stated.slope * end + stated.intercept for end in (first, last))
+    # Half a stored step: scaled values carry rounding.
     half = 0.5 * abs(stated.slope)
     padding = (plane > low - half) & (plane < high + half)
     if not padding.any() or padding.all():

@@ -21,11 +21,16 @@ __all__ = ["Image", "StoredImage", "along_lps", "box_of", "part_of"]
 
 Kind = TypeVar("Kind", bound=np.generic)
 _FARTHEST_VOXELS = 0.01
+"""Distance of any voxel from axes along LPS up to which no resampling is needed [voxel]."""
 _FLATTEST = 1e-3
+"""Tolerance of the length of directions, and their smallest determinant: thinner axes are flat."""
 _LARGEST_MM = 10_000.0
 _SMALLEST_MM = 1e-5
+"""Limits of the spacing: from nanometres of a microscope to metres. Others are damaged headers."""
 _FARTHEST_ORIGIN_MM = 1e6
+"""Farthest origin: at 1 km, double precision still places a voxel to 1e-7 mm."""
 _MOST_VOXELS = 1e9
+"""Largest number of voxels after resampling: 4 GB of float32, and as much for the splines."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,6 +142,7 @@ def _resampled(stored: StoredImage, source: str, labels: bool) -> Image:
     points = corners @ steps.T + stored.origin_mm
     low = points.min(axis=0)
     high = points.max(axis=0)
+    # 1e-6 avoids a further voxel if the quotient is rounded to just above a whole number.
     count = np.ceil((high - low) / spacing - 1e-6).astype(int) + 1
     if math.prod(count.tolist()) > _MOST_VOXELS:
         raise InputError(

@@ -29,7 +29,9 @@ Header = Any
 _TO_LPS = np.array([-1.0, -1.0, 1.0])
 """NIfTI counts +x to the right and +y to the front."""
 _UNITS_MM = {0: 1.0, 1: 1000.0, 2: 1.0, 3: 1e-3}
+"""Lengths [mm] of the units of NIfTI by code: not stated, m, mm and um."""
 _AGREE = 1e-3
+"""Relative difference of spacings that count as equal; both are stored in single precision."""
 _SINGLE_FILE = (b"n+1", b"n+2")
 
 
@@ -48,10 +50,12 @@ def read_nifti(path: Path) -> StoredImage:
     header = _header(path)
     dim = [int(n) for n in header["dim"]]
     sizes = dim[1 : dim[0] + 1]
+    # NIfTI has at most seven axes; time and channels come after the three of space.
     if not 3 <= dim[0] <= 7 or min(sizes) < 1 or any(n != 1 for n in sizes[3:]):
         raise _fault(path, "dim", "count three axes, with no zero and no further axis", by(sizes))
     dtype = _dtype(header, path)
     offset = float(header["vox_offset"])
+    # Four bytes that announce extensions follow the header.
     least = int(header["sizeof_hdr"]) + 4
     if not (offset >= least and offset == int(offset)):
         raise _fault(path, "vox_offset", f"be at least {least}", offset)
@@ -59,6 +63,7 @@ def read_nifti(path: Path) -> StoredImage:
     values = read_voxels(path, dtype, shape, skip=int(offset), compressed=is_gzip(path))
     notes: list[str] = []
     affine = _affine(header, path, notes)
+    # The lowest three bits state the unit of length, the others the unit of time.
     unit = int(header["xyzt_units"]) & 7
     if unit not in _UNITS_MM:
         raise _fault(path, "xyzt_units", "be 1 (m), 2 (mm) or 3 (µm)", unit)
@@ -88,6 +93,8 @@ def _header(path: Path) -> Header:
     from nibabel.spatialimages import HeaderDataError
     from nibabel.wrapstruct import WrapStructError
 
+    # A NIfTI-2 header has 540 bytes and starts with this number, in either byte order; NIfTI-1 has
+    # 348.
     first = first_bytes(path, 540)
     kind = Nifti2Header if first[:4] in (b"\x1c\x02\0\0", b"\0\0\x02\x1c") else Nifti1Header
     with suppress(HeaderDataError, WrapStructError, ValueError):
@@ -116,6 +123,7 @@ def _dtype(header: Header, path: Path) -> np.dtype[np.number]:
         dtype: np.dtype[np.number] = np.dtype(header.get_data_dtype())
     except (HeaderDataError, KeyError) as problem:
         raise _fault(path, "datatype", "be known", int(header["datatype"])) from problem
+    # Complex numbers and colours are no grey values; float128 has another layout on each machine.
     if dtype.kind not in "iuf" or not 0 < dtype.itemsize <= 8:
         raise _fault(path, "datatype", "be one real number per voxel", dtype)
     if int(header["bitpix"]) != 8 * dtype.itemsize:
@@ -151,6 +159,7 @@ def _affine(header: Header, path: Path, notes: list[str]) -> Array:
     if qform is not None:
         corner = np.array([*(int(n) for n in header["dim"][1:4]), 0.0])
         apart = np.abs((sform - qform) @ corner)[:3].max() + np.abs(sform - qform)[:3, 3].max()
+        # Rounding of the quaternion moves voxels far less than half a voxel.
         if apart > 0.5 * stated.min():
             notes.append(
                 f"The sform and the qform of {path.name} place it differently: the sform is taken."
@@ -206,6 +215,7 @@ def vtk_voxels(file: Path) -> Answer:
             "export grey values",
         )
     directions = np.asarray(data.direction_matrix, dtype=np.float64)
+    # The first point of a grid of cells is the corner of the first voxel.
     origin = np.array(data.GetPoint(0)) + (0.5 * directions @ data.spacing if by_cell else 0.0)
     return {"shape": shape}, {
         "values": values,

@@ -21,6 +21,7 @@ __all__ = ["header_lines", "numbers", "read_metaimage", "read_nrrd"]
 
 Fields = Mapping[str, str]
 _LONGEST_HEADER = 1 << 20
+"""Bytes searched for the header: 3D Slicer writes some lines for each of hundreds of segments."""
 _UNITS_MM = {
     **dict.fromkeys(("", "?", "mm", "millimeter", "millimetre", "millimeters", "millimetres"), 1.0),
     **dict.fromkeys(("um", "µm", "micrometer", "micrometre", "micron", "microns"), 1e-3),
@@ -129,6 +130,7 @@ def _voxels(
     """Read the voxels; they end the file if -1 bytes are skipped."""
     kind = np.dtype(dtype)
     count = (int(shape[0]), int(shape[1]), int(shape[2]))
+    # Both formats write -1 if the voxels are the last bytes of the file.
     if skip == -1:
         start = max(data.stat().st_size - kind.itemsize * prod(count), 0)
         skip = 0
@@ -140,6 +142,7 @@ def _fault(path: Path, field: str, requirement: str, found: str) -> InputError:
 
 
 def _short(text: str) -> str:
+    # 60 characters: an error message quotes a value, which in a damaged file has any length.
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
@@ -152,6 +155,7 @@ _META_TYPES = {
     "FLOAT": "f4",
     "DOUBLE": "f8",
 }
+"""NumPy type of each MetaImage type; MET_LONG has four bytes on every machine."""
 _META_TYPES |= {f"U{name}": f"u{code[1]}" for name, code in _META_TYPES.items() if code[0] == "i"}
 _BYTE_ORDERS = ("binarydatabyteordermsb", "elementbyteordermsb")
 _DIRECTIONS = ("transformmatrix", "rotation", "orientation")
@@ -211,6 +215,7 @@ def _meta_voxels(fields: Fields, path: Path, start: int) -> Numbers:
         raise _fault(path, "HeaderSize", "be -1 or more", str(skip))
     order = ">" if any(_is_true(fields, key, "False") for key in _BYTE_ORDERS) else "<"
     compressed = _is_true(fields, "compresseddata", "False")
+    # These bytes are of the file. `_voxels` would skip bytes of the inflated data.
     if skip > 0:
         start += skip
         skip = 0
@@ -266,11 +271,14 @@ def read_nrrd(path: Path) -> StoredImage:
     if fields.get("dimension") != "3" or any(kind not in _IN_SPACE for kind in kinds.split()):
         found = f"dimension {fields.get('dimension')!r} and kinds {_short(kinds)!r}"
         raise _fault(path, "file", "hold one number per voxel on three axes in space", found)
+    # They state the scale of quantised values, which is not applied here.
     if found := ", ".join(key for key in _SCALED if key in fields):
         raise _fault(path, "a NRRD image", "hold its values unscaled", f"the key {found}")
+    # Lines are not skipped here, so voxels would be read from the wrong place.
     for key in _SKIPPED_LINES:
         if fields.get(key, "0") != "0":
             raise _fault(path, key, "be 0", _short(fields[key]))
+    # Whether they are the centre or the edge of a voxel depends on yet another key.
     for key in _AXIS_MINS:
         if key in fields:
             raise _fault(path, key, "be replaced by space origin", _short(fields[key]))
@@ -291,6 +299,7 @@ def read_nrrd(path: Path) -> StoredImage:
     )
     origin = unit * signs * _stated(fields, ("space origin",), np.zeros(3), path)
     lengths = np.linalg.norm(steps, axis=0)
+    # 1e-5: headers print six digits or more.
     if "spacings" in fields and not np.allclose(lengths, unit * spacings, rtol=1e-5, atol=0.0):
         found = f"{_short(fields['spacings'])} and {_short(fields['space directions'])}"
         raise _fault(path, "spacings", "be the lengths of space directions", found)
@@ -327,6 +336,7 @@ def _nrrd_voxels(fields: Fields, path: Path, start: int) -> Numbers:
     if skip < -1:
         raise _fault(path, "byte skip", "be -1 or more", str(skip))
     endian = fields.get("endian", "").lower()
+    # Values of one byte have no byte order.
     if endian not in ("little", "big") and not kind.endswith("1"):
         raise _fault(path, "endian", "be little or big", _short(endian) or "none")
     order = ">" if endian == "big" else "<"

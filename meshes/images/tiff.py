@@ -20,10 +20,12 @@ __all__ = ["read_tiff_slices", "tiff_slices"]
 SUFFIXES = (".tif", ".tiff")
 _PATTERN_MARKS = "*?["
 _COLOUR_AXES = "SC"
+"""Axes of tifffile for samples of a pixel and for channels."""
 _MIN_IS_WHITE = 0
 _RGB = 2
 _PALETTE = 3
 _UNCOMPRESSED = 1
+"""Codes of the tags PhotometricInterpretation and Compression (TIFF 6.0)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +152,7 @@ def read_tiff_slices(
 def _natural(file: Path) -> list[tuple[int, str]]:
     """Return a key that sorts names by the numbers in them."""
     parts = re.split(r"(\d+)", file.stem)
+    # Texts get -1, numbers their value; the whole name with -2 decides between 1 and 01.
     return [
         (int(part), "") if part.isascii() and part.isdigit() else (-1, part) for part in parts
     ] + [(-2, file.name)]
@@ -244,6 +247,7 @@ def _planes(file: Path) -> _Planes:
             "export one stack",
         )
     count = prod(stacked)
+    # Pixels of fewer bits are packed, so their size is not known. A cut-off file holds less.
     if plain and bits >= 8 and count * held < size:
         raise _damaged(file)
     return _Planes((count, rows, columns), photometric, bits, dtype, reduced)
@@ -257,6 +261,7 @@ def _decoded(file: Path, planes: _Planes) -> Numbers:
         values = np.asarray(imread(file)).reshape(planes.shape)
     except Exception as problem:  # the readers raise many kinds, none documented
         raise _damaged(file) from problem
+    # A picture of one bit is read as booleans.
     return values.astype(np.uint8 if values.dtype == bool else values.dtype, copy=False).T
 
 

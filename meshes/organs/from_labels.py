@@ -111,6 +111,7 @@ def label_triangles(mask: Flags, grid: LabelGrid) -> Triangles | None:
     """
     from scipy.ndimage import distance_transform_edt
 
+    # Two more voxels outside, so that every level in use is closed.
     pad = int(np.ceil(_REACH * _DEVIATIONS[1])) + 2
     crop = box_of(mask)
     padded = np.pad(mask[crop], pad)
@@ -123,6 +124,7 @@ def label_triangles(mask: Flags, grid: LabelGrid) -> Triangles | None:
     high = min(_LEVELS[1], float(share.max()))
     if low >= high:
         return None
+    # 0.5 keeps flat surfaces in place; a thin label does not reach it.
     level = min(0.5, 0.5 * (low + high))
     before = (0.0, 0.0)
     for attempt in range(_TRIES):
@@ -132,6 +134,8 @@ def label_triangles(mask: Flags, grid: LabelGrid) -> Triangles | None:
             break
         slope = (off - before[0]) / (level - before[1]) if attempt else _SLOPE
         before = off, level
+        # A secant between nearly equal levels may be flat or rising, so a tenth of the first guess
+        # bounds its step. Just below the highest share, the surface still has points.
         level = float(np.clip(level - off / min(slope, _SLOPE / 10.0), low, high - 1e-3))
     return found
 
@@ -205,6 +209,7 @@ class LabelledOrgan:
         longest = max(self.surface.report.size_mm)
         usual = longest / FILL_EDGES
         edge = usual if edge_mm is None else edge_mm
+        # Finer meshes have millions of tetrahedra, coarser ones lose the shape of the organ.
         edge = require_range("edge_mm", edge, longest / 100.0, longest / 4.0, f"use {usual:.2g}")
         with names_of_caller({"edge_m": "edge_mm"}):
             filled, _ = tetrahedralise(self.surface, edge_m=1e-3 * edge, report=report)

@@ -51,8 +51,11 @@ __all__ = [
 ]
 
 _TOP_M = (-0.026, 0.0)
+"""Place of the right lobe's dome in the drawing, x and y [m]."""
 _SIZE = 0.94
+"""Factor of the drawing, by which it has the sizes of the table above."""
 _TRIES = 4
+"""Radii tried for a nodule of the wanted volume."""
 _NODULE_EDGES = 3.0
 _NODULE_GROWTH = 1.0
 """Number of edges across a nodule, and growth of the edges with the distance from it.
@@ -65,6 +68,7 @@ _NEAR_M = 1e-5
 _PROJECTIONS = 4
 """Newton steps onto the surface; the distance is nearly exact, so each squares the error."""
 _VISCERAL = (0.33, 0.10, -0.94)
+"""Outward direction of the visceral side, which slants towards the thin left lobe."""
 LIVER_REGIONS = {"below": (_VISCERAL, 55.0), "back": ((0.0, 1.0, 0.0), 45.0)}
 """Surfaces that hold a liver, as a direction and the angle [degrees] within which they face it.
 
@@ -91,6 +95,8 @@ class Nodule:
 def liver_shape() -> Shape:
     """Return the signed distance of the liver in the site frame [m]."""
     drawn = _drawn()
+    # Height of the dome by bisection, in a column of 0.2 m that holds it. 60 halvings leave 2e-19
+    # m.
     low = 0.0
     high = 0.2
     column = np.array([[_TOP_M[0], _TOP_M[1], 0.0]])
@@ -183,6 +189,7 @@ def slab(
     along_x, along_y = (
         np.linspace(-0.5 * side, 0.5 * side, max(round(side / spacing), 1) + 1) for side in (x, y)
     )
+    # Thin layers at the top resolve the contact; each is 1.2 times as thick as the one above it.
     mesh = grid(along_x, along_y, graded(0.0, -z, 0.6 * spacing, 1.2)[::-1])
     if nodule is None:
         return mesh
@@ -200,6 +207,7 @@ def _drawn() -> Shape:
 
     It is drawn a little large and then scaled to size.
     """
+    # Half axes, radii, places and blends [m] are drawn by eye; the table above has the results.
     right = ellipsoid((0.082, 0.066, 0.084), (-0.030, 0.0, -0.009))
     left = ellipsoid((0.080, 0.045, 0.039), (0.046, -0.016, 0.024))
     visceral = half_space(_VISCERAL, (-0.030, 0.0, -0.034))
@@ -225,6 +233,7 @@ def _with_nodule(mesh: TetMesh, nodule: Nodule, shape: Shape, spacing: float) ->
     if radius < spacing:
         raise InputError(
             "nodule.radius_m",
+            # 2000: radius in m to diameter in mm
             f"give a ball of at least {2000.0 * spacing:.4g} mm in diameter, two edges of the mesh",
             f"{2000.0 * radius:.4g} mm",
             "use a finer mesh",

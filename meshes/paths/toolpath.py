@@ -87,6 +87,7 @@ def kept_corners(corners: ArrayLike, within: float) -> Ints:
             continue
         along = given[last] - given[first]
         between = given[first + 1 : last] - given[first]
+        # A closed leg has length 0; its corners are then measured from its first one.
         share = np.clip(between @ along / max(float(along @ along), 1e-300), 0.0, 1.0)
         off = np.linalg.norm(between - share[:, None] * along, axis=1)
         if off.max() > within:
@@ -105,8 +106,9 @@ _COMMENT = re.compile(r"\([^()]*\)|;.*")
 _MODES = {0.0: "motion", 1.0: "motion", 20.0: "unit", 21.0: "unit", 90.0: "reach", 91.0: "reach"}
 _INCH_MM = 25.4
 _STEP_MM = 0.5
-"""Distance of points at which the depth is evaluated."""
+"""Distance of points at which the depth is evaluated; in between it is at most 0.25 mm larger."""
 _MOST_POINTS = 20_000
+"""Largest number of points at which the depth is evaluated; longer paths have a coarser step."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,6 +248,7 @@ def _read_table(file: Path) -> Toolpath:
     if _AXIS[0] in column:
         axes = np.column_stack([column[name] for name in _AXIS])
         length = np.linalg.norm(axes, axis=1)
+        # Such an axis is zero in a file of six decimals, and its direction would be rounding.
         if (length < 1e-6).any():
             raise InputError(
                 "axis",
@@ -292,6 +295,8 @@ class _Machine:
         self._file = file
         self.points: list[list[float]] = []
         self.feeds: list[float] = []
+        # Before any G word: no motion, because controllers differ in their default; mm and
+        # absolute.
         self._modes = {"motion": -1.0, "unit": 21.0, "reach": 90.0}
         self._place: dict[str, float] = {}
         self._feed_mm_s = 0.0
@@ -316,6 +321,7 @@ class _Machine:
                 target[letter] = value
             elif letter == "F":
                 feed = value
+            # N is the number of the line.
             elif letter != "N":
                 raise self._refused(
                     f"only G0, G1, G20, G21, G90, G91, X, Y, Z and F, got {letter}{value:g}", number
@@ -354,7 +360,7 @@ class _Machine:
 
 POSE_COLUMNS = ("tool_x_mm", "tool_y_mm", "tool_z_mm", "tool_qx", "tool_qy", "tool_qz", "tool_qw")
 _RAPID_MM_S = 20.0
-"""Speed of rapid moves and of the approach."""
+"""Speed of rapid moves and of the approach: clearly faster than cutting, which is at about 2."""
 _TURN_RAD_S = 0.5 * np.pi
 """Fastest turn of the tool [rad/s].
 
@@ -362,6 +368,7 @@ A hand turns a drill through a right angle in about a second.
 """
 _SAME_MM = 1e-6
 _SAME_RAD = 1e-6
+"""Smallest move [mm] and turn [rad] with a pose of their own; a zero move would repeat a time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -457,6 +464,7 @@ def _towards(axis: Array) -> "Rotation":
 
     across = np.cross([0.0, 0.0, 1.0], axis)
     sine = float(np.linalg.norm(across))
+    # The axis is z or -z up to rounding, so any perpendicular axis turns there.
     if sine < 1e-12:
         return Rotation.from_rotvec([0.0 if axis[2] > 0.0 else np.pi, 0.0, 0.0])
     return Rotation.from_rotvec(across / sine * np.arctan2(sine, axis[2]))

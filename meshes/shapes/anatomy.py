@@ -101,6 +101,7 @@ def cortical_block(
     """
     lengths = require_vector("size_mm", size_mm)
     for k in range(3):
+        # From one voxel of 0.1 mm to more than the longest bone, a femur of about 450 mm.
         require_range(f"size_mm[{k}]", size_mm[k], 0.1, 500.0, "use about (20, 12, 8)")
     density = require_range(
         "density_kg_m3", density_kg_m3, 100.0, 2500.0, "use 1800 for cortical bone"

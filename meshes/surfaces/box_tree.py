@@ -10,13 +10,18 @@ from meshes.base.arrays import Array
 __all__ = ["LEAF", "BoxTree", "box_tree", "cut_long"]
 
 LEAF = 4
-"""Triangles in a leaf."""
+"""Triangles in a leaf, as `kernels.structure_distance` assumes."""
 LONGEST_M = 0.5e-3
 """Longest edge of a triangle near the box, where that gives at most `MOST` triangles [m]."""
 BY_DISTANCE = 0.25
-"""Longest edge of a triangle over its distance from the box."""
+"""Longest edge of a triangle over its distance from the box.
+
+Distances from a box around it then vary little, so that searches stop early.
+"""
 MOST = 2e5
+"""Triangles that cutting may add: 72 bytes each, and one more level of the tree per doubling."""
 _GRID = 1024
+"""Cells of the Morton curve along each axis, 10 bits; three axes fit one integer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +62,8 @@ def box_tree(corners_m: Array) -> BoxTree:
         levels.append((low, high))
     lows, highs = (np.concatenate(each) for each in zip(*levels[::-1], strict=True))
     empty = ~np.isfinite(lows)
-    lows[empty], highs[empty] = 2.0, 0.0  # a half side of -1
+    # A half side of -1 marks a box without triangles.
+    lows[empty], highs[empty] = 2.0, 0.0
     return BoxTree(0.5 * (lows + highs), 0.5 * (highs - lows), corners, leaves - 1)
 
 
@@ -90,6 +96,7 @@ def cut_long(corners_m: Array, box_m: Array | None = None) -> Array:
             rest = _halves(rest[long], edges[long].argmax(axis=1))
         if not len(rest):
             return np.concatenate(done)
+        # Too many triangles: longer ones are allowed, four times fewer.
         longest_m *= 2.0
 
 
@@ -117,6 +124,7 @@ def _in_order(corners: Array) -> Array:
     """Sort triangles along a Morton curve, so that neighbours share a leaf."""
     centres = corners.mean(axis=1)
     low = centres.min(axis=0)
+    # A single triangle has no extent; it lies in cell 0 of any size.
     size = float(np.ptp(centres, axis=0).max()) or 1.0
     cells = np.minimum((centres - low) / size * _GRID, _GRID - 1).astype(np.int64)
     code = np.zeros(len(cells), dtype=np.int64)

@@ -40,7 +40,9 @@ Thickness = Callable[[Floats, Floats], Floats]
 
 GLENOID_LAYERS = ("subchondral", "cortical", "trabecular")
 _PLATE_RANGE_M = (1.2e-3, 2.9e-3)
+"""Thinnest and thickest plate of the six glenoids (Frich)."""
 _VAULT_BASE_BLEND_M = 4e-3
+"""Width over which walls and base of the vault are blended; a tool does not reach there."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,7 @@ class _Pear:
         It holds for y above the lower circle's widest point.
         """
         cosine = math.sqrt(1.0 - self.sine**2)
+        # The common tangent of both circles, up to its point on the upper one.
         if y <= self.upper_y + self.upper_radius * self.sine:
             return (self.lower_radius - (y - self.lower_y) * self.sine) / cosine
         return math.sqrt(max(self.upper_radius**2 - (y - self.upper_y) ** 2, 0.0))
@@ -96,6 +99,8 @@ def _pear(width: float, height: float, upper_width_ratio: float) -> _Pear:
     def outline(upper: float) -> _Pear:
         return _Pear(lower, upper, lower - 0.5 * height, 0.5 * height - upper)
 
+    # An upper circle of this radius gives a ratio of 0.56 for the usual face, below the range. 50
+    # halvings end at rounding.
     narrow = 0.3 * lower
     wide = lower
     for _ in range(50):
@@ -219,6 +224,8 @@ def _require_fit(width: float, height: float, depth: float, taper: float, radius
             f"{1e3 * radius:g}",
             "use 35",
         )
+    # Closer to a circle, the half width no longer grows with the upper radius, and the bisection of
+    # `_pear` fails: at 1.02 it ends at its lower bound for any ratio.
     if height < 1.1 * width:
         raise InputError(
             "height_mm",
@@ -226,6 +233,7 @@ def _require_fit(width: float, height: float, depth: float, taper: float, radius
             f"{1e3 * height:g}",
             "use 37.5 with 27.8",
         )
+    # The walls meet at 0.5; at least a tenth of the width stays open.
     if depth * math.tan(taper) > 0.45 * width:
         raise InputError(
             "vault_taper_deg",
@@ -271,7 +279,7 @@ def _layers(plate: Thickness, radius: float, sizes: GlenoidSizes) -> Classify:
     below_plate = sizes.trabecular_density_below_plate_kg_m3
     dense = sizes.subchondral_density_kg_m3
     cortical = sizes.cortical_density_kg_m3
-    decay = 5e-3  # m
+    decay = 5e-3  # length over which density falls below the plate [m], see the table above
 
     def classify(points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
         """Return layer and density [kg/m3], shape (n,), of points [m], shape (n, 3).
@@ -323,6 +331,7 @@ def surface_anatomy(
         If a parameter is not finite or out of range.
     """
     thickness, dense, sparse = require_ranges(
+        # Wide ranges: they refuse values in metres and in g/cm3.
         ("cortical_thickness_mm", cortical_thickness_mm, 0.0, 10.0, "use 1.9"),
         ("cortical_density_kg_m3", cortical_density_kg_m3, 50.0, 2500.0, "use 1800"),
         ("trabecular_density_kg_m3", trabecular_density_kg_m3, 50.0, 2500.0, "use 350"),

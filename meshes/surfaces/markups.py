@@ -217,6 +217,7 @@ def _three(value: Any, what: str, file: Path) -> Array:
 def _unit(direction: Array, file: Path) -> Array:
     """Return the unit vector along a direction."""
     length = float(np.linalg.norm(direction))
+    # Far below the digits of a file in mm, so only rounding of zero is refused.
     if length < 1e-9:
         raise _error("hold a normal or line with a length", "one of none", file)
     return direction / length

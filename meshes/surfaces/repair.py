@@ -60,6 +60,7 @@ def _lattice_keys(vertices: Array, tolerance: float) -> Ints:
     for column in vertices.T:
         step = np.rint((column - column.min()) / tolerance).astype(np.int64)
         count = int(step.max()) + 1
+        # The product would overflow 64 bits. Renumbering leaves at most one key per vertex.
         if (int(keys.max()) + 1) * count >= 2**63:
             keys = _numbered(keys)[1]
         keys = keys * count + step
@@ -131,8 +132,10 @@ def orient(vertices: Array, faces: Ints) -> tuple[Ints, int, int, float]:
     count = int(body.max()) + 1
     corners = vertices - vertices[0]
     heights = (corners[faces[:, 0]] * cross_products(corners, faces)).sum(axis=1)
+    # Tetrahedra from the first vertex to each triangle, a sixth of the triple product.
     volumes = np.bincount(body, weights=heights, minlength=count) / 6.0
     inside_out = 0
+    # Most of the volume is wound inward, so the whole surface is; cavities stay opposite to it.
     if volumes.sum() < 0.0:
         volumes = -volumes
         inside_out = count
@@ -267,6 +270,7 @@ def fill_holes(
         )
         if areas[-1] > limit or (areas[-1] > least_cap and len(loop) > 3):
             caps.append(np.concatenate([vertices[loop], middle[None, :]]))
+        # A loop of two edges encloses nothing.
         if len(loop) > 2:
             points.append(middle[None, :])
             triangles.append(

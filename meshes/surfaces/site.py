@@ -33,7 +33,9 @@ __all__ = [
 FACE_SAMPLES = 40_000
 """Samples of a surface from which a site takes its normal: 0.5 mm apart on a scapula."""
 _FARTHEST_M = 10e-3
+"""Largest distance of a given point from the surface: more is another frame or unit."""
 _AROUND_M = 3e-3
+"""Radius over which a normal is averaged: single facets and steps of voxels are smaller."""
 _LEAST_ACROSS = 0.02  # sine of the smallest angle between x and the normal: one degree
 
 
@@ -119,6 +121,8 @@ def sample_surface(vertices: Array, faces: Ints, count: int) -> SurfaceSamples:
     total = np.cumsum(triangle_areas(vertices, faces))
     chosen = np.searchsorted(total, (np.arange(count) + 0.5) / count * total[-1])
     chosen = np.minimum(chosen, len(faces) - 1)
+    # Steps 1/p and 1/p^2 of the plastic number p: the sequence R2 of Roberts (2018), even in a
+    # square.
     shares = np.modf(
         np.arange(count)[:, None] * np.array([0.7548776662466927, 0.5698402909980532])
     )[0]
@@ -270,6 +274,7 @@ def normal_near(samples: SurfaceSamples, centre: Array) -> Array:
     distance = np.linalg.norm(samples.points - centre, axis=1)
     nearest = int(np.argmin(distance))
     around = np.linalg.norm(samples.points - samples.points[nearest], axis=1) < _AROUND_M
+    # Within 60 degrees: a thin bone has its other side within 3 mm.
     facing = samples.normals @ samples.normals[nearest] > 0.5
     mean = samples.normals[around & facing].sum(axis=0)
     return np.asarray(mean / np.linalg.norm(mean))
@@ -291,6 +296,7 @@ def _axes(
     if long_axis is not None:
         y = long_axis - (long_axis @ normal) * normal
         y = y if y @ away >= 0.0 else -y
+    # Nearer than 1 um to the axis, the direction to the middle of the bone is rounding.
     elif np.linalg.norm(away) > 1e-6:
         y = away
     else:

@@ -22,21 +22,29 @@ from meshes.surfaces.triangle_files import read_triangles, require_triangles
 __all__ = ["Surface", "SurfaceReport", "read_surface", "surface_from_triangles"]
 
 _MERGE_TOLERANCE = 1e-6
+"""Distance over the longest side at which vertices are one; STL rounds each to 6e-8 of it."""
 _DEBRIS_AREA = 0.01
+"""Area over that of the largest piece below which a piece is dropped as debris."""
 _HOLE_AREA = 0.03
+"""Area over that of the surface above which a hole is not a defect but a missing part."""
 _CAP_M2 = 1e-5
 """Area above which a hole is listed as a cap [m2].
 
 The shape of a cap is a guess, which matters where a tool works.
 """
 _FLATTEST = 1e-3
+"""Ratio of the smallest to the largest spread of points below which they are a flat sheet."""
 _FARTHEST = 1e100
 """Coordinates beyond it count as not finite: their squares overflow."""
 _SMALLEST_MM = 1.0
 _LARGEST_MM = 1000.0
+"""Limits of the longest side with a given scale: from a chip of bone to two femurs."""
 _UNITS = (("millimetres", 1.0, 5.0, 700.0), ("metres", 1000.0, 0.005, 0.7))
+"""Units that are guessed: name, length [mm], and longest side of a bone in them, 5 to 700 mm."""
 _CENTIMETRES = (6.0, 60.0)
+"""Longest sides that may also be centimetres: a bone is then 60 to 600 mm long."""
 _TYPICAL_BONE_MM = 140.0
+"""Longest side that a suggested scale makes: about that of a scapula."""
 
 
 @dataclass(frozen=True)
@@ -219,6 +227,7 @@ def surface_from_triangles(
         repairs.append(
             f"The bone is cut off at {counted(holes.large, 'large hole')}, closed by a face each."
         )
+    # A sheet of two sides has only rounding inside. Small pieces of a long structure may have less.
     if volume <= (0.0 if every_piece else 1e-6 * longest**3):
         raise InputError(
             "surface",

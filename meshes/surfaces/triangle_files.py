@@ -120,6 +120,7 @@ def _read_binary_stl(file: Path) -> tuple[Array, Ints] | None:
     size = file.stat().st_size
     with file.open("rb") as stored:
         head = stored.read(_HEADER)
+        # The number of triangles follows 80 bytes of text.
         count = int.from_bytes(head[80:], "little")
         if count == 0 or size != _HEADER + count * _RECORD.itemsize:
             if b"\0" not in head:  # text holds none; a count below 16 million does
@@ -192,6 +193,7 @@ def _polygon(rest: str, count: int) -> list[int]:
         numbers = [whole_number_in(each) for each in _FURTHER.sub("", rest).split()]
     except ValueError:
         numbers = []
+    # OBJ counts from 1, negative numbers from the last vertex. Numbers are kept in 64 bits.
     if len(numbers) < 3 or 0 in numbers or max(numbers) >= 1 << 63:
         raise ValueError(
             f"must hold three or more vertex numbers from 1, not {rest.strip()[:40]!r}"
@@ -203,6 +205,7 @@ def _polygon(rest: str, count: int) -> list[int]:
 
 _TETRAHEDRON = 10
 _QUADRATIC_TETRAHEDRON = 24
+"""Types of cells in VTK."""
 _CORNERS = {
     1: 1,
     3: 2,
@@ -341,6 +344,7 @@ def _triangles(data: Any) -> dict[str, NDArray[np.number]]:
     import pyvista
 
     if not isinstance(data, pyvista.PolyData):
+        # Cells with a volume: only their outer faces enclose the solid.
         data = data.extract_surface(algorithm="dataset_surface")
     surface = data.triangulate()
     return {
@@ -366,6 +370,8 @@ def _require_cells(
     if kinds is not None:
         if len(kinds) != len(sizes):
             raise DamagedFileError(f"{len(kinds)} types of {len(sizes)} cells")
+        # A type is one byte. Types without a fixed number of points, such as polygons, are not
+        # checked.
         expected = np.array([_CORNERS.get(kind, -1) for kind in range(256)])[kinds]
         short = np.flatnonzero((expected >= 0) & (sizes != expected))
         if len(short):

@@ -27,7 +27,9 @@ __all__ = [
 ]
 
 _ORGAN_MM = (20.0, 450.0)
+"""Longest side of an organ, from a small gland to an enlarged liver; no length fits two units."""
 _TYPICAL_MM = 200.0
+"""Longest side that a suggested scale makes: that of a liver."""
 _PER_UNIT = "use 1 for millimetres, 1000 for metres"
 _PART_ARRAYS = (
     "part",
@@ -309,6 +311,7 @@ def _of_blocks(mesh: Any) -> StoredMesh:
     solids = {
         int(row[0]): name
         for name, row in (getattr(mesh, "field_data", None) or {}).items()
+        # Gmsh names groups of any dimension by one number each.
         if int(row[1]) == 3
     }
     part, names = _parts(data, len(cells), solids)

@@ -22,8 +22,9 @@ _TETRAHEDRON = 4
 """Numbers of the kinds of elements in Gmsh."""
 _SECTIONS = {1: ("$NOD", "$ELM"), 2: ("$Nodes", "$Elements")}
 _LONGEST_NAME = 60
+"""Longest name of a part [characters]: names stand in tables and legends."""
 MOST_PARTS = 64
-"""Largest number of values of an array that lists parts."""
+"""Largest number of values of an array that lists parts; more are numbers of cells or materials."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -44,10 +44,13 @@ FLAT = 1e-6
 SLIVER = 0.1
 """Mean ratio below which a tetrahedron is a sliver (1: regular)."""
 _UNEVEN = 1e-3
+"""Smallest over largest volume of a mesh from which it is reported: edges differ tenfold."""
 _DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
 _SWEEPS = 3
+"""Passes over the slivers: moves of one pass change the neighbours of the next."""
 _FIRST_STEP = 0.25
 _SMALLEST_STEP = 0.004
+"""Steps of the pattern search, over the size of the cells around a node: 1/4, 1/8 ... 1/128."""
 
 
 def describe(mesh: TetMesh) -> tuple[str, ...]:
@@ -157,6 +160,7 @@ def repair_tets(
 def _joined(nodes: Array, cells: Ints) -> tuple[Array, Ints]:
     """Drop nodes that no cell uses, and join nodes on one point."""
     points, cells = compact(nodes, cells)
+    # 1e-300 avoids a division by zero if all nodes are one.
     keys = np.round(
         (points - points.min(axis=0)) / (_COINCIDENT * float(np.ptp(points, axis=0).max()) + 1e-300)
     )
@@ -224,6 +228,7 @@ def _movable(count: int, cells: Ints, parts: Bytes) -> Flags:
     """Return flags of the nodes away from the surface and from where parts meet, shape (n,)."""
     inner = np.ones(count, dtype=bool)
     inner[_surface(cells)] = False
+    # Parts are bytes: 255 is above every part.
     lowest = np.full(count, 255, dtype=np.uint8)
     highest = np.zeros(count, dtype=np.uint8)
     np.minimum.at(lowest, cells, parts[:, None])
@@ -358,6 +363,8 @@ def _best_place(nodes: Array, star: Ints, node: int, enough: float) -> Array | N
     centre = corners[~slot].mean(axis=0)
     while step > _SMALLEST_STEP:
         tries = np.concatenate(
+            # The middle of the other corners is often best, so it is tried at half and full
+            # distance.
             [here + step * size * _DIRECTIONS, here + np.array([[0.5], [1.0]]) * (centre - here)]
         )
         moved = np.where(slot[None, :, :, None], tries[:, None, None, :], corners[None])
@@ -368,6 +375,7 @@ def _best_place(nodes: Array, star: Ints, node: int, enough: float) -> Array | N
             .min(axis=1)
         )
         best = int(worst.argmax())
+        # A smaller gain is rounding and would go on forever.
         if worst[best] > score + 1e-6:
             here = tries[best]
             score = float(worst[best])

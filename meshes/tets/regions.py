@@ -123,6 +123,7 @@ def place_on_surface(mesh: TetMesh, point_m: Array, around_m: float) -> tuple[Ar
     nearest = nearest_on_triangles(mesh.nodes_m, mesh.surface, point_m[None])[0]
     normals = cross_products(mesh.nodes_m, mesh.surface)  # twice the area long
     away = np.linalg.norm(mesh.nodes_m[mesh.surface].mean(axis=1) - nearest, axis=1)
+    # 1.01 gives the nearest triangle a weight even if its middle lies outside the radius.
     near = np.maximum(1.0 - (away / max(around_m, 1.01 * float(away.min()))) ** 2, 0.0) ** 2
     mean = near @ normals
     return nearest, mean / np.linalg.norm(mean)

@@ -72,6 +72,7 @@ def graded(start_m: float, end_m: float, first_m: float, growth: float) -> Array
     if not growth >= 1.0:
         raise InputError("growth", "be at least 1", growth, "use 1.2")
     steps = [first_m]
+    # Rounding of the sum must not add a step.
     while sum(steps) < distance * (1.0 - 1e-12):
         steps.append(steps[-1] * growth)
     at = np.concatenate([[0.0], np.cumsum(steps)])
@@ -91,5 +92,7 @@ def _kuhn(counts: Sequence[int]) -> Ints:
     for order in permutations(range(3)):
         path = np.concatenate([[0], np.cumsum(stride[list(order)])])
         odd = np.linalg.det(np.eye(3)[list(order)]) < 0.0
+        # An odd permutation mirrors the tetrahedron; exchanging two corners makes its volume
+        # positive.
         tets.append(path[[0, 2, 1, 3]] if odd else path)
     return ((bricks @ stride)[:, None, None] + np.array(tets)[None]).reshape(-1, 4).astype(np.int64)

@@ -39,6 +39,7 @@ __all__ = [
 Move = Callable[[Array], Array]
 """Points [m], shape (n, 3), to points [m] of that shape."""
 _MOST_BISECTED = 5_000_000
+"""Largest mesh made by halving: the ends of its edges take 0.5 GB, sorting them a multiple."""
 _LEAST_VOLUME = 0.5
 """Share of its volume that every tetrahedron around a node must keep when the node is moved.
 
@@ -93,6 +94,7 @@ def bisected(
             )
         rank = np.empty(len(keys), dtype=np.int64)
         # Ties are broken by number, equally in every tetrahedron.
+        # Lengths that differ by rounding alone (12 digits) count as ties.
         rank[np.lexsort((keys, np.round(length / length.max(), 12)))] = np.arange(len(keys))
         edge = edge.reshape(-1, 6)
         place = rank[edge].argmax(axis=1)
@@ -147,9 +149,20 @@ Distance = Callable[[Array], Floats]
 Cells = Ints
 Points = Array
 _SNAP = 0.3
+"""Share of an edge within which a node is moved onto a crossing.
+
+Worst mean ratios of a ball, the liver and a box are 0.41, 0.24 and 0.79. With 0.2 they are 0.28,
+0.24 and 0.79, with 0.4 0.47, 0.16 and 0.27.
+"""
 _LEAST_QUALITY = 0.15
+"""Mean ratio that every cell keeps when nodes are moved.
+
+From 0.1 to 0.2 the meshes above are the same; with 0.05 the worst of the liver is 0.08.
+"""
 _STEPS = 6
+"""Steps towards a crossing: the three surfaces above are met within 0.04 um, by 4 within 0.7 um."""
 _MOST_CELLS = 20_000_000
+"""Largest lattice: its cells take 0.6 GB."""
 EDGE_GROWTH = 0.5
 """Growth of the edges with the distance from where they are fine, as in scenes."""
 _EDGES = 3.0
@@ -180,6 +193,7 @@ def stuffed(shape: Shape, spacing_m: float) -> TetMesh:
         If the shape is unbounded, or the spacing gives no tetrahedra or too many.
     """
     longest = max(np.subtract(shape.upper_m, shape.lower_m))
+    # Twenty cubes along the body; an endless one is refused below.
     advised = longest / 20.0 if math.isfinite(longest) else 1e-3
     spacing = require_length("spacing_m", spacing_m, 0.0, math.inf, advised)
     lower = np.array(shape.lower_m)
@@ -197,7 +211,10 @@ def stuffed(shape: Shape, spacing_m: float) -> TetMesh:
             f"{1e3 * spacing:.4g} mm",
             f"use {1e3 * possible:.2g} mm or more",
         )
+    # 1.01 moves nodes off flat faces at whole cubes, so that rounding does not decide their side.
+    # Boxes have the same number of cells with 1 and 1.01, and a worst mean ratio of 0.8.
     nodes, cells = _lattice(lower - 1.01 * spacing, upper + spacing, spacing)
+    # A cell that the surface crosses has all nodes within an edge of it, at most a cube's side.
     near = shape.distance(nodes) < 1.5 * spacing
     nodes, cells = compact(nodes, cells[near[cells].all(axis=1)])
     nodes, cells, within, _ = cut_by(nodes, cells, shape.distance)
@@ -286,6 +303,8 @@ def _filled(corners: Cells, side: Cells, number: dict[tuple[int, int], int]) -> 
     def at(a: int, b: int) -> int:
         return number[(a, b) if a < b else (b, a)]
 
+    # One corner on this side is cut off as a tetrahedron, the rest of the cell as a prism or
+    # pyramid.
     if len(plus) == 1:
         return [[plus[0], *zero, *(at(plus[0], m) for m in minus)]]
     if len(plus) == 2 and len(minus) == 2:
@@ -295,6 +314,8 @@ def _filled(corners: Cells, side: Cells, number: dict[tuple[int, int], int]) -> 
         )
     if len(plus) == 3:
         return _prism(plus, [at(p, minus[0]) for p in plus])
+    # Two corners here, one on the surface and one beyond: a pyramid, halved like the faces of
+    # prisms.
     p, q = plus
     cp = at(p, minus[0])
     cq = at(q, minus[0])
@@ -433,6 +454,7 @@ def with_inclusion(
         return triangle_distance(vertices_m, triangles, points)
 
     area_m2 = float(triangle_areas(vertices_m, triangles).sum())
+    # 6 V / A is the diameter of a ball.
     edge_m = 6.0 / _EDGES * volume_m3 / area_m2
     fine = bisected(mesh, lambda points: edge_m + EDGE_GROWTH * np.abs(distance(points)), onto=onto)
     # Flat faces cut the corners of a round body, so the surface is placed outside it to match the

@@ -44,6 +44,7 @@ def signed_volumes(nodes: Nodes, cells: Cells) -> Array:
     It is negative where a tetrahedron is inverted.
     """
     a, b, c, d = (nodes[cells[:, i]] for i in range(4))
+    # a sixth of the triple product of three edges
     return np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a)) / 6.0
 
 
@@ -55,6 +56,7 @@ def mean_ratio(nodes: Nodes, cells: Cells) -> Array:
     1 for a regular tetrahedron, 0 for a flat one, negative for an inverted one; 0.84 for the corner
     of a cube.
     """
+    # 1e-300 avoids a division by zero for four equal corners.
     volume = signed_volumes(nodes, cells)
     squares = _edge_squares(nodes, cells).sum(axis=0)
     return (
@@ -125,6 +127,7 @@ def place(points_m: Array) -> str:
 
 
 _TETRA = 10
+"""Type of a tetrahedron in VTK."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,6 +210,7 @@ def grid_of(mesh: TetMesh) -> "pyvista.UnstructuredGrid":
     import pyvista
     from vtkmodules.vtkCommonCore import vtkStringArray
 
+    # VTK expects the number of corners before the corners of each cell.
     cells = np.insert(mesh.cells, 0, 4, axis=1).ravel()
     grid = pyvista.UnstructuredGrid(
         cells, np.full(len(mesh.cells), _TETRA, dtype=np.uint8), 1e3 * mesh.nodes_m

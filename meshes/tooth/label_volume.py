@@ -38,10 +38,15 @@ CARIES_LABELS: Mapping[int, str] = {1: "caries", 2: "enamel", 3: "dentin"}
 """Labels of segmentations of decay in extracted teeth."""
 
 _FINEST_DEFAULT_MM = 0.1
+"""Smallest voxel if none is given: micro-CT of a whole tooth in its own voxels takes gigabytes."""
 _CAVITY_M = 0.1e-3
+"""Voxel in which pulp and lesion are found, that of a scene by default."""
 _CAVITY_SAMPLES = 2
+"""Sub-samples along its edges: the cavity needs no finer fractions."""
 _SITE_POINTS = 200_000
+"""Voxels from which axes are computed; they give the middle of a tooth to 0.01 mm."""
 _MOST_VOXELS = 4e8
+"""Largest number of voxels: fraction, layer and density take 4 bytes each, 1.6 GB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +130,7 @@ class LabelledTooth:
         size = 1e-3 * (finest or max(self.finest_mm, _FINEST_DEFAULT_MM))
         corners = self.placed.corners
         sides = np.ptp(corners, axis=0)
+        # Voxels above about 1 mm do not show enamel, which is 1 to 2 mm thick.
         if sides.min() < 8.0 * size:
             raise InputError(
                 "resample_mm",
@@ -317,6 +323,7 @@ def _placed(layer: Bytes, spacing: Array, first_m: Array) -> tuple[PlacedLabels,
     )
     placed = PlacedLabels(layer, spacing, first_m - spacing, axes.middle_m, axes.rotation)
     reach = float(np.linalg.norm(spacing * layer.shape))
+    # A quarter of a voxel: the surface is found to within half of that.
     heights = np.arange(-reach, reach, 0.25 * float(spacing.min()))
     on_axis = placed.on_plane(0.0, np.zeros(1), heights)[0]
     filled = np.flatnonzero(on_axis != EMPTY)

@@ -51,10 +51,13 @@ __all__ = ["Lattice", "LayeredSolid", "joined", "layered_anatomy", "layered_surf
 
 _SAMPLE_PITCH_M = 0.1e-3
 _MOST_SAMPLES = 300_000
+"""Distance of the points that stand for a layer's surface, and their largest number, 30 cm2."""
 _LESION_M = 0.15e-3
 """Edge of the voxels in which a lesion is searched for."""
 _SOCKET_PITCH_M = 0.2e-3
+"""Pitch of the table of distances: interpolation is within 2 um around a root of 3 mm radius."""
 _MERGE_TOLERANCE_M = 1e-8
+"""Distance at which vertices of two surfaces are one; single precision rounds to 2e-9 m."""
 _DENSITY = np.array([LAYER_DENSITY_KG_M3[name] for name in TOOTH_LAYERS], dtype=np.float32)
 
 
@@ -116,6 +119,7 @@ class LayeredSolid:
         """
         away = triangle_distance(*self.union, points)
         if self.socket is not None:
+            # 1 m is farther than any tooth: outside its table there is no socket.
             away = np.minimum(away, self.socket(points, beyond=1.0))
         return away.astype(points.dtype)
 
@@ -139,6 +143,7 @@ class LayeredSolid:
             filled = np.minimum(filled + open_gap(points, beyond=0.0), 1.0)
         if self.socket is not None:
             away = self.socket(points, beyond=1.0)
+            # A plane at this distance cuts the voxel; what the layers leave free is bone.
             filled = filled + (1.0 - filled) * np.clip(
                 0.5 - away / np.float32(grid.spacing_m), 0.0, 1.0
             )
@@ -200,6 +205,7 @@ def _socket(ligament: Array, others: Array, margin: float) -> Lattice:
     reach = margin + 2.0 * _SOCKET_PITCH_M
     count = np.ceil((ligament.max(axis=0) + reach - low) / _SOCKET_PITCH_M).astype(int) + 1
     points = low + _SOCKET_PITCH_M * lattice(*map(np.arange, count))
+    # Every fourth point: 0.2 mm apart, the pitch of the table.
     away = np.minimum(cKDTree(ligament[::4]).query(points, distance_upper_bound=reach)[0], reach)
     near = np.flatnonzero(away < reach)
     signed = away - margin
@@ -286,6 +292,7 @@ def layered_anatomy(
         ligament.
     """
     require_known(surfaces, "surfaces")
+    # 10 mm: more bone than there is around a root.
     margin = 1e-3 * require_range("socket_mm", socket_mm, 0.0, 10.0, "use 2.5, or 0 for none")
     if margin > 0.0 and ("ligament" not in surfaces or "bone" in surfaces):
         raise InputError(
@@ -365,6 +372,7 @@ def _solid(
 def _spread(surface: Surface) -> Array:
     """Sample a surface by points about 0.1 mm apart [m], shape (n, 3)."""
     area = float(triangle_areas(surface.vertices_m, surface.faces).sum())
+    # At least 1000 points, so that a small layer has axes and distances.
     count = int(np.clip(area / _SAMPLE_PITCH_M**2, 1000, _MOST_SAMPLES))
     return sample_surface(surface.vertices_m, surface.faces, count).points
 
@@ -380,8 +388,10 @@ def _site(
         [points for name, points in samples.items() if name not in ("enamel", "bone")]
     )
     axes = tooth_axes(samples["enamel"], body)
+    # A lesion may have taken the enamel on the axis.
     for name in ("enamel", "dentin"):
         placed = (surfaces[name].vertices_m - axes.middle_m) @ axes.rotation
+        # 1 nm off the axis, where edges of symmetric meshes lie.
         found = column_crossings(placed, surfaces[name].faces, np.array([1e-9]), np.array([1e-9]))
         if len(found.height):
             origin = axes.middle_m + found.height.max() * axes.rotation[:, 2]
@@ -396,6 +406,7 @@ def _site(
 
 def _contact(placed: Mapping[str, Triangles], order: Sequence[str]) -> tuple[Array, LayerContact]:
     """Return the first point of the lattice [m], and the fit of the layers on it."""
+    # Two empty planes on each side; the half step keeps points off flat faces at whole pitches.
     low = np.min([vertices.min(axis=0) for vertices, _ in placed.values()], axis=0) - 2.5 * PITCH_M
     high = np.max([vertices.max(axis=0) for vertices, _ in placed.values()], axis=0) + 2.5 * PITCH_M
     axes = [

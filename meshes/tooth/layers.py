@@ -75,10 +75,13 @@ PRIORITY = ("caries", "pulp", "enamel", "dentin", "ligament", "bone")
 
 _SOUND_KG_M3 = 2100.0
 _INFECTED_KG_M3 = 1300.0
+"""Densities of dentin of softness 0 and 1, see the table above."""
 _POINTS_AT_ONCE = 1 << 17
+"""Points evaluated at once: 3 MB of coordinates stay in the processor's cache."""
 _SMALLEST_MM = 5.0
 _LARGEST_MM = 40.0
 _TYPICAL_MM = 18.0
+"""Longest side of a tooth: limits for a crown alone and a canine with its root, and a molar's."""
 
 
 def caries_density(softness: Floats) -> Floats:
@@ -153,8 +156,11 @@ _LEAST_RISE_M = 0.4e-3
 _MOST_LEANING = math.cos(math.radians(25.0))
 _SMOOTH_M = 0.3e-3
 _AROUND_M = 0.5e-3
+"""Smoothing of the outer surface and radius of the mean normal: voxels are 0.1 to 0.15 mm."""
 _BEYOND_M = 1.0e-3
+"""Distance beyond the nearest surface point at which the search along the normal ends."""
 _UPRIGHT = 0.7
+"""Cosine of 45 degrees: nearer to the axis, the direction to the crown is nearly the normal."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,6 +239,7 @@ def _widest(points: Array, up: Array) -> Array:
     direction = np.linalg.eigh(np.cov(across.T))[1][:, 2]
     direction = direction - (direction @ up) * up
     direction /= np.linalg.norm(direction)
+    # The sign of an eigenvector is free: the largest component becomes positive.
     return direction * (1.0 if direction[int(np.argmax(np.abs(direction)))] > 0.0 else -1.0)
 
 
@@ -269,6 +276,7 @@ def lesion_site(tooth: VoxelVolume) -> Site:
     smooth = gaussian_filter(solid.astype(np.float32), _SMOOTH_M / tooth.spacing_m)
     normal, surface = _outward(smooth, middle + pad, tooth.spacing_m)
     reach = float(np.linalg.norm(surface - middle - pad)) * tooth.spacing_m + _BEYOND_M
+    # A tenth of a voxel, so that no voxel on the line is missed.
     steps = np.arange(0.0, reach / tooth.spacing_m, 0.1)
     line = np.rint(middle + pad + steps[:, None] * normal).astype(int)
     line = np.clip(line, 0, np.array(solid.shape) - 1)
@@ -295,6 +303,7 @@ def _outward(smooth: Singles, middle: Array, spacing: float) -> tuple[Array, Arr
 
     Also return that point [voxel].
     """
+    # The smoothed surface lies at 0.5; 0.3 and 0.7 are 0.16 mm to either side, a voxel or more.
     shell = np.argwhere((smooth > 0.3) & (smooth < 0.7)).astype(np.float64)
     nearest = shell[np.argmin(np.linalg.norm(shell - middle, axis=1))]
     around = shell[np.linalg.norm(shell - nearest, axis=1) * spacing < _AROUND_M].astype(int)

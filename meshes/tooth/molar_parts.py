@@ -31,22 +31,26 @@ Each has the tip over half the crown's width and length, x mesial and y buccal, 
 the highest cusp's height.
 """
 _TRUE_CUSPS = 5
-_TIP_RADIUS_M = 0.5e-3
-_GROOVE_M = 0.35e-3
-_EDGE_M = 1.0e-3
-_CERVIX = (9.0 / 11.0, 9.0 / 10.5)
-_TABLE = (0.80, 0.78)
-_BULGE = (0.62, 0.45)
-_LINGUAL_LEAN_M = 0.35e-3
-_TRUNK_M = 3.2e-3
-_TRUNK_TAPER = 22.0
-_TRUNK_BLEND_M = 1.6e-3
-_CERVICAL_CURVE_M = 0.9e-3
-_FULL_ENAMEL = 0.60
-_FOSSA_ENAMEL = 0.62
-_WALL_ENAMEL = 0.62
+"""Number of cusps at the start of `_CUSPS`; ridges follow."""
+# The shape is drawn: the sizes in the table of `meshes.tooth.molar` are from its sources, and the
+# other numbers below and in this module are chosen by eye so that the parts look like a molar's.
+_TIP_RADIUS_M = 0.5e-3  # roundness of the cusps
+_GROOVE_M = 0.35e-3  # width of the blend between two cusps
+_EDGE_M = 1.0e-3  # width of the blend between chewing surface and wall
+_CERVIX = (9.0 / 11.0, 9.0 / 10.5)  # width and length there over the widest, from the table
+_TABLE = (0.80, 0.78)  # width and length at the height of the cusp tips over the widest
+_BULGE = (0.62, 0.45)  # height of the widest section along x and y, 0 (cervix) to 1 (cusp tips)
+_LINGUAL_LEAN_M = 0.35e-3  # shift of the crown towards the tongue at the cusp tips
+_TRUNK_M = 3.2e-3  # from the table
+_TRUNK_TAPER = 22.0  # relative narrowing of the trunk per metre below the cervix
+_TRUNK_BLEND_M = 1.6e-3  # width of the blend between trunk and roots
+_CERVICAL_CURVE_M = 0.9e-3  # from the table
+_FULL_ENAMEL = 0.60  # height, over the crown's, from which the enamel of the wall is full
+_FOSSA_ENAMEL = 0.62  # thickness in the fossa over that over cusps, 1.4 of 2.2 mm
+_WALL_ENAMEL = 0.62  # thickness at the wall over that over cusps
 _STEEPEST = 1.85
-_CANAL_RISE_M = 0.8e-3
+"""Bound of the slope of `tooth_distance`; the largest slope found at sizes in range is 1.74."""
+_CANAL_RISE_M = 0.8e-3  # height above the roots at which canals start, within the chamber
 
 
 @dataclass(frozen=True)
@@ -146,6 +150,8 @@ class Crown:
         """
         widest = _BULGE[axis]
         low = np.clip((widest - height) / widest, 0.0, 1.0)
+        # A little beyond the tips, up to 1.2, the wall goes on narrowing. Farther out it is of no
+        # use.
         high = np.clip((height - widest) / (1.0 - widest), 0.0, 1.2)
         return 1.0 - (1.0 - _CERVIX[axis]) * low * low - (1.0 - _TABLE[axis]) * high * high
 
@@ -229,6 +235,7 @@ class Root:
         u = np.clip(depth * (1.0 / self.length), 0.0, 1.0)
         y = p[:, 1] - (offset[0] + (offset[1] - offset[0]) * u)
         across = np.sqrt((p[:, 0] - self.centre_x(p[:, 2])) ** 2 + y * y)
+        # A canal narrows to 0.4 of its width and ends 0.4 mm before the apex.
         return _round_cone(
             across, depth, radius, 0.4 * radius, self.length + _CANAL_RISE_M - 0.4e-3
         )
@@ -239,6 +246,7 @@ def mandibular_roots(crown: Crown, root_length: float) -> tuple[Root, Root]:
 
     Both apices end `root_length` below the buccal cervical line.
     """
+    # Roots start within the trunk. Radii, bends and places [m] are of a crown 11.0 x 10.5 mm wide.
     top = crown.cervix - 1.5e-3
     length = root_length - 1.5e-3
     side = crown.half_width / 5.5e-3
@@ -269,6 +277,7 @@ def outer_shape(crown: Crown, roots: tuple[Root, Root]) -> Shape:
 
     Its distance is divided by its steepest slope, so it is a bound.
     """
+    # A tenth of reserve holds the lean of the crown, 7 % of its half length, and 2 % its tips.
     low = (-1.1 * crown.half_width, -1.1 * crown.half_length, roots[0].top - roots[0].length)
     high = (1.1 * crown.half_width, 1.1 * crown.half_length, 1.02 * crown.cusp_height)
     return Shape(
@@ -287,6 +296,8 @@ def pulp_shape(crown: Crown, roots: tuple[Root, Root], roof: float) -> Shape:
     roof
         Depth of the chamber's roof below the fossa [m].
     """
+    # Height of the chamber, from the table. The other sizes and places [m] are drawn within the
+    # dentin.
     height = 1.9e-3
     size = (0.40 * 2.0 * crown.half_width, 0.34 * 2.0 * crown.half_length, height)
     chamber = box(size, (0.0, 0.0, -roof - 0.5 * height), rounding_m=0.8e-3)

@@ -67,6 +67,7 @@ class PulpCavity:
         """Find the cavity of a whole tooth whose crown points along +z, or return None."""
         from scipy.ndimage import distance_transform_edt, find_objects, label
 
+        # Such a ball fits between tooth and border, so that the border is one outside.
         margin = int(np.ceil(_WIDEST_OPENING_M / tooth.spacing_m)) + 1
         empty = np.pad(tooth.fraction < FULL / 2, margin, constant_values=True)
         layer = np.pad(tooth.layer, margin)

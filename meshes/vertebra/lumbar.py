@@ -34,6 +34,7 @@ from meshes.shapes.sdf import Shape, capsule, union
 __all__ = ["VERTEBRA_LAYERS", "VertebraSizes", "lumbar_vertebra"]
 
 VERTEBRA_LAYERS = ("cortical", "endplate", "trabecular")
+# Sizes and densities that the table above does not list are priors.
 _CORTICAL_KG_M3 = 1800.0
 _ENDPLATE_KG_M3 = 1200.0
 _TRABECULAR_KG_M3 = 180.0
@@ -41,9 +42,9 @@ _PEDICLE_KG_M3 = 280.0
 _WAIST = 0.08
 _ENDPLATE_M = 0.6e-3
 _BODY_CORTEX_M = 0.4e-3
-_LAMINA_M = 7e-3
-_RAISED_M = 6e-3
-_BLEND_M = 3e-3
+_LAMINA_M = 7e-3  # thickness of the arch behind the canal
+_RAISED_M = 6e-3  # height of the pedicle's centre above the middle of the body
+_BLEND_M = 3e-3  # width of the blend between parts
 _SPINOUS_M = 32e-3
 _TRANSVERSE_M = 21e-3
 _ISTHMUS_M = 4e-3
@@ -54,6 +55,7 @@ _ENTRY_M = 19e-3
 It covers pedicle and pars and is a prior.
 """
 _REACH_M = 75e-3
+"""Half side of a box that holds bone; the default spinous process ends at 71 mm."""
 
 
 @dataclass(frozen=True)
@@ -158,6 +160,7 @@ def lumbar_vertebra(**sizes: float) -> Anatomy:
         0.5e-3 * given.pedicle_height_mm,
         math.radians(given.pedicle_angle_deg),
     )
+    # 0.66 of the half width is a third of the width: at least a third is then trabecular.
     if cortex > 0.66 * half.pedicle_width:
         raise InputError(
             "pedicle_cortex_mm",
@@ -171,6 +174,7 @@ def lumbar_vertebra(**sizes: float) -> Anatomy:
         lambda p: np.maximum(bone.distance(p), -canal.distance(p)), bone.lower_m, bone.upper_m
     )
     entry = half.entry
+    # The axis leaves the bone between these distances from the entry; steps of 5 um find where.
     along = np.linspace(-5e-3, 25e-3, 6001)
     held = whole.distance(entry + along[:, None] * half.axis) < 0.0
     origin = entry + along[np.flatnonzero(held)[-1]] * half.axis
@@ -207,6 +211,8 @@ def _bone(sizes: _HalfSizes) -> Shape:
     pedicles = Shape(lambda p: _pedicles(sizes, p))
     body = Shape(lambda p: _body(sizes, p))
     back = sizes.canal_y + sizes.canal_depth
+    # Two rods make the spinous process and one each transverse process. Radii and places are drawn
+    # [m].
     tip = (0.0, back + _SPINOUS_M, -6e-3)
     spinous = capsule(3.5e-3, (0.0, back, 2e-3), tip) | capsule(
         3.5e-3, (0.0, back, -6e-3), (0.0, tip[1], -12e-3)
@@ -232,7 +238,8 @@ def _body(sizes: _HalfSizes, p: Floats) -> Floats:
     share = np.clip(p[:, 2] / sizes.height, -1.0, 1.0)
     narrowed = 1.0 - _WAIST * (1.0 - share**2)
     column = _ellipse(p[:, 0], p[:, 1], sizes.width * narrowed, sizes.depth * narrowed)
-    # the waist's slope is 0.2 at most
+    # The waist's slope is 0.2 at most, which makes the column's value too large by 2 %; 0.9 keeps
+    # it a bound.
     return np.asarray(0.9 * np.maximum(column, np.abs(p[:, 2]) - sizes.height))
 
 
@@ -249,6 +256,8 @@ def _pedicles(sizes: _HalfSizes, p: Floats) -> Floats:
     along = x * axis[0] + y * axis[1]
     across = x * axis[1] - y * axis[0]
     column = _ellipse(across, z, sizes.pedicle_width, sizes.pedicle_height)
+    # Along the axis from 14 mm before the isthmus, inside the body, to the entry; the isthmus lies
+    # 4 mm behind the body's back wall.
     ends = np.abs(along - 0.5 * (_ENTRY_M - 4e-3 - 14e-3)) - 0.5 * (_ENTRY_M - 4e-3 + 14e-3)
     return np.asarray(np.maximum(column, ends))
 
@@ -260,6 +269,7 @@ def _arch(sizes: _HalfSizes, p: Floats) -> Floats:
     """
     y = p[:, 1] - sizes.canal_y
     outer = _ellipse(p[:, 0], y, sizes.canal_width + _LAMINA_M, sizes.canal_depth + _LAMINA_M)
+    # The lamina is 6 mm lower than the body and hangs 1 mm deeper (drawn).
     tall = np.abs(p[:, 2] + 1e-3) - (sizes.height - 3e-3)
     return np.asarray(np.maximum.reduce([outer, tall, -y]))
 
@@ -288,6 +298,7 @@ def _ellipse(x: Floats, y: Floats, a: float | Floats, b: float | Floats) -> Floa
         ex = (a * a - b * b) * tx**3 / a
         ey = (b * b - a * a) * ty**3 / b
         r = np.hypot(a * tx - ex, b * ty - ey)
+        # 1e-12 m avoids a division by zero at the centre of curvature, and below at the centre.
         q = np.maximum(np.hypot(px - ex, py - ey), 1e-12)
         tx = np.clip(((px - ex) * r / q + ex) / a, 0.0, 1.0)
         ty = np.clip(((py - ey) * r / q + ey) / b, 0.0, 1.0)
@@ -310,6 +321,8 @@ def _layers(sizes: _HalfSizes, cortex: float, turn: Array, origin: Array) -> Cla
         The depths below the surface are in m.
         """
         p = points @ turn.T.astype(points.dtype) + origin.astype(points.dtype)
+        # Cortex and density change from the body's to the pedicle's over its last 4 mm, without a
+        # step.
         behind = np.clip((p[:, 1] - sizes.depth + 4e-3) / 4e-3, 0.0, 1.0)
         shell = _BODY_CORTEX_M + (cortex - _BODY_CORTEX_M) * behind
         plate = (sizes.height - np.abs(p[:, 2]) < _ENDPLATE_M) & (behind < 1.0)

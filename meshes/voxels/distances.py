@@ -80,6 +80,7 @@ INSIDE = 2
 OUTSIDE = 254
 """Stored surface distance on the surface itself, and two voxels or more inside and outside it."""
 _BISECTIONS = 14
+"""Halvings of the distance of a plane: 1e-4 voxels are left, a stored step is 0.016."""
 _OFFSETS = np.array([o for o in np.ndindex(5, 5, 5) if 0 < sum((k - 2) ** 2 for k in o) <= 5]) - 2
 
 
@@ -144,8 +145,10 @@ def surface_of_fractions(fraction: Bytes) -> Bytes:
     true distance and the interpolation between centres lies above it. Each bias is a twelfth of the
     principal curvatures' sum; the interpolated surface keeps a quarter of it.
     """
+    # Three voxels: planes of two voxels' reach and a gradient over one more.
     padded = np.pad(fraction, 3)
     result = np.where(padded > 127, INSIDE, OUTSIDE).astype(np.uint8)
+    # A flat surface may pass exactly between full and empty voxels, without a partly filled one.
     crossed = ((padded > 0) & (padded < 255)) | _beside(padded == 255, padded == 0)
     at = np.argwhere(crossed)
     normal = _outward(padded, at)
@@ -164,6 +167,8 @@ def surface_of_fractions(fraction: Bytes) -> Bytes:
         plane = known[there]
         held = np.flatnonzero(plane >= 0)
         index = plane[held]
+        # Near planes count most. With 0.1 to 0.5 the error on a ball is 0.019 to 0.025 voxels
+        # (rms).
         weight = trust[index] / (0.25 + float(offset @ offset)) ** 2
         summed[held] += weight * (distance[index] - normal[index] @ offset)
         weights[held] += weight
@@ -197,6 +202,7 @@ def _outward(fraction: Bytes, at: Ints) -> Array:
     slope = np.zeros((len(at), 3))
     for offset in np.array(list(np.ndindex(3, 3, 3))) - 1:
         if offset.any():
+            # Weights of a 3 x 3 x 3 Sobel filter: 2 across a face, 1 an edge, 1/2 a corner.
             weight = 2.0 ** (2 - np.abs(offset).sum())
             slope -= weight * fraction[tuple((at + offset).T)].astype(np.float64)[:, None] * offset
     slope[~slope.any(axis=1), 2] = 1.0
@@ -242,7 +248,9 @@ No layer changes within two voxels, or in any cell that the voxel is a corner of
 """
 _UNKNOWN = 255
 _PADDED = 6
+"""Border of unknown voxels, as wide as the larger ball."""
 _AT_ONCE = 1 << 18
+"""Pairs of a voxel and a neighbour summed at once: their index and values are some MB."""
 _STRIDE = 0.5
 _HALVINGS = 5
 """Steps [voxel] that bracket a change along a direction, and number of bisections."""
@@ -277,6 +285,7 @@ def layer_boundary(layer: Bytes, known: Flags, layer_at: LayerAt) -> Bytes:
     """
     codes = _codes(layer, known)
     chosen = _in_mixed_cells(codes)
+    # Neighbours up to (2, 1, 0) away; 1e-6 for rounding.
     offsets = _offsets(np.sqrt(5.0) + 1e-6)
     # In sixtieths, whole numbers: their sums are exact in any order.
     toward = _sums(
@@ -287,6 +296,7 @@ def layer_boundary(layer: Bytes, known: Flags, layer_at: LayerAt) -> Bytes:
     chosen = chosen[found]
     direction = toward[found] / length[found, None]
     distance = np.empty(len(chosen), dtype=np.float32)
+    # Parts of 65,536 points bound the memory of the layer function.
     for start in range(0, len(chosen), 1 << 16):
         part = slice(start, start + (1 << 16))
         at = np.column_stack(np.unravel_index(chosen[part], codes.shape)) - _PADDED
@@ -314,6 +324,8 @@ def boundary_of_layers(layer: Bytes, known: Flags) -> Bytes:
     distance[narrow] = _distance_of_share(codes, chosen[narrow], _NARROW)
     neighbours = _offsets(np.sqrt(3.0) + 1e-6)
     same, other = _sums(codes, chosen, neighbours, np.ones((1, len(neighbours))))
+    # A layer of one voxel has a third of its 27 neighbours and keeps 0.5; a flat boundary has two
+    # thirds and keeps the smallest stored step.
     least = np.clip(1.4 - 2.7 * same[0] / (same[0] + other[0]), 1.0 / BOUNDARY_STEPS, 0.5)
     return _stored(codes, chosen, np.maximum(distance, least))
 
@@ -405,7 +417,9 @@ def _ball(radius: float) -> tuple[Ints, Array, Array, Array]:
     offsets = _offsets(radius)
     r2 = (offsets**2).sum(axis=1) / radius**2
     weights = (1.0 - r2) ** 2 * (1.0 - 2.5 * r2)
+    # Whole numbers whose sums stay below 2^24 are exact in single precision, in any order.
     weights = np.rint(2.0**22 / np.abs(weights).sum() * weights)
+    # Steps of 1/2000 of the radius, 0.003 voxels; a stored step is 0.008.
     t = np.linspace(-1.0, 1.0, 4001)
     slices = (1.0 - t**2) ** 3 * (0.625 * (1.0 - t**2) - 0.5)
     share = np.cumsum(slices) - 0.5 * slices

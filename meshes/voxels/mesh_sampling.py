@@ -28,6 +28,7 @@ __all__ = [
 ]
 
 _PAIRS_AT_ONCE = 2_000_000
+"""Pairs of triangles and lines tested at once: a dozen arrays of 16 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +103,7 @@ def inside_scattered(vertices: Array, faces: Ints, points: Floats) -> Flags:
         return inside
     corners = vertices[faces]
     low = points[:, :2].min(axis=0)
+    # As many columns as triangles, so that a column holds a few.
     count = max(int(len(faces) ** 0.5), 1)
     edge = np.maximum(np.ptp(points[:, :2], axis=0), 1e-9) / count
     triangle, starts = _by_column(corners, low, edge, count)
@@ -125,6 +127,8 @@ def inside_scattered(vertices: Array, faces: Ints, points: Floats) -> Flags:
         below = sign * (height <= points[point, 2])
         winding = np.bincount(point - done, weights=below, minlength=len(part))
         unclosed = np.bincount(point - done, weights=sign, minlength=len(part)) != 0.0
+        # Winding numbers are whole. A line through a hole of the surface does not end at 0:
+        # unknown.
         inside[part] = (winding > 0.5) & ~unclosed
         done = stop
     return inside
@@ -262,9 +266,13 @@ def _turning(line: Ints, height: Array, sign: Ints) -> ColumnCrossings:
 
 
 _LINES = 3
+"""Lines through a voxel along x and along y."""
 _WIDEST_LATTICE_M = 0.41e-3
+"""Widest lattice on which depth is evaluated: 0.4 mm, and 0.01 mm for rounding."""
 _CELLS_BEYOND = 4
+"""Lattice cells beyond the threshold from which triangles are kept: depth is right around it."""
 _OFFSET = np.array([0.0137, 0.0071])
+"""Shift of the lines, over their distance: edges of boxes and symmetric meshes lie on none."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,7 @@ from meshes.base.placement import Placement
 __all__ = ["BLOCK", "FULL", "Grid", "VoxelVolume", "density_volume"]
 
 DENSEST_KG_M3 = 2e4
+"""Largest accepted density: that of the densest implant metals; a larger value has another unit."""
 FULL = 255
 """Stored fraction of a voxel that is bone throughout."""
 

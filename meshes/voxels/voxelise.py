@@ -46,10 +46,18 @@ __all__ = [
 ]
 
 _BLOCKS_AT_ONCE = 256
+"""Blocks evaluated at once: coordinates of 131,072 voxels, 1.5 MB, stay in cache."""
 _WIDEST_INTERPOLATION_M = 1.0e-3
+"""Widest block whose density is interpolated: `Classify` is smooth over a millimetre."""
 _HALF_DIAGONAL = 0.5 * math.sqrt(3.0)
 _SHARP_BEND = 0.1
+"""Change of slope within a voxel from which the distance is creased.
+
+A block with sharp edges has 0.04 % of volume too much with 0.03 and 0.1, 0.08 % with 0.3 and 0.17 %
+with 1.
+"""
 _PARTS = 4
+"""Parts along the edge of a creased voxel; with 2 the same volume is 0.07 % off, with 8 0.04 %."""
 _LOCAL = lattice(*[np.arange(BLOCK)] * 3)
 
 
@@ -111,6 +119,7 @@ def voxel_fraction(
         return fraction
     points = centres[crossed]
     middle = distance[crossed]
+    # Half a voxel between the two points of a difference: both stay within the voxel.
     step = np.float32(0.25 * spacing_m)
     gradient = np.empty((len(crossed), 3), dtype=np.float32)
     bend = np.zeros(len(crossed), dtype=np.float32)
@@ -121,6 +130,7 @@ def voxel_fraction(
         )
         gradient[:, axis] = (forward - backward) / (2.0 * step)
         bend = np.maximum(bend, np.abs(forward + backward - 2.0 * middle))
+    # Where a distance is flat, as between two surfaces, its direction is rounding, so z is taken.
     slope = np.maximum(np.linalg.norm(gradient, axis=1), np.float32(1e-3))
     normal = np.where(
         slope[:, None] > 2e-3,
@@ -250,8 +260,11 @@ Region = tuple[Sequence[float] | Array, Sequence[float] | Array]
 AROUND_VOXELS = 2
 """Voxels around the bone whose distance to its surface is stored."""
 _ROUNDING = 1e-6
+"""Part of a voxel by which a corner may miss a grid line through rounding."""
 _MAXIMUM_THREADS = 4
+"""Largest number of threads: each holds the points and distances of a slab."""
 _SAMPLED_BLOCKS = 4
+"""Blocks along x that are sampled at once: each call looks through all triangles."""
 
 
 def voxelise(

@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 __all__ = ["Drilling"]
 
 REGION_M = np.array([[-2.0e-3, -2.0e-3, -4.0e-3], [2.0e-3, 2.0e-3, 1.2e-3]])
+"""Part of the crown that can be cut [m].
+
+It holds the drawn positions, 1 mm to each side, with the bur's radius, and the largest depth.
+"""
 SPACING_M = 5e-5
 """Edge of a voxel [m]: a twentieth of the bur."""
 BUR_MM = 1.0
@@ -35,6 +39,7 @@ HAND_KG = 0.1
 A handpiece has 0.06 to 0.1 kg (from memory of makers' data).
 """
 TOP_SPEED_M_S = 1e-2
+"""Largest speed of the bur [m/s]: 0.01 mm a tick, a fifth of a voxel."""
 START_M = 5e-4
 CEILING_M = 8e-4
 """Gap between tip and tooth at the start, and at which the bur counts as withdrawn [m]."""
@@ -83,6 +88,8 @@ class Drilling(ContactEnvironment):
     """
 
     entries = (
+        # Scales: depth of `REGION_M`, largest speed, and twice the force limit. In an episode at
+        # full thrust, force, torque and volume reach 2.0 N, 1.2 N mm and 2.2 mm3.
         Entry("depth", 4.0, "mm"),
         Entry("deepest", 4.0, "mm"),
         Entry("velocity", 10.0, "mm/s"),
@@ -93,11 +100,14 @@ class Drilling(ContactEnvironment):
     )
     action_count = 1
     ranges = {  # noqa: RUF012
+        # around the middle of the fossa; densities around those of cutting.toml
         "x_mm": (-1.0, 1.0),
         "y_mm": (-1.0, 1.0),
         "enamel_density_kg_m3": (2700.0, 3000.0),
         "dentin_density_kg_m3": (2000.0, 2200.0),
     }
+    # The scripted expert takes 1.8 s at forces up to 1.4 N, and the full thrust reaches the limit.
+    # Dentists prepare teeth with 0.1 to 5 N (perception.toml).
     usual_duration_s = 5.0
     usual_force_limit_N = 2.0
     thrust_N = 3.0
@@ -153,6 +163,7 @@ class Drilling(ContactEnvironment):
         """
         volume = self.volume
         i, j = np.floor((place_m - volume.origin_m[:2]) / volume.spacing_m).astype(int)
+        # at least half full, of 255
         held = volume.fraction[i, j] > 127
         enamel = held & (volume.layer[i, j] == volume.layer_names.index("enamel"))
         heights = volume.origin_m[2] + volume.spacing_m * np.array(
@@ -165,6 +176,7 @@ class Drilling(ContactEnvironment):
         self._thrust = self.thrust_N * float(self._command[0])
         self._before = self._speed
         self._top_m = float(motion.tip_m[2])
+        # The bone resists only a bur that moves or is pushed down; its cut is open above it.
         down = self._before > 0.0 or self._thrust > 0.0
         self._speed = self._balanced(response, motion, down=down)
         self._searches = down and self._speed > 0.0
@@ -221,8 +233,10 @@ class Drilling(ContactEnvironment):
             mass=HAND_KG,
             step_s=TICK_S,
         )
+        # The edge force resists motion and does not push the bur back.
         if down and before >= 0.0 and thrust >= 0.0:
             speed = max(speed, 0.0)
+        # Withdrawal stops at the ceiling.
         highest = (self.surface_m + CEILING_M - float(motion.tip_m[2])) / TICK_S
         return min(max(speed, -TOP_SPEED_M_S, -highest), TOP_SPEED_M_S)
 
@@ -239,6 +253,7 @@ class Drilling(ContactEnvironment):
         }
 
     def _is_over(self) -> bool:
+        # 1e-9 m: rounding of the height at which the ceiling stops the bur.
         withdrawn = self._deepest_m > 0.0 and self.depth_m <= -CEILING_M + 1e-9
         return withdrawn or self._deepest_m - self.wanted_m >= TOO_DEEP_M
 
@@ -261,5 +276,6 @@ class Drilling(ContactEnvironment):
         self.bone.draw_under_tool(side, self.tool.tip_m, COLOURS)
         wanted = 1e3 * (self.surface_m - self.wanted_m)
         side.axhline(wanted, color="0.2", linestyle="--", linewidth=1.0, label="wanted depth")
+        # from the bottom of the region to above the bur at its start
         side.set_ylim(-4.0, 2.5)
         side.legend(loc="lower right", fontsize=8)

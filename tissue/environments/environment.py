@@ -32,8 +32,9 @@ if TYPE_CHECKING:
 __all__ = ["PATCH_POINTS", "ContactEnvironment", "Entry", "RestorableBone"]
 
 PATCH_POINTS = 9
-"""Number of points along each side of a patch."""
+"""Number of points along each side of a patch. An odd number has a point at its centre."""
 LAYER_BITS = 255
+"""Mask of the layer in a material word of a voxel, whose upper half is the density [kg/m3]."""
 
 
 class RestorableBone:
@@ -98,6 +99,7 @@ class RestorableBone:
         They are indices into the flat array of stored voxels, and centres [m].
         """
         store = self.model.store
+        # Remaining bone is stored in 16 bits, 65,535 for a full voxel.
         full = self._uncut.bricks["remaining"].numpy() == np.iinfo(np.uint16).max
         chosen = full & (self._layer == store.grid.layer_names.index(layer))
         places, _ = voxels_of(store.places, np.arange(len(chosen)), chosen.astype(np.int64))
@@ -127,6 +129,7 @@ class RestorableBone:
         volume = self.volume
         place = int((at_m - volume.origin_m[across]) / volume.spacing_m)
         place = min(max(place, 0), volume.shape[across] - 1)
+        # at least half full, of 255
         left = np.take(self.model.remaining(), place, axis=across) > 127
         shown = np.where(left, np.take(volume.layer, place, axis=across).astype(np.int64), -1)
         first, second = (axis for axis in range(3) if axis != across)
@@ -136,6 +139,8 @@ class RestorableBone:
             shown.T,
             origin="lower",
             extent=(low[first], high[first], low[second], high[second]),
+            # -1 stands for removed bone, which is white; limits at halves put one colour on each
+            # integer.
             cmap=ListedColormap(["#FFFFFF", *colours]),
             vmin=-1.5,
             vmax=len(colours) - 0.5,
@@ -228,6 +233,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         force_limit_N: float | None = None,
         render_mode: str | None = None,
     ) -> None:
+        # from one action a tick to five actions a second
         self.ticks = int(require_range("ticks", ticks, 1, 200, "use 20 for 50 actions a second"))
         self.force_limit_N = require_positive(
             "force_limit_N",
@@ -237,6 +243,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         self.duration_s = require_range(
             "duration_s",
             self.usual_duration_s if duration_s is None else duration_s,
+            # At least as long as some steps; ten minutes bound a mistyped value.
             0.1,
             600.0,
             f"use {self.usual_duration_s:g}",
@@ -369,6 +376,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         if self.render_mode is None:
             return None
         self._require_episode("render")
+        # 640 x 360 pixels
         figure = Figure(figsize=(6.4, 3.6), dpi=100, layout="constrained")
         force = float(np.linalg.norm(self.mean_force_N))
         done_s = (1.0 - self.time_left) * self.duration_s

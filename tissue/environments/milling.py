@@ -23,7 +23,10 @@ LAYERS = ("target", "tolerance", "spared")
 COLOURS = ("#D55E00", "#F0C090", "#D8D2C4")
 """Layers, and their colours in pictures."""
 BLOCK_MM = (13.2, 10.8, 3.6)
-"""Size of the block [mm]: the largest pocket, the burr and a margin, in whole voxels."""
+"""Size of the block [mm]: the largest pocket, the burr and a margin, in whole voxels.
+
+At its largest reach the burr stays 1.6 mm from the sides and 2.5 mm from the bottom.
+"""
 SPACING_MM = 0.2
 """Edge of a voxel [mm]: a twentieth of the burr.
 
@@ -43,6 +46,10 @@ PATCH_MM = 0.6
 Nine points span a fifth more than the burr.
 """
 DONE = 0.99
+"""Share of the target at which the pocket is complete.
+
+The scripted expert reaches 0.9 after 4 s, 0.99 after 5.5 s and 0.999 after 5.9 s.
+"""
 
 
 class Milling(ContactEnvironment):
@@ -85,6 +92,8 @@ class Milling(ContactEnvironment):
     """
 
     entries = (
+        # Scales: twice the reach, largest speed, and the load of a full plunge into the densest
+        # bone: 49 N, which at the burr's radius of 2 mm has a torque of 100 N mm.
         Entry("tip", 6.0, "mm", 3),
         Entry("velocity", 10.0, "mm/s", 3),
         Entry("force", 50.0, "N", 3),
@@ -96,16 +105,20 @@ class Milling(ContactEnvironment):
     )
     action_count = 3
     ranges = {  # noqa: RUF012
+        # Cortical bone, porous to dense. The start lies above the pocket, within reach.
         "density_kg_m3": (1200.0, 1900.0),
         "start_x_mm": (-2.5, 2.5),
         "start_y_mm": (-1.5, 1.5),
         "start_z_mm": (0.3, 1.0),
     }
+    # Twice the time of the scripted expert, and under half of the force of a full plunge.
     usual_duration_s = 12.0
     usual_force_limit_N = 20.0
     pocket_mm = (4.0, 2.0, 0.8)
     """Sides of the rectangle that the tip covers, and its depth [mm]."""
     top_speed_mm_s = 10.0
+    # 0.75 mm beyond the pocket at each side and 0.3 mm below it, more than the tolerance, so that
+    # overcut is possible.
     reach_mm = np.array([[-2.75, -1.75, -1.1], [2.75, 1.75, 2.0]])
 
     def __init__(
@@ -204,6 +217,7 @@ class Milling(ContactEnvironment):
         """Draw sections under the burr along x, and through the pocket at half its depth."""
         side, top = figure.subplots(1, 2)
         self.bone.draw_under_tool(side, self.tool.tip_m, COLOURS)
+        # from the bottom of the block to the top of a burr at its surface
         side.set_ylim(-3.6, 4.5)
         self.bone.draw_section(top, 2, -0.5e-3 * self.pocket_mm[2], COLOURS)
         top.plot(*self.tip_mm[:2], "+", color="0.2")

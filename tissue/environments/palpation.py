@@ -20,9 +20,16 @@ if TYPE_CHECKING:
 __all__ = ["Palpation"]
 
 SIZE_M = (0.1, 0.1, 0.028)
+"""Size of the slab [m].
+
+The fingertip comes within 40 mm of the nodule in the middle, so that its ball ends 2 mm before the
+edge.
+"""
 EDGE_M = 4e-3
+"""Edge length of the tetrahedra [m]: half the radius of ball and nodule."""
 NODULE_RADIUS_M = 8e-3
 NODULE_DEPTH_M = 13e-3
+"""Radius of the nodule, and depth of its centre [m]: 5 mm of tissue cover it."""
 MODULUS_KPA = 5.0
 NODULE_TIMES = 20.0
 """Young's modulus used in the solution [kPa], and stiffness ratio of the nodule to the tissue.
@@ -42,7 +49,9 @@ CEILING_M = 3e-3
 At the deepest height linear elasticity is within 5 % of a hyperelastic force.
 """
 NEAR_M = 10e-3
+"""Distance to the nodule from which the potential rises [m]: the smallest one at the start."""
 TOP_SPEED_M_S = np.array([60e-3, 60e-3, 30e-3])
+"""Largest speed along x, y and z [m/s]: 1.2 and 0.6 mm in a step of 20 ticks."""
 
 
 class Palpation(ContactEnvironment):
@@ -76,6 +85,8 @@ class Palpation(ContactEnvironment):
     """
 
     entries = (
+        # Scales: reach, largest speed, and above the loads at the deepest point over the nodule,
+        # 0.5 N at 8 kPa; 1 N at the ball's radius of 8 mm has a torque of 8 N mm.
         Entry("tip", 22.0, "mm", 3),
         Entry("velocity", 60.0, "mm/s", 3),
         Entry("force", 1.0, "N", 3),
@@ -84,11 +95,14 @@ class Palpation(ContactEnvironment):
     )
     action_count = 3
     ranges = {  # noqa: RUF012
+        # The slab and its nodule are turned as well, because a mesh is not symmetric.
         "modulus_kPa": (3.0, 8.0),
         "distance_mm": (10.0, 18.0),
         "bearing_deg": (0.0, 360.0),
         "turn_deg": (0.0, 360.0),
     }
+    # The scripted expert takes 2.9 s. Over the nodule the deepest point gives 0.2 N at 3 kPa and
+    # 0.53 N at 8 kPa: a policy must not press stiff tissue as deep as soft tissue.
     usual_duration_s = 6.0
     usual_force_limit_N = 0.4
 
@@ -128,6 +142,7 @@ class Palpation(ContactEnvironment):
         turns = np.broadcast_to(np.eye(3), (len(tips), 3, 3))
         organ = material.organ(mesh, slab_base(mesh))
         path = ToolPath(SphereProbe(BALL_RADIUS_M), tips, turns)
+        # One core, because environments run in parallel.
         return LiverModel(organ, path, ContactSolution("condensed", cores=1))
 
     def _prepare(self) -> None:

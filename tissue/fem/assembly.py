@@ -106,6 +106,7 @@ def pair_tables(order: int) -> tuple[Int32s, Array]:
     the gradients.
     """
     products = gradient_products(4, order)
+    # Four functions of corners; those of quadratic cells on edges follow.
     ends = np.concatenate([np.stack([np.arange(4)] * 2, axis=1), EDGES[: len(products) - 4]])
     a, b = local_pairs(len(products)).T
     corners = np.concatenate([ends[a], ends[b]], axis=1)
@@ -256,6 +257,7 @@ def surface_transfer(space: Space, points_m: Array) -> csr_array:
     corner = np.column_stack([1.0 - share.sum(axis=1), share])
     shape = corner
     if space.order == 2:
+        # quadratic shape functions of a triangle: of the edges and of the corners
         middle = [4.0 * corner[:, a] * corner[:, b] for a, b in TRIANGLE_EDGES]
         shape = np.column_stack([corner * (2.0 * corner - 1.0), *middle])
     nodes = space.faces[face]

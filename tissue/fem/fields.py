@@ -105,6 +105,7 @@ def cell_stress(space: Space, displacement_m: Array, elasticity: ArrayLike) -> S
         If the elasticity is refused.
     """
     start = np.arange(space.cell_count + 1, dtype=np.int32)
+    # four equal barycentric coordinates: the centre
     return group_stress(space, displacement_m, elasticity, start, start[:-1], np.full((1, 4), 0.25))
 
 
@@ -121,6 +122,7 @@ def group_stress(
     Parameters as of `kernels.tetrahedra.group_stress`, errors as of `cell_stress`.
     """
     rows = elasticity_rows(elasticity, space.cell_count)
+    # Two columns are Lamé's constants of an isotropic cell, otherwise rows are whole matrices.
     stiffness = stiffness_of_lame(rows) if rows.ndim == 2 else rows
     count = len(start) - 1
     device = space.device

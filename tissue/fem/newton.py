@@ -100,14 +100,18 @@ class RigidSphere:
     def _pressed(self, positions_m: Array) -> tuple[Array, Array, Array]:
         """Return force on each node [N], direction from the centre, and distance to it [m]."""
         from_centre = positions_m[self.nodes] - self.centre_m
+        # A node at the centre has no direction; this bounds the division.
         distance = np.maximum(np.linalg.norm(from_centre, axis=1), 1e-3 * self.radius_m)
         pressed = np.maximum(0.0, self._multiplier + self._penalty * (self.radius_m - distance))
         return pressed, from_centre / distance[:, None], distance
 
 
 HALVINGS = 30
+"""Halvings of a step before the solve counts as stalled: 1e-9 of it is left."""
 ARMIJO = 1e-4
+"""Share of the predicted decrease of the energy that a step must reach (Armijo 1966)."""
 ROUNDING = 1e-12
+"""Rounding error of an energy, relative: sums over 1e5 cells of 1e-16 each, and reserve."""
 POSITIONS = 4e-13
 """Rounding error of nodal forces, over stiffness times size of the body."""
 CORRECTIONS = 60
@@ -116,6 +120,7 @@ CORRECTIONS = 60
 Each correction leaves a tenth of the penetration or less.
 """
 LINEAR_LIMIT = 500
+"""Iterations allowed for a direction; the last iterate lowers the energy, too."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -172,6 +177,7 @@ class NewtonSolver:
         # with.
         extent = float(np.ptp(body.nodes_m, axis=0).max())
         self._rounding_N = POSITIONS * float(self.rest_diagonal.max()) * extent
+        # A hundredth: displacements of a tenth of the body, which enter squared.
         self._rounding_J = ROUNDING * 1e-2 * float(self.rest_diagonal.max()) * extent**2
         at_rest = HeldBody(rest, body.nodes_m, held)
         solver = DirectSolver(at_rest)
@@ -219,6 +225,7 @@ class NewtonSolver:
         If that turns a cell over, only the held components move.
         """
         tangent = self.body.stiffness(start)
+        # A first guess: 1e-3 is far below its own error of first order.
         following = start + move + self._direction(tangent, -(tangent @ move.ravel()), 1e-3)
         return following if np.isfinite(self.body.energy_and_force(following)[0]) else start + move
 
@@ -239,6 +246,8 @@ class NewtonSolver:
                 return now, SolverOutcome.CONVERGED, residual, step_count
             if step_count == self._step_limit:
                 break
+            # A direction as accurate as the residual is small keeps the convergence quadratic
+            # (Eisenstat and Walker 1996). More than a tenth of the tolerance is not needed.
             accuracy = max(min(0.1, residual), 0.1 * self._tolerance / residual)
             step = self._direction(self._whole(now, sphere), -slope.ravel(), accuracy)
             downhill = float(np.sum(slope * step))
@@ -250,6 +259,8 @@ class NewtonSolver:
                 rounding = (
                     there[0] <= energy + ROUNDING * abs(energy) + self._rounding_J
                 )  # near the end the slope alone is exact
+                # Near the end, differences of the energy are rounding, so half of the slope must go
+                # instead.
                 if lower or (
                     rounding and abs(float(np.sum(there[2] * step))) <= 0.5 * abs(downhill)
                 ):
@@ -306,6 +317,7 @@ class NewtonSolver:
             limit=LINEAR_LIMIT,
             error=lambda now: float(np.sqrt(now.slopes[-1] / now.slopes[0])),
         )
+        # Negative curvature in the first direction: the preconditioned force still leads downhill.
         bent = found.outcome is SolverOutcome.INDEFINITE and found.iterations == 0
         full[free] = self._precondition(load[free]) if bent else found.displacement_m
         return full.reshape(self.held.shape)
@@ -356,6 +368,7 @@ def press_at(
     sphere, touching = resting_sphere(solver, tip_m, direction, radius_m, tolerance)
     depth = -radius_m - touching
     now = None
+    # At least one step; a step of more than LONGEST radii can turn cells over.
     for stop in np.linspace(touching, -radius_m, 2 + max(0, int(depth / (LONGEST * radius_m))))[1:]:
         sphere.centre_m = tip_m + stop * direction
         solution = solver.solve(sphere=sphere, start_m=now)
@@ -375,6 +388,7 @@ def resting_sphere(
     body = solver.body
     surface = np.unique(body.space.faces)
     offset = body.nodes_m[surface] - point_m
+    # Nodes farther away than 3 radii cannot touch the sphere.
     near = np.linalg.norm(offset, axis=1) < 3.0 * radius_m
     surface = surface[near]
     offset = offset[near]

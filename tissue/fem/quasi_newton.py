@@ -27,8 +27,11 @@ __all__ = ["Followed", "QuasiNewton", "Springs"]
 MEMORY = 12
 """Number of steps whose curvature pairs are kept."""
 HALVINGS = 12
+"""Halvings of a step before its direction is given up: 1/4096 of it is left."""
 ARMIJO = 1e-4
+"""Share of the predicted decrease of the energy that a step must reach (Armijo 1966)."""
 ROUNDING = 1e-12
+"""Rounding error of the energy, relative."""
 SMALL = 1e-3
 """Share of the largest load so far. A smaller load counts as this share, so it need not be
 balanced.
@@ -194,6 +197,7 @@ class QuasiNewton:
         while (worst := float(np.abs(left).max())) > tolerance * size and steps < step_limit:
             step = self._inverse(left)
             if not self._advance(step, load_N, float(np.sum(left * step))):
+                # Nothing is left to fall back on.
                 if self.factor is self.at_rest and not self._memory:
                     break
                 self._take_factor(self.at_rest)

@@ -156,6 +156,7 @@ def gauss_points(order: int) -> Array:
 
     Shape (1, 4) for linear cells, (4, 4) for quadratic cells.
     """
+    # One point at the centroid is enough for linear cells, whose strain is constant.
     return np.full((1, 4), 0.25) if order == 1 else GAUSS + (1.0 - 4.0 * GAUSS) * np.eye(4)
 
 
@@ -167,6 +168,7 @@ def gradient_slopes(corners: int, order: int) -> Array:
     edges = _edges(corners, order)
     slope = np.zeros((corners + len(edges), corners, corners))
     for a in range(corners):
+        # g_A, or (4 l_A - sum l_i) g_A for quadratic cells
         slope[a, a] = 1.0 if order == 1 else -1.0
         slope[a, a, a] += 0.0 if order == 1 else 4.0
     for middle, (i, j) in enumerate(edges, start=corners):
@@ -190,6 +192,7 @@ def mean_shape(corners: int, order: int) -> Array:
     """
     if order == 1:
         return np.full(corners, 1.0 / corners)
+    # Means of 4 l_i l_j and of l_i (2 l_i - 1), with d + 1 corners.
     middle = 4.0 / (corners * (corners + 1))
     at_corner = 4.0 / (corners * (corners + 1)) - 1.0 / corners
     return np.concatenate(

@@ -27,7 +27,7 @@ __all__ = [
 ]
 
 LONGEST_S = 3600.0
-"""Longest motion of a run [s]."""
+"""Longest motion of a run [s]: an hour, 3.6 million ticks. A longer one means a wrong unit."""
 
 
 @dataclass(frozen=True)
@@ -170,6 +170,7 @@ class FollowPath(Motion):
     ) -> None:
         legs = np.diff(points_m, axis=0)
         lengths = np.linalg.norm(legs, axis=1)
+        # Repeated corners have no direction. 1e-300 avoids a division by zero for them.
         keep = lengths > 0.0
         if not keep.any():
             raise InputError(
@@ -206,6 +207,7 @@ class FollowPath(Motion):
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
         """Move the tool along the path."""
         motion.rotation[:] = self._rotation
+        # 1e-9 s: rounding of the tick's time, which may end a leg exactly at its corner.
         while self._leg < len(self._ends_s) and time_s > self._ends_s[self._leg] + 1e-9:
             self._leg += 1
         if self._leg == len(self._ends_s):

@@ -26,7 +26,10 @@ NOTHING: Triple = (0.0, 0.0, 0.0)
 UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
 """Vector of zeros, and quaternion without a rotation."""
 OFF_UNIT = 0.02
-"""Tolerance of the squared length of a quaternion around one, for a rounded rotation."""
+"""Tolerance of the squared length of a quaternion around one.
+
+Rounding of all four components to two decimals changes the squared length by up to 0.02.
+"""
 
 
 def product(left: Quaternion, right: Quaternion) -> Quaternion:
@@ -51,6 +54,7 @@ def unit(rotation: Quaternion) -> Quaternion | None:
     """Return the quaternion scaled to unit length; None if its length is zero, infinite or NaN."""
     x, y, z, w = rotation
     size = sqrt(x * x + y * y + z * z + w * w)
+    # Below 1e-6 rounding in a device's single precision decides the direction.
     return (x / size, y / size, z / size, w / size) if 1e-6 < size < inf else None
 
 
@@ -64,6 +68,7 @@ def exponential(vector: Triple) -> Quaternion:
     """Return the rotation about ``vector`` by the length of ``vector``."""
     x, y, z = vector
     angle = sqrt(x * x + y * y + z * z)
+    # Below 1e-8 rad the series 1/2 - angle^2 / 48 is 1/2 to rounding.
     share = sin(0.5 * angle) / angle if angle > 1e-8 else 0.5
     return share * x, share * y, share * z, cos(0.5 * angle)
 
@@ -71,12 +76,14 @@ def exponential(vector: Triple) -> Quaternion:
 def logarithm(rotation: Quaternion) -> Triple:
     """Return the shortest rotation vector of a unit quaternion, of length pi or less."""
     x, y, z, w = rotation
+    # The opposite quaternion is the same rotation; the one with w >= 0 gives the shorter arc.
     if w < 0.0:
         x = -x
         y = -y
         z = -z
         w = -w
     size = sqrt(x * x + y * y + z * z)
+    # Below 1e-12 the quotient is 2 to rounding, and 0 / 0 at no rotation.
     share = 2.0 * atan2(size, w) / size if size > 1e-12 else 2.0
     return share * x, share * y, share * z
 

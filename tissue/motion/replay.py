@@ -155,6 +155,7 @@ def _drilling(file: Any, where: _File) -> DrillingRecording:
             "hold the poses of one drill", ", ".join(names) or "no object", "leave one with drill"
         )
     notes = ["a recording of volumetric_drilling, in its world"]
+    # Position and quaternion: 7 numbers. A wrench has 6: force and torque.
     times, pose = _samples(file, f"{poses}/{drills[0]}", "pose", 7, where)
     if len(times) < 2:
         raise where.error("hold at least two poses", len(times), "record more")
@@ -169,6 +170,7 @@ def _drilling(file: Any, where: _File) -> DrillingRecording:
                 f"sizes {sorted(set(sizes[:, 0].tolist()))} mm",
                 "cut it where it changes",
             )
+        # From the centre of the burr to its tip: half the diameter, in metres.
         tips = tips - turns.apply([0.0, 0.0, 0.5e-3 * sizes[0, 0]])
     else:
         notes.append("no size of the burr: the recorded point of the drill counts as its tip")
@@ -208,6 +210,7 @@ def _samples(file: Any, group: str, name: str, width: int, where: _File) -> tupl
         dataset = file.get(each)
         if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind not in "fiu":
             raise where.error(f"hold numbers as {each}", "none", "record it again")
+        # In memory as doubles, 8 bytes each, but first as stored.
         size = max(dataset.dtype.itemsize, 8) * dataset.size
         require_memory(size, where.path.name, f"{dataset.size:.3g} numbers as {each}")
         found.append(np.asarray(dataset[()], dtype=np.float64))
@@ -278,6 +281,9 @@ class GivenPoses(Motion):
         velocity, turning = (np.vstack([np.zeros((1, 3)), each]) for each in (moved, turned))
         speed = np.linalg.norm(velocity, axis=1)
         turn = np.linalg.norm(turning, axis=1)
+        # 1e-9 m/s is far above the rounding of positions over a tick, 1e-13 m/s. Cutting needs a
+        # speed: a tool that only turns gets 1 m/s, and its rate in `_headings` is the turning
+        # itself.
         self._speeds = np.where(speed > 1e-9, speed, np.where(turn > 1e-9, 1.0, 0.0))
         self._headings = (
             np.stack([velocity, turning], axis=1) / np.maximum(self._speeds, 1e-300)[:, None, None]
@@ -478,5 +484,6 @@ def poses_of_trace(tips_m: Array, axes: Array, velocities: Array) -> Array:
     heading = np.divide(velocities, speed, out=np.zeros_like(velocities), where=speed > 0.0)
     poses = np.column_stack([np.arange(len(tips_m)), tips_m, axes, heading])
     return (
+        # The pose before tick 0 is the start of the first cut.
         np.vstack([np.append(-1.0, poses[0, 1:]), poses]) if len(poses) else np.zeros((0, COLUMNS))
     )

@@ -73,10 +73,13 @@ class SpeedSearch:
         else:
             self._low = tried
         if self._high - self._low <= TOLERANCE * self._high or self._poses >= MOST_POSES:
+            # At a jump of the force no pose balances. The side of the larger force is accepted, and
+            # tried first if it was not the last pose.
             if tried == self._high:
                 return True
             self._low = self.tried = self._high
             return False
+        # Two steps to the balanced speed suffice where drag varies smoothly; halving always ends.
         is_inside = self._low < balanced < self._high
         self.tried = balanced if self._poses <= 2 and is_inside else 0.5 * (self._low + self._high)
         return False
@@ -144,6 +147,8 @@ class PushAlongAxis(Motion):
         self._touching = self._is_limited = False
         self._limited_s = 0.0
         self._first_limited_s = -1.0
+        # The feed is known only during the run: a quarter of the limit on average reaches the
+        # depth.
         self.duration_s = 4.0 * self._longest / max_feed_m_s
 
     def sweep_m(self) -> Array:

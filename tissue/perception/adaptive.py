@@ -31,9 +31,17 @@ The cells are those of the Weber fraction's grid.
 """
 BASES_N = (0.3, 0.8, 2.0)
 STEP_COUNT = 25
-"""Smaller forces of the pairs [N], and number of steps at each of them."""
+"""Smaller forces of the pairs [N], and number of steps at each of them.
+
+The forces lie below, above and far above the low-force term. With one base force in place of three,
+or with 12 or 50 steps, the RMS error of the threshold of 300 simulated observers after 80 trials
+changes from 20 % to between 19 and 21 %.
+"""
 STEPS = (0.005, 1.5)
-"""Smallest and largest step of a pair, as shares of the base force plus `LOW_FORCE_N`."""
+"""Smallest and largest step of a pair, as shares of the base force plus `LOW_FORCE_N`.
+
+They lie below and above the thresholds of the prior, 0.015 to 0.6 of that sum.
+"""
 LOW_FORCE_N = 0.2
 """Low-force term of Weber's law, for the choice of steps and as the median of the prior [N].
 
@@ -43,6 +51,9 @@ LARGEST_LAPSE = 0.2
 LAPSE_POWER = 2.5
 LAPSE_PRIOR = (0.5, 5.0)
 """Largest lapse of the grid, exponent of its cell growth, and Beta parameters of the lapse prior.
+
+Cells of equal width (exponent 1) bias the threshold by -4 %. Exponents of 2.5 and 4, and largest
+lapses of 0.1 and 0.4, bias it by 1.4 % or less (300 simulated observers, 80 trials).
 """
 
 
@@ -95,8 +106,11 @@ class ThresholdPrior:
         require_positive("weber", self.weber, "use 0.09")
         require_positive("weber_log_spread", self.weber_log_spread, "use 0.6")
         require_positive("lowest", self.lowest, "use 0.015")
+        # A fraction of 10 or more means that it was given in percent.
         if not self.lowest < self.highest < 10.0:
             raise InputError("highest", f"be in ({self.lowest:g}, 10)", self.highest, "use 0.6")
+        # `edge_mass` reads two cells at each bound, which must be different ones. A thousand bounds
+        # the memory of the likelihoods.
         for name, least in (("cells", 5), ("offset_cells", 1), ("lapse_cells", 1)):
             require_range(name, getattr(self, name), least, 1000, "see the defaults")
 
@@ -117,6 +131,8 @@ class ThresholdPrior:
         Each array has shape (n,).
         """
         offsets = (
+            # LOW_FORCE_N divided and multiplied by 4, nearly three standard deviations of the
+            # prior.
             np.geomspace(0.05, 0.8, self.offset_cells)
             if self.offset_cells > 1
             else np.array([LOW_FORCE_N])
@@ -125,6 +141,8 @@ class ThresholdPrior:
         lapses = 0.5 * (lapse_edges[1:] + lapse_edges[:-1])
         masses = (
             norm.pdf(np.log(self.webers / self.weber), scale=self.weber_log_spread)[:, None, None]
+            # ln 1.65 = 0.5, so that the range 0.1 to 0.3 N of the literature is about one standard
+            # deviation to each side.
             * norm.pdf(np.log(offsets / LOW_FORCE_N), scale=0.5)[:, None]
             * np.diff(beta.cdf(lapse_edges, *LAPSE_PRIOR))
         )
@@ -145,7 +163,7 @@ def comparisons(
     bases_N
         Smaller forces of the pairs [N].
     force_limit_N
-        Largest force of the device; no pair exceeds it [N].
+        Largest force of the device; no pair exceeds it [N]. The default is that of a Touch.
     """
     bases = np.repeat(bases_N, STEP_COUNT)
     steps = np.tile(np.geomspace(*STEPS, STEP_COUNT), len(bases_N)) * (bases + LOW_FORCE_N)
@@ -201,6 +219,7 @@ class AdaptiveThreshold:
 
         It has the smallest expected entropy of the posterior.
         """
+        # A share of 1 by rounding would have the entropy 0 log 0, which is NaN.
         right = np.clip(self._right @ self.posterior, 1e-12, 1.0 - 1e-12)
         marginal = -(right * np.log(right) + (1.0 - right) * np.log1p(-right))
         return np.argmax(marginal - self._entropy @ self.posterior, axis=0)
@@ -262,6 +281,7 @@ class AdaptiveThreshold:
 
         The first array belongs to the lower bound, the second to the upper; shapes (observers,).
         """
+        # Two of the default cells span 12 % of the Weber fraction.
         masses = self.weber_masses()
         return masses[:2].sum(axis=0), masses[-2:].sum(axis=0)
 

@@ -83,6 +83,9 @@ def map_force_N(
     y, r, m, s = (each.ravel() for each in (y, r, m, s))
     turn = m - s * s  # mode of the prior
     with np.errstate(divide="ignore", invalid="ignore"):
+        # Both summands of g fall beyond the larger of ln y and the prior's mode, and rise below the
+        # smaller: all roots lie in between. For y <= 0 the likelihood only pushes down, and its
+        # size at the mode bounds how far.
         highest = np.where(y > 0.0, np.maximum(np.log(y), turn), turn)
         reach = np.exp(turn)
         lowest = np.where(
@@ -90,6 +93,8 @@ def map_force_N(
             np.minimum(np.log(y), turn),
             turn - s * s * ((np.abs(y) + reach) / r) * (reach / r),
         )
+        # Roots of 2 w^2 - y w + r^2 / s^2: the larger directly, the smaller from their product r^2
+        # / (2 s^2), which avoids cancellation.
         inner = np.sqrt(y * y - 8.0 * (r / s) ** 2)
         two = (y > 0.0) & np.isfinite(inner)
         high_turn = np.where(two, np.log(0.25 * (y + inner)), np.inf)
@@ -122,6 +127,7 @@ def _root(low: Array, high: Array, y: Array, r: Array, m: Array, s: Array) -> Ar
             newton = u - slope / bend
         inside = (newton > low) & (newton < high)
         after = np.where(inside, newton, 0.5 * (low + high))
+        # Some tens of roundings of a double.
         done = np.abs(after - u) <= 1e-14 * (1.0 + np.abs(u))
         u = after
         if done.all():
@@ -150,6 +156,7 @@ class LocalLevel:
     noise: float
 
     def __post_init__(self) -> None:
+        # 1e12: a bound that rejects infinity.
         require_range("wander", self.wander, 0.0, 1e12, "use 0 for a level that stays")
         require_positive("noise", self.noise, "use the variance of one observation")
 

@@ -149,7 +149,9 @@ class Intensity:
         with np.errstate(divide="ignore", invalid="ignore"):
             above = np.log(wanted) - a
             root = b * b + 2.0 * c * above
+            # Root of c x^2 / 2 + b x = above, in the form that does not cancel for a small c.
             found = np.exp(2.0 * above / (b + np.sqrt(root))) if c > 0.0 else np.exp(above / b)
+        # Below the minimum of the parabola ln E[S] no force has this intensity.
         if b <= 0.0 or not (root[wanted > 0.0] >= 0.0).all():
             raise InputError(
                 "beta",
@@ -172,6 +174,8 @@ def intensity_of(observer: Observer) -> Intensity:
         log_alpha=float(observer.mean[0]),
         beta=float(observer.mean[1]),
         variances=(max(alpha, 0.0), both, max(beta, 0.0)),
+        # Mean of a log-normal sigma^2, limited to e^100, so that the moments stay finite where a
+        # wide posterior leaves the scatter unknown.
         scatter=exp(min(2.0 * observer.mean[5] + 2.0 * observer.covariance[5, 5], 100.0)),
     )
 
@@ -202,6 +206,8 @@ class Weber:
     offset: float
 
     def __post_init__(self) -> None:
+        # Bounds that reject a fraction in percent and a wrong unit of the offset; people have 0.05
+        # to 0.23, and 0.006 N m to 10 N/m (perception.toml).
         require_range("kappa", self.kappa, 1e-4, 1.0, "use 0.07 for force")
         require_range("offset", self.offset, 1e-6, 1e6, "use 0.2 for force in N")
 
@@ -315,6 +321,8 @@ class ForceMap:
         need = float(observer.force_N(reference.expected(knee_N)))
         most = float(reference.force_N(observer.expected(knee_N)))
         self.gain = 1.0 if need <= knee_N else most / knee_N
+        # Forces a hundred times the knee are left to the straight line: they are compressed to the
+        # device's limit in any case.
         self.forces_N: Array = np.geomspace(lowest_N, 100.0 * knee_N, NODES)
         commands = self._exact(self.forces_N)
         slopes = np.diff(commands) / np.diff(self.forces_N)
@@ -328,8 +336,11 @@ class ForceMap:
         within = int(np.searchsorted(self.forces_N, knee_N))
         self.steepest = float(max(slopes[:within].max(), commands[0] / lowest_N))
         self.table = LogTable(self.forces_N, commands)
+        # A thousandth of the knee, some mN, is below the threshold at zero, kappa offset = 14 mN.
         felt = np.geomspace(1e-3 * knee_N, 100.0 * knee_N, NODES)
         self.intensity = LogTable(felt, observer.expected(felt))
+        # An observer known exactly, without scatter, has a spread of 0, whose logarithm the table
+        # cannot hold.
         self.spread = LogTable(felt, np.maximum(observer.spread(felt), 1e-12))
 
     def command_N(self, force_N: ArrayLike) -> Array:

@@ -101,6 +101,8 @@ class Observer:
         for index, (name, (low, high)) in enumerate(BOUNDS.items()):
             median = float(_from(name, mean[index]))
             require_range(name, median, low, high, "calibrate again, forces in N")
+        # A covariance of zeros belongs to a person known exactly. 1e-9 of the largest entry covers
+        # the rounding of a covariance that was computed from draws and written as decimals.
         scale = max(float(np.abs(covariance).max()), 1e-300)
         is_symmetric = np.abs(covariance - covariance.T).max() <= 1e-9 * scale
         if not is_symmetric or np.linalg.eigvalsh(covariance).min() < -1e-9 * scale:
@@ -112,6 +114,7 @@ class Observer:
             )
         widest = float(np.sqrt(np.diag(covariance).clip(0.0)).max())
         require_range("standard deviation", widest, 0.0, WIDEST, "ask more trials")
+        # 1e9: a bound that rejects a misread file.
         require_range("trials", self.trials, 0, 1e9, "count them")
         mean.flags.writeable = covariance.flags.writeable = False
         object.__setattr__(self, "mean", mean)
@@ -166,16 +169,20 @@ class Observer:
     @property
     def lapse(self) -> float:
         """Median share of strong stimuli that is answered wrongly."""
+        # in the order of PARAMETERS
         return float(expit(self.mean[4]))
 
     @property
     def sigma(self) -> float:
         """Median relative scatter of a reported intensity."""
+        # in the order of PARAMETERS
         return exp(self.mean[5])
 
     def draws(self, count: int, rng: np.random.Generator) -> dict[str, Array]:
         """Return the possible values of every parameter, each of shape (count,), drawn together."""
         values, vectors = np.linalg.eigh(self.covariance)
+        # A matrix root instead of Cholesky's, because the covariance may be singular. Eigenvalues
+        # of zero may be negative by rounding.
         root = vectors * np.sqrt(values.clip(0.0))
         drawn = self.mean + rng.standard_normal((count, 6)) @ root.T
         return {name: _from(name, drawn[:, k]) for k, name in enumerate(PARAMETERS)}
@@ -245,6 +252,7 @@ def _from(parameter: str, coordinate: Array | np.float64) -> Array:
     if parameter == "lapse":
         return np.asarray(expit(coordinate))
     return np.asarray(
+        # Limited below the overflow of a double: a wide posterior may draw such a coordinate.
         coordinate if parameter == "beta" else np.exp(np.minimum(coordinate, log(1e300)))
     )
 
@@ -288,6 +296,7 @@ class Population:
         normal = rng.standard_normal((5, count))
         scale = (self.sigma_shape - 1.0) * self.sigma**2
         return {
+            # A log-normal with the median exp(-spread^2 / 2) has the mean 1.
             "alpha": np.exp(self.alpha_log_spread * normal[0] - 0.5 * self.alpha_log_spread**2),
             "beta": self.beta + self.beta_spread * normal[1],
             "kappa": self.kappa * np.exp(self.kappa_log_spread * normal[2]),

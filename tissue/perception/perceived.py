@@ -69,9 +69,16 @@ class PerceptionMaker(Protocol):
 
 
 REST_SHARE = 0.5
-"""Share of the smallest force that can be felt. Below this share of it, zero is played."""
+"""Share of the threshold at zero below which zero is played.
+
+A force returns to zero at half of the threshold and leaves zero at all of it. Noise around one of
+the two values therefore does not switch the force on and off.
+"""
 BLOCK = 512
-"""Number of ticks whose random numbers are drawn at once."""
+"""Number of ticks whose random numbers are drawn at once.
+
+One number costs 0.9 us alone and 0.13 us in a block. A block of 512 costs 70 us in one tick.
+"""
 
 
 class Deadband:
@@ -126,6 +133,7 @@ class Deadband:
             self._fresh
             or (x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2 > self._allowed * self._allowed
         )
+        # A wanted force of zero is played although it is within the threshold of the held force.
         if not (self.changed or (rest and (a or b or c))):
             return False
         self._fresh = False
@@ -235,6 +243,7 @@ class PerceivedForce:
         size = sqrt(x * x + y * y + z * z)
         if not size < inf:
             raise InputError("force", "be finite", force_N, "hold it back with a SampleGuard")
+        # Zero has no direction: any factor leaves it zero.
         share = self.law.table.at(size) / size if size > 0.0 else 1.0
         deadband = self.deadband
         if deadband.step(share * x, share * y, share * z):

@@ -100,6 +100,7 @@ class Edmd:
         known = factor.shape[1] - (count - carried)
         middle = factor[0, lead:known] / factor[0, 0] * self.offset
         spread = np.sqrt((factor[lead:, lead:known] ** 2).sum(axis=0) / samples)
+        # A constant column is divided by 1, which is multiplied back below.
         scale = np.where(spread > STILL * np.abs(middle), spread, 1.0)
         kept = slice(0, count)
         # Delayed states are targets that are regressors already, a lag earlier: they are not

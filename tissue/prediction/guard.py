@@ -16,7 +16,7 @@ __all__ = ["Guarded", "GuardedMaker", "Judged", "Observes", "Outside"]
 
 Triple = tuple[float, float, float]
 BLEND = 10
-"""Ticks over which the force fades from one predictor to the other."""
+"""Ticks over which the force fades from one predictor to the other, without a step that is felt."""
 ABSURD = 1e6
 """Limit of plausible values of a device [m, m/s or N]."""
 MEMORY = 0.98
@@ -27,7 +27,7 @@ WORSE = 1.5
 Smaller differences are noise. The value is a prior, not a measurement.
 """
 LEAST_N = 3e-3
-"""Error that never counts as worse [N]."""
+"""Error that never counts as worse [N]: less than a tenth of any device's friction, 0.04 N."""
 LONG_MEMORY = 0.999
 """Factor per tick on past errors in the comparison with the zero-order hold: about a second.
 
@@ -39,7 +39,7 @@ MOST_DEBT = 20.0
 Three seconds without cost compensate it.
 """
 PROBATION = 50
-"""Ticks for which a predictor must be trusted before it is used again."""
+"""Ticks for which a predictor must be trusted before it is used again, as many as errors count."""
 
 
 class Judged(Predictor, Protocol):
@@ -114,6 +114,7 @@ class Guarded:
         self.instead.observe(position_m, velocity_m_s, force_N)
         self.residual_N = self.inner.residual_N
         primary, other = self._missed
+        # The errors are mean squares, so the limits are squared.
         worse = not (primary <= WORSE**2 * other + LEAST_N**2 and self._over_held <= LEAST_N**2)
         self._good = self._good + 1 if self.inner.trusted and not worse else 0
         change = 1.0 / BLEND
@@ -133,6 +134,8 @@ class Guarded:
         v = v - y
         w = w - z
         size = u * u + v * v + w * w
+        # A force that is not finite is replaced by the last difference. A larger difference than
+        # the device's force limit is shortened to it.
         if not isfinite(size):
             u, v, w = self._difference
         elif size > self._reach**2:

@@ -112,6 +112,7 @@ class OperatorPath:
         """Return displacement and stretch, shape (STATE, 3)."""
         found = self._maps.get(ticks)
         if found is None:
+            # Between two whole ticks the maps are interpolated.
             low = floor(ticks)
             share = ticks - low
             found = (1.0 - share) * self._power(low) + share * self._power(low + 1)
@@ -228,6 +229,8 @@ class Koopman:
             return self._force.copy()
         if any(self._force.tolist()):
             stretch = self.path.stretch_m(ticks)
+            # Tissue does not pull: a stretch in the other direction means that the contact has
+            # ended.
             return self._spring * stretch if float(stretch @ self._force) > 0.0 else np.zeros(3)
         return self._touched_N(self._position + self.path.displacement_m(ticks))
 

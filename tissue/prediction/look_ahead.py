@@ -77,6 +77,7 @@ class FilteredPath:
 
     def __init__(self) -> None:
         self._gains = kalman_gains(1, JERKINESS)[:, None]
+        # Position, velocity and acceleration one tick later, in units of ticks.
         self._onward = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
         self._state: Array | None = None
         self._position, self._stretch = np.zeros((2, 3))
@@ -134,6 +135,7 @@ class ContactSlope:
                 gain = along / (NOISE_M**2 + float(moved.dot(along)))
                 self.matrix -= (changed + self.matrix.dot(moved))[:, None] * gain
                 self._spread -= gain[:, None] * along
+                # every fourth entry of a 3 x 3 matrix: its diagonal
                 self._spread.flat[::4] += DRIFT_PER_M * sqrt(square)
                 self._bound()
         self._before = tip_m.copy(), force_m.copy()
@@ -149,6 +151,7 @@ class ContactSlope:
         Its trace is limited, so that no direction is preferred.
         """
         size = sum(self._spread.flat[::4].tolist())
+        # trace of UNKNOWN times the unit matrix
         if size > 3.0 * UNKNOWN:
             self._spread *= 3.0 * UNKNOWN / size
 
@@ -275,5 +278,6 @@ class LookAhead:
         if not isfinite(contact.gap_m):
             return np.zeros(3)
         overlap = -(contact.gap_m + float(contact.normal.dot(device_m - contact.tip_m)))
+        # coupling and tissue in series
         stiffness = contact.spring_N_m * self._surface / (1.0 + self._surface)
         return max(overlap, 0.0) * stiffness * contact.normal

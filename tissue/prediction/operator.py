@@ -326,6 +326,7 @@ def cap_spectrum(matrix: Array, limit: float = 1.0) -> tuple[Array, int]:
     capped = 0
     row = 0
     while row < len(triangle):
+        # A pair of complex eigenvalues has a block of two rows.
         size = 2 if row + 1 < len(triangle) and triangle[row + 1, row] != 0.0 else 1
         block = slice(row, row + size)
         modulus = spectral_radius(triangle[block, block])

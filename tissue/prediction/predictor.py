@@ -135,6 +135,7 @@ class Contact:
     @classmethod
     def of_row(cls, row: Array) -> "Contact":
         """Return the contact of a row made by `row`."""
+        # The order of `row`: spring, tip, force, nine of the stiffness, gap, normal, cuts.
         stiffness = None if isnan(row[7]) else row[7:16].reshape(3, 3)
         return cls(
             float(row[0]), row[1:4], row[4:7], stiffness, float(row[16]), row[17:20], bool(row[20])
@@ -187,6 +188,7 @@ class Linear:
         missed = force_N - self.predict(0)
         self.residual_N = sqrt(missed.dot(missed))
         seen.append((self._clock, force_N.copy()))
+        # One force at least as old as the window is kept, so that the line spans all of it.
         while len(seen) > 2 and self._clock - seen[1][0] >= self._window:
             seen.popleft()
         since, first = seen[0]
@@ -214,6 +216,7 @@ def kalman_gains(ticks: int, jerkiness: float) -> Array:
 
     step = float(ticks)
     onward = np.array([[1.0, step, 0.5 * step**2], [0.0, 1.0, step], [0.0, 0.0, 1.0]])
+    # A third rate that is constant over the step changes force, rate and second rate by these.
     noise = np.array([step**3 / 6.0, step**2 / 2.0, step])
     look = np.array([[1.0, 0.0, 0.0]])
     spread = solve_discrete_are(
@@ -234,6 +237,7 @@ class Kalman:
 
     def __init__(self, jerkiness: float = JERKINESS) -> None:
         self._jerkiness = require_positive("jerkiness", jerkiness, f"use {JERKINESS:g}")
+        # Force, rate and second rate one tick later, in units of ticks.
         self._onward = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
         self._state = np.zeros((3, 3))
         self._since = 0

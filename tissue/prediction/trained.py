@@ -35,7 +35,7 @@ It is the lead for 4 ms of latency, which is 6.11 ticks on a touch with its path
 """
 FORMAT = "tissue predictor"
 VERSION = 3
-"""Version of the file. Files of version 2 hold further arrays, which are not read."""
+"""Version of the file. Files of version 2 hold further arrays, which `read` leaves out."""
 ROUNDED = ("A", "B")
 EXACT = ("offset", "middle", "scale")
 """Arrays of an operator that a file holds in single and in double precision."""
@@ -210,6 +210,7 @@ def _operator(name: str, plain: Mapping[str, Any], arrays: Mapping[str, Any]) ->
         scale=given["scale"],
         step_s=float(plain["step_s"]),
     )
+    # The state size follows from the number of observables, and is 0 where no size fits them.
     if not operator.state_size:
         raise DamagedFileError(f"{name} has {count} observables")
     return operator

@@ -40,9 +40,13 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_
 Sums are then equal on every machine, and processes do not compete for cores.
 """
 CHECK_S = 1.0
-"""Time between two checks of an awaited process [s]."""
+"""Time between two checks of an awaited process [s]; a check takes about 10 ms."""
 IDLE_S = 30.0
-"""Longest idle time of an awaited process [s]."""
+"""Longest idle time of an awaited process [s].
+
+It is 20 times the longest delay of a tick measured on an overloaded machine, 1.5 s
+(`docs/performance.md`).
+"""
 WORK_S = 0.05
 """Processor time that counts as work [s]; the check for the end of the parent process takes less.
 """
@@ -103,10 +107,12 @@ def _await_end(parent: int) -> None:
     if sys.platform == "win32":
         import psutil
 
+        # Windows keeps the id of a parent that has ended.
         if psutil.pid_exists(parent):
             psutil.Process(parent).wait()
     else:
         while os.getppid() == parent:
+            # The parent's id changes when it ends. Polling costs less than WORK_S in IDLE_S.
             sleep(0.5)
     os._exit(1)
 
@@ -139,12 +145,14 @@ class HangDetector:
         self._idle_s = idle_s or IDLE_S
         self._waited_s = 0.0
         self._idle_since_s = 0.0
+        # The first check then counts as work, so that the idle time starts there.
         self._work_s = -WORK_S
 
     def check(self) -> str | None:
         """Return the reason to give up, in half a sentence, or None; call it every `CHECK_S`."""
         self._waited_s += CHECK_S
         work_s, stopped = _work_of(self._processes())
+        # The sum falls where a child of the process has ended.
         if abs(work_s - self._work_s) >= WORK_S:
             self._work_s = work_s
             self._idle_since_s = self._waited_s
@@ -185,6 +193,7 @@ def await_ready(
     while True:
         try:
             word, _, rest = first.get(timeout=CHECK_S).strip().partition(" ")
+            # End of output, or another line: the process is about to end by itself.
             if word == "ready":
                 return rest, None
             child.wait(closes_s)
@@ -223,7 +232,10 @@ def _main() -> None:
 
 
 ENDS_S = 10.0
-"""Longest time for a helper to end after its input was closed [s]."""
+"""Longest time for a helper to end after its input was closed [s].
+
+A helper ends within milliseconds then. One that does not is killed.
+"""
 Job = Callable[[], None]
 
 
@@ -279,6 +291,7 @@ class Helper:
 
     def send(self, message: object) -> None:
         """Send a message without waiting for its receipt."""
+        # An array of 80 MB takes 0.24 s, and 0.32 s with the default protocol.
         data = pickle.dumps(message, protocol=5)
         stream = self._process.stdin
         assert stream is not None
@@ -354,6 +367,7 @@ def _how_ended(code: int) -> str:
     """Describe the end of a process from its exit code."""
     if code >= 0:
         return f"ended with exit code {code}"
+    # A process that a signal ended has the negative number of the signal as its exit code.
     name = next((each.name for each in signal.Signals if each == -code), f"signal {-code}")
     return f"was ended by {name}" + (" (memory may have run out)" if name == "SIGKILL" else "")
 
@@ -371,6 +385,7 @@ def _kill(process: "subprocess.Popen[bytes]", jobs: "SimpleQueue[Job | None]") -
     process.kill()
     process.wait()
     jobs.put(None)
+    # Closing flushes what is left, into a pipe that has no reader any more.
     for stream in (process.stdin, process.stdout):
         with suppress(OSError, ValueError):
             if stream is not None:

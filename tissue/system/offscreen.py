@@ -35,9 +35,13 @@ REMEDY = (
 )
 """Packages that provide OpenGL in software on a bare Linux machine."""
 LONGEST_S = 120.0
+"""Longest drawing time of a picture [s]; pictures of the heavy scenes take some seconds."""
 DISPLAY_S = 30.0
 ANSWERS_S = 5.0
-"""Longest waiting time for a display, and longest time for one answer of it [s]."""
+"""Longest waiting time for a display, and longest time for one answer of it [s].
+
+A display that is still starting refuses connections. A stopped one accepts them and never answers.
+"""
 _drawing: "set[subprocess.Popen[bytes]]" = set()
 
 
@@ -96,6 +100,7 @@ def draw_apart(
                 _drawing.discard(process)
                 process.kill()
                 raise
+        # `end_drawing` has killed it.
         if process not in _drawing:
             return "drawing was stopped"
         _drawing.discard(process)
@@ -106,9 +111,12 @@ def draw_apart(
             return None
         reason = f"OpenGL does not work on this machine (exit code {process.returncode})"
         _, refused, sentence = output.rpartition(f"{InputError.__module__}.{InputError.__name__}: ")
+        # 1 is the exit code of a Python error; a crash in a graphics library has another one, and
+        # then the next environment is tried.
         if process.returncode == 1 and refused:
             raise InputError(" ".join(sentence.split()))
         if process.returncode == 1 and "Error" in output:
+            # 200 characters keep the message on a few lines.
             reason = f"drawing in 3D failed ({output.strip().splitlines()[-1][:200]})"
     return (
         f"{reason}: {REMEDY}"
@@ -203,6 +211,7 @@ def await_display(*, longest_s: float = DISPLAY_S) -> str | None:
                 f"{os.environ['DISPLAY']}, which did not within {longest_s:g} s",
                 "start it, or unset DISPLAY to go without a window",
             )
+        # Short against the seconds that a display takes to start.
         sleep(0.2)
     return problem
 
@@ -235,11 +244,14 @@ def drawing_environments() -> Iterator[dict[str, str]]:
     They name the classes of VTK windows to try.
     """
     key = "VTK_DEFAULT_OPENGL_WINDOW"
+    # Other systems draw without a display, and a class that the user has chosen is used alone.
     if not sys.platform.startswith("linux") or key in os.environ:
         yield {}
         return
+    # EGL first, because it can use the graphics card; a window on a display may be seen.
     if _library("libEGL.so.1") is not None:
         yield {key: "vtkEGLRenderWindow"}
+    # Major versions of the library: 8 of current Mesa, 6 of older ones.
     if any(_library(f"libOSMesa.so.{version}") is not None for version in (8, 6)):
         yield {key: "vtkOSOpenGLRenderWindow"}
     if display_problem() is None:

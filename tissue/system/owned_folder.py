@@ -57,7 +57,8 @@ NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 SAME_S = 5.0
 """Largest difference between two readings of the start time of one process [s].
 
-The system clock may be set in between.
+The system clock may be set in between. Ids are given out in turn, so that another process rarely
+gets the same id within so short a time.
 """
 HELD = (errno.EAGAIN, errno.EACCES, errno.EDEADLK)
 """Error codes of a lock held by another process; other codes mean that locks are not supported."""
@@ -387,7 +388,7 @@ def _taken(path: Path, out: Path) -> TextIO:
         with suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(file.fileno()), path.stat()):
                 break
-        file.close()  # the previous holder removed it in between
+        file.close()  # The previous holder removed it in between: a lock on it guards nothing.
     file.truncate(0)
     file.write(f"{os.getpid()}\n")
     file.flush()
@@ -399,6 +400,7 @@ def _opened(path: Path) -> TextIO:
     plain = not path.is_symlink() and (path.is_file() or not path.exists())
     if plain:
         file = os.fdopen(
+            # 0o666: the user's umask decides about the permissions.
             os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | NO_LINK, 0o666),
             "a+",
             encoding="utf-8",

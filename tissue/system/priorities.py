@@ -20,7 +20,11 @@ __all__ = [
 REALTIME = 20
 """Real-time priority on Linux, 1 to 99; kernel threads that serve devices have 50."""
 NICE = -10
-"""Niceness requested if no real-time priority is granted."""
+"""Niceness requested if no real-time priority is granted, half of the least, -20.
+
+Linux then gives the thread 9.3 times the processor time of an ordinary one (its table of weights:
+9548 to 1024).
+"""
 USER_INTERACTIVE = 0x21
 DEFAULT = 0x15
 """Quality-of-service classes of macOS, from its header sys/qos.h."""

@@ -28,7 +28,10 @@ SIGHUP comes from a closed or lost terminal, SIGQUIT and SIGBREAK from a key.
 """
 
 AGAIN_S = 0.01
-"""Delay before a stop signal that Python dropped is sent again [s]."""
+"""Delay before a stop signal that Python dropped is sent again [s].
+
+The callback that dropped it has returned by then.
+"""
 
 
 class Terminated(KeyboardInterrupt):
@@ -69,6 +72,7 @@ def terminated_as_exception() -> Iterator[None]:
     def dropped(what: "sys.UnraisableHookArgs") -> None:
         """Send a signal again if its exception was raised where it could not be caught."""
         if isinstance(what.exc_value, KeyboardInterrupt):
+            # SIGTERM stands for all of STOPS.
             number = signal.SIGTERM if isinstance(what.exc_value, Terminated) else signal.SIGINT
             threading.Timer(AGAIN_S, _send, (number,)).start()
         else:
@@ -123,6 +127,7 @@ def signals_handled(
 
 def _send(number: int) -> None:
     """Send a signal to the main thread, even while it sleeps."""
+    # Windows has no `pthread_kill`; there a sleep ends late.
     if hasattr(signal, "pthread_kill"):
         signal.pthread_kill(threading.main_thread().ident or 0, number)
     else:

@@ -90,7 +90,11 @@ def fronts_of(lower: csc_array, starts: Ints) -> list[Front]:
 FEW_RUNS = 16
 """Largest number of pairs of consecutive runs for which a block is added pair by pair."""
 SHORT = 6
-"""Mean number of rows of a run below which a block is added entry by entry."""
+"""Mean number of rows of a run below which a block is added entry by entry.
+
+Neither number is critical: on 51,795 unknowns of a liver, `FEW_RUNS` of 1 to 64 and `SHORT` of 2 to
+12 take equal times within the scatter of a tenth.
+"""
 
 
 class NotPositiveDefiniteError(InputError):
@@ -142,6 +146,7 @@ class Multifrontal:
         parts = list(zip(self._fronts, self._diagonal, self._under, strict=True))
         for front, diagonal, under in parts:
             values = found[front.start : front.stop]
+            # Columns of a compliance are 0 in most fronts.
             if not values.any():
                 continue
             values[:] = dtrsm(1.0, diagonal, values, lower=1)
@@ -246,9 +251,12 @@ def _add(target: Array, rows: _Rows, columns: _Rows, block: Array) -> None:
 
 
 LEVELS = 10
-"""Number of halvings of the box along the curve."""
+"""Number of halvings of the box along the curve: 1024 steps a side, finer than the nodes."""
 LEAF = 32
-"""Largest number of nodes of a set that is not cut further."""
+"""Largest number of nodes of a set that is not cut further.
+
+Factors take equal times with 8 to 128; with 128 they have 15 % more entries.
+"""
 
 
 def dissected(nodes_m: Array, graph: csr_array) -> list[Ints]:
@@ -275,6 +283,7 @@ def dissected(nodes_m: Array, graph: csr_array) -> list[Ints]:
             else np.zeros(1)
         )
         low = along < np.median(along)
+        # A small set, or more than half of its nodes lie in its lowest plane: no cut.
         if not low.any():
             last_first.append(nodes)
             continue
@@ -308,6 +317,7 @@ def _along_curve(nodes_m: Array) -> Ints:
     """
     low = nodes_m.min(axis=0)
     steps = (
+        # 1e-300: a single node has no extent
         (nodes_m - low) / max(float(np.ptp(nodes_m, axis=0).max()), 1e-300) * (2**LEVELS - 1)
     ).astype(np.int64)
     code = np.zeros(len(nodes_m), np.int64)
@@ -338,6 +348,8 @@ class DirectSolver:
         If the stiffness is not positive definite to rounding.
     """
 
+    # Residual over the load from which a solve is inaccurate. Well-shaped cells leave 1e-12, so
+    # that this allows for contrasts and slivers.
     tolerance = 1e-8
 
     def __init__(self, body: HeldBody, *, last: Ints | None = None) -> None:

@@ -23,7 +23,10 @@ __all__ = [
 ]
 
 LEAST_HOLD = 1e-6
-"""Largest motion of the held components in a free motion, relative to the body's own motion."""
+"""Largest motion of the held components in a free motion, relative to the body's own motion.
+
+It is far above the rounding of such motions, 1e-8.
+"""
 
 
 def rigid_modes(nodes_m: Array, about_m: Array) -> Array:
@@ -48,6 +51,7 @@ def free_motion_count(nodes_m: Array, held: Flags) -> int:
         Components that are fixed, shape (n, 3).
     """
     centre = nodes_m.mean(axis=0)
+    # A single node has no size.
     size = max(float(np.linalg.norm(nodes_m - centre, axis=1).max()), 1e-300)
     rows = rigid_modes((nodes_m - centre) / size, np.zeros(3))[held]
     values = np.linalg.eigvalsh(rows.T @ rows / max(len(rows), 1))
