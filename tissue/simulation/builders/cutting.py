@@ -17,7 +17,7 @@ from tissue.motion.motion import Motion
 from tissue.scene.anatomy import MolarAnatomy, Tooth
 from tissue.scene.part import is_given
 from tissue.scene.registry import CUTTERS
-from tissue.scene.scene import Scene, Stress
+from tissue.scene.scene import Scene, Stress, Voxels
 from tissue.scene.tool import PathMotion, ReplayMotion, Tool
 from tissue.simulation.builders.bone import VoxelBone
 from tissue.simulation.builders.parts import Parts, motion_of, recorded_file
@@ -38,10 +38,17 @@ __all__ = ["cutter_of", "milled", "milled_voxels", "milling_of"]
 
 
 HEAT_CELL = 0.25
-"""Edge of the temperature cells within the bur's reach, relative to the edge of the stress cells.
+"""Edge of a tooth's temperature cells within the bur's reach, relative to that of the stress cells.
 
 By default the temperature cells are 0.125 mm. The rise of the pulp in the molar scene is 0.614,
 0.731 and 0.749 K with cells of 0.25, 0.125 and 0.083 mm.
+"""
+BONE_HEAT_CELLS = 16
+BONE_HEAT_CELL_MM = 0.125, 0.5
+"""Number of temperature cells of bone over the tool's diameter, and the limits of their edge [mm].
+
+They are never smaller than the voxels. In cortical bone under a 4 mm drill, the largest rise at
+0.5 mm from the wall is 4.78, 3.42 and 3.33 K with 8, 16 and 32 cells.
 """
 SI = {"mm": ("m", 1e-3), "deg": ("rad", radians(1.0))}
 """SI units and conversion factors of the units in a scene's tool."""
@@ -95,6 +102,8 @@ def milled(
         )
         if "pulp" in volume.layer_names:
             tissue = _tooth(scene, milling, motion, compute=compute, report=report)
+        elif scene.heat:
+            tissue = _heated_bone(scene, milling, motion, compute=compute, report=report)
     clear = None
     if scene.keep_clear is not None:
         clear = keep_clear(
@@ -240,8 +249,8 @@ def _tooth(
     scene: Scene, milling: "BoneModel", motion: Motion, *, compute: str, report: Progress
 ) -> TissueModel:
     """Return the tooth around the milled voxels, with its stress where the scene requests it."""
+    from tissue.models.heat.cutting_heat import CuttingHeat
     from tissue.models.tooth import stress_process
-    from tissue.models.tooth.cutting_heat import CuttingHeat
     from tissue.models.tooth.model import ToothModel
 
     anatomy = scene.anatomy
@@ -279,3 +288,28 @@ def _tooth(
         )
     interval_s = stress.interval_ms * 1e-3
     return ToothModel(milling, stress=field, interval_s=interval_s, heat=heat, device=compute)
+
+
+def _heated_bone(
+    scene: Scene, milling: "BoneModel", motion: Motion, *, compute: str, report: Progress
+) -> TissueModel:
+    """Return milled bone with its temperature."""
+    from tissue.models.heat.bone import HeatedBone
+    from tissue.models.heat.cutting_heat import CuttingHeat
+
+    report("building the grid of the temperature", 0.0)
+    cutter = milling.cutter
+    share = 2e3 * cutter.profile.radius_m / BONE_HEAT_CELLS
+    spacing_mm = max(float(np.clip(share, *BONE_HEAT_CELL_MM)), scene.voxels.spacing_mm)
+    voxels = Voxels(spacing_mm=spacing_mm, margin_mm=scene.voxels.margin_mm)
+    coarse = scene.model_copy(update={"voxels": voxels})
+    around = volume_of(coarse, cutter, motion, notes={}, report=report)
+    heat = CuttingHeat(
+        around,
+        milling,
+        reach_m=reach(cutter, motion, 0.0),
+        constants=scene.constants,
+        name="bone",
+        device=compute,
+    )
+    return HeatedBone(milling, heat)
