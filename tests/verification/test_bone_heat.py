@@ -131,7 +131,7 @@ class Drill:
         return radius, 2.0 * pi * radius * slope * self.radius / 2000
 
 
-def finite_differences(drill, *, depth_m, rest_s, cell_m=0.1e-3, conductivity=CONDUCTIVITY):
+def finite_differences(drill, *, depth_m, rest_s, cell_m=0.05e-3, conductivity=CONDUCTIVITY):
     """Drill a hole in (r, z) with finite differences; share no code with the engine.
 
     Returns
@@ -189,6 +189,9 @@ THRUST_N = {
 }
 """Measured thrust of each cell, mean of three holes."""
 MEASURED_K = 3.0, 6.2
+"""Smallest and largest measured rise; the cells that they belong to are not known here."""
+HEAT_SHARES = 0.02, 0.5
+"""Cited range of the share."""
 
 
 @cache
@@ -232,11 +235,13 @@ def drilled(feed_mm_min, rpm, diameter_mm=4.0):
     return thrust, torque, float(np.mean(rises)), run
 
 
-def independent(feed_mm_min, rpm, **options):
+@cache
+def independent(feed_mm_min, rpm, *, radius=RADIUS_M, conductivity=CONDUCTIVITY):
     """Return torque [N mm] and the rise beside the hole [K] by the finite differences."""
-    drill = Drill(feed_mm_min / 6e4, rpm, radius=options.pop("radius", RADIUS_M))
-    found = finite_differences(drill, depth_m=1e-3 * DEPTH_MM, rest_s=REST_S, **options)
-    peak, r, z, power_W = found
+    drill = Drill(feed_mm_min / 6e4, rpm, radius=radius)
+    peak, r, z, power_W = finite_differences(
+        drill, depth_m=1e-3 * DEPTH_MM, rest_s=REST_S, conductivity=conductivity
+    )
     rows = np.flatnonzero((z > 2e-3) & (z < 3.5e-3))
     probe_m = drill.radius + BESIDE_M - RADIUS_M
     rises = [np.interp(probe_m, r, peak[:, row]) for row in rows]
@@ -249,7 +254,7 @@ def independent(feed_mm_min, rpm, **options):
 def test_rise_beside_a_hole_against_finite_differences(feed, rpm):
     """The rise is within 7 % of finite differences in (r, z), and the torque within 1 %.
 
-    The finite differences are 1 to 3 % below their limit. The cells of the engine are 0.25 mm.
+    The cells of the engine are 0.25 mm, and those of the finite differences 0.05 mm.
     """
     _, torque, rise, run = drilled(feed, rpm)
     expected_torque, expected = independent(feed, rpm)
@@ -262,13 +267,14 @@ def test_rise_beside_a_hole_against_finite_differences(feed, rpm):
 
 @pytest.mark.slow
 def test_ovine_vertebra_and_the_trends_over_feed_and_speed():
-    """The measured rise lies in the band of the share of the heat, whose width is a factor of 25.
+    """In cortical bone, the band of the share contains rises as measured; it spans a factor of 25.
 
-    With the cited share of 0.1 and the measured thrust, the model predicts a fifth to a quarter of
-    the measured rise. The trends are those of Augustin 2008 (doi 10.1007/s00402-007-0427-3): the
-    rise grows with the speed and the diameter, and falls with the feed.
+    At the measured thrust, the cited share of 0.1 predicts a seventh of the measured rise. The
+    trends are those of Augustin 2008 (doi 10.1007/s00402-007-0427-3): the rise grows with the speed
+    and the diameter, and falls with the feed. Between the six cells it grows by a factor of 3.9.
+    The measured factor is 2.1.
     """
-    print("\nfeed mm/min, rpm | thrust N measured, cortical | rise K cortical, at measured thrust")
+    print("\nfeed mm/min, rpm | thrust N: measured, cortical | rise K: engine, independent, scaled")
     rises = {}
     scaled = []
     for (feed, rpm), measured_N in THRUST_N.items():
@@ -276,12 +282,23 @@ def test_ovine_vertebra_and_the_trends_over_feed_and_speed():
         rises[feed, rpm] = rise
         scaled.append(rise * measured_N / thrust)
         forces = f"{measured_N:5.2f} {thrust:5.2f}"
-        print(f"{feed:3.0f} {rpm:5.0f} | {forces} | {rise:.2f} {scaled[-1]:.2f}")
+        alone = independent(feed, rpm)[1]
+        print(f"{feed:3.0f} {rpm:5.0f} | {forces} | {rise:.2f} {alone:.2f} {scaled[-1]:.2f}")
     for feed in FEEDS_MM_MIN:
         assert rises[feed, 500.0] < rises[feed, 1200.0] < rises[feed, 2000.0]
     for rpm in SPEEDS_RPM:
         assert rises[60.0, rpm] < rises[30.0, rpm]
-    assert drilled(60.0, 1200.0, 2.5)[2] < rises[60.0, 1200.0]
-    low, high = (np.array(scaled) * share / SHARE for share in (0.02, 0.5))
-    assert low.max() < MEASURED_K[0] < high.max()
-    assert 0.15 < np.mean(scaled) / np.mean(MEASURED_K) < 0.3
+    narrow = drilled(60.0, 1200.0, 2.5)[2]
+    alone = independent(60.0, 1200.0, radius=1.25e-3)[1]
+    print(f"2.5 mm drill, 60 mm/min, 1200 rpm: {narrow:.2f} K, independent {alone:.2f} K")
+    assert narrow < rises[60.0, 1200.0]
+    assert narrow == pytest.approx(alone, rel=0.1)
+    cortical = np.array(list(rises.values()))
+    shares = np.array(HEAT_SHARES) / SHARE
+    assert (cortical * shares[0] < MEASURED_K[0]).all()
+    assert (cortical * shares[1] > MEASURED_K[0]).all()
+    # What the model misses: at the measured thrust the cited share is too small, and four cells
+    # stay below every measured rise even with the largest share.
+    assert max(scaled) < 0.5 * MEASURED_K[0]
+    assert (np.array(scaled) * shares[1] < MEASURED_K[0]).sum() == 4
+    assert cortical.max() / cortical.min() > 1.5 * MEASURED_K[1] / MEASURED_K[0]

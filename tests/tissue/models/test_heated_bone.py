@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tissue import load_scene
+from tissue.fitting.bands.sample_loads import figures_of
 from tissue.models.bone.model import BoneModel
 from tissue.models.heat.bone import BODY_C, HeatedBone, dose_rate
 from tissue.scene.used_constants import used_constants
@@ -44,6 +45,7 @@ def test_summary_holds_the_balance_and_the_figures_of_the_remaining_bone(runs):
     assert parts == pytest.approx(balance["cutting"], rel=1e-5)
     figures = summary["bone_heat"]
     assert figures["largest_rise_K"] > figures["rise_at_half_mm_K"] > 0.0
+    assert figures_of(runs[1])["bone_heat", "largest_rise_K"] == figures["largest_rise_K"]
     peak = runs[1].parts.tissue.peak_K
     assert figures["largest_rise_K"] <= peak.max()
 
