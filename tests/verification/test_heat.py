@@ -15,9 +15,9 @@ from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr
 from tissue.materials.constants import constants, cutting_coefficients
 from tissue.models.bone.model import BoneModel
+from tissue.models.heat.conduction import Conduction, HeatGrid
+from tissue.models.heat.cutting_heat import CuttingHeat
 from tissue.models.tissue_model import ToolMotion
-from tissue.models.tooth.cutting_heat import CuttingHeat
-from tissue.models.tooth.heat import Conduction, HeatGrid
 
 CONDUCTIVITY, CAPACITY = 0.6, 3.4e6  # of the order of dentin [W/(m K)], [J/(m3 K)]
 DIFFUSIVITY = CONDUCTIVITY / CAPACITY

@@ -28,6 +28,7 @@ __all__ = [
     "effective_chip",
     "listed",
     "remove_material",
+    "thermal_material",
 ]
 
 UM = 1e-6  # [m]
@@ -150,6 +151,14 @@ def constants(table: str, material: str) -> dict[str, Constant]:
 def listed(table: str) -> tuple[str, ...]:
     """Return the materials of ``table.toml``, in the order of the file."""
     return tuple(_table(table))
+
+
+def thermal_material(layer: str) -> str:
+    """Return the material of ``tooth.toml`` with the thermal constants of a layer.
+
+    Each layer of a tooth has its own constants. All layers of bone use one set.
+    """
+    return layer if layer in CUT_AS else "bone"
 
 
 def add_material(table: str, material: str, entries: dict[str, Entry]) -> None:

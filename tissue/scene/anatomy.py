@@ -38,7 +38,7 @@ class CutAnatomy(Part):
 
     source: ClassVar[str] = "procedural"
     """Origin of the shape, as used in messages."""
-    reads: ClassVar[tuple[str, ...]] = ("voxels", "cutting", "keep_clear")
+    reads: ClassVar[tuple[str, ...]] = ("voxels", "cutting", "keep_clear", "heat")
     """Tables of a scene that apply to this anatomy."""
 
     @property
@@ -243,7 +243,7 @@ class Tooth(CutAnatomy):
     The origin is at the bottom of the central fossa, with +z out of the tooth.
     """
 
-    reads: ClassVar[tuple[str, ...]] = (*CutAnatomy.reads, "stress", "heat")
+    reads: ClassVar[tuple[str, ...]] = (*CutAnatomy.reads, "stress")
     kind: Literal["molar"] = "molar"
     """A molar."""
     ligament_thickness_mm: float = Field(0.22, ge=0.1, le=0.5)

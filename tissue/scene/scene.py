@@ -200,7 +200,7 @@ class Scene(Part):
     stress: Stress | None = None
     """Cell size and interval for the displacement and stress of a tooth."""
     heat: bool = False
-    """Computation of the temperature of a tooth and its pulp."""
+    """Computation of the temperature of bone, or of a tooth and its pulp."""
     organ: Organ = Organ()
     """Material of a soft organ, and the method of its solution."""
     materials: FileName = Field("", examples=["fitted.toml"])
@@ -320,7 +320,7 @@ class Scene(Part):
         anatomy = self.anatomy
         is_cut = isinstance(self.tool, Tool)
         reads = getattr(anatomy, "reads", CutAnatomy.reads if is_cut else ())
-        others = {"organ": "liver"} | dict.fromkeys(("stress", "heat"), "molar")
+        others = {"organ": "liver", "stress": "molar"}
         for table in ("voxels", "cutting", "keep_clear", "stress", "heat", "organ"):
             where = f"for a {anatomy.kind}" + (
                 ", which is not cut" if not is_cut and table != "organ" else ""

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from tissue.materials.constants import CUT_AS, Constant, listed
+from tissue.materials.constants import CUT_AS, Constant, listed, thermal_material
 from tissue.materials.scene_constants import Materials
 from tissue.scene.anatomy import BlockAnatomy
 from tissue.scene.organ import LayersAnatomy, SoftAnatomy
@@ -162,16 +162,17 @@ def _tooth(scene: Scene, layers: Sequence[str]) -> Iterator[tuple[str, str, tupl
     """Yield the elastic constants of layers under stress and the thermal ones of layers with heat.
 
     The modulus of caries follows from its density and the modulus of dentin. Bone holds the
-    ligament and is rigid.
+    ligament and is rigid. All layers of bone use the thermal constants of the material `bone`.
     """
-    for layer in dict.fromkeys((*layers, "ligament")):
+    materials = [thermal_material(layer) for layer in layers]
+    for material in dict.fromkeys((*materials, "ligament")):
         names = []
-        if scene.stress is not None and layer != "bone":
-            names += ["poisson_ratio"] if layer == "caries" else ["modulus_GPa", "poisson_ratio"]
-        if scene.heat and layer in layers:
+        if scene.stress is not None and material != "bone":
+            names += ["poisson_ratio"] if material == "caries" else ["modulus_GPa", "poisson_ratio"]
+        if scene.heat and material in materials:
             names += ["conductivity_W_mK", "heat_capacity_J_kgK", "density_kg_m3"]
-        if names and layer in listed("tooth"):
-            yield "tooth", layer, tuple(names)
+        if names and material in listed("tooth"):
+            yield "tooth", material, tuple(names)
     if scene.heat:
         yield "tooth", "bur", ("heat_share",)
 

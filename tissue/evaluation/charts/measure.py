@@ -386,10 +386,9 @@ def counts(run: Run, counted: NDArray[np.intp]) -> tuple[int, float, float]:
     trace = run.trace
     if run.parts.cutter is not None:
         from tissue.models.bone.model import BoneModel
-        from tissue.models.tooth.model import ToothModel
 
         tissue = run.parts.tissue
-        milling = tissue.milling if isinstance(tissue, ToothModel) else tissue
+        milling = getattr(tissue, "milling", tissue)
         assert isinstance(milling, BoneModel)
         step_mm = scene.voxels.spacing_mm
         return (

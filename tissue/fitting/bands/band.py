@@ -41,6 +41,7 @@ from tissue.fitting.bands.sample_loads import (
     table_of,
     with_sizes,
 )
+from tissue.scene.anatomy import Tooth
 from tissue.scene.scene import Scene
 from tissue.show.figures.fit_pictures import draw_band, draw_sobol
 from tissue.simulation.load_record import record_loads, why_not_linear
@@ -208,7 +209,9 @@ def band_of(
     without = dict.fromkeys([*names, "break_through", "events"], SAME_EVERYWHERE)
     # temperature and stress are not linear in the coefficients, so that they cannot be reweighed
     if scene.heat:
-        without |= dict.fromkeys(("greatest_pulp_rise_K", "events"), NEEDS_RUNS)
+        is_tooth = isinstance(scene.anatomy, Tooth)
+        warmed = ["greatest_pulp_rise_K"] if is_tooth else ["greatest_bone_rise_K", "bone_heat"]
+        without |= dict.fromkeys((*warmed, "events"), NEEDS_RUNS)
     if scene.stress is not None:
         without["stress"] = NEEDS_RUNS
     summary = {"asked": asked, "seed": seed, "how": HOW, **_about(ranges, indices, LOADS)}

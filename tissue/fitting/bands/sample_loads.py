@@ -225,6 +225,7 @@ def figures_of(run: Run) -> dict[Figure, float]:
             for name, value in figures.items()
             if value is not None
         }
+    found |= {("bone_heat", name): value for name, value in summary.get("bone_heat", {}).items()}
     for name in run.parts.tissue.measure_names:
         if name.endswith(PEAKS):
             found[f"{LARGEST_PREFIX}{name}",] = float(trace[name].max())

@@ -1,1 +1,1 @@
-"""A tooth as voxels that a cutter removes, with stress and heat on particles."""
+"""A tooth as voxels that a cutter removes, with stress on particles."""

@@ -11,8 +11,8 @@ from kernels.structure_distance import clearance
 from meshes.base.arrays import Array, Bytes, Flags, Ints, Singles
 from tissue.fem.fields import FieldSeries
 from tissue.models.bone.model import BoneModel
-from tissue.models.tissue_model import SLOW, TICK_S, Response, ToolMotion
-from tissue.models.tooth.cutting_heat import PULP_LIMIT_K, CuttingHeat
+from tissue.models.heat.cutting_heat import CuttingHeat
+from tissue.models.tissue_model import SLOW, Response, ToolMotion
 from tissue.models.tooth.stress_process import Drilled, StressSolver
 from tissue.system.child import HelperLostError
 
@@ -26,12 +26,8 @@ BUR_COLUMNS = ("tooth_at_bur_x_um", "tooth_at_bur_y_um", "tooth_at_bur_z_um")
 
 It is the displacement of the point that the bur touches, by translation and rotation of the tooth.
 """
-HEAT_TICKS = 20
-"""Number of ticks in an interval of the heat.
-
-The peak of the pulp in the molar scene is 0.617, 0.609 and 0.607 K for 5, 20 and 40. The bur's
-elements are searched once in an interval.
-"""
+PULP_LIMIT_K = 5.5
+"""Temperature rise that the pulp may not survive [K] (Zach and Cohen 1965)."""
 WARN_M = (1.0e-3, 0.5e-3)
 """Thicknesses of dentin over the pulp at which its loss is reported [m].
 
@@ -93,10 +89,7 @@ class ToothModel:
             self.measure_names += CENTROID_COLUMNS + BUR_COLUMNS
         if heat is not None:
             self.measure_names += ("pulp_rise_K",)
-        self._energy_J = 0.0
         self._pulp_rise_K = 0.0
-        self._heat_ticks = 0
-        self._motion: ToolMotion | None = None
         self._touched = np.zeros(len(milling.store.places), np.bool_)
         self._interval_s = interval_s
         self._next_s = 0.0
@@ -196,7 +189,9 @@ class ToothModel:
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
         """Begin the next solve at the end of an interval, on a copy of the changes."""
         if self.heat is not None:
-            self._warm(motion)
+            assert self._response is not None
+            if self.heat.add_tick(self._response.wrench, motion, self._take_touched):
+                self._see_pulp(self.heat)
         if self.stress is None or self._stress_lost or time_s < self._next_s - 1e-9:
             return
         self._next_s += self._interval_s
@@ -225,35 +220,10 @@ class ToothModel:
         toward = self._load[:3] / force if force > 0.0 else motion.rotation[:, 2]
         return motion.tip_m + radius * (motion.rotation[:, 2] - toward)
 
-    def _warm(self, motion: ToolMotion) -> None:
-        """Add the energy of the tick and continue the present interval of the heat.
-
-        When the interval ends, the next one begins.
-        """
-        assert self.heat is not None and self._response is not None
-        self._motion = motion
-        force = self._response.wrench[:3]
-        torque = self._response.wrench[3:]
-        spun = abs(float(torque.dot(motion.rotation[:, 2])) * self.milling.cutter.spin_rad_s)
-        moved, turned = motion.heading
-        fed = -motion.speed_m_s * float(force.dot(moved) + torque.dot(turned))
-        # Where the tooth pulls the bur along, no heat flows back.
-        self._energy_J += (spun + max(fed, 0.0)) * TICK_S
-        self._heat_ticks += 1
-        if self._heat_ticks < HEAT_TICKS:
-            self.heat.go_to(self._heat_ticks / HEAT_TICKS)
-            return
-        self._end_interval(motion)
-
-    def _end_interval(self, motion: ToolMotion) -> None:
-        """Complete an interval of the heat, take its result, and begin the next one."""
-        assert self.heat is not None
-        self.heat.finish()
+    def _see_pulp(self, heat: CuttingHeat) -> None:
+        """Take the temperature of the pulp at the end of an interval of the heat."""
         before = self._pulp_rise_K
-        self._pulp_rise_K = self.heat.pulp_rise_K
-        self.heat.begin(self._energy_J, self._heat_ticks * TICK_S, motion, self._take_touched())
-        self._energy_J = 0.0
-        self._heat_ticks = 0
+        self._pulp_rise_K = heat.pulp_rise_K
         if before < PULP_LIMIT_K <= self._pulp_rise_K:
             self.notices.append(f"the pulp is {PULP_LIMIT_K:g} K warmer than at the start")
 
@@ -293,8 +263,8 @@ class ToothModel:
                 self._lose_stress(lost)
         self.milling.finish()
         if self.heat is not None:
-            if self._motion is not None and self._heat_ticks > 0:
-                self._end_interval(self._motion)
+            if self.heat.end(self._take_touched):
+                self._see_pulp(self.heat)
             self.heat.finish()
 
     def _lose_stress(self, lost: HelperLostError) -> None:

@@ -128,6 +128,10 @@ def milled(
             from tissue.simulation.builders.tooth import tooth_around
 
             tissue = tooth_around(scene, milling, motion, compute=compute, report=report)
+        elif scene.heat:
+            from tissue.simulation.builders.heat import heated_bone
+
+            tissue = heated_bone(scene, milling, motion, compute=compute, report=report)
     clear = None
     if scene.keep_clear is not None:
         clear = keep_clear(

@@ -4,9 +4,9 @@ from meshes.base.progress import Progress
 from meshes.voxels.volume import VoxelVolume
 from meshes.voxels.voxelise import voxelise
 from tissue.models.bone.model import BoneModel
+from tissue.models.heat.cutting_heat import CuttingHeat
 from tissue.models.tissue_model import TissueModel
 from tissue.models.tooth import stress_process
-from tissue.models.tooth.cutting_heat import CuttingHeat
 from tissue.models.tooth.model import ToothModel
 from tissue.motion.motion import Motion
 from tissue.scene.anatomy import MolarLabels, Tooth
@@ -17,7 +17,7 @@ from tissue.simulation.builders.voxels import anatomy_of, labelled_tooth, names_
 __all__ = ["tooth_around"]
 
 HEAT_CELL = 0.25
-"""Edge of the temperature cells within the bur's reach, relative to the edge of the stress cells.
+"""Edge of a tooth's temperature cells within the bur's reach, relative to that of the stress cells.
 
 By default the temperature cells are 0.125 mm. The rise of the pulp in the molar scene is 0.614,
 0.731 and 0.749 K with cells of 0.25, 0.125 and 0.083 mm.

@@ -1,5 +1,6 @@
-"""Temperature of a tooth and its pulp under a bur."""
+"""Temperature of bone or a tooth under a cutter."""
 
+from collections.abc import Callable
 from math import ceil
 
 import numpy as np
@@ -12,13 +13,18 @@ from tissue.materials.scene_constants import Materials
 from tissue.models.bone.bricks import voxels_of
 from tissue.models.bone.engagement import EngagedElements
 from tissue.models.bone.model import BoneModel
-from tissue.models.tissue_model import ToolMotion
-from tissue.models.tooth.heat import Conduction, HeatGrid
+from tissue.models.heat.conduction import Conduction, HeatGrid
+from tissue.models.tissue_model import TICK_S, ToolMotion
 
-__all__ = ["PULP_LIMIT_K", "CuttingHeat"]
+__all__ = ["CuttingHeat", "TakeCuts"]
 
-PULP_LIMIT_K = 5.5
-"""Temperature rise that the pulp may not survive [K] (Zach and Cohen 1965)."""
+TakeCuts = Callable[[], tuple[Ints, NDArray[np.uint16]]]
+"""Function that returns the bricks that lost material since the last call.
+
+It returns their rows and their remaining fraction in steps.
+"""
+INTERVAL_TICKS = 20
+"""Number of ticks in an interval of the heat."""
 RECEIVES = 0.5
 """Smallest fill of a surface cell that receives heat; an emptier cell would not conduct well.
 
@@ -33,27 +39,30 @@ The peak of the pulp in the molar scene is 0.50, 0.60, 0.61 and 0.61 K for 1, 2,
 
 
 class CuttingHeat:
-    """Heat of cutting in a tooth whose material the bur removes.
+    """Heat of cutting in bone or a tooth whose material a cutter removes.
 
-    A share of the cutting power flows into the tooth through the surface that the bur cuts, in
-    proportion to the power of its elements there. The rest leaves with chips, spray and bur.
+    A share of the cutting power flows into the tissue through the surface that the tool cuts, in
+    proportion to the power of its elements there. The rest leaves with chips, spray and tool.
     Material that is removed later takes along the heat that has reached it by then. The share is a
     prior of low confidence; the temperature rise is proportional to it.
 
     The heat is computed in intervals. `begin` takes energy and cuts of the last interval. `go_to`
     spreads the time steps over the next interval, so that no tick runs them all. The temperature
-    lags by one interval.
+    lags by one interval. `add_tick` does both for a run in ticks, and `end` completes it.
 
     Parameters
     ----------
-    tooth
-        The whole tooth in voxels, which are the cells in the reach of the bur.
+    tissue
+        The whole tooth, or the bone around the tool, in voxels. They are the cells in the reach of
+        the tool.
     milling
-        The finer voxels and the bur.
+        The finer voxels and the tool.
     reach_m
-        Lowest and highest corner of the box that the bur can reach [m], shape (3,) each.
+        Lowest and highest corner of the box that the tool can reach [m], shape (3,) each.
     constants
         Thermal constants of the layers.
+    name
+        Name of the tissue in the energy balance.
     device
         Warp device name.
 
@@ -67,18 +76,20 @@ class CuttingHeat:
 
     def __init__(
         self,
-        tooth: VoxelVolume,
+        tissue: VoxelVolume,
         milling: BoneModel,
         *,
         reach_m: tuple[Array, Array],
         constants: Materials = Materials.cited,
+        name: str = "tooth",
         device: str = "cpu",
     ) -> None:
-        self.grid = HeatGrid.of_tooth(tooth, reach_m=reach_m, constants=constants)
+        self.grid = HeatGrid.of_volume(tissue, reach_m=reach_m, constants=constants)
         self.field = Conduction(self.grid, device=device)
         self.cutting_J = 0.0
+        self._name = name
         self._share = constants.constants("tooth", "bur")["heat_share"].value
-        self._cell_m = tooth.spacing_m
+        self._cell_m = tissue.spacing_m
         self._volume_m3 = self.grid.volumes_m3.reshape(-1)
         self._conductivity = self.grid.conductivity_W_mK.reshape(-1)
         self._pulp = np.flatnonzero(self.grid.pulp & (self.grid.filled > 0.0))
@@ -93,6 +104,9 @@ class CuttingHeat:
         self._tip_m = np.zeros(3)
         self._earlier = self._later = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
         self._steps = self._done = 0
+        self._energy_J = 0.0
+        self._ticks = 0
+        self._motion: ToolMotion | None = None
 
     @property
     def pulp_rise_K(self) -> float:
@@ -105,17 +119,65 @@ class CuttingHeat:
         return max(float(wall[there].max(initial=0.0)), float(rise[self._pulp].max(initial=0.0)))
 
     @property
+    def cut_points_m(self) -> Array:
+        """Points where the tool cut at the end of the last interval [m], shape (n, 3)."""
+        points, _, powers = self._later
+        return points[powers > 0.0]
+
+    @property
     def balance_J(self) -> dict[str, float]:
         """Energy of cutting and its distribution [J].
 
-        It is divided into chips and spray, removed material, and the remaining tooth.
+        It is divided into chips and spray, removed material, and the remaining tissue.
         """
         return {
             "cutting": self.cutting_J,
             "with_chips_and_spray": (1.0 - self._share) * self.cutting_J,
-            "with_removed_tooth": self.field.removed_J,
-            "left_in_tooth": self.field.stored_J,
+            f"with_removed_{self._name}": self.field.removed_J,
+            f"left_in_{self._name}": self.field.stored_J,
         }
+
+    def add_tick(self, wrench: Array, motion: ToolMotion, take_cuts: TakeCuts) -> bool:
+        """Add the energy of a tick and continue the present interval.
+
+        Parameters
+        ----------
+        wrench
+            Force [N] and torque about the tip [N m] on the tool in the tick, shape (6,).
+        motion
+            Pose and motion of the tool, the same object in every tick.
+        take_cuts
+            Called when the interval ends.
+
+        Returns
+        -------
+        True if the interval ended. `field` then has the temperature at its end.
+        """
+        self._motion = motion
+        force = wrench[:3]
+        torque = wrench[3:]
+        spun = abs(float(torque.dot(motion.rotation[:, 2])) * self._milling.cutter.spin_rad_s)
+        moved, turned = motion.heading
+        fed = -motion.speed_m_s * float(force.dot(moved) + torque.dot(turned))
+        self._energy_J += (spun + max(fed, 0.0)) * TICK_S
+        self._ticks += 1
+        if self._ticks < INTERVAL_TICKS:
+            self.go_to(self._ticks / INTERVAL_TICKS)
+            return False
+        return self.end(take_cuts)
+
+    def end(self, take_cuts: TakeCuts) -> bool:
+        """Complete the present interval and begin the next one with its energy and cuts.
+
+        Returns False if no tick was added since the last interval. Nothing is done then.
+        """
+        if self._motion is None or self._ticks == 0:
+            return False
+        self.finish()
+        self.begin(self._energy_J, self._ticks * TICK_S, self._motion, take_cuts())
+        self._energy_J = 0.0
+        self._ticks = 0
+        return True
 
     def begin(
         self,
@@ -133,7 +195,7 @@ class CuttingHeat:
         duration_s
             Its length [s].
         motion
-            Pose and motion of the bur at its end.
+            Pose and motion of the tool at its end.
         cut
             Bricks of the finer voxels that lost material, and their remaining fraction in steps.
         """
@@ -181,10 +243,10 @@ class CuttingHeat:
         Parameters
         ----------
         points_m, normals, weights
-            Points where the bur cuts [m], its normals out of the bur, and the relative powers
+            Points where the tool cuts [m], its normals out of the tool, and the relative powers
             there.
         tip_m
-            Tip of a bur that has left the tooth since the last cut: the heat goes into the cell
+            Tip of a tool that has left the tissue since the last cut: the heat goes into the cell
             next to it [m].
         """
         power = self._power
@@ -207,7 +269,7 @@ class CuttingHeat:
             for at in np.flatnonzero(filled[cells] <= 0.0):
                 cells[at] = self._nearest(points_m[at])
             total = float(weights.sum())
-            # A bur that stands at the end of an interval has no power there: its heat enters along
+            # A tool that stands at the end of an interval has no power there: its heat enters along
             # its whole contact area.
             shares = weights / total if total > 0.0 else np.full(len(weights), 1.0 / len(weights))
             power += np.bincount(cells, self._power_W * shares, minlength=len(power))
@@ -222,7 +284,7 @@ class CuttingHeat:
     def _remove(self) -> None:
         """Remove the cut material from the cells.
 
-        From then on the heat enters at the final position of the bur.
+        From then on the heat enters at the final position of the tool.
         """
         cells = np.flatnonzero(self._lost)
         if len(cells):

@@ -1,6 +1,6 @@
-"""Heat conduction in a tooth from which material is removed.
+"""Heat conduction in bone or a tooth from which material is removed.
 
-The grid is rectilinear: fine in the reach of the bur, coarser outside.
+The grid is rectilinear: fine in the reach of the tool, coarser outside.
 """
 
 from dataclasses import dataclass
@@ -14,6 +14,7 @@ from kernels.launcher import SplitLaunch
 from kernels.mirror import put
 from meshes.base.arrays import Array, Flags, Ints, Singles
 from meshes.voxels.volume import FULL, VoxelVolume
+from tissue.materials.constants import thermal_material
 from tissue.materials.scene_constants import Materials
 
 __all__ = ["Conduction", "HeatGrid"]
@@ -40,7 +41,7 @@ Positions far from the origin are rounded.
 
 @dataclass(frozen=True, eq=False)
 class HeatGrid:
-    """Cells of a tooth with their material.
+    """Cells of bone or a tooth with their material.
 
     Attributes
     ----------
@@ -65,40 +66,43 @@ class HeatGrid:
     pulp: Flags
 
     @classmethod
-    def of_tooth(
-        cls, tooth: VoxelVolume, *, reach_m: tuple[Array, Array], constants: Materials
+    def of_volume(
+        cls, tissue: VoxelVolume, *, reach_m: tuple[Array, Array], constants: Materials
     ) -> "HeatGrid":
-        """Merge the voxels of a whole tooth into cells.
+        """Merge the voxels of a tooth or of bone into cells.
+
+        The heat capacity of bone is that of bone with full pores. It does not depend on the
+        apparent density.
 
         Parameters
         ----------
-        tooth
-            The whole tooth. Its voxels are the cells of the fine part.
+        tissue
+            The whole tooth, or the bone around the tool. Its voxels are the cells of the fine part.
         reach_m
             Lowest and highest corner of the fine box [m], shape (3,) each.
         constants
             Thermal constants of the layers.
         """
-        conductivity = np.zeros(tooth.shape)
-        capacity = np.zeros(tooth.shape)
-        for index, name in enumerate(tooth.layer_names):
-            table = constants.constants("tooth", name)
-            here = tooth.layer == index
+        conductivity = np.zeros(tissue.shape)
+        capacity = np.zeros(tissue.shape)
+        for index, name in enumerate(tissue.layer_names):
+            table = constants.constants("tooth", thermal_material(name))
+            here = tissue.layer == index
             conductivity[here] = table["conductivity_W_mK"].value
             capacity[here] = table["heat_capacity_J_kgK"].value * table["density_kg_m3"].value
-        fraction = tooth.fraction / float(FULL)
-        is_pulp = tooth.layer == _index(tooth.layer_names, "pulp")
-        low, high = ((corner - tooth.origin_m) / tooth.spacing_m for corner in reach_m)
-        starts = [_starts(n, a, b) for n, a, b in zip(tooth.shape, low, high, strict=True)]
-        voxels = _merged(np.ones(tooth.shape), starts)
+        fraction = tissue.fraction / float(FULL)
+        is_pulp = tissue.layer == _index(tissue.layer_names, "pulp")
+        low, high = ((corner - tissue.origin_m) / tissue.spacing_m for corner in reach_m)
+        starts = [_starts(n, a, b) for n, a, b in zip(tissue.shape, low, high, strict=True)]
+        voxels = _merged(np.ones(tissue.shape), starts)
         held = _merged(fraction, starts)
         # The small number avoids 0 / 0 in cells without material, here and below.
         some = np.maximum(held, 1e-12)
         filled = held / voxels
         filled[filled < LEAST_FILLED] = 0.0
         edges = [
-            origin + tooth.spacing_m * np.append(start, n).astype(float)
-            for origin, start, n in zip(tooth.origin_m, starts, tooth.shape, strict=True)
+            origin + tissue.spacing_m * np.append(start, n).astype(float)
+            for origin, start, n in zip(tissue.origin_m, starts, tissue.shape, strict=True)
         ]
         return cls(
             (edges[0], edges[1], edges[2]),
@@ -276,6 +280,8 @@ class Conduction:
         Fraction of each cell that still holds material, shape of the grid.
     removed_J
         Heat that left with removed material so far, relative to the temperature at the start [J].
+    time_s
+        Time that the steps so far have covered [s].
     """
 
     def __init__(self, grid: HeatGrid, *, device: str = "cpu") -> None:
@@ -283,6 +289,7 @@ class Conduction:
         self.grid = grid
         self.filled = grid.filled.copy()
         self.removed_J = 0.0
+        self.time_s = 0.0
         self._capacity_J_K = grid.heat_capacity_J_m3K * grid.volumes_m3
         along = grid.conductances_W_K()
         self.longest_step_s = SAFETY * self._stable_step_s(along)
@@ -333,6 +340,7 @@ class Conduction:
     def step(self) -> None:
         """Run one of the planned steps."""
         self._launches[0]()
+        self.time_s += self._step_s
         self._temperature.reverse()
         self._launches.reverse()
 

@@ -1,0 +1,1 @@
+"""Heat of cutting in bone and teeth."""
