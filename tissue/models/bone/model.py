@@ -148,8 +148,9 @@ class BoneModel:
         tip /= self._spacing
         axes[:] = motion.rotation.T
         np.dot(motion.heading, motion.rotation, out=velocities)
+        speed = motion.speed_m_s if motion.tangent_m_s is None else motion.tangent_m_s
         # The sums of a linear law hold for any speed.
-        self._motion.host[6, 0] = 0.0 if self._is_linear else motion.speed_m_s
+        self._motion.host[6, 0] = 0.0 if self._is_linear else speed
         self._motion.push()
 
     def respond(self, motion: ToolMotion) -> Response:
