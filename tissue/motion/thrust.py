@@ -128,9 +128,10 @@ class PushAlongAxis(Motion):
 
         m (v' - v) / dt = thrust - c(x + v' dt) v' - edge(x + v' dt),    v' in [0, largest feed]
 
-    The force therefore never exceeds thrust + m v / dt. `advance` starts from the drag of the
-    previous tick, and `correct` tries poses until speed and forces agree. If the thrust is below
-    the edge force, the tool stays at rest and the bone balances the thrust.
+    Drag and edge force are those of the law's tangent. The force therefore never exceeds thrust + m
+    v / dt. `advance` starts from the drag of the previous tick, and `correct` tries poses until
+    speed and forces agree. With a law that is linear in the speed, a thrust below the edge force
+    leaves the tool at rest, and the bone balances the thrust.
 
     Parameters
     ----------
