@@ -184,6 +184,7 @@ class Drilling(ContactEnvironment):
             self._search.begin(self._speed, highest=TOP_SPEED_M_S)
             motion.heading[0, 2] = -1.0
             motion.tip_m[2] = self._top_m - self._search.tried * step_s
+            motion.tangent_m_s = self._search.tangent
             return
         motion.tip_m[2] = self._top_m - self._speed * step_s
         self._set_speed(response, motion)
@@ -195,6 +196,7 @@ class Drilling(ContactEnvironment):
         balanced = max(self._balanced(response, motion, down=True), 0.0)
         if not self._search.accepts(balanced):
             motion.tip_m[2] = self._top_m - self._search.tried * TICK_S
+            motion.tangent_m_s = self._search.tangent
             return True
         self._speed = balanced
         self._set_speed(response, motion)
@@ -216,6 +218,7 @@ class Drilling(ContactEnvironment):
         motion = self.tool
         motion.heading[0, 2] = -1.0
         motion.speed_m_s = max(self._speed, 0.0)
+        motion.tangent_m_s = None
         self.stepper.response = self.model.respond(motion)
         self._deepest_m = max(self._deepest_m, self.depth_m)
         return self.stepper.response.wrench

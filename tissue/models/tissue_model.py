@@ -55,6 +55,8 @@ class ToolMotion:
         part of it.
     speed_m_s
         Speed that scales `heading` [m/s].
+    tangent_m_s
+        Speed at which the tissue takes the tangent of its force [m/s]. None for `speed_m_s`.
     pressed
         Share of the edge force that holds a tool at rest against the bone, 0 (no pressure) to 1
         (about to cut).
@@ -67,6 +69,7 @@ class ToolMotion:
     rotation: Array = field(default_factory=lambda: np.eye(3))
     heading: Array = field(default_factory=lambda: np.zeros((2, 3)))
     speed_m_s: float = 0.0
+    tangent_m_s: float | None = None
     pressed: float = 0.0
     push: Array = field(default_factory=lambda: np.zeros(6))
 
@@ -81,12 +84,12 @@ class Response:
     ----------
     resistance
         Derivative of force [N s/m] and torque [N s] by the speed along the direction of motion,
-        shape (6,).
+        at the tangent's speed, shape (6,).
     edge
         Force [N] and torque [N m] of the tangent at zero speed, shape (6,). For a law that is
         linear in the speed, it arises as soon as the tool moves.
     wrench
-        Force [N] and torque [N m] at the motion's speed, shape (6,).
+        Force [N] and torque [N m] at the motion's speed, on the tangent, shape (6,).
     removal_rate_m3_s
         Rate at which the tool's elements sweep filled volume [m3/s].
     engaged_m2

@@ -16,7 +16,7 @@ from tissue.evaluation.charts.frontier import (
     with_fidelity,
     write_measured,
 )
-from tissue.evaluation.charts.measure import Measured
+from tissue.evaluation.charts.measure import Measured, measure
 from tissue.evaluation.charts.settings import (
     Setting,
     by_hand,
@@ -162,6 +162,29 @@ def test_every_setting_of_every_scene_is_a_valid_scene(name, hand):
         changed(scene, finest(scene, quick=quick))
 
 
+def cutting(scene, **changes):
+    """Return the settings of simpler laws and drills of a scene, by name."""
+    found = settings_of(changed(load_scene(scene), changes), quick=True)
+    return {each.name: each.changes for each in found if each.family == "cutting"}
+
+
+LINEAR = {"cutting.size_exponent": 0.0, "cutting.minimum_chip_um": 0.0}
+SIMPLE = {"tool.web_mm": 0.0}
+
+
+def test_each_refinement_of_law_and_drill_is_left_out_once_and_all_on_the_coarsest_grid():
+    found = cutting("pedicle")
+    assert list(found) == ["0.1 mm, linear law", "0.1 mm, simple drill", "0.4 mm, simplest"]
+    assert found["0.1 mm, linear law"] == LINEAR and found["0.1 mm, simple drill"] == SIMPLE
+    assert (LINEAR | SIMPLE).items() <= found["0.4 mm, simplest"].items()
+    assert found["0.4 mm, simplest"]["voxels.spacing_mm"] == 0.4
+    sized = cutting("pedicle", **{"cutting.size_exponent": 0.3})
+    assert sized["0.1 mm, no size effect"] == {"cutting.size_exponent": 0.0}
+    assert list(sized)[1:] == list(found)
+    assert not cutting("pedicle", **LINEAR, **SIMPLE)
+    assert list(cutting("molar")) == ["0.05 mm, linear law", "0.2 mm, simplest"]
+
+
 @pytest.fixture
 def block(monkeypatch, tmp_path):
     monkeypatch.setenv("TISSUE_CACHE", str(tmp_path))
@@ -191,6 +214,15 @@ def test_a_finished_chart_is_not_measured_again_and_a_fidelity_chooses_from_it(b
     assert "the cheapest of 2 settings" in message
     run = tissue.simulate(wanted.model_copy(update={"duration_s": 0.01}))
     assert run.parts.notes["fidelity"] and run.scene.fidelity is None
+
+
+@pytest.mark.slow
+def test_the_error_of_the_linear_law_is_against_the_refined_one(block):
+    """A chip of 20 um at most and h_min = 10 um: the edge force at thin chips is the error."""
+    block = changed(block, {"cutting.minimum_chip_um": 10.0, "duration_s": 0.5})
+    linear = next(each for each in settings_of(block, quick=True) if "linear" in each.name)
+    refined, simple = (measure(block, each, quick=True) for each in (Setting("a", "a"), linear))
+    assert refined.force_error < 0.05 < 0.3 < simple.force_error
 
 
 def test_places_keep_a_peg_in_its_hole_and_leave_hands_alone(block):

@@ -116,6 +116,11 @@ def chart_lines(found: Sequence[Sequence[Frontier]]) -> list[str]:
                 else "all by the linear law, not compared with a neo-Hookean one"
             )
             lines.append(f"  {law}")
+        if any(point.family == "cutting" for point in each.points):
+            lines.append(
+                "  simpler laws and drills: error against the scene's own law, not against "
+                "measured forces"
+            )
         for point in each.best:
             lines.append(
                 f"  {point.setting:<28} error {100.0 * point.force_error:6.2g} %, over 50 ms "
@@ -134,6 +139,7 @@ ORANGE = "#D55E00"
 FAMILIES = {
     "voxels": ("#0072B2", "o", "voxels"),
     "shell": ("#56B4E9", "s", "elements of the cutter"),
+    "cutting": ("#882255", "X", "simpler law or drill"),
     "stress": ("#CC79A7", "D", "with stress"),
     "elements": ("#009E73", "p", "elements"),
     "path": ("#E69F00", "H", "compliance"),

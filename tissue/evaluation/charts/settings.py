@@ -19,6 +19,7 @@ import numpy as np
 from tissue.materials.constants import constants
 from tissue.prediction.guard import GuardedMaker
 from tissue.prediction.trained import is_trained
+from tissue.scene.anatomy import Tooth
 from tissue.scene.load import changed
 from tissue.scene.organ import LayersAnatomy, SoftAnatomy
 from tissue.scene.registry import PREDICTORS, RENDERERS, TABLES
@@ -44,6 +45,7 @@ __all__ = [
     "setting_key",
     "settings_of",
     "shares",
+    "simpler",
     "sources",
     "untrained",
 ]
@@ -78,7 +80,7 @@ class Setting:
     name
         Short name, for a picture.
     family
-        Varied quantity: voxels, shell, elements, path, stress, loop or cores.
+        Varied quantity: voxels, shell, cutting, elements, path, stress, loop or cores.
     changes
         Values by dotted key; None removes an entry.
     cores
@@ -228,10 +230,11 @@ def _shell_mm(tool: Tool) -> float:
 
 
 def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
-    """Yield settings of spacing, kind of removal, elements of the cutter, stress and cores."""
+    """Yield settings of spacing, removal, elements of the cutter, law, stress and cores."""
     plain = force_only(scene)
     base = scene.voxels.spacing_mm
     shell = _shell_mm(tool)
+    coarsest: Changes | None = None
     # coarse to fine, evenly on a logarithmic axis of cost
     for factor in (4.0, 3.0, 2.0, 1.0) if quick else (5.0, 4.0, 3.0, 2.0, 1.5, 1.0):
         # to 0.1 um, which keeps names and texts of scenes short
@@ -245,11 +248,19 @@ def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
         for removal in ("subvoxel",) if quick else ("subvoxel", "binary"):
             name = f"{spacing:g} mm" + (" binary" if removal == "binary" else "")
             grid = {"voxels.spacing_mm": spacing, "voxels.removal": removal}
+            coarsest = coarsest or {**plain, **grid, **coarse}
             yield Setting(name, "voxels", {**plain, **grid, **coarse})
     # only coarser elements than the scene's: finer ones come with finer voxels below
     for factor in (2.0,) if quick else (4.0, 3.0, 2.0, 1.5):
         wide = {"tool.shell_spacing_mm": round(factor * shell, 4)}
         yield Setting(f"{base:g} mm, shell {factor * shell:.2g} mm", "shell", plain | wide)
+    simplest: dict[str, object] = {}
+    for name, changes in simpler(scene, tool).items():
+        yield Setting(f"{base:g} mm, {name}", "cutting", {**plain, **changes})
+        simplest |= changes
+    if simplest and coarsest:
+        spacing = coarsest["voxels.spacing_mm"]
+        yield Setting(f"{spacing:g} mm, simplest", "cutting", {**coarsest, **simplest})
     # finer than the scene; 0.6 has 4.6 times as many voxels
     for share in (0.7,) if quick else (0.8, 0.6):
         name = f"{share * base:.3g} mm, shell {share * shell:.2g} mm"
@@ -262,6 +273,35 @@ def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
         for cell in (14.0, 10.0, 8.0):
             edge = round(cell * base, 4)
             yield Setting(f"{base:g} mm, stress {edge:g} mm", "stress", {"stress.cell_mm": edge})
+
+
+def simpler(scene: Scene, tool: Tool) -> dict[str, Changes]:
+    """Return the simpler cutting laws and drill of a scene by name.
+
+    Each leaves out one refinement that the scene has. The last law leaves out the size effect as
+    well: without a minimum chip thickness it would grow without bound.
+    """
+    found: dict[str, Changes] = {}
+    if _of_law(scene, "minimum_chip_um") > 0.0:
+        no_size: Changes = {"cutting.size_exponent": 0.0}
+        if _of_law(scene, "size_exponent") > 0.0:
+            found["no size effect"] = no_size
+        found["linear law"] = {**no_size, "cutting.minimum_chip_um": 0.0}
+    if getattr(tool, "web_mm", 0.0) != 0.0:
+        found["simple drill"] = {"tool.web_mm": 0.0}
+    return found
+
+
+def _of_law(scene: Scene, name: str) -> float:
+    """Return a constant of the size effect of a scene, the largest of its layers."""
+    stated = getattr(scene.cutting, name)
+    if stated is not None:
+        return float(stated)
+    layers = ("enamel", "dentin") if isinstance(scene.anatomy, Tooth) else ("bone",)
+    known = [
+        scene.constants.layer_constants(layer, bone=scene.cutting.material) for layer in layers
+    ]
+    return max(each[name].value if name in each else 0.0 for each in known)
 
 
 def _elements(scene: Scene, *, quick: bool) -> Iterator[Setting]:

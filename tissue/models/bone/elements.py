@@ -206,8 +206,8 @@ class SmoothSurface:
         layers = len(store.grid.layer_names)
         # Only the engaged area is used.
         no_force = Coefficients()
-        no_force.chip = wp.zeros(layers, lever16, device)
-        no_force.edge = wp.zeros(layers, lever16, device)
+        no_force.chip = wp.zeros(2 * layers, lever16, device)
+        no_force.edge = wp.zeros(2 * layers, lever16, device)
         no_force.strength = wp.zeros((layers, DENSITIES), wp.float32, device)
         no_force.size = wp.zeros(layers, wp.vec3, device)
         elements = elements_of(shell, cutter, spacing_m=store.grid.spacing_m, device=device)

@@ -148,8 +148,9 @@ class BoneModel:
         tip /= self._spacing
         axes[:] = motion.rotation.T
         np.dot(motion.heading, motion.rotation, out=velocities)
+        speed = motion.speed_m_s if motion.tangent_m_s is None else motion.tangent_m_s
         # The sums of a linear law hold for any speed.
-        self._motion.host[6, 0] = 0.0 if self._is_linear else motion.speed_m_s
+        self._motion.host[6, 0] = 0.0 if self._is_linear else speed
         self._motion.push()
 
     def respond(self, motion: ToolMotion) -> Response:
@@ -189,18 +190,28 @@ def _on_device(coefficients: tuple[CuttingCoefficients, ...], *, device: str) ->
     """Return cutting coefficients on a device, one entry a layer."""
     arrays = Coefficients()
 
-    def at_levers(names: tuple[str, ...]) -> Any:
-        """Return the coefficients of each layer at their positions in a lever.
+    def at_levers(rows: list[Array]) -> Any:
+        """Return coefficients of the rows at their positions in a lever.
 
         They are tangential, radial and axial.
         """
-        parts = [[getattr(layer, name) for name in names] for layer in coefficients]
         # 5, 6 and 3: components of `LEVER` for each direction. The last 2 of 16 are unused.
-        values = np.pad(np.repeat(parts, (5, 6, 3), axis=1), ((0, 0), (0, 2)))
+        values = np.pad(np.repeat(rows, (5, 6, 3), axis=1), ((0, 0), (0, 2)))
         return put(values, lever16, device)
 
-    arrays.chip = at_levers(CuttingCoefficients.CHIP)
-    arrays.edge = at_levers(CuttingCoefficients.EDGE)
+    chip = []
+    edge = []
+    for layer in coefficients:
+        chip_Pa = np.array([getattr(layer, name) for name in CuttingCoefficients.CHIP])
+        edge_N_m = np.array([getattr(layer, name) for name in CuttingCoefficients.EDGE])
+        below_Pa = chip_Pa
+        if layer.minimum_chip_m > 0.0:
+            scale = (layer.minimum_chip_m / layer.reference_chip_m) ** -layer.size_exponent
+            below_Pa = scale * chip_Pa + edge_N_m / layer.minimum_chip_m
+        chip += [chip_Pa, below_Pa]
+        edge += [edge_N_m, np.zeros(3)]
+    arrays.chip = at_levers(chip)
+    arrays.edge = at_levers(edge)
     density = np.arange(DENSITIES)
     strength = [
         (density / layer.reference_density_kg_m3) ** layer.density_exponent
