@@ -115,7 +115,7 @@ FILES = (
     "residuals.png",
     "constants.png",
 )
-UNITS = ("N_mm2", "N_mm", "kPa", "s")
+UNITS = ("N_mm2", "N_mm", "kPa", "um", "s")
 LAGS = 40
 """Samples over which the autocorrelation of residuals is drawn."""
 SHOWN_GAINS = SHOWN_COMBINATIONS = 5
@@ -197,7 +197,7 @@ def unit_of(name: str) -> tuple[str, str]:
     words = (
         name.removesuffix(f"_{unit}").removeprefix("cutting.").replace(".", " ").replace("_", " ")
     )
-    marks = {"N_mm2": "N/mm²", "N_mm": "N/mm"}
+    marks = {"N_mm2": "N/mm²", "N_mm": "N/mm", "um": "µm"}
     return words, marks.get(unit, unit)
 
 
@@ -387,7 +387,7 @@ def _law_table(laws: Sequence[LawMisfit]) -> str:
     rows = "".join(
         f"<tr><td>{escape(each.name)}</td><td>{each.constants}</td>"
         f"<td>{shown(each.chi_square, '.3g')} ({each.freedom})</td><td>{shown(each.p, '.2g')}</td>"
-        f"<td>{each.aic:.1f}</td><td>{shown(each.left_out, '.1%')}</td>"
+        f"<td>{shown(each.aic, '.1f')}</td><td>{shown(each.left_out, '.1%')}</td>"
         f"<td>{shown(each.cited_chi_square, '.3g')}</td><td>{shown(each.cited_p, '.2g')}</td></tr>"
         for each in laws
     )
@@ -397,7 +397,6 @@ def _law_table(laws: Sequence[LawMisfit]) -> str:
         "<table><tr><th>law</th><th>constants</th><th>chi-square (degrees of freedom)</th>"
         "<th>p</th><th>AIC</th><th>rows predicted from the others, off by</th>"
         f"<th>chi-square with cited ranges</th><th>p</th></tr>{rows}</table>"
-        "<p>The first five columns are a maximum-likelihood fit with coefficients of 0 and above. "
-        "Free coefficients cannot tell a chisel edge from a simple drill. Coefficients with their "
-        "cited ranges can.</p>"
+        "<p>The last two columns take the cited ranges of the coefficients as priors. The other "
+        "columns are a maximum-likelihood fit with free coefficients.</p>"
     )

@@ -1,15 +1,15 @@
 """Comparison of cutting laws by a table of steady loads.
 
-Each law is fitted by maximum likelihood with coefficients of 0 and above and no priors. The loads
-are linear in the four coefficients of chip and edge at a given exponent of the size effect. With
-the scatter of the rows, the sum of squares follows the chi-square law. Its degrees of freedom are
-the number of loads less the number of constants that lie above 0.
+Each law is fitted by maximum likelihood, without priors. At a given exponent of the size effect,
+thrust and torque are each linear in a chip and an edge coefficient. With the scatter of the rows,
+the sum of squares follows the chi-square law. Its degrees of freedom are the number of loads less
+the number of constants, without those at their end of 0.
 
 A steady load of one drill has the same form with and without a chisel edge: a chip term plus an
-edge term. Free coefficients absorb the factor between both drills. Only coefficients with their
-cited ranges tell the drills apart. The largest density of table and priors together gives the sum
-of squared errors and squared standard normal numbers. If all were linear, its degrees of freedom
-would be the number of loads.
+edge term. Free coefficients absorb the factor between both drills, so the maximum likelihood does
+not distinguish them. A second misfit takes the cited ranges as priors: the smallest sum of squared
+errors and squared standard normal numbers. If all were linear, its degrees of freedom would be the
+number of loads.
 """
 
 from collections.abc import Sequence
@@ -27,27 +27,28 @@ from tissue.fitting.table import SteadyTable, TableTarget, table_forward
 from tissue.scene.scene import Scene
 from tissue.simulation.load_record import SENSITIVITIES
 
-__all__ = ["REJECTED", "LawMisfit", "compared_laws", "law_sentences"]
+__all__ = ["REJECTED", "LawMisfit", "MaximumLikelihood", "compared_laws", "law_sentences"]
 
 
 REJECTED = 0.05
 """Probability of a larger misfit below which a law is rejected."""
-FREE = (
-    "tangential_chip_Pa",
-    "radial_chip_Pa",
-    "tangential_edge_N_m",
-    "radial_edge_N_m",
-)
-"""Coefficients of a maximum-likelihood fit.
+TORQUE = ("tangential_chip_Pa", "tangential_edge_N_m")
+THRUST = ("radial_chip_Pa", "radial_edge_N_m")
+"""Coefficients that a maximum-likelihood fit finds for each load: chip and edge.
 
-The axial coefficients act on the thrust as the radial ones do.
+The axial coefficients reduce the thrust in proportion to the radial ones. The coefficients of the
+thrust are therefore differences of both, and may have any sign. The others are 0 or above.
 """
-TYPICAL = np.array([1e8, 1e8, 1e3, 1e3])
+TYPICAL = np.array([1e8, 1e3])
 """Units of these coefficients [Pa, N/m], in which their effects are alike."""
 EXPONENTS = np.linspace(0.0, 0.9, 19)
 """Exponents of the size effect from which the search begins."""
 PRECISION = 1e-4
 """Precision of the exponent."""
+ALIKE = (
+    "free coefficients absorb the difference between a chisel edge and a simple drill, which fit "
+    "the table equally well"
+)
 NO_EFFECT = 1e-6
 """Singular value, relative to the largest, below which a combination has no effect on the loads."""
 LEAST_RESIDUAL = 1e-9
@@ -73,7 +74,8 @@ class LawMisfit:
         Its sum of squares over the scatter, the degrees of freedom, and the probability of a larger
         sum. None without a scatter or without degrees of freedom.
     aic
-        Akaike's information criterion, up to a constant that all laws of a table share.
+        Akaike's information criterion, up to a constant that all laws of a table share. None
+        without a scatter where the rows are so few that the law could fit one load exactly.
     left_out
         Error of each row as predicted from the other rows, relative to its loads (root mean
         square). None if the other rows do not determine the constants.
@@ -89,7 +91,7 @@ class LawMisfit:
     chi_square: float | None
     freedom: int
     p: float | None
-    aic: float
+    aic: float | None
     left_out: float | None
     cited_chi_square: float | None
     cited_p: float | None
@@ -120,7 +122,7 @@ def compared_laws(scene: Scene, table: SteadyTable) -> tuple[LawMisfit, ...]:
     for has_size_effect, has_chisel in product((False, True), (False, True)):
         changed = _with_law(scene, has_size_effect=has_size_effect, has_chisel=has_chisel)
         forward = table_forward(changed, table)
-        fit = _Likelihood(forward, table, has_size_effect=has_size_effect)
+        fit = MaximumLikelihood(forward, table, has_size_effect=has_size_effect)
         cited = _cited_chi_square(forward, table)
         found.append(
             LawMisfit(
@@ -130,7 +132,7 @@ def compared_laws(scene: Scene, table: SteadyTable) -> tuple[LawMisfit, ...]:
                 fit.exponent,
                 fit.chi_square,
                 fit.freedom,
-                _probability(fit.chi_square, fit.freedom),
+                fit.p,
                 fit.aic,
                 fit.left_out(),
                 cited,
@@ -186,7 +188,7 @@ def _cited_chi_square(forward: CuttingForward, table: SteadyTable) -> float | No
     return 2.0 * float(found.cost)
 
 
-class _Likelihood:
+class MaximumLikelihood:
     """Maximum-likelihood fit of one law to a table.
 
     Parameters
@@ -197,6 +199,11 @@ class _Likelihood:
         Measured loads.
     has_size_effect
         Whether the exponent is free.
+
+    Attributes
+    ----------
+    constants, exponent, chi_square, freedom, p, aic
+        As in `LawMisfit`.
     """
 
     def __init__(
@@ -204,19 +211,28 @@ class _Likelihood:
     ) -> None:
         self._forward = forward
         self._places = [forward.channels.index(name) for name in table.channels]
+        self._coefficients = [
+            TORQUE if name.startswith("torque") else THRUST for name in table.channels
+        ]
         self._values = table.loads / table.units
         self._has_scatter = table.scatter is not None
         self._exponents = EXPONENTS if has_size_effect else EXPONENTS[:1]
         self._designs: dict[float, Array] = {}
-        columns = self._design(0.0).reshape(-1, len(FREE))
-        self.constants = _rank(columns) + has_size_effect
         misfit, self.exponent, found = self._fitted(np.arange(len(self._values)))
+        designs = list(zip(self._design(0.0), found, strict=True))
+        ranks = [_rank(columns) for columns, _ in designs]
+        self.constants = sum(ranks) + has_size_effect
         # A constant at its end, 0, fits nothing.
-        free = _rank(columns[:, found > 0.0]) + (self.exponent > 0.0)
-        self.freedom = self._values.size - free
+        free = sum(_rank(columns[:, each != 0.0]) for columns, each in designs)
+        self.freedom = self._values.size - free - (self.exponent > 0.0)
         self.chi_square = misfit if self._has_scatter else None
-        scales = 0 if self._has_scatter else len(self._places)
-        self.aic = misfit + 2.0 * (self.constants + scales)
+        self.p = _probability(self.chi_square, self.freedom)
+        self.aic: float | None = misfit + 2.0 * self.constants
+        if not self._has_scatter:
+            # The size of the errors is one more constant for each load.
+            self.aic += 2.0 * len(ranks)
+            if len(self._values) <= max(ranks) + has_size_effect:
+                self.aic = None
 
     def left_out(self) -> float | None:
         """Return the relative error of each row as predicted from the other rows."""
@@ -226,7 +242,8 @@ class _Likelihood:
         errors = []
         for row in rows.tolist():
             _, exponent, found = self._fitted(rows[rows != row])
-            errors.append(self._design(exponent)[row] @ found / self._values[row] - 1.0)
+            predicted = np.sum(self._design(exponent)[:, row] * found, axis=1)
+            errors.append(predicted / self._values[row] - 1.0)
         return float(np.sqrt(np.mean(np.square(errors))))
 
     def _fitted(self, rows: NDArray[np.intp]) -> tuple[float, float, Array]:
@@ -249,26 +266,37 @@ class _Likelihood:
         return smallest, best, found
 
     def _solved(self, exponent: float, rows: NDArray[np.intp]) -> tuple[float, Array]:
-        """Return minus twice the log likelihood, up to a constant, and the coefficients."""
-        columns = self._design(exponent)[rows].reshape(-1, len(FREE))
-        values = self._values[rows]
-        found, _ = nnls(columns, values.ravel())
-        squares = np.sum((values - (columns @ found).reshape(values.shape)) ** 2, axis=0)
+        """Return minus twice the log likelihood, up to a constant, and the coefficients.
+
+        The coefficients of each load have shape (channels, 2).
+        """
+        squares = np.zeros(len(self._places))
+        found = np.zeros((len(self._places), len(TYPICAL)))
+        for at, columns in enumerate(self._design(exponent)[:, rows]):
+            values = self._values[rows, at]
+            if self._coefficients[at] is TORQUE:
+                found[at] = nnls(columns, values)[0]
+            else:
+                found[at] = np.linalg.lstsq(columns, values, rcond=NO_EFFECT)[0]
+            squares[at] = np.sum((values - columns @ found[at]) ** 2)
         if self._has_scatter:
             return float(squares.sum()), found
         variances = np.maximum(squares / len(rows), LEAST_RESIDUAL**2)
         return float(len(rows) * np.log(variances).sum()), found
 
     def _design(self, exponent: float) -> Array:
-        """Return the loads over their units by the coefficients, shape (n, channels, 4).
+        """Return the loads over their units by their coefficients, shape (channels, n, 2).
 
         The coefficients are in units of `TYPICAL`.
         """
         if exponent not in self._designs:
             coefficients = replace(self._forward.coefficients[0], size_exponent=exponent)
-            slopes = self._forward.record.jacobian((coefficients,))[:, self._places, 0]
-            places = [SENSITIVITIES.index(name) for name in FREE]
-            self._designs[exponent] = slopes[..., places] * TYPICAL
+            slopes = self._forward.record.jacobian((coefficients,))
+            columns = [
+                slopes[:, place, 0][:, [SENSITIVITIES.index(name) for name in names]] * TYPICAL
+                for place, names in zip(self._places, self._coefficients, strict=True)
+            ]
+            self._designs[exponent] = np.stack(columns)
         return self._designs[exponent]
 
 
@@ -279,16 +307,23 @@ def _rank(columns: Array) -> int:
     return int(np.linalg.matrix_rank(columns / np.abs(columns).max(), rtol=NO_EFFECT))
 
 
+def _ranking(laws: Sequence[LawMisfit]) -> str:
+    """Return the order of laws by AIC, in words."""
+    known = [(each.aic, each.law) for each in laws if each.aic is not None]
+    if len(known) < len(laws):
+        return "the rows are too few to rank the laws"
+    (smallest, best), *others = sorted(known)
+    gaps = ", ".join(f"{law} (AIC {aic - smallest:+.1f})" for aic, law in others)
+    return f"by AIC the {best} comes before the {gaps}"
+
+
 def law_sentences(laws: Sequence[LawMisfit]) -> list[str]:
     """Return sentences on which laws a table rejects."""
     if not laws:
         return []
-    ranked = sorted(laws[::2], key=lambda each: each.aic)
-    best = ranked[0]
-    gaps = [f"{each.law} (AIC {each.aic - best.aic:+.1f})" for each in ranked[1:]]
-    ranking = f"by AIC the {best.law} comes before the {', '.join(gaps)}"
+    ranking = _ranking(laws[::2])
     if laws[0].cited_p is None:
-        return [f"the table states no scatter, so it rejects no law; {ranking}"]
+        return [f"the table states no scatter, so it rejects no law; {ranking}", ALIKE]
     found = []
     for each in laws[::2]:
         if each.p is None:
@@ -304,4 +339,4 @@ def law_sentences(laws: Sequence[LawMisfit]) -> list[str]:
         found.append(f"rejected with coefficients in their cited ranges: {'; '.join(wrong)}")
     else:
         found.append("no law is rejected with coefficients in their cited ranges")
-    return [*found, ranking]
+    return [*found, ranking, ALIKE]

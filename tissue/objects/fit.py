@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from meshes.base.errors import InputError
 from meshes.base.file_limits import memory_limit
 from tissue.fitting.fit import SceneFit, TableFit, fit_scene, fit_table
 from tissue.fitting.fit_files import verdicts, write_fit
@@ -139,8 +140,20 @@ def fit(
         report("reading the measurement", 0.0)
         with memory_limit(max_memory_GB):
             found = read_columns(path)
-            if not maps and is_table(found.names):
+            if is_table(found.names) and not any(each.startswith("time_s=") for each in maps):
+                _require_own_names(maps)
                 table = read_table(path, found)
                 return Fit(fit_table(scene, table, free=free, progress=report))
             log = log_of(path, found, maps)
         return Fit(fit_scene(scene, log, free=free, cores=cores, progress=report))
+
+
+def _require_own_names(maps: Sequence[str]) -> None:
+    """Refuse other column names for a table of steady loads."""
+    if maps:
+        raise InputError(
+            "column",
+            "be left out for a table of steady loads",
+            maps[0],
+            "rename the columns in the file",
+        )

@@ -383,9 +383,9 @@ LEAST_ADVANCE = 1e-6
 
 
 def plunge_unit_loads(cutter: Cutter, feeds_per_turn_m: Array) -> tuple[Array, Array]:
-    """Return the unit loads of a cutter that is pushed along its axis, fully engaged, in solid bone.
+    """Return the steady unit loads of a fully engaged cutter that is pushed along its axis.
 
-    The cutter's axis is z. The loads are steady.
+    The cutter's axis is z.
 
     Parameters
     ----------
@@ -409,8 +409,8 @@ def plunge_unit_loads(cutter: Cutter, feeds_per_turn_m: Array) -> tuple[Array, A
     chips = np.multiply.outer(feeds_per_turn_m / cutter.flute_count, advance)
     # The thickness on the lips of a drill is one number per feed. It becomes a node, so that the
     # interpolation between nodes is exact there.
-    own = [thickness for row in chips for thickness in np.unique(row.round(12))[:MOST_NODES]]
-    nodes = np.unique(np.concatenate([chip_nodes(float(chips.max()), is_linear=False), own]))
+    on_lips = [thickness for row in chips for thickness in np.unique(row.round(12))[:MOST_NODES]]
+    nodes = np.unique(np.concatenate([chip_nodes(float(chips.max()), is_linear=False), on_lips]))
     motion = ToolMotion()
     shares = np.ones((len(lengths), 1))
     rows = [_sums(_interpolation(nodes, each, -lengths), levers, shares, motion) for each in chips]

@@ -149,9 +149,10 @@ def draw_table(
         axes.plot(feeds_mm[order], simulated[order, at], **fitted)
         what = "torque / N m" if name.endswith("Nm") else "thrust / N"
         axes.set(xlabel="feed per turn / mm", ylabel=what)
-        axes.set_ylim(bottom=0.0)
     legend_above(panels[0], 2)
     plain(panels)
+    for axes in panels:
+        axes.set(xlim=(0.0, 1.05 * feeds_mm.max()), ylim=(0.0, None))
     save(chart, path)
 
 
@@ -194,9 +195,7 @@ def draw_residuals(innovations: Array, correlations: Array, freedom: float, path
 
 
 @styled
-def draw_constants(
-    constants: Sequence[FittedConstant], path: Path, *, source: str = "log"
-) -> None:
+def draw_constants(constants: Sequence[FittedConstant], path: Path, *, source: str = "log") -> None:
     """Draw the 90 % intervals of constants before and after the fit, with their values.
 
     The scale is that of the cited range. `source` is the kind of the measurement.
