@@ -28,14 +28,16 @@ def fit(
     max_memory_GB: MemoryGB = None,
     overwrite: Flag = False,
 ) -> None:
-    """Find the constants of a scene's material from a measured force log.
+    """Find the constants of a scene's material from a force log or a table of steady loads.
 
     Parameters
     ----------
     scene
-        Name of a scene or a TOML file, with the tissue and the tool of the log.
+        Name of a scene or a TOML file, with the tissue and the tool of the measurement.
     measured
-        Log of poses and forces: .csv, .parquet, .h5, .mat or .npz, also a run's own trace.
+        Log of poses and forces: .csv, .parquet, .h5, .mat or .npz, also a run's own trace. Or a
+        table of a drill's thrust_N and torque_Nmm by feed_mm_min and spin_rpm: the fit then reports
+        which cutting laws it rejects.
     out
         Folder to write; default fits/NAME.
     free

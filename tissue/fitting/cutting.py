@@ -25,7 +25,14 @@ from tissue.scene.scene import Cutting, Scene, Voxels
 from tissue.scene.tool import Tool
 from tissue.simulation.load_record import SENSITIVITIES, LayerLoads, LoadRecord, record_loads
 
-__all__ = ["CuttingForward", "cutting_candidates", "cutting_forward", "cutting_problem"]
+__all__ = [
+    "CuttingForward",
+    "cutting_candidates",
+    "cutting_forward",
+    "cutting_problem",
+    "fixed_densities",
+    "forward_of",
+]
 
 
 DENSITY = Prior(1.0, 0.85, 1.18)
@@ -198,19 +205,24 @@ def cutting_forward(
             "a log whose tool only moves through air",
             "give one of a cut, or its poses in the scene's frame",
         )
-    changes = scene.cutting.model_dump(exclude={"material"}, exclude_none=True)
     notes = [f"{subject}: {each}" for subject, each in record.notes.items()]
     if (inside := float(record.trace["removed_mm3"][0])) > 0.0:
         notes.append(
             f"the tool began in {inside:.3g} mm3 of bone, which were taken away without a force: "
             "what was cut before the log's first pose is not known"
         )
+    forward = forward_of(scene, record, free)
+    return replace(forward, times_s=float(times_s[0]) + record.times_s, notes=tuple(notes))
+
+
+def forward_of(scene: Scene, record: LoadRecord, free: Sequence[str]) -> CuttingForward:
+    """Return the loads of a record with free constants, see `cutting_forward`."""
+    changes = scene.cutting.model_dump(exclude={"material"}, exclude_none=True)
     return CuttingForward(
         record,
         scene.constants.coefficients(record.layer_names, changes, bone=scene.cutting.material),
         _free_constants(scene, record, free, stated=changes.keys()),
-        float(times_s[0]) + record.times_s,
-        tuple(notes),
+        record.times_s,
     )
 
 
@@ -294,19 +306,24 @@ def cutting_problem(
     measured, ticks = log.averaged()
     forward, measured = forward.averaged_as(measured)
     require_signs(forward, measured)
-    fixed = {}
-    for at in sorted({each.layer for each in forward.free if each.field != FACTOR}):
-        layer = forward.record.layer_names[at]
-        known = scene.constants.layer_constants(layer, bone=scene.cutting.material)
-        fixed[f"cutting.{layer}.{REFERENCE}"] = known[REFERENCE].value
     return Problem(
         forward,
         measured,
         ticks * TICK_S,
         lambda: cutting_candidates(forward),
         forward.notes,
-        fixed,
+        fixed_densities(scene, forward),
     )
+
+
+def fixed_densities(scene: Scene, forward: CuttingForward) -> dict[str, float]:
+    """Return the reference densities at which the free coefficients hold, by their names."""
+    fixed = {}
+    for at in sorted({each.layer for each in forward.free if each.field != FACTOR}):
+        layer = forward.record.layer_names[at]
+        known = scene.constants.layer_constants(layer, bone=scene.cutting.material)
+        fixed[f"cutting.{layer}.{REFERENCE}"] = known[REFERENCE].value
+    return fixed
 
 
 def cutting_candidates(like: CuttingForward) -> dict[str, CuttingForward]:

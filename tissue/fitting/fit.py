@@ -9,19 +9,21 @@ import numpy as np
 
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
-from tissue.fitting.cutting import cutting_problem
+from tissue.fitting.cutting import cutting_problem, fixed_densities
 from tissue.fitting.identifiability import Gain, Identified, expected_information, identified
+from tissue.fitting.laws import LawMisfit, compared_laws, law_sentences
 from tissue.fitting.log import MeasuredLog
 from tissue.fitting.organ_problem import organ_problem
 from tissue.fitting.organ_runs import KEYS
-from tissue.fitting.posterior import Posterior, maximum_posterior
+from tissue.fitting.posterior import Posterior, maximum_of, maximum_posterior
+from tissue.fitting.table import SteadyTable, TableTarget, table_forward
 from tissue.fitting.target import OFFSET_S
 from tissue.materials.constants import Prior
 from tissue.scene.anatomy import CutAnatomy
 from tissue.scene.organ import SoftAnatomy
 from tissue.scene.scene import Scene
 
-__all__ = ["ConstantFit", "SceneFit", "fit_scene"]
+__all__ = ["ConstantFit", "SceneFit", "TableFit", "fit_scene", "fit_table"]
 
 
 FITTED = "fit a scene of bone, a tooth or an organ"
@@ -180,6 +182,11 @@ class SceneFit:
         return {each.name: each.value for each in self.constants if each.name.startswith(KEYS)}
 
     @property
+    def source(self) -> str:
+        """Kind of the measurement, in a word."""
+        return "log"
+
+    @property
     def sentences(self) -> tuple[str, ...]:
         """Sentences that summarise the fit for the user."""
         each = self.posterior.nuisances
@@ -194,9 +201,73 @@ class SceneFit:
             f"bias of the sensor: {', '.join(biases)}",
             *self.notes,
         ]
-        if not self.posterior.converged:
-            found.append("the search did not reach a maximum: do not rely on the intervals")
-        return tuple(found)
+        return (*found, *self._warnings)
+
+    @property
+    def _warnings(self) -> tuple[str, ...]:
+        if self.posterior.converged:
+            return ()
+        return ("the search did not reach a maximum: do not rely on the intervals",)
+
+
+@dataclass(frozen=True, eq=False)
+class TableFit(SceneFit):
+    """Constants of a scene, fitted to a table of steady loads.
+
+    Attributes
+    ----------
+    table
+        The table.
+    laws
+        Misfits of the cutting laws.
+    """
+
+    table: SteadyTable
+    laws: tuple[LawMisfit, ...]
+
+    @property
+    def source(self) -> str:
+        """See `SceneFit`."""
+        return "table"
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """See `SceneFit`."""
+        return (*law_sentences(self.laws), *self.notes, *self._warnings)
+
+
+def fit_table(
+    scene: Scene,
+    table: SteadyTable,
+    *,
+    free: Sequence[str] = (),
+    progress: Progress | None = None,
+) -> TableFit:
+    """Fit the constants of a scene's bone to a table of steady loads, and compare cutting laws.
+
+    The fit finds the maximum of the posterior with the cited ranges as priors. The errors of the
+    rows are independent and normal. Parameters and errors are those of
+    `tissue.fitting.table.table_forward`.
+    """
+    report = progress or silent
+    report("computing the loads of the drill", 0.0)
+    forward = table_forward(scene, table, free)
+    report("fitting", 0.1)
+    posterior = maximum_of(TableTarget(forward, table))
+    found = identified(posterior)
+    report("comparing laws", 0.7)
+    return TableFit(
+        scene.name,
+        table.path,
+        posterior,
+        found,
+        (),
+        0.0,
+        forward.notes,
+        fixed_densities(scene, forward),
+        table,
+        compared_laws(scene, table),
+    )
 
 
 def fit_scene(

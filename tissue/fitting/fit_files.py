@@ -14,13 +14,15 @@ import tomli_w
 
 from meshes.base.arrays import Array
 from meshes.base.whole_file import package_version, whole_file, write_columns
-from tissue.fitting.fit import ConstantFit, SceneFit
+from tissue.fitting.fit import ConstantFit, SceneFit, TableFit
+from tissue.fitting.laws import LawMisfit, law_sentences
 from tissue.fitting.problem import SD_PER_MAD
 from tissue.show.figures.fit_pictures import (
     FittedConstant,
     draw_constants,
     draw_measured,
     draw_residuals,
+    draw_table,
 )
 from tissue.system.html import html_page, html_picture
 from tissue.system.owned_folder import OwnedFolder
@@ -114,7 +116,7 @@ FILES = (
     "residuals.png",
     "constants.png",
 )
-UNITS = ("N_mm2", "N_mm", "kPa", "s")
+UNITS = ("N_mm2", "N_mm", "kPa", "um", "s")
 LAGS = 40
 """Samples over which the autocorrelation of residuals is drawn: 0.2 s in blocks of 5 ms."""
 SHOWN_GAINS = SHOWN_COMBINATIONS = 5
@@ -142,6 +144,24 @@ def write_fit(fit: SceneFit, folder: Path, *, overwrite: bool) -> list[Path]:
     InputError
         If the folder is a file, or holds another fit.
     """
+    digest = sha256(fit.path.read_bytes()).hexdigest()
+    with OwnedFolder(folder, "fit", FILES, overwrite=overwrite):
+        _write_constants(fit, folder / "fitted.toml", digest)
+        if isinstance(fit, TableFit):
+            _write_table_loads(fit, folder)
+        else:
+            _write_log_loads(fit, folder)
+        constants = [_shown(each) for each in fit.constants]
+        draw_constants(constants, folder / "constants.png", source=fit.source)
+        with whole_file(folder / "fit.json") as temporary:
+            temporary.write_text(json.dumps(_numbers(fit, digest), indent=1) + "\n", "utf-8")
+        with whole_file(folder / "report.html") as temporary:
+            temporary.write_text(_page(fit, folder), "utf-8")
+    return [folder / name for name in FILES if (folder / name).exists()]
+
+
+def _write_log_loads(fit: SceneFit, folder: Path) -> None:
+    """Write loads over time, as numbers and pictures."""
     posterior = fit.posterior
     log = posterior.target.log
     simulated = posterior.simulated
@@ -151,19 +171,27 @@ def write_fit(fit: SceneFit, folder: Path, *, overwrite: bool) -> list[Path]:
     for at, name in enumerate(log.channels):
         columns[f"measured_{name}"] = log.values[:, at]
         columns[f"simulated_{name}"] = simulated[:, at]
-    digest = sha256(fit.path.read_bytes()).hexdigest()
-    with OwnedFolder(folder, "fit", FILES, overwrite=overwrite):
-        _write_constants(fit, folder / "fitted.toml", digest)
-        draw_measured(log.times_s, log.values, simulated, log.channels, folder / "measured.png")
-        residuals = folder / "residuals.png"
-        draw_residuals(posterior.innovations, np.stack(lagged), freedom, residuals)
-        draw_constants([_shown(each) for each in fit.constants], folder / "constants.png")
-        write_columns(folder / "loads.csv", columns)
-        with whole_file(folder / "fit.json") as temporary:
-            temporary.write_text(json.dumps(_numbers(fit, digest), indent=1) + "\n", "utf-8")
-        with whole_file(folder / "report.html") as temporary:
-            temporary.write_text(_page(fit, folder), "utf-8")
-    return [folder / name for name in FILES if (folder / name).exists()]
+    draw_measured(log.times_s, log.values, simulated, log.channels, folder / "measured.png")
+    residuals = folder / "residuals.png"
+    draw_residuals(posterior.innovations, np.stack(lagged), freedom, residuals)
+    write_columns(folder / "loads.csv", columns)
+
+
+def _write_table_loads(fit: TableFit, folder: Path) -> None:
+    """Write loads by feed per turn, as numbers and a picture."""
+    table = fit.table
+    simulated = fit.posterior.simulated * table.units
+    feeds_mm = 1e3 * table.feeds_per_turn_m
+    columns = {"feed_mm_per_turn": feeds_mm}
+    for at, (name, channel) in enumerate(zip(table.names, table.channels, strict=True)):
+        unit = channel.rpartition("_")[2]
+        load = f"{name.partition('_')[0]}_{unit}"
+        columns[f"measured_{load}"] = table.loads[:, at]
+        columns[f"simulated_{load}"] = simulated[:, at]
+    draw_table(
+        feeds_mm, table.loads, simulated, table.scatter, table.channels, folder / "measured.png"
+    )
+    write_columns(folder / "loads.csv", columns)
 
 
 def unit_of(name: str) -> tuple[str, str]:
@@ -173,7 +201,7 @@ def unit_of(name: str) -> tuple[str, str]:
     words = (
         name.removesuffix(f"_{unit}").removeprefix("cutting.").replace(".", " ").replace("_", " ")
     )
-    marks = {"N_mm2": "N/mm²", "N_mm": "N/mm"}
+    marks = {"N_mm2": "N/mm²", "N_mm": "N/mm", "um": "µm"}
     return words, marks.get(unit, unit)
 
 
@@ -236,9 +264,7 @@ def _autocorrelation(values: Array) -> Array:
 
 def _numbers(fit: SceneFit, digest: str) -> dict[str, object]:
     """Return all results for programs."""
-    each = fit.posterior.nuisances
-    low, high = fit.posterior.offset_interval_s
-    return {
+    found: dict[str, object] = {
         "format": 1,
         "tissue": package_version(),
         "scene": fit.name,
@@ -270,14 +296,20 @@ def _numbers(fit: SceneFit, digest: str) -> dict[str, object]:
             for one in fit.identified.combinations
         ],
         "next": [asdict(one) for one in fit.gains],
-        "offset_s": [low, each.offset_s, high],
-        "channels": list(fit.posterior.target.log.channels),
-        "bias": each.bias.tolist(),
-        "noise_scale": each.scale.tolist(),
-        "noise_correlation": each.correlation.tolist(),
-        "noise_freedom": each.freedom.tolist(),
-        "notes": list(fit.sentences),
     }
+    if isinstance(fit, TableFit):
+        found["laws"] = [asdict(one) for one in fit.laws]
+    else:
+        each = fit.posterior.nuisances
+        low, high = fit.posterior.offset_interval_s
+        found["offset_s"] = [low, each.offset_s, high]
+        found["channels"] = list(fit.posterior.target.log.channels)
+        found["bias"] = each.bias.tolist()
+        found["noise_scale"] = each.scale.tolist()
+        found["noise_correlation"] = each.correlation.tolist()
+        found["noise_freedom"] = each.freedom.tolist()
+    found["notes"] = list(fit.sentences)
+    return found
 
 
 def verdicts(fit: SceneFit) -> list[str]:
@@ -302,7 +334,9 @@ def verdicts(fit: SceneFit) -> list[str]:
             f"({combined.low:.4g} to {combined.high:.4g})"
         )
     if at_prior := [unit_of(name)[0] for name in fit.identified.at_prior]:
-        found.append(f"not narrowed by this log, left at the cited range: {', '.join(at_prior)}")
+        found.append(
+            f"not narrowed by this {fit.source}, left at the cited range: {', '.join(at_prior)}"
+        )
     if fit.gains and fit.gains[0].nats > NATS:
         best = fit.gains[0]
         found.append(
@@ -316,7 +350,8 @@ def _page(fit: SceneFit, folder: Path) -> str:
     """Return the report page."""
 
     def picture(title: str, name: str) -> str:
-        return f"<h2>{title}</h2>{html_picture(title, (folder / name).read_bytes())}"
+        file = folder / name
+        return f"<h2>{title}</h2>{html_picture(title, file.read_bytes())}" if file.exists() else ""
 
     def listed(lines: list[str]) -> str:
         return "<ul>" + "".join(f"<li>{escape(line)}</li>" for line in lines) + "</ul>"
@@ -335,9 +370,11 @@ def _page(fit: SceneFit, folder: Path) -> str:
             f"<th>interval of {widest}, of that now</th></tr>{rows}</table>"
         )
     body = (
-        f"<p>{escape(fit.name)}, log {escape(fit.path.name)}, tissue {package_version()}. A scene "
+        f"<p>{escape(fit.name)}, {fit.source} {escape(fit.path.name)}, tissue "
+        f"{package_version()}. A scene "
         'takes the result by <code>materials = "fitted.toml"</code>.</p>'
-        f"<h2>What the log determines</h2>{listed(verdicts(fit))}"
+        f"<h2>What the {fit.source} determines</h2>{listed(verdicts(fit))}"
+        + (_law_table(fit.laws) if isinstance(fit, TableFit) else "")
         + picture("Constants before and after, 90 % intervals", "constants.png")
         + picture("Measured and simulated", "measured.png")
         + picture("What is left", "residuals.png")
@@ -345,3 +382,27 @@ def _page(fit: SceneFit, folder: Path) -> str:
         + f"<h2>Notes</h2>{listed(list(fit.sentences))}"
     )
     return html_page(f"Fit of {fit.name}", body)
+
+
+def _law_table(laws: Sequence[LawMisfit]) -> str:
+    """Return the section of a report that compares cutting laws."""
+
+    def shown(value: float | None, form: str) -> str:
+        return "" if value is None else format(value, form)
+
+    rows = "".join(
+        f"<tr><td>{escape(each.name)}</td><td>{each.constants}</td>"
+        f"<td>{shown(each.chi_square, '.3g')} ({each.freedom})</td><td>{shown(each.p, '.2g')}</td>"
+        f"<td>{shown(each.aic, '.1f')}</td><td>{shown(each.left_out, '.1%')}</td>"
+        f"<td>{shown(each.cited_chi_square, '.3g')}</td><td>{shown(each.cited_p, '.2g')}</td></tr>"
+        for each in laws
+    )
+    return (
+        "<h2>Which law the table rejects</h2>"
+        f"{''.join(f'<p>{escape(line)}.</p>' for line in law_sentences(laws))}"
+        "<table><tr><th>law</th><th>constants</th><th>chi-square (degrees of freedom)</th>"
+        "<th>p</th><th>AIC</th><th>rows predicted from the others, off by</th>"
+        f"<th>chi-square with cited ranges</th><th>p</th></tr>{rows}</table>"
+        "<p>The last two columns take the cited ranges of the coefficients as priors. The other "
+        "columns are a maximum-likelihood fit with free coefficients.</p>"
+    )

@@ -16,7 +16,7 @@ from tissue.models.tissue_model import TICK_S
 from tissue.scene.scene import Scene
 from tissue.simulation.builders.parts import motion_of
 
-__all__ = ["MeasuredLog", "read_log"]
+__all__ = ["MeasuredLog", "log_of", "read_log"]
 
 
 UNITS: dict[str, dict[str, float]] = {
@@ -136,8 +136,12 @@ def read_log(path: Path, columns: Sequence[str] = ()) -> MeasuredLog:
         If a column is missing or holds impossible values, times do not increase, or the log is too
         short.
     """
+    return log_of(path, read_columns(path), columns)
+
+
+def log_of(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> MeasuredLog:
+    """Return the log in the columns of a file, see `read_log`."""
     asked = _parsed(columns)
-    found = read_columns(path)
     notes = list(found.notes)
     if "model_force_x_N" in found.names:
         for name in CHANNELS:

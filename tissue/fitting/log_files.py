@@ -151,8 +151,8 @@ def _form(lines: list[str], path: Path) -> tuple[str, int]:
     best = 0
     form = (",", 0)
     for delimiter in _DELIMITERS:
-        rows = [_cells(line, delimiter) for line in lines]
-        widths = Counter(len(row) for row in rows if len(row) > 1 and _is_data(row))
+        rows = [row for row in (_cells(line, delimiter) for line in lines) if _is_data(row)]
+        widths = Counter(len(row) for row in rows if len(row) > 1)
         if not widths:
             continue
         width = widths.most_common(1)[0][0]

@@ -22,6 +22,7 @@ from tissue.materials.constants import Prior
 __all__ = [
     "Posterior",
     "climbed",
+    "maximum_of",
     "maximum_posterior",
     "require_signs",
     "reversed_channels",
@@ -163,7 +164,11 @@ def maximum_posterior(forward: Forward, log: MeasuredLoads) -> Posterior:
 
     The noise is that of the restricted likelihood, see `tissue.fitting.target`.
     """
-    target = Target(forward, log)
+    return maximum_of(Target(forward, log))
+
+
+def maximum_of(target: Target) -> Posterior:
+    """Find the maximum of a log density, see `maximum_posterior`."""
     guesses = [u for _, u in starts(target)[:STARTS]]
     best = max((climbed(target, guess) for guess in guesses), key=lambda each: each[0])
     for _ in range(REFINED):

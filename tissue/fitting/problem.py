@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -172,13 +172,14 @@ class MeasuredLoads:
     values: Array
     channels: tuple[str, ...]
     within_s: tuple[float, ...] = (0.0,)
+    fewest: ClassVar[int] = FEWEST
 
     def __post_init__(self) -> None:
         counts = np.isfinite(self.values).sum(axis=0)
-        if len(counts) and counts.min() < FEWEST:
+        if len(counts) and counts.min() < self.fewest:
             raise InputError(
                 "values",
-                f"hold {FEWEST} samples of each channel",
+                f"hold {self.fewest} samples of each channel",
                 f"{counts.min()} of {self.channels[int(np.argmin(counts))]}",
                 "leave the channel out or give a longer log",
             )

@@ -4,10 +4,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from meshes.base.errors import InputError
 from meshes.base.file_limits import memory_limit
-from tissue.fitting.fit import SceneFit, fit_scene
+from tissue.fitting.fit import SceneFit, TableFit, fit_scene, fit_table
 from tissue.fitting.fit_files import verdicts, write_fit
-from tissue.fitting.log import read_log
+from tissue.fitting.laws import LawMisfit
+from tissue.fitting.log import log_of
+from tissue.fitting.log_files import read_columns
+from tissue.fitting.table import is_table, read_table
 from tissue.scene.scene import Scene
 from tissue.system.progress import Bar, reporting
 
@@ -18,7 +22,7 @@ __all__ = ["Fit", "fit"]
 
 
 class Fit:
-    """Constants of a scene as determined by a log.
+    """Constants of a scene as determined by a log or a table.
 
     Attributes
     ----------
@@ -33,6 +37,11 @@ class Fit:
     def verdicts(self) -> list[str]:
         """Sentences on determined and undetermined constants, and on the next measurement."""
         return verdicts(self.fitted)
+
+    @property
+    def laws(self) -> tuple[LawMisfit, ...]:
+        """Misfits of the cutting laws to a table of steady loads; empty for a log."""
+        return self.fitted.laws if isinstance(self.fitted, TableFit) else ()
 
     def to_pandas(self) -> "pandas.DataFrame":
         """Return a table with a row per constant.
@@ -87,7 +96,11 @@ def fit(
     max_memory_GB: float | None = None,
     progress: Bar = None,
 ) -> Fit:
-    """Find the constants of a scene's material from a measured log of poses and forces.
+    """Find the constants of a scene's material from a measured log, or from steady loads.
+
+    A log holds poses and forces over time. A table of steady loads holds the thrust and the torque
+    of a drill by feed and speed. The columns of the file show which of both it is. For a table, the
+    fit reports which cutting laws the table rejects.
 
     Parameters
     ----------
@@ -95,12 +108,15 @@ def fit(
         Scene with the tissue and the tool of the log. The log's poses, in the scene's frame,
         replace its motion.
     measured
-        CSV, Parquet, HDF5, .mat or .npz file; a run's own trace needs no columns.
+        CSV, Parquet, HDF5, .mat or .npz file; a run's own trace needs no columns. A table has the
+        feed (``feed_mm_min`` or ``feed_mm_s`` with ``spin_rpm``, or ``feed_mm_per_turn``), the
+        loads (``thrust_N``, ``torque_Nmm`` or ``torque_Nm``), and possibly their standard
+        deviations (``thrust_pm_N``, ``torque_pm_Nmm`` or ``torque_pm_Nm``).
     free
         Constants to find, such as ``cutting.trabecular`` or ``cutting.edge``; by default the usual
         ones.
     columns
-        Columns with other names or units: ``{"force_x_N": "-Fx:mN"}``.
+        Columns of a log with other names or units: ``{"force_x_N": "-Fx:mN"}``.
     cores
         Processor cores to use; default all.
     max_memory_GB
@@ -111,15 +127,33 @@ def fit(
     Raises
     ------
     InputError
-        If the log cannot be read, the tool never cuts along it, or it determines no constant.
+        If the log or the table cannot be read, the tool never cuts along the log, or the log
+        determines no constant.
     """
     maps = (
         [f"{name}={column}" for name, column in columns.items()]
         if isinstance(columns, Mapping)
         else list(columns)
     )
+    path = Path(measured)
     with reporting(progress) as report:
-        report("reading the log", 0.0)
+        report("reading the measurement", 0.0)
         with memory_limit(max_memory_GB):
-            log = read_log(Path(measured), maps)
+            found = read_columns(path)
+            if is_table(found.names) and not any(each.startswith("time_s=") for each in maps):
+                _require_own_names(maps)
+                table = read_table(path, found)
+                return Fit(fit_table(scene, table, free=free, progress=report))
+            log = log_of(path, found, maps)
         return Fit(fit_scene(scene, log, free=free, cores=cores, progress=report))
+
+
+def _require_own_names(maps: Sequence[str]) -> None:
+    """Refuse other column names for a table of steady loads."""
+    if maps:
+        raise InputError(
+            "column",
+            "be left out for a table of steady loads",
+            maps[0],
+            "rename the columns in the file",
+        )

@@ -29,6 +29,7 @@ __all__ = [
     "draw_measured",
     "draw_residuals",
     "draw_sobol",
+    "draw_table",
 ]
 
 MEASURED = "0.55"
@@ -117,6 +118,47 @@ def draw_measured(
 
 
 @styled
+def draw_table(
+    feeds_mm: Array,
+    measured: Array,
+    simulated: Array,
+    scatter: Array | None,
+    channels: Sequence[str],
+    path: Path,
+) -> None:
+    """Draw measured and simulated steady loads by feed per turn.
+
+    Parameters
+    ----------
+    feeds_mm
+        Feed per turn [mm], shape (n,).
+    measured, simulated, scatter
+        Loads and their standard deviation, shape (n, channels). The scatter may be None.
+    channels
+        Names with units, such as ``force_z_N``.
+    path
+        File to write.
+    """
+    chart, panels = panelled(
+        "measured and simulated loads", (8.0, 3.4), 1, len(channels), sharex=True
+    )
+    order = np.argsort(feeds_mm)
+    for at, (name, axes) in enumerate(zip(channels, panels, strict=True)):
+        bars = None if scatter is None else scatter[:, at]
+        look = {"fmt": "o", "color": MEASURED, "markersize": 5.0}
+        axes.errorbar(feeds_mm, measured[:, at], bars, label="measured", **look)
+        fitted = {"color": SIMULATED, "marker": ".", "label": "fitted"}
+        axes.plot(feeds_mm[order], simulated[order, at], **fitted)
+        what = "torque / N m" if name.endswith("Nm") else "thrust / N"
+        axes.set(xlabel="feed per turn / mm", ylabel=what)
+    legend_above(panels[0], 2)
+    plain(panels)
+    for axes in panels:
+        axes.set(xlim=(0.0, 1.05 * feeds_mm.max()), ylim=(0.0, None))
+    save(chart, path)
+
+
+@styled
 def draw_residuals(innovations: Array, correlations: Array, freedom: float, path: Path) -> None:
     """Draw the distribution of innovations over the assumed density, and the autocorrelations.
 
@@ -160,10 +202,10 @@ def draw_residuals(innovations: Array, correlations: Array, freedom: float, path
 
 
 @styled
-def draw_constants(constants: Sequence[FittedConstant], path: Path) -> None:
+def draw_constants(constants: Sequence[FittedConstant], path: Path, *, source: str = "log") -> None:
     """Draw the 90 % intervals of constants before and after the fit, with their values.
 
-    The scale is that of the cited range.
+    The scale is that of the cited range. `source` is the kind of the measurement.
     """
     chart, (axes,) = panelled("constants of the fit", (8.0, FRAME + ROW * len(constants)))
     for row, one in enumerate(constants):
@@ -178,7 +220,7 @@ def draw_constants(constants: Sequence[FittedConstant], path: Path) -> None:
             f"{value:.3g} ({least:.3g} to {most:.3g}) {one.unit}"
             for least, value, most in (one.cited, one.fitted)
         )
-        lines = found if one.is_identified else "not narrowed by this log", f"cited {cited}"
+        lines = found if one.is_identified else f"not narrowed by this {source}", f"cited {cited}"
         # two lines of text within a row of height 1
         for shift, line, look in zip((-0.2, 0.22), lines, (colour, "0.45"), strict=True):
             across = axes.get_yaxis_transform()

@@ -1,0 +1,342 @@
+"""Comparison of cutting laws by a table of steady loads.
+
+Each law is fitted by maximum likelihood, without priors. At a given exponent of the size effect,
+thrust and torque are each linear in a chip and an edge coefficient. With the scatter of the rows,
+the sum of squares follows the chi-square law. Its degrees of freedom are the number of loads less
+the number of constants, without those at their end of 0.
+
+A steady load of one drill has the same form with and without a chisel edge: a chip term plus an
+edge term. Free coefficients absorb the factor between both drills, so the maximum likelihood does
+not distinguish them. A second misfit takes the cited ranges as priors: the smallest sum of squared
+errors and squared standard normal numbers. If all were linear, its degrees of freedom would be the
+number of loads.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares, minimize_scalar, nnls
+from scipy.stats import chi2
+
+from meshes.base.arrays import Array
+from tissue.fitting.cutting import CuttingForward
+from tissue.fitting.table import SteadyTable, TableTarget, table_forward
+from tissue.scene.scene import Scene
+from tissue.simulation.load_record import SENSITIVITIES
+
+__all__ = ["REJECTED", "LawMisfit", "MaximumLikelihood", "compared_laws", "law_sentences"]
+
+
+REJECTED = 0.05
+"""Probability of a larger misfit below which a law is rejected."""
+TORQUE = ("tangential_chip_Pa", "tangential_edge_N_m")
+THRUST = ("radial_chip_Pa", "radial_edge_N_m")
+"""Coefficients that a maximum-likelihood fit finds for each load: chip and edge.
+
+The axial coefficients reduce the thrust in proportion to the radial ones. The coefficients of the
+thrust are therefore differences of both, and may have any sign. The others are 0 or above.
+"""
+TYPICAL = np.array([1e8, 1e3])
+"""Units of these coefficients [Pa, N/m], in which their effects are alike."""
+EXPONENTS = np.linspace(0.0, 0.9, 19)
+"""Exponents of the size effect from which the search begins."""
+PRECISION = 1e-4
+"""Precision of the exponent."""
+ALIKE = (
+    "free coefficients absorb the difference between a chisel edge and a simple drill, which fit "
+    "the table equally well"
+)
+NO_EFFECT = 1e-6
+"""Singular value, relative to the largest, below which a combination has no effect on the loads."""
+LEAST_RESIDUAL = 1e-9
+"""Root mean square residual, relative to the mean load, that stands in for an exact fit."""
+
+
+@dataclass(frozen=True)
+class LawMisfit:
+    """Misfit of one cutting law to a table.
+
+    Attributes
+    ----------
+    has_size_effect
+        True for a free exponent m and a minimum chip thickness, False for the law that is linear in
+        the chip thickness and has its edge force at any thickness.
+    has_chisel
+        True for a drill with a chisel edge, False for lips that reach the axis.
+    constants
+        Number of constants of the maximum-likelihood fit, without the scatter.
+    size_exponent
+        Its exponent m.
+    chi_square, freedom, p
+        Its sum of squares over the scatter, the degrees of freedom, and the probability of a larger
+        sum. None without a scatter or without degrees of freedom.
+    aic
+        Akaike's information criterion, up to a constant that all laws of a table share. None
+        without a scatter where the rows are so few that the law could fit one load exactly.
+    left_out
+        Error of each row as predicted from the other rows, relative to its loads (root mean
+        square). None if the other rows do not determine the constants.
+    cited_chi_square, cited_p
+        Sum of squares with the cited ranges as priors, and the probability of a larger sum. None
+        without a scatter.
+    """
+
+    has_size_effect: bool
+    has_chisel: bool
+    constants: int
+    size_exponent: float
+    chi_square: float | None
+    freedom: int
+    p: float | None
+    aic: float | None
+    left_out: float | None
+    cited_chi_square: float | None
+    cited_p: float | None
+
+    @property
+    def law(self) -> str:
+        """The law in words, without the drill."""
+        return "law with a size effect" if self.has_size_effect else "linear law"
+
+    @property
+    def name(self) -> str:
+        """The law and the drill in words."""
+        return f"{self.law}, {'chisel edge' if self.has_chisel else 'simple drill'}"
+
+
+def compared_laws(scene: Scene, table: SteadyTable) -> tuple[LawMisfit, ...]:
+    """Return the misfit of the linear law and of the size effect, each for both drills.
+
+    Parameters
+    ----------
+    scene
+        A block of bone and a drill, see `tissue.fitting.table.table_forward`. The chisel edge has
+        the scene's ``tool.web_mm``, or its default if that is 0.
+    table
+        Measured loads.
+    """
+    found = []
+    for has_size_effect, has_chisel in product((False, True), (False, True)):
+        changed = _with_law(scene, has_size_effect=has_size_effect, has_chisel=has_chisel)
+        forward = table_forward(changed, table)
+        fit = MaximumLikelihood(forward, table, has_size_effect=has_size_effect)
+        cited = _cited_chi_square(forward, table)
+        found.append(
+            LawMisfit(
+                has_size_effect,
+                has_chisel,
+                fit.constants,
+                fit.exponent,
+                fit.chi_square,
+                fit.freedom,
+                fit.p,
+                fit.aic,
+                fit.left_out(),
+                cited,
+                _probability(cited, table.loads.size),
+            )
+        )
+    return tuple(found)
+
+
+def _probability(chi_square: float | None, freedom: int) -> float | None:
+    """Return the probability of a larger sum of squares."""
+    if chi_square is None or freedom < 1:
+        return None
+    return float(chi2.sf(chi_square, freedom))
+
+
+def _with_law(scene: Scene, *, has_size_effect: bool, has_chisel: bool) -> Scene:
+    """Return a scene with one of the laws and one of the drills."""
+    web_mm = (getattr(scene.tool, "web_mm", None) or None) if has_chisel else 0.0
+    minimum = scene.cutting.minimum_chip_um or None
+    changes = {"size_exponent": None, "minimum_chip_um": minimum}
+    if not has_size_effect:
+        changes = {"size_exponent": 0.0, "minimum_chip_um": 0.0}
+    return scene.model_copy(
+        update={
+            "tool": scene.tool.model_copy(update={"web_mm": web_mm}),
+            "cutting": scene.cutting.model_copy(update=changes),
+        }
+    )
+
+
+def _cited_chi_square(forward: CuttingForward, table: SteadyTable) -> float | None:
+    """Return the smallest sum of squares with the cited ranges as priors."""
+    if table.scatter is None:
+        return None
+    target = TableTarget(forward, table)
+    others = np.zeros(target.size - target.constants)
+
+    def errors(z: Array) -> Array:
+        simulated = target.simulated(np.concatenate([z, others]))
+        return np.concatenate([(simulated - target.log.values).ravel(), z])
+
+    def slopes(z: Array) -> Array:
+        _, moved = target.linearised(np.concatenate([z, others]))
+        by_z = moved[:, :, : target.constants].reshape(-1, target.constants)
+        return np.concatenate([by_z, np.eye(target.constants)])
+
+    # A constant whose cited value is an end of its range stays on its side of that value.
+    lowest = np.where(target.sides > 0.0, 0.0, -np.inf)
+    highest = np.where(target.sides < 0.0, 0.0, np.inf)
+    # The search would stall on a bound, so it starts inside of them.
+    found = least_squares(errors, 0.5 * target.sides, jac=slopes, bounds=(lowest, highest))
+    return 2.0 * float(found.cost)
+
+
+class MaximumLikelihood:
+    """Maximum-likelihood fit of one law to a table.
+
+    Parameters
+    ----------
+    forward
+        Loads of the rows over their units.
+    table
+        Measured loads.
+    has_size_effect
+        Whether the exponent is free.
+
+    Attributes
+    ----------
+    constants, exponent, chi_square, freedom, p, aic
+        As in `LawMisfit`.
+    """
+
+    def __init__(
+        self, forward: CuttingForward, table: SteadyTable, *, has_size_effect: bool
+    ) -> None:
+        self._forward = forward
+        self._places = [forward.channels.index(name) for name in table.channels]
+        self._coefficients = [
+            TORQUE if name.startswith("torque") else THRUST for name in table.channels
+        ]
+        self._values = table.loads / table.units
+        self._has_scatter = table.scatter is not None
+        self._exponents = EXPONENTS if has_size_effect else EXPONENTS[:1]
+        self._designs: dict[float, Array] = {}
+        misfit, self.exponent, found = self._fitted(np.arange(len(self._values)))
+        designs = list(zip(self._design(0.0), found, strict=True))
+        ranks = [_rank(columns) for columns, _ in designs]
+        self.constants = sum(ranks) + has_size_effect
+        # A constant at its end, 0, fits nothing.
+        free = sum(_rank(columns[:, each != 0.0]) for columns, each in designs)
+        self.freedom = self._values.size - free - (self.exponent > 0.0)
+        self.chi_square = misfit if self._has_scatter else None
+        self.p = _probability(self.chi_square, self.freedom)
+        self.aic: float | None = misfit + 2.0 * self.constants
+        if not self._has_scatter:
+            # The size of the errors is one more constant for each load.
+            self.aic += 2.0 * len(ranks)
+            if len(self._values) <= max(ranks) + has_size_effect:
+                self.aic = None
+
+    def left_out(self) -> float | None:
+        """Return the relative error of each row as predicted from the other rows."""
+        rows = np.arange(len(self._values))
+        if (len(rows) - 1) * len(self._places) < self.constants:
+            return None
+        errors = []
+        for row in rows.tolist():
+            _, exponent, found = self._fitted(rows[rows != row])
+            predicted = np.sum(self._design(exponent)[:, row] * found, axis=1)
+            errors.append(predicted / self._values[row] - 1.0)
+        return float(np.sqrt(np.mean(np.square(errors))))
+
+    def _fitted(self, rows: NDArray[np.intp]) -> tuple[float, float, Array]:
+        """Return the smallest misfit of some rows, its exponent and its coefficients."""
+
+        def misfit(exponent: float) -> float:
+            return self._solved(exponent, rows)[0]
+
+        best = float(min(self._exponents.tolist(), key=misfit))
+        if len(self._exponents) > 1:
+            step = float(EXPONENTS[1])
+            search = minimize_scalar(
+                misfit,
+                bounds=(max(best - step, 0.0), min(best + step, float(EXPONENTS[-1]))),
+                method="bounded",
+                options={"xatol": PRECISION},
+            )
+            best = min(best, float(search.x), key=misfit)
+        smallest, found = self._solved(best, rows)
+        return smallest, best, found
+
+    def _solved(self, exponent: float, rows: NDArray[np.intp]) -> tuple[float, Array]:
+        """Return minus twice the log likelihood, up to a constant, and the coefficients.
+
+        The coefficients of each load have shape (channels, 2).
+        """
+        squares = np.zeros(len(self._places))
+        found = np.zeros((len(self._places), len(TYPICAL)))
+        for at, columns in enumerate(self._design(exponent)[:, rows]):
+            values = self._values[rows, at]
+            if self._coefficients[at] is TORQUE:
+                found[at] = nnls(columns, values)[0]
+            else:
+                found[at] = np.linalg.lstsq(columns, values, rcond=NO_EFFECT)[0]
+            squares[at] = np.sum((values - columns @ found[at]) ** 2)
+        if self._has_scatter:
+            return float(squares.sum()), found
+        variances = np.maximum(squares / len(rows), LEAST_RESIDUAL**2)
+        return float(len(rows) * np.log(variances).sum()), found
+
+    def _design(self, exponent: float) -> Array:
+        """Return the loads over their units by their coefficients, shape (channels, n, 2).
+
+        The coefficients are in units of `TYPICAL`.
+        """
+        if exponent not in self._designs:
+            coefficients = replace(self._forward.coefficients[0], size_exponent=exponent)
+            slopes = self._forward.record.jacobian((coefficients,))
+            columns = [
+                slopes[:, place, 0][:, [SENSITIVITIES.index(name) for name in names]] * TYPICAL
+                for place, names in zip(self._places, self._coefficients, strict=True)
+            ]
+            self._designs[exponent] = np.stack(columns)
+        return self._designs[exponent]
+
+
+def _rank(columns: Array) -> int:
+    """Return the number of independent columns."""
+    if not columns.any():
+        return 0
+    return int(np.linalg.matrix_rank(columns / np.abs(columns).max(), rtol=NO_EFFECT))
+
+
+def _ranking(laws: Sequence[LawMisfit]) -> str:
+    """Return the order of laws by AIC, in words."""
+    known = [(each.aic, each.law) for each in laws if each.aic is not None]
+    if len(known) < len(laws):
+        return "the rows are too few to rank the laws"
+    (smallest, best), *others = sorted(known)
+    gaps = ", ".join(f"{law} (AIC {aic - smallest:+.1f})" for aic, law in others)
+    return f"by AIC the {best} comes before the {gaps}"
+
+
+def law_sentences(laws: Sequence[LawMisfit]) -> list[str]:
+    """Return sentences on which laws a table rejects."""
+    if not laws:
+        return []
+    ranking = _ranking(laws[::2])
+    if laws[0].cited_p is None:
+        return [f"the table states no scatter, so it rejects no law; {ranking}", ALIKE]
+    found = []
+    for each in laws[::2]:
+        if each.p is None:
+            found.append(f"{each.law}: not tested, it has as many constants as the table has loads")
+            continue
+        verdict = "rejected with any coefficients" if each.p < REJECTED else "not rejected"
+        found.append(
+            f"{each.law}: {verdict}, chi-square {each.chi_square:.3g} with {each.freedom} degrees "
+            f"of freedom, p = {each.p:.2g}"
+        )
+    wrong = [each.name for each in laws if each.cited_p is not None and each.cited_p < REJECTED]
+    if wrong:
+        found.append(f"rejected with coefficients in their cited ranges: {'; '.join(wrong)}")
+    else:
+        found.append("no law is rejected with coefficients in their cited ranges")
+    return [*found, ranking, ALIKE]

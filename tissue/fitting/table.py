@@ -1,0 +1,297 @@
+"""Tables of steady loads on a drill, by feed and speed, and their part in a fit."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+from scipy.sparse import csr_array, eye_array
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from tissue.fitting.cutting import CuttingForward, forward_of
+from tissue.fitting.log_files import LogColumns
+from tissue.fitting.problem import MeasuredLoads
+from tissue.fitting.target import Target, Unpacked
+from tissue.models.bone.elements import THICKEST_M
+from tissue.models.bone.engagement import DensityNodes, plunge_unit_loads
+from tissue.scene.anatomy import BlockAnatomy
+from tissue.scene.scene import Scene
+from tissue.scene.tool import Tool
+from tissue.simulation.builders.cutting import cutter_of
+from tissue.simulation.load_record import LayerLoads, LoadRecord
+from tissue.simulation.trace import Table
+
+__all__ = ["SteadyTable", "TableTarget", "is_table", "read_table", "table_forward"]
+
+
+FEEDS = ("feed_mm_min", "feed_mm_s", "feed_mm_per_turn")
+SPIN = "spin_rpm"
+LOADS = {
+    "thrust_N": ("force_z_N", 1.0),
+    "torque_Nm": ("torque_z_Nm", 1.0),
+    "torque_Nmm": ("torque_z_Nm", 1e-3),
+}
+"""Loads that a table may hold: channel of the engine, and factor to SI."""
+SCATTERS = {name: name.replace("_", "_pm_") for name in LOADS}
+"""Columns of the scatter of each load: one standard deviation."""
+COLUMNS = (*FEEDS, SPIN, *LOADS, *SCATTERS.values())
+FEWEST_ROWS = 2
+DRILL = "twist-drill"
+LAYER = "bone"
+"""Layer of a block."""
+NORMAL = 1e6
+"""Degrees of freedom at which Student's law is the normal law."""
+
+
+@dataclass(frozen=True, eq=False)
+class SteadyTable:
+    """Steady loads on a drill that is pushed along its axis into bone.
+
+    Attributes
+    ----------
+    path
+        File.
+    feeds_per_turn_m
+        Feed per turn of each row [m], shape (n,).
+    loads
+        Thrust [N] and torque [N m], as far as they were measured, shape (n, channels).
+    scatter
+        Standard deviation of each load, shape (n, channels). None if the table has no scatter.
+    names, channels
+        Names of the loads in the table, and of the channels of the engine.
+    notes
+        Findings and assumptions, in sentences.
+    """
+
+    path: Path
+    feeds_per_turn_m: Array
+    loads: Array
+    scatter: Array | None
+    names: tuple[str, ...]
+    channels: tuple[str, ...]
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def units(self) -> Array:
+        """Divisors of the loads, shape (n, channels).
+
+        They are the scatter, or without a scatter the mean of each load.
+        """
+        if self.scatter is not None:
+            return self.scatter
+        return np.broadcast_to(self.loads.mean(axis=0), self.loads.shape)
+
+
+class SteadyLoads(MeasuredLoads):
+    """Loads of the rows of a table, each over its unit."""
+
+    fewest: ClassVar[int] = FEWEST_ROWS
+
+
+def is_table(names: Sequence[str]) -> bool:
+    """Return whether columns are those of a table of steady loads: no times, but a feed or thrust.
+
+    A file with a column ``time_s`` is a log.
+    """
+    return "time_s" not in names and bool({*FEEDS, *LOADS} & set(names))
+
+
+def read_table(path: Path, found: LogColumns) -> SteadyTable:
+    """Read a table of steady loads from the columns of a file.
+
+    Parameters
+    ----------
+    path
+        The file, for messages.
+    found
+        Its columns. The feed is ``feed_mm_min`` or ``feed_mm_s``, each with ``spin_rpm``, or
+        ``feed_mm_per_turn``. The loads are ``thrust_N`` and ``torque_Nmm`` or ``torque_Nm``, at
+        least one of both. The scatter, one standard deviation, is ``thrust_pm_N`` and so on.
+
+    Raises
+    ------
+    InputError
+        If a column is missing or unknown, or a number is not above zero.
+    """
+
+    def refuse(requirement: str, value: str, remedy: str) -> InputError:
+        return InputError("measured", requirement, f"{value} in {path.name}", remedy)
+
+    if unknown := [name for name in found.names if name not in COLUMNS]:
+        raise refuse(
+            f"hold columns named {', '.join(COLUMNS)}",
+            ", ".join(unknown[:12]),
+            "rename these columns or leave them out",
+        )
+    feeds = [name for name in FEEDS if name in found.names]
+    if len(feeds) != 1:
+        raise refuse(
+            f"hold one column of {', '.join(FEEDS)}",
+            " and ".join(feeds) or "none",
+            "state the feed once",
+        )
+    if feeds[0] != FEEDS[2] and SPIN not in found.names:
+        raise refuse(f"hold {SPIN} with {feeds[0]}", "none", f"add it, or give {FEEDS[2]}")
+    names = tuple(name for name in LOADS if name in found.names)
+    channels = tuple(LOADS[name][0] for name in names)
+    if not names or len(set(channels)) < len(channels):
+        raise refuse(
+            "hold thrust_N, and torque_Nmm or torque_Nm, or one of both",
+            " and ".join(names) or "neither",
+            "state each load once",
+        )
+    scattered = tuple(load for load, name in SCATTERS.items() if name in found.names)
+    if scattered and scattered != names:
+        raise refuse(
+            "hold the scatter of each load in the load's unit, or of none",
+            ", ".join(SCATTERS[load] for load in scattered),
+            f"give {' and '.join(SCATTERS[load] for load in names)}",
+        )
+
+    def positive(name: str) -> Array:
+        values = found.numbers(name)
+        wrong = np.flatnonzero(~(np.isfinite(values) & (values > 0.0)))
+        if len(wrong):
+            value = f"{values[wrong[0]]:g} in row {wrong[0] + 1}"
+            raise refuse(f"hold numbers above 0 as {name}", value, "correct or remove that row")
+        return values
+
+    columns = {name: positive(name) for name in found.names}
+    feeds_mm = columns[feeds[0]]
+    if len(feeds_mm) < FEWEST_ROWS:
+        raise refuse(
+            f"hold {FEWEST_ROWS} rows or more", "1 row", "add rows of other feeds or speeds"
+        )
+    if feeds[0] == "feed_mm_min":
+        feeds_mm = feeds_mm / columns[SPIN]
+    elif feeds[0] == "feed_mm_s":
+        feeds_mm = 60.0 * feeds_mm / columns[SPIN]
+    factors = np.array([LOADS[name][1] for name in names])
+    scatter = None
+    if scattered:
+        scatter = factors * np.column_stack([columns[SCATTERS[name]] for name in names])
+    return SteadyTable(
+        path,
+        1e-3 * feeds_mm,
+        factors * np.column_stack([columns[name] for name in names]),
+        scatter,
+        names,
+        channels,
+        found.notes,
+    )
+
+
+def table_forward(scene: Scene, table: SteadyTable, free: Sequence[str] = ()) -> CuttingForward:
+    """Return the loads of a table's rows by the free constants, each over its unit.
+
+    A row takes the place of a recorded tick.
+
+    Parameters
+    ----------
+    scene
+        A block of bone and a drill. Its motion, device and spin are ignored.
+    table
+        Measured loads.
+    free
+        Free constants, see `tissue.fitting.cutting.cutting_forward`.
+
+    Raises
+    ------
+    InputError
+        If the scene has no block of bone or no drill, the chips are thicker than the drill, or
+        `free` names an unknown constant.
+    """
+    tool = scene.tool
+    if not isinstance(tool, Tool) or tool.kind != DRILL:
+        raise InputError(
+            "tool.kind",
+            f"be {DRILL} for a table of steady loads",
+            tool.kind,
+            f"use --set tool.kind={DRILL} with the drill's sizes",
+        )
+    if not isinstance(scene.anatomy, BlockAnatomy):
+        raise InputError(
+            "anatomy.kind",
+            "be block, a block of bone of one density, for a table of steady loads",
+            scene.anatomy.kind,
+            "use a scene such as milling",
+        )
+    # Spin and length have no effect on steady loads at a feed per turn. A short drill has few
+    # elements besides those of its point.
+    length_mm = 2.0 * tool.diameter_mm
+    cutter = cutter_of(tool.model_copy(update={"spin_rpm": 1000.0, "length_mm": length_mm}))
+    thickest_m = float(table.feeds_per_turn_m.max()) / cutter.flute_count
+    if thickest_m > cutter.profile.radius_m:
+        raise InputError(
+            "measured",
+            f"hold feeds below the drill's radius per tooth ({tool.diameter_mm / 2.0:g} mm)",
+            f"{1e3 * thickest_m:.3g} mm in {table.path.name}",
+            f"give the unit of the feed by the name of its column, one of {', '.join(FEEDS)}",
+        )
+    notes = table.notes
+    if thickest_m > THICKEST_M:
+        notes += (
+            f"the largest feed is {1e3 * thickest_m:.2g} mm per tooth, but the cutting law holds "
+            f"up to {1e3 * THICKEST_M:g} mm",
+        )
+    chips_m, unit = plunge_unit_loads(cutter, table.feeds_per_turn_m)
+    places = [at for at, name in enumerate(CuttingForward.channels) if name in table.channels]
+    unit[..., places] /= table.units
+    density = round(scene.anatomy.density_kg_m3)
+    rows = np.arange(len(table.feeds_per_turn_m), dtype=np.float64)
+    record = LoadRecord(
+        scene=scene,
+        times_s=rows,
+        layer_names=(LAYER,),
+        layers={0: LayerLoads(DensityNodes.of(density, density), chips_m, unit)},
+        engaged_m2=np.full((len(rows), 1), cutter.cutting_area_m2),
+        trace=Table((), np.zeros((len(rows), 0))),
+        notes={},
+    )
+    return replace(forward_of(scene, record, free), notes=notes)
+
+
+class TableTarget(Target):
+    """Log density of constants given a table: independent normal errors of its rows.
+
+    The standard deviation is the scatter, or without a scatter a free number for each load. The
+    offset, the biases, and the correlation and the tails of the noise have no effect, so that they
+    stay at their priors.
+    """
+
+    def __init__(self, forward: CuttingForward, table: SteadyTable) -> None:
+        measured = SteadyLoads(forward.times_s, table.loads / table.units, table.channels)
+        super().__init__(forward, measured)
+        self._has_scatter = table.scatter is not None
+
+    def unpacked(self, u: Array) -> Unpacked:
+        """See `Target`."""
+        count = len(self.log.channels)
+        scale = np.ones(count) if self._has_scatter else super().unpacked(u).scale
+        still = np.zeros(count)
+        return Unpacked(u[: self.constants], 0.0, still, scale, still, np.full(count, NORMAL))
+
+    def linearised(self, u: Array) -> tuple[Array, Array]:
+        """See `Target`."""
+        simulated, moved = super().linearised(u)
+        moved[:, :, self.constants :] = 0.0
+        return simulated, moved
+
+    def noise_gradient(
+        self, each: Unpacked, by_log_scale: Array, by_correlation: Array, by_freedom: Array
+    ) -> Array:
+        """See `Target`."""
+        found = super().noise_gradient(each, by_log_scale, by_correlation, by_freedom)
+        found[len(self.log.channels) :] = 0.0
+        return found
+
+    def _by_noise(self, each: Unpacked) -> Array:
+        if self._has_scatter:
+            return np.zeros(len(self.log.channels))
+        return super()._by_noise(each)
+
+    def _shifted(self, offset_s: float) -> tuple[csr_array, csr_array]:
+        rows = len(self.forward.times_s)
+        return csr_array(eye_array(rows)), csr_array((rows, rows))
