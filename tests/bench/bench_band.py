@@ -133,18 +133,15 @@ STRAIGHT_DOWN = {
 class Windows:
     """Loads of a scene in parts of its run.
 
-    They are computed at the cited constants and in samples of all constants that are not fixed.
+    They are computed at the cited constants and in samples of all constants.
     """
 
-    def __init__(self, name, changes, fixed=""):
+    def __init__(self, name, changes):
         self.reweighed = Reweighed(record_loads(load_scene(name, changes), cores=1))
         ranges = self.reweighed.ranges
         self.trace = self.reweighed.record.trace
         self.nominal = self.reweighed.weights(self.reweighed.nominal()[None])
         values = ranges.x(normals(COUNT, len(ranges.names), seed=0))
-        for column, (each, prior) in enumerate(zip(ranges.names, ranges.priors, strict=True)):
-            if fixed and fixed in each:
-                values[:, column] = prior.value
         self.weights = self.reweighed.weights(values)
 
     def loads(self, ticks):
@@ -182,8 +179,6 @@ def published():
     late = np.arange(1000)[-120:-60]
     glenoid.show("glenoid at 2 mm: thrust / N", late, lambda loads: loads[:, 2])
     glenoid.show("glenoid at 2 mm: torque / N m", late, lambda loads: loads[:, 5])
-    flat = Windows("glenoid", NEAR_2_MM, fixed="axial")
-    flat.show("glenoid at 2 mm, axial coefficients 0: thrust / N", late, lambda loads: loads[:, 2])
     molar = Windows("molar", STRAIGHT_DOWN)
     for layer in ("enamel", "dentin"):
         ticks = middle_half(np.flatnonzero(molar.trace["layer"] == layer))

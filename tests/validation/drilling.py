@@ -4,12 +4,12 @@ Every ring of the point at a radius r with the width dr cuts N dr / sin(k) of ed
 between the axis and the outline (90 degrees on the chisel edge). With f the feed per turn::
 
     h = f / N sin(k)
-    thrust = integral N [(K_rc c + K_re e) F_r - (K_ac c + K_ae e) / sin(k)] dr
+    thrust = integral N (K_rc c + K_re e) F_r dr
     torque = integral N (K_tc c + K_te e) F_t r / sin(k) dr
 
 c is the effective chip thickness and e the share of the edge force, functions of h. F_t and F_r are
-the factors of `tissue.cutters.drill_point`. All coefficients scale with the density. Lengths in mm,
-forces in N.
+the factors of `tissue.cutters.drill_point`. All coefficients scale with the density. Axial
+coefficients are cited as 0 without a range and left out. Lengths in mm, forces in N.
 """
 
 from dataclasses import dataclass, replace
@@ -43,7 +43,9 @@ SEED = 40
 FLUTES = 2
 RINGS = 48
 """Rings on the lips. The thrust changes by less than 0.1 % with twice as many."""
-NAMES = tuple(name for name in constants("cutting", "bone") if name != "reference_chip_um")
+UNUSED = ("axial_chip_N_mm2", "axial_edge_N_mm", "reference_chip_um")
+"""Constants of bone without a range. The axial ones are 0."""
+NAMES = tuple(name for name in constants("cutting", "bone") if name not in UNUSED)
 GEOMETRY = {
     "web_share": Prior(0.18, 0.12, 0.23),
     "helix_deg": Prior(30.0, 20.0, 40.0),
@@ -221,11 +223,9 @@ def drill_loads(
         unit = "N_mm2" if name == "chip" else "N_mm"
         radial = law[f"radial_{name}_{unit}"]
         tangential = law[f"tangential_{name}_{unit}"]
-        axial = law[f"axial_{name}_{unit}"]
         pushed = radial * (width * each * point.factors[..., 1]).sum(axis=1)
-        pulled = axial * (width * each / point.sine).sum(axis=1)
         turned = tangential * (width * each * point.factors[..., 0] * arm / point.sine).sum(axis=1)
-        parts[f"thrust_{name}"] = strength * (pushed - pulled)
+        parts[f"thrust_{name}"] = strength * pushed
         parts[f"torque_{name}"] = strength * turned
     return Loads(**parts)
 

@@ -70,8 +70,6 @@ def _with_bands(
     for each in chosen:
         bottom = max(each.band[0], lowest)
         ax.plot([each.measured] * 2, [bottom, each.band[1]], color=colour, linewidth=1)
-        inner = [max(each.without_axial[0], lowest), each.without_axial[1]]
-        ax.plot([each.measured] * 2, inner, color=colour, linewidth=3, alpha=0.45)
         if each.low is not None:
             ax.plot([each.low, each.high], [each.predicted] * 2, color=colour, linewidth=1)
     measured = [each.measured for each in chosen]

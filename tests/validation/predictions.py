@@ -42,8 +42,6 @@ class Compared:
         Prediction at the cited constants.
     band
         Ends of the 90 % band over the ranges.
-    without_axial
-        Ends of the band with the axial coefficients at their cited value of 0.
     """
 
     label: str
@@ -53,17 +51,11 @@ class Compared:
     high: float | None
     predicted: float
     band: tuple[float, float]
-    without_axial: tuple[float, float]
 
     @property
     def inside(self) -> bool:
         """Whether the band contains the measured value."""
         return self.band[0] <= self.measured <= self.band[1]
-
-    @property
-    def inside_without_axial(self) -> bool:
-        """Whether the band without axial coefficients contains the measured value."""
-        return self.without_axial[0] <= self.measured <= self.without_axial[1]
 
     @property
     def error(self) -> float:
@@ -86,11 +78,6 @@ class Drawn:
     point: drilling.Point
     unknown: dict[str, Array]
     z: Array | None = None
-
-    def without_axial(self) -> "Drawn":
-        """Return the samples with the axial coefficients at 0."""
-        law = self.law.changed(axial_chip_N_mm2=0.0, axial_edge_N_mm=0.0)
-        return Drawn(law, self.point, self.unknown, self.z)
 
 
 @cache
@@ -158,7 +145,6 @@ def _of_rows(data: DataSet) -> list[Compared]:
     for row in data.rows:
         at_centre = row_loads(data, row, centre)
         over = row_loads(data, row, spread)
-        free = row_loads(data, row, spread.without_axial())
         for quantity, unit, value, pm in measured_of(row):
             name = f"{quantity}_{unit}"
             found.append(
@@ -170,7 +156,6 @@ def _of_rows(data: DataSet) -> list[Compared]:
                     None if pm is None else value + pm,
                     float(getattr(at_centre, name)[0]),
                     _ends(getattr(over, name)),
-                    _ends(getattr(free, name)),
                 )
             )
     return found
@@ -333,7 +318,6 @@ def compared(key: str) -> tuple[Compared, ...]:
                 figure.high,
                 float(formula(data, figure, nominal(data))[0]),
                 _ends(formula(data, figure, spread)),
-                _ends(formula(data, figure, spread.without_axial())),
             )
         )
     return tuple(found)

@@ -11,6 +11,8 @@ from predictions import compared, fitted, ratios
 from published import DATA, ORDER, data_sets
 from report import controlled, ratio_errors, set_is_inside, variant_errors
 
+from tissue.materials.constants import constants
+
 pytestmark = pytest.mark.skipif(
     not all((DATA / f"{key}.toml").is_file() for key in ORDER),
     reason="the published tables of tests/validation/data are absent",
@@ -19,8 +21,9 @@ SIMPLE = "simple law, simple drill"
 EARLIER = "earlier constants, simple law, simple drill"
 OUTSIDE = {
     "macavelia2012_human",
-    "macavelia2012_artificial",
-    "porcine2014",
+    "orelaja2020_porcine",
+    "orelaja2020_artificial",
+    "dog_jaw",
     "graft_rake",
     "leucite",
     "yoshida2001",
@@ -28,7 +31,6 @@ OUTSIDE = {
     "marksman",
 }
 """Sets with a measured figure outside the band."""
-OUTSIDE_WITHOUT_AXIAL = OUTSIDE | {"orelaja2020_artificial", "abjs16047", "dog_jaw"}
 
 
 def test_every_file_is_listed_and_complete():
@@ -48,6 +50,13 @@ def test_every_file_is_listed_and_complete():
 def test_at_least_ten_sets_are_no_source_of_a_constant():
     independent = [key for key, data in data_sets().items() if data.role == "test"]
     assert len(independent) >= 10
+
+
+def test_axial_coefficients_are_zero():
+    """The closed form leaves them out."""
+    cited = constants("cutting", "bone")
+    for name in ("axial_chip_N_mm2", "axial_edge_N_mm"):
+        assert (cited[name].value, cited[name].low, cited[name].high) == (0.0, 0.0, 0.0)
 
 
 def test_closed_form_of_the_simple_drill():
@@ -163,13 +172,16 @@ def test_the_minimum_chip_does_not_matter_in_drilling():
 
 
 @pytest.mark.slow
-def test_bands_contain_the_measured_figures_of_ten_sets():
-    """Of 18 sets that are no source, ten lie inside their bands: 56 %, short of the goal of 80 %."""
+def test_bands_contain_the_measured_figures_of_nine_sets():
+    """Of 18 sets that are no source, nine lie inside their bands: 50 %, short of the goal of 80 %.
+
+    Without the two sets that bound ranges it is eight of 16.
+    """
     tests = [key for key, data in data_sets().items() if data.role != "source"]
     assert len(tests) == 18
     assert {key for key in tests if not set_is_inside(key)} == OUTSIDE
-    outside = {key for key in tests if not set_is_inside(key, without_axial=True)}
-    assert outside == OUTSIDE_WITHOUT_AXIAL
+    free = [key for key in tests if data_sets()[key].role == "test"]
+    assert (len(free), sum(map(set_is_inside, free))) == (16, 8)
     figures = [each.inside for key in tests for each in compared(key)]
     assert sum(figures) >= 37
 
