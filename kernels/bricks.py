@@ -34,7 +34,7 @@ __all__ = [
     "voxel_row",
 ]
 
-BRICK = 8
+BRICK = 8  # voxels along an edge; three bits of a coordinate are the place in its brick
 BRICK_VOXELS = BRICK**3
 corner8i = wp.types.vector(length=8, dtype=wp.int32)
 corner8f = wp.types.vector(length=8, dtype=wp.float32)

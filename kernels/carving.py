@@ -27,7 +27,7 @@ __all__ = ["BINARY", "COUNT", "EVERY_SIDE", "FIRST", "ORIGIN", "PHASES", "PLAN",
 
 wp.set_module_options({"enable_backward": False})
 
-PHASES = 16
+PHASES = 16  # a power of two: the remainder is one instruction
 FIRST, COUNT, BINARY, EVERY_SIDE, ORIGIN, TURNED, PLAN = 0, 1, 2, 3, 4, 5, 6
 """Places in the plan of a launch.
 

@@ -18,7 +18,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 VOXEL_PLANES = 3
 """Number of planes a shell point may hold on voxels: the present one and two earlier ones."""
 ZERO = wp.constant(wp.float64(0.0))
-FAR = wp.constant(wp.float64(1.0e30))
+FAR = wp.constant(wp.float64(1.0e30))  # no distance yet [m]
 AHEAD = wp.constant(wp.float64(4.0))
 """Number of steps ahead at which a point is checked again.
 

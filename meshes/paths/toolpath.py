@@ -103,8 +103,10 @@ _FEED = "feed_mm_s"
 _AXIS = ("axis_x", "axis_y", "axis_z")
 _WORD = re.compile(r"([A-Za-z])\s*([-+]?(?:\d+\.?\d*|\.\d+))")
 _COMMENT = re.compile(r"\([^()]*\)|;.*")
+# G-code: G0 rapid, G1 feed, G20 inches, G21 mm, G90 absolute, G91 relative
 _MODES = {0.0: "motion", 1.0: "motion", 20.0: "unit", 21.0: "unit", 90.0: "reach", 91.0: "reach"}
 _INCH_MM = 25.4
+
 _STEP_MM = 0.5
 """Distance of points at which the depth is evaluated; in between it is at most 0.25 mm larger."""
 _MOST_POINTS = 20_000

@@ -22,7 +22,10 @@ __all__ = ["VERTEBRA", "find_pedicle"]
 
 VERTEBRA = ("vertebra", "vertebra:left", "vertebra:right")
 _WHAT = "vertebra, whose canal is a hole between a body and two pedicles"
-# Half of the diameter of the smallest accepted pedicle, and a tenth of a canal's.
+# On the synthetic vertebra, a change of one constant of the search by a fifth to a factor of ten
+# moves a site by at most 1.1 mm and 8 degrees. On vertebrae of a CT with voxels of 3 mm, such
+# changes move it by up to 9 mm.
+# Pixel of a shadow and step of a section: half of the smallest accepted pedicle's diameter.
 _PIXEL = 1e-3
 _STEP = 1e-3
 # Canals have 150 to 450 mm2; 50 to 90 % of that is seen through 17 real vertebrae.
@@ -58,9 +61,8 @@ def find_pedicle(surface: Surface, kind: str) -> FoundSite:
 
     The canal is the largest hole seen through the bone.
     """
-    # Vertebrae are shorter than 130 mm. With 7000 and 30,000 samples the site on a fine surface
-    # moves by at most 0.5 mm, on a coarse one (voxels of 3 mm) by up to 6 mm, as with any other
-    # change.
+    # Vertebrae are shorter than 130 mm. 7000 and 30,000 samples in place of 15,000 move the site by
+    # at most 0.5 mm.
     longest = max(surface.report.size_mm)
     points = _inner_points(surface)
     canal = (
@@ -99,7 +101,7 @@ def _inner_points(surface: Surface) -> Array:
     """Return points of a grid of 2 mm inside the bone, shape (n, 3)."""
     low = surface.vertices_m.min(axis=0)
     high = surface.vertices_m.max(axis=0)
-    # A hundred steps bound the number of points, 1.5 and 3 mm give the same site on a fine surface
+    # A hundred steps bound the number of points. 1.5 and 3 mm in place of 2 mm give the same site
     # within 0.5 mm.
     axes = [np.arange(a, b, max(2e-3, (b - a) / 100.0)) for a, b in zip(low, high, strict=True)]
     grid = lattice(*axes)

@@ -37,6 +37,7 @@ from meshes.tets.tetrahedra import (
 
 __all__ = ["FLAT", "SLIVER", "describe", "repair_tets", "smooth"]
 
+# limits of the table above
 _DEBRIS = 0.01
 _COINCIDENT = 1e-9
 FLAT = 1e-6

@@ -30,7 +30,7 @@ __all__ = [
 PITCH_M = 0.1e-3
 """Distance between the lattice points [m]."""
 
-_WIDEST_GAP_M = 0.3e-3
+_WIDEST_GAP_M = 0.3e-3  # see above
 _TOUCHING = [
     {"enamel", "dentin"},
     {"dentin", "pulp"},

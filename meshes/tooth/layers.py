@@ -152,8 +152,15 @@ def require_tooth_size(size_mm: float, argument: str, given: str, per_unit: floa
 
 
 _LEAST_RISE_M = 0.4e-3
-"""Smallest distance between the middles of enamel and dentin."""
+"""Smallest distance between the middles of enamel and dentin.
+
+The procedural molar has 6.3 mm, its crown without roots 2.2 mm.
+"""
 _MOST_LEANING = math.cos(math.radians(25.0))
+"""Cosine of the angle up to which a principal axis counts as the tooth's long axis.
+
+In the procedural molar it is 0 degrees, in its crown without roots 5 degrees.
+"""
 _SMOOTH_M = 0.3e-3
 _AROUND_M = 0.5e-3
 """Smoothing of the outer surface and radius of the mean normal: voxels are 0.1 to 0.15 mm."""

@@ -35,7 +35,7 @@ __all__ = [
     "surface_steps",
 ]
 
-_SMALLEST_COMPONENT = 1e-5
+_SMALLEST_COMPONENT = 1e-5  # see `cube_fraction`
 
 
 def cube_fraction(distance: Floats, normal: Floats) -> Array:
@@ -81,6 +81,7 @@ OUTSIDE = 254
 """Stored surface distance on the surface itself, and two voxels or more inside and outside it."""
 _BISECTIONS = 14
 """Halvings of the distance of a plane: 1e-4 voxels are left, a stored step is 0.016."""
+# neighbours up to (2, 1, 0) away
 _OFFSETS = np.array([o for o in np.ndindex(5, 5, 5) if 0 < sum((k - 2) ** 2 for k in o) <= 5]) - 2
 
 
@@ -253,13 +254,23 @@ _AT_ONCE = 1 << 18
 """Pairs of a voxel and a neighbour summed at once: their index and values are some MB."""
 _STRIDE = 0.5
 _HALVINGS = 5
-"""Steps [voxel] that bracket a change along a direction, and number of bisections."""
+"""Steps [voxel] that bracket a change along a direction, and number of bisections.
+
+The middle of what is left is within 0.008 voxels, a stored step.
+"""
 _WIDE = 6.0
 _NARROW = 3.0
-"""Radii of the balls [voxel] whose shares give the distance."""
+"""Radii of the balls [voxel] whose shares give the distance.
+
+The RMS error is 0.07 voxels on a ball of 14 voxels' radius and 0.18 on a block. With 4 in place of
+6 they are 0.11 and 0.16, with 8 0.05 and 0.20. With 2 in place of 3 the block has 0.29.
+"""
 _DISAGREES = 0.25
 _REACH = 2
-"""Deviation [voxel] of a label above which the narrow ball counts, and reach of that [voxel]."""
+"""Deviation [voxel] of a label above which the narrow ball counts, and reach of that [voxel].
+
+With deviations of 0.1 to 1 and a reach of 1 to 3, the RMS error on a block is 0.18 to 0.20 voxels.
+"""
 
 LayerAt = Callable[[Singles], Bytes]
 """Points [voxel], shape (n, 3), to their layers, shape (n,)."""

