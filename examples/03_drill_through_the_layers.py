@@ -9,8 +9,8 @@ force falls halfway at 1.40 mm; the voxels end enamel at 1.35 mm under the fossa
 are left over the pulp, after a warning at 1 mm.
 
 The figures rest on cutting coefficients of low confidence (`tissue/materials/cutting.toml`): they
-are plausible, not validated. Over the cited ranges 90 % of the values lie between 0 and 5.3 N in
-enamel, and between 0.01 and 0.6 N in dentin (`bench_band.py --published`).
+are plausible, not validated. Over the cited ranges 90 % of the values lie between 0.3 and 5.4 N in
+enamel, and between 0.05 and 0.6 N in dentin (`bench_band.py --published`).
 """
 
 from pathlib import Path

@@ -8,11 +8,11 @@ share of right calls, and the probability that a carious tick pushes back less t
 Then the sound tooth is drilled at half the feed.
 
 Expected: over the lesion the carious tooth pushes back with 0.16 of the sound tooth's force, in
-enamel with 0.10, in dentin with 0.59. The best threshold is right in 95 % of all ticks, since
-decayed enamel is at first harder than sound dentin. It is right in 99 % of the ticks in dentin,
-where it misses the lesion's rim. But it holds for one feed: at half of it all sound dentin is
-called carious. The forces have no noise and rest on coefficients of low confidence
-(`tissue/materials/cutting.toml`). The example does not show how well a hand would discriminate.
+enamel with 0.09, in dentin with 0.59. The best threshold is right in 95 % of all ticks, since
+decayed enamel is at first harder than sound dentin. It is right in all ticks in dentin. But it
+holds for one feed: at half of it all sound dentin is called carious. The forces have no noise and
+rest on coefficients of low confidence (`tissue/materials/cutting.toml`). The example does not show
+how well a hand would discriminate.
 """
 
 from pathlib import Path

@@ -11,6 +11,7 @@ import tomllib
 from pathlib import Path
 
 import numpy as np
+from scipy.interpolate import RegularGridInterpolator
 
 MATERIALS = Path(__file__).resolve().parents[2] / "tissue/materials"
 COUNT = 400_000
@@ -52,9 +53,13 @@ def strength(of, material):
 def plunged(of, material):
     """Thrust [N] of a ball of 0.5 mm with 6 edges at 400,000 turns a minute and 1.5 mm/s."""
     chip_mm = 1.5 * 60.0 / (6 * 400_000.0)
-    chip = np.pi / 4.0 * of["radial_chip_N_mm2"] - of["axial_chip_N_mm2"]
-    edge = of["radial_edge_N_mm"] - np.pi / 2.0 * of["axial_edge_N_mm"]
-    return 6 * 0.5 * strength(of, material) * (chip * chip_mm + edge)
+    # share of the edge force: 1 from the tip to the angle where the chip is as thin as the minimum
+    thin = np.minimum(1e-3 * of["minimum_chip_um"] / chip_mm, 1.0)
+    angle = np.arccos(thin)
+    rim = (np.pi / 2.0 - angle - np.sin(angle) * np.cos(angle)) / 2.0
+    share = np.sin(angle) + chip_mm / (1e-3 * of["minimum_chip_um"]) * rim
+    chip = np.pi / 4.0 * of["radial_chip_N_mm2"] * chip_mm
+    return 6 * 0.5 * strength(of, material) * (chip + of["radial_edge_N_mm"] * share)
 
 
 def dragged(of):
@@ -71,15 +76,32 @@ def dragged(of):
     flat = np.zeros_like(polar)
     normal = np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), -np.cos(polar)
     along = {
-        "radial": normal,
-        "tangential": (np.sin(azimuth), -np.cos(azimuth), flat),
-        "axial": (flat, flat, flat + 1.0),
+        "radial": np.array(normal),
+        "tangential": np.array([np.sin(azimuth), -np.cos(azimuth), flat]),
     }
+    # both integrals on a table over minimum chip thickness and size exponent
+    least_mm = 1e-3 * np.geomspace(*spread(of["minimum_chip_um"]), 40)
+    exponents = np.linspace(0.0, of["size_exponent"].max(), 30)
+    at = np.column_stack([np.log(1e-3 * of["minimum_chip_um"]), of["size_exponent"]])
     force = np.zeros((COUNT, 3))
     for name, direction in along.items():
-        for kind, unit in (("chip_N_mm2", length * chip), ("edge_N_mm", length + flat)):
-            force += of[f"{name}_{kind}"][:, None] * (unit * np.array(direction)).sum(axis=(1, 2))
+        weight = length * direction
+        chips = np.empty((len(least_mm), len(exponents), 3))
+        edges = np.empty((len(least_mm), len(exponents), 3))
+        for row, least in enumerate(least_mm):
+            edges[row] = (weight * np.minimum(chip / least, 1.0)).sum(axis=(1, 2))
+            for column, exponent in enumerate(exponents):
+                cut = chip * (np.maximum(chip, least) / 0.1) ** -exponent
+                chips[row, column] = (weight * cut).sum(axis=(1, 2))
+        for kind, table in (("chip_N_mm2", chips), ("edge_N_mm", edges)):
+            unit = RegularGridInterpolator((np.log(least_mm), exponents), table)(at)
+            force += of[f"{name}_{kind}"][:, None] * unit
     return np.linalg.norm(force, axis=1) * strength(of, "bone")
+
+
+def spread(values):
+    """Return slightly more than the range of values."""
+    return 0.999 * values.min(), 1.001 * values.max()
 
 
 def show(label, values):

@@ -9,7 +9,7 @@ fitted. `--truth` chooses the constants:
 
 - prior: all of them drawn from their priors, a one-sided constant being its cited value in half of
   the logs;
-- ends: constants whose cited value is an end of their range, such as axial coefficients, at that
+- ends: constants whose cited value is an end of their range, such as the size exponent, at that
   value, others drawn;
 - cited: all coefficients at their cited values. The densities belong to the specimen and are drawn
   as ever.

@@ -78,13 +78,20 @@ def test_the_peak_force_has_the_quantiles_of_the_sum(band):
 
 
 def test_the_indices_of_a_sum_are_the_shares_of_its_variance(band):
+    """Total indices are within 0.03, and the 90 % intervals of all indices hold the shares.
+
+    The edge coefficient has a range of 1 to 25, so that few samples carry the variance. First-order
+    indices from 512 rows scatter by 0.1 there. With 2,048 rows it is 0.03.
+    """
     variances = parts().var(axis=1)
     exact = variances / variances.sum()
     for kind in ("first", "total"):
         indices = band.summary["sobol"]["force_N.peak"]
         found = [indices[f"cutting.bone.{name}"][kind] for name in FREE]
+        ends = [indices[f"cutting.bone.{name}"][f"{kind}_90"] for name in FREE]
         assert indices["cutting.bone.reference_density_kg_m3"][kind] == pytest.approx(
             0.0, abs=1e-9
         ), "its exponent is 0"
-        print(kind, found, exact)
-        assert found == pytest.approx(exact, abs=0.05)
+        print(kind, found, ends, exact)
+        assert found == pytest.approx(exact, abs=0.1 if kind == "first" else 0.03)
+        assert all(low < share < high for (low, high), share in zip(ends, exact, strict=True))

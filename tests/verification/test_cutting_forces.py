@@ -268,17 +268,22 @@ def test_force_never_exceeds_the_thrust_and_what_stops_the_mass(name, thrust_N):
     inertia = MASS_KG * (speed - before) / DT_S
     np.testing.assert_allclose((force + inertia)[moving], thrust_N, rtol=1e-6)
     # The pose is that of the speed within a hundredth, but for the ticks of a landing on a flat
-    # end, where the force jumps.
+    # end, where the force jumps. Below the minimum chip thickness the tool creeps by 3 nm a tick,
+    # and a landing takes up to five ticks until it does. The poses of the last three of them differ
+    # by 0.1 um at most.
     travelled = -np.diff(run.trace["tool_z_mm"]) / 1e3 / DT_S
     off = np.abs(travelled - speed[1:]) > 0.0101 * np.maximum(speed[1:], travelled) + 1e-9
-    assert off.sum() <= 4 and travelled.min() >= 0.0
+    assert off.sum() <= 5 and travelled.min() >= 0.0
+    late = np.flatnonzero(off)[2:]
+    assert (np.abs(travelled - speed[1:])[late] * DT_S < 1e-7).all()
 
 
 def plunged_N(radius_m, flutes, omega, depth_m, speed_m_s):
     """Axial force on a ball whose lowest point is so deep, by integrating its elements; strength 1.
 
     At polar angle a: radius R sin a, advance v cos a, area 2 pi R^2 sin a da, cutting edge N / (2
-    pi R sin a) per area.
+    pi R sin a) per area. Below the minimum chip thickness the edge force is proportional to the
+    chip thickness.
     """
     if depth_m <= 0.0:
         return 0.0
@@ -286,9 +291,9 @@ def plunged_N(radius_m, flutes, omega, depth_m, speed_m_s):
     x, w = np.polynomial.legendre.leggauss(12)
     a, weight = 0.5 * top * (x + 1.0), 0.5 * top * w
     chip = speed_m_s * np.cos(a) * 2.0 * pi / (flutes * omega)
-    radial = (BONE.radial_chip_Pa * chip + BONE.radial_edge_N_m) * np.cos(a)
-    axial = BONE.axial_chip_Pa * chip + BONE.axial_edge_N_m
-    return float(flutes * radius_m * ((radial - axial) * weight).sum())
+    edge = BONE.radial_edge_N_m * np.minimum(chip / BONE.minimum_chip_m, 1.0)
+    radial = (BONE.radial_chip_Pa * chip + edge) * np.cos(a)
+    return float(flutes * radius_m * (radial * weight).sum())
 
 
 def integrated(thrust_N, force_N, ticks):
@@ -334,14 +339,12 @@ def test_ball_follows_the_balance_integrated_from_its_elements(thrust_N):
 def test_flat_end_cuts_at_the_feed_of_the_closed_form():
     """A flat end cuts at the feed of the closed form.
 
-    Over a flat end the edges' lengths add up to N R: F = N R ((K_rc - K_ac) h + K_re - K_ae), and
-    torque N R^2 / 2.
+    Over a flat end the edges' lengths add up to N R: F = N R (K_rc h + K_re), and torque N R^2 / 2.
     """
     tool, thrust = TOOLS["end mill"], 60.0
     run = pushed(tool, thrust)
-    chip = (thrust / (tool["flutes"] * 3e-3) - BONE.radial_edge_N_m + BONE.axial_edge_N_m) / (
-        BONE.radial_chip_Pa - BONE.axial_chip_Pa
-    )
+    chip = (thrust / (tool["flutes"] * 3e-3) - BONE.radial_edge_N_m) / BONE.radial_chip_Pa
+    assert chip > BONE.minimum_chip_m
     feed_mm_s = 1e3 * chip * tool["flutes"] * tool["spin_rpm"] / 60.0
     torque = (
         0.5 * tool["flutes"] * 3e-3**2 * (BONE.tangential_chip_Pa * chip + BONE.tangential_edge_N_m)

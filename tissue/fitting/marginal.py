@@ -12,7 +12,7 @@ are integrated by Laplace's approximation (Tierney and Kadane 1986):
   the jump between these samples explain the log equally well. The interval of the normal law
   contained the planted offset in 78 % of 100 simulated logs, the interval of the grid in 83 %
   (``tests/bench/bench_fit_cutting.py block``).
-- Constants whose cited value is an end of their range, such as axial cutting coefficients of 0. A
+- Constants whose cited value is an end of their range, such as the size exponent of bone of 0. A
   half-normal prior is positive in every draw. No interval of it contains the cited value, and
   constants that the log cannot separate from it are shifted. The prior used here is a normal law
   cut off at the cited value. The part beyond the end is counted as the end. Half of the probability

@@ -38,8 +38,8 @@ class Parameter:
     prior
         Prior of the constant before the log.
     cited
-        The prior of a constant whose cited value is an end of its range, such as an axial
-        coefficient of 0. The fit uses the `mirrored` prior in its linear algebra and counts values
+        The prior of a constant whose cited value is an end of its range, such as a size exponent
+        of 0. The fit uses the `mirrored` prior in its linear algebra and counts values
         beyond the end as the end itself, see `tissue.fitting.marginal`. None for a constant whose
         value lies inside its range.
     """

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from meshes.base.progress import silent
 from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.sdf import half_space
 from tissue.cutters.cutter import Cutter
@@ -22,11 +23,13 @@ from tissue.cutters.profile import (
     twist_drill,
 )
 from tissue.evaluation.reference.force import Resolution, Solid, wrench_at
-from tissue.evaluation.reference.history import force_on_path
+from tissue.evaluation.reference.history import _over_ticks, force_on_path
 from tissue.evaluation.reference.path import ToolPath, convex_parts
 from tissue.materials.constants import cutting_coefficients
 
 R, FEED, DEPTH = 1.5e-3, 4e-3, 0.4e-3
+BONE = cutting_coefficients("bone", minimum_chip_um=0.0)
+"""Linear law, whose closed forms are short."""
 CLOSE = 1e-3
 """Of the force: three times what the default resolution is off by in these cases."""
 PROFILES = {
@@ -56,7 +59,7 @@ def block(frame=None, plate_m=np.inf, below_kg_m3=400.0):
 
     return Solid(
         Anatomy("block", half_space(normal), ("plate", "core"), classify),
-        (cutting_coefficients("bone"),) * 2,
+        (BONE, BONE),
     )
 
 
@@ -79,8 +82,12 @@ def path(*corners_mm, frame=None):
 
 def bone():
     """Cited coefficients of cortical bone: tangential and radial, chip and edge."""
-    k = cutting_coefficients("bone")
-    return k.tangential_chip_Pa, k.radial_chip_Pa, k.tangential_edge_N_m, k.radial_edge_N_m
+    return (
+        BONE.tangential_chip_Pa,
+        BONE.radial_chip_Pa,
+        BONE.tangential_edge_N_m,
+        BONE.radial_edge_N_m,
+    )
 
 
 def cap_force(cutter, first, last):
@@ -262,3 +269,23 @@ def test_a_feed_that_changes_smoothly_is_interpolated():
     exact = [wrench_at(k, route, burr(), block())[:3] for k in range(60, 400, 31)]
     assert found.evaluations < 200 and found.uncertainty < 3e-3
     assert relative(found.force_N[60:400:31], exact) < 3e-3
+
+
+def test_a_line_over_the_first_contact_is_not_taken():
+    """No force before the contact, where a line over it agrees with the tick in its middle.
+
+    The force begins after tick 5 of 32 and is half of the last one at tick 16.
+    """
+
+    def force(tick):
+        return np.full(6, 0.0 if tick <= 5 else 16.0 + 1.0 * (tick - 16))
+
+    tips, velocities = np.zeros((2, 33, 3))
+    velocities[:, 2] = -FEED
+    tips[:, 2] = -FEED * 1e-3 * np.arange(33)
+    route = ToolPath(
+        tips, np.broadcast_to(np.eye(3), (33, 3, 3)), velocities, np.zeros((33, 3)), 2 * R
+    )
+    found, known = _over_ticks(force, route, silent)
+    assert found == pytest.approx(np.array([force(tick) for tick in range(33)]), rel=1e-12)
+    assert known.sum() < 20

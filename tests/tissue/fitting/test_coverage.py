@@ -1,6 +1,6 @@
 """Coverage of fits to milled logs.
 
-Intervals hold the planted values, with axial coefficients at their cited value of 0.
+Intervals hold the planted values, with the size exponent at its cited value of 0.
 """
 
 import sys
@@ -16,8 +16,8 @@ FITS = 20
 
 
 @pytest.mark.slow
-def test_intervals_hold_coefficients_where_axial_ones_are_zero():
-    """Intervals hold coefficients where axial ones are zero.
+def test_intervals_hold_coefficients_where_the_size_exponent_is_zero():
+    """Intervals hold coefficients where constants at an end of their range have that value.
 
     `bench_fit_cutting.py block --truth ends` counts 400 logs; a half-normal prior holds fewer than
     three quarters.
