@@ -24,7 +24,11 @@ TakeCuts = Callable[[], tuple[Ints, NDArray[np.uint16]]]
 It returns their rows and their remaining fraction in steps.
 """
 INTERVAL_TICKS = 20
-"""Number of ticks in an interval of the heat."""
+"""Number of ticks in an interval of the heat.
+
+The peak of the pulp in the molar scene is 0.617, 0.609 and 0.607 K for 5, 20 and 40. The tool's
+elements are searched once in an interval.
+"""
 RECEIVES = 0.5
 """Smallest fill of a surface cell that receives heat; an emptier cell would not conduct well.
 
@@ -159,6 +163,7 @@ class CuttingHeat:
         spun = abs(float(torque.dot(motion.rotation[:, 2])) * self._milling.cutter.spin_rad_s)
         moved, turned = motion.heading
         fed = -motion.speed_m_s * float(force.dot(moved) + torque.dot(turned))
+        # Where the tissue pulls the tool along, no heat flows back.
         self._energy_J += (spun + max(fed, 0.0)) * TICK_S
         self._ticks += 1
         if self._ticks < INTERVAL_TICKS:
