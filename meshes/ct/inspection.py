@@ -38,7 +38,10 @@ _LEAST_SHARE = 1e-3
 """Share of voxels in `AIR_HU` from which an image holds air; around a patient it has far more."""
 _LOWEST = -2000
 _HIGHEST = 20_000
-"""Values beyond these are counted at the ends of the histogram."""
+"""Values beyond these are counted at the ends of the histogram, which bounds its size.
+
+A CT lies within: air has -1000 HU and metal a few thousand.
+"""
 _MOST_SAMPLED = 4_000_000
 """Voxels from which noise is estimated: enough for the median to about 0.1 %."""
 _MAD = 0.6745

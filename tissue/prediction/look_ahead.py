@@ -271,10 +271,12 @@ class LookAhead:
                 self._unit + self._stiffness, device_m - contact.tip_m + force
             )
             left = force - self._stiffness.dot(moved)
+            # Tissue does not pull: the contact has ended.
             if singular or float(left.dot(force)) <= 0.0:
                 return np.zeros(3)
             felt: Array = contact.spring_N_m * (contact.tip_m + moved - device_m) + self._damper
             return felt
+        # No surface is near the tool.
         if not isfinite(contact.gap_m):
             return np.zeros(3)
         overlap = -(contact.gap_m + float(contact.normal.dot(device_m - contact.tip_m)))

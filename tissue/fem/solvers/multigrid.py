@@ -141,6 +141,7 @@ class MultigridSolver:
         """
         energy = dot(now.found, right - now.residual)
         slope = now.slopes[-1]
+        # The start has no energy to compare with.
         if energy <= 0.0:
             return np.inf
         if now.lengths and slope <= self.tolerance**2 * energy:
