@@ -106,7 +106,7 @@ def test_steps_and_runs_are_the_same_and_leave_the_device_at_zero():
     ran = tissue.Loop(bone(), BURR, device=Moves(down), start_mm=START_MM).run(0.5)
     wanted = [row["model_force_z_N"] for row in rows]
     np.testing.assert_allclose(ran.trace["model_force_z_N"], wanted, rtol=1e-9, atol=1e-9)
-    assert stepped.removed.volume_mm3 > 0.1
+    assert stepped.removed.volume_mm3 > 0.05
     assert len(ran.to_pandas()) == 500 == ran.ticks
 
 
