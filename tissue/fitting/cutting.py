@@ -38,8 +38,7 @@ __all__ = [
 DENSITY = Prior(1.0, 0.85, 1.18)
 """Prior of the factor on a layer's density: 10 % up and down (one standard deviation).
 
-Laws from CT numbers to density differ by this amount between scanners and authors (from memory of
-the literature).
+Assumption: laws from CT numbers to density differ by this amount between scanners and authors.
 """
 FACTOR = "density_factor"
 """Field of a free density."""

@@ -365,8 +365,8 @@ def _parameters(plan: Plan) -> Section:
             )
     unsure = sum(row[4] == "L" for row in rows)
     sentence = (
-        f"{len(rows)} parameters; {unsure} of them are of low confidence (L: memory of the "
-        "literature or assumed), most of what distinguishes people and groups among them. None was "
+        f"{len(rows)} parameters; {unsure} of them are of low confidence (L: assumed, or "
+        "read in an abstract), most of what distinguishes people and groups among them. None was "
         "chosen by a figure of the paper but the latency and the depth that the needle aims at, as "
         "its section states."
     )

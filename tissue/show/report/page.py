@@ -116,8 +116,8 @@ def materials_table(used: Sequence[Used], text: Text) -> str:
         sure = CONFIDENCE.get(one.cited.confidence, one.cited.confidence)
         rows.append((text(one.of), text(one.name), value, span, text(sure), text(one.cited.source)))
     sentence = (
-        f"<p>{len(used)} cited constants, {low} of them of low confidence (from memory of "
-        "the literature, or assumed). "
+        f"<p>{len(used)} cited constants, {low} of them of low confidence (assumed, or read "
+        "in an abstract). "
         "The range is what is plausible; results move with it.</p>"
     )
     header = ("of", "constant, with its unit", "value", "range", "confidence", "source")
