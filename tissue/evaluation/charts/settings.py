@@ -252,8 +252,8 @@ def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
         yield Setting(f"{base:g} mm, {name}", "cutting", {**plain, **changes})
         simplest |= changes
     if simplest and coarsest:
-        spacing = coarsest["voxels.spacing_mm"]
-        yield Setting(f"{spacing:g} mm, simplest", "cutting", {**coarsest, **simplest})
+        coarse_mm = coarsest["voxels.spacing_mm"]
+        yield Setting(f"{coarse_mm:g} mm, simplest", "cutting", {**coarsest, **simplest})
     for share in (0.7,) if quick else (0.8, 0.6):
         name = f"{share * base:.3g} mm, shell {share * shell:.2g} mm"
         yield Setting(name, "voxels", refined(scene, share), finer=True)
