@@ -245,6 +245,7 @@ class HandMotion(Motion):
     def begin(self, motion: ToolMotion) -> None:
         """Begin at the start of the scripted motion."""
         self._scripted.begin(motion)
+        motion.tangent_m_s = self.tool.tangent_m_s
         self.measures[at.POSITION] = 1e3 * motion.tip_m
 
     def happened(self) -> list[tuple[float, str]]:

@@ -61,6 +61,9 @@ class ToolMotion:
     push
         Force [N] and torque [N m] on a resting tool that the bone balances in full, shape (6,);
         zero for a tool on a prescribed path, for which only `pressed` is known.
+    tangent_m_s
+        Lowest speed at which a cutting force is linearised [m/s]. A slower or resting tool receives
+        the tangent at this speed.
     """
 
     tip_m: Array = field(default_factory=lambda: np.zeros(3))
@@ -69,6 +72,7 @@ class ToolMotion:
     speed_m_s: float = 0.0
     pressed: float = 0.0
     push: Array = field(default_factory=lambda: np.zeros(6))
+    tangent_m_s: float = 0.0
 
 
 @dataclass

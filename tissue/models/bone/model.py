@@ -149,7 +149,8 @@ class BoneModel:
         axes[:] = motion.rotation.T
         np.dot(motion.heading, motion.rotation, out=velocities)
         # The sums of a linear law hold for any speed.
-        self._motion.host[6, 0] = 0.0 if self._is_linear else motion.speed_m_s
+        linearised = max(motion.speed_m_s, motion.tangent_m_s)
+        self._motion.host[6, 0] = 0.0 if self._is_linear else linearised
         self._motion.push()
 
     def respond(self, motion: ToolMotion) -> Response:
