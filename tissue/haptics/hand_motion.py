@@ -245,6 +245,7 @@ class HandMotion(Motion):
     def begin(self, motion: ToolMotion) -> None:
         """Begin at the start of the scripted motion."""
         self._scripted.begin(motion)
+        motion.tangent_m_s = self.tool.tangent_m_s
         self.measures[at.POSITION] = 1e3 * motion.tip_m
 
     def happened(self) -> list[tuple[float, str]]:
@@ -262,6 +263,7 @@ class HandMotion(Motion):
         self._sample = None
         if sample is None:
             motion.speed_m_s = 0.0
+            motion.tangent_m_s = self.tool.tangent_m_s
             self._velocity[:] = 0.0
             return
         self._sample = sample
@@ -430,4 +432,5 @@ class HandMotion(Motion):
         if size > 0.0:
             motion.heading[0] = heading / size
         motion.speed_m_s = sqrt(velocity.dot(velocity))
+        motion.tangent_m_s = max(motion.speed_m_s, self.tool.tangent_m_s)
         motion.push[:] = self.tool.push

@@ -202,3 +202,24 @@ def test_force_grows_with_speed_as_its_two_parts_predict(model):
         response = model.respond(motion)
         expected = response.resistance * speed + response.edge
         np.testing.assert_allclose(response.wrench, expected, rtol=1e-12, atol=1e-15)
+
+
+def test_a_slow_tool_receives_the_tangent_at_the_speed_that_it_asks_for():
+    """Without it, the edge force of a resting tool is zero and its derivative is steep."""
+    bone = layered_bone()
+    bone.place(at((0, 0, -0.3), speed_m_s=0.0))
+    slow = at((0.01, 0.0, -0.31), heading=(0.6, 0.0, -0.8), speed_m_s=0.0)
+    tangents = []
+    for speed, tangent in ((0.0, None), (0.0, 1e-3), (5e-4, 1e-3), (1e-3, None)):
+        slow.speed_m_s = speed
+        slow.tangent_m_s = tangent
+        response = bone.respond(slow)
+        tangents.append((response.edge.copy(), response.resistance.copy()))
+        expected = response.resistance * speed + response.edge * (speed > 0.0)
+        np.testing.assert_allclose(response.wrench, expected, rtol=1e-12, atol=1e-15)
+    (resting, steep), *asked = tangents
+    assert not resting.any()
+    edge, resistance = asked[-1]
+    assert np.linalg.norm(steep[:3]) > 10.0 * np.linalg.norm(resistance[:3])
+    for found in asked[:-1]:
+        np.testing.assert_array_equal(found, (edge, resistance))

@@ -114,7 +114,11 @@ class HeldTool(ABC):
         True if the last motion was made against resistance, with its own speed and direction.
     heading
         Unit direction of motion of a driven tool, or its intended direction at rest, shape (3,).
+    tangent_m_s
+        Lowest speed at which the tissue linearises its force [m/s].
     """
+
+    tangent_m_s = 0.0
 
     def __init__(self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None) -> None:
         self._turn = turn or HeldTurn()
