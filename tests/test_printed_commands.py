@@ -51,6 +51,7 @@ STARTED: dict[str, str] = {
     "bench_force_law": "--quick",
     "bench_index": "milling voxels.spacing_mm=0.8 duration_s=0.05",
     "bench_jitter": "--minutes 0.02",
+    "bench_law": "milling --rounds 1",
     "bench_prediction": "wall --runs 2 --out {out}",
     "bench_reference": "milling voxels.spacing_mm=0.8 duration_s=0.05",
     "bench_tooth": "--quick",
