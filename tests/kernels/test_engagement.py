@@ -7,12 +7,11 @@ from meshes.voxels.volume import density_volume
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr, cylinder
 from tissue.materials.constants import CuttingCoefficients
-from tissue.models.bone.engagement import EngagedBone, chip_nodes
+from tissue.models.bone.engagement import LINEAR_CHIPS_M, EngagedBone
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import ToolMotion
 
 RADIUS_M, FLUTES, SPIN, FEED_M_S = 1.5e-3, 5, 700.0, 2e-3
-THICKEST_M = 5e-6
 NOTHING = CuttingCoefficients(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1000.0, 1.0)
 
 
@@ -26,12 +25,12 @@ def engaged(profile, *, speed_m_s=FEED_M_S, pressed=0.0):
     )
     cutter = Cutter(profile, FLUTES, SPIN)
     model = BoneModel(volume, cutter, (NOTHING,), shell_spacing_m=3e-5)
-    bone = EngagedBone(model, chip_nodes(THICKEST_M, is_linear=True))
+    bone = EngagedBone(model, LINEAR_CHIPS_M)
     motion = ToolMotion(speed_m_s=speed_m_s, pressed=pressed)
     motion.tip_m[:], motion.heading[0] = (0.0, 0.0, -1.5e-3), (0.0, 0.0, -1.0)
     response = bone.respond(motion)
     at_zero, at_thickest = bone.unit_loads[0][0].reshape(2, 3, 6)
-    return np.vstack([THICKEST_M * at_thickest, at_zero + at_thickest]), response
+    return np.vstack([LINEAR_CHIPS_M[1] * at_thickest, at_zero + at_thickest]), response
 
 
 def test_each_coefficient_of_a_ball_that_plunges():

@@ -65,7 +65,7 @@ def test_bone(monkeypatch):
         bone = BoneModel(
             volume, cutter, (cutting_coefficients("bone"),), shell_spacing_m=8e-5, cores=cores
         )
-        engaged = EngagedBone(bone, chip_nodes(2e-5, is_linear=False), cores=cores)
+        engaged = EngagedBone(bone, chip_nodes(2e-5), cores=cores)
         motion, found = ToolMotion(speed_m_s=4e-3), []
         motion.heading[0] = (0.6, 0.0, -0.8)
         for tick in range(12):

@@ -119,10 +119,16 @@ def compared_laws(scene: Scene, table: SteadyTable) -> tuple[LawMisfit, ...]:
         Measured loads.
     """
     found = []
+    fits: dict[bool, MaximumLikelihood] = {}
     for has_size_effect, has_chisel in product((False, True), (False, True)):
         changed = _with_law(scene, has_size_effect=has_size_effect, has_chisel=has_chisel)
         forward = table_forward(changed, table)
-        fit = MaximumLikelihood(forward, table, has_size_effect=has_size_effect)
+        # Both drills have the same maximum likelihood.
+        if has_size_effect not in fits:
+            fits[has_size_effect] = MaximumLikelihood(
+                forward, table, has_size_effect=has_size_effect
+            )
+        fit = fits[has_size_effect]
         cited = _cited_chi_square(forward, table)
         found.append(
             LawMisfit(
@@ -321,11 +327,12 @@ def law_sentences(laws: Sequence[LawMisfit]) -> list[str]:
     """Return sentences on which laws a table rejects."""
     if not laws:
         return []
-    ranking = _ranking(laws[::2])
+    by_law = list({each.law: each for each in laws}.values())
+    ranking = _ranking(by_law)
     if laws[0].cited_p is None:
         return [f"the table states no scatter, so it rejects no law; {ranking}", ALIKE]
     found = []
-    for each in laws[::2]:
+    for each in by_law:
         if each.p is None:
             found.append(f"{each.law}: not tested, it has as many constants as the table has loads")
             continue

@@ -25,7 +25,13 @@ from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from tissue.cutters.cutter import Cutter
 from tissue.materials.constants import CuttingCoefficients, effective_chip
-from tissue.models.bone.engagement import DIRECTIONS, DensityNodes, EngagedBone, chip_nodes
+from tissue.models.bone.engagement import (
+    DIRECTIONS,
+    LINEAR_CHIPS_M,
+    DensityNodes,
+    EngagedBone,
+    chip_nodes,
+)
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 from tissue.models.tooth.model import ToothModel
@@ -284,11 +290,10 @@ def record_loads(
     parts = build(scene, motion, step_s=TICK_S, compute=compute, cores=cores, report=report)
     model = parts.tissue.milling if isinstance(parts.tissue, ToothModel) else parts.tissue
     assert isinstance(model, BoneModel)
-    chips_m = chip_nodes(
-        _fastest_m_s(motion, tick_count(scene, motion), model.cutter)
-        * model.cutter.chip_per_speed_s,
-        is_linear=_is_linear(scene, model.layer_names),
-    )
+    chips_m = LINEAR_CHIPS_M
+    if not _is_linear(scene, model.layer_names):
+        fastest_m_s = _fastest_m_s(motion, tick_count(scene, motion), model.cutter)
+        chips_m = chip_nodes(fastest_m_s * model.cutter.chip_per_speed_s)
     bone = EngagedBone(model, chips_m, device=compute, cores=cores)
     loop = Loop(replace(parts, tissue=bone), ticks=tick_count(scene, motion), output=scene.output)
     unit, engaged = _recorded(loop, bone, every, report)

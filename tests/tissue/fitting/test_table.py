@@ -138,10 +138,19 @@ def test_the_linear_law_is_rejected_where_a_size_effect_was_planted():
     assert "linear law: rejected" in sentences and "size effect: not rejected" in sentences
 
 
-def test_free_coefficients_fit_both_drills_alike():
-    laws = compared_laws(drill(), table_of(drill(), FEEDS_PER_TURN_M, share=0.05))
-    for simple, chisel in (laws[:2], laws[2:]):
-        assert simple.chi_square == pytest.approx(chisel.chi_square, rel=1e-6)
+@pytest.mark.parametrize(("law", "has_size_effect"), [(LINEAR, False), ({}, True)])
+def test_free_coefficients_fit_both_drills_alike(law, has_size_effect):
+    """One fit serves both drills of a law."""
+    table = table_of(drill(), FEEDS_PER_TURN_M, share=0.05)
+    chisel, simple = (
+        MaximumLikelihood(
+            table_forward(drill(**law, **web), table), table, has_size_effect=has_size_effect
+        )
+        for web in ({}, {"tool.web_mm": 0.0})
+    )
+    assert simple.chi_square == pytest.approx(chisel.chi_square, rel=1e-6)
+    assert (simple.freedom, simple.constants) == (chisel.freedom, chisel.constants)
+    assert simple.exponent == pytest.approx(chisel.exponent, abs=1e-3)
 
 
 def test_without_scatter_laws_are_ranked_and_none_is_rejected():

@@ -34,13 +34,14 @@ from kernels.older_cuts import SLOTS
 from meshes.base.arrays import Array, Ints
 from tissue.cutters.cutter import Cutter
 from tissue.materials.constants import effective_chip
-from tissue.models.bone.elements import edge_lengths_m, levers_of
+from tissue.models.bone.elements import THICKEST_M, edge_lengths_m, levers_of
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import Response, ToolMotion
 
 __all__ = [
     "DIRECTIONS",
     "HIGHEST_EXPONENT",
+    "LINEAR_CHIPS_M",
     "DensityNodes",
     "EngagedBone",
     "EngagedElements",
@@ -147,13 +148,12 @@ THINNEST = 1e-3
 """Smallest node of chip thickness above zero, as a share of the largest node; chosen."""
 
 
-def chip_nodes(thickest_m: float, *, is_linear: bool) -> Array:
-    """Return the nodes of chip thickness [m] up to the thickest chip, shape (k,).
+LINEAR_CHIPS_M = np.array([0.0, THICKEST_M])
+"""Nodes of chip thickness [m] for a law that is linear in it: any two of them are exact."""
 
-    A law that is linear in the thickness needs two nodes.
-    """
-    if is_linear:
-        return np.array([0.0, thickest_m])
+
+def chip_nodes(thickest_m: float) -> Array:
+    """Return the nodes of chip thickness [m] up to the thickest chip, shape (k,)."""
     count = int(np.ceil(np.log(1.0 / THINNEST) / np.log(CHIP_RATIO))) + 1
     return np.concatenate([[0.0], thickest_m * np.geomspace(THINNEST, 1.0, count)])
 
@@ -415,7 +415,7 @@ def plunge_unit_loads(cutter: Cutter, feeds_per_turn_m: Array) -> tuple[Array, A
     # The thickness on the lips of a drill is one number per feed. It becomes a node, so that the
     # interpolation between nodes is exact there.
     on_lips = [thickness for row in chips for thickness in np.unique(row.round(12))[:MOST_NODES]]
-    nodes = np.unique(np.concatenate([chip_nodes(float(chips.max()), is_linear=False), on_lips]))
+    nodes = np.unique(np.concatenate([chip_nodes(float(chips.max())), on_lips]))
     motion = ToolMotion()
     shares = np.ones((len(lengths), 1))
     rows = [_sums(_interpolation(nodes, each, -lengths), levers, shares, motion) for each in chips]
