@@ -63,7 +63,8 @@ def box_tree(corners_m: Array) -> BoxTree:
     lows, highs = (np.concatenate(each) for each in zip(*levels[::-1], strict=True))
     empty = ~np.isfinite(lows)
     # A half side of -1 marks a box without triangles.
-    lows[empty], highs[empty] = 2.0, 0.0
+    lows[empty] = 2.0
+    highs[empty] = 0.0
     return BoxTree(0.5 * (lows + highs), 0.5 * (highs - lows), corners, leaves - 1)
 
 

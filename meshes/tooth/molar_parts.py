@@ -150,8 +150,7 @@ class Crown:
         """
         widest = _BULGE[axis]
         low = np.clip((widest - height) / widest, 0.0, 1.0)
-        # A little beyond the tips, up to 1.2, the wall goes on narrowing. Farther out it is of no
-        # use.
+        # The wall narrows to 1.2 times the height of the tips. No point of the tooth is higher.
         high = np.clip((height - widest) / (1.0 - widest), 0.0, 1.2)
         return 1.0 - (1.0 - _CERVIX[axis]) * low * low - (1.0 - _TABLE[axis]) * high * high
 

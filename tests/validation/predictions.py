@@ -54,7 +54,7 @@ class Compared:
 
     @property
     def inside(self) -> bool:
-        """Whether the band contains the measured value."""
+        """True if the band contains the measured value."""
         return self.band[0] <= self.measured <= self.band[1]
 
     @property

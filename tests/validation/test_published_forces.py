@@ -70,7 +70,8 @@ def test_closed_form_of_the_simple_drill():
         feed_per_turn_mm=np.array([feed]),
         density_kg_m3=law["reference_density_kg_m3"],
     )
-    radial, tangential = law["radial_chip_N_mm2"], law["tangential_chip_N_mm2"]
+    radial = law["radial_chip_N_mm2"]
+    tangential = law["tangential_chip_N_mm2"]
     thrust = radial * feed * radius * np.sin(half) + 2.0 * law["radial_edge_N_mm"] * radius
     edge_torque = law["tangential_edge_N_mm"] * radius**2 / np.sin(half)
     assert loads.thrust_N == pytest.approx(thrust, rel=1e-9)

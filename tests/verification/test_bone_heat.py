@@ -50,7 +50,10 @@ def test_the_wall_of_a_hole_with_a_constant_flux():
     The hole has no cells of its own shape: its wall crosses cells of 0.25 mm, which are partly
     full.
     """
-    size, half, flux, time_s = 0.25e-3, 8e-3, 1000.0, 5.0
+    size = 0.25e-3
+    half = 8e-3
+    flux = 1000.0
+    time_s = 5.0
     edges = np.arange(-half, half + 0.5 * size, size)
     count = len(edges) - 1
     inside = (np.arange(16 * count) + 0.5) * size / 16.0 - half
@@ -92,7 +95,8 @@ class Drill:
 
     half = radians(59.0)
     flutes = 2
-    chip, edge = 250e6, 5e3
+    chip = 250e6
+    edge = 5e3
 
     def __init__(self, feed_m_s, rpm, *, radius=RADIUS_M, web=0.18, helix_deg=30.0):
         self.radius = radius

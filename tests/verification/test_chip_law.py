@@ -171,7 +171,8 @@ BONE = {
 def pushed(tool, thrust_N, law, monkeypatch):
     """A run of a tool under thrust into a flat block, and the poses tried in each of its ticks."""
     tried = []
-    begin, narrow = thrust.SpeedSearch.begin, thrust.SpeedSearch._narrow
+    begin = thrust.SpeedSearch.begin
+    narrow = thrust.SpeedSearch._narrow
 
     def begun(search, *given, **more):
         tried.append(1)
@@ -215,7 +216,8 @@ def balanced_mm_s(tool, thrust_N, law):
     shape = TOOLS[tool]
     tilt = 1.0 if tool == "mill" else np.sin(np.radians(118.0 / 2.0))
     edge_m = shape["flutes"] * 0.5e-3 * shape["diameter_mm"]
-    least_m, exponent = 1e-6 * law["minimum_chip_um"], law["size_exponent"]
+    least_m = 1e-6 * law["minimum_chip_um"]
+    exponent = law["size_exponent"]
 
     def excess(chip_m):
         effective, share = effective_chip(np.array([chip_m]), exponent, least_m, 1e-4)

@@ -72,7 +72,7 @@ def terminated_as_exception() -> Iterator[None]:
     def dropped(what: "sys.UnraisableHookArgs") -> None:
         """Send a signal again if its exception was raised where it could not be caught."""
         if isinstance(what.exc_value, KeyboardInterrupt):
-            # SIGTERM stands for all of STOPS.
+            # The exception does not hold its signal. All signals of STOPS end the program alike.
             number = signal.SIGTERM if isinstance(what.exc_value, Terminated) else signal.SIGINT
             threading.Timer(AGAIN_S, _send, (number,)).start()
         else:
