@@ -150,7 +150,8 @@ class Crown:
         """
         widest = _BULGE[axis]
         low = np.clip((widest - height) / widest, 0.0, 1.0)
-        # The wall narrows to 1.2 times the height of the tips. No point of the tooth is higher.
+        # The wall keeps narrowing a little beyond the tips, up to 1.2. Farther out its shape has no
+        # effect.
         high = np.clip((height - widest) / (1.0 - widest), 0.0, 1.2)
         return 1.0 - (1.0 - _CERVIX[axis]) * low * low - (1.0 - _TABLE[axis]) * high * high
 
