@@ -46,6 +46,9 @@ def print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s: 
         # A tool that meets nothing has no band.
         if band is not None and band[key]["peak"]["p95"] > 0.0:
             table.add_row(f"{name}, 90 % of {band['samples']} samples", _ends(band[key], unit))
+    if heat := summary.get("bone_heat"):
+        rises = f"{heat['largest_rise_K']:.1f} / {heat['rise_at_half_mm_K']:.2f} K"
+        table.add_row("rise of the remaining bone, largest / 0.5 mm from the cut", rises)
     tick = summary["tick_us"]
     table.add_row(
         "tick, median / 99 % / max",

@@ -325,7 +325,9 @@ def verdicts(fit: SceneFit) -> list[str]:
             interval = f"{each.value:.3g} ({each.low:.3g} to {each.high:.3g}) {unit}"
             found.append(f"{label}: {interval}".rstrip())
     for combined in fit.identified.combinations[:SHOWN_COMBINATIONS]:
-        terms = [f"{weight:.2g} {unit_of(name)[0]}" for name, weight in combined.weights.items()]
+        # A constant whose prior has the median 0 has no weight over that median.
+        weights = {name: weight for name, weight in combined.weights.items() if weight != 0.0}
+        terms = [f"{weight:.2g} {unit_of(name)[0]}" for name, weight in weights.items()]
         factors = [" + ".join(terms).replace("+ -", "- ")] if terms else []
         factors += [f"({unit_of(name)[0]})^{power:.2g}" for name, power in combined.powers.items()]
         found.append(
