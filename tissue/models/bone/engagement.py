@@ -411,11 +411,13 @@ def plunge_unit_loads(cutter: Cutter, feeds_per_turn_m: Array) -> tuple[Array, A
     advance = advance[cuts]
     lengths = edge_lengths_m(shell, cutter)[cuts]
     levers = levers_of(shell, cutter)[cuts]
-    chips = np.multiply.outer(feeds_per_turn_m / cutter.flute_count, advance)
-    # The thickness on the lips of a drill is one number per feed. It becomes a node, so that the
-    # interpolation between nodes is exact there.
-    on_lips = [thickness for row in chips for thickness in np.unique(row.round(12))[:MOST_NODES]]
-    nodes = np.unique(np.concatenate([chip_nodes(float(chips.max())), on_lips]))
+    feeds_per_tooth_m = feeds_per_turn_m / cutter.flute_count
+    chips = np.multiply.outer(feeds_per_tooth_m, advance)
+    # Elements on the lips of a drill share one advance. Its chip thickness becomes a node, so that
+    # the interpolation between nodes is exact there.
+    advances, counts = np.unique(advance.round(12), return_counts=True)
+    shared = np.multiply.outer(feeds_per_tooth_m, advances[counts > 1])
+    nodes = np.unique(np.concatenate([chip_nodes(float(chips.max())), shared.ravel()]))
     motion = ToolMotion()
     shares = np.ones((len(lengths), 1))
     rows = [_sums(_interpolation(nodes, each, -lengths), levers, shares, motion) for each in chips]
