@@ -11,60 +11,40 @@ and a size effect, per element::
 with every K scaled by (density / reference density) ** exponent of the layer. Below the minimum
 chip thickness h_min the force is proportional to h, so that it is a Lipschitz function of the
 velocity. With m = 0 and h_min = 0 the law is linear in h. Elements that do not advance do not cut.
-The share is the part of the element's width that lies below the bone's original surface. It is 0
-where an older cut has removed the bone.
 
-The law is concave in the speed. The kernel returns its tangent at the given speed.
+The share is the part of the element's width that lies below the surface of the bone, see
+`kernels.engagement`. In a tick of length T it is taken at the middle of the element's motion, over
+its width or its way through the surface, whichever is longer. An element that reaches the bone
+within the tick therefore cuts for the rest of it.
+
+The kernel returns the tangent of the force at a given velocity.
 """
 
 import warp as wp
 
-from kernels.bone_lookup import Bone, bone_at
-from kernels.bricks import corner8f, voxel_column, voxel_row
-from kernels.elements import (
-    CHUNK,
-    LANES,
-    Elements,
-    Travel,
-    advance_of,
-    lanes8,
-    lever16,
-    may_cut,
-    place_of,
-    travel_of,
-)
-from kernels.older_cuts import SLOTS, taken_before
-from kernels.revolution import Revolution
+from kernels.elements import CHUNK, LANES, Elements, lanes8, lever16
+from kernels.engagement import DENSITY, DISTANCE, LAYER, SLOPE, WIDTH
 
 __all__ = [
     "AREA",
-    "CHIP_FORCE",
-    "CHIP_TORQUE",
-    "DENSITIES",
-    "EDGE_FORCE",
-    "EDGE_TORQUE",
+    "MOTION_ROWS",
     "RATE",
+    "SLOPES",
+    "VALUE",
     "Coefficients",
     "cutting_forces",
 ]
 
 wp.set_module_options({"enable_backward": False})
 
-CHIP_FORCE, CHIP_TORQUE, EDGE_FORCE, EDGE_TORQUE, RATE, AREA = 0, 3, 6, 9, 12, 13
+VALUE, SLOPES, RATE, AREA = 0, 6, 42, 43
 """Places in the sums.
 
-The first six are the derivative by the speed: force [N s/m], torque about the tip [N s]. The next
-six are the tangent's value at zero speed: force [N] and torque [N m]. Then the removal rate per
-unit of speed [m2] and the engaged area of each layer [m2].
+First the tangent's value at zero velocity: force [N] and torque about the tip [N m]. Then, for each
+of up to six unknowns, the derivative of both by the unknown. Then the removal rate [m3/s] and the
+engaged area of each layer [m2].
 """
-# Across the surface, an element is taken as this wide at most [voxel]. Half of it is less than the
-# 1.78 voxels within which distances are interpolated, see `kernels.bone_lookup`.
-WIDEST = wp.constant(3.5)
-DENSITIES = wp.constant(20001)
-"""Number of entries of the strength table.
-
-They are for densities of 0 to 20,000 kg/m3, the largest that a bone may have.
-"""
+MOTION_ROWS = 5
 rows8 = wp.types.vector(length=LANES, dtype=wp.int32)
 
 
@@ -86,105 +66,204 @@ class Coefficients:
 
 @wp.kernel
 def cutting_forces(
-    # tool
-    tool: Revolution,
     elements: Elements,
     coefficients: Coefficients,
-    # rows: tip [voxel]; tool axes x, y, z; tip's and angular velocity, own frame; speed [m/s], -, -
+    found: wp.array2d(dtype=lanes8),  # [eight elements, row], see `kernels.engagement.DISTANCE`
+    # rows, in the tool's frame: velocity of the tip [m/s], angular velocity [rad/s], both at which
+    # the place of `found` was reached, number of unknowns and length of the tick [s] and speed
     motion: wp.array2d(dtype=wp.float64),
     chip_per_speed: float,  # 2 pi / (N omega) [s]
-    spacing: float,  # [m]
     chunk_offset: int,
-    # grid
-    brick_of: wp.array3d(dtype=wp.int32),
-    material: wp.array2d(dtype=wp.uint32),
-    nearby: wp.array2d(dtype=wp.uint16),
-    older: wp.array2d(dtype=wp.uint16),
-    alive: wp.array(dtype=wp.uint64),
     # out
-    seen_out: wp.array2d(dtype=corner8f),  # [chunk, SLOTS + 1], see `kernels.older_cuts.SLOTS`
-    sums_out: wp.array2d(dtype=wp.float64),  # [chunk, AREA + layers], tool frame: see CHIP_FORCE
+    sums_out: wp.array2d(dtype=wp.float64),  # [chunk, AREA + layers], tool frame: see VALUE
 ):
-    """Sum the forces on one chunk of elements, as a tangent in the speed.
+    """Sum the forces on one chunk of elements, as a tangent.
 
-    The velocities are those of unit speed, 1 m/s.
+    The unknowns are the speed (1), the velocity of the tip (3), or both velocities (6). For the
+    speed, the velocities are those at speed 1.
     """
     chunk = wp.tid() + chunk_offset
-    for m in range(AREA, sums_out.shape[1]):
+    for m in range(sums_out.shape[1]):
         sums_out[chunk, m] = wp.float64(0.0)
-    seen_out[chunk, SLOTS] = corner8f()
-    travel = travel_of(motion, spacing)
-    thickness_per_advance = float(motion[6, 0]) * chip_per_speed
-    chip = lever16()
-    edge = lever16()
+    unknowns = int(motion[4, 0])
+    tick = float(motion[4, 1])
+    speed = float(motion[4, 2])
+    thickness_per_advance = speed * chip_per_speed
+    velocity = row_of(motion, 0)
+    turning = row_of(motion, 1)
+    # Only elements that advance by more than the rounding of an advance cut.
+    least = 1.0e-5 * wp.length(velocity)
+    value = lever16()
+    slope_0 = lever16()
+    slope_1 = lever16()
+    slope_2 = lever16()
+    slope_3 = lever16()
+    slope_4 = lever16()
+    slope_5 = lever16()
     rate = float(0.0)
     first = chunk * (CHUNK // LANES)
     last = wp.min(first + CHUNK // LANES, elements.lanes.shape[0])
-    if not may_cut(elements, chunk, travel, spacing, brick_of, alive):
-        last = first
     for eight in range(first, last):
-        advances = advance_of(elements, eight, travel)
-        x = place_of(elements, eight, travel, 0)
-        y = place_of(elements, eight, travel, 1)
-        z = place_of(elements, eight, travel, 2)
-        # Weights of eight elements: of the chip row in the derivative, of the edge row and of the
-        # chip row in the value at zero speed.
-        by_speed = lanes8()  # [m]
-        by_edge = lanes8()  # [m]
-        by_bend = lanes8()  # [m2]
+        width = found[eight, WIDTH]
+        nx = elements.lanes[eight, 3]
+        ny = elements.lanes[eight, 4]
+        nz = elements.lanes[eight, 5]
+        px = elements.lanes[eight, 0]
+        py = elements.lanes[eight, 1]
+        pz = elements.lanes[eight, 2]
+        # moments of the normals: derivatives of the advance by the angular velocity
+        mx = wp.cw_mul(py, nz) - wp.cw_mul(pz, ny)
+        my = wp.cw_mul(pz, nx) - wp.cw_mul(px, nz)
+        mz = wp.cw_mul(px, ny) - wp.cw_mul(py, nx)
+        by_tip = velocity[0] * nx + velocity[1] * ny + velocity[2] * nz
+        by_turn = turning[0] * mx + turning[1] * my + turning[2] * mz
+        advances = by_tip + by_turn
+        # Weights of eight elements: of the chip row and the edge row in the value, and of
+        # the chip row in the derivatives by the advance and by the way through the surface.
+        chip_value = lanes8()
+        edge_value = lanes8()
+        by_advance = lanes8()
+        chip_by_way = lanes8()
+        edge_by_way = lanes8()
         rows = rows8()
         cuts = int(0)
+        moves = int(0)
         lane = int(0)
         while lane < LANES:
-            e = eight * LANES + lane
             advance = advances[lane]
-            at = wp.vec3(x[lane], y[lane], z[lane])
-            if advance > travel.least:
-                met = bone_met(
-                    tool,
-                    elements,
-                    motion,
-                    travel,
-                    spacing,
-                    brick_of,
-                    material,
-                    nearby,
-                    older,
-                    alive,
-                    e,
-                    at,
-                    seen_out,
-                    chunk,
+            if width[lane] > 0.0 and advance > least:
+                e = eight * LANES + lane
+                way = tick * way_of(found, eight, lane, velocity, turning, px, py, pz)
+                before = tick * way_of(
+                    found, eight, lane, row_of(motion, 2), row_of(motion, 3), px, py, pz
                 )
-                if met.share > 0.0:
+                engaged = share_of(found[eight, DISTANCE][lane] - before, way, width[lane])
+                if engaged.share > 0.0:
                     cuts = 1
-                    m = met.layer
-                    strength = coefficients.strength[m, met.density]
+                    layer = int(found[eight, LAYER][lane])
+                    strength = coefficients.strength[layer, int(found[eight, DENSITY][lane])]
                     # of cutting edge in bone, by the bone's strength [m]
-                    length = elements.edge_length[e] * met.share * strength
-                    tangent = tangent_at(advance * thickness_per_advance, coefficients.size[m])
-                    by_speed[lane] = length * advance * tangent.slope
-                    by_edge[lane] = length
-                    by_bend[lane] = length * tangent.value
-                    rows[lane] = 2 * m + tangent.is_below
-                    engaged = elements.area[e] * met.share
-                    rate += engaged * advance
-                    sums_out[chunk, AREA + m] += wp.float64(engaged)
+                    length = elements.edge_length[e] * strength
+                    part = length * engaged.share
+                    thickness = advance * thickness_per_advance
+                    tangent = tangent_at(thickness, coefficients.size[layer])
+                    known = wp.where(unknowns == 3, by_turn[lane], 0.0)
+                    gain = part * tangent.slope * chip_per_speed
+                    by_advance[lane] = gain
+                    chip_value[lane] = part * tangent.value + gain * known * speed
+                    edge_value[lane] = part
+                    if engaged.by_way != 0.0:
+                        moves = 1
+                        grown = length * engaged.by_way * tick
+                        thick = grown * (tangent.slope * thickness + tangent.value)
+                        # the part of the way that the unknowns make
+                        made = wp.where(
+                            unknowns == 3,
+                            wp.dot(slope_at(found, eight, lane), velocity),
+                            way / wp.max(tick, 1.0e-9),
+                        )
+                        chip_by_way[lane] = thick
+                        edge_by_way[lane] = grown
+                        chip_value[lane] -= thick * made
+                        edge_value[lane] -= grown * made
+                    rows[lane] = 2 * layer + tangent.is_below
+                    area = elements.area[e] * engaged.share
+                    rate += area * advance * speed
+                    sums_out[chunk, AREA + layer] += wp.float64(area)
             lane += 1
-        # The sums have a loop of their own. The search for bone and the power would push them out
-        # of the registers at every element: in one loop the kernel takes 1.2 times as long.
+        # The sums have a loop of their own. The share and the power would push them out of the
+        # registers at every element: in one loop the kernel takes 1.2 times as long.
         if cuts == 1:
             for j in range(LANES):
                 lever = elements.lever[eight * LANES + j]
-                row = rows[j]
-                loads = wp.cw_mul(coefficients.chip[row], lever)
-                chip += by_speed[j] * loads
-                edge += by_edge[j] * wp.cw_mul(coefficients.edge[row], lever)
-                edge += by_bend[j] * loads
-    chip *= chip_per_speed
-    set_loads(chip, chunk, CHIP_FORCE, CHIP_TORQUE, sums_out)
-    set_loads(edge, chunk, EDGE_FORCE, EDGE_TORQUE, sums_out)
+                chip = wp.cw_mul(coefficients.chip[rows[j]], lever)
+                edge = wp.cw_mul(coefficients.edge[rows[j]], lever)
+                value += chip_value[j] * chip + edge_value[j] * edge
+                loads = by_advance[j] * chip
+                if unknowns == 1:
+                    slope_0 += advances[j] * loads
+                else:
+                    slope_0 += nx[j] * loads
+                    slope_1 += ny[j] * loads
+                    slope_2 += nz[j] * loads
+                    if unknowns == 6:
+                        slope_3 += mx[j] * loads
+                        slope_4 += my[j] * loads
+                        slope_5 += mz[j] * loads
+                    if moves == 1:
+                        loads = chip_by_way[j] * chip + edge_by_way[j] * edge
+                        toward = slope_at(found, eight, j)
+                        slope_0 += toward[0] * loads
+                        slope_1 += toward[1] * loads
+                        slope_2 += toward[2] * loads
+                        if unknowns == 6:
+                            moment = wp.cross(wp.vec3(px[j], py[j], pz[j]), toward)
+                            slope_3 += moment[0] * loads
+                            slope_4 += moment[1] * loads
+                            slope_5 += moment[2] * loads
+    set_loads(value, chunk, VALUE, sums_out)
+    set_loads(slope_0, chunk, SLOPES, sums_out)
+    if unknowns > 1:
+        set_loads(slope_1, chunk, SLOPES + 6, sums_out)
+        set_loads(slope_2, chunk, SLOPES + 12, sums_out)
+    if unknowns == 6:
+        set_loads(slope_3, chunk, SLOPES + 18, sums_out)
+        set_loads(slope_4, chunk, SLOPES + 24, sums_out)
+        set_loads(slope_5, chunk, SLOPES + 30, sums_out)
     sums_out[chunk, RATE] = wp.float64(rate)
+
+
+@wp.func
+def row_of(motion: wp.array2d(dtype=wp.float64), row: int):
+    """Convert a row of ``motion`` to single precision."""
+    return wp.vec3(float(motion[row, 0]), float(motion[row, 1]), float(motion[row, 2]))
+
+
+@wp.func
+def slope_at(found: wp.array2d(dtype=lanes8), eight: int, lane: int):
+    """Return the gradient of an element's distance to the surface."""
+    return wp.vec3(
+        found[eight, SLOPE][lane], found[eight, SLOPE + 1][lane], found[eight, SLOPE + 2][lane]
+    )
+
+
+@wp.func
+def way_of(
+    found: wp.array2d(dtype=lanes8),
+    eight: int,
+    lane: int,
+    velocity: wp.vec3,
+    turning: wp.vec3,
+    px: lanes8,
+    py: lanes8,
+    pz: lanes8,
+):
+    """Compute the rate at which an element's distance to the surface grows [m/s]."""
+    moving = velocity + wp.cross(turning, wp.vec3(px[lane], py[lane], pz[lane]))
+    return wp.dot(slope_at(found, eight, lane), moving)
+
+
+@wp.struct
+class Engaged:
+    """Mean share of an element below the surface in a tick."""
+
+    share: wp.float32
+    by_way: wp.float32  # derivative by the way through the surface [1/m]
+
+
+@wp.func
+def share_of(distance: float, way: float, width: float):
+    """Compute the share of an element that starts at a distance and moves by ``way`` [m]."""
+    engaged = Engaged()
+    middle = distance + 0.5 * way
+    extent = wp.max(width, wp.abs(way))
+    share = 0.5 - middle / extent
+    engaged.share = wp.clamp(share, 0.0, 1.0)
+    if way != 0.0 and share > 0.0 and share < 1.0:
+        engaged.by_way = -0.5 / extent
+        if wp.abs(way) > width:
+            engaged.by_way += wp.sign(way) * middle / (extent * extent)
+    return engaged
 
 
 @wp.struct
@@ -212,106 +291,12 @@ def tangent_at(thickness: float, size: wp.vec3):
     return tangent
 
 
-@wp.struct
-class Met:
-    """Bone in front of an element."""
-
-    share: wp.float32  # share of the element's width that cuts, 0 without bone
-    layer: wp.int32
-    density: wp.int32  # [kg/m3], an entry of the strength table
-
-
 @wp.func
-def bone_met(
-    tool: Revolution,
-    elements: Elements,
-    motion: wp.array2d(dtype=wp.float64),
-    travel: Travel,
-    spacing: float,
-    brick_of: wp.array3d(dtype=wp.int32),
-    material: wp.array2d(dtype=wp.uint32),
-    nearby: wp.array2d(dtype=wp.uint16),
-    older: wp.array2d(dtype=wp.uint16),
-    alive: wp.array(dtype=wp.uint64),
-    e: int,
-    at: wp.vec3,
-    seen: wp.array2d(dtype=corner8f),
-    chunk: int,
-):
-    """Find the bone in front of an advancing element at ``at`` [voxel]."""
-    met = Met()
-    row, column = remaining_voxel(brick_of, alive, at)
-    if row >= 0:
-        bone = bone_at(brick_of, material, nearby, row, column, at)
-        normal = elements.normal[e]
-        outward = (normal[0] * travel.ex + normal[1] * travel.ey + normal[2] * travel.ez) * spacing
-        share = share_below(bone, outward, elements.area[e], spacing)
-        if share > 0.0 and taken_before(
-            tool,
-            motion,
-            travel.axis,
-            travel.heading,
-            brick_of,
-            older,
-            row,
-            column,
-            at,
-            outward,
-            elements.bend[e],
-            seen,
-            chunk,
-        ):
-            share = 0.0
-        met.share = share
-        met.layer = bone.layer
-        met.density = wp.min(int(bone.density + 0.5), DENSITIES - 1)
-    return met
-
-
-@wp.func
-def remaining_voxel(
-    brick_of: wp.array3d(dtype=wp.int32), alive: wp.array(dtype=wp.uint64), at: wp.vec3
-):
-    """Return row and column of the voxel at a point [voxel].
-
-    The row is -1 where the voxel's block of eight has no bone left.
-    """
-    ix = int(wp.floor(at[0]))
-    iy = int(wp.floor(at[1]))
-    iz = int(wp.floor(at[2]))
-    row = voxel_row(brick_of, ix, iy, iz)
-    column = voxel_column(ix, iy, iz)
-    if row >= 0:
-        left = alive[row] >> wp.uint64(column >> 3)
-        if (left & wp.uint64(1)) == wp.uint64(0):
-            row = -1
-    return row, column
-
-
-@wp.func
-def set_loads(
-    sums: lever16, chunk: int, force: int, torque: int, sums_out: wp.array2d(dtype=wp.float64)
-):
+def set_loads(sums: lever16, chunk: int, place: int, sums_out: wp.array2d(dtype=wp.float64)):
     """Write a chunk's force and torque at their places."""
     for c in range(3):
-        sums_out[chunk, force + c] = wp.float64(force_of(sums)[c])
-        sums_out[chunk, torque + c] = wp.float64(torque_of(sums)[c])
-
-
-@wp.func
-def share_below(bone: Bone, outward: wp.vec3, area: float, spacing: float):
-    """Compute the share of an element's width that lies below the original surface.
-
-    The width is taken along the slope of that surface.
-    """
-    share = float(1.0)
-    # -2 stands for deeper bone, without a slope.
-    if bone.distance > -1.9:
-        tangent = bone.slope - wp.dot(bone.slope, outward) * outward
-        width = wp.min(wp.length(tangent) * wp.sqrt(area) / spacing, WIDEST)
-        # 1e-3: an element parallel to the surface has no width across it.
-        share = wp.clamp(0.5 - bone.distance / wp.max(width, 1.0e-3), 0.0, 1.0)
-    return share
+        sums_out[chunk, place + c] = wp.float64(force_of(sums)[c])
+        sums_out[chunk, place + 3 + c] = wp.float64(torque_of(sums)[c])
 
 
 @wp.func

@@ -106,15 +106,19 @@ def may_cut(
     chunk: int,
     travel: Travel,
     spacing: float,
+    everywhere: bool,
     brick_of: wp.array3d(dtype=wp.int32),
     alive: wp.array(dtype=wp.uint64),
 ):
-    """Return whether some element of a chunk may advance where there may be bone."""
+    """Return whether some element of a chunk may advance where there may be bone.
+
+    With `everywhere`, an element may advance in any direction.
+    """
     cone = elements.chunk_cone[chunk]
     velocity = travel.velocity
     facing = wp.dot(velocity, wp.vec3(cone[0], cone[1], cone[2])) + wp.length(velocity) * cone[3]
     # The cone bounds the advance by the feed, but not by the turning.
-    if facing <= 0.0 and travel.turns == 0:
+    if facing <= 0.0 and travel.turns == 0 and not everywhere:
         return False
     ball = elements.chunk_ball[chunk]
     middle = travel.tip + ball[0] * travel.ex + ball[1] * travel.ey + ball[2] * travel.ez

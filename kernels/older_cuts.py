@@ -16,7 +16,7 @@ from kernels.bricks import Cell, cell_of, corner8f, corner8i, corners_of
 from kernels.carving import EDGE, corner_offset, distance_at
 from kernels.revolution import Nearest, Revolution, nearest_on, offset_from
 
-__all__ = ["SLOTS", "taken_before"]
+__all__ = ["SLOTS", "bone_ahead"]
 
 wp.set_module_options({"enable_backward": False})
 
@@ -36,11 +36,10 @@ NOWHERE = wp.constant(-1.0e9)  # index of no block
 
 
 @wp.func
-def taken_before(
+def bone_ahead(
     tool: Revolution,
     pose: wp.array2d(dtype=wp.float64),
     axis: wp.vec3,
-    heading: wp.vec3,
     brick_of: wp.array3d(dtype=wp.int32),
     older: wp.array2d(dtype=wp.uint16),
     row: int,
@@ -59,9 +58,9 @@ def taken_before(
     kept = int(older[row, column])
     distance = kept_distance(kept)
     if kept == NEVER or distance > CLEAR:
-        return False
+        return float(2.0)
     if distance < -CLEAR:
-        return True
+        return float(-2.0)
     cell = cell_of(point)
     part = cell.inside
     corners = corners_of(brick_of, cell, row)
@@ -84,7 +83,7 @@ def taken_before(
         counted += weight[c]
     # Had the tool no curvature this would be the sum below, which is larger by 0.75 bend at most.
     if tool.convex == 1 and bend < EDGE and wp.abs(flat) > ROUGH + 1.2 * bend:
-        return flat < 0.0
+        return flat / counted
     now = tool_distances(tool, pose, axis, cell, seen, chunk)
     total = float(0.0)
     least = float(FARTHEST)
@@ -97,8 +96,7 @@ def taken_before(
             most = wp.max(most, difference)
     # The bend is zero if all corners differ by an equal amount, for example at the end of an older
     # cut to which the tool has returned.
-    bent = wp.min(bend_below(bend, heading, part), 0.5 * (most - least))
-    return total < (SLACK - bent) * counted
+    return total / counted
 
 
 @wp.func

@@ -7,7 +7,8 @@ import numpy as np
 import warp as wp
 
 from kernels.bricks import corner8f
-from kernels.cutting import AREA, DENSITIES, Coefficients, cutting_forces
+from kernels.cutting import AREA, Coefficients, cutting_forces
+from kernels.engagement import DENSITIES, FOUND, find_bone
 from kernels.elements import CHUNK, LANES, Elements, lanes8, lever16
 from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror, put
@@ -20,7 +21,7 @@ from tissue.models.tissue_model import ToolMotion
 
 __all__ = [
     "THICKEST_M",
-    "ForceSums",
+    "CuttingForces",
     "LawLimits",
     "SmoothSurface",
     "edge_lengths_m",
@@ -122,8 +123,11 @@ A peg touches the rim of its pilot hole.
 """
 
 
-class ForceSums:
-    """Cutting forces on the elements of a tool in bone, summed over chunks of elements.
+class CuttingForces:
+    """Cutting forces on the elements of a tool in bone.
+
+    The bone in front of the elements is found once a pose. The forces are then summed, for any
+    velocity, over chunks of elements.
 
     Parameters
     ----------
@@ -131,8 +135,9 @@ class ForceSums:
         Bone, and the tool's distance table on the device.
     elements, coefficients
         Elements of the tool and cutting coefficients on the device.
-    motion
-        Device array of the motion, as the force kernel reads it.
+    pose, motion
+        Pose as `kernels.engagement.find_bone` reads it, and velocities as
+        `kernels.cutting.cutting_forces` reads them.
     chip_per_speed_s
         Chip thickness over normal feed speed [s].
     cores
@@ -140,10 +145,10 @@ class ForceSums:
 
     Attributes
     ----------
-    sums
-        Results of the last launch, shape (chunks, AREA + layers).
-    launch
-        Launch on the present arrays of the store.
+    found
+        Bone in front of the elements, shape (eights, FOUND, LANES).
+    find_bone
+        Launch of the search on the present arrays of the store.
     """
 
     def __init__(
@@ -152,31 +157,47 @@ class ForceSums:
         tool: Any,
         elements: Elements,
         coefficients: Coefficients,
-        motion: Any,
+        pose: Mirror,
+        motion: Mirror,
         *,
         chip_per_speed_s: float,
         cores: int | None,
     ) -> None:
-        device = str(motion.device)
+        device = str(pose.device.device)
         self._chunks = len(elements.chunk_ball)
         shape = (self._chunks, AREA + len(store.grid.layer_names))
-        self.sums = Mirror(shape, dtype=wp.float64, device=device)
+        self._sums = Mirror(shape, dtype=wp.float64, device=device)
+        self.found = wp.zeros((len(elements.lanes), FOUND), lanes8, device)
         self._store = store
-        self._given = [tool, elements, coefficients, motion, chip_per_speed_s, store.grid.spacing_m]
+        self._given = [tool, elements, pose.device, store.grid.spacing_m]
         self._scratch = wp.zeros((self._chunks, SLOTS + 1), corner8f, device)
         self._cores = cores
+        self._sum = SplitLaunch(
+            cutting_forces,
+            dim=self._chunks,
+            inputs=[elements, coefficients, self.found, motion.device, chip_per_speed_s, 0],
+            outputs=[self._sums.device],
+            cores=cores,
+            offset_index=5,
+        )
         self.record()
 
     def record(self) -> None:
-        """Record the launch on the present arrays of the store."""
-        self.launch = SplitLaunch(
-            cutting_forces,
+        """Record the search on the present arrays of the store."""
+        self.find_bone = SplitLaunch(
+            find_bone,
             dim=self._chunks,
             inputs=[*self._given, 0, *self._store.read_by_forces],
-            outputs=[self._scratch, self.sums.device],
+            outputs=[self._scratch, self.found],
             offset_index=len(self._given),
             cores=self._cores,
         )
+
+    def sums(self) -> Array:
+        """Return the sums over all elements at the present velocities."""
+        self._sum()
+        self._sums.pull()
+        return np.asarray(np.add.reduce(self._sums.host, axis=0))
 
 
 class SmoothSurface:
@@ -188,11 +209,13 @@ class SmoothSurface:
         Tool and bone.
     tool
         The tool's distance table on the device.
-    motion
-        Device array of the motion, as the force kernel reads it.
+    pose, motion
+        See `CuttingForces`.
     """
 
-    def __init__(self, cutter: Cutter, store: BrickStore, tool: Any, motion: Any) -> None:
+    def __init__(
+        self, cutter: Cutter, store: BrickStore, tool: Any, pose: Mirror, motion: Mirror
+    ) -> None:
         pieces = [piece for piece in cutter.profile.pieces if not piece.cutting]
         total_m2 = sum(piece.area_m2 for piece in pieces)
         shell = cutter.smooth_shell(spacing_m=(total_m2 / SMOOTH_ELEMENTS) ** 0.5)
@@ -202,7 +225,7 @@ class SmoothSurface:
         radii = [max(piece.start[0], piece.end[0]) for piece in ends]
         # The smallest end counts: a peg is narrow compared with the top of its tool.
         self.blocked_m2 = BLOCKED * min([total_m2, *(pi * radius**2 for radius in radii)])
-        device = str(motion.device)
+        device = str(pose.device.device)
         layers = len(store.grid.layer_names)
         # Only the engaged area is used.
         no_force = Coefficients()
@@ -211,16 +234,15 @@ class SmoothSurface:
         no_force.strength = wp.zeros((layers, DENSITIES), wp.float32, device)
         no_force.size = wp.zeros(layers, wp.vec3, device)
         elements = elements_of(shell, cutter, spacing_m=store.grid.spacing_m, device=device)
-        self.forces = ForceSums(
-            store, tool, elements, no_force, motion, chip_per_speed_s=0.0, cores=1
+        self.forces = CuttingForces(
+            store, tool, elements, no_force, pose, motion, chip_per_speed_s=0.0, cores=1
         )
 
     @property
     def is_blocked(self) -> bool:
         """True if too much of the surface is pushed into bone, so that a force is missing."""
-        self.forces.launch()
-        self.forces.sums.pull()
-        return float(self.forces.sums.host[:, AREA:].sum()) > self.blocked_m2
+        self.forces.find_bone()
+        return float(self.forces.sums()[AREA:].sum()) > self.blocked_m2
 
 
 class LawLimits:

@@ -6,7 +6,8 @@ import numpy as np
 import warp as wp
 
 from kernels.bricks import FULL
-from kernels.cutting import AREA, DENSITIES, RATE, Coefficients
+from kernels.cutting import AREA, MOTION_ROWS, RATE, SLOPES, Coefficients
+from kernels.engagement import DENSITIES, FOUND
 from kernels.elements import lever16
 from kernels.mirror import Mirror, put
 from meshes.base.arrays import Array, Bytes
@@ -15,7 +16,7 @@ from tissue.cutters.cutter import Cutter
 from tissue.materials.constants import CuttingCoefficients
 from tissue.models.bone.bricks import BrickStore
 from tissue.models.bone.carver import Carver, Removal
-from tissue.models.bone.elements import ForceSums, LawLimits, SmoothSurface, elements_of
+from tissue.models.bone.elements import CuttingForces, LawLimits, SmoothSurface, elements_of
 from tissue.models.tissue_model import Response, ToolMotion
 
 __all__ = ["BoneModel", "Removal"]
@@ -88,33 +89,38 @@ class BoneModel:
         self._response = Response(
             self._parts[:2].reshape(6), self._parts[2:].reshape(6), np.zeros(6), np.zeros(layers)
         )
-        self._motion = Mirror((7, 3), dtype=wp.float64, device=device)
-        self.motion_rows = self._motion.device
-        """Device array of the pose and motion of the last `take`, see the force kernel."""
-        self._rows = self._motion.host[0], self._motion.host[1:4], self._motion.host[4:6]
+        self._pose = Mirror((7, 3), dtype=wp.float64, device=device)
+        self.motion_rows = self._pose.device
+        """Device array of the pose and motion of the last `take`, see `find_bone`."""
+        self._rows = self._pose.host[0], self._pose.host[1:4], self._pose.host[4:6]
+        self._motion = Mirror((MOTION_ROWS, 3), dtype=wp.float64, device=device)
         self.elements = elements_of(self.shell, cutter, spacing_m=spacing, device=device)
         self.coefficients = coefficients
-        self._forces = ForceSums(
+        self._forces = CuttingForces(
             store,
             self.carver.tool,
             self.elements,
             _on_device(coefficients, device=device),
-            self._motion.device,
+            self._pose,
+            self._motion,
             chip_per_speed_s=cutter.chip_per_speed_s,
             cores=cores,
         )
         smooth = None
         if cutter.has_smooth_surface:
-            smooth = SmoothSurface(cutter, store, self.carver.tool, self._motion.device)
+            smooth = SmoothSurface(cutter, store, self.carver.tool, self._pose, self._motion)
         self.limits = LawLimits(cutter, smooth)
         self.notices = self.limits.notices
         self._is_linear = not any(each.minimum_chip_m for each in coefficients)
-        # motion, and state of the bone, that the sums are for
-        self._answered: tuple[bytes, int] | None = None
+        # pose and state of the bone that were searched, and motion that was summed
+        self._found: tuple[bytes, int] | None = None
+        self._summed = b""
+        self._sums = np.zeros(AREA + layers)
+        self._rotation = np.eye(3)
 
     def record(self) -> None:
         """Record all launches anew, after the store's arrays have grown."""
-        self._answered = None
+        self._found = None
         self.carver.record()
         self.limits.record()
         self._forces.record()
@@ -131,7 +137,7 @@ class BoneModel:
 
     def place(self, motion: ToolMotion) -> None:
         """Carve all bone inside the tool at its first pose."""
-        self._answered = None
+        self._found = None
         self.carver.place(motion)
 
     def advance(self, motion: ToolMotion) -> None:
@@ -143,39 +149,121 @@ class BoneModel:
 
     def take(self, motion: ToolMotion) -> None:
         """Write a pose and motion to `motion_rows`."""
-        tip, axes, velocities = self._rows
-        np.subtract(motion.tip_m, self._origin, out=tip)
-        tip /= self._spacing
-        axes[:] = motion.rotation.T
+        self._take_pose(motion.tip_m, motion.rotation)
+        _, _, velocities = self._rows
         np.dot(motion.heading, motion.rotation, out=velocities)
-        speed = motion.speed_m_s if motion.tangent_m_s is None else motion.tangent_m_s
-        # The sums of a linear law hold for any speed.
-        self._motion.host[6, 0] = 0.0 if self._is_linear else speed
+        self._pose.host[6, 0] = 0.0
+        self._pose.push()
+
+    def _take_pose(self, tip_m: Array, rotation: Array) -> None:
+        tip, axes, _ = self._rows
+        np.subtract(tip_m, self._origin, out=tip)
+        tip /= self._spacing
+        axes[:] = rotation.T
+
+    def find_bone(self, tip_m: Array, rotation: Array) -> None:
+        """Find the bone around the whole tool at a pose, for `forces`."""
+        self._rotation = rotation
+        self._take_pose(tip_m, rotation)
+        self._rows[2][:] = 0.0
+        self._pose.host[6, 0] = 1.0
+        self._pose.push()
+        self._forces.find_bone()
+
+    def forces(
+        self, velocity: Array, before: Array, step_s: float, *, unknowns: int
+    ) -> tuple[Array, Array]:
+        """Return the tangent of force and torque on the tool at a velocity.
+
+        The velocities are those of the tip [m/s] and the angular velocity [rad/s], shape (6,).
+
+        Parameters
+        ----------
+        velocity
+            Velocity of the tool in a step.
+        before
+            Velocity with which the pose of `find_bone` would be reached in a step.
+        step_s
+            Length of the step [s].
+        unknowns
+            Number of components of the velocity by which the derivative is taken, 3 or 6.
+
+        Returns
+        -------
+        tuple
+            Force [N] and torque about the tip [N m] of the tangent at zero velocity, shape (6,),
+            and their derivatives, shape (6, unknowns). The force at the velocity is their sum.
+        """
+        rotation = self._rotation
+        rows = self._motion.host
+        rows[:2] = velocity.reshape(2, 3) @ rotation
+        rows[2:4] = before.reshape(2, 3) @ rotation
+        rows[4] = unknowns, step_s, 1.0
         self._motion.push()
+        self._sums = sums = self._forces.sums()
+        turn = rotation.T
+        value = (sums[:SLOPES].reshape(2, 3) @ turn).reshape(6)
+        slopes = sums[SLOPES : SLOPES + 6 * unknowns].reshape(unknowns // 3, 3, 2, 3) @ turn
+        # From derivatives by velocities along the tool's axes to those along the world's.
+        slopes = np.einsum("wk,bkpc->pcbw", rotation, slopes).reshape(6, unknowns)
+        return value, slopes
 
     def respond(self, motion: ToolMotion) -> Response:
         """Return the cutting force at the motion's pose, and its tangent in the speed."""
-        self.take(motion)
-        asked = self._motion.host.tobytes(), self.carver.changes
-        is_new = asked != self._answered
-        if is_new:  # the contact of a resting tool does not change
-            self._answered = asked
-            self._forces.launch()
-            self._forces.sums.pull()
-        sums = np.add.reduce(self._forces.sums.host, axis=0)
-        np.dot(sums[:RATE].reshape(4, 3), motion.rotation.T, out=self._parts)
         response = self._response
         speed = motion.speed_m_s
+        is_new = True
+        if motion.balanced is None:
+            is_new = self._sum_along(motion)
+            sums = self._sums
+            np.dot(sums[SLOPES : SLOPES + 6].reshape(2, 3), motion.rotation.T, out=self._parts[:2])
+            np.dot(sums[:SLOPES].reshape(2, 3), motion.rotation.T, out=self._parts[2:])
+            np.multiply(response.resistance, speed, out=response.wrench)
+            response.wrench += response.edge if speed > 0.0 else motion.pressed * response.edge
+            response.removal_rate_m3_s = float(sums[RATE]) * speed
+        else:
+            sums = self._sums
+            response.wrench[:] = motion.balanced
+            response.removal_rate_m3_s = float(sums[RATE])
         response.engaged_m2[:] = sums[AREA:]
-        response.removal_rate_m3_s = float(sums[RATE]) * speed
         self.limits.check(motion, float(np.add.reduce(response.engaged_m2)), is_new=is_new)
-        # Bone balances the push on a resting tool.
-        if speed == 0.0 and any(motion.push.tolist()):
-            np.negative(motion.push, out=response.wrench)
-            return response
-        np.multiply(response.resistance, speed, out=response.wrench)
-        response.wrench += response.edge if speed > 0.0 else motion.pressed * response.edge
         return response
+
+    def _sum_along(self, motion: ToolMotion) -> bool:
+        """Find the bone and sum the forces along a direction; return whether they are new."""
+        is_new = self._find_along(motion)
+        speed = motion.speed_m_s if motion.tangent_m_s is None else motion.tangent_m_s
+        rows = self._motion.host
+        rows[:2] = self._rows[2]
+        # The sums of a linear law hold for any speed.
+        rows[4] = 1.0, 0.0, 0.0 if self._is_linear else speed
+        asked = rows.tobytes()
+        is_new = is_new or asked != self._summed
+        if is_new:  # the contact of a resting tool does not change
+            self._summed = asked
+            self._motion.push()
+            self._sums = self._forces.sums()
+        return is_new
+
+    def _find_along(self, motion: ToolMotion) -> bool:
+        """Find the bone in front of the elements that advance; return whether it is new."""
+        self.take(motion)
+        asked = self._pose.host.tobytes(), self.carver.changes
+        is_new = asked != self._found
+        if is_new:
+            self._found = asked
+            self._forces.find_bone()
+        return is_new
+
+    def found_along(self, motion: ToolMotion) -> Array:
+        """Return the bone in front of the elements that advance, shape (FOUND, elements).
+
+        The rows are as in `kernels.engagement.DISTANCE`. The number of elements is a multiple of
+        `LANES`.
+        """
+        self._find_along(motion)
+        found = self._forces.found.numpy()
+        return np.asarray(found.transpose(1, 0, 2).reshape(FOUND, -1))
 
     def finish(self) -> None:
         """Complete the carving that was spread over ticks."""
