@@ -10,13 +10,19 @@ from tissue.haptics import hand_measures as at
 from tissue.haptics.device.device import Device, DeviceParameters, KnowsTruth, Sample
 from tissue.haptics.device.safe_device import SafeDevice
 from tissue.haptics.device.sample_guard import NewSamples, guard_of
-from tissue.haptics.loop.filters import ConstantAcceleration, DelayLine, ForceRange, LowPass
+from tissue.haptics.loop.filters import (
+    VELOCITY_MEMORY,
+    ConstantAcceleration,
+    DelayLine,
+    ForceRange,
+    LowPass,
+)
 from tissue.haptics.loop.sampled_loop import WallLoop
 from tissue.haptics.loop.vibration import PlayedForce
-from tissue.haptics.proxy.cutting_tool import CuttingTool
+from tissue.haptics.proxy.cutting_tool import CutTissue, CuttingTool
 from tissue.haptics.proxy.held_tool import HeldTool
 from tissue.haptics.renderer import PassivityObserver, PassivityRenderer, Renderer, TurningRenderer
-from tissue.models.tissue_model import TICK_S, Response, ToolMotion
+from tissue.models.tissue_model import TICK_S, Response, TissueModel, ToolMotion
 from tissue.motion.motion import Motion, matrix_of
 from tissue.motion.quaternion import UPRIGHT, Quaternion
 from tissue.prediction.predictor import Contact, Predictor, SeesContact
@@ -202,7 +208,9 @@ class HandMotion(Motion):
         self._fresh = True
         self._is_new = True
         self._sample: Sample | None = None
-        self._before, self._went, self._raw, self._torque, self._velocity = np.zeros((5, 3))
+        self._before, self._went, self._raw, self._torque = np.zeros((4, 3))
+        self._velocity, self._device_velocity = np.zeros((2, 6))
+        self._observer_m = ConstantAcceleration(VELOCITY_MEMORY, step_s=loop.tick_s)
         self._both, self._rates = np.zeros((2, 6))
 
     @property
@@ -242,10 +250,17 @@ class HandMotion(Motion):
         turns = self._scripted.rotations()
         return turns if self._stray == 0.0 else np.concatenate([turns] * 5)
 
+    def meet(self, tissue: TissueModel) -> None:
+        """Let a tool that cuts move in a tissue."""
+        tissue = getattr(tissue, "milling", tissue)
+        if isinstance(self.tool, CuttingTool) and isinstance(tissue, CutTissue):
+            self.tool.meet(tissue, self._start)
+
     def begin(self, motion: ToolMotion) -> None:
         """Begin at the start of the scripted motion."""
         self._scripted.begin(motion)
-        motion.tangent_m_s = self.tool.tangent_m_s
+        if isinstance(self.tool, CuttingTool):
+            motion.balanced = self.tool.wrench
         self.measures[at.POSITION] = 1e3 * motion.tip_m
 
     def happened(self) -> list[tuple[float, str]]:
@@ -263,8 +278,8 @@ class HandMotion(Motion):
         self._sample = None
         if sample is None:
             motion.speed_m_s = 0.0
-            motion.tangent_m_s = self.tool.tangent_m_s
             self._velocity[:] = 0.0
+            self.tool.rest()
             return
         self._sample = sample
         self._is_new = self._samples.is_new(sample, time_s)
@@ -273,22 +288,17 @@ class HandMotion(Motion):
             self._follow(sample, response, motion)
 
     def correct(self, response: Response, motion: ToolMotion) -> bool:
-        """Move a free tool that has entered the tissue to its force balance.
-
-        A tool that moves against resistance also takes its balanced speed.
-        """
-        if self._sample is None or not self.tool.lands(response, motion.heading[0]):
+        """Move a free tool that has entered the tissue to its force balance."""
+        if self._sample is None or not self.tool.lands(response):
             return False
-        arrived = self.tool.tip_m.copy()
         self._follow(self._sample, response, motion)
-        if self.tool.driven:
-            self._set_speed(motion, (self.tool.tip_m - arrived) / self._step)
         return True
 
     def _follow(self, sample: Sample, response: Response, motion: ToolMotion) -> None:
         """Move the tool towards the device."""
         device = self._scale * np.array(sample.position_m) + self._shift
-        tip = self.tool.follow(device, sample.quaternion, response, motion.heading[0], self._step)
+        velocity = self._observed(device, sample)
+        tip = self.tool.follow(device, sample.quaternion, velocity, response, self._step)
         self._went[:] = (tip - self._before) / self._step
         motion.tip_m[:] = tip
         # Most tools never turn: the matrix is computed only after a change.
@@ -296,6 +306,13 @@ class HandMotion(Motion):
             self._turned = self.tool.quaternion
             motion.rotation[:] = matrix_of(np.array(self._turned)) @ self._start
         self._set_speed(motion, self._went)
+
+    def _observed(self, device_m: Array, sample: Sample) -> Array:
+        """Return the smoothed velocity of the device [m/s] and its spin [rad/s], shape (6,)."""
+        if self._is_new:
+            self._device_velocity[:3] = self._observer_m.step(device_m)
+        self._device_velocity[3:] = sample.spin_rad_s
+        return self._device_velocity
 
     def play(self, response: Response) -> None:
         """Command the force that answers the sample of this tick."""
@@ -422,15 +439,12 @@ class HandMotion(Motion):
 
         Both follow from the force balance, or are estimated for a tool that follows the device.
         """
-        self._velocity += self._smoothing * (went_m_s - self._velocity)
-        velocity = self._velocity
-        heading = self._velocity
-        if self.tool.driven:
-            velocity = went_m_s
-            heading = self.tool.heading
-        size = sqrt(heading.dot(heading))
+        if isinstance(self.tool, CuttingTool):
+            velocity = self.tool.velocity
+        else:
+            self._velocity[:3] += self._smoothing * (went_m_s - self._velocity[:3])
+            velocity = self._velocity
+        size = sqrt(velocity[:3].dot(velocity[:3]))
         if size > 0.0:
-            motion.heading[0] = heading / size
-        motion.speed_m_s = sqrt(velocity.dot(velocity))
-        motion.tangent_m_s = max(motion.speed_m_s, self.tool.tangent_m_s)
-        motion.push[:] = self.tool.push
+            motion.heading[:] = (velocity / size).reshape(2, 3)
+        motion.speed_m_s = size

@@ -129,6 +129,7 @@ class Stepper:
 
         With `resume` the tissue continues from a loop that ended there.
         """
+        self._motion.meet(self._tissue)
         self._motion.begin(self.tool)
         if not resume:
             self._tissue.place(self.tool)

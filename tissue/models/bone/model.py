@@ -163,6 +163,7 @@ class BoneModel:
 
     def find_bone(self, tip_m: Array, rotation: Array) -> None:
         """Find the bone around the whole tool at a pose, for `forces`."""
+        self._found = None
         self._rotation = rotation
         self._take_pose(tip_m, rotation)
         self._rows[2][:] = 0.0
