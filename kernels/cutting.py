@@ -11,8 +11,8 @@ and a size effect, per element::
 with every K scaled by (density / reference density) ** exponent of the layer. Below the minimum
 chip thickness h_min the force is proportional to h, so that it is a Lipschitz function of the
 velocity. With m = 0 and h_min = 0 the law is linear in h. Elements that do not advance do not cut.
-The share is the part of the element's width that lies below the bone's original surface. It is 0
-where an older cut has removed the bone.
+The share is the part of the element's width that lies below the bone's original surface. It
+decreases to 0 where an older cut has left no bone in front of the element.
 
 The law is concave in the speed. The kernel returns its tangent at the given speed.
 """
@@ -33,7 +33,7 @@ from kernels.elements import (
     place_of,
     travel_of,
 )
-from kernels.older_cuts import SLOTS, taken_before
+from kernels.older_cuts import SLOTS, bone_ahead, share_left
 from kernels.revolution import Revolution
 
 __all__ = [
@@ -246,22 +246,23 @@ def bone_met(
         normal = elements.normal[e]
         outward = (normal[0] * travel.ex + normal[1] * travel.ey + normal[2] * travel.ez) * spacing
         share = share_below(bone, outward, elements.area[e], spacing)
-        if share > 0.0 and taken_before(
-            tool,
-            motion,
-            travel.axis,
-            travel.heading,
-            brick_of,
-            older,
-            row,
-            column,
-            at,
-            outward,
-            elements.bend[e],
-            seen,
-            chunk,
-        ):
-            share = 0.0
+        if share > 0.0:
+            share *= share_left(
+                bone_ahead(
+                    tool,
+                    motion,
+                    travel.axis,
+                    brick_of,
+                    older,
+                    row,
+                    column,
+                    at,
+                    outward,
+                    elements.bend[e],
+                    seen,
+                    chunk,
+                )
+            )
         met.share = share
         met.layer = bone.layer
         met.density = wp.min(int(bone.density + 0.5), DENSITIES - 1)
