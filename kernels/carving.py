@@ -7,9 +7,10 @@ the same bone in any order. It is exact where an old and a new surface are paral
 cross at a right angle it leaves a twelfth of a voxel too much on average. All lengths are in
 voxels.
 
-Every voxel also keeps its smallest distance to older cuts. This is the smallest distance at the
-time when the tool last came within reach of the voxel's block, or last turned. It excludes the
-present pass, which ends at the tool's present surface.
+Every voxel also keeps its smallest distance to older cuts. These are all cuts up to the last visit
+from which the tool has since moved away. A visit far enough from the last such visit first books
+everything cut so far as older cuts, and then carves. The bone in front of a moving tool is therefore
+never an older cut, and the bone behind it always is. No direction of motion is needed for this.
 
 Bricks belong to one of ``PHASES`` groups. A launch visits some of the groups, so that a slow tool
 spreads its carving over ticks; every group remembers the pose of its last visit. Inside a brick,
@@ -23,19 +24,19 @@ import warp as wp
 from kernels.bricks import cube_behind_plane, layer_of, plane_of
 from kernels.revolution import EDGE_BEND, Nearest, Revolution, nearest_on, offset_from
 
-__all__ = ["BINARY", "COUNT", "EVERY_SIDE", "FIRST", "ORIGIN", "PHASES", "PLAN", "TURNED", "carve"]
+__all__ = ["BINARY", "COUNT", "EVERY_SIDE", "FIRST", "MOVED", "ORIGIN", "PHASES", "PLAN", "carve"]
 
 wp.set_module_options({"enable_backward": False})
 
 PHASES = 16  # a power of two: the remainder is one instruction
-FIRST, COUNT, BINARY, EVERY_SIDE, ORIGIN, TURNED, PLAN = 0, 1, 2, 3, 4, 5, 6
+FIRST, COUNT, BINARY, EVERY_SIDE, ORIGIN, MOVED, PLAN = 0, 1, 2, 3, 4, 5, 6
 """Places in the plan of a launch.
 
 In order: first group; number of groups; 1 for binary removal; 1 for every side; group of the first
-brick; 1 where the tool turns and everything it has cut becomes an older cut.
+brick; one bit a group, 1 where the tool is far enough from the group's last pose for its cuts to
+become older cuts.
 """
 BLOCK_REACH = wp.constant(1.7320508)  # half diagonal of a block of 2 voxels [voxel]
-LONGEST_STEP = wp.constant(1.0)  # more than the tool moves between two visits of a brick [voxel]
 EDGE = wp.constant(float(EDGE_BEND))
 BRICK_REACH = wp.constant(6.9282032)  # half diagonal of a brick of 8 voxels [voxel]
 
@@ -44,7 +45,8 @@ BRICK_REACH = wp.constant(6.9282032)  # half diagonal of a brick of 8 voxels [vo
 def carve(
     # tool
     tool: Revolution,
-    # row 0 now, row 1 + g last visit of group g: tip xyz [voxel], axis xyz
+    # row 0 now, row 1 + g when the cuts of group g last became older cuts:
+    # tip xyz [voxel], axis xyz
     pose: wp.array2d(dtype=wp.float64),
     plan: wp.array(dtype=wp.int32),  # see FIRST
     worker_offset: int,
@@ -100,7 +102,7 @@ def carve(
                         group,
                         plan[BINARY],
                         plan[EVERY_SIDE],
-                        plan[TURNED],
+                        (plan[MOVED] >> group) & 1,
                         bx,
                         by,
                         bz,
@@ -125,7 +127,7 @@ def carve_brick(
     group: int,
     binary: int,
     every_side: int,
-    turned: int,
+    has_moved: int,
     bx: int,
     by: int,
     bz: int,
@@ -155,18 +157,12 @@ def carve_brick(
     # degrees. The whole block faces backward below -0.25 (104 degrees), the whole brick below -0.7
     # (134 degrees).
     skip_behind = every_side == 0 and tool.round == 1 and tool.radius > 8.0
-    if (
-        skip_behind
-        and turned == 0
-        and tool.radius > 24.0
-        and wp.dot(step, far.slope) < -0.7 * moved
-    ):
-        return  # the whole brick lies behind a tool that leaves it
-    axis_before = wp.vec3(
-        float(pose[1 + group, 3]), float(pose[1 + group, 4]), float(pose[1 + group, 5])
-    )
-    # the brick was carved at this very pose
-    is_cut = turned != 0 and moved == 0.0 and axis_before == axis
+    if skip_behind and tool.radius > 24.0 and wp.dot(step, far.slope) < -0.7 * moved:
+        # The whole brick lies behind a tool that leaves it.
+        if has_moved != 0:
+            for voxel in range(512):
+                older_out[row, voxel] = swept_out[row, voxel]
+        return
     before = alive
     booked = booked_by(removed_out, worker)
     for block in range(64):
@@ -180,11 +176,9 @@ def carve_brick(
             # outer blocks.
             if tool.convex == 0 or far.distance + wp.dot(far.slope, shift) < BLOCK_REACH + kink:
                 near = nearest_on(tool, centre + shift, axis)
-                if near.distance < BLOCK_REACH and near.distance > BLOCK_REACH - LONGEST_STEP:
-                    last = nearest_on(tool, centre + step + shift, axis_before)
-                    if last.distance >= BLOCK_REACH:  # the tool comes within reach
-                        for v in range(8):
-                            older_out[row, block * 8 + v] = swept_out[row, block * 8 + v]
+                if has_moved != 0 and near.distance < BLOCK_REACH:
+                    for v in range(8):
+                        older_out[row, block * 8 + v] = swept_out[row, block * 8 + v]
                 if near.distance < -BLOCK_REACH:
                     for v in range(8):
                         voxel = block * 8 + v
@@ -198,7 +192,7 @@ def carve_brick(
                     alive = alive ^ bit
                 elif near.distance < BLOCK_REACH:
                     advance = wp.dot(near.slope, step)
-                    if not is_cut and (advance >= -0.25 * moved or not skip_behind):
+                    if advance >= -0.25 * moved or not skip_behind:
                         flat = flattened(near, centre + shift, axis, step)
                         carve_block(
                             tool,
@@ -215,9 +209,6 @@ def carve_brick(
                             swept_out,
                             removed_out,
                         )
-                    if turned != 0:
-                        for v in range(8):
-                            older_out[row, block * 8 + v] = swept_out[row, block * 8 + v]
     if alive != before:
         alive_out[row] = alive
     if booked_by(removed_out, worker) != booked:

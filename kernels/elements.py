@@ -76,7 +76,6 @@ class Travel:
     turning: wp.vec3  # angular, per unit of speed [1/m]
     turns: wp.int32  # 1 where it is not 0
     least: wp.float32  # an element that advances by no more does not cut
-    heading: wp.vec3  # of the tip in the grid, unit
 
 
 @wp.func
@@ -94,9 +93,6 @@ def travel_of(motion: wp.array2d(dtype=wp.float64), spacing: float):
     travel.turns = wp.where(wp.length(travel.turning) > 0.0, 1, 0)
     # 1e-5: more than the rounding of an advance in single precision.
     travel.least = 1.0e-5 * wp.length(velocity)
-    travel.heading = wp.normalize(
-        velocity[0] * travel.ex + velocity[1] * travel.ey + velocity[2] * travel.ez
-    )
     return travel
 
 

@@ -21,7 +21,7 @@ from kernels.elements import (
     place_of,
     travel_of,
 )
-from kernels.older_cuts import SLOTS, bone_ahead
+from kernels.older_cuts import RAMP, SLOTS, bone_ahead
 from kernels.revolution import Revolution
 
 __all__ = ["DENSITIES", "DENSITY", "DISTANCE", "FOUND", "LAYER", "SLOPE", "WIDTH", "find_bone"]
@@ -45,9 +45,6 @@ They are for densities of 0 to 20,000 kg/m3, the largest that a bone may have.
 WIDEST = wp.constant(3.5)
 # An element parallel to the surface has no width across it [voxel].
 NARROWEST = wp.constant(1.0e-3)
-# Length of bone in front of an element over which it becomes engaged [voxel]. It is centred at the
-# surface that an older cut has left, and more than the error of its place.
-SHARP = wp.constant(0.02)
 # Distance in front of a tool held by hand at which bone is found [voxel]. A tool moves less far
 # beyond the place at which its bone was found.
 NEAR = wp.constant(0.2)
@@ -203,10 +200,10 @@ def bone_met(
                 chunk,
             )
             # The surface that lies deeper decides.
-            if -ahead * met.width > met.distance * SHARP:
+            if -ahead * met.width > met.distance * RAMP:
                 met.distance = -ahead
                 met.slope = -normal
-                met.width = SHARP
+                met.width = RAMP
             if met.distance >= 0.5 * met.width + margin:
                 met.width = 0.0
         else:

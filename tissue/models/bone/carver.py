@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 
 from kernels.bricks import BRICK, FULL
-from kernels.carving import BINARY, COUNT, EVERY_SIDE, FIRST, ORIGIN, PHASES, PLAN, TURNED, carve
+from kernels.carving import BINARY, COUNT, EVERY_SIDE, FIRST, MOVED, ORIGIN, PHASES, PLAN, carve
 from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror, put
 from kernels.revolution import Revolution
@@ -34,15 +34,11 @@ CARVE_LAG_M = 2.0e-5
 The force does not depend on when a brick was visited, see docs/decisions.md.
 """
 LONGEST_STEP_VOXELS = 0.5
-"""Longest step between two carvings; a faster tool is carved in parts of a tick.
+"""Longest step between two carvings; a faster tool is carved in parts of a tick."""
+LEAST_STEP = 0.5
+"""Motion of the tool from which on a visit turns cuts into older cuts, relative to the lag; chosen.
 
-Together with the lag it is less than `LONGEST_STEP` of `kernels.carving`.
-"""
-TURN = 0.9
-"""Share of the stored feed direction below which the tool counts as turned.
-
-The share is the projection of the present feed direction on the direction stored at the last turn:
-26 degrees; chosen. Completing a cut at a turn takes 0.1 to 1.2 ms, see docs/performance.md.
+A visit closer to the last one, such as that of a tool at rest, carves only.
 """
 CHANGED = ("remaining", "swept", "older", "alive")
 """Arrays of the brick store that carving changes and depends on."""
@@ -60,16 +56,14 @@ class CarverState:
     bricks
         Device arrays of the brick store, by name.
     poses
-        Present pose, and pose at the last visit of every group of bricks, shape (1 + groups, 6).
-    heading
-        Feed direction at the last turn of the tool, shape (2, 3).
+        Present pose, and for every group of bricks the pose at which its cuts last became older
+        cuts, shape (1 + groups, 6).
     counts
         Next group, number of visits due, number of groups not yet visited at the present pose.
     """
 
     bricks: dict[str, Any]
     poses: Array
-    heading: Array
     counts: tuple[int, float, int]
 
 
@@ -129,7 +123,6 @@ class Carver:
         self._first_group = int(np.rint(self._origin / (BRICK * spacing)).sum()) % PHASES
         self._debt = 0.0  # visits owed for the path so far
         self._behind = 0  # groups not visited at the present pose
-        self._heading = np.zeros((2, 3))
         self._now = np.zeros(6)
         workers = WORKERS_CPU if device == "cpu" else WORKERS_GPU
         self._pose = Mirror((1 + PHASES, 6), dtype=wp.float64, device=device)
@@ -169,7 +162,6 @@ class Carver:
     def place(self, motion: ToolMotion) -> None:
         """Carve all bone inside the tool at its first pose."""
         self._pose.host[:] = self._pose_of(motion)
-        self._heading[:] = motion.heading
         self._visit(PHASES, every_side=True)
 
     def advance(self, motion: ToolMotion) -> None:
@@ -178,15 +170,7 @@ class Carver:
         A slow tool's carving is spread over ticks.
         """
         now = self._pose_of(motion)
-        moved = now - self._pose.host[0]
-        step = sqrt(moved[:3].dot(moved[:3])) + self._lever * sqrt(moved[3:].dot(moved[3:]))
-        if not self._heading.any():  # first move after `place`: there is no cut to complete
-            self._heading[:] = motion.heading
-        elif step > 0.0 and np.vdot(motion.heading, self._heading) < TURN * np.vdot(
-            self._heading, self._heading
-        ):
-            self._visit(PHASES, turned=True)  # first complete the cut on the old path
-            self._heading[:] = motion.heading
+        step = self._distance(now, self._pose.host[0])
         if step > LONGEST_STEP_VOXELS:
             self._sweep(now, parts=ceil(step / LONGEST_STEP_VOXELS))
         elif step > 0.0:
@@ -198,6 +182,11 @@ class Carver:
                 self._visit(groups)
         elif self._behind > 0:
             self._visit(1)  # the tool rests: carve the other bricks at its pose, one group a tick
+
+    def _distance(self, one: Array, other: Array) -> float:
+        """Return a bound of the distance [voxel] by which the tool's points move between poses."""
+        moved = one - other
+        return sqrt(moved[:3].dot(moved[:3])) + self._lever * sqrt(moved[3:].dot(moved[3:]))
 
     def _pose_of(self, motion: ToolMotion) -> Array:
         """Return tip [voxel] and axis of a motion, in an array that the next call overwrites."""
@@ -227,7 +216,6 @@ class Carver:
         return CarverState(
             {name: wp.clone(getattr(self.store, name)) for name in CHANGED},
             self._pose.host.copy(),
-            self._heading.copy(),
             (self._next_group, self._debt, self._behind),
         )
 
@@ -237,27 +225,30 @@ class Carver:
         for name, values in state.bricks.items():
             wp.copy(getattr(self.store, name), values)
         self._pose.host[:] = state.poses
-        self._heading[:] = state.heading
         self._next_group, self._debt, self._behind = state.counts
 
-    def _visit(self, groups: int, *, every_side: bool = False, turned: bool = False) -> None:
+    def _visit(self, groups: int, *, every_side: bool = False) -> None:
         """Carve ``groups`` groups of bricks at the current pose and add up their loss."""
         self.changes += 1
         first = self._next_group
+        poses = self._pose.host
+        least = LEAST_STEP * self._lag
+        visited = [(first + visit) % PHASES for visit in range(groups)]
+        moved = [g for g in visited if self._distance(poses[0], poses[1 + g]) >= least]
         plan = self._plan.host
         plan[FIRST] = first
         plan[COUNT] = groups
         plan[BINARY] = self._binary
         plan[EVERY_SIDE] = every_side
-        plan[TURNED] = turned
+        plan[MOVED] = sum(1 << group for group in moved)
         plan[ORIGIN] = self._first_group
         self._plan.push()
         self._pose.push()
         self._carve()
         self._removed.pull()
         self.removed_steps += np.add.reduce(self._removed.host, axis=0)
-        for visit in range(groups):
-            self._pose.host[1 + (first + visit) % PHASES] = self._pose.host[0]
+        for group in moved:
+            poses[1 + group] = poses[0]
         self._next_group = (first + groups) % PHASES
         # A visit of all groups leaves none to be visited.
         self._debt = 0.0 if groups == PHASES else max(self._debt - groups, 0.0)
@@ -386,7 +377,6 @@ class CarvingReplay:
         motion = self._motion
         motion.tip_m[:] = pose[1:4]
         motion.rotation[:, 2] = pose[4:7]
-        motion.heading[:] = pose[7:].reshape(2, 3)
         if pose[0] < 0.0:
             self._carver.place(motion)
         else:
