@@ -1,9 +1,15 @@
 """Bone in front of each element of a rotating cutter.
 
 An element is engaged by the share of its width that lies below a surface: the original surface of
-the bone or, where an older cut lies deeper, the surface that this cut has left. Distance, direction
-and width of the surface are stored, so that `kernels.cutting` can evaluate the share at any
-velocity.
+the bone or, where a cut lies deeper, the surface that this cut has left. Distance, direction and
+width of the surface are stored, so that `kernels.cutting` can evaluate the share at any velocity.
+
+Cuts that are some visits old are taken from the voxels, see `kernels.older_cuts`. The tool's last
+poses are known to rounding. At a pose displaced by d, the tool has cut to ::
+
+    d . n - k / 2 |d - (d . n) n|**2
+
+in front of an element with normal n and mean curvature k.
 """
 
 import warp as wp
@@ -22,7 +28,7 @@ from kernels.elements import (
     travel_of,
 )
 from kernels.older_cuts import RAMP, SLOTS, bone_ahead
-from kernels.revolution import Revolution
+from kernels.revolution import EDGE_BEND, Revolution
 
 __all__ = ["DENSITIES", "DENSITY", "DISTANCE", "FOUND", "LAYER", "SLOPE", "WIDTH", "find_bone"]
 
@@ -45,9 +51,12 @@ They are for densities of 0 to 20,000 kg/m3, the largest that a bone may have.
 WIDEST = wp.constant(3.5)
 # An element parallel to the surface has no width across it [voxel].
 NARROWEST = wp.constant(1.0e-3)
+EDGE = wp.constant(float(EDGE_BEND))
 # Distance in front of a tool held by hand at which bone is found [voxel]. A tool moves less far
 # beyond the place at which its bone was found.
 NEAR = wp.constant(0.2)
+# Gap to the tool's last poses above which it counts, and the width of their surface [m].
+CLOSE = wp.constant(1.0e-9)
 
 
 @wp.kernel
@@ -58,6 +67,9 @@ def find_bone(
     # rows: tip [voxel]; tool axes x, y, z; tip's and angular velocity at unit speed, own frame;
     # 1 to find bone around the whole tool, else only in front of elements that advance, -, -
     motion: wp.array2d(dtype=wp.float64),
+    # displacements to the tool's last poses and rotations to them, in the tool's frame [m], [rad];
+    # the first is the present pose
+    recent: wp.array2d(dtype=wp.float32),
     spacing: float,  # [m]
     chunk_offset: int,
     # grid
@@ -109,6 +121,7 @@ def find_bone(
                         eight * LANES + lane,
                         wp.vec3(x[lane], y[lane], z[lane]),
                         everywhere,
+                        recent,
                         seen_out,
                         chunk,
                     )
@@ -158,6 +171,7 @@ def bone_met(
     e: int,
     at: wp.vec3,
     everywhere: bool,
+    recent: wp.array2d(dtype=wp.float32),
     seen: wp.array2d(dtype=corner8f),
     chunk: int,
 ):
@@ -199,11 +213,17 @@ def bone_met(
                 seen,
                 chunk,
             )
-            # The surface that lies deeper decides.
-            if -ahead * met.width > met.distance * RAMP:
-                met.distance = -ahead
+            # The surface that lies deeper decides. Bone at the surface itself is engaged.
+            passed = -ahead - 0.5 * RAMP
+            if passed * met.width > met.distance * RAMP:
+                met.distance = passed
                 met.slope = -normal
                 met.width = RAMP
+            cut, present = cut_recently(recent, elements.point[e], normal, elements.bend[e], spacing)
+            if cut - present > CLOSE and met.distance < 0.5 * met.width + margin:
+                met.distance = cut / spacing
+                met.slope = -normal
+                met.width = CLOSE / spacing
             if met.distance >= 0.5 * met.width + margin:
                 met.width = 0.0
         else:
@@ -213,6 +233,34 @@ def bone_met(
         met.layer = bone.layer
         met.density = wp.floor(wp.min(bone.density + 0.5, float(DENSITIES - 1)))
     return met
+
+
+@wp.func
+def cut_recently(
+    recent: wp.array2d(dtype=wp.float32),
+    point: wp.vec3,
+    normal: wp.vec3,
+    bend: float,
+    spacing: float,
+):
+    """Return how far the tool has cut in front of an element at its last poses [m].
+
+    The second value is that of the present pose alone.
+    """
+    present = float(0.0)
+    most = float(0.0)
+    curvature = wp.where(bend < EDGE, 3.0 * bend / spacing, 0.0)
+    for j in range(recent.shape[0]):
+        moved = wp.vec3(recent[j, 0], recent[j, 1], recent[j, 2])
+        turned = wp.vec3(recent[j, 3], recent[j, 4], recent[j, 5])
+        moved += wp.cross(turned, point)
+        along = wp.dot(moved, normal)
+        ahead = along - 0.5 * curvature * (wp.dot(moved, moved) - along * along)
+        if j == 0:
+            present = ahead
+            most = ahead
+        most = wp.max(most, ahead)
+    return most, present
 
 
 @wp.func

@@ -22,7 +22,7 @@ wp.set_module_options({"enable_backward": False})
 NEVER = wp.constant(65535)  # stored where the tool has not come near
 CLEAR = wp.constant(0.9)  # more than a voxel's centre is from any point in it
 # length of bone over which the share of an element that cuts rises from 0 to 1 [voxel]; chosen
-RAMP = wp.constant(0.02)
+RAMP = wp.constant(0.01)
 ROUGH = wp.constant(0.05)  # more than the errors of tables and tangent spheres, and RAMP, together
 FARTHEST = wp.constant(2.0)  # a difference larger than this counts as this
 SLOTS = 64

@@ -27,8 +27,10 @@ It is the rounding of forces in single precision.
 """
 LEAST_N = 1e-7
 """Residual that is always accepted [N]."""
-MOST_STEPS = 12
-"""Largest number of Newton steps and of halvings of a step together."""
+MOST_STEPS = 20
+"""Largest number of evaluations of the force in a tick."""
+LEAST_SHARE = 0.02
+"""Smallest share of a Newton step that is tried after a step that was too long."""
 
 
 @runtime_checkable
@@ -169,8 +171,14 @@ class CuttingTool(HeldTool):
                 if size <= accepted:
                     break
                 *_, step, _ = dgesv(matrix - slopes[free], -residual)
+                toward = residual
             else:
-                step = 0.5 * step
+                # The residual along its last direction is zero there, if it is linear in between.
+                along = float(residual.dot(toward)) / (least * least)
+                share = 0.5 if along >= 0.0 else min(max(1.0 / (1.0 - along), LEAST_SHARE), 0.5)
+                step = share * step
             velocity = best.copy()
             velocity[free] += step
+        # The momentum is balanced exactly by the force that has been found.
+        best[free] = (driving[free] + self.wrench[free]) / held[free]
         return best

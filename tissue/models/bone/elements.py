@@ -1,6 +1,6 @@
 """Elements of a cutter's surface on a device, and the range of validity of the cutting law."""
 
-from math import pi
+from math import pi, sqrt
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ __all__ = [
     "THICKEST_M",
     "CuttingForces",
     "LawLimits",
+    "RecentPoses",
     "SmoothSurface",
     "edge_lengths_m",
     "elements_of",
@@ -123,6 +124,15 @@ A peg touches the rim of its pilot hole.
 """
 
 
+SPACED_M = 3e-6
+KEPT_POSES = 20
+"""Distance of the tool's last poses [m], and their number.
+
+Together they are longer than the way between three visits of a brick, `CARVE_LAG_M`. A tool that
+returns on its way meets bone at most `SPACED_M` too early.
+"""
+
+
 class CuttingForces:
     """Cutting forces on the elements of a tool in bone.
 
@@ -135,9 +145,10 @@ class CuttingForces:
         Bone, and the tool's distance table on the device.
     elements, coefficients
         Elements of the tool and cutting coefficients on the device.
-    pose, motion
-        Pose as `kernels.engagement.find_bone` reads it, and velocities as
-        `kernels.cutting.cutting_forces` reads them.
+    pose, recent
+        Pose and last poses, as `kernels.engagement.find_bone` reads them.
+    motion
+        Velocities, as `kernels.cutting.cutting_forces` reads them.
     chip_per_speed_s
         Chip thickness over normal feed speed [s].
     cores
@@ -158,6 +169,7 @@ class CuttingForces:
         elements: Elements,
         coefficients: Coefficients,
         pose: Mirror,
+        recent: Mirror,
         motion: Mirror,
         *,
         chip_per_speed_s: float,
@@ -169,7 +181,7 @@ class CuttingForces:
         self._sums = Mirror(shape, dtype=wp.float64, device=device)
         self.found = wp.zeros((len(elements.lanes), FOUND), lanes8, device)
         self._store = store
-        self._given = [tool, elements, pose.device, store.grid.spacing_m]
+        self._given = [tool, elements, pose.device, recent.device, store.grid.spacing_m]
         self._scratch = wp.zeros((self._chunks, SLOTS + 1), corner8f, device)
         self._cores = cores
         self._sum = SplitLaunch(
@@ -200,6 +212,69 @@ class CuttingForces:
         return np.asarray(np.add.reduce(self._sums.host, axis=0))
 
 
+class RecentPoses:
+    """Last poses of a tool that has cut.
+
+    A pose is kept at every `SPACED_M` of the tool's way. All of them reach further back than the
+    bone that the voxels show as cut before, see `tissue.models.bone.carver`.
+
+    Parameters
+    ----------
+    lever_m
+        Distance of the tool's far end from its tip [m].
+    device
+        Warp device name.
+
+    Attributes
+    ----------
+    mirror
+        Displacements and rotations, as `kernels.engagement.find_bone` reads them.
+    """
+
+    def __init__(self, lever_m: float, *, device: str) -> None:
+        self._tips = np.zeros((KEPT_POSES, 3))
+        self._rotations = np.tile(np.eye(3), (KEPT_POSES, 1, 1))
+        self._lever = lever_m
+        self._next = 0
+        self._turns = False
+        self._moved = np.zeros((KEPT_POSES, 3))
+        self.mirror = Mirror((1 + KEPT_POSES, 6), dtype=wp.float32, device=device)
+
+    def place(self, motion: ToolMotion) -> None:
+        """Start at a pose."""
+        self._tips[:] = motion.tip_m
+        self._rotations[:] = motion.rotation
+        self._turns = False
+
+    def add(self, motion: ToolMotion) -> None:
+        """Add a pose at which the tool has cut."""
+        last = self._next - 1
+        self._tips[self._next] = motion.tip_m
+        self._rotations[self._next] = motion.rotation
+        moved = motion.tip_m - self._tips[last]
+        turned = motion.rotation - self._rotations[last]
+        self._turns = self._turns or turned.any()
+        way = sqrt(moved.dot(moved)) + self._lever * sqrt(np.vdot(turned, turned))
+        # Otherwise the next pose takes the place of this one.
+        if way >= SPACED_M:
+            self._next = (self._next + 1) % KEPT_POSES
+            self._tips[self._next] = motion.tip_m
+            self._rotations[self._next] = motion.rotation
+
+    def seen_from(self, tip_m: Array, rotation: Array) -> None:
+        """Write the displacements from a pose to `mirror`, the present pose first."""
+        rows = self.mirror.host
+        np.dot(self._tips - tip_m, rotation, out=self._moved)
+        rows[1:, :3] = self._moved
+        if self._turns:
+            relative = rotation.T @ self._rotations
+            # The rotation about the tool's axis moves its surface into itself.
+            rows[1:, 3] = 0.5 * (relative[:, 2, 1] - relative[:, 1, 2])
+            rows[1:, 4] = 0.5 * (relative[:, 0, 2] - relative[:, 2, 0])
+        rows[0] = rows[1 + self._next]
+        self.mirror.push()
+
+
 class SmoothSurface:
     """Area of a tool's non-cutting surface that is pushed into bone.
 
@@ -209,12 +284,18 @@ class SmoothSurface:
         Tool and bone.
     tool
         The tool's distance table on the device.
-    pose, motion
+    pose, recent, motion
         See `CuttingForces`.
     """
 
     def __init__(
-        self, cutter: Cutter, store: BrickStore, tool: Any, pose: Mirror, motion: Mirror
+        self,
+        cutter: Cutter,
+        store: BrickStore,
+        tool: Any,
+        pose: Mirror,
+        recent: Mirror,
+        motion: Mirror,
     ) -> None:
         pieces = [piece for piece in cutter.profile.pieces if not piece.cutting]
         total_m2 = sum(piece.area_m2 for piece in pieces)
@@ -235,7 +316,7 @@ class SmoothSurface:
         no_force.size = wp.zeros(layers, wp.vec3, device)
         elements = elements_of(shell, cutter, spacing_m=store.grid.spacing_m, device=device)
         self.forces = CuttingForces(
-            store, tool, elements, no_force, pose, motion, chip_per_speed_s=0.0, cores=1
+            store, tool, elements, no_force, pose, recent, motion, chip_per_speed_s=0.0, cores=1
         )
 
     @property

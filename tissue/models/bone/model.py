@@ -16,7 +16,13 @@ from tissue.cutters.cutter import Cutter
 from tissue.materials.constants import CuttingCoefficients
 from tissue.models.bone.bricks import BrickStore
 from tissue.models.bone.carver import Carver, Removal
-from tissue.models.bone.elements import CuttingForces, LawLimits, SmoothSurface, elements_of
+from tissue.models.bone.elements import (
+    CuttingForces,
+    LawLimits,
+    RecentPoses,
+    SmoothSurface,
+    elements_of,
+)
 from tissue.models.tissue_model import Response, ToolMotion
 
 __all__ = ["BoneModel", "Removal"]
@@ -94,6 +100,8 @@ class BoneModel:
         """Device array of the pose and motion of the last `take`, see `find_bone`."""
         self._rows = self._pose.host[0], self._pose.host[1:4], self._pose.host[4:6]
         self._motion = Mirror((MOTION_ROWS, 3), dtype=wp.float64, device=device)
+        lever_m = float(np.abs(cutter.profile.height_range_m).max())
+        self._recent = RecentPoses(lever_m, device=device)
         self.elements = elements_of(self.shell, cutter, spacing_m=spacing, device=device)
         self.coefficients = coefficients
         self._forces = CuttingForces(
@@ -102,13 +110,16 @@ class BoneModel:
             self.elements,
             _on_device(coefficients, device=device),
             self._pose,
+            self._recent.mirror,
             self._motion,
             chip_per_speed_s=cutter.chip_per_speed_s,
             cores=cores,
         )
         smooth = None
         if cutter.has_smooth_surface:
-            smooth = SmoothSurface(cutter, store, self.carver.tool, self._pose, self._motion)
+            smooth = SmoothSurface(
+                cutter, store, self.carver.tool, self._pose, self._recent.mirror, self._motion
+            )
         self.limits = LawLimits(cutter, smooth)
         self.notices = self.limits.notices
         self._is_linear = not any(each.minimum_chip_m for each in coefficients)
@@ -139,6 +150,7 @@ class BoneModel:
         """Carve all bone inside the tool at its first pose."""
         self._found = None
         self.carver.place(motion)
+        self._recent.place(motion)
 
     def advance(self, motion: ToolMotion) -> None:
         """Carve the bone that the tool reaches at its new pose.
@@ -146,6 +158,7 @@ class BoneModel:
         A slow tool's carving is spread over ticks.
         """
         self.carver.advance(motion)
+        self._recent.add(motion)
 
     def take(self, motion: ToolMotion) -> None:
         """Write a pose and motion to `motion_rows`."""
@@ -169,6 +182,7 @@ class BoneModel:
         self._rows[2][:] = 0.0
         self._pose.host[6, 0] = 1.0
         self._pose.push()
+        self._recent.seen_from(tip_m, rotation)
         self._forces.find_bone()
 
     def forces(
@@ -253,6 +267,7 @@ class BoneModel:
         is_new = asked != self._found
         if is_new:
             self._found = asked
+            self._recent.seen_from(motion.tip_m, motion.rotation)
             self._forces.find_bone()
         return is_new
 
