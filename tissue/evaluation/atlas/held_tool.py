@@ -44,8 +44,8 @@ SEED = 1
 MOST = 10.0
 """Amplification above which a tool is ill-conditioned.
 
-Chosen. The tool without inertia has 90 to 28,000 at a shift of 1 nm. At 10 um it has 9 at most: its
-path changes by about 0.1 mm, whatever the shift.
+Chosen. The tool without inertia has 90 to 28,000 at a shift of 1 nm. At 10 um it has at most 6,
+because its path changes by some hundredths of a millimetre, whatever the shift.
 """
 STYLES = (("o-", "#0072B2"), ("s-", ORANGE), ("^-", GREEN), ("D-", "#56B4E9"), ("v-", "#CC79A7"))
 RULES = {"engine": "tool of the engine", "massless": "massless quasi-static limit"}
