@@ -56,7 +56,7 @@ EDGE = wp.constant(float(EDGE_BEND))
 # beyond the place at which its bone was found.
 NEAR = wp.constant(0.2)
 # Gap to the tool's last poses above which it counts, and the width of their surface [m].
-CLOSE = wp.constant(1.0e-9)
+CLOSE = wp.constant(2.0e-7)
 
 
 @wp.kernel

@@ -25,12 +25,12 @@ TOLERANCE = 1e-6
 
 It is the rounding of forces in single precision.
 """
-LEAST_N = 1e-7
+LEAST_N = 1e-4
 """Residual that is always accepted [N]."""
-MOST_STEPS = 20
+MOST_STEPS = 12
 """Largest number of evaluations of the force in a tick."""
-LEAST_SHARE = 0.02
-"""Smallest share of a Newton step that is tried after a step that was too long."""
+REDUCED = 0.5
+"""Ratio by which a step must reduce the residual to be followed by another Newton step."""
 
 
 @runtime_checkable
@@ -155,30 +155,40 @@ class CuttingTool(HeldTool):
             return velocity
         free = slice(unknowns)
         accepted = TOLERANCE * sqrt(driving.dot(driving)) + LEAST_N
-        step = np.zeros(unknowns)
-        least = inf
         matrix = np.diag(held[free])
+        best = velocity
+        step = np.zeros(unknowns)
+        share = 0.0
+        system = matrix
         for count in range(1, MOST_STEPS + 1):
             value, slopes = self._tissue.forces(velocity, before, step_s, unknowns=unknowns)
             wrench = value + slopes.dot(velocity[free])
-            residual = held[free] * velocity[free] - driving[free] - wrench[free]
-            size = sqrt(residual.dot(residual))
+            residual = driving[free] + wrench[free] - held[free] * velocity[free]
             self.steps = count
-            if size < least:
-                least = size
-                best = velocity.copy()
+            if sqrt(residual.dot(residual)) <= accepted:
+                best = velocity
                 self.wrench[:] = wrench
-                if size <= accepted:
-                    break
-                *_, step, _ = dgesv(matrix - slopes[free], -residual)
-                toward = residual
-            else:
-                # The residual along its last direction is zero there, if it is linear in between.
-                along = float(residual.dot(toward)) / (least * least)
-                share = 0.5 if along >= 0.0 else min(max(1.0 / (1.0 - along), LEAST_SHARE), 0.5)
-                step = share * step
+                break
+            if share > 0.0:
+                # The correction that the slopes at the start of the step ask for at its end.
+                *_, left, _ = dgesv(system, residual)
+                size = sqrt(step.dot(step))
+                if sqrt(left.dot(left)) > (1.0 - 0.25 * share) * size:
+                    bent = left - (1.0 - share) * step
+                    guess = 0.5 * size * share * share / sqrt(bent.dot(bent))
+                    share = min(max(guess, 0.1 * share), 0.5 * share)
+                    if share > 1e-4:
+                        velocity = best.copy()
+                        velocity[free] += share * step
+                        continue
+            best = velocity
+            self.wrench[:] = wrench
+            system = matrix - slopes[free]
+            *_, step, _ = dgesv(system, residual)
+            share = 1.0 if share == 0.0 else min(1.0, 4.0 * share)
             velocity = best.copy()
-            velocity[free] += step
+            velocity[free] += share * step
+        self.last = best.copy()
         # The momentum is balanced exactly by the force that has been found.
         best[free] = (driving[free] + self.wrench[free]) / held[free]
         return best
