@@ -11,7 +11,6 @@ from tissue.haptics.device.device import Device, DeviceParameters, KnowsTruth, S
 from tissue.haptics.device.safe_device import SafeDevice
 from tissue.haptics.device.sample_guard import NewSamples, guard_of
 from tissue.haptics.loop.filters import (
-    VELOCITY_MEMORY,
     ConstantAcceleration,
     DelayLine,
     ForceRange,
@@ -210,7 +209,8 @@ class HandMotion(Motion):
         self._sample: Sample | None = None
         self._before, self._went, self._raw, self._torque = np.zeros((4, 3))
         self._velocity, self._device_velocity = np.zeros((2, 6))
-        self._observer_m = ConstantAcceleration(VELOCITY_MEMORY, step_s=loop.tick_s)
+        self._here = np.zeros(3)
+        self.observes = loop.observes
         self._both, self._rates = np.zeros((2, 6))
 
     @property
@@ -283,6 +283,7 @@ class HandMotion(Motion):
             return
         self._sample = sample
         self._is_new = self._samples.is_new(sample, time_s)
+        self._observe(sample)
         if self._fresh:
             self._before[:] = self.tool.tip_m
             self._follow(sample, response, motion)
@@ -296,8 +297,8 @@ class HandMotion(Motion):
 
     def _follow(self, sample: Sample, response: Response, motion: ToolMotion) -> None:
         """Move the tool towards the device."""
-        device = self._scale * np.array(sample.position_m) + self._shift
-        velocity = self._observed(device, sample)
+        device = self._scale * self._here + self._shift
+        velocity = self._device_velocity
         tip = self.tool.follow(device, sample.quaternion, velocity, response, self._step)
         self._went[:] = (tip - self._before) / self._step
         motion.tip_m[:] = tip
@@ -307,12 +308,22 @@ class HandMotion(Motion):
             motion.rotation[:] = matrix_of(np.array(self._turned)) @ self._start
         self._set_speed(motion, self._went)
 
-    def _observed(self, device_m: Array, sample: Sample) -> Array:
-        """Return the smoothed velocity of the device [m/s] and its spin [rad/s], shape (6,)."""
-        if self._is_new:
-            self._device_velocity[:3] = self._observer_m.step(device_m)
-        self._device_velocity[3:] = sample.spin_rad_s
-        return self._device_velocity
+    def _observe(self, sample: Sample) -> None:
+        """Take the position and the velocity of the device from a sample.
+
+        In front of a tool that cuts, both are estimated by the loop's filter.
+        """
+        self._here[:] = sample.position_m
+        velocity = self._device_velocity
+        velocity[:3] = sample.velocity_m_s
+        velocity[3:] = sample.spin_rad_s
+        if self.observes and self._speeds is not None:
+            # A slower device repeats its last sample. Repeated samples would count as rest.
+            if self._is_new:
+                self._rates[:3] = self._speeds.step(self._here)
+            self._here[:] = self._speeds.position
+            velocity[:3] = self._rates[:3]
+        velocity[:3] *= self._scale
 
     def play(self, response: Response) -> None:
         """Command the force that answers the sample of this tick."""
@@ -352,7 +363,7 @@ class HandMotion(Motion):
                 )
                 compressed = compressed or squeezed
             self.observer.observe(here)
-            row[at.POSITION] = 1e3 * here
+            row[at.POSITION] = 1e3 * np.array(sample.position_m)
             row[at.QUATERNION] = sample.quaternion
             row[at.FILTERED_FORCE] = filtered
             row[self._person] = self._played.measures
@@ -402,18 +413,17 @@ class HandMotion(Motion):
 
     def _render(self, sample: Sample) -> tuple[Array, Array]:
         """Update the rendered force; return the device position and velocity."""
-        both = self._both
-        both[:3] = here = np.array(sample.position_m)
-        both[3:] = tip = (self.tool.tip_m - self._shift) / self._scale
-        if self._speeds is not None:
-            # A slower device repeats its last sample. Repeated samples would count as rest.
+        here = self._here
+        tip = (self.tool.tip_m - self._shift) / self._scale
+        speed = self._device_velocity[:3] / self._scale
+        went = self._went / self._scale
+        if self._speeds is not None and not self.observes:
             if self._is_new:
-                self._rates = self._speeds.step(both)
+                self._both[:3] = here
+                self._both[3:] = tip
+                self._rates[:] = self._speeds.step(self._both)
             speed = self._rates[:3]
             went = self._rates[3:]
-        else:
-            speed = np.array(sample.velocity_m_s)
-            went = self._went / self._scale
         if self._fresh:
             self._raw = self._contact.render(here, speed, tip, went, self._step)
         return here, speed

@@ -16,6 +16,7 @@ __all__ = ["CutTissue", "CuttingTool"]
 
 MASS_KG = 0.1
 """Mass of the tool at its tip [kg], for a handpiece of 0.05 to 0.5 kg; chosen."""
+FREQ = 0.0
 DAMPING_RATIO = 1.0
 """Ratio of the damper to that of a critically damped tool in free space; chosen."""
 GYRATION_M = 0.05
@@ -81,7 +82,7 @@ class CuttingTool(HeldTool):
 
     def __init__(self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None) -> None:
         super().__init__(stiffness_N_m, tip_m, turn)
-        self.mass_kg = MASS_KG
+        self.mass_kg = MASS_KG if FREQ == 0.0 else stiffness_N_m / (6.2831853 * FREQ) ** 2
         self.velocity = np.zeros(6)
         self.wrench = np.zeros(6)
         self.steps = 0
