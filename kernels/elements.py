@@ -13,7 +13,6 @@ __all__ = [
     "Travel",
     "advance_of",
     "lanes8",
-    "lever16",
     "may_cut",
     "place_of",
     "travel_of",
@@ -33,12 +32,6 @@ Together with sums outside of branches, this saves a tenth of the force kernel's
 docs/performance.md.
 """
 lanes8 = wp.types.vector(length=LANES, dtype=wp.float32)
-lever16 = wp.types.vector(length=16, dtype=wp.float32)
-"""Levers by which tangential, radial and axial loads add to force and torque.
-
-Of an element at r [m]: tangent t (x, y), r x t, normal n, r x n, axis a (z), r x a (x, y). Two
-numbers are unused.
-"""
 
 
 @wp.struct
@@ -48,10 +41,16 @@ class Elements:
     point: wp.array(dtype=wp.vec3)  # [m]
     lanes: wp.array2d(dtype=lanes8)  # [eight elements, 6]: x, y, z of points, then of normals
     normal: wp.array(dtype=wp.vec3)  # outward, unit
-    lever: wp.array(dtype=lever16)  # t: direction in which the spin moves the element, unit
+    # Levers by which tangential, radial and axial loads add to force and torque, of eight elements.
+    # Rows for an element at r [m]: tangent t (x, y), r x t, normal n, r x n, axis a (z), r x a (x,
+    # y). The tangent is the unit direction in which the spin moves the element.
+    lever: wp.array2d(dtype=lanes8)
     area: wp.array(dtype=wp.float32)  # [m2]
+    areas: wp.array(dtype=lanes8)  # the same, of eight elements, 0 in front of no element
     # curvature of the tool there, see `kernels.revolution.Revolution`
     bend: wp.array(dtype=wp.float32)
+    # mean curvature of the tool [1/m] at eight elements, 0 at an edge
+    curvature: wp.array(dtype=lanes8)
     # N A / (2 pi r): mean length of cutting edge in the element [m]
     edge_length: wp.array(dtype=wp.float32)
     # centre and radius of a ball around each chunk's points [m]

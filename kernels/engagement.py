@@ -28,18 +28,33 @@ from kernels.elements import (
     travel_of,
 )
 from kernels.older_cuts import RAMP, SLOTS, bone_ahead
-from kernels.revolution import EDGE_BEND, Revolution
+from kernels.revolution import Revolution
 
-__all__ = ["DENSITIES", "DENSITY", "DISTANCE", "FOUND", "LAYER", "SLOPE", "WIDTH", "find_bone"]
+__all__ = [
+    "CHIP",
+    "DENSITIES",
+    "DENSITY",
+    "DISTANCE",
+    "EDGE",
+    "FOUND",
+    "LAYER",
+    "MINIMUM",
+    "SLOPE",
+    "WIDTH",
+    "Coefficients",
+    "find_bone",
+]
 
 wp.set_module_options({"enable_backward": False})
 
-DISTANCE, SLOPE, WIDTH, LAYER, DENSITY, FOUND = 0, 1, 4, 5, 6, 7
+DISTANCE, SLOPE, WIDTH, LAYER, DENSITY, MINIMUM, CHIP, EDGE, FOUND = 0, 1, 4, 5, 6, 7, 8, 11, 14
 """Rows of the bone found in front of eight elements.
 
 The signed distance to the surface [m], positive outside the bone; its gradient by the element's
 position, along the tool's axes (3 rows); the width over which the share falls from 1 to 0 [m], 0
-without bone; layer; and density [kg/m3], an entry of the strength table. Then the number of rows.
+without bone; layer; density [kg/m3], an entry of the strength table; minimum chip thickness [m];
+chip forces per thickness [N/m] and edge forces [N] of the whole element, tangential, radial and
+axial (3 rows each). Then the number of rows.
 """
 DENSITIES = wp.constant(20001)
 """Number of entries of the strength table.
@@ -51,7 +66,6 @@ They are for densities of 0 to 20,000 kg/m3, the largest that a bone may have.
 WIDEST = wp.constant(3.5)
 # An element parallel to the surface has no width across it [voxel].
 NARROWEST = wp.constant(1.0e-3)
-EDGE = wp.constant(float(EDGE_BEND))
 # Distance in front of a tool held by hand at which bone is found [voxel]. A tool moves less far
 # beyond the place at which its bone was found.
 NEAR = wp.constant(0.2)
@@ -59,11 +73,25 @@ NEAR = wp.constant(0.2)
 CLOSE = wp.constant(2.0e-7)
 
 
+@wp.struct
+class Coefficients:
+    """Cutting coefficients of each layer at its reference density: tangential, radial, axial."""
+
+    chip: wp.array(dtype=wp.vec3)  # [Pa]
+    edge: wp.array(dtype=wp.vec3)  # [N/m]
+    # [layer, density in kg/m3]: (density / reference) ** exponent
+    strength: wp.array2d(dtype=wp.float32)
+    # exponent m of the size effect, minimum and reference chip thickness [m]
+    size: wp.array(dtype=wp.vec3)
+    has_size_effect: wp.int32  # 1 where an exponent is not 0
+
+
 @wp.kernel
 def find_bone(
     # tool
     tool: Revolution,
     elements: Elements,
+    coefficients: Coefficients,
     # rows: tip [voxel]; tool axes x, y, z; tip's and angular velocity at unit speed, own frame;
     # 1 to find bone around the whole tool, else only in front of elements that advance, -, -
     motion: wp.array2d(dtype=wp.float64),
@@ -92,18 +120,21 @@ def find_bone(
     meets = may_cut(elements, chunk, travel, spacing, everywhere, brick_of, alive)
     for eight in range(first, last):
         width = lanes8()
+        distance = lanes8()
+        slope_x = lanes8()
+        slope_y = lanes8()
+        slope_z = lanes8()
+        layer = lanes8()
+        density = lanes8()
+        gap = lanes8()
+        cuts = int(0)
         if meets:
             advances = advance_of(elements, eight, travel)
             x = place_of(elements, eight, travel, 0)
             y = place_of(elements, eight, travel, 1)
             z = place_of(elements, eight, travel, 2)
-            distance = lanes8()
-            slope_x = lanes8()
-            slope_y = lanes8()
-            slope_z = lanes8()
-            layer = lanes8()
-            density = lanes8()
-            cuts = int(0)
+            if everywhere or wp.max(advances) > travel.least:
+                gap = recently_cut(recent, elements, eight)
             lane = int(0)
             while lane < LANES:
                 if everywhere or advances[lane] > travel.least:
@@ -120,8 +151,8 @@ def find_bone(
                         alive,
                         eight * LANES + lane,
                         wp.vec3(x[lane], y[lane], z[lane]),
+                        gap[lane],
                         everywhere,
-                        recent,
                         seen_out,
                         chunk,
                     )
@@ -135,14 +166,42 @@ def find_bone(
                         layer[lane] = float(met.layer)
                         density[lane] = met.density
                 lane += 1
-            if cuts == 1:
-                found_out[eight, DISTANCE] = distance
-                found_out[eight, SLOPE] = slope_x
-                found_out[eight, SLOPE + 1] = slope_y
-                found_out[eight, SLOPE + 2] = slope_z
-                found_out[eight, LAYER] = layer
-                found_out[eight, DENSITY] = density
+        if cuts == 1:
+            found_out[eight, DISTANCE] = distance
+            found_out[eight, SLOPE] = slope_x
+            found_out[eight, SLOPE + 1] = slope_y
+            found_out[eight, SLOPE + 2] = slope_z
+            found_out[eight, LAYER] = layer
+            found_out[eight, DENSITY] = density
+            set_strengths(elements, coefficients, eight, layer, density, found_out)
         found_out[eight, WIDTH] = width
+
+
+@wp.func
+def set_strengths(
+    elements: Elements,
+    coefficients: Coefficients,
+    eight: int,
+    layer: lanes8,
+    density: lanes8,
+    found: wp.array2d(dtype=lanes8),
+):
+    """Write the cutting coefficients of eight elements in their bone."""
+    for c in range(3):
+        chip = lanes8()
+        edge = lanes8()
+        minimum = lanes8()
+        for lane in range(LANES):
+            m = int(layer[lane])
+            e = wp.min(eight * LANES + lane, elements.edge_length.shape[0] - 1)
+            # of cutting edge, by the bone's strength [m]
+            length = elements.edge_length[e] * coefficients.strength[m, int(density[lane])]
+            chip[lane] = length * coefficients.chip[m][c]
+            edge[lane] = length * coefficients.edge[m][c]
+            minimum[lane] = coefficients.size[m][1]
+        found[eight, CHIP + c] = chip
+        found[eight, EDGE + c] = edge
+        found[eight, MINIMUM] = minimum
 
 
 @wp.struct
@@ -170,35 +229,35 @@ def bone_met(
     alive: wp.array(dtype=wp.uint64),
     e: int,
     at: wp.vec3,
+    gap: float,
     everywhere: bool,
-    recent: wp.array2d(dtype=wp.float32),
     seen: wp.array2d(dtype=corner8f),
     chunk: int,
 ):
     """Find the bone in front of an element at ``at`` [voxel]."""
     met = Met()
     row, column = remaining_voxel(brick_of, alive, at)
-    if row >= 0:
+    # An element that will not reach the bone within this tick is left out.
+    margin = wp.where(everywhere, NEAR, 0.0)
+    if row >= 0 and gap < margin * spacing + CLOSE:
         bone = bone_at(brick_of, material, nearby, row, column, at)
         normal = elements.normal[e]
         outward = (normal[0] * travel.ex + normal[1] * travel.ey + normal[2] * travel.ez) * spacing
-        met.width = 1.0
-        met.distance = -1.0
+        width = float(1.0)
+        distance = float(-1.0)
+        slope = wp.vec3()
         # -2 stands for deeper bone, without a slope.
         if bone.distance > -1.9:
             tangent = bone.slope - wp.dot(bone.slope, outward) * outward
             width = wp.min(wp.length(tangent) * wp.sqrt(elements.area[e]) / spacing, WIDEST)
-            met.width = wp.max(width, NARROWEST)
-            met.distance = bone.distance
-            met.slope = wp.vec3(
+            width = wp.max(width, NARROWEST)
+            distance = bone.distance
+            slope = spacing * wp.vec3(
                 wp.dot(bone.slope, travel.ex),
                 wp.dot(bone.slope, travel.ey),
                 wp.dot(bone.slope, travel.ez),
             )
-            met.slope *= spacing
-        # Nothing of the element lies below the surface, nor will within this tick.
-        margin = wp.where(everywhere, NEAR, 0.0)
-        if met.distance < 0.5 * met.width + margin:
+        if distance < 0.5 * width + margin:
             ahead = bone_ahead(
                 tool,
                 motion,
@@ -215,52 +274,54 @@ def bone_met(
             )
             # The surface that lies deeper decides. Bone at the surface itself is engaged.
             passed = -ahead - 0.5 * RAMP
-            if passed * met.width > met.distance * RAMP:
-                met.distance = passed
-                met.slope = -normal
-                met.width = RAMP
-            cut, present = cut_recently(recent, elements.point[e], normal, elements.bend[e], spacing)
-            if cut - present > CLOSE and met.distance < 0.5 * met.width + margin:
-                met.distance = cut / spacing
-                met.slope = -normal
-                met.width = CLOSE / spacing
-            if met.distance >= 0.5 * met.width + margin:
-                met.width = 0.0
-        else:
-            met.width = 0.0
-        met.distance *= spacing
-        met.width *= spacing
-        met.layer = bone.layer
-        met.density = wp.floor(wp.min(bone.density + 0.5, float(DENSITIES - 1)))
+            if passed * width > distance * RAMP:
+                distance = passed
+                slope = -normal
+                width = RAMP
+            if gap > CLOSE and gap > distance * spacing:
+                distance = gap / spacing
+                slope = -normal
+                width = CLOSE / spacing
+            if distance < 0.5 * width + margin:
+                met.distance = distance * spacing
+                met.width = width * spacing
+                met.slope = slope
+                met.layer = bone.layer
+                met.density = wp.floor(wp.min(bone.density + 0.5, float(DENSITIES - 1)))
     return met
 
 
 @wp.func
-def cut_recently(
-    recent: wp.array2d(dtype=wp.float32),
-    point: wp.vec3,
-    normal: wp.vec3,
-    bend: float,
-    spacing: float,
-):
-    """Return how far the tool has cut in front of an element at its last poses [m].
+def recently_cut(recent: wp.array2d(dtype=wp.float32), elements: Elements, eight: int):
+    """Return how far the tool has cut in front of eight elements at its last poses [m].
 
-    The second value is that of the present pose alone.
+    It is 0 for elements in front of which the present pose has cut farthest.
     """
-    present = float(0.0)
-    most = float(0.0)
-    curvature = wp.where(bend < EDGE, 3.0 * bend / spacing, 0.0)
+    px = elements.lanes[eight, 0]
+    py = elements.lanes[eight, 1]
+    pz = elements.lanes[eight, 2]
+    nx = elements.lanes[eight, 3]
+    ny = elements.lanes[eight, 4]
+    nz = elements.lanes[eight, 5]
+    half = 0.5 * elements.curvature[eight]
+    present = lanes8()
+    most = lanes8()
     for j in range(recent.shape[0]):
-        moved = wp.vec3(recent[j, 0], recent[j, 1], recent[j, 2])
-        turned = wp.vec3(recent[j, 3], recent[j, 4], recent[j, 5])
-        moved += wp.cross(turned, point)
-        along = wp.dot(moved, normal)
-        ahead = along - 0.5 * curvature * (wp.dot(moved, moved) - along * along)
+        x = recent[j, 4] * pz - recent[j, 5] * py + lanes8(recent[j, 0])
+        y = recent[j, 5] * px - recent[j, 3] * pz + lanes8(recent[j, 1])
+        z = recent[j, 3] * py - recent[j, 4] * px + lanes8(recent[j, 2])
+        across = wp.cw_mul(x, nx) + wp.cw_mul(y, ny) + wp.cw_mul(z, nz)
+        square = wp.cw_mul(x, x) + wp.cw_mul(y, y) + wp.cw_mul(z, z)
+        ahead = across - wp.cw_mul(half, square - wp.cw_mul(across, across))
         if j == 0:
             present = ahead
             most = ahead
         most = wp.max(most, ahead)
-    return most, present
+    gap = lanes8()
+    for lane in range(LANES):
+        if most[lane] - present[lane] > CLOSE:
+            gap[lane] = most[lane]
+    return gap
 
 
 @wp.func

@@ -117,9 +117,7 @@ class CuttingTool(HeldTool):
         left = np.array(turn_between(self._turn.quaternion, device))
         driving = np.zeros(6)
         driving[:3] = (
-            mass / step_s * before[:3]
-            + spring * (device_m - self.tip_m)
-            + damping * velocity[:3]
+            mass / step_s * before[:3] + spring * (device_m - self.tip_m) + damping * velocity[:3]
         )
         held = np.full(6, mass / step_s + spring * step_s + damping)
         if turning == inf:

@@ -121,7 +121,12 @@ class HeldTool(ABC):
 
     @abstractmethod
     def follow(
-        self, device_m: Array, device: Quaternion, velocity: Array, response: Response, step_s: float
+        self,
+        device_m: Array,
+        device: Quaternion,
+        velocity: Array,
+        response: Response,
+        step_s: float,
     ) -> Array:
         """Move a step towards the device [m], and return the tip.
 
@@ -160,7 +165,12 @@ class PressingTool(HeldTool):
         self._before_N = np.zeros(3)
 
     def follow(
-        self, device_m: Array, device: Quaternion, velocity: Array, response: Response, step_s: float
+        self,
+        device_m: Array,
+        device: Quaternion,
+        velocity: Array,
+        response: Response,
+        step_s: float,
     ) -> Array:
         """Take a Newton step of the balance."""
         self._turn.follow(device, response.wrench[3:])

@@ -60,7 +60,12 @@ class ProbingTool(HeldTool):
         return self.proxy
 
     def follow(
-        self, device_m: Array, device: Quaternion, velocity: Array, response: Response, step_s: float
+        self,
+        device_m: Array,
+        device: Quaternion,
+        velocity: Array,
+        response: Response,
+        step_s: float,
     ) -> Array:
         """Move as close to the device as the contacts allow, and return the tip."""
         assert self.proxy is not None, "a probing tool must meet something first"

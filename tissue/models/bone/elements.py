@@ -7,12 +7,13 @@ import numpy as np
 import warp as wp
 
 from kernels.bricks import corner8f
-from kernels.cutting import AREA, Coefficients, cutting_forces
-from kernels.engagement import DENSITIES, FOUND, find_bone
-from kernels.elements import CHUNK, LANES, Elements, lanes8, lever16
+from kernels.cutting import AREA, cutting_forces
+from kernels.elements import CHUNK, LANES, Elements, lanes8
+from kernels.engagement import DENSITIES, FOUND, Coefficients, find_bone
 from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror, put
 from kernels.older_cuts import SLOTS
+from kernels.revolution import EDGE_BEND
 from meshes.base.arrays import Array
 from tissue.cutters.cutter import Cutter, PointShell
 from tissue.cutters.profile import Line
@@ -49,13 +50,17 @@ def elements_of(shell: PointShell, cutter: Cutter, *, spacing_m: float, device: 
     )
     elements.lanes = put(eights, lanes8, device)
     elements.normal = put(shell.normals, wp.vec3, device)
-    levers = np.hstack([levers_of(shell, cutter)[:, LEVER], np.zeros((len(shell.areas_m2), 2))])
-    elements.lever = put(np.pad(levers, missing), lever16, device)
+    levers = np.pad(levers_of(shell, cutter)[:, LEVER], missing).reshape(-1, LANES, len(LEVER))
+    elements.lever = put(levers.transpose(0, 2, 1), lanes8, device)
     elements.area = put(shell.areas_m2, wp.float32, device)
+    elements.areas = put(np.pad(shell.areas_m2, missing[0]).reshape(-1, LANES), lanes8, device)
     bend = cutter.table(spacing_m=spacing_m).bend_at(
         shell.radii_m / spacing_m, shell.points_m[:, 2] / spacing_m
     )
     elements.bend = put(bend, wp.float32, device)
+    # see `Revolution`
+    curvature = np.where(bend < EDGE_BEND, 3.0 * bend / spacing_m, 0.0)
+    elements.curvature = put(np.pad(curvature, missing[0]).reshape(-1, LANES), lanes8, device)
     elements.edge_length = put(edge_lengths_m(shell, cutter), wp.float32, device)
     balls, cones = _chunk_bounds(shell)
     elements.chunk_ball = put(balls, wp.vec4, device)
@@ -160,6 +165,8 @@ class CuttingForces:
         Bone in front of the elements, shape (eights, FOUND, LANES).
     find_bone
         Launch of the search on the present arrays of the store.
+    slopes
+        Place of the derivatives in the sums, see `kernels.cutting.VALUE`.
     """
 
     def __init__(
@@ -177,18 +184,21 @@ class CuttingForces:
     ) -> None:
         device = str(pose.device.device)
         self._chunks = len(elements.chunk_ball)
-        shape = (self._chunks, AREA + len(store.grid.layer_names))
-        self._sums = Mirror(shape, dtype=wp.float64, device=device)
+        self.slopes = AREA + len(store.grid.layer_names)
+        shape = (self._chunks, self.slopes + 36)
+        self._sums = wp.zeros(shape, lanes8, device)
         self.found = wp.zeros((len(elements.lanes), FOUND), lanes8, device)
+        self._motion = motion
         self._store = store
-        self._given = [tool, elements, pose.device, recent.device, store.grid.spacing_m]
+        self._given = [tool, elements, coefficients, pose.device, recent.device]
+        self._given.append(store.grid.spacing_m)
         self._scratch = wp.zeros((self._chunks, SLOTS + 1), corner8f, device)
         self._cores = cores
         self._sum = SplitLaunch(
             cutting_forces,
             dim=self._chunks,
             inputs=[elements, coefficients, self.found, motion.device, chip_per_speed_s, 0],
-            outputs=[self._sums.device],
+            outputs=[self._sums],
             cores=cores,
             offset_index=5,
         )
@@ -208,8 +218,9 @@ class CuttingForces:
     def sums(self) -> Array:
         """Return the sums over all elements at the present velocities."""
         self._sum()
-        self._sums.pull()
-        return np.asarray(np.add.reduce(self._sums.host, axis=0))
+        rows = self.slopes + 6 * int(self._motion.host[4, 0])
+        parts = self._sums.numpy()[:, :rows]
+        return np.asarray(np.add.reduce(np.add.reduce(parts, axis=0, dtype=np.float64), axis=-1))
 
 
 class RecentPoses:
@@ -310,8 +321,8 @@ class SmoothSurface:
         layers = len(store.grid.layer_names)
         # Only the engaged area is used.
         no_force = Coefficients()
-        no_force.chip = wp.zeros(2 * layers, lever16, device)
-        no_force.edge = wp.zeros(2 * layers, lever16, device)
+        no_force.chip = wp.zeros(layers, wp.vec3, device)
+        no_force.edge = wp.zeros(layers, wp.vec3, device)
         no_force.strength = wp.zeros((layers, DENSITIES), wp.float32, device)
         no_force.size = wp.zeros(layers, wp.vec3, device)
         elements = elements_of(shell, cutter, spacing_m=store.grid.spacing_m, device=device)
@@ -323,7 +334,7 @@ class SmoothSurface:
     def is_blocked(self) -> bool:
         """True if too much of the surface is pushed into bone, so that a force is missing."""
         self.forces.find_bone()
-        return float(self.forces.sums()[AREA:].sum()) > self.blocked_m2
+        return float(self.forces.sums()[AREA : self.forces.slopes].sum()) > self.blocked_m2
 
 
 class LawLimits:

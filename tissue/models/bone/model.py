@@ -1,14 +1,11 @@
 """Bone that a rotating cutter mills: carving over bricks and the force on the cutter's elements."""
 
-from typing import Any
-
 import numpy as np
 import warp as wp
 
 from kernels.bricks import FULL
-from kernels.cutting import AREA, MOTION_ROWS, RATE, SLOPES, Coefficients
-from kernels.engagement import DENSITIES, FOUND
-from kernels.elements import lever16
+from kernels.cutting import AREA, MOTION_ROWS, RATE
+from kernels.engagement import DENSITIES, FOUND, Coefficients
 from kernels.mirror import Mirror, put
 from meshes.base.arrays import Array, Bytes
 from meshes.voxels.volume import VoxelVolume
@@ -126,7 +123,7 @@ class BoneModel:
         # pose and state of the bone that were searched, and motion that was summed
         self._found: tuple[bytes, int] | None = None
         self._summed = b""
-        self._sums = np.zeros(AREA + layers)
+        self._sums = np.zeros(AREA + layers + 6)
         self._rotation = np.eye(3)
 
     def record(self) -> None:
@@ -217,8 +214,8 @@ class BoneModel:
         self._motion.push()
         self._sums = sums = self._forces.sums()
         turn = rotation.T
-        value = (sums[:SLOPES].reshape(2, 3) @ turn).reshape(6)
-        slopes = sums[SLOPES : SLOPES + 6 * unknowns].reshape(unknowns // 3, 3, 2, 3) @ turn
+        value = (sums[:RATE].reshape(2, 3) @ turn).reshape(6)
+        slopes = sums[self._forces.slopes :].reshape(unknowns // 3, 3, 2, 3) @ turn
         # From derivatives by velocities along the tool's axes to those along the world's.
         slopes = np.einsum("wk,bkpc->pcbw", rotation, slopes).reshape(6, unknowns)
         return value, slopes
@@ -231,8 +228,9 @@ class BoneModel:
         if motion.balanced is None:
             is_new = self._sum_along(motion)
             sums = self._sums
-            np.dot(sums[SLOPES : SLOPES + 6].reshape(2, 3), motion.rotation.T, out=self._parts[:2])
-            np.dot(sums[:SLOPES].reshape(2, 3), motion.rotation.T, out=self._parts[2:])
+            by_speed = sums[self._forces.slopes :].reshape(2, 3)
+            np.dot(by_speed, motion.rotation.T, out=self._parts[:2])
+            np.dot(sums[:RATE].reshape(2, 3), motion.rotation.T, out=self._parts[2:])
             np.multiply(response.resistance, speed, out=response.wrench)
             response.wrench += response.edge if speed > 0.0 else motion.pressed * response.edge
             response.removal_rate_m3_s = float(sums[RATE]) * speed
@@ -240,7 +238,7 @@ class BoneModel:
             sums = self._sums
             response.wrench[:] = motion.balanced
             response.removal_rate_m3_s = float(sums[RATE])
-        response.engaged_m2[:] = sums[AREA:]
+        response.engaged_m2[:] = sums[AREA : self._forces.slopes]
         self.limits.check(motion, float(np.add.reduce(response.engaged_m2)), is_new=is_new)
         return response
 
@@ -293,29 +291,9 @@ class BoneModel:
 def _on_device(coefficients: tuple[CuttingCoefficients, ...], *, device: str) -> Coefficients:
     """Return cutting coefficients on a device, one entry a layer."""
     arrays = Coefficients()
-
-    def at_levers(rows: list[Array]) -> Any:
-        """Return coefficients of the rows at their positions in a lever.
-
-        They are tangential, radial and axial.
-        """
-        # 5, 6 and 3: components of `LEVER` for each direction. The last 2 of 16 are unused.
-        values = np.pad(np.repeat(rows, (5, 6, 3), axis=1), ((0, 0), (0, 2)))
-        return put(values, lever16, device)
-
-    chip = []
-    edge = []
-    for layer in coefficients:
-        chip_Pa = np.array([getattr(layer, name) for name in CuttingCoefficients.CHIP])
-        edge_N_m = np.array([getattr(layer, name) for name in CuttingCoefficients.EDGE])
-        below_Pa = chip_Pa
-        if layer.minimum_chip_m > 0.0:
-            scale = (layer.minimum_chip_m / layer.reference_chip_m) ** -layer.size_exponent
-            below_Pa = scale * chip_Pa + edge_N_m / layer.minimum_chip_m
-        chip += [chip_Pa, below_Pa]
-        edge += [edge_N_m, np.zeros(3)]
-    arrays.chip = at_levers(chip)
-    arrays.edge = at_levers(edge)
+    for name, keys in (("chip", CuttingCoefficients.CHIP), ("edge", CuttingCoefficients.EDGE)):
+        values = [[getattr(layer, key) for key in keys] for layer in coefficients]
+        setattr(arrays, name, put(np.array(values), wp.vec3, device))
     density = np.arange(DENSITIES)
     strength = [
         (density / layer.reference_density_kg_m3) ** layer.density_exponent
@@ -327,4 +305,5 @@ def _on_device(coefficients: tuple[CuttingCoefficients, ...], *, device: str) ->
         for layer in coefficients
     ]
     arrays.size = put(np.array(size), wp.vec3, device)
+    arrays.has_size_effect = int(any(layer.size_exponent for layer in coefficients))
     return arrays
