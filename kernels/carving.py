@@ -7,10 +7,10 @@ the same bone in any order. It is exact where an old and a new surface are paral
 cross at a right angle it leaves a twelfth of a voxel too much on average. All lengths are in
 voxels.
 
-Every voxel also keeps its smallest distance to older cuts. These are all cuts up to the last visit
-from which the tool has since moved away. A visit far enough from the last such visit first books
-everything cut so far as older cuts, and then carves. The bone in front of a moving tool is therefore
-never an older cut, and the bone behind it always is. No direction of motion is needed for this.
+Every voxel also keeps its smallest distance to older cuts. A visit to which the tool has moved far
+enough first books everything cut so far as older cuts, and then carves. Older cuts therefore lie
+one to two visits behind the front of a moving tool, and contain its whole cut behind it. No
+direction of motion is needed for this.
 
 Bricks belong to one of ``PHASES`` groups. A launch visits some of the groups, so that a slow tool
 spreads its carving over ticks; every group remembers the pose of its last visit. Inside a brick,
