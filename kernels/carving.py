@@ -7,10 +7,10 @@ the same bone in any order. It is exact where an old and a new surface are paral
 cross at a right angle it leaves a twelfth of a voxel too much on average. All lengths are in
 voxels.
 
-Every voxel also keeps its smallest distance to older cuts. These are all cuts up to the last visit
-from which the tool has since moved away. A visit far enough from the last such visit first books
-everything cut so far as older cuts, and then carves. The bone in front of a moving tool is therefore
-never an older cut, and the bone behind it always is. No direction of motion is needed for this.
+Every voxel also keeps its smallest distance to older cuts. These are all cuts up to the time when
+the tool came within reach of the voxel's block, and up to a visit some way back. They therefore lie
+behind the front of a moving tool. The cuts since then follow from the tool's last poses, see
+`kernels.engagement`. No direction of motion is needed for this.
 
 Bricks belong to one of ``PHASES`` groups. A launch visits some of the groups, so that a slow tool
 spreads its carving over ticks; every group remembers the pose of its last visit. Inside a brick,
@@ -37,6 +37,7 @@ brick; one bit a group, 1 where the tool is far enough from the group's last pos
 become older cuts.
 """
 BLOCK_REACH = wp.constant(1.7320508)  # half diagonal of a block of 2 voxels [voxel]
+LONGEST_STEP = wp.constant(1.0)  # more than the tool moves between two visits of a brick [voxel]
 EDGE = wp.constant(float(EDGE_BEND))
 BRICK_REACH = wp.constant(6.9282032)  # half diagonal of a brick of 8 voxels [voxel]
 
@@ -45,8 +46,7 @@ BRICK_REACH = wp.constant(6.9282032)  # half diagonal of a brick of 8 voxels [vo
 def carve(
     # tool
     tool: Revolution,
-    # row 0 now, row 1 + g when the cuts of group g last became older cuts:
-    # tip xyz [voxel], axis xyz
+    # row 0 now, row 1 + g last visit of group g: tip xyz [voxel], axis xyz
     pose: wp.array2d(dtype=wp.float64),
     plan: wp.array(dtype=wp.int32),  # see FIRST
     worker_offset: int,
@@ -163,6 +163,9 @@ def carve_brick(
             for voxel in range(512):
                 older_out[row, voxel] = swept_out[row, voxel]
         return
+    axis_before = wp.vec3(
+        float(pose[1 + group, 3]), float(pose[1 + group, 4]), float(pose[1 + group, 5])
+    )
     before = alive
     booked = booked_by(removed_out, worker)
     for block in range(64):
@@ -176,7 +179,11 @@ def carve_brick(
             # outer blocks.
             if tool.convex == 0 or far.distance + wp.dot(far.slope, shift) < BLOCK_REACH + kink:
                 near = nearest_on(tool, centre + shift, axis)
-                if has_moved != 0 and near.distance < BLOCK_REACH:
+                books = has_moved
+                if near.distance < BLOCK_REACH and near.distance > BLOCK_REACH - LONGEST_STEP:
+                    last = nearest_on(tool, centre + step + shift, axis_before)
+                    books = wp.where(last.distance >= BLOCK_REACH, 1, books)  # it comes into reach
+                if books != 0 and near.distance < BLOCK_REACH:
                     for v in range(8):
                         older_out[row, block * 8 + v] = swept_out[row, block * 8 + v]
                 if near.distance < -BLOCK_REACH:

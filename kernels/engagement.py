@@ -93,7 +93,8 @@ def find_bone(
     elements: Elements,
     coefficients: Coefficients,
     # rows: tip [voxel]; tool axes x, y, z; tip's and angular velocity at unit speed, own frame;
-    # 1 to find bone around the whole tool, else only in front of elements that advance, -, -
+    # 1 to find bone around the whole tool, else only in front of elements that advance; 1 where the
+    # tool has turned recently, -
     motion: wp.array2d(dtype=wp.float64),
     # displacements to the tool's last poses and rotations to them, in the tool's frame [m], [rad];
     # the first is the present pose
@@ -117,6 +118,7 @@ def find_bone(
     everywhere = motion[6, 0] != wp.float64(0.0)
     first = chunk * (CHUNK // LANES)
     last = wp.min(first + CHUNK // LANES, elements.lanes.shape[0])
+    turns = motion[6, 1] != wp.float64(0.0)
     meets = may_cut(elements, chunk, travel, spacing, everywhere, brick_of, alive)
     for eight in range(first, last):
         width = lanes8()
@@ -133,9 +135,14 @@ def find_bone(
             x = place_of(elements, eight, travel, 0)
             y = place_of(elements, eight, travel, 1)
             z = place_of(elements, eight, travel, 2)
-            if everywhere or wp.max(advances) > travel.least:
-                gap = recently_cut(recent, elements, eight)
-            lane = int(0)
+            near = int(0)
+            for lane in range(LANES):
+                row, _ = remaining_voxel(brick_of, alive, wp.vec3(x[lane], y[lane], z[lane]))
+                if row >= 0 and (everywhere or advances[lane] > travel.least):
+                    near = 1
+            if near == 1:
+                gap = recently_cut(recent, elements, eight, turns)
+            lane = int(LANES) * (1 - near)
             while lane < LANES:
                 if everywhere or advances[lane] > travel.least:
                     met = bone_met(
@@ -292,14 +299,11 @@ def bone_met(
 
 
 @wp.func
-def recently_cut(recent: wp.array2d(dtype=wp.float32), elements: Elements, eight: int):
+def recently_cut(recent: wp.array2d(dtype=wp.float32), elements: Elements, eight: int, turns: bool):
     """Return how far the tool has cut in front of eight elements at its last poses [m].
 
     It is 0 for elements in front of which the present pose has cut farthest.
     """
-    px = elements.lanes[eight, 0]
-    py = elements.lanes[eight, 1]
-    pz = elements.lanes[eight, 2]
     nx = elements.lanes[eight, 3]
     ny = elements.lanes[eight, 4]
     nz = elements.lanes[eight, 5]
@@ -307,11 +311,18 @@ def recently_cut(recent: wp.array2d(dtype=wp.float32), elements: Elements, eight
     present = lanes8()
     most = lanes8()
     for j in range(recent.shape[0]):
-        x = recent[j, 4] * pz - recent[j, 5] * py + lanes8(recent[j, 0])
-        y = recent[j, 5] * px - recent[j, 3] * pz + lanes8(recent[j, 1])
-        z = recent[j, 3] * py - recent[j, 4] * px + lanes8(recent[j, 2])
-        across = wp.cw_mul(x, nx) + wp.cw_mul(y, ny) + wp.cw_mul(z, nz)
-        square = wp.cw_mul(x, x) + wp.cw_mul(y, y) + wp.cw_mul(z, z)
+        moved = wp.vec3(recent[j, 0], recent[j, 1], recent[j, 2])
+        across = moved[0] * nx + moved[1] * ny + moved[2] * nz
+        square = lanes8(wp.dot(moved, moved))
+        if turns:
+            px = elements.lanes[eight, 0]
+            py = elements.lanes[eight, 1]
+            pz = elements.lanes[eight, 2]
+            x = recent[j, 4] * pz - recent[j, 5] * py + lanes8(moved[0])
+            y = recent[j, 5] * px - recent[j, 3] * pz + lanes8(moved[1])
+            z = recent[j, 3] * py - recent[j, 4] * px + lanes8(moved[2])
+            across = wp.cw_mul(x, nx) + wp.cw_mul(y, ny) + wp.cw_mul(z, nz)
+            square = wp.cw_mul(x, x) + wp.cw_mul(y, y) + wp.cw_mul(z, z)
         ahead = across - wp.cw_mul(half, square - wp.cw_mul(across, across))
         if j == 0:
             present = ahead

@@ -5,6 +5,7 @@ import pytest
 from bone_in_numpy import bone_of, stored_voxels
 from scipy.spatial.transform import Rotation
 
+from kernels.older_cuts import RAMP, SHORTEST
 from kernels.revolution import EDGE_BEND
 from meshes.voxels.distances import FAR, INSIDE, OUTSIDE, surface_steps
 from meshes.voxels.volume import VoxelVolume
@@ -98,38 +99,38 @@ def older_cuts(model, motion, random):
     return older
 
 
-def taken_before(model, motion, older, stored, point, inside):
-    """Return True for each element that the older cut holds, shape (n,).
+def shares_left(model, motion, older, stored, point):
+    """Return the share of each element that older cuts leave, shape (n,).
 
     The result is computed from the eight voxels around the element.
     """
     nearest = tuple(np.floor(point).astype(int).T)
     kept = np.where(stored & (older != NEVER), (older.astype(float) - 32768.0) / 4096.0, np.nan)
-    difference = np.clip(kept - distances(model, motion), -2.0, 2.0)
+    length = kept - distances(model, motion)
     low = np.floor(point - 0.5).astype(int)
     part = point - 0.5 - low
     corners = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(-1, 3)
-    found = np.stack([difference[tuple((low + corner).T)] for corner in corners], axis=1)
+    found = np.stack([length[tuple((low + corner).T)] for corner in corners], axis=1)
     weight = np.stack(
         [np.where(corner, part, 1.0 - part).prod(axis=1) for corner in corners], axis=1
     )
     weight = np.where(np.isnan(found), 0.0, weight)
-    mean = np.nansum(weight * np.nan_to_num(found), axis=1) / np.maximum(weight.sum(axis=1), 1e-9)
+    most = np.where(np.isnan(found), -np.inf, found).max(axis=1)
+    least = np.where(np.isnan(found), np.inf, found).min(axis=1)
+    limit = np.clip(most, SHORTEST, 2.0)[:, None]
+    limited = np.clip(np.nan_to_num(found), -limit, limit)
+    mean = (weight * limited).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9)
     table, shell = model.cutter.table(spacing_m=model.store.volume.spacing_m), model.shell
     height = shell.points_m[:, 2] / model.store.volume.spacing_m - table.height_min
     radius = shell.radii_m / model.store.volume.spacing_m
     bend = table.bend[tuple((np.stack([radius, height]) * table.cells_per_voxel).astype(int))]
-    heading = motion.heading[0] / np.linalg.norm(motion.heading[0])
-    bent = np.where(
-        bend < EDGE_BEND, 1.5 * bend * (part * (1.0 - part) * heading**2).sum(axis=1), 0.0
-    )
-    filled = np.where(np.isnan(found), 0.0, found)
-    bent = np.minimum(bent, 0.5 * (filled.max(axis=1) - filled.min(axis=1)))
+    across = 1.0 - (shell.normals @ motion.rotation.T) ** 2
+    bent = np.where(bend < EDGE_BEND, 0.75 * bend * (part * (1.0 - part) * across).sum(axis=1), 0.0)
+    with np.errstate(invalid="ignore"):
+        ahead = mean + np.minimum(bent, 0.5 * (most - least))
     here = kept[nearest]
-    taken = np.where(
-        np.isnan(here), False, np.where(here > 0.9, False, (here < -0.9) | (mean < 0.002 - bent))
-    )
-    return inside & taken
+    ahead = np.where(here < -0.9, -2.0, np.where(np.isnan(here) | (here > 0.9), 2.0, ahead))
+    return np.clip(ahead / RAMP, 0.0, 1.0)
 
 
 def expected_forces(model, motion, older, swallowed):
@@ -154,8 +155,8 @@ def expected_forces(model, motion, older, swallowed):
     width = np.linalg.norm(tangent, axis=1) * np.sqrt(shell.areas_m2) / volume.spacing_m
     share = np.clip(0.5 - bone.distance / np.clip(width, 1e-3, 3.5), 0.0, 1.0)
     share = np.where(bone.distance > -1.9, share, 1.0)
-    taken = taken_before(model, motion, older, stored, point, inside)
-    share = np.where(inside & (advance > 0.0) & stored[at] & ~swallowed[at] & ~taken, share, 0.0)
+    share *= shares_left(model, motion, older, stored, point)
+    share = np.where(inside & (advance > 0.0) & stored[at] & ~swallowed[at], share, 0.0)
     layer, density = bone.layer, np.rint(bone.density)
     value = lambda name: np.array([getattr(SOFT, name), getattr(HARD, name)])[layer]  # noqa: E731
     strength = (density / value("reference_density_kg_m3")) ** value("density_exponent")

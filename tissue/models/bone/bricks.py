@@ -76,8 +76,8 @@ class BrickStore:
         Distance of each voxel's centre to the solid that the tool has swept, uint16, shape
         (capacity, 512).
     older
-        Distance to the solid of older cuts, uint16, shape (capacity, 512): before the tool last
-        came within reach, or turned.
+        Distance to the solid of older cuts, uint16, shape (capacity, 512): `swept` before the last
+        visit to which the tool had moved, see `kernels.carving`.
     material
         Density and layer before any cut in one word, uint32, shape (capacity, 512).
     nearby

@@ -35,10 +35,10 @@ The force does not depend on when a brick was visited, see docs/decisions.md.
 """
 LONGEST_STEP_VOXELS = 0.5
 """Longest step between two carvings; a faster tool is carved in parts of a tick."""
-LEAST_STEP = 0.5
-"""Motion of the tool from which on a visit turns cuts into older cuts, relative to the lag; chosen.
+OLDER_LAG_M = 2.5e-4
+"""Motion of the tool after which its cuts become older cuts [m]; chosen.
 
-A visit closer to the last one, such as that of a tool at rest, carves only.
+The last poses of the tool reach further back, see `tissue.models.bone.elements.RecentPoses`.
 """
 CHANGED = ("remaining", "swept", "older", "alive")
 """Arrays of the brick store that carving changes and depends on."""
@@ -56,8 +56,8 @@ class CarverState:
     bricks
         Device arrays of the brick store, by name.
     poses
-        Present pose, and for every group of bricks the pose at which its cuts last became older
-        cuts, shape (1 + groups, 6).
+        Present pose, pose at the last visit of every group of bricks, and pose at which the cuts in
+        it last became older cuts, shape (1 + 2 groups, 6).
     counts
         Next group, number of visits due, number of groups not yet visited at the present pose.
     """
@@ -115,6 +115,8 @@ class Carver:
         table = cutter.table(spacing_m=spacing)
         self.tool = _revolution(table, cutter.profile, device=device)
         self._lag = min(CARVE_LAG_M / spacing, 0.25)
+        self._older_lag = OLDER_LAG_M / spacing
+        self._older = np.zeros((PHASES, 6))  # poses at which cuts became older cuts
         # A turn moves the far end of the tool most.
         self._lever = max(abs(table.low), abs(table.high))
         self._next_group = 0
@@ -162,6 +164,7 @@ class Carver:
     def place(self, motion: ToolMotion) -> None:
         """Carve all bone inside the tool at its first pose."""
         self._pose.host[:] = self._pose_of(motion)
+        self._older[:] = self._pose.host[0]
         self._visit(PHASES, every_side=True)
 
     def advance(self, motion: ToolMotion) -> None:
@@ -215,7 +218,7 @@ class Carver:
         """Copy the state between two motions."""
         return CarverState(
             {name: wp.clone(getattr(self.store, name)) for name in CHANGED},
-            self._pose.host.copy(),
+            np.vstack([self._pose.host, self._older]),
             (self._next_group, self._debt, self._behind),
         )
 
@@ -224,7 +227,8 @@ class Carver:
         self.changes += 1
         for name, values in state.bricks.items():
             wp.copy(getattr(self.store, name), values)
-        self._pose.host[:] = state.poses
+        self._pose.host[:] = state.poses[: 1 + PHASES]
+        self._older[:] = state.poses[1 + PHASES :]
         self._next_group, self._debt, self._behind = state.counts
 
     def _visit(self, groups: int, *, every_side: bool = False) -> None:
@@ -232,9 +236,9 @@ class Carver:
         self.changes += 1
         first = self._next_group
         poses = self._pose.host
-        least = LEAST_STEP * self._lag
         visited = [(first + visit) % PHASES for visit in range(groups)]
-        moved = [g for g in visited if self._distance(poses[0], poses[1 + g]) >= least]
+        older = self._older
+        moved = [g for g in visited if self._distance(poses[0], older[g]) >= self._older_lag]
         plan = self._plan.host
         plan[FIRST] = first
         plan[COUNT] = groups
@@ -247,8 +251,10 @@ class Carver:
         self._carve()
         self._removed.pull()
         self.removed_steps += np.add.reduce(self._removed.host, axis=0)
-        for group in moved:
+        for group in visited:
             poses[1 + group] = poses[0]
+        for group in moved:
+            older[group] = poses[0]
         self._next_group = (first + groups) % PHASES
         # A visit of all groups leaves none to be visited.
         self._debt = 0.0 if groups == PHASES else max(self._debt - groups, 0.0)

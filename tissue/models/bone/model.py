@@ -162,7 +162,7 @@ class BoneModel:
         self._take_pose(motion.tip_m, motion.rotation)
         _, _, velocities = self._rows
         np.dot(motion.heading, motion.rotation, out=velocities)
-        self._pose.host[6, 0] = 0.0
+        self._pose.host[6] = 0.0, self._recent.turns, 0.0
         self._pose.push()
 
     def _take_pose(self, tip_m: Array, rotation: Array) -> None:
@@ -177,7 +177,7 @@ class BoneModel:
         self._rotation = rotation
         self._take_pose(tip_m, rotation)
         self._rows[2][:] = 0.0
-        self._pose.host[6, 0] = 1.0
+        self._pose.host[6] = 1.0, self._recent.turns, 0.0
         self._pose.push()
         self._recent.seen_from(tip_m, rotation)
         self._forces.find_bone()
