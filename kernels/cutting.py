@@ -33,7 +33,7 @@ from kernels.elements import (
     place_of,
     travel_of,
 )
-from kernels.older_cuts import SLOTS, bone_ahead, share_left
+from kernels.older_cuts import SLOTS, bone_left, share_left
 from kernels.revolution import Revolution
 
 __all__ = [
@@ -248,7 +248,7 @@ def bone_met(
         share = share_below(bone, outward, elements.area[e], spacing)
         if share > 0.0:
             share *= share_left(
-                bone_ahead(
+                bone_left(
                     tool,
                     motion,
                     travel.axis,
