@@ -24,8 +24,8 @@ CLEAR = wp.constant(0.9)  # more than a voxel's centre is from any point in it
 RAMP = 0.005
 """Length of bone over which the share of an element that cuts rises from 0 to 1 [voxel].
 
-Chosen with `SHORTEST` by `tests/verification/test_second_pass.py`. Errors relative to a full cut: the
-force in a cut of the same path is 0.8 % in turned frames and 1.5 % along the lattice, and the
+Chosen with `SHORTEST` by `tests/verification/test_second_pass.py`. Errors relative to a full cut:
+the force in a cut of the same path is 0.8 % in turned frames and 1.5 % along the lattice, and the
 largest error of a second pass in turned frames is 1.9 %. A ramp that begins at 0.001 gives 1.0 %
 along the lattice, but a largest error of at least 2.3 % in turned frames.
 """
