@@ -27,7 +27,7 @@ from kernels.elements import (
     place_of,
     travel_of,
 )
-from kernels.older_cuts import RAMP, SLOTS, bone_ahead
+from kernels.older_cuts import RAMP, SLOTS, bone_left
 from kernels.revolution import Revolution
 
 __all__ = [
@@ -265,7 +265,7 @@ def bone_met(
                 wp.dot(bone.slope, travel.ez),
             )
         if distance < 0.5 * width + margin:
-            ahead = bone_ahead(
+            ahead = bone_left(
                 tool,
                 motion,
                 travel.axis,

@@ -15,7 +15,7 @@ from kernels.bricks import Cell, cell_of, corner8f, corner8i, corners_of
 from kernels.carving import EDGE, corner_offset, distance_at
 from kernels.revolution import Nearest, Revolution, nearest_on, offset_from
 
-__all__ = ["RAMP", "SHORTEST", "SLOTS", "bone_ahead", "share_left"]
+__all__ = ["RAMP", "SHORTEST", "SLOTS", "bone_left", "share_left"]
 
 wp.set_module_options({"enable_backward": False})
 
@@ -41,7 +41,7 @@ NOWHERE = wp.constant(-1.0e9)  # index of no block
 
 
 @wp.func
-def bone_ahead(
+def bone_left(
     tool: Revolution,
     pose: wp.array2d(dtype=wp.float64),
     axis: wp.vec3,

@@ -127,10 +127,10 @@ def shares_left(model, motion, older, stored, point):
     across = 1.0 - (shell.normals @ motion.rotation.T) ** 2
     bent = np.where(bend < EDGE_BEND, 0.75 * bend * (part * (1.0 - part) * across).sum(axis=1), 0.0)
     with np.errstate(invalid="ignore"):
-        ahead = mean + np.minimum(bent, 0.5 * (most - least))
+        lengths = mean + np.minimum(bent, 0.5 * (most - least))
     here = kept[nearest]
-    ahead = np.where(here < -0.9, -2.0, np.where(np.isnan(here) | (here > 0.9), 2.0, ahead))
-    return np.clip(ahead / RAMP, 0.0, 1.0)
+    lengths = np.where(here < -0.9, -2.0, np.where(np.isnan(here) | (here > 0.9), 2.0, lengths))
+    return np.clip(lengths / RAMP, 0.0, 1.0)
 
 
 def expected_forces(model, motion, older, swallowed):

@@ -7,7 +7,7 @@ import pytest
 import warp as wp
 
 from kernels.bricks import corner8f
-from kernels.older_cuts import SLOTS, bend_below, bone_ahead
+from kernels.older_cuts import SLOTS, bend_below, bone_left
 from kernels.revolution import EDGE_BEND, Revolution
 from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.sdf import half_space
@@ -49,11 +49,11 @@ def ask(
     bend: float,
     rows: wp.array2d(dtype=wp.int32),
     seen: wp.array2d(dtype=corner8f),
-    ahead_out: wp.array(dtype=float),
+    length_out: wp.array(dtype=float),
 ):
     i = wp.tid()
     axis = wp.vec3(0.0, 0.0, 1.0)
-    ahead_out[i] = bone_ahead(
+    length_out[i] = bone_left(
         tool,
         pose,
         axis,
@@ -121,7 +121,7 @@ def test_points_of_a_slot_are_taken_and_points_outside_are_not():
     rows, column = stored_at(store, voxel)
     pose = np.zeros((4, 6))
     pose[0, :3], pose[0, 5] = (tip - volume.origin_m) / SPACING, 1.0
-    ahead = wp.zeros(len(points), dtype=float, device="cpu")
+    length = wp.zeros(len(points), dtype=float, device="cpu")
     wp.launch(
         ask,
         dim=len(points),
@@ -137,12 +137,12 @@ def test_points_of_a_slot_are_taken_and_points_outside_are_not():
         ],
         outputs=[
             wp.zeros((len(points) // 100 + 1, SLOTS + 1), dtype=corner8f, device="cpu"),
-            ahead,
+            length,
         ],
         device="cpu",
     )
     sure = np.abs(gap) > UNSURE * SPACING
-    found, wanted = ahead.numpy() < 0.0, gap < 0.0
+    found, wanted = length.numpy() < 0.0, gap < 0.0
     assert sure.sum() > 300 and 0.1 < wanted[sure].mean() < 0.9
     assert (found == wanted)[sure].all()
 
@@ -229,7 +229,7 @@ def test_an_older_cut_between_voxel_centres_is_interpolated(axis, deeper, short,
     )
     pose = np.zeros((4, 6))
     pose[0, :3], pose[0, 5] = (tip - volume.origin_m) / SPACING, 1.0
-    ahead = wp.zeros(len(points), dtype=float, device="cpu")
+    length = wp.zeros(len(points), dtype=float, device="cpu")
     inputs = [
         model.carver.tool,
         wp.array(pose, dtype=wp.float64, device="cpu"),
@@ -241,7 +241,7 @@ def test_an_older_cut_between_voxel_centres_is_interpolated(axis, deeper, short,
         wp.array(np.column_stack([rows, columns]), dtype=wp.int32, device="cpu"),
     ]
     seen = wp.zeros((len(points) // 100 + 1, SLOTS + 1), dtype=corner8f, device="cpu")
-    wp.launch(ask, dim=len(points), inputs=inputs, outputs=[seen, ahead], device="cpu")
+    wp.launch(ask, dim=len(points), inputs=inputs, outputs=[seen, length], device="cpu")
     wanted = part < end
     assert 50 < wanted.sum() < len(wanted) - 50
-    assert ((ahead.numpy() < 0.0) == wanted).mean() > 0.99
+    assert ((length.numpy() < 0.0) == wanted).mean() > 0.99

@@ -11,6 +11,9 @@ from voxel_cuts import BONE, VoxelCut, layered, over_50_ms
 from meshes.voxels.voxelise import voxelise
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr
+from tissue.evaluation.reference.force import Resolution, Solid
+from tissue.evaluation.reference.history import wrench_at
+from tissue.evaluation.reference.path import ToolPath
 from tissue.models.bone.carver import Carver
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import TICK_S, ToolMotion
@@ -59,11 +62,11 @@ def plunge_and_slot(feed_m_s, length_m):
 
 @pytest.mark.parametrize("feed_m_s", [5e-4, 2e-3, 8e-3])
 @pytest.mark.parametrize("degrees", [0.0, 37.0])
-def test_a_tool_that_reverses_feels_nothing_in_its_own_cut(feed_m_s, degrees):
+def test_a_tool_that_reverses_feels_little_in_its_own_cut(feed_m_s, degrees):
     """The force is at most 6 % of that before in the first tick, 2 % on average over 0.12 mm.
 
     It acts on the flanks, where the surface is parallel to the path within 2 degrees. Bone in front
-    of a moving tool and the surface of its own cut are not told apart there.
+    of a moving tool and the surface of its own cut look alike there.
     """
     first, second = plunge_and_slot(feed_m_s, 8e-4)
     back = second[::-1][1 : round(1.2e-4 / (feed_m_s * TICK_S)) + 1]
@@ -71,23 +74,32 @@ def test_a_tool_that_reverses_feels_nothing_in_its_own_cut(feed_m_s, degrees):
     force = np.linalg.norm(
         forces(Rotation.from_euler("z", degrees, degrees=True).apply(tips)), axis=1
     )
-    ahead, reversed_ = force[: -len(back)][-5:].mean(), force[-len(back) :]
+    before, reversed_ = force[: -len(back)][-5:].mean(), force[-len(back) :]
     print(
-        f"\n{1e3 * feed_m_s:g} mm/s, {degrees:g} deg: first tick {100 * reversed_[0] / ahead:.2f} %, "
-        f"largest {100 * reversed_.max() / ahead:.2f} %, mean {100 * reversed_.mean() / ahead:.2f} %"
+        f"\n{1e3 * feed_m_s:g} mm/s, {degrees:g} deg: first tick {100 * reversed_[0] / before:.2f} %, "
+        f"largest {100 * reversed_.max() / before:.2f} %, mean {100 * reversed_.mean() / before:.2f} %"
     )
-    assert reversed_.max() < 0.06 * ahead and reversed_.mean() < 0.02 * ahead
+    assert reversed_.max() < 0.06 * before and reversed_.mean() < 0.02 * before
 
 
 DITHERS = {"sideways": (0.0, 1.0, 0.0), "up and down": (0.0, 0.0, 1.0), "along": (1.0, 0.0, 0.0)}
 
 
-@pytest.mark.parametrize("name", DITHERS)
-def test_a_tool_that_dithers_while_it_advances_by_one_or_two_groups_a_tick(name, monkeypatch):
-    """The mean force of a tool that dithers by 10 um at 10 Hz is that of a straight cut within 5 %.
+@pytest.mark.parametrize(
+    "name",
+    [
+        "along",
+        pytest.param("sideways", marks=pytest.mark.slow),
+        pytest.param("up and down", marks=pytest.mark.slow),
+    ],
+)
+def test_a_tool_that_dithers_while_it_advances(name, monkeypatch):
+    """The mean force of a tool that dithers by 10 um at 10 Hz is within 5 % of the exact geometry.
 
-    The tool advances by 1 mm/s, and the mean is taken over five periods. No tick visits more than
-    two of the 16 groups of bricks.
+    The tool advances by 1 mm/s, so it never moves backward. The mean is taken over a period. At
+    0.2 mm/s along the dither it moves backward, and the force would be 65 % too large: bone in front of
+    the last visits counts as bone although the tool has already cut it. No tick visits more than two
+    of the 16 groups of bricks.
     """
     groups = []
     visit = Carver._visit
@@ -98,16 +110,22 @@ def test_a_tool_that_dithers_while_it_advances_by_one_or_two_groups_a_tick(name,
 
     monkeypatch.setattr(Carver, "_visit", counted)
     first, _ = plunge_and_slot(2e-3, 1e-9)
-    time_s = np.arange(1, 701) * TICK_S
+    time_s = np.arange(1, 301) * TICK_S
     along = first[-1] + 1e-3 * time_s[:, None] * [1.0, 0.0, 0.0]
     swing = 1e-5 * np.sin(2.0 * np.pi * 10.0 * time_s)[:, None] * DITHERS[name]
-    straight = forces(np.concatenate([first, along]))[-500:].mean(axis=0)
-    groups.clear()
-    found = forces(np.concatenate([first, along + swing]))[-500:].mean(axis=0)
-    off = np.linalg.norm(found - straight) / np.linalg.norm(straight)
-    print(
-        f"\n{name}: {found} N, straight {straight} N: {100 * off:.2f} %, groups {max(groups[1:])}"
+    tips = np.concatenate([first, along + swing])
+    count = len(tips)
+    ticks = np.arange(count - 100, count, 5)
+    found = forces(tips)[ticks].mean(axis=0)
+    still = np.broadcast_to(np.eye(3), (count, 3, 3))
+    path = ToolPath(tips, still, velocities_of(tips), np.zeros_like(tips), 2 * R_M)
+    solid = Solid(layered(), (BONE, BONE))
+    wanted = np.mean(
+        [wrench_at(int(t), path, BURR, solid, resolution=Resolution(8, 3))[:3] for t in ticks],
+        axis=0,
     )
+    off = np.linalg.norm(found - wanted) / np.linalg.norm(wanted)
+    print(f"\n{name}: {100 * off:.2f} %, groups {max(groups[1:])}")
     assert off < 0.05 and max(groups[1:]) <= 2
 
 

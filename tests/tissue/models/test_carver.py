@@ -231,8 +231,8 @@ def test_bone_behind_the_tool_is_an_older_cut_within_two_visits():
     shape = swept[: len(rows)]
     cut = (shape > 0) & (shape < 65534) & (np.abs(distance - radius) < 0.5 * SPACING_M)
     facing = (offset @ along) / distance
-    behind, ahead = cut & (facing < -0.1), cut & (facing > 0.2)
-    assert behind.sum() > 1000 and ahead.sum() > 1000
+    behind, front = cut & (facing < -0.1), cut & (facing > 0.2)
+    assert behind.sum() > 1000 and front.sum() > 1000
     assert (older[: len(rows)] == shape)[behind].all()
-    gap = (older[: len(rows)] - shape)[ahead] / 4096.0 / facing[ahead]
+    gap = (older[: len(rows)] - shape)[front] / 4096.0 / facing[front]
     assert 0.8 * LAG_M / SPACING_M < np.median(gap) < 1.2 * LAG_M / SPACING_M
