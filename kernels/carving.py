@@ -24,21 +24,35 @@ import warp as wp
 from kernels.bricks import cube_behind_plane, layer_of, plane_of
 from kernels.revolution import EDGE_BEND, Nearest, Revolution, nearest_on, offset_from
 
-__all__ = ["BINARY", "COUNT", "EVERY_SIDE", "FIRST", "MOVED", "ORIGIN", "PHASES", "PLAN", "carve"]
+__all__ = [
+    "BINARY",
+    "COUNT",
+    "EVERY_SIDE",
+    "FIRST",
+    "MOVED",
+    "ORIGIN",
+    "PHASES",
+    "PLAN",
+    "TURNED",
+    "carve",
+]
 
 wp.set_module_options({"enable_backward": False})
 
 PHASES = 16  # a power of two: the remainder is one instruction
-FIRST, COUNT, BINARY, EVERY_SIDE, ORIGIN, MOVED, PLAN = 0, 1, 2, 3, 4, 5, 6
+FIRST, COUNT, BINARY, EVERY_SIDE, ORIGIN, MOVED, TURNED, PLAN = 0, 1, 2, 3, 4, 5, 6, 7
 """Places in the plan of a launch.
 
 In order: first group; number of groups; 1 for binary removal; 1 for every side; group of the first
-brick; one bit a group, 1 where the tool is far enough from the group's last pose for its cuts to
-become older cuts.
+brick; one bit a group, 1 where its cuts become older cuts; one bit a group, 1 where this also holds
+in front of the tool.
 """
 BLOCK_REACH = wp.constant(1.7320508)  # half diagonal of a block of 2 voxels [voxel]
 LONGEST_STEP = wp.constant(1.0)  # more than the tool moves between two visits of a brick [voxel]
 EDGE = wp.constant(float(EDGE_BEND))
+# A block lies behind a tool of 8 voxels' radius if the surface in its middle faces away from the
+# motion by more than the normal turns over the block.
+BEHIND = wp.constant(0.2)
 BRICK_REACH = wp.constant(6.9282032)  # half diagonal of a brick of 8 voxels [voxel]
 
 
@@ -46,7 +60,8 @@ BRICK_REACH = wp.constant(6.9282032)  # half diagonal of a brick of 8 voxels [vo
 def carve(
     # tool
     tool: Revolution,
-    # row 0 now, row 1 + g last visit of group g: tip xyz [voxel], axis xyz
+    # row 0 now, row 1 + g last visit of group g, row 17 + g where the cuts of group g last became
+    # older cuts: tip xyz [voxel], axis xyz
     pose: wp.array2d(dtype=wp.float64),
     plan: wp.array(dtype=wp.int32),  # see FIRST
     worker_offset: int,
@@ -103,6 +118,7 @@ def carve(
                         plan[BINARY],
                         plan[EVERY_SIDE],
                         (plan[MOVED] >> group) & 1,
+                        (plan[TURNED] >> group) & 1,
                         bx,
                         by,
                         bz,
@@ -128,6 +144,7 @@ def carve_brick(
     binary: int,
     every_side: int,
     has_moved: int,
+    has_turned: int,
     bx: int,
     by: int,
     bz: int,
@@ -163,6 +180,8 @@ def carve_brick(
             for voxel in range(512):
                 older_out[row, voxel] = swept_out[row, voxel]
         return
+    back = offset_from(pose, 17 + group, bx * 8 + 4, by * 8 + 4, bz * 8 + 4) - centre
+    way = wp.length(back)
     axis_before = wp.vec3(
         float(pose[1 + group, 3]), float(pose[1 + group, 4]), float(pose[1 + group, 5])
     )
@@ -179,7 +198,8 @@ def carve_brick(
             # outer blocks.
             if tool.convex == 0 or far.distance + wp.dot(far.slope, shift) < BLOCK_REACH + kink:
                 near = nearest_on(tool, centre + shift, axis)
-                books = has_moved
+                # Bone in front of the tool has not been cut, unless the tool returns.
+                books = wp.where(wp.dot(near.slope, back) > BEHIND * way, has_moved, has_turned)
                 if near.distance < BLOCK_REACH and near.distance > BLOCK_REACH - LONGEST_STEP:
                     last = nearest_on(tool, centre + step + shift, axis_before)
                     books = wp.where(last.distance >= BLOCK_REACH, 1, books)  # it comes into reach

@@ -42,7 +42,7 @@ VALUE, RATE, AREA = 0, 6, 7
 """Places in the sums.
 
 First the tangent's value at zero velocity: force [N] and torque about the tip [N m]. Then the
-removal rate [m3/s] and the engaged area of each layer [m2]. Then, for each of up to six unknowns,
+removal rate at speed 1 [m3/s] and the engaged area of each layer [m2]. Then, for each of up to six unknowns,
 the derivative of force and torque by the unknown; with three unknowns, that of the force alone.
 Each sum has eight parts, one for each element of eight.
 """
@@ -224,7 +224,7 @@ def add_eight(
                 add_loads(moving, qy, chunk, slopes + 24, turns, sums_out)
                 add_loads(moving, qz, chunk, slopes + 30, turns, sums_out)
     area = wp.cw_mul(elements.areas[eight], share)
-    sums_out[chunk, RATE] += speed * wp.cw_mul(area, advance)
+    sums_out[chunk, RATE] += wp.cw_mul(area, advance)
     layers = found[eight, LAYER]
     if wp.min(layers) == wp.max(layers):
         sums_out[chunk, AREA + int(layers[0])] += area

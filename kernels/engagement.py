@@ -70,7 +70,7 @@ NARROWEST = wp.constant(1.0e-3)
 # beyond the place at which its bone was found.
 NEAR = wp.constant(0.2)
 # Gap to the tool's last poses above which it counts, and the width of their surface [m].
-CLOSE = wp.constant(2.0e-7)
+CLOSE = wp.constant(2.0e-8)
 
 
 @wp.struct
@@ -280,7 +280,7 @@ def bone_met(
                 chunk,
             )
             # The surface that lies deeper decides. Bone at the surface itself is engaged.
-            passed = -ahead - 0.5 * RAMP
+            passed = -ahead - (-0.75) * RAMP
             if passed * width > distance * RAMP:
                 distance = passed
                 slope = -normal

@@ -15,7 +15,7 @@ from kernels.bricks import Cell, cell_of, corner8f, corner8i, corners_of
 from kernels.carving import EDGE, corner_offset, distance_at
 from kernels.revolution import Nearest, Revolution, nearest_on, offset_from
 
-__all__ = ["RAMP", "SHORTEST", "SLOTS", "bone_left", "share_left"]
+__all__ = ["RAMP", "SLOTS", "bone_left"]
 
 wp.set_module_options({"enable_backward": False})
 
@@ -23,12 +23,6 @@ NEVER = wp.constant(65535)  # stored where the tool has not come near
 CLEAR = wp.constant(0.9)  # more than a voxel's centre is from any point in it
 # length of bone up to an older cut over which the share of an element that cuts rises to 1 [voxel]
 RAMP = wp.constant(0.01)
-SHORTEST = 0.015
-"""Length up to which negative lengths count at least [voxel], see `mean_length`; chosen as `RAMP`.
-
-With 0.03, the error of a second pass grows from 1.9 to 2.2 % of a full cut, with 0.05 to 2.6 %.
-"""
-LEAST_LIMIT = wp.constant(float(SHORTEST))
 ROUGH = wp.constant(0.05)  # more than the errors of tables and tangent spheres, and RAMP, together
 FARTHEST = wp.constant(2.0)  # a difference larger than this counts as this
 SLOTS = 64
@@ -73,7 +67,8 @@ def bone_left(
     corners = corners_of(brick_of, cell, row)
     stored = corner8i()
     weight = corner8f()
-    flat = corner8f()
+    counted = float(0.0)
+    flat = float(0.0)
     for c in range(8):
         stored[c] = NEVER
         if corners.row[c] >= 0:
@@ -83,55 +78,28 @@ def bone_left(
         # it lies outside older cuts, more than a voxel off: the other corners decide
         if stored[c] == NEVER:
             weight[c] = 0.0
-        flat[c] = kept_distance(stored[c]) - wp.dot(outward, away)
+        flat += weight[c] * wp.clamp(
+            kept_distance(stored[c]) - wp.dot(outward, away), -FARTHEST, FARTHEST
+        )
+        counted += weight[c]
     # Without curvature of the tool this would be the length below, which is larger by 0.75 bend at
     # most.
-    if tool.convex == 1 and bend < EDGE:
-        most = largest_of(flat, weight)
-        ahead = mean_length(flat, weight)
-        if most < -ROUGH - 1.2 * bend:
-            return most
-        if ahead > ROUGH + 1.2 * bend:
-            return ahead
+    if tool.convex == 1 and bend < EDGE and wp.abs(flat) > (ROUGH + 1.2 * bend) * counted:
+        return flat / counted
     now = tool_distances(tool, pose, axis, cell, seen, chunk)
-    difference = corner8f()
+    total = float(0.0)
     least = float(FARTHEST)
+    most = float(-FARTHEST)
     for c in range(8):
-        difference[c] = kept_distance(stored[c]) - now[c]
-        if weight[c] > 0.0:
-            least = wp.min(least, difference[c])
-    most = largest_of(difference, weight)
+        if stored[c] != NEVER:
+            difference = wp.clamp(kept_distance(stored[c]) - now[c], -FARTHEST, FARTHEST)
+            total += weight[c] * difference
+            least = wp.min(least, difference)
+            most = wp.max(most, difference)
     # The bend is zero if all corners differ by an equal amount, for example at the end of an older
     # cut to which the tool has returned.
     bent = wp.min(bend_below(bend, outward, part), 0.5 * (most - least))
-    return mean_length(difference, weight) + bent
-
-
-@wp.func
-def mean_length(length: corner8f, weight: corner8f):
-    """Return the weighted mean over a cell's corners of lengths of bone [voxel].
-
-    In front of a moving tool the length is that since the last visits, next to an older cut it is
-    negative and may be large. Negative lengths count up to the largest positive one only, so that
-    on average over positions in the cell the mean changes sign where the older cut ends.
-    """
-    limit = wp.clamp(largest_of(length, weight), LEAST_LIMIT, FARTHEST)
-    counted = float(0.0)
-    total = float(0.0)
-    for c in range(8):
-        counted += weight[c]
-        total += weight[c] * wp.clamp(length[c], -limit, limit)
-    return total / counted
-
-
-@wp.func
-def largest_of(length: corner8f, weight: corner8f):
-    """Return the largest length among the corners of a cell that count."""
-    most = float(-FARTHEST)
-    for c in range(8):
-        if weight[c] > 0.0:
-            most = wp.max(most, length[c])
-    return most
+    return total / counted + bent
 
 
 @wp.func

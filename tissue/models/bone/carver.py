@@ -13,7 +13,18 @@ import numpy as np
 import warp as wp
 
 from kernels.bricks import BRICK, FULL
-from kernels.carving import BINARY, COUNT, EVERY_SIDE, FIRST, MOVED, ORIGIN, PHASES, PLAN, carve
+from kernels.carving import (
+    BINARY,
+    COUNT,
+    EVERY_SIDE,
+    FIRST,
+    MOVED,
+    ORIGIN,
+    PHASES,
+    PLAN,
+    TURNED,
+    carve,
+)
 from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror, put
 from kernels.revolution import Revolution
@@ -40,6 +51,11 @@ OLDER_LAG_M = 2.5e-4
 
 The last poses of the tool reach further back, see `tissue.models.bone.elements.RecentPoses`.
 """
+TURN = 0.9
+"""Cosine of a change of direction from which on bone in front of the tool may be cut: 26 degrees.
+
+Chosen.
+"""
 CHANGED = ("remaining", "swept", "older", "alive")
 """Arrays of the brick store that carving changes and depends on."""
 WORKERS_CPU = 32
@@ -56,14 +72,17 @@ class CarverState:
     bricks
         Device arrays of the brick store, by name.
     poses
-        Present pose, pose at the last visit of every group of bricks, and pose at which the cuts in
-        it last became older cuts, shape (1 + 2 groups, 6).
+        Present pose, pose at the last visit of every group of bricks, pose at which the cuts in it
+        last became older cuts, and the motion before that, shape (1 + 3 groups, 6).
+    marks
+        Way since the cuts in each group of bricks became older cuts, negative [voxel], (groups,).
     counts
         Next group, number of visits due, number of groups not yet visited at the present pose.
     """
 
     bricks: dict[str, Any]
     poses: Array
+    marks: Array
     counts: tuple[int, float, int]
 
 
@@ -116,7 +135,11 @@ class Carver:
         self.tool = _revolution(table, cutter.profile, device=device)
         self._lag = min(CARVE_LAG_M / spacing, 0.25)
         self._older_lag = OLDER_LAG_M / spacing
-        self._older = np.zeros((PHASES, 6))  # poses at which cuts became older cuts
+        # last motion of the tool after which cuts became older cuts
+        self._ways = np.zeros((PHASES, 6))
+        # way of the tool so far, and where cuts became older cuts [voxel]
+        self._travelled = 0.0
+        self._marks = np.zeros(PHASES)
         # A turn moves the far end of the tool most.
         self._lever = max(abs(table.low), abs(table.high))
         self._next_group = 0
@@ -127,7 +150,7 @@ class Carver:
         self._behind = 0  # groups not visited at the present pose
         self._now = np.zeros(6)
         workers = WORKERS_CPU if device == "cpu" else WORKERS_GPU
-        self._pose = Mirror((1 + PHASES, 6), dtype=wp.float64, device=device)
+        self._pose = Mirror((1 + 2 * PHASES, 6), dtype=wp.float64, device=device)
         self._plan = Mirror(PLAN, dtype=wp.int32, device=device)
         self._removed = Mirror((workers, layers), dtype=wp.int64, device=device)
         self._workers = workers
@@ -164,7 +187,8 @@ class Carver:
     def place(self, motion: ToolMotion) -> None:
         """Carve all bone inside the tool at its first pose."""
         self._pose.host[:] = self._pose_of(motion)
-        self._older[:] = self._pose.host[0]
+        self._ways[:] = 0.0
+        self._marks[:] = self._travelled
         self._visit(PHASES, every_side=True)
 
     def advance(self, motion: ToolMotion) -> None:
@@ -174,6 +198,7 @@ class Carver:
         """
         now = self._pose_of(motion)
         step = self._distance(now, self._pose.host[0])
+        self._travelled += step
         if step > LONGEST_STEP_VOXELS:
             self._sweep(now, parts=ceil(step / LONGEST_STEP_VOXELS))
         elif step > 0.0:
@@ -190,6 +215,12 @@ class Carver:
         """Return a bound of the distance [voxel] by which the tool's points move between poses."""
         moved = one - other
         return sqrt(moved[:3].dot(moved[:3])) + self._lever * sqrt(moved[3:].dot(moved[3:]))
+
+    def _turns(self, group: int, way: Array) -> bool:
+        """Return whether the tool has left the direction of the last motion of a group."""
+        before = self._ways[group]
+        travelled = self._travelled - self._marks[group]
+        return float(way.dot(before)) < TURN * travelled * sqrt(before.dot(before))
 
     def _pose_of(self, motion: ToolMotion) -> Array:
         """Return tip [voxel] and axis of a motion, in an array that the next call overwrites."""
@@ -218,7 +249,8 @@ class Carver:
         """Copy the state between two motions."""
         return CarverState(
             {name: wp.clone(getattr(self.store, name)) for name in CHANGED},
-            np.vstack([self._pose.host, self._older]),
+            np.vstack([self._pose.host, self._ways]),
+            self._marks - self._travelled,
             (self._next_group, self._debt, self._behind),
         )
 
@@ -227,8 +259,9 @@ class Carver:
         self.changes += 1
         for name, values in state.bricks.items():
             wp.copy(getattr(self.store, name), values)
-        self._pose.host[:] = state.poses[: 1 + PHASES]
-        self._older[:] = state.poses[1 + PHASES :]
+        self._pose.host[:] = state.poses[: 1 + 2 * PHASES]
+        self._ways[:] = state.poses[1 + 2 * PHASES :]
+        self._marks[:] = self._travelled + state.marks
         self._next_group, self._debt, self._behind = state.counts
 
     def _visit(self, groups: int, *, every_side: bool = False) -> None:
@@ -237,14 +270,16 @@ class Carver:
         first = self._next_group
         poses = self._pose.host
         visited = [(first + visit) % PHASES for visit in range(groups)]
-        older = self._older
-        moved = [g for g in visited if self._distance(poses[0], older[g]) >= self._older_lag]
+        older = poses[1 + PHASES :]
+        moved = [g for g in visited if self._travelled - self._marks[g] >= self._older_lag]
+        turned = [g for g in moved if self._turns(g, poses[0] - older[g])]
         plan = self._plan.host
         plan[FIRST] = first
         plan[COUNT] = groups
         plan[BINARY] = self._binary
         plan[EVERY_SIDE] = every_side
         plan[MOVED] = sum(1 << group for group in moved)
+        plan[TURNED] = sum(1 << group for group in turned)
         plan[ORIGIN] = self._first_group
         self._plan.push()
         self._pose.push()
@@ -254,7 +289,9 @@ class Carver:
         for group in visited:
             poses[1 + group] = poses[0]
         for group in moved:
+            self._ways[group] = poses[0] - older[group]
             older[group] = poses[0]
+            self._marks[group] = self._travelled
         self._next_group = (first + groups) % PHASES
         # A visit of all groups leaves none to be visited.
         self._debt = 0.0 if groups == PHASES else max(self._debt - groups, 0.0)
