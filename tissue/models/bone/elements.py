@@ -130,7 +130,7 @@ A peg touches the rim of its pilot hole.
 """
 
 
-RINGS = (12, 4e-6), (14, 2.4e-5)
+RINGS = (12, 4e-6), (24, 2.4e-5)
 """Numbers of the tool's last poses that are kept, and their distances along its way [m].
 
 Together they reach further back than `tissue.models.bone.carver.OLDER_LAG_M`. A tool that returns

@@ -32,6 +32,13 @@ where it is 0.1 mm deep, see `tests/verification`.
 """
 
 
+CREEP_M_S = 5e-5
+"""Speed at which an element of a held tool has its full edge force at the latest [m/s]; chosen.
+
+A tool that rests against part of its edge force creeps at this part of the speed.
+"""
+
+
 class BoneModel:
     """Voxelised bone and one cutter.
 
@@ -177,7 +184,7 @@ class BoneModel:
         self._rotation = rotation
         self._take_pose(tip_m, rotation)
         self._rows[2][:] = 0.0
-        self._pose.host[6] = 1.0, self._recent.turns, 0.0
+        self._pose.host[6] = 1.0, self._recent.turns, CREEP_M_S * self.cutter.chip_per_speed_s
         self._pose.push()
         self._recent.seen_from(tip_m, rotation)
         self._forces.find_bone()
