@@ -14,10 +14,12 @@ from tissue.motion.quaternion import Quaternion, exponential, product, turn_betw
 
 __all__ = ["CutTissue", "CuttingTool"]
 
-NATURAL_Hz = 80.0
+NATURAL_Hz = 40.0
 """Natural frequency of the tool on its spring [Hz]; it sets the mass of the tool.
 
-At 27 kN/m, as in reaming, the mass is 0.11 kg, that of a handpiece. At 0.4 kN/m it is 1.6 g.
+At 28 kN/m, as in reaming, the mass is 0.44 kg; handpieces have 0.05 to 0.5 kg. At 0.4 kN/m it is 6
+g. With 40 and 80 Hz, errors by encoder steps are equal; with 160 Hz and more, those of milling grow
+by half.
 """
 DAMPING_RATIO = 1.0
 """Ratio of the damper to that of a critically damped tool in free space."""
