@@ -42,9 +42,9 @@ VALUE, RATE, AREA = 0, 6, 7
 """Places in the sums.
 
 First the tangent's value at zero velocity: force [N] and torque about the tip [N m]. Then the
-removal rate at speed 1 [m3/s] and the engaged area of each layer [m2]. Then, for each of up to six unknowns,
-the derivative of force and torque by the unknown; with three unknowns, that of the force alone.
-Each sum has eight parts, one for each element of eight.
+removal rate at speed 1 [m3/s] and the engaged area of each layer [m2]. Then, for each of up to six
+unknowns, the derivative of force and torque by the unknown; with three unknowns, that of the force
+alone. Each sum has eight parts, one for each element of eight.
 """
 MOTION_ROWS = 5
 
@@ -168,7 +168,7 @@ def add_eight(
     steep = wp.cw_mul(wp.cw_mul(above(swept - width), wp.sign(way)), middle) - 0.5 * one
     partly = wp.cw_mul(wp.cw_mul(above(raw), one - above(raw - one)), cuts)
     by_way = tick * wp.cw_div(wp.cw_mul(steep, partly), extent)
-    # Effective chip thickness and share of the edge force, and their derivatives by the advance. The
+    # Effective chip thickness, share of the edge force, and their derivatives by the advance. The
     # products are formed such that a law that is linear has the value 0 at zero velocity.
     made = speed * advance
     thickness = chip_per_speed * made
