@@ -136,9 +136,10 @@ def test_the_momentum_balances_to_rounding_in_every_tick(mass_kg):
     m (v - v_before) / T = k (x_device - x) + b (v_device - v) + F, also in a tick in which the
     device jumps.
     """
-    devices = around() + shaken(1000)
-    devices[400] += 1e-3
-    for tissue in (BallOnBlock(), BallOnBlock(spin=0.0), oblique(), None):
+    devices = around(0.4) + shaken(400)
+    devices[200] += 1e-3
+    balls = BallOnBlock(count=100), BallOnBlock(spin=0.0, count=100)
+    for tissue in (*balls, oblique(), None):
         tool = held_tool(1e4, tissue, mass_kg=mass_kg)
         course = lead(tool, devices)
         velocity = course.velocities[:, :3]
@@ -160,7 +161,6 @@ def test_the_force_is_that_of_the_tissue_at_the_velocity_of_the_tool():
     tissue = BallOnBlock()
     tool = held_tool(1e4, tissue)
     speeds = speeds_m_s(around(), STEP_S)
-    held = tool.mass_kg / STEP_S + 1e4 * STEP_S + damping_N_s_m(tool)
     for device, speed in zip(around(), speeds, strict=True):
         before = tool.velocity.copy()
         pull = 1e4 * (device - tool.tip_m) + damping_N_s_m(tool) * speed
@@ -169,7 +169,6 @@ def test_the_force_is_that_of_the_tissue_at_the_velocity_of_the_tool():
         wanted, _ = tissue.wrench(tool.velocity, before, STEP_S)
         off = np.linalg.norm(wanted - tool.wrench)
         assert off <= 1.01 * (TOLERANCE * driving + LEAST_N)
-    assert held > 0.0
 
 
 @pytest.mark.parametrize("spin", [0.0, 1.2])
@@ -290,7 +289,7 @@ def test_a_rotational_spring_balances_torque_in_closed_form(drag_Nm_s):
     spins = np.tile([0.0, rate, 0.0], (2000, 1))
     course = lead(tool, np.zeros((2000, 3)), spins=spins)
     torque = 2.0 * (drag * rate * lever + edge) * lever
-    np.testing.assert_allclose(course.velocities[-1], [0.0, 0.0, 0.0, 0.0, rate, 0.0], atol=1e-5)
+    np.testing.assert_allclose(course.velocities[-1], [0.0, 0.0, 0.0, 0.0, rate, 0.0], atol=5e-5)
     np.testing.assert_allclose(course.wrenches[-1, 4], -torque, rtol=1e-4)
     device = exponential((0.0, 2000 * STEP_S * rate, 0.0))
     np.testing.assert_allclose(
@@ -342,37 +341,33 @@ def test_a_tool_at_rest_creeps_against_an_edge_force():
     assert not tool.velocity.any() and not tool.wrench.any()
 
 
-def test_a_spinning_ball_is_led_without_chatter():
-    """A spinning ball is led without chatter.
+def test_a_spinning_ball_has_no_chatter_of_its_step():
+    """A spinning ball has no chatter of its step.
 
-    Tangential forces push it aside by more than its feed force. Encoder steps of 55 um change the
-    coupling force by less than that of a rigid tool, k q.
+    Tangential forces push it aside by more than its feed force. On bone that is not removed, it
+    moves round and round. Its mean force and the fluctuation are those of a step ten times smaller.
     """
-    stiffness, step = 1e4, 55e-6
-    times = STEP_S * np.arange(2500)
-    devices = np.column_stack(
-        [5e-3 * np.maximum(times - 0.3, 0.0), 0.0 * times, -4e-3 * np.minimum(times, 0.3)]
-    )
-    true = lead(held_tool(stiffness, BallOnBlock()), devices)
-    rounded = step * np.round(devices / step)
-    course = lead(
-        held_tool(stiffness, BallOnBlock()), rounded, velocities=speeds_m_s(devices, STEP_S)
-    )
-    late = slice(-1500, None)
-    assert np.abs(np.diff(true.wrenches[late], axis=0)).max() < 1e-3
-    np.testing.assert_allclose(
-        course.wrenches[late].mean(axis=0)[:3],
-        true.wrenches[-1, :3],
-        atol=0.02 * np.linalg.norm(true.wrenches[-1, :3]),
-    )
-    assert np.abs(np.diff(stiffness * course.stretch_m[late], axis=0)).max() < stiffness * step
+    found = []
+    for step in (1e-3, 1e-4):
+        times = step * np.arange(round(1.2 / step))
+        devices = np.column_stack(
+            [5e-3 * np.maximum(times - 0.3, 0.0), 0.0 * times, -4e-3 * np.minimum(times, 0.3)]
+        )
+        tool = held_tool(1e4, BallOnBlock(count=200))
+        forces = lead(tool, devices, step_s=step).wrenches[len(times) // 2 :, :3]
+        found.append([forces.mean(axis=0), forces.std(axis=0)])
+    (mean, ripple), (fine, fine_ripple) = found
+    size = np.linalg.norm(fine)
+    print(f"mean {np.abs(mean - fine).max() / size:.4f}, ripple {ripple / size} {fine_ripple / size}")
+    assert np.abs(mean - fine).max() < 0.03 * size
+    assert np.abs(ripple - fine_ripple).max() < 0.02 * size
 
 
 SCAN = list(
     product(
         (1e3, 1e4, 1e5),  # spring [N/m]
         (1e-2, 0.1, 1.0),  # mass [kg]
-        (0.0, 0.01, 1.0, 100.0),  # edge force [N]
+        (0.01, 1.0, 100.0),  # edge force [N]
         (0.0, 1e2, 1e4),  # chip force per speed [N s/m]
         (1e-4, 1e-3, 1e-2),  # step [s]
     )
@@ -396,3 +391,43 @@ def balanced(tissue, stiffness_N_m, mass_kg, step_s, devices):
         asked.append(tool.steps)
         close.append(np.linalg.norm(off) <= 1.01 * (TOLERANCE * np.linalg.norm(driving) + LEAST_N))
     return np.array(asked), np.array(close)
+
+
+def scanned(kind, index, edge_N, chip_N_s_m):
+    """Return an element, or 40 elements in all directions, with tangential forces."""
+    rng = np.random.default_rng(index)
+    normals = rng.normal(size=(1 if kind == "one" else 40, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    aside = np.cross(normals, rng.normal(size=3))
+    directions = normals + 1.2 * aside / np.linalg.norm(aside, axis=1)[:, None]
+    share = 1.0 / np.sqrt(len(normals))
+    return CutElements(normals, share * chip_N_s_m * directions, share * edge_N * directions)
+
+
+@pytest.mark.parametrize(("kind", "most", "mean"), [("one", 8, 2.6), ("many", MOST_STEPS, 4.5)])
+def test_the_balance_is_found_over_decades(kind, most, mean):
+    """The balance is found over decades of spring, mass, edge, resistance and step.
+
+    The device moves at random. Every tick of a single element is balanced, in at most 8
+    evaluations. Of the ticks of 40 elements that surround the tool, one in 200 may be open: there,
+    the balance has kinks close to each other in all directions.
+    """
+    asked, close = [], []
+    for index, (stiffness, mass, edge, chip, step) in enumerate(SCAN):
+        found = balanced(
+            scanned(kind, index, edge, chip), stiffness, mass, step, shaken(20, seed=index)
+        )
+        asked.append(found[0])
+        close.append(found[1])
+    counts = np.concatenate(asked)
+    open_ticks = int((~np.concatenate(close)).sum())
+    print(f"{kind}: {counts.mean():.2f} evaluations, {counts.max()} at most, {open_ticks} open")
+    assert counts.max() <= most and counts.mean() < mean
+    assert open_ticks <= (0 if kind == "one" else len(counts) // 200)
+
+
+def test_steady_cutting_needs_two_evaluations():
+    """In steady cutting, one Newton step solves a force that is linear at the speed of the tool."""
+    steps = pulled(3.0).steps[-500:]
+    assert steps.max() <= 2
+    assert lead(held_tool(1e4), around(0.01)).steps.max() == 0
