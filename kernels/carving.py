@@ -180,7 +180,7 @@ def carve_brick(
             for voxel in range(512):
                 older_out[row, voxel] = swept_out[row, voxel]
         return
-    back = offset_from(pose, 17 + group, bx * 8 + 4, by * 8 + 4, bz * 8 + 4) - centre
+    back = centre - offset_from(pose, 17 + group, bx * 8 + 4, by * 8 + 4, bz * 8 + 4)
     way = wp.length(back)
     axis_before = wp.vec3(
         float(pose[1 + group, 3]), float(pose[1 + group, 4]), float(pose[1 + group, 5])
