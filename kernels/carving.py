@@ -73,7 +73,8 @@ def carve(
     remaining_out: wp.array2d(dtype=wp.uint16),
     # distance to the solid that the tool has swept, see `swept_steps`
     swept_out: wp.array2d(dtype=wp.uint16),
-    older_out: wp.array2d(dtype=wp.uint16),  # distance in older cuts
+    middle_out: wp.array2d(dtype=wp.uint16),  # what becomes the distance to older cuts next
+    older_out: wp.array2d(dtype=wp.uint16),  # distance to older cuts
     # [brick], one bit a block of 2 x 2 x 2 voxels that may hold material
     alive_out: wp.array(dtype=wp.uint64),
     touched_out: wp.array(dtype=wp.uint8),  # [brick], set to 1 where this launch removed something
@@ -127,6 +128,7 @@ def carve(
                         material,
                         remaining_out,
                         swept_out,
+                        middle_out,
                         older_out,
                         alive_out,
                         touched_out,
@@ -153,6 +155,7 @@ def carve_brick(
     material: wp.array2d(dtype=wp.uint32),
     remaining_out: wp.array2d(dtype=wp.uint16),
     swept_out: wp.array2d(dtype=wp.uint16),
+    middle_out: wp.array2d(dtype=wp.uint16),
     older_out: wp.array2d(dtype=wp.uint16),
     alive_out: wp.array(dtype=wp.uint64),
     touched_out: wp.array(dtype=wp.uint8),
@@ -176,9 +179,9 @@ def carve_brick(
     skip_behind = every_side == 0 and tool.round == 1 and tool.radius > 8.0
     if skip_behind and tool.radius > 24.0 and wp.dot(step, far.slope) < -0.7 * moved:
         # The whole brick lies behind a tool that leaves it.
-        if has_moved != 0:
-            for voxel in range(512):
-                older_out[row, voxel] = swept_out[row, voxel]
+        if has_moved == 1:
+            for block in range(64):
+                book(row, block * 8, 1, 0, swept_out, middle_out, older_out)
         return
     back = centre - offset_from(pose, 17 + group, bx * 8 + 4, by * 8 + 4, bz * 8 + 4)
     way = wp.length(back)
@@ -200,12 +203,12 @@ def carve_brick(
                 near = nearest_on(tool, centre + shift, axis)
                 # Bone in front of the tool has not been cut, unless the tool returns.
                 books = wp.where(wp.dot(near.slope, back) > BEHIND * way, has_moved, has_turned)
+                comes = int(0)
                 if near.distance < BLOCK_REACH and near.distance > BLOCK_REACH - LONGEST_STEP:
                     last = nearest_on(tool, centre + step + shift, axis_before)
-                    books = wp.where(last.distance >= BLOCK_REACH, 1, books)  # it comes into reach
-                if books != 0 and near.distance < BLOCK_REACH:
-                    for v in range(8):
-                        older_out[row, block * 8 + v] = swept_out[row, block * 8 + v]
+                    comes = wp.where(last.distance >= BLOCK_REACH, 1, 0)
+                if near.distance < BLOCK_REACH and (has_moved == 1 or comes == 1):
+                    book(row, block * 8, books, comes, swept_out, middle_out, older_out)
                 if near.distance < -BLOCK_REACH:
                     for v in range(8):
                         voxel = block * 8 + v
@@ -240,6 +243,29 @@ def carve_brick(
         alive_out[row] = alive
     if booked_by(removed_out, worker) != booked:
         touched_out[row] = wp.uint8(1)
+
+
+@wp.func
+def book(
+    row: int,
+    first: int,
+    books: int,
+    comes: int,
+    swept: wp.array2d(dtype=wp.uint16),
+    middle_out: wp.array2d(dtype=wp.uint16),
+    older_out: wp.array2d(dtype=wp.uint16),
+):
+    """Let the cuts in a block become older cuts.
+
+    They are those up to the last time, or all of them where the tool comes into reach.
+    """
+    for v in range(8):
+        voxel = first + v
+        if comes == 1:
+            older_out[row, voxel] = swept[row, voxel]
+        elif books == 1:
+            older_out[row, voxel] = middle_out[row, voxel]
+        middle_out[row, voxel] = swept[row, voxel]
 
 
 @wp.func

@@ -94,7 +94,7 @@ def find_bone(
     coefficients: Coefficients,
     # rows: tip [voxel]; tool axes x, y, z; tip's and angular velocity at unit speed, own frame;
     # 1 to find bone around the whole tool, else only in front of elements that advance; 1 where the
-    # tool has turned recently, -
+    # tool has turned recently; least minimum chip thickness [m]
     motion: wp.array2d(dtype=wp.float64),
     # displacements to the tool's last poses and rotations to them, in the tool's frame [m], [rad];
     # the first is the present pose
@@ -182,7 +182,9 @@ def find_bone(
             found_out[eight, SLOPE + 2] = slope_z
             found_out[eight, LAYER] = layer
             found_out[eight, DENSITY] = density
-            set_strengths(elements, coefficients, eight, layer, density, found_out)
+            set_strengths(
+                elements, coefficients, float(motion[6, 2]), eight, layer, density, found_out
+            )
         found_out[eight, WIDTH] = width
 
 
@@ -190,6 +192,7 @@ def find_bone(
 def set_strengths(
     elements: Elements,
     coefficients: Coefficients,
+    least: float,
     eight: int,
     layer: lanes8,
     density: lanes8,
@@ -207,7 +210,7 @@ def set_strengths(
             length = elements.edge_length[e] * coefficients.strength[m, int(density[lane])]
             chip[lane] = length * coefficients.chip[m][c]
             edge[lane] = length * coefficients.edge[m][c]
-            minimum[lane] = coefficients.size[m][1]
+            minimum[lane] = wp.max(coefficients.size[m][1], least)
         found[eight, CHIP + c] = chip
         found[eight, EDGE + c] = edge
         found[eight, MINIMUM] = minimum

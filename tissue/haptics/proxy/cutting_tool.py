@@ -28,7 +28,7 @@ It is the rounding of forces in single precision.
 """
 LEAST_N = 1e-4
 """Residual that is always accepted [N]."""
-MOST_STEPS = 12
+MOST_STEPS = 24
 """Largest number of evaluations of the force in a tick."""
 REDUCED = 0.5
 """Ratio by which a step must reduce the residual to be followed by another Newton step."""

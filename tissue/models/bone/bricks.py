@@ -18,7 +18,8 @@ __all__ = ["BYTES_PER_VOXEL", "BrickGrid", "BrickStore", "voxels_of"]
 
 
 BYTES_PER_VOXEL = 12
-"""Bytes stored per voxel of a brick: remaining 2, swept 2, older 2, material 4, nearby 2."""
+"""Bytes stored per voxel of a brick: remaining 2, swept 2, middle 2, older 2, material
+4, nearby 2."""
 NEVER_SWEPT = 65535
 """Stored distance of a voxel that the tool has never reached."""
 STEPS = FULL // 255
@@ -100,7 +101,9 @@ class BrickStore:
         self.brick_of: Any = wp.full(grid.counts, -1, dtype=wp.int32, device=device)
         self._device = device
         self.remaining: Any = wp.empty((0, BRICK_VOXELS), wp.uint16, device)
-        self.swept, self.older, self.nearby = (wp.empty_like(self.remaining) for _ in range(3))
+        self.swept, self.middle, self.older, self.nearby = (
+            wp.empty_like(self.remaining) for _ in range(4)
+        )
         self.material: Any = wp.empty((0, BRICK_VOXELS), wp.uint32, device)
         self.alive: Any = wp.empty(0, wp.uint64, device)
         self.touched: Any = wp.empty(0, wp.uint8, device)
@@ -165,6 +168,7 @@ class BrickStore:
         rows = {
             "remaining": filled,
             "swept": never,
+            "middle": never,
             "older": never,
             "material": material,
             "nearby": nearby,

@@ -56,7 +56,7 @@ TURN = 0.9
 
 Chosen.
 """
-CHANGED = ("remaining", "swept", "older", "alive")
+CHANGED = ("remaining", "swept", "middle", "older", "alive")
 """Arrays of the brick store that carving changes and depends on."""
 WORKERS_CPU = 32
 WORKERS_GPU = 2048
@@ -135,7 +135,7 @@ class Carver:
         self.tool = _revolution(table, cutter.profile, device=device)
         self._lag = min(CARVE_LAG_M / spacing, 0.25)
         self._older_lag = OLDER_LAG_M / spacing
-        # last motion of the tool after which cuts became older cuts
+        # motion of the tool after its last change of direction
         self._ways = np.zeros((PHASES, 6))
         # way of the tool so far, and where cuts became older cuts [voxel]
         self._travelled = 0.0
@@ -175,6 +175,7 @@ class Carver:
             outputs=[
                 store.remaining,
                 store.swept,
+                store.middle,
                 store.older,
                 store.alive,
                 store.touched,
@@ -217,10 +218,10 @@ class Carver:
         return sqrt(moved[:3].dot(moved[:3])) + self._lever * sqrt(moved[3:].dot(moved[3:]))
 
     def _turns(self, group: int, way: Array) -> bool:
-        """Return whether the tool has left the direction of the last motion of a group."""
+        """Return whether the tool has left the direction after its last change of direction."""
         before = self._ways[group]
         travelled = self._travelled - self._marks[group]
-        return float(way.dot(before)) < TURN * travelled * sqrt(before.dot(before))
+        return float(way.dot(before)) <= TURN * travelled * sqrt(before.dot(before))
 
     def _pose_of(self, motion: ToolMotion) -> Array:
         """Return tip [voxel] and axis of a motion, in an array that the next call overwrites."""
@@ -288,8 +289,9 @@ class Carver:
         self.removed_steps += np.add.reduce(self._removed.host, axis=0)
         for group in visited:
             poses[1 + group] = poses[0]
-        for group in moved:
+        for group in turned:
             self._ways[group] = poses[0] - older[group]
+        for group in moved:
             older[group] = poses[0]
             self._marks[group] = self._travelled
         self._next_group = (first + groups) % PHASES

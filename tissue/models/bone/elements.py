@@ -130,7 +130,7 @@ A peg touches the rim of its pilot hole.
 """
 
 
-RINGS = (12, 4e-6), (14, 2.4e-5)
+RINGS = (12, 4e-6), (24, 2.4e-5)
 """Numbers of the tool's last poses that are kept, and their distances along its way [m].
 
 Together they reach further back than `tissue.models.bone.carver.OLDER_LAG_M`. A tool that returns
@@ -297,8 +297,28 @@ class RecentPoses:
         self.mirror.push()
 
 
+CREEP_M_S = 5e-5
+"""Speed at which an element of a held tool has its full edge force at the latest [m/s]; chosen.
+
+A tool that rests against part of its edge force creeps at this part of the speed. A smooth surface
+has its full pressure at this speed.
+"""
+HARDNESS_Pa = 5e8
+"""Pressure under which a smooth surface sinks into bone of the reference density [Pa].
+
+Hardness of wet bone, 0.3 to 0.7 GPa, from memory of Zysset et al. 1999 (doi
+10.1016/S0021-9290(99)00111-6), whose summary has moduli only: confidence L. Smooth surfaces of
+tools carry far less than this pressure.
+"""
+FRICTION = 0.3
+"""Coulomb's coefficient of smooth metal on bone, as in `tissue.haptics.proxy.probing_tool`."""
+
+
 class SmoothSurface:
-    """Area of a tool's non-cutting surface that is pushed into bone.
+    """Tool's surface that does not cut.
+
+    On a given path, its area in bone is measured. A held tool is pushed back by it, as by a rigid
+    and plastic body.
 
     Parameters
     ----------
@@ -308,6 +328,8 @@ class SmoothSurface:
         The tool's distance table on the device.
     pose, recent, motion
         See `CuttingForces`.
+    strength
+        Strength of each layer over its density, see `Coefficients`.
     """
 
     def __init__(
@@ -318,6 +340,7 @@ class SmoothSurface:
         pose: Mirror,
         recent: Mirror,
         motion: Mirror,
+        strength: Any,
     ) -> None:
         pieces = [piece for piece in cutter.profile.pieces if not piece.cutting]
         total_m2 = sum(piece.area_m2 for piece in pieces)
@@ -330,15 +353,18 @@ class SmoothSurface:
         self.blocked_m2 = BLOCKED * min([total_m2, *(pi * radius**2 for radius in radii)])
         device = str(pose.device.device)
         layers = len(store.grid.layer_names)
-        # Only the engaged area is used.
-        no_force = Coefficients()
-        no_force.chip = wp.zeros(layers, wp.vec3, device)
-        no_force.edge = wp.zeros(layers, wp.vec3, device)
-        no_force.strength = wp.zeros((layers, DENSITIES), wp.float32, device)
-        no_force.size = wp.zeros(layers, wp.vec3, device)
         elements = elements_of(shell, cutter, spacing_m=store.grid.spacing_m, device=device)
+        # A pressure takes the place of a force per length of edge.
+        elements.edge_length = elements.area
+        rubbing = Coefficients()
+        rubbing.chip = wp.zeros(layers, wp.vec3, device)
+        pressure = [FRICTION * HARDNESS_Pa * (cutter.spin_rad_s != 0.0), HARDNESS_Pa, 0.0]
+        rubbing.edge = put(np.tile(pressure, (layers, 1)), wp.vec3, device)
+        rubbing.strength = strength
+        rubbing.size = put(np.tile([0.0, CREEP_M_S, 1.0], (layers, 1)), wp.vec3, device)
+        # The velocity takes the place of the chip thickness.
         self.forces = CuttingForces(
-            store, tool, elements, no_force, pose, recent, motion, chip_per_speed_s=0.0, cores=1
+            store, tool, elements, rubbing, pose, recent, motion, chip_per_speed_s=1.0, cores=1
         )
 
     @property

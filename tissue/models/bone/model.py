@@ -14,6 +14,7 @@ from tissue.materials.constants import CuttingCoefficients
 from tissue.models.bone.bricks import BrickStore
 from tissue.models.bone.carver import Carver, Removal
 from tissue.models.bone.elements import (
+    CREEP_M_S,
     CuttingForces,
     LawLimits,
     RecentPoses,
@@ -101,23 +102,30 @@ class BoneModel:
         self._recent = RecentPoses(lever_m, device=device)
         self.elements = elements_of(self.shell, cutter, spacing_m=spacing, device=device)
         self.coefficients = coefficients
+        on_device = _on_device(coefficients, device=device)
         self._forces = CuttingForces(
             store,
             self.carver.tool,
             self.elements,
-            _on_device(coefficients, device=device),
+            on_device,
             self._pose,
             self._recent.mirror,
             self._motion,
             chip_per_speed_s=cutter.chip_per_speed_s,
             cores=cores,
         )
-        smooth = None
+        self._smooth: SmoothSurface | None = None
         if cutter.has_smooth_surface:
-            smooth = SmoothSurface(
-                cutter, store, self.carver.tool, self._pose, self._recent.mirror, self._motion
+            self._smooth = SmoothSurface(
+                cutter,
+                store,
+                self.carver.tool,
+                self._pose,
+                self._recent.mirror,
+                self._motion,
+                on_device.strength,
             )
-        self.limits = LawLimits(cutter, smooth)
+        self.limits = LawLimits(cutter, self._smooth)
         self.notices = self.limits.notices
         self._is_linear = not any(each.minimum_chip_m for each in coefficients)
         # pose and state of the bone that were searched, and motion that was summed
@@ -177,10 +185,12 @@ class BoneModel:
         self._rotation = rotation
         self._take_pose(tip_m, rotation)
         self._rows[2][:] = 0.0
-        self._pose.host[6] = 1.0, self._recent.turns, 0.0
+        self._pose.host[6] = 1.0, self._recent.turns, CREEP_M_S * self.cutter.chip_per_speed_s
         self._pose.push()
         self._recent.seen_from(tip_m, rotation)
         self._forces.find_bone()
+        if self._smooth is not None:
+            self._smooth.forces.find_bone()
 
     def forces(
         self, velocity: Array, before: Array, step_s: float, *, unknowns: int
@@ -216,6 +226,11 @@ class BoneModel:
         self._motion.push()
         self._summed = b""
         self._sums = sums = self._forces.sums()
+        if self._smooth is not None:
+            rubbing = self._smooth.forces.sums()
+            # The smooth surface adds to the forces, not to what is cut.
+            sums[:RATE] += rubbing[:RATE]
+            sums[self._forces.slopes :] += rubbing[self._forces.slopes :]
         turn = rotation.T
         value = (sums[:RATE].reshape(2, 3) @ turn).reshape(6)
         slopes = sums[self._forces.slopes :].reshape(unknowns // 3, 3, 2, 3) @ turn
@@ -242,7 +257,9 @@ class BoneModel:
             response.wrench[:] = motion.balanced
             response.removal_rate_m3_s = float(sums[RATE])
         response.engaged_m2[:] = sums[AREA : self._forces.slopes]
-        self.limits.check(motion, float(np.add.reduce(response.engaged_m2)), is_new=is_new)
+        # A held tool is pushed back by its smooth surface.
+        looks = is_new and motion.balanced is None
+        self.limits.check(motion, float(np.add.reduce(response.engaged_m2)), is_new=looks)
         return response
 
     def _sum_along(self, motion: ToolMotion) -> bool:
