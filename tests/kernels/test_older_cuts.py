@@ -185,9 +185,7 @@ def test_parabolas_lie_below_their_interpolation_by_the_bend_on_average(bend):
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-@pytest.mark.parametrize(
-    ("deeper", "short"), [(0.1, 0.3), (0.3, 0.3), (0.3, 0.1), (1.5, 0.3)]
-)
+@pytest.mark.parametrize(("deeper", "short"), [(0.1, 0.3), (0.3, 0.3), (0.3, 0.1), (1.5, 0.3)])
 def test_an_older_cut_between_voxel_centres_is_interpolated(axis, deeper, short):
     """An older cut between voxel centres is interpolated.
 

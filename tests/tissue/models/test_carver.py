@@ -183,7 +183,7 @@ def test_a_long_step_is_carved_in_parts_of_half_a_voxel_at_most():
 
 
 OLDER_LAG_M = 2.5e-4
-"""Longest travel of the tool until its cuts become older cuts, apart from `LAG_M`."""
+"""Travel of the tool after which its cuts may become older cuts."""
 REACH = 0.85
 """Smallest distance of a voxel's centre to a tool that comes within reach of its block [voxel].
 
@@ -206,16 +206,13 @@ def offsets_m(bone, centre_m):
 
 
 def test_a_tool_that_rests_or_dithers_keeps_no_older_cuts():
-    """A tool that stays within the lag keeps no older cuts, except at the rim of its reach.
-
-    There, blocks leave its reach and come back.
-    """
+    """A tool whose way is shorter than the lag keeps no older cuts where bone counts."""
     bone = solid_bone(1e-3, 2.4e-3)
     motion = ToolMotion(speed_m_s=1e-3)
     motion.tip_m[:] = (0.0, 0.0, -1e-3)
     bone.place(motion)
     placed, _ = kept_distances(bone)
-    for tick in range(200):
+    for tick in range(100):
         motion.tip_m[0] = 0.2 * LAG_M * np.sin(0.7 * tick)
         bone.advance(motion)
     bone.finish()
@@ -227,8 +224,8 @@ def test_a_tool_that_rests_or_dithers_keeps_no_older_cuts():
 def test_bone_behind_a_moving_tool_is_an_older_cut_and_bone_in_front_is_not():
     """Bone behind a moving tool is an older cut, and bone in front of it is not.
 
-    A block becomes an older cut at the first visit after the lag at which it faces backward by 0.2.
-    Over the lag, the direction to a voxel turns by up to 0.1. The ball of 30 voxels skips bricks and
+    The cuts in a block that faces backward by 0.2 become older cuts once in every 0.25 mm, after
+    another 0.25 mm. Over these, the direction to a voxel turns by up to 0.17. The ball of 30 voxels skips bricks and
     blocks behind it.
     """
     radius = 3e-3
@@ -243,13 +240,13 @@ def test_bone_behind_a_moving_tool_is_an_older_cut_and_bone_in_front_is_not():
     cut = (np.abs(distance - radius) < 0.5 * SPACING_M) & (swept > swept.min())
     facing = (offset @ along) / distance
     behind, front = cut & (facing < -0.4), cut & (facing > 0.0)
-    assert behind.sum() > 1000 and front.sum() > 1000
+    assert behind.sum() > 100 and front.sum() > 1000
     assert (older[behind] == swept[behind]).all() and (older[front] > REACH).all()
 
 
 @pytest.mark.parametrize("degrees", [40.0, 90.0, 180.0])
 def test_all_cuts_become_older_cuts_soon_after_a_change_of_direction(degrees):
-    """Older cuts hold all that was cut before a turn, once the lag and one more visit are over."""
+    """Older cuts hold all that was cut before a turn, once the tool has moved by twice the lag."""
     radius = 1e-3
     bone = solid_bone(radius, 2.4e-3)
     start = np.array([-3e-4, -2e-4, -1e-3])
@@ -259,11 +256,11 @@ def test_all_cuts_become_older_cuts_soon_after_a_change_of_direction(degrees):
     corner = start + 6e-4 * along
     turned = Rotation.from_euler("y", degrees, degrees=True).apply(along)
     before, _ = kept_distances(bone)
-    for travel in np.arange(0.0, OLDER_LAG_M + 2.0 * LAG_M, 2e-6):
+    for travel in np.arange(0.0, 2.0 * (OLDER_LAG_M + LAG_M), 2e-6):
         motion.tip_m[:] = corner + travel * turned
         bone.advance(motion)
     swept, older = kept_distances(bone)
     offset = offsets_m(bone, motion.tip_m + [0.0, 0.0, radius])
     near = np.abs(np.linalg.norm(offset, axis=2) - radius) < 0.5 * SPACING_M
     was_cut = near & (before < 0.5) & (swept > swept.min())
-    assert was_cut.sum() > 500 and (older[was_cut] <= before[was_cut]).all()
+    assert was_cut.sum() > 200 and (older[was_cut] <= before[was_cut]).all()

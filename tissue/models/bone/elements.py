@@ -137,6 +137,8 @@ Together they reach further back than `tissue.models.bone.carver.OLDER_LAG_M`. A
 on its way meets bone at most a distance too early. Between two poses of a ball of 1 mm, 0.07 um of
 bone seem to be left.
 """
+ROUNDING = 1e-9
+"""Change of the tool's axis up to which it has not turned [rad]: rounding of rotations."""
 KEPT_POSES = sum(count for count, _ in RINGS)
 
 
@@ -273,9 +275,10 @@ class RecentPoses:
             way = sqrt(moved.dot(moved))
             # A rotation about the tool's axis moves its surface into itself.
             turned = motion.rotation[:, 2] - self._rotations[last, :, 2]
-            if turned.any():
+            turn = sqrt(turned.dot(turned))
+            if turn > ROUNDING:
                 self.turns = True
-                way += self._lever * sqrt(turned.dot(turned))
+                way += self._lever * turn
             self._tips[now] = motion.tip_m
             self._rotations[now] = motion.rotation
             if way >= spaced_m:
