@@ -166,7 +166,7 @@ def add_eight(
     steep = wp.cw_mul(wp.cw_mul(above(swept - width), wp.sign(way)), middle) - 0.5 * one
     partly = wp.cw_mul(wp.cw_mul(above(raw), one - above(raw - one)), cuts)
     by_way = tick * wp.cw_div(wp.cw_mul(steep, partly), extent)
-    # Effective chip thickness and share of the edge force, and their derivatives by the advance. The
+    # Effective chip thickness, share of the edge force, and their derivatives by the advance. The
     # products are formed such that a law that is linear has the value 0 at zero velocity.
     made = speed * advance
     thickness = chip_per_speed * made

@@ -18,7 +18,7 @@ from tissue.haptics.loop.filters import (
 )
 from tissue.haptics.loop.sampled_loop import WallLoop
 from tissue.haptics.loop.vibration import PlayedForce
-from tissue.haptics.proxy.cutting_tool import CutTissue, CuttingTool
+from tissue.haptics.proxy.cutting_tool import CuttingTool, CutTissue
 from tissue.haptics.proxy.held_tool import HeldTool
 from tissue.haptics.renderer import PassivityObserver, PassivityRenderer, Renderer, TurningRenderer
 from tissue.models.tissue_model import TICK_S, Response, TissueModel, ToolMotion

@@ -1,6 +1,6 @@
 """Tool with inertia that cuts, coupled to a haptic device by a spring and a damper."""
 
-from math import inf, sqrt
+from math import inf, pi, sqrt
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -14,13 +14,16 @@ from tissue.motion.quaternion import Quaternion, exponential, product, turn_betw
 
 __all__ = ["CutTissue", "CuttingTool"]
 
-MASS_KG = 0.1
-"""Mass of the tool at its tip [kg], for a handpiece of 0.05 to 0.5 kg; chosen."""
-FREQ = 0.0
+NATURAL_Hz = 80.0
+"""Natural frequency of the tool on its spring [Hz]; it sets the mass of the tool.
+
+At 27 kN/m, as in reaming, the mass is 0.11 kg, that of a handpiece. At 0.4 kN/m it is 1.6 g.
+"""
 DAMPING_RATIO = 1.0
-"""Ratio of the damper to that of a critically damped tool in free space; chosen."""
+"""Ratio of the damper to that of a critically damped tool in free space."""
 GYRATION_M = 0.05
-"""Radius of gyration of the tool about its tip [m]: of a rod of 0.09 m; chosen."""
+"""Radius of gyration of the tool about its tip [m], of a rod of 0.09 m; assumed."""
+LEVER_M = np.array([1.0, 1.0, 1.0, GYRATION_M, GYRATION_M, GYRATION_M])
 TOLERANCE = 1e-6
 """Largest residual of the balance, relative to the force that drives the tool.
 
@@ -30,8 +33,8 @@ LEAST_N = 1e-4
 """Residual that is always accepted [N]."""
 MOST_STEPS = 24
 """Largest number of evaluations of the force in a tick."""
-REDUCED = 0.5
-"""Ratio by which a step must reduce the residual to be followed by another Newton step."""
+SHORTEST = 1e-4
+"""Share of a Newton step below which a point is accepted."""
 
 
 @runtime_checkable
@@ -57,7 +60,7 @@ class CuttingTool(HeldTool):
     F is the force of the tissue in this step, a Lipschitz function of the velocity. Its elements
     are found once, at the pose that the tool would reach with its present velocity. Newton's method
     solves the balance. The force is differentiable except at kinks, where it has a slope on each
-    side (semi-smooth). A step that does not reduce the residual is halved.
+    side (semi-smooth).
 
     For a device that plays torque, the angular velocity is a further unknown, with the moment of
     inertia about the tip, the spring of rotation and its damper. For any other device, the tool
@@ -82,7 +85,7 @@ class CuttingTool(HeldTool):
 
     def __init__(self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None) -> None:
         super().__init__(stiffness_N_m, tip_m, turn)
-        self.mass_kg = MASS_KG if FREQ == 0.0 else stiffness_N_m / (6.2831853 * FREQ) ** 2
+        self.mass_kg = stiffness_N_m / (2.0 * pi * NATURAL_Hz) ** 2
         self.velocity = np.zeros(6)
         self.wrench = np.zeros(6)
         self.steps = 0
@@ -147,47 +150,70 @@ class CuttingTool(HeldTool):
         self, driving: Array, held: Array, before: Array, step_s: float, unknowns: int
     ) -> Array:
         """Return the velocity at which ``held v = driving + F(v)``, and set `wrench`."""
-        velocity = before.copy()
-        if self._tissue is None:
-            self.wrench[:] = 0.0
-            velocity[:unknowns] = driving[:unknowns] / held[:unknowns]
-            return velocity
         free = slice(unknowns)
-        accepted = TOLERANCE * sqrt(driving.dot(driving)) + LEAST_N
-        matrix = np.diag(held[free])
-        best = velocity
-        step = np.zeros(unknowns)
-        share = 0.0
-        system = matrix
-        for count in range(1, MOST_STEPS + 1):
-            value, slopes = self._tissue.forces(velocity, before, step_s, unknowns=unknowns)
-            wrench = value + slopes.dot(velocity[free])
-            residual = driving[free] + wrench[free] - held[free] * velocity[free]
-            self.steps = count
-            if sqrt(residual.dot(residual)) <= accepted:
-                best = velocity
-                self.wrench[:] = wrench
-                break
-            if share > 0.0:
-                # The correction that the slopes at the start of the step ask for at its end.
-                *_, left, _ = dgesv(system, residual)
-                size = sqrt(step.dot(step))
-                if sqrt(left.dot(left)) > (1.0 - 0.25 * share) * size:
-                    bent = left - (1.0 - share) * step
-                    guess = 0.5 * size * share * share / sqrt(bent.dot(bent))
-                    share = min(max(guess, 0.1 * share), 0.5 * share)
-                    if share > 1e-4:
-                        velocity = best.copy()
-                        velocity[free] += share * step
-                        continue
-            best = velocity
-            self.wrench[:] = wrench
-            system = matrix - slopes[free]
-            *_, step, _ = dgesv(system, residual)
-            share = 1.0 if share == 0.0 else min(1.0, 4.0 * share)
-            velocity = best.copy()
-            velocity[free] += share * step
-        self.last = best.copy()
+        velocity = before.copy()
+        self.wrench[:] = 0.0
+        if self._tissue is not None:
+            # An angular velocity counts by the speed at the radius of gyration.
+            lever = LEVER_M[free]
+            accepted = TOLERANCE * sqrt(driving.dot(driving)) + LEAST_N
+            line = _Line(velocity[free])
+            for count in range(1, MOST_STEPS + 1):
+                velocity[free] = line.tried
+                value, slopes = self._tissue.forces(velocity, before, step_s, unknowns=unknowns)
+                wrench = value + slopes.dot(line.tried)
+                missing = (driving[free] + wrench[free] - held[free] * line.tried) / lever
+                self.steps = count
+                if line.accepts(missing):
+                    self.wrench[:] = wrench
+                    if sqrt(missing.dot(missing)) <= accepted:
+                        break
+                    matrix = (np.diag(held[free]) - slopes[free]) / lever[:, None]
+                    line.begin(matrix, missing)
         # The momentum is balanced exactly by the force that has been found.
-        best[free] = (driving[free] + self.wrench[free]) / held[free]
-        return best
+        velocity[free] = (driving[free] + self.wrench[free]) / held[free]
+        return velocity
+
+
+class _Line:
+    """Points along Newton steps, by the monotonicity test of Deuflhard (2004), algorithm NLEQ-ERR.
+
+    A point is accepted if the correction that the system at the start of the step asks for there is
+    shorter than the step. Otherwise a shorter step is tried.
+
+    Attributes
+    ----------
+    tried
+        Next point to evaluate, shape (n,).
+    """
+
+    def __init__(self, start: Array) -> None:
+        self.tried = start.copy()
+        self._start = start
+        self._system = np.zeros((0, 0))
+        self._step = np.zeros(0)
+        self._share = 0.0
+
+    def begin(self, matrix: Array, missing: Array) -> None:
+        """Begin a Newton step at the accepted point, with the system there and its residual."""
+        self._start = self.tried
+        self._system = matrix
+        *_, self._step, _ = dgesv(matrix, missing)
+        # After a short step, the next one is at most four times as long.
+        self._share = min(1.0, 4.0 * self._share) if self._share > 0.0 else 1.0
+        self.tried = self._start + self._share * self._step
+
+    def accepts(self, missing: Array) -> bool:
+        """Return whether to accept the point with this residual; else set a shorter step."""
+        share = self._share
+        if share == 0.0:
+            return True
+        *_, left, _ = dgesv(self._system, missing)
+        size = sqrt(self._step.dot(self._step))
+        if left.dot(left) <= ((1.0 - 0.25 * share) * size) ** 2 or share < SHORTEST:
+            return True
+        bent = left - (1.0 - share) * self._step
+        guess = 0.5 * size * share * share / sqrt(bent.dot(bent))
+        self._share = min(max(guess, 0.1 * share), 0.5 * share)
+        self.tried = self._start + self._share * self._step
+        return False

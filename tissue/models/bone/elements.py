@@ -10,7 +10,7 @@ import warp as wp
 from kernels.bricks import corner8f
 from kernels.cutting import AREA, cutting_forces
 from kernels.elements import CHUNK, LANES, Elements, lanes8
-from kernels.engagement import DENSITIES, FOUND, Coefficients, find_bone
+from kernels.engagement import FOUND, Coefficients, find_bone
 from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror, put
 from kernels.older_cuts import SLOTS

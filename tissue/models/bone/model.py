@@ -1,5 +1,7 @@
 """Bone that a rotating cutter mills: carving over bricks and the force on the cutter's elements."""
 
+from typing import Any
+
 import numpy as np
 import warp as wp
 
@@ -310,7 +312,7 @@ class BoneModel:
 
 def _on_device(coefficients: tuple[CuttingCoefficients, ...], *, device: str) -> Coefficients:
     """Return cutting coefficients on a device, one entry a layer."""
-    arrays = Coefficients()
+    arrays: Any = Coefficients()
     for name, keys in (("chip", CuttingCoefficients.CHIP), ("edge", CuttingCoefficients.EDGE)):
         values = [[getattr(layer, key) for key in keys] for layer in coefficients]
         setattr(arrays, name, put(np.array(values), wp.vec3, device))
