@@ -183,7 +183,7 @@ def carve_brick(
             for block in range(64):
                 book(row, block * 8, 1, 0, swept_out, middle_out, older_out)
         return
-    back = offset_from(pose, 17 + group, bx * 8 + 4, by * 8 + 4, bz * 8 + 4) - centre
+    back = centre - offset_from(pose, 17 + group, bx * 8 + 4, by * 8 + 4, bz * 8 + 4)
     way = wp.length(back)
     axis_before = wp.vec3(
         float(pose[1 + group, 3]), float(pose[1 + group, 4]), float(pose[1 + group, 5])

@@ -42,23 +42,21 @@ VALUE, RATE, AREA = 0, 6, 7
 """Places in the sums.
 
 First the tangent's value at zero velocity: force [N] and torque about the tip [N m]. Then the
-removal rate at speed 1 [m3/s] and the engaged area of each layer [m2]. Then, for each of up to six unknowns,
-the derivative of force and torque by the unknown; with three unknowns, that of the force alone.
-Each sum has eight parts, one for each element of eight.
+removal rate at speed 1 [m3/s] and the engaged area of each layer [m2]. Then, for each of up to six
+unknowns, the derivative of force and torque by the unknown. With three unknowns, only the force has
+derivatives, and the torque is that at the given velocity. Each sum has eight parts, one for each
+element of eight.
 """
 MOTION_ROWS = 5
 
 
 @wp.struct
 class Loads:
-    """Force and torque of eight elements."""
+    """Loads on eight elements [N]."""
 
-    x: lanes8
-    y: lanes8
-    z: lanes8
-    torque_x: lanes8
-    torque_y: lanes8
-    torque_z: lanes8
+    tangential: lanes8
+    radial: lanes8
+    axial: lanes8
 
 
 @wp.kernel
@@ -168,7 +166,7 @@ def add_eight(
     steep = wp.cw_mul(wp.cw_mul(above(swept - width), wp.sign(way)), middle) - 0.5 * one
     partly = wp.cw_mul(wp.cw_mul(above(raw), one - above(raw - one)), cuts)
     by_way = tick * wp.cw_div(wp.cw_mul(steep, partly), extent)
-    # Effective chip thickness and share of the edge force, and their derivatives by the advance. The
+    # Effective chip thickness, share of the edge force, and their derivatives by the advance. The
     # products are formed such that a law that is linear has the value 0 at zero velocity.
     made = speed * advance
     thickness = chip_per_speed * made
@@ -197,32 +195,49 @@ def add_eight(
     edge_value = wp.cw_mul(share, edge - wp.cw_mul(edge_slope, made))
     chip_value -= wp.cw_mul(chip_by_way, made_way)
     edge_value -= wp.cw_mul(edge_by_way, made_way)
+    chip_torque = chip_value
+    edge_torque = edge_value
+    if unknowns == 3:
+        chip_torque = wp.cw_mul(share, chip)
+        edge_torque = wp.cw_mul(share, edge)
     slopes = AREA + coefficients.size.shape[0]
-    value = loads_of(elements, found, eight, chip_value, edge_value)
-    add_loads(value, one, chunk, VALUE, 1, sums_out)
-    by_advance = loads_of(
-        elements, found, eight, wp.cw_mul(share, chip_slope), wp.cw_mul(share, edge_slope)
-    )
+    value = loads_of(found, eight, chip_value, edge_value)
+    add_forces(elements, eight, value, one, chunk, VALUE, sums_out)
+    acting = loads_of(found, eight, chip_torque, edge_torque)
+    add_torques(elements, eight, acting, one, chunk, VALUE, sums_out)
+    by_advance = loads_of(found, eight, wp.cw_mul(share, chip_slope), wp.cw_mul(share, edge_slope))
     if unknowns == 1:
-        add_loads(by_advance, advance, chunk, slopes, 1, sums_out)
+        add_forces(elements, eight, by_advance, advance, chunk, slopes, sums_out)
+        add_torques(elements, eight, by_advance, advance, chunk, slopes, sums_out)
     else:
-        turns = wp.where(unknowns == 6, 1, 0)
-        add_loads(by_advance, nx, chunk, slopes, turns, sums_out)
-        add_loads(by_advance, ny, chunk, slopes + 6, turns, sums_out)
-        add_loads(by_advance, nz, chunk, slopes + 12, turns, sums_out)
-        if turns == 1:
-            add_loads(by_advance, mx, chunk, slopes + 18, turns, sums_out)
-            add_loads(by_advance, my, chunk, slopes + 24, turns, sums_out)
-            add_loads(by_advance, mz, chunk, slopes + 30, turns, sums_out)
+        add_forces(elements, eight, by_advance, nx, chunk, slopes, sums_out)
+        add_forces(elements, eight, by_advance, ny, chunk, slopes + 6, sums_out)
+        add_forces(elements, eight, by_advance, nz, chunk, slopes + 12, sums_out)
+        if unknowns == 6:
+            add_forces(elements, eight, by_advance, mx, chunk, slopes + 18, sums_out)
+            add_forces(elements, eight, by_advance, my, chunk, slopes + 24, sums_out)
+            add_forces(elements, eight, by_advance, mz, chunk, slopes + 30, sums_out)
+            add_torques(elements, eight, by_advance, nx, chunk, slopes, sums_out)
+            add_torques(elements, eight, by_advance, ny, chunk, slopes + 6, sums_out)
+            add_torques(elements, eight, by_advance, nz, chunk, slopes + 12, sums_out)
+            add_torques(elements, eight, by_advance, mx, chunk, slopes + 18, sums_out)
+            add_torques(elements, eight, by_advance, my, chunk, slopes + 24, sums_out)
+            add_torques(elements, eight, by_advance, mz, chunk, slopes + 30, sums_out)
         if wp.max(partly) > 0.0:
-            moving = loads_of(elements, found, eight, chip_by_way, edge_by_way)
-            add_loads(moving, sx, chunk, slopes, turns, sums_out)
-            add_loads(moving, sy, chunk, slopes + 6, turns, sums_out)
-            add_loads(moving, sz, chunk, slopes + 12, turns, sums_out)
-            if turns == 1:
-                add_loads(moving, qx, chunk, slopes + 18, turns, sums_out)
-                add_loads(moving, qy, chunk, slopes + 24, turns, sums_out)
-                add_loads(moving, qz, chunk, slopes + 30, turns, sums_out)
+            moving = loads_of(found, eight, chip_by_way, edge_by_way)
+            add_forces(elements, eight, moving, sx, chunk, slopes, sums_out)
+            add_forces(elements, eight, moving, sy, chunk, slopes + 6, sums_out)
+            add_forces(elements, eight, moving, sz, chunk, slopes + 12, sums_out)
+            if unknowns == 6:
+                add_forces(elements, eight, moving, qx, chunk, slopes + 18, sums_out)
+                add_forces(elements, eight, moving, qy, chunk, slopes + 24, sums_out)
+                add_forces(elements, eight, moving, qz, chunk, slopes + 30, sums_out)
+                add_torques(elements, eight, moving, sx, chunk, slopes, sums_out)
+                add_torques(elements, eight, moving, sy, chunk, slopes + 6, sums_out)
+                add_torques(elements, eight, moving, sz, chunk, slopes + 12, sums_out)
+                add_torques(elements, eight, moving, qx, chunk, slopes + 18, sums_out)
+                add_torques(elements, eight, moving, qy, chunk, slopes + 24, sums_out)
+                add_torques(elements, eight, moving, qz, chunk, slopes + 30, sums_out)
     area = wp.cw_mul(elements.areas[eight], share)
     sums_out[chunk, RATE] += wp.cw_mul(area, advance)
     layers = found[eight, LAYER]
@@ -254,55 +269,71 @@ def above(values: lanes8):
 
 
 @wp.func
-def loads_of(
-    elements: Elements, found: wp.array2d(dtype=lanes8), eight: int, chip: lanes8, edge: lanes8
-):
-    """Return force and torque on eight elements for weights of their chip and edge loads."""
-    tangential = wp.cw_mul(chip, found[eight, CHIP]) + wp.cw_mul(edge, found[eight, EDGE])
-    radial = wp.cw_mul(chip, found[eight, CHIP + 1]) + wp.cw_mul(edge, found[eight, EDGE + 1])
-    axial = wp.cw_mul(chip, found[eight, CHIP + 2]) + wp.cw_mul(edge, found[eight, EDGE + 2])
+def loads_of(found: wp.array2d(dtype=lanes8), eight: int, chip: lanes8, edge: lanes8):
+    """Return the loads on eight elements for weights of their chip and edge forces."""
     loads = Loads()
-    # The rows of a lever are those of `kernels.elements.Elements`.
-    loads.x = times(elements, eight, tangential, 0) + times(elements, eight, radial, 5)
-    loads.y = times(elements, eight, tangential, 1) + times(elements, eight, radial, 6)
-    loads.z = times(elements, eight, radial, 7) + axial
-    loads.torque_x = (
-        times(elements, eight, tangential, 2)
-        + times(elements, eight, radial, 8)
-        + times(elements, eight, axial, 12)
-    )
-    loads.torque_y = (
-        times(elements, eight, tangential, 3)
-        + times(elements, eight, radial, 9)
-        + times(elements, eight, axial, 13)
-    )
-    loads.torque_z = times(elements, eight, tangential, 4) + times(elements, eight, radial, 10)
+    loads.tangential = wp.cw_mul(chip, found[eight, CHIP]) + wp.cw_mul(edge, found[eight, EDGE])
+    loads.radial = wp.cw_mul(chip, found[eight, CHIP + 1]) + wp.cw_mul(edge, found[eight, EDGE + 1])
+    loads.axial = wp.cw_mul(chip, found[eight, CHIP + 2]) + wp.cw_mul(edge, found[eight, EDGE + 2])
     return loads
 
 
 @wp.func
 def times(elements: Elements, eight: int, loads: lanes8, row: int):
-    """Multiply eight loads by a row of their levers."""
+    """Multiply eight loads by a row of their levers, see `kernels.elements.Elements`."""
     return wp.cw_mul(loads, elements.lever[eight, row])
 
 
 @wp.func
-def add_loads(
+def add_forces(
+    elements: Elements,
+    eight: int,
     loads: Loads,
     factor: lanes8,
     chunk: int,
     place: int,
-    turns: int,
     sums_out: wp.array2d(dtype=lanes8),
 ):
-    """Subtract the sums of loads times a factor from a chunk's force and torque.
+    """Add the force of loads times a factor to the sums of a chunk.
 
-    The loads are those of the elements on the bone.
+    The loads act on the bone, so that the force on the tool is subtracted.
     """
-    sums_out[chunk, place] -= wp.cw_mul(loads.x, factor)
-    sums_out[chunk, place + 1] -= wp.cw_mul(loads.y, factor)
-    sums_out[chunk, place + 2] -= wp.cw_mul(loads.z, factor)
-    if turns == 1:
-        sums_out[chunk, place + 3] -= wp.cw_mul(loads.torque_x, factor)
-        sums_out[chunk, place + 4] -= wp.cw_mul(loads.torque_y, factor)
-        sums_out[chunk, place + 5] -= wp.cw_mul(loads.torque_z, factor)
+    tangential = wp.cw_mul(loads.tangential, factor)
+    radial = wp.cw_mul(loads.radial, factor)
+    axial = wp.cw_mul(loads.axial, factor)
+    sums_out[chunk, place] -= times(elements, eight, tangential, 0) + times(
+        elements, eight, radial, 5
+    )
+    sums_out[chunk, place + 1] -= times(elements, eight, tangential, 1) + times(
+        elements, eight, radial, 6
+    )
+    sums_out[chunk, place + 2] -= times(elements, eight, radial, 7) + axial
+
+
+@wp.func
+def add_torques(
+    elements: Elements,
+    eight: int,
+    loads: Loads,
+    factor: lanes8,
+    chunk: int,
+    place: int,
+    sums_out: wp.array2d(dtype=lanes8),
+):
+    """Add the torque of loads times a factor to the sums of a chunk, see `add_forces`."""
+    tangential = wp.cw_mul(loads.tangential, factor)
+    radial = wp.cw_mul(loads.radial, factor)
+    axial = wp.cw_mul(loads.axial, factor)
+    sums_out[chunk, place + 3] -= (
+        times(elements, eight, tangential, 2)
+        + times(elements, eight, radial, 8)
+        + times(elements, eight, axial, 12)
+    )
+    sums_out[chunk, place + 4] -= (
+        times(elements, eight, tangential, 3)
+        + times(elements, eight, radial, 9)
+        + times(elements, eight, axial, 13)
+    )
+    sums_out[chunk, place + 5] -= times(elements, eight, tangential, 4) + times(
+        elements, eight, radial, 10
+    )

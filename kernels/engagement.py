@@ -119,6 +119,8 @@ def find_bone(
     first = chunk * (CHUNK // LANES)
     last = wp.min(first + CHUNK // LANES, elements.lanes.shape[0])
     turns = motion[6, 1] != wp.float64(0.0)
+    # The last eight elements may be fewer.
+    count = elements.edge_length.shape[0]
     meets = may_cut(elements, chunk, travel, spacing, everywhere, brick_of, alive)
     for eight in range(first, last):
         width = lanes8()
@@ -143,7 +145,7 @@ def find_bone(
             if near == 1:
                 gap = recently_cut(recent, elements, eight, turns)
             lane = int(LANES) * (1 - near)
-            while lane < LANES:
+            while lane < LANES and eight * LANES + lane < count:
                 if everywhere or advances[lane] > travel.least:
                     met = bone_met(
                         tool,
@@ -282,8 +284,9 @@ def bone_met(
                 seen,
                 chunk,
             )
-            # The surface that lies deeper decides. Bone at the surface itself is engaged.
-            passed = -ahead - (-0.75) * RAMP
+            # The surface that lies deeper decides. Half of the element is engaged where older cuts
+            # have left three quarters of `RAMP`, so that rounding leaves no bone on their surface.
+            passed = 0.75 * RAMP - ahead
             if passed * width > distance * RAMP:
                 distance = passed
                 slope = -normal
@@ -317,16 +320,30 @@ def recently_cut(recent: wp.array2d(dtype=wp.float32), elements: Elements, eight
         moved = wp.vec3(recent[j, 0], recent[j, 1], recent[j, 2])
         across = moved[0] * nx + moved[1] * ny + moved[2] * nz
         square = lanes8(wp.dot(moved, moved))
+        risen = lanes8()
         if turns:
             px = elements.lanes[eight, 0]
             py = elements.lanes[eight, 1]
             pz = elements.lanes[eight, 2]
-            x = recent[j, 4] * pz - recent[j, 5] * py + lanes8(moved[0])
-            y = recent[j, 5] * px - recent[j, 3] * pz + lanes8(moved[1])
-            z = recent[j, 3] * py - recent[j, 4] * px + lanes8(moved[2])
+            # Up to second order of the rotation w, an element at p with normal n moves by w x p, and
+            # the surface at its new place rises by (w x n) . (w x p / 2 + moved).
+            wx = recent[j, 3]
+            wy = recent[j, 4]
+            wz = recent[j, 5]
+            x = wy * pz - wz * py
+            y = wz * px - wx * pz
+            z = wx * py - wy * px
+            risen = wp.cw_mul(wy * nz - wz * ny, 0.5 * x + lanes8(moved[0]))
+            risen += wp.cw_mul(wz * nx - wx * nz, 0.5 * y + lanes8(moved[1]))
+            risen += wp.cw_mul(wx * ny - wy * nx, 0.5 * z + lanes8(moved[2]))
+            x += lanes8(moved[0])
+            y += lanes8(moved[1])
+            z += lanes8(moved[2])
             across = wp.cw_mul(x, nx) + wp.cw_mul(y, ny) + wp.cw_mul(z, nz)
             square = wp.cw_mul(x, x) + wp.cw_mul(y, y) + wp.cw_mul(z, z)
         ahead = across - wp.cw_mul(half, square - wp.cw_mul(across, across))
+        if turns:
+            ahead += risen
         if j == 0:
             present = ahead
             most = ahead

@@ -142,7 +142,8 @@ class HeldTool(ABC):
         return False
 
     def rest(self) -> None:
-        """Stop the tool where it is; nothing to do for a tool without inertia."""
+        """Stop the tool where it is."""
+        return
 
 
 class PressingTool(HeldTool):

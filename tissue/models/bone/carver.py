@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from kernels.bricks import BRICK, FULL
 from kernels.carving import (
@@ -76,6 +77,8 @@ class CarverState:
         last became older cuts, and the motion before that, shape (1 + 3 groups, 6).
     marks
         Way since the cuts in each group of bricks became older cuts, negative [voxel], (groups,).
+    turned
+        True for each group whose last motion was a change of direction, (groups,).
     counts
         Next group, number of visits due, number of groups not yet visited at the present pose.
     """
@@ -83,6 +86,7 @@ class CarverState:
     bricks: dict[str, Any]
     poses: Array
     marks: Array
+    turned: NDArray[np.bool_]
     counts: tuple[int, float, int]
 
 
@@ -140,6 +144,8 @@ class Carver:
         # way of the tool so far, and where cuts became older cuts [voxel]
         self._travelled = 0.0
         self._marks = np.zeros(PHASES)
+        # True where the last motion was a change of direction
+        self._turned = np.zeros(PHASES, bool)
         # A turn moves the far end of the tool most.
         self._lever = max(abs(table.low), abs(table.high))
         self._next_group = 0
@@ -190,6 +196,7 @@ class Carver:
         self._pose.host[:] = self._pose_of(motion)
         self._ways[:] = 0.0
         self._marks[:] = self._travelled
+        self._turned[:] = False
         self._visit(PHASES, every_side=True)
 
     def advance(self, motion: ToolMotion) -> None:
@@ -252,6 +259,7 @@ class Carver:
             {name: wp.clone(getattr(self.store, name)) for name in CHANGED},
             np.vstack([self._pose.host, self._ways]),
             self._marks - self._travelled,
+            self._turned.copy(),
             (self._next_group, self._debt, self._behind),
         )
 
@@ -263,6 +271,7 @@ class Carver:
         self._pose.host[:] = state.poses[: 1 + 2 * PHASES]
         self._ways[:] = state.poses[1 + 2 * PHASES :]
         self._marks[:] = self._travelled + state.marks
+        self._turned[:] = state.turned
         self._next_group, self._debt, self._behind = state.counts
 
     def _visit(self, groups: int, *, every_side: bool = False) -> None:
@@ -280,7 +289,8 @@ class Carver:
         plan[BINARY] = self._binary
         plan[EVERY_SIDE] = every_side
         plan[MOVED] = sum(1 << group for group in moved)
-        plan[TURNED] = sum(1 << group for group in turned)
+        # What was cut just before a change of direction becomes an older cut one motion later.
+        plan[TURNED] = sum(1 << group for group in moved if group in turned or self._turned[group])
         plan[ORIGIN] = self._first_group
         self._plan.push()
         self._pose.push()
@@ -294,6 +304,7 @@ class Carver:
         for group in moved:
             older[group] = poses[0]
             self._marks[group] = self._travelled
+            self._turned[group] = group in turned
         self._next_group = (first + groups) % PHASES
         # A visit of all groups leaves none to be visited.
         self._debt = 0.0 if groups == PHASES else max(self._debt - groups, 0.0)

@@ -1,5 +1,7 @@
 """Bone that a rotating cutter mills: carving over bricks and the force on the cutter's elements."""
 
+from typing import Any
+
 import numpy as np
 import warp as wp
 
@@ -214,7 +216,9 @@ class BoneModel:
         -------
         tuple
             Force [N] and torque about the tip [N m] of the tangent at zero velocity, shape (6,),
-            and their derivatives, shape (6, unknowns). The force at the velocity is their sum.
+            and their derivatives, shape (6, unknowns). Value plus derivatives times velocity is
+            the wrench at the velocity. With 3 unknowns the torque has no derivatives, and its value
+            is the torque at the velocity.
         """
         rotation = self._rotation
         rows = self._motion.host
@@ -222,6 +226,7 @@ class BoneModel:
         rows[2:4] = before.reshape(2, 3) @ rotation
         rows[4] = unknowns, step_s, 1.0
         self._motion.push()
+        self._summed = b""
         self._sums = sums = self._forces.sums()
         if self._smooth is not None:
             rubbing = self._smooth.forces.sums()
@@ -307,7 +312,7 @@ class BoneModel:
 
 def _on_device(coefficients: tuple[CuttingCoefficients, ...], *, device: str) -> Coefficients:
     """Return cutting coefficients on a device, one entry a layer."""
-    arrays = Coefficients()
+    arrays: Any = Coefficients()
     for name, keys in (("chip", CuttingCoefficients.CHIP), ("edge", CuttingCoefficients.EDGE)):
         values = [[getattr(layer, key) for key in keys] for layer in coefficients]
         setattr(arrays, name, put(np.array(values), wp.vec3, device))
