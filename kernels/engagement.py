@@ -349,10 +349,10 @@ def poses_ahead(
     last: int,
     turns: bool,
 ):
-    """Return the last poses that may have cut farther than the present pose in front of a chunk.
+    """Return the range of last poses that may have cut farther than the present pose.
 
-    The direction to the other poses lies in front of none of its elements while the tool advances
-    where it faces.
+    A pose counts if the tool lay in front of the present pose there, for the normal of some element
+    of the chunk. A tool that advances has no such poses in front of it.
     """
     poses = Poses()
     poses.last = recent.shape[0]
@@ -400,28 +400,17 @@ def recently_cut(
     ny = elements.lanes[eight, 4]
     nz = elements.lanes[eight, 5]
     half = 0.5 * elements.curvature[eight]
-    px = elements.lanes[eight, 0]
-    py = elements.lanes[eight, 1]
-    pz = elements.lanes[eight, 2]
-    present = lanes8()
-    most = lanes8()
-    if turns:
-        present = cut_after_turn(recent, 0, px, py, pz, nx, ny, nz, half)
-        most = present
-        for j in range(poses.first, poses.last):
-            most = wp.max(most, cut_after_turn(recent, j, px, py, pz, nx, ny, nz, half))
-    else:
-        present = cut_after_move(recent, 0, nx, ny, nz, half)
-        most = present
-        j = poses.first
-        while j < poses.last:
-            end = wp.min(j + CHECKED, poses.last)
-            while j < end:
-                most = wp.max(most, cut_after_move(recent, j, nx, ny, nz, half))
-                j += 1
-            # Elements in front of which all has been cut are not asked for more.
-            if wp.min(most - present) > CLOSE and wp.min(most) > enough:
-                j = poses.last
+    present = cut_at(recent, elements, eight, 0, nx, ny, nz, half, turns)
+    most = present
+    j = poses.first
+    while j < poses.last:
+        end = wp.min(j + CHECKED, poses.last)
+        while j < end:
+            most = wp.max(most, cut_at(recent, elements, eight, j, nx, ny, nz, half, turns))
+            j += 1
+        # Elements in front of which all has been cut are not asked for more.
+        if wp.min(most - present) > CLOSE and wp.min(most) > enough:
+            j = poses.last
     for lane in range(LANES):
         if most[lane] - present[lane] > CLOSE:
             gap[lane] = most[lane]
@@ -429,49 +418,43 @@ def recently_cut(
 
 
 @wp.func
-def cut_after_move(
-    recent: wp.array2d(dtype=wp.float32), j: int, nx: lanes8, ny: lanes8, nz: lanes8, half: lanes8
-):
-    """Return how far the tool has cut in front of eight elements at one of its last poses [m]."""
-    moved = wp.vec3(recent[j, 0], recent[j, 1], recent[j, 2])
-    across = moved[0] * nx + moved[1] * ny + moved[2] * nz
-    square = lanes8(wp.dot(moved, moved))
-    return across - wp.cw_mul(half, square - wp.cw_mul(across, across))
-
-
-@wp.func
-def cut_after_turn(
+def cut_at(
     recent: wp.array2d(dtype=wp.float32),
+    elements: Elements,
+    eight: int,
     j: int,
-    px: lanes8,
-    py: lanes8,
-    pz: lanes8,
     nx: lanes8,
     ny: lanes8,
     nz: lanes8,
     half: lanes8,
+    turns: bool,
 ):
-    """Return how far the tool has cut in front of eight elements at a last pose with a turn [m].
-
-    Up to second order of the rotation w, an element at p with normal n moves by w x p, and the
-    surface at its new place rises by (w x n) . (w x p / 2 + moved).
-    """
+    """Return how far the tool has cut in front of eight elements at one of its last poses [m]."""
     mx = recent[j, 0]
     my = recent[j, 1]
     mz = recent[j, 2]
-    # The rotation about the tool's axis is left out.
-    wx = recent[j, 3]
-    wy = recent[j, 4]
-    x = wy * pz
-    y = -wx * pz
-    z = wx * py - wy * px
-    risen = wp.cw_mul(wy * nz, 0.5 * x + lanes8(mx)) - wp.cw_mul(wx * nz, 0.5 * y + lanes8(my))
-    risen += wp.cw_mul(wx * ny - wy * nx, 0.5 * z + lanes8(mz))
-    x += lanes8(mx)
-    y += lanes8(my)
-    z += lanes8(mz)
-    across = wp.cw_mul(x, nx) + wp.cw_mul(y, ny) + wp.cw_mul(z, nz)
-    square = wp.cw_mul(x, x) + wp.cw_mul(y, y) + wp.cw_mul(z, z)
+    risen = lanes8()
+    across = mx * nx + my * ny + mz * nz
+    square = lanes8(mx * mx + my * my + mz * mz)
+    if turns:
+        # Up to second order of the rotation w, an element at p with normal n moves by w x p, and
+        # the surface at its new place rises by (w x n) . (w x p / 2 + moved). The rotation about
+        # the tool's axis is left out.
+        px = elements.lanes[eight, 0]
+        py = elements.lanes[eight, 1]
+        pz = elements.lanes[eight, 2]
+        wx = recent[j, 3]
+        wy = recent[j, 4]
+        x = wy * pz
+        y = -wx * pz
+        z = wx * py - wy * px
+        risen = wp.cw_mul(wy * nz, 0.5 * x + lanes8(mx)) - wp.cw_mul(wx * nz, 0.5 * y + lanes8(my))
+        risen += wp.cw_mul(wx * ny - wy * nx, 0.5 * z + lanes8(mz))
+        x += lanes8(mx)
+        y += lanes8(my)
+        z += lanes8(mz)
+        across = wp.cw_mul(x, nx) + wp.cw_mul(y, ny) + wp.cw_mul(z, nz)
+        square = wp.cw_mul(x, x) + wp.cw_mul(y, y) + wp.cw_mul(z, z)
     return across - wp.cw_mul(half, square - wp.cw_mul(across, across)) + risen
 
 

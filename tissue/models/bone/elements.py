@@ -295,7 +295,8 @@ class RecentPoses:
         rows[1:, :3] = self._moved
         if self.turns:
             axes = self._rotations[:, :, 2] @ rotation
-            # The smallest rotation that moves the axis: any other moves the surface into itself, too.
+            # The smallest rotation that turns the axis. A further one about the axis moves the
+            # surface into itself.
             rows[1:, 3] = -axes[:, 1]
             rows[1:, 4] = axes[:, 0]
         rows[0] = rows[1 + self._rings[0][0]]
