@@ -176,14 +176,14 @@ def replayed(scene: Scene, path: DevicePath, *, mass_share: float = 1.0) -> Cour
 
 
 def amplification(course: Course, reference: Course, shift_m: float) -> tuple[float, float]:
-    """Return the largest distance between two tool paths over the shift of the tool [m].
+    """Return the distance between two tool paths over the shift of the tool [m].
 
-    The first value covers the time to one second after the first contact, the second the whole run.
-    A free tool has 1.
+    The first value is that one second after the first contact, or at the end of a shorter run, the
+    second the largest of the run. A free tool has 1.
     """
     away_m = np.linalg.norm(course.tips_m - reference.tips_m, axis=1)
-    early = reference.first + round(1.0 / TICK_S)
-    return float(away_m[: early + 1].max() / shift_m), float(away_m.max() / shift_m)
+    later = min(reference.first + round(1.0 / TICK_S), len(away_m) - 1)
+    return float(away_m[later] / shift_m), float(away_m.max() / shift_m)
 
 
 def force_error(course: Course, reference: Course) -> float:

@@ -59,7 +59,7 @@ def _columns(
     rows = []
     for shift_m in SHIFTS_M.tolist():
         course = replayed(scene, path.shifted(shift_m * OBLIQUE), mass_share=mass_share)
-        rows.append((amplification(course, reference, shift_m)[1], force_error(course, reference)))
+        rows.append((amplification(course, reference, shift_m)[0], force_error(course, reference)))
     amplified, error = np.array(rows).T
     return {rule: amplified, f"{rule}_force": error}, reference
 

@@ -28,8 +28,12 @@ Over the hands of all scenes, this value has the smallest error among filters wi
 delay. The error is 41 % of the velocity, against 212 % for the raw difference; see
 tests/bench/bench_velocity.py.
 """
-OBSERVER_MEMORY = 0.9
-"""Memory of the filter that observes the position of a device in front of a tool that cuts."""
+OBSERVER_MEMORY = 0.93
+"""Memory of the filter that observes the position of a device in front of a tool that cuts.
+
+An encoder step of 55 um then changes the observed position by at most 15 um in a tick. From 0.9 to
+0.93, the error of the force by these steps falls by a quarter in reaming and by half on a molar.
+"""
 
 
 def low_pass_gain(time_constant_s: float, step_s: float) -> float:
