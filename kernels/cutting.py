@@ -64,13 +64,15 @@ def cutting_forces(
     elements: Elements,
     coefficients: Coefficients,
     found: wp.array2d(dtype=lanes8),  # [eight elements, row], see `kernels.engagement.DISTANCE`
+    engaged: wp.array(dtype=wp.int32),  # [chunk], 1 where an element has bone
     # rows, in the tool's frame: velocity of the tip [m/s], angular velocity [rad/s], both at which
     # the place of `found` was reached; number of unknowns, length of the tick [s] and speed
     motion: wp.array2d(dtype=wp.float64),
     chip_per_speed: float,  # 2 pi / (N omega) [s]
     chunk_offset: int,
     # out
-    sums_out: wp.array2d(dtype=lanes8),  # [chunk, AREA + layers + 36], tool frame: see VALUE
+    # [chunk, AREA + layers + 36], tool frame: see VALUE; unchanged for chunks without bone
+    sums_out: wp.array2d(dtype=lanes8),
 ):
     """Sum the forces on one chunk of elements, as a tangent.
 
@@ -78,6 +80,8 @@ def cutting_forces(
     speed, the velocities are those at speed 1.
     """
     chunk = wp.tid() + chunk_offset
+    if engaged[chunk] == 0:
+        return
     unknowns = int(motion[4, 0])
     for m in range(AREA + coefficients.size.shape[0] + 6 * unknowns):
         sums_out[chunk, m] = lanes8()

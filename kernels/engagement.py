@@ -69,6 +69,8 @@ NARROWEST = wp.constant(1.0e-3)
 # Distance in front of a tool held by hand at which bone is found [voxel]. A tool moves less far
 # beyond the place at which its bone was found.
 NEAR = wp.constant(0.2)
+# Number of the last poses after which it is checked whether the others count; chosen.
+CHECKED = wp.constant(8)
 # Gap to the tool's last poses above which it counts, and the width of their surface [m].
 CLOSE = wp.constant(2.0e-8)
 
@@ -110,6 +112,7 @@ def find_bone(
     # out
     seen_out: wp.array2d(dtype=corner8f),  # [chunk, SLOTS + 1], see `kernels.older_cuts.SLOTS`
     found_out: wp.array2d(dtype=lanes8),  # [eight elements, row], see `DISTANCE`
+    engaged_out: wp.array(dtype=wp.int32),  # [chunk], 1 with bone; must be 1 at the first launch
 ):
     """Find the bone in front of one chunk of elements."""
     chunk = wp.tid() + chunk_offset
@@ -122,6 +125,13 @@ def find_bone(
     # The last eight elements may be fewer.
     count = elements.edge_length.shape[0]
     meets = may_cut(elements, chunk, travel, spacing, everywhere, brick_of, alive)
+    poses = Poses()
+    has_poses = int(0)
+    enough = wp.where(everywhere, NEAR, 0.0) * spacing + CLOSE
+    # Without bone now and before, all widths are 0 already.
+    if not meets and engaged_out[chunk] == 0:
+        last = first
+    engaged = int(0)
     for eight in range(first, last):
         width = lanes8()
         distance = lanes8()
@@ -143,7 +153,10 @@ def find_bone(
                 if row >= 0 and (everywhere or advances[lane] > travel.least):
                     near = 1
             if near == 1:
-                gap = recently_cut(recent, elements, eight, turns)
+                if has_poses == 0:
+                    poses = poses_ahead(recent, elements, chunk, first, last, turns)
+                    has_poses = 1
+                gap = recently_cut(recent, elements, eight, turns, poses, enough)
             lane = int(LANES) * (1 - near)
             while lane < LANES and eight * LANES + lane < count:
                 if everywhere or advances[lane] > travel.least:
@@ -176,6 +189,7 @@ def find_bone(
                         density[lane] = met.density
                 lane += 1
         if cuts == 1:
+            engaged = 1
             found_out[eight, DISTANCE] = distance
             found_out[eight, SLOPE] = slope_x
             found_out[eight, SLOPE + 1] = slope_y
@@ -186,6 +200,7 @@ def find_bone(
                 elements, coefficients, float(motion[6, 2]), eight, layer, density, found_out
             )
         found_out[eight, WIDTH] = width
+    engaged_out[chunk] = engaged
 
 
 @wp.func
@@ -199,21 +214,34 @@ def set_strengths(
     found: wp.array2d(dtype=lanes8),
 ):
     """Write the cutting coefficients of eight elements in their bone."""
-    for c in range(3):
-        chip = lanes8()
-        edge = lanes8()
-        minimum = lanes8()
-        for lane in range(LANES):
-            m = int(layer[lane])
-            e = wp.min(eight * LANES + lane, elements.edge_length.shape[0] - 1)
-            # of cutting edge, by the bone's strength [m]
-            length = elements.edge_length[e] * coefficients.strength[m, int(density[lane])]
-            chip[lane] = length * coefficients.chip[m][c]
-            edge[lane] = length * coefficients.edge[m][c]
-            minimum[lane] = wp.max(coefficients.size[m][1], least)
-        found[eight, CHIP + c] = chip
-        found[eight, EDGE + c] = edge
-        found[eight, MINIMUM] = minimum
+    minimum = lanes8()
+    chip_0 = lanes8()
+    chip_1 = lanes8()
+    chip_2 = lanes8()
+    edge_0 = lanes8()
+    edge_1 = lanes8()
+    edge_2 = lanes8()
+    for lane in range(LANES):
+        m = int(layer[lane])
+        e = wp.min(eight * LANES + lane, elements.edge_length.shape[0] - 1)
+        # of cutting edge, by the bone's strength [m]
+        length = elements.edge_length[e] * coefficients.strength[m, int(density[lane])]
+        chip = length * coefficients.chip[m]
+        edge = length * coefficients.edge[m]
+        chip_0[lane] = chip[0]
+        chip_1[lane] = chip[1]
+        chip_2[lane] = chip[2]
+        edge_0[lane] = edge[0]
+        edge_1[lane] = edge[1]
+        edge_2[lane] = edge[2]
+        minimum[lane] = wp.max(coefficients.size[m][1], least)
+    found[eight, CHIP] = chip_0
+    found[eight, CHIP + 1] = chip_1
+    found[eight, CHIP + 2] = chip_2
+    found[eight, EDGE] = edge_0
+    found[eight, EDGE + 1] = edge_1
+    found[eight, EDGE + 2] = edge_2
+    found[eight, MINIMUM] = minimum
 
 
 @wp.struct
@@ -304,55 +332,130 @@ def bone_met(
     return met
 
 
+@wp.struct
+class Poses:
+    """Range of the last poses."""
+
+    first: wp.int32
+    last: wp.int32  # and one more
+
+
 @wp.func
-def recently_cut(recent: wp.array2d(dtype=wp.float32), elements: Elements, eight: int, turns: bool):
+def poses_ahead(
+    recent: wp.array2d(dtype=wp.float32),
+    elements: Elements,
+    chunk: int,
+    first: int,
+    last: int,
+    turns: bool,
+):
+    """Return the range of last poses that may have cut farther than the present pose.
+
+    A pose counts if the tool lay in front of the present pose there, for the normal of some element
+    of the chunk. A tool that advances has no such poses in front of it.
+    """
+    poses = Poses()
+    poses.last = recent.shape[0]
+    if not turns:
+        cone = elements.chunk_cone[chunk]
+        axis = wp.vec3(cone[0], cone[1], cone[2])
+        # The normals differ from the cone's axis by a vector of this length at most.
+        differ = float(2.0)
+        if cone[3] <= 1.0:
+            differ = wp.sqrt(2.0 - 2.0 * wp.sqrt(1.0 - cone[3] * cone[3])) + 1.0e-5
+        half = float(0.0)
+        for eight in range(first, last):
+            half = wp.max(half, 0.5 * wp.max(elements.curvature[eight]))
+        present = wp.vec3(recent[0, 0], recent[0, 1], recent[0, 2])
+        curved = half * wp.dot(present, present)
+        poses.first = recent.shape[0]
+        poses.last = 0
+        for j in range(recent.shape[0]):
+            moved = wp.vec3(recent[j, 0], recent[j, 1], recent[j, 2]) - present
+            ahead = wp.dot(moved, axis) + wp.length(moved) * differ + curved
+            if ahead > 0.5 * CLOSE:
+                poses.first = wp.min(poses.first, j)
+                poses.last = j + 1
+    return poses
+
+
+@wp.func
+def recently_cut(
+    recent: wp.array2d(dtype=wp.float32),
+    elements: Elements,
+    eight: int,
+    turns: bool,
+    poses: Poses,
+    enough: float,
+):
     """Return how far the tool has cut in front of eight elements at its last poses [m].
 
-    It is 0 for elements in front of which the present pose has cut farthest.
+    It is 0 for elements in front of which the present pose has cut farthest. Once it is more than
+    ``enough`` for all eight, the other poses are left out.
     """
+    gap = lanes8()
+    if poses.first >= poses.last:
+        return gap
     nx = elements.lanes[eight, 3]
     ny = elements.lanes[eight, 4]
     nz = elements.lanes[eight, 5]
     half = 0.5 * elements.curvature[eight]
-    present = lanes8()
-    most = lanes8()
-    for j in range(recent.shape[0]):
-        moved = wp.vec3(recent[j, 0], recent[j, 1], recent[j, 2])
-        across = moved[0] * nx + moved[1] * ny + moved[2] * nz
-        square = lanes8(wp.dot(moved, moved))
-        risen = lanes8()
-        if turns:
-            px = elements.lanes[eight, 0]
-            py = elements.lanes[eight, 1]
-            pz = elements.lanes[eight, 2]
-            # Up to second order of the rotation w, an element at p with normal n moves by w x p, and
-            # the surface at its new place rises by (w x n) . (w x p / 2 + moved).
-            wx = recent[j, 3]
-            wy = recent[j, 4]
-            wz = recent[j, 5]
-            x = wy * pz - wz * py
-            y = wz * px - wx * pz
-            z = wx * py - wy * px
-            risen = wp.cw_mul(wy * nz - wz * ny, 0.5 * x + lanes8(moved[0]))
-            risen += wp.cw_mul(wz * nx - wx * nz, 0.5 * y + lanes8(moved[1]))
-            risen += wp.cw_mul(wx * ny - wy * nx, 0.5 * z + lanes8(moved[2]))
-            x += lanes8(moved[0])
-            y += lanes8(moved[1])
-            z += lanes8(moved[2])
-            across = wp.cw_mul(x, nx) + wp.cw_mul(y, ny) + wp.cw_mul(z, nz)
-            square = wp.cw_mul(x, x) + wp.cw_mul(y, y) + wp.cw_mul(z, z)
-        ahead = across - wp.cw_mul(half, square - wp.cw_mul(across, across))
-        if turns:
-            ahead += risen
-        if j == 0:
-            present = ahead
-            most = ahead
-        most = wp.max(most, ahead)
-    gap = lanes8()
+    present = cut_at(recent, elements, eight, 0, nx, ny, nz, half, turns)
+    most = present
+    j = poses.first
+    while j < poses.last:
+        end = wp.min(j + CHECKED, poses.last)
+        while j < end:
+            most = wp.max(most, cut_at(recent, elements, eight, j, nx, ny, nz, half, turns))
+            j += 1
+        # Elements in front of which all has been cut are not asked for more.
+        if wp.min(most - present) > CLOSE and wp.min(most) > enough:
+            j = poses.last
     for lane in range(LANES):
         if most[lane] - present[lane] > CLOSE:
             gap[lane] = most[lane]
     return gap
+
+
+@wp.func
+def cut_at(
+    recent: wp.array2d(dtype=wp.float32),
+    elements: Elements,
+    eight: int,
+    j: int,
+    nx: lanes8,
+    ny: lanes8,
+    nz: lanes8,
+    half: lanes8,
+    turns: bool,
+):
+    """Return how far the tool has cut in front of eight elements at one of its last poses [m]."""
+    mx = recent[j, 0]
+    my = recent[j, 1]
+    mz = recent[j, 2]
+    risen = lanes8()
+    across = mx * nx + my * ny + mz * nz
+    square = lanes8(mx * mx + my * my + mz * mz)
+    if turns:
+        # Up to second order of the rotation w, an element at p with normal n moves by w x p, and
+        # the surface at its new place rises by (w x n) . (w x p / 2 + moved). The rotation about
+        # the tool's axis is left out.
+        px = elements.lanes[eight, 0]
+        py = elements.lanes[eight, 1]
+        pz = elements.lanes[eight, 2]
+        wx = recent[j, 3]
+        wy = recent[j, 4]
+        x = wy * pz
+        y = -wx * pz
+        z = wx * py - wy * px
+        risen = wp.cw_mul(wy * nz, 0.5 * x + lanes8(mx)) - wp.cw_mul(wx * nz, 0.5 * y + lanes8(my))
+        risen += wp.cw_mul(wx * ny - wy * nx, 0.5 * z + lanes8(mz))
+        x += lanes8(mx)
+        y += lanes8(my)
+        z += lanes8(mz)
+        across = wp.cw_mul(x, nx) + wp.cw_mul(y, ny) + wp.cw_mul(z, nz)
+        square = wp.cw_mul(x, x) + wp.cw_mul(y, y) + wp.cw_mul(z, z)
+    return across - wp.cw_mul(half, square - wp.cw_mul(across, across)) + risen
 
 
 @wp.func

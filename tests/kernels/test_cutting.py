@@ -463,7 +463,7 @@ def test_cuts_of_numpy_at_other_poses_are_those_of_a_ball():
     cutter = Cutter(PROFILES["ball"], 5, 700.0)
     shell, radius = cutter.shell(spacing_m=1e-4), 1.5e-3
     rotation = Rotation.from_rotvec([0.008, -0.006, 0.0]).as_matrix()
-    centre = np.array([0.0, 0.0, radius]) + [1e-5, -5e-6, 8e-6]
+    centre = np.array([1e-5, -5e-6, radius + 8e-6])
     tip = centre - radius * rotation[:, 2]
     found = cut_at(shell, 1.0 / radius, [tip], [rotation], np.zeros(3), np.eye(3))[0]
     along = ((centre - shell.points_m) * shell.normals).sum(axis=1)

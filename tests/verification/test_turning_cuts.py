@@ -63,10 +63,10 @@ def plunge_and_slot(feed_m_s, length_m):
 @pytest.mark.parametrize("feed_m_s", [5e-4, 2e-3, 8e-3])
 @pytest.mark.parametrize("degrees", [0.0, 37.0])
 def test_a_tool_that_reverses_feels_little_in_its_own_cut(feed_m_s, degrees):
-    """The force is at most 6 % of that before in the first tick, 2 % on average over 0.12 mm.
+    """The force is at most 2.2 % of that before the turn, and 1.2 % on average over 0.12 mm.
 
-    It acts on the flanks, where the surface is parallel to the path within 2 degrees. Bone in front
-    of a moving tool and the surface of its own cut look alike there.
+    It acts on the flanks, where the surface is parallel to the path within half a degree. There, the
+    last poses cut less than 0.02 um deeper than the present one, which counts as bone.
     """
     first, second = plunge_and_slot(feed_m_s, 8e-4)
     back = second[::-1][1 : round(1.2e-4 / (feed_m_s * TICK_S)) + 1]
@@ -79,27 +79,26 @@ def test_a_tool_that_reverses_feels_little_in_its_own_cut(feed_m_s, degrees):
         f"\n{1e3 * feed_m_s:g} mm/s, {degrees:g} deg: first tick {100 * reversed_[0] / before:.2f} %, "
         f"largest {100 * reversed_.max() / before:.2f} %, mean {100 * reversed_.mean() / before:.2f} %"
     )
-    assert reversed_.max() < 0.06 * before and reversed_.mean() < 0.02 * before
+    assert reversed_.max() < 0.022 * before and reversed_.mean() < 0.012 * before
 
 
 DITHERS = {"sideways": (0.0, 1.0, 0.0), "up and down": (0.0, 0.0, 1.0), "along": (1.0, 0.0, 0.0)}
 
 
 @pytest.mark.parametrize(
-    "name",
+    ("name", "feed_m_s", "bound"),
     [
-        "along",
-        pytest.param("sideways", marks=pytest.mark.slow),
-        pytest.param("up and down", marks=pytest.mark.slow),
+        ("along", 1e-3, 0.002),
+        ("along", 2e-4, 0.012),
+        pytest.param("sideways", 1e-3, 0.004, marks=pytest.mark.slow),
+        pytest.param("up and down", 1e-3, 0.007, marks=pytest.mark.slow),
     ],
 )
-def test_a_tool_that_dithers_while_it_advances(name, monkeypatch):
-    """The mean force of a tool that dithers by 10 um at 10 Hz is within 5 % of the exact geometry.
+def test_a_tool_that_dithers_while_it_advances(name, feed_m_s, bound, monkeypatch):
+    """The mean force of a tool that dithers by 10 um at 10 Hz agrees with the exact geometry.
 
-    The tool advances by 1 mm/s, so it never moves backward. The mean is taken over a period. At
-    0.2 mm/s along the dither it moves backward, and the force would be 65 % too large: bone in front of
-    the last visits counts as bone although the tool has already cut it. No tick visits more than two
-    of the 16 groups of bricks.
+    The error is at most 0.7 % if the tool advances by 1 mm/s, and 1.2 % by 0.2 mm/s, where it moves
+    backward for a part of each period. The mean is taken over a period. No tick visits more than two of the 16 groups of bricks.
     """
     groups = []
     visit = Carver._visit
@@ -111,7 +110,7 @@ def test_a_tool_that_dithers_while_it_advances(name, monkeypatch):
     monkeypatch.setattr(Carver, "_visit", counted)
     first, _ = plunge_and_slot(2e-3, 1e-9)
     time_s = np.arange(1, 301) * TICK_S
-    along = first[-1] + 1e-3 * time_s[:, None] * [1.0, 0.0, 0.0]
+    along = first[-1] + feed_m_s * time_s[:, None] * [1.0, 0.0, 0.0]
     swing = 1e-5 * np.sin(2.0 * np.pi * 10.0 * time_s)[:, None] * DITHERS[name]
     tips = np.concatenate([first, along + swing])
     count = len(tips)
@@ -125,8 +124,8 @@ def test_a_tool_that_dithers_while_it_advances(name, monkeypatch):
         axis=0,
     )
     off = np.linalg.norm(found - wanted) / np.linalg.norm(wanted)
-    print(f"\n{name}: {100 * off:.2f} %, groups {max(groups[1:])}")
-    assert off < 0.05 and max(groups[1:]) <= 2
+    print(f"\n{name}, {1e3 * feed_m_s:g} mm/s: {100 * off:.2f} %, groups {max(groups[1:])}")
+    assert off < bound and max(groups[1:]) <= 2
 
 
 CORNERS_MM = (
@@ -138,7 +137,7 @@ CORNERS_MM = (
 
 
 def test_the_same_cut_at_four_headings_and_mirrored():
-    """Forces over 50 ms of a cut that turns by 110 degrees agree within 0.5 %."""
+    """Forces over 50 ms of a cut that turns by 110 degrees agree within 0.15 %."""
     plain = over_50_ms(VoxelCut(BURR, layered(), CORNERS_MM).engine(1e-4))
     size = np.linalg.norm(plain, axis=1).max()
     off = []
@@ -156,4 +155,4 @@ def test_the_same_cut_at_four_headings_and_mirrored():
     off.append(over_50_ms(mirrored.engine(1e-4)) * side - plain)
     found = [np.linalg.norm(each, axis=1).max() / size for each in off]
     print(f"\nfour headings and mirrored: {np.round(100 * np.array(found), 3)} %")
-    assert max(found) < 0.005
+    assert max(found) < 0.0015

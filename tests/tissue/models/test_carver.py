@@ -260,7 +260,7 @@ def test_all_cuts_become_older_cuts_soon_after_a_change_of_direction(degrees):
         motion.tip_m[:] = corner + travel * turned
         bone.advance(motion)
     swept, older = kept_distances(bone)
-    offset = offsets_m(bone, motion.tip_m + [0.0, 0.0, radius])
+    offset = offsets_m(bone, motion.tip_m + np.array([0.0, 0.0, radius]))
     near = np.abs(np.linalg.norm(offset, axis=2) - radius) < 0.5 * SPACING_M
     was_cut = near & (before < 0.5) & (swept > swept.min())
     assert was_cut.sum() > 200 and (older[was_cut] <= before[was_cut]).all()

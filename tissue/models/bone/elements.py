@@ -192,19 +192,21 @@ class CuttingForces:
         shape = (self._chunks, self.slopes + 36)
         self._sums = wp.zeros(shape, lanes8, device)
         self.found = wp.zeros((len(elements.lanes), FOUND), lanes8, device)
+        self._engaged = wp.full(self._chunks, 1, wp.int32, device)
         self._motion = motion
         self._store = store
         self._given = [tool, elements, coefficients, pose.device, recent.device]
         self._given.append(store.grid.spacing_m)
         self._scratch = wp.zeros((self._chunks, SLOTS + 1), corner8f, device)
         self._cores = cores
+        given = [elements, coefficients, self.found, self._engaged]
         self._sum = SplitLaunch(
             cutting_forces,
             dim=self._chunks,
-            inputs=[elements, coefficients, self.found, motion.device, chip_per_speed_s, 0],
+            inputs=[*given, motion.device, chip_per_speed_s, 0],
             outputs=[self._sums],
             cores=cores,
-            offset_index=5,
+            offset_index=len(given) + 2,
         )
         self.record()
 
@@ -214,7 +216,7 @@ class CuttingForces:
             find_bone,
             dim=self._chunks,
             inputs=[*self._given, 0, *self._store.read_by_forces],
-            outputs=[self._scratch, self.found],
+            outputs=[self._scratch, self.found, self._engaged],
             offset_index=len(self._given),
             cores=self._cores,
         )
@@ -223,7 +225,7 @@ class CuttingForces:
         """Return the sums over all elements at the present velocities."""
         self._sum()
         rows = self.slopes + 6 * int(self._motion.host[4, 0])
-        parts = self._sums.numpy()[:, :rows]
+        parts = self._sums.numpy()[self._engaged.numpy() != 0, :rows]
         return np.asarray(np.add.reduce(np.add.reduce(parts, axis=0, dtype=np.float64), axis=-1))
 
 
@@ -293,7 +295,8 @@ class RecentPoses:
         rows[1:, :3] = self._moved
         if self.turns:
             axes = self._rotations[:, :, 2] @ rotation
-            # The smallest rotation that moves the axis: any other moves the surface into itself, too.
+            # The smallest rotation that turns the axis. A further one about the axis moves the
+            # surface into itself.
             rows[1:, 3] = -axes[:, 1]
             rows[1:, 4] = axes[:, 0]
         rows[0] = rows[1 + self._rings[0][0]]
