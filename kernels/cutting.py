@@ -89,8 +89,9 @@ def cutting_forces(
     speed = float(motion[4, 2])
     velocity = row_of(motion, 0)
     turning = row_of(motion, 1)
-    # Only elements that advance by more than the rounding of an advance cut.
-    least = 1.0e-5 * wp.length(velocity)
+    # Only elements that advance by more than the rounding of an advance cut. A tangent by the
+    # velocity must not jump: there the force goes to zero with the advance.
+    least = wp.where(unknowns == 1, 1.0e-5 * wp.length(velocity), 0.0)
     first = chunk * (CHUNK // LANES)
     last = wp.min(first + CHUNK // LANES, elements.lanes.shape[0])
     for eight in range(first, last):
