@@ -7,9 +7,10 @@ the same bone in any order. It is exact where an old and a new surface are paral
 cross at a right angle it leaves a twelfth of a voxel too much on average. All lengths are in
 voxels.
 
-Every voxel also keeps its smallest distance to older cuts. These are all cuts up to the time when
-the tool came within reach of the voxel's block, and up to a visit some way back. They therefore lie
-behind the front of a moving tool. The cuts since then follow from the tool's last poses, see
+Every voxel also keeps its smallest distance to older cuts. When the tool comes within reach of a
+block, these are all cuts so far. Behind a moving tool, they are the cuts up to 0.25 to 0.5 mm of
+travel back. In front of it, they are brought up to date only after a change of direction. So they
+lie behind the front of a moving tool. The cuts since then follow from the tool's last poses, see
 `kernels.engagement`. No direction of motion is needed for this.
 
 Bricks belong to one of ``PHASES`` groups. A launch visits some of the groups, so that a slow tool
@@ -184,7 +185,7 @@ def carve_brick(
                 book(row, block * 8, 1, 0, swept_out, middle_out, older_out)
         return
     back = centre - offset_from(pose, 17 + group, bx * 8 + 4, by * 8 + 4, bz * 8 + 4)
-    way = wp.length(back)
+    travel = wp.length(back)
     axis_before = wp.vec3(
         float(pose[1 + group, 3]), float(pose[1 + group, 4]), float(pose[1 + group, 5])
     )
@@ -202,7 +203,7 @@ def carve_brick(
             if tool.convex == 0 or far.distance + wp.dot(far.slope, shift) < BLOCK_REACH + kink:
                 near = nearest_on(tool, centre + shift, axis)
                 # Bone in front of the tool has not been cut, unless the tool returns.
-                books = wp.where(wp.dot(near.slope, back) > BEHIND * way, has_moved, has_turned)
+                books = wp.where(wp.dot(near.slope, back) > BEHIND * travel, has_moved, has_turned)
                 comes = int(0)
                 if near.distance < BLOCK_REACH and near.distance > BLOCK_REACH - LONGEST_STEP:
                     last = nearest_on(tool, centre + step + shift, axis_before)

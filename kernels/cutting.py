@@ -14,7 +14,7 @@ velocity. With m = 0 and h_min = 0 the law is linear in h. Elements that do not 
 
 The share is the part of the element's width that lies below the surface of the bone, see
 `kernels.engagement`. In a tick of length T it is taken at the middle of the element's motion, over
-its width or its way through the surface, whichever is longer. An element that reaches the bone
+its width or its motion through the surface, whichever is longer. An element that reaches the bone
 within the tick therefore cuts for the rest of it.
 
 The kernel returns the tangent of the force at a given velocity. It computes eight elements at once.
@@ -147,7 +147,7 @@ def add_eight(
     sy = found[eight, SLOPE + 1]
     sz = found[eight, SLOPE + 2]
     one = lanes8(1.0)
-    # moments: derivatives of advance and way by the angular velocity
+    # moments: derivatives of advance and shift by the angular velocity
     mx = wp.cw_mul(py, nz) - wp.cw_mul(pz, ny)
     my = wp.cw_mul(pz, nx) - wp.cw_mul(px, nz)
     mz = wp.cw_mul(px, ny) - wp.cw_mul(py, nx)
@@ -156,21 +156,21 @@ def add_eight(
     qz = wp.cw_mul(px, sy) - wp.cw_mul(py, sx)
     by_turn = along(turning, mx, my, mz)
     advance = along(velocity, nx, ny, nz) + by_turn
-    way_by_turn = along(turning, qx, qy, qz)
-    passing = along(velocity, sx, sy, sz) + way_by_turn
+    shift_by_turn = along(turning, qx, qy, qz)
+    passing = along(velocity, sx, sy, sz) + shift_by_turn
     before = along(velocity_before, sx, sy, sz) + along(turning_before, qx, qy, qz)
-    # Mean share below the surface, of an element that starts at a distance and moves by `way`.
-    way = tick * passing
-    swept = wp.abs(way)
+    # Mean share below the surface, of an element that starts at a distance and moves by `shift`.
+    shift = tick * passing
+    swept = wp.abs(shift)
     extent = wp.max(wp.max(width, swept), lanes8(1.0e-12))
-    middle = wp.cw_div(found[eight, DISTANCE] - tick * before + 0.5 * way, extent)
+    middle = wp.cw_div(found[eight, DISTANCE] - tick * before + 0.5 * shift, extent)
     raw = 0.5 * one - middle
     cuts = wp.cw_mul(above(advance - least * one), above(width - lanes8(1.0e-12)))
     share = wp.cw_mul(wp.min(wp.max(raw, lanes8()), one), cuts)
-    # its derivative by the way
-    steep = wp.cw_mul(wp.cw_mul(above(swept - width), wp.sign(way)), middle) - 0.5 * one
+    # its derivative by the shift
+    steep = wp.cw_mul(wp.cw_mul(above(swept - width), wp.sign(shift)), middle) - 0.5 * one
     partly = wp.cw_mul(wp.cw_mul(above(raw), one - above(raw - one)), cuts)
-    by_way = tick * wp.cw_div(wp.cw_mul(steep, partly), extent)
+    by_shift = tick * wp.cw_div(wp.cw_mul(steep, partly), extent)
     # Effective chip thickness, share of the edge force, and their derivatives by the advance. The
     # products are formed such that a law that is linear has the value 0 at zero velocity.
     made = speed * advance
@@ -190,16 +190,16 @@ def add_eight(
             if thickness[lane] >= size[1]:
                 chip_slope[lane] *= 1.0 - size[0]
     # The value at zero velocity is the force without what the unknowns contribute.
-    made_way = passing
+    made_shift = passing
     if unknowns == 3:
         made = made - speed * by_turn
-        made_way = made_way - way_by_turn
-    chip_by_way = wp.cw_mul(by_way, chip)
-    edge_by_way = wp.cw_mul(by_way, edge)
+        made_shift = made_shift - shift_by_turn
+    chip_by_shift = wp.cw_mul(by_shift, chip)
+    edge_by_shift = wp.cw_mul(by_shift, edge)
     chip_value = wp.cw_mul(share, chip - wp.cw_mul(chip_slope, made))
     edge_value = wp.cw_mul(share, edge - wp.cw_mul(edge_slope, made))
-    chip_value -= wp.cw_mul(chip_by_way, made_way)
-    edge_value -= wp.cw_mul(edge_by_way, made_way)
+    chip_value -= wp.cw_mul(chip_by_shift, made_shift)
+    edge_value -= wp.cw_mul(edge_by_shift, made_shift)
     chip_torque = chip_value
     edge_torque = edge_value
     if unknowns == 3:
@@ -229,7 +229,7 @@ def add_eight(
             add_torques(elements, eight, by_advance, my, chunk, slopes + 24, sums_out)
             add_torques(elements, eight, by_advance, mz, chunk, slopes + 30, sums_out)
         if wp.max(partly) > 0.0:
-            moving = loads_of(found, eight, chip_by_way, edge_by_way)
+            moving = loads_of(found, eight, chip_by_shift, edge_by_shift)
             add_forces(elements, eight, moving, sx, chunk, slopes, sums_out)
             add_forces(elements, eight, moving, sy, chunk, slopes + 6, sums_out)
             add_forces(elements, eight, moving, sz, chunk, slopes + 12, sums_out)

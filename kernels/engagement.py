@@ -9,7 +9,7 @@ poses are known to rounding. At a pose displaced by d, the tool has cut to ::
 
     d . n - k / 2 |d - (d . n) n|**2
 
-in front of an element with normal n and mean curvature k.
+in front of an element with normal n and mean curvature k. Rotations are taken to second order.
 """
 
 import warp as wp
@@ -154,7 +154,7 @@ def find_bone(
                     near = 1
             if near == 1:
                 if has_poses == 0:
-                    poses = poses_ahead(recent, elements, chunk, first, last, turns)
+                    poses = poses_in_front(recent, elements, chunk, first, last, turns)
                     has_poses = 1
                 gap = recently_cut(recent, elements, eight, turns, poses, enough)
             lane = int(LANES) * (1 - near)
@@ -298,7 +298,7 @@ def bone_met(
                 wp.dot(bone.slope, travel.ez),
             )
         if distance < 0.5 * width + margin:
-            ahead = bone_left(
+            left = bone_left(
                 tool,
                 motion,
                 travel.axis,
@@ -314,7 +314,7 @@ def bone_met(
             )
             # The surface that lies deeper decides. Half of the element is engaged where older cuts
             # have left three quarters of `RAMP`, so that rounding leaves no bone on their surface.
-            passed = 0.75 * RAMP - ahead
+            passed = 0.75 * RAMP - left
             if passed * width > distance * RAMP:
                 distance = passed
                 slope = -normal
@@ -341,7 +341,7 @@ class Poses:
 
 
 @wp.func
-def poses_ahead(
+def poses_in_front(
     recent: wp.array2d(dtype=wp.float32),
     elements: Elements,
     chunk: int,
@@ -372,8 +372,8 @@ def poses_ahead(
         poses.last = 0
         for j in range(recent.shape[0]):
             moved = wp.vec3(recent[j, 0], recent[j, 1], recent[j, 2]) - present
-            ahead = wp.dot(moved, axis) + wp.length(moved) * differ + curved
-            if ahead > 0.5 * CLOSE:
+            reached = wp.dot(moved, axis) + wp.length(moved) * differ + curved
+            if reached > 0.5 * CLOSE:
                 poses.first = wp.min(poses.first, j)
                 poses.last = j + 1
     return poses

@@ -321,7 +321,7 @@ def test_tangent_in_the_speed(profile, law, turning, spin_rad_s):
 def test_share_over_a_tick_is_the_mean_of_an_element_that_passes_the_surface():
     """The share of a point is the part of the tick in which it lies below the surface.
 
-    That of an element wider than its way is the share of its width in the middle of the tick.
+    That of an element wider than its motion is the share of its width in the middle of the tick.
     """
     cut = RandomCut("ball")
     last_poses(cut.model, cut.motion)
@@ -331,14 +331,14 @@ def test_share_over_a_tick_is_the_mean_of_an_element_that_passes_the_surface():
     share = shares(found, shell, velocity, before, TICK_S)
     start = found.distance_m - TICK_S * found.slope @ before[:3]
     times = (np.arange(4000) + 0.5) / 4000
-    way = TICK_S * found.slope @ velocity[:3]
+    shift = TICK_S * found.slope @ velocity[:3]
     has = found.width_m > 0.0
-    narrow = has & (np.abs(way) > 20.0 * found.width_m)
-    below = start[narrow] + times[:, None] * way[narrow] < 0.0
+    narrow = has & (np.abs(shift) > 20.0 * found.width_m)
+    below = start[narrow] + times[:, None] * shift[narrow] < 0.0
     assert narrow.sum() > 50
     assert share[narrow] == pytest.approx(below.mean(axis=0), abs=1e-3)
-    wide = has & (found.width_m > np.abs(way))
-    middle = (start + 0.5 * way)[wide] / found.width_m[wide]
+    wide = has & (found.width_m > np.abs(shift))
+    middle = (start + 0.5 * shift)[wide] / found.width_m[wide]
     assert wide.sum() > 500
     assert share[wide] == pytest.approx(np.clip(0.5 - middle, 0.0, 1.0), abs=1e-12)
 
@@ -396,10 +396,10 @@ TURNS = {
 
 
 @pytest.mark.parametrize("name", TURNS)
-def test_what_a_ball_has_cut_at_its_last_pose_is_known_to_a_tenth_of_a_micrometre(name):
+def test_what_a_ball_has_cut_at_its_last_pose_is_known_within_half_a_micrometre(name):
     """In front of an element, the cut of a ball ends where a ray meets its sphere.
 
-    The ball is tilted about its tip by 0.08 rad, moves by 0.12 mm on the way and returns by half.
+    The ball is tilted by 0.08 rad, its centre moves by 40 um, and it returns.
     """
     radius = 1.5e-3
     model = BoneModel(solid(48), Cutter(ball_burr(diameter_m=2.0 * radius), 5, 700.0), (SOFT,))

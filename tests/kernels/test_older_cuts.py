@@ -191,7 +191,7 @@ def test_an_older_cut_between_voxel_centres_is_interpolated(axis, deeper, short)
 
     The older cut is deeper than the tool at every other voxel, and short of it at those between.
     Between a deeper voxel and the next one the length is linear, and so the sign changes at the
-    share deeper / (deeper + short) of the way. Before that point the bone is taken.
+    share deeper / (deeper + short) of the path. Before that point the bone is taken.
     """
     end = deeper / (deeper + short)
     model = slot_and_plunge()

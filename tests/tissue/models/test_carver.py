@@ -206,7 +206,7 @@ def offsets_m(bone, centre_m):
 
 
 def test_a_tool_that_rests_or_dithers_keeps_no_older_cuts():
-    """A tool whose way is shorter than the lag keeps no older cuts where bone counts."""
+    """A tool whose path is shorter than the lag keeps no older cuts where bone counts."""
     bone = solid_bone(1e-3, 2.4e-3)
     motion = ToolMotion(speed_m_s=1e-3)
     motion.tip_m[:] = (0.0, 0.0, -1e-3)

@@ -17,9 +17,11 @@ from meshes.voxels.volume import VoxelVolume
 __all__ = ["BYTES_PER_VOXEL", "BrickGrid", "BrickStore", "voxels_of"]
 
 
-BYTES_PER_VOXEL = 12
-"""Bytes stored per voxel of a brick: remaining 2, swept 2, middle 2, older 2, material
-4, nearby 2."""
+BYTES_PER_VOXEL = 14
+"""Bytes stored per voxel of a brick.
+
+They are remaining 2, swept 2, middle 2, older 2, material 4 and nearby 2.
+"""
 NEVER_SWEPT = 65535
 """Stored distance of a voxel that the tool has never reached."""
 STEPS = FULL // 255

@@ -76,7 +76,8 @@ class CarverState:
         Present pose, pose at the last visit of every group of bricks, pose at which the cuts in it
         last became older cuts, and the motion before that, shape (1 + 3 groups, 6).
     marks
-        Way since the cuts in each group of bricks became older cuts, negative [voxel], (groups,).
+        Travel since the cuts in each group of bricks became older cuts, negative [voxel], shape
+        (groups,).
     turned
         True for each group whose last motion was a change of direction, (groups,).
     counts
@@ -140,8 +141,8 @@ class Carver:
         self._lag = min(CARVE_LAG_M / spacing, 0.25)
         self._older_lag = OLDER_LAG_M / spacing
         # motion of the tool after its last change of direction
-        self._ways = np.zeros((PHASES, 6))
-        # way of the tool so far, and where cuts became older cuts [voxel]
+        self._motions = np.zeros((PHASES, 6))
+        # travel of the tool so far, and where cuts became older cuts [voxel]
         self._travelled = 0.0
         self._marks = np.zeros(PHASES)
         # True where the last motion was a change of direction
@@ -194,7 +195,7 @@ class Carver:
     def place(self, motion: ToolMotion) -> None:
         """Carve all bone inside the tool at its first pose."""
         self._pose.host[:] = self._pose_of(motion)
-        self._ways[:] = 0.0
+        self._motions[:] = 0.0
         self._marks[:] = self._travelled
         self._turned[:] = False
         self._visit(PHASES, every_side=True)
@@ -224,11 +225,11 @@ class Carver:
         moved = one - other
         return sqrt(moved[:3].dot(moved[:3])) + self._lever * sqrt(moved[3:].dot(moved[3:]))
 
-    def _turns(self, group: int, way: Array) -> bool:
+    def _turns(self, group: int, motion: Array) -> bool:
         """Return whether the tool has left the direction after its last change of direction."""
-        before = self._ways[group]
+        before = self._motions[group]
         travelled = self._travelled - self._marks[group]
-        return float(way.dot(before)) <= TURN * travelled * sqrt(before.dot(before))
+        return float(motion.dot(before)) <= TURN * travelled * sqrt(before.dot(before))
 
     def _pose_of(self, motion: ToolMotion) -> Array:
         """Return tip [voxel] and axis of a motion, in an array that the next call overwrites."""
@@ -257,7 +258,7 @@ class Carver:
         """Copy the state between two motions."""
         return CarverState(
             {name: wp.clone(getattr(self.store, name)) for name in CHANGED},
-            np.vstack([self._pose.host, self._ways]),
+            np.vstack([self._pose.host, self._motions]),
             self._marks - self._travelled,
             self._turned.copy(),
             (self._next_group, self._debt, self._behind),
@@ -269,7 +270,7 @@ class Carver:
         for name, values in state.bricks.items():
             wp.copy(getattr(self.store, name), values)
         self._pose.host[:] = state.poses[: 1 + 2 * PHASES]
-        self._ways[:] = state.poses[1 + 2 * PHASES :]
+        self._motions[:] = state.poses[1 + 2 * PHASES :]
         self._marks[:] = self._travelled + state.marks
         self._turned[:] = state.turned
         self._next_group, self._debt, self._behind = state.counts
@@ -300,7 +301,7 @@ class Carver:
         for group in visited:
             poses[1 + group] = poses[0]
         for group in turned:
-            self._ways[group] = poses[0] - older[group]
+            self._motions[group] = poses[0] - older[group]
         for group in moved:
             older[group] = poses[0]
             self._marks[group] = self._travelled

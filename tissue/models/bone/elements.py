@@ -131,10 +131,10 @@ A peg touches the rim of its pilot hole.
 
 
 RINGS = (12, 4e-6), (24, 2.4e-5)
-"""Numbers of the tool's last poses that are kept, and their distances along its way [m].
+"""Numbers of the tool's last poses that are kept, and their distances along its path [m].
 
 Together they reach further back than `tissue.models.bone.carver.OLDER_LAG_M`. A tool that returns
-on its way meets bone at most a distance too early. Between two poses of a ball of 1 mm, 0.07 um of
+on its path meets bone at most a distance too early. Between two poses of a ball of 1 mm, 0.07 um of
 bone seem to be left.
 """
 ROUNDING = 1e-9
@@ -274,16 +274,16 @@ class RecentPoses:
             now, first, end = ring
             last = now - 1 if now > first else end - 1
             moved = motion.tip_m - self._tips[last]
-            way = sqrt(moved.dot(moved))
+            travel = sqrt(moved.dot(moved))
             # A rotation about the tool's axis moves its surface into itself.
             turned = motion.rotation[:, 2] - self._rotations[last, :, 2]
             turn = sqrt(turned.dot(turned))
             if turn > ROUNDING:
                 self.turns = True
-                way += self._lever * turn
+                travel += self._lever * turn
             self._tips[now] = motion.tip_m
             self._rotations[now] = motion.rotation
-            if way >= spaced_m:
+            if travel >= spaced_m:
                 ring[0] = now + 1 if now + 1 < end else first
                 self._tips[ring[0]] = motion.tip_m
                 self._rotations[ring[0]] = motion.rotation
