@@ -313,8 +313,8 @@ def bone_met(
                 chunk,
             )
             # The surface that lies deeper decides. Half of the element is engaged where older cuts
-            # have left three quarters of `RAMP`, so that rounding leaves no bone on their surface.
-            passed = 0.75 * RAMP - left
+            # have left a quarter of `RAMP`, so that rounding leaves no bone on their surface.
+            passed = 0.25 * RAMP - left
             if passed * width > distance * RAMP:
                 distance = passed
                 slope = -normal

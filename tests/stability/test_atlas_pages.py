@@ -32,14 +32,10 @@ SPOILT = {
 None stands for the column of the engine, negated.
 """
 
-OPEN = pytest.mark.xfail(strict=True, reason="the cutting tool has no inertia yet")
-"""Mark of the page on held tools, whose engine is its own massless limit."""
-
 
 def marks(page):
     """Marks of the test of a page."""
-    slow = [pytest.mark.slow] if page.name in HEAVY else []
-    return slow + [OPEN] * (page.name == "held_tool")
+    return [pytest.mark.slow] if page.name in HEAVY else []
 
 
 def replaced(data, columns):

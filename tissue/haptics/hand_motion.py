@@ -111,9 +111,10 @@ class HandMotion(Motion):
     Each tick has these steps:
 
     1. Validate the device sample.
-    2. Move the tool towards the device, as far as the tissue response of the last tick allows.
-    3. Compute the tissue response. A free tool that has entered the tissue is moved back within the
-       tick.
+    2. Move the tool towards the device. A tool that cuts is moved to the balance of its inertia,
+       its coupling and the tissue, any other tool as far as the response of the last tick allows.
+    3. Compute the tissue response. A free tool without inertia that has entered the tissue is moved
+       back within the tick.
     4. Render the force from the positions of device and tool.
     5. Apply prediction, low-pass, delay and perceptual scaling, then limit the force and its slew
        rate.
@@ -125,9 +126,8 @@ class HandMotion(Motion):
 
     Tool and device start at the same position. From there, the tool moves ``motion_scale`` metres
     for each metre of the device. With a device that plays torque, a rotational spring also couples
-    the tool to the device. The tissue torque of the last tick turns the tool. The rendered torque
-    passes low-pass and delay before it is played. The cutting speed due to rotation is not
-    modelled.
+    the tool to the device. The torque of the tissue turns the tool, for a tool that does not cut
+    that of the last tick. The rendered torque passes low-pass and delay before it is played.
 
     Parameters
     ----------

@@ -45,7 +45,8 @@ def test_a_free_tool_follows_a_shift_and_a_wall_does_not_amplify_it(wall):
     free = slice(0, reference.first)
     shift = moved.tips_m[free] - reference.tips_m[free]
     np.testing.assert_allclose(shift, np.broadcast_to(1e-6 * OBLIQUE, shift.shape), atol=1e-12)
-    assert amplification(moved, reference, 1e-6) == pytest.approx((1.0, 1.0), abs=1e-4)
+    later, largest = amplification(moved, reference, 1e-6)
+    assert later <= largest == pytest.approx(1.0, abs=1e-4)
     # The stiffness of the contact times a shift of 1 um is below 0.01 N.
     assert 0.0 < force_error(moved, reference) < 0.01
 

@@ -138,7 +138,7 @@ def test_a_cutter_that_meets_bone_is_slowed_in_the_same_tick(speed_m_s):
     damper = damping_N_s_m(tool) * (-speed_m_s - speeds)
     late = slice(first, None)
     np.testing.assert_allclose(
-        forces[late, 2], (lost - spring - damper)[late], rtol=1e-4, atol=1e-3
+        forces[late, 2], (lost - spring - damper)[late], rtol=1e-4, atol=5e-3
     )
     assert np.abs(forces[first, 2]) < 0.25 * drag * speed_m_s
     # In steady cutting the tool has the speed of the device.

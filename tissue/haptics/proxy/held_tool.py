@@ -1,4 +1,4 @@
-"""Quasi-static force balance of a tool coupled to a haptic device by a spring."""
+"""Tool coupled to a haptic device by a spring, and its quasi-static balance on soft tissue."""
 
 from abc import ABC, abstractmethod
 from math import inf, sqrt
