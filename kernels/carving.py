@@ -7,9 +7,11 @@ the same bone in any order. It is exact where an old and a new surface are paral
 cross at a right angle it leaves a twelfth of a voxel too much on average. All lengths are in
 voxels.
 
-Every voxel also keeps its smallest distance to older cuts. This is the smallest distance at the
-time when the tool last came within reach of the voxel's block, or last turned. It excludes the
-present pass, which ends at the tool's present surface.
+Every voxel also keeps its smallest distance to older cuts. When the tool comes within reach of a
+block, these are all cuts so far. Behind a moving tool, they are the cuts up to 0.25 to 0.5 mm of
+travel back. In front of it, they are brought up to date only after a change of direction. So they
+lie behind the front of a moving tool. The cuts since then follow from the tool's last poses, see
+`kernels.engagement`. No direction of motion is needed for this.
 
 Bricks belong to one of ``PHASES`` groups. A launch visits some of the groups, so that a slow tool
 spreads its carving over ticks; every group remembers the pose of its last visit. Inside a brick,
@@ -23,20 +25,35 @@ import warp as wp
 from kernels.bricks import cube_behind_plane, layer_of, plane_of
 from kernels.revolution import EDGE_BEND, Nearest, Revolution, nearest_on, offset_from
 
-__all__ = ["BINARY", "COUNT", "EVERY_SIDE", "FIRST", "ORIGIN", "PHASES", "PLAN", "TURNED", "carve"]
+__all__ = [
+    "BINARY",
+    "COUNT",
+    "EVERY_SIDE",
+    "FIRST",
+    "MOVED",
+    "ORIGIN",
+    "PHASES",
+    "PLAN",
+    "TURNED",
+    "carve",
+]
 
 wp.set_module_options({"enable_backward": False})
 
 PHASES = 16  # a power of two: the remainder is one instruction
-FIRST, COUNT, BINARY, EVERY_SIDE, ORIGIN, TURNED, PLAN = 0, 1, 2, 3, 4, 5, 6
+FIRST, COUNT, BINARY, EVERY_SIDE, ORIGIN, MOVED, TURNED, PLAN = 0, 1, 2, 3, 4, 5, 6, 7
 """Places in the plan of a launch.
 
 In order: first group; number of groups; 1 for binary removal; 1 for every side; group of the first
-brick; 1 where the tool turns and everything it has cut becomes an older cut.
+brick; one bit a group, 1 where its cuts become older cuts; one bit a group, 1 where this also holds
+in front of the tool.
 """
 BLOCK_REACH = wp.constant(1.7320508)  # half diagonal of a block of 2 voxels [voxel]
 LONGEST_STEP = wp.constant(1.0)  # more than the tool moves between two visits of a brick [voxel]
 EDGE = wp.constant(float(EDGE_BEND))
+# A block lies behind a tool of 8 voxels' radius if the surface in its middle faces away from the
+# motion by more than the normal turns over the block.
+BEHIND = wp.constant(0.2)
 BRICK_REACH = wp.constant(6.9282032)  # half diagonal of a brick of 8 voxels [voxel]
 
 
@@ -44,7 +61,8 @@ BRICK_REACH = wp.constant(6.9282032)  # half diagonal of a brick of 8 voxels [vo
 def carve(
     # tool
     tool: Revolution,
-    # row 0 now, row 1 + g last visit of group g: tip xyz [voxel], axis xyz
+    # row 0 now, row 1 + g last visit of group g, row 17 + g where the cuts of group g last became
+    # older cuts: tip xyz [voxel], axis xyz
     pose: wp.array2d(dtype=wp.float64),
     plan: wp.array(dtype=wp.int32),  # see FIRST
     worker_offset: int,
@@ -56,7 +74,8 @@ def carve(
     remaining_out: wp.array2d(dtype=wp.uint16),
     # distance to the solid that the tool has swept, see `swept_steps`
     swept_out: wp.array2d(dtype=wp.uint16),
-    older_out: wp.array2d(dtype=wp.uint16),  # distance in older cuts
+    middle_out: wp.array2d(dtype=wp.uint16),  # what becomes the distance to older cuts next
+    older_out: wp.array2d(dtype=wp.uint16),  # distance to older cuts
     # [brick], one bit a block of 2 x 2 x 2 voxels that may hold material
     alive_out: wp.array(dtype=wp.uint64),
     touched_out: wp.array(dtype=wp.uint8),  # [brick], set to 1 where this launch removed something
@@ -100,7 +119,8 @@ def carve(
                         group,
                         plan[BINARY],
                         plan[EVERY_SIDE],
-                        plan[TURNED],
+                        (plan[MOVED] >> group) & 1,
+                        (plan[TURNED] >> group) & 1,
                         bx,
                         by,
                         bz,
@@ -109,6 +129,7 @@ def carve(
                         material,
                         remaining_out,
                         swept_out,
+                        middle_out,
                         older_out,
                         alive_out,
                         touched_out,
@@ -125,7 +146,8 @@ def carve_brick(
     group: int,
     binary: int,
     every_side: int,
-    turned: int,
+    has_moved: int,
+    has_turned: int,
     bx: int,
     by: int,
     bz: int,
@@ -134,6 +156,7 @@ def carve_brick(
     material: wp.array2d(dtype=wp.uint32),
     remaining_out: wp.array2d(dtype=wp.uint16),
     swept_out: wp.array2d(dtype=wp.uint16),
+    middle_out: wp.array2d(dtype=wp.uint16),
     older_out: wp.array2d(dtype=wp.uint16),
     alive_out: wp.array(dtype=wp.uint64),
     touched_out: wp.array(dtype=wp.uint8),
@@ -155,18 +178,17 @@ def carve_brick(
     # degrees. The whole block faces backward below -0.25 (104 degrees), the whole brick below -0.7
     # (134 degrees).
     skip_behind = every_side == 0 and tool.round == 1 and tool.radius > 8.0
-    if (
-        skip_behind
-        and turned == 0
-        and tool.radius > 24.0
-        and wp.dot(step, far.slope) < -0.7 * moved
-    ):
-        return  # the whole brick lies behind a tool that leaves it
+    if skip_behind and tool.radius > 24.0 and wp.dot(step, far.slope) < -0.7 * moved:
+        # The whole brick lies behind a tool that leaves it.
+        if has_moved == 1:
+            for block in range(64):
+                book(row, block * 8, 1, 0, swept_out, middle_out, older_out)
+        return
+    back = centre - offset_from(pose, 17 + group, bx * 8 + 4, by * 8 + 4, bz * 8 + 4)
+    travel = wp.length(back)
     axis_before = wp.vec3(
         float(pose[1 + group, 3]), float(pose[1 + group, 4]), float(pose[1 + group, 5])
     )
-    # the brick was carved at this very pose
-    is_cut = turned != 0 and moved == 0.0 and axis_before == axis
     before = alive
     booked = booked_by(removed_out, worker)
     for block in range(64):
@@ -180,11 +202,14 @@ def carve_brick(
             # outer blocks.
             if tool.convex == 0 or far.distance + wp.dot(far.slope, shift) < BLOCK_REACH + kink:
                 near = nearest_on(tool, centre + shift, axis)
+                # Bone in front of the tool has not been cut, unless the tool returns.
+                books = wp.where(wp.dot(near.slope, back) > BEHIND * travel, has_moved, has_turned)
+                comes = int(0)
                 if near.distance < BLOCK_REACH and near.distance > BLOCK_REACH - LONGEST_STEP:
                     last = nearest_on(tool, centre + step + shift, axis_before)
-                    if last.distance >= BLOCK_REACH:  # the tool comes within reach
-                        for v in range(8):
-                            older_out[row, block * 8 + v] = swept_out[row, block * 8 + v]
+                    comes = wp.where(last.distance >= BLOCK_REACH, 1, 0)
+                if near.distance < BLOCK_REACH and (has_moved == 1 or comes == 1):
+                    book(row, block * 8, books, comes, swept_out, middle_out, older_out)
                 if near.distance < -BLOCK_REACH:
                     for v in range(8):
                         voxel = block * 8 + v
@@ -198,7 +223,7 @@ def carve_brick(
                     alive = alive ^ bit
                 elif near.distance < BLOCK_REACH:
                     advance = wp.dot(near.slope, step)
-                    if not is_cut and (advance >= -0.25 * moved or not skip_behind):
+                    if advance >= -0.25 * moved or not skip_behind:
                         flat = flattened(near, centre + shift, axis, step)
                         carve_block(
                             tool,
@@ -215,13 +240,33 @@ def carve_brick(
                             swept_out,
                             removed_out,
                         )
-                    if turned != 0:
-                        for v in range(8):
-                            older_out[row, block * 8 + v] = swept_out[row, block * 8 + v]
     if alive != before:
         alive_out[row] = alive
     if booked_by(removed_out, worker) != booked:
         touched_out[row] = wp.uint8(1)
+
+
+@wp.func
+def book(
+    row: int,
+    first: int,
+    books: int,
+    comes: int,
+    swept: wp.array2d(dtype=wp.uint16),
+    middle_out: wp.array2d(dtype=wp.uint16),
+    older_out: wp.array2d(dtype=wp.uint16),
+):
+    """Let the cuts in a block become older cuts.
+
+    They are those up to the last time, or all of them where the tool comes into reach.
+    """
+    for v in range(8):
+        voxel = first + v
+        if comes == 1:
+            older_out[row, voxel] = swept[row, voxel]
+        elif books == 1:
+            older_out[row, voxel] = middle_out[row, voxel]
+        middle_out[row, voxel] = swept[row, voxel]
 
 
 @wp.func

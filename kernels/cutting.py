@@ -11,316 +11,334 @@ and a size effect, per element::
 with every K scaled by (density / reference density) ** exponent of the layer. Below the minimum
 chip thickness h_min the force is proportional to h, so that it is a Lipschitz function of the
 velocity. With m = 0 and h_min = 0 the law is linear in h. Elements that do not advance do not cut.
-The share is the part of the element's width that lies below the bone's original surface. It is 0
-where an older cut has removed the bone.
 
-The law is concave in the speed. The kernel returns its tangent at the given speed.
+The share is the part of the element's width that lies below the surface of the bone, see
+`kernels.engagement`. In a tick of length T it is taken at the middle of the element's motion, over
+its width or its motion through the surface, whichever is longer. An element that reaches the bone
+within the tick therefore cuts for the rest of it.
+
+The kernel returns the tangent of the force at a given velocity. It computes eight elements at once.
 """
 
 import warp as wp
 
-from kernels.bone_lookup import Bone, bone_at
-from kernels.bricks import corner8f, voxel_column, voxel_row
-from kernels.elements import (
-    CHUNK,
-    LANES,
-    Elements,
-    Travel,
-    advance_of,
-    lanes8,
-    lever16,
-    may_cut,
-    place_of,
-    travel_of,
+from kernels.elements import CHUNK, LANES, Elements, lanes8
+from kernels.engagement import (
+    CHIP,
+    DISTANCE,
+    EDGE,
+    LAYER,
+    MINIMUM,
+    SLOPE,
+    WIDTH,
+    Coefficients,
 )
-from kernels.older_cuts import SLOTS, taken_before
-from kernels.revolution import Revolution
 
-__all__ = [
-    "AREA",
-    "CHIP_FORCE",
-    "CHIP_TORQUE",
-    "DENSITIES",
-    "EDGE_FORCE",
-    "EDGE_TORQUE",
-    "RATE",
-    "Coefficients",
-    "cutting_forces",
-]
+__all__ = ["AREA", "MOTION_ROWS", "RATE", "VALUE", "cutting_forces"]
 
 wp.set_module_options({"enable_backward": False})
 
-CHIP_FORCE, CHIP_TORQUE, EDGE_FORCE, EDGE_TORQUE, RATE, AREA = 0, 3, 6, 9, 12, 13
+VALUE, RATE, AREA = 0, 6, 7
 """Places in the sums.
 
-The first six are the derivative by the speed: force [N s/m], torque about the tip [N s]. The next
-six are the tangent's value at zero speed: force [N] and torque [N m]. Then the removal rate per
-unit of speed [m2] and the engaged area of each layer [m2].
+First the tangent's value at zero velocity: force [N] and torque about the tip [N m]. Then the
+removal rate at speed 1 [m3/s] and the engaged area of each layer [m2]. Then, for each of up to six
+unknowns, the derivative of force and torque by the unknown. With three unknowns, only the force has
+derivatives, and the torque is that at the given velocity. Each sum has eight parts, one for each
+element of eight.
 """
-# Across the surface, an element is taken as this wide at most [voxel]. Half of it is less than the
-# 1.78 voxels within which distances are interpolated, see `kernels.bone_lookup`.
-WIDEST = wp.constant(3.5)
-DENSITIES = wp.constant(20001)
-"""Number of entries of the strength table.
-
-They are for densities of 0 to 20,000 kg/m3, the largest that a bone may have.
-"""
-rows8 = wp.types.vector(length=LANES, dtype=wp.int32)
+MOTION_ROWS = 5
 
 
 @wp.struct
-class Coefficients:
-    """Cutting coefficients at each layer's reference density, each at its places in a lever.
+class Loads:
+    """Loads on eight elements [N]."""
 
-    Each layer has two rows. Row 2 layer holds from the minimum chip thickness on. Row 2 layer + 1
-    holds below it: there the force is the thickness times the chip row, and the edge row is 0.
-    """
-
-    chip: wp.array(dtype=lever16)  # [row] [Pa]
-    edge: wp.array(dtype=lever16)  # [row] [N/m]
-    # [layer, density in kg/m3]: (density / reference) ** exponent
-    strength: wp.array2d(dtype=wp.float32)
-    # [layer]: exponent m of the size effect, minimum and reference chip thickness [m]
-    size: wp.array(dtype=wp.vec3)
+    tangential: lanes8
+    radial: lanes8
+    axial: lanes8
 
 
 @wp.kernel
 def cutting_forces(
-    # tool
-    tool: Revolution,
     elements: Elements,
     coefficients: Coefficients,
-    # rows: tip [voxel]; tool axes x, y, z; tip's and angular velocity, own frame; speed [m/s], -, -
+    found: wp.array2d(dtype=lanes8),  # [eight elements, row], see `kernels.engagement.DISTANCE`
+    engaged: wp.array(dtype=wp.int32),  # [chunk], 1 where an element has bone
+    # rows, in the tool's frame: velocity of the tip [m/s], angular velocity [rad/s], both at which
+    # the place of `found` was reached; number of unknowns, length of the tick [s] and speed
     motion: wp.array2d(dtype=wp.float64),
     chip_per_speed: float,  # 2 pi / (N omega) [s]
-    spacing: float,  # [m]
     chunk_offset: int,
-    # grid
-    brick_of: wp.array3d(dtype=wp.int32),
-    material: wp.array2d(dtype=wp.uint32),
-    nearby: wp.array2d(dtype=wp.uint16),
-    older: wp.array2d(dtype=wp.uint16),
-    alive: wp.array(dtype=wp.uint64),
     # out
-    seen_out: wp.array2d(dtype=corner8f),  # [chunk, SLOTS + 1], see `kernels.older_cuts.SLOTS`
-    sums_out: wp.array2d(dtype=wp.float64),  # [chunk, AREA + layers], tool frame: see CHIP_FORCE
+    # [chunk, AREA + layers + 36], tool frame: see VALUE; unchanged for chunks without bone
+    sums_out: wp.array2d(dtype=lanes8),
 ):
-    """Sum the forces on one chunk of elements, as a tangent in the speed.
+    """Sum the forces on one chunk of elements, as a tangent.
 
-    The velocities are those of unit speed, 1 m/s.
+    The unknowns are the speed (1), the velocity of the tip (3), or both velocities (6). For the
+    speed, the velocities are those at speed 1.
     """
     chunk = wp.tid() + chunk_offset
-    for m in range(AREA, sums_out.shape[1]):
-        sums_out[chunk, m] = wp.float64(0.0)
-    seen_out[chunk, SLOTS] = corner8f()
-    travel = travel_of(motion, spacing)
-    thickness_per_advance = float(motion[6, 0]) * chip_per_speed
-    chip = lever16()
-    edge = lever16()
-    rate = float(0.0)
+    if engaged[chunk] == 0:
+        return
+    unknowns = int(motion[4, 0])
+    for m in range(AREA + coefficients.size.shape[0] + 6 * unknowns):
+        sums_out[chunk, m] = lanes8()
+    tick = float(motion[4, 1])
+    speed = float(motion[4, 2])
+    velocity = row_of(motion, 0)
+    turning = row_of(motion, 1)
+    # Only elements that advance by more than the rounding of an advance cut. A tangent by the
+    # velocity must not jump: there the force goes to zero with the advance.
+    least = wp.where(unknowns == 1, 1.0e-5 * wp.length(velocity), 0.0)
     first = chunk * (CHUNK // LANES)
     last = wp.min(first + CHUNK // LANES, elements.lanes.shape[0])
-    if not may_cut(elements, chunk, travel, spacing, brick_of, alive):
-        last = first
     for eight in range(first, last):
-        advances = advance_of(elements, eight, travel)
-        x = place_of(elements, eight, travel, 0)
-        y = place_of(elements, eight, travel, 1)
-        z = place_of(elements, eight, travel, 2)
-        # Weights of eight elements: of the chip row in the derivative, of the edge row and of the
-        # chip row in the value at zero speed.
-        by_speed = lanes8()  # [m]
-        by_edge = lanes8()  # [m]
-        by_bend = lanes8()  # [m2]
-        rows = rows8()
-        cuts = int(0)
-        lane = int(0)
-        while lane < LANES:
-            e = eight * LANES + lane
-            advance = advances[lane]
-            at = wp.vec3(x[lane], y[lane], z[lane])
-            if advance > travel.least:
-                met = bone_met(
-                    tool,
-                    elements,
-                    motion,
-                    travel,
-                    spacing,
-                    brick_of,
-                    material,
-                    nearby,
-                    older,
-                    alive,
-                    e,
-                    at,
-                    seen_out,
-                    chunk,
-                )
-                if met.share > 0.0:
-                    cuts = 1
-                    m = met.layer
-                    strength = coefficients.strength[m, met.density]
-                    # of cutting edge in bone, by the bone's strength [m]
-                    length = elements.edge_length[e] * met.share * strength
-                    tangent = tangent_at(advance * thickness_per_advance, coefficients.size[m])
-                    by_speed[lane] = length * advance * tangent.slope
-                    by_edge[lane] = length
-                    by_bend[lane] = length * tangent.value
-                    rows[lane] = 2 * m + tangent.is_below
-                    engaged = elements.area[e] * met.share
-                    rate += engaged * advance
-                    sums_out[chunk, AREA + m] += wp.float64(engaged)
-            lane += 1
-        # The sums have a loop of their own. The search for bone and the power would push them out
-        # of the registers at every element: in one loop the kernel takes 1.2 times as long.
-        if cuts == 1:
-            for j in range(LANES):
-                lever = elements.lever[eight * LANES + j]
-                row = rows[j]
-                loads = wp.cw_mul(coefficients.chip[row], lever)
-                chip += by_speed[j] * loads
-                edge += by_edge[j] * wp.cw_mul(coefficients.edge[row], lever)
-                edge += by_bend[j] * loads
-    chip *= chip_per_speed
-    set_loads(chip, chunk, CHIP_FORCE, CHIP_TORQUE, sums_out)
-    set_loads(edge, chunk, EDGE_FORCE, EDGE_TORQUE, sums_out)
-    sums_out[chunk, RATE] = wp.float64(rate)
-
-
-@wp.struct
-class Tangent:
-    """Tangent of the effective chip thickness, as a function of the thickness."""
-
-    slope: wp.float32  # derivative
-    value: wp.float32  # value at zero thickness [m]
-    is_below: wp.int32  # 1 below the minimum chip thickness, whose row has the size effect there
+        width = found[eight, WIDTH]
+        if wp.max(width) > 0.0:
+            add_eight(
+                elements,
+                coefficients,
+                found,
+                eight,
+                width,
+                velocity,
+                turning,
+                row_of(motion, 2),
+                row_of(motion, 3),
+                unknowns,
+                tick,
+                speed,
+                chip_per_speed,
+                least,
+                chunk,
+                sums_out,
+            )
 
 
 @wp.func
-def tangent_at(thickness: float, size: wp.vec3):
-    """Compute the tangent at a chip thickness [m], for a size effect as in `Coefficients`."""
-    exponent = size[0]
-    tangent = Tangent()
-    tangent.slope = 1.0
-    # Below the minimum both forces are proportional to the thickness.
-    if thickness < size[1]:
-        tangent.is_below = 1
-    elif exponent > 0.0:
-        scale = wp.pow(thickness / size[2], -exponent)
-        tangent.slope = (1.0 - exponent) * scale
-        tangent.value = exponent * scale * thickness
-    return tangent
-
-
-@wp.struct
-class Met:
-    """Bone in front of an element."""
-
-    share: wp.float32  # share of the element's width that cuts, 0 without bone
-    layer: wp.int32
-    density: wp.int32  # [kg/m3], an entry of the strength table
-
-
-@wp.func
-def bone_met(
-    tool: Revolution,
+def add_eight(
     elements: Elements,
-    motion: wp.array2d(dtype=wp.float64),
-    travel: Travel,
-    spacing: float,
-    brick_of: wp.array3d(dtype=wp.int32),
-    material: wp.array2d(dtype=wp.uint32),
-    nearby: wp.array2d(dtype=wp.uint16),
-    older: wp.array2d(dtype=wp.uint16),
-    alive: wp.array(dtype=wp.uint64),
-    e: int,
-    at: wp.vec3,
-    seen: wp.array2d(dtype=corner8f),
+    coefficients: Coefficients,
+    found: wp.array2d(dtype=lanes8),
+    eight: int,
+    width: lanes8,
+    velocity: wp.vec3,
+    turning: wp.vec3,
+    velocity_before: wp.vec3,
+    turning_before: wp.vec3,
+    unknowns: int,
+    tick: float,
+    speed: float,
+    chip_per_speed: float,
+    least: float,
     chunk: int,
+    sums_out: wp.array2d(dtype=lanes8),
 ):
-    """Find the bone in front of an advancing element at ``at`` [voxel]."""
-    met = Met()
-    row, column = remaining_voxel(brick_of, alive, at)
-    if row >= 0:
-        bone = bone_at(brick_of, material, nearby, row, column, at)
-        normal = elements.normal[e]
-        outward = (normal[0] * travel.ex + normal[1] * travel.ey + normal[2] * travel.ez) * spacing
-        share = share_below(bone, outward, elements.area[e], spacing)
-        if share > 0.0 and taken_before(
-            tool,
-            motion,
-            travel.axis,
-            travel.heading,
-            brick_of,
-            older,
-            row,
-            column,
-            at,
-            outward,
-            elements.bend[e],
-            seen,
-            chunk,
-        ):
-            share = 0.0
-        met.share = share
-        met.layer = bone.layer
-        met.density = wp.min(int(bone.density + 0.5), DENSITIES - 1)
-    return met
+    """Add the forces on eight elements."""
+    px = elements.lanes[eight, 0]
+    py = elements.lanes[eight, 1]
+    pz = elements.lanes[eight, 2]
+    nx = elements.lanes[eight, 3]
+    ny = elements.lanes[eight, 4]
+    nz = elements.lanes[eight, 5]
+    sx = found[eight, SLOPE]
+    sy = found[eight, SLOPE + 1]
+    sz = found[eight, SLOPE + 2]
+    one = lanes8(1.0)
+    # moments: derivatives of advance and shift by the angular velocity
+    mx = wp.cw_mul(py, nz) - wp.cw_mul(pz, ny)
+    my = wp.cw_mul(pz, nx) - wp.cw_mul(px, nz)
+    mz = wp.cw_mul(px, ny) - wp.cw_mul(py, nx)
+    qx = wp.cw_mul(py, sz) - wp.cw_mul(pz, sy)
+    qy = wp.cw_mul(pz, sx) - wp.cw_mul(px, sz)
+    qz = wp.cw_mul(px, sy) - wp.cw_mul(py, sx)
+    by_turn = along(turning, mx, my, mz)
+    advance = along(velocity, nx, ny, nz) + by_turn
+    shift_by_turn = along(turning, qx, qy, qz)
+    passing = along(velocity, sx, sy, sz) + shift_by_turn
+    before = along(velocity_before, sx, sy, sz) + along(turning_before, qx, qy, qz)
+    # Mean share below the surface, of an element that starts at a distance and moves by `shift`.
+    shift = tick * passing
+    swept = wp.abs(shift)
+    extent = wp.max(wp.max(width, swept), lanes8(1.0e-12))
+    middle = wp.cw_div(found[eight, DISTANCE] - tick * before + 0.5 * shift, extent)
+    raw = 0.5 * one - middle
+    cuts = wp.cw_mul(above(advance - least * one), above(width - lanes8(1.0e-12)))
+    share = wp.cw_mul(wp.min(wp.max(raw, lanes8()), one), cuts)
+    # its derivative by the shift
+    steep = wp.cw_mul(wp.cw_mul(above(swept - width), wp.sign(shift)), middle) - 0.5 * one
+    partly = wp.cw_mul(wp.cw_mul(above(raw), one - above(raw - one)), cuts)
+    by_shift = tick * wp.cw_div(wp.cw_mul(steep, partly), extent)
+    # Effective chip thickness, share of the edge force, and their derivatives by the advance. The
+    # products are formed such that a law that is linear has the value 0 at zero velocity.
+    made = speed * advance
+    thickness = chip_per_speed * made
+    is_above = above(thickness - found[eight, MINIMUM])
+    inverse = wp.cw_div(one, wp.max(found[eight, MINIMUM], lanes8(1.0e-12)))
+    chip_slope = chip_per_speed * one
+    chip = thickness
+    edge_slope = chip_per_speed * wp.cw_mul(one - is_above, inverse)
+    edge = wp.cw_mul(edge_slope, made) + is_above
+    if coefficients.has_size_effect == 1:
+        for lane in range(LANES):
+            size = coefficients.size[int(found[eight, LAYER][lane])]
+            scale = wp.pow(wp.max(thickness[lane], wp.max(size[1], 1.0e-12)) / size[2], -size[0])
+            chip[lane] = thickness[lane] * scale
+            chip_slope[lane] = chip_per_speed * scale
+            if thickness[lane] >= size[1]:
+                chip_slope[lane] *= 1.0 - size[0]
+    # The value at zero velocity is the force without what the unknowns contribute.
+    made_shift = passing
+    if unknowns == 3:
+        made = made - speed * by_turn
+        made_shift = made_shift - shift_by_turn
+    chip_by_shift = wp.cw_mul(by_shift, chip)
+    edge_by_shift = wp.cw_mul(by_shift, edge)
+    chip_value = wp.cw_mul(share, chip - wp.cw_mul(chip_slope, made))
+    edge_value = wp.cw_mul(share, edge - wp.cw_mul(edge_slope, made))
+    chip_value -= wp.cw_mul(chip_by_shift, made_shift)
+    edge_value -= wp.cw_mul(edge_by_shift, made_shift)
+    chip_torque = chip_value
+    edge_torque = edge_value
+    if unknowns == 3:
+        chip_torque = wp.cw_mul(share, chip)
+        edge_torque = wp.cw_mul(share, edge)
+    slopes = AREA + coefficients.size.shape[0]
+    value = loads_of(found, eight, chip_value, edge_value)
+    add_forces(elements, eight, value, one, chunk, VALUE, sums_out)
+    acting = loads_of(found, eight, chip_torque, edge_torque)
+    add_torques(elements, eight, acting, one, chunk, VALUE, sums_out)
+    by_advance = loads_of(found, eight, wp.cw_mul(share, chip_slope), wp.cw_mul(share, edge_slope))
+    if unknowns == 1:
+        add_forces(elements, eight, by_advance, advance, chunk, slopes, sums_out)
+        add_torques(elements, eight, by_advance, advance, chunk, slopes, sums_out)
+    else:
+        add_forces(elements, eight, by_advance, nx, chunk, slopes, sums_out)
+        add_forces(elements, eight, by_advance, ny, chunk, slopes + 6, sums_out)
+        add_forces(elements, eight, by_advance, nz, chunk, slopes + 12, sums_out)
+        if unknowns == 6:
+            add_forces(elements, eight, by_advance, mx, chunk, slopes + 18, sums_out)
+            add_forces(elements, eight, by_advance, my, chunk, slopes + 24, sums_out)
+            add_forces(elements, eight, by_advance, mz, chunk, slopes + 30, sums_out)
+            add_torques(elements, eight, by_advance, nx, chunk, slopes, sums_out)
+            add_torques(elements, eight, by_advance, ny, chunk, slopes + 6, sums_out)
+            add_torques(elements, eight, by_advance, nz, chunk, slopes + 12, sums_out)
+            add_torques(elements, eight, by_advance, mx, chunk, slopes + 18, sums_out)
+            add_torques(elements, eight, by_advance, my, chunk, slopes + 24, sums_out)
+            add_torques(elements, eight, by_advance, mz, chunk, slopes + 30, sums_out)
+        if wp.max(partly) > 0.0:
+            moving = loads_of(found, eight, chip_by_shift, edge_by_shift)
+            add_forces(elements, eight, moving, sx, chunk, slopes, sums_out)
+            add_forces(elements, eight, moving, sy, chunk, slopes + 6, sums_out)
+            add_forces(elements, eight, moving, sz, chunk, slopes + 12, sums_out)
+            if unknowns == 6:
+                add_forces(elements, eight, moving, qx, chunk, slopes + 18, sums_out)
+                add_forces(elements, eight, moving, qy, chunk, slopes + 24, sums_out)
+                add_forces(elements, eight, moving, qz, chunk, slopes + 30, sums_out)
+                add_torques(elements, eight, moving, sx, chunk, slopes, sums_out)
+                add_torques(elements, eight, moving, sy, chunk, slopes + 6, sums_out)
+                add_torques(elements, eight, moving, sz, chunk, slopes + 12, sums_out)
+                add_torques(elements, eight, moving, qx, chunk, slopes + 18, sums_out)
+                add_torques(elements, eight, moving, qy, chunk, slopes + 24, sums_out)
+                add_torques(elements, eight, moving, qz, chunk, slopes + 30, sums_out)
+    area = wp.cw_mul(elements.areas[eight], share)
+    sums_out[chunk, RATE] += wp.cw_mul(area, advance)
+    layers = found[eight, LAYER]
+    if wp.min(layers) == wp.max(layers):
+        sums_out[chunk, AREA + int(layers[0])] += area
+    else:
+        for lane in range(LANES):
+            part = lanes8()
+            part[lane] = area[lane]
+            sums_out[chunk, AREA + int(layers[lane])] += part
 
 
 @wp.func
-def remaining_voxel(
-    brick_of: wp.array3d(dtype=wp.int32), alive: wp.array(dtype=wp.uint64), at: wp.vec3
-):
-    """Return row and column of the voxel at a point [voxel].
+def row_of(motion: wp.array2d(dtype=wp.float64), row: int):
+    """Convert a row of ``motion`` to single precision."""
+    return wp.vec3(float(motion[row, 0]), float(motion[row, 1]), float(motion[row, 2]))
 
-    The row is -1 where the voxel's block of eight has no bone left.
+
+@wp.func
+def along(vector: wp.vec3, x: lanes8, y: lanes8, z: lanes8):
+    """Return the scalar product of a vector with eight vectors."""
+    return vector[0] * x + vector[1] * y + vector[2] * z
+
+
+@wp.func
+def above(values: lanes8):
+    """Return 1 where a value is not negative, else 0."""
+    return 0.5 * lanes8(1.0) + 0.5 * wp.sign(values)
+
+
+@wp.func
+def loads_of(found: wp.array2d(dtype=lanes8), eight: int, chip: lanes8, edge: lanes8):
+    """Return the loads on eight elements for weights of their chip and edge forces."""
+    loads = Loads()
+    loads.tangential = wp.cw_mul(chip, found[eight, CHIP]) + wp.cw_mul(edge, found[eight, EDGE])
+    loads.radial = wp.cw_mul(chip, found[eight, CHIP + 1]) + wp.cw_mul(edge, found[eight, EDGE + 1])
+    loads.axial = wp.cw_mul(chip, found[eight, CHIP + 2]) + wp.cw_mul(edge, found[eight, EDGE + 2])
+    return loads
+
+
+@wp.func
+def times(elements: Elements, eight: int, loads: lanes8, row: int):
+    """Multiply eight loads by a row of their levers, see `kernels.elements.Elements`."""
+    return wp.cw_mul(loads, elements.lever[eight, row])
+
+
+@wp.func
+def add_forces(
+    elements: Elements,
+    eight: int,
+    loads: Loads,
+    factor: lanes8,
+    chunk: int,
+    place: int,
+    sums_out: wp.array2d(dtype=lanes8),
+):
+    """Add the force of loads times a factor to the sums of a chunk.
+
+    The loads act on the bone, so that the force on the tool is subtracted.
     """
-    ix = int(wp.floor(at[0]))
-    iy = int(wp.floor(at[1]))
-    iz = int(wp.floor(at[2]))
-    row = voxel_row(brick_of, ix, iy, iz)
-    column = voxel_column(ix, iy, iz)
-    if row >= 0:
-        left = alive[row] >> wp.uint64(column >> 3)
-        if (left & wp.uint64(1)) == wp.uint64(0):
-            row = -1
-    return row, column
+    tangential = wp.cw_mul(loads.tangential, factor)
+    radial = wp.cw_mul(loads.radial, factor)
+    axial = wp.cw_mul(loads.axial, factor)
+    sums_out[chunk, place] -= times(elements, eight, tangential, 0) + times(
+        elements, eight, radial, 5
+    )
+    sums_out[chunk, place + 1] -= times(elements, eight, tangential, 1) + times(
+        elements, eight, radial, 6
+    )
+    sums_out[chunk, place + 2] -= times(elements, eight, radial, 7) + axial
 
 
 @wp.func
-def set_loads(
-    sums: lever16, chunk: int, force: int, torque: int, sums_out: wp.array2d(dtype=wp.float64)
+def add_torques(
+    elements: Elements,
+    eight: int,
+    loads: Loads,
+    factor: lanes8,
+    chunk: int,
+    place: int,
+    sums_out: wp.array2d(dtype=lanes8),
 ):
-    """Write a chunk's force and torque at their places."""
-    for c in range(3):
-        sums_out[chunk, force + c] = wp.float64(force_of(sums)[c])
-        sums_out[chunk, torque + c] = wp.float64(torque_of(sums)[c])
-
-
-@wp.func
-def share_below(bone: Bone, outward: wp.vec3, area: float, spacing: float):
-    """Compute the share of an element's width that lies below the original surface.
-
-    The width is taken along the slope of that surface.
-    """
-    share = float(1.0)
-    # -2 stands for deeper bone, without a slope.
-    if bone.distance > -1.9:
-        tangent = bone.slope - wp.dot(bone.slope, outward) * outward
-        width = wp.min(wp.length(tangent) * wp.sqrt(area) / spacing, WIDEST)
-        # 1e-3: an element parallel to the surface has no width across it.
-        share = wp.clamp(0.5 - bone.distance / wp.max(width, 1.0e-3), 0.0, 1.0)
-    return share
-
-
-@wp.func
-def force_of(sums: lever16):
-    """Return the force on the elements whose loads, with their levers, sum to ``sums``."""
-    return -wp.vec3(sums[0] + sums[5], sums[1] + sums[6], sums[7] + sums[11])
-
-
-@wp.func
-def torque_of(sums: lever16):
-    """Return the torque about the tip, for the same elements as in `force_of`."""
-    return -wp.vec3(sums[2] + sums[8] + sums[12], sums[3] + sums[9] + sums[13], sums[4] + sums[10])
+    """Add the torque of loads times a factor to the sums of a chunk, see `add_forces`."""
+    tangential = wp.cw_mul(loads.tangential, factor)
+    radial = wp.cw_mul(loads.radial, factor)
+    axial = wp.cw_mul(loads.axial, factor)
+    sums_out[chunk, place + 3] -= (
+        times(elements, eight, tangential, 2)
+        + times(elements, eight, radial, 8)
+        + times(elements, eight, axial, 12)
+    )
+    sums_out[chunk, place + 4] -= (
+        times(elements, eight, tangential, 3)
+        + times(elements, eight, radial, 9)
+        + times(elements, eight, axial, 13)
+    )
+    sums_out[chunk, place + 5] -= times(elements, eight, tangential, 4) + times(
+        elements, eight, radial, 10
+    )

@@ -13,7 +13,6 @@ __all__ = [
     "Travel",
     "advance_of",
     "lanes8",
-    "lever16",
     "may_cut",
     "place_of",
     "travel_of",
@@ -33,12 +32,6 @@ Together with sums outside of branches, this saves a tenth of the force kernel's
 docs/performance.md.
 """
 lanes8 = wp.types.vector(length=LANES, dtype=wp.float32)
-lever16 = wp.types.vector(length=16, dtype=wp.float32)
-"""Levers by which tangential, radial and axial loads add to force and torque.
-
-Of an element at r [m]: tangent t (x, y), r x t, normal n, r x n, axis a (z), r x a (x, y). Two
-numbers are unused.
-"""
 
 
 @wp.struct
@@ -48,10 +41,16 @@ class Elements:
     point: wp.array(dtype=wp.vec3)  # [m]
     lanes: wp.array2d(dtype=lanes8)  # [eight elements, 6]: x, y, z of points, then of normals
     normal: wp.array(dtype=wp.vec3)  # outward, unit
-    lever: wp.array(dtype=lever16)  # t: direction in which the spin moves the element, unit
+    # Levers by which tangential, radial and axial loads add to force and torque, of eight elements.
+    # Rows for an element at r [m]: tangent t (x, y), r x t, normal n, r x n, axis a (z), r x a (x,
+    # y). The tangent is the unit direction in which the spin moves the element.
+    lever: wp.array2d(dtype=lanes8)
     area: wp.array(dtype=wp.float32)  # [m2]
+    areas: wp.array(dtype=lanes8)  # the same, of eight elements, 0 in front of no element
     # curvature of the tool there, see `kernels.revolution.Revolution`
     bend: wp.array(dtype=wp.float32)
+    # mean curvature of the tool [1/m] at eight elements, 0 at an edge
+    curvature: wp.array(dtype=lanes8)
     # N A / (2 pi r): mean length of cutting edge in the element [m]
     edge_length: wp.array(dtype=wp.float32)
     # centre and radius of a ball around each chunk's points [m]
@@ -76,7 +75,6 @@ class Travel:
     turning: wp.vec3  # angular, per unit of speed [1/m]
     turns: wp.int32  # 1 where it is not 0
     least: wp.float32  # an element that advances by no more does not cut
-    heading: wp.vec3  # of the tip in the grid, unit
 
 
 @wp.func
@@ -94,9 +92,6 @@ def travel_of(motion: wp.array2d(dtype=wp.float64), spacing: float):
     travel.turns = wp.where(wp.length(travel.turning) > 0.0, 1, 0)
     # 1e-5: more than the rounding of an advance in single precision.
     travel.least = 1.0e-5 * wp.length(velocity)
-    travel.heading = wp.normalize(
-        velocity[0] * travel.ex + velocity[1] * travel.ey + velocity[2] * travel.ez
-    )
     return travel
 
 
@@ -106,15 +101,19 @@ def may_cut(
     chunk: int,
     travel: Travel,
     spacing: float,
+    everywhere: bool,
     brick_of: wp.array3d(dtype=wp.int32),
     alive: wp.array(dtype=wp.uint64),
 ):
-    """Return whether some element of a chunk may advance where there may be bone."""
+    """Return whether some element of a chunk may advance where there may be bone.
+
+    With `everywhere`, an element may advance in any direction.
+    """
     cone = elements.chunk_cone[chunk]
     velocity = travel.velocity
     facing = wp.dot(velocity, wp.vec3(cone[0], cone[1], cone[2])) + wp.length(velocity) * cone[3]
     # The cone bounds the advance by the feed, but not by the turning.
-    if facing <= 0.0 and travel.turns == 0:
+    if facing <= 0.0 and travel.turns == 0 and not everywhere:
         return False
     ball = elements.chunk_ball[chunk]
     middle = travel.tip + ball[0] * travel.ex + ball[1] * travel.ey + ball[2] * travel.ez

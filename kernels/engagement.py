@@ -1,30 +1,106 @@
-"""Bone in front of each element of a rotating cutter, without a force.
+"""Bone in front of each element of a rotating cutter.
 
-The bone is the same as in `kernels.cutting.cutting_forces`.
+An element is engaged by the share of its width that lies below a surface: the original surface of
+the bone or, where a cut lies deeper, the surface that this cut has left. Distance, direction and
+width of the surface are stored, so that `kernels.cutting` can evaluate the share at any velocity.
 
-Loads for any cutting coefficients follow from sums over the elements, see
-`tissue.models.bone.engagement`.
+Cuts that are some visits old are taken from the voxels, see `kernels.older_cuts`. The tool's last
+poses are known to rounding. At a pose displaced by d, the tool has cut to ::
+
+    d . n - k / 2 |d - (d . n) n|**2
+
+in front of an element with normal n and mean curvature k. Rotations are taken to second order.
 """
 
 import warp as wp
 
-from kernels.bricks import corner8f
-from kernels.cutting import bone_met
-from kernels.elements import CHUNK, LANES, Elements, advance_of, may_cut, place_of, travel_of
-from kernels.older_cuts import SLOTS
+from kernels.bone_lookup import bone_at
+from kernels.bricks import corner8f, voxel_column, voxel_row
+from kernels.elements import (
+    CHUNK,
+    LANES,
+    Elements,
+    Travel,
+    advance_of,
+    lanes8,
+    may_cut,
+    place_of,
+    travel_of,
+)
+from kernels.older_cuts import RAMP, SLOTS, bone_left
 from kernels.revolution import Revolution
 
-__all__ = ["engaged_elements"]
+__all__ = [
+    "CHIP",
+    "DENSITIES",
+    "DENSITY",
+    "DISTANCE",
+    "EDGE",
+    "FOUND",
+    "LAYER",
+    "MINIMUM",
+    "SLOPE",
+    "WIDTH",
+    "Coefficients",
+    "find_bone",
+]
 
 wp.set_module_options({"enable_backward": False})
 
+DISTANCE, SLOPE, WIDTH, LAYER, DENSITY, MINIMUM, CHIP, EDGE, FOUND = 0, 1, 4, 5, 6, 7, 8, 11, 14
+"""Rows of the bone found in front of eight elements.
+
+The signed distance to the surface [m], positive outside the bone; its gradient by the element's
+position, along the tool's axes (3 rows); the width over which the share falls from 1 to 0 [m], 0
+without bone; layer; density [kg/m3], an entry of the strength table; minimum chip thickness [m];
+chip forces per thickness [N/m] and edge forces [N] of the whole element, tangential, radial and
+axial (3 rows each). Then the number of rows.
+"""
+DENSITIES = wp.constant(20001)
+"""Number of entries of the strength table.
+
+They are for densities of 0 to 20,000 kg/m3, the largest that a bone may have.
+"""
+# Across the surface, an element is taken as this wide at most [voxel]. Half of it is less than the
+# 1.78 voxels within which distances are interpolated, see `kernels.bone_lookup`.
+WIDEST = wp.constant(3.5)
+# An element parallel to the surface has no width across it [voxel].
+NARROWEST = wp.constant(1.0e-3)
+# Distance in front of a tool held by hand at which bone is found [voxel]. A tool moves less far
+# beyond the place at which its bone was found.
+NEAR = wp.constant(0.2)
+# Number of the last poses after which it is checked whether the others count; chosen.
+CHECKED = wp.constant(8)
+# Gap to the tool's last poses above which it counts, and the width of their surface [m].
+CLOSE = wp.constant(2.0e-8)
+
+
+@wp.struct
+class Coefficients:
+    """Cutting coefficients of each layer at its reference density: tangential, radial, axial."""
+
+    chip: wp.array(dtype=wp.vec3)  # [Pa]
+    edge: wp.array(dtype=wp.vec3)  # [N/m]
+    # [layer, density in kg/m3]: (density / reference) ** exponent
+    strength: wp.array2d(dtype=wp.float32)
+    # exponent m of the size effect, minimum and reference chip thickness [m]
+    size: wp.array(dtype=wp.vec3)
+    has_size_effect: wp.int32  # 1 where an exponent is not 0
+
 
 @wp.kernel
-def engaged_elements(
+def find_bone(
     # tool
     tool: Revolution,
     elements: Elements,
-    motion: wp.array2d(dtype=wp.float64),  # as the force kernel's
+    coefficients: Coefficients,
+    # rows: tip [voxel]; tool axes x, y, z; tip's and angular velocity at unit speed, own frame;
+    # 1 to find bone around the whole tool, else only in front of elements that advance; 1 where the
+    # tool has turned recently; least minimum chip thickness [m]
+    motion: wp.array2d(dtype=wp.float64),
+    # displacements to the tool's last poses and rotations to them, in the tool's frame [m], [rad];
+    # the first is the present pose
+    recent: wp.array2d(dtype=wp.float32),
     spacing: float,  # [m]
     chunk_offset: int,
     # grid
@@ -34,49 +110,369 @@ def engaged_elements(
     older: wp.array2d(dtype=wp.uint16),
     alive: wp.array(dtype=wp.uint64),
     # out
-    seen_out: wp.array2d(dtype=corner8f),  # as the force kernel's
-    share_out: wp.array(dtype=wp.float32),  # [element] share of its width that cuts, 0 if none
-    advance_out: wp.array(dtype=wp.float32),  # speed along its normal, per unit of speed
-    layer_out: wp.array(dtype=wp.int32),
-    density_out: wp.array(dtype=wp.int32),  # [kg/m3], an entry of the strength table
+    seen_out: wp.array2d(dtype=corner8f),  # [chunk, SLOTS + 1], see `kernels.older_cuts.SLOTS`
+    found_out: wp.array2d(dtype=lanes8),  # [eight elements, row], see `DISTANCE`
+    engaged_out: wp.array(dtype=wp.int32),  # [chunk], 1 with bone; must be 1 at the first launch
 ):
-    """Find the bone in front of one chunk of elements in a motion of unit speed.
-
-    All other values are set only for elements with a nonzero share.
-    """
+    """Find the bone in front of one chunk of elements."""
     chunk = wp.tid() + chunk_offset
     seen_out[chunk, SLOTS] = corner8f()
     travel = travel_of(motion, spacing)
-    meets = may_cut(elements, chunk, travel, spacing, brick_of, alive)
+    everywhere = motion[6, 0] != wp.float64(0.0)
     first = chunk * (CHUNK // LANES)
     last = wp.min(first + CHUNK // LANES, elements.lanes.shape[0])
+    turns = motion[6, 1] != wp.float64(0.0)
+    # The last eight elements may be fewer.
+    count = elements.edge_length.shape[0]
+    meets = may_cut(elements, chunk, travel, spacing, everywhere, brick_of, alive)
+    poses = Poses()
+    has_poses = int(0)
+    enough = wp.where(everywhere, NEAR, 0.0) * spacing + CLOSE
+    # Without bone now and before, all widths are 0 already.
+    if not meets and engaged_out[chunk] == 0:
+        last = first
+    engaged = int(0)
     for eight in range(first, last):
-        advances = advance_of(elements, eight, travel)
-        x = place_of(elements, eight, travel, 0)
-        y = place_of(elements, eight, travel, 1)
-        z = place_of(elements, eight, travel, 2)
-        for lane in range(LANES):
-            e = eight * LANES + lane
-            share_out[e] = 0.0
-            if meets and advances[lane] > travel.least:
-                at = wp.vec3(x[lane], y[lane], z[lane])
-                met = bone_met(
-                    tool,
-                    elements,
-                    motion,
-                    travel,
-                    spacing,
-                    brick_of,
-                    material,
-                    nearby,
-                    older,
-                    alive,
-                    e,
-                    at,
-                    seen_out,
-                    chunk,
-                )
-                share_out[e] = met.share
-                advance_out[e] = advances[lane]
-                layer_out[e] = met.layer
-                density_out[e] = met.density
+        width = lanes8()
+        distance = lanes8()
+        slope_x = lanes8()
+        slope_y = lanes8()
+        slope_z = lanes8()
+        layer = lanes8()
+        density = lanes8()
+        gap = lanes8()
+        cuts = int(0)
+        if meets:
+            advances = advance_of(elements, eight, travel)
+            x = place_of(elements, eight, travel, 0)
+            y = place_of(elements, eight, travel, 1)
+            z = place_of(elements, eight, travel, 2)
+            near = int(0)
+            for lane in range(LANES):
+                row, _ = remaining_voxel(brick_of, alive, wp.vec3(x[lane], y[lane], z[lane]))
+                if row >= 0 and (everywhere or advances[lane] > travel.least):
+                    near = 1
+            if near == 1:
+                if has_poses == 0:
+                    poses = poses_in_front(recent, elements, chunk, first, last, turns)
+                    has_poses = 1
+                gap = recently_cut(recent, elements, eight, turns, poses, enough)
+            lane = int(LANES) * (1 - near)
+            while lane < LANES and eight * LANES + lane < count:
+                if everywhere or advances[lane] > travel.least:
+                    met = bone_met(
+                        tool,
+                        elements,
+                        motion,
+                        travel,
+                        spacing,
+                        brick_of,
+                        material,
+                        nearby,
+                        older,
+                        alive,
+                        eight * LANES + lane,
+                        wp.vec3(x[lane], y[lane], z[lane]),
+                        gap[lane],
+                        everywhere,
+                        seen_out,
+                        chunk,
+                    )
+                    if met.width > 0.0:
+                        cuts = 1
+                        distance[lane] = met.distance
+                        slope_x[lane] = met.slope[0]
+                        slope_y[lane] = met.slope[1]
+                        slope_z[lane] = met.slope[2]
+                        width[lane] = met.width
+                        layer[lane] = float(met.layer)
+                        density[lane] = met.density
+                lane += 1
+        if cuts == 1:
+            engaged = 1
+            found_out[eight, DISTANCE] = distance
+            found_out[eight, SLOPE] = slope_x
+            found_out[eight, SLOPE + 1] = slope_y
+            found_out[eight, SLOPE + 2] = slope_z
+            found_out[eight, LAYER] = layer
+            found_out[eight, DENSITY] = density
+            set_strengths(
+                elements, coefficients, float(motion[6, 2]), eight, layer, density, found_out
+            )
+        found_out[eight, WIDTH] = width
+    engaged_out[chunk] = engaged
+
+
+@wp.func
+def set_strengths(
+    elements: Elements,
+    coefficients: Coefficients,
+    least: float,
+    eight: int,
+    layer: lanes8,
+    density: lanes8,
+    found: wp.array2d(dtype=lanes8),
+):
+    """Write the cutting coefficients of eight elements in their bone."""
+    minimum = lanes8()
+    chip_0 = lanes8()
+    chip_1 = lanes8()
+    chip_2 = lanes8()
+    edge_0 = lanes8()
+    edge_1 = lanes8()
+    edge_2 = lanes8()
+    for lane in range(LANES):
+        m = int(layer[lane])
+        e = wp.min(eight * LANES + lane, elements.edge_length.shape[0] - 1)
+        # of cutting edge, by the bone's strength [m]
+        length = elements.edge_length[e] * coefficients.strength[m, int(density[lane])]
+        chip = length * coefficients.chip[m]
+        edge = length * coefficients.edge[m]
+        chip_0[lane] = chip[0]
+        chip_1[lane] = chip[1]
+        chip_2[lane] = chip[2]
+        edge_0[lane] = edge[0]
+        edge_1[lane] = edge[1]
+        edge_2[lane] = edge[2]
+        minimum[lane] = wp.max(coefficients.size[m][1], least)
+    found[eight, CHIP] = chip_0
+    found[eight, CHIP + 1] = chip_1
+    found[eight, CHIP + 2] = chip_2
+    found[eight, EDGE] = edge_0
+    found[eight, EDGE + 1] = edge_1
+    found[eight, EDGE + 2] = edge_2
+    found[eight, MINIMUM] = minimum
+
+
+@wp.struct
+class Met:
+    """Bone in front of an element, see `DISTANCE`."""
+
+    distance: wp.float32
+    slope: wp.vec3
+    width: wp.float32
+    layer: wp.int32
+    density: wp.float32
+
+
+@wp.func
+def bone_met(
+    tool: Revolution,
+    elements: Elements,
+    motion: wp.array2d(dtype=wp.float64),
+    travel: Travel,
+    spacing: float,
+    brick_of: wp.array3d(dtype=wp.int32),
+    material: wp.array2d(dtype=wp.uint32),
+    nearby: wp.array2d(dtype=wp.uint16),
+    older: wp.array2d(dtype=wp.uint16),
+    alive: wp.array(dtype=wp.uint64),
+    e: int,
+    at: wp.vec3,
+    gap: float,
+    everywhere: bool,
+    seen: wp.array2d(dtype=corner8f),
+    chunk: int,
+):
+    """Find the bone in front of an element at ``at`` [voxel]."""
+    met = Met()
+    row, column = remaining_voxel(brick_of, alive, at)
+    # An element that will not reach the bone within this tick is left out.
+    margin = wp.where(everywhere, NEAR, 0.0)
+    if row >= 0 and gap < margin * spacing + CLOSE:
+        bone = bone_at(brick_of, material, nearby, row, column, at)
+        normal = elements.normal[e]
+        outward = (normal[0] * travel.ex + normal[1] * travel.ey + normal[2] * travel.ez) * spacing
+        width = float(1.0)
+        distance = float(-1.0)
+        slope = wp.vec3()
+        # -2 stands for deeper bone, without a slope.
+        if bone.distance > -1.9:
+            tangent = bone.slope - wp.dot(bone.slope, outward) * outward
+            width = wp.min(wp.length(tangent) * wp.sqrt(elements.area[e]) / spacing, WIDEST)
+            width = wp.max(width, NARROWEST)
+            distance = bone.distance
+            slope = spacing * wp.vec3(
+                wp.dot(bone.slope, travel.ex),
+                wp.dot(bone.slope, travel.ey),
+                wp.dot(bone.slope, travel.ez),
+            )
+        if distance < 0.5 * width + margin:
+            left = bone_left(
+                tool,
+                motion,
+                travel.axis,
+                brick_of,
+                older,
+                row,
+                column,
+                at,
+                outward,
+                elements.bend[e],
+                seen,
+                chunk,
+            )
+            # The surface that lies deeper decides. Half of the element is engaged where older cuts
+            # have left a quarter of `RAMP`, so that rounding leaves no bone on their surface.
+            passed = 0.25 * RAMP - left
+            if passed * width > distance * RAMP:
+                distance = passed
+                slope = -normal
+                width = RAMP
+            if gap > CLOSE and gap > distance * spacing:
+                distance = gap / spacing
+                slope = -normal
+                width = CLOSE / spacing
+            if distance < 0.5 * width + margin:
+                met.distance = distance * spacing
+                met.width = width * spacing
+                met.slope = slope
+                met.layer = bone.layer
+                met.density = wp.floor(wp.min(bone.density + 0.5, float(DENSITIES - 1)))
+    return met
+
+
+@wp.struct
+class Poses:
+    """Range of the last poses."""
+
+    first: wp.int32
+    last: wp.int32  # and one more
+
+
+@wp.func
+def poses_in_front(
+    recent: wp.array2d(dtype=wp.float32),
+    elements: Elements,
+    chunk: int,
+    first: int,
+    last: int,
+    turns: bool,
+):
+    """Return the range of last poses that may have cut farther than the present pose.
+
+    A pose counts if the tool lay in front of the present pose there, for the normal of some element
+    of the chunk. A tool that advances has no such poses in front of it.
+    """
+    poses = Poses()
+    poses.last = recent.shape[0]
+    if not turns:
+        cone = elements.chunk_cone[chunk]
+        axis = wp.vec3(cone[0], cone[1], cone[2])
+        # The normals differ from the cone's axis by a vector of this length at most.
+        differ = float(2.0)
+        if cone[3] <= 1.0:
+            differ = wp.sqrt(2.0 - 2.0 * wp.sqrt(1.0 - cone[3] * cone[3])) + 1.0e-5
+        half = float(0.0)
+        for eight in range(first, last):
+            half = wp.max(half, 0.5 * wp.max(elements.curvature[eight]))
+        present = wp.vec3(recent[0, 0], recent[0, 1], recent[0, 2])
+        curved = half * wp.dot(present, present)
+        poses.first = recent.shape[0]
+        poses.last = 0
+        for j in range(recent.shape[0]):
+            moved = wp.vec3(recent[j, 0], recent[j, 1], recent[j, 2]) - present
+            reached = wp.dot(moved, axis) + wp.length(moved) * differ + curved
+            if reached > 0.5 * CLOSE:
+                poses.first = wp.min(poses.first, j)
+                poses.last = j + 1
+    return poses
+
+
+@wp.func
+def recently_cut(
+    recent: wp.array2d(dtype=wp.float32),
+    elements: Elements,
+    eight: int,
+    turns: bool,
+    poses: Poses,
+    enough: float,
+):
+    """Return how far the tool has cut in front of eight elements at its last poses [m].
+
+    It is 0 for elements in front of which the present pose has cut farthest. Once it is more than
+    ``enough`` for all eight, the other poses are left out.
+    """
+    gap = lanes8()
+    if poses.first >= poses.last:
+        return gap
+    nx = elements.lanes[eight, 3]
+    ny = elements.lanes[eight, 4]
+    nz = elements.lanes[eight, 5]
+    half = 0.5 * elements.curvature[eight]
+    present = cut_at(recent, elements, eight, 0, nx, ny, nz, half, turns)
+    most = present
+    j = poses.first
+    while j < poses.last:
+        end = wp.min(j + CHECKED, poses.last)
+        while j < end:
+            most = wp.max(most, cut_at(recent, elements, eight, j, nx, ny, nz, half, turns))
+            j += 1
+        # Elements in front of which all has been cut are not asked for more.
+        if wp.min(most - present) > CLOSE and wp.min(most) > enough:
+            j = poses.last
+    for lane in range(LANES):
+        if most[lane] - present[lane] > CLOSE:
+            gap[lane] = most[lane]
+    return gap
+
+
+@wp.func
+def cut_at(
+    recent: wp.array2d(dtype=wp.float32),
+    elements: Elements,
+    eight: int,
+    j: int,
+    nx: lanes8,
+    ny: lanes8,
+    nz: lanes8,
+    half: lanes8,
+    turns: bool,
+):
+    """Return how far the tool has cut in front of eight elements at one of its last poses [m]."""
+    mx = recent[j, 0]
+    my = recent[j, 1]
+    mz = recent[j, 2]
+    risen = lanes8()
+    across = mx * nx + my * ny + mz * nz
+    square = lanes8(mx * mx + my * my + mz * mz)
+    if turns:
+        # Up to second order of the rotation w, an element at p with normal n moves by w x p, and
+        # the surface at its new place rises by (w x n) . (w x p / 2 + moved). The rotation about
+        # the tool's axis is left out.
+        px = elements.lanes[eight, 0]
+        py = elements.lanes[eight, 1]
+        pz = elements.lanes[eight, 2]
+        wx = recent[j, 3]
+        wy = recent[j, 4]
+        x = wy * pz
+        y = -wx * pz
+        z = wx * py - wy * px
+        risen = wp.cw_mul(wy * nz, 0.5 * x + lanes8(mx)) - wp.cw_mul(wx * nz, 0.5 * y + lanes8(my))
+        risen += wp.cw_mul(wx * ny - wy * nx, 0.5 * z + lanes8(mz))
+        x += lanes8(mx)
+        y += lanes8(my)
+        z += lanes8(mz)
+        across = wp.cw_mul(x, nx) + wp.cw_mul(y, ny) + wp.cw_mul(z, nz)
+        square = wp.cw_mul(x, x) + wp.cw_mul(y, y) + wp.cw_mul(z, z)
+    return across - wp.cw_mul(half, square - wp.cw_mul(across, across)) + risen
+
+
+@wp.func
+def remaining_voxel(
+    brick_of: wp.array3d(dtype=wp.int32), alive: wp.array(dtype=wp.uint64), at: wp.vec3
+):
+    """Return row and column of the voxel at a point [voxel].
+
+    The row is -1 where the voxel's block of eight has no bone left.
+    """
+    ix = int(wp.floor(at[0]))
+    iy = int(wp.floor(at[1]))
+    iz = int(wp.floor(at[2]))
+    row = voxel_row(brick_of, ix, iy, iz)
+    column = voxel_column(ix, iy, iz)
+    if row >= 0:
+        left = alive[row] >> wp.uint64(column >> 3)
+        if (left & wp.uint64(1)) == wp.uint64(0):
+            row = -1
+    return row, column

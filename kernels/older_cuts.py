@@ -1,13 +1,12 @@
-"""Test whether an older cut has removed the bone at a point of the tool's surface.
+"""Length of bone in front of the tool's surface that older cuts have left.
 
-The test is of second order in the voxel size.
+The length is of second order in the voxel size.
 
-Every voxel keeps its centre's distance to older cuts, without the present pass (see
-:mod:`kernels.carving`). The difference between this distance and the distance to the present tool
-is interpolated between voxel centres. It is 0 where both are the same surface, for any curvature,
-and negative where the older cut lies deeper. A swept volume is straight along its path and the tool
-is not. Along the path the difference therefore curves like the tool, and plain interpolation lies
-below it. Lengths are in voxels.
+Every voxel keeps its centre's distance to older cuts (see :mod:`kernels.carving`). The difference
+between this distance and the distance to the present tool is interpolated between voxel centres. It
+is 0 where both are the same surface, for any curvature, and negative where the older cut lies
+deeper. A swept volume is straight along its path and the tool is not. Along the path the difference
+therefore curves like the tool, and plain interpolation lies below it. Lengths are in voxels.
 """
 
 import warp as wp
@@ -16,15 +15,15 @@ from kernels.bricks import Cell, cell_of, corner8f, corner8i, corners_of
 from kernels.carving import EDGE, corner_offset, distance_at
 from kernels.revolution import Nearest, Revolution, nearest_on, offset_from
 
-__all__ = ["SLOTS", "taken_before"]
+__all__ = ["RAMP", "SLOTS", "bone_left"]
 
 wp.set_module_options({"enable_backward": False})
 
 NEVER = wp.constant(65535)  # stored where the tool has not come near
 CLEAR = wp.constant(0.9)  # more than a voxel's centre is from any point in it
-# an older cut this little short of the tool's surface is the same surface
-SLACK = wp.constant(0.002)
-ROUGH = wp.constant(0.04)  # more than the errors of tables and tangent spheres, and SLACK, together
+# length of bone up to an older cut over which the share of an element that cuts rises to 1 [voxel]
+RAMP = wp.constant(0.01)
+ROUGH = wp.constant(0.05)  # more than the errors of tables and tangent spheres, and RAMP, together
 FARTHEST = wp.constant(2.0)  # a difference larger than this counts as this
 SLOTS = 64
 """Number of 2 x 2 x 2 blocks whose distances to the present tool a chunk of elements keeps.
@@ -36,11 +35,10 @@ NOWHERE = wp.constant(-1.0e9)  # index of no block
 
 
 @wp.func
-def taken_before(
+def bone_left(
     tool: Revolution,
     pose: wp.array2d(dtype=wp.float64),
     axis: wp.vec3,
-    heading: wp.vec3,
     brick_of: wp.array3d(dtype=wp.int32),
     older: wp.array2d(dtype=wp.uint16),
     row: int,
@@ -51,17 +49,19 @@ def taken_before(
     seen: wp.array2d(dtype=corner8f),
     chunk: int,
 ):
-    """Return whether an older cut has removed the bone at ``point`` on the tool's surface.
+    """Return the length [voxel] of bone in front of ``point`` on the tool's surface.
 
+    It is the distance from the tool's surface to that of older cuts, limited to `FARTHEST`, and
+    negative where an older cut lies deeper. Without an older cut nearby it is `FARTHEST`.
     The point lies in the voxel at ``row`` and ``column``. The tool's normal there is ``outward``,
     of length 1. The tool's curvature there is ``bend``, see `Revolution`.
     """
     kept = int(older[row, column])
     distance = kept_distance(kept)
     if kept == NEVER or distance > CLEAR:
-        return False
+        return FARTHEST
     if distance < -CLEAR:
-        return True
+        return -FARTHEST
     cell = cell_of(point)
     part = cell.inside
     corners = corners_of(brick_of, cell, row)
@@ -82,9 +82,10 @@ def taken_before(
             kept_distance(stored[c]) - wp.dot(outward, away), -FARTHEST, FARTHEST
         )
         counted += weight[c]
-    # Had the tool no curvature this would be the sum below, which is larger by 0.75 bend at most.
-    if tool.convex == 1 and bend < EDGE and wp.abs(flat) > ROUGH + 1.2 * bend:
-        return flat < 0.0
+    # Without curvature of the tool this would be the length below, which is larger by 0.75 bend at
+    # most.
+    if tool.convex == 1 and bend < EDGE and wp.abs(flat) > (ROUGH + 1.2 * bend) * counted:
+        return flat / counted
     now = tool_distances(tool, pose, axis, cell, seen, chunk)
     total = float(0.0)
     least = float(FARTHEST)
@@ -97,8 +98,8 @@ def taken_before(
             most = wp.max(most, difference)
     # The bend is zero if all corners differ by an equal amount, for example at the end of an older
     # cut to which the tool has returned.
-    bent = wp.min(bend_below(bend, heading, part), 0.5 * (most - least))
-    return total < (SLACK - bent) * counted
+    bent = wp.min(bend_below(bend, outward, part), 0.5 * (most - least))
+    return total / counted + bent
 
 
 @wp.func
@@ -170,15 +171,16 @@ def tool_distances(
 
 
 @wp.func
-def bend_below(bend: float, heading: wp.vec3, part: wp.vec3):
+def bend_below(bend: float, outward: wp.vec3, part: wp.vec3):
     """Compute how far linear interpolation lies below a surface that curves like the tool.
 
-    The curvature is taken along ``heading``, of length 1; the interpolation is between voxel
-    centres.
+    The surface curves along one direction in the tangent plane at right angles to ``outward``. This
+    direction is not known. The result is the mean over all of them, and wrong by itself at most.
+    The interpolation is between voxel centres.
     """
     if bend >= EDGE:
         return float(0.0)
     below = float(0.0)
     for k in range(3):
-        below += part[k] * (1.0 - part[k]) * heading[k] * heading[k]
-    return 1.5 * bend * below
+        below += part[k] * (1.0 - part[k]) * (1.0 - outward[k] * outward[k])
+    return 0.75 * bend * below

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from harness import machine, table
 
+from meshes.base.errors import InputError
 from tissue.evaluation.charts.measure import excerpt
 from tissue.evaluation.charts.settings import by_hand
 from tissue.scene.load import changed, load_scene, scene_names
@@ -27,6 +28,17 @@ from tissue.simulation.trace import TIMING_COLUMNS
 
 STAGES = tuple(name.removesuffix("_us") for name in TIMING_COLUMNS[1:])
 ADDED_RUNS, GAP_US = 3, 200.0
+SETTLED = 20
+"""Ticks in contact that are not counted: the first ones load code."""
+HEAD = (
+    "scene",
+    "script",
+    "by hand",
+    "simulated device, hand",
+    "added",
+    "without those",
+    "added, wall clock",
+)
 HANDED = {"prediction": "koopman-look-ahead", "perception": "population"}
 
 
@@ -40,7 +52,7 @@ def ran(scene: Scene) -> Run:
 
 def stages(run: Run) -> dict[str, float]:
     """Median of the tick and of each stage in contact [us], and the 99th percentile of the tick."""
-    touching = np.flatnonzero(run.trace["contact_mm2"] > 0.0)[20:]
+    touching = np.flatnonzero(run.trace["contact_mm2"] > 0.0)[SETTLED:]
     counted = touching if touching.size else np.arange(len(run.trace.rows))
     found = {
         name: float(np.median(run.timing[f"{name}_us"][counted])) for name in ("tick", *STAGES)
@@ -95,7 +107,14 @@ def least_us(scenes: Sequence[Scene]) -> list[np.ndarray]:
         for scene, runs in zip(scenes, found, strict=True):
             clocked = Clocked()
             run = simulate(scene, allow_unstable=True, observer=clocked)
-            touching = np.flatnonzero(run.trace["contact_mm2"] > 0.0)[20:]
+            touching = np.flatnonzero(run.trace["contact_mm2"] > 0.0)[SETTLED:]
+            if not touching.size:
+                raise InputError(
+                    "duration_s",
+                    f"include more than {SETTLED} ticks in contact",
+                    "fewer",
+                    "run longer",
+                )
             times = np.array([run.timing["tick_us"], clocked.ticks_us, clocked.device_us])
             runs.append(times[:, touching])
     for runs in found:
@@ -104,43 +123,52 @@ def least_us(scenes: Sequence[Scene]) -> list[np.ndarray]:
     return [np.min(runs, axis=0) for runs in found]
 
 
-def added(names: Sequence[str]) -> None:
-    """Print the time that a hand and its coupling add to a scripted scene.
+def row_added(name: str) -> tuple[str, ...]:
+    """Measure one scene by hand and by script, and return its row of the table."""
+    scene = load_scene(name)
+    by_script = [scene] * (scene.device is None)
+    both = [changed(by_hand(scene), HANDED), *by_script]
+    found = least_us([excerpt(each, {}, quick=True) for each in both])
+    hand = found[0]
+    # A wall is touched by a hand only, so that all of its time is added.
+    script = found[1] if by_script else np.zeros((3, 1))
+    cells = [
+        f"{np.median(each):.0f}, {np.percentile(each, 99):.0f}"
+        for each in (script[1], hand[1], hand[2])
+    ]
+    for whole, before in (
+        (hand[1], script[1]),
+        (hand[1] - hand[2], script[1]),
+        (hand[0], script[0]),
+    ):
+        added_us = np.percentile(whole, (50, 99)) - np.percentile(before, (50, 99))
+        cells.append(", ".join(f"{each:.0f}" for each in added_us))
+    if not by_script:
+        cells[0] = "none"
+    return (name, *cells)
 
-    A wall is touched by a hand only, so all of its time is shown.
+
+def added(names: Sequence[str]) -> None:
+    """Print the time that a hand and its coupling add to each scripted scene.
+
+    Each scene is printed as soon as it is measured, and all scenes as a table at the end. A scene
+    that cannot run does not stop the others.
     """
     rows = []
+    failed = []
     for name in names:
-        scene = load_scene(name)
         print(name, flush=True)
-        both = [changed(by_hand(scene), HANDED)] + [scene] * (scene.device is None)
-        hand, script = [
-            *least_us([excerpt(each, {}, quick=True) for each in both]),
-            np.zeros((3, 1)),
-        ][:2]
-        shown = (script[1], hand[1], hand[2])
-        cells = [f"{np.median(each):.0f}, {np.percentile(each, 99):.0f}" for each in shown]
-        for less, before in (
-            (hand[1], script[1]),
-            (hand[1] - hand[2], script[1]),
-            (hand[0], script[0]),
-        ):
-            cells.append(
-                ", ".join(
-                    f"{np.percentile(less, q) - np.percentile(before, q):.0f}" for q in (50, 99)
-                )
-            )
-        rows.append((name, *cells))
-    head = (
-        "scene",
-        "script",
-        "by hand",
-        "simulated device, hand",
-        "added",
-        "without those",
-        "added, wall clock",
-    )
-    print("\nMedian, 99 % of ticks in contact [us], processor time\n\n" + table(rows, head))
+        try:
+            rows.append(row_added(name))
+        except InputError as error:
+            failed.append(name)
+            print(f"  not measured: {error}", flush=True)
+            continue
+        shown = (f"{title} {cell}" for title, cell in zip(HEAD[1:], rows[-1][1:], strict=True))
+        print(f"  {'; '.join(shown)}", flush=True)
+    print("\nMedian, 99 % of ticks in contact [us], processor time\n\n" + table(rows, HEAD))
+    if failed:
+        raise SystemExit(f"not measured: {', '.join(failed)}")
 
 
 def main() -> None:

@@ -32,6 +32,7 @@ def ask(
     elements: Elements,
     motion: wp.array2d(dtype=wp.float64),
     spacing: float,
+    everywhere: bool,
     brick_of: wp.array3d(dtype=wp.int32),
     alive: wp.array(dtype=wp.uint64),
     advance_out: wp.array(dtype=float),
@@ -44,7 +45,14 @@ def ask(
     advance_out[e] = advances[e % LANES]
     for axis in range(3):
         place_out[e, axis] = place_of(elements, e / LANES, travel, axis)[e % LANES]
-    may_out[e] = wp.where(may_cut(elements, e / CHUNK, travel, spacing, brick_of, alive), 1, 0)
+    may = may_cut(elements, e / CHUNK, travel, spacing, everywhere, brick_of, alive)
+    may_out[e] = wp.where(may, 1, 0)
+
+
+def launch_ask(model, arrays, *, everywhere):
+    store = model.store
+    inputs = [model.elements, model.motion_rows, SPACING_M, everywhere, store.brick_of, store.alive]
+    wp.launch(ask, dim=len(arrays[0]), inputs=inputs, outputs=arrays, device="cpu")
 
 
 def layer_of_bone():
@@ -113,8 +121,7 @@ def test_an_element_s_advance_and_place_are_those_of_numpy():
         wp.zeros((count, 3), dtype=float),
         wp.zeros(count, dtype=int),
     ]
-    inputs = [model.elements, model.motion_rows, SPACING_M, model.store.brick_of, model.store.alive]
-    wp.launch(ask, dim=count, inputs=inputs, outputs=arrays, device="cpu")
+    launch_ask(model, arrays, everywhere=False)
     normal, arm = (
         shell.normals[:count] @ motion.rotation.T,
         shell.points_m[:count] @ motion.rotation.T,
@@ -124,6 +131,45 @@ def test_an_element_s_advance_and_place_are_those_of_numpy():
     assert arrays[1].numpy() == pytest.approx(
         (motion.tip_m + arm) / SPACING_M + 24, abs=SINGLE * 48
     )
+
+
+@pytest.mark.parametrize("everywhere", [False, True])
+def test_a_chunk_may_cut_where_an_element_advances_or_lies_close_to_bone(everywhere):
+    """A chunk may cut if it lies close to bone and, unless all sides count, one element advances.
+
+    The check is compared with all elements of the chunk. It may only be wrong on the safe side: by
+    the ball and the cone around the chunk, and by bricks of 0.8 mm and 2 voxels.
+    """
+    model = BoneModel(
+        layer_of_bone(),
+        Cutter(ball_burr(diameter_m=3e-3), 4, 500.0),
+        (cutting_coefficients("bone"),),
+    )
+    motion, shell = ToolMotion(speed_m_s=1e-3), model.shell
+    motion.tip_m[:] = (1e-4, -1e-4, -1.2e-3)
+    motion.heading[0] = (0.8, 0.0, -0.6)
+    model.take(motion)
+    count = len(shell.areas_m2)
+    arrays = [
+        wp.zeros(count, dtype=float),
+        wp.zeros((count, 3), dtype=float),
+        wp.zeros(count, dtype=int),
+    ]
+    launch_ask(model, arrays, everywhere=everywhere)
+    height = motion.tip_m[2] + shell.points_m[:, 2]
+    advances = (shell.normals @ motion.heading[0] > 0.0) | everywhere
+    in_bone = (height > -1.6e-3) & (height < -0.8e-3) & advances
+    beyond = 2.0 * model.shell_spacing_m + 0.8e-3 + 2.0 * SPACING_M
+    starts = np.arange(0, count, CHUNK)
+    may = np.maximum.reduceat(arrays[2].numpy(), starts)
+    assert (may == np.minimum.reduceat(arrays[2].numpy(), starts)).all()
+    assert (may >= np.maximum.reduceat(in_bone, starts)).all() and 3 < may.sum() < len(starts)
+    balls, cones = model.elements.chunk_ball.numpy(), model.elements.chunk_cone.numpy()
+    middle = motion.tip_m[2] + balls[:, 2]
+    far = np.abs(middle + 1.2e-3) > 0.4e-3 + balls[:, 3] + beyond
+    backward = cones[:, :3] @ motion.heading[0] + cones[:, 3] < 0.0
+    assert not may[far].any() and far.any() and backward.any()
+    assert not may[backward].any() or everywhere
 
 
 @pytest.mark.parametrize(

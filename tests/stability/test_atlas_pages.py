@@ -21,6 +21,7 @@ SPOILT = {
     "bad_tetrahedra": ("repaired_condition", "condition"),
     "cut_cells": ("scaled", "bare_scaled"),
     "contrast": ("multigrid_8", "plain"),
+    "held_tool": ("engine", "massless"),
     "trained_elsewhere": ("guarded", "bare"),
     "horizon": ("koopman", "kalman"),
     "lost_samples": ("guarded_at_end", "bare_at_end"),
@@ -30,6 +31,11 @@ SPOILT = {
 
 None stands for the column of the engine, negated.
 """
+
+
+def marks(page):
+    """Marks of the test of a page."""
+    return [pytest.mark.slow] if page.name in HEAVY else []
 
 
 def replaced(data, columns):
@@ -47,10 +53,7 @@ def replaced(data, columns):
 
 @pytest.mark.parametrize(
     "page",
-    [
-        pytest.param(each, id=each.name, marks=[pytest.mark.slow] if each.name in HEAVY else [])
-        for each in PAGES
-    ],
+    [pytest.param(each, id=each.name, marks=marks(each)) for each in PAGES],
 )
 def test_a_page_shows_its_boundary_and_how_the_engine_behaves(page):
     data = page.measure()

@@ -22,7 +22,7 @@ def stability(
 
     With a scene, the command reports whether its coupling is stable, and a map of stiffness against
     damping and delay. Without one, it makes the atlas, which has one page for every method and
-    shows where it fails. The atlas takes about two minutes.
+    shows where it fails. The atlas takes about three minutes.
 
     Parameters
     ----------

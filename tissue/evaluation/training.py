@@ -233,6 +233,7 @@ def _run(motion: HandMotion, tissue: TissueModel, ticks: int) -> tuple[Array, Ar
     have shape (n,).
     """
     tool = ToolMotion()
+    motion.meet(tissue)
     motion.begin(tool)
     tissue.place(tool)
     # columns: measured position, force, true position

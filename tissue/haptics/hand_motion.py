@@ -10,13 +10,18 @@ from tissue.haptics import hand_measures as at
 from tissue.haptics.device.device import Device, DeviceParameters, KnowsTruth, Sample
 from tissue.haptics.device.safe_device import SafeDevice
 from tissue.haptics.device.sample_guard import NewSamples, guard_of
-from tissue.haptics.loop.filters import ConstantAcceleration, DelayLine, ForceRange, LowPass
+from tissue.haptics.loop.filters import (
+    ConstantAcceleration,
+    DelayLine,
+    ForceRange,
+    LowPass,
+)
 from tissue.haptics.loop.sampled_loop import WallLoop
 from tissue.haptics.loop.vibration import PlayedForce
-from tissue.haptics.proxy.cutting_tool import CuttingTool
+from tissue.haptics.proxy.cutting_tool import CuttingTool, CutTissue
 from tissue.haptics.proxy.held_tool import HeldTool
 from tissue.haptics.renderer import PassivityObserver, PassivityRenderer, Renderer, TurningRenderer
-from tissue.models.tissue_model import TICK_S, Response, ToolMotion
+from tissue.models.tissue_model import TICK_S, Response, TissueModel, ToolMotion
 from tissue.motion.motion import Motion, matrix_of
 from tissue.motion.quaternion import UPRIGHT, Quaternion
 from tissue.prediction.predictor import Contact, Predictor, SeesContact
@@ -106,9 +111,10 @@ class HandMotion(Motion):
     Each tick has these steps:
 
     1. Validate the device sample.
-    2. Move the tool towards the device, as far as the tissue response of the last tick allows.
-    3. Compute the tissue response. A free tool that has entered the tissue is moved back within the
-       tick.
+    2. Move the tool towards the device. A tool that cuts is moved to the balance of its inertia,
+       its coupling and the tissue, any other tool as far as the response of the last tick allows.
+    3. Compute the tissue response. A free tool without inertia that has entered the tissue is moved
+       back within the tick.
     4. Render the force from the positions of device and tool.
     5. Apply prediction, low-pass, delay and perceptual scaling, then limit the force and its slew
        rate.
@@ -120,9 +126,8 @@ class HandMotion(Motion):
 
     Tool and device start at the same position. From there, the tool moves ``motion_scale`` metres
     for each metre of the device. With a device that plays torque, a rotational spring also couples
-    the tool to the device. The tissue torque of the last tick turns the tool. The rendered torque
-    passes low-pass and delay before it is played. The cutting speed due to rotation is not
-    modelled.
+    the tool to the device. The torque of the tissue turns the tool, for a tool that does not cut
+    that of the last tick. The rendered torque passes low-pass and delay before it is played.
 
     Parameters
     ----------
@@ -202,7 +207,10 @@ class HandMotion(Motion):
         self._fresh = True
         self._is_new = True
         self._sample: Sample | None = None
-        self._before, self._went, self._raw, self._torque, self._velocity = np.zeros((5, 3))
+        self._before, self._went, self._raw, self._torque = np.zeros((4, 3))
+        self._velocity, self._device_velocity = np.zeros((2, 6))
+        self._here = np.zeros(3)
+        self.observes = loop.observes
         self._both, self._rates = np.zeros((2, 6))
 
     @property
@@ -242,10 +250,17 @@ class HandMotion(Motion):
         turns = self._scripted.rotations()
         return turns if self._stray == 0.0 else np.concatenate([turns] * 5)
 
+    def meet(self, tissue: TissueModel) -> None:
+        """Let a tool that cuts move in a tissue."""
+        tissue = getattr(tissue, "milling", tissue)
+        if isinstance(self.tool, CuttingTool) and isinstance(tissue, CutTissue):
+            self.tool.meet(tissue, self._start)
+
     def begin(self, motion: ToolMotion) -> None:
         """Begin at the start of the scripted motion."""
         self._scripted.begin(motion)
-        motion.tangent_m_s = self.tool.tangent_m_s
+        if isinstance(self.tool, CuttingTool):
+            motion.balanced = self.tool.wrench
         self.measures[at.POSITION] = 1e3 * motion.tip_m
 
     def happened(self) -> list[tuple[float, str]]:
@@ -263,32 +278,28 @@ class HandMotion(Motion):
         self._sample = None
         if sample is None:
             motion.speed_m_s = 0.0
-            motion.tangent_m_s = self.tool.tangent_m_s
             self._velocity[:] = 0.0
+            self.tool.rest()
             return
         self._sample = sample
         self._is_new = self._samples.is_new(sample, time_s)
+        self._observe(sample)
         if self._fresh:
             self._before[:] = self.tool.tip_m
             self._follow(sample, response, motion)
 
     def correct(self, response: Response, motion: ToolMotion) -> bool:
-        """Move a free tool that has entered the tissue to its force balance.
-
-        A tool that moves against resistance also takes its balanced speed.
-        """
-        if self._sample is None or not self.tool.lands(response, motion.heading[0]):
+        """Move a free tool that has entered the tissue to its force balance."""
+        if self._sample is None or not self.tool.lands(response):
             return False
-        arrived = self.tool.tip_m.copy()
         self._follow(self._sample, response, motion)
-        if self.tool.driven:
-            self._set_speed(motion, (self.tool.tip_m - arrived) / self._step)
         return True
 
     def _follow(self, sample: Sample, response: Response, motion: ToolMotion) -> None:
         """Move the tool towards the device."""
-        device = self._scale * np.array(sample.position_m) + self._shift
-        tip = self.tool.follow(device, sample.quaternion, response, motion.heading[0], self._step)
+        device = self._scale * self._here + self._shift
+        velocity = self._device_velocity
+        tip = self.tool.follow(device, sample.quaternion, velocity, response, self._step)
         self._went[:] = (tip - self._before) / self._step
         motion.tip_m[:] = tip
         # Most tools never turn: the matrix is computed only after a change.
@@ -296,6 +307,23 @@ class HandMotion(Motion):
             self._turned = self.tool.quaternion
             motion.rotation[:] = matrix_of(np.array(self._turned)) @ self._start
         self._set_speed(motion, self._went)
+
+    def _observe(self, sample: Sample) -> None:
+        """Take the position and the velocity of the device from a sample.
+
+        In front of a tool that cuts, both are estimated by the loop's filter.
+        """
+        self._here[:] = sample.position_m
+        velocity = self._device_velocity
+        velocity[:3] = sample.velocity_m_s
+        velocity[3:] = sample.spin_rad_s
+        if self.observes and self._speeds is not None:
+            # A slower device repeats its last sample. Repeated samples would count as rest.
+            if self._is_new:
+                self._rates[:3] = self._speeds.step(self._here)
+            self._here[:] = self._speeds.position
+            velocity[:3] = self._rates[:3]
+        velocity[:3] *= self._scale
 
     def play(self, response: Response) -> None:
         """Command the force that answers the sample of this tick."""
@@ -335,7 +363,7 @@ class HandMotion(Motion):
                 )
                 compressed = compressed or squeezed
             self.observer.observe(here)
-            row[at.POSITION] = 1e3 * here
+            row[at.POSITION] = 1e3 * np.array(sample.position_m)
             row[at.QUATERNION] = sample.quaternion
             row[at.FILTERED_FORCE] = filtered
             row[self._person] = self._played.measures
@@ -385,18 +413,17 @@ class HandMotion(Motion):
 
     def _render(self, sample: Sample) -> tuple[Array, Array]:
         """Update the rendered force; return the device position and velocity."""
-        both = self._both
-        both[:3] = here = np.array(sample.position_m)
-        both[3:] = tip = (self.tool.tip_m - self._shift) / self._scale
-        if self._speeds is not None:
-            # A slower device repeats its last sample. Repeated samples would count as rest.
+        here = self._here
+        tip = (self.tool.tip_m - self._shift) / self._scale
+        speed = self._device_velocity[:3] / self._scale
+        went = self._went / self._scale
+        if self._speeds is not None and not self.observes:
             if self._is_new:
-                self._rates = self._speeds.step(both)
+                self._both[:3] = here
+                self._both[3:] = tip
+                self._rates[:] = self._speeds.step(self._both)
             speed = self._rates[:3]
             went = self._rates[3:]
-        else:
-            speed = np.array(sample.velocity_m_s)
-            went = self._went / self._scale
         if self._fresh:
             self._raw = self._contact.render(here, speed, tip, went, self._step)
         return here, speed
@@ -422,15 +449,12 @@ class HandMotion(Motion):
 
         Both follow from the force balance, or are estimated for a tool that follows the device.
         """
-        self._velocity += self._smoothing * (went_m_s - self._velocity)
-        velocity = self._velocity
-        heading = self._velocity
-        if self.tool.driven:
-            velocity = went_m_s
-            heading = self.tool.heading
-        size = sqrt(heading.dot(heading))
+        if isinstance(self.tool, CuttingTool):
+            velocity = self.tool.velocity
+        else:
+            self._velocity[:3] += self._smoothing * (went_m_s - self._velocity[:3])
+            velocity = self._velocity
+        size = sqrt(velocity[:3].dot(velocity[:3]))
         if size > 0.0:
-            motion.heading[0] = heading / size
-        motion.speed_m_s = sqrt(velocity.dot(velocity))
-        motion.tangent_m_s = max(motion.speed_m_s, self.tool.tangent_m_s)
-        motion.push[:] = self.tool.push
+            motion.heading[:] = (velocity / size).reshape(2, 3)
+        motion.speed_m_s = size

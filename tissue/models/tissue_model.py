@@ -60,9 +60,9 @@ class ToolMotion:
     pressed
         Share of the edge force that holds a tool at rest against the bone, 0 (no pressure) to 1
         (about to cut).
-    push
-        Force [N] and torque [N m] on a resting tool that the bone balances in full, shape (6,);
-        zero for a tool on a prescribed path, for which only `pressed` is known.
+    balanced
+        Force [N] and torque about the tip [N m] of the bone on a tool that has been moved to its
+        balance, shape (6,); None for a tool whose motion does not depend on them.
     """
 
     tip_m: Array = field(default_factory=lambda: np.zeros(3))
@@ -71,7 +71,7 @@ class ToolMotion:
     speed_m_s: float = 0.0
     tangent_m_s: float | None = None
     pressed: float = 0.0
-    push: Array = field(default_factory=lambda: np.zeros(6))
+    balanced: Array | None = None
 
 
 @dataclass

@@ -11,7 +11,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from tissue.models.tissue_model import Response, ToolMotion
+from tissue.models.tissue_model import Response, TissueModel, ToolMotion
 from tissue.motion.quaternion import OFF_UNIT, of_matrix
 
 __all__ = [
@@ -85,6 +85,10 @@ class Motion(Protocol):
     def rotations(self) -> Array:
         """Return the rotations from tool to world at the points of `sweep_m`, shape (n, 3, 3)."""
         ...
+
+    def meet(self, tissue: TissueModel) -> None:
+        """Take the tissue through which the tool moves, before the start."""
+        return
 
     def begin(self, motion: ToolMotion) -> None:
         """Write the pose and the direction of motion at the start into ``motion``, at rest."""

@@ -414,9 +414,9 @@ def _number(row: dict[str, str], name: str, line: int, where: _File) -> float:
     return value
 
 
-COLUMNS = 13
-"""Columns of a pose: tick, tip [m], axis, and rate of the pose over speed (linear, angular)."""
-FORMAT = 1
+COLUMNS = 7
+"""Columns of a pose: tick, tip [m], axis."""
+FORMAT = 2
 """Version of the file of poses."""
 
 
@@ -468,7 +468,7 @@ def read_poses(path: Path) -> tuple[Array, Array, float]:
     return poses, origin, spacing
 
 
-def poses_of_trace(tips_m: Array, axes: Array, velocities: Array) -> Array:
+def poses_of_trace(tips_m: Array, axes: Array) -> Array:
     """Build the poses of a run from its trace, where the file of poses is missing.
 
     The shape of the bone is then accurate to the distance that a tool moves between two cuts.
@@ -477,12 +477,8 @@ def poses_of_trace(tips_m: Array, axes: Array, velocities: Array) -> Array:
     ----------
     tips_m, axes
         Tip [m] and axis of the tool at every tick, shape (n, 3).
-    velocities
-        Velocity of the tip [m/s] and angular velocity [rad/s], shape (n, 6).
     """
-    speed = np.linalg.norm(velocities[:, :3], axis=1, keepdims=True)
-    heading = np.divide(velocities, speed, out=np.zeros_like(velocities), where=speed > 0.0)
-    poses = np.column_stack([np.arange(len(tips_m)), tips_m, axes, heading])
+    poses = np.column_stack([np.arange(len(tips_m)), tips_m, axes])
     return (
         # The pose before tick 0 is the start of the first cut.
         np.vstack([np.append(-1.0, poses[0, 1:]), poses]) if len(poses) else np.zeros((0, COLUMNS))

@@ -68,12 +68,11 @@ class PoseLog:
         row[0] = tick
         row[1:4] = motion.tip_m
         row[4:7] = motion.rotation[:, 2]
-        row[7:].reshape(2, 3)[:] = motion.heading
         self._count += 1
 
     @property
     def poses(self) -> Array:
-        """Poses so far, shape (n, 13): tick, tip [m], axis, headings of tip and pose."""
+        """Poses so far, shape (n, 7): tick, tip [m], axis."""
         return self._rows[: self._count]
 
 
@@ -129,6 +128,7 @@ class Stepper:
 
         With `resume` the tissue continues from a loop that ended there.
         """
+        self._motion.meet(self._tissue)
         self._motion.begin(self.tool)
         if not resume:
             self._tissue.place(self.tool)

@@ -59,16 +59,19 @@ class Watched:
         self.speeds.clear()
 
 
+@pytest.mark.parametrize("name", ["wall", "milling"])
 @pytest.mark.parametrize("dated", [True, False])
 @pytest.mark.parametrize("rate_Hz", [*RATES_HZ, 700])
-def test_the_velocity_of_a_ramp_is_its_slope(at_rate, rate_Hz, dated):
+def test_the_velocity_of_a_ramp_is_its_slope(at_rate, rate_Hz, dated, name):
     """The velocity of a ramp is its slope.
 
     The law gets the velocities of device and tool in every tick, and the tool moves at that speed
-    on average.
+    on average. A slow device repeats its samples, which must not count as rest, also in front of
+    the position observer of a tool that cuts.
     """
     slope = -0.08
-    motion = held(**at_rate(rate_Hz))
+    motion = held(name, **at_rate(rate_Hz))
+    assert motion.observes == (name == "milling")
     motion.device = Sampled(lambda time_s: 0.1 + slope * time_s, rate_Hz, dated=dated)
     law = motion._contact = Watched()
     tool_speeds = []
@@ -78,8 +81,13 @@ def test_the_velocity_of_a_ramp_is_its_slope(at_rate, rate_Hz, dated):
             tool_speeds.append(tool.speed_m_s * tool.heading[0, 2])
             return super().respond(tool)
 
-    meet(motion, Free(), 0.4)
-    np.testing.assert_allclose(law.speeds[-20:], slope, rtol=1e-6)
+    meet(motion, Free(), 0.6)
+    device_speeds, law_speeds = np.array(law.speeds[-100:]).T
+    np.testing.assert_allclose(device_speeds, slope, rtol=1e-5)
+    # The observed position is held between the samples of a slow device. A tool with inertia
+    # follows these steps with a ripple of 9 % of its speed.
+    steps = name == "milling" and rate_Hz < 1000
+    np.testing.assert_allclose(law_speeds, slope, rtol=0.12 if steps else 1e-6)
     assert np.mean(tool_speeds[-140:]) == pytest.approx(slope, rel=1e-3)
 
 

@@ -102,7 +102,7 @@ def press(held, bone, motion, path, quaternion=UPRIGHT):
     """Lead the device along positions; the last response."""
     response = Response.empty(1)
     for device in path:
-        motion.tip_m[:] = held.follow(np.asarray(device), quaternion, response, DOWN, STEP_S)
+        motion.tip_m[:] = held.follow(np.asarray(device), quaternion, np.zeros(6), response, STEP_S)
         response = bone.respond(motion)
     return response
 

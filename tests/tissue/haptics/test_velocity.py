@@ -1,4 +1,4 @@
-"""Velocity from encoder steps: filter in closed form, and its delay in the judge of stability."""
+"""Filter of positions from encoder steps: closed forms, and its delay in the stability judge."""
 
 from dataclasses import replace
 
@@ -7,15 +7,23 @@ import pytest
 from hand_steps import meet
 from quiet_press import LIMITS, PERSON, check_ripple, quiet_press
 
-from tissue.haptics.device.device import device_parameters
-from tissue.haptics.loop.critical_stiffness import judge
+from tissue.haptics.device.device import DeviceParameters, device_parameters
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands, judge
 from tissue.haptics.loop.filters import (
+    OBSERVER_MEMORY,
     VELOCITY_MEMORY,
     ConstantAcceleration,
     constant_acceleration_map,
 )
 from tissue.haptics.loop.forecast import Forecast
-from tissue.haptics.loop.sampled_loop import ForecastMemory, SampledVelocity
+from tissue.haptics.loop.sampled_loop import (
+    ForecastMemory,
+    SampledVelocity,
+    WallLoop,
+    loop_matrix,
+)
+from tissue.haptics.loop.stability_map import measured_critical_N_m
 from tissue.models.tissue_model import WallModel
 
 TICK = 1e-3
@@ -55,6 +63,98 @@ def test_a_constant_acceleration_has_no_delay_and_a_pause_forgets():
     np.testing.assert_allclose(found, [2e-6 * 399 / TICK, 3e-3], rtol=1e-9)
     estimate.pause()
     assert not estimate.step(np.array([7.0, 7.0])).any()
+
+
+@pytest.mark.parametrize("memory", [0.5, 0.9])
+def test_the_observed_position_is_that_of_the_parabola(memory):
+    """The observed position has no delay for a constant acceleration, and lags behind a jump.
+
+    After a step of the device, the estimate rises by 1 - memory^3 in the first sample. It then
+    passes the new position and returns to it.
+    """
+    observer = ConstantAcceleration(memory, step_s=TICK)
+    for tick in range(400):
+        observer.step(np.array([1e-6 * tick**2, 3e-6 * tick]))
+    np.testing.assert_allclose(observer.position, [1e-6 * 399**2, 3e-6 * 399], rtol=1e-9)
+    observer.pause()
+    found = []
+    for place in (0.0, *[1.0] * 400):
+        observer.step(np.array([place]))
+        found.append(float(observer.position[0]))
+    assert found[0] == 0.0 and found[1] == pytest.approx(1.0 - memory**3, rel=1e-12)
+    assert 1.0 < max(found) < 1.4 and found[-1] == pytest.approx(1.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("model_ticks", [1, 3])
+@pytest.mark.parametrize("damping", [0.0, 0.3])
+def test_the_map_of_an_observed_loop_is_what_the_loop_does(damping, model_ticks):
+    """The map of an observed loop is the loop, over 30 ticks of a device in closed form.
+
+    The loop has a delay of 2.4 ticks and a low-pass. Position and velocity are those of the
+    observer.
+    """
+    loop = WallLoop(
+        mass_kg=0.05,
+        damping_N_s_m=0.1,
+        stiffness_N_m=300.0,
+        wall_damping_N_s_m=damping,
+        velocity_memory=0.9,
+        observes=True,
+        delay_s=2.4e-3,
+        filter_s=2e-3,
+        model_ticks=model_ticks,
+    )
+    state = np.zeros(len(loop_matrix(loop)))
+    state[1] = 0.01
+    for _ in range(30 // model_ticks):
+        state = loop_matrix(loop) @ state
+    device = SimulatedDevice(
+        DeviceParameters(mass_kg=0.05, damping_N_s_m=0.1, transport_delay_s=2.4e-3), substeps=1
+    )
+    device.translation.velocity = (0.0, 0.0, 0.01)
+    observer, force, filtered = ConstantAcceleration(0.9, step_s=TICK), 0.0, 0.0
+    for tick in range(31):
+        depth = device.read(TICK * tick).position_m[2]
+        speed = observer.step(np.array([depth]))[0]
+        if tick % model_ticks == 0:
+            force = -300.0 * observer.position[0] - damping * speed
+        filtered += (1.0 - np.exp(-0.5)) * (force - filtered)
+        device.command((0.0, 0.0, filtered), (0.0, 0.0, 0.0))
+    assert depth == pytest.approx(state[0], rel=1e-10)
+
+
+def test_the_judged_stiffness_falls_with_the_memory_of_the_observer():
+    """The judged stiffness falls with the memory of the observer.
+
+    With the memory 0 the observer passes the position on, and the loop is that without observer. Up
+    to 0.6 the observer changes the critical stiffness by at most 1.3 %. Then it falls, to a half at
+    0.9. Running loops have the same critical stiffness.
+    """
+    plain = LIMITS.loop(1.0, filter_s=1e-3)
+    memories = (0.0, 0.3, 0.6, 0.8, 0.85, 0.9, 0.95)
+    loops = [replace(plain, velocity_memory=each, observes=True) for each in memories]
+    held = [in_hands(each, [PERSON.grip[:3]])[0] for each in loops]
+    critical = [critical_stiffness_N_m(each) for each in held]
+    print(dict(zip(memories, np.round(critical), strict=True)))
+    assert critical[0] == pytest.approx(
+        critical_stiffness_N_m(in_hands(plain, [PERSON.grip[:3]])[0]), rel=1e-4
+    )
+    assert critical[:3] == pytest.approx([critical[0]] * 3, rel=0.02)
+    assert (np.diff(critical[2:]) < 0.0).all()
+    assert critical[5] == pytest.approx(0.49 * critical[0], rel=0.02)
+    for loop, expected in zip(held[4:6], critical[4:6], strict=True):
+        assert measured_critical_N_m([loop]) == pytest.approx([expected], rel=0.01)
+
+
+@pytest.mark.parametrize(("share", "settles"), [(0.95, True), (1.05, False)])
+def test_the_whole_loop_with_an_observer_is_stable_up_to_the_stiffness_that_is_judged(
+    share, settles
+):
+    """The whole loop with an observer is stable up to the stiffness that is judged."""
+    free = replace(LIMITS.loop(1.0, filter_s=1e-3), velocity_memory=OBSERVER_MEMORY, observes=True)
+    loop = free.with_stiffness(share * judge(free, [PERSON.grip[:3]]).critical_N_m)
+    _, measures, _ = meet(quiet_press(loop, margin=1.0 - share), WallModel(1e6, radius_m=5e-3), 2.0)
+    check_ripple(measures, settles=settles)
 
 
 @pytest.mark.parametrize(("share", "settles"), [(0.95, True), (1.05, False)])

@@ -87,11 +87,10 @@ def test_a_loop_gives_what_a_scene_gives():
     played = scene.trace.vectors("device_force", "N")
     assert np.abs(played).max() > 0.3
     error, size = np.abs(loop.trace.vectors("device_force", "N") - played), np.abs(played).max()
-    # Another origin of the voxels moves float32, and with it single ticks of a tool that is in
-    # balance with what it cuts. The hand-held tool amplifies such differences: 1.0 % (RMS), 13 % in
-    # single ticks and 3.1 % of the removed volume were measured.
-    assert np.sqrt((error**2).mean()) < 0.02 * size and error.max() < 0.2 * size
-    assert loop.trace["removed_mm3"][-1] == pytest.approx(scene.trace["removed_mm3"][-1], rel=0.05)
+    # Another origin of the voxels changes the rounding of positions in single precision. Measured:
+    # 0.004 % (RMS), 0.017 % in single ticks, and 0.12 % of the removed volume.
+    assert np.sqrt((error**2).mean()) < 1e-4 * size and error.max() < 4e-4 * size
+    assert loop.trace["removed_mm3"][-1] == pytest.approx(scene.trace["removed_mm3"][-1], rel=2e-3)
 
 
 def test_steps_and_runs_are_the_same_and_leave_the_device_at_zero():

@@ -77,16 +77,13 @@ def test_a_trace_alone_gives_the_bone_within_what_the_tool_goes_between_two_cuts
     kind, run = cut
     trace = run.trace
     axes = tool_axes(np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"]))
-    velocities = np.hstack(
-        [1e-3 * trace.vectors("velocity", "mm_s"), trace.vectors("angular_velocity", "rad_s")]
-    )
     again = Run(
         run.scene,
         run.parts,
         trace,
         run.timing,
         events=[],
-        poses=poses_of_trace(1e-3 * trace.vectors("tool", "mm"), axes, velocities),
+        poses=poses_of_trace(1e-3 * trace.vectors("tool", "mm"), axes),
     )
     bone = again.replay().at(len(trace.rows) - 1)
     # 20 µm of a voxel of 0.5 mm are 10 steps of 255; in a binary voxel it is all or nothing.

@@ -1,6 +1,7 @@
 """Stability atlas: regions where a method fails, one page each."""
 
 from tissue.evaluation.atlas.bone_tooth import Contrast, CutCells, ExplicitCutting
+from tissue.evaluation.atlas.held_tool import HeldTool
 from tissue.evaluation.atlas.organs import BadTetrahedra, LargeRotation, Locking
 from tissue.evaluation.atlas.page import Page
 from tissue.evaluation.atlas.prediction import Horizon, TrainedElsewhere
@@ -19,6 +20,7 @@ PAGES: tuple[Page, ...] = (
     BadTetrahedra(),
     CutCells(),
     Contrast(),
+    HeldTool(),
     TrainedElsewhere(),
     Horizon(),
     LostSamples(),

@@ -53,6 +53,8 @@ class WallLoop:
     velocity_memory
         Memory of the filter for v, see `constant_acceleration_map`. With None, v is the difference
         of positions between model steps, and between ticks for a forecast.
+    observes
+        True if the position estimated by this filter replaces x.
     tick_s
         Time between two forces at the device [s]. For a device that is slower than the loop, time
         between its samples.
@@ -80,6 +82,7 @@ class WallLoop:
     stiffness_N_m: float
     wall_damping_N_s_m: float = 0.0
     velocity_memory: float | None = None
+    observes: bool = False
     tick_s: float = TICK_S
     delay_s: float = 0.0
     model_ticks: int = 1
@@ -193,13 +196,14 @@ def loop_matrix(loop: WallLoop) -> Array:
     model = np.zeros(state.shape[1])
     for tick in range(loop.model_ticks):
         speed = velocity.step(plant[0])
+        place = velocity.state[0] if loop.observes else plant[0]
         if tick == 0:
             moved = (plant[0] - before) / (loop.tick_s * loop.model_ticks)
-            model = -loop.stiffness_N_m * plant[0] - loop.wall_damping_N_s_m * (
+            model = -loop.stiffness_N_m * place - loop.wall_damping_N_s_m * (
                 moved if speed is None else speed
             )
             before = plant[0]
-        filtered = filtered + gain * (seen.predict(plant[0], speed, model, tick) - filtered)
+        filtered = filtered + gain * (seen.predict(place, speed, model, tick) - filtered)
         envelope = envelope + follows * (filtered - envelope)
         queue.append(filtered + np.repeat(factors[tick], size) * envelope.sum(axis=0))
         for matrix, back in steps:

@@ -135,12 +135,13 @@ def growth_while_running(
     with np.errstate(over="ignore", invalid="ignore"):
         for n in range(ticks):
             speed = velocity.step(plant[0])
+            place = velocity.state[0] if first.observes else plant[0].copy()
             phase = n % first.model_ticks
             if phase == 0:
                 moved = (plant[0] - before) / (tick * first.model_ticks)
-                force = -stiffnesses_N_m * plant[0] - damping * (moved if speed is None else speed)
+                force = -stiffnesses_N_m * place - damping * (moved if speed is None else speed)
                 before = plant[0].copy()
-            predicted = seen.predict(plant[0].copy(), speed, force, phase)
+            predicted = seen.predict(place, speed, force, phase)
             filtered = filtered + gain * (predicted - filtered)
             envelope = envelope + follows * (filtered - envelope)
             shaken = first.vibration.factor(n) if first.vibration else 0.0

@@ -1,324 +1,236 @@
-"""Quasi-static force balance of a cutting tool coupled to a haptic device."""
+"""Tool with inertia that cuts, coupled to a haptic device by a spring and a damper."""
 
-from math import sqrt
+from math import inf, pi, sqrt
+from typing import Protocol, runtime_checkable
 
 import numpy as np
+from scipy.linalg.lapack import dgesv
 
 from meshes.base.arrays import Array
-from tissue.haptics.proxy.held_tool import FADE, HeldTool, HeldTurn
+from tissue.haptics.proxy.held_tool import HeldTool, HeldTurn
 from tissue.models.tissue_model import Response
-from tissue.motion.quaternion import Quaternion
+from tissue.motion.motion import matrix_of
+from tissue.motion.quaternion import Quaternion, exponential, product, turn_between
 
-__all__ = ["CuttingTool"]
+__all__ = ["CutTissue", "CuttingTool"]
 
-LEAST_N = 1e-3
-LEAST_N_s_m = 1.0
-"""Force [N] and resistance [N s/m] below which both count as zero."""
-LEAST_M = 2e-7
-"""Motion per tick below which a tool counts as resting [m].
+NATURAL_Hz = 40.0
+"""Natural frequency of the tool on its spring [Hz]; it sets the mass of the tool.
 
-So close to the previous cut surface, the voxels do not resolve the engagement of the tool.
+At 28 kN/m, as in reaming, the mass is 0.44 kg; handpieces have 0.05 to 0.5 kg. At 0.4 kN/m it is 6
+g. With 40 and 80 Hz, errors by encoder steps are equal; with 160 Hz and more, those of milling grow
+by half.
 """
-TANGENT_M_S = 1e-3
-"""Lowest speed at which the cutting force is linearised [m/s].
+DAMPING_RATIO = 1.0
+"""Ratio of the damper to that of a critically damped tool in free space."""
+GYRATION_M = 0.05
+"""Radius of gyration of the tool about its tip [m], of a rod of 0.09 m; assumed."""
+LEVER_M = np.array([1.0, 1.0, 1.0, GYRATION_M, GYRATION_M, GYRATION_M])
+TOLERANCE = 1e-6
+"""Largest residual of the balance, relative to the force that drives the tool.
 
-The edge force of a slower burr is partial. At rest it is zero, with a steep derivative. Such a
-tangent does not show the force that starts a motion, and its memory slows the tool afterwards. On
-three runs of milling, a shift of the device path by 1 nm changes the force by 18 to 54 % with the
-tangent at the tool's own speed, and by 10 to 21 % with this speed. Before the edge force was
-partial, the change was 9 to 20 %.
+It is the rounding of forces in single precision.
 """
-CONE = 0.3
-"""Tangential over normal pull below which a resting tool presses and does not slide.
+LEAST_N = 1e-4
+"""Residual that is always accepted [N]."""
+MOST_STEPS = 24
+"""Largest number of evaluations of the force in a tick."""
+SLOW = 1e-6
+"""Velocity at which Newton's method starts again, relative to that of a free tool."""
+SHORTEST = 1e-4
+"""Share of a Newton step below which a point is accepted."""
 
-The direction of the felt resistance is the normal. The value is Coulomb's coefficient of metal on
-bone, see `tissue.haptics.proxy.probing_tool`.
-"""
-PRESS = 0.02
-"""Share per tick by which the direction of motion of a pressing tool turns to the pull.
 
-A tool that slides again after the next encoder step of its device, in about 10 ms, keeps its
-direction.
-"""
-VISCOUS = 30.0
-"""Resistance over stiffness and step above which slow motion does not count as rest."""
-CAREFUL_M = 5e-6
-"""Longest motion of a tool in its first tick [m]; each further motion is at most twice as long.
+@runtime_checkable
+class CutTissue(Protocol):
+    """Tissue whose force on a tool is known for any velocity."""
 
-Material cut in another direction is free up to its surface, and full bone a micrometre behind it.
-"""
-TOO_MUCH = 1.2
-"""Ratio of cutting force to spring pull above which the balance is solved again.
+    def find_bone(self, tip_m: Array, rotation: Array) -> None:
+        """Find the bone around the whole tool at a pose."""
 
-Both differ by the changes within a tick.
-"""
-SMALL_RAD = 5e-3
-"""Turn of the direction of motion below which a force change is attributed to the position."""
-LARGE_RAD = 0.1
-"""Turn of the direction of motion above which the tissue is evaluated again before the tool moves.
-
-It is half the width of a shallow cut.
-"""
-STEADY = 0.2
-"""Share of a torque change that is applied to the spring of rotation in a tick.
-
-The torque jumps when the tool rests and starts again, which is unrelated to its rotation.
-"""
-SLOWLY = 0.9
-"""Factor per tick by which a remembered slope decays after a smaller slope."""
-DAMPED = 6.0
-"""Slope of the resistance in a Newton step, relative to the measured slope.
-
-The motion multiplied by it turns with the direction of motion. Among values from 1 to 12, a reamer
-does not vibrate in its seat with this value, and milling does not turn too late.
-"""
-SMOOTH_S = 0.2
-"""Smoothing time of the tool velocity for the damper [s].
-
-On three milling runs and one caries run, the forces with the true and with the measured device
-positions differ by 15 and 6 % on average. With 0.07 s they differ by 18 and 5 %, with 0.6 s by 13
-and 8 %. A damper to the device velocity gives 11 and 12 %. However, a tenth of the tissue force
-would then not be felt while a tool is slowed.
-"""
-NEAREST = 0.2
-"""Smallest share of the pull along the direction of motion that remains after a turn."""
+    def forces(
+        self, velocity: Array, before: Array, step_s: float, *, unknowns: int
+    ) -> tuple[Array, Array]:
+        """Return the tangent of force and torque on the tool at a velocity."""
 
 
 class CuttingTool(HeldTool):
-    """Tool in a tissue that yields only to cutting, such as bone.
+    """Tool with inertia in a tissue that yields only to cutting, such as bone.
 
-    In a step T, the tip moves by s u. Spring and cutting force balance as vectors at its end::
+    In a step T, the velocity v of the tip satisfies::
 
-        k (x_device - x - s u) + b (V - s u / T) = E(u) + C(u) s / T,    s >= 0
+        m (v - v_before) / T = k (x_device - x - T v) + b (v_device - v) + F(v)
 
-    E is the edge force and C the resistance of the tissue for the unit direction of motion u. They
-    are the tangent of the cutting force at the speed of the tool, at least at `TANGENT_M_S`. The
-    damper b acts on the difference from the tool's own smoothed velocity V. It is zero at a steady
-    speed or at rest. Without the damper, a spinning tool, whose edge force acts across its motion,
-    moves erratically on its spring, and any difference grows.
+    F is the force of the tissue in this step, a Lipschitz function of the velocity. Its elements
+    are found once, at the pose that the tool would reach with its present velocity. Newton's method
+    solves the balance. The force is differentiable except at kinks, where it has a slope on each
+    side (semi-smooth).
 
-    Along the direction of motion, the balance is implicit in s, for resistances up to 1e5 N s/m.
-    Below the edge force, the tool rests. The tissue then balances the spring in full. The edge
-    torque is scaled by the share of the edge force that the spring pulls. Across this direction,
-    the unknown is the direction itself. A cutter that leans into the tissue is pushed out of it. A
-    small turn therefore changes the force far more than the motion of a tick changes the spring
-    force. The force residual r across turns the direction by one Newton step per tick, also at
-    rest::
-
-        u' ~ u + r / S,    S = |dE/du| + (6 |dC/du| / T + k + b / T) s
-
-    The slopes are the changes of E and C with the last directions, at least E and C themselves per
-    radian. A larger slope is used at once, a smaller one gradually. Before a large turn, or if the
-    pull points away from the evaluated direction, the tool waits and the tissue is evaluated again
-    within the tick. No step is longer than the stretch along its direction. The spring therefore
-    gives energy to the tool and never takes any. Against resistance, no step is longer than twice
-    the last one.
-
-    The felt resistance is stored as a vector and fades over some ticks of motion. All of it acts on
-    motion straight ahead, and it does not act on motion straight back. The tip then moves to the
-    device, and the remaining stretch fades at the same rate. A device with encoder steps therefore
-    does not jump between air and bone.
+    For a device that plays torque, the angular velocity is a further unknown, with the moment of
+    inertia about the tip, the spring of rotation and its damper. For any other device, the tool
+    turns with the device.
 
     Parameters
     ----------
     stiffness_N_m, tip_m, turn
         See `HeldTool`.
-    damping_N_s_m
-        Coefficient of the damper, in the tissue's newtons [N s/m].
+
+    Attributes
+    ----------
+    mass_kg
+        Mass of the tool at its tip [kg].
+    velocity
+        Velocity of the tip [m/s] and angular velocity [rad/s], shape (6,).
+    wrench
+        Force [N] of the tissue and its torque about the tip [N m] in the last step, shape (6,).
+    steps
+        Evaluations of the force in the last step.
     """
 
-    tangent_m_s = TANGENT_M_S
-
-    def __init__(
-        self,
-        stiffness_N_m: float,
-        tip_m: Array,
-        turn: HeldTurn | None = None,
-        *,
-        damping_N_s_m: float = 0.0,
-    ) -> None:
+    def __init__(self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None) -> None:
         super().__init__(stiffness_N_m, tip_m, turn)
-        self._damping = damping_N_s_m
-        self._speed_m_s = np.zeros(3)
-        self._again = False
-        self._moved_m = np.zeros(3)
-        self._felt = np.zeros((2, 3))
-        self._last = np.zeros((2, 3))
-        self._asked = np.zeros(3)
-        self._slopes = [0.0, 0.0]
-        self._left_m, self._twist_Nm, self._torque_Nm = np.zeros((3, 3))
-        self._gone_m = self._pull_N = 0.0
-        self._asks = False
-        self._before_m = 0.0
+        self.mass_kg = stiffness_N_m / (2.0 * pi * NATURAL_Hz) ** 2
+        self.velocity = np.zeros(6)
+        self.wrench = np.zeros(6)
+        self.steps = 0
+        self._tissue: CutTissue | None = None
+        self._start = np.eye(3)
+
+    def meet(self, tissue: CutTissue, rotation: Array) -> None:
+        """Put the tool, with its first orientation from tool to world, into a tissue."""
+        self._tissue = tissue
+        self._start = rotation.copy()
+
+    def rest(self) -> None:
+        """Stop the tool where it is."""
+        self.velocity[:] = 0.0
+        self.wrench[:] = 0.0
 
     def follow(
-        self, device_m: Array, device: Quaternion, response: Response, heading: Array, step_s: float
+        self,
+        device_m: Array,
+        device: Quaternion,
+        velocity: Array,
+        response: Response,
+        step_s: float,
     ) -> Array:
-        """Solve the balance along the direction of motion, move, and turn by the residual."""
-        self._torque_Nm += STEADY * (response.wrench[3:] - self._torque_Nm)
-        self._turn.follow(device, self._torque_Nm if self.driven else response.wrench[3:])
-        # [N], [N/m]
-        resisted = np.array((response.edge[:3], response.resistance[:3])) * (
-            (-1.0,),
-            (-1.0 / step_s,),
-        )
-        sizes = self._feel(resisted, response.edge[3:], heading)
-        stretch = device_m - self.tip_m
+        """Move a step towards the device, and return the tip."""
         spring = self.stiffness_N_m
-        damping = self._damping / step_s
-        pull = spring * stretch + self._damping * self._pace_m_s(step_s)
-        asked = self._asks
-        self._asks = False
-        self.push[:] = self._pull_N = self._gone_m = 0.0
-        self.driven = sizes[0] > LEAST_N or sizes[1] * step_s > LEAST_N_s_m
-        if not self.driven:
-            self._let_go(stretch)
-            return self.tip_m
-        along = float(stretch.dot(heading))
-        if along < 0.0:
-            self.heading = stretch / sqrt(stretch.dot(stretch))
-            return self._wait(stretch, not asked)
-        edge, drag = np.maximum(np.maximum(resisted @ heading, self._felt @ heading), 0.0).tolist()
-        step = max(float(pull.dot(heading)) - edge, 0.0) / (spring + damping + drag)
-        # A motion straight back meets no resistance and may be long.
-        if float(self._felt[0].dot(heading)) >= 0.0 or resisted.any():
-            step = min(step, max(2.0 * self._before_m, CAREFUL_M))
-        across = pull - resisted[0] - step * resisted[1]
-        across -= float(across.dot(heading)) * heading
-        missing = sqrt(across.dot(across))
-        slope = (
-            max(self._slopes[0], sizes[0])
-            + (DAMPED * max(self._slopes[1], sizes[1]) + spring + damping) * step
+        turning = self._turn.stiffness_Nm_rad
+        mass = self.mass_kg
+        inertia = mass * GYRATION_M**2
+        damping = 2.0 * DAMPING_RATIO * sqrt(mass * spring)
+        before = self.velocity.copy()
+        left = np.array(turn_between(self._turn.quaternion, device))
+        driving = np.zeros(6)
+        driving[:3] = (
+            mass / step_s * before[:3] + spring * (device_m - self.tip_m) + damping * velocity[:3]
         )
-        # At most one radian, where no slope is known yet.
-        self.heading = _turned(heading, across / (max(slope, missing) or 1.0), stretch)
-        step = min(step, _furthest(stretch, self.heading, self._moved_m))
-        if (step < LEAST_M and drag < VISCOUS * spring) or step == 0.0:
-            if self._presses(stretch):
-                towards = heading + PRESS * (stretch / sqrt(stretch.dot(stretch)) - heading)
-                self.heading = towards / sqrt(towards.dot(towards))
-            return self._wait(stretch, False)
-        if missing > LARGE_RAD * slope and not asked:
-            return self._wait(stretch, True)
-        self.tip_m += step * self.heading
-        self._moved_m = self._moved_m + step * self.heading
-        self._left_m = device_m - self.tip_m
-        self._gone_m = step
-        self._before_m = step
-        self._pull_N = float(pull.dot(self.heading)) - (spring + damping) * step
+        held = np.full(6, mass / step_s + spring * step_s + damping)
+        if turning == inf:
+            unknowns = 3
+            before[3:] = left / step_s
+        else:
+            unknowns = 6
+            twisting = 2.0 * DAMPING_RATIO * sqrt(inertia * turning)
+            driving[3:] = inertia / step_s * before[3:] + turning * left + twisting * velocity[3:]
+            held[3:] = inertia / step_s + turning * step_s + twisting
+        turned = product(exponential(tuple(step_s * before[3:])), self._turn.quaternion)
+        if self._tissue is not None:
+            self._tissue.find_bone(
+                self.tip_m + step_s * before[:3], matrix_of(np.array(turned)) @ self._start
+            )
+        found = self._balance(driving, held, before, step_s, unknowns)
+        self.velocity = found
+        self.tip_m += step_s * found[:3]
+        self._turn.quaternion = (
+            device
+            if turning == inf
+            else product(exponential(tuple(step_s * found[3:])), self._turn.quaternion)
+        )
         return self.tip_m
 
-    def lands(self, response: Response, heading: Array) -> bool:
-        """Return whether the cut requires another evaluation within the tick.
-
-        It does if the cutting force exceeds the pull of the spring, or a new direction was
-        requested. Material that has been cut is not restored.
-        """
-        force = response.wrench[:3]
-        # A free tool may land on bone from any side.
-        met = -float(force.dot(heading)) if self.driven else sqrt(force.dot(force))
-        moved = self._gone_m > 0.0 or not self.driven
-        self._again = self._asks or (moved and met > TOO_MUCH * self._pull_N + LEAST_N)
-        return self._again
-
-    def _pace_m_s(self, step_s: float) -> Array:
-        """Return the smoothed velocity of the tool [m/s].
-
-        A second evaluation in a tick does not change it.
-        """
-        if not self._again:
-            if self.driven:
-                self._speed_m_s += min(step_s / SMOOTH_S, 1.0) * (
-                    self._moved_m / step_s - self._speed_m_s
-                )
-            else:
-                self._speed_m_s[:] = 0.0
-            self._moved_m = np.zeros(3)
-        self._again = False
-        return self._speed_m_s
-
-    def _feel(self, resisted: Array, twist_Nm: Array, heading: Array) -> list[float]:
-        """Store the resistance and its change with direction; return its sizes [N], [N/m]."""
-        turned = heading - self._asked
-        square = float(turned.dot(turned))
-        # One over the turn, but zero for a turn well below SMALL_RAD.
-        share = sqrt(square) / (square + SMALL_RAD**2)
-        changed = resisted - self._last
-        # A tool that rests against a pull has not left the tissue: what it felt does not fade. A
-        # stretch of twice the smallest motion is no pull.
-        held = float(self.push.dot(self.push)) > (LEAST_N + 2.0 * self.stiffness_N_m * LEAST_M) ** 2
-        keep = 1.0 if held else FADE
-        sizes = [0.0, 0.0]
-        for i in range(2):
-            self._slopes[i] = max(
-                share * sqrt(changed[i].dot(changed[i])), SLOWLY * self._slopes[i]
-            )
-            now = sqrt(resisted[i].dot(resisted[i]))
-            before = keep * sqrt(self._felt[i].dot(self._felt[i]))
-            sizes[i] = max(now, before)
-            self._felt[i] = resisted[i] if now >= before else keep * self._felt[i]
-            if i == 0 and now >= before:
-                np.negative(twist_Nm, out=self._twist_Nm)
-        self._asked = heading.copy()
-        self._last = resisted
-        return sizes
-
-    def _wait(self, stretch: Array, asks: bool) -> Array:
-        """Rest, held by the spring, and return the tip."""
-        self._asks = asks
-        self._left_m = stretch
-        # A tool that has rested starts with a careful step.
-        if not asks:
-            self._before_m = 0.0
-        np.multiply(stretch, self.stiffness_N_m, out=self.push[:3])
-        edge = self._felt[0]
-        square = float(edge.dot(edge))
-        if square > 0.0:
-            self.push[3:] = (
-                min(max(float(self.push[:3].dot(edge)) / square, 0.0), 1.0) * self._twist_Nm
-            )
-        return self.tip_m
-
-    def _presses(self, stretch: Array) -> bool:
-        """Return whether the pull lies in the friction cone around the felt resistance.
-
-        A tool on bone does not slide within this cone.
-        """
-        edge = self._felt[0]
-        normal = float(stretch.dot(edge))
-        return normal > 0.0 and (1.0 + CONE**2) * normal**2 > float(stretch.dot(stretch)) * float(
-            edge.dot(edge)
-        )
-
-    def _let_go(self, stretch: Array) -> None:
-        """Move to the device, except for a fading rest of the stretch."""
-        # The rest is dropped once the device has moved back over it, or its force is negligible.
-        left = FADE * self._left_m
-        if (
-            float((stretch - left).dot(left)) < 0.0
-            or self.stiffness_N_m * sqrt(left.dot(left)) < LEAST_N
-        ):
-            left = np.zeros(3)
-        self.tip_m += stretch - left
-        self._left_m = left
+    def _balance(
+        self, driving: Array, held: Array, before: Array, step_s: float, unknowns: int
+    ) -> Array:
+        """Return the velocity at which ``held v = driving + F(v)``, and set `wrench`."""
+        free = slice(unknowns)
+        velocity = before.copy()
+        self.wrench[:] = 0.0
+        if self._tissue is not None:
+            # An angular velocity counts by the speed at the radius of gyration.
+            lever = LEVER_M[free]
+            accepted = TOLERANCE * sqrt(driving.dot(driving)) + LEAST_N
+            line = _Line(velocity[free])
+            is_slow = False
+            best = velocity
+            for count in range(1, MOST_STEPS + 1):
+                velocity[free] = line.tried
+                value, slopes = self._tissue.forces(velocity, before, step_s, unknowns=unknowns)
+                wrench = value + slopes.dot(line.tried)
+                missing = (driving[free] + wrench[free] - held[free] * line.tried) / lever
+                is_close = sqrt(missing.dot(missing)) <= accepted
+                self.steps = count
+                if is_close or line.accepts(missing):
+                    self.wrench[:] = wrench
+                    best = velocity.copy()
+                    if is_close:
+                        break
+                    matrix = (np.diag(held[free]) - slopes[free]) / lever[:, None]
+                    line.begin(matrix, missing)
+                elif not is_slow:
+                    # Near rest no edge force is full. A Newton step from there does not jump over
+                    # the ramp of an edge force, from which a step would jump back.
+                    is_slow = True
+                    line = _Line(SLOW * driving[free] / held[free])
+            if self.wrench.any():
+                # The momentum is balanced exactly by the force, which changes by the residual. A
+                # change of the velocity would change the force of the tissue far more.
+                self.wrench[free] = held[free] * best[free] - driving[free]
+                return best
+        velocity[free] = driving[free] / held[free]
+        return velocity
 
 
-def _turned(heading: Array, turn: Array, stretch: Array) -> Array:
-    """Return the turned direction, limited so that some of the stretch remains along it."""
-    along = float(heading.dot(stretch))
-    more = float(turn.dot(stretch))
-    if along + more < NEAREST * along:
-        turn = turn * ((NEAREST - 1.0) * along / more)
-    turned: Array = heading + turn
-    turned /= sqrt(turned.dot(turned))
-    return turned
+class _Line:
+    """Points along Newton steps, by the monotonicity test of Deuflhard (2004), algorithm NLEQ-ERR.
 
+    A point is accepted if the correction that the system at the start of the step asks for there is
+    shorter than the step. Otherwise a shorter step is tried.
 
-def _furthest(stretch: Array, heading: Array, moved: Array) -> float:
-    """Return the longest step s for which the spring pulls along the whole motion of a tick.
-
-    The condition is (stretch - s u) . (moved + s u) >= 0.
+    Attributes
+    ----------
+    tried
+        Next point to evaluate, shape (n,).
     """
-    more = float(stretch.dot(heading)) - float(moved.dot(heading))
-    # The larger root of the quadratic equation.
-    return 0.5 * (more + sqrt(more * more + 4.0 * max(float(stretch.dot(moved)), 0.0)))
+
+    def __init__(self, start: Array) -> None:
+        self.tried = start.copy()
+        self._start = start
+        self._system = np.zeros((0, 0))
+        self._step = np.zeros(0)
+        self._share = 0.0
+
+    def begin(self, matrix: Array, missing: Array) -> None:
+        """Begin a Newton step at the accepted point, with the system there and its residual."""
+        self._start = self.tried
+        self._system = matrix
+        *_, self._step, _ = dgesv(matrix, missing)
+        # After a short step, the next one is at most four times as long.
+        self._share = min(1.0, 4.0 * self._share) if self._share > 0.0 else 1.0
+        self.tried = self._start + self._share * self._step
+
+    def accepts(self, missing: Array) -> bool:
+        """Return whether to accept the point with this residual; else set a shorter step."""
+        share = self._share
+        if share == 0.0:
+            return True
+        *_, left, _ = dgesv(self._system, missing)
+        size = sqrt(self._step.dot(self._step))
+        if left.dot(left) <= ((1.0 - 0.25 * share) * size) ** 2 or share < SHORTEST:
+            return True
+        bent = left - (1.0 - share) * self._step
+        guess = 0.5 * size * share * share / sqrt(bent.dot(bent))
+        self._share = min(max(guess, 0.1 * share), 0.5 * share)
+        self.tried = self._start + self._share * self._step
+        return False

@@ -1,4 +1,4 @@
-"""Quasi-static force balance of a tool coupled to a haptic device by a spring."""
+"""Tool coupled to a haptic device by a spring, and its quasi-static balance on soft tissue."""
 
 from abc import ABC, abstractmethod
 from math import inf, sqrt
@@ -107,26 +107,12 @@ class HeldTool(ABC):
     ----------
     tip_m
         Position of the tip [m], shape (3,).
-    push
-        Force [N] and torque [N m] on a driven tool at rest, without the load of the tissue, shape
-        (6,); otherwise zero.
-    driven
-        True if the last motion was made against resistance, with its own speed and direction.
-    heading
-        Unit direction of motion of a driven tool, or its intended direction at rest, shape (3,).
-    tangent_m_s
-        Lowest speed at which the tissue linearises its force [m/s].
     """
-
-    tangent_m_s = 0.0
 
     def __init__(self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None) -> None:
         self._turn = turn or HeldTurn()
         self.stiffness_N_m = stiffness_N_m
         self.tip_m = np.array(tip_m, dtype=float)
-        self.driven = False
-        self.heading = np.zeros(3)
-        self.push = np.zeros(6)
 
     @property
     def quaternion(self) -> Quaternion:
@@ -135,19 +121,29 @@ class HeldTool(ABC):
 
     @abstractmethod
     def follow(
-        self, device_m: Array, device: Quaternion, response: Response, heading: Array, step_s: float
+        self,
+        device_m: Array,
+        device: Quaternion,
+        velocity: Array,
+        response: Response,
+        step_s: float,
     ) -> Array:
         """Move a step towards the device [m], and return the tip.
 
-        ``response`` is the last tissue response, evaluated for the unit direction ``heading``.
+        ``velocity`` is the smoothed velocity of the device [m/s] and its spin [rad/s], shape (6,).
+        ``response`` is the last response of the tissue.
         """
 
-    @abstractmethod
-    def lands(self, response: Response, heading: Array) -> bool:
+    def lands(self, response: Response) -> bool:
         """Return whether the response at the new position requires another step within the tick.
 
-        It does if the tool has engaged more material than the last response had shown.
+        It does if a free tool has entered the tissue.
         """
+        return False
+
+    def rest(self) -> None:
+        """Stop the tool where it is."""
+        return
 
 
 class PressingTool(HeldTool):
@@ -170,7 +166,12 @@ class PressingTool(HeldTool):
         self._before_N = np.zeros(3)
 
     def follow(
-        self, device_m: Array, device: Quaternion, response: Response, heading: Array, step_s: float
+        self,
+        device_m: Array,
+        device: Quaternion,
+        velocity: Array,
+        response: Response,
+        step_s: float,
     ) -> Array:
         """Take a Newton step of the balance."""
         self._turn.follow(device, response.wrench[3:])
@@ -196,7 +197,7 @@ class PressingTool(HeldTool):
             tip[:] = device_m
         return tip
 
-    def lands(self, response: Response, heading: Array) -> bool:
+    def lands(self, response: Response) -> bool:
         """Return whether a free tool has entered the tissue."""
         return self._free and any(response.wrench[:3].tolist())
 

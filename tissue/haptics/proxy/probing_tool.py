@@ -60,7 +60,12 @@ class ProbingTool(HeldTool):
         return self.proxy
 
     def follow(
-        self, device_m: Array, device: Quaternion, response: Response, heading: Array, step_s: float
+        self,
+        device_m: Array,
+        device: Quaternion,
+        velocity: Array,
+        response: Response,
+        step_s: float,
     ) -> Array:
         """Move as close to the device as the contacts allow, and return the tip."""
         assert self.proxy is not None, "a probing tool must meet something first"
@@ -69,10 +74,6 @@ class ProbingTool(HeldTool):
         x, y, z, w = result.quaternion.tolist()
         self._turn.quaternion = x, y, z, w
         return self.tip_m
-
-    def lands(self, response: Response, heading: Array) -> bool:
-        """Return False, because the tool never enters a solid."""
-        return False
 
 
 class ProbedBone(FreeSpace):

@@ -17,8 +17,11 @@ from meshes.voxels.volume import VoxelVolume
 __all__ = ["BYTES_PER_VOXEL", "BrickGrid", "BrickStore", "voxels_of"]
 
 
-BYTES_PER_VOXEL = 12
-"""Bytes stored per voxel of a brick: remaining 2, swept 2, older 2, material 4, nearby 2."""
+BYTES_PER_VOXEL = 14
+"""Bytes stored per voxel of a brick.
+
+They are remaining 2, swept 2, middle 2, older 2, material 4 and nearby 2.
+"""
 NEVER_SWEPT = 65535
 """Stored distance of a voxel that the tool has never reached."""
 STEPS = FULL // 255
@@ -76,8 +79,8 @@ class BrickStore:
         Distance of each voxel's centre to the solid that the tool has swept, uint16, shape
         (capacity, 512).
     older
-        Distance to the solid of older cuts, uint16, shape (capacity, 512): before the tool last
-        came within reach, or turned.
+        Distance to the solid of older cuts, uint16, shape (capacity, 512): `swept` before the last
+        visit to which the tool had moved, see `kernels.carving`.
     material
         Density and layer before any cut in one word, uint32, shape (capacity, 512).
     nearby
@@ -100,7 +103,9 @@ class BrickStore:
         self.brick_of: Any = wp.full(grid.counts, -1, dtype=wp.int32, device=device)
         self._device = device
         self.remaining: Any = wp.empty((0, BRICK_VOXELS), wp.uint16, device)
-        self.swept, self.older, self.nearby = (wp.empty_like(self.remaining) for _ in range(3))
+        self.swept, self.middle, self.older, self.nearby = (
+            wp.empty_like(self.remaining) for _ in range(4)
+        )
         self.material: Any = wp.empty((0, BRICK_VOXELS), wp.uint32, device)
         self.alive: Any = wp.empty(0, wp.uint64, device)
         self.touched: Any = wp.empty(0, wp.uint8, device)
@@ -165,6 +170,7 @@ class BrickStore:
         rows = {
             "remaining": filled,
             "swept": never,
+            "middle": never,
             "older": never,
             "material": material,
             "nearby": nearby,

@@ -11,9 +11,21 @@ from typing import Any, Literal
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from kernels.bricks import BRICK, FULL
-from kernels.carving import BINARY, COUNT, EVERY_SIDE, FIRST, ORIGIN, PHASES, PLAN, TURNED, carve
+from kernels.carving import (
+    BINARY,
+    COUNT,
+    EVERY_SIDE,
+    FIRST,
+    MOVED,
+    ORIGIN,
+    PHASES,
+    PLAN,
+    TURNED,
+    carve,
+)
 from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror, put
 from kernels.revolution import Revolution
@@ -34,17 +46,18 @@ CARVE_LAG_M = 2.0e-5
 The force does not depend on when a brick was visited, see docs/decisions.md.
 """
 LONGEST_STEP_VOXELS = 0.5
-"""Longest step between two carvings; a faster tool is carved in parts of a tick.
+"""Longest step between two carvings; a faster tool is carved in parts of a tick."""
+OLDER_LAG_M = 2.5e-4
+"""Motion of the tool after which its cuts become older cuts [m]; chosen.
 
-Together with the lag it is less than `LONGEST_STEP` of `kernels.carving`.
+The last poses of the tool reach further back, see `tissue.models.bone.elements.RecentPoses`.
 """
 TURN = 0.9
-"""Share of the stored feed direction below which the tool counts as turned.
+"""Cosine of a change of direction from which on bone in front of the tool may be cut: 26 degrees.
 
-The share is the projection of the present feed direction on the direction stored at the last turn:
-26 degrees; chosen. Completing a cut at a turn takes 0.1 to 1.2 ms, see docs/performance.md.
+Chosen.
 """
-CHANGED = ("remaining", "swept", "older", "alive")
+CHANGED = ("remaining", "swept", "middle", "older", "alive")
 """Arrays of the brick store that carving changes and depends on."""
 WORKERS_CPU = 32
 WORKERS_GPU = 2048
@@ -60,16 +73,21 @@ class CarverState:
     bricks
         Device arrays of the brick store, by name.
     poses
-        Present pose, and pose at the last visit of every group of bricks, shape (1 + groups, 6).
-    heading
-        Feed direction at the last turn of the tool, shape (2, 3).
+        Present pose, pose at the last visit of every group of bricks, pose at which the cuts in it
+        last became older cuts, and the motion before that, shape (1 + 3 groups, 6).
+    marks
+        Travel since the cuts in each group of bricks became older cuts, negative [voxel], shape
+        (groups,).
+    turned
+        True for each group whose last motion was a change of direction, (groups,).
     counts
         Next group, number of visits due, number of groups not yet visited at the present pose.
     """
 
     bricks: dict[str, Any]
     poses: Array
-    heading: Array
+    marks: Array
+    turned: NDArray[np.bool_]
     counts: tuple[int, float, int]
 
 
@@ -121,6 +139,14 @@ class Carver:
         table = cutter.table(spacing_m=spacing)
         self.tool = _revolution(table, cutter.profile, device=device)
         self._lag = min(CARVE_LAG_M / spacing, 0.25)
+        self._older_lag = OLDER_LAG_M / spacing
+        # motion of the tool after its last change of direction
+        self._motions = np.zeros((PHASES, 6))
+        # travel of the tool so far, and where cuts became older cuts [voxel]
+        self._travelled = 0.0
+        self._marks = np.zeros(PHASES)
+        # True where the last motion was a change of direction
+        self._turned = np.zeros(PHASES, bool)
         # A turn moves the far end of the tool most.
         self._lever = max(abs(table.low), abs(table.high))
         self._next_group = 0
@@ -129,10 +155,9 @@ class Carver:
         self._first_group = int(np.rint(self._origin / (BRICK * spacing)).sum()) % PHASES
         self._debt = 0.0  # visits owed for the path so far
         self._behind = 0  # groups not visited at the present pose
-        self._heading = np.zeros((2, 3))
         self._now = np.zeros(6)
         workers = WORKERS_CPU if device == "cpu" else WORKERS_GPU
-        self._pose = Mirror((1 + PHASES, 6), dtype=wp.float64, device=device)
+        self._pose = Mirror((1 + 2 * PHASES, 6), dtype=wp.float64, device=device)
         self._plan = Mirror(PLAN, dtype=wp.int32, device=device)
         self._removed = Mirror((workers, layers), dtype=wp.int64, device=device)
         self._workers = workers
@@ -157,6 +182,7 @@ class Carver:
             outputs=[
                 store.remaining,
                 store.swept,
+                store.middle,
                 store.older,
                 store.alive,
                 store.touched,
@@ -169,7 +195,9 @@ class Carver:
     def place(self, motion: ToolMotion) -> None:
         """Carve all bone inside the tool at its first pose."""
         self._pose.host[:] = self._pose_of(motion)
-        self._heading[:] = motion.heading
+        self._motions[:] = 0.0
+        self._marks[:] = self._travelled
+        self._turned[:] = False
         self._visit(PHASES, every_side=True)
 
     def advance(self, motion: ToolMotion) -> None:
@@ -178,15 +206,8 @@ class Carver:
         A slow tool's carving is spread over ticks.
         """
         now = self._pose_of(motion)
-        moved = now - self._pose.host[0]
-        step = sqrt(moved[:3].dot(moved[:3])) + self._lever * sqrt(moved[3:].dot(moved[3:]))
-        if not self._heading.any():  # first move after `place`: there is no cut to complete
-            self._heading[:] = motion.heading
-        elif step > 0.0 and np.vdot(motion.heading, self._heading) < TURN * np.vdot(
-            self._heading, self._heading
-        ):
-            self._visit(PHASES, turned=True)  # first complete the cut on the old path
-            self._heading[:] = motion.heading
+        step = self._distance(now, self._pose.host[0])
+        self._travelled += step
         if step > LONGEST_STEP_VOXELS:
             self._sweep(now, parts=ceil(step / LONGEST_STEP_VOXELS))
         elif step > 0.0:
@@ -198,6 +219,17 @@ class Carver:
                 self._visit(groups)
         elif self._behind > 0:
             self._visit(1)  # the tool rests: carve the other bricks at its pose, one group a tick
+
+    def _distance(self, one: Array, other: Array) -> float:
+        """Return a bound of the distance [voxel] by which the tool's points move between poses."""
+        moved = one - other
+        return sqrt(moved[:3].dot(moved[:3])) + self._lever * sqrt(moved[3:].dot(moved[3:]))
+
+    def _turns(self, group: int, motion: Array) -> bool:
+        """Return whether the tool has left the direction after its last change of direction."""
+        before = self._motions[group]
+        travelled = self._travelled - self._marks[group]
+        return float(motion.dot(before)) <= TURN * travelled * sqrt(before.dot(before))
 
     def _pose_of(self, motion: ToolMotion) -> Array:
         """Return tip [voxel] and axis of a motion, in an array that the next call overwrites."""
@@ -226,8 +258,9 @@ class Carver:
         """Copy the state between two motions."""
         return CarverState(
             {name: wp.clone(getattr(self.store, name)) for name in CHANGED},
-            self._pose.host.copy(),
-            self._heading.copy(),
+            np.vstack([self._pose.host, self._motions]),
+            self._marks - self._travelled,
+            self._turned.copy(),
             (self._next_group, self._debt, self._behind),
         )
 
@@ -236,28 +269,43 @@ class Carver:
         self.changes += 1
         for name, values in state.bricks.items():
             wp.copy(getattr(self.store, name), values)
-        self._pose.host[:] = state.poses
-        self._heading[:] = state.heading
+        self._pose.host[:] = state.poses[: 1 + 2 * PHASES]
+        self._motions[:] = state.poses[1 + 2 * PHASES :]
+        self._marks[:] = self._travelled + state.marks
+        self._turned[:] = state.turned
         self._next_group, self._debt, self._behind = state.counts
 
-    def _visit(self, groups: int, *, every_side: bool = False, turned: bool = False) -> None:
+    def _visit(self, groups: int, *, every_side: bool = False) -> None:
         """Carve ``groups`` groups of bricks at the current pose and add up their loss."""
         self.changes += 1
         first = self._next_group
+        poses = self._pose.host
+        visited = [(first + visit) % PHASES for visit in range(groups)]
+        older = poses[1 + PHASES :]
+        moved = [g for g in visited if self._travelled - self._marks[g] >= self._older_lag]
+        turned = [g for g in moved if self._turns(g, poses[0] - older[g])]
         plan = self._plan.host
         plan[FIRST] = first
         plan[COUNT] = groups
         plan[BINARY] = self._binary
         plan[EVERY_SIDE] = every_side
-        plan[TURNED] = turned
+        plan[MOVED] = sum(1 << group for group in moved)
+        # What was cut just before a change of direction becomes an older cut one motion later.
+        plan[TURNED] = sum(1 << group for group in moved if group in turned or self._turned[group])
         plan[ORIGIN] = self._first_group
         self._plan.push()
         self._pose.push()
         self._carve()
         self._removed.pull()
         self.removed_steps += np.add.reduce(self._removed.host, axis=0)
-        for visit in range(groups):
-            self._pose.host[1 + (first + visit) % PHASES] = self._pose.host[0]
+        for group in visited:
+            poses[1 + group] = poses[0]
+        for group in turned:
+            self._motions[group] = poses[0] - older[group]
+        for group in moved:
+            older[group] = poses[0]
+            self._marks[group] = self._travelled
+            self._turned[group] = group in turned
         self._next_group = (first + groups) % PHASES
         # A visit of all groups leaves none to be visited.
         self._debt = 0.0 if groups == PHASES else max(self._debt - groups, 0.0)
@@ -386,7 +434,6 @@ class CarvingReplay:
         motion = self._motion
         motion.tip_m[:] = pose[1:4]
         motion.rotation[:, 2] = pose[4:7]
-        motion.heading[:] = pose[7:].reshape(2, 3)
         if pose[0] < 0.0:
             self._carver.place(motion)
         else:

@@ -18,19 +18,12 @@ nodes of chip thickness. This is exact for a law that is linear in the thickness
 from dataclasses import dataclass
 
 import numpy as np
-import warp as wp
 from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.special import iv
 
-from kernels.bricks import corner8f
-from kernels.cutting import DENSITIES
-from kernels.elements import CHUNK, LANES
-from kernels.engagement import engaged_elements
-from kernels.launcher import SplitLaunch
-from kernels.mirror import Mirror
-from kernels.older_cuts import SLOTS
+from kernels.engagement import DENSITIES, DENSITY, DISTANCE, LAYER, WIDTH
 from meshes.base.arrays import Array, Ints
 from tissue.cutters.cutter import Cutter
 from tissue.materials.constants import effective_chip
@@ -173,55 +166,32 @@ def _interpolation(nodes_m: Array, thickness_m: Array, lengths: Array) -> csr_ar
 
 
 class EngagedElements:
-    """Search for the elements of a cutter that engage bone, and the bone they engage.
+    """Elements of a cutter that engage bone, and the bone they engage.
 
     Parameters
     ----------
     bone
         Bone model with the cutter and the bone.
-    device
-        Warp device name.
-    cores
-        Processor cores to split large launches over; default all.
     """
 
-    def __init__(self, bone: BoneModel, *, device: str = "cpu", cores: int | None = None) -> None:
+    def __init__(self, bone: BoneModel) -> None:
         self.bone = bone
         self._edges = edge_lengths_m(bone.shell, bone.cutter)
-        chunks = -(-len(self._edges) // CHUNK)
-        padded = -(-len(self._edges) // LANES) * LANES
-        kinds = wp.float32, wp.float32, wp.int32, wp.int32
-        self._found = [Mirror(padded, dtype=kind, device=device) for kind in kinds]
-        store = bone.store
-        self._launch = SplitLaunch(
-            engaged_elements,
-            dim=chunks,
-            inputs=[
-                bone.carver.tool,
-                bone.elements,
-                bone.motion_rows,
-                store.grid.spacing_m,
-                0,
-                *store.read_by_forces,
-            ],
-            outputs=[
-                wp.zeros((chunks, SLOTS + 1), corner8f, device),
-                *(each.device for each in self._found),
-            ],
-            offset_index=4,
-            cores=cores,
-        )
 
     def find(self, motion: ToolMotion) -> tuple[Array, ...]:
         """Return the share that cuts, the advance per unit of speed, the layer and the density.
 
         Each array has a value for every element.
         """
-        self.bone.take(motion)
-        self._launch()
-        for each in self._found:
-            each.pull()
-        return tuple(each.host for each in self._found)
+        shell = self.bone.shell
+        found = self.bone.found_along(motion)[:, : len(shell.radii_m)]
+        distance, width = found[DISTANCE].astype(np.float64), found[WIDTH].astype(np.float64)
+        velocity, turning = motion.heading @ motion.rotation
+        advance = (velocity + np.cross(turning, shell.points_m)) * shell.normals
+        met = width > 0.0
+        share = np.zeros(len(width))
+        share[met] = np.clip(0.5 - distance[met] / width[met], 0.0, 1.0)
+        return share, advance.sum(axis=1), found[LAYER].astype(int), found[DENSITY].astype(int)
 
     def cutting(self, motion: ToolMotion) -> tuple[Array, Array, Array]:
         """Return points where the cutter cuts, normals out of the cutter, and relative powers.
@@ -315,7 +285,7 @@ class EngagedBone:
         self._areas = shell.areas_m2
         self._edges = edge_lengths_m(shell, cutter)
         self._levers = levers_of(shell, cutter)
-        self._elements = EngagedElements(bone, device=device, cores=cores)
+        self._elements = EngagedElements(bone)
 
     @property
     def start_m3(self) -> Array:

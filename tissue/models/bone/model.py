@@ -6,8 +6,8 @@ import numpy as np
 import warp as wp
 
 from kernels.bricks import FULL
-from kernels.cutting import AREA, DENSITIES, RATE, Coefficients
-from kernels.elements import lever16
+from kernels.cutting import AREA, MOTION_ROWS, RATE
+from kernels.engagement import DENSITIES, FOUND, Coefficients
 from kernels.mirror import Mirror, put
 from meshes.base.arrays import Array, Bytes
 from meshes.voxels.volume import VoxelVolume
@@ -15,7 +15,14 @@ from tissue.cutters.cutter import Cutter
 from tissue.materials.constants import CuttingCoefficients
 from tissue.models.bone.bricks import BrickStore
 from tissue.models.bone.carver import Carver, Removal
-from tissue.models.bone.elements import ForceSums, LawLimits, SmoothSurface, elements_of
+from tissue.models.bone.elements import (
+    CREEP_M_S,
+    CuttingForces,
+    LawLimits,
+    RecentPoses,
+    SmoothSurface,
+    elements_of,
+)
 from tissue.models.tissue_model import Response, ToolMotion
 
 __all__ = ["BoneModel", "Removal"]
@@ -88,33 +95,50 @@ class BoneModel:
         self._response = Response(
             self._parts[:2].reshape(6), self._parts[2:].reshape(6), np.zeros(6), np.zeros(layers)
         )
-        self._motion = Mirror((7, 3), dtype=wp.float64, device=device)
-        self.motion_rows = self._motion.device
-        """Device array of the pose and motion of the last `take`, see the force kernel."""
-        self._rows = self._motion.host[0], self._motion.host[1:4], self._motion.host[4:6]
+        self._pose = Mirror((7, 3), dtype=wp.float64, device=device)
+        self.motion_rows = self._pose.device
+        """Device array of the pose and motion of the last `take`, see `find_bone`."""
+        self._rows = self._pose.host[0], self._pose.host[1:4], self._pose.host[4:6]
+        self._motion = Mirror((MOTION_ROWS, 3), dtype=wp.float64, device=device)
+        lever_m = float(np.abs(cutter.profile.height_range_m).max())
+        self._recent = RecentPoses(lever_m, device=device)
         self.elements = elements_of(self.shell, cutter, spacing_m=spacing, device=device)
         self.coefficients = coefficients
-        self._forces = ForceSums(
+        on_device = _on_device(coefficients, device=device)
+        self._forces = CuttingForces(
             store,
             self.carver.tool,
             self.elements,
-            _on_device(coefficients, device=device),
-            self._motion.device,
+            on_device,
+            self._pose,
+            self._recent.mirror,
+            self._motion,
             chip_per_speed_s=cutter.chip_per_speed_s,
             cores=cores,
         )
-        smooth = None
+        self._smooth: SmoothSurface | None = None
         if cutter.has_smooth_surface:
-            smooth = SmoothSurface(cutter, store, self.carver.tool, self._motion.device)
-        self.limits = LawLimits(cutter, smooth)
+            self._smooth = SmoothSurface(
+                cutter,
+                store,
+                self.carver.tool,
+                self._pose,
+                self._recent.mirror,
+                self._motion,
+                on_device.strength,
+            )
+        self.limits = LawLimits(cutter, self._smooth)
         self.notices = self.limits.notices
         self._is_linear = not any(each.minimum_chip_m for each in coefficients)
-        # motion, and state of the bone, that the sums are for
-        self._answered: tuple[bytes, int] | None = None
+        # pose and state of the bone that were searched, and motion that was summed
+        self._found: tuple[bytes, int] | None = None
+        self._summed = b""
+        self._sums = np.zeros(AREA + layers + 6)
+        self._rotation = np.eye(3)
 
     def record(self) -> None:
         """Record all launches anew, after the store's arrays have grown."""
-        self._answered = None
+        self._found = None
         self.carver.record()
         self.limits.record()
         self._forces.record()
@@ -131,8 +155,9 @@ class BoneModel:
 
     def place(self, motion: ToolMotion) -> None:
         """Carve all bone inside the tool at its first pose."""
-        self._answered = None
+        self._found = None
         self.carver.place(motion)
+        self._recent.place(motion)
 
     def advance(self, motion: ToolMotion) -> None:
         """Carve the bone that the tool reaches at its new pose.
@@ -140,42 +165,141 @@ class BoneModel:
         A slow tool's carving is spread over ticks.
         """
         self.carver.advance(motion)
+        self._recent.add(motion)
 
     def take(self, motion: ToolMotion) -> None:
         """Write a pose and motion to `motion_rows`."""
-        tip, axes, velocities = self._rows
-        np.subtract(motion.tip_m, self._origin, out=tip)
-        tip /= self._spacing
-        axes[:] = motion.rotation.T
+        self._take_pose(motion.tip_m, motion.rotation)
+        _, _, velocities = self._rows
         np.dot(motion.heading, motion.rotation, out=velocities)
-        speed = motion.speed_m_s if motion.tangent_m_s is None else motion.tangent_m_s
-        # The sums of a linear law hold for any speed.
-        self._motion.host[6, 0] = 0.0 if self._is_linear else speed
+        self._pose.host[6] = 0.0, self._recent.turns, 0.0
+        self._pose.push()
+
+    def _take_pose(self, tip_m: Array, rotation: Array) -> None:
+        tip, axes, _ = self._rows
+        np.subtract(tip_m, self._origin, out=tip)
+        tip /= self._spacing
+        axes[:] = rotation.T
+
+    def find_bone(self, tip_m: Array, rotation: Array) -> None:
+        """Find the bone around the whole tool at a pose, for `forces`."""
+        self._found = None
+        self._rotation = rotation
+        self._take_pose(tip_m, rotation)
+        self._rows[2][:] = 0.0
+        self._pose.host[6] = 1.0, self._recent.turns, CREEP_M_S * self.cutter.chip_per_speed_s
+        self._pose.push()
+        self._recent.seen_from(tip_m, rotation)
+        self._forces.find_bone()
+        if self._smooth is not None:
+            self._smooth.forces.find_bone()
+
+    def forces(
+        self, velocity: Array, before: Array, step_s: float, *, unknowns: int
+    ) -> tuple[Array, Array]:
+        """Return the tangent of force and torque on the tool at a velocity.
+
+        The velocities are those of the tip [m/s] and the angular velocity [rad/s], shape (6,).
+
+        Parameters
+        ----------
+        velocity
+            Velocity of the tool in a step.
+        before
+            Velocity with which the pose of `find_bone` would be reached in a step.
+        step_s
+            Length of the step [s].
+        unknowns
+            Number of components of the velocity by which the derivative is taken, 3 or 6.
+
+        Returns
+        -------
+        tuple
+            Force [N] and torque about the tip [N m] of the tangent at zero velocity, shape (6,),
+            and their derivatives, shape (6, unknowns). Value plus derivatives times velocity is
+            the wrench at the velocity. With 3 unknowns the torque has no derivatives, and its value
+            is the torque at the velocity.
+        """
+        rotation = self._rotation
+        rows = self._motion.host
+        rows[:2] = velocity.reshape(2, 3) @ rotation
+        rows[2:4] = before.reshape(2, 3) @ rotation
+        rows[4] = unknowns, step_s, 1.0
         self._motion.push()
+        self._summed = b""
+        self._sums = sums = self._forces.sums()
+        if self._smooth is not None:
+            rubbing = self._smooth.forces.sums()
+            # The smooth surface adds to the forces, not to what is cut.
+            sums[:RATE] += rubbing[:RATE]
+            sums[self._forces.slopes :] += rubbing[self._forces.slopes :]
+        turn = rotation.T
+        value = (sums[:RATE].reshape(2, 3) @ turn).reshape(6)
+        slopes = sums[self._forces.slopes :].reshape(unknowns // 3, 3, 2, 3) @ turn
+        # From derivatives by velocities along the tool's axes to those along the world's.
+        slopes = np.einsum("wk,bkpc->pcbw", rotation, slopes).reshape(6, unknowns)
+        return value, slopes
 
     def respond(self, motion: ToolMotion) -> Response:
         """Return the cutting force at the motion's pose, and its tangent in the speed."""
-        self.take(motion)
-        asked = self._motion.host.tobytes(), self.carver.changes
-        is_new = asked != self._answered
-        if is_new:  # the contact of a resting tool does not change
-            self._answered = asked
-            self._forces.launch()
-            self._forces.sums.pull()
-        sums = np.add.reduce(self._forces.sums.host, axis=0)
-        np.dot(sums[:RATE].reshape(4, 3), motion.rotation.T, out=self._parts)
         response = self._response
         speed = motion.speed_m_s
-        response.engaged_m2[:] = sums[AREA:]
-        response.removal_rate_m3_s = float(sums[RATE]) * speed
-        self.limits.check(motion, float(np.add.reduce(response.engaged_m2)), is_new=is_new)
-        # Bone balances the push on a resting tool.
-        if speed == 0.0 and any(motion.push.tolist()):
-            np.negative(motion.push, out=response.wrench)
-            return response
-        np.multiply(response.resistance, speed, out=response.wrench)
-        response.wrench += response.edge if speed > 0.0 else motion.pressed * response.edge
+        is_new = True
+        if motion.balanced is None:
+            is_new = self._sum_along(motion)
+            sums = self._sums
+            by_speed = sums[self._forces.slopes :].reshape(2, 3)
+            np.dot(by_speed, motion.rotation.T, out=self._parts[:2])
+            np.dot(sums[:RATE].reshape(2, 3), motion.rotation.T, out=self._parts[2:])
+            np.multiply(response.resistance, speed, out=response.wrench)
+            response.wrench += response.edge if speed > 0.0 else motion.pressed * response.edge
+            response.removal_rate_m3_s = float(sums[RATE]) * speed
+        else:
+            sums = self._sums
+            response.wrench[:] = motion.balanced
+            response.removal_rate_m3_s = float(sums[RATE])
+        response.engaged_m2[:] = sums[AREA : self._forces.slopes]
+        # A held tool is pushed back by its smooth surface.
+        looks = is_new and motion.balanced is None
+        self.limits.check(motion, float(np.add.reduce(response.engaged_m2)), is_new=looks)
         return response
+
+    def _sum_along(self, motion: ToolMotion) -> bool:
+        """Find the bone and sum the forces along a direction; return whether they are new."""
+        is_new = self._find_along(motion)
+        speed = motion.speed_m_s if motion.tangent_m_s is None else motion.tangent_m_s
+        rows = self._motion.host
+        rows[:2] = self._rows[2]
+        # The sums of a linear law hold for any speed.
+        rows[4] = 1.0, 0.0, 0.0 if self._is_linear else speed
+        asked = rows.tobytes()
+        is_new = is_new or asked != self._summed
+        if is_new:  # the contact of a resting tool does not change
+            self._summed = asked
+            self._motion.push()
+            self._sums = self._forces.sums()
+        return is_new
+
+    def _find_along(self, motion: ToolMotion) -> bool:
+        """Find the bone in front of the elements that advance; return whether it is new."""
+        self.take(motion)
+        asked = self._pose.host.tobytes(), self.carver.changes
+        is_new = asked != self._found
+        if is_new:
+            self._found = asked
+            self._recent.seen_from(motion.tip_m, motion.rotation)
+            self._forces.find_bone()
+        return is_new
+
+    def found_along(self, motion: ToolMotion) -> Array:
+        """Return the bone in front of the elements that advance, shape (FOUND, elements).
+
+        The rows are as in `kernels.engagement.DISTANCE`. The number of elements is a multiple of
+        `LANES`.
+        """
+        self._find_along(motion)
+        found = self._forces.found.numpy()
+        return np.asarray(found.transpose(1, 0, 2).reshape(FOUND, -1))
 
     def finish(self) -> None:
         """Complete the carving that was spread over ticks."""
@@ -188,30 +312,10 @@ class BoneModel:
 
 def _on_device(coefficients: tuple[CuttingCoefficients, ...], *, device: str) -> Coefficients:
     """Return cutting coefficients on a device, one entry a layer."""
-    arrays = Coefficients()
-
-    def at_levers(rows: list[Array]) -> Any:
-        """Return coefficients of the rows at their positions in a lever.
-
-        They are tangential, radial and axial.
-        """
-        # 5, 6 and 3: components of `LEVER` for each direction. The last 2 of 16 are unused.
-        values = np.pad(np.repeat(rows, (5, 6, 3), axis=1), ((0, 0), (0, 2)))
-        return put(values, lever16, device)
-
-    chip = []
-    edge = []
-    for layer in coefficients:
-        chip_Pa = np.array([getattr(layer, name) for name in CuttingCoefficients.CHIP])
-        edge_N_m = np.array([getattr(layer, name) for name in CuttingCoefficients.EDGE])
-        below_Pa = chip_Pa
-        if layer.minimum_chip_m > 0.0:
-            scale = (layer.minimum_chip_m / layer.reference_chip_m) ** -layer.size_exponent
-            below_Pa = scale * chip_Pa + edge_N_m / layer.minimum_chip_m
-        chip += [chip_Pa, below_Pa]
-        edge += [edge_N_m, np.zeros(3)]
-    arrays.chip = at_levers(chip)
-    arrays.edge = at_levers(edge)
+    arrays: Any = Coefficients()
+    for name, keys in (("chip", CuttingCoefficients.CHIP), ("edge", CuttingCoefficients.EDGE)):
+        values = [[getattr(layer, key) for key in keys] for layer in coefficients]
+        setattr(arrays, name, put(np.array(values), wp.vec3, device))
     density = np.arange(DENSITIES)
     strength = [
         (density / layer.reference_density_kg_m3) ** layer.density_exponent
@@ -223,4 +327,5 @@ def _on_device(coefficients: tuple[CuttingCoefficients, ...], *, device: str) ->
         for layer in coefficients
     ]
     arrays.size = put(np.array(size), wp.vec3, device)
+    arrays.has_size_effect = int(any(layer.size_exponent for layer in coefficients))
     return arrays

@@ -100,7 +100,7 @@ class CuttingHeat:
         self._wall = self.grid.pulp_wall()
         self._milling = milling
         self._before = milling.store.remaining.numpy().copy()
-        self._engaged = EngagedElements(milling, device=device)
+        self._engaged = EngagedElements(milling)
         self._power = np.zeros(self.grid.filled.size)
         self._warmer_K = np.zeros(self.grid.filled.size)
         self._lost = np.zeros(self.grid.filled.size)

@@ -207,10 +207,7 @@ def _over_time(
     assert isinstance(scene.tool, Tool)
     if poses is None:
         axes = tool_axes(tool_turns(trace))
-        velocities = np.hstack(
-            [1e-3 * trace.vectors("velocity", "mm_s"), trace.vectors("angular_velocity", "rad_s")]
-        )
-        poses = poses_of_trace(1e-3 * trace.vectors("tool", "mm"), axes, velocities)
+        poses = poses_of_trace(1e-3 * trace.vectors("tool", "mm"), axes)
     import warp as wp
 
     from tissue.models.bone.carver import CarvingReplay

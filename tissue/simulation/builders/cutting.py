@@ -420,6 +420,7 @@ class VoxelBone:
         """Return the bone under a cutter. Removal by an earlier tool is booked as older cuts."""
         store = self.store
         if self._was_cut:
+            wp.copy(store.middle, store.swept)
             wp.copy(store.older, store.swept)
         self._was_cut = True
         return BoneModel(

@@ -44,11 +44,6 @@ STRAY_M = 2e-3
 
 A hand trembles and misses its targets; assumed.
 """
-DAMPING_S = 0.01
-"""Ratio of damper to spring for a tool that cuts [s].
-
-In a pen grip, 4 N s/m over 250 to 350 N/m gives 11 to 16 ms.
-"""
 
 
 def hand_motion(scene: Scene, scripted: Motion, *, allow_unstable: bool) -> tuple[HandMotion, str]:
@@ -267,7 +262,7 @@ def _law(settings: LoopSettings, loop: WallLoop) -> Renderer:
 def _tool(settings: LoopSettings, spring_N_m: float, start_m: Array, turn: HeldTurn) -> HeldTool:
     """Return the law of a tool coupled to a device by a spring."""
     if settings.contact == "cuts":
-        return CuttingTool(spring_N_m, start_m, turn, damping_N_s_m=DAMPING_S * spring_N_m)
+        return CuttingTool(spring_N_m, start_m, turn)
     return (ProbingTool if settings.contact == "touches" else PressingTool)(
         spring_N_m, start_m, turn
     )

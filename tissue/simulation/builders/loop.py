@@ -18,7 +18,7 @@ from tissue.haptics.loop.critical_stiffness import (
     judge,
     nearest_stable_N_m,
 )
-from tissue.haptics.loop.filters import VELOCITY_MEMORY
+from tissue.haptics.loop.filters import OBSERVER_MEMORY, VELOCITY_MEMORY
 from tissue.haptics.loop.forecast import Forecast, forecast_of
 from tissue.haptics.loop.sampled_loop import WallLoop, motor_lag_ticks
 from tissue.haptics.loop.vibration import Vibration
@@ -292,7 +292,13 @@ def judged_loop(settings: LoopSettings, *, step_s: float) -> WallLoop:
         filter_s=1e-3 * settings.output.low_pass_ms,
         model_ticks=_model_samples(settings),
     )
-    loop = replace(loop, velocity_memory=VELOCITY_MEMORY, vibration=settings.vibration(loop.tick_s))
+    cuts = settings.contact == "cuts"
+    loop = replace(
+        loop,
+        velocity_memory=OBSERVER_MEMORY if cuts else VELOCITY_MEMORY,
+        observes=cuts,
+        vibration=settings.vibration(loop.tick_s),
+    )
     hand = settings.person.grip[:3]
     loops = [
         replace(_delayed(settings, loop, step_s * (settings.contact == "presses")), forecast=each)
