@@ -10,12 +10,7 @@ from tissue.haptics import hand_measures as at
 from tissue.haptics.device.device import Device, DeviceParameters, KnowsTruth, Sample
 from tissue.haptics.device.safe_device import SafeDevice
 from tissue.haptics.device.sample_guard import NewSamples, guard_of
-from tissue.haptics.loop.filters import (
-    ConstantAcceleration,
-    DelayLine,
-    ForceRange,
-    LowPass,
-)
+from tissue.haptics.loop.filters import ConstantAcceleration, DelayLine, ForceRange, LowPass
 from tissue.haptics.loop.sampled_loop import WallLoop
 from tissue.haptics.loop.vibration import PlayedForce
 from tissue.haptics.proxy.cutting_tool import CuttingTool, CutTissue
@@ -183,9 +178,12 @@ class HandMotion(Motion):
         self._coupling_N_m = loop.stiffness_N_m
         self._low_pass = LowPass(loop.filter_s, step_s=TICK_S)
         self._delay = DelayLine(rendering.delay_ticks)
-        # One filter for device and tool: the difference stays zero while both move together.
         memory = loop.velocity_memory
-        self._speeds = None if memory is None else ConstantAcceleration(memory, step_s=loop.tick_s)
+        filtered = None if memory is None else ConstantAcceleration(memory, step_s=loop.tick_s)
+        # The position observer filters the device in front of the tool. Otherwise one filter
+        # estimates both velocities: their difference stays zero while both move together.
+        self._position_observer = filtered if loop.observes else None
+        self._speeds = None if loop.observes else filtered
         self._samples = NewSamples(loop.tick_s)
         self._turning = LowPass(loop.filter_s, step_s=TICK_S)
         self._turning_delay = DelayLine(rendering.delay_ticks)
@@ -210,12 +208,18 @@ class HandMotion(Motion):
         self._before, self._went, self._raw, self._torque = np.zeros((4, 3))
         self._velocity, self._device_velocity = np.zeros((2, 6))
         self._here = np.zeros(3)
-        self.observes = loop.observes
-        self._both, self._rates = np.zeros((2, 6))
+
+    @property
+    def observes(self) -> bool:
+        """True if position and velocity of the device are estimated in front of the tool."""
+        return self._position_observer is not None
 
     @property
     def device(self) -> Device:
-        """Device that the hand moves."""
+        """Device that the hand moves.
+
+        Another device has another guard and other measures, so set it before the first tick.
+        """
         return self.held.device
 
     @device.setter
@@ -259,8 +263,7 @@ class HandMotion(Motion):
     def begin(self, motion: ToolMotion) -> None:
         """Begin at the start of the scripted motion."""
         self._scripted.begin(motion)
-        if isinstance(self.tool, CuttingTool):
-            motion.balanced = self.tool.wrench
+        motion.balanced = self.tool.wrench
         self.measures[at.POSITION] = 1e3 * motion.tip_m
 
     def happened(self) -> list[tuple[float, str]]:
@@ -317,12 +320,12 @@ class HandMotion(Motion):
         velocity = self._device_velocity
         velocity[:3] = sample.velocity_m_s
         velocity[3:] = sample.spin_rad_s
-        if self.observes and self._speeds is not None:
+        if self._position_observer is not None:
             # A slower device repeats its last sample. Repeated samples would count as rest.
             if self._is_new:
-                self._rates[:3] = self._speeds.step(self._here)
-            self._here[:] = self._speeds.position
-            velocity[:3] = self._rates[:3]
+                self._position_observer.step(self._here)
+            self._here[:] = self._position_observer.position
+            velocity[:3] = self._position_observer.velocity
         velocity[:3] *= self._scale
 
     def play(self, response: Response) -> None:
@@ -406,9 +409,8 @@ class HandMotion(Motion):
         """
         if self._sample is not None:
             self._render(self._sample)
-        # After missing samples, the velocity filter starts at rest.
-        elif self._speeds is not None:
-            self._speeds.pause()
+        else:
+            self._pause_filters()
         return self._raw
 
     def _render(self, sample: Sample) -> tuple[Array, Array]:
@@ -417,25 +419,31 @@ class HandMotion(Motion):
         tip = (self.tool.tip_m - self._shift) / self._scale
         speed = self._device_velocity[:3] / self._scale
         went = self._went / self._scale
-        if self._speeds is not None and not self.observes:
+        if self._speeds is not None:
             if self._is_new:
-                self._both[:3] = here
-                self._both[3:] = tip
-                self._rates[:] = self._speeds.step(self._both)
-            speed = self._rates[:3]
-            went = self._rates[3:]
+                self._speeds.step(np.concatenate((here, tip)))
+            velocities = self._speeds.velocity
+            speed = velocities[:3]
+            went = velocities[3:]
         if self._fresh:
             self._raw = self._contact.render(here, speed, tip, went, self._step)
         return here, speed
 
+    def _pause_filters(self) -> None:
+        """Start the filters of position and velocity at rest with the next sample."""
+        self._samples.pause()
+        for part in (self._position_observer, self._speeds):
+            if part is not None:
+                part.pause()
+
     def _pause(self) -> None:
         """Reset the parts that depend on consecutive device samples."""
+        self._pause_filters()
         for part in (
             self.law,
             self._turning_law,
             self.observer,
             self.predictor,
-            self._speeds,
             self._played,
         ):
             if part is not None:
@@ -447,11 +455,10 @@ class HandMotion(Motion):
     def _set_speed(self, motion: ToolMotion, went_m_s: Array) -> None:
         """Write the direction of motion and the speed of the tool.
 
-        Both follow from the force balance, or are estimated for a tool that follows the device.
+        A tool with inertia has a velocity. For any other tool it is estimated from the motion.
         """
-        if isinstance(self.tool, CuttingTool):
-            velocity = self.tool.velocity
-        else:
+        velocity = self.tool.velocity
+        if velocity is None:
             self._velocity[:3] += self._smoothing * (went_m_s - self._velocity[:3])
             velocity = self._velocity
         size = sqrt(velocity[:3].dot(velocity[:3]))

@@ -91,6 +91,30 @@ def test_the_velocity_of_a_ramp_is_its_slope(at_rate, rate_Hz, dated, name):
     assert np.mean(tool_speeds[-140:]) == pytest.approx(slope, rel=1e-3)
 
 
+@pytest.mark.parametrize("name", ["wall", "milling"])
+def test_a_slow_device_that_repeats_a_sample_after_a_fault_starts_its_filter_again(at_rate, name):
+    """A slow device that repeats a sample after a fault starts its filter again.
+
+    The fault is in tick 101. In tick 102, the device repeats its sample of tick 100.
+    """
+    slope = -0.02
+
+    class Faulty(Sampled):
+        def read(self, time_s):
+            sample = super().read(time_s)
+            is_faulty = round(time_s / 1e-3) == 101
+            return sample._replace(position_m=(np.nan,) * 3) if is_faulty else sample
+
+    motion = held(name, **at_rate(250))
+    motion.device = Faulty(lambda time_s: 0.1 + slope * time_s, 250, dated=True)
+    law = motion._contact = Watched()
+    meet(motion, FreeSpace(), 1.2)
+    assert motion.guard.bad_ticks == 1
+    # Ticks 102 and 103 repeat a sample, from which no velocity is known.
+    assert not np.array(law.speeds[:2])[:, 0].any()
+    np.testing.assert_allclose(np.array(law.speeds[-100:])[:, 0], slope, rtol=1e-5)
+
+
 def test_what_needs_a_sample_in_every_tick_is_refused_for_a_slow_device(at_rate):
     for changes, words in (
         ({"renderer": "passivity"}, "renderer = passivity needs 1000"),

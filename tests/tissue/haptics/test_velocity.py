@@ -7,6 +7,7 @@ import pytest
 from hand_steps import meet
 from quiet_press import LIMITS, PERSON, check_ripple, quiet_press
 
+from tissue import InputError
 from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands, judge
@@ -121,6 +122,11 @@ def test_the_map_of_an_observed_loop_is_what_the_loop_does(damping, model_ticks)
         filtered += (1.0 - np.exp(-0.5)) * (force - filtered)
         device.command((0.0, 0.0, filtered), (0.0, 0.0, 0.0))
     assert depth == pytest.approx(state[0], rel=1e-10)
+
+
+def test_an_observed_loop_without_a_filter_is_refused():
+    with pytest.raises(InputError, match="velocity_memory"):
+        WallLoop(mass_kg=0.05, damping_N_s_m=0.1, stiffness_N_m=300.0, observes=True)
 
 
 def test_the_judged_stiffness_falls_with_the_memory_of_the_observer():

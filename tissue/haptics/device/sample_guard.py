@@ -421,6 +421,10 @@ class NewSamples:
 
     def __init__(self, sample_s: float) -> None:
         self._ticks = ceil(sample_s / TICK_S - ROUNDING)
+        self.pause()
+
+    def pause(self) -> None:
+        """Reset after missing samples: the next sample is new."""
         self._waited = 0
         self._last = Sample(nan, (nan, nan, nan))
 

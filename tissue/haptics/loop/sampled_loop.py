@@ -11,8 +11,12 @@ from scipy.signal import lfilter
 from threadpoolctl import ThreadpoolController
 
 from meshes.base.arrays import Array
-from meshes.base.errors import require_positive, require_range
-from tissue.haptics.loop.filters import constant_acceleration_map, low_pass_gain
+from meshes.base.errors import InputError, require_positive, require_range
+from tissue.haptics.loop.filters import (
+    OBSERVER_MEMORY,
+    constant_acceleration_map,
+    low_pass_gain,
+)
 from tissue.haptics.loop.forecast import Forecast
 from tissue.haptics.loop.vibration import ENVELOPE_S, Vibration
 from tissue.models.tissue_model import TICK_S
@@ -54,7 +58,7 @@ class WallLoop:
         Memory of the filter for v, see `constant_acceleration_map`. With None, v is the difference
         of positions between model steps, and between ticks for a forecast.
     observes
-        True if the position estimated by this filter replaces x.
+        True if the position estimated by this filter replaces x. Requires `velocity_memory`.
     tick_s
         Time between two forces at the device [s]. For a device that is slower than the loop, time
         between its samples.
@@ -112,6 +116,13 @@ class WallLoop:
         ):
             require_range(name, getattr(self, name), low, high, "see `WallLoop`")
         low_pass_gain(self.filter_s, self.tick_s)
+        if self.observes and self.velocity_memory is None:
+            raise InputError(
+                "velocity_memory",
+                "be given to a loop that observes the position",
+                "None",
+                f"use {OBSERVER_MEMORY:g}",
+            )
 
     @property
     def vibration_factors(self) -> Array:

@@ -107,7 +107,16 @@ class HeldTool(ABC):
     ----------
     tip_m
         Position of the tip [m], shape (3,).
+    velocity
+        Velocity of the tip [m/s] and angular velocity [rad/s], shape (6,); None for a tool without
+        inertia.
+    wrench
+        Force [N] of the tissue and its torque about the tip [N m] in the last step, shape (6,);
+        None for a tool without inertia.
     """
+
+    velocity: Array | None = None
+    wrench: Array | None = None
 
     def __init__(self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None) -> None:
         self._turn = turn or HeldTurn()
@@ -142,7 +151,7 @@ class HeldTool(ABC):
         return False
 
     def rest(self) -> None:
-        """Stop the tool where it is."""
+        """Stop the tool where it is; a tool without inertia always does."""
         return
 
 
