@@ -19,7 +19,7 @@ from tissue.haptics.hand_measures import TRUE
 from tissue.haptics.hand_motion import HandMotion
 from tissue.haptics.loop.filters import VELOCITY_MEMORY, ConstantAcceleration
 from tissue.haptics.loop.sampled_loop import force_later_N
-from tissue.models.tissue_model import Response, TissueModel, ToolMotion, WaitsForBackground
+from tissue.models.tissue_model import TissueModel
 from tissue.prediction.edmd import Edmd, Episode, window
 from tissue.prediction.operator import Delays, Identity, Operator
 from tissue.prediction.predictor import CONTACT_WIDTH, Contact, Predictor, SeesContact
@@ -34,6 +34,7 @@ from tissue.simulation.builders.hand import hand_motion
 from tissue.simulation.builders.loop import judged_loop, loop_settings
 from tissue.simulation.builders.parts import motion_of
 from tissue.simulation.builders.prediction import FALLBACKS, trained_predictor
+from tissue.simulation.loop import Stepper
 from tissue.simulation.simulate import TICK_S, build
 
 __all__ = [
@@ -232,35 +233,22 @@ def _run(motion: HandMotion, tissue: TissueModel, ticks: int) -> tuple[Array, Ar
     Measured position, force and true position have shape (n, 9). The seconds that the tissue took
     have shape (n,).
     """
-    tool = ToolMotion()
-    motion.meet(tissue)
-    motion.begin(tool)
-    tissue.place(tool)
+    stepper = Stepper(motion, tissue)
+    stepper.place()
     # columns: measured position, force, true position
     rows: Array = np.zeros((ticks, 9))
     contact = np.zeros((ticks, CONTACT_WIDTH))
     took = np.zeros(ticks)
-    response = Response.empty(len(tissue.layer_names))
     raw = slice(
         motion.measure_names.index("raw_force_x_N"), motion.measure_names.index("raw_force_z_N") + 1
     )
-    knows = TRUE[0] in motion.measure_names
-    true = motion.measure_names.index(TRUE[0]) if knows else 0
+    true = motion.measure_names.index(TRUE[0])
     for index, row in enumerate(rows):
-        if isinstance(tissue, WaitsForBackground):
-            tissue.wait_for_background(index * TICK_S)
-        motion.advance(index * TICK_S, TICK_S, response, tool)
-        start = perf_counter()
-        tissue.advance(tool)
-        response = tissue.respond(tool)
-        # a tool that cuts moves to where its spring balances the force, which changes the tissue
-        # again
-        if motion.correct(response, tool):
-            tissue.advance(tool)
-            response = tissue.respond(tool)
-        took[index] = perf_counter() - start
-        motion.play(response)
-        contact[index] = motion.contact(response).row()
+        stepper.wait(index)
+        stepper.step(index)
+        took[index] = perf_counter() - stepper.moved_s
+        motion.play(stepper.response)
+        contact[index] = motion.contact(stepper.response).row()
         row[:3] = 1e-3 * motion.measures[:3]
         row[3:6] = motion.measures[raw]
         row[6:] = 1e-3 * motion.measures[true : true + 3]
