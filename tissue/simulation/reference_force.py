@@ -14,10 +14,18 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import silent
+from tissue.haptics.device.device import Sample
 from tissue.haptics.device.recorded import RecordedDevice
+from tissue.haptics.device.sample_guard import NewSamples
 from tissue.haptics.hand_measures import TRUE, VIBRATION
 from tissue.haptics.hand_motion import HandMotion
-from tissue.haptics.loop.sampled_loop import force_later_N, mean_over_ticks_N, motor_force_N
+from tissue.haptics.loop.filters import ConstantAcceleration
+from tissue.haptics.loop.sampled_loop import (
+    WallLoop,
+    force_later_N,
+    mean_over_ticks_N,
+    motor_force_N,
+)
 from tissue.models.tissue_model import Finishes
 from tissue.scene.load import changed
 from tissue.scene.scene import Scene
@@ -153,7 +161,8 @@ def stretch_force_N(run: CarvedRun) -> Array:
     """Compute the force of the coupling's spring in each tick of a run [N], shape (n, 3).
 
     It is the force of the run without latency, computed from the encoder positions and the run's
-    own model. A predictor receives this force if that model answers every tick.
+    own model. A tool that cuts is coupled to the observed position instead, see
+    `WallLoop.observes`. A predictor receives this force if that model answers every tick.
 
     Raises
     ------
@@ -165,7 +174,27 @@ def stretch_force_N(run: CarvedRun) -> Array:
     assert coupling.stiffness_N_m is not None
     start_mm = 1e3 * run.parts.motion.sweep_m()[0]
     tool_mm = start_mm + (trace.vectors("tool", "mm") - start_mm) / coupling.motion_scale
-    return 1e-3 * coupling.stiffness_N_m * (tool_mm - trace.vectors("device", "mm"))
+    device_mm = trace.vectors("device", "mm")
+    loop = judged_loop(loop_settings(run.scene), step_s=TICK_S)
+    if loop.observes:
+        device_mm = _observed(trace["time_s"], device_mm, loop)
+    return 1e-3 * coupling.stiffness_N_m * (tool_mm - device_mm)
+
+
+def _observed(times_s: Array, positions: Array, loop: WallLoop) -> Array:
+    """Return the positions that a loop observes at each tick, shape (n, 3)."""
+    assert loop.velocity_memory is not None
+    samples = NewSamples(loop.tick_s)
+    observer = ConstantAcceleration(loop.velocity_memory, step_s=loop.tick_s)
+    observed = np.empty_like(positions)
+    for row, (time_s, position) in enumerate(zip(times_s.tolist(), positions, strict=True)):
+        x, y, z = position.tolist()
+        # A simulated device dates its samples. 1e-6: a time of a whole sample may be rounded down.
+        taken_s = loop.tick_s * int(time_s / loop.tick_s + 1e-6)
+        if samples.is_new(Sample(taken_s, (x, y, z)), time_s):
+            observer.step(position)
+        observed[row] = observer.position
+    return observed
 
 
 def played_force_N(trace: Table) -> Array:
@@ -183,9 +212,9 @@ class MotorForces(NamedTuple):
     ideal
         The force without latency at the device's position.
     nearest
-        The force without latency from the run's encoder steps, predicted by the delay of its path.
-        Its error is the lower bound for a force that follows these steps. A force that smooths them
-        may have a smaller error.
+        The force without latency of `stretch_force_N`, predicted by the delay of its path. Its
+        error is the lower bound for a force from the same encoder steps. A force that smooths them
+        more may have a smaller error.
     sent
         The force that the device received, within its range and scaled for a person.
     """

@@ -86,6 +86,26 @@ def test_the_ideal_force_is_that_of_two_springs_at_the_true_position(held):
     assert np.abs(stepped - ideal[:, 2]).max() > 0.4 * STEP_M * series
 
 
+@pytest.mark.parametrize("delay_ms", [0, 4])
+def test_the_spring_of_a_tool_that_cuts_pulls_from_the_observed_position(delay_ms):
+    """The spring of a tool that cuts pulls from the observed position.
+
+    Without a damper at the device, its force is the raw force of the run.
+    """
+    entries = {
+        "device": "touch",
+        "prediction": "none",
+        "coupling.delay_ms": delay_ms,
+        "duration_s": 0.8,
+    }
+    run = simulate(load_scene("milling", entries))
+    assert run.scene.held.coupling.damping_N_s_m == 0.0
+    raw = run.trace.vectors("raw_force", "N")
+    # Positions in the trace are in millimetres, which rounds them to 1e-13 of a metre.
+    np.testing.assert_allclose(stretch_force_N(run), raw, atol=1e-11)
+    assert np.abs(raw).max() > 0.01
+
+
 def test_a_perfect_predictor_has_the_least_error_and_no_latency(held, monkeypatch):
     run, ideal = held
     forces = motor_forces(run_with(monkeypatch, Oracle(stretch_force_N(run))), ideal)
