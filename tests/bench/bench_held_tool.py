@@ -4,8 +4,9 @@ Run: `python tests/bench/bench_held_tool.py [--hands 3] [--seconds 3] [SCENE ...
 
 For each scene and hand, the closed loop runs once and the true device path is recorded. The path is
 then replayed without feedback: unchanged, shifted by a constant, and rounded to encoder steps.
-Amplification is the largest distance between the tool paths of the changed and the unchanged device
-path, over the shift or encoder step. It is given one second after the first contact, and as the largest of the run. Force error is the RMS difference of the force over the RMS force of the
+Amplification is the distance between the tool paths of the changed and the unchanged device path,
+over the shift or encoder step. Two values are printed: one second after the first contact, and the
+largest of the run. Force error is the RMS difference of the force over the RMS force of the
 unchanged path, over ticks in contact in either run. Tasks of the study, such as T3, count as
 scenes.
 """

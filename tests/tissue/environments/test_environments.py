@@ -135,7 +135,8 @@ def test_a_bur_that_comes_back_into_its_cut_meets_nothing():
     for _ in range(30):
         deepest = env.step([0.6])[4]["deepest_mm"]
     forces = [env.step([thrust])[4]["peak_force_N"] for thrust in (-1.0, -1.0, -1.0, 0.2)]
-    assert deepest > 0.3 and max(forces[1:]) < 1e-4
+    # Measured: zero while the bur is pulled out, 4e-5 N at its return, and 1.3 N before.
+    assert deepest > 0.3 and max(forces[1:3]) == 0.0 and forces[3] < 1e-4
 
 
 def test_a_pushed_bur_balances_thrust_inertia_damping_and_the_force_of_the_same_tick():

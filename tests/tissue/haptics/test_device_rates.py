@@ -83,12 +83,13 @@ def test_the_velocity_of_a_ramp_is_its_slope(at_rate, rate_Hz, dated, name):
 
     meet(motion, Free(), 0.6)
     device_speeds, law_speeds = np.array(law.speeds[-100:]).T
-    np.testing.assert_allclose(device_speeds, slope, rtol=1e-5)
     # The observed position is held between the samples of a slow device. A tool with inertia
-    # follows these steps with a ripple of 9 % of its speed.
+    # follows these steps with a ripple of 2.5 % of its speed.
     steps = name == "milling" and rate_Hz < 1000
-    np.testing.assert_allclose(law_speeds, slope, rtol=0.12 if steps else 1e-6)
-    assert np.mean(tool_speeds[-140:]) == pytest.approx(slope, rel=1e-3)
+    # Measured: 4e-6 at 500 Hz, which is left of the start of the observer after 0.5 s.
+    np.testing.assert_allclose(device_speeds, slope, rtol=5e-6 if steps else 1e-10)
+    np.testing.assert_allclose(law_speeds, slope, rtol=0.03 if steps else 1e-10)
+    assert np.mean(tool_speeds[-140:]) == pytest.approx(slope, rel=5e-6)
 
 
 @pytest.mark.parametrize("name", ["wall", "milling"])

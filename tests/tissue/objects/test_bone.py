@@ -163,15 +163,15 @@ def test_a_cut_in_two_calls_is_the_same_as_in_one(block):
 
 
 def test_a_second_pass_on_the_same_path_meets_nothing():
-    """A second pass on an equal path removes nothing, and meets less than 3 % of the first force.
+    """A second pass on an equal path removes nothing, and meets less than 2.5 % of the first force.
 
     The voxels are coarse: 0.2 mm. With 0.1 mm it is less than 1 %, see tests/verification.
     """
     bone = tissue.Bone.block((12, 8, 5), spacing_mm=0.2)
     first, second = (slot(bone, [[-3, 0, -0.8], [3, 0, -0.8]]) for _ in range(2))
     met, before = (np.linalg.norm(each.force_N, axis=1) for each in (second, first))
-    # Measured: 2.3 % in single ticks, and 0.8 % on average.
-    assert met[20:-20].max() < 0.03 * before.max() and met.mean() < 0.01 * before.mean()
+    # Measured: 2.27 % in single ticks, and 0.78 % on average. With voxels of 0.1 mm: 0.74 and 0.32 %.
+    assert met[20:-20].max() < 0.025 * before.max() and met.mean() < 0.009 * before.mean()
     assert second.removed_mm3[-1] < 1e-3 * first.removed_mm3[-1]
 
 

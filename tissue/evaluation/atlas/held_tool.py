@@ -83,8 +83,9 @@ class HeldTool(Page):
     name = "held_tool"
     title = "Cutting tool in a hand: amplification of a small shift"
     question = (
-        "The path of a device is replayed with a shift of 1 nm, 1 µm and 10 µm. How far does the "
-        "path of the cutting tool change, relative to the shift?"
+        "The path of a device is replayed with a shift of 1 nm, 1 µm and 10 µm. How far is the "
+        "cutting tool from its path without the shift one second after the first contact, relative "
+        "to the shift?"
     )
     source = (
         "Touch in the hand of an expert, one second of contact, replayed without feedback; "
