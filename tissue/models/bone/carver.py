@@ -50,7 +50,7 @@ LONGEST_STEP_VOXELS = 0.5
 OLDER_LAG_M = 2.5e-4
 """Motion of the tool after which its cuts become older cuts [m]; chosen.
 
-The last poses of the tool reach further back, see `tissue.models.bone.elements.RecentPoses`.
+The last poses of the tool reach further back, see `tissue.models.bone.recent_poses`.
 """
 TURN = 0.9
 """Cosine of a change of direction from which on bone in front of the tool may be cut: 26 degrees.
