@@ -41,13 +41,15 @@ __all__ = [
 wp.set_module_options({"enable_backward": False})
 
 PHASES = 16  # a power of two: the remainder is one instruction
-FIRST, COUNT, BINARY, EVERY_SIDE, ORIGIN, MOVED, TURNED, PLAN = 0, 1, 2, 3, 4, 5, 6, 7
-"""Places in the plan of a launch.
-
-In order: first group; number of groups; 1 for binary removal; 1 for every side; group of the first
-brick; one bit a group, 1 where its cuts become older cuts; one bit a group, 1 where this also holds
-in front of the tool.
-"""
+# Places in the plan of a launch.
+FIRST = 0  # first group
+COUNT = 1  # number of groups
+BINARY = 2  # 1 for binary removal
+EVERY_SIDE = 3  # 1 to carve also the bricks and blocks behind a moving tool
+ORIGIN = 4  # group of the first brick
+MOVED = 5  # one bit a group, 1 where its cuts become older cuts
+TURNED = 6  # one bit a group, 1 where its cuts become older cuts also in front of the tool
+PLAN = 7  # number of places
 BLOCK_REACH = wp.constant(1.7320508)  # half diagonal of a block of 2 voxels [voxel]
 LONGEST_STEP = wp.constant(1.0)  # more than the tool moves between two visits of a brick [voxel]
 EDGE = wp.constant(float(EDGE_BEND))

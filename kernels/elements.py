@@ -9,6 +9,7 @@ import warp as wp
 __all__ = [
     "CHUNK",
     "LANES",
+    "LEAST_ADVANCE",
     "Elements",
     "Travel",
     "advance_of",
@@ -32,6 +33,9 @@ Together with sums outside of branches, this saves a tenth of the force kernel's
 docs/performance.md.
 """
 lanes8 = wp.types.vector(length=LANES, dtype=wp.float32)
+# Advance over the speed of the tip up to which an element does not cut. It is more than the
+# rounding of an advance in single precision.
+LEAST_ADVANCE = wp.constant(1.0e-5)
 
 
 @wp.struct
@@ -90,8 +94,7 @@ def travel_of(motion: wp.array2d(dtype=wp.float64), spacing: float):
     travel.velocity = velocity
     travel.turning = wp.vec3(float(motion[5, 0]), float(motion[5, 1]), float(motion[5, 2]))
     travel.turns = wp.where(wp.length(travel.turning) > 0.0, 1, 0)
-    # 1e-5: more than the rounding of an advance in single precision.
-    travel.least = 1.0e-5 * wp.length(velocity)
+    travel.least = LEAST_ADVANCE * wp.length(velocity)
     return travel
 
 
