@@ -79,19 +79,19 @@ class RandomCut:
         self.count = len(self.model.shell.areas_m2)
 
     def wanted(self, **options):
-        """Bone that NumPy finds."""
+        """Return the bone that NumPy finds."""
         pose = self.motion.tip_m, self.motion.rotation
         return find(self.model, *pose, self.older, self.swallowed, **options)
 
     def around(self):
-        """Bone that the kernel finds around the whole tool, shape (FOUND, elements)."""
+        """Return the bone that the kernel finds around the whole tool, shape (FOUND, elements)."""
         self.model.find_bone(self.motion.tip_m, self.motion.rotation)
         found = self.model._forces.found.numpy()
         assert not found[:, WIDTH].reshape(-1)[self.count :].any()
         return found.transpose(1, 0, 2).reshape(found.shape[1], -1)[:, : self.count]
 
-    def same(self, found, wanted):
-        """Compare the kernel's bone with that of NumPy, where rounding does not decide.
+    def assert_same(self, found, wanted):
+        """Assert that the kernel finds the bone of NumPy, where rounding does not decide.
 
         In single precision, an element within 1e-7 m of a voxel's face may read its neighbour: 1 in
         1000 elements. The tool's table and its tangent spheres are 0.02 voxel off.
@@ -113,8 +113,8 @@ class RandomCut:
 def last_poses(model, motion):
     """Give the tool 30 last poses on an arc that turns by 0.05 rad, and return them.
 
-    The last of them is the present pose. The poses in front of some of its elements are half a voxel
-    ahead.
+    The last of them is the present pose. For some elements, the other poses are half a voxel ahead
+    of it.
     """
     angles = np.linspace(-0.05, 0.0, 30)
     along = np.array([0.3, 0.8, -0.52])
@@ -141,7 +141,7 @@ def test_bone_in_front_of_elements_that_advance(profile, turning):
     cut = RandomCut(profile, turning=turning)
     motion = cut.motion
     wanted = cut.wanted(heading=motion.heading)
-    both = cut.same(cut.model.found_along(motion)[:, : cut.count], wanted)
+    both = cut.assert_same(cut.model.found_along(motion)[:, : cut.count], wanted)
     # Older cuts have taken bone from some elements, and the others are in both layers.
     assert set(wanted.layer[both]) == {0, 1}
     assert (wanted.clear & (wanted.by == 1) & (wanted.width_m == 0.0)).sum() > 100
@@ -153,7 +153,7 @@ def test_bone_around_the_whole_tool(profile, has_poses):
     cut = RandomCut(profile)
     recent = last_poses(cut.model, cut.motion) if has_poses else None
     wanted = cut.wanted(recent=recent)
-    both = cut.same(cut.around(), wanted)
+    both = cut.assert_same(cut.around(), wanted)
     assert set(wanted.by[both]) == ({0, 1, 2} if has_poses else {0, 1})
     whole = len(both) // 8 * 8
     layers = np.where(both, wanted.layer, -1)[:whole].reshape(-1, 8)
@@ -161,7 +161,7 @@ def test_bone_around_the_whole_tool(profile, has_poses):
 
 
 def found_by(cut):
-    """Bone of the kernel, as that of NumPy; the law is then compared alone."""
+    """Return the bone that the kernel finds in the form of NumPy, to compare the law alone."""
     rows, wanted = cut.around().astype(float), cut.wanted()
     slope = rows[SLOPE : SLOPE + 3].T
     layer, density = rows[LAYER].astype(int), rows[DENSITY]
@@ -187,7 +187,7 @@ VELOCITIES = {
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("profile", ["ball"])
 def test_tangent_of_the_force_against_finite_differences(profile, law, name, unknowns):
-    """Force, torque and their derivatives are those of the law in NumPy.
+    """Force, torque and their derivatives agree with the law in NumPy.
 
     The force agrees within 2e-5 of the largest component. The derivatives are central differences
     over 2e-5 of the speed. Elements that cross a kink of the law in between contribute up to 1 %.
@@ -267,7 +267,8 @@ def test_tangent_in_the_speed(profile, law, turning, spin_rad_s):
 def test_share_over_a_tick_is_the_mean_of_an_element_that_passes_the_surface():
     """The share of a point is the part of the tick in which it lies below the surface.
 
-    That of an element wider than its motion is the share of its width in the middle of the tick.
+    The share of an element wider than its motion is the part of its width below the surface in the
+    middle of the tick.
     """
     cut = RandomCut("ball")
     last_poses(cut.model, cut.motion)
