@@ -50,7 +50,7 @@ class Elements:
     # y). The tangent is the unit direction in which the spin moves the element.
     lever: wp.array2d(dtype=lanes8)
     area: wp.array(dtype=wp.float32)  # [m2]
-    areas: wp.array(dtype=lanes8)  # the same, of eight elements, 0 in front of no element
+    areas: wp.array(dtype=lanes8)  # areas of eight elements [m2], 0 beyond the last element
     # curvature of the tool there, see `kernels.revolution.Revolution`
     bend: wp.array(dtype=wp.float32)
     # mean curvature of the tool [1/m] at eight elements, 0 at an edge
@@ -77,8 +77,8 @@ class Travel:
     axis: wp.vec3  # unit, in the grid
     velocity: wp.vec3  # of the tip, per unit of speed
     turning: wp.vec3  # angular, per unit of speed [1/m]
-    turns: wp.int32  # 1 where it is not 0
-    least: wp.float32  # an element that advances by no more does not cut
+    turns: wp.int32  # 1 if the tool turns
+    least: wp.float32  # largest advance of an element that does not cut, per unit of speed
 
 
 @wp.func

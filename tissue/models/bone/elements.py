@@ -205,9 +205,12 @@ class CuttingForces:
 
     def sums(self) -> Array:
         """Return the sums over all elements at the present velocities."""
+        self._engaged.pull()
+        engaged = self._engaged.host != 0
+        rows = self.slopes + 6 * int(self._motion.host[4, 0])
+        if not engaged.any():
+            return np.zeros(rows)
         self._sum()
         self._sums.pull()
-        self._engaged.pull()
-        rows = self.slopes + 6 * int(self._motion.host[4, 0])
-        parts = self._sums.host[self._engaged.host != 0, :rows]
+        parts = self._sums.host[engaged, :rows]
         return np.asarray(np.add.reduce(np.add.reduce(parts, axis=0, dtype=np.float64), axis=-1))

@@ -17,22 +17,22 @@ et al. 2022, Chinese Journal of Mechanical Engineering 35).
 
 
 class LawLimits:
-    """Check of the feed per tooth and of the smooth surface of a tool in bone, at every answer.
+    """Check of the feed per tooth and of the smooth surface of a tool in bone, in every tick.
 
     Parameters
     ----------
     cutter
         The tool.
     smooth
-        Its surface that does not cut; None without such a surface.
+        Surface of the tool that does not cut; None without such a surface.
 
     Attributes
     ----------
     notices
-        A sentence at the first time that each limit is passed; the loop removes them as it logs
-        them.
+        One sentence for each limit, when it is first passed; the loop removes the sentences that it
+        logs.
     passed
-        All these sentences, by subject.
+        Sentences of all limits that were passed, by subject.
     thickest_m
         Largest feed per tooth in bone so far [m].
     """
@@ -50,15 +50,10 @@ class LawLimits:
         self.passed.clear()
         self.thickest_m = 0.0
 
-    def record(self) -> None:
-        """Record launches anew, after the store's arrays have grown."""
-        if self._smooth is not None:
-            self._smooth.forces.record()
-
     def check(self, motion: ToolMotion, engaged_m2: float, *, is_new: bool) -> None:
-        """Check one answer.
+        """Check one response.
 
-        `is_new` is True if the tool or the bone has changed since the last answer.
+        `is_new` is True if the tool or the bone has changed since the last response.
         """
         # A tool at rest takes no chip and does not advance into bone.
         if motion.speed_m_s == 0.0:

@@ -7,7 +7,7 @@ import warp as wp
 
 from kernels.bricks import FULL
 from kernels.cutting import AREA, MOTION_ROWS, RATE
-from kernels.engagement import DENSITIES, FOUND, Coefficients
+from kernels.engagement import DENSITIES, FOUND, POSE_ROWS, Coefficients
 from kernels.mirror import Mirror, put
 from meshes.base.arrays import Array, Bytes
 from meshes.voxels.volume import VoxelVolume
@@ -91,7 +91,7 @@ class BoneModel:
         self._response = Response(
             self._parts[:2].reshape(6), self._parts[2:].reshape(6), np.zeros(6), np.zeros(layers)
         )
-        self._pose = Mirror((7, 3), dtype=wp.float64, device=device)
+        self._pose = Mirror((POSE_ROWS, 3), dtype=wp.float64, device=device)
         self.motion_rows = self._pose.device
         """Device array of the pose and motion of the last `take`, see `find_bone`."""
         self._tip = self._pose.host[0]
@@ -138,8 +138,9 @@ class BoneModel:
         """Record all launches anew, after the store's arrays have grown."""
         self._found = None
         self.carver.record()
-        self.limits.record()
         self._forces.record()
+        if self._smooth is not None:
+            self._smooth.forces.record()
 
     @property
     def start_m3(self) -> Array:

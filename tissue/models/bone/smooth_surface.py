@@ -19,15 +19,15 @@ __all__ = ["FRICTION", "SmoothSurface"]
 SMOOTH_ELEMENTS = 500
 """Number of elements over the surface that does not cut; chosen."""
 BLOCKED = 0.25
-"""Share of the smooth end's area in contact with bone above which it is reported; chosen.
+"""Share of the smooth end's area above which contact with bone is reported; chosen.
 
-A peg touches the rim of its pilot hole.
+It is not zero, because a peg touches the rim of its pilot hole.
 """
 SINK_M_S = 2e-3
 """Speed at which a smooth surface has its full pressure [m/s]; chosen.
 
-A peg of 10 mm2 in contact sinks at 4 um/s under 10 N. With a fortieth of this value, the balance of
-a held tool was not found in some ticks.
+A peg of 10 mm2 in contact sinks at 4 um/s under 10 N. With 5e-5 m/s, the balance of the tool was not
+found in some ticks of `glenoid` by hand (measured once, commit 8ba74a07).
 """
 HARDNESS_Pa = 5e8
 """Pressure under which a smooth surface sinks into bone of the reference density [Pa]; assumed.
@@ -45,8 +45,8 @@ Source: Shirazi-Adl et al., 1993, from memory: confidence L.
 class SmoothSurface:
     """Tool's surface that does not cut.
 
-    On a given path, its area in bone is measured. A held tool is pushed back by it, as by a rigid
-    and plastic body.
+    On a prescribed path, only its area in bone is computed. On a held tool, it acts like a rigid
+    and perfectly plastic body.
 
     Parameters
     ----------
@@ -58,6 +58,13 @@ class SmoothSurface:
         See `CuttingForces`.
     strength
         Strength of each layer over its density, see `Coefficients`.
+
+    Attributes
+    ----------
+    forces
+        Forces of the surface on the tool.
+    blocked_m2
+        Area in bone above which the surface is blocked [m2].
     """
 
     def __init__(
