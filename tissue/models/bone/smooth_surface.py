@@ -26,8 +26,9 @@ It is not zero, because a peg touches the rim of its pilot hole.
 SINK_M_S = 2e-3
 """Speed at which a smooth surface has its full pressure [m/s]; chosen.
 
-A peg of 10 mm2 in contact sinks at 4 um/s under 10 N. With 5e-5 m/s, the balance of the tool was not
-found in some ticks of `glenoid` by hand (measured once, commit 8ba74a07).
+A peg of 10 mm2 in contact sinks at 4 um/s under 10 N. With 5e-5 m/s, the balance of the tool takes
+up to 21 evaluations of the forces a tick instead of up to 7 (first 3 s of `glenoid` by an expert on
+a Touch, measured once).
 """
 HARDNESS_Pa = 5e8
 """Pressure under which a smooth surface sinks into bone of the reference density [Pa]; assumed.
