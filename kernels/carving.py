@@ -8,10 +8,10 @@ cross at a right angle it leaves a twelfth of a voxel too much on average. All l
 voxels.
 
 Every voxel also keeps its smallest distance to older cuts. When the tool comes within reach of a
-block, these are all cuts so far. Behind a moving tool, they are the cuts up to 0.25 to 0.5 mm of
-travel back. In front of it, they are brought up to date only after a change of direction. So they
-lie behind the front of a moving tool. The cuts since then follow from the tool's last poses, see
-`kernels.engagement`. No direction of motion is needed for this.
+block, all cuts so far become older cuts. Behind a moving tool, a cut becomes an older cut after
+another 0.25 to 0.5 mm of travel. In front of it, older cuts are updated only after a change of
+direction. Older cuts therefore never reach the front of a moving tool. The cuts since then follow
+from the tool's last poses, see `kernels.recent_cuts`.
 
 Bricks belong to one of ``PHASES`` groups. A launch visits some of the groups, so that a slow tool
 spreads its carving over ticks; every group remembers the pose of its last visit. Inside a brick,
@@ -41,13 +41,15 @@ __all__ = [
 wp.set_module_options({"enable_backward": False})
 
 PHASES = 16  # a power of two: the remainder is one instruction
-FIRST, COUNT, BINARY, EVERY_SIDE, ORIGIN, MOVED, TURNED, PLAN = 0, 1, 2, 3, 4, 5, 6, 7
-"""Places in the plan of a launch.
-
-In order: first group; number of groups; 1 for binary removal; 1 for every side; group of the first
-brick; one bit a group, 1 where its cuts become older cuts; one bit a group, 1 where this also holds
-in front of the tool.
-"""
+# Places in the plan of a launch.
+FIRST = 0  # first group
+COUNT = 1  # number of groups
+BINARY = 2  # 1 for binary removal
+EVERY_SIDE = 3  # 1 to carve also the bricks and blocks behind a moving tool
+ORIGIN = 4  # group of the first brick
+MOVED = 5  # one bit a group, 1 where its cuts become older cuts
+TURNED = 6  # one bit a group, 1 where its cuts become older cuts also in front of the tool
+PLAN = 7  # number of places
 BLOCK_REACH = wp.constant(1.7320508)  # half diagonal of a block of 2 voxels [voxel]
 LONGEST_STEP = wp.constant(1.0)  # more than the tool moves between two visits of a brick [voxel]
 EDGE = wp.constant(float(EDGE_BEND))
@@ -74,7 +76,7 @@ def carve(
     remaining_out: wp.array2d(dtype=wp.uint16),
     # distance to the solid that the tool has swept, see `swept_steps`
     swept_out: wp.array2d(dtype=wp.uint16),
-    middle_out: wp.array2d(dtype=wp.uint16),  # what becomes the distance to older cuts next
+    middle_out: wp.array2d(dtype=wp.uint16),  # distance to the cuts up to the last `book`
     older_out: wp.array2d(dtype=wp.uint16),  # distance to older cuts
     # [brick], one bit a block of 2 x 2 x 2 voxels that may hold material
     alive_out: wp.array(dtype=wp.uint64),
@@ -115,12 +117,9 @@ def carve(
                     carve_brick(
                         tool,
                         pose,
+                        plan,
                         axis,
                         group,
-                        plan[BINARY],
-                        plan[EVERY_SIDE],
-                        (plan[MOVED] >> group) & 1,
-                        (plan[TURNED] >> group) & 1,
                         bx,
                         by,
                         bz,
@@ -142,12 +141,9 @@ def carve(
 def carve_brick(
     tool: Revolution,
     pose: wp.array2d(dtype=wp.float64),
+    plan: wp.array(dtype=wp.int32),
     axis: wp.vec3,
     group: int,
-    binary: int,
-    every_side: int,
-    has_moved: int,
-    has_turned: int,
     bx: int,
     by: int,
     bz: int,
@@ -162,7 +158,10 @@ def carve_brick(
     touched_out: wp.array(dtype=wp.uint8),
     removed_out: wp.array2d(dtype=wp.int64),
 ):
-    """Carve one brick, block by block; the surface's direction is taken once a block."""
+    """Carve one brick, block by block.
+
+    The direction of the tool's surface is evaluated once a block.
+    """
     alive = alive_out[row]
     if alive == wp.uint64(0):
         return
@@ -177,7 +176,9 @@ def carve_brick(
     # the normal of a tool of 8 voxels' radius turns by 12 degrees, over a brick that of 24 by 17
     # degrees. The whole block faces backward below -0.25 (104 degrees), the whole brick below -0.7
     # (134 degrees).
-    skip_behind = every_side == 0 and tool.round == 1 and tool.radius > 8.0
+    skip_behind = plan[EVERY_SIDE] == 0 and tool.round == 1 and tool.radius > 8.0
+    has_moved = (plan[MOVED] >> group) & 1
+    has_turned = (plan[TURNED] >> group) & 1
     if skip_behind and tool.radius > 24.0 and wp.dot(step, far.slope) < -0.7 * moved:
         # The whole brick lies behind a tool that leaves it.
         if has_moved == 1:
@@ -203,23 +204,26 @@ def carve_brick(
             if tool.convex == 0 or far.distance + wp.dot(far.slope, shift) < BLOCK_REACH + kink:
                 near = nearest_on(tool, centre + shift, axis)
                 # Bone in front of the tool has not been cut, unless the tool returns.
-                books = wp.where(wp.dot(near.slope, back) > BEHIND * travel, has_moved, has_turned)
-                comes = int(0)
+                lies_behind = wp.dot(near.slope, back) > BEHIND * travel
+                grows_old = wp.where(lies_behind, has_moved, has_turned)
+                enters_reach = int(0)
                 if near.distance < BLOCK_REACH and near.distance > BLOCK_REACH - LONGEST_STEP:
                     last = nearest_on(tool, centre + step + shift, axis_before)
-                    comes = wp.where(last.distance >= BLOCK_REACH, 1, 0)
-                if near.distance < BLOCK_REACH and (has_moved == 1 or comes == 1):
-                    book(row, block * 8, books, comes, swept_out, middle_out, older_out)
+                    enters_reach = wp.where(last.distance >= BLOCK_REACH, 1, 0)
+                if near.distance < BLOCK_REACH and (has_moved == 1 or enters_reach == 1):
+                    book(row, block * 8, grows_old, enters_reach, swept_out, middle_out, older_out)
                 if near.distance < -BLOCK_REACH:
-                    for v in range(8):
-                        voxel = block * 8 + v
-                        kept = int(remaining_out[row, voxel])
-                        removed_out[worker, layer_of(material[row, voxel])] += wp.int64(kept)
-                        remaining_out[row, voxel] = wp.uint16(0)
-                        swept_out[row, voxel] = wp.uint16(0)
-                        older_out[row, voxel] = wp.uint16(
-                            swept_steps(distance_at(near, corner_offset(v)))
-                        )
+                    clear_block(
+                        near,
+                        row,
+                        block * 8,
+                        worker,
+                        material,
+                        remaining_out,
+                        swept_out,
+                        older_out,
+                        removed_out,
+                    )
                     alive = alive ^ bit
                 elif near.distance < BLOCK_REACH:
                     advance = wp.dot(near.slope, step)
@@ -231,7 +235,7 @@ def carve_brick(
                             centre + shift,
                             near,
                             flat,
-                            binary,
+                            plan[BINARY],
                             row,
                             block * 8,
                             worker,
@@ -250,23 +254,46 @@ def carve_brick(
 def book(
     row: int,
     first: int,
-    books: int,
-    comes: int,
+    grows_old: int,
+    enters_reach: int,
     swept: wp.array2d(dtype=wp.uint16),
     middle_out: wp.array2d(dtype=wp.uint16),
     older_out: wp.array2d(dtype=wp.uint16),
 ):
-    """Let the cuts in a block become older cuts.
+    """Turn cuts in a block into older cuts.
 
-    They are those up to the last time, or all of them where the tool comes into reach.
+    With ``grows_old``, these are the cuts up to the previous call for the block. With
+    ``enters_reach``, these are all cuts so far.
     """
     for v in range(8):
         voxel = first + v
-        if comes == 1:
+        if enters_reach == 1:
             older_out[row, voxel] = swept[row, voxel]
-        elif books == 1:
+        elif grows_old == 1:
             older_out[row, voxel] = middle_out[row, voxel]
         middle_out[row, voxel] = swept[row, voxel]
+
+
+@wp.func
+def clear_block(
+    near: Nearest,
+    row: int,
+    first: int,
+    worker: int,
+    material: wp.array2d(dtype=wp.uint32),
+    remaining_out: wp.array2d(dtype=wp.uint16),
+    swept_out: wp.array2d(dtype=wp.uint16),
+    older_out: wp.array2d(dtype=wp.uint16),
+    removed_out: wp.array2d(dtype=wp.int64),
+):
+    """Remove a block that lies inside the tool as a whole."""
+    for v in range(8):
+        voxel = first + v
+        kept = int(remaining_out[row, voxel])
+        removed_out[worker, layer_of(material[row, voxel])] += wp.int64(kept)
+        remaining_out[row, voxel] = wp.uint16(0)
+        swept_out[row, voxel] = wp.uint16(0)
+        older_out[row, voxel] = wp.uint16(swept_steps(distance_at(near, corner_offset(v))))
 
 
 @wp.func

@@ -22,7 +22,7 @@ The kernel returns the tangent of the force at a given velocity. It computes eig
 
 import warp as wp
 
-from kernels.elements import CHUNK, LANES, Elements, lanes8
+from kernels.elements import CHUNK, LANES, LEAST_ADVANCE, Elements, lanes8
 from kernels.engagement import (
     CHIP,
     DISTANCE,
@@ -38,16 +38,17 @@ __all__ = ["AREA", "MOTION_ROWS", "RATE", "VALUE", "cutting_forces"]
 
 wp.set_module_options({"enable_backward": False})
 
-VALUE, RATE, AREA = 0, 6, 7
-"""Places in the sums.
-
-First the tangent's value at zero velocity: force [N] and torque about the tip [N m]. Then the
-removal rate at speed 1 [m3/s] and the engaged area of each layer [m2]. Then, for each of up to six
-unknowns, the derivative of force and torque by the unknown. With three unknowns, only the force has
-derivatives, and the torque is that at the given velocity. Each sum has eight parts, one for each
-element of eight.
-"""
+# Places in the sums. After the areas follows, for each of up to six unknowns, the derivative of
+# force and torque by the unknown. With three unknowns, only the force has derivatives, and the
+# torque is the torque at the given velocity. Each sum has eight parts, one for each element of
+# eight.
+VALUE = 0  # tangent at zero velocity: force [N] and torque about the tip [N m], 6 places
+RATE = 6  # removal rate at speed 1 [m3/s]
+AREA = 7  # engaged area of each layer [m2]
 MOTION_ROWS = 5
+"""Number of rows of the motion that `cutting_forces` reads."""
+# Lower limit of widths, motions and chip thicknesses that are divided by [m].
+TINY = wp.constant(1.0e-12)
 
 
 @wp.struct
@@ -65,8 +66,9 @@ def cutting_forces(
     coefficients: Coefficients,
     found: wp.array2d(dtype=lanes8),  # [eight elements, row], see `kernels.engagement.DISTANCE`
     engaged: wp.array(dtype=wp.int32),  # [chunk], 1 where an element has bone
-    # rows, in the tool's frame: velocity of the tip [m/s], angular velocity [rad/s], both at which
-    # the place of `found` was reached; number of unknowns, length of the tick [s] and speed
+    # rows, in the tool's frame: velocity of the tip [m/s], angular velocity [rad/s]; the two
+    # velocities with which the pose of `found` would be reached in a tick; number of unknowns,
+    # length of the tick [s] and speed
     motion: wp.array2d(dtype=wp.float64),
     chip_per_speed: float,  # 2 pi / (N omega) [s]
     chunk_offset: int,
@@ -89,9 +91,9 @@ def cutting_forces(
     speed = float(motion[4, 2])
     velocity = row_of(motion, 0)
     turning = row_of(motion, 1)
-    # Only elements that advance by more than the rounding of an advance cut. A tangent by the
-    # velocity must not jump: there the force goes to zero with the advance.
-    least = wp.where(unknowns == 1, 1.0e-5 * wp.length(velocity), 0.0)
+    # Along a path, only elements that advance by more than the rounding of an advance cut. A
+    # tangent by the velocity has no such limit, because the force must not jump there.
+    least = wp.where(unknowns == 1, LEAST_ADVANCE * wp.length(velocity), 0.0)
     first = chunk * (CHUNK // LANES)
     last = wp.min(first + CHUNK // LANES, elements.lanes.shape[0])
     for eight in range(first, last):
@@ -146,7 +148,6 @@ def add_eight(
     sx = found[eight, SLOPE]
     sy = found[eight, SLOPE + 1]
     sz = found[eight, SLOPE + 2]
-    one = lanes8(1.0)
     # moments: derivatives of advance and shift by the angular velocity
     mx = wp.cw_mul(py, nz) - wp.cw_mul(pz, ny)
     my = wp.cw_mul(pz, nx) - wp.cw_mul(px, nz)
@@ -159,36 +160,11 @@ def add_eight(
     shift_by_turn = along(turning, qx, qy, qz)
     passing = along(velocity, sx, sy, sz) + shift_by_turn
     before = along(velocity_before, sx, sy, sz) + along(turning_before, qx, qy, qz)
-    # Mean share below the surface, of an element that starts at a distance and moves by `shift`.
-    shift = tick * passing
-    swept = wp.abs(shift)
-    extent = wp.max(wp.max(width, swept), lanes8(1.0e-12))
-    middle = wp.cw_div(found[eight, DISTANCE] - tick * before + 0.5 * shift, extent)
-    raw = 0.5 * one - middle
-    cuts = wp.cw_mul(above(advance - least * one), above(width - lanes8(1.0e-12)))
-    share = wp.cw_mul(wp.min(wp.max(raw, lanes8()), one), cuts)
-    # its derivative by the shift
-    steep = wp.cw_mul(wp.cw_mul(above(swept - width), wp.sign(shift)), middle) - 0.5 * one
-    partly = wp.cw_mul(wp.cw_mul(above(raw), one - above(raw - one)), cuts)
-    by_shift = tick * wp.cw_div(wp.cw_mul(steep, partly), extent)
-    # Effective chip thickness, share of the edge force, and their derivatives by the advance. The
-    # products are formed such that a law that is linear has the value 0 at zero velocity.
+    cuts = wp.cw_mul(above(advance - least * lanes8(1.0)), above(width - lanes8(TINY)))
+    distance = found[eight, DISTANCE] - tick * before
+    share, partly, by_shift = share_below(distance, width, tick, passing, cuts)
     made = speed * advance
-    thickness = chip_per_speed * made
-    is_above = above(thickness - found[eight, MINIMUM])
-    inverse = wp.cw_div(one, wp.max(found[eight, MINIMUM], lanes8(1.0e-12)))
-    chip_slope = chip_per_speed * one
-    chip = thickness
-    edge_slope = chip_per_speed * wp.cw_mul(one - is_above, inverse)
-    edge = wp.cw_mul(edge_slope, made) + is_above
-    if coefficients.has_size_effect == 1:
-        for lane in range(LANES):
-            size = coefficients.size[int(found[eight, LAYER][lane])]
-            scale = wp.pow(wp.max(thickness[lane], wp.max(size[1], 1.0e-12)) / size[2], -size[0])
-            chip[lane] = thickness[lane] * scale
-            chip_slope[lane] = chip_per_speed * scale
-            if thickness[lane] >= size[1]:
-                chip_slope[lane] *= 1.0 - size[0]
+    chip, chip_slope, edge, edge_slope = chip_law(coefficients, found, eight, chip_per_speed, made)
     # The value at zero velocity is the force without what the unknowns contribute.
     made_shift = passing
     if unknowns == 3:
@@ -205,44 +181,24 @@ def add_eight(
     if unknowns == 3:
         chip_torque = wp.cw_mul(share, chip)
         edge_torque = wp.cw_mul(share, edge)
-    slopes = AREA + coefficients.size.shape[0]
     value = loads_of(found, eight, chip_value, edge_value)
-    add_forces(elements, eight, value, one, chunk, VALUE, sums_out)
+    add_forces(elements, eight, value, lanes8(1.0), chunk, VALUE, sums_out)
     acting = loads_of(found, eight, chip_torque, edge_torque)
-    add_torques(elements, eight, acting, one, chunk, VALUE, sums_out)
+    add_torques(elements, eight, acting, lanes8(1.0), chunk, VALUE, sums_out)
+    slopes = AREA + coefficients.size.shape[0]
     by_advance = loads_of(found, eight, wp.cw_mul(share, chip_slope), wp.cw_mul(share, edge_slope))
     if unknowns == 1:
         add_forces(elements, eight, by_advance, advance, chunk, slopes, sums_out)
         add_torques(elements, eight, by_advance, advance, chunk, slopes, sums_out)
     else:
-        add_forces(elements, eight, by_advance, nx, chunk, slopes, sums_out)
-        add_forces(elements, eight, by_advance, ny, chunk, slopes + 6, sums_out)
-        add_forces(elements, eight, by_advance, nz, chunk, slopes + 12, sums_out)
-        if unknowns == 6:
-            add_forces(elements, eight, by_advance, mx, chunk, slopes + 18, sums_out)
-            add_forces(elements, eight, by_advance, my, chunk, slopes + 24, sums_out)
-            add_forces(elements, eight, by_advance, mz, chunk, slopes + 30, sums_out)
-            add_torques(elements, eight, by_advance, nx, chunk, slopes, sums_out)
-            add_torques(elements, eight, by_advance, ny, chunk, slopes + 6, sums_out)
-            add_torques(elements, eight, by_advance, nz, chunk, slopes + 12, sums_out)
-            add_torques(elements, eight, by_advance, mx, chunk, slopes + 18, sums_out)
-            add_torques(elements, eight, by_advance, my, chunk, slopes + 24, sums_out)
-            add_torques(elements, eight, by_advance, mz, chunk, slopes + 30, sums_out)
+        add_derivatives(
+            elements, eight, by_advance, nx, ny, nz, mx, my, mz, unknowns, chunk, slopes, sums_out
+        )
         if wp.max(partly) > 0.0:
             moving = loads_of(found, eight, chip_by_shift, edge_by_shift)
-            add_forces(elements, eight, moving, sx, chunk, slopes, sums_out)
-            add_forces(elements, eight, moving, sy, chunk, slopes + 6, sums_out)
-            add_forces(elements, eight, moving, sz, chunk, slopes + 12, sums_out)
-            if unknowns == 6:
-                add_forces(elements, eight, moving, qx, chunk, slopes + 18, sums_out)
-                add_forces(elements, eight, moving, qy, chunk, slopes + 24, sums_out)
-                add_forces(elements, eight, moving, qz, chunk, slopes + 30, sums_out)
-                add_torques(elements, eight, moving, sx, chunk, slopes, sums_out)
-                add_torques(elements, eight, moving, sy, chunk, slopes + 6, sums_out)
-                add_torques(elements, eight, moving, sz, chunk, slopes + 12, sums_out)
-                add_torques(elements, eight, moving, qx, chunk, slopes + 18, sums_out)
-                add_torques(elements, eight, moving, qy, chunk, slopes + 24, sums_out)
-                add_torques(elements, eight, moving, qz, chunk, slopes + 30, sums_out)
+            add_derivatives(
+                elements, eight, moving, sx, sy, sz, qx, qy, qz, unknowns, chunk, slopes, sums_out
+            )
     area = wp.cw_mul(elements.areas[eight], share)
     sums_out[chunk, RATE] += wp.cw_mul(area, advance)
     layers = found[eight, LAYER]
@@ -253,6 +209,63 @@ def add_eight(
             part = lanes8()
             part[lane] = area[lane]
             sums_out[chunk, AREA + int(layers[lane])] += part
+
+
+@wp.func
+def share_below(distance: lanes8, width: lanes8, tick: float, passing: lanes8, cuts: lanes8):
+    """Compute the mean share of eight elements below the surface over a tick.
+
+    The elements start at ``distance`` and pass the surface at the speeds ``passing``. Elements for
+    which ``cuts`` is 0 have no share.
+
+    Returns the share, 1 where it is between 0 and 1, and its derivative by the speed.
+    """
+    one = lanes8(1.0)
+    shift = tick * passing
+    swept = wp.abs(shift)
+    extent = wp.max(wp.max(width, swept), lanes8(TINY))
+    middle = wp.cw_div(distance + 0.5 * shift, extent)
+    raw = 0.5 * one - middle
+    share = wp.cw_mul(wp.min(wp.max(raw, lanes8()), one), cuts)
+    # derivative of the share by the shift, times the extent
+    steep = wp.cw_mul(wp.cw_mul(above(swept - width), wp.sign(shift)), middle) - 0.5 * one
+    partly = wp.cw_mul(wp.cw_mul(above(raw), one - above(raw - one)), cuts)
+    by_shift = tick * wp.cw_div(wp.cw_mul(steep, partly), extent)
+    return share, partly, by_shift
+
+
+@wp.func
+def chip_law(
+    coefficients: Coefficients,
+    found: wp.array2d(dtype=lanes8),
+    eight: int,
+    chip_per_speed: float,
+    advance: lanes8,
+):
+    """Compute effective chip thickness and share of the edge force of eight elements.
+
+    The advance is in m/s. The products are formed such that a linear law has the value 0 at zero
+    velocity.
+
+    Returns the chip thickness, its derivative by the advance, the share, and its derivative.
+    """
+    one = lanes8(1.0)
+    thickness = chip_per_speed * advance
+    is_above = above(thickness - found[eight, MINIMUM])
+    inverse = wp.cw_div(one, wp.max(found[eight, MINIMUM], lanes8(TINY)))
+    chip_slope = chip_per_speed * one
+    chip = thickness
+    edge_slope = chip_per_speed * wp.cw_mul(one - is_above, inverse)
+    edge = wp.cw_mul(edge_slope, advance) + is_above
+    if coefficients.has_size_effect == 1:
+        for lane in range(LANES):
+            size = coefficients.size[int(found[eight, LAYER][lane])]
+            scale = wp.pow(wp.max(thickness[lane], wp.max(size[1], TINY)) / size[2], -size[0])
+            chip[lane] = thickness[lane] * scale
+            chip_slope[lane] = chip_per_speed * scale
+            if thickness[lane] >= size[1]:
+                chip_slope[lane] *= 1.0 - size[0]
+    return chip, chip_slope, edge, edge_slope
 
 
 @wp.func
@@ -342,3 +355,39 @@ def add_torques(
     sums_out[chunk, place + 5] -= times(elements, eight, tangential, 4) + times(
         elements, eight, radial, 10
     )
+
+
+@wp.func
+def add_derivatives(
+    elements: Elements,
+    eight: int,
+    loads: Loads,
+    x: lanes8,
+    y: lanes8,
+    z: lanes8,
+    turn_x: lanes8,
+    turn_y: lanes8,
+    turn_z: lanes8,
+    unknowns: int,
+    chunk: int,
+    place: int,
+    sums_out: wp.array2d(dtype=lanes8),
+):
+    """Add the derivatives of force and torque by the velocities to the sums of a chunk.
+
+    The loads are multiplied by the derivatives of an advance by the velocity of the tip (x, y, z)
+    and by the angular velocity. With three unknowns, only the force has derivatives.
+    """
+    add_forces(elements, eight, loads, x, chunk, place, sums_out)
+    add_forces(elements, eight, loads, y, chunk, place + 6, sums_out)
+    add_forces(elements, eight, loads, z, chunk, place + 12, sums_out)
+    if unknowns == 6:
+        add_forces(elements, eight, loads, turn_x, chunk, place + 18, sums_out)
+        add_forces(elements, eight, loads, turn_y, chunk, place + 24, sums_out)
+        add_forces(elements, eight, loads, turn_z, chunk, place + 30, sums_out)
+        add_torques(elements, eight, loads, x, chunk, place, sums_out)
+        add_torques(elements, eight, loads, y, chunk, place + 6, sums_out)
+        add_torques(elements, eight, loads, z, chunk, place + 12, sums_out)
+        add_torques(elements, eight, loads, turn_x, chunk, place + 18, sums_out)
+        add_torques(elements, eight, loads, turn_y, chunk, place + 24, sums_out)
+        add_torques(elements, eight, loads, turn_z, chunk, place + 30, sums_out)

@@ -9,6 +9,7 @@ import warp as wp
 __all__ = [
     "CHUNK",
     "LANES",
+    "LEAST_ADVANCE",
     "Elements",
     "Travel",
     "advance_of",
@@ -32,6 +33,9 @@ Together with sums outside of branches, this saves a tenth of the force kernel's
 docs/performance.md.
 """
 lanes8 = wp.types.vector(length=LANES, dtype=wp.float32)
+# Advance over the speed of the tip up to which an element does not cut. It is more than the
+# rounding of an advance in single precision.
+LEAST_ADVANCE = wp.constant(1.0e-5)
 
 
 @wp.struct
@@ -46,7 +50,7 @@ class Elements:
     # y). The tangent is the unit direction in which the spin moves the element.
     lever: wp.array2d(dtype=lanes8)
     area: wp.array(dtype=wp.float32)  # [m2]
-    areas: wp.array(dtype=lanes8)  # the same, of eight elements, 0 in front of no element
+    areas: wp.array(dtype=lanes8)  # areas of eight elements [m2], 0 beyond the last element
     # curvature of the tool there, see `kernels.revolution.Revolution`
     bend: wp.array(dtype=wp.float32)
     # mean curvature of the tool [1/m] at eight elements, 0 at an edge
@@ -73,8 +77,8 @@ class Travel:
     axis: wp.vec3  # unit, in the grid
     velocity: wp.vec3  # of the tip, per unit of speed
     turning: wp.vec3  # angular, per unit of speed [1/m]
-    turns: wp.int32  # 1 where it is not 0
-    least: wp.float32  # an element that advances by no more does not cut
+    turns: wp.int32  # 1 if the tool turns
+    least: wp.float32  # largest advance of an element that does not cut, per unit of speed
 
 
 @wp.func
@@ -90,8 +94,7 @@ def travel_of(motion: wp.array2d(dtype=wp.float64), spacing: float):
     travel.velocity = velocity
     travel.turning = wp.vec3(float(motion[5, 0]), float(motion[5, 1]), float(motion[5, 2]))
     travel.turns = wp.where(wp.length(travel.turning) > 0.0, 1, 0)
-    # 1e-5: more than the rounding of an advance in single precision.
-    travel.least = 1.0e-5 * wp.length(velocity)
+    travel.least = LEAST_ADVANCE * wp.length(velocity)
     return travel
 
 

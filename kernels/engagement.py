@@ -4,12 +4,8 @@ An element is engaged by the share of its width that lies below a surface: the o
 the bone or, where a cut lies deeper, the surface that this cut has left. Distance, direction and
 width of the surface are stored, so that `kernels.cutting` can evaluate the share at any velocity.
 
-Cuts that are some visits old are taken from the voxels, see `kernels.older_cuts`. The tool's last
-poses are known to rounding. At a pose displaced by d, the tool has cut to ::
-
-    d . n - k / 2 |d - (d . n) n|**2
-
-in front of an element with normal n and mean curvature k. Rotations are taken to second order.
+Cuts that are some visits old are taken from the voxels, see `kernels.older_cuts`. Cuts since then
+follow from the tool's last poses, see `kernels.recent_cuts`.
 """
 
 import warp as wp
@@ -28,6 +24,7 @@ from kernels.elements import (
     travel_of,
 )
 from kernels.older_cuts import RAMP, SLOTS, bone_left
+from kernels.recent_cuts import CLOSE, Poses, poses_in_front, recently_cut
 from kernels.revolution import Revolution
 
 __all__ = [
@@ -39,6 +36,7 @@ __all__ = [
     "FOUND",
     "LAYER",
     "MINIMUM",
+    "POSE_ROWS",
     "SLOPE",
     "WIDTH",
     "Coefficients",
@@ -47,32 +45,32 @@ __all__ = [
 
 wp.set_module_options({"enable_backward": False})
 
-DISTANCE, SLOPE, WIDTH, LAYER, DENSITY, MINIMUM, CHIP, EDGE, FOUND = 0, 1, 4, 5, 6, 7, 8, 11, 14
-"""Rows of the bone found in front of eight elements.
-
-The signed distance to the surface [m], positive outside the bone; its gradient by the element's
-position, along the tool's axes (3 rows); the width over which the share falls from 1 to 0 [m], 0
-without bone; layer; density [kg/m3], an entry of the strength table; minimum chip thickness [m];
-chip forces per thickness [N/m] and edge forces [N] of the whole element, tangential, radial and
-axial (3 rows each). Then the number of rows.
-"""
+# Rows of the bone found in front of eight elements.
+DISTANCE = 0  # signed distance to the surface [m], positive outside the bone
+SLOPE = 1  # gradient of the distance by the element's position, along the tool's axes, 3 rows
+WIDTH = 4  # width over which the share falls from 1 to 0 [m], 0 without bone
+LAYER = 5
+DENSITY = 6  # [kg/m3], an entry of the strength table
+MINIMUM = 7  # minimum chip thickness [m]
+CHIP = 8  # forces of the whole element per chip thickness [N/m]: tangential, radial, axial
+EDGE = 11  # edge forces of the whole element [N]: tangential, radial, axial
+FOUND = 14  # number of rows
+POSE_ROWS = 7
+"""Number of rows of the pose and motion that `find_bone` reads."""
 DENSITIES = wp.constant(20001)
 """Number of entries of the strength table.
 
 They are for densities of 0 to 20,000 kg/m3, the largest that a bone may have.
 """
-# Across the surface, an element is taken as this wide at most [voxel]. Half of it is less than the
-# 1.78 voxels within which distances are interpolated, see `kernels.bone_lookup`.
+# Largest width of an element across the surface [voxel]. Half of it is less than the 1.78 voxels
+# within which distances are interpolated, see `kernels.bone_lookup`.
 WIDEST = wp.constant(3.5)
-# An element parallel to the surface has no width across it [voxel].
+# Smallest width of an element across the surface [voxel]. The width of an element parallel to the
+# surface would be zero.
 NARROWEST = wp.constant(1.0e-3)
-# Distance in front of a tool held by hand at which bone is found [voxel]. A tool moves less far
-# beyond the place at which its bone was found.
+# Distance in front of a tool held by hand within which bone is found [voxel]. The tool moves less
+# than this from the pose at which its bone was found.
 NEAR = wp.constant(0.2)
-# Number of the last poses after which it is checked whether the others count; chosen.
-CHECKED = wp.constant(8)
-# Gap to the tool's last poses above which it counts, and the width of their surface [m].
-CLOSE = wp.constant(2.0e-8)
 
 
 @wp.struct
@@ -96,10 +94,10 @@ def find_bone(
     coefficients: Coefficients,
     # rows: tip [voxel]; tool axes x, y, z; tip's and angular velocity at unit speed, own frame;
     # 1 to find bone around the whole tool, else only in front of elements that advance; 1 where the
-    # tool has turned recently; least minimum chip thickness [m]
+    # tool has turned recently; lower limit of the minimum chip thickness [m]
     motion: wp.array2d(dtype=wp.float64),
-    # displacements to the tool's last poses and rotations to them, in the tool's frame [m], [rad];
-    # the first is the present pose
+    # [pose, 6]: displacements [m] and rotations [rad] to the tool's last poses, in the tool's
+    # frame; the present pose first
     recent: wp.array2d(dtype=wp.float32),
     spacing: float,  # [m]
     chunk_offset: int,
@@ -122,7 +120,6 @@ def find_bone(
     first = chunk * (CHUNK // LANES)
     last = wp.min(first + CHUNK // LANES, elements.lanes.shape[0])
     turns = motion[6, 1] != wp.float64(0.0)
-    # The last eight elements may be fewer.
     count = elements.edge_length.shape[0]
     meets = may_cut(elements, chunk, travel, spacing, everywhere, brick_of, alive)
     poses = Poses()
@@ -158,6 +155,7 @@ def find_bone(
                     has_poses = 1
                 gap = recently_cut(recent, elements, eight, turns, poses, enough)
             lane = int(LANES) * (1 - near)
+            # The last eight elements may be fewer. A `for` loop to this limit takes 2 % longer.
             while lane < LANES and eight * LANES + lane < count:
                 if everywhere or advances[lane] > travel.least:
                     met = bone_met(
@@ -286,7 +284,7 @@ def bone_met(
         width = float(1.0)
         distance = float(-1.0)
         slope = wp.vec3()
-        # -2 stands for deeper bone, without a slope.
+        # `bone_at` returns -2 for bone that lies deeper. It then has no slope.
         if bone.distance > -1.9:
             tangent = bone.slope - wp.dot(bone.slope, outward) * outward
             width = wp.min(wp.length(tangent) * wp.sqrt(elements.area[e]) / spacing, WIDEST)
@@ -330,132 +328,6 @@ def bone_met(
                 met.layer = bone.layer
                 met.density = wp.floor(wp.min(bone.density + 0.5, float(DENSITIES - 1)))
     return met
-
-
-@wp.struct
-class Poses:
-    """Range of the last poses."""
-
-    first: wp.int32
-    last: wp.int32  # and one more
-
-
-@wp.func
-def poses_in_front(
-    recent: wp.array2d(dtype=wp.float32),
-    elements: Elements,
-    chunk: int,
-    first: int,
-    last: int,
-    turns: bool,
-):
-    """Return the range of last poses that may have cut farther than the present pose.
-
-    A pose counts if the tool lay in front of the present pose there, for the normal of some element
-    of the chunk. A tool that advances has no such poses in front of it.
-    """
-    poses = Poses()
-    poses.last = recent.shape[0]
-    if not turns:
-        cone = elements.chunk_cone[chunk]
-        axis = wp.vec3(cone[0], cone[1], cone[2])
-        # The normals differ from the cone's axis by a vector of this length at most.
-        differ = float(2.0)
-        if cone[3] <= 1.0:
-            differ = wp.sqrt(2.0 - 2.0 * wp.sqrt(1.0 - cone[3] * cone[3])) + 1.0e-5
-        half = float(0.0)
-        for eight in range(first, last):
-            half = wp.max(half, 0.5 * wp.max(elements.curvature[eight]))
-        present = wp.vec3(recent[0, 0], recent[0, 1], recent[0, 2])
-        curved = half * wp.dot(present, present)
-        poses.first = recent.shape[0]
-        poses.last = 0
-        for j in range(recent.shape[0]):
-            moved = wp.vec3(recent[j, 0], recent[j, 1], recent[j, 2]) - present
-            reached = wp.dot(moved, axis) + wp.length(moved) * differ + curved
-            if reached > 0.5 * CLOSE:
-                poses.first = wp.min(poses.first, j)
-                poses.last = j + 1
-    return poses
-
-
-@wp.func
-def recently_cut(
-    recent: wp.array2d(dtype=wp.float32),
-    elements: Elements,
-    eight: int,
-    turns: bool,
-    poses: Poses,
-    enough: float,
-):
-    """Return how far the tool has cut in front of eight elements at its last poses [m].
-
-    It is 0 for elements in front of which the present pose has cut farthest. Once it is more than
-    ``enough`` for all eight, the other poses are left out.
-    """
-    gap = lanes8()
-    if poses.first >= poses.last:
-        return gap
-    nx = elements.lanes[eight, 3]
-    ny = elements.lanes[eight, 4]
-    nz = elements.lanes[eight, 5]
-    half = 0.5 * elements.curvature[eight]
-    present = cut_at(recent, elements, eight, 0, nx, ny, nz, half, turns)
-    most = present
-    j = poses.first
-    while j < poses.last:
-        end = wp.min(j + CHECKED, poses.last)
-        while j < end:
-            most = wp.max(most, cut_at(recent, elements, eight, j, nx, ny, nz, half, turns))
-            j += 1
-        # Elements in front of which all has been cut are not asked for more.
-        if wp.min(most - present) > CLOSE and wp.min(most) > enough:
-            j = poses.last
-    for lane in range(LANES):
-        if most[lane] - present[lane] > CLOSE:
-            gap[lane] = most[lane]
-    return gap
-
-
-@wp.func
-def cut_at(
-    recent: wp.array2d(dtype=wp.float32),
-    elements: Elements,
-    eight: int,
-    j: int,
-    nx: lanes8,
-    ny: lanes8,
-    nz: lanes8,
-    half: lanes8,
-    turns: bool,
-):
-    """Return how far the tool has cut in front of eight elements at one of its last poses [m]."""
-    mx = recent[j, 0]
-    my = recent[j, 1]
-    mz = recent[j, 2]
-    risen = lanes8()
-    across = mx * nx + my * ny + mz * nz
-    square = lanes8(mx * mx + my * my + mz * mz)
-    if turns:
-        # Up to second order of the rotation w, an element at p with normal n moves by w x p, and
-        # the surface at its new place rises by (w x n) . (w x p / 2 + moved). The rotation about
-        # the tool's axis is left out.
-        px = elements.lanes[eight, 0]
-        py = elements.lanes[eight, 1]
-        pz = elements.lanes[eight, 2]
-        wx = recent[j, 3]
-        wy = recent[j, 4]
-        x = wy * pz
-        y = -wx * pz
-        z = wx * py - wy * px
-        risen = wp.cw_mul(wy * nz, 0.5 * x + lanes8(mx)) - wp.cw_mul(wx * nz, 0.5 * y + lanes8(my))
-        risen += wp.cw_mul(wx * ny - wy * nx, 0.5 * z + lanes8(mz))
-        x += lanes8(mx)
-        y += lanes8(my)
-        z += lanes8(mz)
-        across = wp.cw_mul(x, nx) + wp.cw_mul(y, ny) + wp.cw_mul(z, nz)
-        square = wp.cw_mul(x, x) + wp.cw_mul(y, y) + wp.cw_mul(z, z)
-    return across - wp.cw_mul(half, square - wp.cw_mul(across, across)) + risen
 
 
 @wp.func

@@ -17,7 +17,7 @@ class Mirror:
     shape
         Shape of the array.
     dtype
-        A Warp scalar type.
+        A Warp scalar or vector type.
     device
         Warp device name.
     """

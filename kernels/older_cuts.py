@@ -20,16 +20,18 @@ __all__ = ["RAMP", "SLOTS", "bone_left"]
 wp.set_module_options({"enable_backward": False})
 
 NEVER = wp.constant(65535)  # stored where the tool has not come near
-CLEAR = wp.constant(0.9)  # more than a voxel's centre is from any point in it
+# More than the distance from a voxel's centre to any point in the voxel [voxel].
+CLEAR = wp.constant(0.9)
 # length of bone up to an older cut over which the share of an element that cuts rises to 1 [voxel]
 RAMP = wp.constant(0.01)
-ROUGH = wp.constant(0.05)  # more than the errors of tables and tangent spheres, and RAMP, together
-FARTHEST = wp.constant(2.0)  # a difference larger than this counts as this
+# More than the sum of RAMP and the errors of tables and tangent spheres [voxel].
+ROUGH = wp.constant(0.05)
+FARTHEST = wp.constant(2.0)  # upper limit of a difference [voxel]
 SLOTS = 64
 """Number of 2 x 2 x 2 blocks whose distances to the present tool a chunk of elements keeps.
 
-They are four along each axis, because neighbours ask for the same blocks. Each entry holds the
-indices, distance, bend and slope of a block. One more place is 1 once there are any entries.
+Four along each axis are enough, because neighbouring elements use the same blocks. Each entry holds
+the indices, distance, bend and slope of a block. One more place is 1 once there are any entries.
 """
 NOWHERE = wp.constant(-1.0e9)  # index of no block
 
@@ -75,7 +77,7 @@ def bone_left(
             stored[c] = int(older[corners.row[c], corners.column[c]])
         away = wp.vec3(float(c >> 2), float((c >> 1) & 1), float(c & 1)) - part
         weight[c] = (1.0 - wp.abs(away[0])) * (1.0 - wp.abs(away[1])) * (1.0 - wp.abs(away[2]))
-        # it lies outside older cuts, more than a voxel off: the other corners decide
+        # This corner lies more than a voxel outside older cuts. The other corners decide.
         if stored[c] == NEVER:
             weight[c] = 0.0
         flat += weight[c] * wp.clamp(
@@ -128,7 +130,7 @@ def tool_distances(
             seen[chunk, slots] = corner8f(NOWHERE)
             slots += 1
         seen[chunk, SLOTS] = corner8f(1.0)
-    # along these axes it lies in two blocks
+    # bits of the axes along which the cell lies in two blocks
     odd = ((cell.x & 1) << 2) | ((cell.y & 1) << 1) | (cell.z & 1)
     block = int(0)
     # A cell lies in one or two blocks along each axis. Both loops count in the bits of `odd` and
@@ -156,7 +158,7 @@ def tool_distances(
                 near.slope[1],
                 near.slope[2],
             )
-        c = block  # its corners of the cell: those that agree with it in the bits of ``odd``
+        c = block  # corners of the cell in this block: equal to ``block`` in the bits of ``odd``
         while c < 8:
             offset = corner_offset(c ^ odd)
             found[c] = distance_at(near, offset)
@@ -174,9 +176,9 @@ def tool_distances(
 def bend_below(bend: float, outward: wp.vec3, part: wp.vec3):
     """Compute how far linear interpolation lies below a surface that curves like the tool.
 
-    The surface curves along one direction in the tangent plane at right angles to ``outward``. This
-    direction is not known. The result is the mean over all of them, and wrong by itself at most.
-    The interpolation is between voxel centres.
+    The interpolation is between voxel centres. The surface curves along one direction in the
+    tangent plane at right angles to ``outward``. This direction is not known. The result is the
+    mean over all directions. Its error is at most as large as the result.
     """
     if bend >= EDGE:
         return float(0.0)

@@ -4,22 +4,28 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cutting_in_numpy import NEVER, cut_at, find, forces, shares, voxel_distances
+from bone_blocks import (
+    SOFT,
+    SPACING_M,
+    clear_blocks,
+    layered,
+    solid,
+    store_distances,
+    tilted_motion,
+)
+from cutting_in_numpy import NEVER, find, forces, shares, voxel_distances
 from scipy.spatial.transform import Rotation
 
 from kernels.cutting import AREA, RATE
 from kernels.engagement import DENSITY, DISTANCE, LAYER, SLOPE, WIDTH
 from kernels.older_cuts import RAMP
-from meshes.voxels.distances import FAR, INSIDE, OUTSIDE, surface_steps
-from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr, twist_drill
 from tissue.materials.constants import CuttingCoefficients
-from tissue.models.bone.elements import CREEP_M_S, RecentPoses
+from tissue.models.bone.elements import CREEP_M_S
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import ToolMotion
 
-SOFT = CuttingCoefficients(20e6, 9e6, 3e6, 800.0, 500.0, 200.0, 1000.0, 2.0)
 HARD = CuttingCoefficients(150e6, 60e6, 10e6, 5e3, 4e3, 1e3, 1800.0, 1.5)
 MINIMUM_M = 2e-7
 LAWS = {
@@ -32,58 +38,6 @@ PROFILES = {
     "drill": twist_drill(diameter_m=2e-3, length_m=3e-3, point_angle_rad=2.0),
 }
 TICK_S = 1e-3
-SPACING_M = 1e-4
-
-
-def layered(count=48, seed=5):
-    """Return two layers in slabs, with random distances and densities.
-
-    A brick is left out where the tool cuts.
-    """
-    random, shape = np.random.default_rng(seed), (count,) * 3
-    surface = random.integers(INSIDE, 200, shape).astype(np.uint8)
-    boundary = random.integers(1, FAR + 1, shape).astype(np.uint8)
-    density = random.integers(200, 1900, shape).astype(np.uint16)
-    fraction = np.full(shape, 255, np.uint8)
-    fraction[16:24, 24:32, 16:24], surface[16:24, 24:32, 16:24] = 0, OUTSIDE
-    layer = np.ascontiguousarray(np.indices(shape)[0] // 11 % 2, dtype=np.uint8)
-    return VoxelVolume(
-        np.full(3, -2.4e-3),
-        SPACING_M,
-        fraction,
-        layer,
-        density,
-        ("soft", "hard"),
-        None,
-        surface,
-        boundary,
-    )
-
-
-def store_distances(model, stored, values):
-    """Write every voxel's kept distance to the solid that the tool swept or to older cuts.
-
-    The values have the shape of the volume.
-    """
-    count, store = len(values) // 8, model.store
-    rows = values.reshape(count, 4, 2, count, 4, 2, count, 4, 2)
-    rows = rows.transpose(0, 3, 6, 1, 4, 7, 2, 5, 8).reshape(count, count, count, 512)
-    stored.numpy()[:] = rows[store.brick_of.numpy() >= 0]
-
-
-def clear_blocks(model, blocks):
-    """Clear some blocks of 2 x 2 x 2 voxels.
-
-    `blocks` is bool, with the shape of the volume in blocks.
-    """
-    count, store = len(blocks) // 4, model.store
-    bits = (
-        blocks.reshape(count, 4, count, 4, count, 4)
-        .transpose(0, 2, 4, 1, 3, 5)
-        .reshape(count, count, count, 64)
-    )
-    bits = bits[store.brick_of.numpy() >= 0]
-    store.alive.numpy()[:] &= ~np.packbits(bits, axis=1, bitorder="little").view("<u8").reshape(-1)
 
 
 def older_cuts(model, motion, random):
@@ -96,14 +50,6 @@ def older_cuts(model, motion, random):
     older = np.clip(np.rint(32768 + 4096 * (distance + across)), 0, 65534).astype(np.uint16)
     older[random.uniform(size=distance.shape) < 0.1] = NEVER
     return older
-
-
-def tilted_motion(turning=(0.0, 0.0, 0.0)):
-    motion = ToolMotion(speed_m_s=3e-3)
-    motion.tip_m[:] = (1e-4, -2e-4, -1e-3)
-    motion.rotation[:] = Rotation.from_euler("xyz", [0.4, 0.3, -0.8]).as_matrix()
-    motion.heading[:] = ((0.6, -0.3, -0.742), turning)
-    return motion
 
 
 class RandomCut:
@@ -133,19 +79,19 @@ class RandomCut:
         self.count = len(self.model.shell.areas_m2)
 
     def wanted(self, **options):
-        """Bone that NumPy finds."""
+        """Return the bone that NumPy finds."""
         pose = self.motion.tip_m, self.motion.rotation
         return find(self.model, *pose, self.older, self.swallowed, **options)
 
     def around(self):
-        """Bone that the kernel finds around the whole tool, shape (FOUND, elements)."""
+        """Return the bone that the kernel finds around the whole tool, shape (FOUND, elements)."""
         self.model.find_bone(self.motion.tip_m, self.motion.rotation)
         found = self.model._forces.found.numpy()
         assert not found[:, WIDTH].reshape(-1)[self.count :].any()
         return found.transpose(1, 0, 2).reshape(found.shape[1], -1)[:, : self.count]
 
-    def same(self, found, wanted):
-        """Compare the kernel's bone with that of NumPy, where rounding does not decide.
+    def assert_same(self, found, wanted):
+        """Assert that the kernel finds the bone of NumPy, where rounding does not decide.
 
         In single precision, an element within 1e-7 m of a voxel's face may read its neighbour: 1 in
         1000 elements. The tool's table and its tangent spheres are 0.02 voxel off.
@@ -167,8 +113,8 @@ class RandomCut:
 def last_poses(model, motion):
     """Give the tool 30 last poses on an arc that turns by 0.05 rad, and return them.
 
-    The last of them is the present pose. The poses in front of some of its elements are half a voxel
-    ahead.
+    The last of them is the present pose. For some elements, the other poses are half a voxel ahead
+    of it.
     """
     angles = np.linspace(-0.05, 0.0, 30)
     along = np.array([0.3, 0.8, -0.52])
@@ -195,7 +141,7 @@ def test_bone_in_front_of_elements_that_advance(profile, turning):
     cut = RandomCut(profile, turning=turning)
     motion = cut.motion
     wanted = cut.wanted(heading=motion.heading)
-    both = cut.same(cut.model.found_along(motion)[:, : cut.count], wanted)
+    both = cut.assert_same(cut.model.found_along(motion)[:, : cut.count], wanted)
     # Older cuts have taken bone from some elements, and the others are in both layers.
     assert set(wanted.layer[both]) == {0, 1}
     assert (wanted.clear & (wanted.by == 1) & (wanted.width_m == 0.0)).sum() > 100
@@ -207,7 +153,7 @@ def test_bone_around_the_whole_tool(profile, has_poses):
     cut = RandomCut(profile)
     recent = last_poses(cut.model, cut.motion) if has_poses else None
     wanted = cut.wanted(recent=recent)
-    both = cut.same(cut.around(), wanted)
+    both = cut.assert_same(cut.around(), wanted)
     assert set(wanted.by[both]) == ({0, 1, 2} if has_poses else {0, 1})
     whole = len(both) // 8 * 8
     layers = np.where(both, wanted.layer, -1)[:whole].reshape(-1, 8)
@@ -215,7 +161,7 @@ def test_bone_around_the_whole_tool(profile, has_poses):
 
 
 def found_by(cut):
-    """Bone of the kernel, as that of NumPy; the law is then compared alone."""
+    """Return the bone that the kernel finds in the form of NumPy, to compare the law alone."""
     rows, wanted = cut.around().astype(float), cut.wanted()
     slope = rows[SLOPE : SLOPE + 3].T
     layer, density = rows[LAYER].astype(int), rows[DENSITY]
@@ -241,7 +187,7 @@ VELOCITIES = {
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("profile", ["ball"])
 def test_tangent_of_the_force_against_finite_differences(profile, law, name, unknowns):
-    """Force, torque and their derivatives are those of the law in NumPy.
+    """Force, torque and their derivatives agree with the law in NumPy.
 
     The force agrees within 2e-5 of the largest component. The derivatives are central differences
     over 2e-5 of the speed. Elements that cross a kink of the law in between contribute up to 1 %.
@@ -321,7 +267,8 @@ def test_tangent_in_the_speed(profile, law, turning, spin_rad_s):
 def test_share_over_a_tick_is_the_mean_of_an_element_that_passes_the_surface():
     """The share of a point is the part of the tick in which it lies below the surface.
 
-    That of an element wider than its motion is the share of its width in the middle of the tick.
+    The share of an element wider than its motion is the part of its width below the surface in the
+    middle of the tick.
     """
     cut = RandomCut("ball")
     last_poses(cut.model, cut.motion)
@@ -341,19 +288,6 @@ def test_share_over_a_tick_is_the_mean_of_an_element_that_passes_the_surface():
     middle = (start + 0.5 * shift)[wide] / found.width_m[wide]
     assert wide.sum() > 500
     assert share[wide] == pytest.approx(np.clip(0.5 - middle, 0.0, 1.0), abs=1e-12)
-
-
-def solid(below):
-    """Bone without end below the voxel plane ``below``, in one brick layer after the other."""
-    shape = (48,) * 3
-    depth = below - (np.indices(shape)[2] + 0.5)
-    fraction = np.where(depth > 0, 255, 0).astype(np.uint8)
-    far, layer = np.full(shape, FAR, np.uint8), np.zeros(shape, np.uint8)
-    density = np.full(shape, 1000, np.uint16)
-    surface = surface_steps(-depth)
-    return VoxelVolume(
-        np.full(3, -2.4e-3), SPACING_M, fraction, layer, density, ("soft",), None, surface, far
-    )
 
 
 def engaged_m2(model, motion):
@@ -386,86 +320,3 @@ def test_an_older_cut_as_deep_disengages_and_one_less_deep_does_not():
     fresh.place(motion_of_the_cut)
     # its own cut, carved by the kernel
     assert engaged_m2(fresh, motion) == pytest.approx(half, rel=1e-6)
-
-
-TURNS = {
-    "moved": Rotation.identity(),
-    "tilted": Rotation.from_rotvec([0.06, -0.05, 0.0]),
-    "tilted and rolled": Rotation.from_rotvec([0.06, -0.05, 0.0]) * Rotation.from_euler("z", 1.2),
-}
-
-
-@pytest.mark.parametrize("name", TURNS)
-def test_what_a_ball_has_cut_at_its_last_pose_is_known_within_half_a_micrometre(name):
-    """In front of an element, the cut of a ball ends where a ray meets its sphere.
-
-    The ball is tilted by 0.08 rad, its centre moves by 40 um, and it returns.
-    """
-    radius = 1.5e-3
-    model = BoneModel(solid(48), Cutter(ball_burr(diameter_m=2.0 * radius), 5, 700.0), (SOFT,))
-    motion = tilted_motion()
-    model._recent.place(motion)
-    other = ToolMotion(speed_m_s=1e-3)
-    other.rotation[:] = motion.rotation @ TURNS[name].as_matrix()
-    # The ball is displaced by 40 um, whatever the tip does.
-    centre = motion.tip_m + radius * motion.rotation[:, 2] + [3e-5, 2e-5, -1.7e-5]
-    other.tip_m[:] = centre - radius * other.rotation[:, 2]
-    model._recent.add(other)
-    model._recent.add(motion)
-    model.find_bone(motion.tip_m, motion.rotation)
-    found = model._forces.found.numpy().transpose(1, 0, 2)
-    found = found.reshape(len(found), -1)[:, : len(model.shell.areas_m2)]
-    points = motion.tip_m + model.shell.points_m @ motion.rotation.T
-    normals = model.shell.normals @ motion.rotation.T
-    along = ((centre - points) * normals).sum(axis=1)
-    inside = radius**2 - ((centre - points) ** 2).sum(axis=1) + along**2
-    gap = along + np.sqrt(np.maximum(inside, 0.0))
-    seen = (found[WIDTH] > 0.0) & (gap > 1e-6) & (gap < 1.8e-5)
-    assert seen.sum() > 100
-    assert found[DISTANCE][seen] == pytest.approx(gap[seen], abs=4e-7)
-    # Bone that is farther away than the search reaches is not found.
-    assert not found[WIDTH][(gap > 2.2e-5) & (points[:, 2] < 2e-3)].any()
-
-
-def test_last_poses_reach_back_further_than_older_cuts_lag_behind():
-    """For any speed, the kept poses lie at most their spacing apart over the lag of older cuts."""
-    recent = RecentPoses(3e-3, device="cpu")
-    for tick_m in (1e-6, 3e-6, 1.1e-5, 4e-5):
-        motion = ToolMotion(speed_m_s=1.0)
-        recent.place(motion)
-        for _ in range(round(2e-3 / tick_m)):
-            motion.tip_m[0] += tick_m
-            recent.add(motion)
-        recent.seen_from(motion.tip_m, motion.rotation)
-        back = -np.unique(recent.mirror.host[:, 0].round(9))[::-1]
-        assert back[0] == 0.0 and back[-1] > 5e-4
-        apart = np.diff(back)
-        assert apart[back[:-1] < 3e-5].max() < 4e-6 + tick_m + 1e-9
-        assert apart.max() < 2.4e-5 + tick_m + 1e-9
-
-
-def test_a_tool_that_rolls_about_its_axis_keeps_its_last_poses():
-    """A roll moves the tool's surface into itself, so no place is used for it."""
-    recent = RecentPoses(3e-3, device="cpu")
-    motion = ToolMotion(speed_m_s=1.0)
-    recent.place(motion)
-    for tick in range(200):
-        motion.tip_m[0] += 2e-6 * (tick < 100)
-        motion.rotation[:] = Rotation.from_euler("z", 0.02 * tick).as_matrix()
-        recent.add(motion)
-    recent.seen_from(motion.tip_m, motion.rotation)
-    assert not recent.turns and not recent.mirror.host[:, 3:].any()
-    assert np.linalg.norm(recent.mirror.host[:, :3], axis=1).max() == pytest.approx(2e-4, abs=1e-6)
-
-
-def test_cuts_of_numpy_at_other_poses_are_those_of_a_ball():
-    """The formula of the mirror is exact to second order: 5 nm for a tilt of 10 mrad."""
-    cutter = Cutter(PROFILES["ball"], 5, 700.0)
-    shell, radius = cutter.shell(spacing_m=1e-4), 1.5e-3
-    rotation = Rotation.from_rotvec([0.008, -0.006, 0.0]).as_matrix()
-    centre = np.array([1e-5, -5e-6, radius + 8e-6])
-    tip = centre - radius * rotation[:, 2]
-    found = cut_at(shell, 1.0 / radius, [tip], [rotation], np.zeros(3), np.eye(3))[0]
-    along = ((centre - shell.points_m) * shell.normals).sum(axis=1)
-    inside = radius**2 - ((centre - shell.points_m) ** 2).sum(axis=1) + along**2
-    assert found == pytest.approx(along + np.sqrt(inside), abs=5e-9)

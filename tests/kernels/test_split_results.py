@@ -29,8 +29,8 @@ from tissue.models.tissue_model import ToolMotion
 from tissue.models.tooth.body import ParticleBody
 
 
-def whole_and_in_parts(run, monkeypatch):
-    """Results of a run with whole launches and with three parts each, the last part first."""
+def assert_parts_equal_whole(run, monkeypatch):
+    """Assert that launches in three parts, the last part first, give the results of whole launches."""
     split = []
 
     def in_parts(self):
@@ -55,7 +55,7 @@ def whole_and_in_parts(run, monkeypatch):
 
 
 def test_bone(monkeypatch):
-    """Carving, forces and unit loads of a ball that goes down and sideways."""
+    """Carving, forces and unit loads of a ball that moves down and sideways."""
 
     def run(cores):
         volume = density_volume(
@@ -65,7 +65,7 @@ def test_bone(monkeypatch):
         bone = BoneModel(
             volume, cutter, (cutting_coefficients("bone"),), shell_spacing_m=8e-5, cores=cores
         )
-        engaged = EngagedBone(bone, chip_nodes(2e-5), cores=cores)
+        engaged = EngagedBone(bone, chip_nodes(2e-5))
         motion, found = ToolMotion(speed_m_s=4e-3), []
         motion.heading[0] = (0.6, 0.0, -0.8)
         for tick in range(12):
@@ -75,7 +75,7 @@ def test_bone(monkeypatch):
         engaged.respond(motion)
         return [*found, engaged.unit_loads[0].copy(), bone.store.remaining.numpy(), bone.removed_m3]
 
-    whole_and_in_parts(run, monkeypatch)
+    assert_parts_equal_whole(run, monkeypatch)
 
 
 @pytest.mark.parametrize("order", [1, 2])
@@ -99,7 +99,7 @@ def test_tetrahedra(monkeypatch, order):
             found += [*body.energy_and_force(moved), body.stiffness(moved).data]
         return found
 
-    whole_and_in_parts(run, monkeypatch)
+    assert_parts_equal_whole(run, monkeypatch)
 
 
 def test_a_shell_on_an_organ(monkeypatch):
@@ -112,7 +112,7 @@ def test_a_shell_on_an_organ(monkeypatch):
         result = along(contact, away([0.002, 0.001, -0.004]))
         return [result.force_N.copy(), result.torque_Nm.copy(), result.nodal_forces_N.copy()]
 
-    whole_and_in_parts(run, monkeypatch)
+    assert_parts_equal_whole(run, monkeypatch)
 
 
 def test_particles_of_a_tooth(monkeypatch):
@@ -126,4 +126,4 @@ def test_particles_of_a_tooth(monkeypatch):
         ).displacement_m
         return [moved, particle_stress(body.cells, moved), body.matrix().toarray()]
 
-    whole_and_in_parts(run, monkeypatch)
+    assert_parts_equal_whole(run, monkeypatch)

@@ -14,8 +14,8 @@ from tissue.fitting.cutting import CuttingForward, forward_of
 from tissue.fitting.log_files import LogColumns
 from tissue.fitting.problem import MeasuredLoads
 from tissue.fitting.target import Target, Unpacked
-from tissue.models.bone.elements import THICKEST_M
 from tissue.models.bone.engagement import DensityNodes, plunge_unit_loads
+from tissue.models.bone.law_limits import THICKEST_M
 from tissue.scene.anatomy import BlockAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool

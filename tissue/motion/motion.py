@@ -87,7 +87,7 @@ class Motion(Protocol):
         ...
 
     def meet(self, tissue: TissueModel) -> None:
-        """Take the tissue through which the tool moves, before the start."""
+        """Receive the tissue through which the tool moves, before the start."""
         return
 
     def begin(self, motion: ToolMotion) -> None:

@@ -294,7 +294,7 @@ def record_loads(
     if not _is_linear(scene, model.layer_names):
         fastest_m_s = _fastest_m_s(motion, tick_count(scene, motion), model.cutter)
         chips_m = chip_nodes(fastest_m_s * model.cutter.chip_per_speed_s)
-    bone = EngagedBone(model, chips_m, device=compute, cores=cores)
+    bone = EngagedBone(model, chips_m)
     loop = Loop(replace(parts, tissue=bone), ticks=tick_count(scene, motion), output=scene.output)
     unit, engaged = _recorded(loop, bone, every, report)
     rows = loop.trace.rows[::every]

@@ -217,8 +217,8 @@ def test_a_tool_that_rests_or_dithers_keeps_no_older_cuts():
         bone.advance(motion)
     bone.finish()
     swept, older = kept_distances(bone)
-    held = swept > swept.min()  # not in a block that the tool holds whole
-    assert (older[held] > REACH).all() and (swept[held] < placed[held]).any()
+    outside = swept > swept.min()  # not in a block that lies inside the tool as a whole
+    assert (older[outside] > REACH).all() and (swept[outside] < placed[outside]).any()
 
 
 def test_bone_behind_a_moving_tool_is_an_older_cut_and_bone_in_front_is_not():

@@ -11,16 +11,12 @@ from meshes.voxels.volume import VoxelVolume
 from tissue.haptics.proxy.held_tool import HeldTool, HeldTurn
 from tissue.haptics.proxy.proxy import ContactField, Proxy, ToolShell
 from tissue.models.bone.bricks import BrickStore
+from tissue.models.bone.smooth_surface import FRICTION
 from tissue.models.tissue_model import FreeSpace, Response, ToolMotion
 from tissue.motion.quaternion import Quaternion
 
 __all__ = ["ProbedBone", "ProbingTool"]
 
-FRICTION = 0.3
-"""Coulomb's coefficient of smooth metal on bone, 0.2 to 0.6.
-
-Source: Shirazi-Adl et al., 1993, from memory: confidence L.
-"""
 RIGID_LEVER_M = 10.0
 """Lever of the spring of rotation for a device that imposes its rotation [m].
 

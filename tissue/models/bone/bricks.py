@@ -78,9 +78,11 @@ class BrickStore:
     swept
         Distance of each voxel's centre to the solid that the tool has swept, uint16, shape
         (capacity, 512).
+    middle
+        Copy of `swept` at the last time that cuts in the voxel's block became older cuts, uint16,
+        shape (capacity, 512).
     older
-        Distance to the solid of older cuts, uint16, shape (capacity, 512): `swept` before the last
-        visit to which the tool had moved, see `kernels.carving`.
+        Distance to the solid of older cuts, uint16, shape (capacity, 512), see `kernels.carving`.
     material
         Density and layer before any cut in one word, uint32, shape (capacity, 512).
     nearby

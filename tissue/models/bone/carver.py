@@ -1,8 +1,7 @@
 """Removal of the bone that a moving tool reaches, during a run and in its replay.
 
-The bricks after equal poses are bitwise equal.
-
-Bone at any tick of a run: the tool's poses, carved again by the kernel of the run.
+The bone at any tick of a run follows from the tool's poses, which are carved again by the kernel of
+the run. After equal poses the bricks are bitwise equal.
 """
 
 from dataclasses import dataclass
@@ -50,12 +49,12 @@ LONGEST_STEP_VOXELS = 0.5
 OLDER_LAG_M = 2.5e-4
 """Motion of the tool after which its cuts become older cuts [m]; chosen.
 
-The last poses of the tool reach further back, see `tissue.models.bone.elements.RecentPoses`.
+The last poses of the tool reach further back, see `tissue.models.bone.recent_poses`.
 """
 TURN = 0.9
-"""Cosine of a change of direction from which on bone in front of the tool may be cut: 26 degrees.
+"""Cosine of the smallest change of direction that counts, 26 degrees; chosen.
 
-Chosen.
+After a change of direction, bone in front of the tool may have been cut before.
 """
 CHANGED = ("remaining", "swept", "middle", "older", "alive")
 """Arrays of the brick store that carving changes and depends on."""
@@ -79,7 +78,7 @@ class CarverState:
         Travel since the cuts in each group of bricks became older cuts, negative [voxel], shape
         (groups,).
     turned
-        True for each group whose last motion was a change of direction, (groups,).
+        True for each group whose last motion was a change of direction, shape (groups,).
     counts
         Next group, number of visits due, number of groups not yet visited at the present pose.
     """
@@ -140,12 +139,13 @@ class Carver:
         self.tool = _revolution(table, cutter.profile, device=device)
         self._lag = min(CARVE_LAG_M / spacing, 0.25)
         self._older_lag = OLDER_LAG_M / spacing
-        # motion of the tool after its last change of direction
+        # motion that each group last counted as a change of direction [voxel], and of the axis
         self._motions = np.zeros((PHASES, 6))
-        # travel of the tool so far, and where cuts became older cuts [voxel]
+        # travel of the tool so far, and at the time the cuts in each group last became older cuts
+        # [voxel]
         self._travelled = 0.0
         self._marks = np.zeros(PHASES)
-        # True where the last motion was a change of direction
+        # True for groups whose cuts last became older cuts at a change of direction
         self._turned = np.zeros(PHASES, bool)
         # A turn moves the far end of the tool most.
         self._lever = max(abs(table.low), abs(table.high))
@@ -226,7 +226,7 @@ class Carver:
         return sqrt(moved[:3].dot(moved[:3])) + self._lever * sqrt(moved[3:].dot(moved[3:]))
 
     def _turns(self, group: int, motion: Array) -> bool:
-        """Return whether the tool has left the direction after its last change of direction."""
+        """Return whether a motion deviates from that after the group's last change of direction."""
         before = self._motions[group]
         travelled = self._travelled - self._marks[group]
         return float(motion.dot(before)) <= TURN * travelled * sqrt(before.dot(before))
@@ -290,7 +290,7 @@ class Carver:
         plan[BINARY] = self._binary
         plan[EVERY_SIDE] = every_side
         plan[MOVED] = sum(1 << group for group in moved)
-        # What was cut just before a change of direction becomes an older cut one motion later.
+        # The cuts just before a change of direction become older cuts at the next booking.
         plan[TURNED] = sum(1 << group for group in moved if group in turned or self._turned[group])
         plan[ORIGIN] = self._first_group
         self._plan.push()
@@ -408,6 +408,7 @@ class CarvingReplay:
         ticks = [np.zeros(0, np.int64)]
 
         def take(tick: int) -> None:
+            """Record the voxels that have fallen below half since the last call."""
             rows, left = self._store.take_touched()
             self._cut = np.union1d(self._cut, rows)
             new = (left <= FULL // 2) & ~below[rows]

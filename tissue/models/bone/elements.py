@@ -1,7 +1,5 @@
-"""Elements of a cutter's surface on a device, and the range of validity of the cutting law."""
+"""Elements of a cutter's surface on a device, and the cutting forces on them."""
 
-from itertools import pairwise
-from math import pi, sqrt
 from typing import Any
 
 import numpy as np
@@ -17,16 +15,11 @@ from kernels.older_cuts import SLOTS
 from kernels.revolution import EDGE_BEND
 from meshes.base.arrays import Array
 from tissue.cutters.cutter import Cutter, PointShell
-from tissue.cutters.profile import Line
 from tissue.models.bone.bricks import BrickStore
-from tissue.models.tissue_model import ToolMotion
 
 __all__ = [
-    "THICKEST_M",
+    "CREEP_M_S",
     "CuttingForces",
-    "LawLimits",
-    "RecentPoses",
-    "SmoothSurface",
     "edge_lengths_m",
     "elements_of",
     "levers_of",
@@ -115,31 +108,11 @@ def _chunk_bounds(shell: PointShell) -> tuple[Array, Array]:
     return np.array(balls), np.array(cones)
 
 
-THICKEST_M = 1e-4
-"""Largest feed per tooth for which the law holds [m].
+CREEP_M_S = 5e-5
+"""Upper limit of the speed at which an element of a held tool has its full edge force [m/s].
 
-Cortical bone is sheared at depths of cut of 10 to 50 um and breaks off in pieces above 100 um (Luo
-et al. 2022, Chinese Journal of Mechanical Engineering 35).
+Chosen. A tool that rests against a fraction of its edge force creeps at this fraction of the speed.
 """
-SMOOTH_ELEMENTS = 500
-"""Number of elements over the surface that does not cut; chosen."""
-BLOCKED = 0.25
-"""Share of the smooth end's area in contact with bone above which it is reported; chosen.
-
-A peg touches the rim of its pilot hole.
-"""
-
-
-RINGS = (12, 4e-6), (24, 2.4e-5)
-"""Numbers of the tool's last poses that are kept, and their distances along its path [m].
-
-Together they reach further back than `tissue.models.bone.carver.OLDER_LAG_M`. A tool that returns
-on its path meets bone at most a distance too early. Between two poses of a ball of 1 mm, 0.07 um of
-bone seem to be left.
-"""
-ROUNDING = 1e-9
-"""Change of the tool's axis up to which it has not turned [rad]: rounding of rotations."""
-KEPT_POSES = sum(count for count, _ in RINGS)
 
 
 class CuttingForces:
@@ -189,22 +162,31 @@ class CuttingForces:
         device = str(pose.device.device)
         self._chunks = len(elements.chunk_ball)
         self.slopes = AREA + len(store.grid.layer_names)
+        # 36: derivatives of force and torque by six unknowns
         shape = (self._chunks, self.slopes + 36)
-        self._sums = wp.zeros(shape, lanes8, device)
+        self._sums = Mirror(shape, dtype=lanes8, device=device)
         self.found = wp.zeros((len(elements.lanes), FOUND), lanes8, device)
-        self._engaged = wp.full(self._chunks, 1, wp.int32, device)
+        self._engaged = Mirror(self._chunks, dtype=wp.int32, device=device)
+        # The first search then writes the widths of all elements.
+        self._engaged.device.fill_(1)
         self._motion = motion
         self._store = store
-        self._given = [tool, elements, coefficients, pose.device, recent.device]
-        self._given.append(store.grid.spacing_m)
+        self._given = [
+            tool,
+            elements,
+            coefficients,
+            pose.device,
+            recent.device,
+            store.grid.spacing_m,
+        ]
         self._scratch = wp.zeros((self._chunks, SLOTS + 1), corner8f, device)
         self._cores = cores
-        given = [elements, coefficients, self.found, self._engaged]
+        given = [elements, coefficients, self.found, self._engaged.device]
         self._sum = SplitLaunch(
             cutting_forces,
             dim=self._chunks,
             inputs=[*given, motion.device, chip_per_speed_s, 0],
-            outputs=[self._sums],
+            outputs=[self._sums.device],
             cores=cores,
             offset_index=len(given) + 2,
         )
@@ -216,248 +198,19 @@ class CuttingForces:
             find_bone,
             dim=self._chunks,
             inputs=[*self._given, 0, *self._store.read_by_forces],
-            outputs=[self._scratch, self.found, self._engaged],
+            outputs=[self._scratch, self.found, self._engaged.device],
             offset_index=len(self._given),
             cores=self._cores,
         )
 
     def sums(self) -> Array:
         """Return the sums over all elements at the present velocities."""
-        self._sum()
+        self._engaged.pull()
+        engaged = self._engaged.host != 0
         rows = self.slopes + 6 * int(self._motion.host[4, 0])
-        parts = self._sums.numpy()[self._engaged.numpy() != 0, :rows]
+        if not engaged.any():
+            return np.zeros(rows)
+        self._sum()
+        self._sums.pull()
+        parts = self._sums.host[engaged, :rows]
         return np.asarray(np.add.reduce(np.add.reduce(parts, axis=0, dtype=np.float64), axis=-1))
-
-
-class RecentPoses:
-    """Last poses of a tool that has cut.
-
-    The bone that the tool has cut at these poses is known to rounding.
-
-    Parameters
-    ----------
-    lever_m
-        Distance of the tool's far end from its tip [m].
-    device
-        Warp device name.
-
-    Attributes
-    ----------
-    mirror
-        Displacements and rotations, as `kernels.engagement.find_bone` reads them.
-    """
-
-    def __init__(self, lever_m: float, *, device: str) -> None:
-        self._tips = np.zeros((KEPT_POSES, 3))
-        self._rotations = np.tile(np.eye(3), (KEPT_POSES, 1, 1))
-        self._lever = lever_m
-        # place of the last pose of each ring, and of its first and beyond its last pose
-        ends = np.cumsum([0, *(count for count, _ in RINGS)]).tolist()
-        self._rings = [[first, first, last] for first, last in pairwise(ends)]
-        self.turns = False
-        self._moved = np.zeros((KEPT_POSES, 3))
-        self.mirror = Mirror((1 + KEPT_POSES, 6), dtype=wp.float32, device=device)
-
-    def place(self, motion: ToolMotion) -> None:
-        """Start at a pose."""
-        self._tips[:] = motion.tip_m
-        self._rotations[:] = motion.rotation
-        self.turns = False
-
-    def add(self, motion: ToolMotion) -> None:
-        """Add a pose at which the tool has cut.
-
-        The first place of a ring holds the present pose, which the next pose replaces unless it is
-        far enough from the pose before.
-        """
-        for ring, (_, spaced_m) in zip(self._rings, RINGS, strict=True):
-            now, first, end = ring
-            last = now - 1 if now > first else end - 1
-            moved = motion.tip_m - self._tips[last]
-            travel = sqrt(moved.dot(moved))
-            # A rotation about the tool's axis moves its surface into itself.
-            turned = motion.rotation[:, 2] - self._rotations[last, :, 2]
-            turn = sqrt(turned.dot(turned))
-            if turn > ROUNDING:
-                self.turns = True
-                travel += self._lever * turn
-            self._tips[now] = motion.tip_m
-            self._rotations[now] = motion.rotation
-            if travel >= spaced_m:
-                ring[0] = now + 1 if now + 1 < end else first
-                self._tips[ring[0]] = motion.tip_m
-                self._rotations[ring[0]] = motion.rotation
-
-    def seen_from(self, tip_m: Array, rotation: Array) -> None:
-        """Write the displacements from a pose to `mirror`, the present pose first."""
-        rows = self.mirror.host
-        np.dot(self._tips - tip_m, rotation, out=self._moved)
-        rows[1:, :3] = self._moved
-        if self.turns:
-            axes = self._rotations[:, :, 2] @ rotation
-            # The smallest rotation that turns the axis. A further one about the axis moves the
-            # surface into itself.
-            rows[1:, 3] = -axes[:, 1]
-            rows[1:, 4] = axes[:, 0]
-        rows[0] = rows[1 + self._rings[0][0]]
-        self.mirror.push()
-
-
-CREEP_M_S = 5e-5
-"""Speed at which an element of a held tool has its full edge force at the latest [m/s]; chosen.
-
-A tool that rests against part of its edge force creeps at this part of the speed.
-"""
-SINK_M_S = 2e-3
-"""Speed at which a smooth surface has its full pressure [m/s]; chosen.
-
-A peg of 10 mm2 in contact sinks by 4 um/s under 10 N. At a fortieth of this speed, the balance is
-not found in some ticks.
-"""
-HARDNESS_Pa = 5e8
-"""Pressure under which a smooth surface sinks into bone of the reference density [Pa].
-
-Hardness of wet bone, 0.3 to 0.7 GPa, from memory of Zysset et al. 1999 (doi
-10.1016/S0021-9290(99)00111-6), whose summary has moduli only: confidence L. Smooth surfaces of
-tools carry far less than this pressure.
-"""
-FRICTION = 0.3
-"""Coulomb's coefficient of smooth metal on bone, as in `tissue.haptics.proxy.probing_tool`."""
-
-
-class SmoothSurface:
-    """Tool's surface that does not cut.
-
-    On a given path, its area in bone is measured. A held tool is pushed back by it, as by a rigid
-    and plastic body.
-
-    Parameters
-    ----------
-    cutter, store
-        Tool and bone.
-    tool
-        The tool's distance table on the device.
-    pose, recent, motion
-        See `CuttingForces`.
-    strength
-        Strength of each layer over its density, see `Coefficients`.
-    """
-
-    def __init__(
-        self,
-        cutter: Cutter,
-        store: BrickStore,
-        tool: Any,
-        pose: Mirror,
-        recent: Mirror,
-        motion: Mirror,
-        strength: Any,
-    ) -> None:
-        pieces = [piece for piece in cutter.profile.pieces if not piece.cutting]
-        total_m2 = sum(piece.area_m2 for piece in pieces)
-        shell = cutter.smooth_shell(spacing_m=(total_m2 / SMOOTH_ELEMENTS) ** 0.5)
-        ends = [
-            piece for piece in pieces if isinstance(piece, Line) and piece.start[1] == piece.end[1]
-        ]
-        radii = [max(piece.start[0], piece.end[0]) for piece in ends]
-        # The smallest end counts: a peg is narrow compared with the top of its tool.
-        self.blocked_m2 = BLOCKED * min([total_m2, *(pi * radius**2 for radius in radii)])
-        device = str(pose.device.device)
-        layers = len(store.grid.layer_names)
-        elements = elements_of(shell, cutter, spacing_m=store.grid.spacing_m, device=device)
-        # A pressure takes the place of a force per length of edge.
-        elements.edge_length = elements.area
-        rubbing = Coefficients()
-        rubbing.chip = wp.zeros(layers, wp.vec3, device)
-        pressure = [FRICTION * HARDNESS_Pa * (cutter.spin_rad_s != 0.0), HARDNESS_Pa, 0.0]
-        rubbing.edge = put(np.tile(pressure, (layers, 1)), wp.vec3, device)
-        rubbing.strength = strength
-        rubbing.size = put(np.tile([0.0, SINK_M_S, 1.0], (layers, 1)), wp.vec3, device)
-        # The velocity takes the place of the chip thickness.
-        self.forces = CuttingForces(
-            store, tool, elements, rubbing, pose, recent, motion, chip_per_speed_s=1.0, cores=1
-        )
-
-    @property
-    def is_blocked(self) -> bool:
-        """True if too much of the surface is pushed into bone, so that a force is missing."""
-        self.forces.find_bone()
-        return float(self.forces.sums()[AREA : self.forces.slopes].sum()) > self.blocked_m2
-
-
-class LawLimits:
-    """Check of the feed per tooth and of the smooth surface of a tool in bone, at every answer.
-
-    Parameters
-    ----------
-    cutter
-        The tool.
-    smooth
-        Its surface that does not cut; None without such a surface.
-
-    Attributes
-    ----------
-    notices
-        A sentence at the first time that each limit is passed; the loop removes them as it logs
-        them.
-    passed
-        All these sentences, by subject.
-    thickest_m
-        Largest feed per tooth in bone so far [m].
-    """
-
-    def __init__(self, cutter: Cutter, smooth: SmoothSurface | None) -> None:
-        self._cutter = cutter
-        self._smooth = smooth
-        self.notices: list[str] = []
-        self.passed: dict[str, str] = {}
-        self.thickest_m = 0.0
-
-    def restart(self) -> None:
-        """Reset the limits that were passed."""
-        self.notices.clear()
-        self.passed.clear()
-        self.thickest_m = 0.0
-
-    def record(self) -> None:
-        """Record launches anew, after the store's arrays have grown."""
-        if self._smooth is not None:
-            self._smooth.forces.record()
-
-    def check(self, motion: ToolMotion, engaged_m2: float, *, is_new: bool) -> None:
-        """Check one answer.
-
-        `is_new` is True if the tool or the bone has changed since the last answer.
-        """
-        # A tool at rest takes no chip and does not advance into bone.
-        if motion.speed_m_s == 0.0:
-            return
-        if engaged_m2 > 0.0:
-            feed_m_s = motion.speed_m_s * float(np.linalg.norm(motion.heading[0]))
-            self.thickest_m = max(self.thickest_m, feed_m_s * self._cutter.chip_per_speed_s)
-            if self.thickest_m > THICKEST_M and "chips" not in self.passed:
-                self._pass(
-                    "chips",
-                    f"the feed of {1e3 * feed_m_s:.3g} mm/s is {1e3 * self.thickest_m:.2g} "
-                    "mm per tooth, but the "
-                    f"cutting law holds up to {1e3 * THICKEST_M:g} mm: forces are "
-                    "extrapolated. Use a slower feed or "
-                    "a higher speed of the tool",
-                )
-        if (
-            is_new
-            and self._smooth is not None
-            and "smooth surface" not in self.passed
-            and self._smooth.is_blocked
-        ):
-            self._pass(
-                "smooth surface",
-                "a smooth part of the tool, such as its peg, is pushed into bone, which it "
-                "cannot cut: no force is "
-                "computed for it. Drill a pilot hole for the peg, or lead the tool elsewhere",
-            )
-
-    def _pass(self, about: str, sentence: str) -> None:
-        """Record a limit that is passed."""
-        self.passed[about] = sentence
-        self.notices.append(sentence)

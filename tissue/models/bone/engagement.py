@@ -27,7 +27,8 @@ from kernels.engagement import DENSITIES, DENSITY, DISTANCE, LAYER, WIDTH
 from meshes.base.arrays import Array, Ints
 from tissue.cutters.cutter import Cutter
 from tissue.materials.constants import effective_chip
-from tissue.models.bone.elements import THICKEST_M, edge_lengths_m, levers_of
+from tissue.models.bone.elements import edge_lengths_m, levers_of
+from tissue.models.bone.law_limits import THICKEST_M
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import Response, ToolMotion
 
@@ -243,10 +244,6 @@ class EngagedBone:
         The model; its own coefficients are not used.
     chips_m
         Nodes of chip thickness [m], shape (k,), see `chip_nodes`.
-    device
-        Warp device name.
-    cores
-        Processor cores to split large launches over; default all.
 
     Attributes
     ----------
@@ -260,9 +257,7 @@ class EngagedBone:
         True if `respond` is to compute them.
     """
 
-    def __init__(
-        self, bone: BoneModel, chips_m: Array, *, device: str = "cpu", cores: int | None = None
-    ) -> None:
+    def __init__(self, bone: BoneModel, chips_m: Array) -> None:
         self.bone = bone
         self.chips_m = chips_m
         self.layer_names = bone.layer_names

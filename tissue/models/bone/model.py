@@ -7,7 +7,7 @@ import warp as wp
 
 from kernels.bricks import FULL
 from kernels.cutting import AREA, MOTION_ROWS, RATE
-from kernels.engagement import DENSITIES, FOUND, Coefficients
+from kernels.engagement import DENSITIES, FOUND, POSE_ROWS, Coefficients
 from kernels.mirror import Mirror, put
 from meshes.base.arrays import Array, Bytes
 from meshes.voxels.volume import VoxelVolume
@@ -15,14 +15,10 @@ from tissue.cutters.cutter import Cutter
 from tissue.materials.constants import CuttingCoefficients
 from tissue.models.bone.bricks import BrickStore
 from tissue.models.bone.carver import Carver, Removal
-from tissue.models.bone.elements import (
-    CREEP_M_S,
-    CuttingForces,
-    LawLimits,
-    RecentPoses,
-    SmoothSurface,
-    elements_of,
-)
+from tissue.models.bone.elements import CREEP_M_S, CuttingForces, elements_of
+from tissue.models.bone.law_limits import LawLimits
+from tissue.models.bone.recent_poses import RecentPoses
+from tissue.models.bone.smooth_surface import SmoothSurface
 from tissue.models.tissue_model import Response, ToolMotion
 
 __all__ = ["BoneModel", "Removal"]
@@ -95,10 +91,12 @@ class BoneModel:
         self._response = Response(
             self._parts[:2].reshape(6), self._parts[2:].reshape(6), np.zeros(6), np.zeros(layers)
         )
-        self._pose = Mirror((7, 3), dtype=wp.float64, device=device)
+        self._pose = Mirror((POSE_ROWS, 3), dtype=wp.float64, device=device)
         self.motion_rows = self._pose.device
         """Device array of the pose and motion of the last `take`, see `find_bone`."""
-        self._rows = self._pose.host[0], self._pose.host[1:4], self._pose.host[4:6]
+        self._tip = self._pose.host[0]
+        self._axes = self._pose.host[1:4]
+        self._velocities = self._pose.host[4:6]
         self._motion = Mirror((MOTION_ROWS, 3), dtype=wp.float64, device=device)
         lever_m = float(np.abs(cutter.profile.height_range_m).max())
         self._recent = RecentPoses(lever_m, device=device)
@@ -140,8 +138,9 @@ class BoneModel:
         """Record all launches anew, after the store's arrays have grown."""
         self._found = None
         self.carver.record()
-        self.limits.record()
         self._forces.record()
+        if self._smooth is not None:
+            self._smooth.forces.record()
 
     @property
     def start_m3(self) -> Array:
@@ -170,23 +169,22 @@ class BoneModel:
     def take(self, motion: ToolMotion) -> None:
         """Write a pose and motion to `motion_rows`."""
         self._take_pose(motion.tip_m, motion.rotation)
-        _, _, velocities = self._rows
-        np.dot(motion.heading, motion.rotation, out=velocities)
+        np.dot(motion.heading, motion.rotation, out=self._velocities)
         self._pose.host[6] = 0.0, self._recent.turns, 0.0
         self._pose.push()
 
     def _take_pose(self, tip_m: Array, rotation: Array) -> None:
-        tip, axes, _ = self._rows
-        np.subtract(tip_m, self._origin, out=tip)
-        tip /= self._spacing
-        axes[:] = rotation.T
+        """Write a pose to the rows of `motion_rows`, without sending them to the device."""
+        np.subtract(tip_m, self._origin, out=self._tip)
+        self._tip /= self._spacing
+        self._axes[:] = rotation.T
 
     def find_bone(self, tip_m: Array, rotation: Array) -> None:
-        """Find the bone around the whole tool at a pose, for `forces`."""
+        """Find the bone around the whole tool at a pose; `forces` then uses it."""
         self._found = None
         self._rotation = rotation
         self._take_pose(tip_m, rotation)
-        self._rows[2][:] = 0.0
+        self._velocities[:] = 0.0
         self._pose.host[6] = 1.0, self._recent.turns, CREEP_M_S * self.cutter.chip_per_speed_s
         self._pose.push()
         self._recent.seen_from(tip_m, rotation)
@@ -269,7 +267,7 @@ class BoneModel:
         is_new = self._find_along(motion)
         speed = motion.speed_m_s if motion.tangent_m_s is None else motion.tangent_m_s
         rows = self._motion.host
-        rows[:2] = self._rows[2]
+        rows[:2] = self._velocities
         # The sums of a linear law hold for any speed.
         rows[4] = 1.0, 0.0, 0.0 if self._is_linear else speed
         asked = rows.tobytes()

@@ -1,0 +1,149 @@
+"""Cuts of a tool at its last poses.
+
+These poses are known to rounding, so the bone that they have cut is known more exactly than from
+the voxels. At a pose displaced by d, the tool has cut to ::
+
+    d . n - k / 2 |d - (d . n) n|**2
+
+in front of an element with normal n and mean curvature k. Rotations are taken to second order.
+"""
+
+import warp as wp
+
+from kernels.elements import LANES, Elements, lanes8
+
+__all__ = ["CLOSE", "Poses", "poses_in_front", "recently_cut"]
+
+wp.set_module_options({"enable_backward": False})
+
+# Number of last poses between two checks whether the other poses can be left out; chosen.
+CHECKED = wp.constant(8)
+# Smallest gap to the cuts at the tool's last poses that counts as cut bone [m]. It is also the
+# width over which the share of an element falls at the surface of these cuts.
+CLOSE = wp.constant(2.0e-8)
+
+
+@wp.struct
+class Poses:
+    """Range of the last poses: from ``first`` up to, but not including, ``last``."""
+
+    first: wp.int32
+    last: wp.int32
+
+
+@wp.func
+def poses_in_front(
+    recent: wp.array2d(dtype=wp.float32),
+    elements: Elements,
+    chunk: int,
+    first: int,
+    last: int,
+    turns: bool,
+):
+    """Return the range of last poses that may have cut farther than the present pose.
+
+    A pose counts if the tool lay in front of the present pose there, for the normal of some element
+    of the chunk. A tool that advances has no such poses in front of it.
+    """
+    poses = Poses()
+    poses.last = recent.shape[0]
+    if not turns:
+        cone = elements.chunk_cone[chunk]
+        axis = wp.vec3(cone[0], cone[1], cone[2])
+        # The normals differ from the cone's axis by a vector of this length at most.
+        differ = float(2.0)
+        if cone[3] <= 1.0:
+            differ = wp.sqrt(2.0 - 2.0 * wp.sqrt(1.0 - cone[3] * cone[3])) + 1.0e-5
+        half = float(0.0)
+        for eight in range(first, last):
+            half = wp.max(half, 0.5 * wp.max(elements.curvature[eight]))
+        present = wp.vec3(recent[0, 0], recent[0, 1], recent[0, 2])
+        curved = half * wp.dot(present, present)
+        poses.first = recent.shape[0]
+        poses.last = 0
+        for j in range(recent.shape[0]):
+            moved = wp.vec3(recent[j, 0], recent[j, 1], recent[j, 2]) - present
+            reached = wp.dot(moved, axis) + wp.length(moved) * differ + curved
+            if reached > 0.5 * CLOSE:
+                poses.first = wp.min(poses.first, j)
+                poses.last = j + 1
+    return poses
+
+
+@wp.func
+def recently_cut(
+    recent: wp.array2d(dtype=wp.float32),
+    elements: Elements,
+    eight: int,
+    turns: bool,
+    poses: Poses,
+    enough: float,
+):
+    """Compute how far the tool has cut in front of eight elements at its last poses [m].
+
+    The result is 0 for elements in front of which the present pose has cut farthest. Once it is
+    more than ``enough`` for all eight, the remaining poses are left out.
+    """
+    gap = lanes8()
+    if poses.first >= poses.last:
+        return gap
+    nx = elements.lanes[eight, 3]
+    ny = elements.lanes[eight, 4]
+    nz = elements.lanes[eight, 5]
+    half = 0.5 * elements.curvature[eight]
+    present = cut_at(recent, elements, eight, 0, nx, ny, nz, half, turns)
+    most = present
+    j = poses.first
+    while j < poses.last:
+        end = wp.min(j + CHECKED, poses.last)
+        while j < end:
+            most = wp.max(most, cut_at(recent, elements, eight, j, nx, ny, nz, half, turns))
+            j += 1
+        # More poses would not change which elements have bone within reach.
+        if wp.min(most - present) > CLOSE and wp.min(most) > enough:
+            j = poses.last
+    for lane in range(LANES):
+        if most[lane] - present[lane] > CLOSE:
+            gap[lane] = most[lane]
+    return gap
+
+
+@wp.func
+def cut_at(
+    recent: wp.array2d(dtype=wp.float32),
+    elements: Elements,
+    eight: int,
+    j: int,
+    nx: lanes8,
+    ny: lanes8,
+    nz: lanes8,
+    half: lanes8,
+    turns: bool,
+):
+    """Compute how far the tool has cut in front of eight elements at one of its last poses [m]."""
+    mx = recent[j, 0]
+    my = recent[j, 1]
+    mz = recent[j, 2]
+    risen = lanes8()
+    across = mx * nx + my * ny + mz * nz
+    square = lanes8(mx * mx + my * my + mz * mz)
+    if turns:
+        # Up to second order of the rotation w, an element at p with normal n moves by w x p, and
+        # the surface at its new place rises by (w x n) . (w x p / 2 + moved). The rotation about
+        # the tool's axis is left out.
+        px = elements.lanes[eight, 0]
+        py = elements.lanes[eight, 1]
+        pz = elements.lanes[eight, 2]
+        wx = recent[j, 3]
+        wy = recent[j, 4]
+        x = wy * pz
+        y = -wx * pz
+        z = wx * py - wy * px
+        risen = wp.cw_mul(wy * nz, 0.5 * x + lanes8(mx)) - wp.cw_mul(wx * nz, 0.5 * y + lanes8(my))
+        risen += wp.cw_mul(wx * ny - wy * nx, 0.5 * z + lanes8(mz))
+        x += lanes8(mx)
+        y += lanes8(my)
+        z += lanes8(mz)
+        across = wp.cw_mul(x, nx) + wp.cw_mul(y, ny) + wp.cw_mul(z, nz)
+        square = wp.cw_mul(x, x) + wp.cw_mul(y, y) + wp.cw_mul(z, z)
+    return across - wp.cw_mul(half, square - wp.cw_mul(across, across)) + risen

@@ -1,0 +1,89 @@
+"""Range of validity of the cutting law."""
+
+import numpy as np
+
+from tissue.cutters.cutter import Cutter
+from tissue.models.bone.smooth_surface import SmoothSurface
+from tissue.models.tissue_model import ToolMotion
+
+__all__ = ["THICKEST_M", "LawLimits"]
+
+THICKEST_M = 1e-4
+"""Largest feed per tooth for which the law holds [m].
+
+Cortical bone is sheared at depths of cut of 10 to 50 um and breaks off in pieces above 100 um (Luo
+et al. 2022, Chinese Journal of Mechanical Engineering 35).
+"""
+
+
+class LawLimits:
+    """Check of the feed per tooth and of the smooth surface of a tool in bone, in every tick.
+
+    Parameters
+    ----------
+    cutter
+        The tool.
+    smooth
+        Surface of the tool that does not cut; None without such a surface.
+
+    Attributes
+    ----------
+    notices
+        One sentence for each limit, when it is first passed; the loop removes the sentences that it
+        logs.
+    passed
+        Sentences of all limits that were passed, by subject.
+    thickest_m
+        Largest feed per tooth in bone so far [m].
+    """
+
+    def __init__(self, cutter: Cutter, smooth: SmoothSurface | None) -> None:
+        self._cutter = cutter
+        self._smooth = smooth
+        self.notices: list[str] = []
+        self.passed: dict[str, str] = {}
+        self.thickest_m = 0.0
+
+    def restart(self) -> None:
+        """Reset the limits that were passed."""
+        self.notices.clear()
+        self.passed.clear()
+        self.thickest_m = 0.0
+
+    def check(self, motion: ToolMotion, engaged_m2: float, *, is_new: bool) -> None:
+        """Check one response.
+
+        `is_new` is True if the tool or the bone has changed since the last response.
+        """
+        # A tool at rest takes no chip and does not advance into bone.
+        if motion.speed_m_s == 0.0:
+            return
+        if engaged_m2 > 0.0:
+            feed_m_s = motion.speed_m_s * float(np.linalg.norm(motion.heading[0]))
+            self.thickest_m = max(self.thickest_m, feed_m_s * self._cutter.chip_per_speed_s)
+            if self.thickest_m > THICKEST_M and "chips" not in self.passed:
+                self._pass(
+                    "chips",
+                    f"the feed of {1e3 * feed_m_s:.3g} mm/s is {1e3 * self.thickest_m:.2g} "
+                    "mm per tooth, but the "
+                    f"cutting law holds up to {1e3 * THICKEST_M:g} mm: forces are "
+                    "extrapolated. Use a slower feed or "
+                    "a higher speed of the tool",
+                )
+        if (
+            is_new
+            and self._smooth is not None
+            and "smooth surface" not in self.passed
+            and self._smooth.is_blocked
+        ):
+            self._pass(
+                "smooth surface",
+                "a smooth part of the tool, such as its peg, is pushed into bone, which it "
+                "cannot cut: no force is "
+                "computed for it. Drill a pilot hole for the peg, or lead the tool elsewhere",
+            )
+
+    def _pass(self, about: str, sentence: str) -> None:
+        """Record a limit that is passed."""
+        self.passed[about] = sentence
+        self.notices.append(sentence)

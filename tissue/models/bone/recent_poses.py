@@ -1,0 +1,103 @@
+"""Last poses of a tool that has cut."""
+
+from itertools import pairwise
+from math import sqrt
+
+import numpy as np
+import warp as wp
+
+from kernels.mirror import Mirror
+from meshes.base.arrays import Array
+from tissue.models.tissue_model import ToolMotion
+
+__all__ = ["RecentPoses"]
+
+RINGS = (
+    (12, 4e-6),
+    (24, 2.4e-5),
+)
+"""Rings of the tool's last poses: number of poses and their distance along the path [m]; chosen.
+
+Together they reach further back than `tissue.models.bone.carver.OLDER_LAG_M`. A tool that returns
+on its path comes into contact at most one distance too early. Between two poses 24 um apart, a ball
+of 1 mm radius appears to leave 0.07 um of bone.
+"""
+ROUNDING = 1e-9
+"""Change of the tool's axis up to which it has not turned [rad]: rounding of rotations."""
+KEPT_POSES = sum(count for count, _ in RINGS)
+
+
+class RecentPoses:
+    """Last poses of a tool that has cut.
+
+    The bone that the tool has cut at these poses is known to rounding.
+
+    Parameters
+    ----------
+    lever_m
+        Distance of the tool's far end from its tip [m].
+    device
+        Warp device name.
+
+    Attributes
+    ----------
+    mirror
+        Displacements and rotations, as `kernels.engagement.find_bone` reads them.
+    turns
+        True if the tool has turned since `place`, other than about its axis.
+    """
+
+    def __init__(self, lever_m: float, *, device: str) -> None:
+        self._tips = np.zeros((KEPT_POSES, 3))
+        self._rotations = np.tile(np.eye(3), (KEPT_POSES, 1, 1))
+        self._lever = lever_m
+        # place of the last pose of each ring, and of its first and beyond its last pose
+        ends = np.cumsum([0, *(count for count, _ in RINGS)]).tolist()
+        self._rings = [[first, first, last] for first, last in pairwise(ends)]
+        self.turns = False
+        self._moved = np.zeros((KEPT_POSES, 3))
+        self.mirror = Mirror((1 + KEPT_POSES, 6), dtype=wp.float32, device=device)
+
+    def place(self, motion: ToolMotion) -> None:
+        """Start at a pose."""
+        self._tips[:] = motion.tip_m
+        self._rotations[:] = motion.rotation
+        self.turns = False
+
+    def add(self, motion: ToolMotion) -> None:
+        """Add a pose at which the tool has cut.
+
+        The first place of a ring holds the present pose, which the next pose replaces unless it is
+        far enough from the pose before.
+        """
+        for ring, (_, spaced_m) in zip(self._rings, RINGS, strict=True):
+            now, first, end = ring
+            last = now - 1 if now > first else end - 1
+            moved = motion.tip_m - self._tips[last]
+            travel = sqrt(moved.dot(moved))
+            # A rotation about the tool's axis moves its surface into itself.
+            turned = motion.rotation[:, 2] - self._rotations[last, :, 2]
+            turn = sqrt(turned.dot(turned))
+            if turn > ROUNDING:
+                self.turns = True
+                travel += self._lever * turn
+            self._tips[now] = motion.tip_m
+            self._rotations[now] = motion.rotation
+            if travel >= spaced_m:
+                ring[0] = now + 1 if now + 1 < end else first
+                self._tips[ring[0]] = motion.tip_m
+                self._rotations[ring[0]] = motion.rotation
+
+    def seen_from(self, tip_m: Array, rotation: Array) -> None:
+        """Write the displacements from a pose to `mirror`, the present pose first."""
+        rows = self.mirror.host
+        np.dot(self._tips - tip_m, rotation, out=self._moved)
+        rows[1:, :3] = self._moved
+        if self.turns:
+            axes = self._rotations[:, :, 2] @ rotation
+            # The smallest rotation that turns the axis. A further one about the axis moves the
+            # surface into itself.
+            rows[1:, 3] = -axes[:, 1]
+            rows[1:, 4] = axes[:, 0]
+        rows[0] = rows[1 + self._rings[0][0]]
+        self.mirror.push()
