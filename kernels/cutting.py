@@ -40,8 +40,7 @@ wp.set_module_options({"enable_backward": False})
 
 # Places in the sums. After the areas follows, for each of up to six unknowns, the derivative of
 # force and torque by the unknown. With three unknowns, only the force has derivatives, and the
-# torque is the torque at the given velocity. Each sum has eight parts, one for each element of
-# eight.
+# torque is the torque at the given velocity.
 VALUE = 0  # tangent at zero velocity: force [N] and torque about the tip [N m], 6 places
 RATE = 6  # removal rate at speed 1 [m3/s]
 AREA = 7  # engaged area of each layer [m2]
@@ -65,7 +64,7 @@ def cutting_forces(
     elements: Elements,
     coefficients: Coefficients,
     found: wp.array2d(dtype=lanes8),  # [eight elements, row], see `kernels.engagement.DISTANCE`
-    engaged: wp.array(dtype=wp.int32),  # [chunk], 1 where an element has bone
+    engaged: wp.array(dtype=wp.float64),  # [chunk], 1 where an element has bone
     # rows, in the tool's frame: velocity of the tip [m/s], angular velocity [rad/s]; the two
     # velocities with which the pose of `found` would be reached in a tick; number of unknowns,
     # length of the tick [s] and speed
@@ -73,8 +72,10 @@ def cutting_forces(
     chip_per_speed: float,  # 2 pi / (N omega) [s]
     chunk_offset: int,
     # out
+    # scratch: the sums of each of the eight lanes
+    lanes_out: wp.array2d(dtype=lanes8),
     # [chunk, AREA + layers + 36], tool frame: see VALUE; unchanged for chunks without bone
-    sums_out: wp.array2d(dtype=lanes8),
+    sums_out: wp.array2d(dtype=wp.float64),
 ):
     """Sum the forces on one chunk of elements, as a tangent.
 
@@ -82,11 +83,12 @@ def cutting_forces(
     speed, the velocities are those at speed 1.
     """
     chunk = wp.tid() + chunk_offset
-    if engaged[chunk] == 0:
+    if engaged[chunk] == wp.float64(0.0):
         return
     unknowns = int(motion[4, 0])
-    for m in range(AREA + coefficients.size.shape[0] + 6 * unknowns):
-        sums_out[chunk, m] = lanes8()
+    rows = AREA + coefficients.size.shape[0] + 6 * unknowns
+    for m in range(rows):
+        lanes_out[chunk, m] = lanes8()
     tick = float(motion[4, 1])
     speed = float(motion[4, 2])
     velocity = row_of(motion, 0)
@@ -115,8 +117,13 @@ def cutting_forces(
                 chip_per_speed,
                 least,
                 chunk,
-                sums_out,
+                lanes_out,
             )
+    for m in range(rows):
+        total = wp.float64(0.0)
+        for lane in range(LANES):
+            total += wp.float64(lanes_out[chunk, m][lane])
+        sums_out[chunk, m] = total
 
 
 @wp.func

@@ -110,7 +110,7 @@ def find_bone(
     # out
     seen_out: wp.array2d(dtype=corner8f),  # [chunk, SLOTS + 1], see `kernels.older_cuts.SLOTS`
     found_out: wp.array2d(dtype=lanes8),  # [eight elements, row], see `DISTANCE`
-    engaged_out: wp.array(dtype=wp.int32),  # [chunk], 1 with bone; must be 1 at the first launch
+    engaged_out: wp.array(dtype=wp.float64),  # [chunk], 1 with bone; must be 1 at the first launch
 ):
     """Find the bone in front of one chunk of elements."""
     chunk = wp.tid() + chunk_offset
@@ -126,7 +126,7 @@ def find_bone(
     has_poses = int(0)
     enough = wp.where(everywhere, NEAR, 0.0) * spacing + CLOSE
     # Without bone now and before, all widths are 0 already.
-    if not meets and engaged_out[chunk] == 0:
+    if not meets and engaged_out[chunk] == wp.float64(0.0):
         last = first
     engaged = int(0)
     for eight in range(first, last):
@@ -198,7 +198,7 @@ def find_bone(
                 elements, coefficients, float(motion[6, 2]), eight, layer, density, found_out
             )
         found_out[eight, WIDTH] = width
-    engaged_out[chunk] = engaged
+    engaged_out[chunk] = wp.float64(engaged)
 
 
 @wp.func

@@ -38,6 +38,7 @@ PROFILES = {
     "drill": twist_drill(diameter_m=2e-3, length_m=3e-3, point_angle_rad=2.0),
 }
 TICK_S = 1e-3
+NO_VELOCITY = np.zeros(6)
 
 
 def older_cuts(model, motion, random):
@@ -83,9 +84,9 @@ class RandomCut:
         pose = self.motion.tip_m, self.motion.rotation
         return find(self.model, *pose, self.older, self.swallowed, **options)
 
-    def around(self):
+    def around(self, before=NO_VELOCITY):
         """Return the bone that the kernel finds around the whole tool, shape (FOUND, elements)."""
-        self.model.find_bone(self.motion.tip_m, self.motion.rotation)
+        self.model.find_bone(self.motion.tip_m, self.motion.rotation, before, TICK_S)
         found = self.model._forces.found.numpy()
         assert not found[:, WIDTH].reshape(-1)[self.count :].any()
         return found.transpose(1, 0, 2).reshape(found.shape[1], -1)[:, : self.count]
@@ -160,9 +161,9 @@ def test_bone_around_the_whole_tool(profile, has_poses):
     assert ((layers == 0).any(axis=1) & (layers == 1).any(axis=1)).sum() > 3
 
 
-def found_by(cut):
+def found_by(cut, before):
     """Return the bone that the kernel finds in the form of NumPy, to compare the law alone."""
-    rows, wanted = cut.around().astype(float), cut.wanted()
+    rows, wanted = cut.around(before).astype(float), cut.wanted()
     slope = rows[SLOPE : SLOPE + 3].T
     layer, density = rows[LAYER].astype(int), rows[DENSITY]
     return replace(
@@ -194,34 +195,33 @@ def test_tangent_of_the_force_against_finite_differences(profile, law, name, unk
     """
     cut = RandomCut(profile, law=law)
     last_poses(cut.model, cut.motion)
-    model, turn = cut.model, cut.motion.rotation.T
-    found = found_by(cut)
+    model = cut.model
     speed, along = VELOCITIES[name]
-    velocity = speed * along
-    before = speed * np.array([0.5, -0.4, -0.6, 100.0, 0.0, 50.0])
-    value, slopes = model.forces(velocity, before, TICK_S, unknowns=unknowns)
-    frame = np.kron(np.eye(2), turn)
+    frame = np.kron(np.eye(2), cut.motion.rotation.T)
+    velocity = frame @ (speed * along)
+    before = frame @ (speed * np.array([0.5, -0.4, -0.6, 100.0, 0.0, 50.0]))
+    found = found_by(cut, before)
+    value, slopes = model.forces(velocity, unknowns=unknowns)
     options = {"least_m": CREEP_M_S * model.cutter.chip_per_speed_s}
 
     def law_at(moving):
-        return forces(found, model, frame @ moving, frame @ before, TICK_S, **options)
+        return forces(found, model, moving, before, TICK_S, **options)
 
     wanted, rate, areas = law_at(velocity)
-    wanted = frame.T @ wanted
     arm = np.array([1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-3])
     size = np.abs(wanted / arm).max()
     result = value + slopes @ velocity[:unknowns]
     assert result / arm == pytest.approx(wanted / arm, abs=2e-5 * size)
     assert model._sums[RATE] == pytest.approx(rate, rel=1e-4)
     assert model._sums[AREA : AREA + 2] == pytest.approx(areas, rel=1e-4)
-    share = shares(found, model.shell, frame @ velocity, frame @ before, TICK_S)
+    share = shares(found, model.shell, velocity, before, TICK_S)
     assert ((share > 0.0) & (share < 1.0)).sum() > 100
     step = 2e-5 * speed
     rows = slice(None) if unknowns == 6 else slice(3)
     for k in range(unknowns):
         change = np.zeros(6)
         change[k] = step if k < 3 else step * 500.0
-        high, low = (frame.T @ law_at(velocity + sign * change)[0] for sign in (1.0, -1.0))
+        high, low = (law_at(velocity + sign * change)[0] for sign in (1.0, -1.0))
         slope = (high - low) / (2.0 * change[k])
         largest = np.abs(slopes[rows, k] / arm[rows]).max()
         assert slopes[rows, k] / arm[rows] == pytest.approx(
@@ -272,9 +272,9 @@ def test_share_over_a_tick_is_the_mean_of_an_element_that_passes_the_surface():
     """
     cut = RandomCut("ball")
     last_poses(cut.model, cut.motion)
-    found, shell = found_by(cut), cut.model.shell
-    velocity = np.array([2e-3, -3e-3, -4e-3, 0.0, 0.0, 0.0])
     before = np.array([1e-3, 1e-3, -2e-3, 0.0, 0.0, 0.0])
+    found, shell = found_by(cut, before), cut.model.shell
+    velocity = np.array([2e-3, -3e-3, -4e-3, 0.0, 0.0, 0.0])
     share = shares(found, shell, velocity, before, TICK_S)
     start = found.distance_m - TICK_S * found.slope @ before[:3]
     times = (np.arange(4000) + 0.5) / 4000

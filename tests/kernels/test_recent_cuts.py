@@ -37,7 +37,7 @@ def test_cut_of_a_ball_at_its_last_pose_is_known_within_half_a_micrometre(name):
     other.tip_m[:] = centre - radius * other.rotation[:, 2]
     model._recent.add(other)
     model._recent.add(motion)
-    model.find_bone(motion.tip_m, motion.rotation)
+    model.find_bone(motion.tip_m, motion.rotation, np.zeros(6), 1e-3)
     found = model._forces.found.numpy().transpose(1, 0, 2)
     found = found.reshape(len(found), -1)[:, : len(model.shell.areas_m2)]
     points = motion.tip_m + model.shell.points_m @ motion.rotation.T

@@ -85,7 +85,7 @@ class DiscInBone:
         self.heights = np.zeros(len(self.columns))
         self.at = np.zeros(2)
 
-    def find_bone(self, tip_m, rotation):
+    def find_bone(self, tip_m, rotation, velocity, step_s):
         """Keep the columns whose bone is less than 20 um away from the disc."""
         x, z = tip_m[0], tip_m[2] + RADIUS_M
         first, last = np.searchsorted(self.columns, [x - RADIUS_M, x + RADIUS_M])
@@ -96,15 +96,17 @@ class DiscInBone:
         normals = np.column_stack([aside[near], -below[near]]) / RADIUS_M
         self.normals = normals
         self.depths = -depth[near] * normals[:, 1]
+        self.before = velocity.copy()
+        self.step = step_s
         arc = -self.spacing / normals[:, 1]
         self.weights = FLUTES / (2.0 * pi * RADIUS_M) * WIDTH_M * arc
 
-    def forces(self, velocity, before, step_s, *, unknowns):
+    def forces(self, velocity, *, unknowns):
         """Return the tangent of force and torque at a velocity."""
         kappa = 2.0 * pi / (FLUTES * SPIN_RAD_S)
         plane = [0, 2]
         advance = self.normals @ velocity[plane]
-        depth = self.depths + step_s * self.normals @ (velocity - before)[plane]
+        depth = self.depths + self.step * self.normals @ (velocity - self.before)[plane]
         cuts = (advance > 0.0) & (depth > 0.0)
         normals, advance, depth = self.normals[cuts], advance[cuts], depth[cuts]
         tangents = np.column_stack([-normals[:, 1], normals[:, 0]])
@@ -112,7 +114,7 @@ class DiscInBone:
         is_full = chip > MINIMUM_M
         edge = np.where(is_full, 1.0, chip / MINIMUM_M)
         edge_slope = np.where(is_full, 0.0, kappa / MINIMUM_M)
-        share = np.minimum(depth / (step_s * advance), 1.0)
+        share = np.minimum(depth / (self.step * advance), 1.0)
         steep = (1.0 - share) / advance
         loads = [chip * c + edge * e for c, e in zip(CHIP_PA, EDGE_N_M, strict=True)]
         rises = [kappa * c + edge_slope * e for c, e in zip(CHIP_PA, EDGE_N_M, strict=True)]

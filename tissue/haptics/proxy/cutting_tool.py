@@ -27,8 +27,13 @@ Chosen: at critical damping no encoder step makes the tool oscillate.
 """
 GYRATION_M = 0.05
 """Radius of gyration of the tool about its tip [m], of a rod of 0.09 m; assumed."""
-LEVER_M = np.array([1.0, 1.0, 1.0, GYRATION_M, GYRATION_M, GYRATION_M])
-"""Divisors that make a wrench [N, N m] six forces [N]: 1 for forces, a lever [m] for torques."""
+LEVER = np.array([1.0, 1.0, 1.0, GYRATION_M, GYRATION_M, GYRATION_M])
+"""Divisors of a wrench, and factors of a velocity, that give six forces [N] and speeds [m/s].
+
+They are those at the radius of gyration. The mass of all six unknowns is then that of the tool.
+"""
+LEVERS = np.outer(LEVER, LEVER)
+"""Divisors of the derivatives of a wrench by a velocity that give those of forces by speeds."""
 TOLERANCE = 1e-6
 """Largest residual of the balance, relative to the force that drives the tool.
 
@@ -61,13 +66,17 @@ Chosen. The search ends there, at a kink across which no share of the step short
 class CutTissue(Protocol):
     """Tissue whose force on a tool is known for any velocity."""
 
-    def find_bone(self, tip_m: Array, rotation: Array) -> None:
-        """Find the bone around the whole tool at a pose."""
+    def find_bone(self, tip_m: Array, rotation: Array, velocity: Array, step_s: float) -> None:
+        """Find the bone around the whole tool at a pose that it would reach in a step.
 
-    def forces(
-        self, velocity: Array, before: Array, step_s: float, *, unknowns: int
-    ) -> tuple[Array, Array]:
-        """Return the tangent of force and torque on the tool at a velocity."""
+        The velocity is along the axes of the tool, shape (6,).
+        """
+
+    def forces(self, velocity: Array, *, unknowns: int) -> tuple[Array, Array]:
+        """Return the tangent of force and torque on the tool at a velocity in the step.
+
+        All vectors are along the axes of the tool at the pose of `find_bone`.
+        """
 
 
 class CuttingTool(HeldTool):
@@ -112,11 +121,15 @@ class CuttingTool(HeldTool):
         self.steps = 0
         self._tissue: CutTissue | None = None
         self._start = np.eye(3)
+        # rotation of the last search, and the matrix of it
+        self._searched: Quaternion | None = None
+        self._rotation = np.eye(3)
 
     def meet(self, tissue: CutTissue, rotation: Array) -> None:
         """Put the tool, with its first orientation from tool to world, into a tissue."""
         self._tissue = tissue
         self._start = rotation.copy()
+        self._searched = None
 
     def rest(self) -> None:
         """Stop the tool where it is."""
@@ -134,30 +147,36 @@ class CuttingTool(HeldTool):
         """Move a step towards the device, and return the tip."""
         spring = self.stiffness_N_m
         turning = self._turn.stiffness_Nm_rad
-        mass = self.mass_kg
-        inertia = mass * GYRATION_M**2
-        damping = 2.0 * DAMPING_RATIO * sqrt(mass * spring)
-        before = self.velocity.copy()
-        left = np.array(turn_between(self._turn.quaternion, device))
-        driving = np.zeros(6)
-        driving[:3] = (
-            mass / step_s * before[:3] + spring * (device_m - self.tip_m) + damping * velocity[:3]
-        )
-        held = np.full(6, mass / step_s + spring * step_s + damping)
+        turned = self._turn.quaternion
+        inertia = self.mass_kg / step_s
+        damping = 2.0 * DAMPING_RATIO * sqrt(self.mass_kg * spring)
+        found = self.velocity.copy()
+        # The driving forces act at the velocity 0, and fall in proportion to the velocity.
+        driving = inertia * found[:3] + spring * (device_m - self.tip_m) + damping * velocity[:3]
+        falling: float | Array = inertia + spring * step_s + damping
         if turning == inf:
             unknowns = 3
-            before[3:] = left / step_s
+            found[3:] = 0.0
+            if device != turned:
+                found[3:] = np.array(turn_between(turned, device)) / step_s
         else:
             unknowns = 6
-            twisting = 2.0 * DAMPING_RATIO * sqrt(inertia * turning)
-            driving[3:] = inertia / step_s * before[3:] + turning * left + twisting * velocity[3:]
-            held[3:] = inertia / step_s + turning * step_s + twisting
-        turned = product(exponential(tuple(step_s * before[3:])), self._turn.quaternion)
+            # The spring of rotation acts like a spring at the radius of gyration.
+            spring = turning / GYRATION_M**2
+            damping = 2.0 * DAMPING_RATIO * sqrt(self.mass_kg * spring)
+            left = np.array(turn_between(turned, device))
+            around = GYRATION_M * (inertia * found[3:] + spring * left + damping * velocity[3:])
+            driving = np.concatenate((driving, around))
+            falling = np.repeat([falling, inertia + spring * step_s + damping], 3)
         if self._tissue is not None:
-            self._tissue.find_bone(
-                self.tip_m + step_s * before[:3], matrix_of(np.array(turned)) @ self._start
-            )
-        found = self._balance(driving, held, before, step_s, unknowns)
+            if found[3:].any():
+                turned = product(exponential(tuple(step_s * found[3:])), turned)
+            if turned != self._searched:
+                self._searched = turned
+                self._rotation = matrix_of(np.array(turned)) @ self._start
+            self._balance(self._tissue, driving, falling, found, step_s)
+        else:
+            found[:unknowns] = driving / falling / LEVER[:unknowns]
         self.velocity = found
         self.tip_m += step_s * found[:3]
         self._turn.quaternion = (
@@ -168,45 +187,68 @@ class CuttingTool(HeldTool):
         return self.tip_m
 
     def _balance(
-        self, driving: Array, held: Array, before: Array, step_s: float, unknowns: int
-    ) -> Array:
-        """Return the velocity at which ``held v = driving + F(v)``, and set `wrench`."""
+        self,
+        tissue: CutTissue,
+        driving: Array,
+        falling: float | Array,
+        velocity: Array,
+        step_s: float,
+    ) -> None:
+        """Change the velocity until ``falling u = driving + F(u)``, and set `wrench`.
+
+        The unknowns u are the first three or all six components of the velocity, multiplied by
+        `LEVER`. They are solved along the axes of the tool. `velocity` is that before the step.
+        """
+        rotation = self._rotation
+        unknowns = len(driving)
         free = slice(unknowns)
-        velocity = before.copy()
-        self.wrench[:] = 0.0
-        if self._tissue is not None:
-            # A torque counts by its force at the radius of gyration.
-            lever = LEVER_M[free]
-            accepted = TOLERANCE * sqrt(driving.dot(driving)) + LEAST_N
-            line = _Line(velocity[free])
-            is_slow = False
-            best = velocity
-            for count in range(1, MOST_STEPS + 1):
-                velocity[free] = line.tried
-                value, slopes = self._tissue.forces(velocity, before, step_s, unknowns=unknowns)
-                wrench = value + slopes.dot(line.tried)
-                missing = (driving[free] + wrench[free] - held[free] * line.tried) / lever
-                is_close = sqrt(missing.dot(missing)) <= accepted
-                self.steps = count
-                if is_close or line.accepts(missing):
-                    self.wrench[:] = wrench
-                    best = velocity.copy()
-                    if is_close:
-                        break
-                    matrix = (np.diag(held[free]) - slopes[free]) / lever[:, None]
-                    line.begin(matrix, missing)
-                elif not is_slow:
-                    # Near rest no edge force is full. A Newton step from there does not jump over
-                    # the ramp of an edge force, from which a step would jump back.
-                    is_slow = True
-                    line = _Line(SLOW * driving[free] / held[free])
-            if self.wrench.any():
-                # The momentum is balanced exactly by the force, which changes by the residual. A
-                # change of the velocity would change the force of the tissue far more.
-                self.wrench[free] = held[free] * best[free] - driving[free]
-                return best
-        velocity[free] = driving[free] / held[free]
-        return velocity
+        turns = unknowns == 6
+        now = (velocity.reshape(2, 3) @ rotation).reshape(6)
+        tissue.find_bone(self.tip_m + step_s * velocity[:3], rotation, now, step_s)
+        driven = (driving.reshape(-1, 3) @ rotation).reshape(unknowns)
+        accepted = TOLERANCE * sqrt(driven.dot(driven)) + LEAST_N
+        line = _Line(now[free] * LEVER[free])
+        is_slow = False
+        best = line.tried
+        meets = False
+        for count in range(1, MOST_STEPS + 1):
+            tried = line.tried
+            now[free] = tried / LEVER if turns else tried
+            value, slopes = tissue.forces(now, unknowns=unknowns)
+            if turns:
+                value = value / LEVER
+                slopes = slopes / LEVERS
+            force = value[free] + slopes[free].dot(tried)
+            missing = driven + force - falling * tried
+            is_close = sqrt(missing.dot(missing)) <= accepted
+            if is_close or line.accepts(missing):
+                best = tried
+                self.wrench[3:] = value[3:]
+                meets = bool(force.any())
+                if is_close:
+                    break
+                matrix = np.negative(slopes[free])
+                matrix[DIAGONALS[unknowns]] += falling
+                line.begin(matrix, missing)
+            elif not is_slow:
+                # Near rest no edge force is full. A Newton step from there does not jump over
+                # the ramp of an edge force, from which a step would jump back.
+                is_slow = True
+                line = _Line(SLOW * driven / falling)
+        self.steps = count
+        if not meets:
+            self.wrench[:] = 0.0
+            velocity[free] = driving / falling / LEVER[free]
+            return
+        velocity[free] = (best.reshape(-1, 3) @ rotation.T).reshape(unknowns) / LEVER[free]
+        self.wrench[3:] = rotation @ self.wrench[3:]
+        # The momentum is balanced exactly by the force, which changes by the residual. A change of
+        # the velocity would change the force of the tissue far more.
+        self.wrench[free] = LEVER[free] * (falling * LEVER[free] * velocity[free] - driving)
+
+
+DIAGONALS = {size: np.diag_indices(size) for size in (3, 6)}
+"""Indices of the diagonal of a matrix, by its number of rows."""
 
 
 class _Line:

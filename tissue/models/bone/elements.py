@@ -164,9 +164,10 @@ class CuttingForces:
         self.slopes = AREA + len(store.grid.layer_names)
         # 36: derivatives of force and torque by six unknowns
         shape = (self._chunks, self.slopes + 36)
-        self._sums = Mirror(shape, dtype=lanes8, device=device)
+        self._sums = Mirror(shape, dtype=wp.float64, device=device)
+        lanes = wp.zeros(shape, lanes8, device)
         self.found = wp.zeros((len(elements.lanes), FOUND), lanes8, device)
-        self._engaged = Mirror(self._chunks, dtype=wp.int32, device=device)
+        self._engaged = Mirror(self._chunks, dtype=wp.float64, device=device)
         # The first search then writes the widths of all elements.
         self._engaged.device.fill_(1)
         self._motion = motion
@@ -186,7 +187,7 @@ class CuttingForces:
             cutting_forces,
             dim=self._chunks,
             inputs=[*given, motion.device, chip_per_speed_s, 0],
-            outputs=[self._sums.device],
+            outputs=[lanes, self._sums.device],
             cores=cores,
             offset_index=len(given) + 2,
         )
@@ -206,11 +207,11 @@ class CuttingForces:
     def sums(self) -> Array:
         """Return the sums over all elements at the present velocities."""
         self._engaged.pull()
-        engaged = self._engaged.host != 0
+        engaged = self._engaged.host
         rows = self.slopes + 6 * int(self._motion.host[4, 0])
         if not engaged.any():
             return np.zeros(rows)
         self._sum()
         self._sums.pull()
-        parts = self._sums.host[engaged, :rows]
-        return np.asarray(np.add.reduce(np.add.reduce(parts, axis=0, dtype=np.float64), axis=-1))
+        # Chunks without bone are left out.
+        return np.asarray(engaged @ self._sums.host[:, :rows])

@@ -132,7 +132,6 @@ class BoneModel:
         self._found: tuple[bytes, int] | None = None
         self._summed = b""
         self._sums = np.zeros(AREA + layers + 6)
-        self._rotation = np.eye(3)
 
     def record(self) -> None:
         """Record all launches anew, after the store's arrays have grown."""
@@ -179,34 +178,41 @@ class BoneModel:
         self._tip /= self._spacing
         self._axes[:] = rotation.T
 
-    def find_bone(self, tip_m: Array, rotation: Array) -> None:
-        """Find the bone around the whole tool at a pose; `forces` then uses it."""
+    def find_bone(self, tip_m: Array, rotation: Array, velocity: Array, step_s: float) -> None:
+        """Find the bone around the whole tool at a pose; `forces` then uses it.
+
+        Parameters
+        ----------
+        tip_m, rotation
+            Pose of the tool.
+        velocity
+            Velocity of the tip [m/s] and angular velocity [rad/s] along the tool's axes, shape
+            (6,), with which the tool would reach the pose in a step.
+        step_s
+            Length of the step [s].
+        """
         self._found = None
-        self._rotation = rotation
         self._take_pose(tip_m, rotation)
         self._velocities[:] = 0.0
         self._pose.host[6] = 1.0, self._recent.turns, CREEP_M_S * self.cutter.chip_per_speed_s
         self._pose.push()
+        rows = self._motion.host
+        rows[2:4] = velocity.reshape(2, 3)
+        rows[4, 1:] = step_s, 1.0
         self._recent.seen_from(tip_m, rotation)
         self._forces.find_bone()
         if self._smooth is not None:
             self._smooth.forces.find_bone()
 
-    def forces(
-        self, velocity: Array, before: Array, step_s: float, *, unknowns: int
-    ) -> tuple[Array, Array]:
-        """Return the tangent of force and torque on the tool at a velocity.
+    def forces(self, velocity: Array, *, unknowns: int) -> tuple[Array, Array]:
+        """Return the tangent of force and torque on the tool at a velocity in the step.
 
-        The velocities are those of the tip [m/s] and the angular velocity [rad/s], shape (6,).
+        All vectors are along the axes of the tool at the pose of `find_bone`.
 
         Parameters
         ----------
         velocity
-            Velocity of the tool in a step.
-        before
-            Velocity with which the pose of `find_bone` would be reached in a step.
-        step_s
-            Length of the step [s].
+            Velocity of the tip [m/s] and angular velocity [rad/s], shape (6,).
         unknowns
             Number of components of the velocity by which the derivative is taken, 3 or 6.
 
@@ -218,11 +224,9 @@ class BoneModel:
             the wrench at the velocity. With 3 unknowns the torque has no derivatives, and its value
             is the torque at the velocity.
         """
-        rotation = self._rotation
         rows = self._motion.host
-        rows[:2] = velocity.reshape(2, 3) @ rotation
-        rows[2:4] = before.reshape(2, 3) @ rotation
-        rows[4] = unknowns, step_s, 1.0
+        rows[:2] = velocity.reshape(2, 3)
+        rows[4, 0] = unknowns
         self._motion.push()
         self._summed = b""
         self._sums = sums = self._forces.sums()
@@ -231,12 +235,7 @@ class BoneModel:
             # The smooth surface adds to the forces, not to what is cut.
             sums[:RATE] += rubbing[:RATE]
             sums[self._forces.slopes :] += rubbing[self._forces.slopes :]
-        turn = rotation.T
-        value = (sums[:RATE].reshape(2, 3) @ turn).reshape(6)
-        slopes = sums[self._forces.slopes :].reshape(unknowns // 3, 3, 2, 3) @ turn
-        # From derivatives by velocities along the tool's axes to those along the world's.
-        slopes = np.einsum("wk,bkpc->pcbw", rotation, slopes).reshape(6, unknowns)
-        return value, slopes
+        return sums[:RATE], sums[self._forces.slopes :].reshape(unknowns, 6).T
 
     def respond(self, motion: ToolMotion) -> Response:
         """Return the cutting force at the motion's pose, and its tangent in the speed."""
