@@ -40,7 +40,14 @@ __all__ = [
 
 wp.set_module_options({"enable_backward": False})
 
-PHASES = 16  # a power of two: the remainder is one instruction
+# Number of groups; a power of two, so that the remainder is one instruction.
+PHASES = 32
+# The group of a brick is the remainder of its indices times these factors. Under a disc of 10
+# bricks in any plane of the grid, a group then has 2 to 5 bricks; along x + y + z, it has up to 10.
+ALONG_X = 11
+ALONG_Y = 5
+REMAINDER = wp.constant(PHASES - 1)
+OLDER_ROW = wp.constant(1 + PHASES)  # first row of poses at which cuts became older cuts
 # Places in the plan of a launch.
 FIRST = 0  # first group
 COUNT = 1  # number of groups
@@ -63,10 +70,10 @@ BRICK_REACH = wp.constant(6.9282032)  # half diagonal of a brick of 8 voxels [vo
 def carve(
     # tool
     tool: Revolution,
-    # row 0 now, row 1 + g last visit of group g, row 17 + g where the cuts of group g last became
-    # older cuts: tip xyz [voxel], axis xyz
+    # row 0 now, row 1 + g last visit of group g, row OLDER_ROW + g where the cuts of group g last
+    # became older cuts: tip xyz [voxel], axis xyz
     pose: wp.array2d(dtype=wp.float64),
-    plan: wp.array(dtype=wp.int32),  # see FIRST
+    plan: wp.array(dtype=wp.int64),  # see FIRST
     worker_offset: int,
     worker_count: int,
     # grid
@@ -107,10 +114,11 @@ def carve(
         bx = low[0] + column / columns_y
         by = low[1] + column % columns_y
         column += worker_count
-        for visit in range(plan[COUNT]):
-            # & 15 is the remainder by PHASES. The bricks of a group are 16 apart along z.
-            group = (plan[FIRST] + visit) & 15
-            bz = low[2] + ((group - plan[ORIGIN] - bx - by - low[2]) & 15)
+        before = int(plan[ORIGIN]) + ALONG_X * bx + ALONG_Y * by + low[2]
+        for visit in range(int(plan[COUNT])):
+            # The bricks of a group are PHASES apart along z.
+            group = (int(plan[FIRST]) + visit) & REMAINDER
+            bz = low[2] + ((group - before) & REMAINDER)
             while bz <= high[2]:
                 row = int(brick_of[bx, by, bz])
                 if row >= 0:
@@ -134,14 +142,14 @@ def carve(
                         touched_out,
                         removed_out,
                     )
-                bz += 16
+                bz += PHASES
 
 
 @wp.func
 def carve_brick(
     tool: Revolution,
     pose: wp.array2d(dtype=wp.float64),
-    plan: wp.array(dtype=wp.int32),
+    plan: wp.array(dtype=wp.int64),
     axis: wp.vec3,
     group: int,
     bx: int,
@@ -176,16 +184,16 @@ def carve_brick(
     # the normal of a tool of 8 voxels' radius turns by 12 degrees, over a brick that of 24 by 17
     # degrees. The whole block faces backward below -0.25 (104 degrees), the whole brick below -0.7
     # (134 degrees).
-    skip_behind = plan[EVERY_SIDE] == 0 and tool.round == 1 and tool.radius > 8.0
-    has_moved = (plan[MOVED] >> group) & 1
-    has_turned = (plan[TURNED] >> group) & 1
+    skip_behind = plan[EVERY_SIDE] == wp.int64(0) and tool.round == 1 and tool.radius > 8.0
+    has_moved = int((plan[MOVED] >> wp.int64(group)) & wp.int64(1))
+    has_turned = int((plan[TURNED] >> wp.int64(group)) & wp.int64(1))
     if skip_behind and tool.radius > 24.0 and wp.dot(step, far.slope) < -0.7 * moved:
         # The whole brick lies behind a tool that leaves it.
         if has_moved == 1:
             for block in range(64):
                 book(row, block * 8, 1, 0, swept_out, middle_out, older_out)
         return
-    back = centre - offset_from(pose, 17 + group, bx * 8 + 4, by * 8 + 4, bz * 8 + 4)
+    back = centre - offset_from(pose, OLDER_ROW + group, bx * 8 + 4, by * 8 + 4, bz * 8 + 4)
     travel = wp.length(back)
     axis_before = wp.vec3(
         float(pose[1 + group, 3]), float(pose[1 + group, 4]), float(pose[1 + group, 5])
@@ -235,7 +243,7 @@ def carve_brick(
                             centre + shift,
                             near,
                             flat,
-                            plan[BINARY],
+                            int(plan[BINARY]),
                             row,
                             block * 8,
                             worker,

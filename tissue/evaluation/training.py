@@ -242,7 +242,9 @@ def _run(motion: HandMotion, tissue: TissueModel, ticks: int) -> tuple[Array, Ar
     raw = slice(
         motion.measure_names.index("raw_force_x_N"), motion.measure_names.index("raw_force_z_N") + 1
     )
-    true = motion.measure_names.index(TRUE[0])
+    # A recorded device has no true position.
+    knows = TRUE[0] in motion.measure_names
+    true = motion.measure_names.index(TRUE[0]) if knows else 0
     for index, row in enumerate(rows):
         stepper.wait(index)
         stepper.step(index)
@@ -251,7 +253,8 @@ def _run(motion: HandMotion, tissue: TissueModel, ticks: int) -> tuple[Array, Ar
         contact[index] = motion.contact(stepper.response).row()
         row[:3] = 1e-3 * motion.measures[:3]
         row[3:6] = motion.measures[raw]
-        row[6:] = 1e-3 * motion.measures[true : true + 3]
+        if knows:
+            row[6:] = 1e-3 * motion.measures[true : true + 3]
     return rows, contact, took
 
 

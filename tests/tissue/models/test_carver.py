@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from kernels.carving import PHASES
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr
@@ -151,12 +152,12 @@ def test_the_groove_of_a_small_ball_is_straight_along_its_path(along):
     assert (removed_m3(bone) - capsule) / surface == pytest.approx(0.0, abs=0.005 * SPACING_M)
 
 
-def test_a_tool_at_rest_is_brought_up_to_date_in_sixteen_ticks():
+def test_a_tool_at_rest_is_brought_up_to_date_by_and_by():
     """All that it owes after a short move is carved while it rests, without `finish`."""
     radius = 1e-3
     along = np.array([0.6, 0.0, -0.8])
     bone = solid_bone(radius, 2.4e-3)
-    travels = np.concatenate([np.arange(1, 11) * 1e-6, np.full(16, 1e-5)])
+    travels = np.concatenate([np.arange(1, 11) * 1e-6, np.full(PHASES, 1e-5)])
     removed = slide(bone, np.array([0.0, 0.0, -1e-3]), along, travels)
     before = bone.carver.changes
     bone.finish()

@@ -212,6 +212,7 @@ class CuttingTool(HeldTool):
         best = line.tried
         meets = False
         for count in range(1, MOST_STEPS + 1):
+            self.steps = count
             tried = line.tried
             now[free] = tried / LEVER if turns else tried
             value, slopes = tissue.forces(now, unknowns=unknowns)
@@ -235,7 +236,6 @@ class CuttingTool(HeldTool):
                 # the ramp of an edge force, from which a step would jump back.
                 is_slow = True
                 line = _Line(SLOW * driven / falling)
-        self.steps = count
         if not meets:
             self.wrench[:] = 0.0
             velocity[free] = driving / falling / LEVER[free]

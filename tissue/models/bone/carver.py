@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from kernels.bricks import BRICK, FULL
 from kernels.carving import (
+    ALONG_X,
+    ALONG_Y,
     BINARY,
     COUNT,
     EVERY_SIDE,
@@ -152,13 +154,14 @@ class Carver:
         self._next_group = 0
         # Groups follow the world's lattice, so that an equal cut in a larger region is visited at
         # the same ticks.
-        self._first_group = int(np.rint(self._origin / (BRICK * spacing)).sum()) % PHASES
+        factors = ALONG_X, ALONG_Y, 1
+        self._first_group = int(np.rint(self._origin / (BRICK * spacing)) @ factors) % PHASES
         self._debt = 0.0  # visits owed for the path so far
         self._behind = 0  # groups not visited at the present pose
         self._now = np.zeros(6)
         workers = WORKERS_CPU if device == "cpu" else WORKERS_GPU
         self._pose = Mirror((1 + 2 * PHASES, 6), dtype=wp.float64, device=device)
-        self._plan = Mirror(PLAN, dtype=wp.int32, device=device)
+        self._plan = Mirror(PLAN, dtype=wp.int64, device=device)
         self._removed = Mirror((workers, layers), dtype=wp.int64, device=device)
         self._workers = workers
         self._cores = cores
