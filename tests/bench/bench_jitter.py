@@ -45,7 +45,7 @@ def ticks_of(name, raised, loaded):
         scene = load_scene(name, {"duration_s": TURN_S})
         observer = LiveObserver(scene, None, WallClock(TICK_S))
         prioritised = Prioritised()
-        run = simulate(scene, on_tick=Observers(prioritised, observer) if raised else observer)
+        run = simulate(scene, observer=Observers(prioritised, observer) if raised else observer)
     finally:
         for process in busy:
             process.kill()
