@@ -8,8 +8,8 @@ bone, once in steps of a tick and once in a tenth of it. In between, the record 
 Compared are means over ticks:
 
 - speed: power of the tool's velocity above 50 Hz with a step of a tick, over that with a tenth.
-- touch: largest difference of the forces within 20 ms of the first contact, over the largest force
-  there.
+- touch: difference of the impulses within 20 ms of the first contact, over the impulse there.
+- peak: largest difference of the forces there, over the largest force.
 - end: largest difference of the velocities within 40 ms after the last contact, over the largest
   velocity there.
 - force: RMS difference of the forces, over the RMS force.
@@ -75,9 +75,7 @@ class Course:
 
 def followed(scene: Scene, rows: Array, steps: int) -> Course:
     """Let the tool of a scene follow a record in a number of steps a tick."""
-    parts = build(
-        scene, step_s=TICK_S, compute="cpu", cores=1, report=silent, allow_unstable=True
-    )
+    parts = build(scene, step_s=TICK_S, compute="cpu", cores=1, report=silent, allow_unstable=True)
     motion = parts.motion
     assert isinstance(motion, HandMotion)
     tool, tissue, pose = motion.tool, parts.tissue, ToolMotion()
@@ -143,7 +141,9 @@ def compared(scene: Scene) -> dict[str, float]:
     off = np.linalg.norm(coarse.forces_N - fine.forces_N, axis=1)
     size = np.linalg.norm(fine.forces_N, axis=1)
     touch = slice(contact[0], contact[0] + 20)
-    found["touch %"] = 100.0 * off[touch].max() / size[touch].max()
+    impulses = [each.forces_N[touch].sum(axis=0) for each in (coarse, fine)]
+    found["touch %"] = 100.0 * np.linalg.norm(np.subtract(*impulses)) / np.linalg.norm(impulses[1])
+    found["peak %"] = 100.0 * off[touch].max() / size[touch].max()
     found["force %"] = 100.0 * np.linalg.norm(off) / np.linalg.norm(size)
     end = slice(contact[-1] + 1, contact[-1] + 41)
     if contact[-1] + 41 < len(rows):
