@@ -52,7 +52,7 @@ SHAPE = (0.4, 2.5)
 
 The range is assumed, since no source gives one for an organ.
 """
-SHAPES = ("second_share", "square_ratio", "cube_ratio", "exponent")
+SHAPES = ("second_share", "square_ratio", "cube_ratio", "exponent", "exponential_rate")
 """Keys of the organ that do so."""
 SHARE = "second_share"
 NEAREST = 0.1

@@ -81,7 +81,12 @@ Their error in a cantilever is 32 % at 0.3 and 72 % at 0.49 (Aycock 2020).
 
 NOT_WITH = ("capsule", "gravity", "viscous", "fibre_direction")
 """Keys of an organ that a hyperelastic law does not support yet."""
-SHAPE = {"mooney-rivlin": "second_share", "yeoh": "square_ratio", "ogden": "exponent"}
+SHAPE = {
+    "mooney-rivlin": "second_share",
+    "yeoh": "square_ratio",
+    "ogden": "exponent",
+    "exponential": "exponential_rate",
+}
 """Key that each law needs in addition to the modulus and Poisson's ratio.
 
 None of these values is cited for an organ.
@@ -496,6 +501,8 @@ def _law(organ: Organ, shear_Pa: float, bulk_Pa: float) -> Hyperelastic:
         )
     if organ.law == "ogden" and organ.exponent is not None:
         return Hyperelastic(bulk_Pa, ((shear_Pa, organ.exponent),))
+    if organ.law == "exponential" and organ.exponential_rate is not None:
+        return Hyperelastic.exponential(shear_Pa, organ.exponential_rate, bulk_Pa=bulk_Pa)
     raise InputError(
         f"organ.{SHAPE[organ.law]}", f"be given with organ.law = {organ.law}", "none", "state it"
     )
