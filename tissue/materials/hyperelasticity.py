@@ -9,8 +9,8 @@ J^(-1/3), with S(alpha) = sum_i b_i^alpha and x = S(2) - 3::
 
 The shear modulus at small strains is sum mu_p + sum mu_e, and the bulk modulus is kappa. The volumetric part
 (Simo and Miehe 1992) is separate from the isochoric part, so that shear does not depend on kappa.
-The stress follows from the derivatives by ln l_i in the frame of the singular vectors of F. Energy
-and tangent are computed in `kernels.tet_hyperelastic`.
+The stress follows from the derivatives by ln l_i in the frame of the singular vectors of F. Cells of
+a mesh are computed by `kernels.tet_hyperelastic`.
 
 References: Ogden 1984, Non-Linear Elastic Deformations; Yeoh 1993, Rubber Chemistry and Technology
 66; Demiray 1972, J. Biomech. 5:309 (exponential of the first invariant, an isotropic form of Fung).
@@ -107,25 +107,50 @@ class Hyperelastic:
                 "gradient must have a positive determinant: a cell is turned over, shorten the step"
             )
         u, stretch, v = np.linalg.svd(f)
-        return np.asarray((u * (self._slope(stretch) / stretch)[..., None, :]) @ v)
+        return np.asarray((u * (self.derivatives(stretch)[1] / stretch)[..., None, :]) @ v)
 
-    def _slope(self, stretch: Array) -> Array:
-        """Return the derivatives of the energy by the logarithms of the stretches, (..., 3)."""
+    def derivatives(self, stretch: Array) -> tuple[Array, Array, Array]:
+        """Compute energy density and its derivatives by the logarithms of the stretches [Pa].
+
+        The stretches have shape (..., 3). Energy, first and second derivatives have the shapes
+        (...), (..., 3) and (..., 3, 3).
+        """
         volume = stretch.prod(axis=-1)
         isochoric = stretch / np.cbrt(volume)[..., None]
+        energy = 0.25 * self.bulk_Pa * (volume**2 - 1.0 - 2.0 * np.log(volume))
         slope = np.repeat(0.5 * self.bulk_Pa * (volume**2 - 1.0)[..., None], 3, axis=-1)
+        curvature = np.tile((self.bulk_Pa * volume**2)[..., None, None], (3, 3))
         for mu, alpha in self.terms:
-            slope = slope + 2.0 * mu / alpha**2 * _power_sum(isochoric, alpha)[1]
-        value, first = _power_sum(isochoric, 2.0)
+            value, first, second = _power_sum(isochoric, alpha)
+            scale = 2.0 * mu / alpha**2
+            energy = energy + scale * value
+            slope = slope + scale * first
+            curvature = curvature + scale * second
+        if not self.powers_Pa and not self.exponentials:
+            return energy, slope, curvature
+        value, first, second = _power_sum(isochoric, 2.0)
+        # Functions of x alone: their first and second derivatives by x.
+        rise = np.zeros_like(value)
+        bend = np.zeros_like(value)
         for k, c in enumerate(self.powers_Pa, start=2):
-            slope = slope + (c * k * value ** (k - 1))[..., None] * first
+            energy = energy + c * value**k
+            rise = rise + c * k * value ** (k - 1)
+            bend = bend + c * k * (k - 1) * value ** (k - 2)
         for mu, rate in self.exponentials:
-            slope = slope + (0.5 * mu * np.exp(rate * value))[..., None] * first
-        return slope
+            growth = 0.5 * mu * np.exp(rate * value)
+            energy = energy + 0.5 * mu / rate * np.expm1(rate * value)
+            rise = rise + growth
+            bend = bend + rate * growth
+        slope = slope + rise[..., None] * first
+        outer = first[..., :, None] * first[..., None, :]
+        curvature = curvature + rise[..., None, None] * second + bend[..., None, None] * outer
+        return energy, slope, curvature
 
 
-def _power_sum(isochoric: Array, alpha: float) -> tuple[Array, Array]:
-    """Return S(alpha) - 3 and its derivatives by the logarithms of the stretches."""
+def _power_sum(isochoric: Array, alpha: float) -> tuple[Array, Array, Array]:
+    """Return S(alpha) - 3 and its first and second derivatives by the logarithms of the stretches."""
     power = isochoric**alpha
     mean = power.mean(axis=-1, keepdims=True)
-    return 3.0 * (mean[..., 0] - 1.0), alpha * (power - mean)
+    mixed = (power[..., :, None] + power[..., None, :] - mean[..., None]) / 3.0
+    second = alpha**2 * (np.eye(3) * power[..., None, :] - mixed)
+    return 3.0 * (mean[..., 0] - 1.0), alpha * (power - mean), second
