@@ -31,7 +31,7 @@ WIDTH = 4.0
 
 At 3 the force at a depth of 0.75 radii changes by less than 0.1 % (thickness of 1 to 5 radii).
 """
-FIRST = 0.09
+FIRST = 0.12
 """Edge of a cell on the axis at the surface, over the ball's radius.
 
 With 0.045 the forces at 0.1 to 0.75 radii change by at most 0.3 %, with 0.18 by 1.3 %:
