@@ -51,6 +51,9 @@ TRUSTED = 1.5
 """Ratio of pressure to multiplier up to which the pressure counts in the tangent of the contact."""
 NEWTON_STEPS = 40
 HALVINGS = 12
+ARMIJO = 1e-4
+"""Share of the predicted decrease of the energy that a step must reach (Armijo 1966)."""
+ROUNDING = 1e-16
 SETTLED = 1e-5
 """Unbalanced force at the end of a solve, over the largest nodal force."""
 SHORTEST = 1.0 / 64.0
@@ -221,6 +224,9 @@ class _Layer:
         )
         self._edge_places = (2 * edges[:, :, None] + np.arange(2)).reshape(-1, 6)
         self._stiff = PENALTY * law.shear_Pa / float(ends[0, 2] - ends[0, 0])
+        # Small differences of the energy are rounding: 1e-16 of the stiffest part of each point.
+        stiffest = law.first_Pa if isinstance(law, LinearLaw) else law.bulk_Pa
+        self._rounding_J = ROUNDING * stiffest * float(self._volume.sum())
         self._pressure = np.zeros_like(self._area)
         self._u = np.zeros(mesh.nodes_m.shape)
         self._centre = mesh.radius_m
@@ -311,7 +317,7 @@ class _Layer:
             for _ in range(HALVINGS):
                 trial = self._u + share * step.reshape(-1, 2)
                 there = self._energy(trial)
-                if there <= energy + 1e-4 * share * downhill + 1e-13 * abs(energy):
+                if there <= energy + ARMIJO * share * downhill + self._rounding_J:
                     break
                 share *= 0.5
             else:

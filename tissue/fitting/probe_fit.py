@@ -161,7 +161,7 @@ class ProbeFit:
         """Sentences about constants that the presses do not bound."""
         found = []
         for each in self.constants:
-            key = each.name.removeprefix("organ.")
+            key = each.name.rpartition(".")[2]
             if key not in SHAPES:
                 continue
             low, high = SHAPES[key]
@@ -290,7 +290,7 @@ def fit_probes(
 def _free_keys(layer: LayerScene, free: Sequence[str]) -> tuple[str, ...]:
     """Return the free shape constants; `free` may name the modulus too, which is always free."""
     possible = shape_keys(layer.organ)
-    asked = [each.removeprefix("organ.") for each in free]
+    asked = [each.rpartition(".")[2] for each in free]
     for name in asked:
         if name not in possible and not name.endswith(("young_kPa", "modulus_kPa")):
             known = ", ".join(("organ.young_kPa", *(f"organ.{key}" for key in possible)))
@@ -313,9 +313,12 @@ def _named(scene: Scene, keys: tuple[str, ...]) -> list[tuple[str, object, float
     parameters, _ = organ_parameters(scene, ())
     by_name = {each.name: each.prior for each in parameters}
     modulus = next(name for name in by_name if name.endswith(("modulus_kPa", "young_kPa")))
-    return [(modulus, by_name[modulus], 1e3)] + [
-        (f"organ.{key}", by_name[f"organ.{key}"], 1.0) for key in keys
-    ]
+    found = [(modulus, by_name[modulus], 1e3)]
+    for key in keys:
+        # A rate that the scene does not state is a constant of the material.
+        name = next(each for each in by_name if each.rpartition(".")[2] == key)
+        found.append((name, by_name[name], 1.0))
+    return found
 
 
 def _constant(

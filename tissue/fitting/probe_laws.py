@@ -21,7 +21,7 @@ from tissue.materials.elasticity import lame
 from tissue.scene.organ import Organ, SlabAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Probe
-from tissue.simulation.builders.organ import hindrance, law_of
+from tissue.simulation.builders.organ import hindrance, law_of, with_cited_shape
 
 __all__ = ["SHAPES", "LayerScene", "ProbeCurves", "layer_scene", "probe_curves", "shape_keys"]
 
@@ -96,7 +96,7 @@ def layer_scene(scene: Scene) -> LayerScene:
         a ball.
     """
     anatomy = scene.anatomy
-    organ = scene.organ
+    organ = with_cited_shape(scene.organ, scene.constants)
     tool = scene.tool
     with_table = "for a table of presses"
     if not isinstance(anatomy, SlabAnatomy):

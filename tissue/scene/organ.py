@@ -256,7 +256,7 @@ class Organ(Part):
     exponential_rate: Annotated[float | None, Needs("organ.law", "exponential")] = Field(
         None, gt=0, le=100, examples=[3.0]
     )
-    """Rate of an exponential law of the first invariant."""
+    """Rate of an exponential law of the first invariant. Default: the cited value."""
     law_interval_ms: Annotated[float, Needs("organ.law")] = Field(25.0, ge=5, le=1000)
     """Time between two solves of a nonlinear law."""
     law_edge_ratio: Annotated[float, Needs("organ.law")] = Field(1.4, ge=1, le=4)
