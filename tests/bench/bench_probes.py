@@ -83,9 +83,7 @@ def at_depths(curves: ProbeCurves, fine_m: np.ndarray, depths_m: np.ndarray) -> 
     return ProbeCurves(curves.keys, curves.shapes, unit)
 
 
-def split_medians(
-    presses: ProbeTable, splits: int
-) -> tuple[np.ndarray, np.ndarray]:
+def split_medians(presses: ProbeTable, splits: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the median curves of two random halves, shape (splits, depths) both."""
     random = np.random.default_rng(SEED)
     count = len(presses.forces_N)

@@ -100,9 +100,7 @@ def test_a_deep_press_is_that_of_an_independent_solution(name):
 
     mesh = layer_mesh(1.0, 2.5)
     width = float(mesh.nodes_m[:, 0].max())
-    exact = spline_press_N(
-        density, radius=1.0, thickness=2.5, width=width, depths=DEPTHS, cells=12
-    )
+    exact = spline_press_N(density, radius=1.0, thickness=2.5, width=width, depths=DEPTHS, cells=12)
     off = press_forces(mesh, LAWS[name], DEPTHS) / exact - 1.0
     print(name, np.round(exact, 4), np.round(100.0 * off, 2))
     assert off == pytest.approx(np.zeros(3), abs=0.005)

@@ -49,6 +49,8 @@ TOLERANCE = 1e-4
 """Largest depth of a pressed point in the ball, over the ball's radius."""
 TRUSTED = 1.5
 """Ratio of pressure to multiplier up to which the pressure counts in the tangent of the contact."""
+REST = np.array([1.0, 0.0, 0.0, 1.0, 1.0])
+"""Components rr, rz, zr, zz and hoop of the identity."""
 NEWTON_STEPS = 40
 HALVINGS = 12
 ARMIJO = 1e-4
@@ -219,9 +221,7 @@ class _Layer:
         radius = ends @ value.T
         self._share = value
         self._edges = edges
-        self._area = (
-            2.0 * np.pi * radius * (0.5 * (ends[:, 2] - ends[:, 0]))[:, None] * weights
-        )
+        self._area = 2.0 * np.pi * radius * (0.5 * (ends[:, 2] - ends[:, 0]))[:, None] * weights
         self._edge_places = (2 * edges[:, :, None] + np.arange(2)).reshape(-1, 6)
         self._stiff = PENALTY * law.shear_Pa / float(ends[0, 2] - ends[0, 0])
         # Small differences of the energy are rounding: 1e-16 of the stiffest part of each point.
@@ -271,7 +271,7 @@ class _Layer:
         moved = np.einsum("mqsk,mk->mqs", self._slots, flat)
         if isinstance(self._law, LinearLaw):
             return _linear(self._law, moved)
-        return _stretched(self._law, moved + [1.0, 0.0, 0.0, 1.0, 1.0], order)
+        return _stretched(self._law, moved + REST, order)
 
     def _balance(self) -> bool:
         """Minimise the energy with the contact pressures kept as multipliers."""
@@ -295,7 +295,8 @@ class _Layer:
             along = normal[..., :, None] * normal[..., None, :]
             distance = self._mesh.radius_m + gap
             stiff = np.where(pressed > 0.0, self._stiff, 0.0)[..., None, None] * along
-            # A pressure far above the multiplier is a first guess, and would make the matrix indefinite.
+            # A pressure far above the multiplier is a first guess. It would make the matrix
+            # indefinite.
             turning = np.minimum(pressed, TRUSTED * self._pressure) / distance
             stiff = stiff - turning[..., None, None] * (np.eye(2) - along)
             blocks = np.einsum(
@@ -344,12 +345,13 @@ def _assembled(places: Ints, blocks: Array, size: int) -> csc_array:
 
 def _linear(law: LinearLaw, moved: Array) -> tuple[Array, Array, Array]:
     """Return energy, stress and tangent of small strains by rr, rz, zr, zz and hoop."""
-    unit = np.array([1.0, 0.0, 0.0, 1.0, 1.0])
-    tangent = law.first_Pa * np.outer(unit, unit) + 2.0 * law.shear_Pa * np.diag(unit)
+    tangent = law.first_Pa * np.outer(REST, REST) + 2.0 * law.shear_Pa * np.diag(REST)
     tangent[1:3, 1:3] += law.shear_Pa
     stress = moved @ tangent
-    return 0.5 * np.sum(stress * moved, axis=-1), stress, np.broadcast_to(
-        tangent, (*moved.shape, 5)
+    return (
+        0.5 * np.sum(stress * moved, axis=-1),
+        stress,
+        np.broadcast_to(tangent, (*moved.shape, 5)),
     )
 
 

@@ -144,7 +144,9 @@ class Posterior:
             for each, shift in zip(found, self.mesh_z.tolist(), strict=True)
         )
 
-    def with_mesh(self, whole: "Posterior", parts: Sequence["Posterior"], factor: float) -> "Posterior":
+    def with_mesh(
+        self, whole: "Posterior", parts: Sequence["Posterior"], factor: float
+    ) -> "Posterior":
         """Return the posterior with the error of the mesh, from fits on another mesh.
 
         Errors of parts of the log may cancel in a constant by chance. Its error is therefore at

@@ -17,6 +17,7 @@ from scipy.stats import norm, t
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
+from tissue.fem.axisymmetric import FIRST
 from tissue.fitting.fit import ConstantFit
 from tissue.fitting.organ_runs import organ_parameters
 from tissue.fitting.probe_laws import (
@@ -28,7 +29,7 @@ from tissue.fitting.probe_laws import (
     shape_keys,
 )
 from tissue.fitting.probe_table import ProbeTable
-from tissue.fem.axisymmetric import FIRST
+from tissue.materials.constants import Prior
 from tissue.scene.scene import Scene
 
 __all__ = ["FittedCurve", "ProbeFit", "fit_curves", "fit_probes", "median_curve"]
@@ -308,7 +309,7 @@ def _with_shape(layer: LayerScene, keys: tuple[str, ...], shape: Array) -> Layer
     )
 
 
-def _named(scene: Scene, keys: tuple[str, ...]) -> list[tuple[str, object, float]]:
+def _named(scene: Scene, keys: tuple[str, ...]) -> list[tuple[str, Prior, float]]:
     """Return name, prior and unit [SI] of the modulus and of the shape constants."""
     parameters, _ = organ_parameters(scene, ())
     by_name = {each.name: each.prior for each in parameters}
@@ -322,7 +323,7 @@ def _named(scene: Scene, keys: tuple[str, ...]) -> list[tuple[str, object, float
 
 
 def _constant(
-    name: str, prior: object, unit: float, values: tuple[float, Array, float], count: int
+    name: str, prior: Prior, unit: float, values: tuple[float, Array, float], count: int
 ) -> ConstantFit:
     """Return a constant with its interval.
 
@@ -335,15 +336,17 @@ def _constant(
     mesh = norm.ppf(0.95) * abs(shifted - best)
     below = np.hypot(stretch * max(best - low, middle - low), mesh)
     above = np.hypot(stretch * max(high - best, high - middle), mesh)
-    interval = np.exp([best - below, best, best + above])
-    ends = prior.z([*interval, prior.low, prior.high])
-    spread = float(ends[2] - ends[0]) / (2.0 * norm.ppf(0.95))
-    state = "determined" if interval[2] / interval[0] < DETERMINED else "narrowed"
+    lowest, value, highest = np.exp([best - below, best, best + above]).tolist()
+    ends = np.asarray(prior.z([lowest, value, highest, prior.low, prior.high])).tolist()
+    spread = (ends[2] - ends[0]) / (2.0 * norm.ppf(0.95))
+    state = "determined" if highest < DETERMINED * lowest else "narrowed"
     return ConstantFit(
         name,
         prior,
-        *(float(each) for each in interval),
-        tuple(np.asarray(ends).tolist()),
+        lowest,
+        value,
+        highest,
+        tuple(ends),
         spread,
         state,
     )

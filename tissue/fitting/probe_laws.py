@@ -50,7 +50,10 @@ With one constant, 9 nodes give the forces between them within 0.3 % and 5 nodes
 DENSE = {1: 400, 2: 60}
 """Values of each shape constant that a fit compares: steps of 1.6 % of a rate, 12 % with two."""
 SHARES = np.array([0.04, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
-"""Depths of the solutions over the largest depth; between them force / depth^1.5 is interpolated."""
+"""Depths of the solutions over the largest depth.
+
+Between them, force / depth^1.5 is interpolated.
+"""
 UNIT_PA = 1e3
 """Modulus of the solutions [Pa]."""
 DEEPEST = 0.8
@@ -191,9 +194,7 @@ def probe_curves(
     return ProbeCurves(keys, shapes, unit)
 
 
-def _curve(
-    mesh: LayerMesh, layer: LayerScene, shape: dict[str, float], deepest_m: float
-) -> Array:
+def _curve(mesh: LayerMesh, layer: LayerScene, shape: dict[str, float], deepest_m: float) -> Array:
     """Return forces for each modulus [N/Pa] at the depths of `SHARES`; NaN where none was found."""
     table = lame(np.array([UNIT_PA]), layer.poisson_ratio)
     found = law_of(layer.organ.model_copy(update=shape), table)
@@ -218,8 +219,8 @@ def _solved_part(axes: list[Array], grid: Array) -> tuple[list[Array], Array]:
     for at in range(len(axes)):
         others = tuple(each for each in range(grid.ndim) if each != at)
         # With two constants, the corner of both large values may fail alone.
-        valid = np.isfinite(grid).all(axis=others)
-        count = int(np.argmin(valid)) if not valid.all() else len(valid)
+        failed = np.flatnonzero(~np.isfinite(grid).all(axis=others))
+        count = int(failed[0]) if len(failed) else grid.shape[at]
         keep = slice(0, max(count, 4))
         axes[at] = axes[at][keep]
         grid = grid[(slice(None),) * at + (keep,)]
@@ -229,11 +230,12 @@ def _solved_part(axes: list[Array], grid: Array) -> tuple[list[Array], Array]:
 
 def _axis(key: str, count: int) -> Array:
     low, high = SHAPES[key]
-    return _unscaled(key, np.linspace(*_scale(key, np.array([low, high])), count))
+    start, end = _scale(key, np.array([low, high])).tolist()
+    return _unscaled(key, np.linspace(start, end, count))
 
 
 def _scale(key: str, values: Array) -> Array:
-    """Return the coordinate over which forces are interpolated: a share itself, else a logarithm."""
+    """Return the coordinate of interpolation: a share itself, the logarithm of other constants."""
     return values if key == "second_share" else np.log(values)
 
 

@@ -1,16 +1,16 @@
 """Hyperelastic laws of isotropic soft tissue, and their first Piola-Kirchhoff stress.
 
 Neo-Hookean, Mooney-Rivlin, Yeoh, Ogden and exponential laws form one family here. The principal
-stretches of the deformation gradient F are l_i, with J = l_1 l_2 l_3. The isochoric stretches are b_i = l_i
-J^(-1/3), with S(alpha) = sum_i b_i^alpha and x = S(2) - 3::
+stretches of the deformation gradient F are l_i, with J = l_1 l_2 l_3. The isochoric stretches are
+b_i = l_i J^(-1/3), with S(alpha) = sum_i b_i^alpha and x = S(2) - 3::
 
     psi = sum_p (2 mu_p / alpha_p^2) (S(alpha_p) - 3) + sum_k c_k x^k
           + sum_e (mu_e / (2 b_e)) (exp(b_e x) - 1) + (kappa / 4) (J^2 - 1 - 2 ln J)
 
-The shear modulus at small strains is sum mu_p + sum mu_e, and the bulk modulus is kappa. The volumetric part
-(Simo and Miehe 1992) is separate from the isochoric part, so that shear does not depend on kappa.
-The stress follows from the derivatives by ln l_i in the frame of the singular vectors of F. Cells of
-a mesh are computed by `kernels.tet_hyperelastic`.
+The shear modulus at small strains is sum mu_p + sum mu_e, and the bulk modulus is kappa. The
+volumetric part (Simo and Miehe 1992) is separate from the isochoric part, so that shear does not
+depend on kappa. The stress follows from the derivatives by ln l_i in the frame of the singular
+vectors of F. Cells of a mesh are computed by `kernels.tet_hyperelastic`.
 
 References: Ogden 1984, Non-Linear Elastic Deformations; Yeoh 1993, Rubber Chemistry and Technology
 66; Demiray 1972, J. Biomech. 5:309 (exponential of the first invariant, an isotropic form of Fung).
@@ -148,7 +148,7 @@ class Hyperelastic:
 
 
 def _power_sum(isochoric: Array, alpha: float) -> tuple[Array, Array, Array]:
-    """Return S(alpha) - 3 and its first and second derivatives by the logarithms of the stretches."""
+    """Return S(alpha) - 3 and its first and second derivatives by the log stretches."""
     power = isochoric**alpha
     mean = power.mean(axis=-1, keepdims=True)
     mixed = (power[..., :, None] + power[..., None, :] - mean[..., None]) / 3.0

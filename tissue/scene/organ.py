@@ -235,7 +235,9 @@ class Organ(Part):
     """Deformation of the organ by its own weight, along -z."""
     viscous: bool = False
     """Relaxation of the organ by the cited Prony series."""
-    law: Literal["linear", "neo-hookean", "mooney-rivlin", "yeoh", "ogden", "exponential"] = "linear"
+    law: Literal["linear", "neo-hookean", "mooney-rivlin", "yeoh", "ogden", "exponential"] = (
+        "linear"
+    )
     """Material law at large strains; at small strains the given moduli apply. All laws but `linear`
     are solved between ticks.
     """

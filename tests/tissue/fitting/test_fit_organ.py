@@ -181,9 +181,7 @@ def test_intervals_contain_the_error_of_the_mesh(tmp_path):
     corners = [[0, 0, 0.5], [0, 0, -5], [0, 0, -5], [0, 0, -1]]
     times = [0.0, 0.4, 0.6, 0.9]
     planted = {"organ.young_kPa": 6.0, "organ.exponent": 14.0}
-    pressed(
-        tmp_path / "log.csv", STIFFENING | FINE, corners, times, planted, noise_N=2e-3, seed=7
-    )
+    pressed(tmp_path / "log.csv", STIFFENING | FINE, corners, times, planted, noise_N=2e-3, seed=7)
     scene = tissue.load_scene("palpation", SCENE | STIFFENING)
     fit = tissue.fit(scene, tmp_path / "log.csv", cores=1)
     posterior = fit.fitted.posterior

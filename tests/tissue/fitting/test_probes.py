@@ -98,7 +98,7 @@ def test_a_scene_that_is_no_uniform_slab_is_refused(scene, sentence):
 
 
 def test_a_ball_that_is_pressed_too_deep_is_refused():
-    with pytest.raises(InputError, match="depths up to 0.8 radii"):
+    with pytest.raises(InputError, match=r"depths up to 0\.8 radii"):
         probe_curves(layer_scene(slab()), np.array([1e-3, 5e-3]), ())
 
 

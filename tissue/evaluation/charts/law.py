@@ -272,10 +272,7 @@ def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
     if key := hindrance(organ):
         return (
             scene,
-            (
-                f"; the linear law is {off} {called} one {deep}, which organ.{key} leaves "
-                "as it is"
-            ),
+            (f"; the linear law is {off} {called} one {deep}, which organ.{key} leaves as it is"),
         )
     lawful = changed(scene, {"organ.law": needed})
     why = f"; organ.law = {needed}, for the linear one is {off} {deep}"
@@ -291,7 +288,10 @@ def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
                 "fidelity",
                 f"be met by a law of {scene.name} on this machine",
                 f"force_error = {wanted.force_error:g}, tick_ms = {wanted.tick_ms:g}",
-                f"the linear law is {off} {deep}, with organ.law = {needed} tick_ms = {tick_ms:.2g}",
+                (
+                    f"the linear law is {off} {deep}, with organ.law = {needed} tick_ms = "
+                    f"{tick_ms:.2g}"
+                ),
             )
         why += f", with which 99 % of the ticks take {tick_ms:.2g} ms"
     return lawful, why

@@ -19,8 +19,8 @@ from meshes.tets.regions import Nodes, nodes_of_part
 from meshes.tets.stuffing import Move, bisected
 from meshes.tets.tetrahedra import TetMesh
 from meshes.voxels.mesh_sampling import nearest_on_triangles
-from tissue.materials.hyperelasticity import Hyperelastic
 from tissue.materials.constants import listed
+from tissue.materials.hyperelasticity import Hyperelastic
 from tissue.materials.scene_constants import Materials
 from tissue.motion.motion import frame_along
 from tissue.scene.organ import (
