@@ -15,7 +15,11 @@ from tissue.fem.axisymmetric import LinearLaw, layer_mesh, press_forces
 from tissue.fem.hyperelastic import NonlinearBody
 from tissue.fem.newton import NewtonSolver, RigidSphere
 from tissue.fem.space import Space
+from tissue.fitting.probe_laws import layer_scene, probe_curves
+from tissue.materials.constants import constants
 from tissue.materials.hyperelasticity import Hyperelastic
+from tissue.scene.load import load_scene
+from tissue.simulation.simulate import simulate
 
 POISSON = 0.49
 BULK = 2.0 * (1.0 + POISSON) / (3.0 * (1.0 - 2.0 * POISSON))
@@ -140,3 +144,43 @@ def test_tetrahedra_of_an_organ_approach_the_same_force():
     print({edge: np.round(force / exact - 1.0, 4) for edge, force in forces.items()}, limit / exact)
     assert limit[-1] == pytest.approx(exact[-1], rel=0.03)
     assert (forces[1e-3] > exact).all()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_a_pressed_liver_pushes_back_as_measured():
+    """A ball of 8 mm on 10 mm of cited liver, at rest 2.93 mm deep: four measured regions.
+
+    Their medians are 0.74 to 1.89 N. The scene's own mesh is within 4 % of the axisymmetric force,
+    and the exponent of force over depth rises from 1.5 (Hertz) to more than 2.5.
+    """
+    scene = load_scene(
+        "palpation",
+        {
+            "anatomy.size_mm": [60, 60, 10],
+            "anatomy.edge_mm": 5.0,
+            "anatomy.touch_edge_mm": None,
+            "anatomy.nodule_diameter_mm": 0.0,
+            "tool.diameter_mm": 8.0,
+            "organ.material": "pressed_liver",
+            "organ.law": "exponential",
+            "organ.young_kPa": None,
+            "organ.young_end_kPa": None,
+            "organ.parts": None,
+            "organ.friction": 0.0,
+            "organ.interval_ms": 0.0,
+            "motion.points_mm": [[0, 0, 0.3], [0, 0, -2.93], [0, 0, -2.94]],
+            "motion.feed_mm_s": 8.0,
+            "duration_s": 0.6,
+        },
+    )
+    depths = np.array([0.3e-3, 0.9e-3, 2.2e-3, 2.93e-3])
+    young = 1e3 * constants("soft", "pressed_liver")["modulus_kPa"].value
+    exact = young * probe_curves(layer_scene(scene), depths, ()).unit_N_Pa[0]
+    slopes = np.diff(np.log(exact))[::2] / np.diff(np.log(depths))[::2]
+    force = simulate(scene, cores=1).trace["force_z_N"][-1]
+    print(np.round(exact, 3), force, slopes)
+    assert 0.74 < force < 1.89
+    assert force == pytest.approx(exact[-1], rel=0.04)
+    assert slopes[0] < 1.8
+    assert slopes[1] > 2.5
