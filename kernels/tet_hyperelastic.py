@@ -5,8 +5,8 @@ modulus mu. With the deformation gradient ``F = U diag(l) V^T`` at a quadrature 
 (``kernels.tet_nonlinear``), the stretches at constant volume ``b_i = l_i J^(-1/3)``,
 ``S(alpha) = sum_i b_i^alpha`` and ``x = S(2) - 3``:
 
-    psi = mu (sum_p (2 s_p / alpha_p^2) (S(alpha_p) - 3) + sum_k c_k x^k)
-        + (kappa / 4) (J^2 - 1 - 2 ln J)
+    psi = mu (sum_p (2 s_p / alpha_p^2) (S(alpha_p) - 3) + sum_k c_k x^k
+        + sum_e (s_e / (2 b_e)) (exp(b_e x) - 1)) + (kappa / 4) (J^2 - 1 - 2 ln J)
 
 Neo-Hookean is one term of exponent 2.
 
@@ -84,6 +84,7 @@ def derivatives(
     bulk: wp.float64,
     terms: wp.array2d(dtype=wp.float64),
     powers: wp.array(dtype=wp.float64),
+    exponentials: wp.array2d(dtype=wp.float64),
 ):
     """Compute energy density [Pa], its slope and curvature by the logarithms of the stretches."""
     j = stretch[0] * stretch[1] * stretch[2]
@@ -99,7 +100,7 @@ def derivatives(
         energy += scale * value
         slope += scale * first
         curvature += scale * second
-    if powers.shape[0] > 0:
+    if powers.shape[0] + exponentials.shape[0] > 0:
         value, first, second = power_sum(isochoric, TWO)
         lower = ONE  # x^(k - 2)
         for n in range(powers.shape[0]):
@@ -109,6 +110,13 @@ def derivatives(
             slope += c * k * lower * value * first
             curvature += c * k * lower * (value * second + (k - ONE) * wp.outer(first, first))
             lower = lower * value
+        for e in range(exponentials.shape[0]):
+            rate = exponentials[e, 1]
+            half = HALF * shear * exponentials[e, 0]
+            growth = wp.exp(rate * value)
+            energy += half * (growth - ONE) / rate
+            slope += half * growth * first
+            curvature += half * growth * (second + rate * wp.outer(first, first))
     return energy, slope, curvature
 
 
@@ -126,6 +134,7 @@ def stretch_force(
     moduli: wp.array2d(dtype=wp.float64),  # [cell, 2]: kappa, mu [Pa]
     terms: wp.array2d(dtype=wp.float64),  # [term, 2]: s, alpha
     powers: wp.array(dtype=wp.float64),  # [power - 2]: c
+    exponentials: wp.array2d(dtype=wp.float64),  # [exponential, 2]: s, b
     # state
     displacement: wp.array(dtype=wp.vec3d),  # [node] [m]
     offset: int,
@@ -147,7 +156,7 @@ def stretch_force(
         else:
             stretch, v = stretches_of(f)
             density, slope, _curvature = derivatives(
-                stretch, moduli[cell, 1], moduli[cell, 0], terms, powers
+                stretch, moduli[cell, 1], moduli[cell, 0], terms, powers, exponentials
             )
             energy += weight * density
             stress = (
@@ -199,6 +208,7 @@ def stretch_stiffness(
     moduli: wp.array2d(dtype=wp.float64),
     terms: wp.array2d(dtype=wp.float64),
     powers: wp.array(dtype=wp.float64),
+    exponentials: wp.array2d(dtype=wp.float64),
     # state, no cell of it turned over
     displacement: wp.array(dtype=wp.vec3d),
     offset: int,
@@ -214,7 +224,7 @@ def stretch_stiffness(
         weight = share[q] * volume[cell]
         stretch, v = stretches_of(f)
         _energy, slope, curvature = derivatives(
-            stretch, moduli[cell, 1], moduli[cell, 0], terms, powers
+            stretch, moduli[cell, 1], moduli[cell, 0], terms, powers, exponentials
         )
         first = wp.cw_div(slope, stretch)
         second = wp.cw_div(curvature, wp.outer(stretch, stretch)) - wp.diag(

@@ -23,6 +23,7 @@ LAWS = {
     "mooney-rivlin": Hyperelastic.mooney_rivlin(700.0, 250.0, bulk_Pa=BULK),
     "yeoh": Hyperelastic.yeoh(900.0, 150.0, 40.0, bulk_Pa=BULK),
     "ogden": Hyperelastic(BULK, OGDEN),
+    "exponential": Hyperelastic.exponential(1800.0, 0.7, bulk_Pa=BULK),
 }
 LAW = pytest.mark.parametrize("name", LAWS)
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]) * 0.01
@@ -116,6 +117,7 @@ def cauchy_difference(name: str, first: float, third: float, second: float) -> f
         "neo-hookean": (1000.0, 0.0),
         "mooney-rivlin": (700.0, 250.0),
         "yeoh": (900.0 + 300.0 * x + 120.0 * x**2, 0.0),
+        "exponential": (900.0 * np.exp(0.7 * x), 0.0),
     }[name]
     return 2.0 * (first**2 - third**2) * (w1 + w2 * second**2)
 

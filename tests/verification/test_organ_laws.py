@@ -92,6 +92,7 @@ SCENE_LAWS = {
     "mooney-rivlin": {"second_share": 0.3},
     "yeoh": {"square_ratio": 0.2},
     "ogden": {"exponent": 8.0},
+    "exponential": {"exponential_rate": 1.0},
 }
 
 

@@ -28,7 +28,7 @@ def fit(
     max_memory_GB: MemoryGB = None,
     overwrite: Flag = False,
 ) -> None:
-    """Find the constants of a scene's material from a force log or a table of steady loads.
+    """Find the constants of a scene's material from a force log, steady loads or presses.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def fit(
     measured
         Log of poses and forces: .csv, .parquet, .h5, .mat or .npz, also a run's own trace. Or a
         table of a drill's thrust_N and torque_Nmm by feed_mm_min and spin_rpm: the fit then reports
-        which cutting laws it rejects.
+        which cutting laws it rejects. Or presses of a ball on a slab: depth_mm, force_N, probe.
     out
         Folder to write; default fits/NAME.
     free

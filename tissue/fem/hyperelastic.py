@@ -165,15 +165,16 @@ def _constants(
 ) -> tuple[int | Array, ...]:
     """Return the arguments of the law's kernels.
 
-    They are the law's number and Lame constants, or for a hyperelastic law moduli, terms and
-    powers.
+    They are the law's number and Lame constants, or for a hyperelastic law moduli, terms,
+    powers and exponentials.
     """
     if isinstance(law, Hyperelastic):
         each = np.ones(count) if factors is None else factors
         return (
             np.outer(each, [law.bulk_Pa, law.shear_Pa]),
-            np.array(law.terms) / [law.shear_Pa, 1.0],
+            np.reshape(law.terms, (-1, 2)) / [law.shear_Pa, 1.0],
             np.array(law.powers_Pa) / law.shear_Pa,
+            np.reshape(law.exponentials, (-1, 2)) / [law.shear_Pa, 1.0],
         )
     lame = np.asarray(lame_Pa, np.float64)
     if lame.shape[-1:] != (2,):

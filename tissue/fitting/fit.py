@@ -313,6 +313,10 @@ def fit_scene(
     # recording the geometry, or the runs of an organ, takes most of the time
     report("fitting", 0.8)
     posterior = maximum_posterior(problem.forward, problem.measured)
+    if problem.finer is not None:
+        report("fitting on a finer mesh", 0.85)
+        whole, *parts = (maximum_posterior(each, problem.measured) for each in problem.finer)
+        posterior = posterior.with_mesh(whole, parts, problem.mesh_factor)
     found = identified(posterior)
     if found.is_empty:
         forces = [at for at, name in enumerate(log.channels) if name.startswith("force_")]

@@ -27,7 +27,7 @@ from tissue.show.figures.fit_pictures import (
 from tissue.system.html import html_page, html_picture
 from tissue.system.owned_folder import OwnedFolder
 
-__all__ = ["FILES", "FittedEntry", "write_fit", "write_fitted"]
+__all__ = ["FILES", "FittedEntry", "shown_constant", "unit_of", "write_fit", "write_fitted"]
 
 
 DIGITS = 9
@@ -151,7 +151,7 @@ def write_fit(fit: SceneFit, folder: Path, *, overwrite: bool) -> list[Path]:
             _write_table_loads(fit, folder)
         else:
             _write_log_loads(fit, folder)
-        constants = [_shown(each) for each in fit.constants]
+        constants = [shown_constant(each) for each in fit.constants]
         draw_constants(constants, folder / "constants.png", source=fit.source)
         with whole_file(folder / "fit.json") as temporary:
             temporary.write_text(json.dumps(_numbers(fit, digest), indent=1) + "\n", "utf-8")
@@ -233,7 +233,8 @@ def _write_constants(fit: SceneFit, path: Path, digest: str) -> None:
     write_fitted(path, entries, covariance / np.outer(spread, spread), fixed=fixed, remark=remark)
 
 
-def _shown(each: ConstantFit) -> FittedConstant:
+def shown_constant(each: ConstantFit) -> FittedConstant:
+    """Return a constant in the form in which it is drawn."""
     label, unit = unit_of(each.name)
     if each.state == "doubtful":
         label = f"{label} (doubtful)"

@@ -38,6 +38,7 @@ from scipy.stats.qmc import Sobol
 
 from meshes.base.arrays import Array
 from tissue.fitting.target import OFFSET_S, Target, innovations
+from tissue.materials.constants import Z_95
 
 __all__ = ["Marginal", "log_density_at", "log_factor", "marginal"]
 
@@ -96,6 +97,17 @@ class Marginal:
 
     quantiles: Array
     spread: float
+
+    def widened(self, deviation: float) -> "Marginal":
+        """Return the law with another, independent error of the number added."""
+        low, middle, high = self.quantiles.tolist()
+        reach = Z_95 * deviation
+        widest = [
+            middle - float(np.hypot(middle - low, reach)),
+            middle,
+            middle + float(np.hypot(high - middle, reach)),
+        ]
+        return Marginal(np.array(widest), float(np.hypot(self.spread, deviation)))
 
 
 def marginal(target: Target, maximum: Array, covariance: Array, at: int) -> Marginal:

@@ -52,7 +52,7 @@ SHAPE = (0.4, 2.5)
 
 The range is assumed, since no source gives one for an organ.
 """
-SHAPES = ("second_share", "square_ratio", "cube_ratio", "exponent")
+SHAPES = ("second_share", "square_ratio", "cube_ratio", "exponent", "exponential_rate")
 """Keys of the organ that do so."""
 SHARE = "second_share"
 NEAREST = 0.1
@@ -222,6 +222,12 @@ class OrganRuns:
         self._pool: Executor | None = None
         self._ends = ExitStack()
         self._longest_s = 0.0
+
+    def on(self, scene: Scene) -> "OrganRuns":
+        """Return runs of another scene along the same poses, in this process."""
+        found = OrganRuns(scene, self.poses)
+        found._run = partial(_loads, scene, *self._run.args[1:])
+        return found
 
     def __enter__(self) -> "OrganRuns":
         return self

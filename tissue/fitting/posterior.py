@@ -6,6 +6,7 @@ small steps that a load takes where the tool leaves an element or a shaft begins
 earlier.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -84,12 +85,16 @@ class Posterior:
         Covariance of all numbers, shape (size, size).
     converged
         True if a maximum was found.
+    mesh_z
+        Shift of the constants by the error of the mesh of the runs, in their z, shape (p,). It
+        widens intervals. None where the loads have no mesh.
     """
 
     target: Target
     maximum: Array
     covariance: Array
     converged: bool
+    mesh_z: Array | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -110,7 +115,8 @@ class Posterior:
     def covariance_z(self) -> Array:
         """Their covariance, the nuisances left free, shape (p, p)."""
         p = self.target.constants
-        return np.asarray(self.covariance[:p, :p])
+        found = np.asarray(self.covariance[:p, :p])
+        return found if self.mesh_z is None else found + np.outer(self.mesh_z, self.mesh_z)
 
     @property
     def nuisances(self) -> Unpacked:
@@ -127,10 +133,39 @@ class Posterior:
     @cached_property
     def marginals(self) -> tuple[Marginal, ...]:
         """Law of each constant, p of them."""
-        return tuple(
+        found = tuple(
             marginal(self.target, self.maximum, self.covariance, at)
             for at in range(self.target.constants)
         )
+        if self.mesh_z is None:
+            return found
+        return tuple(
+            each.widened(abs(shift))
+            for each, shift in zip(found, self.mesh_z.tolist(), strict=True)
+        )
+
+    def with_mesh(
+        self, whole: "Posterior", parts: Sequence["Posterior"], factor: float
+    ) -> "Posterior":
+        """Return the posterior with the error of the mesh, from fits on another mesh.
+
+        Errors of parts of the log may cancel in a constant by chance. Its error is therefore at
+        least the root of the sum of their squares.
+
+        Parameters
+        ----------
+        whole
+            Fit of the same log on a finer mesh.
+        parts
+            Fits with the finer mesh in one part of the log each.
+        factor
+            Error of this mesh over its difference from the finer one.
+        """
+        shifts = np.array([each.mean_z - self.mean_z for each in parts])
+        least = np.sqrt(np.sum(shifts**2, axis=0))
+        change = whole.mean_z - self.mean_z
+        sign = np.where(change < 0.0, -1.0, 1.0)
+        return replace(self, mesh_z=factor * sign * np.maximum(np.abs(change), least))
 
     @property
     def spreads(self) -> Array:

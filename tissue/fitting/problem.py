@@ -220,6 +220,11 @@ class Problem:
         Remarks for the report.
     fixed
         Fixed constants that the free constants depend on, by their names.
+    finer
+        Loads by constants on a finer mesh, in the whole log and in one part of it each. None where
+        the loads have no mesh.
+    mesh_factor
+        Error of `forward` over its difference from the loads on the finer mesh.
     """
 
     forward: Forward
@@ -228,6 +233,8 @@ class Problem:
     candidates: Callable[[], Mapping[str, Forward]]
     notes: tuple[str, ...] = ()
     fixed: Mapping[str, float] = field(default_factory=dict)
+    finer: tuple[Forward, ...] | None = None
+    mesh_factor: float = 1.0
 
 
 MOST_SAMPLES = 2000

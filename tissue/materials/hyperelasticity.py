@@ -1,19 +1,19 @@
 """Hyperelastic laws of isotropic soft tissue, and their first Piola-Kirchhoff stress.
 
-Neo-Hookean, Mooney-Rivlin, Yeoh and Ogden laws form one family here. The principal stretches of the
-deformation gradient F are l_i, with J = l_1 l_2 l_3. The isochoric stretches are b_i = l_i
-J^(-1/3), with S(alpha) = sum_i b_i^alpha and x = S(2) - 3::
+Neo-Hookean, Mooney-Rivlin, Yeoh, Ogden and exponential laws form one family here. The principal
+stretches of the deformation gradient F are l_i, with J = l_1 l_2 l_3. The isochoric stretches are
+b_i = l_i J^(-1/3), with S(alpha) = sum_i b_i^alpha and x = S(2) - 3::
 
     psi = sum_p (2 mu_p / alpha_p^2) (S(alpha_p) - 3) + sum_k c_k x^k
-          + (kappa / 4) (J^2 - 1 - 2 ln J)
+          + sum_e (mu_e / (2 b_e)) (exp(b_e x) - 1) + (kappa / 4) (J^2 - 1 - 2 ln J)
 
-The shear modulus at small strains is sum mu_p, and the bulk modulus is kappa. The volumetric part
-(Simo and Miehe 1992) is separate from the isochoric part, so that shear does not depend on kappa.
-The stress follows from the derivatives by ln l_i in the frame of the singular vectors of F. Energy
-and tangent are computed in `kernels.tet_hyperelastic`.
+The shear modulus at small strains is sum mu_p + sum mu_e, and the bulk modulus is kappa. The
+volumetric part (Simo and Miehe 1992) is separate from the isochoric part, so that shear does not
+depend on kappa. The stress follows from the derivatives by ln l_i in the frame of the singular
+vectors of F. Cells of a mesh are computed by `kernels.tet_hyperelastic`.
 
 References: Ogden 1984, Non-Linear Elastic Deformations; Yeoh 1993, Rubber Chemistry and Technology
-66.
+66; Demiray 1972, J. Biomech. 5:309 (exponential of the first invariant, an isotropic form of Fung).
 """
 
 from dataclasses import dataclass
@@ -39,23 +39,31 @@ class Hyperelastic:
         Pairs mu_p [Pa], alpha_p of the sum over powers of stretches.
     powers_Pa
         Coefficients c_2, c_3, ... of the powers of I1 - 3 [Pa].
+    exponentials
+        Pairs mu_e [Pa], b_e of the exponentials of I1 - 3.
 
     Raises
     ------
     InputError
-        If a constant is not finite, an exponent is zero, or the bulk modulus or the shear modulus
-        is not positive.
+        If a constant is not finite, an exponent is zero, or the rate of an exponential, the bulk
+        modulus or the shear modulus is not positive.
     """
 
     bulk_Pa: float
     terms: tuple[tuple[float, float], ...]
     powers_Pa: tuple[float, ...] = ()
+    exponentials: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
-        if not np.isfinite([self.bulk_Pa, *np.ravel(self.terms), *self.powers_Pa]).all():
+        given = [self.bulk_Pa, *np.ravel(self.terms), *self.powers_Pa, *np.ravel(self.exponentials)]
+        if not np.isfinite(given).all():
             raise InputError("constants of a law", "be finite", self, "give finite numbers")
         if any(alpha == 0.0 for _, alpha in self.terms):
             raise InputError("alpha of terms", "not be 0", self.terms, "leave the term out")
+        if any(rate <= 0.0 for _, rate in self.exponentials):
+            raise InputError(
+                "the rate of exponentials", "be positive", self.exponentials, "use terms without it"
+            )
         for name, value in (
             ("bulk_Pa", self.bulk_Pa),
             ("the shear modulus of terms", self.shear_Pa),
@@ -78,10 +86,15 @@ class Hyperelastic:
         """Return the law c1 (I1 - 3) + c2 (I1 - 3)^2 + c3 (I1 - 3)^3, isochoric part."""
         return cls(bulk_Pa, ((2.0 * c1_Pa, 2.0),), (c2_Pa, c3_Pa))
 
+    @classmethod
+    def exponential(cls, shear_Pa: float, rate: float, *, bulk_Pa: float) -> "Hyperelastic":
+        """Return the law (mu / 2 b) (exp(b (I1 - 3)) - 1) of rate b, isochoric part."""
+        return cls(bulk_Pa, (), exponentials=((shear_Pa, rate),))
+
     @property
     def shear_Pa(self) -> float:
         """Shear modulus at small strains [Pa]."""
-        return float(sum(mu for mu, _ in self.terms))
+        return float(sum(mu for mu, _ in (*self.terms, *self.exponentials)))
 
     def stress(self, gradient: ArrayLike) -> Array:
         """Return the first Piola-Kirchhoff stress [Pa], shape (..., 3, 3).
@@ -94,23 +107,50 @@ class Hyperelastic:
                 "gradient must have a positive determinant: a cell is turned over, shorten the step"
             )
         u, stretch, v = np.linalg.svd(f)
-        return np.asarray((u * (self._slope(stretch) / stretch)[..., None, :]) @ v)
+        return np.asarray((u * (self.derivatives(stretch)[1] / stretch)[..., None, :]) @ v)
 
-    def _slope(self, stretch: Array) -> Array:
-        """Return the derivatives of the energy by the logarithms of the stretches, (..., 3)."""
+    def derivatives(self, stretch: Array) -> tuple[Array, Array, Array]:
+        """Compute energy density and its derivatives by the logarithms of the stretches [Pa].
+
+        The stretches have shape (..., 3). Energy, first and second derivatives have the shapes
+        (...), (..., 3) and (..., 3, 3).
+        """
         volume = stretch.prod(axis=-1)
         isochoric = stretch / np.cbrt(volume)[..., None]
+        energy = 0.25 * self.bulk_Pa * (volume**2 - 1.0 - 2.0 * np.log(volume))
         slope = np.repeat(0.5 * self.bulk_Pa * (volume**2 - 1.0)[..., None], 3, axis=-1)
+        curvature = np.tile((self.bulk_Pa * volume**2)[..., None, None], (3, 3))
         for mu, alpha in self.terms:
-            slope = slope + 2.0 * mu / alpha**2 * _power_sum(isochoric, alpha)[1]
-        value, first = _power_sum(isochoric, 2.0)
+            value, first, second = _power_sum(isochoric, alpha)
+            scale = 2.0 * mu / alpha**2
+            energy = energy + scale * value
+            slope = slope + scale * first
+            curvature = curvature + scale * second
+        if not self.powers_Pa and not self.exponentials:
+            return energy, slope, curvature
+        value, first, second = _power_sum(isochoric, 2.0)
+        # Functions of x alone: their first and second derivatives by x.
+        rise = np.zeros_like(value)
+        bend = np.zeros_like(value)
         for k, c in enumerate(self.powers_Pa, start=2):
-            slope = slope + (c * k * value ** (k - 1))[..., None] * first
-        return slope
+            energy = energy + c * value**k
+            rise = rise + c * k * value ** (k - 1)
+            bend = bend + c * k * (k - 1) * value ** (k - 2)
+        for mu, rate in self.exponentials:
+            growth = 0.5 * mu * np.exp(rate * value)
+            energy = energy + 0.5 * mu / rate * np.expm1(rate * value)
+            rise = rise + growth
+            bend = bend + rate * growth
+        slope = slope + rise[..., None] * first
+        outer = first[..., :, None] * first[..., None, :]
+        curvature = curvature + rise[..., None, None] * second + bend[..., None, None] * outer
+        return energy, slope, curvature
 
 
-def _power_sum(isochoric: Array, alpha: float) -> tuple[Array, Array]:
-    """Return S(alpha) - 3 and its derivatives by the logarithms of the stretches."""
+def _power_sum(isochoric: Array, alpha: float) -> tuple[Array, Array, Array]:
+    """Return S(alpha) - 3 and its first and second derivatives by the log stretches."""
     power = isochoric**alpha
     mean = power.mean(axis=-1, keepdims=True)
-    return 3.0 * (mean[..., 0] - 1.0), alpha * (power - mean)
+    mixed = (power[..., :, None] + power[..., None, :] - mean[..., None]) / 3.0
+    second = alpha**2 * (np.eye(3) * power[..., None, :] - mixed)
+    return 3.0 * (mean[..., 0] - 1.0), alpha * (power - mean), second

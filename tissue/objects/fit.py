@@ -11,6 +11,9 @@ from tissue.fitting.fit_files import verdicts, write_fit
 from tissue.fitting.laws import LawMisfit
 from tissue.fitting.log import log_of
 from tissue.fitting.log_files import read_columns
+from tissue.fitting.probe_files import probe_verdicts, write_probe_fit
+from tissue.fitting.probe_fit import ProbeFit, fit_probes
+from tissue.fitting.probe_table import is_probe_table, read_probes
 from tissue.fitting.table import is_table, read_table
 from tissue.scene.scene import Scene
 from tissue.system.progress import Bar, reporting
@@ -30,12 +33,14 @@ class Fit:
         Complete result of the fit.
     """
 
-    def __init__(self, fitted: SceneFit) -> None:
+    def __init__(self, fitted: SceneFit | ProbeFit) -> None:
         self.fitted = fitted
 
     @property
     def verdicts(self) -> list[str]:
         """Sentences on determined and undetermined constants, and on the next measurement."""
+        if isinstance(self.fitted, ProbeFit):
+            return probe_verdicts(self.fitted)
         return verdicts(self.fitted)
 
     @property
@@ -75,7 +80,10 @@ class Fit:
         InputError
             If the folder holds another fit and `overwrite` is not set.
         """
-        write_fit(self.fitted, Path(folder), overwrite=overwrite)
+        if isinstance(self.fitted, ProbeFit):
+            write_probe_fit(self.fitted, Path(folder), overwrite=overwrite)
+        else:
+            write_fit(self.fitted, Path(folder), overwrite=overwrite)
         return Path(folder)
 
     def __repr__(self) -> str:
@@ -99,8 +107,9 @@ def fit(
     """Find the constants of a scene's material from a measured log, or from steady loads.
 
     A log holds poses and forces over time. A table of steady loads holds the thrust and the torque
-    of a drill by feed and speed. The columns of the file show which of both it is. For a table, the
-    fit reports which cutting laws the table rejects.
+    of a drill by feed and speed. A table of presses holds the force of a ball on tissue by depth.
+    The columns of the file show which of them it is. For steady loads, the fit reports which
+    cutting laws the table rejects.
 
     Parameters
     ----------
@@ -111,7 +120,9 @@ def fit(
         CSV, Parquet, HDF5, .mat or .npz file; a run's own trace needs no columns. A table has the
         feed (``feed_mm_min`` or ``feed_mm_s`` with ``spin_rpm``, or ``feed_mm_per_turn``), the
         loads (``thrust_N``, ``torque_Nmm`` or ``torque_Nm``), and possibly their standard
-        deviations (``thrust_pm_N``, ``torque_pm_Nmm`` or ``torque_pm_Nm``).
+        deviations (``thrust_pm_N``, ``torque_pm_Nmm`` or ``torque_pm_Nm``). Presses have
+        ``depth_mm``, ``force_N`` and possibly ``probe``, the number of the press; the scene is a
+        slab of the tissue's thickness and a ball.
     free
         Constants to find, such as ``cutting.trabecular`` or ``cutting.edge``; by default the usual
         ones.
@@ -140,6 +151,9 @@ def fit(
         report("reading the measurement", 0.0)
         with memory_limit(max_memory_GB):
             found = read_columns(path)
+            if is_probe_table(found.names, maps):
+                presses = read_probes(path, found, maps)
+                return Fit(fit_probes(scene, presses, free=free, progress=report))
             if is_table(found.names) and not any(each.startswith("time_s=") for each in maps):
                 _require_own_names(maps)
                 table = read_table(path, found)

@@ -259,7 +259,7 @@ CUTTING_MATERIALS: Registry[tuple[str, str]] = Registry(
 """Materials for cutting bone: table of `tissue.materials.constants`, and name in it."""
 ORGAN_MATERIALS: Registry[tuple[str, str]] = Registry(
     "organ.material",
-    {name: ("soft", name) for name in ("liver", "kidney")},
+    {name: ("soft", name) for name in ("liver", "pressed_liver", "kidney")},
     group="tissue.materials",
 )
 """Materials of a soft organ: table of `tissue.materials.constants`, and name in it."""

@@ -235,7 +235,9 @@ class Organ(Part):
     """Deformation of the organ by its own weight, along -z."""
     viscous: bool = False
     """Relaxation of the organ by the cited Prony series."""
-    law: Literal["linear", "neo-hookean", "mooney-rivlin", "yeoh", "ogden"] = "linear"
+    law: Literal["linear", "neo-hookean", "mooney-rivlin", "yeoh", "ogden", "exponential"] = (
+        "linear"
+    )
     """Material law at large strains; at small strains the given moduli apply. All laws but `linear`
     are solved between ticks.
     """
@@ -253,6 +255,10 @@ class Organ(Part):
         None, ge=-30, le=30, examples=[8.0]
     )
     """Exponent of the stretches of a one-term Ogden law; not 0."""
+    exponential_rate: Annotated[float | None, Needs("organ.law", "exponential")] = Field(
+        None, gt=0, le=100, examples=[3.0]
+    )
+    """Rate of an exponential law of the first invariant. Default: the cited value."""
     law_interval_ms: Annotated[float, Needs("organ.law")] = Field(25.0, ge=5, le=1000)
     """Time between two solves of a nonlinear law."""
     law_edge_ratio: Annotated[float, Needs("organ.law")] = Field(1.4, ge=1, le=4)

@@ -112,7 +112,12 @@ def _tables(scene: Scene, layers: Sequence[str], varied: bool) -> Iterator[Part]
     if isinstance(anatomy, SoftAnatomy):
         organ = scene.organ
         elastic = ("modulus_kPa", "poisson_ratio")
-        prefixes = (*elastic, *["density_kg_m3"] * organ.gravity, *["prony"] * organ.viscous)
+        prefixes = (
+            *elastic,
+            *["density_kg_m3"] * organ.gravity,
+            *["prony"] * organ.viscous,
+            *["exponential_rate"] * (organ.law == "exponential"),
+        )
         names = scene.constants.constants("soft", organ.material)
         yield "soft", organ.material, tuple(name for name in names if name.startswith(prefixes))
         if organ.capsule:
@@ -200,5 +205,9 @@ def _stated(scene: Scene, table: str, material: str) -> dict[str, float | None]:
     if (table, material) == ("soft", scene.organ.material) and isinstance(
         scene.anatomy, SoftAnatomy
     ):
-        return {"modulus_kPa": scene.organ.young_kPa, "poisson_ratio": scene.organ.poisson_ratio}
+        return {
+            "modulus_kPa": scene.organ.young_kPa,
+            "poisson_ratio": scene.organ.poisson_ratio,
+            "exponential_rate": scene.organ.exponential_rate,
+        }
     return {}

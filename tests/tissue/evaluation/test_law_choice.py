@@ -1,10 +1,15 @@
 """The law that a demanded fidelity needs, by how deep a ball is pressed."""
 
+import numpy as np
 import pytest
 
-from tissue.evaluation.charts.law import linear_error, with_law
+from tissue.evaluation.charts.law import CITED_LAW, EXPONENTIAL_ERROR, linear_error, with_law
+from tissue.fem.axisymmetric import LinearLaw, layer_mesh, press_forces
+from tissue.materials.constants import constants
+from tissue.materials.elasticity import lame
+from tissue.materials.hyperelasticity import Hyperelastic
 from tissue.scene.coupling import Fidelity
-from tissue.scene.load import load_scene
+from tissue.scene.load import changed, load_scene
 
 PRESS = {
     "anatomy.size_mm": [50, 50, 30],
@@ -34,6 +39,33 @@ def test_the_error_of_the_linear_law_grows_with_the_depth():
     assert [linear_error(depth) for depth in (0.0, 0.185, 0.37, 0.57, 0.77)] == pytest.approx(
         [0.0, 0.025, 0.05, 0.1, 0.15]
     )
+
+
+@pytest.mark.slow
+def test_the_exponential_table_is_that_of_a_thick_layer():
+    """Within 0.02 of the axisymmetric solution at the cited rate, on a layer of ten radii."""
+    rate = constants("soft", "pressed_liver")["exponential_rate"].value
+    first, shear = lame(np.array([1e3]), 0.49)[0]
+    bulk = first + 2.0 / 3.0 * shear
+    depths, errors = np.array(EXPONENTIAL_ERROR).T
+    mesh = layer_mesh(1.0, 10.0)
+    linear = press_forces(mesh, LinearLaw(first, shear), depths)
+    exact = press_forces(mesh, Hyperelastic.exponential(shear, rate, bulk_Pa=bulk), depths)
+    assert 1.0 - linear / exact == pytest.approx(errors, abs=0.02)
+    assert linear_error(0.3, CITED_LAW) == pytest.approx(0.164)
+
+
+def test_a_pressed_liver_is_linear_where_the_demand_allows_it(scene):
+    """The error of the linear law 0.57 radii deep is 32 % against the exponential law."""
+    liver = changed(scene, {"organ.material": "pressed_liver", "organ.young_kPa": None})
+    taken, why = with_law(liver, Fidelity(force_error=0.1))
+    assert taken.organ.law == CITED_LAW
+    assert "for the linear one is 32 % off" in why
+    kept, why = with_law(taken, Fidelity(force_error=0.1))
+    assert kept.organ.law == CITED_LAW
+    linear, why = with_law(taken, Fidelity(force_error=0.5))
+    assert linear.organ.law == "linear"
+    assert "% off an exponential one" in why
 
 
 def test_a_law_is_taken_where_the_linear_one_is_too_far_off(scene):

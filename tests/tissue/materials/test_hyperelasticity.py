@@ -17,6 +17,7 @@ LAWS = {
     "mooney-rivlin": Hyperelastic.mooney_rivlin(700.0, 250.0, bulk_Pa=BULK),
     "yeoh": Hyperelastic.yeoh(900.0, 150.0, 40.0, bulk_Pa=BULK),
     "ogden": Hyperelastic(BULK, OGDEN),
+    "exponential": Hyperelastic.exponential(1800.0, 0.7, bulk_Pa=BULK),
 }
 LAW = pytest.mark.parametrize("name", LAWS)
 STRETCHES = (0.4, 0.7, 1.0, 1.3, 1.6, 2.0)
@@ -30,6 +31,7 @@ def invariant_slopes(name: str, i1: float) -> tuple[float, float]:
         "neo-hookean": (1000.0, 0.0),
         "mooney-rivlin": (700.0, 250.0),
         "yeoh": (900.0 + 2.0 * 150.0 * x + 3.0 * 40.0 * x**2, 0.0),
+        "exponential": (900.0 * np.exp(0.7 * x), 0.0),
     }[name]
 
 
@@ -121,6 +123,7 @@ def test_small_strains_are_those_of_the_linear_law(name):
         (lambda: Hyperelastic.neo_hookean(1.0, bulk_Pa=0.0), "bulk_Pa"),
         (lambda: Hyperelastic.neo_hookean(-1.0, bulk_Pa=1.0), "shear modulus"),
         (lambda: Hyperelastic(1.0, ((1.0, 0.0),)), "alpha"),
+        (lambda: Hyperelastic.exponential(1.0, 0.0, bulk_Pa=1.0), "rate"),
         (lambda: Hyperelastic(1.0, ((np.nan, 2.0),)), "constants"),
     ],
 )

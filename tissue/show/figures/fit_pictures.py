@@ -27,6 +27,7 @@ __all__ = [
     "draw_band",
     "draw_constants",
     "draw_measured",
+    "draw_presses",
     "draw_residuals",
     "draw_sobol",
     "draw_table",
@@ -155,6 +156,36 @@ def draw_table(
     plain(panels)
     for axes in panels:
         axes.set(xlim=(0.0, 1.05 * feeds_mm.max()), ylim=(0.0, None))
+    save(chart, path)
+
+
+@styled
+def draw_presses(
+    depths_mm: Array, forces_N: Array, fitted_N: Array, path: Path, *, law: str
+) -> None:
+    """Draw the median of presses by depth, the range of 90 % of them, and the fitted force.
+
+    Parameters
+    ----------
+    depths_mm
+        Depths [mm], shape (d,).
+    forces_N
+        Force of each press [N], shape (n, d).
+    fitted_N
+        Fitted force [N], shape (d,).
+    path
+        File to write.
+    law
+        Name of the law.
+    """
+    chart, (axes,) = panelled("presses and fitted force", (6.4, 4.0), 1)
+    low, middle, high = np.quantile(forces_N, [0.05, 0.5, 0.95], axis=0)
+    axes.fill_between(depths_mm, low, high, color=MEASURED, alpha=0.25, label="5 to 95 %")
+    axes.plot(depths_mm, middle, "o", color=MEASURED, markersize=5.0, label="median")
+    axes.plot(depths_mm, fitted_N, color=SIMULATED, label=law)
+    axes.set(xlabel="depth / mm", ylabel="force / N", xlim=(0.0, None))
+    legend_above(axes, 3)
+    plain([axes])
     save(chart, path)
 
 

@@ -19,6 +19,7 @@ from meshes.tets.regions import Nodes, nodes_of_part
 from meshes.tets.stuffing import Move, bisected
 from meshes.tets.tetrahedra import TetMesh
 from meshes.voxels.mesh_sampling import nearest_on_triangles
+from tissue.materials.constants import listed
 from tissue.materials.hyperelasticity import Hyperelastic
 from tissue.materials.scene_constants import Materials
 from tissue.motion.motion import frame_along
@@ -48,6 +49,7 @@ __all__ = [
     "law_of",
     "material_of",
     "organ_law",
+    "with_cited_shape",
 ]
 
 
@@ -81,10 +83,15 @@ Their error in a cantilever is 32 % at 0.3 and 72 % at 0.49 (Aycock 2020).
 
 NOT_WITH = ("capsule", "gravity", "viscous", "fibre_direction")
 """Keys of an organ that a hyperelastic law does not support yet."""
-SHAPE = {"mooney-rivlin": "second_share", "yeoh": "square_ratio", "ogden": "exponent"}
+SHAPE = {
+    "mooney-rivlin": "second_share",
+    "yeoh": "square_ratio",
+    "ogden": "exponent",
+    "exponential": "exponential_rate",
+}
 """Key that each law needs in addition to the modulus and Poisson's ratio.
 
-None of these values is cited for an organ.
+Only the rate of an exponential law is cited, for a pressed liver.
 """
 
 
@@ -189,6 +196,13 @@ def material_of(
     notes = {"modulus": _modulus_note(organ, constants, young_kPa, parts, ratio)}
     capsule = capsule_ratio = density = None
     if organ.capsule:
+        if f"{organ.material}_capsule" not in listed("soft"):
+            raise InputError(
+                "organ.capsule",
+                f"be false for {organ.material}",
+                "true",
+                "no capsule is cited for it: its constants were fitted to tissue under its capsule",
+            )
         table = constants.constants("soft", f"{organ.material}_capsule")
         thick = table["thickness_um"]
         stiff = table["modulus_kPa"]
@@ -380,6 +394,14 @@ def hindrance(organ: Organ) -> str | None:
     return next((name for name in NOT_WITH if getattr(organ, name)), None)
 
 
+def with_cited_shape(organ: Organ, constants: Materials) -> Organ:
+    """Return an organ with the rate of its exponential law, stated or cited for its material."""
+    if organ.law != "exponential" or organ.exponential_rate is not None:
+        return organ
+    cited = constants.constants("soft", organ.material).get("exponential_rate")
+    return organ if cited is None else organ.model_copy(update={"exponential_rate": cited.value})
+
+
 def law_of(organ: Organ, lame_Pa: Array) -> tuple[Hyperelastic, Array] | None:
     """Return the law of the first cell, and factors of its moduli in each cell, shape (m,).
 
@@ -455,7 +477,7 @@ def organ_law(
     """
     from tissue.models.organ.soft_organ import OrganLaw, SoftOrgan
 
-    organ = scene.organ
+    organ = with_cited_shape(scene.organ, scene.constants)
     found = law_of(organ, lame_Pa)
     if found is None:
         return None
@@ -496,6 +518,8 @@ def _law(organ: Organ, shear_Pa: float, bulk_Pa: float) -> Hyperelastic:
         )
     if organ.law == "ogden" and organ.exponent is not None:
         return Hyperelastic(bulk_Pa, ((shear_Pa, organ.exponent),))
+    if organ.law == "exponential" and organ.exponential_rate is not None:
+        return Hyperelastic.exponential(shear_Pa, organ.exponential_rate, bulk_Pa=bulk_Pa)
     raise InputError(
         f"organ.{SHAPE[organ.law]}", f"be given with organ.law = {organ.law}", "none", "state it"
     )

@@ -46,6 +46,10 @@ LAWS = {
         lambda g, k: Hyperelastic.yeoh(0.5 * g, 0.1 * g, 0.05 * g, bulk_Pa=k),
     ),
     "ogden": ({"exponent": 8.0}, lambda g, k: Hyperelastic(k, ((g, 8.0),))),
+    "exponential": (
+        {"exponential_rate": 3.0},
+        lambda g, k: Hyperelastic.exponential(g, 3.0, bulk_Pa=k),
+    ),
 }
 
 

@@ -1,0 +1,352 @@
+"""Fit of an elastic law to presses of a probe without times.
+
+The median of the presses at each depth is fitted by least squares. Free are Young's modulus, the
+shape constants of the law and the zero of the force sensor, which is the same at all depths. The
+presses differ far more than the sensor's noise, so their scatter sets the intervals: the presses
+are drawn again with replacement and fitted (bootstrap, Efron 1979, Ann. Stat. 7:1). The error of
+the mesh is added: the shift of the constants that makes up for a mesh of two thirds of the edges.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import norm, t
+
+from meshes.base.arrays import Array, Ints
+from meshes.base.errors import InputError
+from meshes.base.progress import Progress, silent
+from tissue.fem.axisymmetric import FIRST
+from tissue.fitting.fit import ConstantFit
+from tissue.fitting.organ_runs import organ_parameters
+from tissue.fitting.probe_laws import (
+    SHAPES,
+    LayerScene,
+    ProbeCurves,
+    layer_scene,
+    probe_curves,
+    shape_keys,
+)
+from tissue.fitting.probe_table import ProbeTable
+from tissue.materials.constants import Prior
+from tissue.scene.scene import Scene
+
+__all__ = ["FittedCurve", "ProbeFit", "fit_curves", "fit_probes", "median_curve"]
+
+
+RESAMPLES = 1000
+"""Draws of the presses: the ends of a 90 % interval then have a standard error of 2 % of it."""
+FINER = 1.5
+"""Ratio of the edges of the two meshes whose difference is the error of the mesh.
+
+The force converges at second order, so the difference exceeds half of the error that is left.
+"""
+THICKER = 1.2
+"""Factor on the thickness of the layer at which the modulus is fitted again, for a note."""
+DETERMINED = 2.0
+"""Ratio of the ends of an interval up to which a constant counts as determined."""
+SEED = 42
+
+
+@dataclass(frozen=True, eq=False)
+class FittedCurve:
+    """Constants that fit curves best, one row for each of n curves.
+
+    Attributes
+    ----------
+    modulus_Pa
+        Young's modulus, shape (n,).
+    shape
+        Shape constants, shape (n, k).
+    bias_N
+        Zero of the force sensor, shape (n,).
+    force_N
+        Fitted curves with the bias, shape (n, d).
+    """
+
+    modulus_Pa: Array
+    shape: Array
+    bias_N: Array
+    force_N: Array
+
+
+def median_curve(forces_N: Array, draws: Ints | None = None) -> Array:
+    """Return the median of presses at each depth, shape (d,); with draws, one row a draw."""
+    chosen = forces_N if draws is None else forces_N[draws]
+    return np.asarray(np.median(chosen, axis=-2))
+
+
+def fit_curves(curves: ProbeCurves, forces_N: Array) -> FittedCurve:
+    """Fit curves of forces by least squares, over all shapes that were computed.
+
+    Parameters
+    ----------
+    curves
+        Forces for each modulus, by shape.
+    forces_N
+        Curves to fit, shape (n, d).
+    """
+    unit = curves.unit_N_Pa
+    centred = unit - unit.mean(axis=1, keepdims=True)
+    wanted = forces_N - forces_N.mean(axis=1, keepdims=True)
+    power = np.sum(centred**2, axis=1)
+    # Tissue does not pull the ball: the modulus is not below zero.
+    modulus = np.maximum(centred @ wanted.T, 0.0) / power[:, None]
+    misfit = np.sum(wanted**2, axis=1) - modulus**2 * power[:, None]
+    best = np.argmin(misfit, axis=0)
+    found = modulus[best, np.arange(len(forces_N))]
+    bias = forces_N.mean(axis=1) - found * unit[best].mean(axis=1)
+    return FittedCurve(
+        found, curves.shapes[best], bias, found[:, None] * unit[best] + bias[:, None]
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class ProbeFit:
+    """Constants of an elastic law, fitted to presses.
+
+    Attributes
+    ----------
+    name
+        Name of the scene.
+    path
+        File of the table.
+    table
+        The presses.
+    law
+        Law of the organ.
+    constants
+        Modulus and shape constants, with 90 % intervals.
+    force_N, bias_N
+        Fitted force at the table's depths with the bias, shape (d,), and the bias [N].
+    misfit
+        Difference of the fitted from the median curve, over the median curve (L2).
+    noise
+        Median and 5 and 95 % of the difference between the medians of two random halves of the
+        presses, over one of them (L2), shape (3,).
+    notes
+        Findings and assumptions, in sentences.
+    """
+
+    name: str
+    path: Path
+    table: ProbeTable
+    law: str
+    constants: tuple[ConstantFit, ...]
+    force_N: Array
+    bias_N: float
+    misfit: float
+    noise: Array
+    notes: tuple[str, ...]
+
+    @property
+    def source(self) -> str:
+        """Kind of the measurement, in a word."""
+        return "table of presses"
+
+    @property
+    def of_material(self) -> tuple[int, ...]:
+        """Places of the constants that belong to a material, not to the scene."""
+        return tuple(
+            at for at, each in enumerate(self.constants) if not each.name.startswith("organ.")
+        )
+
+    @property
+    def scene_keys(self) -> Mapping[str, float]:
+        """Fitted keys of the scene, which are no constants of a material."""
+        return {each.name: each.value for each in self.constants if each.name.startswith("organ.")}
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Sentences about constants that the presses do not bound."""
+        found = []
+        for each in self.constants:
+            key = each.name.rpartition(".")[2]
+            if key not in SHAPES:
+                continue
+            low, high = SHAPES[key]
+            if each.low <= 1.05 * low or each.high >= 0.95 * high:
+                end = "small" if each.low <= 1.05 * low else "large"
+                found.append(
+                    f"{each.name}: {end} values fit as well, the interval ends where the search "
+                    "ends. Press deeper, or use a law with fewer constants"
+                )
+        return tuple(found)
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """Sentences that summarise the fit for the user."""
+        low, middle, high = (100.0 * self.noise).tolist()
+        return (
+            f"the fitted curve differs from the median of {len(self.table.forces_N)} presses by "
+            f"{self.misfit:.1%}; the medians of two random halves of the presses differ by "
+            f"{middle:.2g} % ({low:.2g} to {high:.2g} %)",
+            f"zero of the force sensor: {1e3 * self.bias_N:.3g} mN",
+            *self.notes,
+        )
+
+
+def half_differences(forces_N: Array, *, splits: int = 200, seed: int = SEED) -> Array:
+    """Return the differences between the medians of two random halves of presses, shape (splits,).
+
+    Each is the L2 norm of the difference over that of the second median.
+    """
+    random = np.random.default_rng(seed)
+    half = len(forces_N) // 2
+    found = []
+    for _ in range(splits):
+        order = random.permutation(len(forces_N))
+        first = median_curve(forces_N[order[:half]])
+        second = median_curve(forces_N[order[half:]])
+        found.append(np.linalg.norm(first - second) / np.linalg.norm(second))
+    return np.array(found)
+
+
+def fit_probes(
+    scene: Scene,
+    table: ProbeTable,
+    *,
+    free: Sequence[str] = (),
+    progress: Progress | None = None,
+) -> ProbeFit:
+    """Fit Young's modulus and the shape of a law to presses on a slab.
+
+    Parameters
+    ----------
+    scene
+        A slab of one material on its bed, and a ball. Its motion, friction and device are ignored.
+    table
+        The presses.
+    free
+        Names of the constants to find; the modulus is always free. By default the shape constants
+        of the law are free too, as far as they are above zero.
+    progress
+        Called with a description of the current step.
+
+    Raises
+    ------
+    InputError
+        If the scene is not such a slab, or `free` names another constant.
+    """
+    report = progress or silent
+    layer = layer_scene(scene)
+    keys = _free_keys(layer, free)
+    curves = probe_curves(
+        layer, table.depths_m, keys, progress=lambda doing, share: report(doing, 0.8 * share)
+    )
+    report("drawing presses again", 0.8)
+    forces = table.forces_N
+    best = fit_curves(curves, median_curve(forces)[None])
+    random = np.random.default_rng(SEED)
+    draws = random.integers(0, len(forces), (RESAMPLES, len(forces)))
+    drawn = fit_curves(curves, median_curve(forces, draws))
+    report("estimating the error of the mesh", 0.9)
+    fixed = _with_shape(layer, keys, best.shape[0])
+    finer = probe_curves(fixed, table.depths_m, (), first=FIRST / FINER)
+    shifted = fit_curves(curves, best.modulus_Pa[:, None] * finer.unit_N_Pa)
+    constants = [
+        _constant(name, prior, factor, values, len(forces))
+        for (name, prior, factor), values in zip(
+            _named(scene, keys),
+            [
+                (best.modulus_Pa[0], drawn.modulus_Pa, shifted.modulus_Pa[0]),
+                *(
+                    (best.shape[0, at], drawn.shape[:, at], shifted.shape[0, at])
+                    for at in range(len(keys))
+                ),
+            ],
+            strict=True,
+        )
+    ]
+    thick = LayerScene(
+        fixed.organ, fixed.radius_m, THICKER * fixed.thickness_m, fixed.poisson_ratio
+    )
+    thicker = fit_curves(
+        probe_curves(thick, table.depths_m, ()), median_curve(forces)[None]
+    ).modulus_Pa[0]
+    notes = (
+        *table.notes,
+        f"a ball of {2e3 * layer.radius_m:g} mm without friction on a layer of "
+        f"{1e3 * layer.thickness_m:g} mm, bonded to its bed; a layer {THICKER - 1.0:.0%} thicker "
+        f"changes the modulus by {thicker / best.modulus_Pa[0] - 1.0:+.0%}",
+        f"intervals from {RESAMPLES} draws of {len(forces)} presses and from the error of the mesh",
+    )
+    middle = median_curve(forces)
+    halves = half_differences(forces)
+    return ProbeFit(
+        scene.name,
+        table.path,
+        table,
+        layer.organ.law,
+        tuple(constants),
+        best.force_N[0],
+        float(best.bias_N[0]),
+        float(np.linalg.norm(best.force_N[0] - middle) / np.linalg.norm(middle)),
+        np.quantile(halves, [0.05, 0.5, 0.95]),
+        notes,
+    )
+
+
+def _free_keys(layer: LayerScene, free: Sequence[str]) -> tuple[str, ...]:
+    """Return the free shape constants; `free` may name the modulus too, which is always free."""
+    possible = shape_keys(layer.organ)
+    asked = [each.rpartition(".")[2] for each in free]
+    for name in asked:
+        if name not in possible and not name.endswith(("young_kPa", "modulus_kPa")):
+            known = ", ".join(("organ.young_kPa", *(f"organ.{key}" for key in possible)))
+            raise InputError("free", "name constants of this table", name, f"choose among {known}")
+    return tuple(key for key in possible if not free or key in asked)
+
+
+def _with_shape(layer: LayerScene, keys: tuple[str, ...], shape: Array) -> LayerScene:
+    changes = dict(zip(keys, shape.tolist(), strict=True))
+    return LayerScene(
+        layer.organ.model_copy(update=changes),
+        layer.radius_m,
+        layer.thickness_m,
+        layer.poisson_ratio,
+    )
+
+
+def _named(scene: Scene, keys: tuple[str, ...]) -> list[tuple[str, Prior, float]]:
+    """Return name, prior and unit [SI] of the modulus and of the shape constants."""
+    parameters, _ = organ_parameters(scene, ())
+    by_name = {each.name: each.prior for each in parameters}
+    modulus = next(name for name in by_name if name.endswith(("modulus_kPa", "young_kPa")))
+    found = [(modulus, by_name[modulus], 1e3)]
+    for key in keys:
+        # A rate that the scene does not state is a constant of the material.
+        name = next(each for each in by_name if each.rpartition(".")[2] == key)
+        found.append((name, by_name[name], 1.0))
+    return found
+
+
+def _constant(
+    name: str, prior: Prior, unit: float, values: tuple[float, Array, float], count: int
+) -> ConstantFit:
+    """Return a constant with its interval.
+
+    The draws of a few presses scatter too little: their logarithms are stretched by the ratio of
+    Student's to the normal quantile and by sqrt(n / (n - 1)).
+    """
+    best, drawn, shifted = (np.log(np.maximum(each, 1e-12) / unit) for each in values)
+    stretch = t.ppf(0.95, count - 1) / norm.ppf(0.95) * np.sqrt(count / (count - 1.0))
+    low, middle, high = np.quantile(drawn, [0.05, 0.5, 0.95])
+    mesh = norm.ppf(0.95) * abs(shifted - best)
+    below = np.hypot(stretch * max(best - low, middle - low), mesh)
+    above = np.hypot(stretch * max(high - best, high - middle), mesh)
+    lowest, value, highest = np.exp([best - below, best, best + above]).tolist()
+    ends = np.asarray(prior.z([lowest, value, highest, prior.low, prior.high])).tolist()
+    spread = (ends[2] - ends[0]) / (2.0 * norm.ppf(0.95))
+    state = "determined" if highest < DETERMINED * lowest else "narrowed"
+    return ConstantFit(
+        name,
+        prior,
+        lowest,
+        value,
+        highest,
+        tuple(ends),
+        spread,
+        state,
+    )

@@ -1,0 +1,258 @@
+"""Force of a ball on a layer over a bed, by modulus and shape of an elastic law.
+
+The force is proportional to Young's modulus. Its logarithm is interpolated over the logarithms of
+the constants that give a law its shape, from solutions on an axisymmetric mesh
+(`tissue.fem.axisymmetric`). A fit then needs no further solution, so that thousands of resampled
+presses can be fitted.
+"""
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator, RegularGridInterpolator
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from meshes.base.progress import Progress, silent
+from meshes.base.text_tables import shown
+from tissue.fem.axisymmetric import FIRST, LayerMesh, LinearLaw, layer_mesh, press_forces
+from tissue.materials.elasticity import lame
+from tissue.scene.organ import Organ, SlabAnatomy
+from tissue.scene.scene import Scene
+from tissue.scene.tool import Probe
+from tissue.simulation.builders.organ import hindrance, law_of, with_cited_shape
+
+__all__ = ["SHAPES", "LayerScene", "ProbeCurves", "layer_scene", "probe_curves", "shape_keys"]
+
+
+SHAPES = {
+    "second_share": (0.05, 0.95),
+    "square_ratio": (0.1, 100.0),
+    "cube_ratio": (0.1, 100.0),
+    "exponent": (2.0, 30.0),
+    "exponential_rate": (0.1, 50.0),
+}
+"""Range of each shape constant over which a fit looks: the limits of the key, or factors of ten
+about the values of published fits."""
+OF_LAW = {
+    "mooney-rivlin": ("second_share",),
+    "yeoh": ("square_ratio", "cube_ratio"),
+    "ogden": ("exponent",),
+    "exponential": ("exponential_rate",),
+}
+NODES = {1: 9, 2: 7}
+"""Solutions along each shape constant, by the number of shape constants.
+
+With one constant, 9 nodes give the forces between them within 0.3 % and 5 nodes within 3 %:
+`tests/tissue/fitting/test_probes.py`.
+"""
+DENSE = {1: 400, 2: 60}
+"""Values of each shape constant that a fit compares: steps of 1.6 % of a rate, 12 % with two."""
+SHARES = np.array([0.04, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
+"""Depths of the solutions over the largest depth.
+
+Between them, force / depth^1.5 is interpolated.
+"""
+UNIT_PA = 1e3
+"""Modulus of the solutions [Pa]."""
+DEEPEST = 0.8
+"""Largest depth over the ball's radius, up to which the solver is verified."""
+
+
+@dataclass(frozen=True)
+class LayerScene:
+    """Geometry and law of a scene that a table of presses can be fitted with."""
+
+    organ: Organ
+    radius_m: float
+    thickness_m: float
+    poisson_ratio: float
+
+
+@dataclass(frozen=True, eq=False)
+class ProbeCurves:
+    """Force for each modulus [N/Pa] at the depths of a table, by the shape of the law.
+
+    Attributes
+    ----------
+    keys
+        Keys of the organ for the shape constants, k of them.
+    shapes
+        Values of the constants, shape (s, k); one row without values for a law without a shape.
+    unit_N_Pa
+        Force for a Young's modulus of 1 Pa, shape (s, d).
+    """
+
+    keys: tuple[str, ...]
+    shapes: Array
+    unit_N_Pa: Array
+
+
+def layer_scene(scene: Scene) -> LayerScene:
+    """Return the layer, the ball and the law of a scene.
+
+    Raises
+    ------
+    InputError
+        If the scene has another organ than a slab of one isotropic material, or another probe than
+        a ball.
+    """
+    anatomy = scene.anatomy
+    organ = with_cited_shape(scene.organ, scene.constants)
+    tool = scene.tool
+    with_table = "for a table of presses"
+    if not isinstance(anatomy, SlabAnatomy):
+        raise InputError(
+            "anatomy.kind",
+            f"be slab {with_table}",
+            anatomy.kind,
+            "use a slab of the tissue's thickness on its bed",
+        )
+    if not isinstance(tool, Probe) or tool.kind != "sphere-probe":
+        raise InputError(
+            "tool.kind", f"be sphere-probe {with_table}", tool.kind, "use tool.kind=sphere-probe"
+        )
+    found = hindrance(organ)
+    if found is None and organ.young_end_kPa is not None:
+        found = "young_end_kPa"
+    if found is not None:
+        raise InputError(
+            f"organ.{found}",
+            f"be left out {with_table}, which determines one isotropic material",
+            shown(getattr(organ, found)),
+            "remove it",
+        )
+    if anatomy.nodule_mm > 0.0:
+        raise InputError(
+            "anatomy.nodule_diameter_mm",
+            f"be 0 {with_table}",
+            f"{anatomy.nodule_mm:g}",
+            "use --set anatomy.nodule_diameter_mm=0 --set organ.parts=null",
+        )
+    ratio = organ.poisson_ratio
+    if ratio is None:
+        ratio = scene.constants.constants("soft", organ.material)["poisson_ratio"].value
+    return LayerScene(organ, 0.5e-3 * tool.size_mm, 1e-3 * anatomy.size_mm[2], ratio)
+
+
+def probe_curves(
+    layer: LayerScene,
+    depths_m: Array,
+    keys: tuple[str, ...],
+    *,
+    first: float = FIRST,
+    progress: Progress = silent,
+) -> ProbeCurves:
+    """Compute the forces at some depths over the range of some shape constants.
+
+    Parameters
+    ----------
+    layer
+        Layer and law; its other shape constants keep their values.
+    depths_m
+        Depths [m], not all of them zero, shape (d,).
+    keys
+        Shape constants, at most two.
+    first
+        Edge of the cells under the ball, over its radius.
+    progress
+        Called with the share that is done.
+
+    Raises
+    ------
+    InputError
+        If the ball is pressed too deep for its radius or for the layer.
+    """
+    deepest_m = float(depths_m.max())
+    if deepest_m > min(DEEPEST * layer.radius_m, 0.7 * layer.thickness_m):
+        raise InputError(
+            "measured",
+            f"hold depths up to {DEEPEST:g} radii of the ball and 0.7 thicknesses of the layer",
+            f"{1e3 * deepest_m:.3g} mm",
+            "check tool.diameter_mm and anatomy.size_mm, or drop the deeper rows",
+        )
+    mesh = layer_mesh(layer.radius_m, layer.thickness_m, first=first)
+    if not keys:
+        curve = _curve(mesh, layer, {}, deepest_m)
+        _require(curve)
+        return ProbeCurves((), np.zeros((1, 0)), _between(curve, deepest_m, depths_m)[None])
+    axes = [_axis(key, NODES[len(keys)]) for key in keys]
+    places = list(product(*axes))
+    solved = []
+    for number, values in enumerate(places):
+        progress(f"solution {number + 1} of {len(places)}", number / len(places))
+        solved.append(_curve(mesh, layer, dict(zip(keys, values, strict=True)), deepest_m))
+    grid = np.log(np.reshape(solved, (*map(len, axes), -1)))
+    axes, grid = _solved_part(axes, grid)
+    logs = [_scale(key, axis) for key, axis in zip(keys, axes, strict=True)]
+    dense = [np.linspace(each[0], each[-1], DENSE[len(keys)]) for each in logs]
+    wanted = np.stack(np.meshgrid(*dense, indexing="ij"), axis=-1).reshape(-1, len(keys))
+    curves = np.exp(RegularGridInterpolator(logs, grid, method="cubic")(wanted))
+    shapes = np.column_stack([_unscaled(key, wanted[:, at]) for at, key in enumerate(keys)])
+    unit = np.stack([_between(curve, deepest_m, depths_m) for curve in curves])
+    return ProbeCurves(keys, shapes, unit)
+
+
+def _curve(mesh: LayerMesh, layer: LayerScene, shape: dict[str, float], deepest_m: float) -> Array:
+    """Return forces for each modulus [N/Pa] at the depths of `SHARES`; NaN where none was found."""
+    table = lame(np.array([UNIT_PA]), layer.poisson_ratio)
+    found = law_of(layer.organ.model_copy(update=shape), table)
+    first, shear = table[0].tolist()
+    law = LinearLaw(first, shear) if found is None else found[0]
+    forces: Array = press_forces(mesh, law, SHARES * deepest_m) / UNIT_PA
+    return forces
+
+
+def _require(curves: Array) -> None:
+    if not np.isfinite(curves).all():
+        raise InputError(
+            "organ.law",
+            "have an equilibrium at the measured depths",
+            "none",
+            "drop the deeper rows, or use another law or another thickness",
+        )
+
+
+def _solved_part(axes: list[Array], grid: Array) -> tuple[list[Array], Array]:
+    """Cut off large values of the shape constants at which no equilibrium was found."""
+    for at in range(len(axes)):
+        others = tuple(each for each in range(grid.ndim) if each != at)
+        # With two constants, the corner of both large values may fail alone.
+        failed = np.flatnonzero(~np.isfinite(grid).all(axis=others))
+        count = int(failed[0]) if len(failed) else grid.shape[at]
+        keep = slice(0, max(count, 4))
+        axes[at] = axes[at][keep]
+        grid = grid[(slice(None),) * at + (keep,)]
+    _require(grid)
+    return axes, grid
+
+
+def _axis(key: str, count: int) -> Array:
+    low, high = SHAPES[key]
+    start, end = _scale(key, np.array([low, high])).tolist()
+    return _unscaled(key, np.linspace(start, end, count))
+
+
+def _scale(key: str, values: Array) -> Array:
+    """Return the coordinate of interpolation: a share itself, the logarithm of other constants."""
+    return values if key == "second_share" else np.log(values)
+
+
+def _unscaled(key: str, places: Array) -> Array:
+    return places if key == "second_share" else np.exp(places)
+
+
+def _between(curve: Array, deepest_m: float, depths_m: Array) -> Array:
+    """Interpolate a curve over the depth, by force / depth^1.5, which changes slowly."""
+    solved = SHARES * deepest_m
+    ratio = curve / solved**1.5
+    # Towards a vanishing depth the force is Hertz's, so the ratio is constant.
+    smooth = PchipInterpolator(np.concatenate([[0.0], solved]), np.concatenate([ratio[:1], ratio]))
+    depth = np.maximum(depths_m, 0.0)
+    return np.asarray(smooth(depth) * depth**1.5)
+
+
+def shape_keys(organ: Organ) -> tuple[str, ...]:
+    """Return the shape constants of an organ's law that have a value above zero."""
+    return tuple(key for key in OF_LAW.get(organ.law, ()) if (getattr(organ, key) or 0.0) > 0.0)

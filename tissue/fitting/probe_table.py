@@ -1,0 +1,144 @@
+"""Tables of forces of a probe by depth, without times: several presses of one tissue."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from tissue.fitting.log_files import LogColumns
+
+__all__ = ["ProbeTable", "is_probe_table", "read_probes"]
+
+
+DEPTH = "depth_mm"
+FORCE = "force_N"
+PROBE = "probe"
+FEWEST_PROBES = 3
+"""Smallest number of presses: the scatter between presses sets the intervals."""
+FEWEST_STEPS = 4
+"""Smallest number of depths of a press: modulus, shape, bias and one more."""
+SHORT = 0.9
+"""Share of the median of the largest depths that a press must reach to be used."""
+
+
+@dataclass(frozen=True, eq=False)
+class ProbeTable:
+    """Presses of one tissue, at common depths.
+
+    Attributes
+    ----------
+    path
+        File.
+    depths_m
+        Rising depths below the place of first contact [m], shape (d,).
+    forces_N
+        Force of each press at these depths [N], shape (n, d).
+    notes
+        Findings and assumptions, in sentences.
+    """
+
+    path: Path
+    depths_m: Array
+    forces_N: Array
+    notes: tuple[str, ...] = ()
+
+
+def is_probe_table(names: Sequence[str], columns: Sequence[str]) -> bool:
+    """Return whether columns are those of presses: a depth, and no times of a log."""
+    asked = {each.partition("=")[0].strip() for each in columns}
+    known = {*names, *asked}
+    return "time_s" not in known and DEPTH in known
+
+
+def read_probes(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> ProbeTable:
+    """Read presses from the columns of a file.
+
+    Parameters
+    ----------
+    path
+        The file, for messages.
+    found
+        Its columns: ``depth_mm``, ``force_N``, and ``probe`` with the number of the press. Without
+        ``probe``, a press begins where the depth falls.
+    columns
+        ``NAME=COLUMN`` for a column with another name.
+
+    Raises
+    ------
+    InputError
+        If a column is missing, a press has too few depths, or there are too few presses.
+    """
+
+    def refuse(requirement: str, value: str, remedy: str) -> InputError:
+        return InputError("measured", requirement, f"{value} in {path.name}", remedy)
+
+    asked = {DEPTH: DEPTH, FORCE: FORCE, PROBE: PROBE}
+    for text in columns:
+        name, _, column = (part.strip() for part in text.partition("="))
+        if name not in asked or column not in found.names:
+            raise InputError(
+                "column",
+                f"be NAME=COLUMN with a name of {', '.join(asked)} and a column of the table",
+                text,
+                f"choose among the columns {', '.join(found.names[:20])}",
+            )
+        asked[name] = column
+    if asked[FORCE] not in found.names:
+        raise refuse(
+            f"hold {FORCE} with {DEPTH}", ", ".join(found.names[:12]), f"use --column {FORCE}=NAME"
+        )
+    depths = 1e-3 * found.numbers(asked[DEPTH])
+    forces = found.numbers(asked[FORCE])
+    if asked[PROBE] in found.names:
+        number = found.numbers(asked[PROBE])
+        starts = np.flatnonzero(np.diff(number, prepend=np.nan) != 0.0)
+    else:
+        starts = np.flatnonzero(np.diff(depths, prepend=np.inf) < 0.0)
+    presses = []
+    for rows in np.split(np.arange(len(depths)), starts[1:]):
+        known = rows[np.isfinite(depths[rows]) & np.isfinite(forces[rows])]
+        order = known[np.argsort(depths[known], kind="stable")]
+        depth, first = np.unique(depths[order], return_index=True)
+        presses.append((depth, forces[order][first]))
+    return _at_common_depths(path, presses, found.notes)
+
+
+def _at_common_depths(
+    path: Path, presses: list[tuple[Array, Array]], notes: tuple[str, ...]
+) -> ProbeTable:
+    """Return the forces of presses at the medians of their depths."""
+    if not presses:
+        raise InputError("measured", "hold presses", f"none in {path.name}", "add rows")
+    largest = np.array([depth[-1] if len(depth) else 0.0 for depth, _ in presses])
+    enough = np.array([len(depth) >= FEWEST_STEPS for depth, _ in presses])
+    used = enough & (largest >= SHORT * np.median(largest))
+    if used.sum() < FEWEST_PROBES:
+        raise InputError(
+            "measured",
+            f"hold {FEWEST_PROBES} presses or more, each with {FEWEST_STEPS} depths or more and "
+            f"{SHORT:.0%} of the median of the largest depths",
+            f"{used.sum()} in {path.name}",
+            "repeat the press at several places, since their scatter sets the intervals",
+        )
+    if not used.all():
+        notes = (*notes, f"{(~used).sum()} of {len(used)} presses are short and left out")
+    kept = [press for press, keep in zip(presses, used, strict=True) if keep]
+    steps = int(np.median([len(depth) for depth, _ in kept]))
+    share = np.linspace(0.0, 1.0, steps)
+    # The medians at equal shares of the steps lie close to the measured depths of every press.
+    places = [np.interp(share, np.linspace(0.0, 1.0, len(depth)), depth) for depth, _ in kept]
+    common = np.median(places, axis=0)
+    common = np.clip(
+        common, max(depth[0] for depth, _ in kept), min(depth[-1] for depth, _ in kept)
+    )
+    common = np.unique(common)
+    if not common[-1] > 0.0 or len(common) < FEWEST_STEPS:
+        raise InputError(
+            "measured", "hold presses over common depths", path.name, "check the zero of the depths"
+        )
+    forces = np.stack([PchipInterpolator(depth, force)(common) for depth, force in kept])
+    return ProbeTable(path, common, forces, notes)
