@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from tissue.materials.constants import CUT_AS, Constant, listed, thermal_material
 from tissue.materials.scene_constants import Materials
 from tissue.scene.anatomy import BlockAnatomy
-from tissue.scene.organ import LayersAnatomy, SoftAnatomy
+from tissue.scene.organ import IncisedAnatomy, LayersAnatomy, SoftAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 
@@ -117,6 +117,10 @@ def _tables(scene: Scene, layers: Sequence[str], varied: bool) -> Iterator[Part]
         yield "soft", organ.material, tuple(name for name in names if name.startswith(prefixes))
         if organ.capsule:
             yield "soft", f"{organ.material}_capsule", (*elastic, "thickness_um")
+    if isinstance(anatomy, IncisedAnatomy):
+        names = ("modulus_kPa", "poisson_ratio", "toughness_J_m2", "blade_friction_kPa")
+        shown = ("prestrain",) if anatomy.interval_ms > 0.0 else ()
+        yield "soft", anatomy.material, names + shown
     if isinstance(anatomy, LayersAnatomy):
         yield "needle", "liver", None
         stated = {"puncture_N": anatomy.membrane_punctures_N, "hold_N": anatomy.membrane_holds_N}
