@@ -28,7 +28,7 @@ from tissue.models.organ.soft_organ import SoftOrgan
 
 __all__ = ["IncisionFields", "Track"]
 
-SIDE_M = 0.025
+SIDE_M = 0.02
 """Tissue beside the cut, beyond its ends and below it [m].
 
 The block is a picture. No force depends on its size or its edges, which are chosen.

@@ -13,7 +13,7 @@ from tissue.models.tissue_model import Response, ToolMotion
 
 __all__ = ["IncisionModel"]
 
-PLAY_M = 0.5e-3
+PLAY_M = 1e-3
 """Distance from a cut's plane within which a blade enters it and is not pressed sideways [m].
 
 About half the width of an open cut; chosen. A larger one lets the blade wander further without a
@@ -70,7 +70,7 @@ class IncisionModel:
         self.cuts: list[Cut] = []
         self._fields = fields
         self._in: Cut | None = None
-        self._stiffness = tissue.stiffness_N_m(blade)
+        self._stiffness = tissue.stiffness_N_m
         self._held = self._stiffness * np.eye(3)
         self._free = np.zeros((3, 3))
         self.layer_names = (tissue.name,)

@@ -1,12 +1,13 @@
 """Blade, and tissue that it cuts."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from math import pi, radians, tan
 
 from scipy.special import ellipk
 
 from meshes.base.errors import InputError, require_positive, require_range
 from tissue.materials.scene_constants import Materials
+from tissue.models.needle.parameters import positive_root
 
 __all__ = ["Blade", "IncisedTissue", "incised_tissue"]
 
@@ -61,8 +62,10 @@ class IncisedTissue:
         Energy that a unit of cut area takes, J [J/m2].
     friction_Pa
         Friction per area of each wall that touches the blade, tau [Pa].
+    stiffness_N_m
+        Force of the tissue on a blade per deflection, in all directions [N/m].
     young_Pa, poisson_ratio
-        Elastic constants: Young's modulus [Pa] and Poisson's ratio.
+        Young's modulus [Pa] and Poisson's ratio of the drawn block.
     prestrain
         Strain across the cut that relaxes when it opens. It only widens the drawn cut.
     """
@@ -70,38 +73,66 @@ class IncisedTissue:
     name: str
     toughness_J_m2: float
     friction_Pa: float
+    stiffness_N_m: float
     young_Pa: float
     poisson_ratio: float
     prestrain: float
 
     def __post_init__(self) -> None:
-        for entry in fields(self):
-            if entry.name in ("toughness_J_m2", "young_Pa"):
-                require_positive(entry.name, getattr(self, entry.name), "give it in SI units")
+        for name in ("toughness_J_m2", "stiffness_N_m", "young_Pa"):
+            require_positive(name, getattr(self, name), "give it in SI units")
         require_range("friction_Pa", self.friction_Pa, 0.0, 1e6, "give it in Pa")
         require_range("poisson_ratio", self.poisson_ratio, 0.0, 0.5, "use 0.49")
         require_range("prestrain", self.prestrain, 0.0, 1.0, "use 0 for a cut that stays closed")
 
-    def stiffness_N_m(self, blade: Blade) -> float:
-        """Return the stiffness of the tissue under the blade's lower end [N/m].
 
-        It is that of a rigid elliptical punch on a half space, pi E* a / K(e) with half axes a and
-        b, e² = 1 - b²/a² and K the complete elliptic integral (Johnson 1985). It is used in all
-        directions and does not change with the depth of the cut.
-        """
-        modulus = self.young_Pa / (1.0 - self.poisson_ratio**2)
-        flat = 1.0 - (blade.thickness_m / blade.width_m) ** 2
-        return pi * modulus * 0.5 * blade.width_m / float(ellipk(flat))
+def punch_stiffness_N_m(blade: Blade, *, young_Pa: float, poisson_ratio: float) -> float:
+    """Return the stiffness of a half space under the blade's lower end [N/m].
+
+    It is that of a rigid elliptical punch, pi E* a / K(e) with half axes a and b, e² = 1 - b²/a²
+    and K the complete elliptic integral (Johnson 1985).
+    """
+    modulus = young_Pa / (1.0 - poisson_ratio**2)
+    flat = 1.0 - (blade.thickness_m / blade.width_m) ** 2
+    return pi * modulus * 0.5 * blade.width_m / float(ellipk(flat))
 
 
-def incised_tissue(name: str, *, constants: Materials = Materials.cited) -> IncisedTissue:
-    """Return a tissue with its constants in `soft.toml`."""
+def secant_stiffness_N_m(force_N: float, *, constants: Materials) -> float:
+    """Return the secant stiffness of the needle's liver at a force [N/m].
+
+    The small-strain modulus of liver is not used: under a blade it would give way by centimetres,
+    several times as much as the liver under the needle (`tissue.models.needle.parameters`).
+    """
+    liver = constants.constants("needle", "liver")
+    deflection = positive_root(
+        1e6 * liver["quadratic_N_mm2"].value, 1e3 * liver["linear_N_mm"].value, force_N
+    )
+    return force_N / deflection
+
+
+def incised_tissue(
+    name: str, blade: Blade, *, constants: Materials = Materials.cited
+) -> IncisedTissue:
+    """Return a tissue with its constants in `soft.toml`.
+
+    Skin has the stiffness of a half space. Liver has that of the needle's liver at the force that
+    cuts along the whole width of the blade.
+    """
     found = {key: entry.value for key, entry in constants.constants("soft", name).items()}
+    young = 1e3 * found["modulus_kPa"]
+    toughness = found["toughness_J_m2"]
+    if name == "liver":
+        stiffness = secant_stiffness_N_m(toughness * blade.width_m, constants=constants)
+    else:
+        stiffness = punch_stiffness_N_m(
+            blade, young_Pa=young, poisson_ratio=found["poisson_ratio"]
+        )
     return IncisedTissue(
         name=name,
-        toughness_J_m2=found["toughness_J_m2"],
+        toughness_J_m2=toughness,
         friction_Pa=1e3 * found["blade_friction_kPa"],
-        young_Pa=1e3 * found["modulus_kPa"],
+        stiffness_N_m=stiffness,
+        young_Pa=young,
         poisson_ratio=found["poisson_ratio"],
         prestrain=found["prestrain"],
     )

@@ -196,9 +196,10 @@ def incised(scene: Scene) -> float:
     from tissue.models.incision.parameters import incised_tissue
 
     assert isinstance(scene.anatomy, IncisedAnatomy)
-    tissue = incised_tissue(scene.anatomy.material, constants=scene.constants)
+    blade = blade_of(scene)
+    tissue = incised_tissue(scene.anatomy.material, blade, constants=scene.constants)
     motion = motion_of(scene, step_s=TICK_S)
-    return _largest(motion, IncisionModel(tissue, blade_of(scene)), POSES)
+    return _largest(motion, IncisionModel(tissue, blade), POSES)
 
 
 def _largest(motion: Motion, tissue: TissueModel, poses: int) -> float:

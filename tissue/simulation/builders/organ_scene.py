@@ -114,8 +114,8 @@ def incised(
 
     anatomy = scene.anatomy
     assert isinstance(anatomy, IncisedAnatomy)
-    tissue = incised_tissue(anatomy.material, constants=scene.constants)
     blade = blade_of(scene)
+    tissue = incised_tissue(anatomy.material, blade, constants=scene.constants)
     notes = {
         "blade": f"{tissue.toughness_J_m2:g} J/m2 of cut area in {tissue.name}; the blade's back "
         "and sides cut too; relaxation, speed and layers are not modelled"
