@@ -206,6 +206,11 @@ class Cut:
             gap = (depth_m - start_l) - self._slope * moved - float(under[touched].sum()) / count
             # Parts of columns at the ends of the edge count as their neighbours.
             width = count + touched[0] * (low - begin) + touched[-1] * (end - high)
+            surface = self._surface(along_m, depth_m)
+            crossed = floor(surface) - low
+            if 0 <= crossed < len(under) and touched[crossed]:
+                dry = surface % 1.0 if self._slope > 0.0 else 1.0 - surface % 1.0
+                width -= dry
             edge = self._side(width * spacing, gap)
         last = depth_m + self._slope * self.width_m
         front = self._beside(new[high:], last, first + len(new), moved)
@@ -244,14 +249,20 @@ class Cut:
         end = depth_m + self._slope * self.width_m
         cover[0] = (1.0 - inside) * self._mean(depth_m, (1.0 - inside) * spacing)
         cover[-1] = inside * self._mean(end - self._slope * inside * spacing, inside * spacing)
-        if depth_m * end < 0.0:
-            # An edge that leaves the tissue within a column covers a triangle.
-            left = floor(inside - depth_m / (self._slope * spacing))
-            if 0 < left < COLUMNS:
-                at = depth_m + self._slope * (left - inside) * spacing
-                cover[left] = self._mean(at, spacing)
+        # An edge that leaves the tissue within a column covers a triangle.
+        crossed = floor(self._surface(along_m, depth_m))
+        if 0 < crossed < COLUMNS:
+            at = depth_m + self._slope * (crossed - inside) * spacing
+            cover[crossed] = self._mean(at, spacing)
         begin = first - self._first
         return cover, self._cut[begin : begin + COLUMNS + 1], first
+
+    def _surface(self, along_m: float, depth_m: float) -> float:
+        """Return where the edge leaves the tissue, in columns from the first one; -1 if it does not.
+        """
+        if depth_m * (depth_m + self._slope * self.width_m) >= 0.0:
+            return -1.0
+        return along_m / self._spacing_m % 1.0 - depth_m / (self._slope * self._spacing_m)
 
     def _mean(self, depth_m: float, width_m: float) -> float:
         """Return the mean depth [m] in the tissue of a part of the edge from its first depth on."""
