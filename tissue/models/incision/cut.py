@@ -1,7 +1,6 @@
 """Plane cut of a straight edge: cut area, parted walls, and the balance of a blade on tissue."""
 
 from math import floor, hypot
-from typing import NamedTuple
 
 import numpy as np
 
@@ -18,31 +17,11 @@ column's width over the depth, 0.2 % of a depth that equals the blade's width.
 """
 CHUNK = 4 * COLUMNS
 """Number of columns by which the stored part of a cut grows."""
-TOUCH_M = 1e-9
-"""Distance from the bottom of the cut at which an edge touches it [m]: far above rounding."""
-TRIALS = 2
-"""Largest number of trials of a step; two are usual."""
-SWEEPS = 20
-"""Largest number of sweeps of the search for a balance, which starts from the last one."""
+SWEEPS = 12
+"""Number of sweeps over edge and sides in the search for a balance, which starts from the last one.
 
-
-class _Side(NamedTuple):
-    """Resistance of the tissue in front of a side of the blade.
-
-    Attributes
-    ----------
-    force_N
-        Force on the side while it cuts, per its travel into the tissue [N].
-    gap_m
-        Travel before it reaches uncut tissue [m].
-    """
-
-    force_N: float
-    gap_m: float
-
-
-NOTHING = (_Side(0.0, 0.0),) * 3
-"""Sides of a blade that touches no uncut tissue."""
+For a blade with an edge of 45 degrees each sweep halves the error of a force.
+"""
 
 
 class Cut:
@@ -99,12 +78,12 @@ class Cut:
         self._first = -CHUNK
         self._cut, self._touching = np.zeros((2, 2 * CHUNK))
         self._window = 0
-        # Edge, front and back: the travel of each per travel along the surface and out of it.
+        # Travel of the edge into the tissue, per travel of the blade along the surface and out of it.
         lean = self._sine / self._cosine
-        edge = -self._slope, self._slope * lean - 1.0 / self._cosine
-        self._ways = edge, (1.0, -lean), (-1.0, lean)
-        self._sides = NOTHING
-        self._shares = [0.0, 0.0, 0.0]
+        self._edge = -self._slope, self._slope * lean - 1.0 / self._cosine
+        self._side = 1.0, -lean
+        self._forces_N = (0.0, 0.0)
+        self._moved_m = 0.0
         self.place_m = (0.0, 0.0)
         self.pull_N = (0.0, 0.0)
         self.area_m2 = 0.0
@@ -125,7 +104,8 @@ class Cut:
         """Put the blade onto the surface."""
         self.place_m = (along_m, -self.deepest_m(0.0))
         self.pull_N = (0.0, 0.0)
-        self._sides = NOTHING
+        self._forces_N = (0.0, 0.0)
+        self._moved_m = 0.0
 
     def advance(self, along_m: float, depth_m: float) -> None:
         """Move the tool to a position, and the blade in the tissue to its balance."""
@@ -134,14 +114,21 @@ class Cut:
         # Stretch in orthogonal directions: along the surface and out of it.
         out = -(depth_m - start_l) * self._cosine
         across = (along_m - start_s) - (depth_m - start_l) * self._sine
+        edge = self._gaps_m(hypot(*self._edge) * hypot(across, out))
+        moved_across, moved_out = self._moved(across, out, *edge)
+        # Friction acts against the motion that there would be without it.
+        moved = hypot(moved_across, moved_out)
         rubbing = 2.0 * self._tissue.friction_Pa * self.touching_m2
-        for _ in range(TRIALS):
-            moved_across, moved_out = self._moved(across, out, rubbing)
-            deeper = -moved_out / self._cosine
-            place = start_s + moved_across + deeper * self._sine, start_l + deeper
-            self._sides = self._sides_at(*place)
-        self.friction_J += rubbing * hypot(moved_across, moved_out)
-        self._part(*place)
+        share = min(rubbing / (stiffness * moved), 1.0) if moved > 0.0 else 0.0
+        if share > 0.0:
+            sense = moved_across / moved, moved_out / moved
+            moved_across, moved_out = self._moved(
+                across - share * moved_across, out - share * moved_out, *edge
+            )
+            self.friction_J += rubbing * (moved_across * sense[0] + moved_out * sense[1])
+        deeper = -moved_out / self._cosine
+        self._moved_m = moved_across + deeper * self._sine
+        self._part(start_s + self._moved_m, start_l + deeper)
         self.pull_N = -stiffness * (across - moved_across), -stiffness * (out - moved_out)
 
     def profile_m(self) -> tuple[Array, Array]:
@@ -150,91 +137,99 @@ class Cut:
         cut = self._cut > 0.0
         return middles[cut], self._cut[cut]
 
-    def _moved(self, across_m: float, out_m: float, rubbing_N: float) -> tuple[float, float]:
-        """Return the travel through the tissue, along the surface and out of it [m].
+    def _moved(
+        self, across_m: float, out_m: float, gaps_m: Array, widths_m: Array
+    ) -> tuple[float, float]:
+        """Return the travel through the tissue that minimises the energy without friction [m].
 
-        It minimises the energy with the resistance of the sides linear beyond their gaps. The
-        unknowns are the shares, from 0 to 1, of the forces at which the sides cut.
+        It is that along the surface and out of it. The resistance of the edge depends on its travel
+        into the tissue alone, that of front and back on the travel along the surface. Their forces
+        are found in turn.
         """
         stiffness = self._tissue.stiffness_N_m
-        shares = self._shares
-        pushes = list(zip(self._ways, self._sides, strict=True))
-        for index, ((way_across, way_out), side) in enumerate(pushes):
-            push = shares[index] * side.force_N / stiffness
-            across_m -= push * way_across
-            out_m -= push * way_out
-        for _ in range(SWEEPS):
-            largest = 0.0
-            for index, ((way_across, way_out), side) in enumerate(pushes):
-                if side.force_N == 0.0:
-                    shares[index] = 0.0
-                    continue
-                excess = across_m * way_across + out_m * way_out - side.gap_m
-                push = side.force_N / stiffness
-                share = shares[index] + excess / (push * (way_across**2 + way_out**2))
-                push *= min(max(share, 0.0), 1.0) - shares[index]
-                shares[index] = min(max(share, 0.0), 1.0)
-                across_m -= push * way_across
-                out_m -= push * way_out
-                largest = max(largest, abs(push))
-            if largest <= TOUCH_M:
-                break
-        # Friction takes its part of the force that is left.
-        left = stiffness * hypot(across_m, out_m)
-        kept = max(1.0 - rubbing_N / left, 0.0) if left > 0.0 else 0.0
-        return kept * across_m, kept * out_m
+        scale = self._tissue.toughness_J_m2 * self._cosine / stiffness
+        edge_across, edge_out = self._edge
+        side_across, side_out = self._side
+        edge_square = edge_across**2 + edge_out**2
+        side_square = side_across**2 + side_out**2
+        count = len(gaps_m)
+        # Stretches across the edge at which its travel is that of a gap.
+        held = scale * edge_square * np.cumsum(widths_m)
+        bounds = gaps_m + held - 0.5 * scale * edge_square * widths_m
+        edge_N, side_N = self._forces_N
+        for _ in range(SWEEPS if count else 1):
+            left_across = across_m - side_N / stiffness * side_across
+            left_out = out_m - side_N / stiffness * side_out
+            stretch = left_across * edge_across + left_out * edge_out
+            travel = stretch
+            if count and stretch > gaps_m[0]:
+                travel = max(stretch - float(held[-1]), float(np.interp(stretch, bounds, gaps_m)))
+            edge_N = (stretch - travel) * stiffness / edge_square
+            left_across = across_m - edge_N / stiffness * edge_across
+            left_out = out_m - edge_N / stiffness * edge_out
+            stretch = left_across * side_across + left_out * side_out
+            travel = self._along_m(stretch, scale * side_square)
+            side_N = (stretch - travel) * stiffness / side_square
+        self._forces_N = edge_N, side_N
+        push = edge_N / stiffness, side_N / stiffness
+        return (
+            across_m - push[0] * edge_across - push[1] * side_across,
+            out_m - push[0] * edge_out - push[1] * side_out,
+        )
 
-    def _sides_at(self, along_m: float, depth_m: float) -> tuple[_Side, _Side, _Side]:
-        """Return the resistance of edge, front and back for a trial place of the blade.
+    def _gaps_m(self, reach_m: float) -> tuple[Array, Array]:
+        """Return travels of the edge to uncut tissue, up to a reach, in rising order [m].
 
-        The edge cuts what the blade covers before and after the step, front and back the rest.
+        The second array has the widths of the parts of the edge. Columns that the tip or the end of
+        the edge will have passed at the end of the step, if the blade moves as in the last one, are
+        left out.
         """
-        start_s, start_l = self.place_m
+        along, depth = self.place_m
         spacing = self._spacing_m
-        cover, held, first = self._covered(along_m, depth_m)
-        new = cover - held
-        moved = along_m - start_s
-        begin = max(along_m, start_s) / spacing - first
-        end = (min(along_m, start_s) + self.width_m) / spacing - first
-        low = max(floor(begin) + 1, 0)
-        high = min(floor(end), len(new))
-        under = new[low:high]
-        touched = (under >= -TOUCH_M) & (cover[low:high] > 0.0)
-        count = int(np.count_nonzero(touched))
-        edge = _Side(0.0, 0.0)
-        if count:
-            gap = (depth_m - start_l) - self._slope * moved - float(under[touched].sum()) / count
-            # Parts of columns at the ends of the edge count as their neighbours.
-            width = count + touched[0] * (low - begin) + touched[-1] * (end - high)
-            surface = self._surface(along_m, depth_m)
-            crossed = floor(surface) - low
-            if 0 <= crossed < len(under) and touched[crossed]:
-                dry = surface % 1.0 if self._slope > 0.0 else 1.0 - surface % 1.0
-                width -= dry
-            edge = self._side(width * spacing, gap)
-        last = depth_m + self._slope * self.width_m
-        front = self._beside(new[high:], last, first + len(new), moved)
-        back = self._beside(new[:low], depth_m, first - 1, -moved)
-        return edge, front, back
+        begin = (along + max(self._moved_m, 0.0)) / spacing
+        end = (along + min(self._moved_m, 0.0)) / spacing + COLUMNS
+        first = floor(begin) + 1
+        count = floor(end) - first
+        if count < 1:
+            return np.zeros(0), np.zeros(0)
+        self._grow(first - 1, first + count)
+        columns = slice(first - self._first, first - self._first + count)
+        # At the middle of the first whole column.
+        start = depth + self._slope * ((first + 0.5) * spacing - along)
+        gaps = self._cut[columns] - self._rises[:count] - start
+        widths = np.full(count, spacing)
+        # Parts of columns at the ends of the edge count as their neighbours.
+        widths[0] += (first - begin) * spacing
+        widths[-1] += (end - first - count) * spacing
+        near = gaps < reach_m
+        order = np.argsort(gaps[near], kind="stable")
+        return gaps[near][order], widths[near][order]
 
-    def _beside(self, new: Array, depth_m: float, column: int, travel_m: float) -> _Side:
-        """Return the resistance of the front or the back, with the depth of its lower end [m].
+    def _along_m(self, stretch_m: float, compliance: float) -> float:
+        """Return the travel along the surface at which front or back holds the rest of a stretch [m].
 
-        ``new`` is the covered less the cut depth of the columns that it has reached [m], ``column``
-        is the next one.
+        ``compliance`` is the stretch that each length of a side in uncut tissue holds.
         """
-        ahead = column - self._first
-        uncut = max(depth_m, 0.0)
-        if 0 <= ahead < len(self._cut):
-            uncut -= float(self._cut[ahead])
-        if uncut <= TOUCH_M:
-            return _Side(0.0, 0.0)
-        fresh = float(np.maximum(new, 0.0).sum()) * self._spacing_m
-        return self._side(uncut, max(travel_m - fresh / uncut, 0.0))
-
-    def _side(self, length_m: float, gap_m: float) -> _Side:
-        """Return the resistance of a side with a length in uncut tissue."""
-        return _Side(self._tissue.toughness_J_m2 * self._cosine * length_m, gap_m)
+        along, depth = self.place_m
+        spacing = self._spacing_m
+        sense = 1 if stretch_m > 0.0 else -1
+        at = along / spacing
+        if sense > 0:
+            at += COLUMNS
+            depth += self._slope * self.width_m
+        # The column that the side is in is cut behind it, and as deep as the next one before it.
+        column = floor(at) + sense
+        bound = abs((column + (sense < 0)) - at) * spacing
+        reached = 0.0
+        while True:
+            index = column - self._first
+            held = float(self._cut[index]) if 0 <= index < len(self._cut) else 0.0
+            left = abs(stretch_m) - compliance * max(depth - held, 0.0)
+            if left <= bound + spacing:
+                return sense * max(left, reached)
+            column += sense
+            bound += spacing
+            reached = bound
 
     def _covered(self, along_m: float, depth_m: float) -> tuple[Array, Array, int]:
         """Return the columns under the blade: covered and cut mean depth [m], and the first one."""
@@ -249,20 +244,14 @@ class Cut:
         end = depth_m + self._slope * self.width_m
         cover[0] = (1.0 - inside) * self._mean(depth_m, (1.0 - inside) * spacing)
         cover[-1] = inside * self._mean(end - self._slope * inside * spacing, inside * spacing)
-        # An edge that leaves the tissue within a column covers a triangle.
-        crossed = floor(self._surface(along_m, depth_m))
-        if 0 < crossed < COLUMNS:
-            at = depth_m + self._slope * (crossed - inside) * spacing
-            cover[crossed] = self._mean(at, spacing)
+        if depth_m * end < 0.0:
+            # An edge that leaves the tissue within a column covers a triangle.
+            crossed = floor(inside - depth_m / (self._slope * spacing))
+            if 0 < crossed < COLUMNS:
+                at = depth_m + self._slope * (crossed - inside) * spacing
+                cover[crossed] = self._mean(at, spacing)
         begin = first - self._first
         return cover, self._cut[begin : begin + COLUMNS + 1], first
-
-    def _surface(self, along_m: float, depth_m: float) -> float:
-        """Return where the edge leaves the tissue, in columns from the first one; -1 if it does not.
-        """
-        if depth_m * (depth_m + self._slope * self.width_m) >= 0.0:
-            return -1.0
-        return along_m / self._spacing_m % 1.0 - depth_m / (self._slope * self._spacing_m)
 
     def _mean(self, depth_m: float, width_m: float) -> float:
         """Return the mean depth [m] in the tissue of a part of the edge from its first depth on."""
