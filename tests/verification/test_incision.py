@@ -109,10 +109,10 @@ def test_a_pointed_blade_pushed_in_resists_with_its_width_at_the_surface(edge_de
     """F = J l tan(a) + tau l² tan(a), until the edge is in as a whole."""
     driven = Driven(blade(12.0, edge_deg))
     tangent = np.tan(np.radians(edge_deg))
-    for depth_mm in (1.0, 2.0, 4.0):
-        force = driven.go((0, 0, -depth_mm))
+    for wide_mm in (2.0, 4.0, 8.0):
+        force = driven.go((0, 0, -wide_mm / tangent))
         deep = driven.cut.place_m[1]
-        assert deep * tangent < 12e-3
+        assert 1e-3 < deep * tangent < 12e-3
         expected = J * deep * tangent + TAU * deep**2 * tangent
         assert force[2] == pytest.approx(expected, rel=WITHIN)
 
