@@ -201,6 +201,8 @@ class Cut:
         # Parts of columns at the ends of the edge count as their neighbours.
         widths[0] += (first - begin) * spacing
         widths[-1] += (end - first - count) * spacing
+        # Rounded to a picometre, so that equal gaps stay in the order of the columns.
+        gaps = np.round(gaps, 12)
         near = gaps < reach_m
         order = np.argsort(gaps[near], kind="stable")
         return gaps[near][order], widths[near][order]
@@ -231,52 +233,31 @@ class Cut:
             bound += spacing
             reached = bound
 
-    def _covered(self, along_m: float, depth_m: float) -> tuple[Array, Array, int]:
-        """Return the columns under the blade: covered and cut mean depth [m], and the first one."""
+    def _part(self, along_m: float, depth_m: float) -> None:
+        """Put the blade at a position in the tissue: cut, and part the walls that it leaves."""
         spacing = self._spacing_m
         first = floor(along_m / spacing)
         self._grow(first, first + COLUMNS + 1)
-        # The blade covers the last part of the first column, and the first part of the last one.
-        inside = along_m / spacing - first
-        # Depths at the middles of the columns.
-        cover = self._rises + (depth_m + self._slope * (0.5 - inside) * spacing)
-        np.maximum(cover, 0.0, out=cover)
-        end = depth_m + self._slope * self.width_m
-        cover[0] = (1.0 - inside) * self._mean(depth_m, (1.0 - inside) * spacing)
-        cover[-1] = inside * self._mean(end - self._slope * inside * spacing, inside * spacing)
-        if depth_m * end < 0.0:
-            # An edge that leaves the tissue within a column covers a triangle.
-            crossed = floor(inside - depth_m / (self._slope * spacing))
-            if 0 < crossed < COLUMNS:
-                at = depth_m + self._slope * (crossed - inside) * spacing
-                cover[crossed] = self._mean(at, spacing)
-        begin = first - self._first
-        return cover, self._cut[begin : begin + COLUMNS + 1], first
-
-    def _mean(self, depth_m: float, width_m: float) -> float:
-        """Return the mean depth [m] in the tissue of a part of the edge from its first depth on."""
-        end = depth_m + self._slope * width_m
-        top = max(depth_m, end)
-        bottom = min(depth_m, end)
-        if bottom >= 0.0 or top <= 0.0:
-            return max(0.5 * (top + bottom), 0.0)
-        return 0.5 * top * top / (top - bottom)
-
-    def _part(self, along_m: float, depth_m: float) -> None:
-        """Put the blade at a position in the tissue: cut, and part the walls that it leaves."""
-        cover, held, first = self._covered(along_m, depth_m)
+        # Parts of the edge in each column: depths at their ends, and mean depth in the tissue.
+        bounds = np.arange(first, first + COLUMNS + 2) * spacing - along_m
+        np.clip(bounds, 0.0, self.width_m, out=bounds)
+        depths = depth_m + self._slope * bounds
+        bottom = np.minimum(depths[1:], depths[:-1])
+        top = np.maximum(np.maximum(depths[1:], depths[:-1]), 0.0)
+        # The edge covers a triangle where it leaves the tissue; 1e-300 avoids a division by zero.
+        mean = np.where(bottom >= 0.0, top + bottom, top**2 / np.maximum(top - bottom, 1e-300))
+        cover = 0.5 * mean * np.diff(bounds) / spacing
+        now = slice(first - self._first, first - self._first + len(cover))
+        held = self._cut[now]
         fresh = np.maximum(cover - held, 0.0)
-        begin = first - self._first
-        now = slice(begin, begin + len(cover))
-        left = np.minimum(self._touching[now], cover)
+        touching = np.minimum(self._touching[now], cover) + fresh
         self._touching[self._window - self._first :][: len(cover)] = 0.0
-        self._touching[now] = left + fresh
-        held += fresh
+        self._touching[now] = touching
         self._window = first
-        passed = self._passed(along_m, depth_m)
-        scale = self._cosine * self._spacing_m
-        self.area_m2 += scale * (float(fresh.sum()) + passed)
-        self.touching_m2 = scale * float(self._touching[now].sum())
+        held += fresh
+        added = float(fresh.sum()) + self._passed(along_m, depth_m)
+        self.area_m2 += self._cosine * spacing * added
+        self.touching_m2 = self._cosine * spacing * float(touching.sum())
         self.place_m = (along_m, depth_m)
 
     def _passed(self, along_m: float, depth_m: float) -> float:
@@ -307,4 +288,3 @@ class Cut:
             self._cut = np.pad(self._cut, (before, after))
             self._touching = np.pad(self._touching, (before, after))
             self._first -= before
-

@@ -97,11 +97,15 @@ def _half(track: Track) -> tuple[TetMesh, Array, Array]:
     aside = graded(0.0, SIDE_M, edge, GROWTH)
     down = deep / DEEP
     x = np.concatenate([low - aside[:0:-1], np.linspace(low, high, ALONG + 1), high + aside[1:]])
-    z = np.concatenate([np.linspace(0.0, deep, DEEP + 1), deep + graded(0.0, SIDE_M, down, GROWTH)[1:]])
+    z = np.concatenate(
+        [np.linspace(0.0, deep, DEEP + 1), deep + graded(0.0, SIDE_M, down, GROWTH)[1:]]
+    )
     z = -z[::-1]
     mesh = grid(x, aside, z)
     nodes = np.flatnonzero(mesh.nodes_m[:, 1] == 0.0)
-    share = [0.5 * (np.diff(axis, append=axis[-1]) + np.diff(axis, prepend=axis[0])) for axis in (x, z)]
+    share = [
+        0.5 * (np.diff(axis, append=axis[-1]) + np.diff(axis, prepend=axis[0])) for axis in (x, z)
+    ]
     at = mesh.nodes_m[nodes]
     areas = share[0][np.searchsorted(x, at[:, 0])] * share[1][np.searchsorted(z, at[:, 2])]
     return mesh, nodes, areas
@@ -156,7 +160,9 @@ class IncisionFields:
             if abs(aside) <= NEAR_M
             for middles, depths in [cut.profile_m()]
         ]
-        middles, depths = (np.concatenate(each) for each in zip(*near, strict=True)) if near else np.zeros((2, 0))
+        middles, depths = (
+            (np.concatenate(each) for each in zip(*near, strict=True)) if near else np.zeros((2, 0))
+        )
         self._kept.append((time_s, middles, depths))
 
     @property

@@ -9,6 +9,7 @@ from tissue.fem.fields import FieldSeries
 from tissue.models.incision.cut import Cut
 from tissue.models.incision.fields import IncisionFields
 from tissue.models.incision.parameters import Blade, IncisedTissue
+from tissue.models.needle.parameters import LEAST_COSINE
 from tissue.models.tissue_model import Response, ToolMotion
 
 __all__ = ["IncisionModel"]
@@ -18,13 +19,6 @@ PLAY_M = 1e-3
 
 About half the width of an open cut; chosen. A larger one lets the blade wander further without a
 force. A smaller one makes a second pass by hand start a cut beside the first.
-"""
-SAME = 0.996
-"""Smallest cosine between the directions of a blade and of a cut that it enters: 5 degrees, chosen.
-"""
-LEAST_COSINE = 0.2
-"""Smallest cosine between the blade's axis and the surface normal, and smallest sine between the
-blade's plane and the surface: 12 degrees, chosen. A flatter blade slides on the surface.
 """
 
 
@@ -177,18 +171,17 @@ class IncisionModel:
         if axis[2] < LEAST_COSINE or 1.0 - across[2] ** 2 < LEAST_COSINE**2:
             raise InputError(
                 "the blade",
-                "meet the surface at more than 12 degrees",
+                "meet the surface at more than 10 degrees",
                 f"an axis with a cosine of {axis[2]:.2f} to its normal",
                 "point the blade into the tissue",
             )
-        entry = motion.tip_m - motion.tip_m[2] / axis[2] * axis
+        new = Cut(self.tissue, self.blade, motion.tip_m, motion.rotation)
         for cut in self.cuts:
-            along, _, aside = cut.coordinates_m(entry)
-            same = min(float(axis @ cut.axis), float(across @ cut.across))
-            if abs(aside) <= PLAY_M and same >= SAME:
+            along, _, aside = cut.coordinates_m(new.origin_m)
+            end = cut.coordinates_m(new.origin_m + self.blade.width_m * new.along)
+            if max(abs(aside), abs(end[2])) <= PLAY_M and end[0] > along:
                 cut.enter(along)
                 return cut
-        cut = Cut(self.tissue, self.blade, motion.tip_m, motion.rotation)
-        cut.enter(0.0)
-        self.cuts.append(cut)
-        return cut
+        new.enter(0.0)
+        self.cuts.append(new)
+        return new

@@ -124,9 +124,7 @@ def incised_tissue(
     if name == "liver":
         stiffness = secant_stiffness_N_m(toughness * blade.width_m, constants=constants)
     else:
-        stiffness = punch_stiffness_N_m(
-            blade, young_Pa=young, poisson_ratio=found["poisson_ratio"]
-        )
+        stiffness = punch_stiffness_N_m(blade, young_Pa=young, poisson_ratio=found["poisson_ratio"])
     return IncisedTissue(
         name=name,
         toughness_J_m2=toughness,

@@ -151,7 +151,12 @@ def _plate(blade: Blade) -> "pyvista.PolyData":
 
     end_mm = blade.width_mm / np.tan(np.radians(blade.edge_deg))
     outline = np.array(
-        [[0.0, 0.0], [blade.width_mm, end_mm], [blade.width_mm, end_mm + BLADE_MM], [0.0, end_mm + BLADE_MM]]
+        [
+            [0.0, 0.0],
+            [blade.width_mm, end_mm],
+            [blade.width_mm, end_mm + BLADE_MM],
+            [0.0, end_mm + BLADE_MM],
+        ]
     )
     at = np.insert(outline, 1, -0.5 * blade.thickness_mm, axis=1)
     side = pyvista.PolyData.from_regular_faces(at, [[0, 1, 2, 3]]).triangulate()
