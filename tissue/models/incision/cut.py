@@ -7,7 +7,7 @@ import numpy as np
 from meshes.base.arrays import Array
 from tissue.models.incision.parameters import Blade, IncisedTissue
 
-__all__ = ["Cut"]
+__all__ = ["COLUMNS", "Cut"]
 
 COLUMNS = 512
 """Number of columns across a blade that store the cut.
@@ -70,10 +70,12 @@ class Cut:
         self.up = np.cross(self.along, self.across)
         self._sine = float(self.axis @ self.along)
         self._cosine = float(self.axis @ self.up)
-        self.origin_m = tip_m - tip_m[2] / self.axis[2] * self.axis
         self.width_m = blade.width_m / self._cosine
         self._slope = self._sine - self._cosine * blade.rise
         self._spacing_m = self.width_m / COLUMNS
+        # The tip enters in the middle of a column, so that rounding does not move it to the next.
+        entry = tip_m - tip_m[2] / self.axis[2] * self.axis
+        self.origin_m = entry - 0.5 * self._spacing_m * self.along
         self._rises = self._slope * self._spacing_m * np.arange(COLUMNS + 1)
         self._first = -CHUNK
         self._cut, self._touching = np.zeros((2, 2 * CHUNK))

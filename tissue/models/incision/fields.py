@@ -21,7 +21,7 @@ from meshes.tets.tetrahedra import TetMesh
 from tissue.fem.fields import FieldSeries, Frame
 from tissue.fem.solvers.direct import DirectSolver
 from tissue.materials.elasticity import lame
-from tissue.models.incision.cut import Cut
+from tissue.models.incision.cut import COLUMNS, Cut
 from tissue.models.incision.parameters import Blade, IncisedTissue
 from tissue.models.organ.fields import OrganFields
 from tissue.models.organ.soft_organ import SoftOrgan
@@ -191,9 +191,11 @@ class IncisionFields:
         if not len(middles):
             return np.zeros(len(at), bool)
         order = np.argsort(middles)
-        depth = np.interp(at[:, 0], middles[order], depths[order], left=0.0, right=0.0)
-        # The deepest nodes lie at the planned depth, up to rounding; they stay together.
-        return -at[:, 2] < depth * float(self._track.cut.axis[2]) - 1e-9
+        # Nodes at the ends and at the bottom of a planned cut lie on its edge up to rounding. They
+        # stay together, because the cut has to reach a column beyond a node.
+        beyond = self._track.cut.width_m / COLUMNS * np.array([[-1.0], [1.0]])
+        depth = np.interp(at[:, 0] + beyond, middles[order], depths[order], left=0.0, right=0.0)
+        return -at[:, 2] < depth.min(axis=0) * float(self._track.cut.axis[2]) - 1e-9
 
     def _forces_N(self, is_open: Flags) -> Array:
         """Return normal forces [N] that open the cut and hold the rest of the plane together."""

@@ -182,6 +182,6 @@ class IncisionModel:
             if max(abs(aside), abs(end[2])) <= PLAY_M and end[0] > along:
                 cut.enter(along)
                 return cut
-        new.enter(0.0)
+        new.enter(new.coordinates_m(motion.tip_m)[0])
         self.cuts.append(new)
         return new
