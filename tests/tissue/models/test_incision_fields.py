@@ -1,5 +1,7 @@
 """Opening of a cut: split mesh, width against an edge crack, frames, what is not drawn."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -32,7 +34,7 @@ def cut_along(corners_m, rotation, *, planned_m=None):
     motion = ToolMotion(tip_m=corners_m[0].copy(), rotation=rotation)
     model.place(motion)
     model.start_background(0.0, motion)
-    for start, end in zip(corners_m, corners_m[1:], strict=False):
+    for start, end in pairwise(corners_m):
         count = max(round(np.linalg.norm(end - start) / 5e-5), 1)
         for share in np.arange(1, count + 1) / count:
             motion.tip_m[:] = start + share * (end - start)
@@ -109,7 +111,7 @@ def test_a_block_follows_a_leaning_blade():
 
 def test_a_cut_beside_the_planned_one_is_drawn_there_if_it_is_near():
     for aside_m, drawn in ((0.5 * NEAR_M, True), (1.5 * NEAR_M, False)):
-        found = cut_along(CORNERS_M + [0.0, aside_m, 0.0], np.eye(3), planned_m=CORNERS_M)
+        found = cut_along(CORNERS_M + np.array([0.0, aside_m, 0.0]), np.eye(3), planned_m=CORNERS_M)
         assert found.frames[1].points["displacement_mm"].any() == drawn
 
 

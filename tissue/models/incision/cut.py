@@ -18,9 +18,10 @@ column's width over the depth, 0.2 % of a depth that equals the blade's width.
 CHUNK = 4 * COLUMNS
 """Number of columns by which the stored part of a cut grows."""
 SWEEPS = 12
-"""Number of sweeps over edge and sides in the search for a balance, which starts from the last one.
+SETTLED_N = 1e-8
+"""Largest number of sweeps over edge and sides in the search for a balance, and its error [N].
 
-For a blade with an edge of 45 degrees each sweep halves the error of a force.
+It starts from the last balance. For an edge of 45 degrees each sweep halves the error.
 """
 
 
@@ -29,9 +30,9 @@ class Cut:
 
     A point of the plane has the coordinates s along the surface and l along the blade's axis, into
     the tissue. The blade covers everything above its straight edge, so the cut is the region above
-    a depth profile over s. Columns of equal width hold its mean depth, and the part of it whose walls
-    still touch the blade. Walls touch from the cut on. They part as soon as the blade uncovers
-    them, and then stay apart.
+    a depth profile over s. Columns of equal width hold its mean depth, and the part of it whose
+    walls still touch the blade. Walls touch from the cut on. They part as soon as the blade
+    uncovers them, and then stay apart.
 
     Only the blade carries the tissue, as in `tissue.models.needle.model.Insertion`. With u the
     vector from the blade's position q in the tissue to the tool, in the plane of the cut, the
@@ -80,7 +81,7 @@ class Cut:
         self._first = -CHUNK
         self._cut, self._touching = np.zeros((2, 2 * CHUNK))
         self._window = 0
-        # Travel of the edge into the tissue, per travel of the blade along the surface and out of it.
+        # Travel of edge and sides into the tissue, per travel along the surface and out of it.
         lean = self._sine / self._cosine
         self._edge = -self._slope, self._slope * lean - 1.0 / self._cosine
         self._side = 1.0, -lean
@@ -156,10 +157,10 @@ class Cut:
         side_square = side_across**2 + side_out**2
         count = len(gaps_m)
         # Stretches across the edge at which its travel is that of a gap.
-        held = scale * edge_square * np.cumsum(widths_m)
+        held = scale * edge_square * widths_m.cumsum()
         bounds = gaps_m + held - 0.5 * scale * edge_square * widths_m
         edge_N, side_N = self._forces_N
-        for _ in range(SWEEPS if count else 1):
+        for _ in range(SWEEPS):
             left_across = across_m - side_N / stiffness * side_across
             left_out = out_m - side_N / stiffness * side_out
             stretch = left_across * edge_across + left_out * edge_out
@@ -171,7 +172,10 @@ class Cut:
             left_out = out_m - edge_N / stiffness * edge_out
             stretch = left_across * side_across + left_out * side_out
             travel = self._along_m(stretch, scale * side_square)
+            before_N = side_N
             side_N = (stretch - travel) * stiffness / side_square
+            if abs(side_N - before_N) <= SETTLED_N:
+                break
         self._forces_N = edge_N, side_N
         push = edge_N / stiffness, side_N / stiffness
         return (
@@ -180,11 +184,11 @@ class Cut:
         )
 
     def _gaps_m(self, reach_m: float) -> tuple[Array, Array]:
-        """Return travels of the edge to uncut tissue, up to a reach, in rising order [m].
+        """Return travels of the edge to uncut tissue in rising order [m].
 
-        The second array has the widths of the parts of the edge. Columns that the tip or the end of
-        the edge will have passed at the end of the step, if the blade moves as in the last one, are
-        left out.
+        The second array has the widths of the parts of the edge, zero beyond a reach. Columns that
+        the tip or the end of the edge will have passed at the end of the step, if the blade moves
+        as in the last one, are left out.
         """
         along, depth = self.place_m
         spacing = self._spacing_m
@@ -204,15 +208,16 @@ class Cut:
         widths[0] += (first - begin) * spacing
         widths[-1] += (end - first - count) * spacing
         # Rounded to a picometre, so that equal gaps stay in the order of the columns.
-        gaps = np.round(gaps, 12)
-        near = gaps < reach_m
-        order = np.argsort(gaps[near], kind="stable")
-        return gaps[near][order], widths[near][order]
+        gaps = gaps.round(12)
+        widths[gaps >= reach_m] = 0.0
+        order = gaps.argsort(kind="stable")
+        return np.minimum(gaps[order], reach_m), widths[order]
 
     def _along_m(self, stretch_m: float, compliance: float) -> float:
-        """Return the travel along the surface at which front or back holds the rest of a stretch [m].
+        """Return the travel along the surface at which front or back holds the rest of a stretch.
 
-        ``compliance`` is the stretch that each length of a side in uncut tissue holds.
+        ``stretch_m`` is the stretch [m], ``compliance`` the part of it that each length of a side
+        in uncut tissue holds.
         """
         along, depth = self.place_m
         spacing = self._spacing_m
@@ -242,7 +247,7 @@ class Cut:
         self._grow(first, first + COLUMNS + 1)
         # Parts of the edge in each column: depths at their ends, and mean depth in the tissue.
         bounds = np.arange(first, first + COLUMNS + 2) * spacing - along_m
-        np.clip(bounds, 0.0, self.width_m, out=bounds)
+        bounds = bounds.clip(0.0, self.width_m)
         depths = depth_m + self._slope * bounds
         bottom = np.minimum(depths[1:], depths[:-1])
         top = np.maximum(np.maximum(depths[1:], depths[:-1]), 0.0)

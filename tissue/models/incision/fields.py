@@ -3,10 +3,10 @@
 The block is linear-elastic and split along the whole plane of the first cut. Where the blade has
 not cut, both faces of the plane stay together. Where it has, they are free, and the stress across
 the cut, E / (1 - nu²) times the prestrain, relaxes: it acts as a traction that pulls them apart.
-The tissue below the block and at its sides along the cut does not move. The opening of a long cut is
-then close to that of an edge crack, 5.8 times prestrain and depth (Tada, Paris and Irwin 2000). The
-pressure of the blade, other cuts and contact of the faces are not shown. No force depends on the
-block.
+The tissue below the block and at its sides along the cut does not move. The opening of a long cut
+is then close to that of an edge crack, 5.8 times prestrain and depth (Tada, Paris and Irwin 2000).
+The pressure of the blade, other cuts and contact of the faces are not shown. No force depends on
+the block.
 """
 
 from collections.abc import Sequence

@@ -26,11 +26,12 @@ class IncisionModel:
     """Tissue under the plane z = 0 that a blade cuts.
 
     In the plane of the blade the force follows `tissue.models.incision.cut.Cut`. The plane and the
-    direction of a cut are those of the blade where it enters. Rotation of a blade inside the tissue
-    has no resistance and no effect. Across its plane a blade does not cut: the tissue pushes it back
-    elastically, beyond `PLAY_M`, the more the deeper the blade is, up to its width. A blade that
-    enters within that distance of an earlier cut, in its direction, moves in that cut. Elsewhere the
-    tissue is intact, cuts that cross included. The force acts at the tip, without a torque.
+    direction of a cut are those of the blade where it first enters. Rotation of a blade inside the
+    tissue has no resistance and no effect. Across its plane a blade does not cut. Beyond `PLAY_M`
+    the tissue pushes it back elastically, with a stiffness that rises with the depth up to the
+    blade's width. A blade that enters within that distance of an earlier cut, along all of its
+    width and in the sense of that cut, moves in it. Elsewhere the tissue is intact, also where cuts
+    cross. The force acts at the tip, without a torque.
 
     Not modelled: relaxation, speed, weight, a back that does not cut, fibres, layers, a tissue that
     moves out of the way as a whole.
@@ -70,7 +71,6 @@ class IncisionModel:
         self.layer_names = (tissue.name,)
         self.start_m3 = np.zeros(1)
         self.removed_m3 = np.zeros(1)
-        self.notices: list[str] = []
         self._response = Response.empty(1, len(self.measure_names))
         self._response.normal[2] = 1.0
 
@@ -113,7 +113,6 @@ class IncisionModel:
         cut.advance(along, depth)
         if cut.deepest_m(cut.place_m[1]) <= 0.0 and self._below_m(motion) <= 0.0:
             self._in = None
-            self.notices.append(f"the blade has left the {self.tissue.name}")
 
     def respond(self, motion: ToolMotion) -> Response:
         """Return the force on the blade."""
@@ -165,7 +164,7 @@ class IncisionModel:
         return -tip - min(self.blade.width_m * edge, 0.0)
 
     def _entered(self, motion: ToolMotion) -> Cut:
-        """Return the cut at the point where the blade meets the surface: an earlier or a new one."""
+        """Return the earlier or new cut at the point where the blade meets the surface."""
         axis = motion.rotation[:, 2]
         across = motion.rotation[:, 1]
         if axis[2] < LEAST_COSINE or 1.0 - across[2] ** 2 < LEAST_COSINE**2:
