@@ -157,7 +157,7 @@ class Cut:
         side_square = side_across**2 + side_out**2
         count = len(gaps_m)
         # Stretches across the edge at which its travel is that of a gap.
-        held = scale * edge_square * widths_m.cumsum()
+        held = np.add.accumulate(scale * edge_square * widths_m)
         bounds = gaps_m + held - 0.5 * scale * edge_square * widths_m
         edge_N, side_N = self._forces_N
         for _ in range(SWEEPS):
