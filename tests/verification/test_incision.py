@@ -57,12 +57,12 @@ class Driven:
         """Visit points and return the last force [N]."""
         for point in points_mm:
             start = self.motion.tip_m.copy()
-            way = 1e-3 * np.array(point, float) - start
-            count = max(round(np.linalg.norm(way) / step_m), 1)
-            self.motion.heading[0] = way / max(np.linalg.norm(way), 1e-300)
+            stroke = 1e-3 * np.array(point, float) - start
+            count = max(round(np.linalg.norm(stroke) / step_m), 1)
+            self.motion.heading[0] = stroke / max(np.linalg.norm(stroke), 1e-300)
             for share in np.arange(1, count + 1) / count:
                 before = self.motion.tip_m.copy()
-                self.motion.tip_m[:] = start + share * way
+                self.motion.tip_m[:] = start + share * stroke
                 self.model.advance(self.motion)
                 force = self.model.respond(self.motion).wrench[:3].copy()
                 self.work_J -= 0.5 * (force + self.force_N) @ (self.motion.tip_m - before)
@@ -120,7 +120,7 @@ def test_a_pointed_blade_pushed_in_resists_with_its_width_at_the_surface(edge_de
 @pytest.mark.parametrize("edge_deg", [30.0, 45.0, 60.0, 90.0])
 @pytest.mark.parametrize("depth_mm", [2.0, 4.0])
 def test_a_slice_resists_with_its_depth_at_any_angle_of_the_edge(edge_deg, depth_mm):
-    """F = J d + 2 tau M along the way, J d cot(a) upwards at a slanting edge.
+    """F = J d + 2 tau M against the motion, J d cot(a) upwards at a slanting edge.
 
     M is the part of the blade's side in the tissue.
     """
@@ -135,15 +135,15 @@ def test_a_slice_resists_with_its_depth_at_any_angle_of_the_edge(edge_deg, depth
         assert force[2] == pytest.approx(J * reached, rel=WITHIN)
 
 
-@pytest.mark.parametrize("way_deg", [15.0, 40.0, 75.0])
-def test_an_oblique_stroke_resists_with_the_area_that_it_cuts(way_deg):
-    """F along the way = J (w sin(b) + d cos(b)) + 2 tau w d at an angle b below the surface."""
+@pytest.mark.parametrize("stroke_deg", [15.0, 40.0, 75.0])
+def test_an_oblique_stroke_resists_with_the_area_that_it_cuts(stroke_deg):
+    """F against the motion = J (w sin(b) + d cos(b)) + 2 tau w d at an angle b below the surface."""
     driven = Driven(blade(4.0))
-    way = np.array([np.cos(np.radians(way_deg)), 0.0, -np.sin(np.radians(way_deg))])
-    force = driven.go((0, 0, -3), np.array([0, 0, -3.0]) + 8.0 * way)
+    stroke = np.array([np.cos(np.radians(stroke_deg)), 0.0, -np.sin(np.radians(stroke_deg))])
+    force = driven.go((0, 0, -3), np.array([0, 0, -3.0]) + 8.0 * stroke)
     deep = driven.cut.place_m[1]
-    expected = J * (4e-3 * -way[2] + deep * way[0]) + 2.0 * TAU * 4e-3 * deep
-    assert -force @ way == pytest.approx(expected, rel=WITHIN)
+    expected = J * (4e-3 * -stroke[2] + deep * stroke[0]) + 2.0 * TAU * 4e-3 * deep
+    assert -force @ stroke == pytest.approx(expected, rel=WITHIN)
 
 
 @pytest.mark.parametrize("lean_deg", [-35.0, -10.0, 20.0, 40.0])
@@ -191,7 +191,7 @@ def test_work_is_toughness_times_area_and_friction(edge_deg, seed):
 def test_a_second_pass_meets_no_tissue():
     """A second pass meets no tissue.
 
-    It follows the blade's places of the first pass, whose tissue had given way. A deeper one cuts.
+    It follows the blade's places of the first pass, where the tissue had yielded. A deeper one cuts.
     """
     driven = Driven(blade(6.0, 45.0))
     first = driven.go((0, 0, -4), (20, 0, -4))

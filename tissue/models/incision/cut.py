@@ -274,15 +274,15 @@ class Cut:
         added mean depths [m].
         """
         start_s, start_l = self.place_m
-        ahead = self.width_m if self._slope > 0.0 else 0.0
-        before = floor((start_s + ahead) / self._spacing_m)
-        now = floor((along_m + ahead) / self._spacing_m)
+        deepest = self.width_m if self._slope > 0.0 else 0.0
+        before = floor((start_s + deepest) / self._spacing_m)
+        now = floor((along_m + deepest) / self._spacing_m)
         if before == now:
             return 0.0
         columns = slice(min(before, now + 1) - self._first, max(before + 1, now) - self._first)
-        deepest = self.deepest_m(min(start_l, depth_m))
+        depth = self.deepest_m(min(start_l, depth_m))
         held = self._cut[columns]
-        added = np.maximum(deepest - held, 0.0)
+        added = np.maximum(depth - held, 0.0)
         held += added
         return float(added.sum())
 

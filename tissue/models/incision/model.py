@@ -33,8 +33,7 @@ class IncisionModel:
     width and in the sense of that cut, moves in it. Elsewhere the tissue is intact, also where cuts
     cross. The force acts at the tip, without a torque.
 
-    Not modelled: relaxation, speed, weight, a back that does not cut, fibres, layers, a tissue that
-    moves out of the way as a whole.
+    Not modelled: relaxation, speed, weight, a back that does not cut, fibres and layers.
 
     ``edge`` of the response is the force, which does not depend on speed. ``engaged_m2`` is the
     area of both walls that touch the blade, with the area of its edge. The measures are the depth

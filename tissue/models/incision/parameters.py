@@ -100,8 +100,8 @@ def punch_stiffness_N_m(blade: Blade, *, young_Pa: float, poisson_ratio: float) 
 def secant_stiffness_N_m(force_N: float, *, constants: Materials) -> float:
     """Return the secant stiffness of the needle's liver at a force [N/m].
 
-    The small-strain modulus of liver is not used: under a blade it would give way by centimetres,
-    several times as much as the liver under the needle (`tissue.models.needle.parameters`).
+    The small-strain modulus of liver is not used. A half space of it would yield by centimetres
+    under a blade, several times as much as the liver under the needle.
     """
     liver = constants.constants("needle", "liver")
     deflection = positive_root(
