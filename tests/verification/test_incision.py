@@ -89,7 +89,7 @@ def test_a_chisel_pushed_in_resists_with_its_width_and_its_walls(width_mm):
         assert np.abs(force[:2]).max() < 1e-9
 
 
-def test_the_surface_gives_way_until_the_energy_release_reaches_the_toughness():
+def test_the_surface_yields_until_the_energy_release_reaches_the_toughness():
     """Before the cut F = k z. The cut begins at F = J w, where the energy release F / w is J."""
     driven = Driven(blade())
     onset_m = J * 6e-3 / TISSUE.stiffness_N_m
