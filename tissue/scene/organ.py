@@ -202,7 +202,7 @@ class IncisedAnatomy(Part):
     """Soft tissue under z = 0 that a blade cuts."""
 
     reads: ClassVar[tuple[str, ...]] = ()
-    kind: Literal["incised"] = "incised"
+    kind: Literal["soft-tissue"] = "soft-tissue"
     """A tissue without layers."""
     material: Literal["skin", "liver"] = "skin"
     """Tissue whose constants are used."""

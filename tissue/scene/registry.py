@@ -80,7 +80,7 @@ ANATOMIES: Registry[AnatomyEntry] = Registry(
         "liver": AnatomyEntry((LiverAnatomy, LiverFile), Probe),
         "slab": AnatomyEntry((SlabAnatomy,), Probe),
         "layers": AnatomyEntry((LayersAnatomy,), Needle),
-        "incised": AnatomyEntry((IncisedAnatomy,), Blade),
+        "soft-tissue": AnatomyEntry((IncisedAnatomy,), Blade),
         "wall": AnatomyEntry((WallAnatomy,), Probe),
     },
     group="tissue.tissues",

@@ -362,7 +362,7 @@ def builder_of(kind: str) -> TissueBuilder:
         "slab": organ_scene.pressed,
         "liver": organ_scene.pressed,
         "layers": organ_scene.pierced,
-        "incised": organ_scene.incised,
+        "soft-tissue": organ_scene.incised,
         "wall": organ_scene.wall,
     }
     return others.get(kind, cutting.milled)

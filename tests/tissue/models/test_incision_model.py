@@ -216,12 +216,15 @@ def test_a_blade_that_lies_flat_is_refused_where_it_touches(axis, angle_deg):
         model.advance(at((0, 0, -1), rotation=flat))
 
 
+@pytest.mark.parametrize("depth_mm", [-3.0, 3.0])
 @pytest.mark.parametrize("where", ["tip_m", "rotation"])
-def test_a_blade_that_is_nowhere_is_refused(where):
-    motion = at((0, 0, 3))
+def test_a_blade_that_is_nowhere_is_refused(where, depth_mm):
+    model = made()
+    motion = at((0, 0, -depth_mm))
+    model.advance(motion)
     getattr(motion, where)[...] = np.nan
     with pytest.raises(InputError, match="the blade's pose must be finite"):
-        made().advance(motion)
+        model.advance(motion)
 
 
 @pytest.mark.parametrize(

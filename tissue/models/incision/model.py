@@ -103,14 +103,15 @@ class IncisionModel:
 
     def advance(self, motion: ToolMotion) -> None:
         """Press, cut and slide to the blade's new pose."""
+        below = self._below_m(motion)
         if self._in is None:
-            if self._below_m(motion) <= 0.0:
+            if below <= 0.0:
                 return
             self._in = self._entered(motion)
         cut = self._in
         along, depth, _ = cut.coordinates_m(motion.tip_m)
         cut.advance(along, depth)
-        if cut.deepest_m(cut.place_m[1]) <= 0.0 and self._below_m(motion) <= 0.0:
+        if cut.deepest_m(cut.place_m[1]) <= 0.0 and below <= 0.0:
             self._in = None
 
     def respond(self, motion: ToolMotion) -> Response:

@@ -184,7 +184,7 @@ def faces_of(scene: Scene | None) -> "dict[str, pyvista.PolyData]":
     """
     if scene is None:
         return {}
-    built_in = {"layers": layer_faces, "wall": path_face, "incised": path_face}
+    built_in = {"layers": layer_faces, "wall": path_face, "soft-tissue": path_face}
     make = ANATOMIES[scene.anatomy.kind].faces or built_in.get(scene.anatomy.kind)
     return {} if make is None else make(scene)
 
