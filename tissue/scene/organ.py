@@ -12,6 +12,7 @@ from tissue.scene.part import FileName, Length_mm, Needs, OneOf, Part, Rule, Vec
 
 __all__ = [
     "Held",
+    "IncisedAnatomy",
     "LayersAnatomy",
     "LiverAnatomy",
     "LiverFile",
@@ -195,6 +196,18 @@ class LayersAnatomy(Part):
     def membranes(self) -> list[tuple[str, float]]:
         """Names and depths [mm] of the membranes under the capsule, from the surface downwards."""
         return sorted((self.membrane_depths_mm or {}).items(), key=lambda each: each[1])
+
+
+class IncisedAnatomy(Part):
+    """Soft tissue under z = 0 that a blade cuts."""
+
+    reads: ClassVar[tuple[str, ...]] = ()
+    kind: Literal["soft-tissue"] = "soft-tissue"
+    """A tissue without layers."""
+    material: Literal["skin", "liver"] = "skin"
+    """Tissue whose constants are used."""
+    interval_ms: float = Field(100.0, ge=0, le=10_000)
+    """Time between two frames of the opening of the cut. 0 computes no frames."""
 
 
 Modulus_kPa = Annotated[float, Field(ge=0.1, le=1e5, examples=[80.0])]

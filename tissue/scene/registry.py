@@ -41,9 +41,9 @@ from tissue.scene.names import (
     PredictorEntry,
     ProbeEntry,
 )
-from tissue.scene.organ import LayersAnatomy, LiverAnatomy, LiverFile, SlabAnatomy
+from tissue.scene.organ import IncisedAnatomy, LayersAnatomy, LiverAnatomy, LiverFile, SlabAnatomy
 from tissue.scene.part import Registry
-from tissue.scene.tool import Needle, PathMotion, Probe, ReplayMotion, ThrustMotion, Tool
+from tissue.scene.tool import Blade, Needle, PathMotion, Probe, ReplayMotion, ThrustMotion, Tool
 
 __all__ = [
     "ANATOMIES",
@@ -80,6 +80,7 @@ ANATOMIES: Registry[AnatomyEntry] = Registry(
         "liver": AnatomyEntry((LiverAnatomy, LiverFile), Probe),
         "slab": AnatomyEntry((SlabAnatomy,), Probe),
         "layers": AnatomyEntry((LayersAnatomy,), Needle),
+        "soft-tissue": AnatomyEntry((IncisedAnatomy,), Blade),
         "wall": AnatomyEntry((WallAnatomy,), Probe),
     },
     group="tissue.tissues",

@@ -24,10 +24,11 @@ from tissue.scene.anatomy import (
     WallAnatomy,
 )
 from tissue.scene.coupling import Device, Fidelity
-from tissue.scene.organ import LayersAnatomy, LiverFile, Organ, SoftAnatomy
+from tissue.scene.organ import IncisedAnatomy, LayersAnatomy, LiverFile, Organ, SoftAnatomy
 from tissue.scene.part import READ_BACK, ByKind, FileName, OneOf, Part, Rule, kinds_of
 from tissue.scene.registry import ANATOMIES, CUTTERS, CUTTING_MATERIALS, MOTIONS, NEEDLES, PROBES
 from tissue.scene.tool import (
+    Blade,
     Needle,
     PathMotion,
     Probe,
@@ -157,11 +158,11 @@ def motion_parts() -> tuple[type[Part], ...]:
 
 
 AnyAnatomy = Annotated[
-    CutAnatomy | SoftAnatomy | LayersAnatomy | WallAnatomy,
+    CutAnatomy | SoftAnatomy | LayersAnatomy | IncisedAnatomy | WallAnatomy,
     ByKind(anatomy_parts, (ANATOMIES.group,)),
 ]
 AnyTool = Annotated[
-    Tool | Probe | Needle, ByKind(tool_parts, (CUTTERS.group, PROBES.group, NEEDLES.group))
+    Tool | Probe | Needle | Blade, ByKind(tool_parts, (CUTTERS.group, PROBES.group, NEEDLES.group))
 ]
 AnyMotion = Annotated[
     PathMotion | ThrustMotion | ReplayMotion, ByKind(motion_parts, (MOTIONS.group,))
@@ -371,8 +372,8 @@ class Scene(Part):
             yield "device.coupling.roam_mm", is_wall, wall, "set motion.points_mm"
             yield (
                 "device.coupling.roam_mm",
-                isinstance(self.tool, Needle),
-                "for a needle",
+                isinstance(self.tool, Needle | Blade),
+                f"for a {self.tool.kind}",
                 "set motion.points_mm",
             )
         if is_held and isinstance(self.motion, ThrustMotion):

@@ -14,6 +14,7 @@ from tissue.scene.names import CUTTERS, NEEDLES, PROBES
 from tissue.scene.part import FileName, Needs, OneOf, Part, Vector
 
 __all__ = [
+    "Blade",
     "Motion",
     "Needle",
     "PathMotion",
@@ -185,7 +186,7 @@ def tool_parts() -> "tuple[type[Part], ...]":
     """Return the classes of all tools that are known so far."""
     cutters = [_shaped(Tool, kind, CUTTERS[kind].keys) for kind in CUTTERS.known]
     probes = [_shaped(Probe, kind, PROBES[kind].keys) for kind in PROBES.known]
-    return (*cutters, *probes, Needle)
+    return (*cutters, *probes, Needle, Blade)
 
 
 def probe_part(**entries: Any) -> Probe:
@@ -213,6 +214,33 @@ class Needle(Part):
     """A needle."""
     diameter_mm: float = Field(1.27, ge=0.2, le=5)
     """Outer diameter, 1.27 mm for 18 gauge. It scales only the width of the crack."""
+
+
+class Blade(Part):
+    """A thin plate with a straight cutting edge, which cuts soft tissue.
+
+    Its plane is the plane of the tool's x axis and its axis. The edge begins at the tip.
+    """
+
+    kind: Literal["blade"] = "blade"
+    """A blade."""
+    width_mm: float = Field(6.0, ge=1, le=40)
+    """Width of the blade, along the tool's x axis."""
+    thickness_mm: float = Field(0.4, ge=0.05, le=2)
+    """Thickness of the blade, which must be less than its width."""
+    edge_deg: float = Field(45.0, ge=5, le=90)
+    """Angle between edge and axis: 90 for a chisel, less for a pointed blade."""
+
+    @model_validator(mode="after")
+    def _is_thin(self) -> "Blade":
+        if self.thickness_mm >= self.width_mm:
+            raise InputError(
+                "tool.thickness_mm",
+                f"be less than tool.width_mm ({self.width_mm:g})",
+                f"{self.thickness_mm:g}",
+                "use 0.4",
+            )
+        return self
 
 
 class Motion(Part):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from tissue.materials.constants import CUT_AS, Constant, listed, thermal_material
 from tissue.materials.scene_constants import Materials
 from tissue.scene.anatomy import BlockAnatomy
-from tissue.scene.organ import LayersAnatomy, SoftAnatomy
+from tissue.scene.organ import IncisedAnatomy, LayersAnatomy, SoftAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 
@@ -122,6 +122,8 @@ def _tables(scene: Scene, layers: Sequence[str], varied: bool) -> Iterator[Part]
         yield "soft", organ.material, tuple(name for name in names if name.startswith(prefixes))
         if organ.capsule:
             yield "soft", f"{organ.material}_capsule", (*elastic, "thickness_um")
+    if isinstance(anatomy, IncisedAnatomy):
+        yield from _incised(anatomy)
     if isinstance(anatomy, LayersAnatomy):
         yield "needle", "liver", None
         stated = {"puncture_N": anatomy.membrane_punctures_N, "hold_N": anatomy.membrane_holds_N}
@@ -133,6 +135,20 @@ def _tables(scene: Scene, layers: Sequence[str], varied: bool) -> Iterator[Part]
             yield "soft", "liver", ("modulus_kPa",)
     if scene.device is not None and scene.device.kind in listed("devices"):
         yield from _device(scene.device.kind, scene.device.hand)
+
+
+def _incised(anatomy: IncisedAnatomy) -> Iterator[Part]:
+    """Yield the constants of a tissue that a blade cuts.
+
+    The elastic constants of liver count only in the drawn block.
+    """
+    is_drawn = anatomy.interval_ms > 0.0
+    is_skin = anatomy.material == "skin"
+    names = ["toughness_J_m2", "blade_friction_kPa"]
+    names += ["modulus_kPa", "poisson_ratio"] * (is_skin or is_drawn) + ["prestrain"] * is_drawn
+    yield "soft", anatomy.material, tuple(names)
+    if not is_skin:
+        yield "needle", "liver", ("linear_N_mm", "quadratic_N_mm2")
 
 
 def _device(device: str | None, hand: str) -> Iterator[Part]:

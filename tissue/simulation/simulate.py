@@ -362,6 +362,7 @@ def builder_of(kind: str) -> TissueBuilder:
         "slab": organ_scene.pressed,
         "liver": organ_scene.pressed,
         "layers": organ_scene.pierced,
+        "soft-tissue": organ_scene.incised,
         "wall": organ_scene.wall,
     }
     return others.get(kind, cutting.milled)

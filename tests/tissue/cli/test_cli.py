@@ -20,14 +20,14 @@ from tissue.scene.load import scene_names
     [
         (
             ("run", "gleniod"),
-            "scene must be a built-in name (caries, glenoid, liver-press, milling, molar, "
+            "scene must be a built-in name (caries, glenoid, incision, liver-press, milling, molar, "
             "needle, palpation, pedicle, wall) or a TOML file, got gleniod (did "
             "you mean "
             "glenoid?): list them with `tissue scenes`",
         ),
         (
             ("scenes", "mill"),
-            "scene must be a built-in name (caries, glenoid, liver-press, milling, molar, "
+            "scene must be a built-in name (caries, glenoid, incision, liver-press, milling, molar, "
             "needle, palpation, pedicle, wall) or a TOML file, got mill (did you mean "
             "milling?): list them with `tissue scenes`",
         ),

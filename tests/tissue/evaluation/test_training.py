@@ -16,7 +16,17 @@ from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.builders.prediction import FALLBACKS
 from tissue.simulation.reference_force import ideal_force_N, motor_forces
 
-SCENES = ("caries", "glenoid", "liver-press", "milling", "molar", "needle", "palpation", "wall")
+SCENES = (
+    "caries",
+    "glenoid",
+    "incision",
+    "liver-press",
+    "milling",
+    "molar",
+    "needle",
+    "palpation",
+    "wall",
+)
 
 
 @pytest.mark.parametrize("scene", SCENES)

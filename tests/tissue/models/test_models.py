@@ -15,6 +15,8 @@ from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr
 from tissue.materials.constants import cutting_coefficients
 from tissue.models.bone.model import BoneModel
+from tissue.models.incision.model import IncisionModel
+from tissue.models.incision.parameters import Blade, incised_tissue
 from tissue.models.needle.model import NeedleModel
 from tissue.models.needle.parameters import needle_tissue
 from tissue.models.tissue_model import Finishes, FreeSpace, HasVoxels, ToolMotion
@@ -22,6 +24,7 @@ from tissue.models.tooth.model import ToothModel
 from tissue.simulation.simulate import build
 
 RADIUS_M = 3e-3
+BLADE = Blade(width_m=6e-3, thickness_m=4e-4, edge_rad=0.8)
 RESTING = "test_a_tool_at_rest_changes_nothing_and_feels_nothing"
 STEP_S = 1e-3
 
@@ -77,9 +80,10 @@ MODELS = {
     "binary bone": lambda: layered_bone("binary"),
     "tooth": lambda: ToothModel(layered_bone(names=("dentin", "pulp"))),
     "needle": lambda: NeedleModel(needle_tissue(), diameter_m=1.27e-3),
+    "incision": lambda: IncisionModel(incised_tissue("skin", BLADE), BLADE),
     "pressed slab": pressed_slab,
 }
-ELASTIC = ("needle", "pressed slab")
+ELASTIC = ("needle", "incision", "pressed slab")
 """Tissues that push back at rest too, and that fill the space below their surface."""
 
 

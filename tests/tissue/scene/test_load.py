@@ -11,6 +11,7 @@ COARSE = {
     **dict.fromkeys(("molar", "caries"), "voxels.spacing_mm=0.125"),
     **dict.fromkeys(("liver-press", "palpation"), "organ.order=1"),
     "needle": "tool.diameter_mm=1.0",
+    "incision": "tool.width_mm=5.0",
     "wall": "tool.diameter_mm=8.0",
 }
 """Changes that make a scene quick to run."""

@@ -21,6 +21,7 @@ PLAIN = {
 SCENES = {
     "milling": {"voxels.spacing_mm": 0.4, "duration_s": 0.6},
     "needle": {"anatomy.interval_ms": 0.0},
+    "incision": {"anatomy.interval_ms": 0.0, "duration_s": 0.9},
     "palpation": {
         **PLAIN,
         "duration_s": 0.4,

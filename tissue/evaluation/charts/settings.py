@@ -21,7 +21,7 @@ from tissue.prediction.guard import GuardedMaker
 from tissue.prediction.trained import is_trained
 from tissue.scene.anatomy import Tooth
 from tissue.scene.load import changed
-from tissue.scene.organ import LayersAnatomy, SoftAnatomy
+from tissue.scene.organ import IncisedAnatomy, LayersAnatomy, SoftAnatomy
 from tissue.scene.registry import PREDICTORS, RENDERERS, TABLES
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion, Probe, Tool
@@ -215,7 +215,7 @@ def force_only(scene: Scene) -> dict[str, object]:
     """Return the changes that leave out everything without influence on the force."""
     if isinstance(scene.anatomy, SoftAnatomy):
         return {"organ.interval_ms": 0.0} if scene.organ.interval_ms else {}
-    if isinstance(scene.anatomy, LayersAnatomy):
+    if isinstance(scene.anatomy, LayersAnatomy | IncisedAnatomy):
         return {"anatomy.interval_ms": 0.0} if scene.anatomy.interval_ms else {}
     return {} if scene.stress is None else {"stress": None}
 

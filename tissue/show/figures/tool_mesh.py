@@ -14,7 +14,7 @@ from tissue.models.tissue_model import TICK_S
 from tissue.scene.organ import LayersAnatomy
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
-from tissue.scene.tool import Needle, Probe, Tool
+from tissue.scene.tool import Blade, Needle, Probe, Tool
 from tissue.simulation.builders.parts import motion_of
 
 if TYPE_CHECKING:
@@ -34,6 +34,8 @@ __all__ = [
 
 NEEDLE_MM = 80.0
 """Length of a needle as it is drawn: longer than the 60 mm of the deepest push in a study."""
+BLADE_MM = 40.0
+"""Length of a blade above its edge as it is drawn."""
 POINT = 2.0
 """Length of a needle's point, in diameters."""
 SIDES = 72
@@ -46,7 +48,7 @@ ABOVE = 0.6
 """Width of the arc above a tool over the width of an arc around it."""
 
 
-def tool_surface(tool: Tool | Probe | Needle | None) -> "pyvista.PolyData | None":
+def tool_surface(tool: Tool | Probe | Needle | Blade | None) -> "pyvista.PolyData | None":
     """Return the surface of a tool in its own frame [mm], or None.
 
     The tip is at the origin, and z points from tip to shank. The result is None without a tool, or
@@ -74,10 +76,12 @@ def tool_surface(tool: Tool | Probe | Needle | None) -> "pyvista.PolyData | None
             return _rod(0.5 * tool.size_mm, getattr(tool, "length_mm", ROD_MM))
         case Needle():
             return _rod(0.5 * tool.diameter_mm, NEEDLE_MM, point_mm=POINT * tool.diameter_mm)
+        case Blade():
+            return _plate(tool)
     return None
 
 
-def turning_tool(tool: Tool | Probe | Needle | None) -> "pyvista.PolyData | None":
+def turning_tool(tool: Tool | Probe | Needle | Blade | None) -> "pyvista.PolyData | None":
     """Return `tool_surface`, with an arrow in the sense of rotation around a tool that turns."""
     import pyvista
 
@@ -141,6 +145,25 @@ def _rod(radius_mm: float, length_mm: float, *, point_mm: float = 0.0) -> "pyvis
     return _turned(np.array(around))
 
 
+def _plate(blade: Blade) -> "pyvista.PolyData":
+    """Return the surface of a blade that stands in the half plane x > 0."""
+    import pyvista
+
+    end_mm = blade.width_mm / np.tan(np.radians(blade.edge_deg))
+    outline = np.array(
+        [
+            [0.0, 0.0],
+            [blade.width_mm, end_mm],
+            [blade.width_mm, end_mm + BLADE_MM],
+            [0.0, end_mm + BLADE_MM],
+        ]
+    )
+    at = np.insert(outline, 1, -0.5 * blade.thickness_mm, axis=1)
+    side = pyvista.PolyData.from_regular_faces(at, [[0, 1, 2, 3]]).triangulate()
+    plate = side.extrude((0.0, blade.thickness_mm, 0.0), capping=True)
+    return plate.triangulate()
+
+
 def _turned(line_mm: Array) -> "pyvista.PolyData":
     """Return the surface of revolution of a line in the half plane y = 0 around z."""
     import pyvista
@@ -161,14 +184,13 @@ def faces_of(scene: Scene | None) -> "dict[str, pyvista.PolyData]":
     """
     if scene is None:
         return {}
-    make = ANATOMIES[scene.anatomy.kind].faces or {"layers": layer_faces, "wall": wall_face}.get(
-        scene.anatomy.kind
-    )
+    built_in = {"layers": layer_faces, "wall": path_face, "soft-tissue": path_face}
+    make = ANATOMIES[scene.anatomy.kind].faces or built_in.get(scene.anatomy.kind)
     return {} if make is None else make(scene)
 
 
-def wall_face(scene: Scene) -> "dict[str, pyvista.PolyData]":
-    """Return a wall under all of the path that the tool can go."""
+def path_face(scene: Scene) -> "dict[str, pyvista.PolyData]":
+    """Return a wall or the surface of a tissue under all of the path that the tool can go."""
     import pyvista
 
     path_mm = 1e3 * motion_of(scene, step_s=TICK_S).sweep_m()[:, :2]
@@ -180,7 +202,7 @@ def wall_face(scene: Scene) -> "dict[str, pyvista.PolyData]":
     # a hand may roam beyond the path on all sides
     (wide, deep) = high - low + max(FACE_MM, 2.0 * roam_mm)
     return {
-        "wall": pyvista.Plane(
+        getattr(scene.anatomy, "material", scene.anatomy.kind): pyvista.Plane(
             center=(*middle, 0.0),
             direction=(0.0, 0.0, 1.0),
             i_size=wide,

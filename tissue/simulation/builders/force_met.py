@@ -13,17 +13,17 @@ from tissue.cutters.cutter import Cutter
 from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.models.tissue_model import TICK_S, Response, TissueModel, ToolMotion
 from tissue.motion.motion import Motion
-from tissue.scene.organ import LayersAnatomy, SoftAnatomy
+from tissue.scene.organ import IncisedAnatomy, LayersAnatomy, SoftAnatomy
 from tissue.scene.part import is_file_key
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
-from tissue.scene.tool import Needle, Probe, ThrustMotion, Tool
+from tissue.scene.tool import Blade, Needle, Probe, ThrustMotion, Tool
 from tissue.simulation.builders.cutting import VoxelBone, cutter_of
-from tissue.simulation.builders.organ_scene import pierced_tissue
+from tissue.simulation.builders.organ_scene import blade_of, pierced_tissue
 from tissue.simulation.builders.parts import motion_of
 from tissue.simulation.builders.voxels import volume_of
 
-__all__ = ["chosen_scale", "cut", "fitted_scale", "pierced", "pressed", "slot_force_N"]
+__all__ = ["chosen_scale", "cut", "fitted_scale", "incised", "pierced", "pressed", "slot_force_N"]
 
 POSES = 250
 FINE_POSES = 3000
@@ -130,6 +130,8 @@ def _met(table: str, _inputs: tuple[object, ...]) -> float:
         return cut(scene)
     if isinstance(scene.tool, Needle):
         return pierced(scene)
+    if isinstance(scene.tool, Blade):
+        return incised(scene)
     return pressed(scene) if isinstance(scene.anatomy, SoftAnatomy) else 0.0
 
 
@@ -186,6 +188,18 @@ def pierced(scene: Scene) -> float:
     return _largest(
         motion, NeedleModel(tissue, diameter_m=1e-3 * scene.tool.diameter_mm), FINE_POSES
     )
+
+
+def incised(scene: Scene) -> float:
+    """Return the largest force of a blade on the scripted motion [N]."""
+    from tissue.models.incision.model import IncisionModel
+    from tissue.models.incision.parameters import incised_tissue
+
+    assert isinstance(scene.anatomy, IncisedAnatomy)
+    blade = blade_of(scene)
+    tissue = incised_tissue(scene.anatomy.material, blade, constants=scene.constants)
+    motion = motion_of(scene, step_s=TICK_S)
+    return _largest(motion, IncisionModel(tissue, blade), POSES)
 
 
 def _largest(motion: Motion, tissue: TissueModel, poses: int) -> float:

@@ -1,4 +1,4 @@
-"""Tissue that a probe presses or a needle pierces: soft organs and a stiff wall."""
+"""Tissue that a probe presses, a needle pierces or a blade cuts: soft organs and a stiff wall."""
 
 from functools import partial
 from math import inf
@@ -16,17 +16,18 @@ from tissue.models.organ.probe import CylinderProbe, ProbeShape, ShellProbe, Sph
 from tissue.models.tissue_model import WallModel
 from tissue.motion.motion import Motion
 from tissue.scene.coupling import WallAnatomy
-from tissue.scene.organ import LayersAnatomy, LiverFile, SoftAnatomy
+from tissue.scene.organ import IncisedAnatomy, LayersAnatomy, LiverFile, SoftAnatomy
 from tissue.scene.registry import NEEDLES, PROBES
 from tissue.scene.scene import Scene
-from tissue.scene.tool import Needle, Probe
+from tissue.scene.tool import Blade, Needle, Probe
 from tissue.simulation.builders.organ import OF_ORGAN, HeldMesh, held_mesh, material_of, organ_law
 from tissue.simulation.builders.parts import FILE_WORDS, Parts, poses_along
 
 if TYPE_CHECKING:
+    from tissue.models.incision.parameters import Blade as IncisionBlade
     from tissue.models.needle.parameters import NeedleTissue
 
-__all__ = ["pierced", "pierced_tissue", "pressed", "probe_of", "wall"]
+__all__ = ["blade_of", "incised", "pierced", "pierced_tissue", "pressed", "probe_of", "wall"]
 
 
 POSES_TRIED = 200
@@ -95,6 +96,37 @@ def pierced(
                 f"; a hand that enters up to {1e3 * near:g} mm from the track is drawn as on it"
             )
     return Parts(motion, NeedleModel(tissue, diameter_m=diameter, fields=fields), notes=notes)
+
+
+def incised(
+    scene: Scene,
+    motion: Motion,
+    *,
+    step_s: float,
+    compute: str,
+    cores: int | None,
+    report: Progress,
+) -> Parts:
+    """Return the parts of a scene in which a blade cuts a soft tissue."""
+    from tissue.models.incision.fields import IncisionFields, Track
+    from tissue.models.incision.model import IncisionModel
+    from tissue.models.incision.parameters import incised_tissue
+
+    anatomy = scene.anatomy
+    assert isinstance(anatomy, IncisedAnatomy)
+    blade = blade_of(scene)
+    tissue = incised_tissue(anatomy.material, blade, constants=scene.constants)
+    notes = {
+        "blade": f"{tissue.toughness_J_m2:g} J/m2 of cut area in {tissue.name}; the blade's back "
+        "and sides cut too; relaxation, speed and layers are not modelled"
+    }
+    track = Track.first_of(tissue, blade, motion.sweep_m(), motion.rotations())
+    fields = None
+    if track is not None and anatomy.interval_ms > 0.0:
+        report("solving a block of the tissue around the cut", 0.0)
+        fields = IncisionFields(track, tissue, interval_s=1e-3 * anatomy.interval_ms)
+        notes["fields"] = fields.note
+    return Parts(motion, IncisionModel(tissue, blade, fields=fields), notes=notes)
 
 
 def pressed(
@@ -213,6 +245,19 @@ def pierced_tissue(scene: Scene) -> "NeedleTissue":
         return needle_tissue(walls=walls, constants=scene.constants)
     found: NeedleTissue = outside(walls=walls)
     return found
+
+
+def blade_of(scene: Scene) -> "IncisionBlade":
+    """Return the blade of a scene."""
+    from tissue.models.incision.parameters import Blade as IncisionBlade
+
+    tool = scene.tool
+    assert isinstance(tool, Blade)
+    return IncisionBlade(
+        width_m=1e-3 * tool.width_mm,
+        thickness_m=1e-3 * tool.thickness_mm,
+        edge_rad=float(np.radians(tool.edge_deg)),
+    )
 
 
 def _shell(tool: Probe) -> ShellProbe:

@@ -8,7 +8,7 @@ import pytest
 from fake_fields import pressed_run
 
 from tissue import InputError
-from tissue.scene.tool import Needle, probe_part
+from tissue.scene.tool import Blade, Needle, probe_part
 from tissue.show.figures.tool_mesh import tool_surface
 from tissue.show.viewer.run_scene import Choice
 from tissue.show.viewer.view import view
@@ -95,6 +95,7 @@ def test_time_plays_pauses_and_ends(driven):
             (-4.0, 4.0, -4.0, 4.0, 0.0, 30.0),
         ),
         (Needle(diameter_mm=2.0), (-1.0, 1.0, -1.0, 1.0, 0.0, 80.0)),
+        (Blade(edge_deg=45.0), (0.0, 6.0, -0.2, 0.2, 0.0, 46.0)),
     ],
 )
 def test_a_tool_has_its_tip_at_the_origin(tool, box):

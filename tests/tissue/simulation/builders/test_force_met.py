@@ -9,7 +9,15 @@ import trimesh
 
 from tissue import load_scene, simulate
 from tissue.haptics.device.device import device_parameters
-from tissue.simulation.builders.force_met import LEAST, MOST, chosen_scale, cut, pierced, pressed
+from tissue.simulation.builders.force_met import (
+    LEAST,
+    MOST,
+    chosen_scale,
+    cut,
+    incised,
+    pierced,
+    pressed,
+)
 
 LIBRARY = {
     "milling": cut,
@@ -19,6 +27,7 @@ LIBRARY = {
     "liver-press": pressed,
     "palpation": pressed,
     "needle": pierced,
+    "incision": incised,
 }
 
 
@@ -58,6 +67,7 @@ def test_a_script_s_force_fits_its_device(name, device):
         ),
         ("glenoid", {"voxels.spacing_mm": 0.5, "motion.feed_mm_s": 2.0, "duration_s": 1.2}),
         ("needle", {"anatomy.interval_ms": 0.0}),
+        ("incision", {"anatomy.interval_ms": 0.0}),
         ("liver-press", {"organ.order": 1, "anatomy.edge_mm": 30.0, "anatomy.touch_edge_mm": 8.0}),
     ],
 )

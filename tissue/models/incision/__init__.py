@@ -1,0 +1,1 @@
+"""A blade that cuts soft tissue."""

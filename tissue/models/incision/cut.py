@@ -1,0 +1,297 @@
+"""Plane cut of a straight edge: cut area, parted walls, and the balance of a blade on tissue."""
+
+from math import floor, hypot
+
+import numpy as np
+
+from meshes.base.arrays import Array
+from tissue.models.incision.parameters import Blade, IncisedTissue
+
+__all__ = ["COLUMNS", "Cut"]
+
+COLUMNS = 512
+"""Number of columns across a blade that store the cut.
+
+A column holds one mean depth, so that the area cut by a pointed blade is off by about half a
+column's width over the depth, 0.2 % of a depth that equals the blade's width.
+"""
+CHUNK = 4 * COLUMNS
+"""Number of columns by which the stored part of a cut grows."""
+SWEEPS = 12
+SETTLED_N = 1e-8
+"""Largest number of sweeps over edge and sides in the search for a balance, and its error [N].
+
+It starts from the last balance. For an edge of 45 degrees each sweep halves the error.
+"""
+
+
+class Cut:
+    """Cut in one plane, made by a blade that does not turn, and the blade's position in it.
+
+    A point of the plane has the coordinates s along the surface and l along the blade's axis, into
+    the tissue. The blade covers everything above its straight edge, so the cut is the region above
+    a depth profile over s. Columns of equal width hold its mean depth, and the part of it whose
+    walls still touch the blade. Walls touch from the cut on. They part as soon as the blade
+    uncovers them, and then stay apart.
+
+    Only the blade carries the tissue, as in `tissue.models.needle.model.Insertion`. With u the
+    vector from the blade's position q in the tissue to the tool, in the plane of the cut, the
+    tissue pulls with -k u. Every step finds the q that minimises the energy::
+
+        k u²/2  +  J A(q)  +  2 tau M |q - q_before|
+
+    with A the cut area and M the area of each wall that touches the blade. J is thus the energy
+    release at which the blade cuts (Francfort and Marigo 1998): a side of the blade cuts where the
+    force across it is J times its length in uncut tissue, and a smaller force leaves the blade
+    where it is. The edge has no friction along itself. The work of the tool equals the change of
+    k u²/2, plus J A, plus the work of friction. The energy is convex in q but for terms of the
+    square of a step, so that q changes by no more than the tool does.
+
+    Attributes
+    ----------
+    place_m
+        s and l of the blade's tip in the tissue [m].
+    pull_N
+        Force of the tissue on the blade in the plane, along the surface and out of it [N].
+    area_m2
+        Area cut so far, one side [m2].
+    touching_m2
+        Area of each wall that touches the blade [m2].
+    friction_J
+        Work of friction so far [J].
+    """
+
+    def __init__(self, tissue: IncisedTissue, blade: Blade, tip_m: Array, rotation: Array) -> None:
+        self._tissue = tissue
+        self.axis = rotation[:, 2].copy()
+        self.across = rotation[:, 1].copy()
+        # The line along the surface, in the sense from the tip to the end of the edge.
+        along = np.array([self.across[1], -self.across[0], 0.0])
+        self.along = along / np.linalg.norm(along)
+        self.up = np.cross(self.along, self.across)
+        self._sine = float(self.axis @ self.along)
+        self._cosine = float(self.axis @ self.up)
+        self.width_m = blade.width_m / self._cosine
+        self._slope = self._sine - self._cosine * blade.rise
+        self._spacing_m = self.width_m / COLUMNS
+        # The tip enters in the middle of a column, so that rounding does not move it to the next.
+        entry = tip_m - tip_m[2] / self.axis[2] * self.axis
+        self.origin_m = entry - 0.5 * self._spacing_m * self.along
+        self._rises = self._slope * self._spacing_m * np.arange(COLUMNS + 1)
+        self._first = -CHUNK
+        self._cut, self._touching = np.zeros((2, 2 * CHUNK))
+        self._window = 0
+        # Travel of edge and sides into the tissue, per travel along the surface and out of it.
+        lean = self._sine / self._cosine
+        self._edge = -self._slope, self._slope * lean - 1.0 / self._cosine
+        self._side = 1.0, -lean
+        self._forces_N = (0.0, 0.0)
+        self._moved_m = 0.0
+        self.place_m = (0.0, 0.0)
+        self.pull_N = (0.0, 0.0)
+        self.area_m2 = 0.0
+        self.touching_m2 = 0.0
+        self.friction_J = 0.0
+
+    def coordinates_m(self, tip_m: Array) -> tuple[float, float, float]:
+        """Return s, l and the distance from the plane of a point [m]."""
+        arm = tip_m - self.origin_m
+        depth = -float(arm @ self.up) / self._cosine
+        return float(arm @ self.along) + depth * self._sine, depth, float(arm @ self.across)
+
+    def deepest_m(self, depth_m: float) -> float:
+        """Return the depth of the deepest point of the edge, for a depth of the tip [m]."""
+        return depth_m + max(self._slope * self.width_m, 0.0)
+
+    def enter(self, along_m: float) -> None:
+        """Put the blade onto the surface."""
+        self.place_m = (along_m, -self.deepest_m(0.0))
+        self.pull_N = (0.0, 0.0)
+        self._forces_N = (0.0, 0.0)
+        self._moved_m = 0.0
+
+    def advance(self, along_m: float, depth_m: float) -> None:
+        """Move the tool to a position, and the blade in the tissue to its balance."""
+        start_s, start_l = self.place_m
+        stiffness = self._tissue.stiffness_N_m
+        # Stretch in orthogonal directions: along the surface and out of it.
+        out = -(depth_m - start_l) * self._cosine
+        across = (along_m - start_s) - (depth_m - start_l) * self._sine
+        edge = self._gaps_m(hypot(*self._edge) * hypot(across, out))
+        moved_across, moved_out = self._moved(across, out, *edge)
+        # Friction acts against the motion that there would be without it.
+        moved = hypot(moved_across, moved_out)
+        rubbing = 2.0 * self._tissue.friction_Pa * self.touching_m2
+        share = min(rubbing / (stiffness * moved), 1.0) if moved > 0.0 else 0.0
+        if share > 0.0:
+            sense = moved_across / moved, moved_out / moved
+            moved_across, moved_out = self._moved(
+                across - share * moved_across, out - share * moved_out, *edge
+            )
+            self.friction_J += rubbing * (moved_across * sense[0] + moved_out * sense[1])
+        deeper = -moved_out / self._cosine
+        self._moved_m = moved_across + deeper * self._sine
+        self._part(start_s + self._moved_m, start_l + deeper)
+        self.pull_N = -stiffness * (across - moved_across), -stiffness * (out - moved_out)
+
+    def profile_m(self) -> tuple[Array, Array]:
+        """Return middles of the columns and mean depths of the cut in them [m]."""
+        middles = (self._first + 0.5 + np.arange(len(self._cut))) * self._spacing_m
+        cut = self._cut > 0.0
+        return middles[cut], self._cut[cut]
+
+    def _moved(
+        self, across_m: float, out_m: float, gaps_m: Array, widths_m: Array
+    ) -> tuple[float, float]:
+        """Return the travel through the tissue that minimises the energy without friction [m].
+
+        It is that along the surface and out of it. The resistance of the edge depends on its travel
+        into the tissue alone, that of front and back on the travel along the surface. Their forces
+        are found in turn.
+        """
+        stiffness = self._tissue.stiffness_N_m
+        scale = self._tissue.toughness_J_m2 * self._cosine / stiffness
+        edge_across, edge_out = self._edge
+        side_across, side_out = self._side
+        edge_square = edge_across**2 + edge_out**2
+        side_square = side_across**2 + side_out**2
+        count = len(gaps_m)
+        # Stretches across the edge at which its travel is that of a gap.
+        held = np.add.accumulate(scale * edge_square * widths_m)
+        bounds = gaps_m + held - 0.5 * scale * edge_square * widths_m
+        edge_N, side_N = self._forces_N
+        for _ in range(SWEEPS):
+            left_across = across_m - side_N / stiffness * side_across
+            left_out = out_m - side_N / stiffness * side_out
+            stretch = left_across * edge_across + left_out * edge_out
+            travel = stretch
+            if count and stretch > gaps_m[0]:
+                travel = max(stretch - float(held[-1]), float(np.interp(stretch, bounds, gaps_m)))
+            edge_N = (stretch - travel) * stiffness / edge_square
+            left_across = across_m - edge_N / stiffness * edge_across
+            left_out = out_m - edge_N / stiffness * edge_out
+            stretch = left_across * side_across + left_out * side_out
+            travel = self._along_m(stretch, scale * side_square)
+            before_N = side_N
+            side_N = (stretch - travel) * stiffness / side_square
+            if abs(side_N - before_N) <= SETTLED_N:
+                break
+        self._forces_N = edge_N, side_N
+        push = edge_N / stiffness, side_N / stiffness
+        return (
+            across_m - push[0] * edge_across - push[1] * side_across,
+            out_m - push[0] * edge_out - push[1] * side_out,
+        )
+
+    def _gaps_m(self, reach_m: float) -> tuple[Array, Array]:
+        """Return travels of the edge to uncut tissue in rising order [m].
+
+        The second array has the widths of the parts of the edge, zero beyond a reach. Columns that
+        the tip or the end of the edge will have passed at the end of the step, if the blade moves
+        as in the last one, are left out.
+        """
+        along, depth = self.place_m
+        spacing = self._spacing_m
+        begin = (along + max(self._moved_m, 0.0)) / spacing
+        end = (along + min(self._moved_m, 0.0)) / spacing + COLUMNS
+        first = floor(begin) + 1
+        count = floor(end) - first
+        if count < 1:
+            return np.zeros(0), np.zeros(0)
+        self._grow(first - 1, first + count)
+        columns = slice(first - self._first, first - self._first + count)
+        # At the middle of the first whole column.
+        start = depth + self._slope * ((first + 0.5) * spacing - along)
+        gaps = self._cut[columns] - self._rises[:count] - start
+        widths = np.full(count, spacing)
+        # Parts of columns at the ends of the edge count as their neighbours.
+        widths[0] += (first - begin) * spacing
+        widths[-1] += (end - first - count) * spacing
+        # Rounded to a picometre, so that equal gaps stay in the order of the columns.
+        gaps = gaps.round(12)
+        widths[gaps >= reach_m] = 0.0
+        order = gaps.argsort(kind="stable")
+        return np.minimum(gaps[order], reach_m), widths[order]
+
+    def _along_m(self, stretch_m: float, compliance: float) -> float:
+        """Return the travel along the surface at which front or back holds the rest of a stretch.
+
+        ``stretch_m`` is the stretch [m], ``compliance`` the part of it that each length of a side
+        in uncut tissue holds.
+        """
+        along, depth = self.place_m
+        spacing = self._spacing_m
+        sense = 1 if stretch_m > 0.0 else -1
+        at = along / spacing
+        if sense > 0:
+            at += COLUMNS
+            depth += self._slope * self.width_m
+        # The column that the side is in is cut behind it, and as deep as the next one before it.
+        column = floor(at) + sense
+        bound = abs((column + (sense < 0)) - at) * spacing
+        reached = 0.0
+        while True:
+            index = column - self._first
+            held = float(self._cut[index]) if 0 <= index < len(self._cut) else 0.0
+            left = abs(stretch_m) - compliance * max(depth - held, 0.0)
+            if left <= bound + spacing:
+                return sense * max(left, reached)
+            column += sense
+            bound += spacing
+            reached = bound
+
+    def _part(self, along_m: float, depth_m: float) -> None:
+        """Put the blade at a position in the tissue: cut, and part the walls that it leaves."""
+        spacing = self._spacing_m
+        first = floor(along_m / spacing)
+        self._grow(first, first + COLUMNS + 1)
+        # Parts of the edge in each column: depths at their ends, and mean depth in the tissue.
+        bounds = np.arange(first, first + COLUMNS + 2) * spacing - along_m
+        bounds = bounds.clip(0.0, self.width_m)
+        depths = depth_m + self._slope * bounds
+        bottom = np.minimum(depths[1:], depths[:-1])
+        top = np.maximum(np.maximum(depths[1:], depths[:-1]), 0.0)
+        # The edge covers a triangle where it leaves the tissue; 1e-300 avoids a division by zero.
+        mean = np.where(bottom >= 0.0, top + bottom, top**2 / np.maximum(top - bottom, 1e-300))
+        cover = 0.5 * mean * np.diff(bounds) / spacing
+        now = slice(first - self._first, first - self._first + len(cover))
+        held = self._cut[now]
+        fresh = np.maximum(cover - held, 0.0)
+        touching = np.minimum(self._touching[now], cover) + fresh
+        self._touching[self._window - self._first :][: len(cover)] = 0.0
+        self._touching[now] = touching
+        self._window = first
+        held += fresh
+        added = float(fresh.sum()) + self._passed(along_m, depth_m)
+        self.area_m2 += self._cosine * spacing * added
+        self.touching_m2 = self._cosine * spacing * float(touching.sum())
+        self.place_m = (along_m, depth_m)
+
+    def _passed(self, along_m: float, depth_m: float) -> float:
+        """Cut the columns that the deepest point of the edge has passed down to its depth.
+
+        A column under the blade is never covered to that depth as a whole. Returns the sum of the
+        added mean depths [m].
+        """
+        start_s, start_l = self.place_m
+        deepest = self.width_m if self._slope > 0.0 else 0.0
+        before = floor((start_s + deepest) / self._spacing_m)
+        now = floor((along_m + deepest) / self._spacing_m)
+        if before == now:
+            return 0.0
+        columns = slice(min(before, now + 1) - self._first, max(before + 1, now) - self._first)
+        depth = self.deepest_m(min(start_l, depth_m))
+        held = self._cut[columns]
+        added = np.maximum(depth - held, 0.0)
+        held += added
+        return float(added.sum())
+
+    def _grow(self, first: int, last: int) -> None:
+        """Store columns from a first to a last one."""
+        before = max(self._first - first + CHUNK, 0) if first < self._first else 0
+        end = self._first + len(self._cut)
+        after = last - end + CHUNK if last > end else 0
+        if before or after:
+            self._cut = np.pad(self._cut, (before, after))
+            self._touching = np.pad(self._touching, (before, after))
+            self._first -= before

@@ -1,0 +1,239 @@
+"""Opening of a cut, for display: displacement, strain and stress of a block that is split by it.
+
+The block is linear-elastic and split along the whole plane of the first cut. Where the blade has
+not cut, both faces of the plane stay together. Where it has, they are free, and the stress across
+the cut, E / (1 - nu²) times the prestrain, relaxes: it acts as a traction that pulls them apart.
+The tissue below the block and at its sides along the cut does not move. The opening of a long cut
+is then close to that of an edge crack, 5.8 times prestrain and depth (Tada, Paris and Irwin 2000).
+The pressure of the blade, other cuts and contact of the faces are not shown. No force depends on
+the block.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from meshes.base.arrays import Array, Flags, Singles
+from meshes.base.errors import by
+from meshes.tets.structured import graded, grid
+from meshes.tets.tetrahedra import TetMesh
+from tissue.fem.fields import FieldSeries, Frame
+from tissue.fem.solvers.direct import DirectSolver
+from tissue.materials.elasticity import lame
+from tissue.models.incision.cut import COLUMNS, Cut
+from tissue.models.incision.parameters import Blade, IncisedTissue
+from tissue.models.organ.fields import OrganFields
+from tissue.models.organ.soft_organ import SoftOrgan
+
+__all__ = ["IncisionFields", "Track"]
+
+SIDE_M = 0.02
+"""Tissue beside the cut, beyond its ends and below it [m].
+
+The block is a picture. No force depends on its size or its edges, which are chosen.
+"""
+ALONG = 40
+DEEP = 5
+"""Numbers of edges along and down a cut; chosen."""
+GROWTH = 1.4
+"""Ratio of an edge to the next one nearer to the cut; chosen."""
+LARGEST_RATIO = 0.45
+"""Largest Poisson's ratio of the block: linear cells lock at larger ones."""
+NEAR_M = 0.01
+"""Distance of a hand's cut from the planned one within which it is drawn there [m]; assumed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Planned cut: its frame, its ends along the surface, and its depth along the blade's axis.
+
+    Attributes
+    ----------
+    cut
+        Cut where the tool enters first, not advanced.
+    ends_m
+        Smallest and largest s of the blade [m].
+    deepest_m
+        Largest depth l of the edge [m].
+    """
+
+    cut: Cut
+    ends_m: tuple[float, float]
+    deepest_m: float
+
+    @classmethod
+    def first_of(
+        cls, tissue: IncisedTissue, blade: Blade, tips_m: Array, rotations: Array
+    ) -> "Track | None":
+        """Return the first cut of a motion; None where the tip of the blade stays outside.
+
+        Parameters
+        ----------
+        tissue, blade
+            Tissue and blade.
+        tips_m, rotations
+            Tip positions that outline the motion [m], shape (n, 3), and rotations of the blade
+            there, shape (n, 3, 3).
+        """
+        inside = np.flatnonzero(tips_m[:, 2] < 0.0)
+        if not len(inside) or rotations[inside[0], 2, 2] <= 0.0:
+            return None
+        cut = Cut(tissue, blade, tips_m[inside[0]], rotations[inside[0]])
+        places = np.array([cut.coordinates_m(tip) for tip in tips_m[inside]])
+        places = places[np.abs(places[:, 2]) <= NEAR_M]
+        ends = float(places[:, 0].min()), float(places[:, 0].max()) + cut.width_m
+        return cls(cut, ends, cut.deepest_m(float(places[:, 1].max())))
+
+
+def _half(track: Track) -> tuple[TetMesh, Array, Array]:
+    """Return half of a block beside a cut, its nodes on the cut's plane, and their areas [m2].
+
+    x runs along the surface from the cut's origin, y away from the plane, z out of the tissue.
+    """
+    low, high = track.ends_m
+    deep = track.deepest_m * float(track.cut.axis[2])
+    edge = (high - low) / ALONG
+    aside = graded(0.0, SIDE_M, edge, GROWTH)
+    down = deep / DEEP
+    x = np.concatenate([low - aside[:0:-1], np.linspace(low, high, ALONG + 1), high + aside[1:]])
+    z = np.concatenate(
+        [np.linspace(0.0, deep, DEEP + 1), deep + graded(0.0, SIDE_M, down, GROWTH)[1:]]
+    )
+    z = -z[::-1]
+    mesh = grid(x, aside, z)
+    nodes = np.flatnonzero(mesh.nodes_m[:, 1] == 0.0)
+    share = [
+        0.5 * (np.diff(axis, append=axis[-1]) + np.diff(axis, prepend=axis[0])) for axis in (x, z)
+    ]
+    at = mesh.nodes_m[nodes]
+    areas = share[0][np.searchsorted(x, at[:, 0])] * share[1][np.searchsorted(z, at[:, 2])]
+    return mesh, nodes, areas
+
+
+class IncisionFields:
+    """Displacement, strain and stress of a block that the first cut of a motion opens.
+
+    A frame costs a tick a copy of the cut's profile. The fields are computed after the end of the
+    run. By mirror symmetry half of the block is solved.
+
+    Parameters
+    ----------
+    track
+        Planned cut.
+    tissue
+        Tissue.
+    interval_s
+        Time between two frames [s].
+    """
+
+    def __init__(self, track: Track, tissue: IncisedTissue, *, interval_s: float) -> None:
+        mesh, self._nodes, self._areas = _half(track)
+        self._track = track
+        low = mesh.nodes_m.min(axis=0)
+        high = mesh.nodes_m.max(axis=0)
+        held = np.flatnonzero((mesh.nodes_m[:, 2] == low[2]) | (mesh.nodes_m[:, 1] == high[1]))
+        ratio = min(tissue.poisson_ratio, LARGEST_RATIO)
+        rows = np.broadcast_to(lame(tissue.young_Pa, ratio), (len(mesh.cells), 2))
+        organ = SoftOrgan(mesh, rows, held, order=1)
+        self._nodes = np.setdiff1d(self._nodes, held)
+        self._areas = self._areas[~np.isin(np.flatnonzero(mesh.nodes_m[:, 1] == 0.0), held)]
+        organ.factor.expect(self._nodes)
+        solver = organ.factor.solver
+        assert isinstance(solver, DirectSolver), "the block is small"
+        count = len(self._nodes)
+        between = solver.compliance_between(self._nodes).reshape(count, 3, count, 3)
+        self._compliance = between[:, 1, :, 1]
+        self._traction_Pa = tissue.young_Pa / (1.0 - ratio**2) * tissue.prestrain
+        self._fields = OrganFields(organ, self._nodes, interval_s=interval_s)
+        self._kept = list[tuple[float, Array, Array]]()
+        self.next_s = 0.0
+        self.series = self._whole(self._fields.series)
+
+    def keep(self, time_s: float, cuts: Sequence[Cut]) -> None:
+        """Store the profiles of the cuts near the planned one."""
+        self.next_s += self._fields.interval_s
+        near = [
+            (middles + cut_s, depths)
+            for cut in cuts
+            for cut_s, _, aside in [self._track.cut.coordinates_m(cut.origin_m)]
+            if abs(aside) <= NEAR_M
+            for middles, depths in [cut.profile_m()]
+        ]
+        middles, depths = (
+            (np.concatenate(each) for each in zip(*near, strict=True)) if near else np.zeros((2, 0))
+        )
+        self._kept.append((time_s, middles, depths))
+
+    @property
+    def note(self) -> str:
+        """Sentence that describes the fields."""
+        size = by(1e3 * np.ptp(self.series.nodes_m, axis=0), ".0f")
+        return (
+            f"a linear-elastic block of {size} mm, split by the first cut, whose faces part under "
+            "the stress of the prestrain: a picture, not a second model of the force"
+        )
+
+    def compute(self) -> None:
+        """Solve the stored frames."""
+        for time_s, middles, depths in self._kept:
+            force = np.zeros((len(self._nodes), 3))
+            force[:, 1] = self._forces_N(self._open(middles, depths))
+            self._fields.keep(time_s, force, force)
+        self._kept.clear()
+        self._fields.compute()
+        for frame in self._fields.series.frames[len(self.series.frames) :]:
+            self.series.frames.append(self._mirrored(frame))
+
+    def _open(self, middles: Array, depths: Array) -> Flags:
+        """Return True for nodes of the plane that lie in the cut, shape (k,)."""
+        at = self._fields.series.nodes_m[self._nodes]
+        if not len(middles):
+            return np.zeros(len(at), bool)
+        order = np.argsort(middles)
+        # Nodes at the ends and at the bottom of a planned cut lie on its edge up to rounding. They
+        # stay together, because the cut has to reach a column beyond a node.
+        beyond = self._track.cut.width_m / COLUMNS * np.array([[-1.0], [1.0]])
+        depth = np.interp(at[:, 0] + beyond, middles[order], depths[order], left=0.0, right=0.0)
+        return -at[:, 2] < depth.min(axis=0) * float(self._track.cut.axis[2]) - 1e-9
+
+    def _forces_N(self, is_open: Flags) -> Array:
+        """Return normal forces [N] that open the cut and hold the rest of the plane together."""
+        forces = self._traction_Pa * self._areas * is_open
+        closed = ~is_open
+        compliance = self._compliance
+        forces[closed] = -np.linalg.solve(
+            compliance[np.ix_(closed, closed)],
+            compliance[np.ix_(closed, is_open)] @ forces[is_open],
+        )
+        return forces
+
+    def _whole(self, half: FieldSeries) -> FieldSeries:
+        """Return the whole block in the world, without frames."""
+        cut = self._track.cut
+        sideways = np.array([-cut.along[1], cut.along[0], 0.0])
+        # Columns of the block are parallel to the blade's axis.
+        place = np.column_stack([cut.along, sideways, cut.axis / cut.axis[2]])
+        sides = [half.nodes_m @ place.T + cut.origin_m]
+        sides.append((half.nodes_m * [1.0, -1.0, 1.0]) @ place.T + cut.origin_m)
+        self._turn = np.column_stack([cut.along, sideways, [0.0, 0.0, 1.0]])
+        # A mirrored tetrahedron has two corners exchanged.
+        cells = np.vstack([half.cells, half.cells[:, [1, 0, 2, 3]] + len(half.nodes_m)])
+        sets = {
+            name: np.concatenate([nodes, nodes + len(half.nodes_m)])
+            for name, nodes in half.node_sets.items()
+        }
+        return FieldSeries(
+            np.vstack(sides), cells, np.tile(half.layer, 2), half.layer_names, node_sets=sets
+        )
+
+    def _mirrored(self, frame: Frame) -> Frame:
+        """Return a frame of the whole block from one of its half."""
+
+        def both(values: Singles) -> Singles:
+            mirrored = values * np.array([1.0, -1.0, 1.0], np.float32)
+            return (np.vstack([values, mirrored]) @ self._turn.T).astype(np.float32)
+
+        points = {name: both(values) for name, values in frame.points.items()}
+        cells = {name: np.concatenate([each, each]) for name, each in frame.cells.items()}
+        return Frame(frame.time_s, points, cells)

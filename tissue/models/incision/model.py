@@ -1,0 +1,186 @@
+"""Blade in soft tissue, as a tissue that a tool moves through."""
+
+from math import isfinite
+
+import numpy as np
+
+from meshes.base.errors import InputError
+from tissue.fem.fields import FieldSeries
+from tissue.models.incision.cut import Cut
+from tissue.models.incision.fields import IncisionFields
+from tissue.models.incision.parameters import Blade, IncisedTissue
+from tissue.models.needle.parameters import LEAST_COSINE
+from tissue.models.tissue_model import Response, ToolMotion
+
+__all__ = ["IncisionModel"]
+
+PLAY_M = 1e-3
+"""Distance from a cut's plane within which a blade enters it and is not pressed sideways [m].
+
+About half the width of an open cut; chosen. A larger one lets the blade wander further without a
+force. A smaller one makes a second pass by hand start a cut beside the first.
+"""
+
+
+class IncisionModel:
+    """Tissue under the plane z = 0 that a blade cuts.
+
+    In the plane of the blade the force follows `tissue.models.incision.cut.Cut`. The plane and the
+    direction of a cut are those of the blade where it first enters. Rotation of a blade inside the
+    tissue has no resistance and no effect. Across its plane a blade does not cut. Beyond `PLAY_M`
+    the tissue pushes it back elastically, with a stiffness that rises with the depth up to the
+    blade's width. A blade that enters within that distance of an earlier cut, along all of its
+    width and in the sense of that cut, moves in it. Elsewhere the tissue is intact, also where cuts
+    cross. The force acts at the tip, without a torque.
+
+    Not modelled: relaxation, speed, weight, a back that does not cut, fibres and layers.
+
+    ``edge`` of the response is the force, which does not depend on speed. ``engaged_m2`` is the
+    area of both walls that touch the blade, with the area of its edge. The measures are the depth
+    of the tip in the tissue and the deflection of the tissue [mm], the cut area [mm2] and the
+    work of friction [mJ].
+
+    Parameters
+    ----------
+    tissue, blade
+        Tissue and blade.
+    fields
+        Opening of the cut for display; the force does not depend on it. None shows nothing.
+
+    Raises
+    ------
+    InputError
+        If the blade starts inside the tissue, lies almost flat on it, or has a pose that is not
+        finite.
+    """
+
+    measure_names: tuple[str, ...] = ("cut_depth_mm", "deflection_mm", "cut_mm2", "friction_mJ")
+
+    def __init__(
+        self, tissue: IncisedTissue, blade: Blade, *, fields: IncisionFields | None = None
+    ) -> None:
+        self.tissue = tissue
+        self.blade = blade
+        self.cuts: list[Cut] = []
+        self._fields = fields
+        self._in: Cut | None = None
+        self._stiffness = tissue.stiffness_N_m
+        self._held = self._stiffness * np.eye(3)
+        self._free = np.zeros((3, 3))
+        self.layer_names = (tissue.name,)
+        self.start_m3 = np.zeros(1)
+        self.removed_m3 = np.zeros(1)
+        self._response = Response.empty(1, len(self.measure_names))
+        self._response.normal[2] = 1.0
+
+    @property
+    def fields(self) -> FieldSeries | None:
+        """Displacement, strain and stress around the cut, computed after the end of the run."""
+        return None if self._fields is None else self._fields.series
+
+    @property
+    def area_m2(self) -> float:
+        """Area of all cuts, one side [m2]."""
+        return sum(cut.area_m2 for cut in self.cuts)
+
+    @property
+    def friction_J(self) -> float:
+        """Work of friction in all cuts [J]."""
+        return sum(cut.friction_J for cut in self.cuts)
+
+    def place(self, motion: ToolMotion) -> None:
+        """Put the blade at its start, outside the tissue."""
+        depth = self._below_m(motion)
+        if depth > 0.0:
+            raise InputError(
+                "motion",
+                "start with the blade outside the tissue",
+                f"it {1000.0 * depth:g} mm inside",
+                "start above the surface",
+            )
+        self.cuts.clear()
+        self._in = None
+
+    def advance(self, motion: ToolMotion) -> None:
+        """Press, cut and slide to the blade's new pose."""
+        below = self._below_m(motion)
+        if self._in is None:
+            if below <= 0.0:
+                return
+            self._in = self._entered(motion)
+        cut = self._in
+        along, depth, _ = cut.coordinates_m(motion.tip_m)
+        cut.advance(along, depth)
+        if cut.deepest_m(cut.place_m[1]) <= 0.0 and below <= 0.0:
+            self._in = None
+
+    def respond(self, motion: ToolMotion) -> Response:
+        """Return the force on the blade."""
+        response = self._response
+        response.engaged_m2[0] = 0.0
+        response.gap_m = max(-self._below_m(motion), 0.0)
+        response.stiffness_N_m = self._free
+        response.wrench[:] = 0.0
+        measures = response.measures
+        measures[:2] = 0.0
+        if (cut := self._in) is not None:
+            along, out = cut.pull_N
+            deepest = max(cut.deepest_m(cut.place_m[1]), 0.0)
+            aside = cut.coordinates_m(motion.tip_m)[2]
+            pushed = max(abs(aside) - PLAY_M, 0.0) * (1.0 if aside > 0.0 else -1.0)
+            across = -self._stiffness * min(deepest / self.blade.width_m, 1.0) * pushed
+            response.wrench[:3] = along * cut.along + out * cut.up + across * cut.across
+            if along != 0.0 or out != 0.0:
+                response.stiffness_N_m = self._held
+                response.engaged_m2[0] = 2.0 * cut.touching_m2 + (
+                    self.blade.width_m * self.blade.thickness_m
+                )
+            measures[0] = 1e3 * deepest
+            measures[1] = 1e3 * float(np.hypot(along, out)) / self._stiffness
+        response.edge[:] = response.wrench
+        measures[2] = 1e6 * self.area_m2
+        measures[3] = 1e3 * self.friction_J
+        return response
+
+    def start_background(self, time_s: float, motion: ToolMotion) -> None:
+        """Store the cut where a frame is due."""
+        # 1e-9 s: the time of a tick is rounded.
+        if self._fields is not None and time_s >= self._fields.next_s - 1e-9:
+            self._fields.keep(time_s, self.cuts)
+
+    def finish(self) -> None:
+        """Compute the fields of the frames."""
+        if self._fields is not None:
+            self._fields.compute()
+
+    def _below_m(self, motion: ToolMotion) -> float:
+        """Return the depth of the lowest point of the edge [m], negative outside."""
+        tip = float(motion.tip_m[2])
+        edge = float(motion.rotation[2, 0] + self.blade.rise * motion.rotation[2, 2])
+        if not (isfinite(tip) and isfinite(edge)):
+            raise InputError(
+                "the blade's pose", "be finite", f"its tip at {motion.tip_m}", "fix the motion"
+            )
+        return -tip - min(self.blade.width_m * edge, 0.0)
+
+    def _entered(self, motion: ToolMotion) -> Cut:
+        """Return the earlier or new cut at the point where the blade meets the surface."""
+        axis = motion.rotation[:, 2]
+        across = motion.rotation[:, 1]
+        if axis[2] < LEAST_COSINE or 1.0 - across[2] ** 2 < LEAST_COSINE**2:
+            raise InputError(
+                "the blade",
+                "meet the surface at more than 10 degrees",
+                f"an axis with a cosine of {axis[2]:.2f} to its normal",
+                "point the blade into the tissue",
+            )
+        new = Cut(self.tissue, self.blade, motion.tip_m, motion.rotation)
+        for cut in self.cuts:
+            along, _, aside = cut.coordinates_m(new.origin_m)
+            end = cut.coordinates_m(new.origin_m + self.blade.width_m * new.along)
+            if max(abs(aside), abs(end[2])) <= PLAY_M and end[0] > along:
+                cut.enter(along)
+                return cut
+        new.enter(new.coordinates_m(motion.tip_m)[0])
+        self.cuts.append(new)
+        return new

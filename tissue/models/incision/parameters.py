@@ -1,0 +1,136 @@
+"""Blade, and tissue that it cuts."""
+
+from dataclasses import dataclass
+from math import pi, radians, tan
+
+from scipy.special import ellipk
+
+from meshes.base.errors import InputError, require_positive, require_range
+from tissue.materials.scene_constants import Materials
+from tissue.models.needle.parameters import positive_root
+
+__all__ = ["Blade", "IncisedTissue", "incised_tissue"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Blade:
+    """Thin plate with a straight cutting edge at its lower end.
+
+    Its plane is spanned by the tool's x axis and its axis z. The edge begins at the tip and ends at
+    a distance along x. Both sides and the edge cut.
+
+    Attributes
+    ----------
+    width_m, thickness_m
+        Width along x, and thickness [m].
+    edge_rad
+        Angle between edge and axis [rad]: a right angle for a chisel, less for a pointed blade.
+    """
+
+    width_m: float
+    thickness_m: float
+    edge_rad: float
+
+    def __post_init__(self) -> None:
+        require_positive("thickness_m", self.thickness_m, "a scalpel blade has 0.4e-3 m")
+        if not self.width_m > self.thickness_m:
+            raise InputError(
+                "width_m",
+                f"be greater than thickness_m ({self.thickness_m:g})",
+                f"{self.width_m:g}",
+                "a scalpel blade has 6e-3 m",
+            )
+        require_range(
+            "edge_rad", self.edge_rad, radians(5.0), 0.5 * pi, "a chisel has a right angle, pi / 2"
+        )
+
+    @property
+    def rise(self) -> float:
+        """Height of the edge above the tip, per distance along x."""
+        return max(1.0 / tan(self.edge_rad), 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class IncisedTissue:
+    """Parameters of a tissue that a blade cuts.
+
+    Attributes
+    ----------
+    name
+        Name in layers.
+    toughness_J_m2
+        Energy that a unit of cut area takes, J [J/m2].
+    friction_Pa
+        Friction per area of each wall that touches the blade, tau [Pa].
+    stiffness_N_m
+        Force of the tissue on a blade per deflection, in all directions [N/m].
+    young_Pa, poisson_ratio
+        Young's modulus [Pa] and Poisson's ratio of the drawn block.
+    prestrain
+        Strain across the cut that relaxes when it opens. It only widens the drawn cut.
+    """
+
+    name: str
+    toughness_J_m2: float
+    friction_Pa: float
+    stiffness_N_m: float
+    young_Pa: float
+    poisson_ratio: float
+    prestrain: float
+
+    def __post_init__(self) -> None:
+        for name in ("toughness_J_m2", "stiffness_N_m", "young_Pa"):
+            require_positive(name, getattr(self, name), "give it in SI units")
+        require_range("friction_Pa", self.friction_Pa, 0.0, 1e6, "give it in Pa")
+        require_range("poisson_ratio", self.poisson_ratio, 0.0, 0.5, "use 0.49")
+        require_range("prestrain", self.prestrain, 0.0, 1.0, "use 0 for a cut that stays closed")
+
+
+def punch_stiffness_N_m(blade: Blade, *, young_Pa: float, poisson_ratio: float) -> float:
+    """Return the stiffness of a half space under the blade's lower end [N/m].
+
+    It is that of a rigid elliptical punch, pi E* a / K(e) with half axes a and b, e² = 1 - b²/a²
+    and K the complete elliptic integral (Johnson 1985).
+    """
+    modulus = young_Pa / (1.0 - poisson_ratio**2)
+    flat = 1.0 - (blade.thickness_m / blade.width_m) ** 2
+    return pi * modulus * 0.5 * blade.width_m / float(ellipk(flat))
+
+
+def secant_stiffness_N_m(force_N: float, *, constants: Materials) -> float:
+    """Return the secant stiffness of the needle's liver at a force [N/m].
+
+    The small-strain modulus of liver is not used. A half space of it would yield by centimetres
+    under a blade, several times as much as the liver under the needle.
+    """
+    liver = constants.constants("needle", "liver")
+    deflection = positive_root(
+        1e6 * liver["quadratic_N_mm2"].value, 1e3 * liver["linear_N_mm"].value, force_N
+    )
+    return force_N / deflection
+
+
+def incised_tissue(
+    name: str, blade: Blade, *, constants: Materials = Materials.cited
+) -> IncisedTissue:
+    """Return a tissue with its constants in `soft.toml`.
+
+    Skin has the stiffness of a half space. Liver has that of the needle's liver at the force that
+    cuts along the whole width of the blade.
+    """
+    found = {key: entry.value for key, entry in constants.constants("soft", name).items()}
+    young = 1e3 * found["modulus_kPa"]
+    toughness = found["toughness_J_m2"]
+    if name == "liver":
+        stiffness = secant_stiffness_N_m(toughness * blade.width_m, constants=constants)
+    else:
+        stiffness = punch_stiffness_N_m(blade, young_Pa=young, poisson_ratio=found["poisson_ratio"])
+    return IncisedTissue(
+        name=name,
+        toughness_J_m2=toughness,
+        friction_Pa=1e3 * found["blade_friction_kPa"],
+        stiffness_N_m=stiffness,
+        young_Pa=young,
+        poisson_ratio=found["poisson_ratio"],
+        prestrain=found["prestrain"],
+    )
