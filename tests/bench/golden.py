@@ -1,6 +1,6 @@
 """Check that traces are bit for bit the recorded ones: `python tests/bench/golden.py [--record]`.
 
-Runs the nine built-in scenes as shipped, and two of them by hand, and compares a hash of each trace
+Runs the built-in scenes as shipped, and two of them by hand, and compares a hash of each trace
 column with `golden.json`. The compliance of an organ is computed anew, because a cached one of an
 earlier run can differ in its last bit. Hashes hold for one machine, because libraries round differently on
 others: record them there before a change, then compare after it.
@@ -22,6 +22,7 @@ RECORDED = Path(__file__).with_suffix(".json")
 SCENES = (
     "caries",
     "glenoid",
+    "incision",
     "liver-press",
     "milling",
     "molar",

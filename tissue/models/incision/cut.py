@@ -136,7 +136,7 @@ class Cut:
 
     def profile_m(self) -> tuple[Array, Array]:
         """Return middles of the columns and mean depths of the cut in them [m]."""
-        middles = (self._first + 0.5 + np.arange(len(self._cut))) * self._spacing_m
+        middles: Array = self._spacing_m * (self._first + 0.5 + np.arange(len(self._cut)))
         cut = self._cut > 0.0
         return middles[cut], self._cut[cut]
 

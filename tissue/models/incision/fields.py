@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from meshes.base.arrays import Array, Flags, Singles
+from meshes.base.arrays import Array, Flags, Ints, Singles
 from meshes.base.errors import by
 from meshes.tets.structured import graded, grid
 from meshes.tets.tetrahedra import TetMesh
@@ -86,7 +86,7 @@ class Track:
         return cls(cut, ends, cut.deepest_m(float(places[:, 1].max())))
 
 
-def _half(track: Track) -> tuple[TetMesh, Array, Array]:
+def _half(track: Track) -> tuple[TetMesh, Ints, Array]:
     """Return half of a block beside a cut, its nodes on the cut's plane, and their areas [m2].
 
     x runs along the surface from the cut's origin, y away from the plane, z out of the tissue.
