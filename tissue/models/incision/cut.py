@@ -136,7 +136,8 @@ class Cut:
 
     def profile_m(self) -> tuple[Array, Array]:
         """Return middles of the columns and mean depths of the cut in them [m]."""
-        middles: Array = self._spacing_m * (self._first + 0.5 + np.arange(len(self._cut)))
+        columns = np.arange(len(self._cut), dtype=np.float64)
+        middles = self._spacing_m * (self._first + 0.5 + columns)
         cut = self._cut > 0.0
         return middles[cut], self._cut[cut]
 
