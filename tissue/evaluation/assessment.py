@@ -425,7 +425,7 @@ depths are right.
 """
 NUMERICAL = frozenset(
     f"organ.{name}"
-    for name in ("law_interval_ms", "law_edge_ratio", "order", "path", "basis_size", "interval_ms")
+    for name in ("law_interval_ms", "order", "path", "basis_size", "interval_ms")
 )
 """Keys of these parts that change the computation and not the task."""
 FREE = ("name", "description", "seed", "device", "output", "fidelity")

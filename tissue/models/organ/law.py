@@ -13,25 +13,20 @@ The offset changes to the new one within the next interval, without a step. It f
 the tool by the change of the offset since the last equilibrium. W is the compliance at rest until
 the equilibria are far from it. Then W is the compliance of the tangent stiffness at the present
 displacement (Newton's method).
-
-Equilibria may be solved on a coarser mesh: u = W_rest f + T (u_c - K_c^-1 T^T f), with T from its
-nodes to the touchable nodes, and W = W_rest + T (K_t^-1 - K_c^-1) T^T. Its errors are nearly equal
-with and without the law.
 """
 
 from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
-from scipy.sparse import bsr_array, csr_array, kron
+from scipy.sparse import bsr_array, csr_array, eye_array
 
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
-from tissue.fem.assembly import surface_transfer
 from tissue.fem.hyperelastic import NonlinearBody
 from tissue.fem.quasi_newton import QuasiNewton, Springs
 from tissue.fem.solvers.direct import DirectSolver
-from tissue.fem.solvers.held_body import HeldBody
+from tissue.fem.solvers.held_body import HeldBody, components_of
 from tissue.materials.hyperelasticity import Hyperelastic
 from tissue.models.organ.compliance import FACTOR_UNKNOWNS
 from tissue.models.organ.contact import SurfaceContact
@@ -113,6 +108,12 @@ class _Line:
         out += (share * beyond) * self.slope
 
 
+def _displaced(contact: SurfaceContact, forces_N: Array) -> Array:
+    """Return the displacement [m] of touchable nodes by the contact's compliance, shape (t, 3)."""
+    moved: Array = contact.result.compliance_m_N @ forces_N.ravel()
+    return moved.reshape(-1, 3)
+
+
 class LawOffset:
     """Difference between the touchable nodes of an organ and their positions by a compliance.
 
@@ -125,26 +126,17 @@ class LawOffset:
     """
 
     def __init__(self, organ: SoftOrgan, law: OrganLaw, touchable: Ints) -> None:
-        solved, factors = law.coarser or (organ, law.cell_factors)
-        transfer = surface_transfer(solved.space, organ.space.nodes_m[touchable])
-        self._nodes = np.unique(transfer.indices)
-        solved.factor.expect(self._nodes)
-        self._follower = follower_of(solved, law.law, factors, self._nodes)
-        self._fixed = solved.body.fixed
-        self._transfer = transfer
-        self._spread = csr_array(transfer.T)
-        self._near = csr_array(transfer[:, self._nodes])
-        self._each = csr_array(kron(self._near, np.eye(3)))
+        self._follower = follower_of(organ, law.law, law.cell_factors, touchable)
+        self._nodes = touchable
+        self._fixed = organ.body.fixed
+        self._shares = csr_array(eye_array(organ.space.node_count, format="csr")[touchable])
         self.interval_s = law.interval_s
-        none = np.zeros((transfer.shape[0], 3))
-        there = np.zeros((len(self._nodes), 3))
+        none = np.zeros((len(touchable), 3))
         self.latest_m = none.copy()
         """Offset of the last tick [m], shape (t, 3)."""
         self._before = self._now = _Line(none, none, 0.0, 0.0)
-        self._apart = (0.0, there, there)
-        self._factor = self._follower.at_rest
-        self._rest = self._between = self._factor.compliance_between(self._nodes)
-        self._at_rest: Array | None = None
+        self._apart = (0.0, none, none)
+        self._factor = self._follower.factor
         self._changed_s = 0.0
         self._next_s = law.interval_s
         self.notices: list[str] = []
@@ -173,28 +165,28 @@ class LawOffset:
             return
         started = perf_counter()
         indefinite = self.indefinite
-        load = self._spread @ contact.result.nodal_forces_N
-        springs = self._springs(contact.result.nodal_forces_N, load)
-        found = self._follower.follow(load, tolerance=TOLERANCE, step_limit=STEPS, springs=springs)
+        load = np.zeros(self._fixed.shape)
+        load[self._nodes] = contact.result.nodal_forces_N
+        found = self._follower.follow(
+            load, tolerance=TOLERANCE, step_limit=STEPS, springs=self._springs(contact)
+        )
         forces = found.load_N[self._nodes]
         moved = found.displacement_m[self._nodes]
         self._now.into(expected := np.zeros_like(self.latest_m), depth_m, 1.0)
-        missed = float(np.linalg.norm(self._off(moved, forces) - expected))
-        if self._follower.factor is self._factor and missed > MISSED * float(
-            np.linalg.norm(self._near @ moved)
-        ):
+        missed = float(np.linalg.norm(moved - _displaced(contact, forces) - expected))
+        if self._follower.factor is self._factor and missed > MISSED * float(np.linalg.norm(moved)):
             self._follower.take_stiffness()
         if self._follower.factor is not self._factor:
             self._change_compliance(contact, forces, depth_m)
         left = np.where(self._fixed, 0.0, found.load_N - found.internal_N)
-        moved = (found.displacement_m + self._factor.solve(left).displacement_m)[self._nodes]
-        offset = self._off(moved, forces)
+        moved = moved + self._factor.solve(left).displacement_m[self._nodes]
+        offset = moved - _displaced(contact, forces)
         last_m, *last = self._apart
         slope = self._now.slope
         reach_m = self._now.reach_m
         # A smaller change of depth would divide the noise of two solves by almost zero.
         if abs(depth_m - last_m) >= APART_M:
-            slope = (offset - self._off(*last)) / (depth_m - last_m)
+            slope = (offset - (last[0] - _displaced(contact, last[1]))) / (depth_m - last_m)
             reach_m = FARTHEST * abs(depth_m - last_m)
             self._apart = (depth_m, moved, forces)
         self._before = self._now
@@ -203,47 +195,34 @@ class LawOffset:
         self._next_s = time_s + self.interval_s
         self._report(found.residual, perf_counter() - started, first=indefinite == 0)
 
-    def _springs(self, forces_N: Array, load_N: Array) -> Springs:
-        """Build springs that hold the nodes under the tool near their last contact positions."""
+    def _springs(self, contact: SurfaceContact) -> Springs:
+        """Build springs that hold the nodes under the tool near their last contact positions.
+
+        They have the compliance of the contact. Let w be its stiffness, k that of the tissue and s
+        that of the springs. An error of the contact force then decays from solve to solve by
+        (k - w) / (k + s) where the tool prescribes the displacement, and by s (k - w) / w (k + s)
+        where it prescribes the force. With s = w both are (k - w) / (k + w), less than 1 for any
+        tissue.
+        """
+        forces_N = contact.result.nodal_forces_N
         loaded = np.flatnonzero(forces_N.any(axis=1))
         if not len(loaded):
             return Springs.none(self._fixed.size)
-        held_m = (
-            self._near @ (self._between @ load_N[self._nodes].ravel()).reshape(-1, 3)
-            + self.latest_m
-        )
-        near = csr_array(kron(self._near[loaded], np.eye(3)))
-        compliance = (
-            np.asarray((near.multiply((self._rest @ near.T).T)).sum(axis=1))
-            .reshape(-1, 3)
-            .mean(axis=1)
-        )
-        return Springs.holding(self._transfer[loaded], compliance, held_m[loaded])
-
-    def _off(self, moved_m: Array, forces_N: Array) -> Array:
-        """Return the offset of the touchable nodes [m] from a solution.
-
-        The solution is given by the displacements of the solved nodes and the forces on them.
-        """
-        there: Array = self._near @ (moved_m - (self._between @ forces_N.ravel()).reshape(-1, 3))
-        return there
+        held_m = contact.result.displacement_m() + self.latest_m
+        columns = components_of(loaded)
+        compliance = contact.result.compliance_m_N[np.ix_(columns, columns)]
+        return Springs.holding(self._shares[loaded], compliance, held_m[loaded])
 
     def _change_compliance(self, contact: SurfaceContact, forces_N: Array, depth_m: float) -> None:
         """Use the compliance of the stiffness that was factorised last.
 
         No node moves by the change.
         """
-        if self._at_rest is None:
-            self._at_rest = contact.result.compliance_m_N.copy()
         self._factor = self._follower.factor
-        before = self._between
-        self._between = self._factor.compliance_between(self._nodes)
-        change = self._each @ (self._each @ (self._between - self._rest)).T
-        # Rounding makes the change unsymmetric.
-        contact.change_compliance(self._at_rest + 0.5 * (change + change.T))
-        at_m = np.zeros_like(self.latest_m)
+        at_m = _displaced(contact, forces_N)
+        contact.change_compliance(self._factor.compliance_between(self._nodes))
+        at_m -= _displaced(contact, forces_N)
         self._now.into(at_m, depth_m, 1.0)
-        at_m += self._near @ ((before - self._between) @ forces_N.ravel()).reshape(-1, 3)
         self._now = _Line(at_m, self._now.slope, depth_m, self._now.reach_m)
 
     @property

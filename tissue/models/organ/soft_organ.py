@@ -127,15 +127,11 @@ class OrganLaw:
         Factor on its moduli in each cell, shape (m,).
     interval_s
         Time between two solves, between ticks [s].
-    coarser
-        The organ on a coarser mesh, on which its law is solved, and the factors there; None for its
-        own mesh.
     """
 
     law: Hyperelastic
     cell_factors: Array
     interval_s: float
-    coarser: "tuple[SoftOrgan, Array] | None" = None
 
 
 class SoftOrgan:

@@ -434,26 +434,17 @@ def coarser_mesh(
     return held_mesh(coarse, path_m=path_m, touch_edge_m=ratio * touch_edge_m, report=report)
 
 
-def organ_law(
-    scene: Scene,
-    lame_Pa: Array,
-    *,
-    path_m: Array,
-    touch_edge_m: float,
-    compute: str,
-    report: Progress,
-) -> "OrganLaw | None":
-    """Return the law of a scene's organ and its mesh; None for the linear law.
+def organ_law(scene: Scene, lame_Pa: Array) -> "OrganLaw | None":
+    """Return the law of a scene's organ; None for the linear law.
 
-    `lame_Pa` holds Lame constants of the cells of the organ's mesh [Pa], shape (m, 2). Other
-    arguments are as for `held_mesh`.
+    `lame_Pa` holds Lame constants of the cells of the organ's mesh [Pa], shape (m, 2).
 
     Raises
     ------
     InputError
         As for `law_of`, or if a real device would wait for the law.
     """
-    from tissue.models.organ.soft_organ import OrganLaw, SoftOrgan
+    from tissue.models.organ.soft_organ import OrganLaw
 
     organ = scene.organ
     found = law_of(organ, lame_Pa)
@@ -469,17 +460,7 @@ def organ_law(
                 "its interval"
             ),
         )
-    law, factors = found
-    interval_s = 1e-3 * organ.law_interval_ms
-    if organ.law_edge_ratio == 1.0:
-        return OrganLaw(law, factors, interval_s)
-    mesh = coarser_mesh(
-        scene, path_m=path_m, touch_edge_m=touch_edge_m, ratio=organ.law_edge_ratio, report=report
-    )
-    assert isinstance(scene.anatomy, SoftAnatomy)
-    moduli, _ = elasticity_of(mesh.mesh, scene.anatomy, organ, scene.constants)
-    coarser = SoftOrgan(mesh.mesh, moduli, mesh.held, order=organ.order, device=compute)
-    return OrganLaw(law, factors, interval_s, (coarser, moduli[:, 1] / law.shear_Pa))
+    return OrganLaw(*found, 1e-3 * organ.law_interval_ms)
 
 
 def _law(organ: Organ, shear_Pa: float, bulk_Pa: float) -> Hyperelastic:
