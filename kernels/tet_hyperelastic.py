@@ -168,24 +168,27 @@ def stretch_force(
 
 
 @wp.func
-def at_least(value: wp.float64, floor: wp.float64):
-    """Return the magnitude of a value, or the floor if that is larger."""
-    return wp.max(wp.abs(value), floor)
+def at_least(value: wp.float64, smallest: wp.float64):
+    """Return the magnitude of a value, or the smallest one allowed if that is larger."""
+    return wp.max(wp.abs(value), smallest)
 
 
 @wp.func
-def definite(matrix: wp.mat33d, floor: wp.float64):
-    """Replace the eigenvalues of a symmetric matrix by their magnitudes, at least the floor."""
+def definite(matrix: wp.mat33d, smallest: wp.float64):
+    """Replace the eigenvalues of a symmetric matrix by their magnitudes.
+
+    Each is at least the smallest one allowed.
+    """
     frame, values = wp.eig3(matrix)
     raised = wp.vec3d(
-        at_least(values[0], floor), at_least(values[1], floor), at_least(values[2], floor)
+        at_least(values[0], smallest), at_least(values[1], smallest), at_least(values[2], smallest)
     )
     return frame * wp.diag(raised) * wp.transpose(frame)
 
 
 @wp.func
 def pair_moduli(
-    stretch: wp.vec3d, first: wp.vec3d, second: wp.mat33d, is_definite: int, floor: wp.float64
+    stretch: wp.vec3d, first: wp.vec3d, second: wp.mat33d, is_definite: int, smallest: wp.float64
 ):
     """Compute moduli of changes of the shear ij along itself and along its transpose.
 
@@ -204,8 +207,8 @@ def pair_moduli(
                     stretching = (first[i] - first[j]) / (a - b)
                 turning = (first[i] + first[j]) / (a + b)
                 if is_definite == 1:
-                    stretching = at_least(stretching, floor)
-                    turning = at_least(turning, floor)
+                    stretching = at_least(stretching, smallest)
+                    turning = at_least(turning, smallest)
                 along[i, j] = HALF * (stretching + turning)
                 across[i, j] = HALF * (stretching - turning)
     return along, across
@@ -249,10 +252,10 @@ def stretch_stiffness(
         second = wp.cw_div(curvature, wp.outer(stretch, stretch)) - wp.diag(
             wp.cw_div(first, stretch)
         )
-        floor = LEAST * moduli[cell, 1]
-        along, across = pair_moduli(stretch, first, second, is_definite, floor)
+        smallest = LEAST * moduli[cell, 1]
+        along, across = pair_moduli(stretch, first, second, is_definite, smallest)
         if is_definite == 1:
-            second = definite(second, floor)
+            second = definite(second, smallest)
         u = f * v * wp.diag(wp.cw_div(wp.vec3d(ONE, ONE, ONE), stretch))
         for pair in range(pair_first.shape[0]):
             g_a = wp.transpose(v) * gradient_of(cell, q, pair_first[pair], reference, corner)

@@ -122,6 +122,7 @@ def test_a_law_runs_in_a_scene(name, law):
     when it comes.
     """
     changes = {"organ.law": law, "organ.interval_ms": 200.0, "organ.friction": 0.05}
+    changes["organ.law_interval_ms"] = 10.0
     changes |= {f"organ.{key}": value for key, value in SCENE_LAWS[law].items()}
     run = simulate(load_scene(name, SCENES[name] | changes), cores=1)
     assert run.summary["law"]["not_reached"] == 0
@@ -136,7 +137,7 @@ def test_a_law_runs_in_a_scene(name, law):
     print(
         name, law, run.summary["law"], "up over down", (up / down).round(3), "peak", force_N.max()
     )
-    # The ball leaves at another place than it came, up to 8 mm away, with a solve 25 ms old: 1.5 mm
+    # The ball leaves at another place than it came, up to 8 mm away, with a solve 10 ms old: 0.6 mm
     # of its path.
     np.testing.assert_allclose(up, down, rtol=0.35)
     frame = run.parts.tissue.fields.frames[-1]

@@ -87,19 +87,17 @@ class Springs:
         lower = cholesky(compliance_m_N, lower=True)
         near = solve_triangular(lower, points[:, columns].toarray(), lower=True)
         rows = np.repeat(np.arange(len(near)), len(columns))
-        turned = csr_array(
-            (near.ravel(), (rows, np.tile(columns, len(near)))), shape=points.shape
-        )
+        turned = csr_array((near.ravel(), (rows, np.tile(columns, len(near)))), shape=points.shape)
         target = solve_triangular(lower, target_m.ravel(), lower=True)
         return cls(turned, np.ones(len(near)), target)
 
     def at(self, share: float, start_m: Array) -> "Springs":
-        """Return the springs with targets moved by a share of their way from a displacement.
+        """Return the springs with targets moved from a displacement by a share of the distance.
 
         Parameters
         ----------
         share
-            Share of the way (0 to 1). With 0 the springs have no force at the start.
+            Share of the distance (0 to 1). With 0 the springs have no force at the start.
         start_m
             Displacement of the nodes at the start [m], shape (n, 3).
         """

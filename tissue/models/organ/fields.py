@@ -114,7 +114,9 @@ class OrganFields:
 
     def _springs(self, forces_N: Array, moved_m: Array) -> Springs | None:
         """Return springs that hold the loaded nodes near their positions in the contact."""
-        loaded = np.flatnonzero(forces_N.any(axis=1))
+        # A held node needs no spring, and has no compliance.
+        fixed = self._organ.body.fixed[self._touchable].any(axis=1)
+        loaded = np.flatnonzero(forces_N.any(axis=1) & ~fixed)
         if not len(loaded):
             return None
         nodes = self._touchable[loaded]
@@ -212,7 +214,7 @@ def cauchy_stress(
         strain[:, row, column],
         stress[:, row, column],
         np.sqrt(1.5 * (deviator**2).sum(axis=(1, 2))),
-        np.linalg.eigvalsh(stress)[:, ::-1],
+        np.asarray(np.linalg.eigvalsh(stress)[:, ::-1], dtype=np.float64),
     )
 
 

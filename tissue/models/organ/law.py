@@ -24,7 +24,7 @@ from scipy.sparse import bsr_array, csr_array, eye_array
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 from tissue.fem.hyperelastic import NonlinearBody
-from tissue.fem.quasi_newton import QuasiNewton, Springs
+from tissue.fem.quasi_newton import Followed, QuasiNewton, Springs
 from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.held_body import HeldBody, components_of
 from tissue.materials.hyperelasticity import Hyperelastic
@@ -149,7 +149,9 @@ class LawOffset:
 
         Every call returns one reused array.
         """
-        share = min((time_s - self._changed_s) / self.interval_s, 1.0)
+        share = 1.0
+        if self.interval_s > 0.0:
+            share = min((time_s - self._changed_s) / self.interval_s, 1.0)
         self.latest_m[:] = 0.0
         self._before.into(self.latest_m, depth_m, 1.0 - share)
         self._now.into(self.latest_m, depth_m, share)
@@ -161,8 +163,11 @@ class LawOffset:
         The solution sets the offset of the next interval. Within an interval nothing is done.
         """
         # 1e-9 s: the time of a tick is rounded.
-        if time_s < self._next_s - 1e-9:
-            return
+        if time_s >= self._next_s - 1e-9:
+            self.solve(time_s, depth_m, contact)
+
+    def solve(self, time_s: float, depth_m: float, contact: SurfaceContact) -> None:
+        """Solve for the equilibrium under the present contact forces."""
         started = perf_counter()
         indefinite = self.indefinite
         load = np.zeros(self._fixed.shape)
@@ -193,7 +198,7 @@ class LawOffset:
         self._now = _Line(offset, slope, depth_m, reach_m)
         self._changed_s = time_s
         self._next_s = time_s + self.interval_s
-        self._report(found.residual, perf_counter() - started, first=indefinite == 0)
+        self._report(found, perf_counter() - started, first=indefinite == 0)
 
     def _springs(self, contact: SurfaceContact) -> Springs:
         """Build springs that hold the nodes under the tool near their last contact positions.
@@ -205,7 +210,8 @@ class LawOffset:
         tissue.
         """
         forces_N = contact.result.nodal_forces_N
-        loaded = np.flatnonzero(forces_N.any(axis=1))
+        # A held node needs no spring, and has no compliance.
+        loaded = np.flatnonzero(forces_N.any(axis=1) & ~self._fixed[self._nodes].any(axis=1))
         if not len(loaded):
             return Springs.none(self._fixed.size)
         held_m = contact.result.displacement_m() + self.latest_m
@@ -230,10 +236,10 @@ class LawOffset:
         """Number of tangents so far that were not positive definite."""
         return self._follower.indefinite
 
-    def _report(self, residual: float, took_s: float, *, first: bool) -> None:
+    def _report(self, found: Followed, took_s: float, *, first: bool) -> None:
         """Count the solve, and report events that happen for the first time."""
         self.solves += 1
-        self.unsettled += residual > TOLERANCE
+        self.unsettled += found.residual > TOLERANCE
         if first and self.indefinite:
             self.notices.append(
                 "the tangent stiffness of organ.law is not positive definite: only the tool "
@@ -241,13 +247,13 @@ class LawOffset:
                 "yielding. It was replaced by a stiffer one; check the force here against a "
                 "finer mesh"
             )
-        if residual > TOLERANCE and self.unsettled == 1:
+        if found.residual > TOLERANCE and self.unsettled == 1:
             self.notices.append(
-                f"the law's equilibrium was not reached in {STEPS} steps: {residual:.0%} of "
-                "the largest nodal force "
-                "is not balanced"
+                f"the law's equilibrium was not reached in {STEPS} steps: {found.residual:.0%} of "
+                "the largest nodal force is not balanced. The equilibrium after "
+                f"{found.reached:.0%} of the change of load is used instead"
             )
-        if took_s > self.interval_s and not self._late:
+        if 0.0 < self.interval_s < took_s and not self._late:
             self._late = True
             self.notices.append(
                 f"solving the law took {took_s:.2f} s, {SLOW} of {self.interval_s:g} s: the "

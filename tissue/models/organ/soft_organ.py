@@ -126,7 +126,8 @@ class OrganLaw:
     cell_factors
         Factor on its moduli in each cell, shape (m,).
     interval_s
-        Time between two solves, between ticks [s].
+        Time between two solves, between ticks [s]; 0 for an organ that is solved on request
+        (`LiverModel.converge`).
     """
 
     law: Hyperelastic
