@@ -13,17 +13,17 @@ indefinite and no equilibrium is near.
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.sparse import bsr_array, csr_array, kron
 
 from meshes.base.arrays import Array, Flags
-from tissue.fem.hyperelastic import NonlinearBody
 from tissue.fem.solvers.direct import DirectSolver, NotPositiveDefiniteError
 from tissue.fem.solvers.held_body import components_of
 
-__all__ = ["Followed", "QuasiNewton", "Springs"]
+__all__ = ["Body", "Followed", "QuasiNewton", "Springs"]
 
 MEMORY = 12
 """Number of steps whose curvature pairs are kept."""
@@ -41,6 +41,16 @@ MANY = 8
 """Steps of a solve after which the stiffness at the present displacement is factorised anew."""
 SMALLEST_PART = 1.0 / 16.0
 """Smallest part of a change of load that is tried before the last equilibrium reached is kept."""
+
+
+class Body(Protocol):
+    """Body with an energy, its derivative and its tangent; see `NonlinearBody`."""
+
+    def energy_and_force(self, displacement_m: Array) -> tuple[float, Array]:
+        """Return the energy [J] and its derivative [N], shape (n, 3)."""
+
+    def stiffness(self, displacement_m: Array, *, definite: bool = False) -> bsr_array:
+        """Return the tangent [N/m], with positive eigenvalues if requested, shape (3n, 3n)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,7 +189,7 @@ class QuasiNewton:
 
     def __init__(
         self,
-        body: NonlinearBody,
+        body: Body,
         fixed: Flags,
         at_rest: DirectSolver,
         factorise: Callable[[bsr_array], DirectSolver],
@@ -240,6 +250,23 @@ class QuasiNewton:
         size = allowed_N / tolerance
         residual = float(np.abs(left).max()) / size if size else 0.0
         return Followed(self._displacement, self._internal, acting, residual, steps, reached)
+
+    def restart(self, displacement_m: Array) -> None:
+        """Start the next solve from a displacement [m], shape (n, 3), or from rest.
+
+        The body is at rest if the displacement turns a cell over.
+        """
+        energy, internal = self._body.energy_and_force(displacement_m)
+        if not np.isfinite(energy):
+            displacement_m = np.zeros_like(displacement_m)
+            energy, internal = self._body.energy_and_force(displacement_m)
+        self._return_to(_State(displacement_m, energy, internal))
+        self._take_factor(self.at_rest)
+
+    @property
+    def displacement_m(self) -> Array:
+        """Displacement of the last solution [m], shape (n, 3)."""
+        return self._displacement
 
     def _reach(self, load_N: Array, allowed_N: float, limit: int) -> int:
         """Take steps towards the equilibrium under a load and return their number."""

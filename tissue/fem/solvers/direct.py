@@ -169,6 +169,16 @@ class Multifrontal:
         whole: Array = np.tril(inverse) + np.tril(inverse, -1).T
         return whole
 
+    def last_block(self, count: int) -> Array:
+        """Return the matrix condensed onto the last unknowns, shape (count, count).
+
+        The count must be that of the block that is eliminated last.
+        """
+        lower = np.tril(self._diagonal[-1])
+        assert len(lower) == count
+        condensed: Array = lower @ lower.T
+        return condensed
+
     def _eliminate(
         self, front: Front, lower: csc_array, changes: dict[int, Array], place: Ints
     ) -> Array:
@@ -414,6 +424,17 @@ class DirectSolver:
         rows = components_of(at)
         between: Array = self._compliance_of_last_m_N[np.ix_(rows, rows)]
         return between
+
+    def stiffness_of_last(self) -> Array:
+        """Return the stiffness [N/m] condensed onto the nodes eliminated last, shape (3k, 3k).
+
+        Zero for held nodes.
+        """
+        free = np.isin(components_of(self.last), self.body.free)
+        whole = np.zeros((len(free), len(free)))
+        if free.any():
+            whole[np.ix_(free, free)] = self._factor.last_block(int(free.sum()))
+        return whole
 
     @cached_property
     def _compliance_of_last_m_N(self) -> Array:

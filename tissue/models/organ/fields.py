@@ -11,7 +11,7 @@ from tissue.fem.fields import FieldSeries, Frame, StressState, cell_stress
 from tissue.fem.quasi_newton import QuasiNewton, Springs
 from tissue.fem.space import EDGES, Space, gauss_points, gradient_slopes
 from tissue.materials.hyperelasticity import Hyperelastic
-from tissue.models.organ.law import follower_of
+from tissue.models.organ.law_window import follower_of
 from tissue.models.organ.soft_organ import SoftOrgan
 
 __all__ = ["OrganFields", "cauchy_stress"]

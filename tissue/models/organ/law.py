@@ -15,25 +15,22 @@ the equilibria are far from it. Then W is the compliance of the tangent stiffnes
 displacement (Newton's method).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import inf
 from time import perf_counter
 
 import numpy as np
-from scipy.sparse import bsr_array, csr_array, eye_array
+from scipy.spatial import cKDTree
 
 from meshes.base.arrays import Array, Ints
-from meshes.base.errors import InputError
-from tissue.fem.hyperelastic import NonlinearBody
-from tissue.fem.quasi_newton import Followed, QuasiNewton, Springs
-from tissue.fem.solvers.direct import DirectSolver
-from tissue.fem.solvers.held_body import HeldBody, components_of
-from tissue.materials.hyperelasticity import Hyperelastic
-from tissue.models.organ.compliance import FACTOR_UNKNOWNS
+from tissue.fem.quasi_newton import Followed, Springs
+from tissue.fem.solvers.held_body import components_of
 from tissue.models.organ.contact import SurfaceContact
-from tissue.models.organ.soft_organ import OrganLaw, SoftOrgan
+from tissue.models.organ.law_window import whole_window, window_centres, window_of
+from tissue.models.organ.soft_organ import OrganLaw, SoftOrgan, ToolPath
 from tissue.models.tissue_model import SLOW
 
-__all__ = ["LawOffset", "follower_of"]
+__all__ = ["LawOffset"]
 
 TOLERANCE = 0.02
 STEPS = 30
@@ -50,6 +47,8 @@ The deviation is relative to the displacement.
 A compliance that is kept too long lets forces wander from interval to interval. From 0.01 to 0.2,
 the force of a deep press changes by at most 0.4 %.
 """
+HOP = 0.5
+"""Largest distance of a contact from the centre of its window, over the radius of the region."""
 APART_M = 2e-4
 """Smallest change of depth from which the slope of the offset is computed [m].
 
@@ -62,34 +61,6 @@ FARTHEST = 2.0
 Without extrapolation, the largest error of the moving tool in a deep press is 2.4 instead of 1.5 %.
 Beyond 2 nothing changes.
 """
-
-
-def follower_of(
-    organ: SoftOrgan, law: Hyperelastic, cell_factors: Array, nodes: Ints
-) -> QuasiNewton:
-    """Return the solver that follows the equilibria of an organ.
-
-    Its factors hold the compliance between some nodes.
-
-    Raises
-    ------
-    InputError
-        If the mesh is too large for a factor.
-    """
-    at_rest = organ.factor.solver
-    if not isinstance(at_rest, DirectSolver):
-        raise InputError(
-            "organ.law",
-            f"be linear on more than {FACTOR_UNKNOWNS:,} unknowns",
-            f"{len(organ.body.free):,}",
-            "use longer edges",
-        )
-
-    def factorised(stiffness: bsr_array) -> DirectSolver:
-        return DirectSolver(HeldBody(stiffness, organ.space.nodes_m, organ.body.fixed), last=nodes)
-
-    body = NonlinearBody(organ.space, None, law=law, cell_factors=cell_factors)
-    return QuasiNewton(body, organ.body.fixed, at_rest, factorised)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,20 +94,35 @@ class LawOffset:
         The organ, and its law.
     touchable
         Nodes of the contact, shape (t,).
+    tool
+        The tool and its poses, which place the windows in which the law is solved.
     """
 
-    def __init__(self, organ: SoftOrgan, law: OrganLaw, touchable: Ints) -> None:
-        self._follower = follower_of(organ, law.law, law.cell_factors, touchable)
-        self._nodes = touchable
-        self._fixed = organ.body.fixed
-        self._shares = csr_array(eye_array(organ.space.node_count, format="csr")[touchable])
+    def __init__(self, organ: SoftOrgan, law: OrganLaw, touchable: Ints, tool: ToolPath) -> None:
+        self._windows = [whole_window(organ, law, touchable)] if law.region_m == inf else []
+        self._centres_m = organ.space.nodes_m[touchable].mean(axis=0)[None]
+        if not self._windows:
+            hop_m = HOP * law.region_m
+            near = cKDTree(organ.space.nodes_m[touchable])
+            away, places = near.query(tool.tips_m)
+            points = organ.space.nodes_m[touchable[places[away <= law.region_m]]]
+            self._centres_m = window_centres(points, hop_m)
+            self._windows = [
+                window_of(organ, law, touchable, centre, law.region_m + hop_m)
+                for centre in self._centres_m
+            ]
+        self._window = self._windows[0]
+        self._nodes_m = organ.space.nodes_m[touchable]
+        self._count = organ.space.node_count
         self.interval_s = law.interval_s
         none = np.zeros((len(touchable), 3))
         self.latest_m = none.copy()
         """Offset of the last tick [m], shape (t, 3)."""
         self._before = self._now = _Line(none, none, 0.0, 0.0)
-        self._apart = (0.0, none, none)
-        self._factor = self._follower.factor
+        self._apart: tuple[float, Array, Array] | None = None
+        self._factor = self._window.follower.factor
+        self._at_rest: Array | None = None
+        self._handed_over = False
         self._changed_s = 0.0
         self._next_s = law.interval_s
         self.notices: list[str] = []
@@ -170,28 +156,37 @@ class LawOffset:
         """Solve for the equilibrium under the present contact forces."""
         started = perf_counter()
         indefinite = self.indefinite
-        load = np.zeros(self._fixed.shape)
-        load[self._nodes] = contact.result.nodal_forces_N
-        found = self._follower.follow(
-            load, tolerance=TOLERANCE, step_limit=STEPS, springs=self._springs(contact)
+        self._choose_window(depth_m, contact)
+        window = self._window
+        follower = window.follower
+        found = follower.follow(
+            window.spread(contact.result.nodal_forces_N),
+            tolerance=TOLERANCE,
+            step_limit=STEPS,
+            springs=self._springs(contact),
         )
-        forces = found.load_N[self._nodes]
-        moved = found.displacement_m[self._nodes]
+        forces = np.zeros_like(self.latest_m)
+        forces[window.inside] = found.load_N[window.places]
+        moved = found.displacement_m[window.places]
         self._now.into(expected := np.zeros_like(self.latest_m), depth_m, 1.0)
-        missed = float(np.linalg.norm(moved - _displaced(contact, forces) - expected))
-        if self._follower.factor is self._factor and missed > MISSED * float(np.linalg.norm(moved)):
-            self._follower.take_stiffness()
-        if self._follower.factor is not self._factor:
+        missed = moved - (_displaced(contact, forces) + expected)[window.inside]
+        if follower.factor is self._factor and np.linalg.norm(missed) > MISSED * np.linalg.norm(
+            moved
+        ):
+            follower.take_stiffness()
+        if follower.factor is not self._factor:
             self._change_compliance(contact, forces, depth_m)
-        left = np.where(self._fixed, 0.0, found.load_N - found.internal_N)
-        moved = moved + self._factor.solve(left).displacement_m[self._nodes]
-        offset = moved - _displaced(contact, forces)
-        last_m, *last = self._apart
+        left = np.where(window.fixed, 0.0, found.load_N - found.internal_N)
+        moved = moved + self._factor.solve(left).displacement_m[window.places]
+        offset = self._offset(contact, moved, forces)
         slope = self._now.slope
         reach_m = self._now.reach_m
+        if self._apart is None and self._handed_over:
+            self._apart = (depth_m, moved, forces)
+        last_m, *last = self._apart or (0.0, np.zeros_like(moved), np.zeros_like(forces))
         # A smaller change of depth would divide the noise of two solves by almost zero.
         if abs(depth_m - last_m) >= APART_M:
-            slope = (offset - (last[0] - _displaced(contact, last[1]))) / (depth_m - last_m)
+            slope = (offset - self._offset(contact, *last)) / (depth_m - last_m)
             reach_m = FARTHEST * abs(depth_m - last_m)
             self._apart = (depth_m, moved, forces)
         self._before = self._now
@@ -209,24 +204,68 @@ class LawOffset:
         where it prescribes the force. With s = w both are (k - w) / (k + w), less than 1 for any
         tissue.
         """
-        forces_N = contact.result.nodal_forces_N
         # A held node needs no spring, and has no compliance.
-        loaded = np.flatnonzero(forces_N.any(axis=1) & ~self._fixed[self._nodes].any(axis=1))
+        window = self._window
+        forces = contact.result.nodal_forces_N[window.inside]
+        free = ~window.fixed[window.places].any(axis=1)
+        loaded = np.flatnonzero(forces.any(axis=1) & free)
         if not len(loaded):
-            return Springs.none(self._fixed.size)
+            return Springs.none(window.fixed.size)
+        nodes = window.inside[loaded]
         held_m = contact.result.displacement_m() + self.latest_m
-        columns = components_of(loaded)
+        columns = components_of(nodes)
         compliance = contact.result.compliance_m_N[np.ix_(columns, columns)]
-        return Springs.holding(self._shares[loaded], compliance, held_m[loaded])
+        return Springs.holding(window.shares[loaded], compliance, held_m[nodes])
+
+    def _offset(self, contact: SurfaceContact, moved_m: Array, forces_N: Array) -> Array:
+        """Return the offset of all touchable nodes [m]; it is zero outside the window."""
+        offset = np.zeros_like(self.latest_m)
+        inside = self._window.inside
+        offset[inside] = moved_m - _displaced(contact, forces_N)[inside]
+        return offset
+
+    def _choose_window(self, depth_m: float, contact: SurfaceContact) -> None:
+        """Pass to the window nearest to the contact, from the displacement of the last window."""
+        size_N = np.linalg.norm(contact.result.nodal_forces_N, axis=1)
+        if len(self._windows) == 1 or not size_N.any():
+            return
+        centre = size_N @ self._nodes_m / size_N.sum()
+        nearest = int(np.argmin(np.linalg.norm(self._centres_m - centre, axis=1)))
+        before = self._window
+        if self._windows[nearest] is before:
+            return
+        after = self._windows[nearest]
+        # Nodes that are new move as under the linear law.
+        guess = after.follower.at_rest.solve(
+            after.spread(contact.result.nodal_forces_N)
+        ).displacement_m
+        whole = np.full((self._count, 3), np.nan)
+        whole[before.nodes] = before.follower.displacement_m
+        known = np.isfinite(whole[after.nodes])
+        guess[known] = whole[after.nodes][known]
+        self._window = after
+        # Solutions in the last window have other nodes.
+        self._apart = None
+        self._handed_over = True
+        self._now = replace(self._now, slope=np.zeros_like(self.latest_m))
+        after.follower.restart(guess)
+        after.follower.take_stiffness()
+        self._change_compliance(contact, contact.result.nodal_forces_N, depth_m)
 
     def _change_compliance(self, contact: SurfaceContact, forces_N: Array, depth_m: float) -> None:
         """Use the compliance of the stiffness that was factorised last.
 
         No node moves by the change.
         """
-        self._factor = self._follower.factor
+        if self._at_rest is None:
+            self._at_rest = contact.result.compliance_m_N.copy()
+        window = self._window
+        self._factor = window.follower.factor
         at_m = _displaced(contact, forces_N)
-        contact.change_compliance(self._factor.compliance_between(self._nodes))
+        rows = components_of(window.inside)
+        compliance = self._at_rest.copy()
+        compliance[np.ix_(rows, rows)] = self._factor.compliance_between(window.places)
+        contact.change_compliance(compliance)
         at_m -= _displaced(contact, forces_N)
         self._now.into(at_m, depth_m, 1.0)
         self._now = _Line(at_m, self._now.slope, depth_m, self._now.reach_m)
@@ -234,7 +273,7 @@ class LawOffset:
     @property
     def indefinite(self) -> int:
         """Number of tangents so far that were not positive definite."""
-        return self._follower.indefinite
+        return sum(window.follower.indefinite for window in self._windows)
 
     def _report(self, found: Followed, took_s: float, *, first: bool) -> None:
         """Count the solve, and report events that happen for the first time."""

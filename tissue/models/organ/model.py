@@ -146,7 +146,7 @@ class LiverModel:
             cores=solution.cores,
         )
         self._fields = OrganFields(organ, touchable, interval_s=interval_s)
-        self._law = None if organ.law is None else LawOffset(organ, organ.law, touchable)
+        self._law = None if organ.law is None else LawOffset(organ, organ.law, touchable, tool)
         self._step_s = step_s
         self.layer_names = organ.mesh.part_names
         parts = np.zeros(len(self.layer_names))

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import inf
 
 import numpy as np
 from scipy.sparse import bsr_array
@@ -128,11 +129,14 @@ class OrganLaw:
     interval_s
         Time between two solves, between ticks [s]; 0 for an organ that is solved on request
         (`LiverModel.converge`).
+    region_m
+        Radius around the contact within which the law acts [m]; the tissue is linear beyond it.
     """
 
     law: Hyperelastic
     cell_factors: Array
     interval_s: float
+    region_m: float = inf
 
 
 class SoftOrgan:
