@@ -174,7 +174,8 @@ class QuasiNewton:
     fixed
         Components with zero displacement, shape (n, 3).
     at_rest
-        Factor of the stiffness at rest.
+        Factor of the stiffness at rest. Nodes with springs must have been eliminated last, here and
+        in later factors.
     factorise
         Function that factorises another stiffness [N/m]; raises `NotPositiveDefiniteError` where
         it has no Cholesky factor.
@@ -206,7 +207,7 @@ class QuasiNewton:
         self._memory: deque[tuple[Array, Array]] = deque(maxlen=MEMORY)
         self._pairs: list[tuple[Array, Array, float]] = []
         self._springs = Springs.none(fixed.size)
-        self._held_back: Array | None = None
+        self._held = at_rest
 
     def follow(
         self, load_N: Array, *, tolerance: float, step_limit: int, springs: Springs | None = None
@@ -373,29 +374,12 @@ class QuasiNewton:
             del self._pairs[:-MEMORY]
 
     def _hold_back(self) -> None:
-        """Prepare the correction of the factor's displacements for the springs.
-
-        It uses Woodbury's identity.
-        """
-        points = self._springs.points
-        self._held_back = None
-        if points.shape[0]:
-            nodes = np.unique(points.indices // 3)
-            columns = components_of(nodes)
-            near = points[:, columns]
-            between = near @ (near @ self.factor.compliance_between(nodes)).T
-            self._held_back = np.linalg.inv(
-                np.diag(1.0 / self._springs.stiffness_N_m) + 0.5 * (between + between.T)
+        """Add the springs to the factor."""
+        self._held = self.factor
+        if self._springs.points.shape[0]:
+            self._held = self.factor.with_springs(
+                self._springs.points, self._springs.stiffness_N_m
             )
-
-    def _solve(self, forces_N: Array) -> Array:
-        """Solve with the factor and the springs [m], shape (n, 3)."""
-        free = self.factor.solve(forces_N).displacement_m
-        if self._held_back is None:
-            return free
-        points = self._springs.points
-        pull = points.T @ (self._held_back @ (points @ free.ravel()))
-        return free - self.factor.solve(pull.reshape(-1, 3)).displacement_m
 
     def _inverse(self, left_N: Array) -> Array:
         """Apply the inverse of the present stiffness to forces (two loops of Nocedal 1980)."""
@@ -405,7 +389,7 @@ class QuasiNewton:
             share = inverse * float(np.sum(change * forces))
             shares.append(share)
             forces -= share * force
-        step = self._solve(forces)
+        step = self._held.displacement_m(forces)
         for (change, force, inverse), share in zip(self._pairs, reversed(shares), strict=True):
             step += change * (share - inverse * float(np.sum(force * step)))
         return step

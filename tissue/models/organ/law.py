@@ -32,7 +32,7 @@ from tissue.models.tissue_model import SLOW
 
 __all__ = ["LawOffset"]
 
-TOLERANCE = 0.02
+TOLERANCE = 0.05
 STEPS = 30
 """Unbalanced force at the end of a solve, over the largest nodal force; largest number of steps.
 
@@ -177,7 +177,7 @@ class LawOffset:
         if follower.factor is not self._factor:
             self._change_compliance(contact, forces, depth_m)
         left = np.where(window.fixed, 0.0, found.load_N - found.internal_N)
-        moved = moved + self._factor.solve(left).displacement_m[window.places]
+        moved = moved + self._factor.displacement_m(left)[window.places]
         offset = self._offset(contact, moved, forces)
         slope = self._now.slope
         reach_m = self._now.reach_m

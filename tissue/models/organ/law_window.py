@@ -81,6 +81,9 @@ def follower_of(
     def factorised(stiffness: bsr_array) -> DirectSolver:
         return DirectSolver(HeldBody(stiffness, organ.space.nodes_m, organ.body.fixed), last=nodes)
 
+    # An organ that was solved before may have been eliminated in another order.
+    if not np.isin(nodes, at_rest.last).all():
+        at_rest = factorised(organ.body.stiffness)
     body = NonlinearBody(organ.space, None, law=law, cell_factors=cell_factors)
     return QuasiNewton(body, organ.body.fixed, at_rest, factorised)
 
