@@ -24,6 +24,7 @@ from scipy.spatial import cKDTree
 
 from meshes.base.arrays import Array, Ints
 from tissue.fem.quasi_newton import Followed, Springs
+from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.held_body import components_of
 from tissue.models.organ.contact import SurfaceContact
 from tissue.models.organ.law_window import whole_window, window_centres, window_of
@@ -47,7 +48,7 @@ The deviation is relative to the displacement.
 A compliance that is kept too long lets forces wander from interval to interval. From 0.01 to 0.2,
 the force of a deep press changes by at most 0.4 %.
 """
-HOP = 0.5
+HOP = 0.25
 """Largest distance of a contact from the centre of its window, over the radius of the region."""
 APART_M = 2e-4
 """Smallest change of depth from which the slope of the offset is computed [m].
@@ -120,7 +121,7 @@ class LawOffset:
         """Offset of the last tick [m], shape (t, 3)."""
         self._before = self._now = _Line(none, none, 0.0, 0.0)
         self._apart: tuple[float, Array, Array] | None = None
-        self._factor = self._window.follower.factor
+        self._factor: DirectSolver | None = self._window.follower.factor
         self._at_rest: Array | None = None
         self._handed_over = False
         self._changed_s = 0.0
@@ -156,7 +157,7 @@ class LawOffset:
         """Solve for the equilibrium under the present contact forces."""
         started = perf_counter()
         indefinite = self.indefinite
-        self._choose_window(depth_m, contact)
+        self._choose_window(contact)
         window = self._window
         follower = window.follower
         found = follower.follow(
@@ -170,12 +171,13 @@ class LawOffset:
         moved = found.displacement_m[window.places]
         self._now.into(expected := np.zeros_like(self.latest_m), depth_m, 1.0)
         missed = moved - (_displaced(contact, forces) + expected)[window.inside]
-        if follower.factor is self._factor and np.linalg.norm(missed) > MISSED * np.linalg.norm(
-            moved
-        ):
+        has_missed = np.linalg.norm(missed) > MISSED * np.linalg.norm(moved)
+        # The tangent of a new window is taken at its first equilibrium, not at the first guess.
+        if self._factor is None or (follower.factor is self._factor and has_missed):
             follower.take_stiffness()
         if follower.factor is not self._factor:
             self._change_compliance(contact, forces, depth_m)
+        assert self._factor is not None
         left = np.where(window.fixed, 0.0, found.load_N - found.internal_N)
         moved = moved + self._factor.displacement_m(left)[window.places]
         offset = self._offset(contact, moved, forces)
@@ -224,7 +226,7 @@ class LawOffset:
         offset[inside] = moved_m - _displaced(contact, forces_N)[inside]
         return offset
 
-    def _choose_window(self, depth_m: float, contact: SurfaceContact) -> None:
+    def _choose_window(self, contact: SurfaceContact) -> None:
         """Pass to the window nearest to the contact, from the displacement of the last window."""
         size_N = np.linalg.norm(contact.result.nodal_forces_N, axis=1)
         if len(self._windows) == 1 or not size_N.any():
@@ -249,8 +251,7 @@ class LawOffset:
         self._handed_over = True
         self._now = replace(self._now, slope=np.zeros_like(self.latest_m))
         after.follower.restart(guess)
-        after.follower.take_stiffness()
-        self._change_compliance(contact, contact.result.nodal_forces_N, depth_m)
+        self._factor = None
 
     def _change_compliance(self, contact: SurfaceContact, forces_N: Array, depth_m: float) -> None:
         """Use the compliance of the stiffness that was factorised last.
