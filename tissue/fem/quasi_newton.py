@@ -201,13 +201,14 @@ class QuasiNewton:
         self._factorise = factorise
         self.factor = at_rest
         self._displacement = np.zeros(fixed.shape)
+        self._last = self._displacement
         self._energy, self._internal = body.energy_and_force(self._displacement)
         self._largest_N = 0.0
         self.indefinite = 0
         self._memory: deque[tuple[Array, Array]] = deque(maxlen=MEMORY)
         self._pairs: list[tuple[Array, Array, float]] = []
         self._springs = Springs.none(fixed.size)
-        self._held = at_rest
+        self._held: DirectSolver | None = None
 
     def follow(
         self, load_N: Array, *, tolerance: float, step_limit: int, springs: Springs | None = None
@@ -229,28 +230,44 @@ class QuasiNewton:
         now_N = float(max(np.abs(load_N).max(), np.abs(carried).max()))
         self._largest_N = max(self._largest_N, now_N)
         allowed_N = tolerance * max(now_N, SMALL * self._largest_N)
+        self._spring_up(wanted)
+        self._extrapolate(load_N)
         reached = 0.0
+        followed = start
         part = 1.0
         steps = 0
         while reached < 1.0 and steps < step_limit and part >= SMALLEST_PART:
             goal = min(reached + part, 1.0)
             self._spring_up(wanted.at(goal, start.displacement_m))
             load = load_N if goal == 1.0 else carried + goal * (load_N - carried)
-            before = self._state()
             # The first try has half of the steps, so that some are left for a smaller part.
             limit = step_limit if reached or part < 1.0 else (step_limit + 1) // 2
             steps += self._reach(load, allowed_N, min(limit, step_limit - steps))
             if self._unbalanced_N(load) <= allowed_N:
                 reached = goal
+                followed = self._state()
                 continue
-            self._return_to(before)
+            self._return_to(followed)
             part *= 0.5
             self.take_stiffness()
         self._spring_up(wanted)
+        self._last = start.displacement_m
         acting, left = self._left(load_N)
         size = allowed_N / tolerance
         residual = float(np.abs(left).max()) / size if size else 0.0
         return Followed(self._displacement, self._internal, acting, residual, steps, reached)
+
+    def _extrapolate(self, load_N: Array) -> None:
+        """Repeat the last change of displacement if that leaves less force unbalanced."""
+        before = self._state()
+        unbalanced_N = self._unbalanced_N(load_N)
+        guess = 2.0 * self._displacement - self._last
+        energy, internal = self._body.energy_and_force(guess)
+        if not np.isfinite(energy):
+            return
+        self._return_to(_State(guess, energy, internal))
+        if self._unbalanced_N(load_N) >= unbalanced_N:
+            self._return_to(before)
 
     def restart(self, displacement_m: Array) -> None:
         """Start the next solve from a displacement [m], shape (n, 3), or from rest.
@@ -262,6 +279,7 @@ class QuasiNewton:
             displacement_m = np.zeros_like(displacement_m)
             energy, internal = self._body.energy_and_force(displacement_m)
         self._return_to(_State(displacement_m, energy, internal))
+        self._last = displacement_m
         self._take_factor(self.at_rest)
 
     @property
@@ -374,12 +392,18 @@ class QuasiNewton:
             del self._pairs[:-MEMORY]
 
     def _hold_back(self) -> None:
-        """Add the springs to the factor."""
-        self._held = self.factor
-        if self._springs.points.shape[0]:
-            self._held = self.factor.with_springs(
-                self._springs.points, self._springs.stiffness_N_m
-            )
+        """Discard the factor with springs, which is made when it is next needed."""
+        self._held = None
+
+    def _solve(self, forces_N: Array) -> Array:
+        """Solve with the factor and the springs [m], shape (n, 3)."""
+        if self._held is None:
+            self._held = self.factor
+            if self._springs.points.shape[0]:
+                self._held = self.factor.with_springs(
+                    self._springs.points, self._springs.stiffness_N_m
+                )
+        return self._held.displacement_m(forces_N)
 
     def _inverse(self, left_N: Array) -> Array:
         """Apply the inverse of the present stiffness to forces (two loops of Nocedal 1980)."""
@@ -389,7 +413,7 @@ class QuasiNewton:
             share = inverse * float(np.sum(change * forces))
             shares.append(share)
             forces -= share * force
-        step = self._held.displacement_m(forces)
+        step = self._solve(forces)
         for (change, force, inverse), share in zip(self._pairs, reversed(shares), strict=True):
             step += change * (share - inverse * float(np.sum(force * step)))
         return step

@@ -40,6 +40,8 @@ STEPS = 30
 From 0.005 to 0.1, the force of a deep press (neo-Hookean, Yeoh) changes by at most 0.4 %. The
 solves of docs/decisions.md need at most 9 steps; with a limit of 5, one in eight is not reached.
 """
+AT_REST = 5e-3
+"""Unbalanced force at the end of a solve on request, over the largest nodal force."""
 MISSED = 0.05
 """Deviation of an equilibrium from the expected one above which the compliance is renewed.
 
@@ -48,7 +50,7 @@ The deviation is relative to the displacement.
 A compliance that is kept too long lets forces wander from interval to interval. From 0.01 to 0.2,
 the force of a deep press changes by at most 0.4 %.
 """
-HOP = 0.25
+HOP = 0.5
 """Largest distance of a contact from the centre of its window, over the radius of the region."""
 APART_M = 2e-4
 """Smallest change of depth from which the slope of the offset is computed [m].
@@ -129,6 +131,8 @@ class LawOffset:
         self.notices: list[str] = []
         self.solves = self.unsettled = 0
         """Numbers of solves so far, and of solves whose equilibrium was not reached."""
+        self.took_s: list[float] = []
+        """Time of each solve so far [s]."""
         self._late = False
 
     def offset_m(self, time_s: float, depth_m: float) -> Array:
@@ -162,7 +166,7 @@ class LawOffset:
         follower = window.follower
         found = follower.follow(
             window.spread(contact.result.nodal_forces_N),
-            tolerance=TOLERANCE,
+            tolerance=TOLERANCE if self.interval_s > 0.0 else AT_REST,
             step_limit=STEPS,
             springs=self._springs(contact),
         )
@@ -272,6 +276,18 @@ class LawOffset:
         self._now = _Line(at_m, self._now.slope, depth_m, self._now.reach_m)
 
     @property
+    def older(self) -> float:
+        """Share of the time for which the offset was older than its interval.
+
+        A solve that takes longer than its interval delays the next one. The time is that of solves
+        in turn, each as long as its interval at least.
+        """
+        if not self.took_s or self.interval_s == 0.0:
+            return 0.0
+        late = np.maximum(np.array(self.took_s) - self.interval_s, 0.0)
+        return float(late.sum() / (late + self.interval_s).sum())
+
+    @property
     def indefinite(self) -> int:
         """Number of tangents so far that were not positive definite."""
         return sum(window.follower.indefinite for window in self._windows)
@@ -279,7 +295,9 @@ class LawOffset:
     def _report(self, found: Followed, took_s: float, *, first: bool) -> None:
         """Count the solve, and report events that happen for the first time."""
         self.solves += 1
-        self.unsettled += found.residual > TOLERANCE
+        self.took_s.append(took_s)
+        missed = found.residual > (TOLERANCE if self.interval_s > 0.0 else AT_REST)
+        self.unsettled += missed
         if first and self.indefinite:
             self.notices.append(
                 "the tangent stiffness of organ.law is not positive definite: only the tool "
@@ -287,7 +305,7 @@ class LawOffset:
                 "yielding. It was replaced by a stiffer one; check the force here against a "
                 "finer mesh"
             )
-        if found.residual > TOLERANCE and self.unsettled == 1:
+        if missed and self.unsettled == 1:
             self.notices.append(
                 f"the law's equilibrium was not reached in {STEPS} steps: {found.residual:.0%} of "
                 "the largest nodal force is not balanced. The equilibrium after "

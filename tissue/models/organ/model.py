@@ -309,6 +309,11 @@ class LiverModel:
                 "solves": self._law.solves,
                 "not_reached": self._law.unsettled,
                 "indefinite_tangents": self._law.indefinite,
+                "solve_ms": {
+                    "median": 1e3 * float(np.median(self._law.took_s or [0.0])),
+                    "p99": 1e3 * float(np.percentile(self._law.took_s or [0.0], 99)),
+                },
+                "offset_older_than_interval": self._law.older,
             }
         }
 
