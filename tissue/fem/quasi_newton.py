@@ -21,7 +21,6 @@ from scipy.sparse import bsr_array, csr_array, kron
 
 from meshes.base.arrays import Array, Flags
 from tissue.fem.solvers.direct import DirectSolver, NotPositiveDefiniteError
-from tissue.fem.solvers.held_body import components_of
 
 __all__ = ["Body", "Followed", "QuasiNewton", "Springs"]
 

@@ -51,12 +51,12 @@ class RegionBody:
     ) -> None:
         corners, places = np.unique(space.mesh.cells[cells], return_inverse=True)
         mesh = TetMesh(space.mesh.nodes_m[corners], places.reshape(-1, 4))
-        own = Space(mesh, space.order, device=space.device)
-        self.nodes = np.zeros(own.node_count, np.int64)
-        self.nodes[own.cell_nodes.ravel()] = space.cell_nodes[cells].ravel()
-        self.nodes_m = own.nodes_m
+        part = Space(mesh, space.order, device=space.device)
+        self.nodes = np.zeros(part.node_count, np.int64)
+        self.nodes[part.cell_nodes.ravel()] = space.cell_nodes[cells].ravel()
+        self.nodes_m = part.nodes_m
         self.fixed = rest.fixed[self.nodes]
-        self._body = NonlinearBody(own, None, law=law, cell_factors=cell_factors[cells])
+        self._body = NonlinearBody(part, None, law=law, cell_factors=cell_factors[cells])
         others = np.setdiff1d(np.arange(space.cell_count), cells)
         border = np.flatnonzero(np.isin(self.nodes, space.cell_nodes[others]))
         # In the order of the body's nodes, as the condensed stiffness has them.
