@@ -200,7 +200,6 @@ class QuasiNewton:
         self._factorise = factorise
         self.factor = at_rest
         self._displacement = np.zeros(fixed.shape)
-        self._last = self._displacement
         self._energy, self._internal = body.energy_and_force(self._displacement)
         self._largest_N = 0.0
         self.indefinite = 0
@@ -229,8 +228,6 @@ class QuasiNewton:
         now_N = float(max(np.abs(load_N).max(), np.abs(carried).max()))
         self._largest_N = max(self._largest_N, now_N)
         allowed_N = tolerance * max(now_N, SMALL * self._largest_N)
-        self._spring_up(wanted)
-        self._extrapolate(load_N)
         reached = 0.0
         followed = start
         part = 1.0
@@ -250,23 +247,10 @@ class QuasiNewton:
             part *= 0.5
             self.take_stiffness()
         self._spring_up(wanted)
-        self._last = start.displacement_m
         acting, left = self._left(load_N)
         size = allowed_N / tolerance
         residual = float(np.abs(left).max()) / size if size else 0.0
         return Followed(self._displacement, self._internal, acting, residual, steps, reached)
-
-    def _extrapolate(self, load_N: Array) -> None:
-        """Repeat the last change of displacement if that leaves less force unbalanced."""
-        before = self._state()
-        unbalanced_N = self._unbalanced_N(load_N)
-        guess = 2.0 * self._displacement - self._last
-        energy, internal = self._body.energy_and_force(guess)
-        if not np.isfinite(energy):
-            return
-        self._return_to(_State(guess, energy, internal))
-        if self._unbalanced_N(load_N) >= unbalanced_N:
-            self._return_to(before)
 
     def restart(self, displacement_m: Array) -> None:
         """Start the next solve from a displacement [m], shape (n, 3), or from rest.
@@ -278,7 +262,6 @@ class QuasiNewton:
             displacement_m = np.zeros_like(displacement_m)
             energy, internal = self._body.energy_and_force(displacement_m)
         self._return_to(_State(displacement_m, energy, internal))
-        self._last = displacement_m
         self._take_factor(self.at_rest)
 
     @property
