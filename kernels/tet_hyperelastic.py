@@ -12,6 +12,11 @@ Neo-Hookean is one term of exponent 2.
 
 Stress and tangent are its derivatives by ``ln l_i`` in the frames U and V. A turned-over cell's
 energy is infinite.
+
+The second derivative of psi by F has nine eigenvalues in these frames. Three belong to changes of
+the stretches and are those of a matrix of shape (3, 3). The others belong to the symmetric and
+the antisymmetric change of each pair of axes (Smith, De Goes and Kim 2019, ACM Trans. Graph.
+38:3). The definite tangent replaces each eigenvalue by its magnitude (Chen et al. 2024, SIGGRAPH).
 """
 
 import warp as wp
@@ -25,6 +30,8 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 SWEEPS = wp.constant(12)
 """Largest number of sweeps over the three pairs; Jacobi's method needs about five."""
 EQUAL = wp.constant(wp.float64(1.0e-5))  # as in tissue.materials.hyperelasticity
+LEAST = wp.constant(wp.float64(1.0e-3))
+"""Smallest eigenvalue of the definite tangent, over the shear modulus."""
 ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
 THREE = wp.constant(wp.float64(3.0))
@@ -170,7 +177,28 @@ def stretch_force(
 
 
 @wp.func
-def pair_moduli(stretch: wp.vec3d, first: wp.vec3d, second: wp.mat33d):
+def at_least(value: wp.float64, smallest: wp.float64):
+    """Return the magnitude of a value, or the smallest one allowed if that is larger."""
+    return wp.max(wp.abs(value), smallest)
+
+
+@wp.func
+def definite(matrix: wp.mat33d, smallest: wp.float64):
+    """Replace the eigenvalues of a symmetric matrix by their magnitudes.
+
+    Each is at least the smallest one allowed.
+    """
+    frame, values = wp.eig3(matrix)
+    raised = wp.vec3d(
+        at_least(values[0], smallest), at_least(values[1], smallest), at_least(values[2], smallest)
+    )
+    return frame * wp.diag(raised) * wp.transpose(frame)
+
+
+@wp.func
+def pair_moduli(
+    stretch: wp.vec3d, first: wp.vec3d, second: wp.mat33d, is_definite: int, smallest: wp.float64
+):
     """Compute moduli of changes of the shear ij along itself and along its transpose.
 
     The matrices are symmetric and their diagonals are unused.
@@ -187,6 +215,9 @@ def pair_moduli(stretch: wp.vec3d, first: wp.vec3d, second: wp.mat33d):
                 if wp.abs(a - b) >= EQUAL * (a + b):
                     stretching = (first[i] - first[j]) / (a - b)
                 turning = (first[i] + first[j]) / (a + b)
+                if is_definite == 1:
+                    stretching = at_least(stretching, smallest)
+                    turning = at_least(turning, smallest)
                 along[i, j] = HALF * (stretching + turning)
                 across[i, j] = HALF * (stretching - turning)
     return along, across
@@ -197,6 +228,7 @@ def stretch_stiffness(
     # pairs a <= b of a cell's nodes
     pair_first: wp.array(dtype=wp.int32),
     pair_second: wp.array(dtype=wp.int32),
+    is_definite: int,  # 1: eigenvalues made positive
     # mesh
     nodes: wp.array2d(dtype=wp.int32),
     corner: wp.array2d(dtype=wp.vec3d),
@@ -230,7 +262,10 @@ def stretch_stiffness(
         second = wp.cw_div(curvature, wp.outer(stretch, stretch)) - wp.diag(
             wp.cw_div(first, stretch)
         )
-        along, across = pair_moduli(stretch, first, second)
+        smallest = LEAST * moduli[cell, 1]
+        along, across = pair_moduli(stretch, first, second, is_definite, smallest)
+        if is_definite == 1:
+            second = definite(second, smallest)
         u = f * v * wp.diag(wp.cw_div(wp.vec3d(ONE, ONE, ONE), stretch))
         for pair in range(pair_first.shape[0]):
             g_a = wp.transpose(v) * gradient_of(cell, q, pair_first[pair], reference, corner)

@@ -85,6 +85,29 @@ def test_one_tetrahedron_is_that_of_numpy(name):
 
 
 @LAW
+def test_the_definite_tangent_has_the_magnitudes_of_the_eigenvalues(name):
+    """The definite tangent has the magnitudes of the eigenvalues of NumPy's tangent.
+
+    Pressed flat, sheared and pulled cells have negative eigenvalues; unit and pulled ones have
+    equal stretches.
+    """
+    law, random = LAWS[name], np.random.default_rng(7)
+    turn = Rotation.random(rng=random).as_matrix()
+    body = NonlinearBody(Space(TetMesh(CORNERS, np.array([[0, 1, 2, 3]]))), None, law=law)
+    negative = 0
+    for stretch in ((1.0, 1, 1), (0.4, 1.1, 0.9), (0.5, 0.5, 0.5), (3.0, 0.6, 0.6), (2.0, 0.5, 1)):
+        f = turn @ np.diag(stretch) @ Rotation.random(rng=random).as_matrix()
+        values, frame = np.linalg.eigh(tangent_of(law, f).reshape(9, 9))
+        negative += (values < 0.0).sum()
+        raised = np.maximum(np.abs(values), 1e-3 * law.shear_Pa)
+        expected = ((frame * raised) @ frame.T).reshape(3, 3, 3, 3)
+        expected = np.einsum("aj,ijkl,bl->aibk", SLOPES, expected, SLOPES).reshape(12, 12) * VOLUME
+        found = body.stiffness(CORNERS @ (f - np.eye(3)).T, definite=True).toarray()
+        np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+    assert negative > 5
+
+
+@LAW
 @pytest.mark.parametrize("order", [1, 2])
 def test_force_and_stiffness_are_differences_and_symmetric_to_the_bit(name, order):
     body = shaken_body(name, order)

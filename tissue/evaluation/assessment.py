@@ -424,8 +424,7 @@ TASK = ("anatomy", "keep_clear", "organ", "cutting", "tool")
 depths are right.
 """
 NUMERICAL = frozenset(
-    f"organ.{name}"
-    for name in ("law_interval_ms", "law_edge_ratio", "order", "path", "basis_size", "interval_ms")
+    f"organ.{name}" for name in ("law_interval_ms", "order", "path", "basis_size", "interval_ms")
 )
 """Keys of these parts that change the computation and not the task."""
 FREE = ("name", "description", "seed", "device", "output", "fidelity")

@@ -22,7 +22,7 @@ from functools import cache
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
-from scipy.sparse import bsr_array, csr_array
+from scipy.sparse import bsr_array
 
 from kernels.launcher import SplitLaunch
 from kernels.mirror import put
@@ -30,7 +30,6 @@ from kernels.tetrahedra import pair_stiffness, pair_stiffness_isotropic
 from meshes.base.arrays import Array, Int32s, Ints
 from tissue.fem.space import (
     EDGES,
-    TRIANGLE_EDGES,
     Pattern,
     Space,
     gradient_products,
@@ -45,7 +44,6 @@ __all__ = [
     "capsule_stiffness",
     "gravity",
     "pair_tables",
-    "surface_transfer",
     "traction",
 ]
 
@@ -224,47 +222,3 @@ def _spread(space: Space, nodes: Ints, force: Array, share: Array) -> Array:
         [np.bincount(rows, weights=each[:, i], minlength=space.node_count) for i in range(3)],
         axis=1,
     )
-
-
-NONE = 1e-9
-"""Shares below this are rounding errors."""
-
-
-def surface_transfer(space: Space, points_m: Array) -> csr_array:
-    """Return the shares of the nodes in points of the surface, shape (k, n).
-
-    The matrix times nodal displacements gives the displacements of the points. Its transpose turns
-    forces on the points into work-equivalent forces on the nodes.
-
-    Parameters
-    ----------
-    space
-        Nodes and cells.
-    points_m
-        Points [m], shape (k, 3). Each point is replaced by the nearest point of the surface.
-    """
-    import pyvista
-
-    corners = space.mesh.surface
-    surface = pyvista.PolyData.from_regular_faces(space.mesh.nodes_m, corners.astype(int))
-    face, nearest = surface.find_closest_cell(
-        np.ascontiguousarray(points_m), return_closest_point=True
-    )
-    origin, first, second = space.mesh.nodes_m[corners[face]].transpose(1, 0, 2)
-    sides = np.stack([first - origin, second - origin], axis=1)
-    along = np.einsum("kai,ki->ka", sides, nearest - origin)
-    share = np.linalg.solve(sides @ sides.transpose(0, 2, 1), along[..., None])[..., 0]
-    corner = np.column_stack([1.0 - share.sum(axis=1), share])
-    shape = corner
-    if space.order == 2:
-        # quadratic shape functions of a triangle: of the edges and of the corners
-        middle = [4.0 * corner[:, a] * corner[:, b] for a, b in TRIANGLE_EDGES]
-        shape = np.column_stack([corner * (2.0 * corner - 1.0), *middle])
-    nodes = space.faces[face]
-    shape = np.where(np.abs(shape) < NONE, 0.0, shape)
-    rows = np.repeat(np.arange(len(points_m)), nodes.shape[1])
-    shares = csr_array(
-        (shape.ravel(), (rows, nodes.ravel())), shape=(len(points_m), space.node_count)
-    )
-    shares.eliminate_zeros()
-    return shares

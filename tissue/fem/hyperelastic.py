@@ -125,15 +125,18 @@ class NonlinearBody:
             ),
         )
         ends = [put(each, wp.int32, device) for each in (first, second)]
-        self._stiffness_launches = (
-            launch(stiffness, count, [*ends, *model], [squares]),
-            launch(
-                tet_nonlinear.gather_blocks,
-                len(pattern.place),
-                [*places, squares.flatten()],
-                [self._blocks],
-            ),
+        gather = launch(
+            tet_nonlinear.gather_blocks,
+            len(pattern.place),
+            [*places, squares.flatten()],
+            [self._blocks],
         )
+        # Only a hyperelastic law has a definite tangent.
+        variants: list[list[object]] = [[0], [1]] if isinstance(law, Hyperelastic) else [[]]
+        self._stiffness_launches = [
+            (launch(stiffness, count, [*ends, *variant, *model], [squares]), gather)
+            for variant in variants
+        ]
 
     def energy_and_force(self, displacement_m: Array) -> tuple[float, Array]:
         """Return the elastic energy [J] and its derivative, shape (n, 3) [N].
@@ -145,13 +148,21 @@ class NonlinearBody:
             run()
         return float(self._energy.numpy().sum()), self._force.numpy().copy()
 
-    def stiffness(self, displacement_m: Array) -> bsr_array:
+    def stiffness(self, displacement_m: Array, *, definite: bool = False) -> bsr_array:
         """Return the tangent stiffness [N/m] at a displacement, shape (3n, 3n).
 
         The matrix is bitwise symmetric. The displacement must not turn a cell over.
+
+        Parameters
+        ----------
+        displacement_m
+            Displacement of the nodes [m], shape (n, 3).
+        definite
+            Whether the eigenvalues of a hyperelastic law are made positive at each quadrature
+            point. The matrix is then positive definite for any support without free motions.
         """
         self._displacement.assign(np.ascontiguousarray(displacement_m, dtype=np.float64))
-        for run in self._stiffness_launches:
+        for run in self._stiffness_launches[int(definite)]:
             run()
         pattern = self.space.pattern
         size = self.space.unknown_count

@@ -12,17 +12,17 @@ indefinite and no equilibrium is near.
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
-from scipy.sparse import bsr_array, csr_array, diags_array, kron
+from scipy.linalg import cholesky, solve_triangular
+from scipy.sparse import bsr_array, csr_array, kron
 
 from meshes.base.arrays import Array, Flags
-from tissue.fem.hyperelastic import NonlinearBody
 from tissue.fem.solvers.direct import DirectSolver, NotPositiveDefiniteError
-from tissue.fem.solvers.held_body import components_of
 
-__all__ = ["Followed", "QuasiNewton", "Springs"]
+__all__ = ["Body", "Followed", "QuasiNewton", "Springs"]
 
 MEMORY = 12
 """Number of steps whose curvature pairs are kept."""
@@ -38,13 +38,18 @@ balanced.
 """
 MANY = 8
 """Steps of a solve after which the stiffness at the present displacement is factorised anew."""
-SPRING = 1.0
-"""Stiffness of a spring over the stiffness of the point that it holds."""
-SHARES = (1.0, 0.5, 0.2)
-"""Shares of an indefinite tangent that are tried in turn.
+SMALLEST_PART = 1.0 / 16.0
+"""Smallest part of a change of load that is tried before the last equilibrium reached is kept."""
 
-The remaining share is the stiffness at rest, which is positive definite.
-"""
+
+class Body(Protocol):
+    """Body with an energy, its derivative and its tangent; see `NonlinearBody`."""
+
+    def energy_and_force(self, displacement_m: Array) -> tuple[float, Array]:
+        """Return the energy [J] and its derivative [N], shape (n, 3)."""
+
+    def stiffness(self, displacement_m: Array, *, definite: bool = False) -> bsr_array:
+        """Return the tangent [N/m], with positive eigenvalues if requested, shape (3n, 3n)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,19 +77,43 @@ class Springs:
 
     @classmethod
     def holding(cls, shares: csr_array, compliance_m_N: Array, target_m: Array) -> "Springs":
-        """Return springs that hold points near given positions, each as stiff as the body itself.
+        """Return springs that hold points near given positions, with a given compliance.
+
+        The springs couple the points as the body does. One spring acts along each axis of the
+        Cholesky factor of their stiffness.
 
         Parameters
         ----------
         shares
             Shares of the nodes in the points, shape (p, n).
         compliance_m_N
-            Compliance of each point at rest [m/N], shape (p,).
+            Compliance between the points [m/N], positive definite, shape (3p, 3p).
         target_m
             Displacements of the points at which the springs are at rest [m], shape (p, 3).
         """
         points = csr_array(kron(shares, np.eye(3), format="csr"))
-        return cls(points, np.repeat(SPRING / compliance_m_N, 3), target_m.ravel())
+        columns = np.unique(points.indices)
+        lower = cholesky(compliance_m_N, lower=True)
+        near = solve_triangular(lower, points[:, columns].toarray(), lower=True)
+        rows = np.repeat(np.arange(len(near)), len(columns))
+        turned = csr_array((near.ravel(), (rows, np.tile(columns, len(near)))), shape=points.shape)
+        target = solve_triangular(lower, target_m.ravel(), lower=True)
+        return cls(turned, np.ones(len(near)), target)
+
+    def at(self, share: float, start_m: Array) -> "Springs":
+        """Return the springs with targets moved from a displacement by a share of the distance.
+
+        Parameters
+        ----------
+        share
+            Share of the distance (0 to 1). With 0 the springs have no force at the start.
+        start_m
+            Displacement of the nodes at the start [m], shape (n, 3).
+        """
+        if share == 1.0:
+            return self
+        there_m = self.points @ start_m.ravel()
+        return replace(self, target_m=there_m + share * (self.target_m - there_m))
 
     def energy_and_force(self, displacement_m: Array) -> tuple[float, Array]:
         """Compute the energy [J] and the forces on the nodes [N], shape (n, 3)."""
@@ -96,12 +125,6 @@ class Springs:
         """Compute the change of the forces against a change of displacement [N], shape (n, 3)."""
         force: Array = self.points.T @ (self.stiffness_N_m * (self.points @ change_m.ravel()))
         return force.reshape(-1, 3)
-
-    def matrix(self) -> bsr_array:
-        """Assemble the stiffness of all springs [N/m], shape (3n, 3n)."""
-        return bsr_array(
-            (self.points.T @ diags_array(self.stiffness_N_m) @ self.points).tobsr((3, 3))
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +141,9 @@ class Followed:
         Largest unbalanced force, over the largest force of the load and of the loads before.
     steps
         Steps taken.
+    reached
+        Share of the change of load and springs that was followed (0 to 1). Where it is less than
+        1, the displacement is the equilibrium of this share.
     """
 
     displacement_m: Array
@@ -125,6 +151,16 @@ class Followed:
     load_N: Array
     residual: float
     steps: int
+    reached: float
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """Displacement [m], energy [J] and internal forces [N] of a body."""
+
+    displacement_m: Array
+    energy_J: float
+    internal_N: Array
 
 
 class QuasiNewton:
@@ -137,7 +173,8 @@ class QuasiNewton:
     fixed
         Components with zero displacement, shape (n, 3).
     at_rest
-        Factor of the stiffness at rest.
+        Factor of the stiffness at rest. Nodes with springs must have been eliminated last, here and
+        in later factors.
     factorise
         Function that factorises another stiffness [N/m]; raises `NotPositiveDefiniteError` where
         it has no Cholesky factor.
@@ -152,7 +189,7 @@ class QuasiNewton:
 
     def __init__(
         self,
-        body: NonlinearBody,
+        body: Body,
         fixed: Flags,
         at_rest: DirectSolver,
         factorise: Callable[[bsr_array], DirectSolver],
@@ -169,7 +206,7 @@ class QuasiNewton:
         self._memory: deque[tuple[Array, Array]] = deque(maxlen=MEMORY)
         self._pairs: list[tuple[Array, Array, float]] = []
         self._springs = Springs.none(fixed.size)
-        self._held_back: Array | None = None
+        self._held: DirectSolver | None = None
 
     def follow(
         self, load_N: Array, *, tolerance: float, step_limit: int, springs: Springs | None = None
@@ -185,35 +222,81 @@ class QuasiNewton:
         springs
             Springs that act in addition; default: none.
         """
-        self._spring_up(springs or Springs.none(self._fixed.size))
+        wanted = springs or Springs.none(self._fixed.size)
+        start = self._state()
         carried = np.where(self._fixed, 0.0, self._internal)
         now_N = float(max(np.abs(load_N).max(), np.abs(carried).max()))
         self._largest_N = max(self._largest_N, now_N)
-        size = max(now_N, SMALL * self._largest_N)
+        allowed_N = tolerance * max(now_N, SMALL * self._largest_N)
+        reached = 0.0
+        followed = start
+        part = 1.0
         steps = 0
-        start = self._displacement, self._energy, self._internal
+        while reached < 1.0 and steps < step_limit and part >= SMALLEST_PART:
+            goal = min(reached + part, 1.0)
+            self._spring_up(wanted.at(goal, start.displacement_m))
+            load = load_N if goal == 1.0 else carried + goal * (load_N - carried)
+            # The first try has half of the steps, so that some are left for a smaller part.
+            limit = step_limit if reached or part < 1.0 else (step_limit + 1) // 2
+            steps += self._reach(load, allowed_N, min(limit, step_limit - steps))
+            if self._unbalanced_N(load) <= allowed_N:
+                reached = goal
+                followed = self._state()
+                continue
+            self._return_to(followed)
+            part *= 0.5
+            self.take_stiffness()
+        self._spring_up(wanted)
         acting, left = self._left(load_N)
-        at_start = float(np.abs(left).max())
-        while (worst := float(np.abs(left).max())) > tolerance * size and steps < step_limit:
+        size = allowed_N / tolerance
+        residual = float(np.abs(left).max()) / size if size else 0.0
+        return Followed(self._displacement, self._internal, acting, residual, steps, reached)
+
+    def restart(self, displacement_m: Array) -> None:
+        """Start the next solve from a displacement [m], shape (n, 3), or from rest.
+
+        The body is at rest if the displacement turns a cell over.
+        """
+        energy, internal = self._body.energy_and_force(displacement_m)
+        if not np.isfinite(energy):
+            displacement_m = np.zeros_like(displacement_m)
+            energy, internal = self._body.energy_and_force(displacement_m)
+        self._return_to(_State(displacement_m, energy, internal))
+        self._take_factor(self.at_rest)
+
+    @property
+    def displacement_m(self) -> Array:
+        """Displacement of the last solution [m], shape (n, 3)."""
+        return self._displacement
+
+    def _reach(self, load_N: Array, allowed_N: float, limit: int) -> int:
+        """Take steps towards the equilibrium under a load and return their number."""
+        steps = 0
+        left = self._left(load_N)[1]
+        while float(np.abs(left).max()) > allowed_N and steps < limit:
             step = self._inverse(left)
             if not self._advance(step, load_N, float(np.sum(left * step))):
                 # Nothing is left to fall back on.
-                if self.factor is self.at_rest and not self._memory:
+                if not self._memory:
                     break
-                self._take_factor(self.at_rest)
-            acting, left = self._left(load_N)
+                self._take_factor(self.factor)
+            left = self._left(load_N)[1]
             steps += 1
             if steps % MANY == 0:
                 self.take_stiffness()
-        if worst > max(tolerance * size, at_start):
-            # A softening law has no energy minimum: the steps may have led far away. Stay at the
-            # last equilibrium.
-            self._displacement, self._energy, self._internal = start
-            self._take_factor(self.at_rest)
-            acting = self._left(load_N)[0]
-            worst = at_start
-        residual = worst / size if size else 0.0
-        return Followed(self._displacement, self._internal, acting, residual, steps)
+        return steps
+
+    def _state(self) -> "_State":
+        return _State(self._displacement, self._energy, self._internal)
+
+    def _return_to(self, state: "_State") -> None:
+        self._displacement = state.displacement_m
+        self._energy = state.energy_J
+        self._internal = state.internal_N
+
+    def _unbalanced_N(self, load_N: Array) -> float:
+        """Return the largest unbalanced force under a load and the springs [N]."""
+        return float(np.abs(self._left(load_N)[1]).max())
 
     def _left(self, load_N: Array) -> tuple[Array, Array]:
         """Return the load with springs and its unbalanced part [N], shape (n, 3) both."""
@@ -252,24 +335,17 @@ class QuasiNewton:
         return self._springs.energy_and_force(moved_m)[0] - float(np.sum(load_N * moved_m))
 
     def take_stiffness(self) -> None:
-        """Factorise the stiffness at the present displacement, made positive definite if needed.
+        """Factorise the tangent at the present displacement.
 
-        The springs are added first. Where they are not enough, the tangent is mixed with the
-        stiffness at rest.
+        A tangent that is not positive definite is replaced by one with positive eigenvalues at
+        each quadrature point.
         """
-        tangent = self._body.stiffness(self._displacement)
-        rest = self.at_rest.body.stiffness
         try:
-            return self._take_factor(self._factorise(tangent))
+            factor = self._factorise(self._body.stiffness(self._displacement))
         except NotPositiveDefiniteError:
             self.indefinite += 1
-        held = bsr_array((tangent + self._springs.matrix()).tobsr((3, 3)))
-        for share in SHARES:
-            try:
-                return self._take_factor(self._factorise(share * held + (1.0 - share) * rest))
-            except NotPositiveDefiniteError:
-                continue
-        return self._take_factor(self.at_rest)
+            factor = self._factorise(self._body.stiffness(self._displacement, definite=True))
+        self._take_factor(factor)
 
     def _take_factor(self, factor: DirectSolver) -> None:
         """Replace the factor and discard the curvature pairs of the last steps."""
@@ -298,29 +374,18 @@ class QuasiNewton:
             del self._pairs[:-MEMORY]
 
     def _hold_back(self) -> None:
-        """Prepare the correction of the factor's displacements for the springs.
-
-        It uses Woodbury's identity.
-        """
-        points = self._springs.points
-        self._held_back = None
-        if points.shape[0]:
-            nodes = np.unique(points.indices // 3)
-            columns = components_of(nodes)
-            near = points[:, columns]
-            between = near @ (near @ self.factor.compliance_between(nodes)).T
-            self._held_back = np.linalg.inv(
-                np.diag(1.0 / self._springs.stiffness_N_m) + 0.5 * (between + between.T)
-            )
+        """Discard the factor with springs, which is made when it is next needed."""
+        self._held = None
 
     def _solve(self, forces_N: Array) -> Array:
         """Solve with the factor and the springs [m], shape (n, 3)."""
-        free = self.factor.solve(forces_N).displacement_m
-        if self._held_back is None:
-            return free
-        points = self._springs.points
-        pull = points.T @ (self._held_back @ (points @ free.ravel()))
-        return free - self.factor.solve(pull.reshape(-1, 3)).displacement_m
+        if self._held is None:
+            self._held = self.factor
+            if self._springs.points.shape[0]:
+                self._held = self.factor.with_springs(
+                    self._springs.points, self._springs.stiffness_N_m
+                )
+        return self._held.displacement_m(forces_N)
 
     def _inverse(self, left_N: Array) -> Array:
         """Apply the inverse of the present stiffness to forces (two loops of Nocedal 1980)."""

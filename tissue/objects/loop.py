@@ -220,6 +220,13 @@ class Loop:
                 raise InputError(
                     "keep_clear", "be left out for an organ", "structures", "use it in bone"
                 )
+            if tissue.soft.law is not None:
+                raise InputError(
+                    "tissue",
+                    "be linear in a loop",
+                    "an organ with a law",
+                    "make it without law, a device cannot wait for the solves of a law",
+                )
             pressing = tool or ball(diameter_mm=10)
             if not isinstance(pressing, PressingTool):
                 raise InputError(

@@ -47,8 +47,8 @@ class Organ:
 
     `from_tetrahedra`, `from_surface`, `from_labels`, `block` and `liver` make one.
 
-    It is linear elastic, in the frame of its mesh, with lengths in millimetres. Its stiffness is
-    factorised once, at the first press.
+    It is linear elastic or follows a law of large strains, in the frame of its mesh, with lengths
+    in millimetres. Its stiffness is factorised once, at the first press.
     """
 
     def __init__(self, made: MadeOrgan) -> None:
@@ -104,6 +104,10 @@ class Organ:
         relaxation
             Pairs of a share of the modulus that relaxes and its relaxation time [s]; `modulus_kPa`
             is the instantaneous modulus.
+        law
+            Law of large strains, by the names and keys of `organ.law` in scenes: ``"neo-hookean"``
+            or ``{"name": "yeoh", "square_ratio": 0.5}``. It cannot be combined with capsule,
+            density and relaxation. The default is the linear law.
 
         Raises
         ------

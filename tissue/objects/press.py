@@ -284,7 +284,9 @@ def press_at(
     with names_of_caller(WORDS):
         curve = press(organ, probe, point, frame_along(tuple(-direction)), **moves)
     _require_growing(curve, relaxes=organ.prony is not None)
-    notes |= _resolution(mesh, probe, point) | _linear(probe, moves["depth_m"])
+    notes |= _resolution(mesh, probe, point)
+    if organ.law is None:
+        notes |= _linear(probe, moves["depth_m"])
     other = [each for each in curve.notices if "linear elasticity" not in each]
     if other:
         notes["contact"] = "; ".join(other)

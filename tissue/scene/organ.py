@@ -274,8 +274,6 @@ class Organ(Part):
     """Rate of an exponential law of the first invariant. Default: the cited value."""
     law_interval_ms: Annotated[float, Needs("organ.law")] = Field(25.0, ge=5, le=1000)
     """Time between two solves of a nonlinear law."""
-    law_edge_ratio: Annotated[float, Needs("organ.law")] = Field(1.4, ge=1, le=4)
-    """Ratio of the edge lengths of the mesh for a nonlinear law to those of the organ's mesh."""
     friction: float = Field(0.3, ge=0, le=2)
     """Coulomb friction between tool and organ."""
     order: Literal[1, 2] = 2

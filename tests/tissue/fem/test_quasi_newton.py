@@ -142,13 +142,15 @@ def test_springs_hold_a_bar_beyond_the_load_that_it_can_bear():
     for along in (1.5, 1.8, 2.0, 2.02, 2.04, 2.06, 2.08, 2.1, 2.12):
         force_N, stretches = softening_N(along)
         moved_m = space.nodes_m * (stretches - 1.0)
-        springs = Springs.holding(shares, np.full(len(face), 2e-3), moved_m[face])
+        springs = Springs.holding(shares, 2e-3 * np.eye(3 * len(face)), moved_m[face])
         # The springs are set off, so that they are not at rest in the equilibrium that is asked
         # for.
         off_N = np.zeros((space.node_count, 3))
         off_N[face, 0] = 0.02 / len(face)
         springs = Springs(
-            springs.points, springs.stiffness_N_m, springs.target_m + 2e-3 * off_N[face].ravel()
+            springs.points,
+            springs.stiffness_N_m,
+            springs.target_m + np.sqrt(2e-3) * off_N[face].ravel(),
         )
         found = follower.follow(
             pulled(space, force_N) - off_N, tolerance=1e-9, step_limit=100, springs=springs
@@ -171,6 +173,44 @@ def test_springs_hold_a_bar_beyond_the_load_that_it_can_bear():
     assert follower.indefinite >= 7
 
 
+def test_springs_have_the_compliance_they_are_given():
+    """Springs push with the inverse of their compliance, and with a part of it at a part of the distance."""
+    space, _, _, _ = softening_bar()
+    random = np.random.default_rng(3)
+    nodes = np.array([2, 5, 7])
+    root = random.normal(size=(9, 9))
+    compliance = 1e-3 * (root @ root.T + np.eye(9))
+    shares = csr_array(eye_array(space.node_count, format="csr")[nodes])
+    target, moved = random.normal(size=(2, 3, 3)) * 1e-3
+    there = np.zeros((space.node_count, 3))
+    there[nodes] = moved
+    springs = Springs.holding(shares, compliance, target)
+    stretch = (target - moved).ravel()
+    push = np.linalg.solve(compliance, stretch)
+    energy, force = springs.energy_and_force(there)
+    assert force[nodes].ravel() == pytest.approx(push, rel=1e-9)
+    assert energy == pytest.approx(0.5 * push @ stretch, rel=1e-9)
+    part = springs.at(0.25, there).energy_and_force(there)[1]
+    assert part[nodes].ravel() == pytest.approx(0.25 * push, rel=1e-9)
+
+
+def test_a_change_of_load_is_followed_in_parts():
+    """A load that is too large for one try is reached in parts of it.
+
+    Two steps are too few for the whole change, and enough for a part.
+    """
+    space, _, follower = cube(2)
+    load = pulled(space, 6.0)
+    whole = follower.follow(load, tolerance=1e-3, step_limit=3)
+    assert whole.reached < 1.0
+    assert whole.residual > 1e-3
+    later = follower.follow(load, tolerance=1e-3, step_limit=60)
+    assert later.reached == 1.0
+    along, across = stretched(6.0)
+    expected = space.nodes_m * (np.array([along, across, across]) - 1.0)
+    assert later.displacement_m == pytest.approx(expected, abs=1e-2 * np.abs(expected).max())
+
+
 def test_a_load_that_nothing_balances_leaves_the_last_equilibrium():
     """A load without equilibrium leaves the last equilibrium.
 
@@ -183,6 +223,7 @@ def test_a_load_that_nothing_balances_leaves_the_last_equilibrium():
         found = follower.follow(pulled(space, factor * force_N), tolerance=1e-9, step_limit=60)
         if factor > 1.0:
             assert found.residual > 0.1
+            assert found.reached < 1.0
             assert np.isfinite(found.displacement_m).all()
         else:
             assert found.residual <= 1e-9

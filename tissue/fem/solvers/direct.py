@@ -14,6 +14,7 @@ is kept, and ``C - B A^-1 B^T`` is added to the front that eliminates the first 
 unknowns. Nearly all of the time is then spent in LAPACK and in BLAS of level 3.
 """
 
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -168,6 +169,30 @@ class Multifrontal:
         inverse = inverse[-count:, -count:]
         whole: Array = np.tril(inverse) + np.tril(inverse, -1).T
         return whole
+
+    def with_last(self, unknowns: Ints, added: Array) -> "Multifrontal":
+        """Return the factor with a matrix added to some unknowns of the last block.
+
+        All unknowns must be in the block that is eliminated last.
+        """
+        lower = np.tril(self._diagonal[-1])
+        block = lower @ lower.T
+        at = unknowns - (self._count - len(block))
+        block[np.ix_(at, at)] += added
+        diagonal, _ = dpotrf(np.asfortranarray(block), lower=1, overwrite_a=1)
+        found = copy(self)
+        found._diagonal = [*self._diagonal[:-1], diagonal]
+        return found
+
+    def last_block(self, count: int) -> Array:
+        """Return the matrix condensed onto the last unknowns, shape (count, count).
+
+        The count must be that of the block that is eliminated last.
+        """
+        lower = np.tril(self._diagonal[-1])
+        assert len(lower) == count
+        condensed: Array = lower @ lower.T
+        return condensed
 
     def _eliminate(
         self, front: Front, lower: csc_array, changes: dict[int, Array], place: Ints
@@ -387,6 +412,38 @@ class DirectSolver:
         outcome = SolverOutcome.CONVERGED if left <= self.tolerance else SolverOutcome.INACCURATE
         return Solution(self.body.whole(found[place]), outcome, 0, left)
 
+    def displacement_m(self, load_N: Array) -> Array:
+        """Return the displacement [m] under nodal forces [N], shape (n, 3), unchecked.
+
+        Forces on held components have no effect.
+        """
+        found = self._factor.solve(load_N.ravel()[self._order])
+        moved = np.zeros(load_N.size)
+        moved[self._order] = found
+        return moved.reshape(load_N.shape)
+
+    def with_springs(self, points: csr_array, stiffness_N_m: Array) -> "DirectSolver":
+        """Return the solver of the body with springs on nodes that were eliminated last.
+
+        Only the last block is factorised anew. `displacement_m` alone may be used.
+
+        Parameters
+        ----------
+        points
+            Matrix from the displacements of all components to the stretches, shape (p, 3n).
+        stiffness_N_m
+            Stiffness of each spring [N/m], shape (p,).
+        """
+        columns = np.unique(points.indices)
+        at = self._position[columns]
+        columns = columns[at >= 0]
+        near = points[:, columns].toarray()
+        found = copy(self)
+        found._factor = self._factor.with_last(
+            at[at >= 0], near.T @ (stiffness_N_m[:, None] * near)
+        )
+        return found
+
     def columns(self, unknowns: Ints, *, together: int = TOGETHER) -> Array:
         """Return displacements of all unknowns [m/N] for unit forces on some, shape (3n, k).
 
@@ -414,6 +471,17 @@ class DirectSolver:
         rows = components_of(at)
         between: Array = self._compliance_of_last_m_N[np.ix_(rows, rows)]
         return between
+
+    def stiffness_of_last(self) -> Array:
+        """Return the stiffness [N/m] condensed onto the nodes eliminated last, shape (3k, 3k).
+
+        Zero for held nodes.
+        """
+        free = np.isin(components_of(self.last), self.body.free)
+        whole = np.zeros((len(free), len(free)))
+        if free.any():
+            whole[np.ix_(free, free)] = self._factor.last_block(int(free.sum()))
+        return whole
 
     @cached_property
     def _compliance_of_last_m_N(self) -> Array:

@@ -88,6 +88,8 @@ class HeldBody:
         Node positions [m], shape (n, 3).
     fixed
         Components with zero displacement, shape (n, 3).
+    is_grounded
+        True if the stiffness itself contains supports, so that no component has to be held.
 
     Raises
     ------
@@ -99,10 +101,13 @@ class HeldBody:
     stiffness: bsr_array
     nodes_m: Array
     fixed: Flags
+    is_grounded: bool = False
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.stiffness.data).all():
             raise InputError("stiffness", "be finite", "NaN or infinity", "check the moduli")
+        if self.is_grounded:
+            return
         if not (self.fixed & self.carrying[:, None]).any():
             raise InputError("supports", "hold nodes of cells", "none", "hold some of them")
         count, label = connected_components(pointwise_graph(self.stiffness), directed=False)

@@ -9,9 +9,9 @@ from scipy.sparse import csr_array, eye_array
 from meshes.base.arrays import Array, Ints, Singles
 from tissue.fem.fields import FieldSeries, Frame, StressState, cell_stress
 from tissue.fem.quasi_newton import QuasiNewton, Springs
-from tissue.fem.space import EDGES, Space, gradient_slopes
+from tissue.fem.space import EDGES, Space, gauss_points, gradient_slopes
 from tissue.materials.hyperelasticity import Hyperelastic
-from tissue.models.organ.law import follower_of
+from tissue.models.organ.law_window import follower_of
 from tissue.models.organ.soft_organ import SoftOrgan
 
 __all__ = ["OrganFields", "cauchy_stress"]
@@ -114,14 +114,15 @@ class OrganFields:
 
     def _springs(self, forces_N: Array, moved_m: Array) -> Springs | None:
         """Return springs that hold the loaded nodes near their positions in the contact."""
-        loaded = np.flatnonzero(forces_N.any(axis=1))
+        # A held node needs no spring, and has no compliance.
+        fixed = self._organ.body.fixed[self._touchable].any(axis=1)
+        loaded = np.flatnonzero(forces_N.any(axis=1) & ~fixed)
         if not len(loaded):
             return None
         nodes = self._touchable[loaded]
         between = self._follower.at_rest.compliance_between(nodes)
         shares = csr_array(eye_array(self._space.node_count, format="csr")[nodes])
-        compliance = np.diag(between).reshape(-1, 3).mean(axis=1)
-        return Springs.holding(shares, compliance, moved_m[loaded])
+        return Springs.holding(shares, between, moved_m[loaded])
 
     def _compute_linear(self, batch: list[tuple[float, Array, Array]]) -> None:
         """Solve frames of a linear organ, which may creep.
@@ -179,7 +180,10 @@ def _single(values: dict[str, Array]) -> dict[str, Singles]:
 def cauchy_stress(
     space: Space, displacement_m: Array, law: Hyperelastic, cell_factors: Array
 ) -> StressState:
-    """Return Cauchy stress and logarithmic strain at the centre of each cell, in the spatial frame.
+    """Return the mean Cauchy stress and logarithmic strain of each cell, in the spatial frame.
+
+    They are means over the quadrature points, at which no equilibrium turns a cell over. A
+    quadratic cell may be turned over at its centre.
 
     Parameters
     ----------
@@ -189,22 +193,28 @@ def cauchy_stress(
         The law, and the factor on its moduli in each cell, shape (m,).
     """
     corners = np.asarray(space.gradients[0].numpy())
-    # A quarter each: the centre of the cell.
-    shape = np.einsum("aci,i->ac", gradient_slopes(4, space.order), np.full(4, 0.25))
-    gradient = np.eye(3) + np.einsum(
-        "mai,ac,mcj->mij", displacement_m[space.cell_nodes], shape, corners, optimize=True
-    )
-    turned = gradient.transpose(0, 2, 1)
-    stress = law.stress(gradient) @ turned * (cell_factors / np.linalg.det(gradient))[:, None, None]
-    size, frame = np.linalg.eigh(gradient @ turned)
-    strain = np.einsum("mik,mk,mjk->mij", frame, 0.5 * np.log(size), frame)
+    points = gauss_points(space.order)
+    stress = np.zeros((space.cell_count, 3, 3))
+    strain = np.zeros_like(stress)
+    for point in points:
+        shape = np.einsum("aci,i->ac", gradient_slopes(4, space.order), point)
+        gradient = np.eye(3) + np.einsum(
+            "mai,ac,mcj->mij", displacement_m[space.cell_nodes], shape, corners, optimize=True
+        )
+        turned = gradient.transpose(0, 2, 1)
+        factors = cell_factors / np.linalg.det(gradient)
+        stress += law.stress(gradient) @ turned * factors[:, None, None]
+        size, frame = np.linalg.eigh(gradient @ turned)
+        strain += np.einsum("mik,mk,mjk->mij", frame, 0.5 * np.log(size), frame)
+    stress /= len(points)
+    strain /= len(points)
     deviator = stress - np.eye(3) * (np.trace(stress, axis1=1, axis2=2) / 3.0)[:, None, None]
     row, column = PLACES.T
     return StressState(
         strain[:, row, column],
         stress[:, row, column],
         np.sqrt(1.5 * (deviator**2).sum(axis=(1, 2))),
-        np.linalg.eigvalsh(stress)[:, ::-1],
+        np.asarray(np.linalg.eigvalsh(stress)[:, ::-1], dtype=np.float64),
     )
 
 

@@ -13,32 +13,25 @@ The offset changes to the new one within the next interval, without a step. It f
 the tool by the change of the offset since the last equilibrium. W is the compliance at rest until
 the equilibria are far from it. Then W is the compliance of the tangent stiffness at the present
 displacement (Newton's method).
-
-Equilibria may be solved on a coarser mesh: u = W_rest f + T (u_c - K_c^-1 T^T f), with T from its
-nodes to the touchable nodes, and W = W_rest + T (K_t^-1 - K_c^-1) T^T. Its errors are nearly equal
-with and without the law.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import inf
 from time import perf_counter
 
 import numpy as np
-from scipy.sparse import bsr_array, csr_array, kron
+from scipy.spatial import cKDTree
 
 from meshes.base.arrays import Array, Ints
-from meshes.base.errors import InputError
-from tissue.fem.assembly import surface_transfer
-from tissue.fem.hyperelastic import NonlinearBody
-from tissue.fem.quasi_newton import QuasiNewton, Springs
+from tissue.fem.quasi_newton import Followed, Springs
 from tissue.fem.solvers.direct import DirectSolver
-from tissue.fem.solvers.held_body import HeldBody
-from tissue.materials.hyperelasticity import Hyperelastic
-from tissue.models.organ.compliance import FACTOR_UNKNOWNS
+from tissue.fem.solvers.held_body import components_of
 from tissue.models.organ.contact import SurfaceContact
-from tissue.models.organ.soft_organ import OrganLaw, SoftOrgan
+from tissue.models.organ.law_window import whole_window, window_centres, window_of
+from tissue.models.organ.soft_organ import OrganLaw, SoftOrgan, ToolPath
 from tissue.models.tissue_model import SLOW
 
-__all__ = ["LawOffset", "follower_of"]
+__all__ = ["LawOffset"]
 
 TOLERANCE = 0.02
 STEPS = 30
@@ -47,6 +40,8 @@ STEPS = 30
 From 0.005 to 0.1, the force of a deep press (neo-Hookean, Yeoh) changes by at most 0.4 %. The
 solves of docs/decisions.md need at most 9 steps; with a limit of 5, one in eight is not reached.
 """
+AT_REST = 5e-3
+"""Unbalanced force at the end of a solve on request, over the largest nodal force."""
 MISSED = 0.05
 """Deviation of an equilibrium from the expected one above which the compliance is renewed.
 
@@ -55,6 +50,8 @@ The deviation is relative to the displacement.
 A compliance that is kept too long lets forces wander from interval to interval. From 0.01 to 0.2,
 the force of a deep press changes by at most 0.4 %.
 """
+HOP = 0.5
+"""Largest distance of a contact from the centre of its window, over the radius of the region."""
 APART_M = 2e-4
 """Smallest change of depth from which the slope of the offset is computed [m].
 
@@ -67,34 +64,6 @@ FARTHEST = 2.0
 Without extrapolation, the largest error of the moving tool in a deep press is 2.4 instead of 1.5 %.
 Beyond 2 nothing changes.
 """
-
-
-def follower_of(
-    organ: SoftOrgan, law: Hyperelastic, cell_factors: Array, nodes: Ints
-) -> QuasiNewton:
-    """Return the solver that follows the equilibria of an organ.
-
-    Its factors hold the compliance between some nodes.
-
-    Raises
-    ------
-    InputError
-        If the mesh is too large for a factor.
-    """
-    at_rest = organ.factor.solver
-    if not isinstance(at_rest, DirectSolver):
-        raise InputError(
-            "organ.law",
-            f"be linear on more than {FACTOR_UNKNOWNS:,} unknowns",
-            f"{len(organ.body.free):,}",
-            "use longer edges",
-        )
-
-    def factorised(stiffness: bsr_array) -> DirectSolver:
-        return DirectSolver(HeldBody(stiffness, organ.space.nodes_m, organ.body.fixed), last=nodes)
-
-    body = NonlinearBody(organ.space, None, law=law, cell_factors=cell_factors)
-    return QuasiNewton(body, organ.body.fixed, at_rest, factorised)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +82,12 @@ class _Line:
         out += (share * beyond) * self.slope
 
 
+def _displaced(contact: SurfaceContact, forces_N: Array) -> Array:
+    """Return the displacement [m] of touchable nodes by the contact's compliance, shape (t, 3)."""
+    moved: Array = contact.result.compliance_m_N @ forces_N.ravel()
+    return moved.reshape(-1, 3)
+
+
 class LawOffset:
     """Difference between the touchable nodes of an organ and their positions by a compliance.
 
@@ -122,34 +97,42 @@ class LawOffset:
         The organ, and its law.
     touchable
         Nodes of the contact, shape (t,).
+    tool
+        The tool and its poses, which place the windows in which the law is solved.
     """
 
-    def __init__(self, organ: SoftOrgan, law: OrganLaw, touchable: Ints) -> None:
-        solved, factors = law.coarser or (organ, law.cell_factors)
-        transfer = surface_transfer(solved.space, organ.space.nodes_m[touchable])
-        self._nodes = np.unique(transfer.indices)
-        solved.factor.expect(self._nodes)
-        self._follower = follower_of(solved, law.law, factors, self._nodes)
-        self._fixed = solved.body.fixed
-        self._transfer = transfer
-        self._spread = csr_array(transfer.T)
-        self._near = csr_array(transfer[:, self._nodes])
-        self._each = csr_array(kron(self._near, np.eye(3)))
+    def __init__(self, organ: SoftOrgan, law: OrganLaw, touchable: Ints, tool: ToolPath) -> None:
+        self._windows = [whole_window(organ, law, touchable)] if law.region_m == inf else []
+        self._centres_m = organ.space.nodes_m[touchable].mean(axis=0)[None]
+        if not self._windows:
+            hop_m = HOP * law.region_m
+            near = cKDTree(organ.space.nodes_m[touchable])
+            away, places = near.query(tool.tips_m)
+            points = organ.space.nodes_m[touchable[places[away <= law.region_m]]]
+            self._centres_m = window_centres(points, hop_m)
+            self._windows = [
+                window_of(organ, law, touchable, centre, law.region_m + hop_m)
+                for centre in self._centres_m
+            ]
+        self._window = self._windows[0]
+        self._nodes_m = organ.space.nodes_m[touchable]
+        self._count = organ.space.node_count
         self.interval_s = law.interval_s
-        none = np.zeros((transfer.shape[0], 3))
-        there = np.zeros((len(self._nodes), 3))
+        none = np.zeros((len(touchable), 3))
         self.latest_m = none.copy()
         """Offset of the last tick [m], shape (t, 3)."""
         self._before = self._now = _Line(none, none, 0.0, 0.0)
-        self._apart = (0.0, there, there)
-        self._factor = self._follower.at_rest
-        self._rest = self._between = self._factor.compliance_between(self._nodes)
+        self._apart: tuple[float, Array, Array] | None = None
+        self._factor: DirectSolver | None = self._window.follower.factor
         self._at_rest: Array | None = None
+        self._handed_over = False
         self._changed_s = 0.0
         self._next_s = law.interval_s
         self.notices: list[str] = []
         self.solves = self.unsettled = 0
         """Numbers of solves so far, and of solves whose equilibrium was not reached."""
+        self.took_s: list[float] = []
+        """Time of each solve so far [s]."""
         self._late = False
 
     def offset_m(self, time_s: float, depth_m: float) -> Array:
@@ -157,7 +140,9 @@ class LawOffset:
 
         Every call returns one reused array.
         """
-        share = min((time_s - self._changed_s) / self.interval_s, 1.0)
+        share = 1.0
+        if self.interval_s > 0.0:
+            share = min((time_s - self._changed_s) / self.interval_s, 1.0)
         self.latest_m[:] = 0.0
         self._before.into(self.latest_m, depth_m, 1.0 - share)
         self._now.into(self.latest_m, depth_m, share)
@@ -169,64 +154,108 @@ class LawOffset:
         The solution sets the offset of the next interval. Within an interval nothing is done.
         """
         # 1e-9 s: the time of a tick is rounded.
-        if time_s < self._next_s - 1e-9:
-            return
+        if time_s >= self._next_s - 1e-9:
+            self.solve(time_s, depth_m, contact)
+
+    def solve(self, time_s: float, depth_m: float, contact: SurfaceContact) -> None:
+        """Solve for the equilibrium under the present contact forces."""
         started = perf_counter()
         indefinite = self.indefinite
-        load = self._spread @ contact.result.nodal_forces_N
-        springs = self._springs(contact.result.nodal_forces_N, load)
-        found = self._follower.follow(load, tolerance=TOLERANCE, step_limit=STEPS, springs=springs)
-        forces = found.load_N[self._nodes]
-        moved = found.displacement_m[self._nodes]
+        self._choose_window(contact)
+        window = self._window
+        follower = window.follower
+        found = follower.follow(
+            window.spread(contact.result.nodal_forces_N),
+            tolerance=TOLERANCE if self.interval_s > 0.0 else AT_REST,
+            step_limit=STEPS,
+            springs=self._springs(contact),
+        )
+        forces = np.zeros_like(self.latest_m)
+        forces[window.inside] = found.load_N[window.places]
+        moved = found.displacement_m[window.places]
         self._now.into(expected := np.zeros_like(self.latest_m), depth_m, 1.0)
-        missed = float(np.linalg.norm(self._off(moved, forces) - expected))
-        if self._follower.factor is self._factor and missed > MISSED * float(
-            np.linalg.norm(self._near @ moved)
-        ):
-            self._follower.take_stiffness()
-        if self._follower.factor is not self._factor:
+        missed = moved - (_displaced(contact, forces) + expected)[window.inside]
+        has_missed = np.linalg.norm(missed) > MISSED * np.linalg.norm(moved)
+        # The tangent of a new window is taken at its first equilibrium, not at the first guess.
+        if self._factor is None or (follower.factor is self._factor and has_missed):
+            follower.take_stiffness()
+        if follower.factor is not self._factor:
             self._change_compliance(contact, forces, depth_m)
-        left = np.where(self._fixed, 0.0, found.load_N - found.internal_N)
-        moved = (found.displacement_m + self._factor.solve(left).displacement_m)[self._nodes]
-        offset = self._off(moved, forces)
-        last_m, *last = self._apart
+        assert self._factor is not None
+        left = np.where(window.fixed, 0.0, found.load_N - found.internal_N)
+        moved = moved + self._factor.displacement_m(left)[window.places]
+        offset = self._offset(contact, moved, forces)
         slope = self._now.slope
         reach_m = self._now.reach_m
+        if self._apart is None and self._handed_over:
+            self._apart = (depth_m, moved, forces)
+        last_m, *last = self._apart or (0.0, np.zeros_like(moved), np.zeros_like(forces))
         # A smaller change of depth would divide the noise of two solves by almost zero.
         if abs(depth_m - last_m) >= APART_M:
-            slope = (offset - self._off(*last)) / (depth_m - last_m)
+            slope = (offset - self._offset(contact, *last)) / (depth_m - last_m)
             reach_m = FARTHEST * abs(depth_m - last_m)
             self._apart = (depth_m, moved, forces)
         self._before = self._now
         self._now = _Line(offset, slope, depth_m, reach_m)
         self._changed_s = time_s
         self._next_s = time_s + self.interval_s
-        self._report(found.residual, perf_counter() - started, first=indefinite == 0)
+        self._report(found, perf_counter() - started, first=indefinite == 0)
 
-    def _springs(self, forces_N: Array, load_N: Array) -> Springs:
-        """Build springs that hold the nodes under the tool near their last contact positions."""
-        loaded = np.flatnonzero(forces_N.any(axis=1))
-        if not len(loaded):
-            return Springs.none(self._fixed.size)
-        held_m = (
-            self._near @ (self._between @ load_N[self._nodes].ravel()).reshape(-1, 3)
-            + self.latest_m
-        )
-        near = csr_array(kron(self._near[loaded], np.eye(3)))
-        compliance = (
-            np.asarray((near.multiply((self._rest @ near.T).T)).sum(axis=1))
-            .reshape(-1, 3)
-            .mean(axis=1)
-        )
-        return Springs.holding(self._transfer[loaded], compliance, held_m[loaded])
+    def _springs(self, contact: SurfaceContact) -> Springs:
+        """Build springs that hold the nodes under the tool near their last contact positions.
 
-    def _off(self, moved_m: Array, forces_N: Array) -> Array:
-        """Return the offset of the touchable nodes [m] from a solution.
-
-        The solution is given by the displacements of the solved nodes and the forces on them.
+        They have the compliance of the contact. Let w be its stiffness, k that of the tissue and s
+        that of the springs. An error of the contact force then decays from solve to solve by
+        (k - w) / (k + s) where the tool prescribes the displacement, and by s (k - w) / w (k + s)
+        where it prescribes the force. With s = w both are (k - w) / (k + w), less than 1 for any
+        tissue.
         """
-        there: Array = self._near @ (moved_m - (self._between @ forces_N.ravel()).reshape(-1, 3))
-        return there
+        # A held node needs no spring, and has no compliance.
+        window = self._window
+        forces = contact.result.nodal_forces_N[window.inside]
+        free = ~window.fixed[window.places].any(axis=1)
+        loaded = np.flatnonzero(forces.any(axis=1) & free)
+        if not len(loaded):
+            return Springs.none(window.fixed.size)
+        nodes = window.inside[loaded]
+        held_m = contact.result.displacement_m() + self.latest_m
+        columns = components_of(nodes)
+        compliance = contact.result.compliance_m_N[np.ix_(columns, columns)]
+        return Springs.holding(window.shares[loaded], compliance, held_m[nodes])
+
+    def _offset(self, contact: SurfaceContact, moved_m: Array, forces_N: Array) -> Array:
+        """Return the offset of all touchable nodes [m]; it is zero outside the window."""
+        offset = np.zeros_like(self.latest_m)
+        inside = self._window.inside
+        offset[inside] = moved_m - _displaced(contact, forces_N)[inside]
+        return offset
+
+    def _choose_window(self, contact: SurfaceContact) -> None:
+        """Pass to the window nearest to the contact, from the displacement of the last window."""
+        size_N = np.linalg.norm(contact.result.nodal_forces_N, axis=1)
+        if len(self._windows) == 1 or not size_N.any():
+            return
+        centre = size_N @ self._nodes_m / size_N.sum()
+        nearest = int(np.argmin(np.linalg.norm(self._centres_m - centre, axis=1)))
+        before = self._window
+        if self._windows[nearest] is before:
+            return
+        after = self._windows[nearest]
+        # Nodes that are new move as under the linear law.
+        guess = after.follower.at_rest.solve(
+            after.spread(contact.result.nodal_forces_N)
+        ).displacement_m
+        whole = np.full((self._count, 3), np.nan)
+        whole[before.nodes] = before.follower.displacement_m
+        known = np.isfinite(whole[after.nodes])
+        guess[known] = whole[after.nodes][known]
+        self._window = after
+        # Solutions in the last window have other nodes.
+        self._apart = None
+        self._handed_over = True
+        self._now = replace(self._now, slope=np.zeros_like(self.latest_m))
+        after.follower.restart(guess)
+        self._factor = None
 
     def _change_compliance(self, contact: SurfaceContact, forces_N: Array, depth_m: float) -> None:
         """Use the compliance of the stiffness that was factorised last.
@@ -235,26 +264,40 @@ class LawOffset:
         """
         if self._at_rest is None:
             self._at_rest = contact.result.compliance_m_N.copy()
-        self._factor = self._follower.factor
-        before = self._between
-        self._between = self._factor.compliance_between(self._nodes)
-        change = self._each @ (self._each @ (self._between - self._rest)).T
-        # Rounding makes the change unsymmetric.
-        contact.change_compliance(self._at_rest + 0.5 * (change + change.T))
-        at_m = np.zeros_like(self.latest_m)
+        window = self._window
+        self._factor = window.follower.factor
+        at_m = _displaced(contact, forces_N)
+        rows = components_of(window.inside)
+        compliance = self._at_rest.copy()
+        compliance[np.ix_(rows, rows)] = self._factor.compliance_between(window.places)
+        contact.change_compliance(compliance)
+        at_m -= _displaced(contact, forces_N)
         self._now.into(at_m, depth_m, 1.0)
-        at_m += self._near @ ((before - self._between) @ forces_N.ravel()).reshape(-1, 3)
         self._now = _Line(at_m, self._now.slope, depth_m, self._now.reach_m)
+
+    @property
+    def older(self) -> float:
+        """Share of the time for which the offset was older than its interval.
+
+        A solve that takes longer than its interval delays the next one. The time is that of solves
+        in turn, each as long as its interval at least.
+        """
+        if not self.took_s or self.interval_s == 0.0:
+            return 0.0
+        late = np.maximum(np.array(self.took_s) - self.interval_s, 0.0)
+        return float(late.sum() / (late + self.interval_s).sum())
 
     @property
     def indefinite(self) -> int:
         """Number of tangents so far that were not positive definite."""
-        return self._follower.indefinite
+        return sum(window.follower.indefinite for window in self._windows)
 
-    def _report(self, residual: float, took_s: float, *, first: bool) -> None:
+    def _report(self, found: Followed, took_s: float, *, first: bool) -> None:
         """Count the solve, and report events that happen for the first time."""
         self.solves += 1
-        self.unsettled += residual > TOLERANCE
+        self.took_s.append(took_s)
+        missed = found.residual > (TOLERANCE if self.interval_s > 0.0 else AT_REST)
+        self.unsettled += missed
         if first and self.indefinite:
             self.notices.append(
                 "the tangent stiffness of organ.law is not positive definite: only the tool "
@@ -262,13 +305,13 @@ class LawOffset:
                 "yielding. It was replaced by a stiffer one; check the force here against a "
                 "finer mesh"
             )
-        if residual > TOLERANCE and self.unsettled == 1:
+        if missed and self.unsettled == 1:
             self.notices.append(
-                f"the law's equilibrium was not reached in {STEPS} steps: {residual:.0%} of "
-                "the largest nodal force "
-                "is not balanced"
+                f"the law's equilibrium was not reached in {STEPS} steps: {found.residual:.0%} of "
+                "the largest nodal force is not balanced. The equilibrium after "
+                f"{found.reached:.0%} of the change of load is used instead"
             )
-        if took_s > self.interval_s and not self._late:
+        if 0.0 < self.interval_s < took_s and not self._late:
             self._late = True
             self.notices.append(
                 f"solving the law took {took_s:.2f} s, {SLOW} of {self.interval_s:g} s: the "

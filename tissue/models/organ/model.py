@@ -49,6 +49,8 @@ LINEAR_ERROR = ((0.37, 0.05), (0.57, 0.1))
 The values hold on a block, a procedural and a scanned liver (0.36-0.39, 0.56-0.585): `python
 tests/bench/chart_liver.py`.
 """
+SETTLED = 1e-3
+"""Change of the force from solve to solve at which contact and law count as settled, relative."""
 LOOK_EVERY = 20
 """Ticks between two searches for nodes whose compliance will be needed; chosen with `LOOK_M`."""
 LOOK_M = 5e-3
@@ -144,7 +146,7 @@ class LiverModel:
             cores=solution.cores,
         )
         self._fields = OrganFields(organ, touchable, interval_s=interval_s)
-        self._law = None if organ.law is None else LawOffset(organ, organ.law, touchable)
+        self._law = None if organ.law is None else LawOffset(organ, organ.law, touchable, tool)
         self._step_s = step_s
         self.layer_names = organ.mesh.part_names
         parts = np.zeros(len(self.layer_names))
@@ -246,6 +248,39 @@ class LiverModel:
             self.notices += self._law.notices
             self._law.notices.clear()
 
+    def converge(self, motion: ToolMotion, *, limit: int) -> float:
+        """Solve contact and hyperelastic law in turn at the present pose until the force holds.
+
+        Return the last change of the force, relative to the force. It is 0 for a linear organ,
+        which needs no such solves.
+
+        Parameters
+        ----------
+        motion
+            Pose of the tool, as in the last tick.
+        limit
+            Largest number of solves.
+        """
+        result = self.contact.result
+        changed = 0.0
+        if self._law is None or result.contacts == 0:
+            return changed
+        depth_m = self._depth_m(motion)
+        for _ in range(limit):
+            before_N = result.force_N.copy()
+            time_s = self._ticks * self._step_s
+            self._law.solve(time_s, depth_m, self.contact)
+            self.contact.shift(self._law.offset_m(time_s, depth_m))
+            self.contact.solve(motion.tip_m, motion.rotation)
+            # 1e-12 N: a contact may have lost its force.
+            size_N = max(float(np.linalg.norm(result.force_N)), 1e-12)
+            changed = float(np.linalg.norm(result.force_N - before_N)) / size_N
+            if changed <= SETTLED:
+                break
+        self.notices += self._law.notices
+        self._law.notices.clear()
+        return changed
+
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
         """Store the forces where a frame is due."""
         # 1e-9 s: the time of a tick is rounded.
@@ -274,6 +309,11 @@ class LiverModel:
                 "solves": self._law.solves,
                 "not_reached": self._law.unsettled,
                 "indefinite_tangents": self._law.indefinite,
+                "solve_ms": {
+                    "median": 1e3 * float(np.median(self._law.took_s or [0.0])),
+                    "p99": 1e3 * float(np.percentile(self._law.took_s or [0.0], 99)),
+                },
+                "offset_older_than_interval": self._law.older,
             }
         }
 

@@ -31,6 +31,13 @@ A rod under a flat punch then has its stress within 1 %.
 """
 PER_RELAXATION = 5
 """Number of steps within the shortest relaxation time of an organ that relaxes; chosen."""
+LAW_STEPS = 25
+"""Number of steps of a press under a hyperelastic law, each solved until contact and law agree."""
+SOLVES = 3
+LAST_SOLVES = 20
+"""Largest numbers of solves of contact and law in turn, in a step and at the end of a press."""
+UNSETTLED = 0.01
+"""Change of the force in the last solve above which the press notes it, relative."""
 POSES = 60
 """Number of poses along the press at which the touchable surface is searched.
 
@@ -119,7 +126,7 @@ def press(
     start_m = point_m - _clearance_m(organ, probe, point_m, rotation) * along
     end_m = point_m + depth_m * along
     tips = start_m + np.linspace(0.0, 1.0, POSES)[:, None] * (end_m - start_m)
-    steps = STEPS
+    steps = STEPS if organ.law is None else LAW_STEPS
     if organ.prony is not None:
         relaxations = depth_m / speed_m_s / min(organ.prony.tau_s)
         steps = max(steps, ceil(PER_RELAXATION * relaxations))
@@ -150,16 +157,23 @@ def press(
     )
     force = np.zeros((len(depths), 3))
     area = np.zeros(len(depths))
+    last = len(depths) - 1
     for row, depth in enumerate(depths):
         report("pressing", row / len(depths))
         motion.tip_m[:] = touch_m + depth * along
         model.advance(motion)
+        changed = model.converge(motion, limit=LAST_SOLVES if row == last else SOLVES)
         response = model.respond(motion)
         force[row] = response.wrench[:3]
         area[row] = response.engaged_m2.sum()
     times = (step_s * np.arange(len(depths))).astype(np.float64)
     model.start_background(float(times[-1]), motion)
     model.finish()
+    if changed > UNSETTLED:
+        model.notices.append(
+            f"the force at the end still changes by {changed:.0%} from one solve of the law to the "
+            "next: press less deep or refine the mesh"
+        )
     return PressCurve(
         times,
         depths,

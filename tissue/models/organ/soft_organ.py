@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import inf
 
 import numpy as np
 from scipy.sparse import bsr_array
@@ -126,16 +127,16 @@ class OrganLaw:
     cell_factors
         Factor on its moduli in each cell, shape (m,).
     interval_s
-        Time between two solves, between ticks [s].
-    coarser
-        The organ on a coarser mesh, on which its law is solved, and the factors there; None for its
-        own mesh.
+        Time between two solves, between ticks [s]; 0 for an organ that is solved on request
+        (`LiverModel.converge`).
+    region_m
+        Radius around the contact within which the law acts [m]; the tissue is linear beyond it.
     """
 
     law: Hyperelastic
     cell_factors: Array
     interval_s: float
-    coarser: "tuple[SoftOrgan, Array] | None" = None
+    region_m: float = inf
 
 
 class SoftOrgan:

@@ -17,7 +17,9 @@ from meshes.tets.regions import Nodes
 from meshes.tets.stuffing import EDGE_GROWTH, bisected, with_inclusion
 from meshes.tets.tetrahedra import TetMesh
 from meshes.voxels.mesh_sampling import nearest_on_triangles, triangle_distance
-from tissue.simulation.builders.arguments import require_known, surface_of
+from tissue.scene.organ import Organ as LawTable
+from tissue.scene.part import Needs
+from tissue.simulation.builders.arguments import require_known, stated, surface_of
 from tissue.simulation.builders.organ_given import Hold, SoftMaterial, hold_of
 
 if TYPE_CHECKING:
@@ -25,6 +27,18 @@ if TYPE_CHECKING:
 
 __all__ = ["MadeOrgan", "OrganOptions", "StatedOrgan", "made_of", "of_labels", "of_surface"]
 
+NOT_WITH_LAW = ("capsule", "density_kg_m3", "relaxation")
+"""Options that a law of large strains does not support."""
+LAW_KEYS = (
+    "law",
+    *(
+        name
+        for name, key in LawTable.model_fields.items()
+        if any(isinstance(mark, Needs) and mark.key == "organ.law" for mark in key.metadata)
+        and name != "law_interval_ms"
+    ),
+)
+"""Keys of a scene's organ that describe its law."""
 ENVELOPE = 0.1
 """Largest overlap of inclusions beyond their surroundings, over the edge length.
 
@@ -53,6 +67,7 @@ class OrganOptions(TypedDict, total=False):
     capsule: tuple[float, float] | None
     density_kg_m3: float | None
     relaxation: Sequence[tuple[float, float]]
+    law: str | Mapping[str, str | float] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +87,8 @@ class MadeOrgan:
     near
         Region that will be pressed: points [m], shape (k, 3), and the distance around them [m].
         None where unknown.
+    law
+        Scene table of the law of large strains; None for the linear law.
     """
 
     mesh: TetMesh
@@ -80,6 +97,7 @@ class MadeOrgan:
     notes: dict[str, str]
     surface: Surface | None = None
     near: tuple[Array, float] | None = None
+    law: LawTable | None = None
 
     @cached_property
     def held(self) -> Nodes:
@@ -89,7 +107,14 @@ class MadeOrgan:
     @cached_property
     def soft(self) -> "SoftOrgan":
         """Organ at rest, ready to be solved."""
-        organ = self.material.organ(self.mesh, self.held)
+        law = None
+        if self.law is not None:
+            from tissue.models.organ.soft_organ import OrganLaw
+            from tissue.simulation.builders.organ import law_of
+
+            found = law_of(self.law, self.material.elasticity(self.mesh))
+            law = None if found is None else OrganLaw(*found, 0.0)
+        organ = self.material.organ(self.mesh, self.held, law=law)
         if self.near is not None:
             organ.expect(*self.near)
         return organ
@@ -100,7 +125,7 @@ class MadeOrgan:
         mesh = self.mesh
         material = self.material
         moduli = material.moduli_kPa(mesh.part_names).items()
-        return {
+        facts = {
             "size": (
                 f"{by(1e3 * np.ptp(mesh.nodes_m, axis=0), '.3g')} mm, "
                 f"{1e6 * float(mesh.volumes_m3.sum()):.4g} ml"
@@ -109,6 +134,9 @@ class MadeOrgan:
             "moduli": ", ".join(f"{name} {value:g} kPa" for name, value in moduli),
             "compressibility": f"Poisson's ratio {material.poisson_ratio:g}",
         }
+        if self.law is not None:
+            facts["law"] = self.law.law
+        return facts
 
     def refined(self, edge_mm: float, near_mm: ArrayLike | None) -> "MadeOrgan":
         """Return the organ with shorter edges near some points, or on the whole surface.
@@ -151,7 +179,7 @@ class MadeOrgan:
         with names_of_caller({"size_m": "edge_mm"}):
             finer = bisected(mesh, wanted, onto=onto)
         expected = None if near is None else (near, TOUCHED_EDGES * edge_m)
-        return MadeOrgan(finer, self.material, self.hold, self.notes, outer, expected)
+        return replace(self, mesh=finer, near=expected)
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,6 +189,7 @@ class StatedOrgan:
     material: SoftMaterial
     held: str | ArrayLike = "bottom"
     held_below_mm: float | None = None
+    law: LawTable | None = None
 
     @classmethod
     def of(cls, modulus_kPa: float, poisson_ratio: float, options: OrganOptions) -> "StatedOrgan":
@@ -179,7 +208,48 @@ class StatedOrgan:
         }
         held = given.pop("held", "bottom")
         below = given.pop("held_below_mm", None)
-        return cls(SoftMaterial(modulus_kPa, poisson_ratio, **given), held, below)
+        law = given.pop("law", None)
+        other = next((name for name in NOT_WITH_LAW if name in given), None)
+        if law is not None and other is not None:
+            raise InputError(
+                f"law and {other}",
+                "be left out together",
+                f"{law} and {given[other]}",
+                "remove one, a law of large strains has an isotropic elastic organ without weight",
+            )
+        table = None if law is None else _law_table(law)
+        return cls(SoftMaterial(modulus_kPa, poisson_ratio, **given), held, below, table)
+
+
+def _law_table(law: object) -> LawTable:
+    """Return the scene table of a law that a caller states by its name or as a table.
+
+    Raises
+    ------
+    InputError
+        If there is no such law, or a constant is missing, unknown or out of its range.
+    """
+    from tissue.simulation.builders.organ import SHAPE
+
+    given = dict(law) if isinstance(law, Mapping) else {"law": law}
+    if "name" in given:
+        given["law"] = given.pop("name")
+    unknown = [key for key in given if key not in LAW_KEYS]
+    if unknown:
+        raise InputError(
+            "law", "have known keys", repr(unknown[0]), f"use {', '.join(('name', *LAW_KEYS[1:]))}"
+        )
+    table = stated(LawTable, given, prefix="law: ")
+    needed = SHAPE.get(table.law)
+    if needed is not None and getattr(table, needed) is None:
+        example = LawTable.model_fields[needed].examples
+        raise InputError(
+            f"law {table.law}",
+            f"state {needed}",
+            "none",
+            f"use for example law={{'name': {table.law!r}, {needed!r}: {(example or [1.0])[0]}}}",
+        )
+    return table
 
 
 def made_of(
@@ -211,7 +281,7 @@ def made_of(
     stated.material.moduli_kPa(mesh.part_names)
     below = stated.held_below_mm
     hold, notes["held"] = hold_of(stated.held, below, mesh, points_mm)
-    made = MadeOrgan(mesh, stated.material, hold, notes, surface)
+    made = MadeOrgan(mesh, stated.material, hold, notes, surface, law=stated.law)
     with names_of_caller({"support": "held" if below is None else "held_below_mm"}):
         made.held  # noqa: B018 - what is not there is refused here
     return made

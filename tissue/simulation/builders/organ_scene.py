@@ -173,9 +173,7 @@ def pressed(
         notes["tool"] = f"{file} taken at {scene.tool.scale:g} mm per unit: {sides} mm"
     with names_of_caller(OF_ORGAN):
         elasticity = material.elasticity(found.mesh)
-    law = organ_law(
-        scene, elasticity, path_m=path, touch_edge_m=edge_m, compute=compute, report=report
-    )
+    law = organ_law(scene, elasticity)
     report("compiling kernels (the first time on a machine)", 0.0)
     require_outside(found.mesh, motion)
     soft = material.organ(found.mesh, found.held, law=law, compute=compute)
@@ -194,11 +192,7 @@ def pressed(
         sag = 1e3 * np.linalg.norm(soft.rest[1], axis=1).max()
         notes["gravity"] = f"the organ sags by up to {sag:.3g} mm before it is touched"
     if law is not None:
-        on = soft if law.coarser is None else law.coarser[0]
-        notes["law"] = (
-            f"{organ.law}, solved every {organ.law_interval_ms:g} ms on {len(on.body.free)} "
-            "unknowns"
-        )
+        notes["law"] = f"{organ.law}, solved every {organ.law_interval_ms:g} ms"
     notes["solved"] = (
         f"{len(found.mesh.cells)} tetrahedra of order {organ.order}, {len(soft.body.free)} "
         f"unknowns; {len(model.touchable)} touchable nodes, compliance {organ.path}"

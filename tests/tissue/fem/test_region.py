@@ -1,0 +1,81 @@
+"""Nonlinear region of a linear body, against the whole body's stiffness and energy."""
+
+import numpy as np
+import pytest
+
+from meshes.tets.structured import box
+from tissue.fem.assembly import assemble
+from tissue.fem.hyperelastic import NonlinearBody
+from tissue.fem.region import RegionBody
+from tissue.fem.solvers.direct import DirectSolver
+from tissue.fem.solvers.held_body import HeldBody, held_nodes
+from tissue.fem.space import Space
+from tissue.materials.elasticity import lame
+from tissue.materials.hyperelasticity import Hyperelastic
+
+LAME = lame(5e3, 0.4)
+LAW = Hyperelastic.neo_hookean(LAME[1], bulk_Pa=LAME[0] + 2.0 / 3.0 * LAME[1])
+
+
+def held_block(order: int) -> tuple[Space, HeldBody]:
+    """A block that stands on its base."""
+    space = Space(box((0.04, 0.04, 0.03), (4, 4, 3)), order)
+    fixed = held_nodes(space.nodes_m[:, 2] < 1e-9)
+    return space, HeldBody(assemble(space, LAME), space.nodes_m, fixed)
+
+
+def region_of(space: Space, held: HeldBody, low_m: float) -> RegionBody:
+    centres = space.nodes_m[space.cell_nodes].mean(axis=1)
+    cells = np.flatnonzero((centres[:, 2] > low_m) & (centres[:, 0] < 0.03))
+    return RegionBody(space, held, cells, law=LAW, cell_factors=np.ones(space.cell_count))
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("low_m", [0.01, 0.0])
+def test_at_rest_the_region_has_the_compliance_of_the_body(order, low_m):
+    """At rest the compliance of the region's nodes is that of the whole body.
+
+    One region reaches the held base.
+    """
+    space, held = held_block(order)
+    region = region_of(space, held, low_m)
+    alone = DirectSolver(
+        HeldBody(
+            region.stiffness(np.zeros_like(region.nodes_m)),
+            region.nodes_m,
+            region.fixed,
+            is_grounded=True,
+        )
+    )
+    chosen = np.flatnonzero(~region.fixed[:, 0])[::7]
+    whole = DirectSolver(held).compliance_between(region.nodes[chosen])
+    assert alone.compliance_between(chosen) == pytest.approx(whole, abs=1e-9 * np.abs(whole).max())
+
+
+def test_energy_force_and_stiffness_belong_together():
+    space, held = held_block(2)
+    region = region_of(space, held, 0.01)
+    random = np.random.default_rng(4)
+    at = np.where(region.fixed, 0.0, 3e-4 * random.uniform(-1.0, 1.0, region.fixed.shape))
+    direction = np.where(region.fixed, 0.0, random.normal(size=at.shape))
+    h = 1e-8
+    plus, minus = (region.energy_and_force(at + sign * h * direction) for sign in (1.0, -1.0))
+    force = region.energy_and_force(at)[1]
+    assert (plus[0] - minus[0]) / (2.0 * h) == pytest.approx(np.sum(force * direction), rel=1e-5)
+    product = region.stiffness(at) @ direction.ravel()
+    np.testing.assert_allclose(
+        (plus[1] - minus[1]).ravel() / (2.0 * h), product, atol=1e-5 * np.abs(product).max()
+    )
+
+
+def test_a_region_of_all_cells_but_one_corner_is_nearly_the_whole_body():
+    """Where only a corner that hardly moves is linear, energies agree with the whole body."""
+    space, held = held_block(1)
+    whole = NonlinearBody(space, None, law=LAW)
+    centres = space.nodes_m[space.cell_nodes].mean(axis=1)
+    cells = np.flatnonzero(np.linalg.norm(centres, axis=1) > 0.01)
+    region = RegionBody(space, held, cells, law=LAW, cell_factors=np.ones(space.cell_count))
+    moved = np.zeros_like(space.nodes_m)
+    moved[:, 0] = 5e-3 * (space.nodes_m[:, 2] / 0.03) ** 2
+    exact = whole.energy_and_force(moved)[0]
+    assert region.energy_and_force(moved[region.nodes])[0] == pytest.approx(exact, rel=1e-2)

@@ -1,0 +1,85 @@
+"""Presses of an organ under a law of large strains, and the laws that it refuses."""
+
+import numpy as np
+import pytest
+from device_doubles import Recording
+
+import tissue
+from meshes.base.errors import InputError
+
+INDEPENDENT_N = 0.4009
+"""Force on a ball of 16 mm pressed 6.4 mm into the slab below, neo-Hookean [N].
+
+An analyst who had not read the code found it (`tests/verification/test_deep_press.py`).
+"""
+
+
+def block(**options: object) -> tissue.Organ:
+    """A coarse block of linear cells."""
+    stated = {"modulus_kPa": 5.0, "poisson_ratio": 0.45, "order": 1, "friction": 0.0} | options
+    return tissue.Organ.block((50, 50, 30), edge_mm=10.0, **stated)
+
+
+def test_small_presses_are_linear_and_deep_ones_stiffer():
+    linear, curved = (
+        organ.refined(edge_mm=6.0, near_mm=(0, 0, 0))
+        for organ in (block(), block(law="neo-hookean"))
+    )
+    ball = tissue.ball(diameter_mm=16)
+    ratios = []
+    for depth_mm in (0.1, 6.4):
+        forces = [
+            float(each.press(ball, depth_mm=depth_mm, at_mm=(0, 0, 0)).force_N[2])
+            for each in (linear, curved)
+        ]
+        ratios.append(forces[1] / forces[0])
+    assert ratios[0] == pytest.approx(1.0, abs=0.01)
+    assert ratios[1] > 1.1
+    assert curved.press(ball, depth_mm=6.4, at_mm=(0, 0, 0)).notes.get("linear") is None
+
+
+@pytest.mark.slow
+def test_a_deep_press_has_the_independent_force():
+    """The force agrees with an independent solution within 1.5 %."""
+    organ = tissue.Organ.block(
+        (80, 80, 40), modulus_kPa=5, poisson_ratio=0.45, edge_mm=10, law="neo-hookean", friction=0.0
+    ).refined(edge_mm=4.5, near_mm=(0, 0, 0))
+    found = organ.press(tissue.ball(diameter_mm=16), depth_mm=6.4, at_mm=(0, 0, 0))
+    assert float(found.force_N[2]) == pytest.approx(INDEPENDENT_N, rel=0.015)
+
+
+def test_a_press_next_to_held_tissue_needs_no_springs_there():
+    """A ball that pushes faces with held corners, which have no compliance, finds its force."""
+    organ = block(law={"name": "yeoh", "square_ratio": 1.0}, held="-x")
+    found = organ.press(tissue.ball(diameter_mm=16), depth_mm=3.0, at_mm=(-22.0, 0, 0))
+    assert np.isfinite(found.force_N).all()
+    assert found.force_N[2] > 0.0
+    assert "contact" not in found.notes
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"law": "yeoh"}, "law yeoh must state square_ratio"),
+        ({"law": {"name": "yeoh", "square": 1.0}}, "law must have known keys, got 'square'"),
+        ({"law": "foo"}, "law must be one of linear, neo-hookean"),
+        (
+            {"law": "neo-hookean", "capsule": (50, 8200)},
+            "law and capsule must be left out together",
+        ),
+        (
+            {"law": "neo-hookean", "density_kg_m3": 1060.0},
+            "law and density_kg_m3 must be left out together",
+        ),
+    ],
+)
+def test_what_a_law_cannot_have_is_refused(options, sentence):
+    with pytest.raises(InputError, match=sentence):
+        block(**options)
+
+
+def test_a_loop_refuses_a_law():
+    with pytest.raises(
+        InputError, match="tissue must be linear in a loop, got an organ with a law"
+    ):
+        tissue.Loop(block(law="neo-hookean"), device=Recording())

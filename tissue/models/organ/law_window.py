@@ -1,0 +1,140 @@
+"""Windows on an organ in which its hyperelastic law is solved.
+
+A window is the whole organ, or a region around a place on its surface. Outside the region the organ
+is linear (`tissue.fem.region`). A tool that slides passes from window to window.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import bsr_array, csr_array, eye_array
+
+from meshes.base.arrays import Array, Flags, Ints
+from meshes.base.errors import InputError
+from tissue.fem.hyperelastic import NonlinearBody
+from tissue.fem.quasi_newton import QuasiNewton
+from tissue.fem.region import RegionBody
+from tissue.fem.solvers.direct import DirectSolver
+from tissue.fem.solvers.held_body import HeldBody
+from tissue.materials.hyperelasticity import Hyperelastic
+from tissue.models.organ.compliance import FACTOR_UNKNOWNS
+from tissue.models.organ.soft_organ import OrganLaw, SoftOrgan
+
+__all__ = ["LawWindow", "follower_of", "whole_window", "window_centres", "window_of"]
+
+
+@dataclass(frozen=True, eq=False)
+class LawWindow:
+    """Solver of a law in the whole organ or in a region of it.
+
+    Attributes
+    ----------
+    follower
+        Solver of the window's equilibria.
+    inside
+        Touchable nodes in the window, as positions among all touchable nodes, rising, shape (w,).
+    places
+        Positions of these nodes among the nodes of the window, shape (w,).
+    nodes
+        Nodes of the window in the organ, shape (n,).
+    fixed
+        Components with zero displacement, shape (n, 3).
+    shares
+        Matrix from the window's nodes to its touchable nodes, shape (w, n).
+    """
+
+    follower: QuasiNewton
+    inside: Ints
+    places: Ints
+    nodes: Ints
+    fixed: Flags
+    shares: csr_array
+
+    def spread(self, forces_N: Array) -> Array:
+        """Return the forces on the window's nodes [N], shape (n, 3), from all touchable nodes."""
+        load = np.zeros(self.fixed.shape)
+        load[self.places] = forces_N[self.inside]
+        return load
+
+
+def follower_of(
+    organ: SoftOrgan, law: Hyperelastic, cell_factors: Array, nodes: Ints
+) -> QuasiNewton:
+    """Return the solver that follows the equilibria of an organ.
+
+    Its factors hold the compliance between some nodes.
+
+    Raises
+    ------
+    InputError
+        If the mesh is too large for a factor.
+    """
+    at_rest = organ.factor.solver
+    if not isinstance(at_rest, DirectSolver):
+        raise InputError(
+            "organ.law",
+            f"be linear on more than {FACTOR_UNKNOWNS:,} unknowns",
+            f"{len(organ.body.free):,}",
+            "use longer edges",
+        )
+
+    def factorised(stiffness: bsr_array) -> DirectSolver:
+        return DirectSolver(HeldBody(stiffness, organ.space.nodes_m, organ.body.fixed), last=nodes)
+
+    # An organ that was solved before may have been eliminated in another order.
+    if not np.isin(nodes, at_rest.last).all():
+        at_rest = factorised(organ.body.stiffness)
+    body = NonlinearBody(organ.space, None, law=law, cell_factors=cell_factors)
+    return QuasiNewton(body, organ.body.fixed, at_rest, factorised)
+
+
+def whole_window(organ: SoftOrgan, law: OrganLaw, touchable: Ints) -> LawWindow:
+    """Return a window on the whole organ."""
+    follower = follower_of(organ, law.law, law.cell_factors, touchable)
+    count = organ.space.node_count
+    return LawWindow(
+        follower,
+        np.arange(len(touchable)),
+        touchable,
+        np.arange(count),
+        organ.body.fixed,
+        csr_array(eye_array(count, format="csr")[touchable]),
+    )
+
+
+def window_centres(points_m: Array, apart_m: float) -> Array:
+    """Return some of the points [m], shape (k, 3), so that none is farther than `apart_m` from one.
+
+    Points are taken in their order along a path, shape (p, 3).
+    """
+    centres = points_m[:1]
+    for point in points_m[1:]:
+        if np.linalg.norm(centres - point, axis=1).min() > apart_m:
+            centres = np.vstack([centres, point])
+    return centres
+
+
+def window_of(
+    organ: SoftOrgan, law: OrganLaw, touchable: Ints, centre_m: Array, radius_m: float
+) -> LawWindow:
+    """Return a window on the cells within a radius [m] of a centre [m]."""
+    space = organ.space
+    away = np.linalg.norm(space.nodes_m[space.cell_nodes].mean(axis=1) - centre_m, axis=1)
+    # The nearest cells stay, however small the radius is.
+    cells = np.flatnonzero(away <= max(radius_m, float(np.partition(away, 8)[8])))
+    body = RegionBody(space, organ.body, cells, law=law.law, cell_factors=law.cell_factors)
+    back = np.full(space.node_count, -1)
+    back[body.nodes] = np.arange(len(body.nodes))
+    inside = np.flatnonzero(back[touchable] >= 0)
+    places = back[touchable[inside]]
+    last = np.sort(places)
+
+    def factorised(stiffness: bsr_array) -> DirectSolver:
+        return DirectSolver(
+            HeldBody(stiffness, body.nodes_m, body.fixed, is_grounded=True), last=last
+        )
+
+    rest = factorised(body.stiffness(np.zeros_like(body.nodes_m)))
+    follower = QuasiNewton(body, body.fixed, rest, factorised)
+    shares = csr_array(eye_array(len(body.nodes), format="csr")[places])
+    return LawWindow(follower, inside, places, body.nodes, body.fixed, shares)
