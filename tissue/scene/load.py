@@ -50,7 +50,14 @@ KEPT = {"description", "seed", "voxels", "output", "device", "hand", "renderer"}
 
 Such a file contained all defaults.
 """
-REMOVED = {"organ": {"law_method": "offset", "law_basis_size": 40, "law_sampling_error": 0.02}}
+REMOVED = {
+    "organ": {
+        "law_method": "offset",
+        "law_basis_size": 40,
+        "law_sampling_error": 0.02,
+        "law_edge_ratio": 1.4,
+    }
+}
 """Removed keys of version 0.2 by table, with the values that had no effect."""
 
 
