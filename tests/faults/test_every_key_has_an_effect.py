@@ -356,7 +356,7 @@ def test_every_kind_of_scene_is_walked_through():
             and scene.tool.kind in tools
             and scene.motion.kind in motions
         )
-    assert motions == {"path", "thrust", "replay"} and len(anatomies) == 9 and len(tools) == 10
+    assert motions == {"path", "thrust", "replay"} and len(anatomies) == 10 and len(tools) == 11
 
 
 @pytest.mark.parametrize("kind", NAMES)
