@@ -4,6 +4,8 @@ The reference has a rigid ball of its own. It shares cells and law (which felupe
 `test_deep_press`), but not the contact, the compliance, or the coupling of law and ticks.
 """
 
+from functools import cache
+
 import numpy as np
 import pytest
 from pressed_deep import by_newton, moving_N, scene_of, surface_error
@@ -115,6 +117,25 @@ places."""
 DEPTHS_MM = np.linspace(1.0, 3.5, 6)
 
 
+def in_scene(name, **changes):
+    """Run a scene, and return the run and its force while the ball leaves over that while it comes."""
+    given = {"organ.interval_ms": 200.0, "organ.friction": 0.05}
+    run = simulate(load_scene(name, SCENES[name] | given | changes), cores=1)
+    force_N, depth_mm = run.trace["force_z_N"], run.trace["indentation_mm"]
+    assert np.isfinite(force_N).all()
+    deepest = int(np.argmax(depth_mm))
+    down = np.interp(DEPTHS_MM, depth_mm[: deepest + 1], force_N[: deepest + 1])
+    leaving = np.flatnonzero(depth_mm > DEPTHS_MM[0] - 0.5)[::-1]
+    up = np.interp(DEPTHS_MM, depth_mm[leaving[:60]], force_N[leaving[:60]])
+    return run, up / down
+
+
+@cache
+def linear_ratio(name):
+    """Return the force while the ball leaves over that while it comes, with the linear law."""
+    return in_scene(name)[1]
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("law", SCENE_LAWS)
@@ -122,27 +143,21 @@ DEPTHS_MM = np.linspace(1.0, 3.5, 6)
 def test_a_law_runs_in_a_scene(name, law):
     """A law runs in a scene.
 
-    Every solve is balanced, and an elastic organ pushes back as hard when the ball leaves it as
-    when it comes.
+    Every solve is balanced. An elastic organ pushes back as hard when the ball leaves it as when it
+    comes. The ball leaves at another place, up to 8 mm away, so that the ratio of the forces is
+    that of the linear law, up to 1.32.
     """
-    changes = {"organ.law": law, "organ.interval_ms": 200.0, "organ.friction": 0.05}
-    changes["organ.law_interval_ms"] = 10.0
+    changes = {"organ.law": law, "organ.law_interval_ms": 10.0}
     changes |= {f"organ.{key}": value for key, value in SCENE_LAWS[law].items()}
-    run = simulate(load_scene(name, SCENES[name] | changes), cores=1)
+    run, ratio = in_scene(name, **changes)
     assert run.summary["law"]["not_reached"] == 0
     assert run.summary["law"]["solves"] > 5
     assert not [what for _, what in run.events if "not reached" in what or "did not settle" in what]
-    force_N, depth_mm = run.trace["force_z_N"], run.trace["indentation_mm"]
-    assert np.isfinite(force_N).all()
-    deepest = int(np.argmax(depth_mm))
-    down = np.interp(DEPTHS_MM, depth_mm[: deepest + 1], force_N[: deepest + 1])
-    leaving = np.flatnonzero(depth_mm > DEPTHS_MM[0] - 0.5)[::-1]
-    up = np.interp(DEPTHS_MM, depth_mm[leaving[:60]], force_N[leaving[:60]])
-    print(
-        name, law, run.summary["law"], "up over down", (up / down).round(3), "peak", force_N.max()
-    )
-    # The ball leaves at another place than it came, up to 8 mm away, with a solve 10 ms old: 0.6 mm
-    # of its path.
-    np.testing.assert_allclose(up, down, rtol=0.35)
+    off = ratio / linear_ratio(name)
+    print(name, law, run.summary["law"], "up over down, over the linear law", off.round(3))
+    # A solve is 10 ms old when it acts: 0.6 mm of the ball's path. Measured: 2.5 % in `liver-press`,
+    # and 15 % in `palpation`, where the ball turns after 67 ms (Ogden).
+    np.testing.assert_allclose(off, 1.0, atol={"liver-press": 0.03, "palpation": 0.17}[name])
+    depth_mm = run.trace["indentation_mm"]
     frame = run.parts.tissue.fields.frames[-1]
     assert np.abs(frame.points["displacement_mm"]).max() < 1.2 * depth_mm.max() + 1.0
