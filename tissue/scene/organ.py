@@ -292,6 +292,13 @@ class Organ(Part):
     def rules(self) -> Iterator[Rule]:
         """Yield the rule for a material whose constants are not used."""
         is_stated = self.young_kPa is not None and self.poisson_ratio is not None
-        is_cited = self.capsule or self.gravity or self.viscous
+        takes_rate = self.law == "exponential" and self.exponential_rate is None
+        is_cited = self.capsule or self.gravity or self.viscous or takes_rate
         both = "with both organ.young_kPa and organ.poisson_ratio"
         yield "material", is_stated and not is_cited, both, "remove one of them"
+
+    @model_validator(mode="after")
+    def _has_powers(self) -> "Organ":
+        if self.exponent == 0.0:
+            raise InputError("organ.exponent", "not be 0", "0", "use 8")
+        return self
