@@ -11,6 +11,7 @@ from tissue.scene.names import ORGAN_MATERIALS
 from tissue.scene.part import FileName, Length_mm, Needs, OneOf, Part, Rule, Vector
 
 __all__ = [
+    "LAW_SHAPES",
     "Held",
     "IncisedAnatomy",
     "LayersAnatomy",
@@ -213,6 +214,19 @@ class IncisedAnatomy(Part):
 Modulus_kPa = Annotated[float, Field(ge=0.1, le=1e5, examples=[80.0])]
 Moduli_kPa = Annotated[dict[str, Modulus_kPa], AfterValidator(lambda moduli: moduli or None)]
 """Young's moduli by part [kPa]; an empty table counts as no table."""
+
+
+LAW_SHAPES = {
+    "mooney-rivlin": ("second_share",),
+    "yeoh": ("square_ratio", "cube_ratio"),
+    "ogden": ("exponent",),
+    "exponential": ("exponential_rate",),
+}
+"""Keys that give a law its shape, in addition to the modulus and Poisson's ratio.
+
+The first key of a law is required. Only the rate of an exponential law is cited, for a pressed
+liver.
+"""
 
 
 class Organ(Part):

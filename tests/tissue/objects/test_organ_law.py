@@ -62,6 +62,9 @@ def test_a_press_next_to_held_tissue_needs_no_springs_there():
     [
         ({"law": "yeoh"}, "law yeoh must state square_ratio"),
         ({"law": {"name": "yeoh", "square": 1.0}}, "law must have known keys, got 'square'"),
+        ({"law": {"name": "ogden", "law": "yeoh"}}, "law must have known keys, got 'law'"),
+        ({"law": {"square_ratio": 1.0}}, "law must have a name, got"),
+        ({"law": {"name": "ogden", "exponent": 0.0}}, "organ.exponent must not be 0"),
         ({"law": "foo"}, "law must be one of linear, neo-hookean"),
         (
             {"law": "neo-hookean", "capsule": (50, 8200)},

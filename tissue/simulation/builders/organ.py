@@ -24,6 +24,7 @@ from tissue.materials.hyperelasticity import Hyperelastic
 from tissue.materials.scene_constants import Materials
 from tissue.motion.motion import frame_along
 from tissue.scene.organ import (
+    LAW_SHAPES,
     Held,
     LiverAnatomy,
     LiverFile,
@@ -92,16 +93,6 @@ the linear force, and 5.2 % with 1.5 (`tests/verification/test_organ_laws.py`). 
 """
 NOT_WITH = ("capsule", "gravity", "viscous", "fibre_direction")
 """Keys of an organ that a hyperelastic law does not support yet."""
-SHAPE = {
-    "mooney-rivlin": "second_share",
-    "yeoh": "square_ratio",
-    "ogden": "exponent",
-    "exponential": "exponential_rate",
-}
-"""Key that each law needs in addition to the modulus and Poisson's ratio.
-
-Only the rate of an exponential law is cited, for a pressed liver.
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -513,5 +504,8 @@ def _law(organ: Organ, shear_Pa: float, bulk_Pa: float) -> Hyperelastic:
     if organ.law == "exponential" and organ.exponential_rate is not None:
         return Hyperelastic.exponential(shear_Pa, organ.exponential_rate, bulk_Pa=bulk_Pa)
     raise InputError(
-        f"organ.{SHAPE[organ.law]}", f"be given with organ.law = {organ.law}", "none", "state it"
+        f"organ.{LAW_SHAPES[organ.law][0]}",
+        f"be given with organ.law = {organ.law}",
+        "none",
+        "state it",
     )

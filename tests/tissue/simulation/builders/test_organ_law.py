@@ -104,3 +104,11 @@ def test_at_a_small_depth_a_law_gives_the_force_of_the_linear_one():
         for law in ({}, {"law": "neo-hookean"})
     ]
     assert peaks[1] == pytest.approx(peaks[0], rel=0.01)
+
+
+def test_a_stated_modulus_leaves_the_cited_rate_of_a_material_in_use():
+    """The material is refused only where neither its moduli nor its rate are used."""
+    stated = SMALL | {"organ.law": "exponential", "organ.material": "pressed_liver"}
+    assert load_scene("palpation", stated).organ.exponential_rate is None
+    with pytest.raises(InputError, match="material must be left out with both"):
+        load_scene("palpation", stated | {"organ.exponential_rate": 3.0})
