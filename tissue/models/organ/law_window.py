@@ -7,7 +7,7 @@ is linear (`tissue.fem.region`). A tool that slides passes from window to window
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import bsr_array, csr_array, eye_array
+from scipy.sparse import bsr_array
 
 from meshes.base.arrays import Array, Flags, Ints
 from meshes.base.errors import InputError
@@ -39,8 +39,6 @@ class LawWindow:
         Nodes of the window in the organ, shape (n,).
     fixed
         Components with zero displacement, shape (n, 3).
-    shares
-        Matrix from the window's nodes to its touchable nodes, shape (w, n).
     """
 
     follower: QuasiNewton
@@ -48,7 +46,6 @@ class LawWindow:
     places: Ints
     nodes: Ints
     fixed: Flags
-    shares: csr_array
 
     def spread(self, forces_N: Array) -> Array:
         """Return the forces on the window's nodes [N], shape (n, 3), from all touchable nodes."""
@@ -91,15 +88,9 @@ def follower_of(
 def whole_window(organ: SoftOrgan, law: OrganLaw, touchable: Ints) -> LawWindow:
     """Return a window on the whole organ."""
     follower = follower_of(organ, law.law, law.cell_factors, touchable)
-    count = organ.space.node_count
-    return LawWindow(
-        follower,
-        np.arange(len(touchable)),
-        touchable,
-        np.arange(count),
-        organ.body.fixed,
-        csr_array(eye_array(count, format="csr")[touchable]),
-    )
+    inside = np.arange(len(touchable))
+    nodes = np.arange(organ.space.node_count)
+    return LawWindow(follower, inside, touchable, nodes, organ.body.fixed)
 
 
 def window_centres(points_m: Array, apart_m: float) -> Array:
@@ -136,5 +127,4 @@ def window_of(
 
     rest = factorised(body.stiffness(np.zeros_like(body.nodes_m)))
     follower = QuasiNewton(body, body.fixed, rest, factorised)
-    shares = csr_array(eye_array(len(body.nodes), format="csr")[places])
-    return LawWindow(follower, inside, places, body.nodes, body.fixed, shares)
+    return LawWindow(follower, inside, places, body.nodes, body.fixed)

@@ -114,5 +114,5 @@ def test_a_stated_modulus_leaves_the_cited_rate_of_a_material_in_use():
 
 
 def test_an_exponent_of_zero_is_refused_with_the_scene():
-    with pytest.raises(InputError, match="organ.exponent must not be 0, got 0: use 8"):
+    with pytest.raises(InputError, match="exponent must not be 0, got 0"):
         load_scene("palpation", {"organ.law": "ogden", "organ.exponent": 0.0})
