@@ -8,7 +8,7 @@ the mesh is added: the shift of the constants that makes up for a mesh of two th
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -259,9 +259,7 @@ def fit_probes(
             strict=True,
         )
     ]
-    thick = LayerScene(
-        fixed.organ, fixed.radius_m, THICKER * fixed.thickness_m, fixed.poisson_ratio
-    )
+    thick = replace(fixed, thickness_m=THICKER * fixed.thickness_m)
     thicker = fit_curves(
         probe_curves(thick, table.depths_m, ()), median_curve(forces)[None]
     ).modulus_Pa[0]
@@ -301,12 +299,7 @@ def _free_keys(layer: LayerScene, free: Sequence[str]) -> tuple[str, ...]:
 
 def _with_shape(layer: LayerScene, keys: tuple[str, ...], shape: Array) -> LayerScene:
     changes = dict(zip(keys, shape.tolist(), strict=True))
-    return LayerScene(
-        layer.organ.model_copy(update=changes),
-        layer.radius_m,
-        layer.thickness_m,
-        layer.poisson_ratio,
-    )
+    return replace(layer, organ=layer.organ.model_copy(update=changes))
 
 
 def _named(scene: Scene, keys: tuple[str, ...]) -> list[tuple[str, Prior, float]]:
