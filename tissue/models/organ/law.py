@@ -109,7 +109,9 @@ class LawOffset:
         else:
             hop_m = HOP * law.region_m
             away, places = cKDTree(self._nodes_m).query(tool.tips_m)
-            self._centres_m = window_centres(self._nodes_m[places[away <= law.region_m]], hop_m)
+            # Between the nodes of a coarse mesh a small tool may be farther from all of them.
+            is_near = away <= max(law.region_m, away.min())
+            self._centres_m = window_centres(self._nodes_m[places[is_near]], hop_m)
             self._windows = [
                 window_of(organ, law, touchable, centre, law.region_m + hop_m)
                 for centre in self._centres_m

@@ -23,6 +23,10 @@ from tissue.models.organ.soft_organ import OrganLaw, SoftOrgan
 __all__ = ["LawWindow", "follower_of", "whole_window", "window_centres", "window_of"]
 
 
+FEWEST_CELLS = 9
+"""Smallest number of cells of a region, which is larger than asked for on a coarse mesh; chosen."""
+
+
 @dataclass(frozen=True, eq=False)
 class LawWindow:
     """Solver of a law in the whole organ or in a region of it.
@@ -111,8 +115,8 @@ def window_of(
     """Return a window on the cells within a radius [m] of a centre [m]."""
     space = organ.space
     away = np.linalg.norm(space.nodes_m[space.cell_nodes].mean(axis=1) - centre_m, axis=1)
-    # The nearest cells stay, however small the radius is.
-    cells = np.flatnonzero(away <= max(radius_m, float(np.partition(away, 8)[8])))
+    nearest_m = float(np.partition(away, FEWEST_CELLS - 1)[FEWEST_CELLS - 1])
+    cells = np.flatnonzero(away <= max(radius_m, nearest_m))
     body = RegionBody(space, organ.body, cells, law=law.law, cell_factors=law.cell_factors)
     back = np.full(space.node_count, -1)
     back[body.nodes] = np.arange(len(body.nodes))

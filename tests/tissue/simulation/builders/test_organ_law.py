@@ -116,3 +116,18 @@ def test_a_stated_modulus_leaves_the_cited_rate_of_a_material_in_use():
 def test_an_exponent_of_zero_is_refused_with_the_scene():
     with pytest.raises(InputError, match="exponent must not be 0, got 0"):
         load_scene("palpation", {"organ.law": "ogden", "organ.exponent": 0.0})
+
+
+def test_a_small_tool_between_the_nodes_of_a_coarse_mesh_has_a_window():
+    """The nearest node is 2.2 radii away, where the region ends at 2 radii."""
+    place = {
+        "tool.diameter_mm": 1.45,
+        "anatomy.size_mm": [40, 40, 20],
+        "anatomy.edge_mm": 8.0,
+        "anatomy.touch_edge_mm": 3.9,
+        "motion.points_mm": [[2.1, 0.4, 1.0], [2.1, 0.4, -0.5]],
+        "motion.feed_mm_s": 20.0,
+    }
+    run = simulate(load_scene("palpation", pressed(0.1, law="neo-hookean") | place), cores=1)
+    assert run.summary["law"]["solves"] > 0
+    assert run.summary["law"]["not_reached"] == 0
