@@ -231,7 +231,7 @@ def fit_probes(
     """
     report = progress or silent
     layer = layer_scene(scene)
-    keys = _free_keys(layer, free)
+    keys = _free_keys(scene, layer, free)
     curves = probe_curves(
         layer, table.depths_m, keys, progress=lambda doing, share: report(doing, 0.8 * share)
     )
@@ -286,15 +286,18 @@ def fit_probes(
     )
 
 
-def _free_keys(layer: LayerScene, free: Sequence[str]) -> tuple[str, ...]:
+def _free_keys(scene: Scene, layer: LayerScene, free: Sequence[str]) -> tuple[str, ...]:
     """Return the free shape constants; `free` may name the modulus too, which is always free."""
     possible = shape_keys(layer.organ)
-    asked = [each.rpartition(".")[2] for each in free]
-    for name in asked:
-        if name not in possible and not name.endswith(("young_kPa", "modulus_kPa")):
-            known = ", ".join(("organ.young_kPa", *(f"organ.{key}" for key in possible)))
-            raise InputError("free", "name constants of this table", name, f"choose among {known}")
-    return tuple(key for key in possible if not free or key in asked)
+    known = [name for name, _, _ in _named(scene, possible)]
+    short = {name.rpartition(".")[2]: name for name in known}
+    asked = [short.get(each, each) for each in free]
+    for given, name in zip(free, asked, strict=True):
+        if name not in known:
+            raise InputError(
+                "free", "name constants of this table", given, f"choose among {', '.join(known)}"
+            )
+    return tuple(key for key in possible if not free or short[key] in asked)
 
 
 def _with_shape(layer: LayerScene, keys: tuple[str, ...], shape: Array) -> LayerScene:

@@ -40,7 +40,7 @@ The ends are the limits of the key, or factors of ten around the values of publi
 NODES = {1: 9, 2: 7}
 """Solutions along each shape constant, by the number of shape constants.
 
-With one constant, 9 nodes give the forces between them within 0.3 % and 5 nodes within 3 %:
+With one constant, 9 nodes give the forces between them within 0.3 %:
 `tests/tissue/fitting/test_probes.py`.
 """
 DENSE = {1: 400, 2: 60}
@@ -117,14 +117,14 @@ def layer_scene(scene: Scene) -> LayerScene:
             f"organ.{found}",
             f"be left out {with_table}, which determines one isotropic material",
             shown(getattr(organ, found)),
-            "remove it",
+            "use a scene without it",
         )
     if anatomy.nodule_mm > 0.0:
         raise InputError(
             "anatomy.nodule_diameter_mm",
             f"be 0 {with_table}",
             f"{anatomy.nodule_mm:g}",
-            "use --set anatomy.nodule_diameter_mm=0 --set organ.parts=null",
+            "use --set anatomy.nodule_diameter_mm=0 --set organ.parts={}",
         )
     ratio = organ.poisson_ratio
     if ratio is None:
