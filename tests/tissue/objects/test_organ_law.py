@@ -86,3 +86,7 @@ def test_a_loop_refuses_a_law():
         InputError, match="tissue must be linear in a loop, got an organ with a law"
     ):
         tissue.Loop(block(law="neo-hookean"), device=Recording())
+
+
+def test_the_linear_law_may_be_named():
+    assert repr(block(law="linear", capsule=(50, 8200))) == repr(block(capsule=(50, 8200)))

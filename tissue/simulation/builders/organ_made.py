@@ -202,20 +202,22 @@ class StatedOrgan:
         held = given.pop("held", "bottom")
         below = given.pop("held_below_mm", None)
         law = given.pop("law", None)
+        table = None if law is None else _law_table(law)
         other = next((name for name in NOT_WITH_LAW if name in given), None)
-        if law is not None and other is not None:
+        if table is not None and other is not None:
             raise InputError(
                 f"law and {other}",
                 "be left out together",
-                f"{law} and {given[other]}",
+                f"{table.law} and {given[other]}",
                 "remove one, a law of large strains has an isotropic elastic organ without weight",
             )
-        table = None if law is None else _law_table(law)
         return cls(SoftMaterial(modulus_kPa, poisson_ratio, **given), held, below, table)
 
 
-def _law_table(law: object) -> LawTable:
+def _law_table(law: object) -> LawTable | None:
     """Return the scene table of a law that a caller states by its name or as a table.
+
+    It is None for the linear law.
 
     Raises
     ------
@@ -239,7 +241,7 @@ def _law_table(law: object) -> LawTable:
             "none",
             f"use for example law={{'name': {table.law!r}, {needed!r}: {(example or [1.0])[0]}}}",
         )
-    return table
+    return None if table.law == "linear" else table
 
 
 def made_of(
