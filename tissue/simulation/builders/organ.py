@@ -44,7 +44,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "HeldMesh",
-    "coarser_mesh",
     "elasticity_of",
     "held_mesh",
     "hindrance",
@@ -436,24 +435,6 @@ def law_of(organ: Organ, lame_Pa: Array) -> tuple[Hyperelastic, Array] | None:
     first, shear = lame_Pa[0].tolist()
     bulk = first + 2.0 / 3.0 * shear
     return _law(organ, shear, bulk), np.asarray(lame_Pa[:, 1] / shear)
-
-
-def coarser_mesh(
-    scene: Scene, *, path_m: Array, touch_edge_m: float, ratio: float, report: Progress
-) -> HeldMesh:
-    """Mesh a scene's organ with edges longer by a ratio; other arguments as for `held_mesh`.
-
-    A nodule needs cells as short as the scene's. Tetrahedra from a file are not made coarser away
-    from the tool.
-    """
-    anatomy = scene.anatomy
-    assert isinstance(anatomy, SoftAnatomy)
-    # See the docstring: a nodule needs its edges.
-    edge_mm = anatomy.edge_mm * (1.0 if anatomy.nodule_mm else ratio)
-    # The key must not count as set: tetrahedra from a file have their own edges.
-    given = anatomy.model_fields_set - {"edge_mm"}
-    coarse = type(anatomy).model_construct(given, **(dict(anatomy) | {"edge_mm": edge_mm}))
-    return held_mesh(coarse, path_m=path_m, touch_edge_m=ratio * touch_edge_m, report=report)
 
 
 def organ_law(scene: Scene, lame_Pa: Array) -> "OrganLaw | None":
