@@ -27,7 +27,7 @@ __all__ = ["LayerMesh", "LinearLaw", "layer_mesh", "press_forces"]
 
 
 WIDTH = 4.0
-"""Least radius of the layer, over the sum of its thickness and the ball's radius.
+"""Smallest radius of the layer, over the sum of its thickness and the ball's radius.
 
 At 3 the force at a depth of 0.75 radii changes by less than 0.1 % (thickness of 1 to 5 radii).
 """
@@ -52,10 +52,13 @@ TRUSTED = 1.5
 REST = np.array([1.0, 0.0, 0.0, 1.0, 1.0])
 """Components rr, rz, zr, zz and hoop of the identity."""
 NEWTON_STEPS = 40
+"""Largest number of Newton steps of a solve."""
 HALVINGS = 12
+"""Halvings of a step before the solve is given up: 1/4096 of it is left."""
 ARMIJO = 1e-4
 """Share of the predicted decrease of the energy that a step must reach (Armijo 1966)."""
 ROUNDING = 1e-16
+"""Rounding error of the energy, over the volume times the stiffest modulus."""
 SETTLED = 1e-5
 """Unbalanced force at the end of a solve, over the largest nodal force."""
 SHORTEST = 1.0 / 64.0
@@ -224,7 +227,6 @@ class _Layer:
         self._area = 2.0 * np.pi * radius * (0.5 * (ends[:, 2] - ends[:, 0]))[:, None] * weights
         self._edge_places = (2 * edges[:, :, None] + np.arange(2)).reshape(-1, 6)
         self._stiff = PENALTY * law.shear_Pa / float(ends[0, 2] - ends[0, 0])
-        # Small differences of the energy are rounding: 1e-16 of the stiffest part of each point.
         stiffest = law.first_Pa if isinstance(law, LinearLaw) else law.bulk_Pa
         self._rounding_J = ROUNDING * stiffest * float(self._volume.sum())
         self._pressure = np.zeros_like(self._area)

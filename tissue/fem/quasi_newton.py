@@ -5,7 +5,7 @@ factor of the stiffness at rest. The curvature pairs of the last steps (Liu and 
 Program. 45:503) depend on the body alone, not on the forces, so they stay valid from one load to
 the next. When a solve needs many steps, the stiffness at the present displacement is factorised.
 
-Springs may hold some points near prescribed displacements. Tissue under a deep press of a tool can
+Springs may hold some nodes near prescribed displacements. Tissue under a deep press of a tool can
 be stable only because the tool is rigid. Under equal forces without the tool its tangent is
 indefinite and no equilibrium is near.
 """
@@ -17,10 +17,11 @@ from typing import Protocol
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
-from scipy.sparse import bsr_array, csr_array, kron
+from scipy.sparse import bsr_array, csr_array
 
-from meshes.base.arrays import Array, Flags
+from meshes.base.arrays import Array, Flags, Ints
 from tissue.fem.solvers.direct import DirectSolver, NotPositiveDefiniteError
+from tissue.fem.solvers.held_body import components_of
 
 __all__ = ["Body", "Followed", "QuasiNewton", "Springs"]
 
@@ -54,51 +55,55 @@ class Body(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Springs:
-    """Springs between points of a body and fixed points.
+    """Coupled springs that hold nodes of a body near given positions.
+
+    With u all components of the displacement, the energy is ``|root u - rest|^2 / 2``.
 
     Attributes
     ----------
-    points
-        Matrix from the displacements of all components to those of the points, shape (p, 3n).
-    stiffness_N_m
-        Stiffness of each spring [N/m], shape (p,).
-    target_m
-        Displacement at which each spring is at rest [m], shape (p,).
+    root
+        Square root of the stiffness [(N/m)^0.5], shape (p, 3n).
+    rest
+        Product of the root and the displacement at which the springs are at rest [J^0.5], shape
+        (p,).
     """
 
-    points: csr_array
-    stiffness_N_m: Array
-    target_m: Array
+    root: csr_array
+    rest: Array
 
     @classmethod
     def none(cls, unknowns: int) -> "Springs":
         """Return no springs, for a body of some unknowns."""
-        return cls(csr_array((0, unknowns)), np.zeros(0), np.zeros(0))
+        return cls(csr_array((0, unknowns)), np.zeros(0))
 
     @classmethod
-    def holding(cls, shares: csr_array, compliance_m_N: Array, target_m: Array) -> "Springs":
-        """Return springs that hold points near given positions, with a given compliance.
+    def holding(
+        cls, nodes: Ints, compliance_m_N: Array, target_m: Array, *, unknowns: int
+    ) -> "Springs":
+        """Return springs that hold nodes near given positions, with a given compliance.
 
-        The springs couple the points as the body does. One spring acts along each axis of the
-        Cholesky factor of their stiffness.
+        The springs couple the nodes as the body does. Their root is the inverse of the Cholesky
+        factor of the compliance.
 
         Parameters
         ----------
-        shares
-            Shares of the nodes in the points, shape (p, n).
+        nodes
+            Nodes to hold, shape (k,).
         compliance_m_N
-            Compliance between the points [m/N], positive definite, shape (3p, 3p).
+            Compliance between the nodes [m/N], positive definite, shape (3k, 3k).
         target_m
-            Displacements of the points at which the springs are at rest [m], shape (p, 3).
+            Displacements of the nodes at which the springs are at rest [m], shape (k, 3).
+        unknowns
+            Number of components of the body.
         """
-        points = csr_array(kron(shares, np.eye(3), format="csr"))
-        columns = np.unique(points.indices)
+        columns = components_of(nodes)
+        order = np.argsort(columns)
         lower = cholesky(compliance_m_N, lower=True)
-        near = solve_triangular(lower, points[:, columns].toarray(), lower=True)
-        rows = np.repeat(np.arange(len(near)), len(columns))
-        turned = csr_array((near.ravel(), (rows, np.tile(columns, len(near)))), shape=points.shape)
-        target = solve_triangular(lower, target_m.ravel(), lower=True)
-        return cls(turned, np.ones(len(near)), target)
+        inverse = solve_triangular(lower, np.eye(len(columns))[:, order], lower=True)
+        rows = np.repeat(np.arange(len(inverse)), len(columns))
+        places = np.tile(columns[order], len(inverse))
+        root = csr_array((inverse.ravel(), (rows, places)), shape=(len(inverse), unknowns))
+        return cls(root, solve_triangular(lower, target_m.ravel(), lower=True))
 
     def at(self, share: float, start_m: Array) -> "Springs":
         """Return the springs with targets moved from a displacement by a share of the distance.
@@ -112,18 +117,17 @@ class Springs:
         """
         if share == 1.0:
             return self
-        there_m = self.points @ start_m.ravel()
-        return replace(self, target_m=there_m + share * (self.target_m - there_m))
+        start = self.root @ start_m.ravel()
+        return replace(self, rest=start + share * (self.rest - start))
 
     def energy_and_force(self, displacement_m: Array) -> tuple[float, Array]:
         """Compute the energy [J] and the forces on the nodes [N], shape (n, 3)."""
-        stretch = self.points @ displacement_m.ravel() - self.target_m
-        pull = self.stiffness_N_m * stretch
-        return 0.5 * float(stretch @ pull), -(self.points.T @ pull).reshape(-1, 3)
+        stretch = self.root @ displacement_m.ravel() - self.rest
+        return 0.5 * float(stretch @ stretch), -(self.root.T @ stretch).reshape(-1, 3)
 
     def product(self, change_m: Array) -> Array:
         """Compute the change of the forces against a change of displacement [N], shape (n, 3)."""
-        force: Array = self.points.T @ (self.stiffness_N_m * (self.points @ change_m.ravel()))
+        force: Array = self.root.T @ (self.root @ change_m.ravel())
         return force.reshape(-1, 3)
 
 
@@ -381,10 +385,8 @@ class QuasiNewton:
         """Solve with the factor and the springs [m], shape (n, 3)."""
         if self._held is None:
             self._held = self.factor
-            if self._springs.points.shape[0]:
-                self._held = self.factor.with_springs(
-                    self._springs.points, self._springs.stiffness_N_m
-                )
+            if self._springs.root.shape[0]:
+                self._held = self.factor.with_springs(self._springs.root)
         return self._held.displacement_m(forces_N)
 
     def _inverse(self, left_N: Array) -> Array:

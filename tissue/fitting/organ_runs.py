@@ -5,6 +5,7 @@ from concurrent.futures import Executor
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter
@@ -21,7 +22,7 @@ from tissue.materials.constants import Prior
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.replay import ReplayPoses
 from tissue.scene.load import changed
-from tissue.scene.organ import SoftAnatomy
+from tissue.scene.organ import LAW_SHAPES, SoftAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import ReplayMotion
 from tissue.scene.used_constants import used_constants
@@ -52,8 +53,8 @@ SHAPE = (0.4, 2.5)
 
 The range is assumed, since no source gives one for an organ.
 """
-SHAPES = ("second_share", "square_ratio", "cube_ratio", "exponent", "exponential_rate")
-"""Keys of the organ that do so."""
+SHAPES = tuple(chain.from_iterable(LAW_SHAPES.values()))
+"""Keys of the organ for these constants."""
 SHARE = "second_share"
 NEAREST = 0.1
 """Smallest distance from 1 of the 95 % quantile of a share's prior.

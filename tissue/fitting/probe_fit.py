@@ -8,7 +8,7 @@ the mesh is added: the shift of the constants that makes up for a mesh of two th
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -231,7 +231,7 @@ def fit_probes(
     """
     report = progress or silent
     layer = layer_scene(scene)
-    keys = _free_keys(layer, free)
+    keys = _free_keys(scene, layer, free)
     curves = probe_curves(
         layer, table.depths_m, keys, progress=lambda doing, share: report(doing, 0.8 * share)
     )
@@ -259,9 +259,7 @@ def fit_probes(
             strict=True,
         )
     ]
-    thick = LayerScene(
-        fixed.organ, fixed.radius_m, THICKER * fixed.thickness_m, fixed.poisson_ratio
-    )
+    thick = replace(fixed, thickness_m=THICKER * fixed.thickness_m)
     thicker = fit_curves(
         probe_curves(thick, table.depths_m, ()), median_curve(forces)[None]
     ).modulus_Pa[0]
@@ -288,25 +286,23 @@ def fit_probes(
     )
 
 
-def _free_keys(layer: LayerScene, free: Sequence[str]) -> tuple[str, ...]:
+def _free_keys(scene: Scene, layer: LayerScene, free: Sequence[str]) -> tuple[str, ...]:
     """Return the free shape constants; `free` may name the modulus too, which is always free."""
     possible = shape_keys(layer.organ)
-    asked = [each.rpartition(".")[2] for each in free]
-    for name in asked:
-        if name not in possible and not name.endswith(("young_kPa", "modulus_kPa")):
-            known = ", ".join(("organ.young_kPa", *(f"organ.{key}" for key in possible)))
-            raise InputError("free", "name constants of this table", name, f"choose among {known}")
-    return tuple(key for key in possible if not free or key in asked)
+    known = [name for name, _, _ in _named(scene, possible)]
+    short = {name.rpartition(".")[2]: name for name in known}
+    asked = [short.get(each, each) for each in free]
+    for given, name in zip(free, asked, strict=True):
+        if name not in known:
+            raise InputError(
+                "free", "name constants of this table", given, f"choose among {', '.join(known)}"
+            )
+    return tuple(key for key in possible if not free or short[key] in asked)
 
 
 def _with_shape(layer: LayerScene, keys: tuple[str, ...], shape: Array) -> LayerScene:
     changes = dict(zip(keys, shape.tolist(), strict=True))
-    return LayerScene(
-        layer.organ.model_copy(update=changes),
-        layer.radius_m,
-        layer.thickness_m,
-        layer.poisson_ratio,
-    )
+    return replace(layer, organ=layer.organ.model_copy(update=changes))
 
 
 def _named(scene: Scene, keys: tuple[str, ...]) -> list[tuple[str, Prior, float]]:

@@ -18,7 +18,7 @@ from meshes.base.progress import Progress, silent
 from meshes.base.text_tables import shown
 from tissue.fem.axisymmetric import FIRST, LayerMesh, LinearLaw, layer_mesh, press_forces
 from tissue.materials.elasticity import lame
-from tissue.scene.organ import Organ, SlabAnatomy
+from tissue.scene.organ import LAW_SHAPES, Organ, SlabAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Probe
 from tissue.simulation.builders.organ import hindrance, law_of, with_cited_shape
@@ -33,18 +33,14 @@ SHAPES = {
     "exponent": (2.0, 30.0),
     "exponential_rate": (0.1, 50.0),
 }
-"""Range of each shape constant over which a fit looks: the limits of the key, or factors of ten
-about the values of published fits."""
-OF_LAW = {
-    "mooney-rivlin": ("second_share",),
-    "yeoh": ("square_ratio", "cube_ratio"),
-    "ogden": ("exponent",),
-    "exponential": ("exponential_rate",),
-}
+"""Range of each shape constant over which a fit looks.
+
+The ends are the limits of the key, or factors of ten around the values of published fits.
+"""
 NODES = {1: 9, 2: 7}
 """Solutions along each shape constant, by the number of shape constants.
 
-With one constant, 9 nodes give the forces between them within 0.3 % and 5 nodes within 3 %:
+With one constant, 9 nodes give the forces between them within 0.3 %:
 `tests/tissue/fitting/test_probes.py`.
 """
 DENSE = {1: 400, 2: 60}
@@ -121,14 +117,14 @@ def layer_scene(scene: Scene) -> LayerScene:
             f"organ.{found}",
             f"be left out {with_table}, which determines one isotropic material",
             shown(getattr(organ, found)),
-            "remove it",
+            "use a scene without it",
         )
     if anatomy.nodule_mm > 0.0:
         raise InputError(
             "anatomy.nodule_diameter_mm",
             f"be 0 {with_table}",
             f"{anatomy.nodule_mm:g}",
-            "use --set anatomy.nodule_diameter_mm=0 --set organ.parts=null",
+            "use --set anatomy.nodule_diameter_mm=0 --set organ.parts={}",
         )
     ratio = organ.poisson_ratio
     if ratio is None:
@@ -255,4 +251,4 @@ def _between(curve: Array, deepest_m: float, depths_m: Array) -> Array:
 
 def shape_keys(organ: Organ) -> tuple[str, ...]:
     """Return the shape constants of an organ's law that have a value above zero."""
-    return tuple(key for key in OF_LAW.get(organ.law, ()) if (getattr(organ, key) or 0.0) > 0.0)
+    return tuple(key for key in LAW_SHAPES.get(organ.law, ()) if (getattr(organ, key) or 0.0) > 0.0)

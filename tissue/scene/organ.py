@@ -11,6 +11,7 @@ from tissue.scene.names import ORGAN_MATERIALS
 from tissue.scene.part import FileName, Length_mm, Needs, OneOf, Part, Rule, Vector
 
 __all__ = [
+    "LAW_SHAPES",
     "Held",
     "IncisedAnatomy",
     "LayersAnatomy",
@@ -215,6 +216,19 @@ Moduli_kPa = Annotated[dict[str, Modulus_kPa], AfterValidator(lambda moduli: mod
 """Young's moduli by part [kPa]; an empty table counts as no table."""
 
 
+LAW_SHAPES = {
+    "mooney-rivlin": ("second_share",),
+    "yeoh": ("square_ratio", "cube_ratio"),
+    "ogden": ("exponent",),
+    "exponential": ("exponential_rate",),
+}
+"""Keys that give a law its shape, in addition to the modulus and Poisson's ratio.
+
+The first key of a law is required. Only the rate of an exponential law is cited, for a pressed
+liver.
+"""
+
+
 class Organ(Part):
     """Material of a soft organ, and the method of its solution."""
 
@@ -292,6 +306,13 @@ class Organ(Part):
     def rules(self) -> Iterator[Rule]:
         """Yield the rule for a material whose constants are not used."""
         is_stated = self.young_kPa is not None and self.poisson_ratio is not None
-        is_cited = self.capsule or self.gravity or self.viscous
+        takes_rate = self.law == "exponential" and self.exponential_rate is None
+        is_cited = self.capsule or self.gravity or self.viscous or takes_rate
         both = "with both organ.young_kPa and organ.poisson_ratio"
         yield "material", is_stated and not is_cited, both, "remove one of them"
+
+    @model_validator(mode="after")
+    def _has_powers(self) -> "Organ":
+        if self.exponent == 0.0:
+            raise InputError("organ.exponent", "not be 0", "0", "use 8")
+        return self

@@ -62,6 +62,9 @@ def test_a_press_next_to_held_tissue_needs_no_springs_there():
     [
         ({"law": "yeoh"}, "law yeoh must state square_ratio"),
         ({"law": {"name": "yeoh", "square": 1.0}}, "law must have known keys, got 'square'"),
+        ({"law": {"name": "ogden", "law": "yeoh"}}, "law must have known keys, got 'law'"),
+        ({"law": {"square_ratio": 1.0}}, "law must have a name, got"),
+        ({"law": {"name": "ogden", "exponent": 0.0}}, "organ.exponent must not be 0"),
         ({"law": "foo"}, "law must be one of linear, neo-hookean"),
         (
             {"law": "neo-hookean", "capsule": (50, 8200)},
@@ -83,3 +86,7 @@ def test_a_loop_refuses_a_law():
         InputError, match="tissue must be linear in a loop, got an organ with a law"
     ):
         tissue.Loop(block(law="neo-hookean"), device=Recording())
+
+
+def test_the_linear_law_may_be_named():
+    assert repr(block(law="linear", capsule=(50, 8200))) == repr(block(capsule=(50, 8200)))

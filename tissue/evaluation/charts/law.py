@@ -30,7 +30,7 @@ from tissue.scene.load import changed
 from tissue.scene.organ import SoftAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion, Probe
-from tissue.simulation.builders.organ import coarser_mesh, elasticity_of, hindrance
+from tissue.simulation.builders.organ import HeldMesh, elasticity_of, held_mesh, hindrance
 from tissue.simulation.builders.parts import motion_of
 from tissue.simulation.simulate import TICK_S, simulate
 
@@ -164,9 +164,7 @@ def _solvers(scene: Scene, laws: "Sequence[Law]") -> "list[NewtonSolver]":
     from tissue.fem.space import Space
 
     assert isinstance(scene.anatomy, SoftAnatomy)
-    path_m = motion_of(scene, step_s=TICK_S).sweep_m()
-    edge_m = 1e-3 * edge_mm(scene)
-    found = coarser_mesh(scene, path_m=path_m, touch_edge_m=edge_m, ratio=COARSER, report=silent)
+    found = _coarser_mesh(scene, scene.anatomy)
     space = Space(found.mesh, scene.organ.order)
     held = np.zeros((space.node_count, 3), dtype=bool)
     held[found.held] = True
@@ -175,6 +173,21 @@ def _solvers(scene: Scene, laws: "Sequence[Law]") -> "list[NewtonSolver]":
     return [
         NewtonSolver(NonlinearBody(space, lame, law=law), held, tolerance=TOLERANCE) for law in laws
     ]
+
+
+def _coarser_mesh(scene: Scene, anatomy: SoftAnatomy) -> HeldMesh:
+    """Mesh a scene's organ with edges longer by `COARSER`.
+
+    A nodule needs cells as short as the scene's. Tetrahedra from a file are not made coarser away
+    from the tool.
+    """
+    longer_mm = anatomy.edge_mm * (1.0 if anatomy.nodule_mm else COARSER)
+    # The key must not count as set: tetrahedra from a file have their own edges.
+    given = anatomy.model_fields_set - {"edge_mm"}
+    coarse = type(anatomy).model_construct(given, **(dict(anatomy) | {"edge_mm": longer_mm}))
+    path_m = motion_of(scene, step_s=TICK_S).sweep_m()
+    touch_edge_m = COARSER * (1e-3 * edge_mm(scene))
+    return held_mesh(coarse, path_m=path_m, touch_edge_m=touch_edge_m, report=silent)
 
 
 def _touching(scene: Scene, solver: "NewtonSolver") -> tuple[Array, Array]:

@@ -422,26 +422,23 @@ class DirectSolver:
         moved[self._order] = found
         return moved.reshape(load_N.shape)
 
-    def with_springs(self, points: csr_array, stiffness_N_m: Array) -> "DirectSolver":
+    def with_springs(self, root: csr_array) -> "DirectSolver":
         """Return the solver of the body with springs on nodes that were eliminated last.
 
         Only the last block is factorised anew. `displacement_m` alone may be used.
 
         Parameters
         ----------
-        points
-            Matrix from the displacements of all components to the stretches, shape (p, 3n).
-        stiffness_N_m
-            Stiffness of each spring [N/m], shape (p,).
+        root
+            Square root of the stiffness of the springs [(N/m)^0.5], shape (p, 3n).
         """
-        columns = np.unique(points.indices)
+        columns = np.unique(root.indices)
         at = self._position[columns]
-        columns = columns[at >= 0]
-        near = points[:, columns].toarray()
+        near = root[:, columns[at >= 0]].toarray()
         found = copy(self)
-        found._factor = self._factor.with_last(
-            at[at >= 0], near.T @ (stiffness_N_m[:, None] * near)
-        )
+        # The product of an array with itself takes another BLAS routine, which rounds differently
+        # from the runs of earlier versions.
+        found._factor = self._factor.with_last(at[at >= 0], near.T @ near.copy())
         return found
 
     def columns(self, unknowns: Ints, *, together: int = TOGETHER) -> Array:

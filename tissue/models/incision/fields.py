@@ -29,7 +29,7 @@ from tissue.models.organ.soft_organ import SoftOrgan
 __all__ = ["IncisionFields", "Track"]
 
 SIDE_M = 0.02
-"""Tissue beside the cut, beyond its ends and below it [m].
+"""Size of the tissue next to the cut, beyond its ends and below it [m].
 
 The block is a picture. No force depends on its size or its edges, which are chosen.
 """
@@ -128,7 +128,7 @@ class IncisionFields:
     """
 
     def __init__(self, track: Track, tissue: IncisedTissue, *, interval_s: float) -> None:
-        mesh, self._nodes, self._areas = _half(track)
+        mesh, nodes, areas = _half(track)
         self._track = track
         low = mesh.nodes_m.min(axis=0)
         high = mesh.nodes_m.max(axis=0)
@@ -136,8 +136,9 @@ class IncisionFields:
         ratio = min(tissue.poisson_ratio, LARGEST_RATIO)
         rows = np.broadcast_to(lame(tissue.young_Pa, ratio), (len(mesh.cells), 2))
         organ = SoftOrgan(mesh, rows, held, order=1)
-        self._nodes = np.setdiff1d(self._nodes, held)
-        self._areas = self._areas[~np.isin(np.flatnonzero(mesh.nodes_m[:, 1] == 0.0), held)]
+        free = ~np.isin(nodes, held)
+        self._nodes = nodes[free]
+        self._areas = areas[free]
         organ.factor.expect(self._nodes)
         solver = organ.factor.solver
         assert isinstance(solver, DirectSolver), "the block is small"

@@ -1,6 +1,6 @@
 """Blade in soft tissue, as a tissue that a tool moves through."""
 
-from math import isfinite
+from math import asin, degrees, isfinite
 
 import numpy as np
 
@@ -165,13 +165,13 @@ class IncisionModel:
 
     def _entered(self, motion: ToolMotion) -> Cut:
         """Return the earlier or new cut at the point where the blade meets the surface."""
-        axis = motion.rotation[:, 2]
-        across = motion.rotation[:, 1]
-        if axis[2] < LEAST_COSINE or 1.0 - across[2] ** 2 < LEAST_COSINE**2:
+        # The axis lies in the blade's plane, so that a steep axis has a steep plane.
+        rise = float(motion.rotation[2, 2])
+        if rise < LEAST_COSINE:
             raise InputError(
-                "the blade",
+                "the blade's axis",
                 "meet the surface at more than 10 degrees",
-                f"an axis with a cosine of {axis[2]:.2f} to its normal",
+                f"{degrees(asin(max(rise, -1.0))):.0f} degrees",
                 "point the blade into the tissue",
             )
         new = Cut(self.tissue, self.blade, motion.tip_m, motion.rotation)

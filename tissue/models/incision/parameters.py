@@ -47,7 +47,7 @@ class Blade:
     @property
     def rise(self) -> float:
         """Height of the edge above the tip, per distance along x."""
-        return max(1.0 / tan(self.edge_rad), 0.0)
+        return 1.0 / tan(self.edge_rad)
 
 
 @dataclass(frozen=True, kw_only=True)

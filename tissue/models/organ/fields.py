@@ -4,7 +4,6 @@ from functools import cached_property
 from math import inf
 
 import numpy as np
-from scipy.sparse import csr_array, eye_array
 
 from meshes.base.arrays import Array, Ints, Singles
 from tissue.fem.fields import FieldSeries, Frame, StressState, cell_stress
@@ -121,8 +120,7 @@ class OrganFields:
             return None
         nodes = self._touchable[loaded]
         between = self._follower.at_rest.compliance_between(nodes)
-        shares = csr_array(eye_array(self._space.node_count, format="csr")[nodes])
-        return Springs.holding(shares, between, moved_m[loaded])
+        return Springs.holding(nodes, between, moved_m[loaded], unknowns=self._space.unknown_count)
 
     def _compute_linear(self, batch: list[tuple[float, Array, Array]]) -> None:
         """Solve frames of a linear organ, which may creep.

@@ -1,6 +1,6 @@
 """Hyperelastic law of a soft organ at 1 kHz.
 
-Hyperelastic organ at 1 kHz: a compliance for every tick, and an offset solved between ticks.
+A compliance is used in every tick, and an offset is solved between ticks.
 
 Under nodal forces f the surface of the organ moves by u(f). Near an equilibrium u_k, f_k, with W a
 compliance::
@@ -101,30 +101,31 @@ class LawOffset:
     """
 
     def __init__(self, organ: SoftOrgan, law: OrganLaw, touchable: Ints, tool: ToolPath) -> None:
-        self._windows = [whole_window(organ, law, touchable)] if law.region_m == inf else []
-        self._centres_m = organ.space.nodes_m[touchable].mean(axis=0)[None]
-        if not self._windows:
+        self._nodes_m = organ.space.nodes_m[touchable]
+        if law.region_m == inf:
+            self._centres_m = self._nodes_m.mean(axis=0)[None]
+            self._windows = [whole_window(organ, law, touchable)]
+        else:
             hop_m = HOP * law.region_m
-            near = cKDTree(organ.space.nodes_m[touchable])
-            away, places = near.query(tool.tips_m)
-            points = organ.space.nodes_m[touchable[places[away <= law.region_m]]]
-            self._centres_m = window_centres(points, hop_m)
+            away, places = cKDTree(self._nodes_m).query(tool.tips_m)
+            # Between the nodes of a coarse mesh a small tool may be farther from all of them.
+            is_near = away <= max(law.region_m, away.min())
+            self._centres_m = window_centres(self._nodes_m[places[is_near]], hop_m)
             self._windows = [
                 window_of(organ, law, touchable, centre, law.region_m + hop_m)
                 for centre in self._centres_m
             ]
         self._window = self._windows[0]
-        self._nodes_m = organ.space.nodes_m[touchable]
         self._count = organ.space.node_count
         self.interval_s = law.interval_s
         none = np.zeros((len(touchable), 3))
         self.latest_m = none.copy()
         """Offset of the last tick [m], shape (t, 3)."""
         self._before = self._now = _Line(none, none, 0.0, 0.0)
-        self._apart: tuple[float, Array, Array] | None = None
+        at_rest = 0.0, np.zeros((len(self._window.inside), 3)), none
+        self._apart: tuple[float, Array, Array] | None = at_rest
         self._factor: DirectSolver | None = self._window.follower.factor
         self._at_rest: Array | None = None
-        self._handed_over = False
         self._changed_s = 0.0
         self._next_s = law.interval_s
         self.notices: list[str] = []
@@ -172,7 +173,8 @@ class LawOffset:
         forces = np.zeros_like(self.latest_m)
         forces[window.inside] = found.load_N[window.places]
         moved = found.displacement_m[window.places]
-        self._now.into(expected := np.zeros_like(self.latest_m), depth_m, 1.0)
+        expected = np.zeros_like(self.latest_m)
+        self._now.into(expected, depth_m, 1.0)
         missed = moved - (_displaced(contact, forces) + expected)[window.inside]
         has_missed = np.linalg.norm(missed) > MISSED * np.linalg.norm(moved)
         # The tangent of a new window is taken at its first equilibrium, not at the first guess.
@@ -186,9 +188,9 @@ class LawOffset:
         offset = self._offset(contact, moved, forces)
         slope = self._now.slope
         reach_m = self._now.reach_m
-        if self._apart is None and self._handed_over:
+        if self._apart is None:
             self._apart = (depth_m, moved, forces)
-        last_m, *last = self._apart or (0.0, np.zeros_like(moved), np.zeros_like(forces))
+        last_m, *last = self._apart
         # A smaller change of depth would divide the noise of two solves by almost zero.
         if abs(depth_m - last_m) >= APART_M:
             slope = (offset - self._offset(contact, *last)) / (depth_m - last_m)
@@ -220,7 +222,9 @@ class LawOffset:
         held_m = contact.result.displacement_m() + self.latest_m
         columns = components_of(nodes)
         compliance = contact.result.compliance_m_N[np.ix_(columns, columns)]
-        return Springs.holding(window.shares[loaded], compliance, held_m[nodes])
+        return Springs.holding(
+            window.places[loaded], compliance, held_m[nodes], unknowns=window.fixed.size
+        )
 
     def _offset(self, contact: SurfaceContact, moved_m: Array, forces_N: Array) -> Array:
         """Return the offset of all touchable nodes [m]; it is zero outside the window."""
@@ -251,7 +255,6 @@ class LawOffset:
         self._window = after
         # Solutions in the last window have other nodes.
         self._apart = None
-        self._handed_over = True
         self._now = replace(self._now, slope=np.zeros_like(self.latest_m))
         after.follower.restart(guess)
         self._factor = None

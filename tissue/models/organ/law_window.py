@@ -7,7 +7,7 @@ is linear (`tissue.fem.region`). A tool that slides passes from window to window
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import bsr_array, csr_array, eye_array
+from scipy.sparse import bsr_array
 
 from meshes.base.arrays import Array, Flags, Ints
 from meshes.base.errors import InputError
@@ -21,6 +21,10 @@ from tissue.models.organ.compliance import FACTOR_UNKNOWNS
 from tissue.models.organ.soft_organ import OrganLaw, SoftOrgan
 
 __all__ = ["LawWindow", "follower_of", "whole_window", "window_centres", "window_of"]
+
+
+FEWEST_CELLS = 9
+"""Smallest number of cells of a region, which is larger than asked for on a coarse mesh; chosen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +43,6 @@ class LawWindow:
         Nodes of the window in the organ, shape (n,).
     fixed
         Components with zero displacement, shape (n, 3).
-    shares
-        Matrix from the window's nodes to its touchable nodes, shape (w, n).
     """
 
     follower: QuasiNewton
@@ -48,7 +50,6 @@ class LawWindow:
     places: Ints
     nodes: Ints
     fixed: Flags
-    shares: csr_array
 
     def spread(self, forces_N: Array) -> Array:
         """Return the forces on the window's nodes [N], shape (n, 3), from all touchable nodes."""
@@ -91,15 +92,9 @@ def follower_of(
 def whole_window(organ: SoftOrgan, law: OrganLaw, touchable: Ints) -> LawWindow:
     """Return a window on the whole organ."""
     follower = follower_of(organ, law.law, law.cell_factors, touchable)
-    count = organ.space.node_count
-    return LawWindow(
-        follower,
-        np.arange(len(touchable)),
-        touchable,
-        np.arange(count),
-        organ.body.fixed,
-        csr_array(eye_array(count, format="csr")[touchable]),
-    )
+    inside = np.arange(len(touchable))
+    nodes = np.arange(organ.space.node_count)
+    return LawWindow(follower, inside, touchable, nodes, organ.body.fixed)
 
 
 def window_centres(points_m: Array, apart_m: float) -> Array:
@@ -120,8 +115,8 @@ def window_of(
     """Return a window on the cells within a radius [m] of a centre [m]."""
     space = organ.space
     away = np.linalg.norm(space.nodes_m[space.cell_nodes].mean(axis=1) - centre_m, axis=1)
-    # The nearest cells stay, however small the radius is.
-    cells = np.flatnonzero(away <= max(radius_m, float(np.partition(away, 8)[8])))
+    nearest_m = float(np.partition(away, FEWEST_CELLS - 1)[FEWEST_CELLS - 1])
+    cells = np.flatnonzero(away <= max(radius_m, nearest_m))
     body = RegionBody(space, organ.body, cells, law=law.law, cell_factors=law.cell_factors)
     back = np.full(space.node_count, -1)
     back[body.nodes] = np.arange(len(body.nodes))
@@ -136,5 +131,4 @@ def window_of(
 
     rest = factorised(body.stiffness(np.zeros_like(body.nodes_m)))
     follower = QuasiNewton(body, body.fixed, rest, factorised)
-    shares = csr_array(eye_array(len(body.nodes), format="csr")[places])
-    return LawWindow(follower, inside, places, body.nodes, body.fixed, shares)
+    return LawWindow(follower, inside, places, body.nodes, body.fixed)

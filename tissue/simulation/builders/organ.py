@@ -24,6 +24,7 @@ from tissue.materials.hyperelasticity import Hyperelastic
 from tissue.materials.scene_constants import Materials
 from tissue.motion.motion import frame_along
 from tissue.scene.organ import (
+    LAW_SHAPES,
     Held,
     LiverAnatomy,
     LiverFile,
@@ -43,7 +44,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "HeldMesh",
-    "coarser_mesh",
     "elasticity_of",
     "held_mesh",
     "hindrance",
@@ -92,16 +92,6 @@ the linear force, and 5.2 % with 1.5 (`tests/verification/test_organ_laws.py`). 
 """
 NOT_WITH = ("capsule", "gravity", "viscous", "fibre_direction")
 """Keys of an organ that a hyperelastic law does not support yet."""
-SHAPE = {
-    "mooney-rivlin": "second_share",
-    "yeoh": "square_ratio",
-    "ogden": "exponent",
-    "exponential": "exponential_rate",
-}
-"""Key that each law needs in addition to the modulus and Poisson's ratio.
-
-Only the rate of an exponential law is cited, for a pressed liver.
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -447,24 +437,6 @@ def law_of(organ: Organ, lame_Pa: Array) -> tuple[Hyperelastic, Array] | None:
     return _law(organ, shear, bulk), np.asarray(lame_Pa[:, 1] / shear)
 
 
-def coarser_mesh(
-    scene: Scene, *, path_m: Array, touch_edge_m: float, ratio: float, report: Progress
-) -> HeldMesh:
-    """Mesh a scene's organ with edges longer by a ratio; other arguments as for `held_mesh`.
-
-    A nodule needs cells as short as the scene's. Tetrahedra from a file are not made coarser away
-    from the tool.
-    """
-    anatomy = scene.anatomy
-    assert isinstance(anatomy, SoftAnatomy)
-    # See the docstring: a nodule needs its edges.
-    edge_mm = anatomy.edge_mm * (1.0 if anatomy.nodule_mm else ratio)
-    # The key must not count as set: tetrahedra from a file have their own edges.
-    given = anatomy.model_fields_set - {"edge_mm"}
-    coarse = type(anatomy).model_construct(given, **(dict(anatomy) | {"edge_mm": edge_mm}))
-    return held_mesh(coarse, path_m=path_m, touch_edge_m=ratio * touch_edge_m, report=report)
-
-
 def organ_law(scene: Scene, lame_Pa: Array) -> "OrganLaw | None":
     """Return the law of a scene's organ; None for the linear law.
 
@@ -513,5 +485,8 @@ def _law(organ: Organ, shear_Pa: float, bulk_Pa: float) -> Hyperelastic:
     if organ.law == "exponential" and organ.exponential_rate is not None:
         return Hyperelastic.exponential(shear_Pa, organ.exponential_rate, bulk_Pa=bulk_Pa)
     raise InputError(
-        f"organ.{SHAPE[organ.law]}", f"be given with organ.law = {organ.law}", "none", "state it"
+        f"organ.{LAW_SHAPES[organ.law][0]}",
+        f"be given with organ.law = {organ.law}",
+        "none",
+        "state it",
     )

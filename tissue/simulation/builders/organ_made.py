@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
@@ -17,8 +18,8 @@ from meshes.tets.regions import Nodes
 from meshes.tets.stuffing import EDGE_GROWTH, bisected, with_inclusion
 from meshes.tets.tetrahedra import TetMesh
 from meshes.voxels.mesh_sampling import nearest_on_triangles, triangle_distance
+from tissue.scene.organ import LAW_SHAPES
 from tissue.scene.organ import Organ as LawTable
-from tissue.scene.part import Needs
 from tissue.simulation.builders.arguments import require_known, stated, surface_of
 from tissue.simulation.builders.organ_given import Hold, SoftMaterial, hold_of
 
@@ -29,16 +30,8 @@ __all__ = ["MadeOrgan", "OrganOptions", "StatedOrgan", "made_of", "of_labels", "
 
 NOT_WITH_LAW = ("capsule", "density_kg_m3", "relaxation")
 """Options that a law of large strains does not support."""
-LAW_KEYS = (
-    "law",
-    *(
-        name
-        for name, key in LawTable.model_fields.items()
-        if any(isinstance(mark, Needs) and mark.key == "organ.law" for mark in key.metadata)
-        and name != "law_interval_ms"
-    ),
-)
-"""Keys of a scene's organ that describe its law."""
+LAW_KEYS = ("name", *chain.from_iterable(LAW_SHAPES.values()))
+"""Keys of a law that a caller states as a table."""
 ENVELOPE = 0.1
 """Largest overlap of inclusions beyond their surroundings, over the edge length.
 
@@ -209,38 +202,37 @@ class StatedOrgan:
         held = given.pop("held", "bottom")
         below = given.pop("held_below_mm", None)
         law = given.pop("law", None)
+        table = None if law is None else _law_table(law)
         other = next((name for name in NOT_WITH_LAW if name in given), None)
-        if law is not None and other is not None:
+        if table is not None and other is not None:
             raise InputError(
                 f"law and {other}",
                 "be left out together",
-                f"{law} and {given[other]}",
+                f"{table.law} and {given[other]}",
                 "remove one, a law of large strains has an isotropic elastic organ without weight",
             )
-        table = None if law is None else _law_table(law)
         return cls(SoftMaterial(modulus_kPa, poisson_ratio, **given), held, below, table)
 
 
-def _law_table(law: object) -> LawTable:
+def _law_table(law: object) -> LawTable | None:
     """Return the scene table of a law that a caller states by its name or as a table.
+
+    It is None for the linear law.
 
     Raises
     ------
     InputError
         If there is no such law, or a constant is missing, unknown or out of its range.
     """
-    from tissue.simulation.builders.organ import SHAPE
-
-    given = dict(law) if isinstance(law, Mapping) else {"law": law}
-    if "name" in given:
-        given["law"] = given.pop("name")
+    given = dict(law) if isinstance(law, Mapping) else {"name": law}
     unknown = [key for key in given if key not in LAW_KEYS]
     if unknown:
-        raise InputError(
-            "law", "have known keys", repr(unknown[0]), f"use {', '.join(('name', *LAW_KEYS[1:]))}"
-        )
+        raise InputError("law", "have known keys", repr(unknown[0]), f"use {', '.join(LAW_KEYS)}")
+    if given.get("name") is None:
+        raise InputError("law", "have a name", f"{law}", "add for example 'name': 'neo-hookean'")
+    given["law"] = given.pop("name")
     table = stated(LawTable, given, prefix="law: ")
-    needed = SHAPE.get(table.law)
+    needed = next(iter(LAW_SHAPES.get(table.law, ())), None)
     if needed is not None and getattr(table, needed) is None:
         example = LawTable.model_fields[needed].examples
         raise InputError(
@@ -249,7 +241,7 @@ def _law_table(law: object) -> LawTable:
             "none",
             f"use for example law={{'name': {table.law!r}, {needed!r}: {(example or [1.0])[0]}}}",
         )
-    return table
+    return None if table.law == "linear" else table
 
 
 def made_of(
