@@ -44,10 +44,10 @@ steps; with a limit of 5, one in eight is not reached.
 MISSED = 0.01
 """Deviation of an equilibrium from the expected one above which the compliance is renewed.
 
-The deviation is relative to the displacement. A compliance that is kept too long makes the force depend
-on the interval in which it was renewed. With 0.05 the force of a deep press falls by 4 % where an
-Ogden exponent rises from 15.5 to 16.5, with 0.02 single forces change by 4 %. With 0.01 they are
-within 0.1 % of those with a new compliance in every interval.
+The deviation is relative to the displacement. A compliance that is kept too long makes the force
+depend on the interval in which it was renewed. With 0.05 the force of a deep press falls by 4 %
+where an Ogden exponent rises from 15.5 to 16.5, with 0.02 single forces change by 4 %. With 0.01
+they are within 0.1 % of those with a new compliance in every interval.
 """
 HOP = 0.5
 """Largest distance of a contact from the centre of its window, over the radius of the region."""
