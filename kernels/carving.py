@@ -43,8 +43,8 @@ wp.set_module_options({"enable_backward": False})
 # Number of groups; a power of two, so that the remainder is one instruction.
 PHASES = 32
 # The group of a brick is the remainder of its indices times these factors. Under a disc of 10
-# bricks in any plane of the grid, a group then has at most 5 bricks; with factors of 1, it has up to
-# 10. Neighbours are visited at almost the same pose, which larger factors would not grant.
+# bricks in any plane of the grid, a group then has at most 5 bricks, with factors of 1 up to 10.
+# Neighbours are visited at almost the same pose, which larger factors would not grant.
 ALONG_X = 3
 ALONG_Y = 2
 REMAINDER = wp.constant(PHASES - 1)
