@@ -1,0 +1,61 @@
+"""Excess force over a deep stiff ball in a layer, against a closed form."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from nodule_layer import NoduleLayer, Phantom, phantom_mesh
+
+from tissue.fem import axisymmetric
+
+
+def closed_excess(phantom, force, depth_m):
+    """Return the excess force over the force, for a small nodule far below the ball.
+
+    The stiffness is Hertz's, 3 F / 2 d. The stress at the nodule is that of a point load on an
+    incompressible half-space (Boussinesq), purely radial: 3 F z / (2 pi R^3). Under the pressure of
+    Hertz on a circle of radius a it is smaller by z^2 / (z^2 + a^2) on the axis (Johnson 1985,
+    Contact Mechanics, 3.4). A ball in it is strained by 1 / (1 + 0.4 (k - 1)) of the strain around
+    it (Eshelby 1957, Proc. R. Soc. A 241:376, nu = 0.5). With s the stress, the tool at a fixed
+    force lies V <s^2> (k - 1) / (1 + 0.4 (k - 1)) / (E F) higher.
+    """
+    at, weight = np.polynomial.legendre.leggauss(20)
+    cosine, radius = np.meshgrid(at, 0.5 + 0.5 * at)
+    z = phantom.nodule_depth_m + phantom.nodule_m * radius * cosine
+    aside = phantom.nodule_m * radius * np.sqrt(1.0 - cosine**2)
+    stress = 3.0 * force * z / (2.0 * np.pi * (z**2 + aside**2) ** 2) * np.sqrt(z**2 + aside**2)
+    stress *= z**2 / (z**2 + depth_m * phantom.tool_m)
+    share = 0.75 * weight[:, None] * weight * radius**2
+    mean_square = float((share * stress**2).sum())
+    volume = 4.0 / 3.0 * np.pi * phantom.nodule_m**3
+    more = phantom.nodule_ratio - 1.0
+    lift = volume * more / (1.0 + 0.4 * more) * mean_square / (phantom.young_Pa * force)
+    return 1.5 * lift / depth_m
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ratio", [0.2, 5.0])
+def test_the_excess_over_a_deep_nodule_is_that_of_a_point_load(ratio, monkeypatch):
+    """Within 4 % for a nodule of 0.7 radii of the tool, 4 radii deep, pressed by 0.1 radii."""
+    # The excess is 0.1 % of the force, so depths have to be met more closely.
+    monkeypatch.setattr(axisymmetric, "TOLERANCE", 1e-6)
+    phantom = Phantom(
+        tool_m=1.0,
+        thickness_m=40.0,
+        width_m=120.0,
+        nodule_m=0.7,
+        nodule_depth_m=4.0,
+        young_Pa=1.0,
+        nodule_ratio=ratio,
+        poisson_ratio=0.495,
+    )
+    depths = np.array([0.1])
+    mesh = phantom_mesh(phantom, 0.1)
+    stiff, _ = NoduleLayer(phantom, mesh).press(depths)
+    plain, _ = NoduleLayer(replace(phantom, nodule_ratio=1.0), mesh).press(depths)
+    found = float(stiff[0] / plain[0] - 1.0)
+    exact = closed_excess(phantom, float(plain[0]), 0.1)
+    print(
+        f"modulus x {ratio:g}: excess {found:.5f}, closed form {exact:.5f}, {found / exact - 1:+.1%}"
+    )
+    assert found == pytest.approx(exact, rel=0.04)
