@@ -18,20 +18,10 @@ from pathlib import Path
 
 from harness import machine
 
+from tissue.scene.load import library_names
+
 RECORDED = Path(__file__).with_suffix(".json")
-SCENES = (
-    "caries",
-    "glenoid",
-    "incision",
-    "liver-press",
-    "milling",
-    "molar",
-    "needle",
-    "palpation",
-    "pedicle",
-    "wall",
-)
-CASES = {name: [name] for name in SCENES} | {
+CASES = {name: [name] for name in library_names()} | {
     "milling by hand": ["milling", "--set", "device=touch", "--duration-s", "2"],
     "palpation by hand": ["palpation", "--set", "device=touch", "--duration-s", "2"],
 }

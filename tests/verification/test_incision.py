@@ -19,7 +19,7 @@ STEP_M = 2e-5
 """Travel in a tick at 20 mm/s [m]."""
 
 WITHIN = 0.01
-"""Tolerance of the closed forms: 1 %, as the issue asks. Measured are 0.3 % at most."""
+"""Tolerance of the closed forms: 1 %. Measured are 0.3 % at most."""
 
 TISSUE = IncisedTissue(
     name="skin",

@@ -23,7 +23,7 @@ from meshes.base.arrays import Array, Flags, Ints
 from meshes.base.errors import InputError
 from tissue.materials.hyperelasticity import Hyperelastic
 
-__all__ = ["LayerMesh", "LinearLaw", "layer_mesh", "press_forces"]
+__all__ = ["LayerMesh", "LinearLaw", "layer_grid", "layer_mesh", "press_forces"]
 
 
 WIDTH = 4.0
@@ -120,6 +120,16 @@ def layer_mesh(radius_m: float, thickness_m: float, *, first: float = FIRST) -> 
     count = int(np.ceil(CONTACT / first))
     r = _graded(count, edge, WIDTH * (thickness_m + radius_m))
     z = -_graded(1, edge, thickness_m)[::-1]
+    mesh = layer_grid(r, z, radius_m)
+    mesh.held[mesh.nodes_m[:, 0] == r[-1], 0] = True
+    return mesh
+
+
+def layer_grid(r: Array, z: Array, radius_m: float) -> LayerMesh:
+    """Return cells between rising edges [m], held at the base and across the axis.
+
+    ``radius_m`` is that of the ball.
+    """
     columns = 2 * len(r) - 1
     rows = 2 * len(z) - 1
     fine_r = np.interp(np.arange(columns), 2.0 * np.arange(len(r)), r)
@@ -131,7 +141,6 @@ def layer_mesh(radius_m: float, thickness_m: float, *, first: float = FIRST) -> 
     held = np.zeros(nodes.shape, dtype=bool)
     held[number[0]] = True
     held[number[:, 0], 0] = True
-    held[number[:, -1], 0] = True
     return LayerMesh(nodes, cells, number[-1], held, radius_m)
 
 

@@ -151,6 +151,7 @@ def read_table(path: Path, found: LogColumns) -> SteadyTable:
         )
 
     def positive(name: str) -> Array:
+        """Return a column whose numbers must be positive."""
         values = found.numbers(name)
         wrong = np.flatnonzero(~(np.isfinite(values) & (values > 0.0)))
         if len(wrong):

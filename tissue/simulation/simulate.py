@@ -224,6 +224,7 @@ def _run_ticks(
     motion = loop.parts.motion
 
     def go_through() -> None:
+        """Run the ticks until the observer or the motion ends them."""
         reported_s = perf_counter()
         goes_on = True
         taken = 0

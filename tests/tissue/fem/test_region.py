@@ -69,7 +69,7 @@ def test_energy_force_and_stiffness_belong_together():
 
 
 def test_a_region_of_all_cells_but_one_corner_is_nearly_the_whole_body():
-    """Where only a corner that hardly moves is linear, energies agree with the whole body."""
+    """A linear corner that hardly moves leaves the energy of the whole body."""
     space, held = held_block(1)
     whole = NonlinearBody(space, None, law=LAW)
     centres = space.nodes_m[space.cell_nodes].mean(axis=1)

@@ -87,7 +87,7 @@ class Track:
 
 
 def _half(track: Track) -> tuple[TetMesh, Ints, Array]:
-    """Return half of a block beside a cut, its nodes on the cut's plane, and their areas [m2].
+    """Return the half of a block on one side of a cut, its nodes on the cut, and their areas [m2].
 
     x runs along the surface from the cut's origin, y away from the plane, z out of the tissue.
     """

@@ -18,7 +18,7 @@ PLAY_M = 1e-3
 """Distance from a cut's plane within which a blade enters it and is not pressed sideways [m].
 
 About half the width of an open cut; chosen. A larger one lets the blade wander further without a
-force. A smaller one makes a second pass by hand start a cut beside the first.
+force. With a smaller one, a second pass by hand starts another cut next to the first.
 """
 
 

@@ -146,7 +146,7 @@ def _rod(radius_mm: float, length_mm: float, *, point_mm: float = 0.0) -> "pyvis
 
 
 def _plate(blade: Blade) -> "pyvista.PolyData":
-    """Return the surface of a blade that stands in the half plane x > 0."""
+    """Return the surface of a blade in the half plane x > 0."""
     import pyvista
 
     end_mm = blade.width_mm / np.tan(np.radians(blade.edge_deg))
