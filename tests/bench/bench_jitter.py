@@ -20,14 +20,14 @@ sys.path.insert(0, str(ROOT))
 import numpy as np  # noqa: E402
 from harness import machine, table  # noqa: E402
 
-from tissue import load_scene, simulate  # noqa: E402
+from tissue import load_scene  # noqa: E402
 from tissue.simulation.live.run import LiveObserver  # noqa: E402
 from tissue.simulation.observer import (  # noqa: E402
     Observers,
     Prioritised,
     WallClock,
 )
-from tissue.simulation.simulate import TICK_S  # noqa: E402
+from tissue.simulation.simulate import TICK_S, simulate  # noqa: E402
 
 TURN_S = 10.0
 ORDINARY = "ordinary priority"

@@ -233,6 +233,8 @@ Other keys are refused with "must be left out".
 """
 CLOCK = ("tick_us", "missed_deadlines", "events", "machine", "tissue", "scheduling", "machine_gaps")
 """Entries of a summary that a clock or a machine decides."""
+CLOCK_OF_LAW = ("solve_ms", "offset_older_than_interval")
+"""The same of the entry of a hyperelastic law."""
 QUICK = ("wall",)
 """Kinds that the plain run walks through; the others take seconds each, and go to the slow set."""
 
@@ -259,6 +261,8 @@ def fingerprint(scene):
 
     run = simulate(scene)
     figures_of_run = {k: v for k, v in run.summary.items() if k not in CLOCK}
+    if law := figures_of_run.get("law"):
+        figures_of_run["law"] = {k: v for k, v in law.items() if k not in CLOCK_OF_LAW}
     digest = hashlib.blake2b(json.dumps(figures_of_run, sort_keys=True, default=str).encode())
     arrays = [run.trace.rows, tool_surface(scene.tool).points]
     if (volume := run.parts.volume) is not None:
