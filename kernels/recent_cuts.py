@@ -91,14 +91,21 @@ def recently_cut(
     ny = elements.lanes[eight, 4]
     nz = elements.lanes[eight, 5]
     half = 0.5 * elements.curvature[eight]
-    present = cut_at(recent, elements, eight, 0, nx, ny, nz, half, turns)
+    present = cut_straight(recent, 0, nx, ny, nz, half)
+    if turns:
+        present = cut_turned(recent, elements, eight, 0, nx, ny, nz, half)
     most = present
     j = poses.first
     while j < poses.last:
         end = wp.min(j + CHECKED, poses.last)
-        while j < end:
-            most = wp.max(most, cut_at(recent, elements, eight, j, nx, ny, nz, half, turns))
-            j += 1
+        if turns:
+            while j < end:
+                most = wp.max(most, cut_turned(recent, elements, eight, j, nx, ny, nz, half))
+                j += 1
+        else:
+            while j < end:
+                most = wp.max(most, cut_straight(recent, j, nx, ny, nz, half))
+                j += 1
         # More poses would not change which elements have bone within reach.
         if wp.min(most - present) > CLOSE and wp.min(most) > enough:
             j = poses.last
@@ -109,7 +116,20 @@ def recently_cut(
 
 
 @wp.func
-def cut_at(
+def cut_straight(
+    recent: wp.array2d(dtype=wp.float32), j: int, nx: lanes8, ny: lanes8, nz: lanes8, half: lanes8
+):
+    """Compute how far a tool that has not turned has cut in front of eight elements [m]."""
+    mx = recent[j, 0]
+    my = recent[j, 1]
+    mz = recent[j, 2]
+    across = mx * nx + my * ny + mz * nz
+    square = lanes8(mx * mx + my * my + mz * mz)
+    return across - wp.cw_mul(half, square - wp.cw_mul(across, across))
+
+
+@wp.func
+def cut_turned(
     recent: wp.array2d(dtype=wp.float32),
     elements: Elements,
     eight: int,
@@ -118,32 +138,27 @@ def cut_at(
     ny: lanes8,
     nz: lanes8,
     half: lanes8,
-    turns: bool,
 ):
-    """Compute how far the tool has cut in front of eight elements at one of its last poses [m]."""
+    """Compute how far a tool that has turned has cut in front of eight elements [m]."""
     mx = recent[j, 0]
     my = recent[j, 1]
     mz = recent[j, 2]
-    risen = lanes8()
-    across = mx * nx + my * ny + mz * nz
-    square = lanes8(mx * mx + my * my + mz * mz)
-    if turns:
-        # Up to second order of the rotation w, an element at p with normal n moves by w x p, and
-        # the surface at its new place rises by (w x n) . (w x p / 2 + moved). The rotation about
-        # the tool's axis is left out.
-        px = elements.lanes[eight, 0]
-        py = elements.lanes[eight, 1]
-        pz = elements.lanes[eight, 2]
-        wx = recent[j, 3]
-        wy = recent[j, 4]
-        x = wy * pz
-        y = -wx * pz
-        z = wx * py - wy * px
-        risen = wp.cw_mul(wy * nz, 0.5 * x + lanes8(mx)) - wp.cw_mul(wx * nz, 0.5 * y + lanes8(my))
-        risen += wp.cw_mul(wx * ny - wy * nx, 0.5 * z + lanes8(mz))
-        x += lanes8(mx)
-        y += lanes8(my)
-        z += lanes8(mz)
-        across = wp.cw_mul(x, nx) + wp.cw_mul(y, ny) + wp.cw_mul(z, nz)
-        square = wp.cw_mul(x, x) + wp.cw_mul(y, y) + wp.cw_mul(z, z)
+    # Up to second order of the rotation w, an element at p with normal n moves by w x p, and
+    # the surface at its new place rises by (w x n) . (w x p / 2 + moved). The rotation about
+    # the tool's axis is left out.
+    px = elements.lanes[eight, 0]
+    py = elements.lanes[eight, 1]
+    pz = elements.lanes[eight, 2]
+    wx = recent[j, 3]
+    wy = recent[j, 4]
+    x = wy * pz
+    y = -wx * pz
+    z = wx * py - wy * px
+    risen = wp.cw_mul(wy * nz, 0.5 * x + lanes8(mx)) - wp.cw_mul(wx * nz, 0.5 * y + lanes8(my))
+    risen += wp.cw_mul(wx * ny - wy * nx, 0.5 * z + lanes8(mz))
+    x += lanes8(mx)
+    y += lanes8(my)
+    z += lanes8(mz)
+    across = wp.cw_mul(x, nx) + wp.cw_mul(y, ny) + wp.cw_mul(z, nz)
+    square = wp.cw_mul(x, x) + wp.cw_mul(y, y) + wp.cw_mul(z, z)
     return across - wp.cw_mul(half, square - wp.cw_mul(across, across)) + risen
