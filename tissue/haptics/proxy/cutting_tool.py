@@ -116,6 +116,11 @@ class CuttingTool(HeldTool):
     def __init__(self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None) -> None:
         super().__init__(stiffness_N_m, tip_m, turn)
         self.mass_kg = stiffness_N_m / (2.0 * pi * NATURAL_Hz) ** 2
+        springs = [stiffness_N_m] * 3
+        if self._turn.stiffness_Nm_rad < inf:
+            # The spring of rotation acts like a spring at the radius of gyration.
+            springs += [self._turn.stiffness_Nm_rad / GYRATION_M**2] * 3
+        self._springs = np.array(springs)
         self.velocity = np.zeros(6)
         self.wrench = np.zeros(6)
         self.steps = 0
@@ -145,29 +150,23 @@ class CuttingTool(HeldTool):
         step_s: float,
     ) -> Array:
         """Move a step towards the device, and return the tip."""
-        spring = self.stiffness_N_m
-        turning = self._turn.stiffness_Nm_rad
         turned = self._turn.quaternion
-        inertia = self.mass_kg / step_s
-        damping = 2.0 * DAMPING_RATIO * sqrt(self.mass_kg * spring)
+        unknowns = len(self._springs)
+        free = slice(unknowns)
         found = self.velocity.copy()
+        left = np.zeros(6)
+        np.subtract(device_m, self.tip_m, out=left[:3])
+        if unknowns == 6 or device != turned:
+            left[3:] = turn_between(turned, device)
+        if unknowns == 3:
+            found[3:] = left[3:] / step_s
         # The driving forces act at the velocity 0, and fall in proportion to the velocity.
-        driving = inertia * found[:3] + spring * (device_m - self.tip_m) + damping * velocity[:3]
-        falling: float | Array = inertia + spring * step_s + damping
-        if turning == inf:
-            unknowns = 3
-            found[3:] = 0.0
-            if device != turned:
-                found[3:] = np.array(turn_between(turned, device)) / step_s
-        else:
-            unknowns = 6
-            # The spring of rotation acts like a spring at the radius of gyration.
-            spring = turning / GYRATION_M**2
-            damping = 2.0 * DAMPING_RATIO * sqrt(self.mass_kg * spring)
-            left = np.array(turn_between(turned, device))
-            around = GYRATION_M * (inertia * found[3:] + spring * left + damping * velocity[3:])
-            driving = np.concatenate((driving, around))
-            falling = np.repeat([falling, inertia + spring * step_s + damping], 3)
+        inertia = self.mass_kg / step_s
+        springs = self._springs
+        dampers = 2.0 * DAMPING_RATIO * np.sqrt(self.mass_kg * springs)
+        driving = inertia * found[free] + springs * left[free] + dampers * velocity[free]
+        driving *= LEVER[free]
+        falling = inertia + springs * step_s + dampers
         if self._tissue is not None:
             if found[3:].any():
                 turned = product(exponential(tuple(step_s * found[3:])), turned)
@@ -181,7 +180,7 @@ class CuttingTool(HeldTool):
         self.tip_m += step_s * found[:3]
         self._turn.quaternion = (
             device
-            if turning == inf
+            if unknowns == 3
             else product(exponential(tuple(step_s * found[3:])), self._turn.quaternion)
         )
         return self.tip_m
@@ -190,7 +189,7 @@ class CuttingTool(HeldTool):
         self,
         tissue: CutTissue,
         driving: Array,
-        falling: float | Array,
+        falling: Array,
         velocity: Array,
         step_s: float,
     ) -> None:
@@ -206,6 +205,8 @@ class CuttingTool(HeldTool):
         now = (velocity.reshape(2, 3) @ rotation).reshape(6)
         tissue.find_bone(self.tip_m + step_s * velocity[:3], rotation, now, step_s)
         driven = (driving.reshape(-1, 3) @ rotation).reshape(unknowns)
+        # The same along any axes.
+        resisting = np.diag(falling)
         accepted = TOLERANCE * sqrt(driven.dot(driven)) + LEAST_N
         line = _Line(now[free] * LEVER[free])
         is_slow = False
@@ -219,7 +220,8 @@ class CuttingTool(HeldTool):
             if turns:
                 value = value / LEVER
                 slopes = slopes / LEVERS
-            force = value[free] + slopes[free].dot(tried)
+            slopes = slopes[free]
+            force = value[free] + slopes.dot(tried)
             missing = driven + force - falling * tried
             is_close = sqrt(missing.dot(missing)) <= accepted
             if is_close or line.accepts(missing):
@@ -228,9 +230,7 @@ class CuttingTool(HeldTool):
                 meets = bool(force.any())
                 if is_close:
                     break
-                matrix = np.negative(slopes[free])
-                matrix[DIAGONALS[unknowns]] += falling
-                line.begin(matrix, missing)
+                line.begin(resisting - slopes, missing)
             elif not is_slow:
                 # Near rest no edge force is full. A Newton step from there does not jump over
                 # the ramp of an edge force, from which a step would jump back.
@@ -245,10 +245,6 @@ class CuttingTool(HeldTool):
         # The momentum is balanced exactly by the force, which changes by the residual. A change of
         # the velocity would change the force of the tissue far more.
         self.wrench[free] = LEVER[free] * (falling * LEVER[free] * velocity[free] - driving)
-
-
-DIAGONALS = {size: np.diag_indices(size) for size in (3, 6)}
-"""Indices of the diagonal of a matrix, by its number of rows."""
 
 
 class _Line:

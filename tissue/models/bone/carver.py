@@ -46,6 +46,16 @@ CARVE_LAG_M = 2.0e-5
 
 The force does not depend on when a brick was visited, see docs/decisions.md.
 """
+FAST_LAG_VOXELS = 0.4
+"""Largest motion between two visits of a brick by a tool that moves fast [voxel]; chosen.
+
+A ball of 10 voxels' radius leaves ridges of 0.002 voxel, see `kernels.older_cuts.RAMP`.
+"""
+STEADY_GROUPS = 12
+"""Groups of bricks that a tick visits before it falls back to `FAST_LAG_VOXELS`; chosen.
+
+A group of the drill in `pedicle` takes 20 us.
+"""
 LONGEST_STEP_VOXELS = 0.5
 """Longest step between two carvings; a faster tool is carved in parts of a tick."""
 OLDER_LAG_M = 2.5e-4
@@ -216,8 +226,9 @@ class Carver:
         elif step > 0.0:
             self._pose.host[0] = now
             self._behind = PHASES
-            self._debt += PHASES * step / self._lag
-            groups = min(int(self._debt), PHASES)
+            self._debt = min(self._debt + PHASES * step / self._lag, PHASES)
+            most = max(STEADY_GROUPS, ceil(PHASES * step / FAST_LAG_VOXELS))
+            groups = min(int(self._debt), most)
             if groups > 0:
                 self._visit(groups)
         elif self._behind > 0:

@@ -48,8 +48,9 @@ class RecentPoses:
     """
 
     def __init__(self, lever_m: float, *, device: str) -> None:
-        self._tips = np.zeros((KEPT_POSES, 3))
-        self._rotations = np.tile(np.eye(3), (KEPT_POSES, 1, 1))
+        # tip [m] and axis of each pose
+        self._poses = np.zeros((KEPT_POSES, 6))
+        self._pose = np.zeros(6)
         self._lever = lever_m
         # place of the last pose of each ring, and of its first and beyond its last pose
         ends = np.cumsum([0, *(count for count, _ in RINGS)]).tolist()
@@ -60,8 +61,7 @@ class RecentPoses:
 
     def place(self, motion: ToolMotion) -> None:
         """Start at a pose."""
-        self._tips[:] = motion.tip_m
-        self._rotations[:] = motion.rotation
+        self._poses[:] = self._pose_of(motion)
         self.turns = False
 
     def add(self, motion: ToolMotion) -> None:
@@ -70,31 +70,36 @@ class RecentPoses:
         The first place of a ring holds the present pose, which the next pose replaces unless it is
         far enough from the pose before.
         """
+        pose = self._pose_of(motion)
         for ring, (_, spaced_m) in zip(self._rings, RINGS, strict=True):
             now, first, end = ring
             last = now - 1 if now > first else end - 1
-            moved = motion.tip_m - self._tips[last]
-            travel = sqrt(moved.dot(moved))
+            moved = pose - self._poses[last]
+            travel = sqrt(moved[:3].dot(moved[:3]))
             # A rotation about the tool's axis moves its surface into itself.
-            turned = motion.rotation[:, 2] - self._rotations[last, :, 2]
-            turn = sqrt(turned.dot(turned))
+            turn = sqrt(moved[3:].dot(moved[3:]))
             if turn > ROUNDING:
                 self.turns = True
                 travel += self._lever * turn
-            self._tips[now] = motion.tip_m
-            self._rotations[now] = motion.rotation
+            self._poses[now] = pose
             if travel >= spaced_m:
                 ring[0] = now + 1 if now + 1 < end else first
-                self._tips[ring[0]] = motion.tip_m
-                self._rotations[ring[0]] = motion.rotation
+                self._poses[ring[0]] = pose
+
+    def _pose_of(self, motion: ToolMotion) -> Array:
+        """Return tip and axis of a motion, in an array that the next call overwrites."""
+        pose = self._pose
+        pose[:3] = motion.tip_m
+        pose[3:] = motion.rotation[:, 2]
+        return pose
 
     def seen_from(self, tip_m: Array, rotation: Array) -> None:
         """Write the displacements from a pose to `mirror`, the present pose first."""
         rows = self.mirror.host
-        np.dot(self._tips - tip_m, rotation, out=self._moved)
+        np.dot(self._poses[:, :3] - tip_m, rotation, out=self._moved)
         rows[1:, :3] = self._moved
         if self.turns:
-            axes = self._rotations[:, :, 2] @ rotation
+            axes = self._poses[:, 3:] @ rotation
             # The smallest rotation that turns the axis. A further one about the axis moves the
             # surface into itself.
             rows[1:, 3] = -axes[:, 1]
