@@ -31,10 +31,11 @@ EDGE_REACH_VOXELS = 3.0
 It is larger than the half diagonal of a block.
 """
 PATCH = 128
-"""Number of neighbouring surface elements in a patch.
+SMALL_PATCH = 8
+"""Numbers of neighbouring surface elements in a patch, and in a small patch within it.
 
-They face similar directions and touch the same voxels. A patch is a chunk of the force kernel, see
-`kernels.elements.CHUNK`.
+They face similar directions and touch the same voxels. They are the elements that the kernels
+process together, see `kernels.elements.CHUNK` and `kernels.elements.LANES`.
 """
 GOLDEN = 0.6180339887498949
 """Turn from one element to the next in a Fibonacci lattice: inverse of the golden ratio."""
@@ -235,13 +236,14 @@ def spiral(piece: Piece, *, spacing_m: float) -> tuple[Array, Array, Array]:
 
 
 def _patches(points: Array, chosen: Ints) -> list[Ints]:
-    """Return indices of points in patches of `PATCH`, by halving along the longest side.
+    """Return indices of points in patches of `SMALL_PATCH`, by halving along the longest side.
 
-    The last patch may be smaller.
+    Consecutive small patches form patches of `PATCH`. The last patch may be smaller.
     """
-    if len(chosen) <= PATCH:
+    if len(chosen) <= SMALL_PATCH:
         return [chosen]
+    size = PATCH if len(chosen) > PATCH else SMALL_PATCH
     side = int(np.argmax(np.ptp(points[chosen], axis=0)))
     sorted_ = chosen[np.argsort(points[chosen, side], kind="stable")]
-    half = PATCH * max(round(len(chosen) / PATCH / 2), 1)
+    half = size * max(round(len(chosen) / size / 2), 1)
     return _patches(points, sorted_[:half]) + _patches(points, sorted_[half:])
