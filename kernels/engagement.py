@@ -145,10 +145,13 @@ def find_bone(
             y = place_of(elements, eight, travel, 1)
             z = place_of(elements, eight, travel, 2)
             near = int(0)
-            for lane in range(LANES):
-                row, _ = remaining_voxel(brick_of, alive, wp.vec3(x[lane], y[lane], z[lane]))
-                if row >= 0 and (everywhere or advances[lane] > travel.least):
+            probed = int(0)
+            while probed < LANES and near == 0:
+                at = wp.vec3(x[probed], y[probed], z[probed])
+                row, _ = remaining_voxel(brick_of, alive, at)
+                if row >= 0 and (everywhere or advances[probed] > travel.least):
                     near = 1
+                probed += 1
             if near == 1:
                 if has_poses == 0:
                     poses = poses_in_front(recent, elements, chunk, first, last, turns)

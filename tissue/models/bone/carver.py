@@ -51,7 +51,7 @@ FAST_LAG_VOXELS = 0.4
 
 A ball of 10 voxels' radius leaves ridges of 0.002 voxel, see `kernels.older_cuts.RAMP`.
 """
-STEADY_GROUPS = 12
+STEADY_GROUPS = 16
 """Groups of bricks that a tick visits before it falls back to `FAST_LAG_VOXELS`; chosen.
 
 A group of the drill in `pedicle` takes 20 us.
