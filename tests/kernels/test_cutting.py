@@ -158,7 +158,7 @@ def test_bone_around_the_whole_tool(profile, has_poses):
     assert set(wanted.by[both]) == ({0, 1, 2} if has_poses else {0, 1})
     whole = len(both) // 8 * 8
     layers = np.where(both, wanted.layer, -1)[:whole].reshape(-1, 8)
-    assert ((layers == 0).any(axis=1) & (layers == 1).any(axis=1)).sum() > 3
+    assert ((layers == 0).any(axis=1) & (layers == 1).any(axis=1)).sum() > 2
 
 
 def found_by(cut, before):

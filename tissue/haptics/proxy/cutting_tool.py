@@ -116,14 +116,11 @@ class CuttingTool(HeldTool):
     def __init__(self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None) -> None:
         super().__init__(stiffness_N_m, tip_m, turn)
         self.mass_kg = stiffness_N_m / (2.0 * pi * NATURAL_Hz) ** 2
-        springs = [stiffness_N_m] * 3
-        if self._turn.stiffness_Nm_rad < inf:
-            # The spring of rotation acts like a spring at the radius of gyration.
-            springs += [self._turn.stiffness_Nm_rad / GYRATION_M**2] * 3
-        self._springs = np.array(springs)
         self.velocity = np.zeros(6)
         self.wrench = np.zeros(6)
         self.steps = 0
+        # mass and step for which the terms of the balance were computed
+        self._prepared: tuple[float, float] | None = None
         self._tissue: CutTissue | None = None
         self._start = np.eye(3)
         # rotation of the last search, and the matrix of it
@@ -150,9 +147,11 @@ class CuttingTool(HeldTool):
         step_s: float,
     ) -> Array:
         """Move a step towards the device, and return the tip."""
-        turned = self._turn.quaternion
-        unknowns = len(self._springs)
+        if self._prepared != (self.mass_kg, step_s):
+            self._prepare(step_s)
+        unknowns = len(self._falling)
         free = slice(unknowns)
+        turned = self._turn.quaternion
         found = self.velocity.copy()
         left = np.zeros(6)
         np.subtract(device_m, self.tip_m, out=left[:3])
@@ -161,21 +160,17 @@ class CuttingTool(HeldTool):
         if unknowns == 3:
             found[3:] = left[3:] / step_s
         # The driving forces act at the velocity 0, and fall in proportion to the velocity.
-        inertia = self.mass_kg / step_s
-        springs = self._springs
-        dampers = 2.0 * DAMPING_RATIO * np.sqrt(self.mass_kg * springs)
-        driving = inertia * found[free] + springs * left[free] + dampers * velocity[free]
-        driving *= LEVER[free]
-        falling = inertia + springs * step_s + dampers
+        driving = self._inertia * found[free] + self._springs * left[free]
+        driving += self._dampers * velocity[free]
         if self._tissue is not None:
-            if found[3:].any():
+            if any(found[3:].tolist()):
                 turned = product(exponential(tuple(step_s * found[3:])), turned)
             if turned != self._searched:
                 self._searched = turned
                 self._rotation = matrix_of(np.array(turned)) @ self._start
-            self._balance(self._tissue, driving, falling, found, step_s)
+            self._balance(self._tissue, driving, found, step_s)
         else:
-            found[:unknowns] = driving / falling / LEVER[:unknowns]
+            found[free] = driving / self._falling / self._lever
         self.velocity = found
         self.tip_m += step_s * found[:3]
         self._turn.quaternion = (
@@ -185,13 +180,25 @@ class CuttingTool(HeldTool):
         )
         return self.tip_m
 
+    def _prepare(self, step_s: float) -> None:
+        """Compute the terms of the balance, which are constant for a mass and a step."""
+        springs = np.full(3, self.stiffness_N_m)
+        turning = self._turn.stiffness_Nm_rad
+        if turning < inf:
+            # The spring of rotation acts like a spring at the radius of gyration.
+            springs = np.append(springs, np.full(3, turning / GYRATION_M**2))
+        dampers = 2.0 * DAMPING_RATIO * np.sqrt(self.mass_kg * springs)
+        inertia = self.mass_kg / step_s
+        self._falling = inertia + springs * step_s + dampers
+        self._resisting = np.diag(self._falling)
+        self._lever = lever = LEVER[: len(springs)]
+        self._inertia = lever * inertia
+        self._springs = lever * springs
+        self._dampers = lever * dampers
+        self._prepared = self.mass_kg, step_s
+
     def _balance(
-        self,
-        tissue: CutTissue,
-        driving: Array,
-        falling: Array,
-        velocity: Array,
-        step_s: float,
+        self, tissue: CutTissue, driving: Array, velocity: Array, step_s: float
     ) -> None:
         """Change the velocity until ``falling u = driving + F(u)``, and set `wrench`.
 
@@ -199,38 +206,37 @@ class CuttingTool(HeldTool):
         `LEVER`. They are solved along the axes of the tool. `velocity` is that before the step.
         """
         rotation = self._rotation
+        falling = self._falling
+        lever = self._lever
         unknowns = len(driving)
         free = slice(unknowns)
         turns = unknowns == 6
-        now = (velocity.reshape(2, 3) @ rotation).reshape(6)
+        now = velocity.reshape(2, 3).dot(rotation).reshape(6)
         tissue.find_bone(self.tip_m + step_s * velocity[:3], rotation, now, step_s)
-        driven = (driving.reshape(-1, 3) @ rotation).reshape(unknowns)
-        # The same along any axes.
-        resisting = np.diag(falling)
+        driven = driving.reshape(-1, 3).dot(rotation).reshape(unknowns)
         accepted = TOLERANCE * sqrt(driven.dot(driven)) + LEAST_N
-        line = _Line(now[free] * LEVER[free])
+        line = _Line(now[free] * lever)
         is_slow = False
         best = line.tried
         meets = False
         for count in range(1, MOST_STEPS + 1):
             self.steps = count
             tried = line.tried
-            now[free] = tried / LEVER if turns else tried
+            now[free] = tried / lever
             value, slopes = tissue.forces(now, unknowns=unknowns)
             if turns:
                 value = value / LEVER
                 slopes = slopes / LEVERS
-            slopes = slopes[free]
-            force = value[free] + slopes.dot(tried)
+            force = value[free] + slopes[free].dot(tried)
             missing = driven + force - falling * tried
             is_close = sqrt(missing.dot(missing)) <= accepted
             if is_close or line.accepts(missing):
                 best = tried
                 self.wrench[3:] = value[3:]
-                meets = bool(force.any())
+                meets = float(force.dot(force)) > 0.0
                 if is_close:
                     break
-                line.begin(resisting - slopes, missing)
+                line.begin(self._resisting - slopes[free], missing)
             elif not is_slow:
                 # Near rest no edge force is full. A Newton step from there does not jump over
                 # the ramp of an edge force, from which a step would jump back.
@@ -238,13 +244,13 @@ class CuttingTool(HeldTool):
                 line = _Line(SLOW * driven / falling)
         if not meets:
             self.wrench[:] = 0.0
-            velocity[free] = driving / falling / LEVER[free]
+            velocity[free] = driving / falling / lever
             return
-        velocity[free] = (best.reshape(-1, 3) @ rotation.T).reshape(unknowns) / LEVER[free]
-        self.wrench[3:] = rotation @ self.wrench[3:]
+        velocity[free] = best.reshape(-1, 3).dot(rotation.T).reshape(unknowns) / lever
+        self.wrench[3:] = rotation.dot(self.wrench[3:])
         # The momentum is balanced exactly by the force, which changes by the residual. A change of
         # the velocity would change the force of the tissue far more.
-        self.wrench[free] = LEVER[free] * (falling * LEVER[free] * velocity[free] - driving)
+        self.wrench[free] = lever * (falling * lever * velocity[free] - driving)
 
 
 class _Line:
