@@ -140,7 +140,9 @@ def find_bone(
         gap = lanes8()
         cuts = int(0)
         if meets:
-            advances = advance_of(elements, eight, travel)
+            advances = lanes8()
+            if not everywhere:
+                advances = advance_of(elements, eight, travel)
             x = place_of(elements, eight, travel, 0)
             y = place_of(elements, eight, travel, 1)
             z = place_of(elements, eight, travel, 2)

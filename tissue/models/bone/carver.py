@@ -44,17 +44,22 @@ Removal = Literal["subvoxel", "binary"]
 CARVE_LAG_M = 2.0e-5
 """Largest motion of the tool between two visits of a brick, at most a quarter voxel [m]; chosen.
 
-The force does not depend on when a brick was visited, see docs/decisions.md.
-"""
-FAST_LAG_VOXELS = 0.4
-"""Largest motion between two visits of a brick by a tool that moves fast [voxel]; chosen.
-
-A ball of 10 voxels' radius leaves ridges of 0.002 voxel, see `kernels.older_cuts.RAMP`.
+A fast tool moves up to `FAST_LAG_VOXELS`. The force hardly depends on when a brick was visited, see
+`STEADY_GROUPS`.
 """
 STEADY_GROUPS = 16
-"""Groups of bricks that a tick visits before it falls back to `FAST_LAG_VOXELS`; chosen.
+"""Number of groups that a tick visits, unless `FAST_LAG_VOXELS` requires more; chosen.
 
-A group of the drill in `pedicle` takes 20 us.
+A group takes 20 us under the drill of `pedicle`. By hand at 16 mm/s, `CARVE_LAG_M` requires 25
+groups a tick. Relative to visits of all groups in every tick, the force of the first 2.5 s of
+`pedicle` by an expert on a Touch then differs by 0.05 % RMS, with 16 groups by 0.12 % and with 12
+groups by 0.15 %. In `milling` the differences are 0.012, 0.007 and 0.006 %.
+"""
+FAST_LAG_VOXELS = 0.4
+"""Largest motion of a fast tool between two visits of a brick [voxel]; chosen.
+
+A ball of 10 voxels' radius leaves ridges of 0.002 voxel, a fifth of
+`kernels.older_cuts.RAMP`.
 """
 LONGEST_STEP_VOXELS = 0.5
 """Longest step between two carvings; a faster tool is carved in parts of a tick."""
