@@ -197,9 +197,7 @@ class CuttingTool(HeldTool):
         self._dampers = lever * dampers
         self._prepared = self.mass_kg, step_s
 
-    def _balance(
-        self, tissue: CutTissue, driving: Array, velocity: Array, step_s: float
-    ) -> None:
+    def _balance(self, tissue: CutTissue, driving: Array, velocity: Array, step_s: float) -> None:
         """Change the velocity until ``falling u = driving + F(u)``, and set `wrench`.
 
         The unknowns u are the first three or all six components of the velocity, multiplied by
