@@ -39,6 +39,7 @@ __all__ = [
     "incised",
     "pierced",
     "pressed",
+    "scale_for",
     "slot_force_N",
 ]
 
@@ -200,15 +201,26 @@ def chosen_scale(scene: Scene) -> ForceScale:
     motion_scale = scene.device.coupling.motion_scale
     at_device = Met(met.force_N, motion_scale * met.stiffness_N_m, met.depth_m / motion_scale)
     series = Series.of(limits, scene.constants)
-    low = LEAST * limits.friction_N / met.force_N
-    high = MOST * limits.force_limit_N / met.force_N
-    factor = _two_digits(min(max(series.best_scale(at_device), low), high))
+    factor = scale_for(at_device, limits, series)
     why = f", chosen for the {met.force_N:.3g} N that the script meets at most"
     if not met.stiffness_N_m > 0.0:
         return ForceScale(factor, why)
     d_prime = series.sensitivity(at_device, factor)
     why += f" (d′ {d_prime:.2g} expected for a tissue {STIFFER - 1.0:.0%} stiffer)"
     return ForceScale(factor, why, d_prime)
+
+
+def scale_for(met: Met, limits: DeviceParameters, series: Series) -> float:
+    """Return the two-digit scale of the largest sensitivity between a device's friction and limit.
+
+    Force, slope and depth are those at the device without a force scale.
+    """
+    low = LEAST * limits.friction_N / met.force_N
+    high = MOST * limits.force_limit_N / met.force_N
+    scale = min(max(series.best_scale(met), low), high)
+    digits = 1 - floor(log10(scale))
+    # Rounded to nine digits first, so that 0.3 stays 0.3.
+    return floor(round(scale * 10.0**digits, 9)) / 10.0**digits
 
 
 def force_met(scene: Scene) -> Met:
@@ -221,13 +233,6 @@ def force_met(scene: Scene) -> Met:
         scene.model_dump_json(exclude={"seed", "duration_s", "device", "fidelity"}),
         (scene.constants.key, *_file_stamps(scene)),
     )
-
-
-def _two_digits(scale: float) -> float:
-    """Return a scale rounded down to two digits."""
-    digits = 1 - floor(log10(scale))
-    # Rounded to nine digits first, so that 0.3 stays 0.3.
-    return floor(round(scale * 10.0**digits, 9)) / 10.0**digits
 
 
 def _file_stamps(scene: Scene) -> list[tuple[str, int, int]]:
