@@ -49,6 +49,7 @@ STARTED: dict[str, str] = {
     "bench_fit_cutting": "bone --fits 2 --processes 1",
     "bench_fit_organ": "elastic --fits 1 --processes 1",
     "bench_force_law": "--quick",
+    "bench_force_scale": "T2 --people 1 --scale 0.02",
     "bench_held_steps": "milling --hands 1 --seconds 0.5",
     "bench_held_tool": "milling --hands 1 --seconds 0.5",
     "bench_index": "milling voxels.spacing_mm=0.8 duration_s=0.05",

@@ -48,7 +48,7 @@ from tissue.scene.scene import Output
 from tissue.scene.used_constants import used_of_device
 from tissue.simulation import loop as engine
 from tissue.simulation.builders.arguments import given_note, require_known, stated
-from tissue.simulation.builders.force_met import fitted_scale, slot_force_N
+from tissue.simulation.builders.force_met import Met, Series, scale_for, slot_force_N
 from tissue.simulation.builders.hand import device_motion
 from tissue.simulation.builders.loop import LoopSettings, sampled
 from tissue.simulation.builders.parts import Parts, require_device, require_stated_rate
@@ -210,7 +210,8 @@ class Loop:
             cutter = burr
             if scale is None:
                 usual_N = slot_force_N(tissue.voxel_bone, cutter)
-                scale = fitted_scale(usual_N, settings.limits)
+                series = Series.of(settings.limits, settings.constants)
+                scale = scale_for(Met(usual_N), settings.limits, series)
                 scale_note = (
                     f", chosen for the {usual_N:.3g} N of a slot a quarter of the cutter deep at "
                     "2 mm/s"

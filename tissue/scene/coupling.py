@@ -70,8 +70,8 @@ class Coupling(Part):
     force_scale: Annotated[float, Field(ge=1e-4, le=100)] | Literal["auto"] = Field(
         "auto", examples=[0.1]
     )
-    """Newtons at the device for each newton at the tool. `auto` fits the script's largest force to
-    the device.
+    """Newtons at the device for each newton at the tool. `auto` chooses the scale at which people
+    best feel differences of stiffness, between the device's friction and its limit.
     """
     motion_scale: float = Field(1.0, ge=0.01, le=100)
     """Metres at the tool for each metre at the device, from the start of the motion. Angles are not

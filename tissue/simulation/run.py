@@ -19,6 +19,7 @@ from tissue.cutters.cutter import Cutter
 from tissue.models.tissue_model import TICK_S, HasHeat, HasSummary, HasVoxels
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
+from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.builders.parts import Parts
 from tissue.simulation.findings import BreakThrough
 from tissue.simulation.loop import Scheduling
@@ -264,6 +265,8 @@ class Run:
             found |= tissue.summary()
         found["events"] = [{"time_s": time, "what": what} for time, what in self.events]
         found["compute"] = self._compute
+        if (d_prime := chosen_scale(self.scene).d_prime) is not None:
+            found["expected_d_prime"] = d_prime
         if self.parts.placement is not None:
             found["placement"] = self.parts.placement.to_record()
         machine = f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}"

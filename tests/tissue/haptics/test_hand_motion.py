@@ -77,7 +77,7 @@ def test_the_first_contact_is_answered_in_its_tick_and_without_a_spike(speed_m_s
     Spring and wall act in series from the first tick on: F = depth of the device / (1 / k_c + 1 /
     k_w).
     """
-    motion = held(motion__feed_mm_s=1e3 * speed_m_s)
+    motion = held(motion__feed_mm_s=1e3 * speed_m_s, coupling__force_scale=1.0)
     times = np.array([0.0, 0.3])
     down = np.array([[0.0, 0.0, 0.02], [0.0, 0.0, 0.02 - 0.3 * speed_m_s]])
     motion.device = RecordedDevice(times, down)

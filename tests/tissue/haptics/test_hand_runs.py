@@ -6,6 +6,7 @@ from hand_runs import played_N, run_of
 
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.hand.hand import hand_parameters
+from tissue.simulation.builders.force_met import chosen_scale
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +30,13 @@ def test_every_device_and_renderer_stays_within_its_limits(device, law):
 def test_the_energy_of_the_trace_is_that_of_the_motors(delay_ms):
     """Also where the delay is made here; and the supervised wall gives next to nothing."""
     for law, most in (("proxy", 1e-3), ("passivity", 3e-4)):
-        run = run_of("wall", device="six-dof", renderer=law, coupling__delay_ms=delay_ms)
+        run = run_of(
+            "wall",
+            device="six-dof",
+            renderer=law,
+            coupling__delay_ms=delay_ms,
+            coupling__force_scale=1.0,
+        )
         energy = run.trace["passivity_J"]
         assert energy[-1] == pytest.approx(
             -run.parts.motion.device.translation.motor_work_J, abs=6e-5
@@ -65,13 +72,13 @@ def test_paths_and_forces_are_scaled_by_a_stated_law():
 def test_the_wall_s_hand_comes_as_deep_as_its_springs_let_it(on_the_wall):
     """The hand on the wall comes as deep as its springs allow.
 
-    Grip (250 N/m and a fifth by reflex) acts against coupling and wall in series: 5 mm x 300 / (300
-    + 385) = 2.2 mm. Friction of 0.26 N stops it up to 0.4 mm before or behind that.
+    Grip (250 N/m and a fifth by reflex) acts against coupling and scaled wall in series: 5 mm x 300
+    / (300 + 133) = 3.5 mm. Friction of 0.26 N stops it up to 0.4 mm before or behind that.
     """
     trace, person = on_the_wall.trace, hand_parameters("expert")
     grip, coupled = (
         (1.0 + person.reflex_share) * person.stiffness_N_m,
-        1.0 / (1.0 / 400.0 + 1.0 / 1e4),
+        1.0 / (1.0 / 400.0 + 1.0 / (chosen_scale(on_the_wall.scene).factor * 1e4)),
     )
     late = (trace["time_s"] > 0.75) & (trace["time_s"] < 1.05)
     assert -trace["device_z_mm"][late].mean() == pytest.approx(

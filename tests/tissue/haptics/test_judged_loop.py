@@ -35,7 +35,13 @@ def test_an_unstable_stiffness_is_refused_with_margin_and_the_nearest_stable_one
 
 
 def test_an_unstable_stiffness_that_is_allowed_runs_and_is_bounded():
-    run = run_of("wall", coupling__stiffness_N_m=2e4, allow_unstable=True, duration_s=1.0)
+    run = run_of(
+        "wall",
+        coupling__stiffness_N_m=2e4,
+        coupling__force_scale=1.0,
+        allow_unstable=True,
+        duration_s=1.0,
+    )
     assert run.trace["margin"][0] < 0.0 and "unstable" in run.parts.notes["coupling"]
     assert np.isfinite(run.trace.rows).all()
     assert played_N(run).max() <= device_parameters("touch").force_limit_N

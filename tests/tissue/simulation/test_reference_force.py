@@ -60,6 +60,7 @@ def run_with(monkeypatch, predictor, **changes):
         "device": "touch",
         "coupling.stiffness_N_m": STIFFNESS_N_M,
         "coupling.delay_ms": 4,
+        "coupling.force_scale": 1.0,
         "prediction": "hold",
     }
     monkeypatch.setattr(

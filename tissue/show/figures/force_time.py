@@ -253,7 +253,7 @@ def draw_played(run: Run, path: Path) -> None:
     trace = run.trace
     held = run.scene.held
     time = trace["time_s"]
-    scale, _ = chosen_scale(run.scene)
+    scale = chosen_scale(run.scene).factor
     limit_N = device_parameters(held.kind, run.scene.constants).force_limit_N
     turns = bool(trace.vectors("device_torque", "Nm").any())
     # inches: the whole run, its steepest moment, the positions, and the torque if there is any

@@ -1,8 +1,9 @@
 """Cheap estimate of the force along a scene's script, and the force scale chosen from it."""
 
 from functools import lru_cache
-from math import floor, log10, sqrt
+from math import floor, isfinite, log, log10, sqrt
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,19 +12,36 @@ from meshes.base.progress import silent
 from meshes.voxels.volume import FULL, VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.haptics.device.device import DeviceParameters, device_parameters
+from tissue.haptics.hand.hand import hand_parameters
+from tissue.materials.scene_constants import Materials
 from tissue.models.tissue_model import TICK_S, Response, TissueModel, ToolMotion
 from tissue.motion.motion import Motion
+from tissue.perception.laws import D_PRIME_75
+from tissue.scene.coupling import WallAnatomy
 from tissue.scene.organ import IncisedAnatomy, LayersAnatomy, SoftAnatomy
 from tissue.scene.part import is_file_key
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Blade, Needle, Probe, ThrustMotion, Tool
 from tissue.simulation.builders.cutting import VoxelBone, cutter_of
+from tissue.simulation.builders.loop import USUAL_N_M
 from tissue.simulation.builders.organ_scene import blade_of, pierced_tissue
 from tissue.simulation.builders.parts import motion_of
 from tissue.simulation.builders.voxels import volume_of
 
-__all__ = ["chosen_scale", "cut", "fitted_scale", "incised", "pierced", "pressed", "slot_force_N"]
+__all__ = [
+    "ForceScale",
+    "Met",
+    "Series",
+    "chosen_scale",
+    "cut",
+    "force_met",
+    "incised",
+    "pierced",
+    "pressed",
+    "scale_for",
+    "slot_force_N",
+]
 
 POSES = 250
 FINE_POSES = 3000
@@ -59,14 +77,112 @@ LEAST = 4.0
 
 It applies where the device's limit allows it.
 """
+STIFFER = 1.3
+"""Ratio of two stiffnesses whose expected sensitivity d' is stated, as of the study's specimens."""
+HELD_BY = "expert"
+"""Hand for which a scale is chosen, so that one scale serves all hands."""
 
 
-def chosen_scale(scene: Scene) -> tuple[float, str]:
-    """Return the force scale (newtons at the device per newton at the tool) and a note on it.
+class Met(NamedTuple):
+    """Force on a scene's script, and the stiffness of the tissue that is pressed there.
 
-    The scale is 1 where the script's largest force lies between the bound set by friction and the
-    bound set by the device's limit. Otherwise one factor of two digits brings the force to the
-    nearer bound. The scale is also 1 without a device, or where no force is known before the run.
+    Attributes
+    ----------
+    force_N
+        Largest force.
+    stiffness_N_m
+        Slope of the force over the depth of the tool at the script's depth; 0 for a tissue that is
+        cut or pierced. Of tissue graded along the script, it is the geometric mean of both ends.
+    depth_m
+        Force over slope there. With Hertz's law it is two thirds of the script's depth.
+    """
+
+    force_N: float
+    stiffness_N_m: float = 0.0
+    depth_m: float = 0.0
+
+
+class Series(NamedTuple):
+    """Coupling and hand in series, and the low-force term of a person's threshold at the device.
+
+    A hand aims to press a tissue of stiffness K by a depth D. Coupling (k) and hand (k_h) yield by
+    s = 1/k + 1/k_h. With the force scale c, the force at the device and its change with K are::
+
+        F = c K D / (1 + c K s),    dF / F = dK / K / (1 + c K s)
+
+    A person notices changes of kappa (F + F0), where F0 contains the device's friction, which hides
+    forces as well. The sensitivity is therefore proportional to F / (F + F0) / (1 + c K s). It is
+    largest at c K = (F0 / s / (D + F0 s))^(1/2): a smaller force is hidden, and a larger one moves
+    the hand instead.
+
+    Attributes
+    ----------
+    yields_m_N
+        s, displacement of coupling and hand for each newton [m/N].
+    threshold_N
+        F0 [N].
+    weber
+        kappa.
+    """
+
+    yields_m_N: float
+    threshold_N: float
+    weber: float
+
+    @classmethod
+    def of(cls, limits: DeviceParameters, constants: Materials) -> "Series":
+        """Return the series of a device in the hand for which scales are chosen."""
+        limit = limits.stiffness_limit_N_m
+        stiffness = limit if isfinite(limit) else USUAL_N_M
+        hand = hand_parameters(HELD_BY, constants).stiffness_N_m
+        felt = constants.constants("perception", "force")
+        return cls(
+            1.0 / stiffness + 1.0 / hand,
+            limits.friction_N + felt["offset_N"].value,
+            felt["kappa"].value,
+        )
+
+    def best_scale(self, met: Met) -> float:
+        """Return the scale of the largest sensitivity; 1 for a tissue without a slope."""
+        if not met.stiffness_N_m > 0.0:
+            return 1.0
+        hidden_m = self.threshold_N * self.yields_m_N
+        felt = self.threshold_N / self.yields_m_N / (met.depth_m + hidden_m)
+        return sqrt(felt) / met.stiffness_N_m
+
+    def sensitivity(self, met: Met, scale: float) -> float:
+        """Return the sensitivity d' for two tissues whose stiffnesses differ by `STIFFER`."""
+        stiffness = scale * met.stiffness_N_m
+        yielding = 1.0 + stiffness * self.yields_m_N
+        force_N = stiffness * met.depth_m / yielding
+        noticed_N = self.weber * (force_N + self.threshold_N)
+        return D_PRIME_75 * log(STIFFER) / yielding * force_N / noticed_N
+
+
+class ForceScale(NamedTuple):
+    """Newtons at the device for each newton at the tool, and how they were chosen.
+
+    Attributes
+    ----------
+    factor
+        The scale.
+    why
+        Reason of the choice, as the end of a sentence.
+    d_prime
+        Expected sensitivity for a tissue that is stiffer by `STIFFER`; None if it is not known.
+    """
+
+    factor: float
+    why: str = ""
+    d_prime: float | None = None
+
+
+def chosen_scale(scene: Scene) -> ForceScale:
+    """Return the force scale of a scene.
+
+    The scale is that of the largest sensitivity (`Series`). It is bounded so that the script's
+    largest force is above the device's friction, and well below its limit. The scale has two
+    digits. It is 1 without a device, or where no force is known before the run.
 
     Raises
     ------
@@ -74,34 +190,49 @@ def chosen_scale(scene: Scene) -> tuple[float, str]:
         If the scene's bone cannot be built.
     """
     if scene.device is None:
-        return 1.0, ""
+        return ForceScale(1.0)
     given = scene.device.coupling.force_scale
     if given != "auto":
-        return given, ""
+        return ForceScale(given)
     limits = device_parameters(scene.held.kind, scene.constants)
-    force = _met(
+    met = force_met(scene)
+    if not met.force_N > 0.0:
+        return ForceScale(1.0)
+    motion_scale = scene.device.coupling.motion_scale
+    at_device = Met(met.force_N, motion_scale * met.stiffness_N_m, met.depth_m / motion_scale)
+    series = Series.of(limits, scene.constants)
+    factor = scale_for(at_device, limits, series)
+    why = f", chosen for the {met.force_N:.3g} N that the script meets at most"
+    if not met.stiffness_N_m > 0.0:
+        return ForceScale(factor, why)
+    d_prime = series.sensitivity(at_device, factor)
+    why += f" (d′ {d_prime:.2g} expected for a tissue {STIFFER - 1.0:.0%} stiffer)"
+    return ForceScale(factor, why, d_prime)
+
+
+def scale_for(met: Met, limits: DeviceParameters, series: Series) -> float:
+    """Return the two-digit scale of the largest sensitivity between a device's friction and limit.
+
+    Force, slope and depth are those at the device without a force scale.
+    """
+    low = LEAST * limits.friction_N / met.force_N
+    high = MOST * limits.force_limit_N / met.force_N
+    scale = min(max(series.best_scale(met), low), high)
+    digits = 1 - floor(log10(scale))
+    # Rounded to nine digits first, so that 0.3 stays 0.3.
+    return floor(round(scale * 10.0**digits, 9)) / 10.0**digits
+
+
+def force_met(scene: Scene) -> Met:
+    """Return the force on the scripted motion, with the scene's own constants.
+
+    It is 0 where it is not known.
+    """
+    return _met(
         # Keys that do not change the force of the script.
         scene.model_dump_json(exclude={"seed", "duration_s", "device", "fidelity"}),
         (scene.constants.key, *_file_stamps(scene)),
     )
-    if not force > 0.0:
-        return 1.0, ""
-    return fitted_scale(
-        force, limits
-    ), f", chosen for the {force:.3g} N that the script meets at most"
-
-
-def fitted_scale(force_N: float, limits: DeviceParameters) -> float:
-    """Return the two-digit scale that brings a force [N] between friction and force limit.
-
-    Both are properties of the device.
-    """
-    low = LEAST * limits.friction_N / force_N
-    high = MOST * limits.force_limit_N / force_N
-    scale = min(max(1.0, low), high)
-    digits = 1 - floor(log10(scale))
-    # Rounded to nine digits first, so that 0.3 stays 0.3.
-    return floor(round(scale * 10.0**digits, 9)) / 10.0**digits
 
 
 def _file_stamps(scene: Scene) -> list[tuple[str, int, int]]:
@@ -117,34 +248,35 @@ def _file_stamps(scene: Scene) -> list[tuple[str, int, int]]:
 
 
 @lru_cache(maxsize=64)
-def _met(table: str, _inputs: tuple[object, ...]) -> float:
-    """Return the largest force on the scripted motion [N], with the scene's own constants.
-
-    It is 0 where the force is not known.
-    """
+def _met(table: str, _inputs: tuple[object, ...]) -> Met:
+    """Return the force on the scripted motion of a scene, from its text."""
     scene = Scene.read_back(table)
     entry = ANATOMIES[scene.anatomy.kind]
     if entry.build is not None:
-        return 0.0 if entry.force_N is None else float(entry.force_N(scene))
+        return Met(0.0 if entry.force_N is None else float(entry.force_N(scene)))
+    if isinstance(scene.anatomy, WallAnatomy):
+        stiffness = 1e3 * scene.anatomy.stiffness_kN_m
+        depth = _depth_m(scene)
+        return Met(stiffness * depth, stiffness, depth)
     if isinstance(scene.tool, Tool):
         return cut(scene)
     if isinstance(scene.tool, Needle):
         return pierced(scene)
     if isinstance(scene.tool, Blade):
         return incised(scene)
-    return pressed(scene) if isinstance(scene.anatomy, SoftAnatomy) else 0.0
+    return pressed(scene) if isinstance(scene.anatomy, SoftAnatomy) else Met(0.0)
 
 
-def cut(scene: Scene) -> float:
-    """Return a cutter's largest force along the script in coarse voxels [N].
+def cut(scene: Scene) -> Met:
+    """Return a cutter's largest force along the script in coarse voxels.
 
     For a tool that is pushed, it is the thrust.
     """
     assert isinstance(scene.tool, Tool)
     if isinstance(scene.motion, ThrustMotion):
-        return scene.motion.thrust_N
+        return Met(scene.motion.thrust_N)
     if scene.tool.spin_rpm == 0.0:
-        return 0.0
+        return Met(0.0)
     spacing_mm = max(scene.voxels.spacing_mm, scene.tool.diameter_mm / ACROSS)
     voxels = scene.voxels.model_copy(update={"spacing_mm": spacing_mm, "margin_mm": 0.0})
     coarse = scene.model_copy(update={"voxels": voxels})
@@ -154,11 +286,16 @@ def cut(scene: Scene) -> float:
     spacing_m = (cutter.cutting_area_m2 / ELEMENTS) ** 0.5
     bone = VoxelBone.stated(volume, coarse.cutting, coarse.constants)
     model = bone.model(cutter, removal=voxels.removal, shell_spacing_m=spacing_m)
-    return _largest(motion, model, POSES)
+    return Met(_largest(motion, model, POSES))
 
 
-def pressed(scene: Scene) -> float:
-    """Return the force of a probe on a half space at the script's depth below the origin [N].
+def _depth_m(scene: Scene) -> float:
+    """Return the script's depth below the origin [m]."""
+    return max(-float(motion_of(scene, step_s=TICK_S).sweep_m()[:, 2].min()), 0.0)
+
+
+def pressed(scene: Scene) -> Met:
+    """Return the force of a probe on a half space at the script's depth below the origin.
 
     It uses Hertz's law for a ball and Boussinesq's for the flat end of a cylinder. The modulus is
     the one of the stiffest tissue on the script, without a nodule. A probe of another shape gives
@@ -168,30 +305,35 @@ def pressed(scene: Scene) -> float:
     tool = scene.tool
     assert isinstance(tool, Probe)
     cited = scene.constants.constants("soft", organ.material)
-    young = max(organ.young_kPa or cited["modulus_kPa"].value, organ.young_end_kPa or 0.0)
+    start = organ.young_kPa or cited["modulus_kPa"].value
+    end = start if organ.young_end_kPa is None else organ.young_end_kPa
     ratio = cited["poisson_ratio"].value if organ.poisson_ratio is None else organ.poisson_ratio
-    modulus = 1e3 * young / (1.0 - ratio**2)
     radius = 0.5e-3 * tool.size_mm
-    depth = max(-float(motion_of(scene, step_s=TICK_S).sweep_m()[:, 2].min()), 0.0)
+    depth = _depth_m(scene)
+    # Slope over the modulus of the half space [m].
+    slope = 2.0 * radius
     if tool.kind == "sphere-probe":
-        return float(4.0 / 3.0 * modulus * radius**0.5 * depth**1.5)
-    return 2.0 * modulus * radius * depth if tool.kind == "cylinder-probe" else 0.0
+        slope = 2.0 * sqrt(radius * depth)
+        depth *= 2.0 / 3.0
+    elif tool.kind != "cylinder-probe":
+        return Met(0.0)
+    slope *= 1e3 / (1.0 - ratio**2)
+    return Met(max(start, end) * slope * depth, sqrt(start * end) * slope, depth)
 
 
-def pierced(scene: Scene) -> float:
-    """Return the largest force of a needle on the scripted motion [N]."""
+def pierced(scene: Scene) -> Met:
+    """Return the largest force of a needle on the scripted motion."""
     from tissue.models.needle.model import NeedleModel
 
     assert isinstance(scene.tool, Needle) and isinstance(scene.anatomy, LayersAnatomy)
     tissue = pierced_tissue(scene)
     motion = motion_of(scene, step_s=TICK_S)
-    return _largest(
-        motion, NeedleModel(tissue, diameter_m=1e-3 * scene.tool.diameter_mm), FINE_POSES
-    )
+    diameter_m = 1e-3 * scene.tool.diameter_mm
+    return Met(_largest(motion, NeedleModel(tissue, diameter_m=diameter_m), FINE_POSES))
 
 
-def incised(scene: Scene) -> float:
-    """Return the largest force of a blade on the scripted motion [N]."""
+def incised(scene: Scene) -> Met:
+    """Return the largest force of a blade on the scripted motion."""
     from tissue.models.incision.model import IncisionModel
     from tissue.models.incision.parameters import incised_tissue
 
@@ -199,7 +341,7 @@ def incised(scene: Scene) -> float:
     blade = blade_of(scene)
     tissue = incised_tissue(scene.anatomy.material, blade, constants=scene.constants)
     motion = motion_of(scene, step_s=TICK_S)
-    return _largest(motion, IncisionModel(tissue, blade), POSES)
+    return Met(_largest(motion, IncisionModel(tissue, blade), POSES))
 
 
 def _largest(motion: Motion, tissue: TissueModel, poses: int) -> float:

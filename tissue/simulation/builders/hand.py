@@ -82,7 +82,7 @@ def hand_motion(scene: Scene, scripted: Motion, *, allow_unstable: bool) -> tupl
         settings,
         script,
         device,
-        force_scale=chosen_scale(scene),
+        force_scale=chosen_scale(scene)[:2],
         rng=feeling,
         allow_unstable=allow_unstable,
     )

@@ -1,7 +1,10 @@
 """Scale of forces at a device.
 
-It follows from the forces of the script, the device's friction and its limit, in any frame.
+It follows from the forces of the script, the device's friction and its limit, and from the
+stiffnesses of tissue, coupling and hand, in any frame.
 """
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,8 +15,11 @@ from tissue.haptics.device.device import device_parameters
 from tissue.simulation.builders.force_met import (
     LEAST,
     MOST,
+    Met,
+    Series,
     chosen_scale,
     cut,
+    force_met,
     incised,
     pierced,
     pressed,
@@ -32,26 +38,77 @@ LIBRARY = {
 
 
 @pytest.mark.parametrize("device", ["touch", "omni", "six-dof"])
-@pytest.mark.parametrize("name", LIBRARY)
+@pytest.mark.parametrize("name", ["wall", *LIBRARY])
 def test_a_script_s_force_fits_its_device(name, device):
     """The force of a script fits its device.
 
-    It is at most half of the uncompressed range, above friction where that allows it, and 1 where 1
-    fits.
+    It is at most half of the uncompressed range, and above friction where that allows it. Between
+    both bounds the scale is the best one.
     """
     scene, limits = load_scene(name, {"device": device}), device_parameters(device)
-    scale, why = chosen_scale(scene)
-    force = LIBRARY[name](scene)
-    assert scale * force <= MOST * limits.force_limit_N * (1.0 + 1e-9)
-    assert scale == 1.0 or scale * force >= 0.9 * min(
-        LEAST * limits.friction_N, MOST * limits.force_limit_N
+    scale, why, d_prime = chosen_scale(scene)
+    met = force_met(scene)
+    low, high = LEAST * limits.friction_N, MOST * limits.force_limit_N
+    assert scale * met.force_N <= high * (1.0 + 1e-9)
+    assert scale * met.force_N >= 0.9 * min(low, high)
+    best = Series.of(limits, scene.constants).best_scale(met)
+    # A scale is rounded down to two digits.
+    assert 0.9 * best < scale <= best or not low < best * met.force_N < high
+    assert f"{met.force_N:.3g} N" in why
+    assert (d_prime is None) == (met.stiffness_N_m == 0.0) == ("d′" not in why)
+    assert chosen_scale(load_scene(name, {"device": device, "seed": 5, "hand": "novice"})) == (
+        scale,
+        why,
+        d_prime,
     )
-    assert scale <= 1.0 or force < LEAST * limits.friction_N
-    assert f"{force:.3g} N" in why
-    assert (
-        chosen_scale(scene)[0]
-        == chosen_scale(load_scene(name, {"device": device, "seed": 5, "hand": "novice"}))[0]
+
+
+def test_the_best_scale_has_the_largest_sensitivity():
+    series = Series(yields_m_N=6.5e-3, threshold_N=0.475, weber=0.07)
+    for met in (Met(50.0, 1e4, 5e-3), Met(1.5, 300.0, 5e-3), Met(0.4, 2000.0, 2e-4)):
+        best = series.best_scale(met)
+        scales = best * np.geomspace(0.01, 100.0, 2001)
+        found = [series.sensitivity(met, scale) for scale in scales]
+        assert scales[np.argmax(found)] == pytest.approx(best, rel=0.01)
+        # The same from two forces of springs in series.
+        forces = [
+            met.depth_m / (1.0 / (best * share * met.stiffness_N_m) + series.yields_m_N)
+            for share in (1.0, 1.001)
+        ]
+        change = (forces[1] - forces[0]) / np.log(1.001)
+        felt = 0.07 * (forces[0] + series.threshold_N)
+        assert series.sensitivity(met, best) == pytest.approx(
+            0.9538725 * np.log(1.3) * change / felt, rel=2e-3
+        )
+
+
+def test_a_motion_scale_replaces_a_force_scale():
+    """A stiffness is felt as motion scale times force scale of it."""
+    plain = force_met(load_scene("wall"))
+    series = Series.of(device_parameters("six-dof"), load_scene("wall").constants)
+    double = plain._replace(stiffness_N_m=2.0 * plain.stiffness_N_m, depth_m=0.5 * plain.depth_m)
+    scaled = {"device": "six-dof", "coupling.motion_scale": 2.0}
+    assert chosen_scale(load_scene("wall", scaled)).factor == pytest.approx(
+        series.best_scale(double), rel=0.1
     )
+
+
+def test_a_device_with_more_friction_has_a_larger_scale():
+    limits = device_parameters("six-dof")
+    constants = load_scene("wall").constants
+    met = Met(50.0, 1e4, 5e-3)
+    scales = [
+        Series.of(replace(limits, friction_N=friction), constants).best_scale(met)
+        for friction in (0.0, 0.1, 0.5)
+    ]
+    assert scales == sorted(scales) and scales[0] < scales[-1]
+
+
+def test_the_summary_states_the_expected_sensitivity():
+    run = simulate(load_scene("wall", {"device": "touch", "duration_s": 0.05}))
+    assert run.summary["expected_d_prime"] == chosen_scale(run.scene).d_prime
+    scripted = simulate(load_scene("milling", {"duration_s": 0.01}))
+    assert "expected_d_prime" not in scripted.summary
 
 
 @pytest.mark.slow
@@ -80,9 +137,9 @@ def test_the_estimate_is_the_force_of_the_run(name, changes):
     scene = load_scene(name, changes)
     forces = np.linalg.norm(simulate(scene).trace.vectors("model_force", "N"), axis=1)
     if name == "liver-press":
-        assert 0.5 < pressed(scene) / forces.max() < 2.0
+        assert 0.5 < pressed(scene).force_N / forces.max() < 2.0
     else:
-        assert LIBRARY[name](scene) == pytest.approx(forces.max(), rel=0.2)
+        assert LIBRARY[name](scene).force_N == pytest.approx(forces.max(), rel=0.2)
 
 
 def test_it_does_not_depend_on_the_frame():
@@ -95,10 +152,9 @@ def test_it_does_not_depend_on_the_frame():
         "motion.points_mm": [[0, -4, 0.05], [0, -4, -0.2], [0, 4, -0.2]],
         "voxels.spacing_mm": 0.2,
     }
-    there = cut(load_scene("milling", along | {"anatomy.size_mm": [20, 12, 6]}))
-    assert cut(load_scene("milling", turned | {"anatomy.size_mm": [12, 20, 6]})) == pytest.approx(
-        there, rel=0.02
-    )
+    there = cut(load_scene("milling", along | {"anatomy.size_mm": [20, 12, 6]})).force_N
+    found = cut(load_scene("milling", turned | {"anatomy.size_mm": [12, 20, 6]})).force_N
+    assert found == pytest.approx(there, rel=0.02)
 
 
 def test_a_file_that_changes_under_its_name_is_read_again(tmp_path):
