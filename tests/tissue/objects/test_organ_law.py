@@ -67,10 +67,6 @@ def test_a_press_next_to_held_tissue_needs_no_springs_there():
         ({"law": {"name": "ogden", "exponent": 0.0}}, "organ.exponent must not be 0"),
         ({"law": "foo"}, "law must be one of linear, neo-hookean"),
         (
-            {"law": "neo-hookean", "capsule": (50, 8200)},
-            "law and capsule must be left out together",
-        ),
-        (
             {"law": "neo-hookean", "density_kg_m3": 1060.0},
             "law and density_kg_m3 must be left out together",
         ),

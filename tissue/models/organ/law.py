@@ -13,6 +13,13 @@ The offset changes to the new one within the next interval, without a step. It f
 the tool by the change of the offset since the last equilibrium. W is the compliance at rest until
 the equilibria are far from it. Then W is the compliance of the tangent stiffness at the present
 displacement (Newton's method).
+
+An organ that relaxes is quasi-linear viscoelastic (Fung 1993, Biomechanics, 2nd edition, chapter
+7). Its nodal forces are the hereditary integral of the elastic nodal forces, with one reduced
+relaxation function. The inverse integral of the nodal forces f, with the creep function, gives the
+crept forces (`tissue.models.organ.model`), and the displacement is that of the elastic law under
+the crept forces. In the equations above, f is then the crept force. Nodal forces follow the
+material, so that tissue must not rotate much while it relaxes.
 """
 
 from dataclasses import dataclass, replace
@@ -56,6 +63,11 @@ APART_M = 2e-4
 
 With 5e-5 a deep press has the same force; with 8e-4 the largest error of the moving tool grows
 from 1.5 to 1.9 %.
+"""
+LOADED = 1e-3
+"""Crept force of a node that gets a spring, over the largest one; chosen.
+
+Where a tool has been, crept forces fade but never end.
 """
 FARTHEST = 2.0
 """Longest extrapolation of the offset, over the change of depth that its slope was computed from.
@@ -148,27 +160,37 @@ class LawOffset:
         self._now.into(self.latest_m, depth_m, share)
         return self.latest_m
 
-    def renew(self, time_s: float, depth_m: float, contact: SurfaceContact) -> None:
-        """Solve for the equilibrium under the contact forces at the end of an interval.
+    def renew(
+        self, time_s: float, depth_m: float, contact: SurfaceContact, crept_N: Array
+    ) -> bool:
+        """Solve for the equilibrium under the crept forces at the end of an interval.
 
         The solution sets the offset of the next interval. Within an interval nothing is done.
+        Return whether the compliance of the contact was replaced.
         """
         # 1e-9 s: the time of a tick is rounded.
-        if time_s >= self._next_s - 1e-9:
-            self.solve(time_s, depth_m, contact)
+        if time_s < self._next_s - 1e-9:
+            return False
+        return self.solve(time_s, depth_m, contact, crept_N)
 
-    def solve(self, time_s: float, depth_m: float, contact: SurfaceContact) -> None:
-        """Solve for the equilibrium under the present contact forces."""
+    def solve(
+        self, time_s: float, depth_m: float, contact: SurfaceContact, crept_N: Array
+    ) -> bool:
+        """Solve for the equilibrium under the crept forces [N], shape (t, 3).
+
+        They are the contact forces if the organ does not relax. Return whether the compliance of
+        the contact was replaced.
+        """
         started = perf_counter()
         indefinite = self.indefinite
-        self._choose_window(contact)
+        self._choose_window(contact, crept_N)
         window = self._window
         follower = window.follower
         found = follower.follow(
-            window.spread(contact.result.nodal_forces_N),
+            window.spread(crept_N),
             tolerance=TOLERANCE,
             step_limit=STEPS,
-            springs=self._springs(contact),
+            springs=self._springs(contact, crept_N),
         )
         forces = np.zeros_like(self.latest_m)
         forces[window.inside] = found.load_N[window.places]
@@ -180,7 +202,8 @@ class LawOffset:
         # The tangent of a new window is taken at its first equilibrium, not at the first guess.
         if self._factor is None or (follower.factor is self._factor and has_missed):
             follower.take_stiffness()
-        if follower.factor is not self._factor:
+        changed = follower.factor is not self._factor
+        if changed:
             self._change_compliance(contact, forces, depth_m)
         assert self._factor is not None
         left = np.where(window.fixed, 0.0, found.load_N - found.internal_N)
@@ -201,9 +224,10 @@ class LawOffset:
         self._changed_s = time_s
         self._next_s = time_s + self.interval_s
         self._report(found, perf_counter() - started, first=indefinite == 0)
+        return changed
 
-    def _springs(self, contact: SurfaceContact) -> Springs:
-        """Build springs that hold the nodes under the tool near their last contact positions.
+    def _springs(self, contact: SurfaceContact, crept_N: Array) -> Springs:
+        """Build springs that hold the loaded nodes near their positions in the last tick.
 
         They have the compliance of the contact. Let w be its stiffness, k that of the tissue and s
         that of the springs. An error of the contact force then decays from solve to solve by
@@ -213,13 +237,16 @@ class LawOffset:
         """
         # A held node needs no spring, and has no compliance.
         window = self._window
-        forces = contact.result.nodal_forces_N[window.inside]
+        inside_N = np.zeros_like(crept_N)
+        inside_N[window.inside] = crept_N[window.inside]
+        size_N = np.linalg.norm(crept_N[window.inside], axis=1)
         free = ~window.fixed[window.places].any(axis=1)
-        loaded = np.flatnonzero(forces.any(axis=1) & free)
+        loaded = np.flatnonzero((size_N > LOADED * size_N.max(initial=0.0)) & free)
         if not len(loaded):
             return Springs.none(window.fixed.size)
         nodes = window.inside[loaded]
-        held_m = contact.result.displacement_m() + self.latest_m
+        # The window does not feel forces outside it, nor do these targets.
+        held_m = _displaced(contact, inside_N) + self.latest_m
         columns = components_of(nodes)
         compliance = contact.result.compliance_m_N[np.ix_(columns, columns)]
         return Springs.holding(
@@ -233,7 +260,7 @@ class LawOffset:
         offset[inside] = moved_m - _displaced(contact, forces_N)[inside]
         return offset
 
-    def _choose_window(self, contact: SurfaceContact) -> None:
+    def _choose_window(self, contact: SurfaceContact, crept_N: Array) -> None:
         """Pass to the window nearest to the contact, from the displacement of the last window."""
         size_N = np.linalg.norm(contact.result.nodal_forces_N, axis=1)
         if len(self._windows) == 1 or not size_N.any():
@@ -246,7 +273,7 @@ class LawOffset:
         after = self._windows[nearest]
         # Nodes that are new move as under the linear law.
         guess = after.follower.at_rest.solve(
-            after.spread(contact.result.nodal_forces_N)
+            after.spread(crept_N)
         ).displacement_m
         whole = np.full((self._count, 3), np.nan)
         whole[before.nodes] = before.follower.displacement_m
