@@ -216,7 +216,9 @@ class LawOffset:
         last_m, *last = self._apart
         # A smaller change of depth would divide the noise of two solves by almost zero.
         if abs(depth_m - last_m) >= APART_M:
-            slope = (offset - self._offset(contact, *last)) / (depth_m - last_m)
+            # A new compliance is the tangent here, from which the offset starts with slope zero.
+            if not changed:
+                slope = (offset - self._offset(contact, *last)) / (depth_m - last_m)
             reach_m = FARTHEST * abs(depth_m - last_m)
             self._apart = (depth_m, moved, forces)
         self._before = self._now
@@ -302,7 +304,7 @@ class LawOffset:
         contact.change_compliance(compliance)
         at_m -= _displaced(contact, forces_N)
         self._now.into(at_m, depth_m, 1.0)
-        self._now = _Line(at_m, self._now.slope, depth_m, self._now.reach_m)
+        self._now = _Line(at_m, np.zeros_like(at_m), depth_m, self._now.reach_m)
 
     @property
     def older(self) -> float:
