@@ -98,8 +98,8 @@ class OrganFields:
         """Solve the stored frames under the organ's hyperelastic law, which may creep.
 
         Displacement and strain are those of the law under the crept forces. Stress and reaction
-        there are reduced by the ratio of acting to crept forces. This is exact where both have one
-        distribution.
+        there are reduced by the ratio of the acting to the crept resultant. This is exact where
+        both forces have one distribution.
         """
         law = self._organ.law
         assert law is not None
@@ -116,9 +116,10 @@ class OrganFields:
             moved = found.displacement_m
             stress = cauchy_stress(self._space, moved, law.law, law.cell_factors)
             reaction = found.internal_N - found.load_N
-            square = float(np.sum(crept * crept))
+            resultant = crept.sum(axis=0)
+            square = float(resultant @ resultant)
             if self._organ.prony is not None and square > 0.0:
-                share = float(np.sum(forces * crept)) / square
+                share = float(forces.sum(axis=0) @ resultant) / square
                 stress = replace(
                     stress,
                     stress_Pa=share * stress.stress_Pa,
