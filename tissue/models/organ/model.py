@@ -48,7 +48,7 @@ from tissue.materials.prony import HereditaryIntegral
 from tissue.models.organ.compliance import CompliancePath
 from tissue.models.organ.contact import ContactOutcome, SurfaceContact
 from tissue.models.organ.fields import OrganFields
-from tissue.models.organ.law import LawOffset
+from tissue.models.organ.law import LawOffset, TickState
 from tissue.models.organ.probe import SphereProbe
 from tissue.models.organ.soft_organ import SoftOrgan, ToolPath
 from tissue.models.tissue_model import TICK_S, Response, ToolMotion
@@ -119,6 +119,9 @@ class LiverModel:
         The tool on the organ's touchable surface.
     touchable
         Nodes that the tool can touch, shape (t,).
+    waits
+        Whether a tick waits for a solve of a hyperelastic law that is due. Set it to False before
+        `place` where a real device cannot wait.
 
     Raises
     ------
@@ -159,6 +162,7 @@ class LiverModel:
         )
         self._fields = OrganFields(organ, touchable, interval_s=interval_s)
         self._law = None if organ.law is None else LawOffset(organ, organ.law, touchable, tool)
+        self.waits = True
         self._step_s = step_s
         self.layer_names = organ.mesh.part_names
         parts = np.zeros(len(self.layer_names))
@@ -199,6 +203,8 @@ class LiverModel:
 
     def place(self, motion: ToolMotion) -> None:
         """Put the probe at its start, outside the organ."""
+        if self._law is not None and not self.waits:
+            self._law.start_thread()
         self.contact.place(motion.tip_m, motion.rotation)
         self._tip_m[:] = motion.tip_m
         if self._lazy is not None:
@@ -259,10 +265,9 @@ class LiverModel:
         if self._law is not None:
             # A tool that lands takes two steps in a tick.
             self._ticks = round(time_s / self._step_s)
-            if self._law.renew(time_s, self._travel_m, self.contact, self._crept_N):
-                self._renew_history()
-            self.notices += self._law.notices
-            self._law.notices.clear()
+            found = self._law.renew(time_s, self._travel_m, self._state)
+            if found is not None:
+                self._take(found, time_s)
 
     def converge(self, motion: ToolMotion, *, limit: int) -> float:
         """Solve contact and hyperelastic law in turn at the present pose until the force holds.
@@ -284,16 +289,13 @@ class LiverModel:
         for _ in range(limit):
             before_N = result.force_N.copy()
             time_s = self._ticks * self._step_s
-            if self._law.solve(time_s, self._travel_m, self.contact, self._crept_N):
-                self._renew_history()
+            self._take(self._law.solve(self._travel_m, self._state()), time_s)
             self._solve_contact(motion)
             # 1e-12 N: a contact may have lost its force.
             size_N = max(float(np.linalg.norm(result.force_N)), 1e-12)
             changed = float(np.linalg.norm(result.force_N - before_N)) / size_N
             if changed <= SETTLED:
                 break
-        self.notices += self._law.notices
-        self._law.notices.clear()
         return changed
 
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
@@ -308,6 +310,8 @@ class LiverModel:
         """Compute the fields of the frames."""
         if self._lazy is not None:
             self._lazy.stop()
+        if self._law is not None:
+            self._law.stop_thread()
         self._fields.compute()
         self.notices += self._fields.notices
         self._fields.notices.clear()
@@ -357,13 +361,35 @@ class LiverModel:
             np.multiply(forces, self._forces.instant_factor, out=self._crept_N)
             self._crept_N += self._forces.history
 
-    def _renew_history(self) -> None:
-        """Compute the creep of the displacement from the creep of the forces."""
-        if self._creep is not None:
-            compliance = self.contact.result.compliance_m_N
-            self._creep.become(
-                self._forces, lambda force: (compliance @ force.ravel()).reshape(-1, 3)
-            )
+    def _state(self) -> TickState:
+        """Return the state of the last tick, from which the law is solved."""
+        assert self._law is not None
+        result = self.contact.result
+        return TickState(
+            result.nodal_forces_N.copy(),
+            self._crept_N.copy(),
+            self._law.latest_m.copy(),
+            result.compliance_m_N,
+        )
+
+    def _take(self, found: TickState, time_s: float) -> None:
+        """Use the solution of the law, and its compliance, without moving a node."""
+        law = self._law
+        assert law is not None
+        held = None
+        if found.is_renewed:
+            held = self.displacement_m()
+            self.contact.change_compliance(found.compliance_m_N)
+            held -= self.contact.result.displacement_m()
+            if self._creep is not None:
+                self._creep.become(
+                    self._forces,
+                    lambda force: (found.compliance_m_N @ force.ravel()).reshape(-1, 3),
+                )
+                held -= self._creep.history
+        law.show(time_s, self._travel_m, held)
+        self.notices += law.notices
+        law.notices.clear()
 
     def _depth_m(self, motion: ToolMotion) -> float:
         """Return the tool's travel along its axis since it last touched [m]; 0 without contact."""
