@@ -26,7 +26,7 @@ material, so that tissue must not rotate much while it relaxes.
 """
 
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from math import inf
 from time import perf_counter
@@ -179,7 +179,7 @@ class LawOffset:
         self.took_s: list[float] = []
         """Time of each solve so far [s]."""
         self._late = False
-        self._thread: ThreadPoolExecutor | None = None
+        self._thread: Executor | None = None
         self._pending: Future[TickState] | None = None
 
     def offset_m(self, time_s: float, depth_m: float) -> Array:
@@ -201,11 +201,13 @@ class LawOffset:
         return min((time_s - self._changed_s) / self.interval_s, 1.0)
 
     def start_thread(self) -> None:
-        """Solve in a second thread from now on."""
+        """Start the second thread, with the priority of the caller."""
+        self._second_thread().submit(int)
+
+    def _second_thread(self) -> Executor:
         if self._thread is None:
             self._thread = ThreadPoolExecutor(1, thread_name_prefix="law")
-            # The thread begins here, with the priority of the caller before the ticks.
-            self._thread.submit(int)
+        return self._thread
 
     def stop_thread(self) -> None:
         """End the second thread after its present solve."""
@@ -215,7 +217,7 @@ class LawOffset:
         self._pending = None
 
     def renew(
-        self, time_s: float, depth_m: float, state: Callable[[], TickState]
+        self, time_s: float, depth_m: float, state: Callable[[], TickState], *, waits: bool
     ) -> TickState | None:
         """Solve for the equilibrium under the crept forces at the end of an interval.
 
@@ -227,9 +229,12 @@ class LawOffset:
             Present time [s], and travel of the tool in contact [m].
         state
             Function that returns the state of the last tick.
+        waits
+            Whether the solve ends within this call. Otherwise a second thread solves, and a later
+            call returns its state.
         """
         if self._pending is not None:
-            if not self._pending.done():
+            if not (waits or self._pending.done()):
                 return None
             done = self._pending.result()
             self._pending = None
@@ -238,9 +243,9 @@ class LawOffset:
         if time_s < self._next_s - 1e-9:
             return None
         self._next_s = time_s + self.interval_s
-        if self._thread is None:
+        if waits:
             return self.solve(depth_m, state())
-        self._pending = self._thread.submit(self.solve, depth_m, state())
+        self._pending = self._second_thread().submit(self.solve, depth_m, state())
         return None
 
     def show(self, time_s: float, depth_m: float, held_m: Array | None) -> None:

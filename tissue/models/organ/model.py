@@ -120,8 +120,8 @@ class LiverModel:
     touchable
         Nodes that the tool can touch, shape (t,).
     waits
-        Whether a tick waits for a solve of a hyperelastic law that is due. Set it to False before
-        `place` where a real device cannot wait.
+        Whether a tick waits for a solve of a hyperelastic law that is due. Set it to False where a
+        real device cannot wait, if possible before `place`.
 
     Raises
     ------
@@ -265,7 +265,7 @@ class LiverModel:
         if self._law is not None:
             # A tool that lands takes two steps in a tick.
             self._ticks = round(time_s / self._step_s)
-            found = self._law.renew(time_s, self._travel_m, self._state)
+            found = self._law.renew(time_s, self._travel_m, self._state, waits=self.waits)
             if found is not None:
                 self._take(found, time_s)
 
