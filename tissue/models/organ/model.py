@@ -121,7 +121,8 @@ class LiverModel:
         Nodes that the tool can touch, shape (t,).
     waits
         Whether a tick waits for a solve of a hyperelastic law that is due. Set it to False where a
-        real device cannot wait, if possible before `place`.
+        real device cannot wait, if possible before `place`: a device that waits holds its last
+        force, which the judge of its loop does not expect.
 
     Raises
     ------

@@ -21,7 +21,7 @@ from tissue.scene.registry import NEEDLES, PROBES
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Blade, Needle, Probe
 from tissue.simulation.builders.organ import OF_ORGAN, HeldMesh, held_mesh, material_of, organ_law
-from tissue.simulation.builders.parts import FILE_WORDS, Parts, opens_device, poses_along
+from tissue.simulation.builders.parts import FILE_WORDS, Parts, poses_along
 
 if TYPE_CHECKING:
     from tissue.models.incision.parameters import Blade as IncisionBlade
@@ -188,15 +188,11 @@ def pressed(
             interval_s=1e-3 * organ.interval_ms if organ.interval_ms > 0.0 else inf,
             report=report,
         )
-    # A device that waits holds its last force, which no judge of its loop expects.
-    model.waits = not opens_device(scene)
     if organ.gravity:
         sag = 1e3 * np.linalg.norm(soft.rest[1], axis=1).max()
         notes["gravity"] = f"the organ sags by up to {sag:.3g} mm before it is touched"
     if law is not None:
         notes["law"] = f"{organ.law}, solved every {organ.law_interval_ms:g} ms"
-        if not model.waits:
-            notes["law"] += " beside the ticks, which do not wait for it"
     notes["solved"] = (
         f"{len(found.mesh.cells)} tetrahedra of order {organ.order}, {len(soft.body.free)} "
         f"unknowns; {len(model.touchable)} touchable nodes, compliance {organ.path}"
