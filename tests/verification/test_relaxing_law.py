@@ -6,95 +6,16 @@ hereditary integral of the elastic force (Fung 1993, Biomechanics, 2nd edition, 
 
 import numpy as np
 import pytest
+from pressed_block import STEP_S, Pressed, law_of
 from scipy.interpolate import CubicSpline
 
 from meshes.base.arrays import Array
-from meshes.tets.structured import box
-from tissue.materials.elasticity import lame
-from tissue.materials.hyperelasticity import Hyperelastic
 from tissue.materials.prony import Prony
-from tissue.models.organ.model import ContactSolution, LiverModel
-from tissue.models.organ.probe import CylinderProbe, ProbeShape, SphereProbe
-from tissue.models.organ.soft_organ import OrganLaw, SoftOrgan, ToolPath
-from tissue.models.tissue_model import ToolMotion
+from tissue.models.organ.probe import CylinderProbe, SphereProbe
 
 SERIES = Prony(g=(0.4, 0.2), tau_s=(0.05, 0.3))
-TOP_M = 0.02
 DEEPEST_M = 6e-3
-STEP_S = 1e-3
 FINE_S = 1e-4
-
-
-def law_of(name: str, poisson_ratio: float) -> Hyperelastic:
-    first, shear = lame(5e3, poisson_ratio).tolist()
-    bulk = first + 2.0 / 3.0 * shear
-    if name == "neo-hookean":
-        return Hyperelastic.neo_hookean(shear, bulk_Pa=bulk)
-    return Hyperelastic.exponential(shear, 3.0, bulk_Pa=bulk)
-
-
-class Pressed:
-    """Block 20 mm high on its base under a tool above its middle, which moves along z."""
-
-    def __init__(
-        self,
-        probe: ProbeShape,
-        law: Hyperelastic,
-        *,
-        poisson_ratio: float,
-        prony: Prony | None,
-        interval_s: float,
-        width_m: float = 0.02,
-        across: int = 2,
-    ) -> None:
-        mesh = box((width_m, width_m, TOP_M), (across, across, 3))
-        elasticity = np.tile(lame(5e3, poisson_ratio), (len(mesh.cells), 1))
-        held = np.flatnonzero(mesh.nodes_m[:, 2] < 1e-9)
-        organ_law = OrganLaw(law, np.ones(len(mesh.cells)), interval_s)
-        organ = SoftOrgan(
-            mesh, elasticity, held, order=1, prony=prony, friction=0.0, law=organ_law
-        )
-        middle = mesh.nodes_m.mean(axis=0)
-        tips = np.array([[middle[0], middle[1], TOP_M - depth] for depth in (-1e-4, 6.2e-3)])
-        self.model = LiverModel(
-            organ,
-            ToolPath(probe, tips, np.tile(np.eye(3), (2, 1, 1))),
-            ContactSolution(tolerance=1e-6, sweeps=2000),
-            step_s=STEP_S,
-        )
-        self.top = organ.space.nodes_m[self.model.touchable][:, 2] > TOP_M - 1e-9
-        self.motion = ToolMotion(tip_m=tips[0].copy())
-        self.model.place(self.motion)
-
-    def press(self, depth_m: float) -> float:
-        """Move the tool to a depth for a tick, and return the force [N]."""
-        self.motion.tip_m[2] = TOP_M - depth_m
-        self.model.advance(self.motion)
-        return float(self.model.respond(self.motion).wrench[2])
-
-    def run(self, depths_m: Array) -> tuple[Array, Array]:
-        """Return the force [N] and the depth of the surface [m] at the end of each tick."""
-        forces = np.zeros(len(depths_m))
-        surface = np.zeros(len(depths_m))
-        for tick, depth_m in enumerate(depths_m.tolist()):
-            self.model.wait_for_background(tick * STEP_S)
-            forces[tick] = self.press(depth_m)
-            surface[tick] = -self.model.displacement_m()[self.top, 2].mean()
-        self.model.finish()
-        return forces, surface
-
-    def elastic_curve(self) -> tuple[CubicSpline, CubicSpline]:
-        """Return the elastic force over the depth and the depth over the force, at rest."""
-        depths = np.linspace(0.0, 6.2e-3, 32)
-        forces = np.zeros(len(depths))
-        for row, depth in enumerate(depths.tolist()[1:], start=1):
-            self.press(depth)
-            self.model.converge(self.motion, limit=20)
-            forces[row] = self.model.respond(self.motion).wrench[2]
-        # The tool never pulls, so that the branch below zero only continues the spline.
-        depths = np.concatenate([-depths[:0:-1], depths])
-        forces = np.concatenate([-forces[:0:-1], forces])
-        return CubicSpline(depths, forces), CubicSpline(forces, depths)
 
 
 def relaxing(elastic_N: CubicSpline, depth_m: CubicSpline, path_m: Array) -> tuple[Array, Array]:
