@@ -336,8 +336,8 @@ class Loop:
         real_time
             Whether a tick waits until it is due on the wall clock, as needed for a real device.
             Ticks then run in a second thread, and a law of large strains is solved in a third one.
-            Without real time the ticks wait for a law. A sample more than 1.5 ms late is not used, and a
-            device without a command for 50 ms receives zero force.
+            Without real time the ticks wait for a law. A sample more than 1.5 ms late is not used,
+            and a device without a command for 50 ms receives zero force.
         on_tick
             Called after every tick with its number and its row; the run ends if it returns False.
         """

@@ -20,9 +20,7 @@ LAW = Hyperelastic.neo_hookean(LAME[1], bulk_Pa=LAME[0] + 2.0 / 3.0 * LAME[1])
 
 def capsule(space: Space, faces: np.ndarray) -> bsr_array:
     """A capsule that is as stiff as a layer of 10 mm of the block."""
-    return capsule_stiffness(
-        space, thickness_m=5e-5, young_Pa=1e6, poisson_ratio=0.4, faces=faces
-    )
+    return capsule_stiffness(space, thickness_m=5e-5, young_Pa=1e6, poisson_ratio=0.4, faces=faces)
 
 
 def held_block(order: int, *, capsule_too: bool = False) -> tuple[Space, HeldBody]:

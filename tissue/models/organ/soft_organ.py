@@ -211,7 +211,9 @@ class SoftOrgan:
     @cached_property
     def membrane(self) -> bsr_array | None:
         """Stiffness of the capsule [N/m]; None without a capsule."""
-        return None if self.capsule is None else self.capsule.stiffness(self.space, self.space.faces)
+        if self.capsule is None:
+            return None
+        return self.capsule.stiffness(self.space, self.space.faces)
 
     @cached_property
     def body(self) -> HeldBody:
