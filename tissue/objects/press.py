@@ -466,10 +466,11 @@ def organ_around(
     from tissue.models.organ.soft_organ import ToolPath
     from tissue.simulation.builders.organ import REGION
 
-    if organ.law is not None:
-        region_m = REGION * tool.shape.size_m[0]
+    law = organ.law
+    if law is not None:
         organ = copy(organ)
-        organ.law = replace(organ.law, interval_s=LAW_INTERVAL_S, region_m=region_m)
+        region_m = REGION * tool.shape.size_m[0]
+        organ.law = replace(law, interval_s=LAW_INTERVAL_S, region_m=region_m)
     turn = frame_along((float(axis[0]), float(axis[1]), float(axis[2])))
     across = np.linspace(-reach_m, reach_m, ACROSS)
     x, y, z = (
