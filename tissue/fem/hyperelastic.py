@@ -50,6 +50,9 @@ class NonlinearBody:
         Elastic law.
     cell_factors
         Factor on the moduli of a hyperelastic law in each cell, shape (m,); None for 1.
+    membrane
+        Stiffness of a linear membrane on the surface [N/m], shape (3n, 3n), as
+        `tissue.fem.assembly.capsule_stiffness` makes it; None for no membrane.
 
     Raises
     ------
@@ -64,8 +67,10 @@ class NonlinearBody:
         *,
         law: Law | Hyperelastic,
         cell_factors: Array | None = None,
+        membrane: bsr_array | None = None,
     ) -> None:
         self.space = space
+        self._membrane = membrane
         self.law = law
         self.nodes_m = space.nodes_m
         device = space.device
@@ -146,7 +151,14 @@ class NonlinearBody:
         self._displacement.assign(np.ascontiguousarray(displacement_m, dtype=np.float64))
         for run in self._force_launches:
             run()
-        return float(self._energy.numpy().sum()), self._force.numpy().copy()
+        energy = float(self._energy.numpy().sum())
+        force: Array = self._force.numpy().copy()
+        if self._membrane is not None:
+            moved = np.asarray(displacement_m, np.float64).ravel()
+            pull = self._membrane @ moved
+            energy += 0.5 * float(moved @ pull)
+            force += pull.reshape(-1, 3)
+        return energy, force
 
     def stiffness(self, displacement_m: Array, *, definite: bool = False) -> bsr_array:
         """Return the tangent stiffness [N/m] at a displacement, shape (3n, 3n).
@@ -166,9 +178,10 @@ class NonlinearBody:
             run()
         pattern = self.space.pattern
         size = self.space.unknown_count
-        return bsr_array(
+        tangent = bsr_array(
             (self._blocks.numpy().copy(), pattern.column, pattern.row_start), shape=(size, size)
         )
+        return tangent if self._membrane is None else bsr_array(tangent + self._membrane)
 
 
 def _constants(

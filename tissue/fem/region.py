@@ -7,13 +7,16 @@ nodes of the region and u_b those on its border::
     energy(u) = hyperelastic energy of the region's cells + u_b^T S u_b / 2
 
 S is the stiffness of the other cells and of the supports, condensed onto the border. The energy is
-exact where the other cells are linear.
+exact where the other cells are linear. A membrane on the surface is linear everywhere. Its faces
+on the region's cells belong to the first term, and its other faces to S.
 """
+
+from collections.abc import Callable
 
 import numpy as np
 from scipy.sparse import bsr_array, diags_array
 
-from meshes.base.arrays import Array, Ints
+from meshes.base.arrays import Array, Flags, Ints
 from meshes.tets.tetrahedra import TetMesh
 from tissue.fem.hyperelastic import NonlinearBody
 from tissue.fem.solvers.direct import DirectSolver
@@ -37,6 +40,9 @@ class RegionBody:
         Numbers of the cells of the region.
     law, cell_factors
         Law, and factors of its moduli in each cell of the body, shape (m,).
+    membrane
+        Function that returns the stiffness of a membrane on faces of a space [N/m]; None for no
+        membrane. The stiffness at rest contains the membrane on the whole surface.
 
     Attributes
     ----------
@@ -47,7 +53,14 @@ class RegionBody:
     """
 
     def __init__(
-        self, space: Space, rest: HeldBody, cells: Ints, *, law: Hyperelastic, cell_factors: Array
+        self,
+        space: Space,
+        rest: HeldBody,
+        cells: Ints,
+        *,
+        law: Hyperelastic,
+        cell_factors: Array,
+        membrane: Callable[[Space, Ints], bsr_array] | None = None,
     ) -> None:
         corners, places = np.unique(space.mesh.cells[cells], return_inverse=True)
         mesh = TetMesh(space.mesh.nodes_m[corners], places.reshape(-1, 4))
@@ -56,7 +69,15 @@ class RegionBody:
         self.nodes[part.cell_nodes.ravel()] = space.cell_nodes[cells].ravel()
         self.nodes_m = part.nodes_m
         self.fixed = rest.fixed[self.nodes]
-        self._body = NonlinearBody(part, None, law=law, cell_factors=cell_factors[cells])
+        # The faces between the region and the other cells carry no membrane.
+        skin = part.faces[_are_among(self.nodes[part.faces[:, :3]], space.faces[:, :3])]
+        self._body = NonlinearBody(
+            part,
+            None,
+            law=law,
+            cell_factors=cell_factors[cells],
+            membrane=membrane(part, skin) if membrane is not None and len(skin) else None,
+        )
         others = np.setdiff1d(np.arange(space.cell_count), cells)
         border = np.flatnonzero(np.isin(self.nodes, space.cell_nodes[others]))
         # In the order of the body's nodes, as the condensed stiffness has them.
@@ -115,3 +136,11 @@ class RegionBody:
         """Return the tangent stiffness [N/m], shape (3n, 3n), as for `NonlinearBody`."""
         tangent = self._body.stiffness(displacement_m, definite=definite)
         return bsr_array(tangent + self._outside_blocks)
+
+
+def _are_among(faces: Ints, others: Ints) -> Flags:
+    """Return which triangles, by their three nodes, are among other triangles, shape (f,)."""
+    rows = np.vstack([np.sort(faces, axis=1), np.sort(others, axis=1)])
+    places = np.unique(rows, axis=0, return_inverse=True)[1].ravel()
+    found: Flags = np.isin(places[: len(faces)], places[len(faces) :])
+    return found

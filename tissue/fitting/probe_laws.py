@@ -109,9 +109,8 @@ def layer_scene(scene: Scene) -> LayerScene:
         raise InputError(
             "tool.kind", f"be sphere-probe {with_table}", tool.kind, "use tool.kind=sphere-probe"
         )
-    found = hindrance(organ)
-    if found is None and organ.young_end_kPa is not None:
-        found = "young_end_kPa"
+    others = (name for name in ("capsule", "viscous", "young_end_kPa") if getattr(organ, name))
+    found = hindrance(organ) or next(others, None)
     if found is not None:
         raise InputError(
             f"organ.{found}",

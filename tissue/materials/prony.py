@@ -15,6 +15,7 @@ within each step, and therefore of second order for a smooth input (Taylor, Pist
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -140,4 +141,18 @@ class HereditaryIntegral:
             term *= keep
             np.multiply(value, gain, out=self._scaled)
             term += self._scaled
+        np.add.reduce(self._terms, axis=0, out=self.history)
+
+    def become(self, other: "HereditaryIntegral", of: Callable[[Array], Array]) -> None:
+        """Take the state of another integral whose inputs are mapped linearly.
+
+        Parameters
+        ----------
+        other
+            Integral of the same spectrum and step.
+        of
+            Linear function that maps an input of the other integral to an input of this one.
+        """
+        for term, known in zip(self._terms, other._terms, strict=True):
+            term[:] = of(known)
         np.add.reduce(self._terms, axis=0, out=self.history)

@@ -20,6 +20,7 @@ __all__ = [
     "HasNotices",
     "HasSummary",
     "HasVoxels",
+    "MayLag",
     "Response",
     "SchedulesBackground",
     "StartsBackground",
@@ -228,6 +229,14 @@ class WaitsForBackground(Protocol):
 
     def wait_for_background(self, time_s: float) -> None:
         """Wait for work whose result is due at a time; called before a tick and outside it."""
+
+
+@runtime_checkable
+class MayLag(Protocol):
+    """Tissue whose background work may come late, because a real device cannot wait for it."""
+
+    waits: bool
+    """Whether a tick waits for background work that is due."""
 
 
 @runtime_checkable

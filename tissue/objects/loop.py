@@ -58,6 +58,8 @@ from tissue.simulation.trace import Table
 if TYPE_CHECKING:
     import pandas
 
+    from tissue.models.organ.model import LiverModel
+
 __all__ = ["Loop"]
 
 
@@ -221,13 +223,6 @@ class Loop:
                 raise InputError(
                     "keep_clear", "be left out for an organ", "structures", "use it in bone"
                 )
-            if tissue.soft.law is not None:
-                raise InputError(
-                    "tissue",
-                    "be linear in a loop",
-                    "an organ with a law",
-                    "make it without law, a device cannot wait for the solves of a law",
-                )
             pressing = tool or ball(diameter_mm=10)
             if not isinstance(pressing, PressingTool):
                 raise InputError(
@@ -256,6 +251,7 @@ class Loop:
         # A refused coupling leaves the bone as it was: the tissue is prepared after the judgement.
         clear = None
         model: TissueModel
+        self._organ: LiverModel | None = None
         if isinstance(tissue, Bone):
             assert cutter is not None
             model, self._keep_ready = tissue.voxel_bone.around(
@@ -264,7 +260,10 @@ class Loop:
             clear = clearance_of(keep_clear, cutter)
         else:
             assert probe is not None
-            model = organ_around(tissue.soft, probe, start_m, along, reach_m=reach_m)
+            self._organ = organ_around(tissue.soft, probe, start_m, along, reach_m=reach_m)
+            # The caller's own clock may not wait for a solve of a law; see `run`.
+            self._organ.waits = False
+            model = self._organ
             self._keep_ready = lambda tip_m: None
         self.notes = dict(tissue.notes) | _constants_note(constants, tissue, options)
         self.notes["coupling"] = "; ".join(found)
@@ -337,13 +336,16 @@ class Loop:
             Duration [s].
         real_time
             Whether a tick waits until it is due on the wall clock, as needed for a real device.
-            Ticks then run in a second thread. A sample more than 1.5 ms late is not used, and a
-            device without a command for 50 ms receives zero force.
+            Ticks then run in a second thread, and a law of large strains is solved in a third one.
+            Without real time the ticks wait for a law. A sample more than 1.5 ms late is not used,
+            and a device without a command for 50 ms receives zero force.
         on_tick
             Called after every tick with its number and its row; the run ends if it returns False.
         """
         count = round(require_range("seconds", seconds, TICK_S, LONGEST_S, "use 10") / TICK_S)
         clock = WallClock(TICK_S) if real_time else None
+        if self._organ is not None:
+            self._organ.waits = not real_time
         self._motion.held.in_process = not real_time or bool(
             getattr(self._motion.device, "in_process", False)
         )

@@ -106,8 +106,8 @@ class Organ:
             is the instantaneous modulus.
         law
             Law of large strains, by the names and keys of `organ.law` in scenes: ``"neo-hookean"``
-            or ``{"name": "yeoh", "square_ratio": 0.5}``. It cannot be combined with capsule,
-            density and relaxation. The default is the linear law.
+            or ``{"name": "yeoh", "square_ratio": 0.5}``. It cannot be combined with a density. The
+            default is the linear law.
 
         Raises
         ------

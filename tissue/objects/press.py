@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
@@ -24,9 +25,9 @@ if TYPE_CHECKING:
     import pandas as pd
     import pyvista
 
+    from tissue.models.organ.model import LiverModel
     from tissue.models.organ.press import PressCurve
     from tissue.models.organ.soft_organ import SoftOrgan
-    from tissue.models.tissue_model import TissueModel
 
 __all__ = ["MATTE", "Press", "new_plotter", "organ_around", "press_at", "shaded"]
 
@@ -56,6 +57,8 @@ ACROSS = 7
 
 Triangles near a point are found with a margin, so that the points need not be close.
 """
+LAW_INTERVAL_S = 0.025
+"""Time between two solves of a law in a loop [s], the default of `organ.law_interval_ms`."""
 TOOL = (0.45, 0.48, 0.52)
 COLOURS = "YlOrRd"
 """Colour map that is light where the displacement is small."""
@@ -457,11 +460,17 @@ def new_plotter(options: dict[str, Any]) -> pyvista.Plotter:
 
 def organ_around(
     organ: SoftOrgan, tool: PressingTool, start_m: Array, axis: Array, *, reach_m: float
-) -> TissueModel:
+) -> LiverModel:
     """Return an organ under a pressing tool, within `reach_m` around and below its start."""
     from tissue.models.organ.model import ContactSolution, LiverModel
     from tissue.models.organ.soft_organ import ToolPath
+    from tissue.simulation.builders.organ import REGION
 
+    law = organ.law
+    if law is not None:
+        organ = copy(organ)
+        region_m = REGION * tool.shape.size_m[0]
+        organ.law = replace(law, interval_s=LAW_INTERVAL_S, region_m=region_m)
     turn = frame_along((float(axis[0]), float(axis[1]), float(axis[2])))
     across = np.linspace(-reach_m, reach_m, ACROSS)
     x, y, z = (

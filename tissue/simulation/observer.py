@@ -63,6 +63,7 @@ class Observers(RunObserver):
     def __init__(self, *observers: RunObserver) -> None:
         self._all = observers
         self.timing_columns = tuple(name for each in observers for name in each.timing_columns)
+        self.paces = any(each.paces for each in observers)
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
         """Prepare all observers, the last one first."""
@@ -202,6 +203,8 @@ class WallClock:
 
 class Paced(RunObserver):
     """Observer that starts each tick when it is due, for a run moved by a real device."""
+
+    paces = True
 
     def __init__(self, clock: WallClock | None = None) -> None:
         self._clock = clock or WallClock(TICK_S)

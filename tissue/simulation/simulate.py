@@ -15,7 +15,7 @@ from meshes.base.progress import Progress, silent
 from tissue.haptics.device.device import Device, device_parameters
 from tissue.haptics.device.safe_device import SafeDevice, run_held
 from tissue.haptics.loop.sampled_loop import force_later_N
-from tissue.models.tissue_model import TICK_S
+from tissue.models.tissue_model import TICK_S, MayLag
 from tissue.motion.motion import LONGEST_S, Motion
 from tissue.prediction.predictor import Predictor
 from tissue.scene.registry import ANATOMIES
@@ -51,6 +51,8 @@ class RunObserver:
 
     timing_columns: tuple[str, ...] = ()
     """Columns that the observer adds to the timing table; it fills the last entries of a row."""
+    paces: bool = False
+    """Whether the observer starts the ticks by the wall clock."""
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
         """Prepare for a run of `parts` with the columns of its trace."""
@@ -173,6 +175,8 @@ def simulate(
             parts.motion.device = device
             # The device of a caller needs no time for a simulated hand to react.
             parts.motion.after_s = 0.0
+        if observer is not None and observer.paces and isinstance(parts.tissue, MayLag):
+            parts.tissue.waits = False
         ticks = tick_count(scene, parts.motion)
         columns = observer.timing_columns if observer is not None else ()
         loop = Loop(parts, ticks=ticks, output=scene.output, timing_columns=columns)

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.sparse import bsr_array
 
 from meshes.tets.structured import box
-from tissue.fem.assembly import assemble
+from tissue.fem.assembly import assemble, capsule_stiffness
 from tissue.fem.hyperelastic import NonlinearBody
 from tissue.fem.region import RegionBody
 from tissue.fem.solvers.direct import DirectSolver
@@ -17,28 +18,45 @@ LAME = lame(5e3, 0.4)
 LAW = Hyperelastic.neo_hookean(LAME[1], bulk_Pa=LAME[0] + 2.0 / 3.0 * LAME[1])
 
 
-def held_block(order: int) -> tuple[Space, HeldBody]:
+def capsule(space: Space, faces: np.ndarray) -> bsr_array:
+    """A capsule that is as stiff as a layer of 10 mm of the block."""
+    return capsule_stiffness(space, thickness_m=5e-5, young_Pa=1e6, poisson_ratio=0.4, faces=faces)
+
+
+def held_block(order: int, *, capsule_too: bool = False) -> tuple[Space, HeldBody]:
     """A block that stands on its base."""
     space = Space(box((0.04, 0.04, 0.03), (4, 4, 3)), order)
     fixed = held_nodes(space.nodes_m[:, 2] < 1e-9)
-    return space, HeldBody(assemble(space, LAME), space.nodes_m, fixed)
+    stiffness = assemble(space, LAME)
+    if capsule_too:
+        stiffness = bsr_array(stiffness + capsule(space, space.faces))
+    return space, HeldBody(stiffness, space.nodes_m, fixed)
 
 
-def region_of(space: Space, held: HeldBody, low_m: float) -> RegionBody:
+def region_of(
+    space: Space, held: HeldBody, low_m: float, *, capsule_too: bool = False
+) -> RegionBody:
     centres = space.nodes_m[space.cell_nodes].mean(axis=1)
     cells = np.flatnonzero((centres[:, 2] > low_m) & (centres[:, 0] < 0.03))
-    return RegionBody(space, held, cells, law=LAW, cell_factors=np.ones(space.cell_count))
+    return RegionBody(
+        space,
+        held,
+        cells,
+        law=LAW,
+        cell_factors=np.ones(space.cell_count),
+        membrane=capsule if capsule_too else None,
+    )
 
 
 @pytest.mark.parametrize("order", [1, 2])
-@pytest.mark.parametrize("low_m", [0.01, 0.0])
-def test_at_rest_the_region_has_the_compliance_of_the_body(order, low_m):
+@pytest.mark.parametrize(("low_m", "capsule_too"), [(0.01, False), (0.0, False), (0.01, True)])
+def test_at_rest_the_region_has_the_compliance_of_the_body(order, low_m, capsule_too):
     """At rest the compliance of the region's nodes is that of the whole body.
 
-    One region reaches the held base.
+    One region reaches the held base. A capsule counts once, inside and outside the region.
     """
-    space, held = held_block(order)
-    region = region_of(space, held, low_m)
+    space, held = held_block(order, capsule_too=capsule_too)
+    region = region_of(space, held, low_m, capsule_too=capsule_too)
     alone = DirectSolver(
         HeldBody(
             region.stiffness(np.zeros_like(region.nodes_m)),
@@ -52,9 +70,10 @@ def test_at_rest_the_region_has_the_compliance_of_the_body(order, low_m):
     assert alone.compliance_between(chosen) == pytest.approx(whole, abs=1e-9 * np.abs(whole).max())
 
 
-def test_energy_force_and_stiffness_belong_together():
-    space, held = held_block(2)
-    region = region_of(space, held, 0.01)
+@pytest.mark.parametrize("capsule_too", [False, True])
+def test_energy_force_and_stiffness_belong_together(capsule_too):
+    space, held = held_block(2, capsule_too=capsule_too)
+    region = region_of(space, held, 0.01, capsule_too=capsule_too)
     random = np.random.default_rng(4)
     at = np.where(region.fixed, 0.0, 3e-4 * random.uniform(-1.0, 1.0, region.fixed.shape))
     direction = np.where(region.fixed, 0.0, random.normal(size=at.shape))
@@ -70,11 +89,13 @@ def test_energy_force_and_stiffness_belong_together():
 
 def test_a_region_of_all_cells_but_one_corner_is_nearly_the_whole_body():
     """A linear corner that hardly moves leaves the energy of the whole body."""
-    space, held = held_block(1)
-    whole = NonlinearBody(space, None, law=LAW)
+    space, held = held_block(1, capsule_too=True)
+    whole = NonlinearBody(space, None, law=LAW, membrane=capsule(space, space.faces))
     centres = space.nodes_m[space.cell_nodes].mean(axis=1)
     cells = np.flatnonzero(np.linalg.norm(centres, axis=1) > 0.01)
-    region = RegionBody(space, held, cells, law=LAW, cell_factors=np.ones(space.cell_count))
+    region = RegionBody(
+        space, held, cells, law=LAW, cell_factors=np.ones(space.cell_count), membrane=capsule
+    )
     moved = np.zeros_like(space.nodes_m)
     moved[:, 0] = 5e-3 * (space.nodes_m[:, 2] / 0.03) ** 2
     exact = whole.energy_and_force(moved)[0]

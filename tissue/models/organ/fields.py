@@ -1,5 +1,6 @@
 """Displacement, strain, stress and reaction of a whole organ from the forces on its surface."""
 
+from dataclasses import replace
 from functools import cached_property
 from math import inf
 
@@ -56,7 +57,7 @@ class OrganFields:
             mesh.nodes_m, mesh.cells, mesh.part, mesh.part_names, node_sets=sets
         )
         self._ends = _edge_ends(organ.space)
-        self._kept: list[tuple[float, Array, Array]] = []
+        self._kept: list[tuple[float, Array, Array, Array | None]] = []
         self.notices: list[str] = []
 
     @cached_property
@@ -65,19 +66,24 @@ class OrganFields:
         assert law is not None
         return follower_of(self._organ, law.law, law.cell_factors, self._touchable)
 
-    def keep(self, time_s: float, force_N: Array, moved: Array) -> None:
+    def keep(
+        self, time_s: float, force_N: Array, crept_N: Array, moved_m: Array | None = None
+    ) -> None:
         """Store the state of a frame that is due.
 
         Parameters
         ----------
         time_s, force_N
             Time [s] and forces on the touchable nodes [N], shape (t, 3).
-        moved
-            Force whose elastic response is the displacement [N]; for a hyperelastic law the
-            displacements of the touchable nodes [m].
+        crept_N
+            Forces whose elastic response is the displacement [N], shape (t, 3). They are the
+            acting forces in an organ that does not relax.
+        moved_m
+            Displacements of the touchable nodes [m], shape (t, 3); None for a linear organ.
         """
         self.next_s += self.interval_s
-        self._kept.append((time_s, force_N.copy(), moved.copy()))
+        moved = None if moved_m is None else moved_m.copy()
+        self._kept.append((time_s, force_N.copy(), crept_N.copy(), moved))
 
     def compute(self) -> None:
         """Solve the stored frames."""
@@ -89,21 +95,38 @@ class OrganFields:
         self._kept.clear()
 
     def _compute_large(self) -> None:
-        """Solve the stored frames under the organ's hyperelastic law."""
+        """Solve the stored frames under the organ's hyperelastic law, which may creep.
+
+        Displacement and strain are those of the law under the crept forces. Stress and reaction
+        there are reduced by the ratio of the acting to the crept resultant. This is exact where
+        both forces have one distribution.
+        """
         law = self._organ.law
         assert law is not None
         unsettled = 0
-        for time_s, forces, moved_m in self._kept:
+        for time_s, forces, crept, moved_m in self._kept:
+            assert moved_m is not None
             found = self._follower.follow(
-                self._spread(forces),
+                self._spread(crept),
                 tolerance=TOLERANCE,
                 step_limit=STEPS,
-                springs=self._springs(forces, moved_m),
+                springs=self._springs(crept, moved_m),
             )
             unsettled += found.residual > TOLERANCE
             moved = found.displacement_m
             stress = cauchy_stress(self._space, moved, law.law, law.cell_factors)
             reaction = found.internal_N - found.load_N
+            resultant = crept.sum(axis=0)
+            square = float(resultant @ resultant)
+            if self._organ.prony is not None and square > 0.0:
+                share = float(forces.sum(axis=0) @ resultant) / square
+                stress = replace(
+                    stress,
+                    stress_Pa=share * stress.stress_Pa,
+                    von_mises_Pa=share * stress.von_mises_Pa,
+                    principal_Pa=share * stress.principal_Pa,
+                )
+                reaction *= share
             self._show(time_s, moved, stress, stress.strain, reaction)
         if unsettled:
             self.notices.append(
@@ -122,7 +145,7 @@ class OrganFields:
         between = self._follower.at_rest.compliance_between(nodes)
         return Springs.holding(nodes, between, moved_m[loaded], unknowns=self._space.unknown_count)
 
-    def _compute_linear(self, batch: list[tuple[float, Array, Array]]) -> None:
+    def _compute_linear(self, batch: list[tuple[float, Array, Array, Array | None]]) -> None:
         """Solve frames of a linear organ, which may creep.
 
         Stress belongs to the force that acts; strain and displacement belong to the tissue after
@@ -131,12 +154,12 @@ class OrganFields:
         organ = self._organ
         solve = organ.factor.solve_all
         rest_load, rest = organ.rest
-        loads = np.stack([self._spread(force) for _, force, _ in batch])
+        loads = np.stack([self._spread(force) for _, force, *_ in batch])
         elastic = solve(loads)
         displaced = elastic
-        if any((force != creeping).any() for _, force, creeping in batch):
-            displaced = solve(np.stack([self._spread(creep) for *_, creep in batch]))
-        for number, (time_s, _, _) in enumerate(batch):
+        if any((force != crept).any() for _, force, crept, _ in batch):
+            displaced = solve(np.stack([self._spread(crept) for _, _, crept, _ in batch]))
+        for number, (time_s, *_) in enumerate(batch):
             strained = elastic[number] + rest
             moved = displaced[number] + rest
             stress = cell_stress(self._space, strained, organ.elasticity)

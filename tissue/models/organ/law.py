@@ -13,9 +13,21 @@ The offset changes to the new one within the next interval, without a step. It f
 the tool by the change of the offset since the last equilibrium. W is the compliance at rest until
 the equilibria are far from it. Then W is the compliance of the tangent stiffness at the present
 displacement (Newton's method).
+
+A run by script waits for a solve. With a real device a second thread solves, and the ticks go on
+with the last offset until the solve is done.
+
+An organ that relaxes is quasi-linear viscoelastic (Fung 1993, Biomechanics, 2nd edition, chapter
+7). Its nodal forces are the hereditary integral of the elastic nodal forces, with one reduced
+relaxation function. The inverse integral of the nodal forces f, with the creep function, gives the
+crept forces (`tissue.models.organ.model`), and the displacement is that of the elastic law under
+the crept forces. In the equations above, f is then the crept force. Nodal forces follow the
+material, so that tissue must not rotate much while it relaxes.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from math import inf
 from time import perf_counter
 
@@ -26,12 +38,11 @@ from meshes.base.arrays import Array, Ints
 from tissue.fem.quasi_newton import Followed, Springs
 from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.held_body import components_of
-from tissue.models.organ.contact import SurfaceContact
 from tissue.models.organ.law_window import whole_window, window_centres, window_of
 from tissue.models.organ.soft_organ import OrganLaw, SoftOrgan, ToolPath
 from tissue.models.tissue_model import SLOW
 
-__all__ = ["LawOffset"]
+__all__ = ["LawOffset", "TickState"]
 
 TOLERANCE = 1e-3
 STEPS = 30
@@ -57,6 +68,11 @@ APART_M = 2e-4
 With 5e-5 a deep press has the same force; with 8e-4 the largest error of the moving tool grows
 from 1.5 to 1.9 %.
 """
+LOADED = 1e-3
+"""Crept force of a node that gets a spring, over the largest one; chosen.
+
+Where a tool has been, crept forces fade but never end.
+"""
 FARTHEST = 2.0
 """Longest extrapolation of the offset, over the change of depth that its slope was computed from.
 
@@ -81,9 +97,37 @@ class _Line:
         out += (share * beyond) * self.slope
 
 
-def _displaced(contact: SurfaceContact, forces_N: Array) -> Array:
+@dataclass(eq=False)
+class TickState:
+    """State of a contact in one tick, from which a law is solved while the ticks go on.
+
+    Attributes
+    ----------
+    nodal_forces_N, crept_N
+        Forces of the contact and crept forces [N], shape (t, 3) both.
+    offset_m
+        Offset of the law in that tick [m], shape (t, 3).
+    compliance_m_N
+        Compliance of the contact [m/N], shape (3t, 3t). A solve may replace it.
+    is_renewed
+        True if a solve has replaced the compliance.
+    """
+
+    nodal_forces_N: Array
+    crept_N: Array
+    offset_m: Array
+    compliance_m_N: Array
+    is_renewed: bool = False
+
+    def change_compliance(self, compliance_m_N: Array) -> None:
+        """Replace the compliance."""
+        self.compliance_m_N = compliance_m_N
+        self.is_renewed = True
+
+
+def _displaced(contact: TickState, forces_N: Array) -> Array:
     """Return the displacement [m] of touchable nodes by the contact's compliance, shape (t, 3)."""
-    moved: Array = contact.result.compliance_m_N @ forces_N.ravel()
+    moved: Array = contact.compliance_m_N @ forces_N.ravel()
     return moved.reshape(-1, 3)
 
 
@@ -121,7 +165,8 @@ class LawOffset:
         none = np.zeros((len(touchable), 3))
         self.latest_m = none.copy()
         """Offset of the last tick [m], shape (t, 3)."""
-        self._before = self._now = _Line(none, none, 0.0, 0.0)
+        self._now = _Line(none, none, 0.0, 0.0)
+        self._shown = self._now, self._now
         at_rest = 0.0, np.zeros((len(self._window.inside), 3)), none
         self._apart: tuple[float, Array, Array] | None = at_rest
         self._factor: DirectSolver | None = self._window.follower.factor
@@ -134,41 +179,114 @@ class LawOffset:
         self.took_s: list[float] = []
         """Time of each solve so far [s]."""
         self._late = False
+        self._thread: Executor | None = None
+        self._pending: Future[TickState] | None = None
 
     def offset_m(self, time_s: float, depth_m: float) -> Array:
         """Return the present offset of the touchable nodes [m], shape (t, 3).
 
         Every call returns one reused array.
         """
-        share = 1.0
-        if self.interval_s > 0.0:
-            share = min((time_s - self._changed_s) / self.interval_s, 1.0)
+        share = self._share(time_s)
+        start, end = self._shown
         self.latest_m[:] = 0.0
-        self._before.into(self.latest_m, depth_m, 1.0 - share)
-        self._now.into(self.latest_m, depth_m, share)
+        start.into(self.latest_m, depth_m, 1.0 - share)
+        end.into(self.latest_m, depth_m, share)
         return self.latest_m
 
-    def renew(self, time_s: float, depth_m: float, contact: SurfaceContact) -> None:
-        """Solve for the equilibrium under the contact forces at the end of an interval.
+    def _share(self, time_s: float) -> float:
+        """Return the share of the change to the last solution that is done, 0 to 1."""
+        if self.interval_s == 0.0:
+            return 1.0
+        return min((time_s - self._changed_s) / self.interval_s, 1.0)
 
-        The solution sets the offset of the next interval. Within an interval nothing is done.
+    def start_thread(self) -> None:
+        """Start the second thread, with the priority of the caller."""
+        self._second_thread().submit(int)
+
+    def _second_thread(self) -> Executor:
+        if self._thread is None:
+            self._thread = ThreadPoolExecutor(1, thread_name_prefix="law")
+        return self._thread
+
+    def stop_thread(self) -> None:
+        """End the second thread after its present solve."""
+        if self._thread is not None:
+            self._thread.shutdown()
+        self._thread = None
+        self._pending = None
+
+    def renew(
+        self, time_s: float, depth_m: float, state: Callable[[], TickState], *, waits: bool
+    ) -> TickState | None:
+        """Solve for the equilibrium under the crept forces at the end of an interval.
+
+        Return the state that was solved, or None if no solve is done. Call `show` next.
+
+        Parameters
+        ----------
+        time_s, depth_m
+            Present time [s], and travel of the tool in contact [m].
+        state
+            Function that returns the state of the last tick.
+        waits
+            Whether the solve ends within this call. Otherwise a second thread solves, and a later
+            call returns its state.
         """
+        if self._pending is not None:
+            if not (waits or self._pending.done()):
+                return None
+            done = self._pending.result()
+            self._pending = None
+            return done
         # 1e-9 s: the time of a tick is rounded.
-        if time_s >= self._next_s - 1e-9:
-            self.solve(time_s, depth_m, contact)
+        if time_s < self._next_s - 1e-9:
+            return None
+        self._next_s = time_s + self.interval_s
+        if waits:
+            return self.solve(depth_m, state())
+        self._pending = self._second_thread().submit(self.solve, depth_m, state())
+        return None
 
-    def solve(self, time_s: float, depth_m: float, contact: SurfaceContact) -> None:
-        """Solve for the equilibrium under the present contact forces."""
+    def show(self, time_s: float, depth_m: float, held_m: Array | None) -> None:
+        """Change to the offset of the last solve within an interval from now on.
+
+        Parameters
+        ----------
+        time_s, depth_m
+            Present time [s], and travel of the tool in contact [m].
+        held_m
+            Offset with which no node moves although the compliance was replaced [m], shape (t, 3);
+            None if it was not.
+        """
+        share = self._share(time_s)
+        start, end = self._shown
+        if held_m is not None:
+            start = _Line(held_m, np.zeros_like(held_m), depth_m, 0.0)
+        elif share < 1.0:
+            slope = (1.0 - share) * start.slope + share * end.slope
+            start = _Line(self.latest_m.copy(), slope, depth_m, end.reach_m)
+        else:
+            start = end
+        self._shown = start, self._now
+        self._changed_s = time_s
+
+    def solve(self, depth_m: float, contact: TickState) -> TickState:
+        """Solve for the equilibrium under the crept forces of a state, and return the state.
+
+        They are the contact forces if the organ does not relax.
+        """
+        crept_N = contact.crept_N
         started = perf_counter()
         indefinite = self.indefinite
-        self._choose_window(contact)
+        self._choose_window(contact, crept_N)
         window = self._window
         follower = window.follower
         found = follower.follow(
-            window.spread(contact.result.nodal_forces_N),
+            window.spread(crept_N),
             tolerance=TOLERANCE,
             step_limit=STEPS,
-            springs=self._springs(contact),
+            springs=self._springs(contact, crept_N),
         )
         forces = np.zeros_like(self.latest_m)
         forces[window.inside] = found.load_N[window.places]
@@ -180,30 +298,31 @@ class LawOffset:
         # The tangent of a new window is taken at its first equilibrium, not at the first guess.
         if self._factor is None or (follower.factor is self._factor and has_missed):
             follower.take_stiffness()
-        if follower.factor is not self._factor:
-            self._change_compliance(contact, forces, depth_m)
+        changed = follower.factor is not self._factor
+        if changed:
+            self._change_compliance(contact)
         assert self._factor is not None
         left = np.where(window.fixed, 0.0, found.load_N - found.internal_N)
         moved = moved + self._factor.displacement_m(left)[window.places]
         offset = self._offset(contact, moved, forces)
-        slope = self._now.slope
+        # A new compliance is the tangent here, from which the offset starts with slope zero.
+        slope = np.zeros_like(offset) if changed else self._now.slope
         reach_m = self._now.reach_m
         if self._apart is None:
             self._apart = (depth_m, moved, forces)
         last_m, *last = self._apart
         # A smaller change of depth would divide the noise of two solves by almost zero.
         if abs(depth_m - last_m) >= APART_M:
-            slope = (offset - self._offset(contact, *last)) / (depth_m - last_m)
+            if not changed:
+                slope = (offset - self._offset(contact, *last)) / (depth_m - last_m)
             reach_m = FARTHEST * abs(depth_m - last_m)
             self._apart = (depth_m, moved, forces)
-        self._before = self._now
         self._now = _Line(offset, slope, depth_m, reach_m)
-        self._changed_s = time_s
-        self._next_s = time_s + self.interval_s
         self._report(found, perf_counter() - started, first=indefinite == 0)
+        return contact
 
-    def _springs(self, contact: SurfaceContact) -> Springs:
-        """Build springs that hold the nodes under the tool near their last contact positions.
+    def _springs(self, contact: TickState, crept_N: Array) -> Springs:
+        """Build springs that hold the loaded nodes near their positions in the last tick.
 
         They have the compliance of the contact. Let w be its stiffness, k that of the tissue and s
         that of the springs. An error of the contact force then decays from solve to solve by
@@ -213,29 +332,32 @@ class LawOffset:
         """
         # A held node needs no spring, and has no compliance.
         window = self._window
-        forces = contact.result.nodal_forces_N[window.inside]
+        inside_N = np.zeros_like(crept_N)
+        inside_N[window.inside] = crept_N[window.inside]
+        size_N = np.linalg.norm(crept_N[window.inside], axis=1)
         free = ~window.fixed[window.places].any(axis=1)
-        loaded = np.flatnonzero(forces.any(axis=1) & free)
+        loaded = np.flatnonzero((size_N > LOADED * size_N.max(initial=0.0)) & free)
         if not len(loaded):
             return Springs.none(window.fixed.size)
         nodes = window.inside[loaded]
-        held_m = contact.result.displacement_m() + self.latest_m
+        # The window does not feel forces outside it, nor do these targets.
+        held_m = _displaced(contact, inside_N) + contact.offset_m
         columns = components_of(nodes)
-        compliance = contact.result.compliance_m_N[np.ix_(columns, columns)]
+        compliance = contact.compliance_m_N[np.ix_(columns, columns)]
         return Springs.holding(
             window.places[loaded], compliance, held_m[nodes], unknowns=window.fixed.size
         )
 
-    def _offset(self, contact: SurfaceContact, moved_m: Array, forces_N: Array) -> Array:
+    def _offset(self, contact: TickState, moved_m: Array, forces_N: Array) -> Array:
         """Return the offset of all touchable nodes [m]; it is zero outside the window."""
         offset = np.zeros_like(self.latest_m)
         inside = self._window.inside
         offset[inside] = moved_m - _displaced(contact, forces_N)[inside]
         return offset
 
-    def _choose_window(self, contact: SurfaceContact) -> None:
+    def _choose_window(self, contact: TickState, crept_N: Array) -> None:
         """Pass to the window nearest to the contact, from the displacement of the last window."""
-        size_N = np.linalg.norm(contact.result.nodal_forces_N, axis=1)
+        size_N = np.linalg.norm(contact.nodal_forces_N, axis=1)
         if len(self._windows) == 1 or not size_N.any():
             return
         centre = size_N @ self._nodes_m / size_N.sum()
@@ -245,9 +367,7 @@ class LawOffset:
             return
         after = self._windows[nearest]
         # Nodes that are new move as under the linear law.
-        guess = after.follower.at_rest.solve(
-            after.spread(contact.result.nodal_forces_N)
-        ).displacement_m
+        guess = after.follower.at_rest.solve(after.spread(crept_N)).displacement_m
         whole = np.full((self._count, 3), np.nan)
         whole[before.nodes] = before.follower.displacement_m
         known = np.isfinite(whole[after.nodes])
@@ -255,27 +375,19 @@ class LawOffset:
         self._window = after
         # Solutions in the last window have other nodes.
         self._apart = None
-        self._now = replace(self._now, slope=np.zeros_like(self.latest_m))
         after.follower.restart(guess)
         self._factor = None
 
-    def _change_compliance(self, contact: SurfaceContact, forces_N: Array, depth_m: float) -> None:
-        """Use the compliance of the stiffness that was factorised last.
-
-        No node moves by the change.
-        """
+    def _change_compliance(self, contact: TickState) -> None:
+        """Use the compliance of the stiffness that was factorised last."""
         if self._at_rest is None:
-            self._at_rest = contact.result.compliance_m_N.copy()
+            self._at_rest = contact.compliance_m_N.copy()
         window = self._window
         self._factor = window.follower.factor
-        at_m = _displaced(contact, forces_N)
         rows = components_of(window.inside)
         compliance = self._at_rest.copy()
         compliance[np.ix_(rows, rows)] = self._factor.compliance_between(window.places)
         contact.change_compliance(compliance)
-        at_m -= _displaced(contact, forces_N)
-        self._now.into(at_m, depth_m, 1.0)
-        self._now = _Line(at_m, self._now.slope, depth_m, self._now.reach_m)
 
     @property
     def older(self) -> float:
@@ -315,8 +427,9 @@ class LawOffset:
             )
         if 0.0 < self.interval_s < took_s and not self._late:
             self._late = True
+            effect = "the run waits for it, a device would not"
+            if self._thread is not None:
+                effect = "the ticks go on with the last solution"
             self.notices.append(
-                f"solving the law took {took_s:.2f} s, {SLOW} of {self.interval_s:g} s: the "
-                "run waits for it, a device "
-                "would not"
+                f"solving the law took {took_s:.2f} s, {SLOW} of {self.interval_s:g} s: {effect}"
             )

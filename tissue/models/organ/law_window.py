@@ -85,7 +85,9 @@ def follower_of(
     # An organ that was solved before may have been eliminated in another order.
     if not np.isin(nodes, at_rest.last).all():
         at_rest = factorised(organ.body.stiffness)
-    body = NonlinearBody(organ.space, None, law=law, cell_factors=cell_factors)
+    body = NonlinearBody(
+        organ.space, None, law=law, cell_factors=cell_factors, membrane=organ.membrane
+    )
     return QuasiNewton(body, organ.body.fixed, at_rest, factorised)
 
 
@@ -117,7 +119,14 @@ def window_of(
     away = np.linalg.norm(space.nodes_m[space.cell_nodes].mean(axis=1) - centre_m, axis=1)
     nearest_m = float(np.partition(away, FEWEST_CELLS - 1)[FEWEST_CELLS - 1])
     cells = np.flatnonzero(away <= max(radius_m, nearest_m))
-    body = RegionBody(space, organ.body, cells, law=law.law, cell_factors=law.cell_factors)
+    body = RegionBody(
+        space,
+        organ.body,
+        cells,
+        law=law.law,
+        cell_factors=law.cell_factors,
+        membrane=None if organ.capsule is None else organ.capsule.stiffness,
+    )
     back = np.full(space.node_count, -1)
     back[body.nodes] = np.arange(len(body.nodes))
     inside = np.flatnonzero(back[touchable] >= 0)

@@ -16,6 +16,18 @@ compliance, adds the offset to the free surface and needs no other change. It ma
 unilateral condition, with or without friction, for a contact that grows, shrinks, moves or lifts
 off.
 
+With a hyperelastic law the tissue is quasi-linear viscoelastic. With the crept forces::
+
+    F(t) = integral j(t - s) df(s) = instant_factor f + H,    H the history of the forces
+
+the displacement is u(F), the elastic displacement of the law under F. The law is solved for F
+between ticks (`tissue.models.organ.law`), u(F) = W F + law_offset. A tick therefore solves::
+
+    u = instant_factor W f + (W H + law_offset)
+
+W H is the offset of the linear organ. Where the law replaces W, W H is computed anew from the
+history of the forces.
+
 The usual shortcut, to relax the elastic force, is right only while the contact grows (Lee and Radok
 1960, J. Appl. Mech. 27:438; Ting 1966, J. Appl. Mech. 33:845). When the tool retreats, this
 shortcut pulls on the tool although the surface, which rises slowly, has separated. Both methods
@@ -36,7 +48,7 @@ from tissue.materials.prony import HereditaryIntegral
 from tissue.models.organ.compliance import CompliancePath
 from tissue.models.organ.contact import ContactOutcome, SurfaceContact
 from tissue.models.organ.fields import OrganFields
-from tissue.models.organ.law import LawOffset
+from tissue.models.organ.law import LawOffset, TickState
 from tissue.models.organ.probe import SphereProbe
 from tissue.models.organ.soft_organ import SoftOrgan, ToolPath
 from tissue.models.tissue_model import TICK_S, Response, ToolMotion
@@ -107,6 +119,10 @@ class LiverModel:
         The tool on the organ's touchable surface.
     touchable
         Nodes that the tool can touch, shape (t,).
+    waits
+        Whether a tick waits for a solve of a hyperelastic law that is due. Set it to False where a
+        real device cannot wait, if possible before `place`: a device that waits holds its last
+        force, which the judge of its loop does not expect.
 
     Raises
     ------
@@ -147,6 +163,7 @@ class LiverModel:
         )
         self._fields = OrganFields(organ, touchable, interval_s=interval_s)
         self._law = None if organ.law is None else LawOffset(organ, organ.law, touchable, tool)
+        self.waits = True
         self._step_s = step_s
         self.layer_names = organ.mesh.part_names
         parts = np.zeros(len(self.layer_names))
@@ -167,9 +184,13 @@ class LiverModel:
         self._limits: list[tuple[float, float]] = []
         if isinstance(probe, SphereProbe) and self._law is None:
             self._limits = [(depth * probe.radius_m, error) for depth, error in LINEAR_ERROR]
-        self._crept_N = np.zeros((len(touchable), 3))
+        self._crept_N = self.contact.result.nodal_forces_N
+        self._offset_m = np.zeros((len(touchable), 3))
+        self._travel_m = 0.0
+        self._tip_m = np.zeros(3)
         self._creep: HereditaryIntegral | None = None
         if organ.prony is not None:
+            self._crept_N = np.zeros((len(touchable), 3))
             self._creep, self._forces = (
                 HereditaryIntegral(organ.prony.retardation, self._crept_N.shape, step_s=step_s)
                 for _ in range(2)
@@ -183,7 +204,10 @@ class LiverModel:
 
     def place(self, motion: ToolMotion) -> None:
         """Put the probe at its start, outside the organ."""
+        if self._law is not None and not self.waits:
+            self._law.start_thread()
         self.contact.place(motion.tip_m, motion.rotation)
+        self._tip_m[:] = motion.tip_m
         if self._lazy is not None:
             self._search_contacts(motion)
             self._lazy.fill()
@@ -199,18 +223,15 @@ class LiverModel:
             if self._ticks % LOOK_EVERY == 0:
                 self._search_contacts(motion)
         self._ticks += 1
+        result = self.contact.result
         if self._creep is not None:
-            self.contact.shift(self._creep.history)
-        if self._law is not None:
-            self.contact.shift(
-                self._law.offset_m(self._ticks * self._step_s, self._depth_m(motion))
-            )
-        result = self.contact.solve(motion.tip_m, motion.rotation)
-        if self._creep is not None:
-            np.multiply(result.nodal_forces_N, self._forces.instant_factor, out=self._crept_N)
-            self._crept_N += self._forces.history
+            # The last tick ends here. Its force may have changed since (`converge`).
             self._forces.advance(result.nodal_forces_N)
             self._creep.advance(result.displacement_m() / self._creep.instant_factor)
+        if result.contacts > 0:
+            self._travel_m += float((self._tip_m - motion.tip_m) @ motion.rotation[:, 2])
+        self._tip_m[:] = motion.tip_m
+        self._solve_contact(motion)
         if result.outcome is not ContactOutcome.CONVERGED and not self._unsettled:
             self._unsettled = True
             self.notices.append(f"the contact did not settle: {result.outcome.value}")
@@ -243,10 +264,11 @@ class LiverModel:
     def wait_for_background(self, time_s: float) -> None:
         """Solve a hyperelastic law where a solve is due."""
         if self._law is not None:
-            depth_m = 1e-3 * float(self._response.measures[0])
-            self._law.renew(time_s, depth_m, self.contact)
-            self.notices += self._law.notices
-            self._law.notices.clear()
+            # A tool that lands takes two steps in a tick.
+            self._ticks = round(time_s / self._step_s)
+            found = self._law.renew(time_s, self._travel_m, self._state, waits=self.waits)
+            if found is not None:
+                self._take(found, time_s)
 
     def converge(self, motion: ToolMotion, *, limit: int) -> float:
         """Solve contact and hyperelastic law in turn at the present pose until the force holds.
@@ -265,34 +287,32 @@ class LiverModel:
         changed = 0.0
         if self._law is None or result.contacts == 0:
             return changed
-        depth_m = self._depth_m(motion)
         for _ in range(limit):
             before_N = result.force_N.copy()
             time_s = self._ticks * self._step_s
-            self._law.solve(time_s, depth_m, self.contact)
-            self.contact.shift(self._law.offset_m(time_s, depth_m))
-            self.contact.solve(motion.tip_m, motion.rotation)
+            self._take(self._law.solve(self._travel_m, self._state()), time_s)
+            self._solve_contact(motion)
             # 1e-12 N: a contact may have lost its force.
             size_N = max(float(np.linalg.norm(result.force_N)), 1e-12)
             changed = float(np.linalg.norm(result.force_N - before_N)) / size_N
             if changed <= SETTLED:
                 break
-        self.notices += self._law.notices
-        self._law.notices.clear()
         return changed
 
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
         """Store the forces where a frame is due."""
         # 1e-9 s: the time of a tick is rounded.
         if time_s >= self._fields.next_s - 1e-9:
-            force = self.contact.result.nodal_forces_N
-            moved = self._crept_N if self._creep is not None else force
-            self._fields.keep(time_s, force, moved if self._law is None else self.displacement_m())
+            forces = self.contact.result.nodal_forces_N
+            moved = None if self._law is None else self.displacement_m()
+            self._fields.keep(time_s, forces, self._crept_N, moved)
 
     def finish(self) -> None:
         """Compute the fields of the frames."""
         if self._lazy is not None:
             self._lazy.stop()
+        if self._law is not None:
+            self._law.stop_thread()
         self._fields.compute()
         self.notices += self._fields.notices
         self._fields.notices.clear()
@@ -322,10 +342,55 @@ class LiverModel:
 
         It is NaN where it is not known.
         """
-        moved = self.contact.result.displacement_m()
+        return self.contact.result.displacement_m() + self._offset_m
+
+    def _solve_contact(self, motion: ToolMotion) -> None:
+        """Solve the contact at a pose, with the offsets of creep and law."""
+        offset = self._offset_m
+        if self._creep is not None:
+            offset[:] = self._creep.history
         if self._law is not None:
-            return moved + self._law.latest_m
-        return moved if self._creep is None else moved + self._creep.history
+            lawful = self._law.offset_m(self._ticks * self._step_s, self._travel_m)
+            if self._creep is None:
+                offset[:] = lawful
+            else:
+                offset += lawful
+        if self._creep is not None or self._law is not None:
+            self.contact.shift(offset)
+        forces = self.contact.solve(motion.tip_m, motion.rotation).nodal_forces_N
+        if self._creep is not None:
+            np.multiply(forces, self._forces.instant_factor, out=self._crept_N)
+            self._crept_N += self._forces.history
+
+    def _state(self) -> TickState:
+        """Return the state of the last tick, from which the law is solved."""
+        assert self._law is not None
+        result = self.contact.result
+        return TickState(
+            result.nodal_forces_N.copy(),
+            self._crept_N.copy(),
+            self._law.latest_m.copy(),
+            result.compliance_m_N,
+        )
+
+    def _take(self, found: TickState, time_s: float) -> None:
+        """Use the solution of the law, and its compliance, without moving a node."""
+        law = self._law
+        assert law is not None
+        held = None
+        if found.is_renewed:
+            held = self.displacement_m()
+            self.contact.change_compliance(found.compliance_m_N)
+            held -= self.contact.result.displacement_m()
+            if self._creep is not None:
+                self._creep.become(
+                    self._forces,
+                    lambda force: (found.compliance_m_N @ force.ravel()).reshape(-1, 3),
+                )
+                held -= self._creep.history
+        law.show(time_s, self._travel_m, held)
+        self.notices += law.notices
+        law.notices.clear()
 
     def _depth_m(self, motion: ToolMotion) -> float:
         """Return the tool's travel along its axis since it last touched [m]; 0 without contact."""

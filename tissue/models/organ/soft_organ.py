@@ -115,6 +115,16 @@ class Membrane:
     young_Pa: float
     poisson_ratio: float
 
+    def stiffness(self, space: Space, faces: Ints) -> bsr_array:
+        """Return the stiffness of the membrane on faces of a space [N/m]."""
+        return capsule_stiffness(
+            space,
+            thickness_m=self.thickness_m,
+            young_Pa=self.young_Pa,
+            poisson_ratio=self.poisson_ratio,
+            faces=faces,
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class OrganLaw:
@@ -162,8 +172,8 @@ class SoftOrgan:
     friction
         Coulomb's coefficient between a tool and the organ.
     law
-        Hyperelastic law whose small-strain limit is `elasticity`; None for the linear law. It
-        cannot be combined with capsule, weight and relaxation.
+        Hyperelastic law whose small-strain limit is `elasticity`; None for the linear law. A
+        capsule stays linear, relaxation is quasi-linear, and a weight is not supported.
     device
         Warp device name.
     """
@@ -188,17 +198,22 @@ class SoftOrgan:
         self.prony = prony
         self.friction = friction
         self.law = law
-        self._capsule = capsule
+        self.capsule = capsule
         self._density = density_kg_m3
-        if law is not None and not (capsule is None and density_kg_m3 is None and prony is None):
-            raise InputError(
-                "law", "be None with a capsule, a weight or a relaxation", "one", "leave them out"
-            )
+        if law is not None and density_kg_m3 is not None:
+            raise InputError("law", "be None with a weight", "one", "leave one out")
 
     @property
     def mesh(self) -> TetMesh:
         """The tetrahedra."""
         return self.space.mesh
+
+    @cached_property
+    def membrane(self) -> bsr_array | None:
+        """Stiffness of the capsule [N/m]; None without a capsule."""
+        if self.capsule is None:
+            return None
+        return self.capsule.stiffness(self.space, self.space.faces)
 
     @cached_property
     def body(self) -> HeldBody:
@@ -210,14 +225,8 @@ class SoftOrgan:
             If the held nodes leave the organ, or a loose part of it, free to move.
         """
         stiffness = assemble(self.space, self.elasticity)
-        if self._capsule is not None:
-            membrane = capsule_stiffness(
-                self.space,
-                thickness_m=self._capsule.thickness_m,
-                young_Pa=self._capsule.young_Pa,
-                poisson_ratio=self._capsule.poisson_ratio,
-            )
-            stiffness = bsr_array((stiffness + membrane).tobsr((3, 3)))
+        if self.membrane is not None:
+            stiffness = bsr_array((stiffness + self.membrane).tobsr((3, 3)))
         fixed = np.zeros(self.space.node_count, bool)
         fixed[self.held] = True
         fixed[self.space.with_middles(faces_of(self.mesh, self.held))] = True

@@ -37,7 +37,7 @@ from tissue.scene.part import is_given
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Probe
 from tissue.simulation.builders.organ_given import SoftMaterial, hold_of
-from tissue.simulation.builders.parts import FILE_WORDS, opens_device
+from tissue.simulation.builders.parts import FILE_WORDS
 
 if TYPE_CHECKING:
     from tissue.models.organ.soft_organ import OrganLaw
@@ -90,8 +90,8 @@ the linear force, and 5.2 % with 1.5 (`tests/verification/test_organ_laws.py`). 
 (neo-Hookean) the force is 0.5 % off with 1.5 and 1.3 % with 1.0, against the law in the whole liver
 (RMS over ticks): `python tests/bench/bench_law_region.py`.
 """
-NOT_WITH = ("capsule", "gravity", "viscous", "fibre_direction")
-"""Keys of an organ that a hyperelastic law does not support yet."""
+NOT_WITH = ("gravity", "fibre_direction")
+"""Keys of an organ that a hyperelastic law does not support."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -387,7 +387,7 @@ def _held(anatomy: Held, mesh: TetMesh) -> tuple[Nodes, str]:
 
 
 def hindrance(organ: Organ) -> str | None:
-    """Return the first key of an organ that no hyperelastic law supports yet; None without one."""
+    """Return the first key of an organ that no hyperelastic law supports; None without one."""
     if organ.path != "condensed":
         return "path"
     return next((name for name in NOT_WITH if getattr(organ, name)), None)
@@ -428,8 +428,8 @@ def law_of(organ: Organ, lame_Pa: Array) -> tuple[Hyperelastic, Array] | None:
             "be left out together",
             f"{organ.law} and {shown(getattr(organ, name))}",
             (
-                "remove one, a law of large strains has an isotropic elastic organ without "
-                "weight, on its condensed compliance"
+                "remove one, a law of large strains has an isotropic organ without weight, on its "
+                "condensed compliance"
             ),
         )
     first, shear = lame_Pa[0].tolist()
@@ -445,7 +445,7 @@ def organ_law(scene: Scene, lame_Pa: Array) -> "OrganLaw | None":
     Raises
     ------
     InputError
-        As for `law_of`, or if a real device would wait for the law.
+        As for `law_of`.
     """
     from tissue.models.organ.soft_organ import OrganLaw
 
@@ -453,16 +453,6 @@ def organ_law(scene: Scene, lame_Pa: Array) -> "OrganLaw | None":
     found = law_of(organ, lame_Pa)
     if found is None:
         return None
-    if opens_device(scene):
-        raise InputError(
-            "device and organ.law",
-            "be left out together",
-            f"{scene.held.kind} and {organ.law}",
-            (
-                "remove one, a real device would wait where solving the law takes longer than "
-                "its interval"
-            ),
-        )
     assert isinstance(scene.tool, Probe)
     region_m = REGION * 0.5e-3 * scene.tool.size_mm
     return OrganLaw(*found, 1e-3 * organ.law_interval_ms, region_m)

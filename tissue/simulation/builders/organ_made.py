@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 __all__ = ["MadeOrgan", "OrganOptions", "StatedOrgan", "made_of", "of_labels", "of_surface"]
 
-NOT_WITH_LAW = ("capsule", "density_kg_m3", "relaxation")
-"""Options that a law of large strains does not support."""
 LAW_KEYS = ("name", *chain.from_iterable(LAW_SHAPES.values()))
 """Keys of a law that a caller states as a table."""
 ENVELOPE = 0.1
@@ -203,13 +201,12 @@ class StatedOrgan:
         below = given.pop("held_below_mm", None)
         law = given.pop("law", None)
         table = None if law is None else _law_table(law)
-        other = next((name for name in NOT_WITH_LAW if name in given), None)
-        if table is not None and other is not None:
+        if table is not None and "density_kg_m3" in given:
             raise InputError(
-                f"law and {other}",
+                "law and density_kg_m3",
                 "be left out together",
-                f"{table.law} and {given[other]}",
-                "remove one, a law of large strains has an isotropic elastic organ without weight",
+                f"{table.law} and {given['density_kg_m3']}",
+                "remove one, a law of large strains has an organ without weight",
             )
         return cls(SoftMaterial(modulus_kPa, poisson_ratio, **given), held, below, table)
 

@@ -249,6 +249,7 @@ class LiveObserver(RunObserver):
     """
 
     timing_columns = ("late_us", "skipped_us")
+    paces = True
 
     def __init__(
         self, scene: Scene, mouse: MouseDevice | None, clock: WallClock, page: Page | None = None
