@@ -87,6 +87,20 @@ def test_energy_force_and_stiffness_belong_together(capsule_too):
     )
 
 
+def test_a_region_of_all_cells_is_the_whole_body():
+    space, held = held_block(1, capsule_too=True)
+    cells = np.arange(space.cell_count)
+    region = RegionBody(
+        space, held, cells, law=LAW, cell_factors=np.ones(len(cells)), membrane=capsule
+    )
+    whole = NonlinearBody(space, None, law=LAW, membrane=capsule(space, space.faces))
+    moved = 1e-4 * np.random.default_rng(2).normal(size=space.nodes_m.shape)
+    energy, force = region.energy_and_force(moved[region.nodes])
+    exact, exact_N = whole.energy_and_force(moved)
+    assert energy == pytest.approx(exact, rel=1e-12)
+    assert force == pytest.approx(exact_N[region.nodes], abs=1e-12 * np.abs(exact_N).max())
+
+
 def test_a_region_of_all_cells_but_one_corner_is_nearly_the_whole_body():
     """A linear corner that hardly moves leaves the energy of the whole body."""
     space, held = held_block(1, capsule_too=True)

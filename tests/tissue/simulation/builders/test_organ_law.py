@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import tissue
 from meshes.base.errors import InputError
 from tissue.materials.elasticity import lame
 from tissue.materials.hyperelasticity import Hyperelastic
@@ -89,12 +90,62 @@ def test_what_a_law_cannot_have_is_refused(changes, sentence):
         law_of(Organ(**changes), lame(np.array([5e3]), 0.45))
 
 
-def test_at_a_small_depth_a_law_gives_the_force_of_the_linear_one():
-    peaks = [
-        simulate(load_scene("palpation", pressed(0.1, **law)), cores=1).summary["force_N"]["peak"]
+@pytest.mark.parametrize("others", [{}, {"capsule": True, "viscous": True}])
+def test_at_a_small_depth_a_law_gives_the_force_of_the_linear_one(others):
+    forces = [
+        simulate(load_scene("palpation", pressed(0.1, **law, **others)), cores=1).trace[
+            "model_force_z_N"
+        ]
         for law in ({}, {"law": "neo-hookean"})
     ]
-    assert peaks[1] == pytest.approx(peaks[0], rel=0.01)
+    np.testing.assert_allclose(forces[1], forces[0], atol=1e-3 * forces[0].max())
+
+
+def test_frames_of_a_relaxing_law_carry_the_force():
+    """Reactions balance the force of the tool while it is held and when it leaves."""
+    path = {"motion.points_mm": [[0, 0, 0.2], [0, 0, -3], [0, 0, 0.5]], "motion.feed_mm_s": 20.0}
+    given = {"law": "neo-hookean", "capsule": True, "viscous": True, "interval_ms": 50.0}
+    run = simulate(load_scene("palpation", pressed(3.0, **given) | path), cores=1)
+    force_N = run.trace["model_force_z_N"]
+    loaded = 0
+    for frame in run.parts.tissue.fields.frames:
+        # The force is that of the last row if the frame is at the end.
+        on_tool = force_N[min(round(frame.time_s * 1e3), len(force_N) - 1)]
+        if on_tool > 0.02:
+            carried = frame.points["reaction_N"][:, 2].sum()
+            assert carried == pytest.approx(on_tool, rel=0.015)
+            loaded += 1
+    assert loaded >= 3
+
+
+class Real:
+    """Device that follows the wall clock and presses 3 mm deep."""
+
+    real_time = True
+
+    def read(self, time_s):
+        return tissue.Sample(time_s, (0.0, 0.0, 2e-4 - 3.2e-3 * min(time_s / 0.2, 1.0)))
+
+    def command(self, force_N, torque_Nm):
+        """Do nothing."""
+
+
+def test_a_real_device_does_not_wait_for_a_law():
+    changes = pressed(3.0, law="neo-hookean") | {"device": "touch", "duration_s": 0.6}
+    scene = load_scene("palpation", changes)
+    run = tissue.simulate(scene, device=Real(), cores=1)
+    assert not run.parts.tissue.waits
+    assert run.summary["law"]["solves"] > 0
+    waited = tissue.simulate(scene, device=Waiting(), cores=1)
+    assert waited.parts.tissue.waits
+    force_N = waited.trace["model_force_z_N"][-1]
+    assert run.trace["model_force_z_N"][-1] == pytest.approx(force_N, rel=0.02)
+
+
+class Waiting(Real):
+    """Device that makes the same motion without a clock."""
+
+    real_time = False
 
 
 def test_a_stated_modulus_leaves_the_cited_rate_of_a_material_in_use():
