@@ -21,7 +21,7 @@ the antisymmetric change of each pair of axes (Smith, De Goes and Kim 2019, ACM 
 
 import warp as wp
 
-from kernels.tet_nonlinear import HALF, IDENTITY, TWO, deformation, gradient_of
+from kernels.tet_nonlinear import HALF, TWO, deformation, gradient_of
 
 __all__ = ["stretch_force", "stretch_stiffness"]
 
