@@ -10,6 +10,7 @@ from igtl_client import IgtlClient
 from tissue import load_scene, simulate
 from tissue.links import igtl_messages as igtl
 from tissue.links.slicer_process import SlicerFrame
+from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.live.publisher import SlicerLink
 from tissue.simulation.live.run import LiveSettings, live
 
@@ -91,11 +92,12 @@ def test_a_pose_of_a_client_moves_the_tool_on_the_devices_spring():
     greeted.all()
     assert run.scene.held.kind == "touch" and len(run.trace.rows) == 800
     assert run.trace["device_z_mm"][-1] == pytest.approx(-2.0, abs=0.01)
-    # 400 N/m in series with the wall; turned about its tip a ball of 5 mm radius is 5 mm x (1 -
-    # 0.8) deeper than that.
+    # 400 N/m at the device in series with the wall; turned about its tip a ball of 5 mm radius is 5
+    # mm x (1 - 0.8) deeper than that.
+    scale = chosen_scale(run.scene).factor
     deep_m = 2e-3 + 5e-3 * (1.0 - 0.8)
     assert run.trace["model_force_z_N"][-1] == pytest.approx(
-        deep_m / (1.0 / 400.0 + 1.0 / 4e4), rel=0.01
+        deep_m / (scale / 400.0 + 1.0 / 4e4), rel=0.01
     )
     quaternion = [run.trace[f"tool_q{c}"][-1] for c in "xyzw"]
     np.testing.assert_allclose(quaternion, [np.sqrt(0.1), 0.0, 0.0, np.sqrt(0.9)], atol=1e-3)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tissue import InputError, load_scene
+from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.live.run import LiveObserver, LiveSettings
 from tissue.simulation.live.run import live as run_live
 from tissue.simulation.live.window import WindowProcess
@@ -79,12 +80,13 @@ def test_a_mouse_moves_the_tool_on_the_devices_spring_until_the_window_is_closed
     run = run_live(load_scene("wall", {"device": device, "anatomy.stiffness_kN_m": 40.0}))
     assert len(run.trace.rows) == 600 and run.scene.held.kind == "touch"
     assert run.trace["device_z_mm"][-1] == pytest.approx(-2.0, abs=0.01)
-    # 400 N/m in series with the wall: 2 mm x (1/400 + 1/40000)^-1.
+    # 400 N/m at the device in series with the wall.
+    scale = chosen_scale(run.scene).factor
     assert run.trace["model_force_z_N"][-1] == pytest.approx(
-        2e-3 / (1.0 / 400.0 + 1.0 / 4e4), rel=0.01
+        2e-3 / (scale / 400.0 + 1.0 / 4e4), rel=0.01
     )
     assert run.trace["device_force_z_N"][-1] == pytest.approx(
-        run.trace["model_force_z_N"][-1], rel=0.02
+        scale * run.trace["model_force_z_N"][-1], rel=0.02
     )
     assert run.parts.notes["live"].startswith("the mouse moves the tool in a window")
 
