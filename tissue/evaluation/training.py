@@ -310,6 +310,7 @@ def train(
     kept = [run for index, run in enumerate(runs) if index % HELD_OUT != HELD_OUT - 1]
     limit = device_parameters(trial(scene, 0).held.kind, scene.constants).force_limit_N
     trained = with_fallback(fit(scene.name, kept), kept, limit)
+    trained.facts["command"] = f"tissue train {scene.name} --trials {trials}"
     progress("validating", (trials + 1) / (trials + 2))
     return validated(trained, runs[HELD_OUT - 1 :: HELD_OUT], limit)
 

@@ -154,9 +154,7 @@ class DelayPath:
         scaled = (self._coordinates * self._inverse).ravel()
         return float(scaled.dot(scaled)) <= self._growth
 
-    def observe(
-        self, position_m: Array, stretch_m: Array, filtered_m: Array | None = None
-    ) -> None:
+    def observe(self, position_m: Array, stretch_m: Array, filtered_m: Array | None = None) -> None:
         """Update with the device's position and the coupling's stretch in a tick, shape (3,).
 
         The first state fills all delays, as if the device had been still. `filtered_m` is the

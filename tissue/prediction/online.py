@@ -52,10 +52,9 @@ class AdaptivePath(DelayPath):
         self._used = np.zeros((2 * SMOOTHED + 1, 2, 3))
         self._later = np.zeros((HORIZON, 2, 3))
         self._age = 0
+        self._good = 0
 
-    def observe(
-        self, position_m: Array, stretch_m: Array, filtered_m: Array | None = None
-    ) -> None:
+    def observe(self, position_m: Array, stretch_m: Array, filtered_m: Array | None = None) -> None:
         """Update the window, and the fit by the oldest kept tick, whose targets are now known.
 
         Targets are displacements to later positions that the coupling uses.
@@ -63,8 +62,7 @@ class AdaptivePath(DelayPath):
         super().observe(position_m, stretch_m)
         past = self._past
         past[1:] = past[:-1]
-        # A motion outside the training range would outweigh all others for seconds.
-        past[0] = self._coordinates if self.trusted else 0.0
+        past[0] = self._coordinates
         places = self._places
         places[1:] = places[:-1]
         places[0] = self._recent[0]
@@ -80,16 +78,14 @@ class AdaptivePath(DelayPath):
         self._age += 1
         self._sums *= 1.0 - 1.0 / MEMORY
         self._sums += self._start
-        seen = past[-1]
-        # From the first tick to the last: the newest smoothed tick is the last.
-        targets = (later[::-1] - places[-1]).transpose(1, 0, 2).reshape(2 * HORIZON, 3)
-        self._sums += seen.dot(np.concatenate((seen, targets)).T)
+        # A motion outside the training range would outweigh all others for seconds.
+        self._good = self._good + 1 if self.trusted else 0
+        if self._good > len(past):
+            seen = past[-1]
+            # From the first tick to the last: the newest smoothed tick is the last.
+            targets = (later[::-1] - places[-1]).transpose(1, 0, 2).reshape(2 * HORIZON, 3)
+            self._sums += seen.dot(np.concatenate((seen, targets)).T)
         if self._age % INTERVAL == 0:
             moments = Moments(self._sums[:, :COORDINATES], self._sums[:, COORDINATES:])
             self._weights = moments.weights()
             self._maps.clear()
-
-    def pause(self) -> None:
-        """Clear all delays, and the ticks whose targets are not known yet."""
-        super().pause()
-        self._past[:] = 0.0

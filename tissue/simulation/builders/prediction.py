@@ -107,9 +107,7 @@ def trained_predictor(kind: str, trained: Trained | None, *, force_limit_N: floa
         # The learnt law of a tissue with much friction is worse than none.
         asks_law = asks_law and not trained.loses("koopman-look-ahead", "koopman")
     if kind == ADAPTIVE:
-        path: DelayPath = AdaptivePath(
-            general_operator() if trained is None else trained.operator
-        )
+        path: DelayPath = AdaptivePath(general_operator() if trained is None else trained.operator)
     else:
         assert trained is not None
         path = DelayPath(trained.operator)
