@@ -99,7 +99,7 @@ class Recording:
     def samples(self) -> tuple[Array, Array]:
         """Return coordinates, shape (n, COORDINATES, 3), and targets, shape (n, 2 HORIZON, 3).
 
-        The n ticks are those with all delays and all targets. Targets are the displacements to the
+        The n ticks are those with all targets. Before the first tick, the device was still. Targets are the displacements to the
         later true positions of the device, which have no encoder steps, and the changes to the
         later stretches between the true positions and the tool [m]. In front of a tool that cuts,
         the loop's filter is applied to the true positions.
@@ -115,8 +115,8 @@ class Recording:
         stretch = self.force_N / self.contact[:, :1]
         touches = self.force_N.any(axis=1, keepdims=True)
         tense = np.where(touches, self.contact[:, 1:4] - true, 0.0)
-        ticks = np.arange(DELAYS[-1], len(true) - HORIZON)
-        before = ticks - np.array(DELAYS)[:, None]
+        ticks = np.arange(len(true) - HORIZON)
+        before = np.maximum(ticks - np.array(DELAYS)[:, None], 0)
         later = ticks + np.arange(1, HORIZON + 1)[:, None]
         targets = (true[later] - self.position_m[ticks], tense[later] - stretch[ticks])
         seen = coordinates(self.position_m[before], stretch[before])

@@ -144,12 +144,13 @@ class DelayPath:
         self._recent = np.zeros((DELAYS[-1] + 1, 2, 3))
         self._coordinates = np.zeros((COORDINATES, 3))
         self._maps: dict[float, Array] = {}
-        self._ticks = 0
+        self._is_empty = True
+        self._missing = 0
 
     @property
     def trusted(self) -> bool:
-        """True if all delays are filled and the motion is in the range of training."""
-        if self._ticks <= DELAYS[-1]:
+        """True if all delays are known and the motion is in the range of training."""
+        if self._is_empty or self._missing:
             return False
         scaled = (self._coordinates * self._inverse).ravel()
         return float(scaled.dot(scaled)) <= self._growth
@@ -157,19 +158,21 @@ class DelayPath:
     def observe(self, position_m: Array, stretch_m: Array, filtered_m: Array | None = None) -> None:
         """Update with the device's position and the coupling's stretch in a tick, shape (3,).
 
-        The first state fills all delays, as if the device had been still. `filtered_m` is the
-        position that the coupling uses, if it is not the measured one. A trained operator has
+        The first state fills all delays, as if the device had been still. At the start of a run it
+        was. After a pause, the path is not trusted until all delays are measured. `filtered_m` is
+        the position that the coupling uses, if it is not the measured one. A trained operator has
         learnt the difference.
         """
         recent = self._recent
-        if self._ticks == 0:
+        self._missing = max(self._missing - 1, 0)
+        if self._is_empty:
             recent[:] = position_m, stretch_m
+            self._is_empty = False
         else:
             recent[1:] = recent[:-1]
             recent[0] = position_m, stretch_m
         seen = recent[DELAYS, :]
         self._coordinates = coordinates(seen[:, 0], seen[:, 1])
-        self._ticks += 1
 
     def displacement_m(self, ticks: float) -> Array:
         """Predict the displacement from the last observed position, shape (3,)."""
@@ -190,7 +193,8 @@ class DelayPath:
 
     def pause(self) -> None:
         """Clear all delays: they are filled anew from the next tick on."""
-        self._ticks = 0
+        self._is_empty = True
+        self._missing = DELAYS[-1] + 1
 
     def _map(self, ticks: float) -> Array:
         """Return the weights of displacement and change of stretch, shape (2, COORDINATES)."""

@@ -114,13 +114,19 @@ class LookAhead:
     ----------
     path
         Predictor of the device's path.
+    slopes
+        Slopes that are used: ``none``, ``given`` by the tissue, or ``learnt`` where none is given.
+        In contact without a slope, the stretch that the path predicts is used. Friction and rupture
+        of a needle or a blade have no slope that lasts.
     """
 
     residual_N = 0.0
     is_primary = True
 
-    def __init__(self, path: DelayPath) -> None:
+    def __init__(self, path: DelayPath, *, slopes: str = "learnt") -> None:
         self.path = path
+        self._slopes = slopes
+        self._has_slope = False
         self._slope = ContactSlope()
         self._contact: Contact | None = None
         self._stiffness = np.zeros((3, 3))
@@ -155,6 +161,8 @@ class LookAhead:
             return
         force = self._contact.force_N
         touches = any(force.tolist())
+        given = contact.stiffness_N_m is not None
+        self._has_slope = self._slopes == "learnt" or (given and self._slopes == "given")
         if contact.stiffness_N_m is None:
             self._slope.observe(contact.tip_m, force)
             self._stiffness = self._slope.matrix
@@ -192,7 +200,13 @@ class LookAhead:
         if contact.cutting is not None and self._answered:
             filtered = contact.tip_m - stretch
         self.path.observe(position_m, stretch, filtered)
-        self._expected = self.predict(1.0)
+        self._expected = self._next(contact)
+
+    def _next(self, contact: Contact) -> Array:
+        """Return the force expected in the next tick: of a tool that cuts, by the stretch alone."""
+        if contact.cutting is None:
+            return self.predict(1.0)
+        return contact.spring_N_m * self.path.stretch_m(1.0)
 
     def predict(self, ticks: float) -> Array:
         """Return the force of the contact law at the end of the path."""
@@ -208,6 +222,11 @@ class LookAhead:
             # Without a force of the tissue, the law is exact.
             share = LAW_SHARE if any(self._contact.force_N.tolist()) else 1.0
             return predicted + share * (by_law - predicted)
+        if not self._has_slope and any(self._force.tolist()):
+            stretch = self.path.stretch_m(ticks)
+            # Tissue does not pull: the contact has ended.
+            pushes = float(stretch.dot(self._force)) > 0.0
+            return self._contact.spring_N_m * stretch if pushes else np.zeros(3)
         return self._at(self._position + self.path.displacement_m(ticks))
 
     def pause(self) -> None:
@@ -228,16 +247,21 @@ class LookAhead:
         driving = spring * device + law.damping_N_s_m * speeds + constant
         falling = inertia + spring * law.tick_s + law.damping_N_s_m
         *_, inverse, _ = dgesv(falling * self._unit - law.slope_N_s_m, self._unit)
-        tip = contact.tip_m
-        velocity = law.velocity_m_s
-        before = self._force / spring
-        stretch = before
-        for place, drive in zip(device, driving, strict=True):
-            before = stretch
-            velocity = inverse.dot(inertia * velocity + drive - spring * tip)
-            tip = tip + law.tick_s * velocity
-            stretch = tip - place
-        later: Array = spring * (stretch + (count - ticks) * (before - stretch))
+        # State: velocity, then position of the tool. A tick is onward · state + pushed.
+        onward = np.empty((6, 6))
+        onward[:3, :3] = inertia * inverse
+        onward[:3, 3:] = -spring * inverse
+        onward[3:] = law.tick_s * onward[:3]
+        onward[3:, 3:] += self._unit
+        pushed = driving.dot(np.concatenate((inverse, law.tick_s * inverse)).T)
+        state = before = np.concatenate((law.velocity_m_s, contact.tip_m))
+        for push in pushed:
+            before = state
+            state = onward.dot(state)
+            state += push
+        stretch = state[3:] - device[-1]
+        earlier = before[3:] - device[-2] if count > 1 else self._force / spring
+        later: Array = spring * (stretch + (count - ticks) * (earlier - stretch))
         return later
 
     def _at(self, device_m: Array) -> Array:

@@ -98,20 +98,20 @@ def trained_predictor(kind: str, trained: Trained | None, *, force_limit_N: floa
         simple: Judged = Linear() if kind == "linear" else Kalman()
         return Guarded(simple, Hold(), reach_N=force_limit_N)
     fallback: Predictor = Hold()
-    asks_law = kind != "koopman"
+    slopes = "given"
     if trained is not None:
         fallback = trained_predictor(trained.fallback, trained, force_limit_N=force_limit_N)
-        if trained.loses(kind, "hold"):
+        slopes = "none" if trained.loses("koopman-look-ahead", "koopman") else "learnt"
+        best = "koopman" if kind == "koopman" or slopes == "none" else "koopman-look-ahead"
+        if trained.loses(best, "hold"):
             # Validation found no gain by the operator.
             return fallback
-        # The learnt law of a tissue with much friction is worse than none.
-        asks_law = asks_law and not trained.loses("koopman-look-ahead", "koopman")
     if kind == ADAPTIVE:
         path: DelayPath = AdaptivePath(general_operator() if trained is None else trained.operator)
     else:
         assert trained is not None
         path = DelayPath(trained.operator)
-    made_of = LookAhead(path) if asks_law else Koopman(path)
+    made_of = Koopman(path) if kind == "koopman" else LookAhead(path, slopes=slopes)
     return Guarded(made_of, fallback, reach_N=force_limit_N)
 
 
