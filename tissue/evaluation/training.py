@@ -99,10 +99,10 @@ class Recording:
     def samples(self) -> tuple[Array, Array]:
         """Return coordinates, shape (n, COORDINATES, 3), and targets, shape (n, 2 HORIZON, 3).
 
-        The n ticks are those with all targets. Before the first tick, the device was still. Targets are the displacements to the
-        later true positions of the device, which have no encoder steps, and the changes to the
-        later stretches between the true positions and the tool [m]. In front of a tool that cuts,
-        the loop's filter is applied to the true positions.
+        The n ticks are those with all targets. Before the first tick, the device was still. Targets
+        are the displacements to the later true positions of the device, which have no encoder
+        steps, and the changes to the later stretches between the true positions and the tool [m].
+        In front of a tool that cuts, the loop's filter is applied to the true positions.
         """
         true = self.position_m if self.true_position_m is None else self.true_position_m
         if Contact.of_row(self.contact[0]).cutting is not None:

@@ -8,7 +8,7 @@ zero-order hold on the wall 4 ms ahead, the direct maps 0.19.
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from math import ceil, floor
+from math import ceil
 
 import numpy as np
 from scipy.linalg.lapack import dposv
@@ -202,11 +202,11 @@ class DelayPath:
         if found is None:
             # Between two whole ticks the weights are interpolated.
             weights = self._weights.reshape(2, HORIZON, COORDINATES)
-            low = min(floor(ticks), HORIZON)
+            low = min(int(ticks), HORIZON)
             high = min(ceil(ticks), HORIZON)
             before = weights[:, low - 1] if low else np.zeros((2, COORDINATES))
             after = weights[:, high - 1] if high else before
-            found = before + (ticks - floor(ticks)) * (after - before)
+            found = before + (ticks - int(ticks)) * (after - before)
             if len(self._maps) < KEPT_LEADS:
                 self._maps[ticks] = found
         return found

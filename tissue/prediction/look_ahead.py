@@ -36,6 +36,11 @@ The errors of both are partly independent. Shares of the excess error of the zer
 ahead with weights of 0.5, 0.8 and 1: caries 0.63, 0.60 and 0.58, glenoid 0.65, 0.63 and 0.61,
 milling 0.40, 0.41 and 0.48, molar 0.37, 0.34 and 0.33, pedicle 0.49, 0.51 and 0.53.
 """
+JUMP_M = 5e-4
+"""Change of a force over the coupling's stiffness in a tick, above which it is a jump [m].
+
+It corresponds to a device speed of 0.5 m/s against a rigid tissue, faster than any hand.
+"""
 UNKNOWN = 1.0
 """Variance of an unknown slope; the slope is 1 for a tissue as stiff as the coupling."""
 
@@ -63,7 +68,8 @@ class ContactSlope:
         if self._before is not None:
             moved = tip_m - self._before[0]
             changed = force_m - self._before[1]
-            if (square := float(moved.dot(moved))) > 0.0:
+            is_jump = float(changed.dot(changed)) > JUMP_M**2
+            if (square := float(moved.dot(moved))) > 0.0 and not is_jump:
                 along = self._spread.dot(moved)
                 gain = along / (NOISE_M**2 + float(moved.dot(along)))
                 self.matrix -= (changed + self.matrix.dot(moved))[:, None] * gain
@@ -115,9 +121,9 @@ class LookAhead:
     path
         Predictor of the device's path.
     slopes
-        Slopes that are used: ``none``, ``given`` by the tissue, or ``learnt`` where none is given.
-        In contact without a slope, the stretch that the path predicts is used. Friction and rupture
-        of a needle or a blade have no slope that lasts.
+        Slopes of the tissue's force that are used: ``none``, ``given`` by the tissue, or ``learnt``
+        where none is given. In contact without a slope, the stretch that the path predicts is used.
+        Friction and rupture of a needle or a blade have no slope that lasts.
     """
 
     residual_N = 0.0
@@ -216,7 +222,7 @@ class LookAhead:
             if not any(self._force.tolist()):
                 return np.zeros(3)
             predicted = self._contact.spring_N_m * self.path.stretch_m(ticks)
-            if not self._answered:
+            if not self._answered or self._slopes == "none":
                 return predicted
             by_law = self._cut(self._contact, law, ticks)
             # Without a force of the tissue, the law is exact.

@@ -35,8 +35,8 @@ class Control(Hold):
     def predict(self, ticks):
         place, speed = self._device
         forces = [self._force]
-        for ahead in range(int(ticks) + 1):
-            pull = -40.0 * (place + ahead * TICK * speed) - 0.2 * speed
+        for later in range(int(ticks) + 1):
+            pull = -40.0 * (place + later * TICK * speed) - 0.2 * speed
             forces.append(0.9 * forces[-1] + pull)
         share = ticks - int(ticks)
         return (1.0 - share) * forces[-2] + share * forces[-1]

@@ -208,7 +208,7 @@ def test_a_tool_that_cuts_moves_on_by_its_own_balance(ticks):
     predictor = LookAhead(GivenPath(step, stretched))
     predictor.meet(Contact(SPRING, tip, force, cutting=law))
     predictor.observe(device, moving, felt)
-    places = [device + ahead * step for ahead in range(9)]
+    places = [device + number * step for number in range(9)]
     tips, now = [tip], velocity
     for place in places[1:]:
         matrix = (mass / tick + damping + SPRING * tick) * np.eye(3) - slope
