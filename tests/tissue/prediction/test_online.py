@@ -96,4 +96,4 @@ def test_a_scene_without_a_file_starts_from_all_scenes():
     position, stretch = swing(1.5, 1500)
     missed = errors(path, position, stretch)
     held = np.linalg.norm(position[6:] - position[:-6], axis=1)
-    assert missed[200:].mean() < 0.3 * held[200:].mean()
+    assert missed[200:].mean() < 0.4 * held[200:].mean()
