@@ -58,9 +58,7 @@ def train(
     }
     best = min(errors, key=lambda kind: errors[kind])
     lines = [
-        f"{facts['dictionary']}: {facts['observables']} observables from {facts['samples']} "
-        "samples; "
-        f"largest eigenvalue {facts['radius_before_cap']:.6f}, {facts['capped']} capped",
+        f"{len(facts['delays'])} delays, {facts['samples']} samples",
         f"error on {len(checked['held_out'])} run{'s' * (len(checked['held_out']) > 1)} held "
         "out, % of the force, at "
         f"{', '.join(map(str, checked['horizons_ms']))} ms:",

@@ -17,11 +17,17 @@ from tissue.evaluation.statistics.metrics import force_error
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.hand_measures import TRUE
 from tissue.haptics.hand_motion import HandMotion
-from tissue.haptics.loop.filters import VELOCITY_MEMORY, ConstantAcceleration
+from tissue.haptics.loop.filters import OBSERVER_MEMORY, VELOCITY_MEMORY, ConstantAcceleration
 from tissue.haptics.loop.sampled_loop import force_later_N
 from tissue.models.tissue_model import TissueModel
-from tissue.prediction.edmd import Edmd, Episode, window
-from tissue.prediction.operator import Delays, Identity, Operator
+from tissue.prediction.delays import (
+    COORDINATES,
+    DELAYS,
+    HORIZON,
+    DelayOperator,
+    Moments,
+    coordinates,
+)
 from tissue.prediction.predictor import CONTACT_WIDTH, Contact, Predictor, SeesContact
 from tissue.prediction.trained import VALIDATED_AT, Trained
 from tissue.scene.coupling import WallAnatomy
@@ -40,7 +46,6 @@ from tissue.simulation.simulate import TICK_S, build
 __all__ = [
     "DELAYS_MS",
     "HORIZONS",
-    "LAGS",
     "LEAST_TRIALS",
     "MOST_TRIALS",
     "TRIALS",
@@ -49,7 +54,6 @@ __all__ = [
     "fit",
     "forecast",
     "forecast_errors",
-    "growth_of",
     "touching",
     "train",
     "trial",
@@ -60,8 +64,6 @@ __all__ = [
 
 DELAYS_MS = (0, 4, 8)
 """Latencies of training runs, in turn [ms]: with a late force, a hand moves differently."""
-DITHER_N = 1e-6
-"""Noise added to a training force [N], so that an axis without force can be scaled."""
 
 
 @dataclass(frozen=True)
@@ -94,30 +96,31 @@ class Recording:
     model_s: float = 0.0
     true_position_m: Array | None = None
 
-    def dithered_N(self) -> Array:
-        """Return the force with a little noise, the same every time."""
-        return self.force_N + DITHER_N * np.random.default_rng(self.seed).standard_normal(
-            self.force_N.shape
-        )
+    def samples(self) -> tuple[Array, Array]:
+        """Return coordinates, shape (n, COORDINATES, 3), and targets, shape (n, 2 HORIZON, 3).
 
-    def episodes(self) -> list[Episode]:
-        """Return one episode per axis, each of shape (n, STATE).
-
-        The state is the displacement since the previous tick and the stretch of the coupling [m].
+        The n ticks are those with all targets. Before the first tick, the device was still. Targets
+        are the displacements to the later true positions of the device, which have no encoder
+        steps, and the changes to the later stretches between the true positions and the tool [m].
+        In front of a tool that cuts, the loop's filter is applied to the true positions.
         """
-        moved = np.diff(self.position_m, axis=0, prepend=self.position_m[:1])
+        true = self.position_m if self.true_position_m is None else self.true_position_m
+        if Contact.of_row(self.contact[0]).cutting is not None:
+            observer = ConstantAcceleration(OBSERVER_MEMORY, step_s=TICK_S)
+            seen_m = np.empty_like(true)
+            for index, place in enumerate(true):
+                observer.step(place)
+                seen_m[index] = observer.position
+            true = seen_m
         stretch = self.force_N / self.contact[:, :1]
-        return [
-            Episode(np.column_stack(axis), None, TICK_S)
-            for axis in zip(moved.T, stretch.T, strict=True)
-        ]
-
-    def driven_episode(self) -> Episode:
-        """Return states and inputs for linear dynamic mode decomposition.
-
-        The states are the force, shape (n, 3), and the inputs describe the device, shape (n, 6).
-        """
-        return Episode(self.dithered_N(), np.hstack((self.position_m, self.velocity_m_s)), TICK_S)
+        touches = self.force_N.any(axis=1, keepdims=True)
+        tense = np.where(touches, self.contact[:, 1:4] - true, 0.0)
+        ticks = np.arange(len(true) - HORIZON)
+        before = np.maximum(ticks - np.array(DELAYS)[:, None], 0)
+        later = ticks + np.arange(1, HORIZON + 1)[:, None]
+        targets = (true[later] - self.position_m[ticks], tense[later] - stretch[ticks])
+        seen = coordinates(self.position_m[before], stretch[before])
+        return seen.swapaxes(0, 1), np.concatenate(targets).swapaxes(0, 1)
 
 
 def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float = 1.0) -> Scene:
@@ -275,20 +278,6 @@ It shares no factor with the three groups of hands, so that each group validates
 HORIZONS = (1, 2, 3, 4, 6, 8, 10)
 """Ticks ahead at which predictors are compared."""
 LEAST_RUNS = 3
-LAGS = 80
-"""Number of delays, most of a period of tremor.
-
-With fewer delays the operator treats encoder steps at 15 to 40 Hz as motion. The figures are the
-look-ahead's excess error on unseen runs of palpation over the excess error of zero-order hold. 50
-delays leave 0.39 to 0.49, and 0.65 to 0.78 at 0.6 of the pace. 100 delays leave 0.34 to 0.40 and
-0.57 to 0.61, but in files of 0.2 MB. On the wall all leave 0.17 to 0.24. A regression of the
-displacement itself, measured or true, was no better.
-"""
-RIDGE = 1e-6
-"""Ridge penalty as a share of the variance, which keeps weights of delayed states small.
-
-Delayed states are equal to within one encoder step.
-"""
 MARGIN = 3.0
 """Ratio to the largest mean square in training at which a window is outside of it; a prior."""
 
@@ -321,14 +310,15 @@ def train(
     kept = [run for index, run in enumerate(runs) if index % HELD_OUT != HELD_OUT - 1]
     limit = device_parameters(trial(scene, 0).held.kind, scene.constants).force_limit_N
     trained = with_fallback(fit(scene.name, kept), kept, limit)
+    trained.facts["command"] = f"tissue train {scene.name} --trials {trials}"
     progress("validating", (trials + 1) / (trials + 2))
     return validated(trained, runs[HELD_OUT - 1 :: HELD_OUT], limit)
 
 
 def with_fallback(trained: Trained, runs: list[Recording], force_limit_N: float) -> Trained:
-    """Choose the fallback with the smallest mean error among the unlifted predictors.
+    """Choose the fallback with the smallest mean error among the predictors of `FALLBACKS`.
 
-    These are the predictors without a lifted operator.
+    These are the predictors without an operator.
     """
     makers = {
         kind: partial(trained_predictor, kind, trained, force_limit_N=force_limit_N)
@@ -370,8 +360,8 @@ def validated(trained: Trained, held_out: list[Recording], force_limit_N: float)
     return replace(trained, facts=trained.facts | {"validation": validation})
 
 
-def fit(scene: str, runs: Sequence[Recording], *, lags: int = LAGS) -> Trained:
-    """Fit the predictors of a scene to recorded runs. Every axis of a run is a separate episode.
+def fit(scene: str, runs: Sequence[Recording]) -> Trained:
+    """Fit the operator of a scene to recorded runs. All axes of a run have equal weight.
 
     Raises
     ------
@@ -386,34 +376,33 @@ def fit(scene: str, runs: Sequence[Recording], *, lags: int = LAGS) -> Trained:
         raise InputError(
             "scene", "have a tool that touches", "no force in any trial", "run longer, or go deeper"
         )
-    episodes = [axis for run in runs for axis in run.episodes()]
-    operator = Edmd(Delays(lags), ridge=RIDGE, offset=False).fit(episodes)
-    control = Edmd(Identity()).fit([run.driven_episode() for run in runs])
-    statistics = operator.statistics
+    count = 0
+    sums = np.zeros((COORDINATES, COORDINATES + 2 * HORIZON))
+    for run in runs:
+        seen, targets = run.samples()
+        rows = seen.swapaxes(1, 2).reshape(-1, COORDINATES)
+        wanted = targets.swapaxes(1, 2).reshape(-1, 2 * HORIZON)
+        sums += rows.T @ np.hstack((rows, wanted))
+        count += len(rows)
+    sums /= count
+    moments = Moments(sums[:, :COORDINATES], sums[:, COORDINATES:])
     facts = {
-        "dictionary": f"{lags} delays",
-        "observables": len(operator.offset),
-        "samples": statistics.samples,
-        "radius_before_cap": statistics.radius_before,
-        "capped": statistics.capped,
+        "delays": list(DELAYS),
+        "samples": count,
+        "groups": [run.group for run in runs],
         "seeds": [run.seed for run in runs],
     }
-    return Trained(scene, operator, control, growth_of(operator, runs), facts=facts)
+    operator = DelayOperator(moments, MARGIN * _largest_square(moments, runs))
+    return Trained(scene, operator, facts=facts)
 
 
-def growth_of(operator: Operator, runs: Sequence[Recording]) -> float:
-    """Return the mean square of scaled windows, all axes together, that training has reached.
-
-    Beyond this value, nothing was learnt.
-    """
-    largest = 0.0
-    for run in runs:
-        scaled = [
-            window(axis.states, operator.dictionary.lags) / operator.scale
-            for axis in run.episodes()
-        ]
-        largest = max(largest, float(sum((each**2).mean(axis=1) for each in scaled).max()))
-    return MARGIN * largest
+def _largest_square(moments: Moments, runs: Sequence[Recording]) -> float:
+    """Return the largest mean square of scaled coordinates, all axes together, in any tick."""
+    squares = np.diag(moments.coordinates)
+    return max(
+        float(np.einsum("tca,c->t", run.samples()[0] ** 2, 1.0 / squares).max()) / COORDINATES
+        for run in runs
+    )
 
 
 def forecast(

@@ -19,7 +19,7 @@ from tissue.haptics.renderer import PassivityObserver, PassivityRenderer, Render
 from tissue.models.tissue_model import TICK_S, Response, TissueModel, ToolMotion
 from tissue.motion.motion import Motion, matrix_of
 from tissue.motion.quaternion import UPRIGHT, Quaternion
-from tissue.prediction.predictor import Contact, Predictor, SeesContact
+from tissue.prediction.predictor import Contact, CuttingLaw, Predictor, SeesContact
 
 __all__ = ["HandMotion", "Rendering", "Script"]
 
@@ -349,7 +349,9 @@ class HandMotion(Motion):
             if self.predictor is not None:
                 if self._sees is not None:
                     self._sees.meet(self.contact(response))
-                self.predictor.observe(here, speed, force if self._fresh else None)
+                # The sample itself: a filter in front of the tool would delay the predictor.
+                measured = np.array(sample.position_m)
+                self.predictor.observe(measured, speed, force if self._fresh else None)
                 predicted = self.predictor.predict(self.lead_ticks)
                 row[at.PREDICTED_FORCE] = predicted
                 row[at.RESIDUAL] = self.predictor.residual_N
@@ -392,6 +394,15 @@ class HandMotion(Motion):
         scale = self._scale
         felt = self._coupling_N_m / (scale * tool.stiffness_N_m)
         known = response.stiffness_N_m
+        law = None
+        if isinstance(tool, CuttingTool):
+            law = CuttingLaw(
+                tool.velocity[:3] / scale,
+                (scale * felt) * tool.slope_N_s_m,
+                scale * felt * tool.mass_kg,
+                scale * felt * tool.damping_N_s_m,
+                self._step,
+            )
         return Contact(
             self._coupling_N_m,
             (tool.tip_m - self._shift) / scale,
@@ -399,7 +410,7 @@ class HandMotion(Motion):
             None if known is None else (scale * felt) * known,
             response.gap_m / scale,
             response.normal,
-            isinstance(tool, CuttingTool),
+            law,
         )
 
     def raw_force_N(self) -> Array:

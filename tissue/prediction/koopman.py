@@ -1,23 +1,14 @@
-"""Lifted linear predictor in the loop: powers of an operator on displacements and stretches.
+"""Force prediction from the past of device and coupling, without the law of the tissue."""
 
-The displacements are the device's, the stretches are the coupling's.
-"""
-
-from math import floor, sqrt
+from math import sqrt
 
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError
-from tissue.prediction.operator import Operator
+from tissue.prediction.delays import DelayPath
 from tissue.prediction.predictor import Contact
 
-__all__ = ["STATE", "Koopman", "OperatorPath"]
-
-STATE = 2
-"""Entries of an axis' state [m]: device displacement in the last tick, and coupling stretch."""
-MOST_LEADS = 16
-"""Number of leads whose maps are kept: a loop asks for one lead, and for the next tick."""
+__all__ = ["Koopman"]
 
 LEAST_DEPTH_M = 2e-4
 """Smallest depth at which a contact's stiffness is estimated [m]: four encoder steps.
@@ -32,111 +23,6 @@ A shorter gap is chatter of a cut, which leaves no surface.
 """
 REMEMBERED = 0.95
 """Factor per tick on past forces in the estimate of their direction: a decaying force has none."""
-
-
-class OperatorPath:
-    """Displacement and stretch by powers of one operator on the delayed states of an axis.
-
-    All axes use one operator. States are displacements and stretches, not positions, and the
-    operator has no offset. The prediction is therefore invariant to translation and rotation of the
-    motion, and does not depend on the scale of the forces. States have shape (STATE,) an axis.
-
-    Parameters
-    ----------
-    operator
-        Operator on `STATE` states with delays, without inputs and offset.
-    growth
-        Mean square of the scaled states of a window, all axes together, above which it is outside
-        the training range.
-    """
-
-    def __init__(self, operator: Operator, *, growth: float) -> None:
-        if operator.state_size != STATE or operator.B.shape[1] or operator.offset.any():
-            raise InputError(
-                "operator",
-                f"have {STATE} states, no inputs and no offset",
-                f"{operator.state_size} and {operator.B.shape[1]}",
-                "train it again",
-            )
-        self._operator = operator
-        self._growth = growth
-        self._window = np.zeros((len(operator.offset), 3))
-        self._inverse = 1.0 / (operator.scale[:, None] * np.sqrt(len(operator.offset)))
-        self._powers: list[Array] = []
-        self._maps: dict[float, Array] = {}
-        self._position = np.zeros(3)
-        self._ticks = 0
-
-    @property
-    def trusted(self) -> bool:
-        """True if the window is full and its states are in the range of training."""
-        if self._ticks <= self._operator.dictionary.lags:
-            return False
-        scaled = (self._window * self._inverse).ravel()
-        return float(scaled.dot(scaled)) <= self._growth
-
-    def observe(self, position_m: Array, stretch_m: Array) -> None:
-        """Add the newest state to the window.
-
-        The first state fills the window, as if the device had been still.
-        """
-        window = self._window
-        if self._ticks == 0:
-            window[0::STATE] = 0.0
-            window[1::STATE] = stretch_m
-        else:
-            window[STATE:] = window[:-STATE]
-            window[0] = position_m - self._position
-            window[1] = stretch_m
-        self._position = position_m.copy()
-        self._ticks += 1
-
-    def displacement_m(self, ticks: float) -> Array:
-        """Return the sum of the operator's displacements over the ticks ahead."""
-        displacement: Array = self._later(ticks)[0]
-        return displacement
-
-    def stretch_m(self, ticks: float) -> Array:
-        """Return the coupling's stretch after a number of ticks, shape (3,)."""
-        stretch: Array = self._later(ticks)[1]
-        return stretch
-
-    def pause(self) -> None:
-        """Clear the window.
-
-        It is filled anew from the next state on, and not trusted until it is full.
-        """
-        self._ticks = 0
-
-    def _later(self, ticks: float) -> Array:
-        """Return displacement and stretch, shape (STATE, 3)."""
-        found = self._maps.get(ticks)
-        if found is None:
-            # Between two whole ticks the maps are interpolated.
-            low = floor(ticks)
-            share = ticks - low
-            found = (1.0 - share) * self._power(low) + share * self._power(low + 1)
-            if len(self._maps) < MOST_LEADS:
-                self._maps[ticks] = found
-        later: Array = found.dot(self._window)
-        return later
-
-    def _power(self, ticks: int) -> Array:
-        """Return the matrix from a window to the state some whole ticks ahead.
-
-        Its shape is (STATE, states).
-        """
-        if not self._powers:
-            self._powers.append(
-                np.eye(STATE, len(self._operator.offset)) * np.array([[0.0], [1.0]])
-            )
-        while len(self._powers) <= ticks:
-            # S_h = sum of C_x A^j over j = 1..h obeys S_h = (S_{h-1} + C_x) A; the stretch is C_s
-            # A^h.
-            before = self._powers[-1].copy()
-            before[0, 0] += 1.0
-            self._powers.append(before @ self._operator.A)
-        return self._powers[ticks]
 
 
 class Koopman:
@@ -159,7 +45,7 @@ class Koopman:
     residual_N = 0.0
     is_primary = True
 
-    def __init__(self, path: OperatorPath) -> None:
+    def __init__(self, path: DelayPath) -> None:
         self.path = path
         self._spring = 0.0
         self._position, self._force, self._normal, self._push, self._surface, self._begun = (

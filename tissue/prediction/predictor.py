@@ -9,16 +9,15 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, require_positive, require_range
-from tissue.prediction.operator import Operator
+from meshes.base.errors import require_positive, require_range
 
 __all__ = [
     "CONTACT_WIDTH",
     "Contact",
+    "CuttingLaw",
     "Hold",
     "Kalman",
     "Linear",
-    "LinearControl",
     "Predictor",
     "SeesContact",
     "kalman_gains",
@@ -81,8 +80,37 @@ class Hold:
         """Do nothing: the hold does not depend on the ticks between forces."""
 
 
-CONTACT_WIDTH = 21
+CONTACT_WIDTH = 35
 """Number of values of a contact in a recording."""
+
+
+@dataclass
+class CuttingLaw:
+    """Balance of a tool with inertia that cuts, linearised about its velocity v.
+
+    In a tick T, the velocity changes from v to w, with the device at x and the tool at p::
+
+        m (w - v) / T = k (x - p - T w) + b (x_velocity - w) + F + S (w - v)
+
+    F is the force of the tissue on the tool at v. All values are in SI units at the device.
+
+    Attributes
+    ----------
+    velocity_m_s
+        Velocity v of the tool, shape (3,).
+    slope_N_s_m
+        Change S of the tissue's force with the velocity, shape (3, 3).
+    mass_kg, damping_N_s_m
+        Mass m of the tool and damper b of the coupling.
+    tick_s
+        Time T between two positions of the tool.
+    """
+
+    velocity_m_s: Array
+    slope_N_s_m: Array
+    mass_kg: float
+    damping_N_s_m: float
+    tick_s: float
 
 
 @dataclass
@@ -105,8 +133,9 @@ class Contact:
     gap_m, normal
         Distance of a free tool from the tissue's surface [m], infinite where the tissue does not
         provide it, and the unit direction out of the surface, shape (3,).
-    cuts
-        True if the tool cuts. Then no force pushes it back to its earlier position.
+    cutting
+        Law of a tool that cuts; None for any other tool. No force pushes a tool that cuts back to
+        its earlier position.
     """
 
     spring_N_m: float
@@ -115,30 +144,40 @@ class Contact:
     stiffness_N_m: Array | None = None
     gap_m: float = inf
     normal: Array = field(default_factory=lambda: np.zeros(3))
-    cuts: bool = False
+    cutting: CuttingLaw | None = None
 
     def row(self) -> Array:
-        """Return all values as one row, shape (CONTACT_WIDTH,); NaN for an unknown stiffness."""
-        stiffness = np.full(9, nan) if self.stiffness_N_m is None else self.stiffness_N_m.ravel()
-        return np.concatenate(
-            (
-                (self.spring_N_m,),
-                self.tip_m,
-                self.force_N,
-                stiffness,
-                (self.gap_m,),
-                self.normal,
-                (self.cuts,),
-            )
-        )
+        """Return all values as one row, shape (CONTACT_WIDTH,).
+
+        An unknown stiffness is NaN. The cutting law is zero for a tool that does not cut.
+        """
+        row = np.zeros(CONTACT_WIDTH)
+        row[0] = self.spring_N_m
+        row[1:4] = self.tip_m
+        row[4:7] = self.force_N
+        row[7:16] = nan if self.stiffness_N_m is None else self.stiffness_N_m.ravel()
+        row[16] = self.gap_m
+        row[17:20] = self.normal
+        if (law := self.cutting) is not None:
+            row[20:23] = law.velocity_m_s
+            row[23:32] = law.slope_N_s_m.ravel()
+            row[32:] = law.mass_kg, law.damping_N_s_m, law.tick_s
+        return row
 
     @classmethod
     def of_row(cls, row: Array) -> "Contact":
         """Return the contact of a row made by `row`."""
-        # The order of `row`: spring, tip, force, nine of the stiffness, gap, normal, cuts.
         stiffness = None if isnan(row[7]) else row[7:16].reshape(3, 3)
+        mass, damping, tick = row[32:].tolist()
+        law = CuttingLaw(row[20:23], row[23:32].reshape(3, 3), mass, damping, tick)
         return cls(
-            float(row[0]), row[1:4], row[4:7], stiffness, float(row[16]), row[17:20], bool(row[20])
+            float(row[0]),
+            row[1:4],
+            row[4:7],
+            stiffness,
+            float(row[16]),
+            row[17:20],
+            law if mass > 0.0 else None,
         )
 
 
@@ -266,76 +305,3 @@ class Kalman:
     def pause(self) -> None:
         """Reset the rates, which belong to the earlier motion."""
         self._state[1:] = 0.0
-
-
-class LinearControl:
-    """Linear dynamic mode decomposition with control: F+ = A F + B (x, v) + offset.
-
-    Source: Proctor, Brunton & Kutz 2016. The device keeps its present speed over the ticks ahead.
-
-    Parameters
-    ----------
-    operator
-        Its states are the force [N], shape (3,), its inputs the device's position [m] and velocity
-        [m/s], shape (6,).
-    """
-
-    residual_N = 0.0
-    is_primary = trusted = True
-
-    def __init__(self, operator: Operator) -> None:
-        if operator.A.shape != (3, 3) or operator.B.shape != (3, 6):
-            raise InputError(
-                "operator",
-                "take a force by position and velocity",
-                operator.B.shape,
-                "train it again",
-            )
-        self._A = operator.A
-        self._B = operator.B
-        self._offset = operator.offset
-        self._step = operator.step_s
-        self._known = np.zeros(9)
-        self._maps = [(np.eye(3, 9), np.zeros(3))]
-
-    def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
-        """Update with the device and the force.
-
-        In a tick without a force, the force predicted for this tick is used.
-        """
-        known = self._known
-        expected = self.predict(1)
-        if force_N is not None:
-            missed = force_N - expected
-            self.residual_N = sqrt(missed.dot(missed))
-        known[:3] = expected if force_N is None else force_N
-        known[3:6] = position_m
-        known[6:] = velocity_m_s
-
-    def predict(self, ticks: float) -> Array:
-        """Return the force by powers of the operator, with the device at its present speed.
-
-        Between two powers the force is interpolated linearly.
-        """
-        whole = int(ticks)
-        now = self._after(whole)
-        if ticks == whole:
-            return now
-        return now + (ticks - whole) * (self._after(whole + 1) - now)
-
-    def _after(self, ticks: int) -> Array:
-        """Return the force after a number of ticks."""
-        while len(self._maps) <= ticks:
-            matrix, offset = self._maps[-1]
-            # Position enters at its value after the elapsed ticks: x + k T v.
-            acting = self._B.copy()
-            acting[:, 3:] += (len(self._maps) - 1) * self._step * self._B[:, :3]
-            onward = self._A @ matrix
-            onward[:, 3:] += acting
-            self._maps.append((onward, self._A @ offset + self._offset))
-        matrix, offset = self._maps[ticks]
-        force: Array = matrix.dot(self._known)
-        return force + offset
-
-    def pause(self) -> None:
-        """Treat the next sample as the last one."""

@@ -1,29 +1,23 @@
 """Trained predictors of a scene, and their file: arrays and one line of JSON, without any code."""
 
 import json
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 from zipfile import is_zipfile
 
 import numpy as np
+from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
 from meshes.base.errors import DamagedFileError, InputError
 from meshes.base.file_limits import read_npz
 from meshes.base.text_tables import read_json
 from meshes.base.whole_file import package_version, require_new_file, require_version, whole_file
-from tissue.prediction.operator import (
-    Delays,
-    Dictionary,
-    GapProducts,
-    Identity,
-    Operator,
-    Polynomials,
-)
+from tissue.prediction.delays import COORDINATES, DELAYS, HORIZON, DelayOperator, Moments
 
-__all__ = ["VALIDATED_AT", "Trained", "from_plain", "is_trained", "shipped_file", "to_plain"]
+__all__ = ["VALIDATED_AT", "Trained", "general_operator", "is_trained", "shipped_file"]
 
 SHIPPED = Path(__file__).parent / "trained"
 """Folder of the predictors that ship with the engine, one file a scene."""
@@ -34,14 +28,10 @@ It is the lead for 4 ms of latency, which is 6.11 ticks on a touch with its path
 `tissue.simulation.builders.loop.lead_ticks`.
 """
 FORMAT = "tissue predictor"
-VERSION = 3
-"""Version of the file. Files of version 2 hold further arrays, which `read` leaves out."""
-ROUNDED = ("A", "B")
-EXACT = ("offset", "middle", "scale")
-"""Arrays of an operator that a file holds in single and in double precision."""
-KINDS: dict[object, Callable[..., Dictionary]] = {
-    kind.__name__: kind for kind in (Identity, Polynomials, GapProducts, Delays)
-}
+VERSION = 4
+"""Version of the file."""
+SHAPES = {"coordinates": (COORDINATES, COORDINATES), "targets": (COORDINATES, 2 * HORIZON)}
+"""Arrays of a file: the moments of the training data, see `tissue.prediction.delays.Moments`."""
 
 
 @dataclass(frozen=True)
@@ -53,13 +43,7 @@ class Trained:
     scene
         Name of the scene.
     operator
-        Operator of the lifted predictors, on displacement and stretch of an axis [m], see
-        `tissue.prediction.koopman`.
-    control
-        Operator of linear dynamic mode decomposition; states are the force, inputs position and
-        velocity of the device.
-    growth
-        Mean square of the scaled windows above which the operator is outside its training range.
+        Delay operator of displacement and stretch of an axis [m], see `tissue.prediction.delays`.
     fallback
         Name of the predictor used outside the training range: the best predictor without an
         operator.
@@ -68,14 +52,12 @@ class Trained:
     """
 
     scene: str
-    operator: Operator
-    control: Operator
-    growth: float
+    operator: DelayOperator
     fallback: str = "hold"
     facts: dict[str, Any] = field(default_factory=dict)
 
-    def loses(self, kind: str) -> bool:
-        """Return True if the zero-order hold had a smaller error than a predictor in validation.
+    def loses(self, kind: str, other: str) -> bool:
+        """Return True if another predictor had a smaller error than a predictor in validation.
 
         The errors are compared at the validated horizon nearest to a loop's usual lead.
         """
@@ -84,12 +66,10 @@ class Trained:
         errors = self.facts["validation"]["errors"]
         horizons = np.array(self.facts["validation"]["horizons_ms"])
         at = int(np.abs(horizons - VALIDATED_AT).argmin())
-        return bool(errors[kind][at] > errors["hold"][at])
+        return bool(errors[kind][at] > errors[other][at])
 
     def write(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write the predictors to a file, which appears completely or not at all.
-
-        The matrices are written in single precision, which keeps the file small.
 
         Raises
         ------
@@ -100,24 +80,19 @@ class Trained:
         require_new_file(path, overwrite=overwrite)
         if not path.parent.is_dir():
             raise InputError("file", "lie in a folder that exists", path, f"create {path.parent}")
-        stored: dict[str, Any] = {}
-        described = {}
-        for name, operator in (("lifted", self.operator), ("control", self.control)):
-            described[name] = {
-                "dictionary": to_plain(operator.dictionary),
-                "step_s": operator.step_s,
-            }
-            for key in ROUNDED:
-                stored[f"{name}.{key}"] = getattr(operator, key).astype(np.float32).astype(float)
-            for key in EXACT:
-                stored[f"{name}.{key}"] = getattr(operator, key)
+        moments = self.operator.moments
+        stored = {key: getattr(moments, key) for key in SHAPES}
         whole = {
             "format": FORMAT,
             "version": VERSION,
             "tissue": package_version(),
             "scene": self.scene,
-            "operators": described,
-            "header": {"growth": self.growth, "fallback": self.fallback, "facts": self.facts},
+            "delays": DELAYS,
+            "header": {
+                "growth": self.operator.growth,
+                "fallback": self.fallback,
+                "facts": self.facts,
+            },
         }
         line = np.array(json.dumps(whole, allow_nan=False))
         with whole_file(path) as temporary, temporary.open("wb") as file:
@@ -149,12 +124,12 @@ class Trained:
             require_version(what, whole, VERSION, key="version", where=path, remedy=again)
             if scene is not None and whole["scene"] != scene:
                 raise InputError(what, f"be of scene {scene}", f"{whole['scene']} in {path}", again)
-            lifted, control = (
-                _operator(name, whole["operators"][name], held) for name in ("lifted", "control")
-            )
+            if tuple(whole["delays"]) != DELAYS:
+                raise InputError(what, "have the delays of this version", path, again)
+            moments = Moments(**{key: _checked(key, held[key]) for key in SHAPES})
             header = whole["header"]
-            growth = float(header["growth"])
-            return cls(whole["scene"], lifted, control, growth, header["fallback"], header["facts"])
+            operator = DelayOperator(moments, float(header["growth"]))
+            return cls(whole["scene"], operator, header["fallback"], header["facts"])
         except InputError:
             raise
         except Exception as problem:  # a damaged archive raises many kinds of errors
@@ -190,65 +165,25 @@ def is_trained(scene: str, file: str = "") -> bool:
     return bool(file) or (SHIPPED / f"{scene}.npz").is_file()
 
 
-def _operator(name: str, plain: Mapping[str, Any], arrays: Mapping[str, Any]) -> Operator:
-    """Return one operator of a file after checking its shapes and numbers."""
-    given: dict[str, Array] = {key: arrays[f"{name}.{key}"] for key in (*ROUNDED, *EXACT)}
-    count = len(given["offset"])
-    inputs = given["B"].shape[-1]
-    shapes = {"A": (count, count), "B": (count, inputs), "middle": (count,), "scale": (count,)}
-    for key, each in given.items():
-        if each.dtype != np.float64 or not np.isfinite(each).all():
-            raise DamagedFileError(f"{name}.{key} is not finite")
-        if each.shape != shapes.get(key, (count,)):
-            raise DamagedFileError(f"{name}.{key} has shape {each.shape}")
-    operator = Operator(
-        dictionary=from_plain(plain["dictionary"]),
-        A=given["A"],
-        B=given["B"],
-        offset=given["offset"],
-        middle=given["middle"],
-        scale=given["scale"],
-        step_s=float(plain["step_s"]),
-    )
-    # The state size follows from the number of observables, and is 0 where no size fits them.
-    if not operator.state_size:
-        raise DamagedFileError(f"{name} has {count} observables")
-    return operator
+@cache
+def general_operator(*, without: str = "") -> DelayOperator:
+    """Return the operator fitted to the training data of all shipped predictors together.
 
-
-def to_plain(dictionary: Dictionary) -> dict[str, object]:
-    """Return the dictionary as names, numbers and lists, for a file."""
-    plain: dict[str, object] = {"kind": type(dictionary).__name__}
-    for entry in fields(dictionary):  # type: ignore[arg-type]
-        value = getattr(dictionary, entry.name)
-        plain[entry.name] = to_plain(value) if isinstance(value, Dictionary) else value
-    return plain
-
-
-def from_plain(plain: Mapping[str, object]) -> Dictionary:
-    """Return the dictionary that `to_plain` described.
-
-    Raises
-    ------
-    InputError
-        If the kind or one of its fields is unknown, or a value cannot be used.
+    Every scene has the same weight. The data of the scene ``without`` are left out.
     """
-    given = {name: _frozen(value) for name, value in plain.items()}
-    kind = given.pop("kind", None)
-    if kind not in KINDS:
-        raise InputError(
-            "kind", f"be one of {', '.join(map(str, KINDS))}", kind, "train the predictor again"
-        )
-    try:
-        return KINDS[kind](**given)
-    except TypeError as problem:
-        raise InputError(
-            kind, "have the fields of this version", problem, "train it again"
-        ) from None
+    operators = [
+        Trained.read(path).operator
+        for path in sorted(SHIPPED.glob("*.npz"))
+        if path.stem != without
+    ]
+    moments = Moments.pooled(each.moments for each in operators)
+    return DelayOperator(moments, max(each.growth for each in operators))
 
 
-def _frozen(value: object) -> object:
-    """Convert lists to tuples, and descriptions to dictionaries of observables."""
-    if isinstance(value, Mapping):
-        return from_plain(value)
-    return tuple(_frozen(each) for each in value) if isinstance(value, list) else value
+def _checked(name: str, array: NDArray[Any]) -> Array:
+    """Return an array of a file after checking its shape and numbers."""
+    if array.dtype != np.float64 or not np.isfinite(array).all():
+        raise DamagedFileError(f"{name} is not finite")
+    if array.shape != SHAPES[name]:
+        raise DamagedFileError(f"{name} has shape {array.shape}")
+    return array

@@ -118,7 +118,10 @@ class Device(Part):
         """Yield the rules for keys that the device and the prediction do not use."""
         entry = DEVICES[self.kind]
         has_torque = entry.numbers.get("torque_limit_Nm", 0.0) > 0.0
-        is_trained = self.prediction != "none" and PREDICTORS[self.prediction].trained
+        # koopman-online starts from a file where there is one.
+        is_trained = self.prediction == "koopman-online" or (
+            self.prediction != "none" and PREDICTORS[self.prediction].trained
+        )
         simulated = f"with device = {self.kind}, which no adapter opens"
         koopman = "set prediction = koopman"
         yield "hardware", not entry.has_adapter, simulated, "set device = haply"

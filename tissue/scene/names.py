@@ -234,10 +234,9 @@ PREDICTORS: Registry[PredictorEntry] = Registry(
         "hold": PredictorEntry(colour="0.45", marker="s"),
         "linear": PredictorEntry(colour="#E69F00", marker="^"),
         "kalman": PredictorEntry(colour="#CC79A7", marker="v"),
-        "dmdc": PredictorEntry(trained=True, colour="#009E73", marker="D"),
-        "look-ahead": PredictorEntry(colour="#56B4E9", marker="<"),
         "koopman": PredictorEntry(trained=True, colour="#0072B2", marker="o"),
         "koopman-look-ahead": PredictorEntry(trained=True, colour="#D55E00", marker="P"),
+        "koopman-online": PredictorEntry(colour="#009E73", marker="D"),
     },
     group="tissue.predictors",
 )

@@ -9,7 +9,6 @@ from meshes.base.errors import InputError
 from tissue import load_scene, simulate
 from tissue.evaluation.statistics.metrics import force_error
 from tissue.evaluation.training import Recorder, trial, validated, with_fallback
-from tissue.prediction.operator import Operator
 from tissue.prediction.trained import Trained, shipped_file
 from tissue.scene.registry import PREDICTORS
 from tissue.simulation.builders.force_met import chosen_scale
@@ -25,6 +24,7 @@ SCENES = (
     "molar",
     "needle",
     "palpation",
+    "pedicle",
     "wall",
 )
 
@@ -33,19 +33,15 @@ SCENES = (
 def test_a_shipped_predictor_is_sound(scene):
     """A shipped predictor is sound.
 
-    It is stable and small, was better than zero-order hold on held-out runs, and falls back on its
-    baseline.
+    It is small, was better than zero-order hold on held-out runs, and falls back on its baseline.
     """
     path = shipped_file(scene)
     trained = Trained.read(path, scene=scene)
-    assert path.stat().st_size < 150_000
-    assert (
-        isinstance(trained.operator, Operator) and abs(trained.operator.eigenvalues[0]) < 1.0 + 1e-6
-    )
+    assert path.stat().st_size < 12_000
     checked = trained.facts["validation"]
     at = checked["horizons_ms"].index(4)
     assert checked["errors"]["koopman"][at] < checked["errors"]["hold"][at]
-    assert trained.fallback in FALLBACKS and not trained.operator.offset.any()
+    assert trained.fallback in FALLBACKS
 
 
 def test_trials_differ_in_hand_seed_and_latency():
@@ -129,7 +125,7 @@ def test_training_again_gives_the_shipped_predictor(command, here):
     code, _, _ = command("train", "wall")
     assert code == 0
     again, shipped = Trained.read(here / "wall.npz"), Trained.read(shipped_file("wall"))
-    assert again.facts["dictionary"] == shipped.facts["dictionary"]
+    assert again.facts["delays"] == shipped.facts["delays"]
     ours, theirs = (
         np.array(each.facts["validation"]["errors"]["koopman"]) for each in (again, shipped)
     )

@@ -70,7 +70,7 @@ def test_a_predictor_of_two_methods_runs_guarded_is_judged_and_charted(tmp_path)
         kind: np.linspace(0.1, 0.2, 8)[:, None] * np.ones(len(HORIZONS)) for kind in PREDICTORS
     }
     costs, nothing = dict.fromkeys(PREDICTORS, (1.0, 2.0)), Interval(0.0, 0.0, 0.0)
-    found = PredictorComparison("wall", errors, costs, np.array([1.0 + 0j]), {1: nothing}, {})
+    found = PredictorComparison("wall", errors, costs, {1: nothing}, {})
     assert any("drift" in line for line in comparison_lines([found]))
     draw_tasks([found], tmp_path / "tasks.png")
     with pytest.raises(InputError, match="did you mean drift"):

@@ -11,7 +11,7 @@ from tissue.prediction.predictor import Contact
 from tissue.prediction.trained import Trained, shipped_file
 from tissue.simulation.builders.prediction import trained_predictor
 
-KINDS = ("look-ahead", "koopman", "koopman-look-ahead")
+KINDS = ("koopman", "koopman-look-ahead", "koopman-online")
 SPRING_N_M, TICKS, LEAD = 400.0, 600, 6.11
 PLACES, FORCES, NORMAL, STIFFNESS = slice(1, 4), slice(4, 7), slice(17, 20), slice(7, 16)
 

@@ -8,7 +8,6 @@ from time import perf_counter
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
@@ -63,7 +62,6 @@ SIZED_RUNS = 8
 HEADS = {
     "errors.csv": "scene,predictor,horizon_ms,runs,error,low,high",
     "cost.csv": "scene,predictor,median_us,p99_us",
-    "spectrum.csv": "scene,real,imaginary,size",
     "training.csv": "scene,runs,error,low,high",
     "slow_model.csv": "scene,predictor,error,low,high,cost_us",
 }
@@ -89,8 +87,6 @@ class PredictorComparison:
         Errors by predictor, shape (runs, horizons).
     cost_us
         Median and 99th percentile of a tick's call [us], by predictor.
-    eigenvalues
-        Eigenvalues of the lifted operator.
     sizes
         Error at 4 ms by number of training runs.
     slow
@@ -102,7 +98,6 @@ class PredictorComparison:
     scene: str
     errors: dict[str, Array]
     cost_us: dict[str, tuple[float, float]]
-    eigenvalues: NDArray[np.complex128]
     sizes: dict[int, Interval]
     slow: dict[str, tuple[Interval, float]]
 
@@ -172,14 +167,12 @@ def _compare(scene: Scene, *, trials: int, report: Progress) -> PredictorCompari
     for index, size in enumerate(SIZES):
         step(f"training on {size} runs", trials + len(PREDICTORS) + max(SIZES) + index)
         fitted = fit(trained.scene, seen[:size])
-        smaller = replace(trained, operator=fitted.operator, growth=fitted.growth)
+        smaller = replace(trained, operator=fitted.operator)
         make = partial(trained_predictor, OURS, smaller, force_limit_N=limit_N)
         sizes[size] = interval(
             forecast_errors(make, unseen[:SIZED_RUNS], horizons=(DELAY_MS,))[:, 0]
         )
-    return PredictorComparison(
-        trained.scene, errors, cost_us, trained.operator.eigenvalues, sizes, slow
-    )
+    return PredictorComparison(trained.scene, errors, cost_us, sizes, slow)
 
 
 def _cost_us(predictor: Predictor, run: Recording) -> tuple[float, float]:
@@ -301,9 +294,6 @@ def _write_comparisons(found: Sequence[PredictorComparison], folder: Path) -> No
                 (name, kind, ms, len(errors), *each.at(kind, ms)) for ms in HORIZONS
             ]
         rows["cost.csv"] += [(name, kind, *cost_us) for kind, cost_us in each.cost_us.items()]
-        rows["spectrum.csv"] += [
-            (name, value.real, value.imag, abs(value)) for value in each.eigenvalues.tolist()
-        ]
         rows["training.csv"] += [(name, size, *at) for size, at in each.sizes.items()]
         rows["slow_model.csv"] += [
             (name, kind, *at, cost_us) for kind, (at, cost_us) in each.slow.items()
@@ -323,13 +313,12 @@ LIMIT_US = 20.0
 def draw_scene(found: PredictorComparison, path: Path) -> None:
     """Draw the results of all predictors on a scene.
 
-    The panels show error over horizon and over cost, the spectrum, training sizes, and a model at
-    100 Hz.
+    The panels show error over horizon, cost and training size, and with a model at 100 Hz.
     """
-    # inches: two rows of three panels
-    chart = figure(11.0, 7.0)
+    # inches: a row of four panels over the legend
+    chart = figure(14.0, 4.2)
     chart.set_layout_engine("constrained")
-    (over_horizon, over_cost, spectrum), (over_size, slow, names) = chart.subplots(2, 3)
+    over_horizon, over_cost, over_size, slow = chart.subplots(1, 4)
     for kind in PREDICTORS:
         colour = PREDICTORS[kind].colour
         mark = PREDICTORS[kind].marker
@@ -351,21 +340,13 @@ def draw_scene(found: PredictorComparison, path: Path) -> None:
     for axes in (over_cost, slow):
         axes.set(xscale="log", ylim=(0, None))
         plain_numbers(axes.xaxis)
-    # the unit circle: modes outside of it grow
-    turn = np.linspace(0.0, 2.0 * np.pi, 200)
-    values = found.eigenvalues
-    spectrum.plot(np.cos(turn), np.sin(turn), color="0.6")
-    spectrum.plot(values.real, values.imag, "o", alpha=0.7)
-    spectrum.set(xlabel="real", ylabel="imaginary", aspect="equal")
-    largest = np.abs(values).max()
-    spectrum.set_title(f"{len(values)} eigenvalues, largest {largest:.5f}")
     for size, at in found.sizes.items():
         _whiskers(over_size, size, at, color=PREDICTORS["koopman"].colour, fmt="o")
     over_size.set(xlabel="training runs", ylabel="error 4 ms ahead / %", ylim=(0, None))
-    for axes in (over_horizon, over_cost, spectrum, over_size, slow):
+    for axes in (over_horizon, over_cost, over_size, slow):
         axes.grid(alpha=0.3, which="both")
-    names.set_axis_off()
-    names.legend(*over_horizon.get_legend_handles_labels(), loc="center", frameon=False)
+    handles = over_horizon.get_legend_handles_labels()
+    chart.legend(*handles, loc="outside lower center", ncols=len(PREDICTORS), frameon=False)
     chart.suptitle(
         f"{found.scene}: {len(found.errors['hold'])} runs with other seeds, in tissue 30 % softer "
         "and stiffer; bars and bands are 95 %",

@@ -214,7 +214,7 @@ def loop_matrix(loop: WallLoop) -> Array:
                 moved if speed is None else speed
             )
             before = plant[0]
-        filtered = filtered + gain * (seen.predict(place, speed, model, tick) - filtered)
+        filtered = filtered + gain * (seen.predict(plant[0], speed, model, tick) - filtered)
         envelope = envelope + follows * (filtered - envelope)
         queue.append(filtered + np.repeat(factors[tick], size) * envelope.sum(axis=0))
         for matrix, back in steps:

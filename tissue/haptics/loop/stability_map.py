@@ -141,7 +141,7 @@ def growth_while_running(
                 moved = (plant[0] - before) / (tick * first.model_ticks)
                 force = -stiffnesses_N_m * place - damping * (moved if speed is None else speed)
                 before = plant[0].copy()
-            predicted = seen.predict(place, speed, force, phase)
+            predicted = seen.predict(plant[0].copy(), speed, force, phase)
             filtered = filtered + gain * (predicted - filtered)
             envelope = envelope + follows * (filtered - envelope)
             shaken = first.vibration.factor(n) if first.vibration else 0.0

@@ -18,21 +18,25 @@ from tissue.perception.observer import (
     reference_observer,
 )
 from tissue.perception.perceived import Deadband, PerceivedForce, Perception, Sense
+from tissue.prediction.delays import DelayPath
 from tissue.prediction.guard import Guarded, Judged
-from tissue.prediction.koopman import Koopman, OperatorPath
-from tissue.prediction.look_ahead import FilteredPath, LookAhead
-from tissue.prediction.predictor import Hold, Kalman, Linear, LinearControl, Predictor
-from tissue.prediction.trained import Trained, shipped_file
+from tissue.prediction.koopman import Koopman
+from tissue.prediction.look_ahead import LookAhead
+from tissue.prediction.online import AdaptivePath
+from tissue.prediction.predictor import Hold, Kalman, Linear, Predictor
+from tissue.prediction.trained import Trained, general_operator, is_trained, shipped_file
 from tissue.scene.registry import PERCEPTIONS, PREDICTORS
 
 __all__ = ["CAUTION", "FALLBACKS", "maker_of", "perception", "perception_for", "trained_predictor"]
 
 
-FALLBACKS = ("hold", "linear", "kalman", "dmdc", "look-ahead")
-"""Predictors without a lifted operator.
+FALLBACKS = ("hold", "linear", "kalman")
+"""Predictors without an operator.
 
-Training chooses the fallback of a lifted predictor among them.
+Training chooses the fallback of a predictor with an operator among them.
 """
+ADAPTIVE = "koopman-online"
+"""Predictor that starts from the general operator where the scene has no trained operator."""
 CAUTION = 0.1
 """Quantile of the threshold's distribution that bounds the deadband.
 
@@ -66,7 +70,8 @@ def maker_of(
 
     @cache
     def trained() -> Trained | None:
-        if not PREDICTORS[kind].trained:
+        known = is_trained(scene_name, file)
+        if not (PREDICTORS[kind].trained or (kind == ADAPTIVE and known)):
             return None
         return Trained.read(Path(file) if file else shipped_file(scene_name), scene=scene_name)
 
@@ -89,23 +94,25 @@ def trained_predictor(kind: str, trained: Trained | None, *, force_limit_N: floa
         return made
     if kind == "hold":
         return Hold()
-    simple: dict[str, Judged] = {
-        "linear": Linear(),
-        "kalman": Kalman(),
-        "look-ahead": LookAhead(FilteredPath()),
-    }
-    if kind in simple:
-        return Guarded(simple[kind], Hold(), reach_N=force_limit_N)
-    assert trained is not None
-    if kind == "dmdc":
-        return Guarded(LinearControl(trained.control), Hold(), reach_N=force_limit_N)
-    path = OperatorPath(trained.operator, growth=trained.growth)
-    fallback = trained_predictor(trained.fallback, trained, force_limit_N=force_limit_N)
-    if trained.loses(kind):
-        # Validation found no gain by the lifted predictor.
-        return fallback
-    lifted = Koopman(path) if kind == "koopman" else LookAhead(path)
-    return Guarded(lifted, fallback, reach_N=force_limit_N)
+    if kind in FALLBACKS:
+        simple: Judged = Linear() if kind == "linear" else Kalman()
+        return Guarded(simple, Hold(), reach_N=force_limit_N)
+    fallback: Predictor = Hold()
+    slopes = "given"
+    if trained is not None:
+        fallback = trained_predictor(trained.fallback, trained, force_limit_N=force_limit_N)
+        slopes = "none" if trained.loses("koopman-look-ahead", "koopman") else "learnt"
+        best = "koopman" if kind == "koopman" or slopes == "none" else "koopman-look-ahead"
+        if trained.loses(best, "hold"):
+            # Validation found no gain by the operator.
+            return fallback
+    if kind == ADAPTIVE:
+        path: DelayPath = AdaptivePath(general_operator() if trained is None else trained.operator)
+    else:
+        assert trained is not None
+        path = DelayPath(trained.operator)
+    made_of = Koopman(path) if kind == "koopman" else LookAhead(path, slopes=slopes)
+    return Guarded(made_of, fallback, reach_N=force_limit_N)
 
 
 def perception(

@@ -4,20 +4,16 @@ import json
 
 import numpy as np
 import pytest
-from koopman_systems import duffing, record
 
 from tissue import InputError
-from tissue.prediction.edmd import Edmd
-from tissue.prediction.operator import Delays, GapProducts
-from tissue.prediction.trained import SHIPPED, Trained, shipped_file
+from tissue.prediction.delays import COORDINATES, HORIZON, DelayOperator, Moments
+from tissue.prediction.trained import SHIPPED, Trained, general_operator, shipped_file
 
 RNG = np.random.default_rng(0)
-EPISODES = record(duffing, RNG.uniform(-1.0, 1.0, (4, 2)), RNG.normal(size=(4, 80)), 0.02)
+ROWS = RNG.normal(size=(200, COORDINATES))
 TRAINED = Trained(
     "wall",
-    Edmd(Delays(2, GapProducts((-1.0,), columns=(1,))), ridge=1e-8).fit(EPISODES),
-    Edmd(GapProducts((-1.0,), columns=(1,)), ridge=1e-8).fit(EPISODES),
-    growth=1 / 3,
+    DelayOperator(Moments(ROWS.T @ ROWS, RNG.normal(size=(COORDINATES, 2 * HORIZON))), 1 / 3),
     facts={"horizons_ms": [1, 4, 10], "columns": ["x_m", "force_N"]},
 )
 
@@ -28,20 +24,36 @@ def written(folder):
 
 def test_what_is_written_comes_back(tmp_path):
     found = Trained.read(written(tmp_path), scene="wall")
-    assert (found.growth, found.fallback, found.facts) == (1 / 3, "hold", TRAINED.facts)
-    for name in ("operator", "control"):
-        read, operator = getattr(found, name), getattr(TRAINED, name)
-        assert read.dictionary == operator.dictionary and read.step_s == operator.step_s
-        for key in ("offset", "middle", "scale"):
-            assert np.array_equal(getattr(read, key), getattr(operator, key)), key
-        for key in ("A", "B"):
-            assert getattr(read, key) == pytest.approx(getattr(operator, key), rel=1e-7), key
+    assert (found.fallback, found.facts) == ("hold", TRAINED.facts)
+    assert found.operator.growth == 1 / 3
+    for key in ("coordinates", "targets"):
+        assert np.array_equal(
+            getattr(found.operator.moments, key), getattr(TRAINED.operator.moments, key)
+        ), key
     assert [each.name for each in tmp_path.iterdir()] == ["wall.npz"]
 
 
 @pytest.mark.parametrize("scene", sorted(each.stem for each in SHIPPED.glob("*.npz")))
 def test_the_shipped_predictors_are_read(scene):
-    assert Trained.read(shipped_file(scene), scene=scene).operator.state_size == 2
+    found = Trained.read(shipped_file(scene), scene=scene)
+    assert found.facts["command"].startswith(f"tissue train {scene} --trials ")
+    assert len(found.facts["seeds"]) >= 5
+
+
+def test_the_general_operator_is_the_fit_to_the_data_of_all_scenes():
+    """Scaled to one mean square of the displacements, the moments of all files add up."""
+    files = [Trained.read(shipped_file(each.stem)) for each in SHIPPED.glob("*.npz")]
+    shares = [each.operator.moments.power_m2 for each in files]
+    found = general_operator().moments
+    for key in ("coordinates", "targets"):
+        summed = sum(
+            getattr(each.operator.moments, key) / share
+            for each, share in zip(files, shares, strict=True)
+        )
+        scaled = getattr(found, key) / found.power_m2
+        np.testing.assert_allclose(scaled, summed / len(files), rtol=1e-9, atol=1e-18)
+    other = general_operator(without="wall").moments
+    assert other.power_m2 != pytest.approx(found.power_m2, rel=1e-3)
 
 
 def again(path, **changed):
@@ -53,7 +65,7 @@ def again(path, **changed):
         if name in whole:
             whole[name] = value
         else:
-            arrays[name.replace("__", ".")] = value
+            arrays[name] = value
     arrays["json"] = np.array(json.dumps(whole))
     np.savez(path, **arrays)
     return path
@@ -62,14 +74,13 @@ def again(path, **changed):
 @pytest.mark.parametrize(
     ("changed", "sentence"),
     [
-        ({"version": 4}, "must be of format 3 or older, got 4"),
+        ({"version": 5}, "must be of format 4 or older, got 5"),
         ({"scene": "liver"}, "must be of scene wall, got liver"),
         ({"format": "other"}, "must be one that 'tissue train' wrote"),
-        ({"lifted__A": np.zeros((2, 2))}, "must be whole, got .* shape"),
-        ({"lifted__A": np.full_like(TRAINED.operator.A, np.nan)}, "must be whole, .*not finite"),
-        ({"control__B": np.array([object()])}, "must be whole"),
-        ({"operators": {"other": {}}}, "must be whole"),
-        ({"operators": 3}, "must be whole"),
+        ({"coordinates": np.zeros((2, 2))}, "must be whole, got .* shape"),
+        ({"targets": np.full((COORDINATES, 2 * HORIZON), np.nan)}, "must be whole, .*not finite"),
+        ({"targets": np.array([object()])}, "must be whole"),
+        ({"delays": [0, 1]}, "must have the delays of this version"),
         ({"header": {}}, "must be whole"),
     ],
 )
