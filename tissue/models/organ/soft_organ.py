@@ -209,7 +209,8 @@ class SoftOrgan:
         InputError
             If the held nodes leave the organ, or a loose part of it, free to move.
         """
-        stiffness = assemble(self.space, self.elasticity)
+        # The cells of a hyperelastic law are not softened, and its region is coupled to these.
+        stiffness = assemble(self.space, self.elasticity, softened=self.law is None)
         if self._capsule is not None:
             membrane = capsule_stiffness(
                 self.space,
