@@ -49,7 +49,7 @@ __all__ = [
 ]
 
 
-SOFTENED_RATIO = 3.0
+SOFTENED_RATIO = 1.0
 """Largest ratio of the first Lame constant to the shear modulus that a cell's volume resists at
 every place, in `assemble` with `softened`.
 """
