@@ -20,7 +20,6 @@ the ratio of both as a map, with the values of the organ of `palpation` at some 
 
 import argparse
 import os
-from dataclasses import replace
 from pathlib import Path
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
@@ -132,7 +131,7 @@ def draw(ratios: Array, points: list[tuple[float, float, float]], out: Path) -> 
         figure.colorbar(filled, label="excess force / felt difference")
         axes.contour(fine_c, fine_d, values, levels=[1.0], colors="black", linewidths=2.0)
     for cover, diameter, ratio in points:
-        axes.plot(cover, diameter, "o", color="tab:orange")
+        axes.plot(cover, diameter, "o", color="tab:orange", clip_on=False)
         axes.annotate(f"{ratio:.2f}", (cover, diameter), (5, 5), textcoords="offset points")
     axes.set(
         xlabel="depth of the top of the nodule (mm)",

@@ -51,12 +51,17 @@ def test_the_excess_over_a_deep_nodule_is_that_of_a_point_load(ratio, monkeypatc
         nodule_ratio=ratio,
         poisson_ratio=0.495,
     )
-    depths = np.array([0.1])
-    mesh = phantom_mesh(phantom, 0.1)
+    # At one depth the excess is up to 5 % off, because the number of touching points is whole.
+    depths = np.linspace(0.08, 0.1, 5)
+    mesh = phantom_mesh(phantom, 0.14)
     stiff, _ = NoduleLayer(phantom, mesh).press(depths)
     plain, _ = NoduleLayer(replace(phantom, nodule_ratio=1.0), mesh).press(depths)
-    found = float(stiff[0] / plain[0] - 1.0)
-    exact = closed_excess(phantom, float(plain[0]), 0.1)
+    found = float(np.mean(stiff / plain - 1.0))
+    exact = float(
+        np.mean(
+            [closed_excess(phantom, force, at) for at, force in zip(depths, plain, strict=True)]
+        )
+    )
     print(
         f"modulus x {ratio:g}: excess {found:.5f}, closed form {exact:.5f}, {found / exact - 1:+.1%}"
     )

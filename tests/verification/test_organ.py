@@ -9,9 +9,7 @@ import tissue
 from meshes.ct.labels import Labels
 from meshes.images.frame import Image
 from meshes.tets.structured import box
-from tissue.scene.load import load_scene
 from tissue.simulation.builders.organ import held_mesh
-from tissue.simulation.simulate import simulate
 
 MODULUS_KPA = 8.0
 
