@@ -34,6 +34,14 @@ def hertz_N(depth_m, radius_m, ratio):
     return 4.0 / 3.0 * 1e3 * MODULUS_KPA / (1.0 - ratio**2) * np.sqrt(radius_m) * depth_m**1.5
 
 
+TRUE_OFF = {0.3: 0.014, 0.49: -0.009}
+"""Axisymmetric solution of the block over the closed form, minus 1, by Poisson's ratio.
+
+`tissue.fem.axisymmetric` with linear law, a free side at 135.4 mm, edges of 0.5 and 0.3 mm: 0.0138
+and 0.0139, -0.0085 and -0.0091.
+"""
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("ratio", [0.3, 0.49])
 def test_a_ball_on_a_large_block_follows_hertz(ratio):
@@ -41,8 +49,9 @@ def test_a_ball_on_a_large_block_follows_hertz(ratio):
 
     A ball of 100 mm is pressed 0.2 to 0.5 mm deep (a/R up to 0.1), without friction, with 6 edges
     to the contact's radius at the end. The block is 24 contact radii thick: without the layer's
-    correction Hertz is 5 % low. The remaining error comes from the mesh, and from the surface that
-    turns with a true ball where Hertz's stays upright.
+    correction Hertz is 5 % low. The surface turns with a true ball where Hertz's stays upright.
+    Therefore the axisymmetric solution of this block is off the closed form too, by `TRUE_OFF` at
+    the end. The remaining error comes from the mesh.
     """
     block = tissue.Organ.block(
         (240, 240, 120), edge_mm=24, modulus_kPa=MODULUS_KPA, poisson_ratio=ratio, friction=0.0
@@ -56,7 +65,8 @@ def test_a_ball_on_a_large_block_follows_hertz(ratio):
         f"{100 * error[-1]:+.2f} %"
     )
     print(f"Hertz alone: {100 * (press.forces_N[-1, 2] / hertz_N(5e-4, 0.05, ratio) - 1.0):+.2f} %")
-    assert np.abs(error).max() < 0.03 and abs(error[-1]) < 0.02
+    assert np.abs(error).max() < 0.03
+    assert error[-1] == pytest.approx(TRUE_OFF[ratio], abs=0.015)
     slope = np.polyfit(np.log(press.depth_mm[deep]), np.log(press.forces_N[deep, 2]), 1)[0]
     assert slope == pytest.approx(1.5, abs=0.05)
 
@@ -104,8 +114,9 @@ def test_a_press_is_what_the_scene_runner_gives(monkeypatch):
     """A press agrees with the scene runner.
 
     It moves straight down on the built-in liver with equal mesh, material and supports, at equal
-    places of the tip. With the contact's tolerance of a tick the difference is 0.2 %. With the
-    tighter tolerance of a press it is off by the error of a tick's tolerance.
+    places of the tip. With the contact's tolerance of a tick the difference is 0.3 %. With the
+    tighter tolerance of a press it is off by the error of a tick's tolerance. If both have the
+    tighter one, the difference is 0.02 %.
     """
     changes = {"motion.points_mm": [[0, 0, 1], [0, 0, -5]], "motion.feed_mm_s": 15.0}
     scene = tissue.load_scene("liver-press", changes)
@@ -115,7 +126,7 @@ def test_a_press_is_what_the_scene_runner_gives(monkeypatch):
     organ = tissue.Organ.from_tetrahedra(
         found.mesh, modulus_kPa=5.4, poisson_ratio=0.49, held=found.held
     )
-    for tolerance, sweeps, allowed in ((1e-3, 100, 2e-3), (1e-5, 5000, 5e-3)):
+    for tolerance, sweeps, allowed in ((1e-3, 100, 4e-3), (1e-5, 5000, 5e-3)):
         monkeypatch.setattr("tissue.models.organ.press.TOLERANCE", tolerance)
         monkeypatch.setattr("tissue.models.organ.press.SWEEPS", sweeps)
         press = organ.press(
