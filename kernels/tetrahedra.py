@@ -7,6 +7,11 @@ weights that depend on the pair alone, and the block of the stiffness is linear 
     K_AB[i, j] = sum_pq C[ip, jq] S[p, q]            any material
     K_AB = lambda S + mu S^T + mu tr(S) I            isotropic
 
+Quadratic cells lock as lambda / mu grows. With ``M = V mean(grad A) mean(grad B)^T`` in place of S
+for a part of lambda, that part resists the mean change of a cell's volume alone::
+
+    K_AB = K_AB - softened (S - M)
+
 A pair is summed over its cells in fixed order by one thread and written twice, once transposed: the
 matrix equals its transpose bitwise, on any number of threads.
 
@@ -113,10 +118,12 @@ def pair_stiffness_isotropic(
     # pairs of shape functions
     pair_corner: wp.array2d(dtype=wp.int32),  # [pair in cell, 4]: two corners of A, two of B
     pair_weight: wp.array2d(dtype=wp.float64),  # [pair in cell, 4]
+    pair_mean: wp.array2d(dtype=wp.float64),  # [pair in cell, 4], of the mean gradients
     # cells
     gradient: wp.array2d(dtype=wp.vec3d),  # [cell, corner] [1/m]
     volume: wp.array(dtype=wp.float64),  # [cell] [m3]
     lame: wp.array2d(dtype=wp.float64),  # [1 or cell, 2]: lambda, mu [Pa]
+    softened: wp.array(dtype=wp.float64),  # [1 or cell], part of lambda for the mean [Pa]
     offset: int,
     # out
     block_out: wp.array(dtype=wp.mat33d),  # [N/m]
@@ -131,6 +138,10 @@ def pair_stiffness_isotropic(
         row = wp.min(cell, last)
         first_sum += (volume[cell] * lame[row, 0]) * product
         shear_sum += (volume[cell] * lame[row, 1]) * product
+        less = softened[wp.min(cell, softened.shape[0] - 1)]
+        if less > wp.float64(0.0):
+            _cell, mean = gradient_product(contribution[i], pair_corner, pair_mean, gradient)
+            first_sum += (volume[cell] * less) * (mean - product)
     across = wp.trace(shear_sum)
     block = first_sum + wp.transpose(shear_sum) + wp.diag(wp.vec3d(across, across, across))
     write_pair(block, place[pair], mirror[pair], block_out)
@@ -156,10 +167,12 @@ def pair_stiffness(
     # pairs of shape functions
     pair_corner: wp.array2d(dtype=wp.int32),
     pair_weight: wp.array2d(dtype=wp.float64),
+    pair_mean: wp.array2d(dtype=wp.float64),
     # cells
     gradient: wp.array2d(dtype=wp.vec3d),
     volume: wp.array(dtype=wp.float64),
     stiffness: wp.array3d(dtype=wp.float64),  # [1 or cell, 6, 6] [Pa]
+    softened: wp.array(dtype=wp.float64),
     offset: int,
     # out
     block_out: wp.array(dtype=wp.mat33d),
@@ -179,6 +192,10 @@ def pair_stiffness(
                     for q in range(3):
                         total += stiffness[row, voigt(i, p), voigt(j, q)] * product[p, q]
                 block[i, j] = block[i, j] + total
+        less = softened[wp.min(cell, softened.shape[0] - 1)]
+        if less > wp.float64(0.0):
+            _cell, mean = gradient_product(contribution[n], pair_corner, pair_mean, gradient)
+            block += less * (volume[cell] * mean - product)
     write_pair(block, place[pair], mirror[pair], block_out)
 
 

@@ -1,6 +1,6 @@
 """Excess force over a stiff nodule: error of meshes of `palpation`, and detectability.
 
-Run: `python tests/bench/bench_nodule.py [--quick] [--parts meshes felt]`.
+Run: `python tests/bench/bench_nodule.py [--quick] [--parts meshes felt] [--out FILE.png]`.
 
 The ball, the depths, the nodule and the cells of `palpation` are used in a wider slab (160 mm) of
 one modulus, 20 kPa, which the scene has at its nodule. On the axis of the nodule the problem is then
@@ -8,166 +8,139 @@ axisymmetric, and the reference is `tissue.fem.axisymmetric` with a stiff ball i
 (`tests/fixtures/nodule_layer.py`). The law is linear, without friction. Excess force is the force
 over the nodule minus the force on the same mesh with the nodule as soft as the tissue.
 
-meshes: error of force, excess and displacement for edges under the ball. The displacement is that of
-the top face within 25 mm of the axis (L2, over the L2 norm of the reference). Its excess is the
-change that the nodule makes. Forces of the reference are extrapolated to zero edges. The
-last rows are the errors of its meshes.
+meshes: error of force, excess and displacement for edges under the ball. The share is the excess
+over the force without a nodule. The displacement is that of the top face within 25 mm of the axis
+(L2 over its area, relative to the reference). Its change is made by the nodule. Each edge has a
+row for cells that are not softened and one for softened cells (`tissue.fem.assembly`).
 
-felt: excess force by diameter of the nodule and depth of its top, and its ratio to the force
-difference that is felt in 75 % of comparisons, kappa (F + offset) of `perception.toml`.
+felt: excess force by diameter of the nodule and depth of its top. It is compared with the force
+difference that is felt in 75 % of comparisons, kappa (F + offset) of `perception.toml`. `--out` draws
+the ratio of both as a map, with the values of the organ of `palpation` at some points.
 """
 
 import argparse
 import os
-from dataclasses import replace
+from pathlib import Path
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
 import numpy as np  # noqa: E402
 from harness import machine, table  # noqa: E402
-from nodule_layer import NoduleLayer, Phantom, phantom_mesh  # noqa: E402
+from nodule_layer import Phantom, reference  # noqa: E402
+from nodule_organ import DEPTHS_M, WIDTH_M, errors, over_nodule  # noqa: E402
 
-import tissue  # noqa: E402
 from meshes.base.arrays import Array  # noqa: E402
-from meshes.base.progress import silent  # noqa: E402
+from tissue.fem import assembly  # noqa: E402
 from tissue.materials.constants import constants  # noqa: E402
 from tissue.scene.load import load_scene  # noqa: E402
-from tissue.simulation.builders.organ import held_mesh  # noqa: E402
 
-SIDE_MM = 160.0
-"""Sides of the slab, 4 times its thickness."""
-WIDTH_M = 90e-3
-"""Radius of the axisymmetric layer, of nearly the area of the slab (90.3 mm)."""
-DEPTHS_M = np.array([1e-3, 2e-3, 3e-3, 4e-3])
-NEAR_MM = 25.0
-SHIPPED_MM = 5.0
+SHIPPED_MM = load_scene("palpation").anatomy.touch_edge_mm
 """Edge under the ball in `palpation`."""
-EDGES_MM = (SHIPPED_MM, 3.0, 2.0, 1.5)
-AXIAL_M = (1.4e-3, 1e-3, 0.7e-3, 0.5e-3, 0.35e-3)
-"""Edges of the reference. The last two are extrapolated."""
-DIAMETERS_MM = (5.0, 8.0, 12.0, 18.0)
-COVERS_MM = (3.0, 5.0, 8.0, 12.0)
-FELT_M = 0.8e-3
-"""Edge of the cells in the table of detectability."""
+EDGES_MM = (5.0, SHIPPED_MM, 3.0, 2.0)
+AXIAL_M = (2e-3, 1.4e-3, 1e-3)
+"""Edges of the reference; the last one is exact here.
 
-Pressed = tuple[Array, Array]
-"""Forces at the depths [N], and the surface at the last one, with radius and displacement [m]."""
-
-
-def reference(phantom: Phantom, edge_m: float) -> tuple[Pressed, Pressed]:
-    """Press the axisymmetric phantom with its nodule, and with the nodule as soft as the tissue."""
-    mesh = phantom_mesh(phantom, edge_m)
-    soft = replace(phantom, nodule_ratio=1.0)
-    return NoduleLayer(phantom, mesh).press(DEPTHS_M), NoduleLayer(soft, mesh).press(DEPTHS_M)
-
-
-def pressed(edge_mm: float) -> tuple[Pressed, Pressed]:
-    """Press the tetrahedra of `palpation` with the nodule, and with it as soft as the tissue."""
-    changes = {
-        "anatomy.size_mm": [SIDE_MM, SIDE_MM, 40.0],
-        "anatomy.nodule_centre_mm": [0, 0, -17],
-        "motion.points_mm": [[0, 0, 1], [0, 0, -4]],
-    }
-    scene = load_scene("palpation", changes)
-    path = 1e-3 * np.array(scene.motion.points_mm)
-    found = held_mesh(scene.anatomy, path_m=path, touch_edge_m=1e-3 * edge_mm, report=silent)
-    ball = tissue.ball(diameter_mm=scene.tool.diameter_mm)
-    both = []
-    for nodule_kPa in (100.0, 20.0):
-        organ = tissue.Organ.from_tetrahedra(
-            found.mesh,
-            modulus_kPa=20.0,
-            poisson_ratio=0.49,
-            parts={"nodule": nodule_kPa},
-            held=found.held,
-            friction=0.0,
-        )
-        press = organ.press(ball, depth_mm=4.0, at_mm=(0, 0, 0), along=(0, 0, -1))
-        tip = press.tip_mm[2] + press.depth_mm[-1] - press.depth_mm
-        force = np.interp(1e3 * DEPTHS_M, -tip, press.forces_N[:, 2])
-        points, moved = press.mesh.points, np.asarray(press.mesh["displacement_mm"])
-        radius = np.hypot(points[:, 0], points[:, 1])
-        top = (points[:, 2] > -1e-6) & (radius < NEAR_MM)
-        both.append((force, 1e-3 * np.column_stack([radius[top], moved[top, 2]])))
-    return both[0], both[1]
-
-
-def errors(found: tuple[Pressed, Pressed], exact: tuple[Pressed, Pressed]) -> list[float]:
-    """Return errors in percent: force and excess at 3 and 4 mm, displacement and its excess."""
-    (stiff, over), (plain, aside) = found
-    (exact_stiff, exact_over), (exact_plain, exact_aside) = exact
-    share = [stiff / exact_stiff, (stiff - plain) / (exact_stiff - exact_plain)]
-    values = [100.0 * (each[k] - 1.0) for k in (2, 3) for each in share]
-    at = over[:, 0]
-    true_over = np.interp(at, exact_over[:, 0], exact_over[:, 2])
-    true_aside = np.interp(at, exact_aside[:, 0], exact_aside[:, 2])
-    changed = true_over - true_aside
-    off = over[:, 1] - true_over
-    off_change = over[:, 1] - aside[:, 1] - changed
-    values.append(100.0 * float(np.linalg.norm(off) / np.linalg.norm(true_over)))
-    values.append(100.0 * float(np.linalg.norm(off_change) / np.linalg.norm(changed)))
-    return values
-
-
-def extrapolated(coarse: Pressed, fine: Pressed) -> Pressed:
-    """Return the forces at zero edges, at second order, and the surface of the fine mesh.
-
-    The errors of the excess with edges of 1.4 to 0.35 mm decrease by the second power.
-    """
-    share = AXIAL_M[-1] ** 2 / (AXIAL_M[-2] ** 2 - AXIAL_M[-1] ** 2)
-    return fine[0] + share * (fine[0] - coarse[0]), fine[1]
+From 2 to 0.7 mm the excess at 4 mm is 74.8, 73.9, 73.6 and 73.4 mN.
+"""
+DIAMETERS_MM = (5.0, 8.0, 12.0, 18.0, 24.0)
+COVERS_MM = (2.0, 3.0, 5.0, 8.0, 12.0)
+FELT_M = 2e-3
+"""Edge of the cells in the map of detectability; the excess is 2 % off."""
+ORGANS = ((18.0, 8.0, 8.0), (18.0, 12.0, 8.0), (22.0, 8.0, 8.0), (14.0, 7.0, 7.0))
+"""Diameter and depth of the nodules in the organ of `palpation`, and its edges [mm]."""
 
 
 def meshes(quick: bool) -> None:
     """Print the errors of the scene's mesh and of finer ones."""
     phantom = Phantom(width_m=WIDTH_M)
-    axial = {edge: reference(phantom, edge) for edge in (AXIAL_M[:1] if quick else AXIAL_M)}
-    exact = axial[[*axial][-1]]
-    if not quick:
-        coarse = axial[AXIAL_M[-2]]
-        exact = extrapolated(coarse[0], exact[0]), extrapolated(coarse[1], exact[1])
-    (stiff, _), (plain, _) = exact
-    print(f"reference: force {stiff[2:]} N, excess {stiff[2:] - plain[2:]} N at 3 and 4 mm")
+    for axial in AXIAL_M[:1] if quick else AXIAL_M:
+        exact = reference(phantom, axial, DEPTHS_M)
+        (stiff, _), (plain, _) = exact
+        print(
+            f"reference, {1e3 * axial:g} mm: force {plain[2:]} N, excess {stiff[2:] - plain[2:]} N "
+            "at 3 and 4 mm",
+            flush=True,
+        )
     rows = []
-    for edge in EDGES_MM[:1] if quick else EDGES_MM:
-        values = errors(pressed(edge), exact)
-        rows.append((f"{edge:g} mm", *(f"{each:+.1f}" for each in values)))
-    for edge, ((over_N, over), (aside_N, aside)) in axial.items():
-        near = over[:, 0] < 1e-3 * NEAR_MM
-        values = errors(((over_N, over[near][:, ::2]), (aside_N, aside[near][:, ::2])), exact)
-        rows.append((f"axial, {1e3 * edge:g} mm", *(f"{each:+.1f}" for each in values)))
-    head = ("edge", "F 3 mm %", "excess %", "F 4 mm %", "excess %", "surface %", "its excess %")
-    print(table(rows, head))
+    softened = assembly.SOFTENED_RATIO
+    for edge in (SHIPPED_MM,) if quick else EDGES_MM:
+        for ratio, name in ((np.inf, "not softened"), (softened, "softened")):
+            assembly.SOFTENED_RATIO = ratio
+            found = over_nodule(edge)
+            values = errors(found, exact)
+            row = (f"{edge:g} mm, {name}", str(found.unknowns))
+            rows.append((*row, *(f"{each:+.1f}" for each in values.values())))
+            print(rows[-1], flush=True)
+    assembly.SOFTENED_RATIO = softened
+    print(table(rows, ("edge", "unknowns", *(f"{name} %" for name in values))))
 
 
-def felt(quick: bool) -> None:
+def felt(quick: bool, out: Path | None) -> None:
     """Print excess force and its ratio to the felt difference, by diameter and cover."""
     law = constants("perception", "force")
     kappa, offset = law["kappa"].value, law["offset_N"].value
-    largest = Phantom(
-        width_m=WIDTH_M,
-        nodule_m=5e-4 * DIAMETERS_MM[-1],
-        nodule_depth_m=1e-3 * COVERS_MM[-1] + 5e-4 * DIAMETERS_MM[-1],
-    )
-    mesh = phantom_mesh(largest, 2e-3 if quick else FELT_M)
-    depths = DEPTHS_M[1::2]
-    plain = NoduleLayer(replace(largest, nodule_ratio=1.0), mesh).press(depths)[0][-1]
-    threshold = kappa * (plain + offset)
-    print(f"4 mm deep in 20 kPa: {plain:.3f} N; felt in 75 % of comparisons: {threshold:.3f} N")
     rows = []
-    for diameter in DIAMETERS_MM[-1:] if quick else DIAMETERS_MM:
+    ratios = []
+    diameters = DIAMETERS_MM[-1:] if quick else DIAMETERS_MM
+    for diameter in diameters:
         row = [f"{diameter:g} mm"]
-        for cover in COVERS_MM:
+        for cover in COVERS_MM[-1:] if quick else COVERS_MM:
             radius = 5e-4 * diameter
-            phantom = replace(largest, nodule_m=radius, nodule_depth_m=1e-3 * cover + radius)
-            excess = NoduleLayer(phantom, mesh).press(depths)[0][-1] - plain
-            row.append(
-                f"{1e3 * excess:.1f} mN, {100 * excess / plain:.1f} %, {excess / threshold:.2f}"
+            phantom = Phantom(
+                width_m=WIDTH_M, nodule_m=radius, nodule_depth_m=1e-3 * cover + radius
             )
+            (stiff, _), (plain, _) = reference(phantom, FELT_M, DEPTHS_M[1::2])
+            excess = float(stiff[-1] - plain[-1])
+            ratios.append(excess / (kappa * (plain[-1] + offset)))
+            row.append(f"{1e3 * excess:.1f} mN, {100 * excess / plain[-1]:.1f} %, {ratios[-1]:.2f}")
         rows.append(tuple(row))
         print(rows[-1], flush=True)
-    print(table(rows, ("diameter", *(f"{cover:g} mm deep" for cover in COVERS_MM))))
+    print(f"4 mm deep in 20 kPa: {plain[-1]:.3f} N; felt: {kappa * (plain[-1] + offset):.3f} N")
+    print(table(rows, ("diameter", *(f"{cover:g} mm deep" for cover in COVERS_MM[1 - len(row) :]))))
+    points = []
+    for diameter, cover, cells in () if quick else ORGANS:
+        found = over_nodule(SHIPPED_MM, diameter_mm=diameter, cover_mm=cover, cells_mm=cells)
+        plain_N = float(found.plain[0][-1])
+        ratio = (float(found.stiff[0][-1]) - plain_N) / (kappa * (plain_N + offset))
+        points.append((cover, diameter, ratio))
+        print(f"organ of palpation, {diameter:g} mm, {cover:g} mm deep: {ratio:.2f}", flush=True)
+    if out is not None:
+        draw(np.reshape(ratios, (len(diameters), -1)), points, out)
+
+
+def draw(ratios: Array, points: list[tuple[float, float, float]], out: Path) -> None:
+    """Draw the map of detectability: lines of equal ratio, and the organ's values."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+    from scipy.interpolate import RectBivariateSpline
+
+    figure, axes = pyplot.subplots(figsize=(6.5, 5.0), layout="constrained")
+    covers, diameters = COVERS_MM[-ratios.shape[1] :], DIAMETERS_MM[-len(ratios) :]
+    if min(ratios.shape) > 3:
+        # The logarithm of the ratio is nearly bilinear in the logarithm of the diameter.
+        smooth = RectBivariateSpline(np.log(diameters), covers, np.log(ratios), kx=2, ky=2)
+        fine_d = np.geomspace(diameters[0], diameters[-1], 200)
+        fine_c = np.linspace(covers[0], covers[-1], 200)
+        values = np.exp(smooth(np.log(fine_d), fine_c))
+        filled = axes.contourf(
+            fine_c, fine_d, values, levels=[0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0], cmap="Blues"
+        )
+        figure.colorbar(filled, label="excess force / felt difference")
+        axes.contour(fine_c, fine_d, values, levels=[1.0], colors="black", linewidths=2.0)
+    for cover, diameter, ratio in points:
+        axes.plot(cover, diameter, "o", color="tab:orange", clip_on=False)
+        axes.annotate(f"{ratio:.2f}", (cover, diameter), (5, 5), textcoords="offset points")
+    axes.set(
+        xlabel="depth of the top of the nodule (mm)",
+        ylabel="diameter of the nodule (mm)",
+        title="Ball of 16 mm, 4 mm deep; nodule 5 times as stiff.\n"
+        "Black line: felt in 75 % of comparisons. Dots: palpation's organ",
+    )
+    axes.title.set_fontsize(10)
+    figure.savefig(out, dpi=110)
 
 
 def main() -> None:
@@ -179,12 +152,13 @@ def main() -> None:
     parser.add_argument(
         "--parts", nargs="+", choices=("meshes", "felt"), default=["meshes", "felt"]
     )
+    parser.add_argument("--out", type=Path, help="draw the map of detectability as this picture")
     given = parser.parse_args()
     print(machine())
     if "meshes" in given.parts:
         meshes(given.quick)
     if "felt" in given.parts:
-        felt(given.quick)
+        felt(given.quick, given.out)
 
 
 if __name__ == "__main__":

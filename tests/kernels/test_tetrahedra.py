@@ -7,6 +7,7 @@ from tet_bodies import distorted
 from tet_fields import isotropic, node_stress
 
 from kernels.tetrahedra import group_stress
+from tissue.fem import assembly
 from tissue.fem.assembly import assemble
 from tissue.fem.fields import cell_stress
 from tissue.fem.space import EDGES, Space
@@ -92,6 +93,40 @@ def test_matrix_against_numpy(order, material):
     wanted = by_numpy(space, elasticity)
     found = assemble(space, elasticity).toarray()
     assert np.abs(found - wanted).max() <= ROUNDING * np.abs(wanted).max()
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_softened_cells_resist_a_mean_change_of_volume(order):
+    """The first Lame constant beyond the shear modulus acts on the mean strain of a cell."""
+    space = Space(distorted(2), order)
+    first, shear = lame(5e3, 0.49)
+    kept = assembly.SOFTENED_RATIO * shear
+    wanted = by_numpy(space, np.array([kept, shear]))
+    for cell, nodes in enumerate(space.cell_nodes):
+        b = np.array([strain_matrices(space, cell, at).reshape(6, -1) for at in FOUR_POINTS])
+        mean = b[:, :3].sum(axis=1).mean(axis=0)
+        place = (3 * nodes[:, None] + np.arange(3)).ravel()
+        volume = space.mesh.volumes_m3[cell]
+        wanted[np.ix_(place, place)] += volume * (first - kept) * np.outer(mean, mean)
+    for elasticity in ((first, shear), isotropic(5e3, 0.49)):
+        found = assemble(space, elasticity, softened=True).toarray()
+        assert np.abs(found - wanted).max() <= ROUNDING * np.abs(wanted).max()
+        assert np.linalg.eigvalsh(found)[6] > 1e-6 * np.abs(found).max()
+
+
+def test_cells_far_from_incompressible_are_not_softened():
+    space = Space(distorted(2), 2)
+    elasticity = lame(5e3, 0.25 - 1e-9)
+    exact = assemble(space, elasticity)
+    assert np.array_equal(exact.data, assemble(space, elasticity, softened=True).data)
+
+
+def test_softened_fibrous_cells_stay_positive_definite():
+    space = Space(distorted(2), 2)
+    found = assemble(space, fibrous(space.cell_count), softened=True).toarray()
+    # Six rigid motions have no stiffness.
+    values = np.linalg.eigvalsh(found)
+    assert np.abs(values[:6]).max() < 1e-9 * values[-1] < values[6]
 
 
 @pytest.mark.parametrize("order", [1, 2])

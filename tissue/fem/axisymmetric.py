@@ -207,13 +207,15 @@ class _Layer:
         shape = np.einsum("qj,qi->qji", value_z, value_r).reshape(-1, 9)
         by_r = np.einsum("qj,qi->qji", value_z, slope_r).reshape(-1, 9)
         by_z = np.einsum("qj,qi->qji", slope_z, value_r).reshape(-1, 9)
-        # Cells are rectangles, so the Jacobian is diagonal.
-        size = corners[:, 8] - corners[:, 0]
         radius = corners[..., 0] @ shape.T
-        gradient_r = by_r[None] * (2.0 / size[:, 0])[:, None, None]
-        gradient_z = by_z[None] * (2.0 / size[:, 1])[:, None, None]
-        area = 0.25 * size.prod(axis=1)[:, None] * weight
-        self._volume = 2.0 * np.pi * radius * area
+        # Derivatives of both coordinates by both places in the cell.
+        jacobian = np.einsum("aqk,mkc->mqac", np.stack([by_r, by_z]), corners)
+        gradient = np.einsum(
+            "mqca,aqk->mqkc", np.linalg.inv(jacobian), np.stack([by_r, by_z]), optimize=True
+        )
+        gradient_r = gradient[..., 0]
+        gradient_z = gradient[..., 1]
+        self._volume = 2.0 * np.pi * radius * np.linalg.det(jacobian) * weight
         # Rows rr, rz, zr, zz and hoop of the gradient, by the 18 components of a cell.
         slots = np.zeros((*radius.shape, 5, 9, 2))
         slots[..., 0, :, 0] = gradient_r

@@ -43,6 +43,7 @@ __all__ = [
     "gradient_slopes",
     "grouped",
     "local_pairs",
+    "mean_gradient_products",
     "mean_shape",
 ]
 
@@ -184,6 +185,12 @@ def gradient_products(corners: int, order: int) -> Array:
     slope = gradient_slopes(corners, order)
     mean = (1.0 + np.eye(corners)) / (corners * (corners + 1))
     return np.asarray(np.einsum("aci,bdj,ij->abcd", slope, slope, mean))
+
+
+def mean_gradient_products(corners: int, order: int) -> Array:
+    """Return products of mean gradients over the simplex, shape as of `gradient_products`."""
+    slope = gradient_slopes(corners, order).mean(axis=2)
+    return np.asarray(np.einsum("ac,bd->abcd", slope, slope))
 
 
 def mean_shape(corners: int, order: int) -> Array:

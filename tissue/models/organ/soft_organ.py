@@ -224,7 +224,8 @@ class SoftOrgan:
         InputError
             If the held nodes leave the organ, or a loose part of it, free to move.
         """
-        stiffness = assemble(self.space, self.elasticity)
+        # The cells of a hyperelastic law are not softened, and its region is coupled to these.
+        stiffness = assemble(self.space, self.elasticity, softened=self.law is None)
         if self.membrane is not None:
             stiffness = bsr_array((stiffness + self.membrane).tobsr((3, 3)))
         fixed = np.zeros(self.space.node_count, bool)
