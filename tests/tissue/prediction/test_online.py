@@ -50,8 +50,8 @@ def test_at_rest_it_returns_to_the_operator_that_it_started_from(wall):
         path.observe(np.zeros(3), np.zeros(3))
     started = DelayPath(wall)._weights
     assert np.abs(learnt - started).max() > 0.1 * np.abs(started).max()
-    # the ridge of the second fit changes the largest weight by a hundredth
-    np.testing.assert_allclose(path._weights, started, atol=0.02 * np.abs(started).max())
+    # the ridge of the second fit changes the largest weight by a fiftieth
+    np.testing.assert_allclose(path._weights, started, atol=0.03 * np.abs(started).max())
 
 
 @pytest.mark.parametrize("wild", [1e5, 1e-3])
