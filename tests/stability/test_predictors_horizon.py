@@ -69,6 +69,7 @@ def test_prediction_takes_a_loop_past_where_latency_makes_it_chatter():
             "seed": 500,
             "coupling.delay_ms": 4,
             "coupling.stiffness_N_m": 1500.0,
+            "coupling.force_scale": 1.0,
             "prediction": prediction,
         }
         trace = simulate(load_scene("wall", entries), allow_unstable=True).trace
