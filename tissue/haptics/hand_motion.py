@@ -410,6 +410,7 @@ class HandMotion(Motion):
             None if known is None else (scale * felt) * known,
             response.gap_m / scale,
             response.normal,
+            scale * felt * response.surface_N_m,
             law,
         )
 

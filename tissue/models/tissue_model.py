@@ -103,6 +103,8 @@ class Response:
     gap_m, normal
         Distance of a free tool from the tissue's surface [m], infinite where the tissue does not
         provide it, and the unit direction out of the surface, shape (3,).
+    surface_N_m
+        Stiffness of the surface at the gap, along the normal [N/m]; infinite if it is not known.
     """
 
     resistance: Array
@@ -114,6 +116,7 @@ class Response:
     stiffness_N_m: Array | None = None
     gap_m: float = inf
     normal: Array = field(default_factory=lambda: np.zeros(3))
+    surface_N_m: float = inf
 
     @classmethod
     def empty(cls, layer_count: int, measure_count: int = 0) -> "Response":
@@ -304,6 +307,7 @@ class WallModel:
         self._pressed = np.diag((0.0, 0.0, self.stiffness_N_m))
         self._response = Response.empty(1, 1)
         self._response.normal[2] = 1.0
+        self._response.surface_N_m = self.stiffness_N_m
 
     def place(self, motion: ToolMotion) -> None:
         """Put the ball at its start.

@@ -15,8 +15,6 @@ from tissue.prediction.predictor import Contact, CuttingLaw
 
 __all__ = ["ContactSlope", "LookAhead"]
 
-RIGID = 1e3
-"""Stiffness, over the coupling's, of a nearby tissue that has not been touched yet."""
 NOISE_M = 1e-6
 """Deviation of a force, over the coupling's stiffness, from a linear law in a tick [m].
 
@@ -103,9 +101,9 @@ class LookAhead:
     With the coupling's stiffness k, the tool's tip p, the tissue's force f on it and that force's
     slope -df/dp = K, a device at x has its tool at p', where k (x - p') + f - K (p' - p) = 0.
     The force on the device is k (p' - x). A tissue force that would pull is replaced by zero. A
-    free tool reaches the surface after the gap that the tissue provides. Beyond the surface the
-    tissue has the stiffness of the last contact. If the tissue provides no slope, the slope is
-    learnt (`ContactSlope`).
+    free tool reaches the surface after the gap that the tissue provides, and then presses the
+    stiffness of that surface. If the tissue provides no slope, the slope is learnt
+    (`ContactSlope`).
 
     A tool that cuts has its own balance of inertia, coupling and cutting force (`CuttingLaw`). It
     is stepped along the predicted path of the device, with the present edges in the tissue. On the
@@ -137,7 +135,6 @@ class LookAhead:
         self._contact: Contact | None = None
         self._stiffness = np.zeros((3, 3))
         self._unit = np.eye(3)
-        self._surface = RIGID
         self._position, self._velocity, self._force, self._damper, self._expected = np.zeros((5, 3))
         self._answered = False
 
@@ -161,23 +158,19 @@ class LookAhead:
             None,
             contact.gap_m,
             contact.normal.copy(),
+            contact.surface_N_m,
             law,
         )
         if law is not None:
             return
         force = self._contact.force_N
-        touches = any(force.tolist())
         given = contact.stiffness_N_m is not None
         self._has_slope = self._slopes == "learnt" or (given and self._slopes == "given")
         if contact.stiffness_N_m is None:
             self._slope.observe(contact.tip_m, force)
             self._stiffness = self._slope.matrix
-        elif touches:
+        elif any(force.tolist()):
             self._stiffness = contact.stiffness_N_m / spring
-        if touches:
-            self._surface = max(
-                float(force.dot(self._stiffness.dot(force))) / float(force.dot(force)), 0.0
-            )
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
         """Update with the device, and with the force in ticks with a tissue answer."""
@@ -290,5 +283,5 @@ class LookAhead:
             return np.zeros(3)
         overlap = -(contact.gap_m + float(contact.normal.dot(device_m - contact.tip_m)))
         # coupling and tissue in series
-        stiffness = contact.spring_N_m * self._surface / (1.0 + self._surface)
+        stiffness = 1.0 / (1.0 / contact.spring_N_m + 1.0 / contact.surface_N_m)
         return max(overlap, 0.0) * stiffness * contact.normal

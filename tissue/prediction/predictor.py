@@ -80,7 +80,7 @@ class Hold:
         """Do nothing: the hold does not depend on the ticks between forces."""
 
 
-CONTACT_WIDTH = 35
+CONTACT_WIDTH = 36
 """Number of values of a contact in a recording."""
 
 
@@ -133,6 +133,8 @@ class Contact:
     gap_m, normal
         Distance of a free tool from the tissue's surface [m], infinite where the tissue does not
         provide it, and the unit direction out of the surface, shape (3,).
+    surface_N_m
+        Stiffness of the surface at the gap, along the normal [N/m]; infinite if it is not known.
     cutting
         Law of a tool that cuts; None for any other tool. No force pushes a tool that cuts back to
         its earlier position.
@@ -144,6 +146,7 @@ class Contact:
     stiffness_N_m: Array | None = None
     gap_m: float = inf
     normal: Array = field(default_factory=lambda: np.zeros(3))
+    surface_N_m: float = inf
     cutting: CuttingLaw | None = None
 
     def row(self) -> Array:
@@ -158,18 +161,19 @@ class Contact:
         row[7:16] = nan if self.stiffness_N_m is None else self.stiffness_N_m.ravel()
         row[16] = self.gap_m
         row[17:20] = self.normal
+        row[20] = self.surface_N_m
         if (law := self.cutting) is not None:
-            row[20:23] = law.velocity_m_s
-            row[23:32] = law.slope_N_s_m.ravel()
-            row[32:] = law.mass_kg, law.damping_N_s_m, law.tick_s
+            row[21:24] = law.velocity_m_s
+            row[24:33] = law.slope_N_s_m.ravel()
+            row[33:] = law.mass_kg, law.damping_N_s_m, law.tick_s
         return row
 
     @classmethod
     def of_row(cls, row: Array) -> "Contact":
         """Return the contact of a row made by `row`."""
         stiffness = None if isnan(row[7]) else row[7:16].reshape(3, 3)
-        mass, damping, tick = row[32:].tolist()
-        law = CuttingLaw(row[20:23], row[23:32].reshape(3, 3), mass, damping, tick)
+        mass, damping, tick = row[33:].tolist()
+        law = CuttingLaw(row[21:24], row[24:33].reshape(3, 3), mass, damping, tick)
         return cls(
             float(row[0]),
             row[1:4],
@@ -177,6 +181,7 @@ class Contact:
             stiffness,
             float(row[16]),
             row[17:20],
+            float(row[20]),
             law if mass > 0.0 else None,
         )
 

@@ -94,12 +94,14 @@ def test_runs_without_a_touch_set_no_figure():
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "share", "primary"),
-    [pytest.param("koopman", 0.42, 0.7, marks=pytest.mark.slow), ("koopman-look-ahead", 0.35, 0.8)],
+    [pytest.param("koopman", 0.42, 0.7, marks=pytest.mark.slow), ("koopman-look-ahead", 0.27, 1.0)],
 )
 def test_latency_is_hidden_on_the_wall(kind, share, primary):
-    """At the motor measured 3.4 % without, 1.1 % with look-ahead; encoder steps alone are 0.24 %.
+    """At the motor measured 3.55 % without, 1.31 % and 0.84 % with; encoder steps alone are 0.33 %.
 
-    Both predict in most ticks of contact. The guard gives the rest to the best baseline.
+    Look-ahead by the operator predicts in every tick of contact. The operator alone, which knows no
+    surface, does so in three quarters of them: the guard gives the rest to look-ahead, which on a
+    wall has the exact law.
     """
     late, least, _ = motor_error("none")
     assert late > 0.03 and least < 0.005

@@ -72,6 +72,7 @@ class IncisionModel:
         self.removed_m3 = np.zeros(1)
         self._response = Response.empty(1, len(self.measure_names))
         self._response.normal[2] = 1.0
+        self._response.surface_N_m = self._stiffness
 
     @property
     def fields(self) -> FieldSeries | None:
