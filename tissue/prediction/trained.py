@@ -121,7 +121,9 @@ class Trained:
             whole = read_json(str(held.pop("json")))
             if not isinstance(whole, dict) or whole.get("format") != FORMAT:
                 raise InputError(what, "be one that 'tissue train' wrote", path, again)
-            require_version(what, whole, VERSION, key="version", where=path, remedy=again)
+            stated = require_version(what, whole, VERSION, key="version", where=path, remedy=again)
+            if stated < VERSION:
+                raise InputError(what, f"be of version {VERSION}", f"{stated} in {path}", again)
             if scene is not None and whole["scene"] != scene:
                 raise InputError(what, f"be of scene {scene}", f"{whole['scene']} in {path}", again)
             if tuple(whole["delays"]) != DELAYS:

@@ -75,6 +75,7 @@ def again(path, **changed):
     ("changed", "sentence"),
     [
         ({"version": 5}, "must be of format 4 or older, got 5"),
+        ({"version": 3}, "must be of version 4, got 3 in"),
         ({"scene": "liver"}, "must be of scene wall, got liver"),
         ({"format": "other"}, "must be one that 'tissue train' wrote"),
         ({"coordinates": np.zeros((2, 2))}, "must be whole, got .* shape"),

@@ -23,6 +23,7 @@ from tissue.show.figures.figure import (
 from tissue.show.figures.force_time import FLICKER_S, spells
 from tissue.show.figures.tool_mesh import tool_turns
 from tissue.simulation.bone_surface import HALF, tool_axes
+from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.run import Run
 from tissue.simulation.saved_fields import field_label
 from tissue.simulation.trace import NO_LAYER
@@ -276,7 +277,10 @@ def draw_wall(run: Run, path: Path) -> None:
         aimed = tips[0] + run.scene.motion_scale * (trace.vectors("device", "mm") - tips[0])
         look = {"color": DEVICE, "linewidth": 1.0, "linestyle": (0, (4, 2))}
         side.plot(aimed[:, across], aimed[:, 2], label="device", **look)
-        felt.plot(-aimed[:, 2], trace["device_force_z_N"], label="played by the device", **look)
+        scale = chosen_scale(run.scene).factor
+        played = trace["device_force_z_N"] / scale
+        label = "played by the device" + (f", over {scale:g}" if scale != 1.0 else "")
+        felt.plot(-aimed[:, 2], played, label=label, **look)
         felt.set_xlabel("depth of the device below the wall's face / mm")
     side.plot(tips[:, across], tips[:, 2], color=BALL, linewidth=1.6, label="ball's tip")
     row = int(force.argmax())
