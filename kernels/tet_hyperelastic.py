@@ -38,8 +38,19 @@ THREE = wp.constant(wp.float64(3.0))
 
 
 @wp.func
-def rotation(first: wp.float64, second: wp.float64, off: wp.float64):
-    """Compute tangent, cosine and sine of the rotation that removes an off-diagonal entry."""
+def removed(
+    first: wp.float64,
+    second: wp.float64,
+    off: wp.float64,
+    across: wp.float64,
+    other: wp.float64,
+    u: wp.vec3d,
+    v: wp.vec3d,
+):
+    """Remove an off-diagonal entry by a rotation of two axes.
+
+    Returned are the two diagonal entries, the other entries of both rows, and both axes.
+    """
     t = ZERO
     if off != ZERO:
         theta = (second - first) / (TWO * off)
@@ -47,7 +58,15 @@ def rotation(first: wp.float64, second: wp.float64, off: wp.float64):
         if theta < ZERO:
             t = -t
     cosine = ONE / wp.sqrt(t * t + ONE)
-    return t, cosine, t * cosine
+    sine = t * cosine
+    return (
+        first - t * off,
+        second + t * off,
+        cosine * across - sine * other,
+        sine * across + cosine * other,
+        cosine * u - sine * v,
+        sine * u + cosine * v,
+    )
 
 
 @wp.func
@@ -71,36 +90,12 @@ def stretches_of(f: wp.mat33d):
         # rounding of double precision, 2e-16, squared
         if xy * xy + xz * xz + yz * yz <= wp.float64(1.0e-31) * (xx * xx + yy * yy + zz * zz):
             break
-        t, cosine, sine = rotation(xx, yy, xy)
-        xx -= t * xy
-        yy += t * xy
+        xx, yy, xz, yz, vx, vy = removed(xx, yy, xy, xz, yz, vx, vy)
         xy = ZERO
-        old = xz
-        xz = cosine * old - sine * yz
-        yz = sine * old + cosine * yz
-        axis = vx
-        vx = cosine * axis - sine * vy
-        vy = sine * axis + cosine * vy
-        t, cosine, sine = rotation(xx, zz, xz)
-        xx -= t * xz
-        zz += t * xz
+        xx, zz, xy, yz, vx, vz = removed(xx, zz, xz, xy, yz, vx, vz)
         xz = ZERO
-        old = xy
-        xy = cosine * old - sine * yz
-        yz = sine * old + cosine * yz
-        axis = vx
-        vx = cosine * axis - sine * vz
-        vz = sine * axis + cosine * vz
-        t, cosine, sine = rotation(yy, zz, yz)
-        yy -= t * yz
-        zz += t * yz
+        yy, zz, xy, xz, vy, vz = removed(yy, zz, yz, xy, xz, vy, vz)
         yz = ZERO
-        old = xy
-        xy = cosine * old - sine * xz
-        xz = sine * old + cosine * xz
-        axis = vy
-        vy = cosine * axis - sine * vz
-        vz = sine * axis + cosine * vz
     v = wp.matrix_from_cols(vx, vy, vz)
     return wp.vec3d(wp.sqrt(xx), wp.sqrt(yy), wp.sqrt(zz)), v
 

@@ -234,7 +234,7 @@ Other keys are refused with "must be left out".
 CLOCK = ("tick_us", "missed_deadlines", "events", "machine", "tissue", "scheduling", "machine_gaps")
 """Entries of a summary that a clock or a machine decides."""
 CLOCK_OF_LAW = ("solve_ms", "offset_older_than_interval")
-"""The same of the entry of a hyperelastic law."""
+"""Entries of a hyperelastic law that a clock decides."""
 QUICK = ("wall",)
 """Kinds that the plain run walks through; the others take seconds each, and go to the slow set."""
 

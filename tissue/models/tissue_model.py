@@ -239,7 +239,7 @@ class MayLag(Protocol):
     """Tissue whose background work may come late, because a real device cannot wait for it."""
 
     waits: bool
-    """Whether a tick waits for background work that is due."""
+    """True if a tick waits for background work that is due."""
 
 
 @runtime_checkable

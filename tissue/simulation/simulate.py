@@ -52,7 +52,7 @@ class RunObserver:
     timing_columns: tuple[str, ...] = ()
     """Columns that the observer adds to the timing table; it fills the last entries of a row."""
     paces: bool = False
-    """Whether the observer starts the ticks by the wall clock."""
+    """True if the observer starts the ticks by the wall clock."""
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
         """Prepare for a run of `parts` with the columns of its trace."""
