@@ -9,6 +9,10 @@ scene, latency and predictor are the error at the motor, its noise floor (the fo
 steps, predicted without error), the excess over this noise floor, the excess as a share of that of
 zero-order hold, the residual latency, and the worst share over the held-out moves. Two processes
 record and score.
+
+Besides the predictors of the program, `ridge` is a plain regression from 80 past ticks, fitted to the
+other hands of the unchanged scene, and `never trained` the adaptive predictor that starts from the
+operators of all other scenes.
 """
 
 import argparse
@@ -21,10 +25,15 @@ from pathlib import Path
 import numpy as np
 from harness import machine, table
 from motor_score import motor_score, recorded_ideal_N
+from ridge import Ridge, ridge_weights
 
 from meshes.base.errors import InputError
 from tissue.evaluation.training import Recorder, Recording, trial
-from tissue.prediction.trained import Trained, shipped_file
+from tissue.prediction.guard import Guarded
+from tissue.prediction.look_ahead import LookAhead
+from tissue.prediction.online import AdaptivePath
+from tissue.prediction.predictor import Hold, Predictor
+from tissue.prediction.trained import Trained, general_operator, shipped_file
 from tissue.scene.load import changed, load_scene
 from tissue.scene.registry import PREDICTORS
 from tissue.scene.scene import Scene
@@ -55,6 +64,8 @@ Scores = dict[tuple[str, int], np.ndarray]
 RECORDED_MS = 4
 """Latency under which runs are recorded; predictors are scored on them as if it were another."""
 FORCE_LIMIT_N = 3.3
+RIDGE, NEVER_TRAINED = "ridge", "never trained"
+KINDS = (*PREDICTORS, RIDGE, NEVER_TRAINED)
 
 
 @dataclass(frozen=True)
@@ -84,11 +95,23 @@ def scores(
     """
     kept, trained = Kept.read(path), Trained.read(shipped_file(variant.name), scene=variant.name)
     one = trial(variant, kept.run.seed, delay_ms=RECORDED_MS, share=share)
+    same = path.parent.glob(f"{variant.name}-same-*.npz")
+    others = [Kept.read(each).run for each in same]
+    weights = ridge_weights([run for run in others if run.seed != kept.run.seed])
+
+    def made(kind: str) -> Predictor:
+        """Return a new predictor of a kind."""
+        if kind == RIDGE:
+            return Ridge(weights)
+        if kind == NEVER_TRAINED:
+            path = AdaptivePath(general_operator(without=variant.name))
+            return Guarded(LookAhead(path, slopes="given"), Hold(), reach_N=FORCE_LIMIT_N)
+        return trained_predictor(kind, trained, force_limit_N=FORCE_LIMIT_N)
+
     found = {}
-    for kind in PREDICTORS:
+    for kind in KINDS:
         for late in latencies_ms:
-            made = trained_predictor(kind, trained, force_limit_N=FORCE_LIMIT_N)
-            score = motor_score(made, one, kept.run, kept.ideal_N, delay_ms=late)
+            score = motor_score(made(kind), one, kept.run, kept.ideal_N, delay_ms=late)
             found[kind, late] = np.array(
                 (score.error, score.least_error, score.excess, score.latency_ms)
             )
@@ -179,7 +202,7 @@ def report(name: str, late_ms: int, found: dict[str, list[Scores]]) -> None:
             move: np.mean([run[kind, late_ms] for run in runs], axis=0)
             for move, runs in found.items()
         }
-        for kind in PREDICTORS
+        for kind in KINDS
     }
     rows = []
     for kind, of in mean.items():
