@@ -5,8 +5,6 @@ fades, at 1.03 it grows. The critical stiffness is that of the judge times a rat
 On tissue that yields, the judged stiffness is that of coupling and tissue in series.
 """
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from ball_cut import CutElements
@@ -22,7 +20,7 @@ from kicked_loop import (
 )
 from prony_series import relaxation_of
 
-from tissue import load_scene
+from tissue import InputError, load_scene
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr
 from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands
@@ -30,11 +28,11 @@ from tissue.haptics.loop.sampled_loop import spectral_radius
 from tissue.haptics.proxy.probing_tool import ProbedBone
 from tissue.haptics.proxy.proxy import ToolShell
 from tissue.materials.prony import HereditaryIntegral, Prony
-from tissue.models.bone.smooth_surface import HARDNESS_Pa, SINK_M_S
+from tissue.models.bone.smooth_surface import SINK_M_S, HARDNESS_Pa
 from tissue.models.incision.model import IncisionModel
 from tissue.models.incision.parameters import incised_tissue
 from tissue.models.tissue_model import TICK_S, FreeSpace, WallModel
-from tissue.simulation.builders.loop import judged_loop
+from tissue.simulation.builders.loop import judged_loop, judged_loops
 from tissue.simulation.builders.organ_scene import blade_of
 
 RIGID = 1e4
@@ -123,6 +121,15 @@ class Drag:
         return np.zeros(6), self.slopes[:, :unknowns]
 
 
+class PointDrag(Drag):
+    """Bone that holds the tool along z at one point, a lever from its tip along y."""
+
+    def __init__(self, lever_m, drag_N_s_m):
+        super().__init__(0.0)
+        row = np.array([0.0, 0.0, 1.0, lever_m, 0.0, 0.0])
+        self.slopes = -drag_N_s_m * np.outer(row, row)
+
+
 class Cut(FreeSpace):
     """Bone under a tool with inertia."""
 
@@ -149,7 +156,7 @@ def pressed_depth_m(settings, stiffness_N_m):
     return min(force_N, 1.5) * (1.0 / stiffness_N_m + 1.0 / settings.person.stiffness_N_m)
 
 
-def on_wall(share, *, ratio=RIGID, known=True, slide_m_s=0.0, reflex=False, **changes):
+def on_wall(share, *, ratio=RIGID, known=True, slide_m_s=0.0, reflex=False, seconds=2.6, **changes):
     """Return the growth on a wall, whose stiffness is a ratio of the coupling's."""
     scene = "wall" if known else "palpation"
     settings = exact_settings(scene, **({"device": "touch"} | changes))
@@ -158,7 +165,10 @@ def on_wall(share, *, ratio=RIGID, known=True, slide_m_s=0.0, reflex=False, **ch
     coupling = series * (1.0 + 1.0 / ratio)
     wall = WallModel if known else UnknownWall
     course = Course(
-        depth_m=pressed_depth_m(settings, series), slide_m_s=slide_m_s, reflex=reflex
+        depth_m=pressed_depth_m(settings, series),
+        slide_m_s=slide_m_s,
+        reflex=reflex,
+        seconds=seconds,
     )
     return rate_of(settings, wall(ratio * coupling, radius_m=5e-3), course, coupling)
 
@@ -249,7 +259,11 @@ SHAFT = CutElements(-UP, 0.0 * UP, -2e-5 * HARDNESS_Pa * UP, ramp_m_s=SINK_M_S)
 
 CASES = {
     "wall": (on_wall, {}, 1.0),
-    "wall, 8 ms, hand with a reflex": (on_wall, {"coupling__delay_ms": 8, "reflex": True}, 1.0),
+    "wall, 8 ms, hand with a reflex": (
+        on_wall,
+        {"coupling__delay_ms": 8, "reflex": True, "seconds": 4.0},
+        1.0,
+    ),
     "wall, six-dof": (on_wall, {"device": "six-dof"}, 1.0),
     "wall, six-dof, lever of 4 mm": (at_a_lever, {"lever_m": 4e-3}, 1.0),
     "skin": (on_skin, {}, 1.01),
@@ -298,6 +312,30 @@ def test_a_loop_fades_below_its_critical_stiffness_and_grows_above(name):
     below, above = (make(share * ratio, **given) for share in (0.97, 1.03))
     print(f"{name}: {below:.2f} and {above:.2f} 1/s at 0.97 and 1.03 of {ratio:g}")
     assert below < 0.0 < above
+
+
+@pytest.mark.parametrize(
+    ("shares", "fades", "accepted"),
+    [((0.75, 0.75), True, True), ((0.97, 0.5), True, True), ((0.97, 0.97), False, False)],
+)
+def test_a_contact_at_a_lever_limits_both_shares_together(shares, fades, accepted):
+    """Bone blocks a cutter 55 mm from its tip, on a sigma-7.
+
+    Positions and turns have a share of their judged critical stiffness each. Alone, both are
+    stable.
+    """
+    settings = exact_settings("milling", device="sigma-7")
+    critical = np.minimum(critical_of(settings), critical_of(settings, reflex=True))
+    stiffness, turning = 0.999 * np.array(shares) * critical
+    bone = Cut(PointDrag(55e-3, 1e6))
+    rate = rate_of(settings, bone, Course(), stiffness, turning=turning, top=1e-3)
+    assert rate < 0.0 if fades else rate > 0.0
+    given = coupled(settings, stiffness_N_m=stiffness, stiffness_Nm_rad=turning)
+    if accepted:
+        judged_loops(given, allow_unstable=False)
+    else:
+        with pytest.raises(InputError, match="stiffness_Nm_rad must be below"):
+            judged_loops(given, allow_unstable=False)
 
 
 @pytest.mark.slow

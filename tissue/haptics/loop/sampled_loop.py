@@ -178,10 +178,10 @@ def loop_matrix(loop: WallLoop) -> Array:
 
     The map is a square matrix. The state contains position, velocity and motor force, the position
     at the last model step, the filtered force, the pending forces and the velocity filter. With a
-    forecast, it also contains the observed positions, velocities and forces, with a vibration the
-    envelope of the force, and with a reflex the positions during its delay. The map is the response of the loop to the columns of a unit matrix,
-    tick by tick. Over a period, it is the product of the maps of its steps, whose eigenvalues
-    determine stability (Floquet).
+    forecast, it also contains the observed positions, velocities and forces. With a vibration, it
+    contains the envelope of the force, and with a reflex the positions during its delay. The map is
+    the response of the loop to the columns of a unit matrix, tick by tick. Over a period, it is the
+    product of the maps of its steps, whose eigenvalues determine stability (Floquet).
     """
     # The small numbers are for delays that are whole ticks except for rounding.
     whole = int(loop.delay_s / loop.tick_s + 1e-9)
@@ -202,7 +202,8 @@ def loop_matrix(loop: WallLoop) -> Array:
     places, ages = (0, 0) if loop.forecast is None else loop.forecast.memory
     estimated, speeds = (0, 0) if loop.velocity_memory is None else (3, places)
     shaken = loop.vibration is not None
-    felt_ticks = loop.reflex_ticks if loop.reflex_N_m > 0.0 else 0
+    has_reflex = loop.reflex_N_m > 0.0
+    felt_ticks = loop.reflex_ticks if has_reflex else 0
     # 5: position, velocity, motor force, position at the last model step, filtered force.
     ends = np.cumsum([5, shaken, queued, felt_ticks, estimated, places, speeds, ages]).tolist()
     size = ends[-1]
@@ -236,7 +237,9 @@ def loop_matrix(loop: WallLoop) -> Array:
         reflex.append(plant[0])
         push = -loop.reflex_N_m * reflex.pop(0)
         for matrix, back in steps:
-            plant = matrix @ np.vstack([plant, queue[-1 - back], push])
+            plant = matrix[:, :4] @ np.vstack([plant, queue[-1 - back]])
+            if has_reflex:
+                plant += np.outer(matrix[:, 4], push)
         queue.pop(0)
     seen_rows = (*seen.positions, *seen.speeds, *seen.forces)
     kept = (*envelope, *queue, *reflex, *velocity.state, *seen_rows)

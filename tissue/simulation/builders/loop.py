@@ -232,6 +232,8 @@ def judged_loops(
 ) -> tuple[JudgedLoop, JudgedLoop | None]:
     """Return the loop of a device's positions and, if it plays torque, the loop of its turns.
 
+    The verdict on the turns includes that a contact at a lever couples both loops.
+
     Raises
     ------
     InputError
@@ -242,8 +244,9 @@ def judged_loops(
     loops = [(position, person.linear_hands, "stiffness_N_m", "N/m", _steepest(settings))]
     if settings.limits.torque_limit_Nm > 0.0:
         turning = _turning_loop(settings)
-        hands = (LinearHand(*person.grip[3:]),)
-        loops.append((turning, hands, "stiffness_Nm_rad", "N m/rad", 1.0))
+        grip = LinearHand(*person.grip[3:])
+        left = _left(_judged(position, person.linear_hands, _steepest(settings)))
+        loops.append((turning, (grip,), "stiffness_Nm_rad", "N m/rad", 1.0 / left))
     saves = "friction (or renderer = passivity)"
     if settings.held.renderer == "passivity":
         saves = "friction and the passivity controller"
@@ -265,6 +268,18 @@ def _judged(loop: WallLoop, hands: tuple[LinearHand, ...], steepest: float) -> V
     return replace(verdict, critical_N_m=critical, nearest_N_m=nearest)
 
 
+def _left(position: Verdict) -> float:
+    """Return the usable share of the critical stiffness of turns, next to the loop of positions.
+
+    A contact at a lever couples both loops. If each has its critical stiffness, they may be
+    unstable together. A loop at `SHARE` of its critical stiffness leaves the other one whole.
+    Between these points, the sum of both shares is limited to 1 + `SHARE`. The smallest sum at
+    which a loop grew is 1.76 (a cutter that bone blocks 55 mm from its tip, on a sigma-7, see
+    tests/stability/test_judged_loops.py).
+    """
+    return min(max(SHARE + position.margin, SHARE), 1.0)
+
+
 def _steepest(settings: LoopSettings) -> float:
     """Return the largest slope of the commanded force over the contact force."""
     perception = settings.perception(np.random.default_rng(0))
@@ -277,9 +292,9 @@ def judged_loop(settings: LoopSettings, *, step_s: float) -> WallLoop:
     A tool that cuts or only touches bone, or presses a tissue that provides its stiffness, answers
     in the tick of the sample. For any other tissue the stiffness is estimated from the last motion.
     If the tool slides along the surface, that is the stiffness along it, and the balance is found a
-    tick later. For a guarded
-    predictor, the predictor or its fallback is used, whichever has the lower critical stiffness.
-    The played vibration of a cutter's teeth counts in proportion to the force.
+    tick later. For a guarded predictor, the predictor or its fallback is used, whichever has the
+    lower critical stiffness. The played vibration of a cutter's teeth counts in proportion to the
+    force.
 
     A slow device holds each force until its next sample, so its loop is judged at the device's
     rate.
