@@ -27,7 +27,9 @@ from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_ha
 from tissue.haptics.loop.sampled_loop import spectral_radius
 from tissue.haptics.proxy.probing_tool import ProbedBone
 from tissue.haptics.proxy.proxy import ToolShell
+from tissue.materials.constants import CuttingCoefficients
 from tissue.materials.prony import HereditaryIntegral, Prony
+from tissue.models.bone.model import BoneModel
 from tissue.models.bone.smooth_surface import SINK_M_S, HARDNESS_Pa
 from tissue.models.incision.model import IncisionModel
 from tissue.models.incision.parameters import incised_tissue
@@ -219,6 +221,19 @@ def in_bone(share, bone, *, reflex=False, delay_ms=0, device="touch"):
     return rate_of(settings, Cut(bone), course, stiffness, turning=turning, top=1e-3)
 
 
+def in_voxels(share):
+    """Return the growth of a turning ball burr along the surface of bone of voxels.
+
+    A fiftieth of its force is played. The pressed burr sinks by 0.03 mm per second.
+    """
+    settings = exact_settings("milling", device="touch")
+    stiffness = share * critical_of(settings)[0]
+    cutter = Cutter(ball_burr(diameter_m=2e-3), 6, 1e3)
+    bone = BoneModel(solid(24), cutter, (CORTICAL,), shell_spacing_m=1e-4, cores=1)
+    course = Course(depth_m=1e-3, along=(1.0, 0.0, 0.0))
+    return rate_of(settings, bone, course, stiffness, scale=0.02, axis=0)
+
+
 def turned_in_bone(share, bone):
     """Return the growth of the turns of a tool with inertia in bone."""
     settings = exact_settings("milling", device="six-dof")
@@ -253,6 +268,7 @@ def at_a_lever(share, *, lever_m):
     return rate_of(settings, tissue, course, stiffness, turning=turning, top=1e-3)
 
 
+CORTICAL = CuttingCoefficients(200e6, 90e6, 30e6, 8e3, 5e3, 2e3, 1000.0, 2.0)
 BLOCKED = Drag(1e6, 1e3)
 SHAFT = CutElements(-UP, 0.0 * UP, -2e-5 * HARDNESS_Pa * UP, ramp_m_s=SINK_M_S)
 """Smooth end of 20 mm2 on bone."""
@@ -283,6 +299,7 @@ CASES = {
     "cutter, blocked, six-dof": (in_bone, {"bone": BLOCKED, "device": "six-dof"}, 1.0),
     "cutter, blocked, turns, six-dof": (turned_in_bone, {"bone": BLOCKED}, 1.0),
     "cutter, smooth end at rest": (in_bone, {"bone": SHAFT}, 1.0),
+    "cutter, turning on voxels": (in_voxels, {}, 1.0),
     "cutter, 1000 N s/m": (in_bone, {"bone": Drag(1e3)}, 1.02),
     "cutter, 100 N s/m": (in_bone, {"bone": Drag(1e2)}, 1.29),
 }
