@@ -66,11 +66,13 @@ def test_real_devices_held_and_free_filtered_and_slow(model_ticks):
     for name in DEVICES:
         bare = device_parameters(name).loop(100.0)
         held = in_hands(bare, [hand_parameters(group).grip[:3] for group in HANDS])
+        with_reflex = in_hands(bare, [hand_parameters("novice").linear_hands[-1]])[0]
         loops += [
             bare,
             *held,
             replace(held[0], filter_s=1e-3),
             replace(held[0], wall_damping_N_s_m=2.0),
+            replace(with_reflex, delay_s=4e-3),
         ]
     loops = [replace(each, model_ticks=model_ticks) for each in loops]
     assert measured_critical_N_m(loops) == pytest.approx(

@@ -7,8 +7,7 @@ from matplotlib.axes import Axes
 
 from meshes.base.errors import InputError
 from meshes.base.whole_file import write_columns
-from tissue.haptics.hand.hand import hand_parameters
-from tissue.haptics.loop.critical_stiffness import in_hands
+from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands
 from tissue.haptics.loop.stability_map import StabilityChart, StabilityMap, stability_map
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.registry import DEVICES
@@ -35,6 +34,8 @@ LINES = {
 def scene_stability(scene: Scene) -> StabilityMap:
     """Map the closed-loop stability of a scene's device and operator about its coupling.
 
+    The hand has its reflex if this lowers the critical stiffness.
+
     Raises
     ------
     InputError
@@ -47,11 +48,9 @@ def scene_stability(scene: Scene) -> StabilityMap:
             "none",
             "pass --set device=touch",
         )
-    held = in_hands(
-        judged_loop(loop_settings(scene), step_s=TICK_S),
-        [hand_parameters(scene.held.hand, scene.constants).grip[:3]],
-    )
-    return stability_map(held[0])
+    settings = loop_settings(scene)
+    held = in_hands(judged_loop(settings, step_s=TICK_S), settings.person.linear_hands)
+    return stability_map(min(held, key=critical_stiffness_N_m))
 
 
 def stability_lines(scene: Scene, found: StabilityMap) -> list[str]:

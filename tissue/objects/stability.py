@@ -39,7 +39,7 @@ def wall_loop(
         Stiffness of the wall [N/m].
     hand
         Hand that holds the device: novice, intermediate, expert or a registered one; None for no
-        hand.
+        hand. Its reflex is left out, see `reflex_N_m` and `reflex_s` of `WallLoop`.
 
     Raises
     ------

@@ -10,6 +10,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import require_positive, require_range
+from tissue.haptics.loop.critical_stiffness import LinearHand
 from tissue.materials.scene_constants import Materials
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.quaternion import NOTHING, UPRIGHT, Quaternion, Triple
@@ -235,8 +236,21 @@ class HandParameters:
             require_positive(name, getattr(self, name), "see hands.toml for what is usual")
 
     @property
+    def linear_hands(self) -> tuple[LinearHand, ...]:
+        """Linear part of the hand in translation, without and with its reflex.
+
+        The reflex may stabilise a loop or make it unstable, which depends on the frequency of its
+        ringing. A loop is therefore judged in both hands.
+        """
+        still = LinearHand(*self.grip[:3])
+        if self.reflex_share == 0.0:
+            return (still,)
+        reflex_N_m = self.reflex_share * self.stiffness_N_m
+        return still, still._replace(reflex_N_m=reflex_N_m, reflex_s=self.reflex_s)
+
+    @property
     def grip(self) -> Grip:
-        """Linear part of the hand, without the reflex, used in the stability analysis of a loop."""
+        """Linear part of the hand without the reflex."""
         return Grip(
             self.stiffness_N_m,
             self.damping_N_s_m,

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import floor, inf, log10, pi
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
@@ -16,6 +17,7 @@ from tissue.haptics.loop.filters import low_pass_gain
 from tissue.haptics.loop.sampled_loop import WallLoop, largest_eigenvalue, spectral_radius
 
 __all__ = [
+    "LinearHand",
     "Verdict",
     "critical_stiffness_N_m",
     "delay_bound_N_m",
@@ -88,15 +90,36 @@ class Verdict:
         )
 
 
-def in_hands(loop: WallLoop, hands: Sequence[tuple[float, float, float]]) -> tuple[WallLoop, ...]:
-    """Return the loop in several hands, each with stiffness [N/m], damping [N s/m] and mass [kg].
+class LinearHand(NamedTuple):
+    """Linear part of a hand, as the stability analysis of a loop uses it.
 
-    No hand is (0, 0, 0).
+    The units are N/m, N s/m and kg, and for the reflex N/m and s, see `WallLoop`. No hand is
+    (0, 0, 0).
     """
-    return tuple(
-        replace(loop, hand_stiffness_N_m=stiffness, hand_damping_N_s_m=damping, hand_mass_kg=mass)
-        for stiffness, damping, mass in hands
-    )
+
+    stiffness_N_m: float
+    damping_N_s_m: float
+    mass_kg: float
+    reflex_N_m: float = 0.0
+    reflex_s: float = 0.0
+
+
+def in_hands(loop: WallLoop, hands: Sequence[tuple[float, ...]]) -> tuple[WallLoop, ...]:
+    """Return the loop in several hands, each with the entries of `LinearHand`."""
+    held = []
+    for each in hands:
+        hand = LinearHand(*each)
+        held.append(
+            replace(
+                loop,
+                hand_stiffness_N_m=hand.stiffness_N_m,
+                hand_damping_N_s_m=hand.damping_N_s_m,
+                hand_mass_kg=hand.mass_kg,
+                reflex_N_m=hand.reflex_N_m,
+                reflex_s=hand.reflex_s,
+            )
+        )
+    return tuple(held)
 
 
 def critical_stiffness_N_m(loop: WallLoop) -> float:
@@ -152,7 +175,7 @@ def nearest_stable_N_m(critical_N_m: float) -> float:
     return floor((1.0 - 1e-9) * critical_N_m / unit) * unit
 
 
-def judge(loop: WallLoop, hands: Sequence[tuple[float, float, float]] | None = None) -> Verdict:
+def judge(loop: WallLoop, hands: Sequence[tuple[float, ...]] | None = None) -> Verdict:
     """Judge the stability of a loop.
 
     With ``hands`` (see `in_hands`), the worst of these hands replaces the hand of the loop.

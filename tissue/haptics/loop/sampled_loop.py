@@ -73,6 +73,9 @@ class WallLoop:
         Bandwidth of the amplifier [Hz]; infinite for no lag.
     hand_stiffness_N_m, hand_damping_N_s_m, hand_mass_kg
         Linear hand that holds the device [N/m], [N s/m], [kg]; zeros for a hand that has let go.
+    reflex_N_m, reflex_s
+        Stiffness of the hand's reflex [N/m], and its delay [s], rounded to whole ticks. The reflex
+        pushes back in proportion to the position at that time before.
     forecast
         Linear predictor of the force before the low-pass; None for no predictor. Its phases belong
         to `model_ticks`.
@@ -95,6 +98,8 @@ class WallLoop:
     hand_stiffness_N_m: float = 0.0
     hand_damping_N_s_m: float = 0.0
     hand_mass_kg: float = 0.0
+    reflex_N_m: float = 0.0
+    reflex_s: float = 0.0
     forecast: Forecast | None = None
     vibration: Vibration | None = None
 
@@ -112,6 +117,8 @@ class WallLoop:
             ("wall_damping_N_s_m", -1e9, 1e9),
             ("model_ticks", 1, MOST_TICKS),
             ("delay_s", 0.0, longest_s),
+            ("reflex_N_m", 0.0, 1e9),
+            ("reflex_s", 0.0, longest_s),
             ("amplifier_Hz", 1e-9, inf),
         ):
             require_range(name, getattr(self, name), low, high, "see `WallLoop`")
@@ -123,6 +130,11 @@ class WallLoop:
                 "None",
                 f"use {OBSERVER_MEMORY:g}",
             )
+
+    @property
+    def reflex_ticks(self) -> int:
+        """Delay of the hand's reflex [ticks]."""
+        return round(self.reflex_s / self.tick_s)
 
     @property
     def vibration_factors(self) -> Array:
@@ -166,10 +178,10 @@ def loop_matrix(loop: WallLoop) -> Array:
 
     The map is a square matrix. The state contains position, velocity and motor force, the position
     at the last model step, the filtered force, the pending forces and the velocity filter. With a
-    forecast, it also contains the observed positions, velocities and forces, and with a vibration
-    the envelope of the force. The map is the response of the loop to the columns of a unit matrix,
-    tick by tick. Over a period, it is the product of the maps of its steps, whose eigenvalues
-    determine stability (Floquet).
+    forecast, it also contains the observed positions, velocities and forces. With a vibration, it
+    contains the envelope of the force, and with a reflex the positions during its delay. The map is
+    the response of the loop to the columns of a unit matrix, tick by tick. Over a period, it is the
+    product of the maps of its steps, whose eigenvalues determine stability (Floquet).
     """
     # The small numbers are for delays that are whole ticks except for rounding.
     whole = int(loop.delay_s / loop.tick_s + 1e-9)
@@ -183,23 +195,28 @@ def loop_matrix(loop: WallLoop) -> Array:
     mass = loop.mass_kg + loop.hand_mass_kg
     damping = loop.damping_N_s_m + loop.hand_damping_N_s_m
     steps = [
-        (np.array(plant_step(mass, damping, spring, loop.amplifier_Hz, s))[:, :4], back)
+        (np.array(plant_step(mass, damping, spring, loop.amplifier_Hz, s)), back)
         for s, back in parts
     ]
     queued = ceil(loop.delay_s / loop.tick_s - 1e-9)
     places, ages = (0, 0) if loop.forecast is None else loop.forecast.memory
     estimated, speeds = (0, 0) if loop.velocity_memory is None else (3, places)
     shaken = loop.vibration is not None
+    has_reflex = loop.reflex_N_m > 0.0
+    felt_ticks = loop.reflex_ticks if has_reflex else 0
     # 5: position, velocity, motor force, position at the last model step, filtered force.
-    ends = np.cumsum([5, shaken, queued, estimated, places, speeds, ages]).tolist()
+    ends = np.cumsum([5, shaken, queued, felt_ticks, estimated, places, speeds, ages]).tolist()
     size = ends[-1]
     factors = loop.vibration_factors
     state = np.tile(np.eye(size), factors.shape[1])
     plant = state[:3]
     before = state[3]
     filtered = state[4]
-    envelope, waiting, estimate, *known = (state[first:last] for first, last in pairwise(ends))
+    envelope, waiting, felt, estimate, *known = (
+        state[first:last] for first, last in pairwise(ends)
+    )
     queue = list(waiting)
+    reflex = list(felt)
     velocity = SampledVelocity(loop, estimate)
     seen = ForecastMemory(loop, *map(list, known))
     gain = low_pass_gain(loop.filter_s, loop.tick_s)
@@ -217,11 +234,16 @@ def loop_matrix(loop: WallLoop) -> Array:
         filtered = filtered + gain * (seen.predict(plant[0], speed, model, tick) - filtered)
         envelope = envelope + follows * (filtered - envelope)
         queue.append(filtered + np.repeat(factors[tick], size) * envelope.sum(axis=0))
+        reflex.append(plant[0])
+        push = -loop.reflex_N_m * reflex.pop(0)
         for matrix, back in steps:
-            plant = matrix @ np.vstack([plant, queue[-1 - back]])
+            plant = matrix[:, :4] @ np.vstack([plant, queue[-1 - back]])
+            if has_reflex:
+                plant += np.outer(matrix[:, 4], push)
         queue.pop(0)
     seen_rows = (*seen.positions, *seen.speeds, *seen.forces)
-    rows = np.vstack([plant, before, filtered, *envelope, *queue, *velocity.state, *seen_rows])
+    kept = (*envelope, *queue, *reflex, *velocity.state, *seen_rows)
+    rows = np.vstack([plant, before, filtered, *kept])
     maps = rows.reshape(size, -1, size).swapaxes(0, 1)
     return np.asarray(reduce(lambda first, then: then @ first, maps))
 

@@ -107,10 +107,14 @@ def growth_while_running(
         # 1e-12 s changes nothing.
         given = (mass, damped, held, of("amplifier_Hz"), np.maximum(lengths, 1e-12))
         rows = [plant_step(*each) for each in zip(*(each.tolist() for each in given), strict=True)]
-        steps.append((np.moveaxis(np.array(rows)[:, :, :4], 0, -1), behind))
+        steps.append((np.moveaxis(np.array(rows), 0, -1), behind))
     length = int(whole.max()) + 2
     columns = np.arange(count)
     queue = np.zeros((length, count))
+    reflex_ticks = np.array([each.reflex_ticks for each in loops])
+    reflex_N_m = of("reflex_N_m")
+    memory = int(reflex_ticks.max()) + 1
+    felt = np.zeros((memory, count))
     spring = stiffnesses_N_m + held
     damping = of("wall_damping_N_s_m")
     gain = np.array([low_pass_gain(each.filter_s, tick) for each in loops])
@@ -119,7 +123,7 @@ def growth_while_running(
     nothing = [np.zeros(count)]
     seen = ForecastMemory(first, nothing * places, nothing * (places * filtering), nothing * ages)
     velocity = SampledVelocity(first, np.zeros((3 * filtering, count)))
-    plant = np.zeros((4, count))
+    plant = np.zeros((5, count))
     # The loop is linear: the size of the push [m/s] does not matter.
     plant[1] = 1e-3
     before, force, filtered, envelope = np.zeros((4, count))
@@ -146,6 +150,8 @@ def growth_while_running(
             envelope = envelope + follows * (filtered - envelope)
             shaken = first.vibration.factor(n) if first.vibration else 0.0
             queue[n % length] = filtered + shaken * envelope
+            felt[n % memory] = plant[0]
+            plant[4] = -reflex_N_m * felt[(n - reflex_ticks) % memory, columns]
             for matrix, behind in steps:
                 plant[3] = queue[(n - behind) % length, columns]
                 plant[:3] = np.einsum("ijn,jn->in", matrix, plant)

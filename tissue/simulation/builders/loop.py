@@ -12,6 +12,7 @@ from meshes.base.errors import InputError
 from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.haptics.hand.hand import HandParameters, hand_parameters
 from tissue.haptics.loop.critical_stiffness import (
+    LinearHand,
     Verdict,
     critical_stiffness_N_m,
     in_hands,
@@ -27,6 +28,7 @@ from tissue.models.tissue_model import TICK_S
 from tissue.prediction.guard import Guarded
 from tissue.prediction.predictor import Predictor
 from tissue.scene.coupling import Coupling, Device, WallAnatomy
+from tissue.scene.organ import IncisedAnatomy
 from tissue.scene.scene import Output, Scene
 from tissue.scene.tool import Tool
 
@@ -48,10 +50,11 @@ __all__ = [
 ]
 
 
-Contact = Literal["cuts", "touches", "presses", "wall"]
+Contact = Literal["cuts", "touches", "presses", "springs"]
 """Kind of contact of a tool.
 
-A tool cuts, touches a rigid object, presses soft tissue, or presses the test wall.
+A tool cuts, touches a rigid object, presses soft tissue, or presses a tissue that provides its
+stiffness (`Response.stiffness_N_m`), such as the test wall.
 """
 SHARE = 0.5
 """Ratio of the chosen stiffness to the critical stiffness in the scene's hand.
@@ -177,7 +180,8 @@ def loop_settings(scene: Scene) -> LoopSettings:
     held = scene.held
     tool = scene.tool
     limits = sampled(device_parameters(held.kind, scene.constants))
-    contact: Contact = "wall" if isinstance(scene.anatomy, WallAnatomy) else "presses"
+    springs = isinstance(scene.anatomy, WallAnatomy | IncisedAnatomy)
+    contact: Contact = "springs" if springs else "presses"
     teeth_Hz = 0.0
     if isinstance(tool, Tool):
         contact = "touches" if tool.spin_rpm == 0.0 else "cuts"
@@ -228,23 +232,27 @@ def judged_loops(
 ) -> tuple[JudgedLoop, JudgedLoop | None]:
     """Return the loop of a device's positions and, if it plays torque, the loop of its turns.
 
+    The verdict on the turns includes that a contact at a lever couples both loops.
+
     Raises
     ------
     InputError
         If one is unstable and that is not allowed.
     """
-    grip = settings.person.grip
+    person = settings.person
     position = judged_loop(settings, step_s=TICK_S)
-    loops = [(position, grip[:3], "stiffness_N_m", "N/m", _steepest(settings))]
+    loops = [(position, person.linear_hands, "stiffness_N_m", "N/m", _steepest(settings))]
     if settings.limits.torque_limit_Nm > 0.0:
         turning = _turning_loop(settings)
-        loops.append((turning, grip[3:], "stiffness_Nm_rad", "N m/rad", 1.0))
+        grip = LinearHand(*person.grip[3:])
+        left = _left(_judged(position, person.linear_hands, _steepest(settings)))
+        loops.append((turning, (grip,), "stiffness_Nm_rad", "N m/rad", 1.0 / left))
     saves = "friction (or renderer = passivity)"
     if settings.held.renderer == "passivity":
         saves = "friction and the passivity controller"
     found: list[JudgedLoop] = []
-    for loop, hand, key, unit, steepest in loops:
-        verdict = _judged(loop, hand, steepest)
+    for loop, hands, key, unit, steepest in loops:
+        verdict = _judged(loop, hands, steepest)
         if not verdict.stable and not allow_unstable:
             raise _refusal(settings, verdict, loop.stiffness_N_m, key)
         alone = critical_stiffness_N_m(loop) / steepest
@@ -252,12 +260,24 @@ def judged_loops(
     return found[0], found[1] if len(found) > 1 else None
 
 
-def _judged(loop: WallLoop, hand: tuple[float, float, float], steepest: float) -> Verdict:
+def _judged(loop: WallLoop, hands: tuple[LinearHand, ...], steepest: float) -> Verdict:
     """Return the verdict on a loop whose force slope is multiplied by ``steepest``."""
-    verdict = judge(loop.with_stiffness(steepest * loop.stiffness_N_m), [hand])
+    verdict = judge(loop.with_stiffness(steepest * loop.stiffness_N_m), hands)
     critical = verdict.critical_N_m / steepest
     nearest = loop.stiffness_N_m if verdict.stable else nearest_stable_N_m(critical)
     return replace(verdict, critical_N_m=critical, nearest_N_m=nearest)
+
+
+def _left(position: Verdict) -> float:
+    """Return the usable share of the critical stiffness of turns, next to the loop of positions.
+
+    A contact at a lever couples both loops. If each has its critical stiffness, they may be
+    unstable together. A loop at `SHARE` of its critical stiffness leaves the other one whole.
+    Between these points, the sum of both shares is limited to 1 + `SHARE`. The smallest sum at
+    which a loop grew is 1.76 (a cutter that bone blocks 55 mm from its tip, on a sigma-7, see
+    tests/stability/test_judged_loops.py).
+    """
+    return min(max(SHARE + position.margin, SHARE), 1.0)
 
 
 def _steepest(settings: LoopSettings) -> float:
@@ -269,10 +289,12 @@ def _steepest(settings: LoopSettings) -> float:
 def judged_loop(settings: LoopSettings, *, step_s: float) -> WallLoop:
     """Return the loop used to judge a coupling, with its total delay.
 
-    A tool that cuts or only touches bone, or presses a tissue that knows its stiffness, answers in
-    the tick of the sample; on another organ its balance is found a tick later. For a guarded
-    predictor, the predictor or its fallback is used, whichever has the lower critical stiffness.
-    The played vibration of a cutter's teeth counts in proportion to the force.
+    A tool that cuts or only touches bone, or presses a tissue that provides its stiffness, answers
+    in the tick of the sample. For any other tissue the stiffness is estimated from the last motion.
+    If the tool slides along the surface, that is the stiffness along it, and the balance is found a
+    tick later. For a guarded predictor, the predictor or its fallback is used, whichever has the
+    lower critical stiffness. The played vibration of a cutter's teeth counts in proportion to the
+    force.
 
     A slow device holds each force until its next sample, so its loop is judged at the device's
     rate.
@@ -370,7 +392,8 @@ def _forecasts(settings: LoopSettings) -> list[Forecast | None]:
 def _turning_loop(settings: LoopSettings) -> WallLoop:
     """Return the loop used to judge the coupling of turns.
 
-    The balance of turns is found a tick later, except for a tool that only touches.
+    A tool that presses estimates the stiffness of the tissue in rotation, so that its balance may
+    be found a tick later.
     """
     limits = settings.limits
     chosen = settings.coupling
@@ -378,7 +401,7 @@ def _turning_loop(settings: LoopSettings) -> WallLoop:
         1.0, filter_s=1e-3 * settings.output.low_pass_ms, model_ticks=_model_samples(settings)
     )
     hand = settings.person.grip[3:]
-    late = 0.0 if settings.contact == "touches" else TICK_S
+    late = 0.0 if settings.contact in ("cuts", "touches") else TICK_S
     return _chosen(
         _delayed(settings, loop, late), hand, chosen.stiffness_Nm_rad, limits.stiffness_limit_Nm_rad
     )
@@ -393,7 +416,7 @@ def _chosen(
 ) -> WallLoop:
     """Return the loop with the given stiffness, or with half of the critical one in that hand.
 
-    A chosen stiffness is at most the limit.
+    The hand has no reflex. A chosen stiffness is at most the limit.
     """
     if given is None:
         critical = critical_stiffness_N_m(in_hands(loop, [hand])[0])
