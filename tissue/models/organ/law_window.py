@@ -40,7 +40,7 @@ class LawWindow:
     places
         Positions of these nodes among the nodes of the window, shape (w,).
     fixed
-        Unknowns of the window that are zero, shape (n, 3).
+        Unknat_rests of the window that are zero, shape (n, 3).
     region
         Region of the window; None for the whole organ.
     """
@@ -130,11 +130,11 @@ def window_of(
     away = np.linalg.norm(space.nodes_m[space.cell_nodes].mean(axis=1) - centre_m, axis=1)
     nearest_m = float(np.partition(away, FEWEST_CELLS - 1)[FEWEST_CELLS - 1])
     cells = np.flatnonzero(away <= max(radius_m, nearest_m))
-    at_rest = organ.factor.solver
-    assert isinstance(at_rest, DirectSolver)
+    whole = organ.factor.solver
+    assert isinstance(whole, DirectSolver)
     body = RegionBody(
         space,
-        at_rest,
+        whole,
         cells,
         loaded=touchable,
         law=law.law,
@@ -146,12 +146,14 @@ def window_of(
     inside = np.flatnonzero(back[touchable] >= 0)
     places = back[touchable[inside]]
     last = np.concatenate([np.sort(places), np.arange(len(body.nodes), len(body.nodes_m))])
+    stiffness = body.stiffness(np.zeros_like(body.nodes_m))
+    at_rest = DirectSolver(
+        HeldBody(stiffness, body.nodes_m, body.fixed, is_grounded=True), last=last
+    )
 
-    def factorised(stiffness: bsr_array) -> DirectSolver:
-        return DirectSolver(
-            HeldBody(stiffness, body.nodes_m, body.fixed, is_grounded=True), last=last
-        )
+    def factorised(tangent: bsr_array) -> DirectSolver:
+        held = HeldBody(tangent, body.nodes_m, body.fixed, is_grounded=True)
+        return DirectSolver(held, like=at_rest)
 
-    rest = factorised(body.stiffness(np.zeros_like(body.nodes_m)))
-    follower = QuasiNewton(body, body.fixed, rest, factorised)
+    follower = QuasiNewton(body, body.fixed, at_rest, factorised)
     return LawWindow(follower, inside, places, body.fixed, body)
