@@ -158,7 +158,7 @@ class RegionBody:
         return self._part_nodes, self._nodal(unknowns_m)
 
     def gathered(self, nodal_m: Array) -> Array:
-        """Return the unknowns nearest to displacements of the body's nodes [m], shape (n + p, 3)."""
+        """Return the unknowns nearest to displacements of the body [m], shape (n + p, 3)."""
         border = nodal_m[self._part_nodes[self._border]].ravel()
         return np.vstack([nodal_m[self.nodes], (self._modes.T @ border).reshape(-1, 3)])
 
