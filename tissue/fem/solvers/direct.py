@@ -469,7 +469,7 @@ class DirectSolver:
         self, body: HeldBody, *, last: Ints | None = None, like: "DirectSolver | None" = None
     ) -> None:
         self.body = body
-        self._order_of = _Order.of(body, last) if like is None else like._order_of
+        self._order_of: _Order = _Order.of(body, last) if like is None else like._order_of
         self.last = self._order_of.last
         """Nodes that were eliminated last, rising."""
         self._order = self._order_of.unknowns
@@ -477,7 +477,7 @@ class DirectSolver:
         self._matrix = self._order_of.ordered(body.stiffness)
         # Threads on small blocks took five times longer on a busy machine.
         with threadpool_limits(1, "blas"):
-            self._factor = Multifrontal(
+            self._factor: Multifrontal = Multifrontal(
                 self._matrix,
                 self._order_of.starts,
                 fronts=None if like is None else like._factor.fronts,
