@@ -217,10 +217,10 @@ class _Assembly:
         self._border_rows = np.flatnonzero(is_border[near])
         self._inner_rows = np.flatnonzero(~is_border[near])
         added = len(inner) + np.arange(extra)
-        beside = np.repeat(place[near[self._inner_rows]], extra)
+        coupling = np.repeat(place[near[self._inner_rows]], extra)
         modes = np.tile(added, len(self._inner_rows))
-        rows = [place[row[self._kept]], beside, modes, np.repeat(added, extra)]
-        columns = [place[column[self._kept]], modes, beside, np.tile(added, extra)]
+        rows = [place[row[self._kept]], coupling, modes, np.repeat(added, extra)]
+        columns = [place[column[self._kept]], modes, coupling, np.tile(added, extra)]
         size = len(inner) + extra
         numbered = coo_array(
             (
@@ -251,11 +251,11 @@ class _Assembly:
         )
         product = to_border @ modes
         product = product.reshape(len(self._near), 3, count)
-        beside = product[self._inner_rows].reshape(-1, 3, count // 3, 3).transpose(0, 2, 1, 3)
+        coupling = product[self._inner_rows].reshape(-1, 3, count // 3, 3).transpose(0, 2, 1, 3)
         on_modes = modes.T @ product[self._border_rows].reshape(-1, count) + outside
         on_modes = 0.5 * (on_modes + on_modes.T)
         square = on_modes.reshape(count // 3, 3, count // 3, 3).transpose(0, 2, 1, 3)
-        flat = beside.reshape(-1, 3, 3)
+        flat = coupling.reshape(-1, 3, 3)
         data = np.concatenate(
             [blocks[self._kept], flat, flat.transpose(0, 2, 1), square.reshape(-1, 3, 3)]
         )
