@@ -212,8 +212,7 @@ class _Assembly:
         position[border] = np.arange(len(border))
         self._border_column = position[column[self._coupled]]
         near = np.unique(row[self._coupled])
-        self._near = near
-        self._starts = np.searchsorted(row[self._coupled], near)
+        self._starts = np.append(np.searchsorted(row[self._coupled], near), len(self._coupled))
         self._border_rows = np.flatnonzero(is_border[near])
         self._inner_rows = np.flatnonzero(~is_border[near])
         added = len(inner) + np.arange(extra)
@@ -222,15 +221,10 @@ class _Assembly:
         rows = [place[row[self._kept]], coupling, modes, np.repeat(added, extra)]
         columns = [place[column[self._kept]], modes, coupling, np.tile(added, extra)]
         size = len(inner) + extra
-        numbered = coo_array(
-            (
-                np.arange(1, 1 + sum(map(len, rows))),
-                (np.concatenate(rows), np.concatenate(columns)),
-            ),
-            shape=(size, size),
-        ).tocsr()
+        places = np.concatenate(rows), np.concatenate(columns)
+        numbered = coo_array((np.arange(len(places[0])), places), shape=(size, size)).tocsr()
         numbered.sort_indices()
-        self._order = numbered.data - 1
+        self._order = numbered.data
         self._indices = numbered.indices
         self._indptr = numbered.indptr
         self._size = 3 * size
@@ -242,15 +236,12 @@ class _Assembly:
         if not count:
             kept = blocks[self._kept][self._order]
             return bsr_array((kept, self._indices, self._indptr), shape=(self._size, self._size))
-        lengths = np.diff(np.append(self._starts, len(self._coupled)))
-        starts = np.zeros(len(self._near) + 1, np.int64)
-        starts[1:] = np.cumsum(lengths)
+        rows = len(self._starts) - 1
         to_border = bsr_array(
-            (blocks[self._coupled], self._border_column, starts),
-            shape=(3 * len(self._near), len(modes)),
+            (blocks[self._coupled], self._border_column, self._starts),
+            shape=(3 * rows, len(modes)),
         )
-        product = to_border @ modes
-        product = product.reshape(len(self._near), 3, count)
+        product = (to_border @ modes).reshape(rows, 3, count)
         coupling = product[self._inner_rows].reshape(-1, 3, count // 3, 3).transpose(0, 2, 1, 3)
         on_modes = modes.T @ product[self._border_rows].reshape(-1, count) + outside
         on_modes = 0.5 * (on_modes + on_modes.T)
