@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
-from scipy.sparse import bsr_array
+from scipy.sparse import bsr_array, csr_array
 
 from kernels import tet_hyperelastic, tet_nonlinear
 from kernels.launcher import SplitLaunch
 from kernels.mirror import put
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 from tissue.fem.space import Space, gauss_points, gradient_slopes, local_pairs
 from tissue.materials.elasticity import elasticity_rows
@@ -71,6 +71,8 @@ class NonlinearBody:
     ) -> None:
         self.space = space
         self._membrane = membrane
+        if membrane is not None:
+            self._membrane_places = _places_of(membrane, space)
         self.law = law
         self.nodes_m = space.nodes_m
         device = space.device
@@ -178,10 +180,21 @@ class NonlinearBody:
             run()
         pattern = self.space.pattern
         size = self.space.unknown_count
-        tangent = bsr_array(
-            (self._blocks.numpy().copy(), pattern.column, pattern.row_start), shape=(size, size)
-        )
-        return tangent if self._membrane is None else bsr_array(tangent + self._membrane)
+        blocks = self._blocks.numpy().copy()
+        if self._membrane is not None:
+            blocks[self._membrane_places] += self._membrane.data
+        return bsr_array((blocks, pattern.column, pattern.row_start), shape=(size, size))
+
+
+def _places_of(membrane: bsr_array, space: Space) -> Ints:
+    """Return the places of a membrane's blocks among those of the space's stiffness."""
+    pattern = space.pattern
+    count = space.node_count
+    numbered = csr_array(
+        (np.arange(len(pattern.column)), pattern.column, pattern.row_start), shape=(count, count)
+    )
+    row = np.repeat(np.arange(count), np.diff(membrane.indptr))
+    return np.asarray(numbered[row, membrane.indices]).ravel()
 
 
 def _constants(

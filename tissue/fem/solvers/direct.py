@@ -20,9 +20,9 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from scipy.linalg.blas import dsyrk, dtrsm
+from scipy.linalg.blas import dsyrk, dtrsm, dtrsv
 from scipy.linalg.lapack import dpotrf, dpotri
-from scipy.sparse import csc_array, csr_array, tril
+from scipy.sparse import bsr_array, csc_array, csr_array, tril
 from threadpoolctl import threadpool_limits
 
 from meshes.base.arrays import Array, Flags, Ints
@@ -112,6 +112,8 @@ class Multifrontal:
         alone is read.
     starts
         First unknown of each block that is eliminated at once, and n, rising, shape (blocks + 1,).
+    fronts
+        Fronts of another matrix with these blocks and the same pattern; default: they are found.
 
     Raises
     ------
@@ -119,17 +121,19 @@ class Multifrontal:
         If the matrix is not positive definite to rounding.
     """
 
-    def __init__(self, matrix: csc_array, starts: Ints) -> None:
+    def __init__(
+        self, matrix: csc_array, starts: Ints, *, fronts: list[Front] | None = None
+    ) -> None:
         lower = csc_array(tril(matrix, format="csc"))
         self._count = lower.shape[0]
-        self._fronts = fronts_of(lower, starts)
+        self.fronts = fronts_of(lower, starts) if fronts is None else fronts
         self._diagonal: list[Array] = []
         """L of each front, shape (k, k), Fortran order."""
         self._under: list[Array] = []
         """``B L^-T`` of each front, shape (r, k), Fortran order."""
         changes: dict[int, Array] = {}
         place = np.zeros(self._count, np.int64)
-        for number, front in enumerate(self._fronts):
+        for number, front in enumerate(self.fronts):
             changed = self._eliminate(front, lower, changes, place)
             if len(front.below):
                 changes[number] = changed
@@ -141,10 +145,12 @@ class Multifrontal:
 
     def solve(self, right: Array) -> Array:
         """Return the solution for one or several right sides, shape (n,) or (n, m)."""
+        if np.ndim(right) == 1:
+            return self._solve_one(right)
         found = np.array(right, dtype=np.float64, order="C").reshape(
             self._count, int(np.prod(np.shape(right)[1:]))
         )
-        parts = list(zip(self._fronts, self._diagonal, self._under, strict=True))
+        parts = list(zip(self.fronts, self._diagonal, self._under, strict=True))
         for front, diagonal, under in parts:
             values = found[front.start : front.stop]
             # Columns of a compliance are 0 in most fronts.
@@ -159,6 +165,27 @@ class Multifrontal:
                 values -= under.T @ found[front.below]
             values[:] = dtrsm(1.0, diagonal, values, lower=1, trans_a=1)
         return found.reshape(np.shape(right))
+
+    def _solve_one(self, right: Array) -> Array:
+        """Return the solution for one right side, shape (n,).
+
+        The routines for one side read each entry once, and take 0.6 of the time of the others.
+        """
+        found = np.array(right, dtype=np.float64)
+        parts = list(zip(self.fronts, self._diagonal, self._under, strict=True))
+        for front, diagonal, under in parts:
+            values = found[front.start : front.stop]
+            if not values.any():
+                continue
+            values[:] = dtrsv(diagonal, values, lower=1)
+            if len(front.below):
+                found[front.below] -= under @ values
+        for front, diagonal, under in reversed(parts):
+            values = found[front.start : front.stop]
+            if len(front.below):
+                values -= under.T @ found[front.below]
+            values[:] = dtrsv(diagonal, values, lower=1, trans=1)
+        return found
 
     def inverse_of_last(self, count: int) -> Array:
         """Return the block of the inverse that belongs to the last unknowns, shape (count, count).
@@ -213,7 +240,7 @@ class Multifrontal:
         under[place[rows[~inside]], columns[~inside]] = values[~inside]
         for child in front.children:
             block = changes.pop(child)
-            below = self._fronts[child].below
+            below = self.fronts[child].below
             split = int(np.searchsorted(below, front.stop))
             here = _Rows.of(below[:split] - front.start)
             there = _Rows.of(place[below[split:]])
@@ -299,7 +326,7 @@ def dissected(nodes_m: Array, graph: csr_array) -> list[Ints]:
     """
     side = np.zeros(len(nodes_m), np.int8)
     last_first: list[Ints] = []
-    waiting = [_along_curve(nodes_m)]
+    waiting = [_along_curve(nodes_m)] if len(nodes_m) else []
     while waiting:
         nodes = waiting.pop()
         along = (
@@ -356,6 +383,64 @@ TOGETHER = 48
 """Right sides in one back-substitution: with 48, each takes a ninth of the time of a single one."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Order:
+    """Order of elimination of a body, for any stiffness with one pattern.
+
+    Attributes
+    ----------
+    last
+        Nodes that are eliminated last, rising.
+    unknowns
+        Free unknowns in the order of elimination, shape (f,).
+    position
+        Position of each unknown in that order, -1 for held ones, shape (3n,).
+    starts
+        First position of each block and f, shape (blocks + 1,).
+    sources, indices, indptr
+        Entries of the matrix in that order by column: their places in the stiffness, and the rows
+        and starts of the columns.
+    """
+
+    last: Ints
+    unknowns: Ints
+    position: Ints
+    starts: Ints
+    sources: Ints
+    indices: Ints
+    indptr: Ints
+
+    @classmethod
+    def of(cls, body: HeldBody, last: Ints | None) -> "_Order":
+        """Find the order for a body and the nodes to eliminate last."""
+        stiffness = body.stiffness
+        ends = np.zeros(0, np.int64) if last is None else np.unique(last)
+        graph = pointwise_graph(stiffness)
+        others = np.setdiff1d(np.arange(len(body.nodes_m)), ends)
+        # The last nodes need no separators.
+        sets = dissected(body.nodes_m[others], graph[others][:, others])
+        blocks = [*(others[nodes] for nodes in sets), *([ends] if len(ends) else [])]
+        free = np.zeros(3 * len(body.nodes_m), np.bool_)
+        free[body.free] = True
+        parts = [components_of(nodes) for nodes in blocks]
+        parts = [kept for unknowns in parts if len(kept := unknowns[free[unknowns]])]
+        unknowns = np.concatenate([np.zeros(0, np.int64), *parts])
+        numbers = np.arange(stiffness.data.size).reshape(stiffness.data.shape)
+        numbered = bsr_array((numbers, stiffness.indices, stiffness.indptr), shape=stiffness.shape)
+        matrix = numbered.tocsr()[unknowns][:, unknowns].tocsc()
+        matrix.sort_indices()
+        position = np.full(3 * len(body.nodes_m), -1)
+        position[unknowns] = np.arange(len(unknowns))
+        starts = np.cumsum([0, *map(len, parts)])
+        return cls(ends, unknowns, position, starts, matrix.data, matrix.indices, matrix.indptr)
+
+    def ordered(self, stiffness: bsr_array) -> csc_array:
+        """Return the stiffness of the free unknowns in the order of elimination, (f, f)."""
+        size = len(self.unknowns)
+        values = stiffness.data.ravel()[self.sources]
+        return csc_array((values, self.indices, self.indptr), shape=(size, size))
+
+
 class DirectSolver:
     """Direct solver with a factor that is made once.
 
@@ -366,6 +451,9 @@ class DirectSolver:
     last
         Nodes that are eliminated last, so that the compliance between them can be read off the
         factor.
+    like
+        Solver of the same body with another stiffness of the same pattern, whose order of
+        elimination is used again instead of `last`; default: the order is found.
 
     Raises
     ------
@@ -377,26 +465,23 @@ class DirectSolver:
     # that this allows for contrasts and slivers.
     tolerance = 1e-8
 
-    def __init__(self, body: HeldBody, *, last: Ints | None = None) -> None:
+    def __init__(
+        self, body: HeldBody, *, last: Ints | None = None, like: "DirectSolver | None" = None
+    ) -> None:
         self.body = body
-        self.last = np.zeros(0, np.int64) if last is None else np.unique(last)
+        self._order_of: _Order = _Order.of(body, last) if like is None else like._order_of
+        self.last = self._order_of.last
         """Nodes that were eliminated last, rising."""
-        blocks = dissected(body.nodes_m, pointwise_graph(body.stiffness))
-        if len(self.last):
-            blocks = [*(nodes[~np.isin(nodes, self.last)] for nodes in blocks), self.last]
-        free = np.zeros(3 * len(body.nodes_m), np.bool_)
-        free[body.free] = True
-        parts = [components_of(nodes) for nodes in blocks]
-        parts = [kept for unknowns in parts if len(kept := unknowns[free[unknowns]])]
-        self._order = np.concatenate([np.zeros(0, np.int64), *parts])
-        matrix = body.stiffness.tocsr()[self._order][:, self._order].tocsc()
-        matrix.sort_indices()
-        self._matrix = matrix
+        self._order = self._order_of.unknowns
+        self._position = self._order_of.position
+        self._matrix = self._order_of.ordered(body.stiffness)
         # Threads on small blocks took five times longer on a busy machine.
         with threadpool_limits(1, "blas"):
-            self._factor = Multifrontal(matrix, np.cumsum([0, *map(len, parts)]))
-        self._position = np.full(3 * len(body.nodes_m), -1)
-        self._position[self._order] = np.arange(len(self._order))
+            self._factor: Multifrontal = Multifrontal(
+                self._matrix,
+                self._order_of.starts,
+                fronts=None if like is None else like._factor.fronts,
+            )
 
     def solve(self, load_N: Array) -> Solution:
         """Solve for the displacement under nodal forces [N], shape (n, 3)."""
@@ -421,6 +506,14 @@ class DirectSolver:
         moved = np.zeros(load_N.size)
         moved[self._order] = found
         return moved.reshape(load_N.shape)
+
+    def displacements_m(self, loads_N: Array) -> Array:
+        """Return the displacements [m] under several loads [N], shape (3n, k) both, unchecked."""
+        moved = np.zeros_like(loads_N)
+        for start in range(0, loads_N.shape[1], TOGETHER):
+            several = np.ascontiguousarray(loads_N[self._order, start : start + TOGETHER])
+            moved[self._order, start : start + TOGETHER] = self._factor.solve(several)
+        return moved
 
     def with_springs(self, root: csr_array) -> "DirectSolver":
         """Return the solver of the body with springs on nodes that were eliminated last.

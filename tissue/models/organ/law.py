@@ -60,7 +60,7 @@ depend on the interval in which it was renewed. With 0.05 the force of a deep pr
 where an Ogden exponent rises from 15.5 to 16.5, with 0.02 single forces change by 4 %. With 0.01
 they are within 0.1 % of those with a new compliance in every interval.
 """
-HOP = 0.5
+HOP = 0.25
 """Largest distance of a contact from the centre of its window, over the radius of the region."""
 APART_M = 2e-4
 """Smallest change of depth from which the slope of the offset is computed [m].
@@ -368,10 +368,10 @@ class LawOffset:
         after = self._windows[nearest]
         # Nodes that are new move as under the linear law.
         guess = after.follower.at_rest.solve(after.spread(crept_N)).displacement_m
-        whole = np.full((self._count, 3), np.nan)
-        whole[before.nodes] = before.follower.displacement_m
-        known = np.isfinite(whole[after.nodes])
-        guess[known] = whole[after.nodes][known]
+        moved = np.full((self._count, 3), np.nan)
+        after.nodal_into(moved, guess)
+        before.nodal_into(moved, before.follower.displacement_m)
+        guess = after.gathered(moved)
         self._window = after
         # Solutions in the last window have other nodes.
         self._apart = None

@@ -39,23 +39,35 @@ class LawWindow:
         Touchable nodes in the window, as positions among all touchable nodes, rising, shape (w,).
     places
         Positions of these nodes among the nodes of the window, shape (w,).
-    nodes
-        Nodes of the window in the organ, shape (n,).
     fixed
-        Components with zero displacement, shape (n, 3).
+        Unknat_rests of the window that are zero, shape (n, 3).
+    region
+        Region of the window; None for the whole organ.
     """
 
     follower: QuasiNewton
     inside: Ints
     places: Ints
-    nodes: Ints
     fixed: Flags
+    region: RegionBody | None = None
 
     def spread(self, forces_N: Array) -> Array:
         """Return the forces on the window's nodes [N], shape (n, 3), from all touchable nodes."""
         load = np.zeros(self.fixed.shape)
         load[self.places] = forces_N[self.inside]
         return load
+
+    def nodal_into(self, nodal_m: Array, unknowns_m: Array) -> None:
+        """Write the displacements of the window's nodes [m] to those of the organ, (nodes, 3)."""
+        if self.region is None:
+            nodal_m[:] = unknowns_m
+        else:
+            nodes, moved = self.region.spread(unknowns_m)
+            nodal_m[nodes] = moved
+
+    def gathered(self, nodal_m: Array) -> Array:
+        """Return the unknowns nearest to displacements of the organ's nodes [m], shape (n, 3)."""
+        return nodal_m if self.region is None else self.region.gathered(nodal_m)
 
 
 def follower_of(
@@ -95,8 +107,7 @@ def whole_window(organ: SoftOrgan, law: OrganLaw, touchable: Ints) -> LawWindow:
     """Return a window on the whole organ."""
     follower = follower_of(organ, law.law, law.cell_factors, touchable)
     inside = np.arange(len(touchable))
-    nodes = np.arange(organ.space.node_count)
-    return LawWindow(follower, inside, touchable, nodes, organ.body.fixed)
+    return LawWindow(follower, inside, touchable, organ.body.fixed)
 
 
 def window_centres(points_m: Array, apart_m: float) -> Array:
@@ -119,10 +130,13 @@ def window_of(
     away = np.linalg.norm(space.nodes_m[space.cell_nodes].mean(axis=1) - centre_m, axis=1)
     nearest_m = float(np.partition(away, FEWEST_CELLS - 1)[FEWEST_CELLS - 1])
     cells = np.flatnonzero(away <= max(radius_m, nearest_m))
+    whole = organ.factor.solver
+    assert isinstance(whole, DirectSolver)
     body = RegionBody(
         space,
-        organ.body,
+        whole,
         cells,
+        loaded=touchable,
         law=law.law,
         cell_factors=law.cell_factors,
         membrane=None if organ.capsule is None else organ.capsule.stiffness,
@@ -131,13 +145,15 @@ def window_of(
     back[body.nodes] = np.arange(len(body.nodes))
     inside = np.flatnonzero(back[touchable] >= 0)
     places = back[touchable[inside]]
-    last = np.sort(places)
+    last = np.concatenate([np.sort(places), np.arange(len(body.nodes), len(body.nodes_m))])
+    stiffness = body.stiffness(np.zeros_like(body.nodes_m))
+    at_rest = DirectSolver(
+        HeldBody(stiffness, body.nodes_m, body.fixed, is_grounded=True), last=last
+    )
 
-    def factorised(stiffness: bsr_array) -> DirectSolver:
-        return DirectSolver(
-            HeldBody(stiffness, body.nodes_m, body.fixed, is_grounded=True), last=last
-        )
+    def factorised(tangent: bsr_array) -> DirectSolver:
+        held = HeldBody(tangent, body.nodes_m, body.fixed, is_grounded=True)
+        return DirectSolver(held, like=at_rest)
 
-    rest = factorised(body.stiffness(np.zeros_like(body.nodes_m)))
-    follower = QuasiNewton(body, body.fixed, rest, factorised)
-    return LawWindow(follower, inside, places, body.nodes, body.fixed)
+    follower = QuasiNewton(body, body.fixed, at_rest, factorised)
+    return LawWindow(follower, inside, places, body.fixed, body)
