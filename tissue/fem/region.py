@@ -72,8 +72,9 @@ class RegionBody:
 
     Attributes
     ----------
-    nodes
-        Inner nodes of the region, numbered as in the body, shape (n,).
+    nodes, all_nodes
+        Inner nodes of the region, shape (n,), and all of its nodes, shape (r,), numbered as in the
+        body.
     nodes_m, fixed
         Positions [m] and components with zero displacement, shape (n + p, 3) both. The last p rows
         stand for the modes; their positions have no meaning.
@@ -108,7 +109,7 @@ class RegionBody:
         is_border = np.isin(numbers, space.cell_nodes[others])
         self._inner = np.flatnonzero(~is_border)
         self._border = np.flatnonzero(is_border)
-        self._part_nodes = numbers
+        self.all_nodes = numbers
         self.nodes = numbers[self._inner]
         self._modes, self._outside = self._reduced(rest, np.isin(self.nodes, loaded))
         extra = self._modes.shape[1] // 3
@@ -128,7 +129,7 @@ class RegionBody:
         if not len(self._border):
             return np.zeros((0, 0)), np.zeros((0, 0))
         random = np.random.default_rng(SEED)
-        away = cKDTree(rest.body.nodes_m[self._part_nodes[self._border]]).query(
+        away = cKDTree(rest.body.nodes_m[self.all_nodes[self._border]]).query(
             rest.body.nodes_m[self.nodes]
         )[0]
         is_deep = away >= DEEP * away.max(initial=0.0)
@@ -141,30 +142,26 @@ class RegionBody:
         loads[inner, LOADS // 2 :] = random.normal(size=(len(inner), LOADS - LOADS // 2))
         loads[rest.body.fixed.ravel()] = 0.0
         moved = rest.displacements_m(loads)
-        rows = components_of(self._part_nodes)
-        stiffness = self._body.stiffness(np.zeros((len(self._part_nodes), 3)))
+        rows = components_of(self.all_nodes)
+        stiffness = self._body.stiffness(np.zeros((len(self.all_nodes), 3)))
         border = components_of(self._border)
         # No load acts on the border, so that the outside balances the region there.
         pulls = -(stiffness @ moved[rows])[border]
-        pulls[rest.body.fixed[self._part_nodes[self._border]].ravel()] = 0.0
+        pulls[rest.body.fixed[self.all_nodes[self._border]].ravel()] = 0.0
         left, sizes, right = np.linalg.svd(moved[rows][border], full_matrices=False)
         count = min(MODES, 3 * (int((sizes > SMALLEST * sizes[0]).sum()) // 3))
         modes = left[:, :count]
         outside = modes.T @ (pulls @ right[:count].T / sizes[:count])
         return np.ascontiguousarray(modes), 0.5 * (outside + outside.T)
 
-    def spread(self, unknowns_m: Array) -> tuple[Ints, Array]:
-        """Return the region's nodes in the body and their displacements [m], shape (r, 3)."""
-        return self._part_nodes, self._nodal(unknowns_m)
-
     def gathered(self, nodal_m: Array) -> Array:
         """Return the unknowns nearest to displacements of the body [m], shape (n + p, 3)."""
-        border = nodal_m[self._part_nodes[self._border]].ravel()
+        border = nodal_m[self.all_nodes[self._border]].ravel()
         return np.vstack([nodal_m[self.nodes], (self._modes.T @ border).reshape(-1, 3)])
 
-    def _nodal(self, unknowns_m: Array) -> Array:
-        """Return the displacements of the region's nodes [m], shape (r, 3)."""
-        moved = np.empty((len(self._part_nodes), 3))
+    def nodal_m(self, unknowns_m: Array) -> Array:
+        """Return the displacements of `all_nodes` [m], shape (r, 3)."""
+        moved = np.empty((len(self.all_nodes), 3))
         count = len(self._inner)
         moved[self._inner] = unknowns_m[:count]
         moved[self._border] = (self._modes @ unknowns_m[count:].ravel()).reshape(-1, 3)
@@ -172,7 +169,7 @@ class RegionBody:
 
     def energy_and_force(self, unknowns_m: Array) -> tuple[float, Array]:
         """Return the energy [J] and its derivative, shape (n + p, 3) [N]."""
-        energy, nodal = self._body.energy_and_force(self._nodal(unknowns_m))
+        energy, nodal = self._body.energy_and_force(self.nodal_m(unknowns_m))
         shares = unknowns_m[len(self._inner) :].ravel()
         pull = self._outside @ shares
         force = np.empty_like(unknowns_m)
@@ -183,7 +180,7 @@ class RegionBody:
 
     def stiffness(self, unknowns_m: Array, *, definite: bool = False) -> bsr_array:
         """Return the tangent stiffness [N/m], shape (3n + 3p, 3n + 3p), as for `NonlinearBody`."""
-        tangent = self._body.stiffness(self._nodal(unknowns_m), definite=definite)
+        tangent = self._body.stiffness(self.nodal_m(unknowns_m), definite=definite)
         return self._assembly.assembled(tangent, self._modes, self._outside)
 
 

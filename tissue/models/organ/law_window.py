@@ -23,8 +23,12 @@ from tissue.models.organ.soft_organ import OrganLaw, SoftOrgan
 __all__ = ["LawWindow", "follower_of", "whole_window", "window_centres", "window_of"]
 
 
-FEWEST_CELLS = 9
-"""Smallest number of cells of a region, which is larger than asked for on a coarse mesh; chosen."""
+TOUCHED = 0.6
+"""Largest distance of a node in a contact from the centre of the window, over its radius.
+
+A window reaches 2.5 radii of the ball. A contact reaches one radius, and its centre is at most half
+a radius from that of the window.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +66,7 @@ class LawWindow:
         if self.region is None:
             nodal_m[:] = unknowns_m
         else:
-            nodes, moved = self.region.spread(unknowns_m)
-            nodal_m[nodes] = moved
+            nodal_m[self.region.all_nodes] = self.region.nodal_m(unknowns_m)
 
     def gathered(self, nodal_m: Array) -> Array:
         """Return the unknowns nearest to displacements of the organ's nodes [m], shape (n, 3)."""
@@ -125,11 +128,15 @@ def window_centres(points_m: Array, apart_m: float) -> Array:
 def window_of(
     organ: SoftOrgan, law: OrganLaw, touchable: Ints, centre_m: Array, radius_m: float
 ) -> LawWindow:
-    """Return a window on the cells within a radius [m] of a centre [m]."""
+    """Return a window on the cells within a radius [m] of a centre [m].
+
+    On a coarse mesh it has further cells, so that no node in a contact is on the border.
+    """
     space = organ.space
     away = np.linalg.norm(space.nodes_m[space.cell_nodes].mean(axis=1) - centre_m, axis=1)
-    nearest_m = float(np.partition(away, FEWEST_CELLS - 1)[FEWEST_CELLS - 1])
-    cells = np.flatnonzero(away <= max(radius_m, nearest_m))
+    from_centre = np.linalg.norm(space.nodes_m[touchable] - centre_m, axis=1)
+    touched = touchable[from_centre <= max(TOUCHED * radius_m, from_centre.min())]
+    cells = np.flatnonzero((away <= radius_m) | np.isin(space.cell_nodes, touched).any(axis=1))
     whole = organ.factor.solver
     assert isinstance(whole, DirectSolver)
     body = RegionBody(

@@ -7,6 +7,7 @@ import tissue
 from meshes.base.errors import InputError
 from tissue.materials.elasticity import lame
 from tissue.materials.hyperelasticity import Hyperelastic
+from tissue.models.organ.law_window import window_of
 from tissue.scene.load import load_scene
 from tissue.scene.organ import Organ
 from tissue.simulation.builders.organ import law_of
@@ -174,3 +175,27 @@ def test_a_small_tool_between_the_nodes_of_a_coarse_mesh_has_a_window():
     run = simulate(load_scene("palpation", pressed(0.1, law="neo-hookean") | place), cores=1)
     assert run.summary["law"]["solves"] > 0
     assert run.summary["law"]["not_reached"] == 0
+
+
+def test_no_node_under_a_tool_is_on_the_border_of_a_region(monkeypatch):
+    """On edges as long as the tool, a region still has every node that a contact may reach."""
+    windows = []
+
+    def spied(organ, law, touchable, centre_m, radius_m):
+        window = window_of(organ, law, touchable, centre_m, radius_m)
+        from_centre = np.linalg.norm(organ.space.nodes_m[touchable] - centre_m, axis=1)
+        windows.append((window, from_centre, 0.6 * radius_m))
+        return window
+
+    monkeypatch.setattr("tissue.models.organ.law.window_of", spied)
+    changes = pressed(2.0, law="neo-hookean") | {
+        "tool.diameter_mm": 10.0,
+        "anatomy.edge_mm": 10.0,
+        "anatomy.touch_edge_mm": 10.0,
+    }
+    run = simulate(load_scene("palpation", changes), cores=1)
+    assert run.trace["model_force_z_N"].max() > 0.0
+    assert windows
+    for window, from_centre, reach_m in windows:
+        inside = np.isin(np.arange(len(from_centre)), window.inside)
+        assert inside[from_centre <= max(reach_m, from_centre.min())].all()
