@@ -20,8 +20,9 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.sparse import bsr_array, csr_array
 
 from meshes.base.arrays import Array, Flags, Ints
-from tissue.fem.solvers.direct import DirectSolver, NotPositiveDefiniteError
+from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.held_body import components_of
+from tissue.fem.solvers.multifrontal import NotPositiveDefiniteError
 
 __all__ = ["Body", "Followed", "QuasiNewton", "Springs"]
 

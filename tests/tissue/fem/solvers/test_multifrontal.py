@@ -11,13 +11,9 @@ from scipy.spatial import cKDTree
 
 from meshes.tets.structured import box
 from tissue.fem.assembly import assemble
-from tissue.fem.solvers.direct import (
-    DirectSolver,
-    Multifrontal,
-    NotPositiveDefiniteError,
-    dissected,
-)
+from tissue.fem.solvers.direct import DirectSolver, dissected
 from tissue.fem.solvers.held_body import HeldBody, held_nodes
+from tissue.fem.solvers.multifrontal import Multifrontal, NotPositiveDefiniteError
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 
