@@ -2,8 +2,8 @@
 
 Cells of the region follow a hyperelastic law. The other cells are linear, so that they can be
 eliminated once (static condensation, Guyan 1965, AIAA J. 3:380). The border between them moves in a
-few modes, ``u_b = P q`` (interface reduction, Craig and Chang 1977, NASA CP-2036). With u the
-displacement of the region's inner nodes::
+few modes, ``u_b = P q`` (reduced interface coordinates, Craig and Chang 1976, NASA CP-2001, 2:393).
+With u the displacement of the region's inner nodes::
 
     energy(u, q) = hyperelastic energy of the region's cells + q^T P^T S P q / 2
 
