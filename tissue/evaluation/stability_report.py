@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 
 from meshes.base.errors import InputError
 from meshes.base.whole_file import write_columns
-from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands
+from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands, settling_hands
 from tissue.haptics.loop.stability_map import StabilityChart, StabilityMap, stability_map
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.registry import DEVICES
@@ -49,7 +49,8 @@ def scene_stability(scene: Scene) -> StabilityMap:
             "pass --set device=touch",
         )
     settings = loop_settings(scene)
-    held = in_hands(judged_loop(settings, step_s=TICK_S), settings.person.linear_hands)
+    loop = judged_loop(settings, step_s=TICK_S)
+    held = in_hands(loop, settling_hands(loop, settings.person.linear_hands))
     return stability_map(min(held, key=critical_stiffness_N_m))
 
 

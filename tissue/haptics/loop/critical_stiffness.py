@@ -27,6 +27,7 @@ __all__ = [
     "pade_bound_N_m",
     "passive_bound_N_m",
     "quantised_bound_N_m",
+    "settling_hands",
 ]
 
 SOFTEST_N_M = 1e-2
@@ -120,6 +121,19 @@ def in_hands(loop: WallLoop, hands: Sequence[tuple[float, ...]]) -> tuple[WallLo
             )
         )
     return tuple(held)
+
+
+def settling_hands(loop: WallLoop, hands: Sequence[LinearHand]) -> tuple[LinearHand, ...]:
+    """Return the hands without those whose reflex makes them oscillate on the device alone.
+
+    Such a hand oscillates with any coupling, and says nothing about the coupling.
+    """
+    alone = replace(loop, stiffness_N_m=0.0, wall_damping_N_s_m=0.0, forecast=None)
+    return tuple(
+        hand
+        for hand in hands
+        if hand.reflex_N_m == 0.0 or spectral_radius(in_hands(alone, [hand])[0]) < 1.0
+    )
 
 
 def critical_stiffness_N_m(loop: WallLoop) -> float:

@@ -18,6 +18,7 @@ from tissue.haptics.loop.critical_stiffness import (
     in_hands,
     judge,
     nearest_stable_N_m,
+    settling_hands,
 )
 from tissue.haptics.loop.filters import OBSERVER_MEMORY, VELOCITY_MEMORY
 from tissue.haptics.loop.forecast import Forecast, forecast_of
@@ -241,18 +242,19 @@ def judged_loops(
     """
     person = settings.person
     position = judged_loop(settings, step_s=TICK_S)
-    loops = [(position, person.linear_hands, "stiffness_N_m", "N/m", _steepest(settings))]
+    hands = settling_hands(position, person.linear_hands)
+    loops = [(position, hands, "stiffness_N_m", "N/m", _steepest(settings))]
     if settings.limits.torque_limit_Nm > 0.0:
         turning = _turning_loop(settings)
         grip = LinearHand(*person.grip[3:])
-        left = _left(_judged(position, person.linear_hands, _steepest(settings)))
+        left = _left(_judged(position, hands, _steepest(settings)))
         loops.append((turning, (grip,), "stiffness_Nm_rad", "N m/rad", 1.0 / left))
     saves = "friction (or renderer = passivity)"
     if settings.held.renderer == "passivity":
         saves = "friction and the passivity controller"
     found: list[JudgedLoop] = []
-    for loop, hands, key, unit, steepest in loops:
-        verdict = _judged(loop, hands, steepest)
+    for loop, judged_in, key, unit, steepest in loops:
+        verdict = _judged(loop, judged_in, steepest)
         if not verdict.stable and not allow_unstable:
             raise _refusal(settings, verdict, loop.stiffness_N_m, key)
         alone = critical_stiffness_N_m(loop) / steepest
