@@ -126,7 +126,7 @@ def in_hands(loop: WallLoop, hands: Sequence[tuple[float, ...]]) -> tuple[WallLo
 def settling_hands(loop: WallLoop, hands: Sequence[LinearHand]) -> tuple[LinearHand, ...]:
     """Return the hands without those whose reflex makes them oscillate on the device alone.
 
-    Such a hand oscillates with any coupling, and says nothing about the coupling.
+    Such a hand may oscillate with any coupling, so that no coupling can be chosen by it.
     """
     alone = replace(loop, stiffness_N_m=0.0, wall_damping_N_s_m=0.0, forecast=None)
     return tuple(
