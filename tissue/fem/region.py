@@ -8,18 +8,17 @@ With u the displacement of the region's inner nodes::
     energy(u, q) = hyperelastic energy of the region's cells + q^T P^T S P q / 2
 
 S is the stiffness of the other cells and of the supports, condensed onto the border. The modes are
-the principal displacements of the border under random forces on the inner nodes of the linear body
+the principal displacements of the border under random forces on inner nodes of the linear body
 (randomised range, Halko, Martinsson and Tropp 2011, SIAM Rev. 53:217). The border of a linear body
 moves in their span. The energy is exact where the other cells are linear and the modes span the
 displacement. A membrane on the surface is linear everywhere. Its faces on the region's cells belong
 to the first term, and its other faces to S.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.sparse import bsr_array, coo_array, csr_array
-from scipy.spatial import cKDTree
 
 from meshes.base.arrays import Array, Flags, Ints
 from meshes.tets.tetrahedra import TetMesh
@@ -35,13 +34,6 @@ MODES = 48
 """Largest number of modes of a border, a multiple of three."""
 LOADS = 80
 """Number of random loads that the modes are found from; 32 more than the modes."""
-DEEP = 0.4
-"""Least distance of a loaded node from the border, over the largest; a contact is in the middle.
-
-In `liver-press` under Yeoh's law, 48 modes change the force by 0.08 % (RMS, of the largest force;
-192 modes with DEEP of 0 as reference), 96 modes by 0.01 %. With DEEP of 0.2 it is 0.8 and 0.1 %,
-with 0 1.2 and 0.4 %: nodes at the border then need modes of their own.
-"""
 SMALLEST = 1e-6
 """Singular value of the smallest mode, over the largest; below it there is rounding."""
 SEED = 0
@@ -63,7 +55,9 @@ class RegionBody:
     cells
         Numbers of the cells of the region.
     loaded
-        Nodes of the body on which forces may act, shape (l,).
+        Sets of nodes of the body near a contact, shape (l,) each: those on which forces may act,
+        and those where the law may differ from the linear one. Random forces act on each set for
+        an equal number of modes. Forces on nodes at the border would need many modes.
     law, cell_factors
         Law, and factors of its moduli in each cell of the body, shape (m,).
     membrane
@@ -86,7 +80,7 @@ class RegionBody:
         rest: DirectSolver,
         cells: Ints,
         *,
-        loaded: Ints,
+        loaded: Sequence[Ints],
         law: Hyperelastic,
         cell_factors: Array,
         membrane: Callable[[Space, Ints], bsr_array] | None = None,
@@ -111,7 +105,7 @@ class RegionBody:
         self._border = np.flatnonzero(is_border)
         self.all_nodes = numbers
         self.nodes = numbers[self._inner]
-        self._modes, self._outside = self._reduced(rest, np.isin(self.nodes, loaded))
+        self._modes, self._outside = self._reduced(rest, loaded)
         extra = self._modes.shape[1] // 3
         self.nodes_m = np.vstack(
             [part.nodes_m[self._inner], np.tile(part.nodes_m.mean(axis=0), (extra, 1))]
@@ -124,22 +118,17 @@ class RegionBody:
             extra,
         )
 
-    def _reduced(self, rest: DirectSolver, is_loaded: Flags) -> tuple[Array, Array]:
+    def _reduced(self, rest: DirectSolver, loaded: Sequence[Ints]) -> tuple[Array, Array]:
         """Return the modes, shape (3b, 3p), and the stiffness outside on them, shape (3p, 3p)."""
         if not len(self._border):
             return np.zeros((0, 0)), np.zeros((0, 0))
         random = np.random.default_rng(SEED)
-        away = cKDTree(rest.body.nodes_m[self.all_nodes[self._border]]).query(
-            rest.body.nodes_m[self.nodes]
-        )[0]
-        is_deep = away >= DEEP * away.max(initial=0.0)
-        inner = components_of(self.nodes[is_deep])
-        touched = components_of(self.nodes[is_deep & is_loaded])
-        # Half of the loads act on the surface under a tool, and half on all deep nodes, where the
-        # law differs from the linear one.
         loads = np.zeros((rest.body.fixed.size, LOADS))
-        loads[touched, : LOADS // 2] = random.normal(size=(len(touched), LOADS // 2))
-        loads[inner, LOADS // 2 :] = random.normal(size=(len(inner), LOADS - LOADS // 2))
+        for nodes, columns in zip(
+            loaded, np.array_split(np.arange(LOADS), len(loaded)), strict=True
+        ):
+            unknowns = components_of(self.nodes[np.isin(self.nodes, nodes)])
+            loads[np.ix_(unknowns, columns)] = random.normal(size=(len(unknowns), len(columns)))
         loads[rest.body.fixed.ravel()] = 0.0
         moved = rest.displacements_m(loads)
         rows = components_of(self.all_nodes)

@@ -60,8 +60,12 @@ depend on the interval in which it was renewed. With 0.05 the force of a deep pr
 where an Ogden exponent rises from 15.5 to 16.5, with 0.02 single forces change by 4 %. With 0.01
 they are within 0.1 % of those with a new compliance in every interval.
 """
-HOP = 0.25
-"""Largest distance of a contact from the centre of its window, over the radius of the region."""
+HOP = 0.5
+"""Largest distance of a contact from the centre of its window, over the radius of the region.
+
+A window reaches the radius and this distance. With 0.25 a deep press of an organ that stiffens to
+twice the linear force is off by 3.3 % at rest, with 0.5 by 2.0 %.
+"""
 APART_M = 2e-4
 """Smallest change of depth from which the slope of the offset is computed [m].
 

@@ -20,14 +20,14 @@ from tissue.materials.hyperelasticity import Hyperelastic
 from tissue.models.organ.compliance import FACTOR_UNKNOWNS
 from tissue.models.organ.soft_organ import OrganLaw, SoftOrgan
 
-__all__ = ["LawWindow", "follower_of", "whole_window", "window_centres", "window_of"]
+__all__ = ["TOUCHED", "LawWindow", "follower_of", "whole_window", "window_centres", "window_of"]
 
 
-TOUCHED = 0.6
+TOUCHED = 2.0 / 3.0
 """Largest distance of a node in a contact from the centre of the window, over its radius.
 
-A window reaches 2.5 radii of the ball. A contact reaches one radius, and its centre is at most half
-a radius from that of the window.
+A window reaches three radii of the ball. A contact reaches one radius, and its centre is at most
+one radius from that of the window.
 """
 
 
@@ -136,6 +136,7 @@ def window_of(
     away = np.linalg.norm(space.nodes_m[space.cell_nodes].mean(axis=1) - centre_m, axis=1)
     from_centre = np.linalg.norm(space.nodes_m[touchable] - centre_m, axis=1)
     touched = touchable[from_centre <= max(TOUCHED * radius_m, from_centre.min())]
+    near = np.flatnonzero(np.linalg.norm(space.nodes_m - centre_m, axis=1) <= TOUCHED * radius_m)
     cells = np.flatnonzero((away <= radius_m) | np.isin(space.cell_nodes, touched).any(axis=1))
     whole = organ.factor.solver
     assert isinstance(whole, DirectSolver)
@@ -143,7 +144,7 @@ def window_of(
         space,
         whole,
         cells,
-        loaded=touchable,
+        loaded=(touched, near),
         law=law.law,
         cell_factors=law.cell_factors,
         membrane=None if organ.capsule is None else organ.capsule.stiffness,

@@ -7,7 +7,7 @@ import tissue
 from meshes.base.errors import InputError
 from tissue.materials.elasticity import lame
 from tissue.materials.hyperelasticity import Hyperelastic
-from tissue.models.organ.law_window import window_of
+from tissue.models.organ.law_window import TOUCHED, window_of
 from tissue.scene.load import load_scene
 from tissue.scene.organ import Organ
 from tissue.simulation.builders.organ import law_of
@@ -184,7 +184,7 @@ def test_no_node_under_a_tool_is_on_the_border_of_a_region(monkeypatch):
     def spied(organ, law, touchable, centre_m, radius_m):
         window = window_of(organ, law, touchable, centre_m, radius_m)
         from_centre = np.linalg.norm(organ.space.nodes_m[touchable] - centre_m, axis=1)
-        windows.append((window, from_centre, 0.6 * radius_m))
+        windows.append((window, from_centre, TOUCHED * radius_m))
         return window
 
     monkeypatch.setattr("tissue.models.organ.law.window_of", spied)
