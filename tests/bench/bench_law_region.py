@@ -1,10 +1,11 @@
 """Error and cost of a hyperelastic law that is solved in a region around the contact.
 
 Run: `python tests/bench/bench_law_region.py [--scene liver-press] [--law neo-hookean]
-[--seconds 1.2] [--regions 1 1.5 2] [--depth 0.6]`.
+[--seconds 1.2] [--regions 1 1.5 2] [--modes 24 48 96]`.
 
 The scene runs as it is under the linear law, under the law in regions of several radii, and under
-the law in the whole organ, which is the reference. Printed: the error of the force (RMS over the
+the law in the whole organ, which is the reference. With `--modes`, the region of the scene also
+runs with other numbers of modes of its border. Printed: the error of the force (RMS over the
 ticks in contact, and the largest one, over the largest force of the reference), the error of the
 displacement of the touched surface at the end (L2), processor time of a solve, and the share of
 ticks for which the offset would be older than its interval on this machine.
@@ -21,9 +22,11 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 import numpy as np  # noqa: E402
 from harness import machine, table  # noqa: E402
 
+from tissue.fem import region  # noqa: E402
 from tissue.models.organ.law import LawOffset  # noqa: E402
 from tissue.models.organ.model import LiverModel  # noqa: E402
 from tissue.scene.load import load_scene  # noqa: E402
+from tissue.simulation.builders.organ import REGION  # noqa: E402
 from tissue.simulation.run import Run  # noqa: E402
 from tissue.simulation.simulate import simulate  # noqa: E402
 
@@ -35,8 +38,12 @@ LAWS: dict[str, dict[str, object]] = {
 }
 
 
-def run_with(changes: dict[str, object], scene: str, region_m: float) -> tuple[Run, np.ndarray]:
+def run_with(
+    changes: dict[str, object], scene: str, region_m: float, modes: int
+) -> tuple[Run, np.ndarray]:
     """Run a scene with a region and return the run and the processor time of each solve [s]."""
+    spare = region.LOADS - region.MODES
+    region.MODES, region.LOADS = modes, modes + spare
     took_s: list[float] = []
     make, solve = LiverModel.__init__, LawOffset.solve
 
@@ -65,6 +72,7 @@ def main() -> None:
     parser.add_argument("--law", default="neo-hookean", choices=LAWS)
     parser.add_argument("--seconds", type=float, default=1.2)
     parser.add_argument("--regions", type=float, nargs="*", default=[1.0, 1.5, 2.0])
+    parser.add_argument("--modes", type=int, nargs="*", default=[])
     parser.add_argument("--set", nargs="*", default=[], help="key=value, numbers only")
     arguments = parser.parse_args()
     plain: dict[str, object] = {"organ.interval_ms": 0.0, "duration_s": arguments.seconds}
@@ -74,12 +82,16 @@ def main() -> None:
     lawful = plain | {"organ.law": arguments.law}
     lawful |= {f"organ.{key}": value for key, value in LAWS[arguments.law].items()}
     radius_m = 0.5e-3 * load_scene(arguments.scene).tool.size_mm
-    kinds = [("whole", lawful, np.inf), ("linear", plain, np.inf)]
-    kinds += [(f"{each:g} R", lawful, each * radius_m) for each in arguments.regions]
+    shipped = region.MODES
+    kinds = [("whole", lawful, np.inf, shipped), ("linear", plain, np.inf, shipped)]
+    kinds += [(f"{each:g} R", lawful, each * radius_m, shipped) for each in arguments.regions]
+    kinds += [
+        (f"{REGION:g} R, {each} modes", lawful, REGION * radius_m, each) for each in arguments.modes
+    ]
     print(machine())
     rows = []
-    for name, changes, region_m in kinds:
-        run, took_s = run_with(changes, arguments.scene, region_m)
+    for name, changes, region_m, modes in kinds:
+        run, took_s = run_with(changes, arguments.scene, region_m, modes)
         force_N = run.trace.vectors("force", "N")
         moved_m = run.parts.tissue.displacement_m()
         if name == "whole":

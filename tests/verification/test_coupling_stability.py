@@ -19,6 +19,7 @@ from tissue.haptics.loop.critical_stiffness import (
     judge,
     passive_bound_N_m,
     quantised_bound_N_m,
+    settling_hands,
 )
 from tissue.haptics.loop.sampled_loop import WallLoop, loop_matrix, spectral_radius
 from tissue.haptics.loop.stability_map import measured_critical_N_m
@@ -179,6 +180,17 @@ def test_the_map_of_the_loop_is_what_the_loop_does():
         filtered += (1.0 - np.exp(-0.5)) * (force - filtered)
         simulated.command((0.0, 0.0, filtered), (0.0, 0.0, 0.0))
     assert depth == pytest.approx(state[0], rel=1e-10)
+
+
+def test_a_hand_that_oscillates_alone_does_not_decide():
+    """A hand with so little damping that its reflex makes it oscillate is left out."""
+    loop = device_parameters("touch").loop(100.0)
+    person = hand_parameters("expert")
+    assert settling_hands(loop, person.linear_hands) == person.linear_hands
+    loose = replace(person, damping_N_s_m=0.8).linear_hands
+    alone = [replace(each, stiffness_N_m=0.0) for each in in_hands(loop, loose)]
+    assert [spectral_radius(each) < 1.0 for each in alone] == [True, False]
+    assert settling_hands(loop, loose) == loose[:1]
 
 
 def test_the_worst_hand_decides():

@@ -18,14 +18,14 @@ to the first term, and its other faces to S.
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy.sparse import bsr_array, coo_array, csr_array
+from scipy.sparse import bsr_array, coo_array
 
 from meshes.base.arrays import Array, Flags, Ints
 from meshes.tets.tetrahedra import TetMesh
 from tissue.fem.hyperelastic import NonlinearBody
 from tissue.fem.solvers.direct import DirectSolver
-from tissue.fem.solvers.held_body import components_of, pointwise_graph
-from tissue.fem.space import Space
+from tissue.fem.solvers.held_body import components_of
+from tissue.fem.space import Pattern, Space
 from tissue.materials.hyperelasticity import Hyperelastic
 
 __all__ = ["RegionBody"]
@@ -71,7 +71,7 @@ class RegionBody:
         body.
     nodes_m, fixed
         Positions [m] and components with zero displacement, shape (n + p, 3) both. The last p rows
-        stand for the modes; their positions have no meaning.
+        belong to the modes. Their positions are not used.
     """
 
     def __init__(
@@ -111,12 +111,7 @@ class RegionBody:
             [part.nodes_m[self._inner], np.tile(part.nodes_m.mean(axis=0), (extra, 1))]
         )
         self.fixed = np.vstack([rest.body.fixed[self.nodes], np.zeros((extra, 3), np.bool_)])
-        self._assembly = _Assembly(
-            pointwise_graph(self._body.stiffness(np.zeros_like(part.nodes_m))),
-            self._inner,
-            self._border,
-            extra,
-        )
+        self._assembly = _Assembly(part.pattern, self._inner, self._border, extra)
 
     def _reduced(self, rest: DirectSolver, loaded: Sequence[Ints]) -> tuple[Array, Array]:
         """Return the modes, shape (3b, 3p), and the stiffness outside on them, shape (3p, 3p)."""
@@ -131,13 +126,13 @@ class RegionBody:
             loads[np.ix_(unknowns, columns)] = random.normal(size=(len(unknowns), len(columns)))
         loads[rest.body.fixed.ravel()] = 0.0
         moved = rest.displacements_m(loads)
-        rows = components_of(self.all_nodes)
+        moved = moved[components_of(self.all_nodes)]
         stiffness = self._body.stiffness(np.zeros((len(self.all_nodes), 3)))
         border = components_of(self._border)
         # No load acts on the border, so that the outside balances the region there.
-        pulls = -(stiffness @ moved[rows])[border]
+        pulls = -(stiffness @ moved)[border]
         pulls[rest.body.fixed[self.all_nodes[self._border]].ravel()] = 0.0
-        left, sizes, right = np.linalg.svd(moved[rows][border], full_matrices=False)
+        left, sizes, right = np.linalg.svd(moved[border], full_matrices=False)
         count = min(MODES, 3 * (int((sizes > SMALLEST * sizes[0]).sum()) // 3))
         modes = left[:, :count]
         outside = modes.T @ (pulls @ right[:count].T / sizes[:count])
@@ -178,23 +173,24 @@ class _Assembly:
 
     Parameters
     ----------
-    graph
-        Nodes of the region that share a cell, shape (r, r).
+    pattern
+        Blocks of the tangent of all nodes of the region.
     inner, border
         Inner nodes and nodes on the border, rising.
     extra
         Number of modes, over three.
     """
 
-    def __init__(self, graph: csr_array, inner: Ints, border: Ints, extra: int) -> None:
-        place = np.full(graph.shape[0], -1)
+    def __init__(self, pattern: Pattern, inner: Ints, border: Ints, extra: int) -> None:
+        nodes = len(inner) + len(border)
+        place = np.full(nodes, -1)
         place[inner] = np.arange(len(inner))
-        row = np.repeat(np.arange(graph.shape[0]), np.diff(graph.indptr))
-        column = graph.indices
+        row = np.repeat(np.arange(nodes), np.diff(pattern.row_start))
+        column = pattern.column
         is_border = place < 0
         self._kept = np.flatnonzero(~is_border[row] & ~is_border[column])
         self._coupled = np.flatnonzero(is_border[column])
-        position = np.zeros(graph.shape[0], np.int64)
+        position = np.zeros(nodes, np.int64)
         position[border] = np.arange(len(border))
         self._border_column = position[column[self._coupled]]
         near = np.unique(row[self._coupled])

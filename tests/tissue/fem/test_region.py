@@ -55,6 +55,12 @@ def region_of(
     )
 
 
+def solver_of(region: RegionBody) -> DirectSolver:
+    """Solver of a region at rest."""
+    rest = region.stiffness(np.zeros_like(region.nodes_m))
+    return DirectSolver(HeldBody(rest, region.nodes_m, region.fixed, is_grounded=True))
+
+
 @pytest.fixture
 def every_mode(monkeypatch):
     """Let every displacement of a border be a mode."""
@@ -73,14 +79,7 @@ def test_at_rest_the_region_has_the_compliance_of_the_body(order, low_m, capsule
     """
     space, held = held_block(order, capsule_too=capsule_too)
     region = region_of(space, held, low_m, capsule_too=capsule_too)
-    alone = DirectSolver(
-        HeldBody(
-            region.stiffness(np.zeros_like(region.nodes_m)),
-            region.nodes_m,
-            region.fixed,
-            is_grounded=True,
-        )
-    )
+    alone = solver_of(region)
     chosen = np.flatnonzero(~region.fixed[: len(region.nodes), 0])[::7]
     whole = DirectSolver(held).compliance_between(region.nodes[chosen])
     assert alone.compliance_between(chosen) == pytest.approx(whole, abs=1e-9 * np.abs(whole).max())
@@ -90,14 +89,7 @@ def test_the_shipped_number_of_modes_holds_the_compliance_under_a_tool():
     """With the modes that are shipped, a press in the middle moves the surface as in the body."""
     space, held = held_block(2)
     region = region_of(space, held, 0.01)
-    alone = DirectSolver(
-        HeldBody(
-            region.stiffness(np.zeros_like(region.nodes_m)),
-            region.nodes_m,
-            region.fixed,
-            is_grounded=True,
-        )
-    )
+    alone = solver_of(region)
     top = region.nodes_m[: len(region.nodes)] - [0.01, 0.02, 0.03]
     pressed = np.flatnonzero(np.linalg.norm(top, axis=1) < 6e-3)
     whole = DirectSolver(held).compliance_between(region.nodes[pressed])

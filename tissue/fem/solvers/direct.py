@@ -190,17 +190,15 @@ class DirectSolver:
         self, body: HeldBody, *, last: Ints | None = None, like: "DirectSolver | None" = None
     ) -> None:
         self.body = body
-        self._order_of: _Order = _Order.of(body, last) if like is None else like._order_of
-        self.last = self._order_of.last
+        self._order: _Order = _Order.of(body, last) if like is None else like._order
+        self.last = self._order.last
         """Nodes that were eliminated last, rising."""
-        self._order = self._order_of.unknowns
-        self._position = self._order_of.position
-        self._matrix = self._order_of.ordered(body.stiffness)
+        self._matrix = self._order.ordered(body.stiffness)
         # Threads on small blocks took five times longer on a busy machine.
         with threadpool_limits(1, "blas"):
             self._factor: Multifrontal = Multifrontal(
                 self._matrix,
-                self._order_of.starts,
+                self._order.starts,
                 fronts=None if like is None else like._factor.fronts,
             )
 
@@ -210,7 +208,7 @@ class DirectSolver:
         norm = float(np.linalg.norm(right))
         if norm == 0.0:
             return Solution(self.body.whole(right), SolverOutcome.CONVERGED, 0, 0.0)
-        place = self._position[self.body.free]
+        place = self._order.position[self.body.free]
         ordered = np.empty_like(right)
         ordered[place] = right
         found = self._factor.solve(ordered)
@@ -223,17 +221,17 @@ class DirectSolver:
 
         Forces on held components have no effect.
         """
-        found = self._factor.solve(load_N.ravel()[self._order])
+        found = self._factor.solve(load_N.ravel()[self._order.unknowns])
         moved = np.zeros(load_N.size)
-        moved[self._order] = found
+        moved[self._order.unknowns] = found
         return moved.reshape(load_N.shape)
 
     def displacements_m(self, loads_N: Array) -> Array:
         """Return the displacements [m] under several loads [N], shape (3n, k) both, unchecked."""
         moved = np.zeros_like(loads_N)
         for start in range(0, loads_N.shape[1], TOGETHER):
-            several = np.ascontiguousarray(loads_N[self._order, start : start + TOGETHER])
-            moved[self._order, start : start + TOGETHER] = self._factor.solve(several)
+            several = np.ascontiguousarray(loads_N[self._order.unknowns, start : start + TOGETHER])
+            moved[self._order.unknowns, start : start + TOGETHER] = self._factor.solve(several)
         return moved
 
     def with_springs(self, root: csr_array) -> "DirectSolver":
@@ -247,7 +245,7 @@ class DirectSolver:
             Square root of the stiffness of the springs [(N/m)^0.5], shape (p, 3n).
         """
         columns = np.unique(root.indices)
-        at = self._position[columns]
+        at = self._order.position[columns]
         near = root[:, columns[at >= 0]].toarray()
         found = copy(self)
         # The product of an array with itself takes another BLAS routine, which rounds differently
@@ -260,13 +258,13 @@ class DirectSolver:
 
         Rows of held unknowns are zero.
         """
-        answers = np.zeros((len(self._position), len(unknowns)))
+        answers = np.zeros((len(self._order.position), len(unknowns)))
         for start in range(0, len(unknowns), together):
-            at = self._position[unknowns[start : start + together]]
-            right = np.zeros((len(self._order), len(at)))
+            at = self._order.position[unknowns[start : start + together]]
+            right = np.zeros((len(self._order.unknowns), len(at)))
             pushed = np.flatnonzero(at >= 0)
             right[at[pushed], pushed] = 1.0
-            answers[self._order, start : start + len(at)] = self._factor.solve(right)
+            answers[self._order.unknowns, start : start + len(at)] = self._factor.solve(right)
         return answers
 
     def compliance_between(self, nodes: Ints) -> Array:
@@ -282,17 +280,6 @@ class DirectSolver:
         rows = components_of(at)
         between: Array = self._compliance_of_last_m_N[np.ix_(rows, rows)]
         return between
-
-    def stiffness_of_last(self) -> Array:
-        """Return the stiffness [N/m] condensed onto the nodes eliminated last, shape (3k, 3k).
-
-        Zero for held nodes.
-        """
-        free = np.isin(components_of(self.last), self.body.free)
-        whole = np.zeros((len(free), len(free)))
-        if free.any():
-            whole[np.ix_(free, free)] = self._factor.last_block(int(free.sum()))
-        return whole
 
     @cached_property
     def _compliance_of_last_m_N(self) -> Array:

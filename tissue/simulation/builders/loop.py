@@ -243,18 +243,19 @@ def judged_loops(
     person = settings.person
     position = judged_loop(settings, step_s=TICK_S)
     hands = settling_hands(position, person.linear_hands)
-    loops = [(position, hands, "stiffness_N_m", "N/m", _steepest(settings))]
+    steepest = _steepest(settings)
+    verdict = _judged(position, hands, steepest)
+    loops = [(position, verdict, "stiffness_N_m", "N/m", steepest)]
     if settings.limits.torque_limit_Nm > 0.0:
         turning = _turning_loop(settings)
-        grip = LinearHand(*person.grip[3:])
-        left = _left(_judged(position, hands, _steepest(settings)))
-        loops.append((turning, (grip,), "stiffness_Nm_rad", "N m/rad", 1.0 / left))
+        steepest = 1.0 / _usable_share(verdict)
+        verdict = _judged(turning, (LinearHand(*person.grip[3:]),), steepest)
+        loops.append((turning, verdict, "stiffness_Nm_rad", "N m/rad", steepest))
     saves = "friction (or renderer = passivity)"
     if settings.held.renderer == "passivity":
         saves = "friction and the passivity controller"
     found: list[JudgedLoop] = []
-    for loop, judged_in, key, unit, steepest in loops:
-        verdict = _judged(loop, judged_in, steepest)
+    for loop, verdict, key, unit, steepest in loops:
         if not verdict.stable and not allow_unstable:
             raise _refusal(settings, verdict, loop.stiffness_N_m, key)
         alone = critical_stiffness_N_m(loop) / steepest
@@ -270,8 +271,8 @@ def _judged(loop: WallLoop, hands: tuple[LinearHand, ...], steepest: float) -> V
     return replace(verdict, critical_N_m=critical, nearest_N_m=nearest)
 
 
-def _left(position: Verdict) -> float:
-    """Return the usable share of the critical stiffness of turns, next to the loop of positions.
+def _usable_share(position: Verdict) -> float:
+    """Return the share of the critical stiffness of turns that the loop of positions leaves usable.
 
     A contact at a lever couples both loops. If each has its critical stiffness, they may be
     unstable together. A loop at `SHARE` of its critical stiffness leaves the other one whole.
