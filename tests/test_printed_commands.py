@@ -56,6 +56,7 @@ STARTED: dict[str, str] = {
     "bench_jitter": "--minutes 0.02",
     "bench_law": "milling --rounds 1",
     "bench_law_region": "--seconds 0.4 --regions 1.5",
+    "bench_random_presses": "--presses 2",
     "bench_nodule": "--quick",
     "bench_prediction": "wall --runs 2 --out {out}",
     "bench_probes": "--splits 2 --laws linear",
