@@ -6,7 +6,7 @@ import signal
 import sys
 from typing import NoReturn
 
-from tissue.system.stopping import Terminated, terminated_as_exception
+from tissue.system.stopping import Terminated, end_at_once, terminated_as_exception
 
 __all__ = ["main"]
 
@@ -20,7 +20,11 @@ def main() -> NoReturn:
             command()
     except KeyboardInterrupt as stopped:
         print("stopped before anything was begun", file=sys.stderr)
-        sys.exit(stopped.exit_code if isinstance(stopped, Terminated) else 130)
+        end_at_once(stopped.exit_code if isinstance(stopped, Terminated) else 130)
+    except SystemExit as ended:
+        if isinstance(ended.code, int) and ended.code > 128:
+            end_at_once(ended.code)
+        raise
     finally:
         # once more while Python ends: it ends at once, and prints nothing
         signal.signal(signal.SIGINT, signal.SIG_DFL)

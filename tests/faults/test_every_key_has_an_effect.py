@@ -24,7 +24,7 @@ from tissue.scene.scene import KeepClear, Scene, Stress
 
 VALUES = {
     "device.coupling.force_scale": 0.5,
-    "device.coupling.stiffness_N_m": 400.0,
+    "device.coupling.stiffness_N_m": 300.0,
     "name": "needle",
     "voxels.spacing_mm": 0.2,
     "voxels.margin_mm": 4.0,

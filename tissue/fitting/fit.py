@@ -313,11 +313,19 @@ def fit_scene(
     # recording the geometry, or the runs of an organ, takes most of the time
     report("fitting", 0.8)
     posterior = maximum_posterior(problem.forward, problem.measured)
+    of_this_mesh = identified(posterior)
     if problem.finer is not None:
         report("fitting on a finer mesh", 0.85)
         whole, *parts = (maximum_posterior(each, problem.measured) for each in problem.finer)
         posterior = posterior.with_mesh(whole, parts, problem.mesh_factor)
     found = identified(posterior)
+    if found.is_empty and not of_this_mesh.is_empty:
+        raise InputError(
+            "anatomy.touch_edge_mm",
+            "be fine enough to determine a constant",
+            "a mesh whose error leaves all of the scene's constants at their ranges",
+            "give a shorter one",
+        )
     if found.is_empty:
         forces = [at for at, name in enumerate(log.channels) if name.startswith("force_")]
         largest = float(np.abs(posterior.simulated - posterior.nuisances.bias)[:, forces].max())

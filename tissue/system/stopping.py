@@ -1,5 +1,7 @@
 """Stop signals as an exception, so that files are kept and helpers end, and time limits."""
 
+import atexit
+import os
 import signal
 import sys
 import threading
@@ -7,10 +9,12 @@ from _thread import interrupt_main
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
+from typing import NoReturn
 
 __all__ = [
     "STOPS",
     "Terminated",
+    "end_at_once",
     "interrupt_is_free",
     "returned_within",
     "signals_handled",
@@ -92,6 +96,22 @@ def terminated_as_exception() -> Iterator[None]:
             raise
         finally:
             sys.unraisablehook = report
+
+
+def end_at_once(code: int) -> NoReturn:
+    """End the process after a stop, without taking down the interpreter.
+
+    A native module whose import was interrupted may crash the interpreter while it is taken down.
+    Threads that Python waits for, exit handlers and buffered output come first.
+    """
+    for each in threading.enumerate():
+        if not each.daemon and each is not threading.main_thread():
+            each.join()
+    atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(code)
 
 
 def interrupt_is_free() -> bool:

@@ -182,7 +182,8 @@ def test_intervals_contain_the_error_of_the_mesh(tmp_path):
     times = [0.0, 0.4, 0.6, 0.9]
     planted = {"organ.young_kPa": 6.0, "organ.exponent": 14.0}
     pressed(tmp_path / "log.csv", STIFFENING | FINE, corners, times, planted, noise_N=2e-3, seed=7)
-    scene = tissue.load_scene("palpation", SCENE | STIFFENING)
+    coarse = {"anatomy.edge_mm": 7.0, "anatomy.touch_edge_mm": 4.4}
+    scene = tissue.load_scene("palpation", SCENE | STIFFENING | coarse)
     fit = tissue.fit(scene, tmp_path / "log.csv", cores=1)
     posterior = fit.fitted.posterior
     table = fit.to_pandas()
@@ -192,3 +193,15 @@ def test_intervals_contain_the_error_of_the_mesh(tmp_path):
         assert table.loc[name, "p05"] < value < table.loc[name, "p95"]
     alone = np.sqrt(posterior.covariance[0, 0])
     assert abs(posterior.mesh_z[0]) > 3.0 * alone
+
+
+@pytest.mark.slow
+def test_a_mesh_that_hides_every_constant_is_named(tmp_path):
+    """The log determines both constants; the error of the coarse mesh hides them."""
+    corners = [[0, 0, 0.5], [0, 0, -5], [0, 0, -5], [0, 0, -1]]
+    planted = {"organ.young_kPa": 6.0, "organ.exponent": 14.0}
+    changes, times = STIFFENING | FINE, [0.0, 0.4, 0.6, 0.9]
+    pressed(tmp_path / "log.csv", changes, corners, times, planted, noise_N=2e-3, seed=7)
+    scene = tissue.load_scene("palpation", SCENE | STIFFENING)
+    with pytest.raises(tissue.InputError, match="anatomy.touch_edge_mm must be fine enough"):
+        tissue.fit(scene, tmp_path / "log.csv", cores=1)
