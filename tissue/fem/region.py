@@ -73,6 +73,8 @@ class RegionBody:
     nodes, all_nodes
         Inner nodes of the region, shape (n,), and all of its nodes, shape (r,), numbered as in the
         body.
+    body, cells
+        Nonlinear body of the region alone, and numbers of its cells in the whole body.
     nodes_m, fixed
         Positions [m] and components with zero displacement, shape (n + p, 3) both. The last p rows
         belong to the modes. Their positions are not used.
@@ -96,7 +98,8 @@ class RegionBody:
         numbers[part.cell_nodes.ravel()] = space.cell_nodes[cells].ravel()
         # The faces between the region and the other cells carry no membrane.
         skin = part.faces[_are_among(numbers[part.faces[:, :3]], space.faces[:, :3])]
-        self._body = NonlinearBody(
+        self.cells = cells
+        self.body = NonlinearBody(
             part,
             None,
             law=law,
@@ -131,7 +134,7 @@ class RegionBody:
         loads[rest.body.fixed.ravel()] = 0.0
         moved = rest.displacements_m(loads)
         moved = moved[components_of(self.all_nodes)]
-        stiffness = self._body.stiffness(np.zeros((len(self.all_nodes), 3)))
+        stiffness = self.body.stiffness(np.zeros((len(self.all_nodes), 3)))
         border = components_of(self._border)
         # No load acts on the border, so that the outside balances the region there.
         pulls = -(stiffness @ moved)[border]
@@ -155,9 +158,18 @@ class RegionBody:
         moved[self._border] = (self._modes @ unknowns_m[count:].ravel()).reshape(-1, 3)
         return moved
 
+    def linear_load_N(self, unknowns_m: Array) -> Array:
+        """Return the forces on `all_nodes` that the law lacks to the linear one [N], shape (r, 3).
+
+        With these loads in addition, the linear body moves as this one.
+        """
+        moved = self.nodal_m(unknowns_m)
+        linear = self.body.stiffness(np.zeros_like(moved)) @ moved.ravel()
+        return linear.reshape(-1, 3) - self.body.energy_and_force(moved)[1]
+
     def energy_and_force(self, unknowns_m: Array) -> tuple[float, Array]:
         """Return the energy [J] and its derivative, shape (n + p, 3) [N]."""
-        energy, nodal = self._body.energy_and_force(self.nodal_m(unknowns_m))
+        energy, nodal = self.body.energy_and_force(self.nodal_m(unknowns_m))
         shares = unknowns_m[len(self._inner) :].ravel()
         pull = self._outside @ shares
         force = np.empty_like(unknowns_m)
@@ -168,7 +180,7 @@ class RegionBody:
 
     def stiffness(self, unknowns_m: Array, *, definite: bool = False) -> bsr_array:
         """Return the tangent stiffness [N/m], shape (3n + 3p, 3n + 3p), as for `NonlinearBody`."""
-        tangent = self._body.stiffness(self.nodal_m(unknowns_m), definite=definite)
+        tangent = self.body.stiffness(self.nodal_m(unknowns_m), definite=definite)
         return self._assembly.assembled(tangent, self._modes, self._outside)
 
 

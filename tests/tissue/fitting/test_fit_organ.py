@@ -203,5 +203,5 @@ def test_a_mesh_that_hides_every_constant_is_named(tmp_path):
     changes, times = STIFFENING | FINE, [0.0, 0.4, 0.6, 0.9]
     pressed(tmp_path / "log.csv", changes, corners, times, planted, noise_N=2e-3, seed=7)
     scene = tissue.load_scene("palpation", SCENE | STIFFENING)
-    with pytest.raises(tissue.InputError, match="anatomy.touch_edge_mm must be fine enough"):
+    with pytest.raises(tissue.InputError, match="touch_edge_mm must be fine enough"):
         tissue.fit(scene, tmp_path / "log.csv", cores=1)

@@ -1,17 +1,16 @@
 """Displacement, strain, stress and reaction of a whole organ from the forces on its surface."""
 
 from dataclasses import replace
-from functools import cached_property
 from math import inf
 
 import numpy as np
 
 from meshes.base.arrays import Array, Ints, Singles
 from tissue.fem.fields import FieldSeries, Frame, StressState, cell_stress
-from tissue.fem.quasi_newton import QuasiNewton, Springs
+from tissue.fem.quasi_newton import Followed, Springs
 from tissue.fem.space import EDGES, Space, gauss_points, gradient_slopes
 from tissue.materials.hyperelasticity import Hyperelastic
-from tissue.models.organ.law_window import follower_of
+from tissue.models.organ.law_window import LawWindow, LawWindows
 from tissue.models.organ.soft_organ import SoftOrgan
 
 __all__ = ["OrganFields", "cauchy_stress"]
@@ -43,10 +42,20 @@ class OrganFields:
         Nodes on which forces act, shape (t,).
     interval_s
         Time between two frames [s]; infinite for no frames.
+    windows
+        Windows in which the hyperelastic law of the organ is solved; None for a linear organ.
     """
 
-    def __init__(self, organ: SoftOrgan, touchable: Ints, *, interval_s: float) -> None:
+    def __init__(
+        self,
+        organ: SoftOrgan,
+        touchable: Ints,
+        *,
+        interval_s: float,
+        windows: LawWindows | None = None,
+    ) -> None:
         self._organ = organ
+        self._windows = windows
         self._space = organ.space
         self._touchable = touchable
         self.interval_s = interval_s
@@ -59,12 +68,6 @@ class OrganFields:
         self._ends = _edge_ends(organ.space)
         self._kept: list[tuple[float, Array, Array, Array | None]] = []
         self.notices: list[str] = []
-
-    @cached_property
-    def _follower(self) -> QuasiNewton:
-        law = self._organ.law
-        assert law is not None
-        return follower_of(self._organ, law.law, law.cell_factors, self._touchable)
 
     def keep(
         self, time_s: float, force_N: Array, crept_N: Array, moved_m: Array | None = None
@@ -87,35 +90,33 @@ class OrganFields:
 
     def compute(self) -> None:
         """Solve the stored frames."""
-        if self._organ.law is None:
+        if self._windows is None:
             for first in range(0, len(self._kept), BATCH):
                 self._compute_linear(self._kept[first : first + BATCH])
         else:
-            self._compute_large()
+            self._compute_large(self._windows)
         self._kept.clear()
 
-    def _compute_large(self) -> None:
+    def _compute_large(self, windows: LawWindows) -> None:
         """Solve the stored frames under the organ's hyperelastic law, which may creep.
 
         Displacement and strain are those of the law under the crept forces. Stress and reaction
         there are reduced by the ratio of the acting to the crept resultant. This is exact where
         both forces have one distribution.
         """
-        law = self._organ.law
-        assert law is not None
         unsettled = 0
         for time_s, forces, crept, moved_m in self._kept:
             assert moved_m is not None
-            found = self._follower.follow(
-                self._spread(crept),
+            windows.choose(forces, crept)
+            window = windows.now
+            found = window.follower.follow(
+                window.spread(crept),
                 tolerance=TOLERANCE,
                 step_limit=STEPS,
-                springs=self._springs(crept, moved_m),
+                springs=_springs(window, crept, moved_m),
             )
             unsettled += found.residual > TOLERANCE
-            moved = found.displacement_m
-            stress = cauchy_stress(self._space, moved, law.law, law.cell_factors)
-            reaction = found.internal_N - found.load_N
+            moved, stress, reaction = self._state_in(window, found, crept)
             resultant = crept.sum(axis=0)
             square = float(resultant @ resultant)
             if self._organ.prony is not None and square > 0.0:
@@ -134,16 +135,38 @@ class OrganFields:
                 "frames: their displacement and stress are approximate"
             )
 
-    def _springs(self, forces_N: Array, moved_m: Array) -> Springs | None:
-        """Return springs that hold the loaded nodes near their positions in the contact."""
-        # A held node needs no spring, and has no compliance.
-        fixed = self._organ.body.fixed[self._touchable].any(axis=1)
-        loaded = np.flatnonzero(forces_N.any(axis=1) & ~fixed)
-        if not len(loaded):
-            return None
-        nodes = self._touchable[loaded]
-        between = self._follower.at_rest.compliance_between(nodes)
-        return Springs.holding(nodes, between, moved_m[loaded], unknowns=self._space.unknown_count)
+    def _state_in(
+        self, window: LawWindow, found: Followed, crept_N: Array
+    ) -> tuple[Array, StressState, Array]:
+        """Return displacement [m], stress and reaction [N] of the organ at a window's equilibrium.
+
+        Outside a region the organ is linear. It moves as a linear organ would under the forces of
+        the contact and the forces that the region's law lacks to the linear one.
+        """
+        organ = self._organ
+        law = organ.law
+        assert law is not None
+        region = window.region
+        if region is None:
+            moved = found.displacement_m
+            stress = cauchy_stress(self._space, moved, law.law, law.cell_factors)
+            return moved, stress, found.internal_N - found.load_N
+        load = self._spread(crept_N)
+        # The springs' forces are those of a contact within the tolerance.
+        load[region.nodes] += (found.load_N - window.spread(crept_N))[: len(region.nodes)]
+        load[region.all_nodes] += region.linear_load_N(found.displacement_m)
+        moved = organ.factor.solve_all(load[None])[0]
+        reaction = (organ.body.stiffness @ moved.ravel()).reshape(-1, 3) - load
+        # Cells outside keep the border of the linear solve. That of the region is one of few modes,
+        # and would change the pressure of nearly incompressible cells.
+        stress = cell_stress(self._space, moved, organ.elasticity)
+        window.nodal_into(moved, found.displacement_m)
+        nodal = region.nodal_m(found.displacement_m)
+        factors = law.cell_factors[region.cells]
+        inside = cauchy_stress(region.body.space, nodal, law.law, factors)
+        for name, values in vars(stress).items():
+            values[region.cells] = getattr(inside, name)
+        return moved, stress, reaction
 
     def _compute_linear(self, batch: list[tuple[float, Array, Array, Array | None]]) -> None:
         """Solve frames of a linear organ, which may creep.
@@ -191,6 +214,17 @@ class OrganFields:
             "strain_percent": 100.0 * _equivalent_strain(strain),
         }
         self.series.frames.append(Frame(time_s, _single(points), _single(cells)))
+
+
+def _springs(window: LawWindow, crept_N: Array, moved_m: Array) -> Springs:
+    """Return springs that hold a window's loaded nodes near their positions in the contact."""
+    loaded = window.loaded(crept_N)
+    if not len(loaded):
+        return Springs.none(window.fixed.size)
+    places = window.places[loaded]
+    held_m = moved_m[window.inside[loaded]]
+    between = window.follower.at_rest.compliance_between(places)
+    return Springs.holding(places, between, held_m, unknowns=window.fixed.size)
 
 
 def _single(values: dict[str, Array]) -> dict[str, Singles]:

@@ -28,17 +28,15 @@ material, so that tissue must not rotate much while it relaxes.
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from math import inf
 from time import perf_counter
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from meshes.base.arrays import Array, Ints
 from tissue.fem.quasi_newton import Followed, Springs
 from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.held_body import components_of
-from tissue.models.organ.law_window import whole_window, window_centres, window_of
+from tissue.models.organ.law_window import LawWindows
 from tissue.models.organ.soft_organ import OrganLaw, SoftOrgan, ToolPath
 from tissue.models.tissue_model import SLOW
 
@@ -60,22 +58,11 @@ depend on the interval in which it was renewed. With 0.05 the force of a deep pr
 where an Ogden exponent rises from 15.5 to 16.5, with 0.02 single forces change by 4 %. With 0.01
 they are within 0.1 % of those with a new compliance in every interval.
 """
-HOP = 0.5
-"""Largest distance of a contact from the centre of its window, over the radius of the region.
-
-A window reaches the radius and this distance. With 0.25 a deep press of an organ that stiffens to
-twice the linear force is off by 3.3 % at rest, with 0.5 by 2.0 %.
-"""
 APART_M = 2e-4
 """Smallest change of depth from which the slope of the offset is computed [m].
 
 With 5e-5 a deep press has the same force; with 8e-4 the largest error of the moving tool grows
 from 1.5 to 1.9 %.
-"""
-LOADED = 1e-3
-"""Crept force of a node that gets a spring, over the largest one; chosen.
-
-Where a tool has been, crept forces fade but never end.
 """
 FARTHEST = 2.0
 """Longest extrapolation of the offset, over the change of depth that its slope was computed from.
@@ -146,25 +133,16 @@ class LawOffset:
         Nodes of the contact, shape (t,).
     tool
         The tool and its poses, which place the windows in which the law is solved.
+
+    Attributes
+    ----------
+    windows
+        Windows along the path of the tool.
     """
 
     def __init__(self, organ: SoftOrgan, law: OrganLaw, touchable: Ints, tool: ToolPath) -> None:
-        self._nodes_m = organ.space.nodes_m[touchable]
-        if law.region_m == inf:
-            self._centres_m = self._nodes_m.mean(axis=0)[None]
-            self._windows = [whole_window(organ, law, touchable)]
-        else:
-            hop_m = HOP * law.region_m
-            away, places = cKDTree(self._nodes_m).query(tool.tips_m)
-            # Between the nodes of a coarse mesh a small tool may be farther from all of them.
-            is_near = away <= max(law.region_m, away.min())
-            self._centres_m = window_centres(self._nodes_m[places[is_near]], hop_m)
-            self._windows = [
-                window_of(organ, law, touchable, centre, law.region_m + hop_m)
-                for centre in self._centres_m
-            ]
-        self._window = self._windows[0]
-        self._count = organ.space.node_count
+        self.windows = LawWindows(organ, law, touchable, tool)
+        self._window = self.windows.now
         self.interval_s = law.interval_s
         none = np.zeros((len(touchable), 3))
         self.latest_m = none.copy()
@@ -282,8 +260,12 @@ class LawOffset:
         """
         crept_N = contact.crept_N
         started = perf_counter()
-        indefinite = self.indefinite
-        self._choose_window(contact, crept_N)
+        indefinite = self.windows.indefinite
+        if self.windows.choose(contact.nodal_forces_N, crept_N):
+            self._window = self.windows.now
+            # Solutions in the last window have other nodes.
+            self._apart = None
+            self._factor = None
         window = self._window
         follower = window.follower
         found = follower.follow(
@@ -334,13 +316,10 @@ class LawOffset:
         where it prescribes the force. With s = w both are (k - w) / (k + w), less than 1 for any
         tissue.
         """
-        # A held node needs no spring, and has no compliance.
         window = self._window
         inside_N = np.zeros_like(crept_N)
         inside_N[window.inside] = crept_N[window.inside]
-        size_N = np.linalg.norm(crept_N[window.inside], axis=1)
-        free = ~window.fixed[window.places].any(axis=1)
-        loaded = np.flatnonzero((size_N > LOADED * size_N.max(initial=0.0)) & free)
+        loaded = window.loaded(crept_N)
         if not len(loaded):
             return Springs.none(window.fixed.size)
         nodes = window.inside[loaded]
@@ -358,29 +337,6 @@ class LawOffset:
         inside = self._window.inside
         offset[inside] = moved_m - _displaced(contact, forces_N)[inside]
         return offset
-
-    def _choose_window(self, contact: TickState, crept_N: Array) -> None:
-        """Pass to the window nearest to the contact, from the displacement of the last window."""
-        size_N = np.linalg.norm(contact.nodal_forces_N, axis=1)
-        if len(self._windows) == 1 or not size_N.any():
-            return
-        centre = size_N @ self._nodes_m / size_N.sum()
-        nearest = int(np.argmin(np.linalg.norm(self._centres_m - centre, axis=1)))
-        before = self._window
-        if self._windows[nearest] is before:
-            return
-        after = self._windows[nearest]
-        # Nodes that are new move as under the linear law.
-        guess = after.follower.at_rest.solve(after.spread(crept_N)).displacement_m
-        moved = np.full((self._count, 3), np.nan)
-        after.nodal_into(moved, guess)
-        before.nodal_into(moved, before.follower.displacement_m)
-        guess = after.gathered(moved)
-        self._window = after
-        # Solutions in the last window have other nodes.
-        self._apart = None
-        after.follower.restart(guess)
-        self._factor = None
 
     def _change_compliance(self, contact: TickState) -> None:
         """Use the compliance of the stiffness that was factorised last."""
@@ -405,18 +361,13 @@ class LawOffset:
         late = np.maximum(np.array(self.took_s) - self.interval_s, 0.0)
         return float(late.sum() / (late + self.interval_s).sum())
 
-    @property
-    def indefinite(self) -> int:
-        """Number of tangents so far that were not positive definite."""
-        return sum(window.follower.indefinite for window in self._windows)
-
     def _report(self, found: Followed, took_s: float, *, first: bool) -> None:
         """Count the solve, and report events that happen for the first time."""
         self.solves += 1
         self.took_s.append(took_s)
         missed = found.residual > TOLERANCE
         self.unsettled += missed
-        if first and self.indefinite:
+        if first and self.windows.indefinite:
             self.notices.append(
                 "the tangent stiffness of organ.law is not positive definite: only the tool "
                 "keeps the tissue from "

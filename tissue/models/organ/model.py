@@ -161,8 +161,9 @@ class LiverModel:
             device=space.device,
             cores=solution.cores,
         )
-        self._fields = OrganFields(organ, touchable, interval_s=interval_s)
         self._law = None if organ.law is None else LawOffset(organ, organ.law, touchable, tool)
+        windows = None if self._law is None else self._law.windows
+        self._fields = OrganFields(organ, touchable, interval_s=interval_s, windows=windows)
         self.waits = True
         self._step_s = step_s
         self.layer_names = organ.mesh.part_names
@@ -328,7 +329,7 @@ class LiverModel:
             "law": {
                 "solves": self._law.solves,
                 "not_reached": self._law.unsettled,
-                "indefinite_tangents": self._law.indefinite,
+                "indefinite_tangents": self._law.windows.indefinite,
                 "solve_ms": {
                     "median": 1e3 * float(np.median(self._law.took_s or [0.0])),
                     "p99": 1e3 * float(np.percentile(self._law.took_s or [0.0], 99)),
