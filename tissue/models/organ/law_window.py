@@ -149,7 +149,7 @@ class LawWindows:
         after = self._windows[nearest]
         if after is before:
             return False
-        guess = after.follower.at_rest.solve(after.spread(crept_N)).displacement_m
+        guess = after.follower.at_rest.displacement_m(after.spread(crept_N))
         moved = np.full((self._count, 3), np.nan)
         after.nodal_into(moved, guess)
         before.nodal_into(moved, before.follower.displacement_m)
@@ -245,13 +245,14 @@ def window_of(
     places = back[touchable[inside]]
     last = np.concatenate([np.sort(places), np.arange(len(body.nodes), len(body.nodes_m))])
     stiffness = body.stiffness(np.zeros_like(body.nodes_m))
+    # Single precision changes the force of a press by 0.0004 %.
     at_rest = DirectSolver(
-        HeldBody(stiffness, body.nodes_m, body.fixed, is_grounded=True), last=last
+        HeldBody(stiffness, body.nodes_m, body.fixed, is_grounded=True), last=last, single=True
     )
 
     def factorised(tangent: bsr_array) -> DirectSolver:
         held = HeldBody(tangent, body.nodes_m, body.fixed, is_grounded=True)
-        return DirectSolver(held, like=at_rest)
+        return DirectSolver(held, like=at_rest, single=True)
 
     follower = QuasiNewton(body, body.fixed, at_rest, factorised)
     return LawWindow(follower, inside, places, body.fixed, body)

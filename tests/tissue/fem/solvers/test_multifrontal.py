@@ -84,6 +84,17 @@ def test_elastic_bodies_as_spsolve_with_a_small_residual(name, ratio):
     assert found.converged and found.residual < 1e-11
 
 
+def test_a_factor_in_single_precision_solves_to_single_precision():
+    body = body_of(next(iter(BODIES)), 0.49)
+    load = np.random.default_rng(0).normal(size=body.nodes_m.shape) * ~body.fixed
+    exact = DirectSolver(body).displacement_m(load)
+    single = DirectSolver(body, single=True)
+    found = single.displacement_m(load)
+    size = np.abs(exact).max()
+    assert 1e-9 * size < np.abs(found - exact).max() < 1e-4 * size
+    assert not single.solve(load).converged
+
+
 def test_many_right_sides_are_each_alone():
     matrix, starts = random_mesh(7)
     factor = Multifrontal(matrix, starts)

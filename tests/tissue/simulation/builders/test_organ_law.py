@@ -187,7 +187,7 @@ def test_no_node_under_a_tool_is_on_the_border_of_a_region(monkeypatch):
         windows.append((window, from_centre, TOUCHED * radius_m))
         return window
 
-    monkeypatch.setattr("tissue.models.organ.law.window_of", spied)
+    monkeypatch.setattr("tissue.models.organ.law_window.window_of", spied)
     changes = pressed(2.0, law="neo-hookean") | {
         "tool.diameter_mm": 10.0,
         "anatomy.edge_mm": 10.0,
@@ -199,3 +199,27 @@ def test_no_node_under_a_tool_is_on_the_border_of_a_region(monkeypatch):
     for window, from_centre, reach_m in windows:
         inside = np.isin(np.arange(len(from_centre)), window.inside)
         assert inside[from_centre <= max(reach_m, from_centre.min())].all()
+
+
+def test_frames_in_a_region_are_those_of_the_law_in_the_whole_organ(monkeypatch):
+    """Displacement, stress and the force on the supports of the last frame."""
+    changes = pressed(1.6, law="neo-hookean", interval_ms=160.0) | {
+        "tool.diameter_mm": 8.0,
+        "anatomy.touch_edge_mm": 4.0,
+        "organ.order": 2,
+    }
+    scene = load_scene("palpation", changes)
+    in_region = simulate(scene, cores=1).parts.fields.frames[-1]
+    monkeypatch.setattr("tissue.simulation.builders.organ.REGION", np.inf)
+    whole = simulate(scene, cores=1).parts.fields.frames[-1]
+    assert in_region.time_s == whole.time_s >= 0.16
+    for name, allowed in (("displacement_mm", 0.02), ("reaction_N", 0.02)):
+        expected = whole.points[name]
+        error = np.abs(in_region.points[name] - expected).max()
+        assert error < allowed * np.abs(expected).max(), name
+    for name, allowed in (("von_mises_kPa", 0.03), ("strain_percent", 0.03)):
+        expected = whole.cells[name]
+        error = np.abs(in_region.cells[name] - expected).max()
+        assert error < allowed * np.abs(expected).max(), name
+    total = in_region.points["reaction_N"].sum(axis=0)
+    assert total == pytest.approx(whole.points["reaction_N"].sum(axis=0), rel=0.01, abs=1e-3)
