@@ -30,9 +30,11 @@ YOUNG_PA = 5.4e3
 POISSON = 0.49
 
 # %%
-# The built-in liver, straight down, with a frame of its fields at the end.
+# The built-in liver with the linear law, straight down, with a frame of its fields at the end.
 
 changes = {
+    "organ.material": "liver",
+    "organ.law": "linear",
     "motion.points_mm": [[0, 0, 1], [0, 0, -DEPTH_MM]],
     "motion.feed_mm_s": 50.0,
     "organ.interval_ms": 119.0,

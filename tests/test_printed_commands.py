@@ -65,7 +65,7 @@ STARTED: dict[str, str] = {
     "bench_velocity": "wall",
     "chart_liver": "--quick",
     "chart_wall": "--quick --out {out}",
-    "golden": "--only wall",
+    "golden": "{out}/golden.json --record --only wall",
     "held_out": "--out {out}",
     "mutants": "--count 1",
     "public_surface": "",

@@ -35,6 +35,7 @@ LAWS: dict[str, dict[str, object]] = {
     "mooney-rivlin": {"second_share": 0.3},
     "yeoh": {"square_ratio": 0.5, "cube_ratio": 0.5},
     "ogden": {"exponent": 8.0},
+    "exponential": {},
 }
 
 
@@ -75,7 +76,11 @@ def main() -> None:
     parser.add_argument("--modes", type=int, nargs="*", default=[])
     parser.add_argument("--set", nargs="*", default=[], help="key=value, numbers only")
     arguments = parser.parse_args()
-    plain: dict[str, object] = {"organ.interval_ms": 0.0, "duration_s": arguments.seconds}
+    plain: dict[str, object] = {
+        "organ.law": "linear",
+        "organ.interval_ms": 0.0,
+        "duration_s": arguments.seconds,
+    }
     for pair in arguments.set:
         key, value = pair.split("=")
         plain[key] = float(value)

@@ -1,6 +1,6 @@
 """Excess force over a stiff nodule: error of meshes of `palpation`, and detectability.
 
-Run: `python tests/bench/bench_nodule.py [--quick] [--parts meshes felt] [--out FILE.png]`.
+Run: `python tests/bench/bench_nodule.py [--quick] [--parts meshes felt] [--out DIR]`.
 
 The ball, the depths, the nodule and the cells of `palpation` are used in a wider slab (160 mm) of
 one modulus, 20 kPa, which the scene has at its nodule. On the axis of the nodule the problem is then
@@ -11,11 +11,12 @@ over the nodule minus the force on the same mesh with the nodule as soft as the 
 meshes: error of force, excess and displacement for edges under the ball. The share is the excess
 over the force without a nodule. The displacement is that of the top face within 25 mm of the axis
 (L2 over its area, relative to the reference). Its change is made by the nodule. Each edge has a
-row for cells that are not softened and one for softened cells (`tissue.fem.assembly`).
+row for cells that are not softened and one for softened cells (`tissue.fem.assembly`). `--out`
+draws the errors over the edges, `meshes.png`.
 
 felt: excess force by diameter of the nodule and depth of its top. It is compared with the force
 difference that is felt in 75 % of comparisons, kappa (F + offset) of `perception.toml`. `--out` draws
-the ratio of both as a map, with the values of the organ of `palpation` at some points.
+the ratio of both as a map, with the values of the organ of `palpation` at some points, `felt.png`.
 """
 
 import argparse
@@ -51,7 +52,7 @@ ORGANS = ((18.0, 8.0, 8.0), (18.0, 12.0, 8.0), (22.0, 8.0, 8.0), (14.0, 7.0, 7.0
 """Diameter and depth of the nodules in the organ of `palpation`, and its edges [mm]."""
 
 
-def meshes(quick: bool) -> None:
+def meshes(quick: bool, out: Path | None) -> None:
     """Print the errors of the scene's mesh and of finer ones."""
     phantom = Phantom(width_m=WIDTH_M)
     for axial in AXIAL_M[:1] if quick else AXIAL_M:
@@ -63,17 +64,42 @@ def meshes(quick: bool) -> None:
             flush=True,
         )
     rows = []
+    drawn: dict[str, list[dict[str, float]]] = {"not softened": [], "softened": []}
     softened = assembly.SOFTENED_RATIO
-    for edge in (SHIPPED_MM,) if quick else EDGES_MM:
+    edges = (SHIPPED_MM,) if quick else EDGES_MM
+    for edge in edges:
         for ratio, name in ((np.inf, "not softened"), (softened, "softened")):
             assembly.SOFTENED_RATIO = ratio
             found = over_nodule(edge)
             values = errors(found, exact)
+            drawn[name].append(values)
             row = (f"{edge:g} mm, {name}", str(found.unknowns))
             rows.append((*row, *(f"{each:+.1f}" for each in values.values())))
             print(rows[-1], flush=True)
     assembly.SOFTENED_RATIO = softened
     print(table(rows, ("edge", "unknowns", *(f"{name} %" for name in values))))
+    if out is not None:
+        draw_errors(edges, drawn, out / "meshes.png")
+
+
+def draw_errors(
+    edges_mm: tuple[float, ...], errors: dict[str, list[dict[str, float]]], file: Path
+) -> None:
+    """Draw the size of each error [%] over the edge under the ball, for both kinds of cells."""
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(
+        1, len(errors), figsize=(9.0, 4.0), sharey=True, layout="constrained"
+    )
+    for panel, (cells, values) in zip(axes, errors.items(), strict=True):
+        for name in values[0]:
+            sizes = [abs(each[name]) for each in values]
+            panel.plot(edges_mm, sizes, "o-", label=name)
+        panel.axhline(3.0, color="black", linewidth=1.0, linestyle="dashed")
+        panel.set(title=f"cells {cells}", xlabel="edge under the ball (mm)", ylim=(0.0, None))
+    axes[0].set_ylabel("error against the reference (%)")
+    axes[-1].legend()
+    figure.savefig(file, dpi=110)
 
 
 def felt(quick: bool, out: Path | None) -> None:
@@ -106,14 +132,11 @@ def felt(quick: bool, out: Path | None) -> None:
         points.append((cover, diameter, ratio))
         print(f"organ of palpation, {diameter:g} mm, {cover:g} mm deep: {ratio:.2f}", flush=True)
     if out is not None:
-        draw(np.reshape(ratios, (len(diameters), -1)), points, out)
+        draw(np.reshape(ratios, (len(diameters), -1)), points, out / "felt.png")
 
 
-def draw(ratios: Array, points: list[tuple[float, float, float]], out: Path) -> None:
+def draw(ratios: Array, points: list[tuple[float, float, float]], file: Path) -> None:
     """Draw the map of detectability: lines of equal ratio, and the organ's values."""
-    import matplotlib
-
-    matplotlib.use("Agg")
     from matplotlib import pyplot
     from scipy.interpolate import RectBivariateSpline
 
@@ -140,7 +163,7 @@ def draw(ratios: Array, points: list[tuple[float, float, float]], out: Path) -> 
         "Black line: felt in 75 % of comparisons. Dots: palpation's organ",
     )
     axes.title.set_fontsize(10)
-    figure.savefig(out, dpi=110)
+    figure.savefig(file, dpi=110)
 
 
 def main() -> None:
@@ -152,11 +175,16 @@ def main() -> None:
     parser.add_argument(
         "--parts", nargs="+", choices=("meshes", "felt"), default=["meshes", "felt"]
     )
-    parser.add_argument("--out", type=Path, help="draw the map of detectability as this picture")
+    parser.add_argument("--out", type=Path, help="draw both as pictures into this folder")
     given = parser.parse_args()
     print(machine())
+    if given.out is not None:
+        import matplotlib
+
+        matplotlib.use("Agg")
+        given.out.mkdir(parents=True, exist_ok=True)
     if "meshes" in given.parts:
-        meshes(given.quick)
+        meshes(given.quick, given.out)
     if "felt" in given.parts:
         felt(given.quick, given.out)
 

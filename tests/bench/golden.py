@@ -1,7 +1,7 @@
-"""Check that traces are bit for bit the recorded ones: `python tests/bench/golden.py [--record]`.
+"""Check that traces are bit for bit the recorded ones: `python tests/bench/golden.py FILE [--record]`.
 
 Runs the built-in scenes as shipped, and two of them by hand, and compares a hash of each trace
-column with `golden.json`. The compliance of an organ is computed anew, because a cached one of an
+column with those in the file. The compliance of an organ is computed anew, because a cached one of an
 earlier run can differ in its last bit. Hashes hold for one machine, because libraries round differently on
 others: record them there before a change, then compare after it.
 """
@@ -20,7 +20,6 @@ from harness import machine
 
 from tissue.scene.load import library_names
 
-RECORDED = Path(__file__).with_suffix(".json")
 CASES = {name: [name] for name in library_names()} | {
     "milling by hand": ["milling", "--set", "device=touch", "--duration-s", "2"],
     "palpation by hand": ["palpation", "--set", "device=touch", "--duration-s", "2"],
@@ -36,7 +35,7 @@ def column_hashes(arguments: list[str]) -> dict[str, str]:
             [*command, "--out", str(out)],
             check=True,
             capture_output=True,
-            cwd=RECORDED.parents[2],
+            cwd=Path(__file__).parents[2],
             env=os.environ | {"TISSUE_CACHE": folder},
         )
         with (out / "trace.csv").open(newline="", encoding="utf-8") as file:
@@ -51,15 +50,16 @@ def column_hashes(arguments: list[str]) -> dict[str, str]:
 def main() -> None:
     """Record the hashes, or report the columns that differ from the recorded ones."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--record", action="store_true", help="write golden.json anew")
+    parser.add_argument("file", type=Path, help="file of the recorded hashes, .json")
+    parser.add_argument("--record", action="store_true", help="write the file anew")
     parser.add_argument("--only", nargs="+", default=list(CASES), choices=list(CASES))
     chosen = parser.parse_args()
     found = {case: column_hashes(CASES[case]) for case in chosen.only}
     if chosen.record:
         recorded = {"machine": machine(), "hashes": found}
-        RECORDED.write_text(json.dumps(recorded, indent=1) + "\n", encoding="utf-8")
+        chosen.file.write_text(json.dumps(recorded, indent=1) + "\n", encoding="utf-8")
         return
-    recorded = json.loads(RECORDED.read_text("utf-8"))
+    recorded = json.loads(chosen.file.read_text("utf-8"))
     print(f"recorded on {recorded['machine']}")
     differing = 0
     for case, hashes in found.items():

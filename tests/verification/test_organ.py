@@ -118,7 +118,12 @@ def test_a_press_is_what_the_scene_runner_gives(monkeypatch):
     tighter tolerance of a press it is 0.6 %, the error of a tick's tolerance. If both have the
     tighter one, the difference is 0.02 %.
     """
-    changes = {"motion.points_mm": [[0, 0, 1], [0, 0, -5]], "motion.feed_mm_s": 15.0}
+    changes = {
+        "organ.material": "liver",
+        "organ.law": "linear",
+        "motion.points_mm": [[0, 0, 1], [0, 0, -5]],
+        "motion.feed_mm_s": 15.0,
+    }
     scene = tissue.load_scene("liver-press", changes)
     run = tissue.simulate(scene)
     sweep = np.array(scene.motion.points_mm) * 1e-3

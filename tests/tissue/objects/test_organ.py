@@ -349,7 +349,9 @@ def test_a_liver_with_a_file_of_constants_is_that_of_a_scene_with_it(tmp_path):
     ]
     write_fitted(file, entries, np.eye(3), remark=())
     organ = tissue.Organ.liver(edge_mm=40, materials=file)
-    scene = tissue.load_scene("liver-press", {"materials": str(file)})
+    scene = tissue.load_scene(
+        "liver-press", {"materials": str(file), "organ.material": "liver", "organ.law": "linear"}
+    )
     mesh, material = organ._made.mesh, organ._made.material
     wanted, _ = elasticity_of(mesh, scene.anatomy, scene.organ, scene.constants)
     assert np.array_equal(material.elasticity(mesh), wanted)

@@ -181,7 +181,7 @@ def _follower_of(
             "organ.law",
             f"be linear on more than {FACTOR_UNKNOWNS:,} unknowns",
             f"{len(organ.body.free):,}",
-            "use longer edges",
+            "use longer edges or the linear law",
         )
 
     def factorised(stiffness: bsr_array) -> DirectSolver:

@@ -428,8 +428,8 @@ def law_of(organ: Organ, lame_Pa: Array) -> tuple[Hyperelastic, Array] | None:
             "be left out together",
             f"{organ.law} and {shown(getattr(organ, name))}",
             (
-                "remove one, a law of large strains has an isotropic organ without weight, on its "
-                "condensed compliance"
+                f"set organ.law=linear or remove organ.{name}, a law of large strains has an "
+                "isotropic organ without weight, on its condensed compliance"
             ),
         )
     first, shear = lame_Pa[0].tolist()
@@ -478,5 +478,5 @@ def _law(organ: Organ, shear_Pa: float, bulk_Pa: float) -> Hyperelastic:
         f"organ.{LAW_SHAPES[organ.law][0]}",
         f"be given with organ.law = {organ.law}",
         "none",
-        "state it",
+        "state it, or set organ.law=linear",
     )

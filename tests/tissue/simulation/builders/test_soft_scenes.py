@@ -16,6 +16,8 @@ from tissue.simulation.builders.organ import elasticity_of
 
 PRESS = {
     "anatomy.edge_mm": 22.0,
+    "organ.material": "liver",
+    "organ.law": "linear",
     "organ.interval_ms": 100.0,
     "motion.points_mm": [[0, 0, 1], [0, 0, -6], [3, 0, -6], [3, 0, 1]],
     "motion.feed_mm_s": 20.0,
