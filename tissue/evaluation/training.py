@@ -164,7 +164,7 @@ def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float
 class Recorder:
     """Runner of trials of one scene.
 
-    An elastic organ, which a run does not change, is built once.
+    A linear elastic organ, which a run does not change, is built once.
     """
 
     def __init__(self, *, cores: int | None = None) -> None:
@@ -207,11 +207,12 @@ class Recorder:
 
     def _parts(self, scene: Scene) -> tuple[HandMotion, TissueModel]:
         """Return the hand of a scene and the tissue that it touches."""
-        # only an elastic organ is unchanged by a run
+        # Only a linear elastic organ is unchanged by a run.
         organ = (
             isinstance(scene.tool, Probe)
             and not isinstance(scene.anatomy, WallAnatomy)
             and not scene.organ.viscous
+            and scene.organ.law == "linear"
         )
         if organ and self._organ is not None:
             motion, _ = hand_motion(scene, motion_of(scene, step_s=TICK_S), allow_unstable=True)

@@ -44,6 +44,30 @@ def test_a_shipped_predictor_is_sound(scene):
     assert trained.fallback in FALLBACKS
 
 
+@pytest.mark.parametrize("law", ["linear", "neo-hookean"])
+def test_a_recorder_repeats_a_run(law):
+    """An organ is used again only where a run leaves no trace in it."""
+    small = {
+        "device": "touch",
+        "duration_s": 0.6,
+        "anatomy.size_mm": [50, 50, 30],
+        "anatomy.edge_mm": 10.0,
+        "anatomy.touch_edge_mm": 6.0,
+        "anatomy.nodule_diameter_mm": 0.0,
+        "organ.parts": None,
+        "organ.poisson_ratio": 0.45,
+        "organ.order": 1,
+        "organ.law": law,
+        "organ.interval_ms": 0.0,
+        "motion.points_mm": [[0, 0, 0.2], [0, 0, -4]],
+    }
+    scene = load_scene("palpation", small)
+    recorder = Recorder(cores=1)
+    first, again = (recorder.record(scene).force_N for _ in range(2))
+    assert np.abs(first).max() > 0.05
+    np.testing.assert_array_equal(again, first)
+
+
 def test_trials_differ_in_hand_seed_and_latency():
     scene = load_scene("molar", {"prediction": "none"})
     scenes = [trial(scene, index) for index in range(9)]
