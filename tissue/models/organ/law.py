@@ -25,6 +25,7 @@ the crept forces. In the equations above, f is then the crept force. Nodal force
 material, so that tissue must not rotate much while it relaxes.
 """
 
+from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -63,6 +64,11 @@ APART_M = 2e-4
 
 With 5e-5 a deep press has the same force; with 8e-4 the largest error of the moving tool grows
 from 1.5 to 1.9 %.
+"""
+RECENT = 4
+"""Number of last solves among which the slope of the offset is computed.
+
+An equilibrium that is older than a slide belongs to another place on the organ.
 """
 FARTHEST = 2.0
 """Longest extrapolation of the offset, over the change of depth that its slope was computed from.
@@ -150,7 +156,7 @@ class LawOffset:
         self._now = _Line(none, none, 0.0, 0.0)
         self._shown = self._now, self._now
         at_rest = 0.0, np.zeros((len(self._window.inside), 3)), none
-        self._apart: tuple[float, Array, Array] | None = at_rest
+        self._last: deque[tuple[float, Array, Array]] = deque([at_rest], RECENT)
         self._factor: DirectSolver | None = self._window.follower.factor
         self._at_rest: Array | None = None
         self._changed_s = 0.0
@@ -264,7 +270,7 @@ class LawOffset:
         if self.windows.choose(contact.nodal_forces_N, crept_N):
             self._window = self.windows.now
             # Solutions in the last window have other nodes.
-            self._apart = None
+            self._last.clear()
             self._factor = None
         window = self._window
         follower = window.follower
@@ -292,17 +298,16 @@ class LawOffset:
         moved = moved + self._factor.displacement_m(left)[window.places]
         offset = self._offset(contact, moved, forces)
         # A new compliance is the tangent here, from which the offset starts with slope zero.
-        slope = np.zeros_like(offset) if changed else self._now.slope
-        reach_m = self._now.reach_m
-        if self._apart is None:
-            self._apart = (depth_m, moved, forces)
-        last_m, *last = self._apart
-        # A smaller change of depth would divide the noise of two solves by almost zero.
-        if abs(depth_m - last_m) >= APART_M:
-            if not changed:
-                slope = (offset - self._offset(contact, *last)) / (depth_m - last_m)
-            reach_m = FARTHEST * abs(depth_m - last_m)
-            self._apart = (depth_m, moved, forces)
+        slope = np.zeros_like(offset)
+        reach_m = 0.0
+        for last_m, *last in reversed(self._last):
+            # A smaller change of depth would divide the noise of two solves by almost zero.
+            if abs(depth_m - last_m) >= APART_M:
+                if not changed:
+                    slope = (offset - self._offset(contact, *last)) / (depth_m - last_m)
+                reach_m = FARTHEST * abs(depth_m - last_m)
+                break
+        self._last.append((depth_m, moved, forces))
         self._now = _Line(offset, slope, depth_m, reach_m)
         self._report(found, perf_counter() - started, first=indefinite == 0)
         return contact

@@ -223,3 +223,20 @@ def test_frames_in_a_region_are_those_of_the_law_in_the_whole_organ(monkeypatch)
         assert error < allowed * np.abs(expected).max(), name
     total = in_region.points["reaction_N"].sum(axis=0)
     assert total == pytest.approx(whole.points["reaction_N"].sum(axis=0), rel=0.01, abs=1e-3)
+
+
+def test_a_force_falls_smoothly_when_a_ball_lifts_off_after_a_slide():
+    """The slope of the offset must not join two places on the organ."""
+    changes = {
+        "anatomy.edge_mm": 22.0,
+        "anatomy.touch_edge_mm": 8.0,
+        "organ.order": 1,
+        "organ.interval_ms": 0.0,
+        "motion.points_mm": [[0, 0, 0.5], [0, 0, -6], [15, 0, -6], [15, 0, -4]],
+        "motion.feed_mm_s": 15.0,
+    }
+    run = simulate(load_scene("liver-press", changes), cores=1)
+    force_N = run.trace["model_force_z_N"]
+    lifting = force_N[np.argmax(run.trace["tool_x_mm"] > 14.999) :]
+    rise_N = np.maximum(np.diff(lifting), 0.0).sum()
+    assert rise_N < 0.01 * force_N.max()
