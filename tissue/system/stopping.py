@@ -102,11 +102,8 @@ def end_at_once(code: int) -> NoReturn:
     """End the process after a stop, without taking down the interpreter.
 
     A native module whose import was interrupted may crash the interpreter while it is taken down.
-    Threads that Python waits for, exit handlers and buffered output come first.
+    Exit handlers and buffered output come first. Threads, which may wait for work, are left.
     """
-    for each in threading.enumerate():
-        if not each.daemon and each is not threading.main_thread():
-            each.join()
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError):
