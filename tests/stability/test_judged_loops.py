@@ -13,7 +13,6 @@ from kicked_loop import (
     Course,
     coupled,
     critical_of,
-    critical_share,
     exact_settings,
     growth_per_s,
     kicked,
@@ -358,9 +357,9 @@ def test_a_contact_at_a_lever_limits_both_shares_together(shares, fades, accepte
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_no_loop_has_a_critical_stiffness_below_the_judged_one(name):
-    """The critical stiffness by bisection is at least that of the judge, within 0.5 %."""
+    """The critical stiffness lies within 2 % of the table, and above 0.995 of the judged one."""
     make, given, ratio = CASES[name]
-    found = critical_share(lambda share: make(share, **given), low=0.9 * ratio, high=1.1 * ratio)
-    print(f"{name}: measured critical stiffness over the judged one: {found:.3f}")
-    assert found == pytest.approx(ratio, rel=0.02)
-    assert found > 0.995
+    below = max(0.98 * ratio, 0.995)
+    rates = [make(share, **given) for share in (below, 1.02 * ratio)]
+    print(f"{name}: {rates[0]:.2f} and {rates[1]:.2f} 1/s at {below:.3f} and {1.02 * ratio:.3f}")
+    assert rates[0] < 0.0 < rates[1]

@@ -89,11 +89,21 @@ def test_lengths_are_checked():
         layer_mesh(1.0, 0.0)
 
 
+SPLINE_N = {
+    "neo-hookean": np.array([0.352658, 1.998387, 4.400193]),
+    "exponential": np.array([0.384829, 2.937942, 11.161052]),
+}
+"""Forces of `spline_press_N` at the depths, on a layer of 2.5 radii with 12 cells for a radius."""
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("name", ["neo-hookean", "exponential"])
+@pytest.mark.parametrize("name", SPLINE_N)
 def test_a_deep_press_is_that_of_an_independent_solution(name):
-    """Within 0.5 % from 0.15 to 0.75 radii, on a layer of 2.5 radii."""
+    """Within 0.5 % from 0.15 to 0.75 radii, on a layer of 2.5 radii.
+
+    The independent solution is computed here at the first depth. The others took 30 s each.
+    """
     pytest.importorskip("jax")
     import jax.numpy as jnp
 
@@ -104,7 +114,11 @@ def test_a_deep_press_is_that_of_an_independent_solution(name):
 
     mesh = layer_mesh(1.0, 2.5)
     width = float(mesh.nodes_m[:, 0].max())
-    exact = spline_press_N(density, radius=1.0, thickness=2.5, width=width, depths=DEPTHS, cells=12)
+    first = spline_press_N(
+        density, radius=1.0, thickness=2.5, width=width, depths=DEPTHS[:1], cells=12
+    )
+    exact = SPLINE_N[name]
+    assert first == pytest.approx(exact[:1], rel=1e-5)
     off = press_forces(mesh, LAWS[name], DEPTHS) / exact - 1.0
     print(name, np.round(exact, 4), np.round(100.0 * off, 2))
     assert off == pytest.approx(np.zeros(3), abs=0.005)
@@ -133,13 +147,13 @@ def test_tetrahedra_of_an_organ_approach_the_same_force():
         penalty = 10.0 * solver.rest_diagonal.reshape(-1, 3)[top].mean(axis=1)
         ball = RigidSphere(top, penalty, radius_m=radius, centre_m=np.zeros(3), tolerance=1e-4)
         now, found = None, []
-        for depth in np.linspace(0.5e-3, 3e-3, 6):
+        for depth in depths:
             ball.centre_m = np.array([0.0, 0.0, radius - depth])
             solution = solver.solve(sphere=ball, start_m=now)
             assert solution.converged
             now = solution.displacement_m
             found.append(4.0 * solution.tool_force_N[2])
-        forces[edge] = np.array(found)[1::2]
+        forces[edge] = np.array(found)
     limit = forces[1e-3] - 2.0 * (forces[1.5e-3] - forces[1e-3])
     print({edge: np.round(force / exact - 1.0, 4) for edge, force in forces.items()}, limit / exact)
     assert limit[-1] == pytest.approx(exact[-1], rel=0.03)
