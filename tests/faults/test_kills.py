@@ -24,7 +24,7 @@ pytestmark = [
     pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL"),
 ]
 ROOT = Path(__file__).resolve().parents[2]
-SEED, KILLS = 15, 2
+SEED, KILLS = 15, 1
 """Seed of all moments, and kills of each command."""
 MARK = "TISSUE_TEST_MARK"
 MOLAR = (

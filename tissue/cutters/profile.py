@@ -7,6 +7,7 @@ pose.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from math import cos, hypot, pi, radians, sin, tan
 
@@ -169,7 +170,7 @@ class Profile:
         points = [corner for piece in self.pieces for corner in piece.corners()]
         return np.array([*points, (0.0, float(self.pieces[-1].at(np.array([1.0]))[0][0, 1]))])
 
-    @property
+    @cached_property  # read on every tick of a cut
     def radius_m(self) -> float:
         """Largest radius [m]."""
         return float(self.outline[:, 0].max())
