@@ -57,9 +57,7 @@ def test_the_force_of_a_deep_press_is_that_of_newtons_method(law):
     assert force_N[-1] == pytest.approx(exact.force_N[-1], rel=at_rest)
     assert surface_error(run, exact) < 0.03
     assert not [what for _, what in run.events if "not reached" in what or "did not settle" in what]
-    assert abs(linear_at_rest_N() / exact.force_N[-1] - 1.0) > 0.08, (
-        "what the linear law misses"
-    )
+    assert abs(linear_at_rest_N() / exact.force_N[-1] - 1.0) > 0.08, "what the linear law misses"
 
 
 @pytest.mark.slow
