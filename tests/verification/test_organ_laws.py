@@ -23,6 +23,12 @@ LAWS = {
 }
 
 
+@cache
+def linear_at_rest_N():
+    """Return the force of the linear law at the end of the press."""
+    return simulate(scene_of(poisson_ratio=0.45), cores=1).trace["force_z_N"][-1]
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("law", LAWS)
@@ -51,20 +57,16 @@ def test_the_force_of_a_deep_press_is_that_of_newtons_method(law):
     assert force_N[-1] == pytest.approx(exact.force_N[-1], rel=at_rest)
     assert surface_error(run, exact) < 0.03
     assert not [what for _, what in run.events if "not reached" in what or "did not settle" in what]
-    linear = simulate(scene_of(poisson_ratio=0.45), cores=1)
-    assert abs(linear.trace["force_z_N"][-1] / exact.force_N[-1] - 1.0) > 0.08, (
-        "what the linear law misses"
-    )
+    assert abs(linear_at_rest_N() / exact.force_N[-1] - 1.0) > 0.08, "what the linear law misses"
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("share", [0.5, 0.95])
-def test_a_hand_presses_a_stiffening_organ_without_swinging(law, share):
+def test_a_hand_presses_a_stiffening_organ_without_swinging(law):
     """A hand presses a stiffening organ without oscillation.
 
-    The coupling has a share of its critical stiffness, which is judged on a wall: nothing is
+    The coupling has 95 % of its critical stiffness, which is judged on a wall: nothing is
     stiffer. Over the last 0.4 s, with a cubic removed, the force at the device moves by less than 2
     %.
     """
@@ -74,13 +76,13 @@ def test_a_hand_presses_a_stiffening_organ_without_swinging(law, share):
     settings = loop_settings(scene)
     hands = in_hands(judged_loop(settings, step_s=TICK_S), [settings.person.grip[:3]])
     run = simulate(
-        changed(scene, {"coupling.stiffness_N_m": share * critical_stiffness_N_m(hands[0])}),
+        changed(scene, {"coupling.stiffness_N_m": 0.95 * critical_stiffness_N_m(hands[0])}),
         cores=1,
     )
     force_N = run.trace["device_force_z_N"][-400:]
     ticks = np.arange(len(force_N))
     swing = np.std(force_N - np.polyval(np.polyfit(ticks, force_N, 3), ticks))
-    print(law, share, f"{force_N[-1]:.3f} N, swings by {swing / force_N[-1]:.2%}")
+    print(law, f"{force_N[-1]:.3f} N, swings by {swing / force_N[-1]:.2%}")
     assert force_N[-1] > 0.8
     assert swing < 0.02 * force_N[-1]
     assert not [what for _, what in run.events if "not reached" in what or "did not settle" in what]
@@ -97,6 +99,7 @@ SCENE_LAWS = {
 
 SCENES = {
     "liver-press": {
+        "organ.material": "liver",
         "anatomy.edge_mm": 22.0,
         "anatomy.touch_edge_mm": 7.0,
         "motion.feed_mm_s": 60.0,
@@ -133,13 +136,15 @@ def in_scene(name, **changes):
 @cache
 def linear_ratio(name):
     """Return the force while the ball leaves over that while it comes, with the linear law."""
-    return in_scene(name)[1]
+    return in_scene(name, **{"organ.law": "linear"})[1]
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("law", SCENE_LAWS)
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(
+    ("name", "law"),
+    [*(("liver-press", law) for law in SCENE_LAWS), ("palpation", "exponential")],
+)
 def test_a_law_runs_in_a_scene(name, law):
     """A law runs in a scene.
 
