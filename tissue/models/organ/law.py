@@ -25,7 +25,6 @@ the crept forces. In the equations above, f is then the crept force. Nodal force
 material, so that tissue must not rotate much while it relaxes.
 """
 
-from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -65,11 +64,6 @@ APART_M = 2e-4
 With 5e-5 a deep press has the same force; with 8e-4 the largest error of the moving tool grows
 from 1.5 to 1.9 %.
 """
-RECENT = 4
-"""Number of last solves among which the slope of the offset is computed.
-
-An equilibrium that is older than a slide belongs to another place on the organ.
-"""
 FARTHEST = 2.0
 """Longest extrapolation of the offset, over the change of depth that its slope was computed from.
 
@@ -94,6 +88,31 @@ class _Line:
         out += (share * beyond) * self.slope
 
 
+@dataclass(frozen=True, eq=False)
+class _Equilibrium:
+    """Equilibrium of a solve.
+
+    Attributes
+    ----------
+    depth_m, tip_m
+        Travel of the tool in contact [m] and position of its tip [m], shape (3,).
+    moved_m, forces_N
+        Displacement of the window's touchable nodes [m], shape (w, 3), and forces on all touchable
+        nodes [N], shape (t, 3).
+    """
+
+    depth_m: float
+    tip_m: Array
+    moved_m: Array
+    forces_N: Array
+
+    def is_aside(self, other: "_Equilibrium") -> bool:
+        """Return whether the tool has moved farther to the side than along its axis in between."""
+        deeper_m = self.depth_m - other.depth_m
+        square = float(np.sum((self.tip_m - other.tip_m) ** 2)) - deeper_m**2
+        return square > max(APART_M, abs(deeper_m)) ** 2
+
+
 @dataclass(eq=False)
 class TickState:
     """State of a contact in one tick, from which a law is solved while the ticks go on.
@@ -106,6 +125,8 @@ class TickState:
         Offset of the law in that tick [m], shape (t, 3).
     compliance_m_N
         Compliance of the contact [m/N], shape (3t, 3t). A solve may replace it.
+    tip_m
+        Position of the tool's tip [m], shape (3,).
     is_renewed
         True if a solve has replaced the compliance.
     """
@@ -114,6 +135,7 @@ class TickState:
     crept_N: Array
     offset_m: Array
     compliance_m_N: Array
+    tip_m: Array
     is_renewed: bool = False
 
     def change_compliance(self, compliance_m_N: Array) -> None:
@@ -155,8 +177,9 @@ class LawOffset:
         """Offset of the last tick [m], shape (t, 3)."""
         self._now = _Line(none, none, 0.0, 0.0)
         self._shown = self._now, self._now
-        at_rest = 0.0, np.zeros((len(self._window.inside), 3)), none
-        self._last: deque[tuple[float, Array, Array]] = deque([at_rest], RECENT)
+        inside = np.zeros((len(self._window.inside), 3))
+        at_rest = _Equilibrium(0.0, np.full(3, np.nan), inside, none)
+        self._apart: _Equilibrium | None = at_rest
         self._factor: DirectSolver | None = self._window.follower.factor
         self._at_rest: Array | None = None
         self._changed_s = 0.0
@@ -270,7 +293,7 @@ class LawOffset:
         if self.windows.choose(contact.nodal_forces_N, crept_N):
             self._window = self.windows.now
             # Solutions in the last window have other nodes.
-            self._last.clear()
+            self._apart = None
             self._factor = None
         window = self._window
         follower = window.follower
@@ -298,16 +321,22 @@ class LawOffset:
         moved = moved + self._factor.displacement_m(left)[window.places]
         offset = self._offset(contact, moved, forces)
         # A new compliance is the tangent here, from which the offset starts with slope zero.
-        slope = np.zeros_like(offset)
-        reach_m = 0.0
-        for last_m, *last in reversed(self._last):
-            # A smaller change of depth would divide the noise of two solves by almost zero.
-            if abs(depth_m - last_m) >= APART_M:
-                if not changed:
-                    slope = (offset - self._offset(contact, *last)) / (depth_m - last_m)
-                reach_m = FARTHEST * abs(depth_m - last_m)
-                break
-        self._last.append((depth_m, moved, forces))
+        slope = np.zeros_like(offset) if changed else self._now.slope
+        reach_m = self._now.reach_m
+        here = _Equilibrium(depth_m, contact.tip_m, moved, forces)
+        # An equilibrium from before a slide belongs to another place on the organ.
+        if self._apart is None or here.is_aside(self._apart):
+            self._apart = here
+            slope = np.zeros_like(offset)
+            reach_m = 0.0
+        deeper_m = depth_m - self._apart.depth_m
+        # A smaller change of depth would divide the noise of two solves by almost zero.
+        if abs(deeper_m) >= APART_M:
+            if not changed:
+                last = self._offset(contact, self._apart.moved_m, self._apart.forces_N)
+                slope = (offset - last) / deeper_m
+            reach_m = FARTHEST * abs(deeper_m)
+            self._apart = here
         self._now = _Line(offset, slope, depth_m, reach_m)
         self._report(found, perf_counter() - started, first=indefinite == 0)
         return contact

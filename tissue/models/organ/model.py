@@ -372,6 +372,7 @@ class LiverModel:
             self._crept_N.copy(),
             self._law.latest_m.copy(),
             result.compliance_m_N,
+            self._tip_m.copy(),
         )
 
     def _take(self, found: TickState, time_s: float) -> None:

@@ -128,7 +128,7 @@ def test_a_run_that_was_stopped_has_a_report(run_folder, tmp_path):
     ("name", "layers", "tables"),
     [
         ("glenoid", ("cortical", "trabecular"), {"cutting, bone"}),
-        ("liver-press", ("body",), {"soft, pressed_liver"}),
+        ("liver-press", ("body",), {"soft, pressed liver"}),
         ("needle", ("capsule",), {"needle, liver", "needle, vessel wall", "soft, liver"}),
         ("wall", ("wall",), {"devices, touch", "hands, any", "hands, expert"}),
     ],
