@@ -158,10 +158,10 @@ class RegionBody:
         moved[self._border] = (self._modes @ unknowns_m[count:].ravel()).reshape(-1, 3)
         return moved
 
-    def linear_load_N(self, unknowns_m: Array) -> Array:
-        """Return the forces on `all_nodes` that the law lacks to the linear one [N], shape (r, 3).
+    def linear_difference_N(self, unknowns_m: Array) -> Array:
+        """Return the linear forces on `all_nodes` minus those of the law [N], shape (r, 3).
 
-        With these loads in addition, the linear body moves as this one.
+        With this load in addition, a linear body moves as this one.
         """
         moved = self.nodal_m(unknowns_m)
         linear = self.body.stiffness(np.zeros_like(moved)) @ moved.ravel()

@@ -313,13 +313,13 @@ def fit_scene(
     # recording the geometry, or the runs of an organ, takes most of the time
     report("fitting", 0.8)
     posterior = maximum_posterior(problem.forward, problem.measured)
-    of_this_mesh = identified(posterior)
+    of_this_mesh = posterior
     if problem.finer is not None:
         report("fitting on a finer mesh", 0.85)
         whole, *parts = (maximum_posterior(each, problem.measured) for each in problem.finer)
         posterior = posterior.with_mesh(whole, parts, problem.mesh_factor)
     found = identified(posterior)
-    if found.is_empty and not of_this_mesh.is_empty:
+    if found.is_empty and not identified(of_this_mesh).is_empty:
         raise InputError(
             "anatomy.touch_edge_mm",
             "be fine enough to determine a constant",

@@ -173,8 +173,9 @@ class DirectSolver:
         Nodes that are eliminated last, so that the compliance between them can be read off the
         factor.
     like
-        Solver of the same body with another stiffness of the same pattern, whose order of
-        elimination is used again instead of `last`; default: the order is found.
+        Solver of the same body with another stiffness of the same pattern. Its order of
+        elimination and its precision are used again instead of `last` and `single`; default: the
+        order is found.
     single
         Whether the factor is in single precision. It is made in two thirds of the time; `solve`
         calls its solutions inaccurate.
@@ -202,7 +203,7 @@ class DirectSolver:
         self.last = self._order.last
         """Nodes that were eliminated last, rising."""
         self._matrix = self._order.ordered(body.stiffness)
-        if single:
+        if single if like is None else like._matrix.dtype == np.float32:
             self._matrix = self._matrix.astype(np.float32)
         # Threads on small blocks took five times longer on a busy machine.
         with threadpool_limits(1, "blas"):

@@ -7,7 +7,7 @@ import numpy as np
 
 from meshes.base.arrays import Array, Ints, Singles
 from tissue.fem.fields import FieldSeries, Frame, StressState, cell_stress
-from tissue.fem.quasi_newton import Followed, Springs
+from tissue.fem.quasi_newton import Followed
 from tissue.fem.space import EDGES, Space, gauss_points, gradient_slopes
 from tissue.materials.hyperelasticity import Hyperelastic
 from tissue.models.organ.law_window import LawWindow, LawWindows
@@ -113,7 +113,7 @@ class OrganFields:
                 window.spread(crept),
                 tolerance=TOLERANCE,
                 step_limit=STEPS,
-                springs=_springs(window, crept, moved_m),
+                springs=window.springs(crept, moved_m, _compliance_at_rest),
             )
             unsettled += found.residual > TOLERANCE
             moved, stress, reaction = self._state_in(window, found, crept)
@@ -141,7 +141,7 @@ class OrganFields:
         """Return displacement [m], stress and reaction [N] of the organ at a window's equilibrium.
 
         Outside a region the organ is linear. It moves as a linear organ would under the forces of
-        the contact and the forces that the region's law lacks to the linear one.
+        the contact and the difference between the region's linear forces and those of its law.
         """
         organ = self._organ
         law = organ.law
@@ -154,7 +154,7 @@ class OrganFields:
         load = self._spread(crept_N)
         # The springs' forces are those of a contact within the tolerance.
         load[region.nodes] += (found.load_N - window.spread(crept_N))[: len(region.nodes)]
-        load[region.all_nodes] += region.linear_load_N(found.displacement_m)
+        load[region.all_nodes] += region.linear_difference_N(found.displacement_m)
         moved = organ.factor.solve_all(load[None])[0]
         reaction = (organ.body.stiffness @ moved.ravel()).reshape(-1, 3) - load
         # Cells outside keep the border of the linear solve. That of the region is one of few modes,
@@ -216,15 +216,9 @@ class OrganFields:
         self.series.frames.append(Frame(time_s, _single(points), _single(cells)))
 
 
-def _springs(window: LawWindow, crept_N: Array, moved_m: Array) -> Springs:
-    """Return springs that hold a window's loaded nodes near their positions in the contact."""
-    loaded = window.loaded(crept_N)
-    if not len(loaded):
-        return Springs.none(window.fixed.size)
-    places = window.places[loaded]
-    held_m = moved_m[window.inside[loaded]]
-    between = window.follower.at_rest.compliance_between(places)
-    return Springs.holding(places, between, held_m, unknowns=window.fixed.size)
+def _compliance_at_rest(window: LawWindow, loaded: Ints) -> Array:
+    """Return the compliance at rest between loaded nodes of a window [m/N], shape (3l, 3l)."""
+    return window.follower.at_rest.compliance_between(window.places[loaded])
 
 
 def _single(values: dict[str, Array]) -> dict[str, Singles]:

@@ -36,7 +36,7 @@ from meshes.base.arrays import Array, Ints
 from tissue.fem.quasi_newton import Followed, Springs
 from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.held_body import components_of
-from tissue.models.organ.law_window import LawWindows
+from tissue.models.organ.law_window import LawWindow, LawWindows
 from tissue.models.organ.soft_organ import OrganLaw, SoftOrgan, ToolPath
 from tissue.models.tissue_model import SLOW
 
@@ -95,7 +95,7 @@ class _Equilibrium:
     Attributes
     ----------
     depth_m, tip_m
-        Travel of the tool in contact [m] and position of its tip [m], shape (3,).
+        Travel of the tool in contact [m], and position of its tip [m], shape (3,); NaN at rest.
     moved_m, forces_N
         Displacement of the window's touchable nodes [m], shape (w, 3), and forces on all touchable
         nodes [N], shape (t, 3).
@@ -107,7 +107,10 @@ class _Equilibrium:
     forces_N: Array
 
     def is_aside(self, other: "_Equilibrium") -> bool:
-        """Return whether the tool has moved farther to the side than along its axis in between."""
+        """Return whether the tool has moved farther to the side than along its axis in between.
+
+        Nothing is aside of the organ at rest, whose tip is NaN.
+        """
         deeper_m = self.depth_m - other.depth_m
         square = float(np.sum((self.tip_m - other.tip_m) ** 2)) - deeper_m**2
         return square > max(APART_M, abs(deeper_m)) ** 2
@@ -170,17 +173,16 @@ class LawOffset:
 
     def __init__(self, organ: SoftOrgan, law: OrganLaw, touchable: Ints, tool: ToolPath) -> None:
         self.windows = LawWindows(organ, law, touchable, tool)
-        self._window = self.windows.now
         self.interval_s = law.interval_s
         none = np.zeros((len(touchable), 3))
         self.latest_m = none.copy()
         """Offset of the last tick [m], shape (t, 3)."""
         self._now = _Line(none, none, 0.0, 0.0)
         self._shown = self._now, self._now
-        inside = np.zeros((len(self._window.inside), 3))
+        inside = np.zeros((len(self.windows.now.inside), 3))
         at_rest = _Equilibrium(0.0, np.full(3, np.nan), inside, none)
         self._apart: _Equilibrium | None = at_rest
-        self._factor: DirectSolver | None = self._window.follower.factor
+        self._factor: DirectSolver | None = self.windows.now.follower.factor
         self._at_rest: Array | None = None
         self._changed_s = 0.0
         self._next_s = law.interval_s
@@ -291,11 +293,10 @@ class LawOffset:
         started = perf_counter()
         indefinite = self.windows.indefinite
         if self.windows.choose(contact.nodal_forces_N, crept_N):
-            self._window = self.windows.now
             # Solutions in the last window have other nodes.
             self._apart = None
             self._factor = None
-        window = self._window
+        window = self.windows.now
         follower = window.follower
         found = follower.follow(
             window.spread(crept_N),
@@ -350,25 +351,21 @@ class LawOffset:
         where it prescribes the force. With s = w both are (k - w) / (k + w), less than 1 for any
         tissue.
         """
-        window = self._window
+        window = self.windows.now
         inside_N = np.zeros_like(crept_N)
         inside_N[window.inside] = crept_N[window.inside]
-        loaded = window.loaded(crept_N)
-        if not len(loaded):
-            return Springs.none(window.fixed.size)
-        nodes = window.inside[loaded]
+
+        def compliance(window: LawWindow, loaded: Ints) -> Array:
+            columns = components_of(window.inside[loaded])
+            return contact.compliance_m_N[np.ix_(columns, columns)]
+
         # The window does not feel forces outside it, nor do these targets.
-        held_m = _displaced(contact, inside_N) + contact.offset_m
-        columns = components_of(nodes)
-        compliance = contact.compliance_m_N[np.ix_(columns, columns)]
-        return Springs.holding(
-            window.places[loaded], compliance, held_m[nodes], unknowns=window.fixed.size
-        )
+        return window.springs(crept_N, _displaced(contact, inside_N) + contact.offset_m, compliance)
 
     def _offset(self, contact: TickState, moved_m: Array, forces_N: Array) -> Array:
         """Return the offset of all touchable nodes [m]; it is zero outside the window."""
         offset = np.zeros_like(self.latest_m)
-        inside = self._window.inside
+        inside = self.windows.now.inside
         offset[inside] = moved_m - _displaced(contact, forces_N)[inside]
         return offset
 
@@ -376,7 +373,7 @@ class LawOffset:
         """Use the compliance of the stiffness that was factorised last."""
         if self._at_rest is None:
             self._at_rest = contact.compliance_m_N.copy()
-        window = self._window
+        window = self.windows.now
         self._factor = window.follower.factor
         rows = components_of(window.inside)
         compliance = self._at_rest.copy()

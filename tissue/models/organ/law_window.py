@@ -4,6 +4,7 @@ A window is the whole organ, or a region around a place on its surface. Outside 
 is linear (`tissue.fem.region`). A tool that slides passes from window to window.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import inf
 
@@ -14,7 +15,7 @@ from scipy.spatial import cKDTree
 from meshes.base.arrays import Array, Flags, Ints
 from meshes.base.errors import InputError
 from tissue.fem.hyperelastic import NonlinearBody
-from tissue.fem.quasi_newton import QuasiNewton
+from tissue.fem.quasi_newton import QuasiNewton, Springs
 from tissue.fem.region import RegionBody
 from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.held_body import HeldBody
@@ -85,14 +86,31 @@ class LawWindow:
         """Return the unknowns nearest to displacements of the organ's nodes [m], shape (n, 3)."""
         return nodal_m if self.region is None else self.region.gathered(nodal_m)
 
-    def loaded(self, crept_N: Array) -> Ints:
-        """Return the nodes of `inside` that get a spring, as positions in it, shape (l,).
+    def springs(
+        self, crept_N: Array, held_m: Array, compliance: Callable[["LawWindow", Ints], Array]
+    ) -> Springs:
+        """Build springs that hold the loaded nodes near given displacements.
 
-        A held node needs no spring, and has no compliance.
+        Parameters
+        ----------
+        crept_N, held_m
+            Crept forces [N] and displacements [m] of all touchable nodes, shape (t, 3) both.
+        compliance
+            Function that returns the compliance of the springs [m/N], shape (3l, 3l), from this
+            window and the loaded nodes as positions in `inside`, shape (l,).
         """
         size_N = np.linalg.norm(crept_N[self.inside], axis=1)
+        # A held node needs no spring, and has no compliance.
         free = ~self.fixed[self.places].any(axis=1)
-        return np.flatnonzero((size_N > LOADED * size_N.max(initial=0.0)) & free)
+        loaded = np.flatnonzero((size_N > LOADED * size_N.max(initial=0.0)) & free)
+        if not len(loaded):
+            return Springs.none(self.fixed.size)
+        return Springs.holding(
+            self.places[loaded],
+            compliance(self, loaded),
+            held_m[self.inside[loaded]],
+            unknowns=self.fixed.size,
+        )
 
 
 class LawWindows:
@@ -252,7 +270,7 @@ def window_of(
 
     def factorised(tangent: bsr_array) -> DirectSolver:
         held = HeldBody(tangent, body.nodes_m, body.fixed, is_grounded=True)
-        return DirectSolver(held, like=at_rest, single=True)
+        return DirectSolver(held, like=at_rest)
 
     follower = QuasiNewton(body, body.fixed, at_rest, factorised)
     return LawWindow(follower, inside, places, body.fixed, body)
