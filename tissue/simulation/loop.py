@@ -31,6 +31,7 @@ from tissue.motion.replay import COLUMNS
 from tissue.scene.scene import Output
 from tissue.simulation.builders.parts import Parts
 from tissue.simulation.trace import LEAST_LOAD, TIMING_COLUMNS, Table, TraceLayout, load_columns
+from tissue.system.blas_threads import one_blas_thread
 
 __all__ = ["Loop", "MachineGaps", "PoseLog", "Stepper", "spin", "undisturbed"]
 
@@ -185,13 +186,17 @@ class Stepper:
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Keep the garbage collector and other threads from the ticks of a block."""
+    """Keep the garbage collector and other threads from the ticks of a block.
+
+    Linear algebra uses one thread.
+    """
     was_enabled = gc.isenabled()
     switching = sys.getswitchinterval()
     gc.disable()
     sys.setswitchinterval(SWITCH_S)
     try:
-        yield
+        with one_blas_thread():
+            yield
     finally:
         if was_enabled:
             gc.enable()

@@ -13,12 +13,12 @@ from functools import cached_property
 
 import numpy as np
 from scipy.sparse import bsr_array, csc_array, csr_array
-from threadpoolctl import threadpool_limits
 
 from meshes.base.arrays import Array, Flags, Ints
 from tissue.fem.conjugate_gradients import Solution, SolverOutcome
 from tissue.fem.solvers.held_body import HeldBody, components_of, pointwise_graph
 from tissue.fem.solvers.multifrontal import Multifrontal
+from tissue.system.blas_threads import one_blas_thread
 
 __all__ = ["DirectSolver", "dissected"]
 
@@ -206,7 +206,7 @@ class DirectSolver:
         if single if like is None else like._matrix.dtype == np.float32:
             self._matrix = self._matrix.astype(np.float32)
         # Threads on small blocks took five times longer on a busy machine.
-        with threadpool_limits(1, "blas"):
+        with one_blas_thread():
             self._factor: Multifrontal = Multifrontal(
                 self._matrix,
                 self._order.starts,

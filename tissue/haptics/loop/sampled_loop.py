@@ -8,7 +8,6 @@ from math import ceil, exp, inf, pi
 import numpy as np
 from scipy.linalg import expm
 from scipy.signal import lfilter
-from threadpoolctl import ThreadpoolController
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
@@ -20,6 +19,7 @@ from tissue.haptics.loop.filters import (
 from tissue.haptics.loop.forecast import Forecast
 from tissue.haptics.loop.vibration import ENVELOPE_S, Vibration
 from tissue.models.tissue_model import TICK_S
+from tissue.system.blas_threads import one_blas_thread
 
 __all__ = [
     "ForecastMemory",
@@ -336,7 +336,7 @@ def largest_eigenvalue(loop: WallLoop) -> float:
     gains nothing for so few states. On a busy machine, both threads wait for each other and take
     ten times as long or more.
     """
-    with _thread_pools().limit(limits=1, user_api="blas"):
+    with one_blas_thread():
         largest = float(np.abs(np.linalg.eigvals(loop_matrix(loop))).max())
     return float(largest ** (1.0 / loop.vibration_factors.shape[1]))
 
@@ -347,12 +347,6 @@ def spectral_radius(loop: WallLoop) -> float:
     Below 1 the loop is stable, above 1 it is unstable.
     """
     return float(largest_eigenvalue(loop) ** (1.0 / loop.model_ticks))
-
-
-@lru_cache
-def _thread_pools() -> ThreadpoolController:
-    """Return the thread pools of the libraries that NumPy has loaded."""
-    return ThreadpoolController()
 
 
 def motor_lag_ticks(loop: WallLoop) -> float:

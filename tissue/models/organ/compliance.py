@@ -21,6 +21,7 @@ from tissue.fem.solvers.compliance import (
 from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.held_body import HeldBody, components_of
 from tissue.fem.solvers.multigrid import MultigridSolver
+from tissue.system.blas_threads import one_blas_thread
 
 __all__ = [
     "CONDENSING",
@@ -157,8 +158,6 @@ class KeptColumns:
         return 0.5 * (matrix + matrix.T)
 
     def _find(self, nodes: list[int]) -> None:
-        from threadpoolctl import threadpool_limits
-
         solver = self._factor.solver
         each = TOGETHER // 3
         solve = (
@@ -174,7 +173,7 @@ class KeptColumns:
 
         # A back-substitution releases the interpreter lock.
         with (
-            threadpool_limits(1, "blas"),
+            one_blas_thread(),
             ThreadPoolExecutor(core_count(), thread_name_prefix="columns") as threads,
         ):
             for part, columns in zip(parts, threads.map(find, parts), strict=True):

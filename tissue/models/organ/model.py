@@ -52,6 +52,7 @@ from tissue.models.organ.law import LawOffset, TickState
 from tissue.models.organ.probe import SphereProbe
 from tissue.models.organ.soft_organ import SoftOrgan, ToolPath
 from tissue.models.tissue_model import TICK_S, Response, ToolMotion
+from tissue.system.blas_threads import one_blas_thread
 
 __all__ = ["ContactSolution", "LiverModel"]
 
@@ -161,7 +162,8 @@ class LiverModel:
             device=space.device,
             cores=solution.cores,
         )
-        self._law = None if organ.law is None else LawOffset(organ, organ.law, touchable, tool)
+        with one_blas_thread():
+            self._law = None if organ.law is None else LawOffset(organ, organ.law, touchable, tool)
         windows = None if self._law is None else self._law.windows
         self._fields = OrganFields(organ, touchable, interval_s=interval_s, windows=windows)
         self.waits = True
@@ -314,7 +316,8 @@ class LiverModel:
             self._lazy.stop()
         if self._law is not None:
             self._law.stop_thread()
-        self._fields.compute()
+        with one_blas_thread():
+            self._fields.compute()
         self.notices += self._fields.notices
         self._fields.notices.clear()
 

@@ -1,0 +1,25 @@
+"""Limit of the threads that libraries use for linear algebra."""
+
+from contextlib import AbstractContextManager
+from functools import lru_cache
+
+from threadpoolctl import ThreadpoolController
+
+__all__ = ["one_blas_thread"]
+
+
+def one_blas_thread() -> AbstractContextManager[object]:
+    """Return a block in which NumPy and SciPy use one thread for linear algebra.
+
+    On a busy machine, threads of small products wait for each other and take ten times as long or
+    more.
+    """
+    return _thread_pools().limit(limits=1, user_api="blas")
+
+
+@lru_cache
+def _thread_pools() -> ThreadpoolController:
+    """Return the thread pools of NumPy and SciPy."""
+    import scipy.linalg.lapack  # noqa: F401, loads SciPy's own pool
+
+    return ThreadpoolController()
