@@ -95,7 +95,7 @@ def draw_errors(
         for name in values[0]:
             sizes = [abs(each[name]) for each in values]
             panel.plot(edges_mm, sizes, "o-", label=name)
-        panel.axhline(3.0, color="black", linewidth=1.0, linestyle="dashed")
+        panel.axhline(3.0, color="black", linewidth=1.0, linestyle="dashed", label="target")
         panel.set(title=f"cells {cells}", xlabel="edge under the ball (mm)", ylim=(0.0, None))
     axes[0].set_ylabel("error against the reference (%)")
     axes[-1].legend()

@@ -173,7 +173,7 @@ def draw_press(
             if each.ends[0] > 0.0:  # a logarithmic scale, whose default ticks would overlap
                 # four ticks with two digits fit the width of the bar
                 ticks = np.geomspace(*each.ends, 4).tolist()
-                bar.set_ticks(ticks, labels=[f"{tick:.2g}" for tick in ticks])
+                bar.set_ticks(ticks, labels=[f"{float(f'{tick:.2g}'):g}" for tick in ticks])
                 bar.minorticks_off()
         draw_axes(shaded.chart.add_axes((0.0, 0.0, 0.12, foot)), "xyz", shaded.cameras[0])
 
