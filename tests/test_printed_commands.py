@@ -58,7 +58,7 @@ STARTED: dict[str, str] = {
     "bench_law_region": "--seconds 0.4 --regions 1.5",
     "bench_random_presses": "--presses 2",
     "bench_nodule": "--quick",
-    "bench_prediction": "wall --runs 2 --out {out}",
+    "bench_prediction": "wall --hands 2 --moved 0 --out {out}",
     "bench_probes": "--splits 2 --laws linear",
     "bench_reference": "milling voxels.spacing_mm=0.8 duration_s=0.05",
     "bench_tooth": "--quick",

@@ -1,23 +1,23 @@
 """Errors and costs of all predictors on the same recorded motions, scored at the motor.
 
-Run: python tests/bench/bench_prediction.py --out DIR [--runs N] [--latency MS ...]
-[SCENE ...]
+Run: python tests/bench/bench_prediction.py --out DIR [--hands N] [--moved N] [--steps UM]
+[--latency MS ...] [SCENE ...]
 
 Every run is recorded once and kept in DIR, with the force that its coupling gives without delay at
 the device's true positions. Predictors are scored again on the recorded runs. Printed for each
 scene, latency and predictor are the error at the motor, its noise floor (the force of the encoder's
 steps, predicted without error), the excess over this noise floor, the excess as a share of that of
-zero-order hold, the residual latency, and the worst share over the held-out moves. Two processes
-record and score.
+zero-order hold with its 95 % interval over the hands, the residual latency, the worst share over
+the held-out moves, and the largest excess over holding of any run, moved or not, in percent of the
+force. Two processes record and score.
 
-Besides the predictors of the program, `ridge` is a plain regression from 80 past ticks, fitted to the
+Besides the predictors of the program, `ridge` is a plain regression from 80 past ticks, fitted to
 other hands of the unchanged scene, and `never trained` the adaptive predictor that starts from the
 operators of all other scenes.
 """
 
 import argparse
 import os
-from collections.abc import Collection
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,6 +59,12 @@ TURNED_DEG = {"wall": 90.0, "palpation": 20.0, "liver-press": 90.0, "milling": 9
 Paths that a hole guides are not turned.
 """
 PACES, SHARES = (0.6, 1.5), (0.7, 1.4)
+PORTION = 5
+"""Number of runs that one process records with the same organ."""
+DRAWS = 2000
+"""Draws of hands with replacement, for an interval."""
+RIDGE_RUNS = 8
+"""Largest number of runs to which the ridge regression is fitted."""
 Scores = dict[tuple[str, int], np.ndarray]
 """Of a run, see `scores`."""
 RECORDED_MS = 4
@@ -95,9 +101,10 @@ def scores(
     """
     kept, trained = Kept.read(path), Trained.read(shipped_file(variant.name), scene=variant.name)
     one = trial(variant, kept.run.seed, delay_ms=RECORDED_MS, share=share)
-    same = path.parent.glob(f"{variant.name}-same-*.npz")
-    others = [Kept.read(each).run for each in same]
-    weights = ridge_weights([run for run in others if run.seed != kept.run.seed])
+    same = sorted(path.parent.glob(f"{variant.name}-same-*.npz"))
+    others = [Kept.read(each).run for each in same[: RIDGE_RUNS + 1]]
+    others = [run for run in others if run.seed != kept.run.seed]
+    weights = ridge_weights(others[:RIDGE_RUNS])
 
     def made(kind: str) -> Predictor:
         """Return a new predictor of a kind."""
@@ -118,12 +125,22 @@ def scores(
     return found
 
 
-def moves(scene: Scene) -> dict[str, tuple[Scene, float]]:
+def moves(name: str, folder: Path, steps_um: float | None) -> dict[str, tuple[Scene, float]]:
     """Return the scene and its held-out moves.
 
     They are other places, directions, speeds and force scales (or moduli); people are held out
-    separately.
+    separately. Steps of the encoders [um] other than the device's are written to the folder.
     """
+    scene = load_scene(name)
+    if steps_um is not None:
+        device = scene.device.kind if scene.device is not None else "touch"
+        constants = folder / "steps.toml"
+        value = 1e-6 * steps_um
+        constants.write_text(
+            f"[devices.{device}.encoder_step_m]\nvalue = {value}\nrange = [{value}, {value}]\n"
+            'source = "chosen"\nconfidence = "L"\n'
+        )
+        scene = changed(scene, {"materials": str(constants)})
     found = {"same": (scene, 1.0)}
     points, motion = np.array(getattr(scene.motion, "points_mm", [])), scene.motion
     for share in SHARES:
@@ -147,21 +164,17 @@ def moves(scene: Scene) -> dict[str, tuple[Scene, float]]:
     return found
 
 
-def runs_of(names: Collection[str], runs: int) -> dict[str, int]:
-    """Return the number of runs of a scene for each move.
-
-    Each move gets one part; the unchanged scene gets two parts or more.
-    """
-    each = runs // (len(names) + 1)
-    return {name: runs - each * (len(names) - 1) if name == "same" else each for name in names}
+def portions(runs: int) -> list[range]:
+    """Return the seeds of runs in portions, each recorded by one process."""
+    last = FIRST_SEED + runs
+    return [range(first, min(first + PORTION, last)) for first in range(FIRST_SEED, last, PORTION)]
 
 
-def record(name: str, move: str, runs: int, folder: Path) -> None:
+def record(scene: Scene, share: float, move: str, seeds: range, folder: Path) -> None:
     """Record what is not in the folder yet."""
-    scene, share = moves(load_scene(name))[move]
     recorder = Recorder(cores=1)
-    for index in range(FIRST_SEED, FIRST_SEED + runs):
-        path = folder / f"{name}-{move.replace(' ', '_')}-{index}.npz"
+    for index in seeds:
+        path = folder / f"{scene.name}-{move.replace(' ', '_')}-{index}.npz"
         if path.exists():
             continue
         one = trial(scene, index, delay_ms=RECORDED_MS, share=share)
@@ -169,7 +182,7 @@ def record(name: str, move: str, runs: int, folder: Path) -> None:
             run = recorder.record(one)
             ideal = recorded_ideal_N(one, run)
         except InputError as refusal:
-            print(f"{name}, {move}, seed {index}: {refusal}", flush=True)
+            print(f"{scene.name}, {move}, seed {index}: {refusal}", flush=True)
             return
         np.savez_compressed(
             path,
@@ -182,15 +195,18 @@ def record(name: str, move: str, runs: int, folder: Path) -> None:
 
 
 def scored(
-    name: str, latencies_ms: list[int], folder: Path, pool: ProcessPoolExecutor
+    variants: dict[str, tuple[Scene, float]],
+    latencies_ms: list[int],
+    folder: Path,
+    pool: ProcessPoolExecutor,
 ) -> dict[str, list[Scores]]:
     """Scores of the runs of every move that are in the folder."""
     tasks = {
         move: [
             pool.submit(scores, path, variant, share, latencies_ms)
-            for path in sorted(folder.glob(f"{name}-{move.replace(' ', '_')}-*.npz"))
+            for path in sorted(folder.glob(f"{variant.name}-{move.replace(' ', '_')}-*.npz"))
         ]
-        for move, (variant, share) in moves(load_scene(name)).items()
+        for move, (variant, share) in variants.items()
     }
     return {move: [task.result() for task in each] for move, each in tasks.items() if each}
 
@@ -209,14 +225,19 @@ def report(name: str, late_ms: int, found: dict[str, list[Scores]]) -> None:
         shares = {move: share_of(each[2], mean["hold"][move][2]) for move, each in of.items()}
         worst = max(shares, key=lambda move: np.nan_to_num(shares[move], nan=-1.0))
         error, least, excess, late = of["same"]
-        over = max(100.0 * (of[move][0] - mean["hold"][move][0]) for move in of)
+        over = max(
+            100.0 * float(run[kind, late_ms][0] - run["hold", late_ms][0])
+            for runs in found.values()
+            for run in runs
+        )
+        low, high = interval(kind, late_ms, found["same"])
         rows.append(
             (
                 kind,
                 f"{100 * error:.2f}",
                 f"{100 * least:.2f}",
                 f"{100 * excess:.2f}",
-                written(shares["same"]),
+                f"{written(shares['same'])} ({written(low)}-{written(high)})",
                 f"{late:+.2f}",
                 f"{written(shares[worst])} {worst}",
                 f"{over:+.2f}",
@@ -236,6 +257,15 @@ def report(name: str, late_ms: int, found: dict[str, list[Scores]]) -> None:
     print(table(rows, head), flush=True)
 
 
+def interval(kind: str, late_ms: int, runs: list[Scores]) -> tuple[float, float]:
+    """Return the 95 % interval over hands of a predictor's share of the excess of hold."""
+    excess = np.array([[run[one, late_ms][2] for one in (kind, "hold")] for run in runs])
+    drawn = np.random.default_rng(0).integers(len(runs), size=(DRAWS, len(runs)))
+    shares = [share_of(*excess[rows].mean(axis=0)) for rows in drawn]
+    low, high = np.nanquantile(shares, (0.025, 0.975))
+    return float(low), float(high)
+
+
 def share_of(excess: float, held: float) -> float:
     """An excess in shares of hold's; NaN where hold has none."""
     return excess / held if held > 0.0 else np.nan
@@ -251,9 +281,9 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("scenes", nargs="*", default=["wall", "palpation"])
-    parser.add_argument(
-        "--runs", type=int, default=14, help="recorded runs of a scene, moves included"
-    )
+    parser.add_argument("--hands", type=int, default=6, help="runs of the unchanged scene")
+    parser.add_argument("--moved", type=int, default=1, help="runs of each move")
+    parser.add_argument("--steps", type=float, help="encoder steps instead of the device's [um]")
     parser.add_argument("--latency", type=int, nargs="*", default=list(LATENCIES_MS))
     parser.add_argument(
         "--out", type=Path, default=Path("predictions"), help="folder of the recordings"
@@ -263,12 +293,14 @@ def main() -> None:
     print(machine())
     with ProcessPoolExecutor(2) as pool:
         for name in given.scenes:
-            shared = runs_of(moves(load_scene(name)), given.runs)
+            variants = moves(name, given.out, given.steps)
             for done in [
-                pool.submit(record, name, move, count, given.out) for move, count in shared.items()
+                pool.submit(record, *each, move, seeds, given.out)
+                for move, each in variants.items()
+                for seeds in portions(given.hands if move == "same" else given.moved)
             ]:
                 done.result()
-            found = scored(name, given.latency, given.out, pool)
+            found = scored(variants, given.latency, given.out, pool)
             for late in given.latency if "same" in found else []:
                 report(name, late, found)
 
