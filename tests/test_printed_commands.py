@@ -42,6 +42,7 @@ FINISHED: dict[str, str] = {
 }
 """Benches that must end within `FINISH_S`, with their arguments."""
 STARTED: dict[str, str] = {
+    "bench_assessment": "wall --people 1 --out {out}",
     "bench_band": "",
     "bench_band_integrals": "",
     "bench_bone": "--quick",

@@ -22,6 +22,7 @@ __all__ = [
     "Loop",
     "Organ",
     "Press",
+    "Ranking",
     "Run",
     "Sample",
     "Scene",
@@ -41,6 +42,7 @@ __all__ = [
     "motor_forces",
     "open_run",
     "probe_from_file",
+    "rank",
     "register",
     "report",
     "scene_names",
@@ -59,7 +61,7 @@ if TYPE_CHECKING:
     from tissue.haptics.device.device import DeviceParameters, Sample
     from tissue.haptics.real.adapter import devices
     from tissue.objects import calibration, stability, study
-    from tissue.objects.assess import Assessment, assess
+    from tissue.objects.assess import Assessment, Ranking, assess, rank
     from tissue.objects.bone import Bone
     from tissue.objects.comparison import compare
     from tissue.objects.cut import Cut
@@ -92,6 +94,7 @@ _HOMES = {
     "Loop": "tissue.objects.loop",
     "Organ": "tissue.objects.organ",
     "Press": "tissue.objects.press",
+    "Ranking": "tissue.objects.assess",
     "Run": "tissue.objects.run",
     "Sample": "tissue.haptics.device.device",
     "Scene": "tissue.scene.scene",
@@ -109,6 +112,7 @@ _HOMES = {
     "motor_forces": "tissue.simulation.reference_force",
     "open_run": "tissue.objects.run",
     "probe_from_file": "tissue.objects.tools",
+    "rank": "tissue.objects.assess",
     "register": "tissue.objects.register",
     "report": "tissue.objects.run",
     "scene_names": "tissue.scene.load",

@@ -20,44 +20,56 @@ def assess(
     *,
     against: Path,
     force_limit_n: Annotated[float | None, Parameter(name="--force-limit-N")] = None,
-    deviation_limit_mm: float = 1.0,
-    overshoot_limit_mm: float = 0.5,
+    deviation_limit_mm: float | None = None,
+    overshoot_limit_mm: float | None = None,
     out: Path | None = None,
     overwrite: Flag = False,
 ) -> None:
-    """Assess a trainee's run against a reference run of the same scene.
+    """Assess a trainee's run against a reference run of the same scene, or rank trainees.
 
     Parameters
     ----------
     folder
-        Folder of the trainee's run, that `tissue run` wrote.
+        Folder of the trainee's run, that `tissue run` wrote; or a folder with a folder for each
+        trainee, which is a run or contains the runs of all attempts.
     against
         Folder of the reference run.
     force_limit_n
         Force that should not be exceeded, in newtons; default 1.25 times the reference's peak.
     deviation_limit_mm
-        Distance from the reference's path that should not be exceeded.
+        Distance from the reference's path that should not be exceeded; default 1.
     overshoot_limit_mm
-        Largest allowed distance of the tip below the reference's deepest point.
+        Largest allowed distance of the tip below the reference's deepest point; default 0.5.
     out
         Folder for the picture and the figures; without it they are only printed.
     overwrite
-        Replace the assessment that the folder already holds.
+        Replace the assessment or ranking that the folder already holds.
     """
-    from tissue.evaluation.assessment import require_assessment_folder
+    from tissue.evaluation import ranking
+    from tissue.evaluation.assessment_files import require_assessment_folder
+    from tissue.objects.assess import Assessment, Ranking, rank
     from tissue.objects.assess import assess as assessed
 
+    limits = {
+        "force_limit_N": force_limit_n,
+        "deviation_limit_mm": deviation_limit_mm,
+        "overshoot_limit_mm": overshoot_limit_mm,
+    }
+    several = folder.is_dir() and not ranking.is_run(folder)
+    if several:
+        left_out("for a folder of trainees", "remove it, or name one run", **limits)
     if out is None:
         left_out("without --out, for nothing is written", "remove it", overwrite=overwrite)
+    elif several:
+        ranking.require_ranking_folder(out, overwrite=overwrite)
     else:
         require_assessment_folder(out, overwrite=overwrite)
-    found = assessed(
-        folder,
-        against,
-        force_limit_N=force_limit_n,
-        deviation_limit_mm=deviation_limit_mm,
-        overshoot_limit_mm=overshoot_limit_mm,
-    )
+    found: Assessment | Ranking
+    if several:
+        found = rank(folder, against)
+    else:
+        given = {name: value for name, value in limits.items() if value is not None}
+        found = assessed(folder, against, **given)
     console.print(str(found))
     if out is not None:
         written = found.save(out, overwrite=overwrite)
@@ -117,6 +129,7 @@ def report(
     /,
     *,
     out: Path | None = None,
+    against: Path | None = None,
     overwrite: Flag = False,
 ) -> None:
     """Write a run as one HTML file to share, which needs no network.
@@ -127,13 +140,15 @@ def report(
         Folder that `tissue run` wrote.
     out
         HTML file to write; default report.html in the folder.
+    against
+        Folder of a reference run: the report then contains an assessment of the run.
     overwrite
         Replace an existing file.
     """
-    from tissue.show.report.report import write_report
+    from tissue.objects.run import report as write
 
     with progress() as shown:
-        written = write_report(folder, out, overwrite=overwrite, progress=shown)
+        written = write(folder, out, against=against, overwrite=overwrite, progress=shown)
     console.print(f"{written}: {written.stat().st_size / 1e6:.1f} MB")
 
 

@@ -1,10 +1,9 @@
-"""Assessment of a trainee's run against a reference run of the same scene, as text and files."""
+"""Assessment of a trainee's run against a reference run of the same scene."""
 
 import filecmp
-import json
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,23 +12,19 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
 from meshes.base.text_tables import shown
-from meshes.base.whole_file import whole_file
 from tissue.evaluation.statistics.metrics import (
-    acceleration_change_m_s2,
     aligned_rows,
     deviation_mm,
     force_error,
     overshoot_mm,
-    spectral_arc_length,
 )
-from tissue.models.tissue_model import TICK_S
+from tissue.evaluation.steadiness import Steadiness, steadiness
+from tissue.haptics.device.device import device_parameters
 from tissue.scene.part import is_file_key
 from tissue.scene.scene import Scene
-from tissue.show.figures.figure import figure, save
 from tissue.simulation.bone_surface import tool_axes
 from tissue.simulation.run_folder import Summary
 from tissue.simulation.trace import Table
-from tissue.system.owned_folder import OwnedFolder, require_folder
 
 __all__ = [
     "AssessedRun",
@@ -37,10 +32,7 @@ __all__ = [
     "Breach",
     "Quantity",
     "assess",
-    "assessment_lines",
     "path_note",
-    "require_assessment_folder",
-    "write_assessment",
 ]
 
 
@@ -49,13 +41,6 @@ GAP_S = 0.15
 
 A trembling hand that rests at a limit would otherwise make a breach a period.
 """
-MOST_BREACHES = 8
-"""Breaches that are printed. All are in the file, and a terminal shows the other lines too."""
-FILES = ("assessment.json", "assessment.png")
-TRAINEE = "#0072B2"
-REFERENCE = "0.45"
-LIMIT = "#D55E00"
-SHADE = "#E69F00"
 FORCE_MARGIN = 1.25
 """Ratio of the trainee's allowed force to the reference's peak force without a given limit.
 
@@ -141,6 +126,8 @@ class Assessment:
 
     Attributes
     ----------
+    steadiness
+        Tremor and score of the trainee's hand; None if the run has no known device.
     figures
         Numbers by name, units in the names. Numbers that both runs have are given as {"trainee":
         ..., "reference": ...}.
@@ -157,6 +144,7 @@ class Assessment:
         Differences between the two runs that limit the meaning of the figures, a sentence each.
     """
 
+    steadiness: Steadiness | None
     figures: dict[str, Any]
     breaches: tuple[Breach, ...]
     events: tuple[tuple[float, str], ...]
@@ -180,6 +168,9 @@ def assess(
     The runs are aligned by place, not by time. Dynamic time warping (Sakoe and Chiba 1978) of the
     tool's paths finds the corresponding moment of the reference for each tick of the trainee. A
     pause is therefore not an error.
+
+    The score is that of the hand's steadiness (see `tissue.evaluation.steadiness`). Distances from
+    the path and forces are not part of it: they depend on the device more than on the hand.
 
     Parameters
     ----------
@@ -238,8 +229,7 @@ def assess(
         "peak_force_N": {"trainee": float(size.max()), "reference": float(ideal_size.max())},
         "force_error": force_error(force, ideal[rows]),
         "overshoot_mm": overshoot_mm(depth, target_mm=deepest),
-        "acceleration_change_m_s2": _both(_roughness_m_s2, mine, theirs),
-        "spectral_arc_length": _both(_arc_length, mine, theirs),
+        "least_distance_mm": _least_distances(trainee.summary, reference.summary),
         "complete": {"trainee": trainee.complete, "reference": reference.complete},
     }
     known = {each["what"] for each in reference.summary.get("events", ())}
@@ -255,121 +245,12 @@ def assess(
     for who, run in (("trainee", trainee), ("reference", reference)):
         if note := path_note(run.summary):
             notes.append(f"the path of the {who} is {note}")
-    return Assessment(figures, tuple(breaches), tuple(events), time, *quantities, tuple(notes))
-
-
-def assessment_lines(found: Assessment) -> list[str]:
-    """Return the assessment in words."""
-    figures = found.figures
-    apart = figures["deviation_mm"]
-    time = figures["time_in_contact_s"]
-    peak = figures["peak_force_N"]
-    rough = figures["acceleration_change_m_s2"]
-    arc = figures["spectral_arc_length"]
-    more = len(found.breaches) - MOST_BREACHES
-    return [
-        (
-            f"path: {apart['mean']:.2f} mm off on average, {apart['worst']:.2f} at "
-            f"{apart['worst_at_s']:.3f} s"
-        ),
-        f"depth: {figures['overshoot_mm']:.2f} mm beyond the reference's deepest point",
-        f"force: peak {peak['trainee']:.3g} N against {peak['reference']:.3g}, "
-        f"{100.0 * figures['force_error']:.0f} % from the reference's at the same place",
-        f"time from first to last contact: {time['trainee']:.2f} s against {time['reference']:.2f}",
-        (
-            f"spectral arc length {arc['trainee']:.2f} against {arc['reference']:.2f}, nearer to "
-            "zero is smoother"
-        ),
-        (
-            f"change of acceleration {rough['trainee']:.3g} m/s² against "
-            f"{rough['reference']:.3g}, lower is smoother"
-        ),
-        *(f"breach: {each.sentence}" for each in found.breaches[:MOST_BREACHES]),
-        *(f"at {at:.3f} s, and not in the reference: {what}" for at, what in found.events),
-        *([f"and {more} more breaches"] if more > 0 else []),
-        *([] if found.breaches else ["no limit was passed"]),
-        *(f"the {who} was cut short" for who, whole in figures["complete"].items() if not whole),
-        *(f"note: {note}" for note in found.notes),
-    ]
-
-
-def require_assessment_folder(folder: Path, *, overwrite: bool) -> None:
-    """Check that a folder can take an assessment."""
-    require_folder(folder, "assessment", FILES, overwrite=overwrite)
-
-
-def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> list[Path]:
-    """Write ``assessment.json`` and ``assessment.png``.
-
-    Raises InputError if the folder is a file, or holds another assessment.
-    """
-    data = {
-        **found.figures,
-        "limits": {
-            "force_N": found.force.limit,
-            "deviation_mm": found.deviation.limit,
-            "depth_mm": found.depth.limit,
-        },
-        "breaches": [asdict(each) for each in found.breaches],
-        "notes": list(found.notes),
-        "events": [{"time_s": at, "what": what} for at, what in found.events],
-    }
-    with OwnedFolder(folder, "assessment", FILES, overwrite=overwrite):
-        with whole_file(folder / FILES[0]) as temporary:
-            temporary.write_text(json.dumps(data, indent=2) + "\n", "utf-8")
-        _draw(found, folder / FILES[1])
-    return [folder / name for name in FILES]
-
-
-def _draw(found: Assessment, path: Path) -> None:
-    """Draw the quantities of trainee and reference over time, and the limits with breaches."""
-    # inches for three panels below each other; the margins are shares of the figure, with space
-    # for title and legend on top
-    chart = figure(9.0, 7.2)
-    panels = chart.subplots(3, 1, sharex=True)
-    chart.subplots_adjust(left=0.09, right=0.98, top=0.9, bottom=0.08, hspace=0.14)
-    time = found.time_s
-    least = 0.002 * float(time[-1] - time[0])  # a breach of a tick or two must still be seen
-    labels = ("distance from\nthe path / mm", "force / N", "depth / mm")
-    for axes, label, each in zip(
-        panels, labels, (found.deviation, found.force, found.depth), strict=True
-    ):
-        for breach in (breach for breach in found.breaches if breach.what == each.what):
-            end = max(breach.end_s, breach.start_s + least)
-            axes.axvspan(breach.start_s, end, color=SHADE, alpha=0.35)
-        # the distance from the reference has no reference itself
-        if each.reference is not None:
-            axes.plot(
-                time,
-                each.reference,
-                color=REFERENCE,
-                label="reference at that place",
-            )
-        axes.plot(time, each.values, color=TRAINEE, label="trainee")
-        axes.axhline(each.limit, color=LIMIT, linestyle="--", label="limit")
-        axes.set_ylabel(label)
-        axes.grid(alpha=0.3)
-        high = max(each.limit, float(each.values.max()))
-        # the approach would leave no space for the depth
-        low = max(min(0.0, float(each.values.min())), -high)
-        # 8 % of free space keep the limit's line off the frame
-        axes.set_ylim(low, high + 0.08 * (high - low))
-    panels[2].set(xlabel="time / s", xlim=(float(time[0]), float(time[-1])))
-    chart.legend(
-        *panels[1].get_legend_handles_labels(),
-        loc="upper right",
-        bbox_to_anchor=(0.985, 0.945),
-        ncols=3,
-        frameon=False,
+    hand = _steadiness(trainee, mine)
+    if hand is None:
+        notes.append("no score: the run has no device whose constants are known")
+    return Assessment(
+        hand, figures, tuple(breaches), tuple(events), time, *quantities, tuple(notes)
     )
-    figures = found.figures
-    title = (
-        f"{figures['scene']}: a trainee against the reference, {len(found.breaches)} breaches; "
-        f"{figures['deviation_mm']['mean']:.2f} mm off the path on average, force "
-        f"{100.0 * figures['force_error']:.0f} % off"
-    )
-    chart.text(0.09, 0.955, title, size=10)
-    save(chart, path)
 
 
 def _trace(run: AssessedRun, name: str) -> Table:
@@ -388,14 +269,30 @@ def _both(of: Callable[[Table], float], mine: Table, theirs: Table) -> dict[str,
     return {"trainee": of(mine), "reference": of(theirs)}
 
 
-def _roughness_m_s2(trace: Table) -> float:
-    return acceleration_change_m_s2(trace.vectors("velocity", "mm_s"), tick_s=TICK_S)
-
-
-def _arc_length(trace: Table) -> float:
-    return spectral_arc_length(
-        np.linalg.norm(trace.vectors("velocity", "mm_s"), axis=1), tick_s=TICK_S
+def _steadiness(run: AssessedRun, trace: Table) -> Steadiness | None:
+    """Return tremor and score of the hand that held the device of a run, if any."""
+    if run.scene is None or run.scene.device is None or "device_x_mm" not in trace.columns:
+        return None
+    constants = run.scene.constants
+    return steadiness(
+        1e-3 * trace.vectors("device", "mm"),
+        trace.vectors("device_force", "N"),
+        device_parameters(run.scene.device.kind, constants),
+        constants=constants,
     )
+
+
+def _least_distances(mine: Summary, theirs: Summary) -> dict[str, dict[str, float]]:
+    """Return the least distances of both runs to the structures that are kept clear [mm]."""
+    first, second = (
+        {name: each["least_distance_mm"] for name, each in one.get("keep_clear", {}).items()}
+        for one in (mine, theirs)
+    )
+    return {
+        name: {"trainee": first[name], "reference": second[name]}
+        for name in first
+        if name in second
+    }
 
 
 def _contact_s(trace: Table) -> float:

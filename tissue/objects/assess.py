@@ -1,24 +1,23 @@
-"""Assessment of a trainee's run against a reference run of the same scene: `tissue.assess`.
+"""Assessment of trainees' runs against a reference run: `tissue.assess` and `tissue.rank`.
 
 The command `tissue assess` does the same.
 """
 
-from contextlib import suppress
 from pathlib import Path
 
-from meshes.base.errors import InputError
 from tissue.evaluation import assessment as engine
-from tissue.evaluation.assessment import write_assessment
-from tissue.objects.run import Run
+from tissue.evaluation import ranking
+from tissue.evaluation.assessment_files import assessment_lines, write_assessment
+from tissue.objects.run import Run, assessed_run
 
-__all__ = ["Assessment", "assess"]
+__all__ = ["Assessment", "Ranking", "assess", "rank"]
 
 
 class Assessment(engine.Assessment):
     """Comparison of a trainee's run with the reference; ``print`` shows a readable report."""
 
     def __str__(self) -> str:
-        return "\n".join(engine.assessment_lines(self))
+        return "\n".join(assessment_lines(self))
 
     def save(self, folder: str | Path, *, overwrite: bool = False) -> list[Path]:
         """Write ``assessment.json`` and ``assessment.png``.
@@ -61,8 +60,8 @@ def assess(
         touch.
     """
     found = engine.assess(
-        _held(trainee),
-        _held(reference),
+        assessed_run(trainee),
+        assessed_run(reference),
         force_limit_N=force_limit_N,
         deviation_limit_mm=deviation_limit_mm,
         overshoot_limit_mm=overshoot_limit_mm,
@@ -70,10 +69,41 @@ def assess(
     return Assessment(**vars(found))
 
 
-def _held(run: Run | str | Path) -> engine.AssessedRun:
-    """Return the parts of a run that an assessment reads."""
-    run = run if isinstance(run, Run) else Run.load(run)
-    scene = None
-    with suppress(InputError):  # a run without scene.toml can be assessed too
-        scene = run.scene
-    return engine.AssessedRun(run.path, run.summary, run.trace, run.status == "complete", scene)
+class Ranking(ranking.Ranking):
+    """Trainees in the order of their mean score; ``print`` shows a readable list."""
+
+    def __str__(self) -> str:
+        return "\n".join(ranking.ranking_lines(self))
+
+    def save(self, folder: str | Path, *, overwrite: bool = False) -> list[Path]:
+        """Write ``ranking.csv``, a row for each run, and ``ranking.png``.
+
+        Raises
+        ------
+        InputError
+            If the folder is a file, or holds another ranking and `overwrite` is not given.
+        """
+        return ranking.write_ranking(self, Path(folder), overwrite=overwrite)
+
+
+def rank(folder: str | Path, reference: Run | str | Path) -> Ranking:
+    """Order trainees by the mean score of their runs of one scene.
+
+    The score measures how steady a hand is; see `Assessment.steadiness`. A trainee with three or
+    more attempts also has a learning curve.
+
+    Parameters
+    ----------
+    folder
+        Folder with a folder for each trainee. This is a run, or contains the runs of all attempts,
+        whose names give their order.
+    reference
+        Run, or folder of a run, with which all are compared.
+
+    Raises
+    ------
+    InputError
+        If a folder holds no run, or a run is of another task than the reference or was not made on
+        a device.
+    """
+    return Ranking(**vars(ranking.rank(Path(folder), assessed_run(reference), assessed_run)))

@@ -24,9 +24,10 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.axes import Axes
 
+    from tissue.evaluation.assessment import AssessedRun
     from tissue.fitting.bands.band import Band
 
-__all__ = ["Run", "open_run", "report"]
+__all__ = ["Run", "assessed_run", "open_run", "report"]
 
 
 class Run(engine.Run):
@@ -319,10 +320,22 @@ def open_run(path: str | Path) -> Run:
     return Run.load(path)
 
 
+def assessed_run(run: Run | str | Path) -> "AssessedRun":
+    """Return the data of a run, or of the run in a folder, that an assessment reads."""
+    from tissue.evaluation.assessment import AssessedRun
+
+    run = run if isinstance(run, Run) else Run.load(run)
+    scene = None
+    with suppress(InputError):  # a run without scene.toml can be assessed too
+        scene = run.scene
+    return AssessedRun(run.path, run.summary, run.trace, run.status == "complete", scene)
+
+
 def report(
     run: Run | str | Path,
     out: str | Path | None = None,
     *,
+    against: "Run | str | Path | None" = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> Path:
@@ -336,6 +349,8 @@ def report(
         Run, or the folder that it was saved to.
     out
         HTML file to write; default ``report.html`` in the run's folder.
+    against
+        Reference run, or its folder: the report then contains the assessment of `tissue.assess`.
     overwrite
         Replace an existing file.
     progress
@@ -349,14 +364,18 @@ def report(
     ------
     InputError
         If ``out`` is missing for a run that was not saved, the folder holds no run or damaged
-        files, or the file exists.
+        files, the file exists, or the reference is of another task.
     """
+    from tissue.evaluation.assessment_files import assessed_section
     from tissue.show.report.report import NAME, write_report
 
-    if not isinstance(run, Run):
-        return write_report(run, out, overwrite=overwrite, progress=progress)
-    if out is None:
-        if run.path is None:
-            raise InputError("out", "be given for a run that was not saved", out, "name a file")
-        out = run.path / NAME
-    return write_report(run._folder(), out, overwrite=overwrite, progress=progress)
+    found = None
+    if against is not None:
+        found = assessed_section(assessed_run(run), assessed_run(against))
+    if isinstance(run, Run):
+        if out is None:
+            if run.path is None:
+                raise InputError("out", "be given for a run that was not saved", out, "name a file")
+            out = run.path / NAME
+        run = run._folder()
+    return write_report(run, out, overwrite=overwrite, progress=progress, assessment=found)

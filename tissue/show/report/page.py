@@ -8,6 +8,7 @@ from tissue.scene.used_constants import Used
 from tissue.simulation.run_folder import SavedRun, Summary
 
 __all__ = [
+    "assessment_section",
     "band_lines",
     "band_section",
     "events_table",
@@ -71,6 +72,16 @@ def figures_of(saved: SavedRun, text: Text) -> str:
         for label, value in cards
     )
     return f'<div class="cards">{"".join(shown)}</div>'
+
+
+def assessment_section(lines: Sequence[str], picture: bytes, text: Text) -> str:
+    """Return heading, lines and picture of an assessment; the picture is a PNG."""
+    shown = "".join(f"<li>{text(line)}</li>" for line in lines)
+    data = b64encode(picture).decode()
+    return (
+        f"<h2>Assessment</h2><ul>{shown}</ul>"
+        f'<img src="data:{PICTURES["png"]};base64,{data}" alt="trainee and reference over time">'
+    )
 
 
 def events_table(summary: Summary, text: Text) -> str:

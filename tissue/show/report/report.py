@@ -22,6 +22,7 @@ from tissue.scene.texts import folders_of
 from tissue.scene.used_constants import used_constants
 from tissue.show.report.charts import Record, charts, columns
 from tissue.show.report.page import (
+    assessment_section,
     band_section,
     events_table,
     figures_of,
@@ -54,6 +55,7 @@ def write_report(
     *,
     overwrite: bool = False,
     progress: Progress | None = None,
+    assessment: tuple[list[str], bytes] | None = None,
 ) -> Path:
     """Write a run's report.
 
@@ -67,6 +69,8 @@ def write_report(
         Replace an existing file.
     progress
         Called with a description of the current step.
+    assessment
+        Lines and picture (PNG) of an assessment of the run, for a section of its own.
 
     Returns
     -------
@@ -97,7 +101,7 @@ def write_report(
         shown = _cleaned({"stage": stage(saved), **_trace(saved)}, clean)
         # reading and packing surfaces takes most of the time
         report("writing the report", 0.8)
-        text = _html(saved, shown, scripts, clean)
+        text = _html(saved, shown, scripts, clean, assessment)
         with whole_file(out) as temporary:
             temporary.write_text(text, "utf-8")
     return out
@@ -130,7 +134,13 @@ def _trace(saved: SavedRun) -> dict[str, object]:
     }
 
 
-def _html(saved: SavedRun, data: Record, viewer: tuple[list[str], list[str]], clean: Clean) -> str:
+def _html(
+    saved: SavedRun,
+    data: Record,
+    viewer: tuple[list[str], list[str]],
+    clean: Clean,
+    assessment: tuple[list[str], bytes] | None,
+) -> str:
     """Return the whole file."""
     scene = saved.scene
     used = used_constants(scene, saved.summary.get("layers", ())) if scene is not None else []
@@ -148,6 +158,7 @@ def _html(saved: SavedRun, data: Record, viewer: tuple[list[str], list[str]], cl
         "<h2>Forces</h2>" + _own("charts.html")
         if data["trace"]
         else "<p>The run left no tick.</p>",
+        "" if assessment is None else assessment_section(*assessment, text),
         band_section(saved, text),
         "<h2>Events</h2>" + events_table(saved.summary, text),
         "<h2>Notes</h2>" + notes_table(saved.summary, text),

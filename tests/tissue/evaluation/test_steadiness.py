@@ -1,0 +1,159 @@
+"""Tremor of a hand from a recorded run: closed form, invariance, and known simulated hands."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import tissue
+from meshes.base.errors import InputError
+from tissue.evaluation.ranking import Person
+from tissue.evaluation.steadiness import hand_motion_m, steadiness
+from tissue.haptics.device.device import device_parameters
+from tissue.haptics.hand.hand import hand_parameters
+
+TICK_S = 1e-3
+DEVICE = replace(device_parameters("six-dof"), friction_N=0.0)
+FREE = np.zeros((4000, 3))
+
+
+def shaken(size_m, frequency_Hz=10.0):
+    """A device that moves as a sine along x, shape (4000, 3)."""
+    wave = size_m * np.sin(2.0 * np.pi * frequency_Hz * TICK_S * np.arange(4000))
+    return np.column_stack([wave, np.zeros((4000, 2))])
+
+
+def test_a_shaken_device_without_force_has_the_tremor_of_the_closed_form():
+    grip = hand_parameters("intermediate")
+    s = 2j * np.pi * 10.0
+    mass = grip.mass_kg + DEVICE.mass_kg
+    pulls = grip.stiffness_N_m * (1.0 + grip.reflex_share * np.exp(-s * grip.reflex_s))
+    pulls += grip.damping_N_s_m * s
+    ratio = abs(1.0 + (mass * s**2 + DEVICE.damping_N_s_m * s) / pulls)
+    # Of the band around the geometric mean of its ends, 10 Hz lies 0.1 % below the middle.
+    found = steadiness(shaken(1e-4), FREE, DEVICE)
+    assert found.tremor_mm == pytest.approx(0.1 * ratio / np.sqrt(2.0), rel=0.01)
+    assert found.low < found.score < found.high
+    twice = steadiness(shaken(2e-4), FREE, DEVICE)
+    assert found.score - twice.score == pytest.approx(100.0 * np.log(2.0) / np.log(2.5), rel=1e-6)
+
+
+def test_motions_outside_the_band_are_no_tremor():
+    for frequency_Hz in (2.0, 30.0):
+        outside = steadiness(shaken(1e-3, frequency_Hz), FREE, DEVICE).tremor_mm
+        assert outside < 0.02 * steadiness(shaken(1e-3), FREE, DEVICE).tremor_mm
+
+
+def test_tremor_does_not_depend_on_the_frame():
+    rng = np.random.default_rng(3)
+    position = np.cumsum(1e-5 * rng.normal(size=(4000, 3)), axis=0)
+    force = rng.normal(size=(4000, 3))
+    turned = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    real = device_parameters("touch")
+    one = steadiness(position, force, real)
+    other = steadiness(position @ turned + 0.3, force @ turned, real)
+    assert other.tremor_mm == pytest.approx(one.tremor_mm, rel=1e-9)
+    moved = position + 1e-9 * rng.normal(size=position.shape)
+    assert steadiness(moved, force, real).tremor_mm == pytest.approx(one.tremor_mm, rel=1e-3)
+
+
+def test_a_force_of_the_motor_is_no_intended_motion():
+    """A hand that holds still while its device is shaken by a known force has no tremor."""
+    grip = hand_parameters("intermediate")
+    s = 2j * np.pi * 10.0
+    mass = grip.mass_kg + DEVICE.mass_kg
+    pulls = grip.stiffness_N_m * (1.0 + grip.reflex_share * np.exp(-s * grip.reflex_s))
+    pulls += grip.damping_N_s_m * s
+    moved = 1e-4 * np.exp(s * TICK_S * np.arange(4000))
+    force = (pulls + mass * s**2 + DEVICE.damping_N_s_m * s) * moved
+    along = np.array([1.0, 0.0, 0.0])
+    position, force = (each.real[:, None] * along for each in (moved, force))
+    rest = hand_motion_m(position, force, DEVICE, grip, band_Hz=(8.0, 12.0))
+    assert np.abs(rest[1000:-1000]).max() < 2e-3 * 1e-4
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """Folder with two runs on the wall for each hand, and one of an expert as reference.
+
+    Hands use two devices at two paces.
+    """
+    folder = tmp_path_factory.mktemp("trainees")
+    for hand in ("novice", "intermediate", "expert"):
+        for number, (device, feed) in enumerate((("touch", 100.0), ("six-dof", 70.0))):
+            run = tissue.simulate(
+                tissue.load_scene(
+                    "wall",
+                    {
+                        "device": device,
+                        "hand": hand,
+                        "seed": 5 + number,
+                        "motion.feed_mm_s": feed,
+                        "duration_s": 3.2,
+                    },
+                )
+            )
+            run.save(folder / "people" / hand / f"run{number}")
+    return folder / "people"
+
+
+def test_hands_are_ranked_by_skill_on_any_device_and_pace(runs, tmp_path):
+    found = tissue.rank(runs, runs / "expert" / "run0")
+    assert [person.name for person in found.people] == ["expert", "intermediate", "novice"]
+    scores = [person.scores for person in found.people]
+    assert scores[0].min() > scores[1].max() and scores[1].min() > scores[2].max()
+    for person in found.people:
+        true_mm = np.sqrt(3.0) * 1e3 * hand_parameters(person.name).tremor_m
+        for attempt in person.attempts:
+            assert attempt.steadiness.tremor_mm == pytest.approx(true_mm, rel=0.4)
+    written = found.save(tmp_path / "out")
+    rows = (tmp_path / "out" / "ranking.csv").read_text().splitlines()
+    assert len(rows) == 7 and rows[1].startswith("1,expert,run0,")
+    assert [path.name for path in written] == ["ranking.csv", "ranking.png"]
+    with pytest.raises(InputError, match="out must not hold another ranking"):
+        found.save(tmp_path / "out")
+
+
+def test_the_command_ranks_a_folder_of_trainees(runs, command, refused, here):
+    reference = runs / "expert" / "run0"
+    code, text = command("assess", runs, "--against", reference, "--out", "ranked")[:2]
+    assert code == 0 and "1. expert: " in text and "3. novice: " in text
+    assert (here / "ranked" / "ranking.png").stat().st_size > 10_000
+    assert "force-limit-N must be left out for a folder of trainees" in refused(
+        "assess", runs, "--against", reference, "--force-limit-N", 3
+    )
+    (here / "people" / "nobody").mkdir(parents=True)
+    assert "folder must hold a run or runs for each trainee" in refused(
+        "assess", "people", "--against", reference
+    )
+
+
+def test_a_report_contains_the_assessment(runs, tmp_path):
+    trainee, reference = runs / "novice" / "run0", runs / "expert" / "run0"
+    path = tissue.report(trainee, tmp_path / "report.html", against=reference)
+    text = path.read_text("utf-8")
+    assert "<h2>Assessment</h2>" in text and "<li>score: " in text
+    assert "<h2>Assessment</h2>" not in tissue.report(trainee, tmp_path / "b.html").read_text()
+
+
+class Scored(Person):
+    """Trainee whose scores are given."""
+
+    def __init__(self, scores):
+        object.__setattr__(self, "attempts", tuple(scores))
+
+    @property
+    def scores(self):
+        return np.array(self.attempts, dtype=float)
+
+
+def test_the_interval_of_a_mean_covers_95_percent_and_a_gain_is_the_slope():
+    rng = np.random.default_rng(0)
+    inside = 0
+    for _ in range(2000):
+        low, high = Scored(rng.normal(40.0, 12.0, 5)).interval
+        inside += low < 40.0 < high
+    assert inside / 2000 == pytest.approx(0.95, abs=0.015)
+    slope, low, high = Scored(10.0 + 4.0 * np.arange(6)).gain
+    assert slope == pytest.approx(4.0) and low == pytest.approx(4.0) and high == pytest.approx(4.0)
+    assert Scored([1.0, 2.0]).gain is None

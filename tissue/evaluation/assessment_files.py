@@ -1,0 +1,156 @@
+"""Assessment of a run as text, files and a section of a report."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from meshes.base.whole_file import whole_file
+from tissue.evaluation.assessment import AssessedRun, Assessment, assess
+from tissue.evaluation.steadiness import Steadiness
+from tissue.show.figures.figure import figure, save
+from tissue.system.owned_folder import OwnedFolder, require_folder
+
+__all__ = [
+    "assessed_section",
+    "assessment_lines",
+    "draw_assessment",
+    "require_assessment_folder",
+    "write_assessment",
+]
+
+MOST_BREACHES = 8
+"""Breaches that are printed. All are in the file, and a terminal shows the other lines too."""
+FILES = ("assessment.json", "assessment.png")
+TRAINEE = "#0072B2"
+REFERENCE = "0.45"
+LIMIT = "#D55E00"
+SHADE = "#E69F00"
+
+
+def assessment_lines(found: Assessment) -> list[str]:
+    """Return the assessment in words."""
+    figures = found.figures
+    apart = figures["deviation_mm"]
+    time = figures["time_in_contact_s"]
+    peak = figures["peak_force_N"]
+    hand = found.steadiness
+    more = len(found.breaches) - MOST_BREACHES
+    return [
+        *([] if hand is None else [_score_line(hand)]),
+        (
+            f"path: {apart['mean']:.2f} mm off on average, {apart['worst']:.2f} at "
+            f"{apart['worst_at_s']:.3f} s"
+        ),
+        f"depth: {figures['overshoot_mm']:.2f} mm beyond the reference's deepest point",
+        f"force: peak {peak['trainee']:.3g} N against {peak['reference']:.3g}, "
+        f"{100.0 * figures['force_error']:.0f} % from the reference's at the same place",
+        f"time from first to last contact: {time['trainee']:.2f} s against {time['reference']:.2f}",
+        *(
+            f"least distance to {name}: {each['trainee']:.2f} mm against {each['reference']:.2f}"
+            for name, each in figures["least_distance_mm"].items()
+        ),
+        *(f"breach: {each.sentence}" for each in found.breaches[:MOST_BREACHES]),
+        *(f"at {at:.3f} s, and not in the reference: {what}" for at, what in found.events),
+        *([f"and {more} more breaches"] if more > 0 else []),
+        *([] if found.breaches else ["no limit was passed"]),
+        *(f"the {who} was cut short" for who, whole in figures["complete"].items() if not whole),
+        *(f"note: {note}" for note in found.notes),
+    ]
+
+
+def _score_line(hand: Steadiness) -> str:
+    """Return the score of a hand in words."""
+    return (
+        f"score: {hand.score:.0f} (95 %: {hand.low:.0f} to {hand.high:.0f}; a novice has 0, an "
+        f"expert 100) by a tremor of {hand.tremor_mm:.3f} mm"
+    )
+
+
+def assessed_section(trainee: AssessedRun, reference: AssessedRun) -> tuple[list[str], bytes]:
+    """Return the lines and the picture (PNG) of an assessment, for a report."""
+    found = assess(trainee, reference)
+    with TemporaryDirectory() as folder:
+        picture = Path(folder) / FILES[1]
+        draw_assessment(found, picture)
+        return assessment_lines(found), picture.read_bytes()
+
+
+def require_assessment_folder(folder: Path, *, overwrite: bool) -> None:
+    """Check that a folder can take an assessment."""
+    require_folder(folder, "assessment", FILES, overwrite=overwrite)
+
+
+def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> list[Path]:
+    """Write ``assessment.json`` and ``assessment.png``.
+
+    Raises InputError if the folder is a file, or holds another assessment.
+    """
+    data = {
+        "steadiness": None if found.steadiness is None else asdict(found.steadiness),
+        **found.figures,
+        "limits": {
+            "force_N": found.force.limit,
+            "deviation_mm": found.deviation.limit,
+            "depth_mm": found.depth.limit,
+        },
+        "breaches": [asdict(each) for each in found.breaches],
+        "notes": list(found.notes),
+        "events": [{"time_s": at, "what": what} for at, what in found.events],
+    }
+    with OwnedFolder(folder, "assessment", FILES, overwrite=overwrite):
+        with whole_file(folder / FILES[0]) as temporary:
+            temporary.write_text(json.dumps(data, indent=2) + "\n", "utf-8")
+        draw_assessment(found, folder / FILES[1])
+    return [folder / name for name in FILES]
+
+
+def draw_assessment(found: Assessment, path: Path) -> None:
+    """Draw the quantities of trainee and reference over time, and the limits with breaches."""
+    # inches for three panels below each other; the margins are shares of the figure, with space
+    # for title and legend on top
+    chart = figure(9.0, 7.2)
+    panels = chart.subplots(3, 1, sharex=True)
+    chart.subplots_adjust(left=0.09, right=0.98, top=0.9, bottom=0.08, hspace=0.14)
+    time = found.time_s
+    least = 0.002 * float(time[-1] - time[0])  # a breach of a tick or two must still be seen
+    labels = ("distance from\nthe path / mm", "force / N", "depth / mm")
+    for axes, label, each in zip(
+        panels, labels, (found.deviation, found.force, found.depth), strict=True
+    ):
+        for breach in (breach for breach in found.breaches if breach.what == each.what):
+            end = max(breach.end_s, breach.start_s + least)
+            axes.axvspan(breach.start_s, end, color=SHADE, alpha=0.35)
+        # the distance from the reference has no reference itself
+        if each.reference is not None:
+            axes.plot(
+                time,
+                each.reference,
+                color=REFERENCE,
+                label="reference at that place",
+            )
+        axes.plot(time, each.values, color=TRAINEE, label="trainee")
+        axes.axhline(each.limit, color=LIMIT, linestyle="--", label="limit")
+        axes.set_ylabel(label)
+        axes.grid(alpha=0.3)
+        high = max(each.limit, float(each.values.max()))
+        # the approach would leave no space for the depth
+        low = max(min(0.0, float(each.values.min())), -high)
+        # 8 % of free space keep the limit's line off the frame
+        axes.set_ylim(low, high + 0.08 * (high - low))
+    panels[2].set(xlabel="time / s", xlim=(float(time[0]), float(time[-1])))
+    chart.legend(
+        *panels[1].get_legend_handles_labels(),
+        loc="upper right",
+        bbox_to_anchor=(0.985, 0.945),
+        ncols=3,
+        frameon=False,
+    )
+    figures = found.figures
+    title = (
+        f"{figures['scene']}: a trainee against the reference, {len(found.breaches)} breaches; "
+        f"{figures['deviation_mm']['mean']:.2f} mm off the path on average, force "
+        f"{100.0 * figures['force_error']:.0f} % off"
+    )
+    chart.text(0.09, 0.955, title, size=10)
+    save(chart, path)

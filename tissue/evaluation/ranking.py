@@ -1,0 +1,294 @@
+"""Ranking of trainees by the score of their runs against one reference, with learning curves."""
+
+import csv
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from meshes.base.whole_file import whole_file
+from tissue.evaluation.assessment import AssessedRun, Assessment, assess
+from tissue.evaluation.steadiness import Steadiness
+from tissue.show.figures.figure import figure, save
+from tissue.system.owned_folder import OwnedFolder, require_folder
+
+__all__ = [
+    "Attempt",
+    "Person",
+    "Ranking",
+    "is_run",
+    "rank",
+    "ranking_lines",
+    "require_ranking_folder",
+    "write_ranking",
+]
+
+FILES = ("ranking.csv", "ranking.png")
+COLUMNS = (
+    "rank",
+    "trainee",
+    "attempt",
+    "score",
+    "score_low",
+    "score_high",
+    "tremor_mm",
+    "mean_deviation_mm",
+    "overshoot_mm",
+    "peak_force_N",
+    "force_error",
+    "limits_passed",
+)
+LEAST_ATTEMPTS = 3
+"""Number of attempts from which their spread gives the interval."""
+LEVEL = 0.95
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+INCH_PER_ROW = 0.32
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """Assessed run of a trainee, and its name."""
+
+    name: str
+    found: Assessment
+    steadiness: Steadiness
+
+
+@dataclass(frozen=True)
+class Person:
+    """Trainee with all attempts, in their order."""
+
+    name: str
+    attempts: tuple[Attempt, ...]
+
+    @property
+    def scores(self) -> Array:
+        """Scores of the attempts, shape (attempts,)."""
+        return np.array([each.steadiness.score for each in self.attempts])
+
+    @property
+    def mean(self) -> float:
+        """Mean score of the attempts."""
+        return float(self.scores.mean())
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval of the mean score.
+
+        It follows from the spread of the attempts (Student's t). For one or two attempts it follows
+        from the interval of each.
+        """
+        count = len(self.attempts)
+        if count >= LEAST_ATTEMPTS:
+            half = _t(count - 1) * float(self.scores.std(ddof=1)) / np.sqrt(count)
+            return self.mean - half, self.mean + half
+        each = [one.steadiness for one in self.attempts]
+        below = np.array([one.score - one.low for one in each])
+        above = np.array([one.high - one.score for one in each])
+        return (
+            self.mean - float(np.linalg.norm(below)) / count,
+            self.mean + float(np.linalg.norm(above)) / count,
+        )
+
+    @property
+    def gain(self) -> tuple[float, float, float] | None:
+        """Change of the score from attempt to attempt, with its 95 % interval.
+
+        The change is the slope of a straight line. None for fewer than three attempts.
+        """
+        count = len(self.attempts)
+        if count < LEAST_ATTEMPTS:
+            return None
+        order = np.arange(count) - 0.5 * (count - 1)
+        slope = float(order @ self.scores / (order @ order))
+        rest = self.scores - self.mean - slope * order
+        half = _t(count - 2) * float(np.sqrt(rest @ rest / (count - 2) / (order @ order)))
+        return slope, slope - half, slope + half
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """Trainees in the order of their mean score, the best first."""
+
+    scene: str
+    people: tuple[Person, ...]
+
+
+def is_run(folder: Path) -> bool:
+    """Return whether a folder holds a run."""
+    return (folder / "summary.json").is_file()
+
+
+def rank(folder: Path, reference: AssessedRun, load: Callable[[Path], AssessedRun]) -> Ranking:
+    """Assess the runs of trainees against a reference, and order the trainees by score.
+
+    Parameters
+    ----------
+    folder
+        Folder with a folder for each trainee. This is a run, or contains the runs of all attempts,
+        whose names give their order: ``attempt2`` comes before ``attempt10``.
+    reference
+        Run with which all are compared.
+    load
+        Function that reads the run of a folder.
+
+    Raises
+    ------
+    InputError
+        If a folder holds no run, a run is of another task than the reference, or a run has no
+        score.
+    """
+    people = []
+    for person in _folders(folder):
+        runs = [person] if is_run(person) else [each for each in _folders(person) if is_run(each)]
+        if not runs:
+            raise InputError(
+                "folder", "hold a run or runs for each trainee", f"none in {person}", "remove it"
+            )
+        attempts = [_attempt(load(run), reference, run) for run in runs]
+        people.append(Person(person.name, tuple(attempts)))
+    if not people:
+        raise InputError(
+            "folder", "hold folders of trainees", f"none in {folder}", "name the folder above them"
+        )
+    people.sort(key=lambda person: -person.mean)
+    return Ranking(str(reference.summary.get("scene")), tuple(people))
+
+
+def _attempt(run: AssessedRun, reference: AssessedRun, folder: Path) -> Attempt:
+    """Assess one run."""
+    try:
+        found = assess(run, reference)
+    except InputError as refusal:
+        raise InputError(f"{folder}: {refusal}") from refusal
+    if found.steadiness is None:
+        raise InputError(
+            str(folder), "be a run on a device", "none", "rank runs that people made by hand"
+        )
+    return Attempt(folder.name, found, found.steadiness)
+
+
+def ranking_lines(found: Ranking) -> list[str]:
+    """Return the ranking in words."""
+    lines = [
+        f"{found.scene}: {len(found.people)} trainees, {sum(len(p.attempts) for p in found.people)}"
+        " runs; a novice has a score of 0, an expert 100"
+    ]
+    for place, person in enumerate(found.people, 1):
+        low, high = person.interval
+        count = len(person.attempts)
+        line = (
+            f"{place}. {person.name}: {person.mean:.0f} (95 %: {low:.0f} to {high:.0f}), "
+            f"{count} attempt{'s' if count > 1 else ''}"
+        )
+        if (gain := person.gain) is not None:
+            line += f", {gain[0]:+.1f} an attempt ({gain[1]:+.1f} to {gain[2]:+.1f})"
+        lines.append(line)
+    return lines
+
+
+def require_ranking_folder(folder: Path, *, overwrite: bool) -> None:
+    """Check that a folder can take a ranking."""
+    require_folder(folder, "ranking", FILES, overwrite=overwrite)
+
+
+def write_ranking(found: Ranking, folder: Path, *, overwrite: bool) -> list[Path]:
+    """Write ``ranking.csv``, a row for each run, and ``ranking.png``.
+
+    Raises InputError if the folder is a file, or holds another ranking.
+    """
+    with OwnedFolder(folder, "ranking", FILES, overwrite=overwrite):
+        with (
+            whole_file(folder / FILES[0]) as temporary,
+            temporary.open("w", encoding="utf-8", newline="") as file,
+        ):
+            writer = csv.writer(file)
+            writer.writerow(COLUMNS)
+            writer.writerows(_rows(found))
+        _draw(found, folder / FILES[1])
+    return [folder / name for name in FILES]
+
+
+def _rows(found: Ranking) -> list[tuple[object, ...]]:
+    """Return the values of `COLUMNS` for each run."""
+    return [
+        (
+            place,
+            person.name,
+            attempt.name,
+            *(
+                round(value, 2)
+                for value in (
+                    attempt.steadiness.score,
+                    attempt.steadiness.low,
+                    attempt.steadiness.high,
+                )
+            ),
+            round(attempt.steadiness.tremor_mm, 4),
+            round(attempt.found.figures["deviation_mm"]["mean"], 4),
+            round(attempt.found.figures["overshoot_mm"], 4),
+            round(attempt.found.figures["peak_force_N"]["trainee"], 4),
+            round(attempt.found.figures["force_error"], 4),
+            len({breach.what for breach in attempt.found.breaches}),
+        )
+        for place, person in enumerate(found.people, 1)
+        for attempt in person.attempts
+    ]
+
+
+def _draw(found: Ranking, path: Path) -> None:
+    """Draw the scores with their intervals and, for several attempts, the learning curves."""
+    people = found.people
+    most = max(len(person.attempts) for person in people)
+    # inches: a row for each trainee, and space for title and axis
+    chart = figure(9.0 if most > 1 else 6.0, max(2.6, 1.3 + INCH_PER_ROW * len(people)))
+    chart.set_layout_engine("constrained")
+    panels = chart.subplots(1, 2 if most > 1 else 1, squeeze=False)[0]
+    for place, person in enumerate(people):
+        colour = COLOURS[place % len(COLOURS)]
+        low, high = person.interval
+        panels[0].plot([low, high], [place, place], color=colour, linewidth=2)
+        panels[0].plot(person.mean, place, "o", color=colour)
+        panels[0].plot(person.scores, [place] * len(person.scores), "|", color=colour)
+        if most > 1:
+            attempts = np.arange(1, len(person.attempts) + 1)
+            panels[1].plot(attempts, person.scores, "o-", color=colour, label=person.name)
+    for value, name in ((0.0, "novice"), (100.0, "expert")):
+        panels[0].axvline(value, color="0.6", linestyle=":")
+        panels[0].annotate(
+            name, (value, 1.0), xycoords=("data", "axes fraction"), ha="center", va="bottom"
+        )
+    panels[0].set(xlabel="score", ylim=(len(people) - 0.4, -0.6))
+    panels[0].set_yticks(range(len(people)), [person.name for person in people])
+    panels[0].grid(axis="x", alpha=0.3)
+    if most > 1:
+        panels[1].set(xlabel="attempt", ylabel="score", xticks=range(1, most + 1))
+        panels[1].grid(alpha=0.3)
+        if len(people) <= len(COLOURS):
+            panels[1].legend(frameon=False)
+    chart.suptitle(f"{found.scene}: steadiness of the hand, mean with 95 % interval", size=10)
+    save(chart, path)
+
+
+def _folders(folder: Path) -> list[Path]:
+    """Return the folders in a folder, in the order of their names with numbers as numbers."""
+    if not folder.is_dir():
+        raise InputError("folder", "exist", folder, "name the folder of the trainees")
+
+    def key(path: Path) -> list[tuple[bool, int, str]]:
+        parts = re.split(r"(\d+)", path.name)
+        return [(each.isdigit(), int(each) if each.isdigit() else 0, each) for each in parts]
+
+    found = (each for each in folder.iterdir() if each.is_dir() and not each.name.startswith("."))
+    return sorted(found, key=key)
+
+
+def _t(freedom: int) -> float:
+    """Return the quantile of Student's t for a two-sided interval."""
+    from scipy.stats import t
+
+    return float(t.ppf(0.5 + 0.5 * LEVEL, freedom))

@@ -1,0 +1,174 @@
+"""Steadiness of a hand: tremor of its intended motion, from position and force of the device."""
+
+from dataclasses import dataclass
+from math import exp, log, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from tissue.haptics.device.device import DeviceParameters
+from tissue.haptics.hand.hand import HandParameters, hand_parameters
+from tissue.materials.scene_constants import Materials
+from tissue.models.tissue_model import TICK_S
+
+__all__ = ["Steadiness", "hand_motion_m", "steadiness"]
+
+Spectrum = NDArray[np.complex128]
+BAND_HZ = 8.0, 12.0
+"""Band of physiological hand tremor; see `tremor_Hz` and `tremor_width_Hz` in hands.toml."""
+SMOOTH_HZ = 40.0
+"""Cut-off of the velocity that sets the direction of friction, above the band of tremor."""
+STICKS_M_S = 0.04
+"""Speed below which the friction of the device counts as viscous.
+
+The friction of a device that sticks is not known, only that it is at most the Coulomb friction. The
+value was chosen with `python tests/bench/bench_assessment.py --sticks`: from 0.02 to 0.04 m/s the
+tremor found hardly depends on the device, at 0.005 m/s it is twice as large in slow scenes on a
+device with 0.26 N of friction.
+"""
+WINDOW_S = 0.25
+"""Window over which a tremor is averaged: two to three periods."""
+QUANTILE = 0.75
+"""Quantile over the windows.
+
+The mean would be set by the few windows of a blow, the median by those in which the device sticks.
+"""
+PAD_S = 0.5
+"""Time by which the ends are continued, for the filters."""
+LEAST_WINDOWS = 6
+DRAWS = 1000
+"""Draws of windows with replacement, for the interval."""
+TYPICAL = "intermediate"
+"""Hand whose grip is assumed: one person's grip is not known."""
+NOVICE, EXPERT = "novice", "expert"
+
+
+@dataclass(frozen=True)
+class Steadiness:
+    """Tremor of a hand, and its score.
+
+    Attributes
+    ----------
+    tremor_mm
+        Root mean square of the intended motion between 8 and 12 Hz, all three axes together.
+    score
+        0 for the tremor of a novice and 100 for that of an expert, by the constants of hands.toml.
+        It is linear in the logarithm of the tremor, and may exceed both ends.
+    low, high
+        95 % interval of the score over the windows of the run.
+    """
+
+    tremor_mm: float
+    score: float
+    low: float
+    high: float
+
+
+def steadiness(
+    position_m: Array,
+    force_N: Array,
+    device: DeviceParameters,
+    *,
+    constants: Materials = Materials.cited,
+) -> Steadiness:
+    """Estimate the tremor of the hand on a device.
+
+    Parameters
+    ----------
+    position_m, force_N
+        Measured position of the device, and the force that it played, a row per tick of 1 ms, shape
+        (n, 3).
+    device
+        Inertia, damping and friction of the device.
+    constants
+        Constants of the hands.
+
+    Raises
+    ------
+    InputError
+        If the run is too short.
+    """
+    ticks = round(WINDOW_S / TICK_S)
+    count = len(position_m) // ticks
+    if count < LEAST_WINDOWS:
+        raise InputError(
+            "run",
+            f"last at least {LEAST_WINDOWS * WINDOW_S:g} s",
+            f"{len(position_m) * TICK_S:g}",
+            "record a longer one",
+        )
+    grip = hand_parameters(TYPICAL, constants)
+    trembles = 1e3 * hand_motion_m(position_m, force_N, device, grip, band_Hz=BAND_HZ)
+    square = (trembles[: count * ticks] ** 2).sum(axis=1).reshape(count, ticks).mean(axis=1)
+    tremor = float(np.sqrt(np.quantile(square, QUANTILE)))
+    # Noise of a band has two degrees of freedom per axis, hertz and second.
+    freedom = 6.0 * (BAND_HZ[1] - BAND_HZ[0]) * WINDOW_S
+    drawn = np.random.default_rng(0).chisquare(freedom, (DRAWS, count)) / freedom * square
+    tremors = np.sqrt(np.quantile(drawn, QUANTILE, axis=1))
+    low, high = tremor * np.quantile(tremors, (0.025, 0.975)) / np.median(tremors)
+
+    def score(size: float) -> float:
+        """Return the place of a tremor between those of a novice and an expert [%]."""
+        worst, best = (
+            sqrt(3.0) * 1e3 * hand_parameters(group, constants).tremor_m
+            for group in (NOVICE, EXPERT)
+        )
+        # A recorded path without any tremor would have an infinite score.
+        return 100.0 * log(worst / max(size, exp(-10.0) * worst)) / log(worst / best)
+
+    return Steadiness(tremor, score(tremor), score(float(high)), score(float(low)))
+
+
+def hand_motion_m(
+    position_m: Array,
+    force_N: Array,
+    device: DeviceParameters,
+    grip: HandParameters,
+    *,
+    band_Hz: tuple[float, float],
+) -> Array:
+    """Compute the motion that the hand intended [m], shape (n, 3), within a band of frequencies.
+
+    The hand pulls the device towards its intended position by a spring, a damper and a reflex. The
+    force on the device follows from its motion, its inertia, its damping, its friction and its
+    motors. Solved for the intended position, the result does not depend on the device or on the
+    tissue, as far as the grip is known. Filters have no lag.
+
+    Parameters
+    ----------
+    position_m, force_N
+        Position of the device, and the force that it played, a row per tick, shape (n, 3).
+    device, grip
+        Parameters of both sides. The mass of the grip moves with the device.
+    band_Hz
+        Ends of the band, at half of the amplitude.
+    """
+    pad = round(PAD_S / TICK_S)
+
+    def spectrum(values: Array) -> Spectrum:
+        ends = np.pad(values, ((pad, pad), (0, 0)), mode="edge")
+        return np.fft.rfft(ends, axis=0)
+
+    def signal(values: Spectrum) -> Array:
+        whole: Array = np.fft.irfft(values, count, axis=0)
+        return whole[pad : count - pad]
+
+    count = len(position_m) + 2 * pad
+    frequency = np.fft.rfftfreq(count, TICK_S)[:, None]
+    s = 2j * np.pi * frequency
+    place = spectrum(position_m - position_m[0])
+    velocity = signal(s * place / (1.0 + (frequency / SMOOTH_HZ) ** 4))
+    speed = np.linalg.norm(velocity, axis=1, keepdims=True)
+    friction_N = device.friction_N * velocity / np.hypot(speed, STICKS_M_S)
+    pulls = (
+        grip.stiffness_N_m * (1.0 + grip.reflex_share * np.exp(-s * grip.reflex_s))
+        + grip.damping_N_s_m * s
+    )
+    moves = (device.mass_kg + grip.mass_kg) * s**2 + device.damping_N_s_m * s
+    intended = place * (1.0 + moves / pulls) - spectrum(force_N - friction_N) / pulls
+    low, high = band_Hz
+    with np.errstate(divide="ignore"):
+        away = (frequency**2 - low * high) / (frequency * (high - low))
+    return signal(intended / (1.0 + away**4))
