@@ -3,11 +3,12 @@ Assess a trainee against an expert
 ==================================
 
 A novice presses a wall, and the run is compared with an expert's. Both hands hold the same
-simulated device (Touch), with the same seed. The two runs are aligned by place, so that pace is no
-error. The measures are how far the tool strays, how hard it presses, how deep it moves, and how
-smoothly it moves. Expected: the novice strays by 3.6 mm where the expert moved straight, presses
-with 1.44 N against 1.02, and passes the limit of force once, 0.6 s after the start. Hands differ by
-priors (`tissue/materials`), so this shows the method, not people.
+simulated device (Touch), with the same seed. The score tells how steady the hand is: 0 for the
+tremor of a novice, 100 for that of an expert. The two runs are aligned by place, so that pace is no
+error. The other measures are the distance from the path, the force and the depth. Expected: the
+novice has a score near 0 and the expert one near 100. The novice strays by 3.6 mm where the expert
+moved straight, presses with 1.44 N against 1.02, and passes the limit of force once, 0.6 s after
+the start. Hands differ by priors (`tissue/materials`), so this shows the method, not people.
 """
 
 from pathlib import Path

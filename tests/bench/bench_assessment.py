@@ -54,7 +54,7 @@ CONDITIONS = (("touch", 1.0), ("forcedimension", 0.7), ("haply", 1.4))
 FIRST_SEED = 100
 ORDER = ("novice", "intermediate", "expert")
 VECTORS = (("device", "mm"), ("device_force", "N"), ("tool", "mm"), ("model_force", "N"))
-STICKS_M_S = (0.005, 0.01, 0.02, 0.04, 0.08)
+STICKS_M_S = (0.005, 0.01, 0.02, 0.05, 0.1)
 OTHERS = ("deviation", "force error", "arc length")
 Runs = dict[tuple[str, str], list[dict[str, np.ndarray]]]
 """Runs of a group under a condition."""
@@ -62,8 +62,10 @@ Runs = dict[tuple[str, str], list[dict[str, np.ndarray]]]
 
 def paced(scene: Scene, pace: float) -> dict[str, object]:
     """Return the changes of a scene for another pace."""
-    name = "feed_mm_s" if hasattr(scene.motion, "feed_mm_s") else "max_feed_mm_s"
-    found: dict[str, object] = {f"motion.{name}": pace * getattr(scene.motion, name)}
+    # The pace of a thrust follows from the force of the hand.
+    if not hasattr(scene.motion, "feed_mm_s"):
+        return {}
+    found: dict[str, object] = {"motion.feed_mm_s": pace * scene.motion.feed_mm_s}
     if scene.duration_s is not None:
         found["duration_s"] = round(scene.duration_s / pace + 0.5, 3)
     return found

@@ -256,8 +256,8 @@ def _draw(found: Ranking, path: Path) -> None:
         panels[0].plot(person.scores, [place] * len(person.scores), "|", color=colour)
         if most > 1:
             attempts = np.arange(1, len(person.attempts) + 1)
-            panels[1].plot(attempts, person.scores, "o-", color=colour, label=person.name)
-    for value, name in ((0.0, "novice"), (100.0, "expert")):
+            panels[1].plot(attempts, person.scores, "o-", color=colour)
+    for value, name in ((0.0, "a novice"), (100.0, "an expert")):
         panels[0].axvline(value, color="0.6", linestyle=":")
         panels[0].annotate(
             name, (value, 1.0), xycoords=("data", "axes fraction"), ha="center", va="bottom"
@@ -268,8 +268,6 @@ def _draw(found: Ranking, path: Path) -> None:
     if most > 1:
         panels[1].set(xlabel="attempt", ylabel="score", xticks=range(1, most + 1))
         panels[1].grid(alpha=0.3)
-        if len(people) <= len(COLOURS):
-            panels[1].legend(frameon=False)
     chart.suptitle(f"{found.scene}: steadiness of the hand, mean with 95 % interval", size=10)
     save(chart, path)
 

@@ -20,13 +20,12 @@ BAND_HZ = 8.0, 12.0
 """Band of physiological hand tremor; see `tremor_Hz` and `tremor_width_Hz` in hands.toml."""
 SMOOTH_HZ = 40.0
 """Cut-off of the velocity that sets the direction of friction, above the band of tremor."""
-STICKS_M_S = 0.04
+STICKS_M_S = 0.05
 """Speed below which the friction of the device counts as viscous.
 
 The friction of a device that sticks is not known, only that it is at most the Coulomb friction. The
-value was chosen with `python tests/bench/bench_assessment.py --sticks`: from 0.02 to 0.04 m/s the
-tremor found hardly depends on the device, at 0.005 m/s it is twice as large in slow scenes on a
-device with 0.26 N of friction.
+value was chosen with `python tests/bench/bench_assessment.py --sticks` from 0.005 to 0.1 m/s. At
+0.005 m/s the tremor found in slow scenes is twice as large on a device with 0.26 N of friction.
 """
 WINDOW_S = 0.25
 """Window over which a tremor is averaged: two to three periods."""
