@@ -8,7 +8,8 @@ tremor of a novice, 100 for that of an expert. The two runs are aligned by place
 error. The other measures are the distance from the path, the force and the depth. Expected: the
 novice has a score near 0 and the expert one near 100. The novice strays by 3.6 mm where the expert
 moved straight, presses the wall with 35 N against 27 (of which the device plays a small share), and
-passes the limit of force once, 0.6 s after the start. Hands differ by priors (`tissue/materials`), so this shows the method, not people.
+passes the limit of force once, 0.6 s after the start. Hands differ by priors (`tissue/materials`),
+so this shows the method, not people.
 """
 
 from pathlib import Path
