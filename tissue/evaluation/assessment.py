@@ -127,7 +127,8 @@ class Assessment:
     Attributes
     ----------
     steadiness
-        Tremor and score of the trainee's hand; None if the run has no known device.
+        Tremor and score of the trainee's hand; None if the run has no known device or is too short,
+        which a note then states.
     figures
         Numbers by name, units in the names. Numbers that both runs have are given as {"trainee":
         ..., "reference": ...}.
@@ -245,9 +246,9 @@ def assess(
     for who, run in (("trainee", trainee), ("reference", reference)):
         if note := path_note(run.summary):
             notes.append(f"the path of the {who} is {note}")
-    hand = _steadiness(trainee, mine)
+    hand, reason = _steadiness(trainee, mine)
     if hand is None:
-        notes.append("no score: the run has no device whose constants are known")
+        notes.append(f"no score: {reason}")
     return Assessment(
         hand, figures, tuple(breaches), tuple(events), time, *quantities, tuple(notes)
     )
@@ -269,17 +270,21 @@ def _both(of: Callable[[Table], float], mine: Table, theirs: Table) -> dict[str,
     return {"trainee": of(mine), "reference": of(theirs)}
 
 
-def _steadiness(run: AssessedRun, trace: Table) -> Steadiness | None:
-    """Return tremor and score of the hand that held the device of a run, if any."""
+def _steadiness(run: AssessedRun, trace: Table) -> tuple[Steadiness | None, str]:
+    """Return tremor and score of the hand on the device of a run, or the reason for their lack."""
     if run.scene is None or run.scene.device is None or "device_x_mm" not in trace.columns:
-        return None
+        return None, "the run has no device whose constants are known"
     constants = run.scene.constants
-    return steadiness(
-        1e-3 * trace.vectors("device", "mm"),
-        trace.vectors("device_force", "N"),
-        device_parameters(run.scene.device.kind, constants),
-        constants=constants,
-    )
+    try:
+        found = steadiness(
+            1e-3 * trace.vectors("device", "mm"),
+            trace.vectors("device_force", "N"),
+            device_parameters(run.scene.device.kind, constants),
+            constants=constants,
+        )
+    except InputError as refusal:
+        return None, str(refusal)
+    return found, ""
 
 
 def _least_distances(mine: Summary, theirs: Summary) -> dict[str, dict[str, float]]:

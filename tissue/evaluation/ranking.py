@@ -166,9 +166,7 @@ def _attempt(run: AssessedRun, reference: AssessedRun, folder: Path) -> Attempt:
     except InputError as refusal:
         raise InputError(f"{folder}: {refusal}") from refusal
     if found.steadiness is None:
-        raise InputError(
-            str(folder), "be a run on a device", "none", "rank runs that people made by hand"
-        )
+        raise InputError(f"{folder} has {found.notes[-1]}")
     return Attempt(folder.name, found, found.steadiness)
 
 

@@ -105,7 +105,7 @@ def test_hands_are_ranked_by_skill_on_any_device_and_pace(runs, tmp_path):
     for person in found.people:
         true_mm = np.sqrt(3.0) * 1e3 * hand_parameters(person.name).tremor_m
         for attempt in person.attempts:
-            assert attempt.steadiness.tremor_mm == pytest.approx(true_mm, rel=0.4)
+            assert attempt.steadiness.tremor_mm == pytest.approx(true_mm, rel=0.5)
     written = found.save(tmp_path / "out")
     rows = (tmp_path / "out" / "ranking.csv").read_text().splitlines()
     assert len(rows) == 7 and rows[1].startswith("1,expert,run0,")
@@ -157,3 +157,12 @@ def test_the_interval_of_a_mean_covers_95_percent_and_a_gain_is_the_slope():
     slope, low, high = Scored(10.0 + 4.0 * np.arange(6)).gain
     assert slope == pytest.approx(4.0) and low == pytest.approx(4.0) and high == pytest.approx(4.0)
     assert Scored([1.0, 2.0]).gain is None
+
+
+def test_a_run_without_a_device_or_too_short_has_no_score(tmp_path):
+    scene = tissue.load_scene("milling", {"voxels.spacing_mm": 0.4, "duration_s": 0.2})
+    tissue.simulate(scene).save(tmp_path / "people" / "scripted")
+    with pytest.raises(InputError, match="scripted has no score: the run has no device"):
+        tissue.rank(tmp_path / "people", tmp_path / "people" / "scripted")
+    with pytest.raises(InputError, match=r"run must last at least 1\.5 s, got 1: "):
+        steadiness(FREE[:1000], FREE[:1000], DEVICE)
