@@ -36,7 +36,7 @@ The mean would be set by the few windows of a blow, the median by those in which
 """
 PAD_S = 0.5
 """Time by which the ends are continued, for the filters."""
-LEAST_WINDOWS = 6
+LEAST_WINDOWS = 4
 DRAWS = 1000
 """Draws of windows with replacement, for the interval."""
 TYPICAL = "intermediate"
@@ -100,8 +100,11 @@ def steadiness(
         )
     grip = hand_parameters(TYPICAL, constants)
     trembles = 1e3 * hand_motion_m(position_m, force_N, device, grip, band_Hz=BAND_HZ)
-    square = (trembles[: count * ticks] ** 2).sum(axis=1).reshape(count, ticks).mean(axis=1)
-    tremor = float(np.sqrt(np.quantile(square, QUANTILE)))
+    tick = (trembles**2).sum(axis=1)
+    # Windows from every tick on: a few windows side by side would depend on where they begin.
+    sums = np.concatenate([[0.0], np.cumsum(tick)])
+    tremor = float(np.sqrt(np.quantile((sums[ticks:] - sums[:-ticks]) / ticks, QUANTILE)))
+    square = tick[: count * ticks].reshape(count, ticks).mean(axis=1)
     # Noise of a band has two degrees of freedom per axis, hertz and second.
     freedom = 6.0 * (BAND_HZ[1] - BAND_HZ[0]) * WINDOW_S
     drawn = np.random.default_rng(0).chisquare(freedom, (DRAWS, count)) / freedom * square
