@@ -3,7 +3,7 @@ Assess a trainee against an expert
 ==================================
 
 A novice presses a wall, and the run is compared with an expert's. Both hands hold the same
-simulated device (Touch), with the same seed. The score tells how steady the hand is: 0 for the
+simulated device (Touch), with the same seed. The score measures how steady the hand is: 0 for the
 tremor of a novice, 100 for that of an expert. The two runs are aligned by place, so that pace is no
 error. The other measures are the distance from the path, the force and the depth. Expected: the
 novice has a score near 0 and the expert one near 100. The novice strays by 3.6 mm where the expert
