@@ -142,7 +142,14 @@ def measure(
         rows.append(tuple(row))
     auto = changed(middle, {"coupling.force_scale": "auto"})
     rows.append((name, f"auto: {chosen_scale(auto).factor:g}", *[""] * (len(rows[0]) - 2)))
-    head = ("task", "scale", "softer / N", "middle / N", "d' simulated", "d' expected")
+    head: tuple[str, ...] = (
+        "task",
+        "scale",
+        "softer / N",
+        "middle / N",
+        "d' simulated",
+        "d' expected",
+    )
     if mapped:
         head += ("open loop %", "closed loop %")
     print(table(rows, head))

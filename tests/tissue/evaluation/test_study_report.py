@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tissue.evaluation.charts.prediction import PredictorComparison
 from tissue.evaluation.statistics.intervals import mean_interval, signed_interval
 from tissue.evaluation.study.cases import case_sections
 from tissue.evaluation.study.fidelity import (
@@ -20,6 +21,7 @@ from tissue.evaluation.study.plan import METHODS, TASKS, Plan, TrialKey
 from tissue.evaluation.study.report import found_section, sections_of, write_report
 from tissue.evaluation.study.section import PRINTED
 from tissue.evaluation.study.trial import Trial, _from_path
+from tissue.evaluation.training import HORIZONS
 
 PLAN = Plan(trials=4, tasks=("T1", "T2", "needle", "reaming", "drilling"))
 LEFT = {"penalty": 1.0, "energy": 1.0} | dict.fromkeys(list(METHODS)[2:], 0.4)
@@ -103,7 +105,7 @@ def test_the_report_finds_what_was_planted(study):
     assert registered.startswith("plan.toml was registered before the first trial")
     assert force.startswith("Force error with prediction over that of the penalty law: T1 0.4")
     assert (
-        "travel after the puncture is 0.50 mm (penalty) to 0.50 mm (penalty), and 100 to 100 %"
+        "travel after the puncture is 0.50 mm (penalty) to 0.50 mm (penalty), and at least 100 %"
         in (travel)
     )
     assert papers.startswith("Of ")
@@ -192,6 +194,14 @@ def test_intervals_of_positive_metrics_hold_the_mean_at_their_rate(spread):
     mean = np.exp(0.5 * spread**2)
     inside = (ends[:, 0] <= mean) & (mean <= ends[:, 1])
     assert inside.mean() == pytest.approx(0.95, abs=0.02)
+
+
+def test_errors_of_predictors_have_positive_intervals():
+    """A chart with a logarithmic axis cannot show an interval that ends below zero."""
+    errors = np.outer([0.01, 0.02, 0.03, 0.90], np.ones(len(HORIZONS)))
+    found = PredictorComparison("wall", {"hold": errors}, {}, {}, {})
+    mean, low, high = found.at("hold", 4)
+    assert mean == pytest.approx(0.24) and 0.0 < low < mean < high
 
 
 def test_a_study_that_has_hardly_begun_is_reported(tmp_path):

@@ -59,7 +59,7 @@ def _reaming(table: TrialTable, seed: int) -> Section:
                 "method": method,
                 "tracking RMS N": spread(rms, 3),
                 "paper N": f"< {force}",
-                "against paper": "agrees" if rms.max() < force.mean else "exceeds it",
+                "against paper": "agrees" if rms.max() < force.mean else "exceeds the paper's",
                 "position error mm": spread(off, 3),
                 "trials": str(len(part)),
             }
@@ -229,6 +229,7 @@ def _travels(shared: TrialTable) -> tuple[str, str, bytes]:
     found = []
     medians = []
     shares = []
+    ends = []
     methods = methods_of(shared)
     # 0.4 inches a line, 1.4 for axis and label
     figure, (axes,) = drawing(9.0, 0.4 * len(methods) + 1.4)
@@ -242,18 +243,23 @@ def _travels(shared: TrialTable) -> tuple[str, str, bytes]:
             f"{method} lets {noticed:.0f} % notice, travel {_travel_text(middle)}{bounds} in the "
             "median over people"
         )
-        axes.plot([low, high], [line, line], color=COLOURS[method])
+        # too few people for an interval: only the point
+        if low > -inf:
+            axes.plot([low, high], [line, line], color=COLOURS[method])
+            ends.append(high)
+        ends.append(middle)
         axes.plot(middle, line, "o", color=COLOURS[method], mec="black")
     axes.set_yticks(range(len(methods)), methods)
     axes.invert_yaxis()
-    axes.set_xlim(left=0.0)
+    # an infinite end leaves the axes; 5 % of space behind the largest finite one
+    axes.set_xlim(0.0, 1.05 * max((each for each in ends if isfinite(each)), default=1.0))
     axes.set_xlabel("travel after the puncture / mm, median over people with its 95 % interval")
     best, worst = (medians.index(choose(medians)) for choose in (min, max))
     headline = (
         "The median over people of the needle's travel after the puncture is "
         f"{_travel_text(medians[best])} ({methods[best]}) to {_travel_text(medians[worst])} "
-        f"({methods[worst]}), and {min(shares):.0f} to {max(shares):.0f} % of the punctures are "
-        "noticed."
+        f"({methods[worst]}), and at least {min(shares):.0f} % of the punctures are noticed under "
+        "every method."
     )
     return "; ".join(found), headline, image(figure)
 

@@ -36,6 +36,7 @@ from tissue.evaluation.study.section import (
     tasks_of,
 )
 from tissue.evaluation.study.trial import Trial
+from tissue.show.figures.figure import plain_numbers
 
 __all__ = [
     "force_section",
@@ -184,11 +185,10 @@ def _points(
         }
         shown = _published_errors(tasks, parts) if metric == "force_error" else {}
         grouped_points(axes, [f"{task}\n{TASKS[task].scene}" for task in tasks], points, shown)
-        # a metric of one sign is shown from zero
-        if min(low for _, low, _ in points.values()) >= 0.0:
-            axes.set_ylim(bottom=0.0)
-        if max(high for *_, high in points.values()) <= 0.0:
-            axes.set_ylim(top=0.0)
+        # errors and times of tasks differ by factors
+        if min(low for _, low, _ in points.values()) > 0.0:
+            axes.set_yscale("log")
+            plain_numbers(axes.yaxis)
         axes.set_ylabel(label)
     legend(figure, panels[0])
     return image(figure)
@@ -218,7 +218,7 @@ def latency_section(table: TrialTable) -> Section:
     means = {
         each: table.where(method=each).values("latency_ms").mean() for each in methods_of(table)
     }
-    shifts = ", ".join(f"{name} {value:.1f} ms" for name, value in means.items())
+    shifts = ", ".join(f"{value:.1f} ms ({name})" for name, value in means.items())
     early = ", ".join(" ".join(key) for key, lag in lags.items() if lag.mean() < 0.0)
     sentences = (
         "Shift at which the force at the motor correlates best with that of a perfect prediction "

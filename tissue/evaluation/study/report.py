@@ -169,7 +169,7 @@ def _agreement(sections: Sequence[Section]) -> str:
             compared += bool(verdict)
             if verdict not in ("", "agrees"):
                 first, second, *_ = row.values()
-                apart.append(f"{section.title.lower()} {first} {second} {verdict}")
+                apart.append(f"{section.title.lower()} {first} {second} ({verdict})")
     text = (
         f"Of {compared} figures compared with the paper, {compared - len(apart)} agree within the "
         "standard deviations of both"

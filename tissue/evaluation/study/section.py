@@ -180,7 +180,7 @@ def _agreement(ours: Array, paper: Figure) -> str:
     reach = np.hypot(_deviation(ours), paper.spread or ROUNDED * paper.mean)
     if abs(ours.mean() - paper.mean) <= reach:
         return "agrees"
-    return f"{ours.mean() / paper.mean:.2f} of it"
+    return f"{ours.mean() / paper.mean:.2f} of the paper's"
 
 
 def against(ours: Array, paper: Figure | None, unit: str) -> dict[str, str]:
