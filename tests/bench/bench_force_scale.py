@@ -107,7 +107,7 @@ def measure(
     task = TASKS[name]
     by_hand = {"device": given.device, "hand": "intermediate"}
     soft, middle = (
-        changed(load_scene(task.scene), task.changes | each | by_hand)
+        changed(load_scene(task.scene), {**task.changes, **each, **by_hand})
         for each in task.specimens[:2]
     )
     met = force_met(middle)
