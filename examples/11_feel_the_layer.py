@@ -6,10 +6,11 @@ This example tests whether a hand can discriminate a liver's capsule from the pa
 and whether it helps to know the hand. Expected: in the tenth of a second before the puncture the
 needle is held back by 2.1 N, in the tenth after it by 1.6 N. 100 simulated people of each group
 discriminate the two with an error below 10 %. A force scaled for each person, after 24 numbers from
-that person, changes their right answers by less than 3 %: a mapping that rises with the force
-cannot add information. It spreads the difference for people whose exponent lies below the reference
-exponent and narrows it for the others. For an observer equal to the reference it changes nothing at
-all.
+that person, changes their right answers by less than 3 %. A mapping that rises with the force and
+keeps its end points also keeps the number of just noticeable differences between them. It gains in
+one band of forces what it loses in another. Scaling spreads the difference for people whose
+exponent lies below the reference exponent and narrows it for the others. For an observer equal to
+the reference it changes nothing at all.
 
 The tissue itself scatters by more than any of this: the force at which a capsule breaks lies
 between 1.7 and 2.9 N. People's exponents and thresholds are priors.

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import exp, log
+from math import exp, isclose, log, nan
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ from tissue.materials.constants import constants
 
 __all__ = [
     "PARAMETERS",
+    "REPORTED_N",
     "Observer",
     "Population",
     "population",
@@ -51,6 +52,10 @@ COORDINATES = ("ln alpha", "beta", "ln kappa", "ln offset_N", "logit lapse", "ln
 TO_COORDINATE = dict.fromkeys(PARAMETERS, np.log) | {"beta": np.asarray, "lapse": logit}
 WIDEST = 10.0
 """Largest standard deviation of a coordinate. A larger one means that the fit failed."""
+REPORTED_N = 2.0
+"""Force at which a threshold is reported [N]."""
+ROUNDING = 1e-5
+"""Relative tolerance of the plain numbers of a file, which have six digits."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -191,7 +196,8 @@ class Observer:
 def write_observer(observer: Observer, path: Path, *, overwrite: bool = False) -> None:
     """Write an observer as JSON, in one step.
 
-    An existing file is replaced only if `overwrite` is set.
+    The file holds the posterior and, for a reader, the medians in plain numbers with units. An
+    existing file is replaced only if `overwrite` is set.
 
     Raises
     ------
@@ -205,6 +211,7 @@ def write_observer(observer: Observer, path: Path, *, overwrite: bool = False) -
         "tissue": package_version(),
         "name": observer.name,
         "trials": observer.trials,
+        **_plain_numbers(observer, REPORTED_N),
         "coordinates": list(COORDINATES),
         "mean": observer.mean.tolist(),
         "covariance": observer.covariance.tolist(),
@@ -220,6 +227,7 @@ def read_observer(path: Path) -> Observer:
     ------
     InputError
         If the file is missing, is no observer, is of another version, or holds impossible numbers.
+        The plain numbers of a file may be left out, but must not contradict the posterior.
     """
     calibrate = "write one with tissue calibrate --out"
     require_regular(path)
@@ -237,14 +245,50 @@ def read_observer(path: Path) -> Observer:
     try:
         if stored["coordinates"] != list(COORDINATES):
             raise ValueError("other coordinates")
-        return Observer(
+        observer = Observer(
             name=str(stored["name"]),
             mean=np.array(stored["mean"], dtype=float),
             covariance=np.array(stored["covariance"], dtype=float),
             trials=int(stored["trials"]),
         )
+        _require_agreement(observer, stored)
+        return observer
     except (KeyError, TypeError, ValueError, OverflowError) as problem:
         raise InputError(f"observer {path}: {problem}") from problem
+
+
+def _plain_numbers(observer: Observer, force_N: float) -> dict[str, float]:
+    """Return the exponent, and the threshold [N] at a force [N], rounded to six digits.
+
+    The Weber fraction and the low-force term are included, so that a reader can compute the
+    threshold at other forces.
+    """
+    numbers = {
+        "exponent": observer.beta,
+        "weber_fraction": observer.kappa,
+        "offset_N": observer.offset_N,
+        "threshold_at_N": force_N,
+        "threshold_N": observer.kappa * (force_N + observer.offset_N),
+    }
+    return {name: float(f"{value:.6g}") for name, value in numbers.items()}
+
+
+def _require_agreement(observer: Observer, stored: Mapping[str, object]) -> None:
+    """Check that the plain numbers of a file, where it has any, follow from its posterior."""
+    force_N = _number(stored.get("threshold_at_N", REPORTED_N))
+    for name, computed in _plain_numbers(observer, force_N).items():
+        given = stored.get(name, computed)
+        if not isclose(_number(given), computed, rel_tol=ROUNDING):
+            # 40 letters: enough for any number
+            raise InputError(
+                f"{name} is {str(given)[:40]}, but the mean gives {computed:g}. Delete {name} from "
+                "the file, or calibrate again."
+            )
+
+
+def _number(value: object) -> float:
+    """Return a number of a file, or NaN for another value."""
+    return float(value) if isinstance(value, int | float) else nan
 
 
 def _from(parameter: str, coordinate: Array | np.float64) -> Array:

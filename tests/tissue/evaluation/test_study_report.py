@@ -1,19 +1,27 @@
 """Report of a study: tables next to the paper's, sentences from the data, missing parts."""
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tissue.evaluation.charts.prediction import PredictorComparison
+from tissue.evaluation.statistics.intervals import mean_interval, signed_interval
+from tissue.evaluation.study.cases import case_sections
 from tissue.evaluation.study.fidelity import (
+    force_section,
     reference_section,
     sensitivity_section,
+    task_section,
 )
 from tissue.evaluation.study.folder import StudyFolder
-from tissue.evaluation.study.plan import METHODS, Plan, TrialKey
-from tissue.evaluation.study.report import sections_of, write_report
+from tissue.evaluation.study.plan import METHODS, TASKS, Plan, TrialKey
+from tissue.evaluation.study.report import found_section, sections_of, write_report
+from tissue.evaluation.study.section import PRINTED
 from tissue.evaluation.study.trial import Trial, _from_path
+from tissue.evaluation.training import HORIZONS
 
 PLAN = Plan(trials=4, tasks=("T1", "T2", "needle", "reaming", "drilling"))
 LEFT = {"penalty": 1.0, "energy": 1.0} | dict.fromkeys(list(METHODS)[2:], 0.4)
@@ -84,7 +92,7 @@ def study(tmp_path_factory):
 def test_the_report_finds_what_was_planted(study):
     page, message = write_report(study.path)
     text = page.read_text("utf-8")
-    assert text.count("<section") >= 14 and text.count("data:image/png;base64,") == 5
+    assert text.count("<section") >= 14 and text.count("data:image/png;base64,") == 8
     # each has one, and no pictures come of that
     assert "People have too few trials on two specimens each." in text
     assert "http" not in text.replace("http-equiv", "") and "<script" not in text
@@ -92,8 +100,19 @@ def test_the_report_finds_what_was_planted(study):
         "1 failed, koopman: InputError: it was too late (T1-expert-0003)" in each
         for each in message
     )
-    assert "Prediction leaves of the force error: T1 0.4" in message[0]
-    assert any("koopman lets 100 % notice, travel 0.50 mm" in each for each in message)
+    # five sentences and three pictures begin the report
+    registered, force, travel, _, papers = message[:5]
+    assert registered.startswith("plan.toml was registered before the first trial")
+    assert force.startswith("Force error with prediction over that of the penalty law: T1 0.4")
+    assert (
+        "travel after the puncture is 0.50 mm (penalty) to 0.50 mm (penalty), and at least 100 %"
+        in (travel)
+    )
+    assert papers.startswith("Of ")
+    first = text[text.index('<section id="found"') : text.index('<section id="overview"')]
+    assert first.count('class="verdict"') == 5 and first.count("<img") == 3
+    assert "koopman lets 100 % notice, travel 0.50 mm" in text
+    assert "±" not in text
     assert text.index('<section id="found"') < text.index('<section id="overview"')
     assert "T1: energy has the force_error of penalty in every trial and is left out" in text
     tests = {(row["task"], row["question"]): row for row in rows_of(page.parent / "tests.csv")}
@@ -124,7 +143,65 @@ def test_the_sensitivity_names_what_moves_the_headline(study):
     moved = {row[1]: row[-1] for row in section.rows}
     assert 60 < float(moved["1.4 of the usual"].split()[0]) < 140
     assert abs(float(moved["2 ms instead of 4"].split()[0])) < 20
-    assert reference_section(study).rows == (("T1", "2.00 ± 0.00", "2"), ("T2", "2.00 ± 0.00", "2"))
+    assert reference_section(study).rows == (
+        ("T1", "2.00 (SD 0.00)", "2"),
+        ("T2", "2.00 (SD 0.00)", "2"),
+    )
+
+
+def compared(section):
+    """Return the first two entries of the rows that are compared with the paper."""
+    return {tuple(row.values())[:2] for row in section.table if "against paper" in row}
+
+
+def test_figures_are_compared_only_where_the_task_is_that_of_the_paper(study, monkeypatch):
+    """Needle and drilling differ from the paper's tasks, and a task that differs has no figure."""
+    table = study.table("T1", "T2").complete()
+    printed = {(task, method) for task in ("T1", "T2") for method in PRINTED}
+    assert compared(force_section(table)) == printed
+    assert compared(task_section(table)) == {("T1", "all"), ("T2", "all")}
+    cases = {each.name: each for each in case_sections(study, 0)}
+    assert compared(cases["case-reaming"])
+    for name in ("case-needle", "case-drilling"):
+        assert not compared(cases[name])
+        assert "No figure here is compared with the paper's: " in " ".join(cases[name].sentences)
+    count = len(printed) + 2
+    found = found_section([force_section(table), task_section(table)])
+    assert f"Of {count} figures compared" in found.sentences[-1]
+    monkeypatch.setitem(TASKS, "T2", replace(TASKS["T2"], differs="another wall"))
+    found = found_section([force_section(table), task_section(table)])
+    assert f"Of {count // 2} figures compared" in found.sentences[-1]
+
+
+def test_intervals_of_positive_metrics_are_positive():
+    """One person with a large error makes the symmetric interval end below zero."""
+    errors = np.array([0.01, 0.02, 0.03, 0.90])
+    assert mean_interval(errors).low < 0.0
+    mean, low, high = signed_interval(errors)
+    assert mean == pytest.approx(errors.mean()) and 0.0 < low < mean < high
+    assert signed_interval(-errors) == pytest.approx((-mean, -high, -low))
+    # values of both signs have the symmetric interval
+    both = np.array([-1.0, 2.0, 0.5])
+    assert signed_interval(both) == mean_interval(both)
+    assert signed_interval(np.array([0.3])) == (0.3, 0.3, 0.3)
+
+
+@pytest.mark.parametrize("spread", [0.1, 0.5])
+def test_intervals_of_positive_metrics_hold_the_mean_at_their_rate(spread):
+    """Coverage over 4,000 samples of ten log-normal values."""
+    values = np.exp(spread * np.random.default_rng(0).standard_normal((4000, 10)))
+    ends = np.array([signed_interval(each)[1:] for each in values])
+    mean = np.exp(0.5 * spread**2)
+    inside = (ends[:, 0] <= mean) & (mean <= ends[:, 1])
+    assert inside.mean() == pytest.approx(0.95, abs=0.02)
+
+
+def test_errors_of_predictors_have_positive_intervals():
+    """A chart with a logarithmic axis cannot show an interval that ends below zero."""
+    errors = np.outer([0.01, 0.02, 0.03, 0.90], np.ones(len(HORIZONS)))
+    found = PredictorComparison("wall", {"hold": errors}, {}, {}, {})
+    mean, low, high = found.at("hold", 4)
+    assert mean == pytest.approx(0.24) and 0.0 < low < mean < high
 
 
 def test_a_study_that_has_hardly_begun_is_reported(tmp_path):

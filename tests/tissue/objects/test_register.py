@@ -14,12 +14,12 @@ from pydantic import model_validator
 from tissue import InputError, load_scene, register, simulate
 from tissue.cutters.profile import cylinder
 from tissue.evaluation.charts.prediction import (
-    Interval,
     PredictorComparison,
     comparison_lines,
     draw_tasks,
 )
 from tissue.evaluation.stability_report import scene_stability
+from tissue.evaluation.statistics.intervals import Interval
 from tissue.evaluation.training import HORIZONS
 from tissue.haptics.device.device import DeviceParameters, Sample
 from tissue.motion.motion import Motion

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tissue import InputError
-from tissue.perception.laws import Weber
+from tissue.perception.laws import Weber, weber_of
 from tissue.perception.observer import (
     PARAMETERS,
     Observer,
@@ -48,6 +48,30 @@ def test_a_file_gives_the_same_bits_back(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["ada.json"]
 
 
+def test_a_file_holds_exponent_and_threshold_in_plain_numbers(tmp_path):
+    """The numbers of a reader without the package agree with the observer's."""
+    path = tmp_path / "ada.json"
+    one = observer()
+    write_observer(one, path)
+    plain = json.loads(path.read_text("utf-8"))
+    assert plain["exponent"] == pytest.approx(GIVEN["beta"], rel=1e-5)
+    at_N = plain["threshold_at_N"]
+    assert plain["threshold_N"] == pytest.approx(float(weber_of(one).threshold(at_N)), rel=1e-5)
+    by_hand = plain["weber_fraction"] * (at_N + plain["offset_N"])
+    assert plain["threshold_N"] == pytest.approx(by_hand, rel=1e-5)
+
+
+def test_a_file_without_plain_numbers_is_read(tmp_path):
+    """Files of earlier versions have no plain numbers."""
+    path = tmp_path / "ada.json"
+    write_observer(observer(), path)
+    stored = json.loads(path.read_text("utf-8"))
+    for name in ("exponent", "weber_fraction", "offset_N", "threshold_at_N", "threshold_N"):
+        del stored[name]
+    path.write_text(json.dumps(stored), "utf-8")
+    assert np.array_equal(read_observer(path).mean, observer().mean)
+
+
 def test_a_file_is_never_replaced_unasked(tmp_path):
     path = tmp_path / "ada.json"
     write_observer(observer(), path)
@@ -87,6 +111,11 @@ def spoil(**changed):
         (spoil(covariance=np.triu(np.ones((6, 6))).tolist()), "covariance must be"),
         (spoil(covariance=(400.0 * np.eye(6)).tolist()), r"standard deviation .* got 20"),
         (spoil(trials=-3), "trials must be in"),
+        (spoil(exponent=1.2), r"exponent is 1\.2, but the mean gives 1\.5\. Delete exponent"),
+        (spoil(threshold_N=0.14), r"threshold_N is 0\.14, but the mean gives 0\.129"),
+        (spoil(threshold_at_N=1.0), r"threshold_N is 0\.129, but the mean gives 0\.069"),
+        (spoil(weber_fraction="high"), "weber_fraction is high, but the mean gives 0.06"),
+        (spoil(threshold_at_N=None), "threshold_at_N is None"),
     ],
 )
 def test_a_bad_file_is_refused_in_one_sentence(tmp_path, change, named):

@@ -22,12 +22,9 @@ from tissue.perception.adaptive import (
     comparisons,
     fit_magnitudes,
 )
-from tissue.perception.observer import Observer
+from tissue.perception.observer import REPORTED_N, Observer
 
 __all__ = ["Comparison", "Magnitude", "Plan", "Session", "TrialLog", "log_path", "read_log"]
-
-REPORTED_N = 2.0
-"""Force at which a threshold is reported with the Weber fraction [N]."""
 
 
 @dataclass(frozen=True, kw_only=True)

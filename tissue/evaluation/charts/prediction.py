@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
+from tissue.evaluation.statistics.intervals import Interval, mean_interval, signed_interval
 from tissue.evaluation.training import (
     HORIZONS,
     MOST_TRIALS,
@@ -36,12 +37,10 @@ if TYPE_CHECKING:
 
 __all__ = [
     "OURS",
-    "Interval",
     "PredictorComparison",
     "chart_prediction",
     "comparison_lines",
     "draw_tasks",
-    "interval",
     "predictable",
 ]
 
@@ -65,14 +64,6 @@ HEADS = {
     "training.csv": "scene,runs,error,low,high",
     "slow_model.csv": "scene,predictor,error,low,high,cost_us",
 }
-
-
-class Interval(NamedTuple):
-    """Mean over runs and its 95 % interval by Student's t."""
-
-    mean: float
-    low: float
-    high: float
 
 
 @dataclass(frozen=True)
@@ -103,23 +94,7 @@ class PredictorComparison:
 
     def at(self, kind: str, horizon_ms: int) -> Interval:
         """Return the error of a predictor at a horizon."""
-        return interval(self.errors[kind][:, HORIZONS.index(horizon_ms)])
-
-
-def interval(values: Array) -> Interval:
-    """Return the mean over the first axis of independent runs with its interval.
-
-    The interval of a single run has no width.
-    """
-    from scipy.stats import t
-
-    mean = float(values.mean())
-    count = len(values)
-    half = (
-        # two-sided 95 % interval of a mean
-        float(t.ppf(0.975, count - 1) * values.std(ddof=1) / np.sqrt(count)) if count > 1 else 0.0
-    )
-    return Interval(mean, mean - half, mean + half)
+        return signed_interval(self.errors[kind][:, HORIZONS.index(horizon_ms)])
 
 
 def _compare(scene: Scene, *, trials: int, report: Progress) -> PredictorComparison:
@@ -158,7 +133,7 @@ def _compare(scene: Scene, *, trials: int, report: Progress) -> PredictorCompari
         errors[kind] = forecast_errors(make, unseen)
         cost_us[kind] = _cost_us(make(), unseen[0])
         now = forecast_errors(make, unseen, horizons=(0,), model_ticks=SLOW_TICKS)[:, 0]
-        slow[kind] = (interval(now), model_us / SLOW_TICKS + cost_us[kind][0])
+        slow[kind] = (signed_interval(now), model_us / SLOW_TICKS + cost_us[kind][0])
     seen = []
     for index in range(max(SIZES)):
         step(f"training run {index + 1}", trials + len(PREDICTORS) + index)
@@ -169,7 +144,7 @@ def _compare(scene: Scene, *, trials: int, report: Progress) -> PredictorCompari
         fitted = fit(trained.scene, seen[:size])
         smaller = replace(trained, operator=fitted.operator)
         make = partial(trained_predictor, OURS, smaller, force_limit_N=limit_N)
-        sizes[size] = interval(
+        sizes[size] = signed_interval(
             forecast_errors(make, unseen[:SIZED_RUNS], horizons=(DELAY_MS,))[:, 0]
         )
     return PredictorComparison(trained.scene, errors, cost_us, sizes, slow)
@@ -269,7 +244,7 @@ def comparison_lines(found: Sequence[PredictorComparison]) -> list[str]:
         best = min(
             (kind for kind in PREDICTORS if kind != OURS), key=lambda kind: at_delay[kind].mean
         )
-        apart = interval((each.errors[OURS] - each.errors[best])[:, HORIZONS.index(DELAY_MS)])
+        apart = mean_interval((each.errors[OURS] - each.errors[best])[:, HORIZONS.index(DELAY_MS)])
         verdict = "not distinct from"
         if apart.high < 0.0:
             verdict = "better than"
@@ -304,8 +279,6 @@ def _write_comparisons(found: Sequence[PredictorComparison], folder: Path) -> No
             temporary.write_text("\n".join(lines) + "\n", "utf-8")
 
 
-PAPER = {"palpation": ("T1", 8.2, 3.5), "wall": ("T2", 7.1, 3.0), "milling": ("T3", 9.5, 4.2)}
-"""Task, and raw and adjusted errors [%] printed in a paper, against its own ideal force."""
 LIMIT_US = 20.0
 """Median cost of a prediction that is aimed at [us]."""
 
@@ -361,31 +334,24 @@ def _whiskers(axes: "Axes", x: float, at: Interval, *, color: str, fmt: str) -> 
 
 
 def draw_tasks(found: Sequence[PredictorComparison], path: Path) -> None:
-    """Draw the error of every predictor at 4 ms on every scene, next to the paper's errors."""
-    # inches: 1.9 for the bars of a scene, and at least the width of the legend
+    """Draw the error of every predictor at 4 ms on every scene, with its 95 % interval."""
+    # inches: 1.9 for the points of a scene, and at least the width of the legend
     chart = figure(max(1.9 * len(found) + 1.6, 6.0), 4.4)
     chart.set_layout_engine("constrained")
     axes = chart.subplots()
-    # a group of bars takes 0.8 of its unit: a bar for each predictor, and two stars of the paper
-    width = 0.8 / (len(PREDICTORS) + 2)
-    places = np.arange(len(found)) - 0.4 + 0.5 * width
+    # the points of a group take 0.7 of its unit, so that groups are apart
+    width = 0.7 / len(PREDICTORS)
+    places = np.arange(len(found)) - 0.35 + 0.5 * width
     for index, kind in enumerate(PREDICTORS):
+        look = PREDICTORS[kind]
         mean, low, high = 100 * np.array([each.at(kind, DELAY_MS) for each in found]).T
         along = places + index * width
-        axes.bar(along, mean, width, color=PREDICTORS[kind].colour, label=kind)
-        axes.vlines(along, low, high, color="0.1")
-    names = []
-    for place, each in zip(places, found, strict=True):
-        task, *printed = PAPER.get(each.scene, ("", np.nan, np.nan))
-        for index, (value, fill) in enumerate(zip(printed, ("none", "0.1"), strict=True)):
-            along = place + (len(PREDICTORS) + index) * width
-            axes.plot(along, value, "*", color="0.1", markerfacecolor=fill)
-        names.append(f"{task} {each.scene}".strip())
-    label = "force error 4 ms ahead / %"
-    axes.set_title("open and full stars: paper, raw and adjusted")
+        axes.vlines(along, low, high, color=look.colour)
+        axes.plot(along, mean, look.marker, color=look.colour, label=kind)
+    label = "force error 4 ms ahead / %, 95 % interval"
+    names = [each.scene for each in found]
     axes.set(xticks=range(len(found)), xticklabels=names, ylabel=label, yscale="log")
     plain_numbers(axes.yaxis)
     axes.grid(axis="y", which="both", alpha=0.3)
-    axes.set_axisbelow(True)
-    chart.legend(loc="outside upper center", ncols=5, frameon=False)
+    chart.legend(loc="outside upper center", ncols=3, frameon=False)
     save(chart, path)

@@ -21,10 +21,11 @@ from tissue.evaluation.calibration.observers import (
 )
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.folder import StudyFolder
+from tissue.evaluation.study.plan import PERSONAL
 from tissue.evaluation.study.section import (
     Section,
     drawing,
-    grouped_bars,
+    grouped_points,
     image,
     legend,
     methods_of,
@@ -232,7 +233,7 @@ def discrimination_section(folder: StudyFolder, table: TrialTable, seed: int) ->
             people = people_of(group, seed)
             d, right = (float(each.mean()) for each in found[method].felt_by(people))
             levels = [found[method].less.stimulus, found[method].more.stimulus]
-            softer, stiffer = (f"{each.level_N:.3f} ± {each.scatter_N:.3f}" for each in levels)
+            softer, stiffer = (f"{each.level_N:.3f} (SD {each.scatter_N:.3f})" for each in levels)
             row = {
                 "what": what,
                 "group": group,
@@ -279,7 +280,7 @@ def case_table(folder: StudyFolder, task: str) -> TrialTable | None:
 
 def _sentences(changes: Mapping[tuple[str, str, str], Array]) -> tuple[list[str], str]:
     """Return the findings and the main finding from the changes by pair, group and method."""
-    short = []
+    headline = ""
     sentences = [
         f"Right answers of {PEOPLE} simulated people of each group in two intervals, 50 % being "
         "chance. Forces are those that reach the hand in the runs of each method: after latency, "
@@ -293,12 +294,14 @@ def _sentences(changes: Mapping[tuple[str, str, str], Array]) -> tuple[list[str]
         if np.isfinite(percent).any():
             shares = f" ({np.nanmin(percent[0]):+.0f} to {np.nanmax(percent[0]):+.0f} %)"
         move = f"by {d[0].min():+.2f} to {d[0].max():+.2f}{shares}"
-        short.append(f"under {method} {move}")
+        # the main finding is the change by scaling for a person
+        if method in PERSONAL:
+            headline = f"{method} changes the sensitivity d′ at the skin {move} against {PLAIN}."
         sentences.append(
             f"{method} changes d′ {move} against {PLAIN} and right answers by "
             f"{right[0].min():+.1f} to {right[0].max():+.1f} points; by its interval d′ is greater "
             f"in {(d[1] > 0.0).sum()} and smaller in {(d[2] < 0.0).sum()} of {len(part)} pairs and "
-            "groups; the paper prints +18 to +22 %."
+            "groups."
         )
     weak = dict.fromkeys(key[0] for key, each in changes.items() if not np.isfinite(each[1, 0]))
     if weak:
@@ -306,8 +309,7 @@ def _sentences(changes: Mapping[tuple[str, str, str], Array]) -> tuple[list[str]
             f"No change in percent is given for {', '.join(weak)}: under {PLAIN} d′ is below "
             f"{LEAST_D} there, so that hardly anybody discriminates the two by force."
         )
-    headline = f"Sensitivity d′ at the skin changes against {PLAIN} {', '.join(short)}."
-    return sentences, headline if short else ""
+    return sentences, headline
 
 
 def _right_answers(rows: Sequence[Mapping[str, str]]) -> bytes:
@@ -317,9 +319,9 @@ def _right_answers(rows: Sequence[Mapping[str, str]]) -> bytes:
     for row in rows:
         place = names.index(row["what"]), row["method"]
         shown.setdefault(place, []).append(float(row["right %"]))
-    bars = {place: (float(np.mean(each)), min(each), max(each)) for place, each in shown.items()}
+    points = {place: (float(np.mean(each)), min(each), max(each)) for place, each in shown.items()}
     figure, (axes,) = drawing(11.0, 4.4)
-    grouped_bars(axes, ["\n".join(wrap(name, WIDEST)) for name in names], bars)
+    grouped_points(axes, ["\n".join(wrap(name, WIDEST)) for name in names], points)
     axes.axhline(50.0, color="black", ls=":")
     # 50 % is chance, and a method may lie below it by the sampling of trials
     axes.set_ylim(40.0, 100.0)

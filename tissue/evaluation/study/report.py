@@ -4,7 +4,6 @@ import tomllib
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from html import escape
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +43,12 @@ __all__ = ["found_section", "registration_section", "sections_of", "write_report
 
 
 WIDE = ".wide { overflow-x: auto; } .wide td { overflow-wrap: break-word; }"
+HEADLINES = ("registration", "force", "discrimination", "case-needle", "latency")
+"""Sections whose main findings begin the report, the most important first."""
+MOST_HEADLINES = 4
+PICTURES = ("force", "discrimination", "case-needle", "tasks", "sensitivity", "pairs")
+"""Sections whose pictures begin the report, the most important first."""
+MOST_PICTURES = 3
 NAMED = 5
 """Names that a row gives before it stops."""
 Difference = tuple[str, str, str]
@@ -140,22 +145,36 @@ def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Secti
 
 
 def found_section(sections: Sequence[Section]) -> Section:
-    """Return the first section: the headlines of the others, and how many figures agree with the
-    published ones.
+    """Return the first section: at most five sentences and three pictures of the other sections.
+
+    The last sentence states how many figures agree with the published ones.
     """
+    named = {each.name: each for each in sections}
+    headlines = [named[name].headline for name in HEADLINES if name in named]
+    # an empty headline: the section has no finding
+    headlines = [each for each in headlines if each][:MOST_HEADLINES]
+    pictured = [named[name] for name in PICTURES if name in named and named[name].picture]
+    gallery = {each.title: each.picture for each in pictured[:MOST_PICTURES]}
+    sentences = (*headlines, _agreement(sections))
+    return Section("found", "What was found", sentences, gallery=gallery)
+
+
+def _agreement(sections: Sequence[Section]) -> str:
+    """Return how many figures were compared with published ones, and which of them disagree."""
     compared = 0
     apart = []
     for section in sections:
-        for row, column in product(section.table, section.header):
-            found = row.get(column, "") if column.endswith("against paper") else ""
-            compared += bool(found)
-            if found not in ("", "agrees"):
+        for row in section.table:
+            verdict = row.get("against paper", "")
+            compared += bool(verdict)
+            if verdict not in ("", "agrees"):
                 first, second, *_ = row.values()
-                apart.append(f"{section.title.lower()} {first} {second} {found}")
-    papers = f"Of {compared} figures compared with the paper, {compared - len(apart)} agree"
-    papers += f"; the first that do not: {', '.join(apart[:NAMED])}." if apart else "."
-    headlines = [each.headline for each in sections if each.headline]
-    return Section("found", "What was found", (*headlines, papers))
+                apart.append(f"{section.title.lower()} {first} {second} ({verdict})")
+    text = (
+        f"Of {compared} figures compared with the paper, {compared - len(apart)} agree within the "
+        "standard deviations of both"
+    )
+    return text + (f"; the first that do not: {', '.join(apart[:NAMED])}." if apart else ".")
 
 
 def _overview(folder: StudyFolder) -> Section:
@@ -168,6 +187,9 @@ def _overview(folder: StudyFolder) -> Section:
             "task": task,
             "what": TASKS[task].title,
             "scene and changes": _describe(task),
+            "compared with the paper": f"no: {TASKS[task].differs}"
+            if TASKS[task].differs
+            else "yes",
             "trials": ", ".join(f"{group} {counts[task, group]}" for group in plan.groups),
         }
         for task in plan.tasks
@@ -180,7 +202,8 @@ def _overview(folder: StudyFolder) -> Section:
         f"{USERS} simulated people a group differ in pace, exponent and threshold, groups in hand "
         "and threshold. No person took part, and nothing here is a measure of physical fidelity: "
         "forces are held against the engine's own ideal, as the paper's are against its own.",
-        f"Figures of the paper: {SOURCE}. Chosen after results had been seen: "
+        f"Figures of the paper: {SOURCE}. Tasks are compared with it that meet all conditions that "
+        "it states; it states no geometry, tool or path. Chosen after results had been seen: "
         f"{'; '.join(CHOSEN_AFTER)}.",
     ]
     if empty:
@@ -228,13 +251,12 @@ def registration_section(folder: StudyFolder, tests: Sequence[Section]) -> Secti
     newest = folder.registrations()[-1]
     before = newest["trials_before"]
     when = f"after {before} trials" if before else "before the first trial"
-    differs = "Nothing differs from it."
+    differs = "nothing differs from it"
     if found:
         kinds = ", ".join(dict.fromkeys(kind for kind, _, _ in found))
-        differs = f"{len(found)} differences from it: {kinds}."
-    headline = (
-        f"{newest['file']} was registered {when} (SHA-256 {str(newest['sha256'])[:16]}). {differs}"
-    )
+        differs = f"{len(found)} differences from it: {kinds}"
+    digits = str(newest["sha256"])[:16]
+    headline = f"{newest['file']} was registered {when} (SHA-256 {digits}); {differs}."
     limits = (
         "Hashes find slips and changes made in passing; they prove nothing against a person who "
         "computes them anew, which a copy of the plan in other hands would."
@@ -377,7 +399,9 @@ def _parameters(plan: Plan) -> Section:
 def _as_html(section: Section, file: str) -> str:
     """Return one section as HTML, with a link to the file that holds its table."""
     text = "".join(f'<p class="verdict">{escape(each)}</p>\n' for each in section.sentences)
-    picture = html_picture(section.title, section.picture) if section.picture else ""
+    shown = html_picture(section.title, section.picture) if section.picture else ""
+    for title, picture in section.gallery.items():
+        shown += f'<p class="soft">{escape(title)}</p>\n{html_picture(title, picture)}'
     table = ""
     if section.rows:
         head = "".join(f"<th>{escape(each)}</th>" for each in section.header)
@@ -389,5 +413,5 @@ def _as_html(section: Section, file: str) -> str:
         table += f'<p class="soft">Data: <a href="{escape(file)}">{escape(file)}</a></p>'
     return (
         "<section "
-        f'id="{escape(section.name)}"><h2>{escape(section.title)}</h2>\n{text}{picture}{table}</section>'
+        f'id="{escape(section.name)}"><h2>{escape(section.title)}</h2>\n{text}{shown}{table}</section>'
     )

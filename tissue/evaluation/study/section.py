@@ -3,7 +3,7 @@
 import csv
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from matplotlib.figure import Figure as Drawing
 
 from meshes.base.arrays import Array
 from meshes.base.whole_file import whole_file
+from tissue.evaluation.statistics.intervals import Interval, signed_interval
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.plan import METHODS, TASKS
 
@@ -20,22 +21,21 @@ __all__ = [
     "CASES",
     "CHOSEN_AFTER",
     "COLOURS",
-    "COMPOSITE",
     "FORCE_ERROR",
-    "LATENCY",
+    "POSITION_ERROR_MM",
+    "PRINTED",
     "SOURCE",
-    "TASK_METRICS",
     "Figure",
     "Section",
     "against",
-    "agreement",
     "drawing",
-    "grouped_bars",
+    "grouped_points",
     "image",
     "interval_by_users",
     "legend",
     "methods_of",
     "parts_of",
+    "published",
     "spread",
     "tasks_of",
 ]
@@ -70,10 +70,11 @@ class Figure:
     spread: float = 0.0
 
     def __str__(self) -> str:
-        return f"{self.mean:g} ± {self.spread:g}" if self.spread else f"{self.mean:g}"
+        return f"{self.mean:g} (SD {self.spread:g})" if self.spread else f"{self.mean:g}"
 
 
 PRINTED = ("penalty", "koopman", "koopman-perception")
+"""Methods with published force errors."""
 FORCE_ERROR = {
     task: dict(zip(PRINTED, map(Figure, means, spreads), strict=True))
     for task, means, spreads in (
@@ -86,32 +87,10 @@ FORCE_ERROR = {
 
 The columns of the paper are raw, Koopman-adjusted and perceptual.
 """
-TASK_METRICS = {
-    task: {"time_s": time, "position_error_mm": position, "smoothness": smoothness}
-    for task, time, position, smoothness in (
-        ("T1", Figure(14.2, 1.8), Figure(0.71, 0.12), Figure(0.92, 0.03)),
-        ("T2", Figure(12.5, 1.2), Figure(0.63, 0.10), Figure(0.95, 0.02)),
-        ("T3", Figure(18.3, 2.1), Figure(0.85, 0.15), Figure(0.88, 0.04)),
-    )
-}
-"""Completion time [s], position error [mm] and smoothness index in the paper.
-
-The index is printed as if higher were better.
-"""
-LATENCY = Figure(4.3)
-"""Mean latency [ms]."""
-COMPOSITE = {"penalty": Figure(0.72, 0.05), "koopman-perception": Figure(0.91, 0.03)}
-"""Composite index."""
-CASES = {
-    "overshoot_penalty_mm": Figure(1.34, 0.21),
-    "overshoot_koopman_mm": Figure(0.92, 0.15),
-    "reaming_rms_N": Figure(2.5),
-    "reaming_position_mm": Figure(0.1),
-    "torque_step_Nm": Figure(0.08),
-    "caries_right_percent": Figure(92.0),
-    "drilling_latency_ms": Figure(4.5),
-}
-"""Published results of the case studies. Errors of reaming and the latency are upper bounds."""
+POSITION_ERROR_MM = {"T1": Figure(0.71, 0.12), "T2": Figure(0.63, 0.10), "T3": Figure(0.85, 0.15)}
+"""Position error [mm] in the paper."""
+CASES = {"reaming_rms_N": Figure(2.5), "torque_step_Nm": Figure(0.08)}
+"""Published results of the case studies. The error of reaming is an upper bound."""
 
 ROUNDED = 0.05
 """Relative tolerance of a published figure without a spread, for the rounding of two digits."""
@@ -143,6 +122,8 @@ class Section:
         PNG picture. May be empty.
     headline
         Main finding in one sentence, for the first section of the report.
+    gallery
+        PNG pictures by title, in addition to that of the section.
     """
 
     name: str
@@ -151,6 +132,7 @@ class Section:
     table: Sequence[Mapping[str, str]] = ()
     picture: bytes = b""
     headline: str = ""
+    gallery: Mapping[str, bytes] = field(default_factory=dict)
 
     @property
     def header(self) -> tuple[str, ...]:
@@ -177,15 +159,19 @@ class Section:
 
 
 def spread(values: Array, digits: int = 2) -> str:
-    """Return mean and standard deviation as text."""
-    return f"{values.mean():.{digits}f} ± {_deviation(values):.{digits}f}"
+    """Return mean and standard deviation as text.
+
+    The text has no sign ±, because mean minus standard deviation can lie below zero where no value
+    does.
+    """
+    return f"{values.mean():.{digits}f} (SD {_deviation(values):.{digits}f})"
 
 
 def _deviation(values: Array) -> float:
     return float(values.std(ddof=1)) if len(values) > 1 else 0.0
 
 
-def agreement(ours: Array, paper: Figure) -> str:
+def _agreement(ours: Array, paper: Figure) -> str:
     """Return the agreement of two means.
 
     The text is "agrees" if they lie within the standard deviation of their difference, otherwise
@@ -194,15 +180,19 @@ def agreement(ours: Array, paper: Figure) -> str:
     reach = np.hypot(_deviation(ours), paper.spread or ROUNDED * paper.mean)
     if abs(ours.mean() - paper.mean) <= reach:
         return "agrees"
-    return f"{ours.mean() / paper.mean:.2f} of it"
+    return f"{ours.mean() / paper.mean:.2f} of the paper's"
 
 
 def against(ours: Array, paper: Figure | None, unit: str) -> dict[str, str]:
-    """Return the published figure and the agreement with it, both empty if there is none."""
-    return {
-        f"paper {unit}": str(paper or ""),
-        "against paper": agreement(ours, paper) if paper else "",
-    }
+    """Return the published figure and the agreement with it; nothing if there is no such figure."""
+    if paper is None:
+        return {}
+    return {f"paper {unit}": str(paper), "against paper": _agreement(ours, paper)}
+
+
+def published(task: str, figure: Figure | None) -> Figure | None:
+    """Return a published figure of a task, or None if the task differs from that of the paper."""
+    return None if TASKS[task].differs else figure
 
 
 def tasks_of(table: TrialTable) -> list[str]:
@@ -221,22 +211,11 @@ def parts_of(table: TrialTable) -> dict[tuple[str, str], TrialTable]:
     return {(task, method): table.where(task=task, method=method) for task, method in pairs}
 
 
-def interval_by_users(table: TrialTable, metric: str) -> tuple[float, float, float]:
-    """Return the mean of users' means of a metric under one method.
-
-    Its 95 % t interval over users is returned too.
-    """
-    from scipy.stats import ttest_1samp
-
-    people, person = np.unique(table.people(), return_inverse=True)
+def interval_by_users(table: TrialTable, metric: str) -> Interval:
+    """Return the mean of users' means of a metric under one method, with its 95 % interval."""
+    _, person = np.unique(table.people(), return_inverse=True)
     means = np.bincount(person, table.values(metric)) / np.bincount(person)
-    centre = float(means.mean())
-    # one person has no interval
-    if len(people) < 2:
-        return centre, centre, centre
-    # the interval does not depend on the tested mean of zero
-    low, high = ttest_1samp(means, 0.0).confidence_interval(0.95)
-    return centre, float(low), float(high)
+    return signed_interval(means)
 
 
 def drawing(width: float, height: float, columns: int = 1) -> tuple[Drawing, list[Axes]]:
@@ -248,41 +227,44 @@ def drawing(width: float, height: float, columns: int = 1) -> tuple[Drawing, lis
     return figure, axes.tolist()
 
 
-def grouped_bars(
+def grouped_points(
     axes: Axes,
     groups: Sequence[str],
-    bars: Mapping[tuple[int, str], Sequence[float]],
+    points: Mapping[tuple[int, str], Sequence[float]],
     papers: Mapping[tuple[int, str], Figure] | None = None,
 ) -> None:
-    """Draw one bar with an error line for each group and method.
+    """Draw one point with an interval for each group and method.
 
     The published figures are drawn as diamonds.
 
     Parameters
     ----------
     axes
-        Axes for the bars.
+        Axes for the points.
     groups
         Labels of the groups along the axis.
-    bars
+    points
         Value, low and high end by the group's index and the method.
     papers
         Published figures by the group's index and the method.
     """
-    methods = list(dict.fromkeys(method for _, method in bars))
-    # the bars of a group take 0.84 of its unit, each bar 0.92 of its share: gaps on both sides
-    width = 0.84 / len(methods)
+    methods = list(dict.fromkeys(method for _, method in points))
+    # the points of a group take 0.7 of its unit, so that groups are apart
+    width = 0.7 / len(methods)
     middle = 0.5 * (len(methods) - 1)
     for method in methods:
         shift = width * (methods.index(method) - middle)
-        mine = {index + shift: bar for (index, name), bar in bars.items() if name == method}
+        mine = {index + shift: point for (index, name), point in points.items() if name == method}
         values, lows, highs = np.array(list(mine.values())).T
-        axes.bar(list(mine), values, 0.92 * width, color=COLOURS[method], label=method)
-        axes.vlines(list(mine), lows, highs, color="#333333")
+        axes.vlines(list(mine), lows, highs, color=COLOURS[method], linewidth=2)
+        axes.plot(list(mine), values, "o", color=COLOURS[method], label=method)
     for (index, method), paper in (papers or {}).items():
-        place = index + width * (methods.index(method) - middle)
-        axes.errorbar(place, paper.mean, paper.spread, fmt="D", color="black")
+        # a third of the distance of two points to the right, so that both marks are visible
+        place = index + width * (methods.index(method) - middle + 0.33)
+        axes.errorbar(place, paper.mean, paper.spread, fmt="D", color="black", markersize=4)
     axes.set_xticks(range(len(groups)), groups)
+    axes.set_xlim(-0.5, len(groups) - 0.5)
+    axes.grid(axis="y", alpha=0.3)
 
 
 def legend(figure: Drawing, axes: Axes) -> None:

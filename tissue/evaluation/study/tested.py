@@ -21,7 +21,7 @@ from tissue.evaluation.statistics.mixed import trial_regression
 from tissue.evaluation.statistics.strata import manova
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.plan import COMPARED, DIRECTIONS, USERS
-from tissue.evaluation.study.section import COMPOSITE, Section, drawing, image, methods_of, tasks_of
+from tissue.evaluation.study.section import Section, drawing, image, methods_of, tasks_of
 
 __all__ = ["statistics_sections", "tests_sections"]
 
@@ -246,12 +246,7 @@ def _composite(table: TrialTable, rng: np.random.Generator) -> Content:
     rows = [
         {"what": "weight", "name": each.name} | _interval(each, ".3f") for each in index.weights
     ]
-    rows += [
-        {"what": "mean", "name": each.name}
-        | _interval(each, ".3f")
-        | {"paper": str(COMPOSITE.get(each.name, ""))}
-        for each in index.means
-    ]
+    rows += [{"what": "mean", "name": each.name} | _interval(each, ".3f") for each in index.means]
     order = [each.name for each in sorted(index.means, key=lambda each: -each.value)]
     sentences = [
         index.sentence,

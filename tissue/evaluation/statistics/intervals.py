@@ -1,0 +1,56 @@
+"""95 % intervals of a mean over independent units, such as runs or people."""
+
+from math import exp
+from typing import NamedTuple
+
+import numpy as np
+
+from meshes.base.arrays import Array
+
+__all__ = ["Interval", "mean_interval", "signed_interval"]
+
+
+class Interval(NamedTuple):
+    """Mean over units and the ends of its 95 % interval."""
+
+    mean: float
+    low: float
+    high: float
+
+
+def mean_interval(values: Array) -> Interval:
+    """Return the mean over the first axis with its symmetric interval by Student's t.
+
+    Use it for values of both signs, such as differences. The interval of a single unit has no
+    width.
+    """
+    mean = float(values.mean())
+    half = _half_width(values)
+    return Interval(mean, mean - half, mean + half)
+
+
+def signed_interval(values: Array) -> Interval:
+    """Return the mean over the first axis with an interval that keeps the sign of the values.
+
+    The t interval is computed for the logarithm of the mean, whose standard error is that of the
+    mean over the mean (delta method). Errors and times are positive, and a symmetric interval of a
+    few skewed values can end below zero. Values of both signs have the symmetric interval.
+    """
+    mean = float(values.mean())
+    if not ((values > 0.0).all() or (values < 0.0).all()):
+        return mean_interval(values)
+    # A half width of a hundred times the mean means that nothing is known.
+    factor = exp(min(_half_width(values) / abs(mean), 100.0))
+    low, high = sorted((mean / factor, mean * factor))
+    return Interval(mean, low, high)
+
+
+def _half_width(values: Array) -> float:
+    """Return half of the width of the 95 % t interval."""
+    from scipy.stats import t
+
+    count = len(values)
+    if count < 2:
+        return 0.0
+    # two-sided 95 % interval of a mean
+    return float(t.ppf(0.975, count - 1) * values.std(ddof=1) / np.sqrt(count))
