@@ -37,7 +37,9 @@ assert abs(figures["peak_force_N"]["trainee"] - 35.2) < 0.7
 assert abs(figures["peak_force_N"]["reference"] - 27.1) < 0.6
 forces = [each for each in found.breaches if each.what == "force"]
 assert len(forces) == 1 and abs(forces[0].worst_at_s - 0.62) < 0.02
-assert found.steadiness.score < 40.0 < 80.0 < tissue.assess(expert, novice).steadiness.score
+hands = found.steadiness, tissue.assess(expert, novice).steadiness
+assert hands[0] is not None and hands[0].score < 40.0
+assert hands[1] is not None and hands[1].score > 80.0
 
 # %%
 # Over time, the trainee, the reference at the same place, and the limits with the spans in which
