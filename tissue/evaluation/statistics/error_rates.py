@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import combinations
 
 import numpy as np
@@ -9,7 +10,6 @@ from numpy.typing import NDArray
 from scipy.stats import binomtest, studentized_range
 
 from meshes.base.arrays import Array, Ints
-from tissue.evaluation.statistics.hpi import drawn_users
 from tissue.evaluation.statistics.hypothesis_test import ALPHA, LEVEL, Effect
 from tissue.evaluation.statistics.sign_flips import pair_scores, sign_test_p
 from tissue.evaluation.statistics.strata import group_means, pillai, scores_of, strata
@@ -65,10 +65,15 @@ def redrawn_power(
 ) -> tuple[Power, ...]:
     """Estimate the error rates with users redrawn from a study of any distribution.
 
-    The null hypothesis is made true by subtracting the means of each group and method. The
-    residuals of n users are scaled by sqrt(n / (n - 1)), since redrawn users vary less than new
-    ones by this factor. Power refers to an effect of the measured size, which includes the error of
-    the measurement. The power is too high if the true effect is zero or small.
+    The null hypothesis is made true by subtracting the means of each group and method. Users are
+    drawn from a smoothed distribution of the residuals (Silverman and Young 1987): a drawn user is
+    one of the group, plus normal noise of the group's covariance. Without the noise, ten users
+    repeat so often that sign flips seem to raise too many false alarms. In 25 normal studies with a
+    true rate of 4.5 to 5.3 %, the estimate is 4.9 to 5.8 %, and without the noise 5.4 to 10.2 %. F
+    is estimated as 7 % where it holds 5 %, since the covariance of ten users is never spherical.
+
+    Power refers to an effect of the measured size, which includes the error of the measurement. The
+    power is too high if the true effect is zero or small.
 
     Parameters
     ----------
@@ -82,22 +87,66 @@ def redrawn_power(
     """
     order = np.argsort(cells[0].groups, kind="stable")
     groups = cells[0].groups[order]
-    values = np.stack([each.values[order] / each.values.std() for each in cells])
-    means = group_means(values, groups)[:, groups]
-    counts = np.bincount(groups)[groups][:, None]
-    null = (values - means) * np.sqrt(counts / (counts - 1.0))
-    drawn = drawn_users(groups, populations, rng)
-    planted = means + null
-    found = rejection_rates(null[0][drawn], planted[0][drawn], groups, rng=rng)
-    if len(cells) > 1:
-        # from (metrics, populations, users, methods)
-        both = (np.moveaxis(each[:, drawn], 0, 1) for each in (null, planted))
-        found += joint_rates(*both, groups, rng=rng)
+    # metrics are scaled, so that they can share a covariance
+    values = np.stack([each.values[order] / each.values.std() for each in cells], axis=1)
+    users, metrics, methods = values.shape
+    flat = values.reshape(users, metrics * methods)
+    means = group_means(flat, groups)[groups]
+    null = _drawn(flat - means, groups, populations, rng)
+    shape = (populations, users, metrics, methods)
+    null = np.moveaxis(null.reshape(shape), 2, 1)
+    planted = null + np.moveaxis(means.reshape(shape[1:]), 1, 0)
+    found = rejection_rates(null[:, 0], planted[:, 0], groups, rng=rng)
+    if metrics > 1:
+        found += joint_rates(null, planted, groups, rng=rng)
     return found
 
 
+def _drawn(residuals: Array, groups: Ints, populations: int, rng: np.random.Generator) -> Array:
+    """Draw users from the smoothed residuals of their group.
+
+    Parameters
+    ----------
+    residuals
+        Residuals about the means of groups, shape (users, columns), in the order of groups.
+    groups
+        Group of every user, shape (users,).
+    populations
+        Number of populations.
+    rng
+        Generator of users and noise.
+
+    Returns
+    -------
+    Array
+        Shape (populations, users, columns). The covariance is the unbiased one of each group.
+    """
+    columns = residuals.shape[1]
+    parts = []
+    for count in np.bincount(groups):
+        # Silverman (1986, equation 4.14), in standard deviations of the group
+        width = (4.0 / ((columns + 2.0) * count)) ** (1.0 / (columns + 4.0))
+        drawn = np.eye(count)[rng.integers(count, size=(populations, count))]
+        noise = rng.standard_normal((populations, count, count))
+        # a drawn residual has the variance (n - 1) / n of the unbiased one, noise needs 1 / (n - 1)
+        weights = count**0.5 * drawn + width * noise
+        parts.append(weights / ((count - 1.0) * (1.0 + width**2)) ** 0.5)
+    found = []
+    start = 0
+    for weights in parts:
+        stop = start + weights.shape[1]
+        found.append(weights @ residuals[start:stop])
+        start = stop
+    return np.concatenate(found, axis=1)
+
+
 def rejection_rates(
-    null: Array, planted: Array, groups: Ints, *, rng: np.random.Generator
+    null: Array,
+    planted: Array,
+    groups: Ints,
+    *,
+    rng: np.random.Generator,
+    questions: Sequence[str] = tuple(QUESTIONS),
 ) -> tuple[Power, ...]:
     """Return the shares of populations in which each test of one metric rejects.
 
@@ -109,10 +158,12 @@ def rejection_rates(
         Group of every user, shape (users,).
     rng
         Generator of the sign flips.
+    questions
+        Questions to answer, if the design can answer them.
     """
     found: list[Power] = []
     sizes = (null.shape[-1],)
-    for question, (chosen, between) in _asked(null.shape[-1], groups):
+    for question, (chosen, between) in _asked(questions, null.shape[-1], groups):
 
         def by_signs(values: Array) -> Rejects:
             scores = pair_scores(values, sizes, chosen)  # noqa: B023 called here
@@ -137,7 +188,12 @@ def rejection_rates(
 
 
 def joint_rates(
-    null: Array, planted: Array, groups: Ints, *, rng: np.random.Generator
+    null: Array,
+    planted: Array,
+    groups: Ints,
+    *,
+    rng: np.random.Generator,
+    questions: Sequence[str] = ("method", "group"),
 ) -> tuple[Power, ...]:
     """Return the shares of populations in which each test of several metrics together rejects.
 
@@ -150,13 +206,15 @@ def joint_rates(
         Group of every user, shape (users,).
     rng
         Generator of the sign flips.
+    questions
+        Questions to answer, if the design can answer them.
     """
     found: list[Power] = []
     metrics, users, methods = null.shape[1:]
-    for question, (chosen, between) in _asked(methods, groups):
+    for question, (chosen, between) in _asked(questions, methods, groups):
         width = metrics * (methods - 1 if chosen else 1)
-        # the interaction is not tested on several metrics, and Pillai's trace needs enough users
-        if (chosen and between) or users - int(groups.max()) - 1 <= width:
+        # Pillai's trace needs enough users
+        if users - int(groups.max()) - 1 <= width:
             continue
 
         def by_signs(values: Array) -> Rejects:
@@ -172,14 +230,22 @@ def joint_rates(
     return tuple(found)
 
 
-def _asked(methods: int, groups: Ints) -> list[tuple[str, tuple[tuple[int, ...], bool]]]:
+def _asked(
+    questions: Sequence[str], methods: int, groups: Ints
+) -> list[tuple[str, tuple[tuple[int, ...], bool]]]:
     """Return the questions that a design with these methods and groups can answer."""
-    one_group = groups.max() == 0
-    return [
-        (question, (chosen, between))
-        for question, (chosen, between) in QUESTIONS.items()
-        if not (between and one_group) and not (chosen and methods < 2)
-    ]
+    found = []
+    for question in questions:
+        chosen, between = QUESTIONS[question]
+        if not (between and groups.max() == 0) and not (chosen and methods < 2):
+            found.append((question, (chosen, between)))
+    return found
+
+
+@lru_cache(maxsize=64)
+def _critical_range(levels: int, degrees: int) -> float:
+    """Return the critical value of the studentised range, which takes 0.3 s."""
+    return float(studentized_range.ppf(LEVEL, levels, degrees))
 
 
 def _joined(scores: Array) -> Array:
@@ -209,7 +275,7 @@ def _tukey_levels(values: Array, groups: Ints) -> Rejects:
     counts = np.bincount(groups)
     means = group_means(values, groups).mean(axis=-2)
     error = np.sqrt(found.error_square * (1.0 / counts).sum() / len(counts) ** 2)
-    critical = studentized_range.ppf(LEVEL, values.shape[-1], found.degrees[1])
+    critical = _critical_range(values.shape[-1], found.degrees[1])
     return np.asarray(np.ptp(means, axis=-1) >= critical * error)
 
 
@@ -222,7 +288,7 @@ def _tukey_groups(values: Array, groups: Ints) -> Rejects:
     means = group_means(values[..., None], groups)[..., 0]
     below = len(groups) - len(counts)
     square = ((values - means[..., groups]) ** 2).sum(axis=-1) / below
-    critical = studentized_range.ppf(LEVEL, len(counts), below)
+    critical = _critical_range(len(counts), below)
     found = np.zeros(len(values), dtype=bool)
     for first, second in combinations(range(len(counts)), 2):
         error = np.sqrt(0.5 * square * (1.0 / counts[first] + 1.0 / counts[second]))

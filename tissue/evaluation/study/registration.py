@@ -63,8 +63,8 @@ MOST_PEOPLE = 200
 POPULATIONS = 20_000
 """Simulated studies for a power.
 
-At 5 % of one of 54 tests, 19 of them reach the critical value. Its uncertainty changes a power of 0.8
-by 0.02 (standard deviation of 12 repetitions), and the planned number of people by up to 2 of 35.
+At 5 % of one of 54 tests, 19 of them reach the critical value. Its uncertainty changes a power of
+0.8 by 0.02 (standard deviation of 12 repetitions), and 35 planned people by up to 2.
 """
 PARTS = 20
 """Number of parts of a simulation, which bounds its memory to some 20 MB."""
