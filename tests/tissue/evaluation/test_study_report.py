@@ -105,9 +105,9 @@ def test_the_report_finds_what_was_planted(study):
         (row["task"], row["question"], row["test"]): row
         for row in rows_of(page.parent / "power.csv")
     }
-    # three standard errors of 2,000 populations about 5 %, and one point for residuals that repeat
+    # three standard errors of 2,000 populations about 5 %, and one point for the smoothed residuals
     assert 2.5 < float(rates["T2", "method", "sign flips"]["type I %"]) < 7.5
-    assert ("T1", "method, 3 metrics", "MANOVA, Pillai's trace") in rates
+    assert ("T1", "group, 3 metrics", "sign flips") in rates
     sources = {
         (row["of"], row["parameter"]): row["source"]
         for row in rows_of(page.parent / "parameters.csv")

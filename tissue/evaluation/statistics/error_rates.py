@@ -1,6 +1,6 @@
 """Rejection rates of the tests of a study, with and without an effect."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations
@@ -78,8 +78,7 @@ def redrawn_power(
     Parameters
     ----------
     cells
-        Means of metrics by one factor within users. The first metric is tested alone. Two metrics
-        or more are also tested together.
+        Means of metrics by one factor within users. Several metrics are tested together.
     rng
         Generator that draws users and signs.
     populations
@@ -96,10 +95,9 @@ def redrawn_power(
     shape = (populations, users, metrics, methods)
     null = np.moveaxis(null.reshape(shape), 2, 1)
     planted = null + np.moveaxis(means.reshape(shape[1:]), 1, 0)
-    found = rejection_rates(null[:, 0], planted[:, 0], groups, rng=rng)
     if metrics > 1:
-        found += joint_rates(null, planted, groups, rng=rng)
-    return found
+        return joint_rates(null, planted, groups, rng=rng)
+    return rejection_rates(null[:, 0], planted[:, 0], groups, rng=rng)
 
 
 def _drawn(residuals: Array, groups: Ints, populations: int, rng: np.random.Generator) -> Array:
@@ -213,9 +211,6 @@ def joint_rates(
     metrics, users, methods = null.shape[1:]
     for question, (chosen, between) in _asked(questions, methods, groups):
         width = metrics * (methods - 1 if chosen else 1)
-        # Pillai's trace needs enough users
-        if users - int(groups.max()) - 1 <= width:
-            continue
 
         def by_signs(values: Array) -> Rejects:
             scores = _joined(pair_scores(values, (methods,), chosen))  # noqa: B023 called here
@@ -225,7 +220,12 @@ def joint_rates(
             scores = _joined(scores_of(values, (methods,), chosen))  # noqa: B023
             return pillai(scores, groups, between=between).p <= ALPHA  # noqa: B023
 
-        tests = {"sign flips": by_signs, "MANOVA, Pillai's trace": by_pillai}
+        tests: dict[str, Callable[[Array], Rejects]] = {"sign flips": by_signs}
+        contrasts = _joined(scores_of(null[0], (methods,), chosen))
+        residuals = contrasts - group_means(contrasts, groups)[groups]
+        # Pillai's trace needs users enough, and no metric that repeats another
+        if np.linalg.matrix_rank(residuals) == width < users - int(groups.max()) - 1:
+            tests["MANOVA, Pillai's trace"] = by_pillai
         found += _rates(f"{question}, {metrics} metrics", tests, null, planted, groups)
     return tuple(found)
 
@@ -256,7 +256,7 @@ def _joined(scores: Array) -> Array:
 
 def _rates(
     question: str,
-    tests: dict[str, Callable[[Array], Rejects]],
+    tests: Mapping[str, Callable[[Array], Rejects]],
     null: Array,
     planted: Array,
     groups: Ints,

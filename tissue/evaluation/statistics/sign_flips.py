@@ -178,7 +178,7 @@ def _flipped(scores: Array, groups: Ints, *, between: bool) -> Array:
 
 def _signs(count: int, users: int, rng: np.random.Generator) -> Array:
     """Return random signs, shape (count, users)."""
-    return 1.0 - 2.0 * rng.integers(2, size=(count, users))
+    return np.where(rng.integers(2, size=(count, users)) == 1, 1.0, -1.0)
 
 
 def flipped_p(measured: Array, flipped: Array) -> Array:

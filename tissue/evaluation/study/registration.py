@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_range
 from meshes.base.whole_file import claim, package_version, whole_file
 from tissue.evaluation.statistics.hypothesis_test import ALPHA
@@ -66,8 +67,6 @@ POPULATIONS = 20_000
 At 5 % of one of 54 tests, 19 of them reach the critical value. Its uncertainty changes a power of
 0.8 by 0.02 (standard deviation of 12 repetitions), and 35 planned people by up to 2.
 """
-PARTS = 20
-"""Number of parts of a simulation, which bounds its memory to some 20 MB."""
 STREAM = 2000
 """Key of the generator of planned powers. Trials and people have keys below 1001."""
 UNITS = {"force_error": "1", "ratio_error": "1", "position_error_mm": "mm"}
@@ -402,8 +401,7 @@ def planned_people(
     for test in _effects(["group"] * (groups > 1) + ["method"] * (methods > 1)):
         low, high = 1, MOST_PEOPLE + 1
         while high - low > 1:
-            # few people are tried first, as they take less time
-            middle = min(2 * low, (low + high) // 2)
+            middle = (low + high) // 2
             power = _simulated_power(
                 test, middle, groups, methods, alpha=alpha, rng=rng, effect=effect
             )
@@ -435,14 +433,38 @@ def _simulated_power(
     # one standard deviation of differences is sqrt(2) of a value's
     size = effect * (2.0**0.5 if levels > 1 else 1.0)
     shift[0 if between else slice(None), 0] = size
-    plain = []
-    planted = []
-    # in parts, which bounds the memory
-    for _ in range(PARTS):
-        values = rng.standard_normal((POPULATIONS // PARTS, groups, people, levels)) @ pairs.T
-        means = values.mean(axis=-2)
-        variances = values.var(axis=-2, ddof=1) / people
-        plain.append(largest_t(means, variances, between=between))
-        planted.append(largest_t(means + shift @ pairs.T, variances, between=between))
-    critical = np.quantile(np.concatenate(plain), 1.0 - alpha)
-    return float(np.mean(np.concatenate(planted) > critical))
+    # means and variances of normal values are independent
+    means = rng.standard_normal((POPULATIONS, groups, levels)) / people**0.5 @ pairs.T
+    factors = _wishart_factors((POPULATIONS, groups), levels, people - 1, rng)
+    variances = ((pairs @ factors) ** 2).sum(axis=-1) / ((people - 1) * people)
+    plain = largest_t(means, variances, between=between)
+    planted = largest_t(means + shift @ pairs.T, variances, between=between)
+    return float(np.mean(planted > np.quantile(plain, 1.0 - alpha)))
+
+
+def _wishart_factors(
+    shape: tuple[int, ...], levels: int, degrees: int, rng: np.random.Generator
+) -> Array:
+    """Draw matrices whose products with their transposes are sums of squares of normal residuals.
+
+    Parameters
+    ----------
+    shape
+        Shape of the draws.
+    levels
+        Number of independent values of unit variance.
+    degrees
+        Degrees of freedom.
+
+    Returns
+    -------
+    Array
+        Shape (*shape, levels, columns).
+    """
+    if degrees < levels:
+        return rng.standard_normal((*shape, levels, degrees))
+    # Bartlett (1933): normal below the diagonal, roots of chi squared on it
+    factors = np.tril(rng.standard_normal((*shape, levels, levels)), -1)
+    for level in range(levels):
+        factors[..., level, level] = rng.chisquare(degrees - level, shape) ** 0.5
+    return factors
