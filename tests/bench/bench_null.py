@@ -57,8 +57,8 @@ def lognormal(spread: np.ndarray | float, correlation: float, trials: int = 1) -
 
     def logarithms(rng: np.random.Generator, count: int) -> np.ndarray:
         shared = rng.standard_normal((count, len(GROUPS), 1))
-        own = rng.standard_normal((count, len(GROUPS), 5))
-        return spread * (correlation**0.5 * shared + (1.0 - correlation) ** 0.5 * own)
+        single = rng.standard_normal((count, len(GROUPS), 5))
+        return spread * (correlation**0.5 * shared + (1.0 - correlation) ** 0.5 * single)
 
     def draw(rng: np.random.Generator, count: int) -> np.ndarray:
         centre = np.exp(0.5 * np.asarray(spread) ** 2)

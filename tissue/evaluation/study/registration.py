@@ -267,6 +267,8 @@ def plan_text(plan: Plan) -> str:
             "rule": "a trial's seed follows from this seed, its task, its group and its number "
             "alone, and is written into its file; a trial is the same under every method",
         },
+        "specimens": "each person gets the specimens of a task in turn, trial by trial, and people "
+        "begin with different ones",
         "measures": {
             "primary": [
                 {
