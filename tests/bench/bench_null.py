@@ -10,7 +10,7 @@ deviation: of the difference between methods 3 and 4, or of people's means. In T
 the ones with look-ahead and with perception.
 
 The other three parts measure the paper's Bayesian regression and composite index over 2,000 studies
-without an effect, and its mixed model over 200, as a fit takes 0.8 s. An index rejects if the interval of any method excludes zero, a
+without an effect, and its mixed model over 200, as a fit takes 1 to 2 s. An index rejects if the interval of any method excludes zero, a
 regression if the interval of a slope does. Printed with each rate: its binomial standard error.
 """
 
