@@ -4,19 +4,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tissue.evaluation.statistics.hpi import TESTS, rejection_rates
+from tissue.evaluation.statistics.error_rates import QUESTIONS, joint_rates, rejection_rates
 from tissue.evaluation.statistics.hypothesis_test import cohens_d, mardia, partial_eta_squared
 from tissue.evaluation.statistics.mixed import Components, regression
-from tissue.evaluation.statistics.strata import (
-    mauchly,
-    multivariate,
-    permutation,
-    pillai,
-    scores_of,
-    shuffled_p,
-    shuffled_users,
-    strata,
-)
+from tissue.evaluation.statistics.sign_flips import pair_scores, sign_test, sign_test_p
+from tissue.evaluation.statistics.strata import mauchly, pillai, scores_of, strata
 
 
 def simulated_cells(components, means, *, users_per_group, trials, populations, rng):
@@ -34,7 +26,7 @@ def simulated_cells(components, means, *, users_per_group, trials, populations, 
     return values + np.asarray(means)[groups], groups
 
 
-def simulated_power(components, means, *, users_per_group, trials, rng, populations=10_000):
+def simulated_power(components, means, *, users_per_group, trials, rng, populations=4_000):
     """Error rates of the tests of methods, groups and both in a study of a given size."""
     values, groups = simulated_cells(
         components,
@@ -44,7 +36,7 @@ def simulated_power(components, means, *, users_per_group, trials, rng, populati
         populations=populations,
         rng=rng,
     )
-    return rejection_rates(values - np.asarray(means)[groups], values, groups)
+    return rejection_rates(values - np.asarray(means)[groups], values, groups, rng=rng)
 
 
 COVERAGE = pytest.approx(0.95, abs=0.03)
@@ -216,10 +208,10 @@ def null(count, seed=1, components=WORLD, users=USERS):
     )
 
 
-@pytest.mark.parametrize("name", TESTS)
+@pytest.mark.parametrize("name", QUESTIONS)
 def test_strata_alarm_at_the_stated_level(name):
     values, groups = null(10_000)
-    chosen, between = TESTS[name]
+    chosen, between = QUESTIONS[name]
     found = strata(values, groups, (4,), chosen, between=between)
     print(f"null data, {name}: {100 * np.mean(found.p < ALPHA):.1f} % rejected at 5 %")
     assert np.mean(found.p < ALPHA) == pytest.approx(ALPHA, abs=OFF)
@@ -235,7 +227,7 @@ def test_without_sphericity_the_corrected_test_holds(name):
     """
     values, groups = null(10_000, users=20)
     values[:, :, 3] += 3.0 * np.random.default_rng(2).normal(size=values.shape[:2])
-    chosen, between = TESTS[name]
+    chosen, between = QUESTIONS[name]
     found = strata(values, groups, (4,), chosen, between=between)
     assert np.mean(found.p < ALPHA) > ALPHA + 1.5 * OFF
     assert np.mean(found.corrected_p < ALPHA) == pytest.approx(ALPHA, abs=OFF)
@@ -256,44 +248,94 @@ def test_manova_alarms_at_the_stated_level(between):
     assert alarms == pytest.approx(ALPHA, abs=OFF)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", TESTS)
-def test_permutations_alarm_at_the_stated_level(name):
-    """With 99 shuffles p takes the values 0.01, 0.02 ... so that 5 % is p <= 0.05. Errors are
-    far from normal.
-    """
-    chosen, between = TESTS[name]
+SPREADS = {
+    "equal": np.ones((3, 5)),
+    "methods": np.tile([1.0, 2.0, 0.3, 0.15, 0.3], (3, 1)),
+    "groups": np.outer([2.0, 1.0, 0.5], np.ones(5)),
+}
+"""Standard deviations of groups (rows) under methods."""
+TEN = np.repeat([0, 1, 2], 10)
+"""Groups of a study's size."""
+
+
+@pytest.mark.parametrize("name", QUESTIONS)
+@pytest.mark.parametrize("spreads", SPREADS)
+def test_sign_flips_alarm_at_the_stated_level_whatever_the_spreads(spreads, name):
     rng = np.random.default_rng(7)
-    groups = np.repeat([0, 1, 2], 6)
-    alarms = []
-    for _ in range(2000):
-        values = rng.exponential(size=(18, 1)) + rng.exponential(size=(18, 4))
-        _, p = permutation(values, groups, (4,), chosen, between=between, rng=rng, count=99)
-        alarms.append(p <= ALPHA)
-    assert np.mean(alarms) == pytest.approx(ALPHA, abs=OFF)
+    values = rng.standard_normal((4000, 30, 5)) * SPREADS[spreads][TEN]
+    chosen, between = QUESTIONS[name]
+    found = sign_test_p(pair_scores(values, (5,), chosen), TEN, between=between, rng=rng)
+    print(f"null data, {spreads} spreads, {name}: {100 * np.mean(found <= ALPHA):.1f} %")
+    # a rate of 4,000 data sets has a standard error of 0.35 %
+    assert np.mean(found <= ALPHA) == pytest.approx(ALPHA, abs=OFF)
+
+
+def test_sign_flips_find_what_f_misses():
+    """An effect of one standard deviation of a quiet method, next to methods of large spread."""
+    rng = np.random.default_rng(8)
+    null = rng.standard_normal((500, 30, 5)) * SPREADS["methods"][TEN]
+    planted = null.copy()
+    # the difference of methods 2 and 4 has a standard deviation of 0.42
+    planted[:, :, 2] += 0.42
+    found = {
+        (each.question, each.test): each for each in rejection_rates(null, planted, TEN, rng=rng)
+    }
+    assert found["method", "sign flips"].hits.value > 0.95
+    assert found["method", "F of strata"].hits.value < 0.4
+    assert found["method", "F of strata"].false_alarms.low > ALPHA + OFF
+
+
+def test_joint_tests_alarm_at_the_stated_level():
+    rng = np.random.default_rng(9)
+    mix = rng.normal(size=(2, 2))
+    null = np.einsum("pmuk,nm->pnuk", rng.standard_normal((2000, 2, 30, 3)), mix)
+    planted = null + 2.0 * (TEN == 1)[:, None]
+    found = {(each.question, each.test): each for each in joint_rates(null, planted, TEN, rng=rng)}
+    assert {question for question, _ in found} == {"method, 2 metrics", "group, 2 metrics"}
+    for each in found.values():
+        # three standard errors of 2,000
+        assert each.false_alarms.value == pytest.approx(ALPHA, abs=0.015)
+    assert found["group, 2 metrics", "sign flips"].hits.value > 0.9
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("between", [True, False], ids=["groups", "methods"])
-def test_permuted_pillai_alarms_at_the_stated_level(between):
-    pytest.importorskip(
-        "statsmodels", reason="statsmodels is not installed: pip install 'tissue-sim[study]'"
-    )
-    rng = np.random.default_rng(8)
-    groups = np.repeat([0, 1, 2], 6)
-    alarms = []
-    for _ in range(4000):
-        scores = rng.laplace(size=(18, 2))
-        measured = float(pillai(scores, groups, between=between).trace)
-        others = (
-            shuffled_users(scores, 99, rng)
-            if between
-            else scores * rng.choice([-1.0, 1.0], (99, 18, 1))
-        )
-        alarms.append(shuffled_p(measured, pillai(others, groups, between=between).trace) <= ALPHA)
-    assert np.mean(alarms) == pytest.approx(ALPHA, abs=OFF)
-    message = multivariate(scores, groups, between=between, question="?", rng=rng, permutations=999)
-    assert message.alternatives[0].statistic == pytest.approx(measured, rel=1e-9)
+def test_intervals_of_pairs_cover_together():
+    """All ten intervals of differences between methods hold their truth in 95 % of the studies."""
+    rng = np.random.default_rng(10)
+    means = np.array([0.0, 1.0, 0.1, 0.5, 0.2])
+    truth = pair_scores(means[None], (5,), (0,))[0]
+    held = 0
+    for _ in range(1000):
+        values = means + rng.standard_normal((30, 5)) * SPREADS["methods"][TEN]
+        scores = pair_scores(values, (5,), (0,))
+        found = sign_test(scores, TEN, between=False, rng=rng, flips=499)
+        held += bool((np.abs(found.differences - truth) <= found.critical * found.errors).all())
+    # three standard errors of 1,000
+    assert held / 1000 == pytest.approx(0.95, abs=0.021)
+
+
+def test_one_data_set_and_many_have_the_same_p():
+    rng = np.random.default_rng(11)
+    values = rng.standard_normal((3, 8, 4)) + np.array([0.0, 0.6, 0.0, 0.0])
+    groups = np.repeat([0, 1], 4)
+    for chosen, between in QUESTIONS.values():
+        scores = pair_scores(values, (4,), chosen)
+        many = sign_test_p(scores, groups, between=between, rng=rng, flips=9_999)
+        for each, p in zip(scores, many, strict=True):
+            one = sign_test(each, groups, between=between, rng=rng, flips=9_999)
+            # four standard errors of a difference of shares
+            assert one.p == pytest.approx(p, abs=0.03)
+            assert one.p == one.pair_p.min()
+
+
+def test_sign_flips_of_few_users_are_exact():
+    """Four users have 16 flips, of which two give the t of four equal signs."""
+    rng = np.random.default_rng(12)
+    scores = np.array([[1.0], [1.1], [0.9], [1.2]])
+    found = sign_test(scores, np.zeros(4, dtype=int), between=False, rng=rng)
+    assert found.p == pytest.approx(2.0 / 16.0, abs=0.01)
+    t = scores.mean() / (scores.std(ddof=1) / 2.0)
+    assert found.statistic == pytest.approx(t, rel=1e-9)
 
 
 @pytest.mark.slow
@@ -316,7 +358,7 @@ def test_power_of_a_paired_design_is_the_noncentral_f():
     """Rejections of a planted effect against the exact noncentral F (Cohen 1988)."""
     means = np.tile([0.0, 0.15, 0.3, 0.45], (3, 1))
     found = {
-        each.test: each
+        (each.question, each.test): each
         for each in simulated_power(
             WORLD, means, users_per_group=8, trials=10, rng=np.random.default_rng(11)
         )
@@ -326,9 +368,10 @@ def test_power_of_a_paired_design_is_the_noncentral_f():
     below = 3 * 21
     exact = float(stats.ncf.sf(stats.f.ppf(0.95, 3, below), 3, below, shift))
     assert 0.3 < exact < 0.9
-    assert found["method"].hits.low - 0.005 < exact < found["method"].hits.high + 0.005
+    method = found["method", "F of strata"].hits
+    assert method.low - 0.005 < exact < method.high + 0.005
     for each in found.values():
         assert (
-            each.false_alarms.value == pytest.approx(ALPHA, abs=OFF) and each.populations == 10_000
+            each.false_alarms.value == pytest.approx(ALPHA, abs=OFF) and each.populations == 4_000
         )
-    assert "false alarms" in found["group"].sentence
+    assert "false alarms" in found["group", "sign flips"].sentence

@@ -10,10 +10,10 @@ from tissue.evaluation.statistics.comparison import tukey_groups
 from tissue.evaluation.statistics.hpi import composite_index, weights_of
 from tissue.evaluation.statistics.hypothesis_test import cohens_d, partial_eta_squared
 from tissue.evaluation.statistics.mixed import mixed_model
+from tissue.evaluation.statistics.sign_flips import sign_test
 from tissue.evaluation.statistics.strata import (
     mauchly,
     multivariate,
-    permutation,
     pillai,
     scores_of,
     strata,
@@ -159,9 +159,7 @@ def test_growth_of_children():
 
 def test_manova_of_skulls():
     """SAS/STAT 9.2 User's Guide, figure 4.5: Pillai's trace 0.44702843, F 0.86."""
-    found = multivariate(
-        SKULLS, PLACE, between=True, question="skulls: place", rng=np.random.default_rng(RNG)
-    )
+    found = multivariate(SKULLS, PLACE, between=True, question="skulls: place")
     assert found.test == "MANOVA, Pillai's trace 0.447"
     assert found.statistic == pytest.approx(0.86, abs=0.005)
     assert float(pillai(SKULLS, PLACE, between=True).trace) == pytest.approx(0.44702843, abs=1e-8)
@@ -183,13 +181,17 @@ def test_tukey_of_plants():
         assert pair.p == pytest.approx(p, abs=2e-6)
 
 
-def test_groups_of_plants_by_strata_and_by_permutation():
+def test_groups_of_plants_by_strata_and_by_sign_flips():
+    """The pair of treatments is that of Welch's t test: t = 3.0101, p = 0.0093 in R."""
     values, groups = np.concatenate(PLANTS), np.repeat([0, 1, 2], 10)
     exact = strata(values[:, None], groups, (1,), between=True)
     assert float(exact.p) == pytest.approx(0.01591, abs=5e-6)  # R: anova, F = 4.8461
-    rng = np.random.default_rng(RNG)
-    _, shuffled = permutation(values[:, None], groups, (1,), (), between=True, rng=rng)
-    assert shuffled == pytest.approx(0.0159, abs=0.006)  # three standard errors of 4,999 shuffles
+    found = sign_test(values[:, None], groups, between=True, rng=np.random.default_rng(RNG))
+    welch = stats.ttest_ind(PLANTS[2], PLANTS[1], equal_var=False)
+    assert found.statistic == pytest.approx(welch.statistic, rel=1e-9)
+    assert found.differences == pytest.approx([-0.371, 0.494, 0.865], abs=1e-9)
+    # of three pairs together, between the p of this pair and three times it
+    assert welch.pvalue < found.p < 3.0 * welch.pvalue + 0.003
 
 
 def test_effects_by_their_definitions():

@@ -13,7 +13,7 @@ import pytest
 from meshes.base.errors import InputError
 from tissue.evaluation.study import folder as folder_module
 from tissue.evaluation.study.folder import run_study
-from tissue.evaluation.study.plan import METHODS, TASKS, Plan, TrialKey
+from tissue.evaluation.study.plan import METHODS, TASKS, USERS, Plan, TrialKey
 from tissue.evaluation.study.trial import Trial, run_trial, trial_seed
 
 SMALL = Plan(trials=3, tasks=("T2", "needle"), sensitivity=False)
@@ -75,9 +75,25 @@ def test_a_plan_counts_its_trials():
     """
     keys = list(Plan().all_trials())
     assert sum(not TASKS[key.task].case and not key.variant for key in keys) == 900
-    assert sum(key.task == "reaming" for key in keys) == 51
+    assert sum(key.task == "reaming" for key in keys) == 60
     assert len({key.name for key in keys}) == len(keys)
     assert all(TrialKey.named(key.name) == key for key in keys)
+
+
+def test_people_get_all_specimens_as_often_and_begin_with_different_ones():
+    for task in ("T1", "T2", "T3"):
+        counts = np.zeros((USERS, 3), dtype=int)
+        for trial in range(3 * USERS):
+            key = TrialKey(task, "novice", trial)
+            counts[key.user, key.specimen] += 1
+        assert (counts == 1).all()
+        assert {TrialKey(task, "novice", user).specimen for user in range(3)} == {0, 1, 2}
+    # every person reams as often
+    for group in ("novice", "expert"):
+        users = [
+            key.user for key in Plan().all_trials() if (key.task, key.group) == ("reaming", group)
+        ]
+        assert (np.bincount(users) == 2).all() and len(set(users)) == USERS
 
 
 def test_seeds_belong_to_trials_and_to_nothing_else():

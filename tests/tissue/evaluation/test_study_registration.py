@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 
 from meshes.base.errors import InputError
-from tissue.evaluation.statistics.hpi import rejection_rates
+from tissue.evaluation.statistics.error_rates import QUESTIONS
+from tissue.evaluation.statistics.sign_flips import pair_scores, sign_test_p
 from tissue.evaluation.study import tested
 from tissue.evaluation.study.folder import StudyFolder
 from tissue.evaluation.study.plan import Plan, TrialKey
 from tissue.evaluation.study.registration import (
     content_sha256,
+    planned_people,
     planned_power,
     planned_tests,
 )
@@ -69,40 +71,43 @@ def differences(folder, tests=None):
     return {kind: f"{what}: {detail}" for kind, what, detail in rows}
 
 
-def test_power_is_that_of_simulated_populations():
-    """Power agrees with simulated populations.
+def test_planned_power_is_that_of_sign_flips():
+    """The planned power agrees with sign flips in 3,000 populations.
 
-    20,000 populations of three groups of six people under four methods agree to three standard
-    errors of a share.
+    They are of three groups of ten people under four methods. Three standard errors of a share are
+    0.027, and 199 flips find up to 0.02 less.
     """
-    rng, people, groups, methods, count = np.random.default_rng(0), 6, 3, 4, 20_000
+    rng, people, groups, methods, count = np.random.default_rng(0), 10, 3, 4, 3_000
     labels = np.repeat(np.arange(groups), people)
     null = rng.standard_normal((count, groups * people, methods))
-    expected = planned_power(people, groups, methods, alpha=0.05)
+    expected = planned_power(people, groups, methods, alpha=0.05, rng=rng, effect=0.8)
     # One standard deviation of differences is sqrt(2) of a value's; that of a person's mean is
     # sqrt(1 / methods).
-    planted = {name: np.zeros((groups * people, methods)) for name in expected}
-    planted["method"][:, 1] = 2**0.5
-    planted["group"][labels == 1] = methods**-0.5
-    planted["group x method"][labels == 1, 1] = 2**0.5
-    assert set(expected) == {"method", "group", "group x method"}
-    for name, effect in planted.items():
-        found = next(
-            each for each in rejection_rates(null, null + effect, labels) if each.test == name
-        )
-        error = (expected[name] * (1 - expected[name]) / count) ** 0.5
-        assert found.hits.value == pytest.approx(expected[name], abs=3.0 * error), name
+    planted = {name: np.zeros((groups * people, methods)) for name in QUESTIONS}
+    planted["method"][:, 1] = 0.8 * 2**0.5
+    planted["group"][labels == 1] = 0.8 * methods**-0.5
+    planted["group x method"][labels == 1, 1] = 0.8 * 2**0.5
+    assert set(expected) == set(QUESTIONS)
+    for name, (chosen, between) in QUESTIONS.items():
+        scores = pair_scores(null + planted[name], (methods,), chosen)
+        found = np.mean(sign_test_p(scores, labels, between=between, rng=rng) <= 0.05)
+        assert -0.047 < found - expected[name] < 0.027, name
 
 
 def test_power_of_two_methods_is_that_of_the_paired_t_test():
     """d = 0.5 with 34 pairs has a power of 80.8 % (G*Power; Faul et al. 2007)."""
-    assert planned_power(34, 1, 2, alpha=0.05, effect=0.5) == {
-        "method": pytest.approx(0.808, abs=5e-4)
+    rng = np.random.default_rng(1)
+    # three standard errors of 20,000 populations, and of their critical value
+    assert planned_power(34, 1, 2, alpha=0.05, rng=rng, effect=0.5) == {
+        "method": pytest.approx(0.808, abs=0.02)
     }
-    assert planned_power(1, 3, 4, alpha=0.05) == {}
-    assert planned_power(10, 3, 4, alpha=0.05, effect=0.01)["group"] == pytest.approx(
-        0.05, abs=1e-3
+    assert planned_power(1, 3, 4, alpha=0.05, rng=rng) == {}
+    assert planned_power(10, 3, 4, alpha=0.05, rng=rng, effect=0.01)["group"] == pytest.approx(
+        0.05, abs=0.005
     )
+    # 34 people are the smallest number with 80 %
+    assert planned_people(1, 2, alpha=0.05, rng=rng, effect=0.5)["method"] in range(32, 37)
+    assert planned_people(2, 1, alpha=0.05, rng=rng, effect=0.1) == {}
 
 
 @pytest.mark.slow

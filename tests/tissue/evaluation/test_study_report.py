@@ -118,8 +118,15 @@ def test_the_report_finds_what_was_planted(study):
     tests = {(row["task"], row["question"]): row for row in rows_of(page.parent / "tests.csv")}
     assert tests["T1", "force_error: method"]["shows"] == "effect"
     assert tests["T2", "ratio_error: group"]["shows"] == "none shown"
-    # Tests that rest on less are given with a model over all tasks as with each.
-    assert tests["all", "position_error_mm: group"]["on less"].startswith("analysis of strata p")
+    assert tests["T1", "force_error: method"]["test"] == "sign flips"
+    assert tests["all", "position_error_mm: group"]["other tests"].startswith("mixed model p")
+    rates = {
+        (row["task"], row["question"], row["test"]): row
+        for row in rows_of(page.parent / "power.csv")
+    }
+    # three standard errors of 2,000 populations about 5 %, and one point for the smoothed residuals
+    assert 2.5 < float(rates["T2", "method", "sign flips"]["type I %"]) < 7.5
+    assert ("T1", "group, 3 metrics", "sign flips") in rates
     sources = {
         (row["of"], row["parameter"]): row["source"]
         for row in rows_of(page.parent / "parameters.csv")

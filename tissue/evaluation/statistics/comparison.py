@@ -1,6 +1,4 @@
-"""Comparison of one metric: tests with checked assumptions, tests with fewer assumptions, and
-all pairs at once.
-"""
+"""Comparison of methods and groups by sign flips, with the tests of the paper next to them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,12 +21,14 @@ from tissue.evaluation.statistics.hypothesis_test import (
     normal_residuals,
     partial_eta_squared,
     require_statsmodels,
+    symmetric_residuals,
 )
 from tissue.evaluation.statistics.mixed import MixedModel, mixed_model
+from tissue.evaluation.statistics.sign_flips import SignTest, pair_scores, sign_test
 from tissue.evaluation.statistics.strata import (
     group_means,
     mauchly,
-    permutation,
+    multivariate,
     scores_of,
     strata,
 )
@@ -39,6 +39,7 @@ __all__ = [
     "across_tasks",
     "compare",
     "corrected",
+    "manova",
     "stratum_test",
     "tukey_groups",
     "tukey_levels",
@@ -59,9 +60,9 @@ class MetricComparison:
     cells
         Means of every user under every method.
     tests
-        Exact tests of method, group and both, if the table holds them.
+        Tests of method, group and both, if the table holds them.
     pairs
-        All pairs of methods, then of groups.
+        All pairs of methods, then of groups, with Tukey's test as the other one.
     sizes
         Cohen's d of every pair of methods (from differences within users) and of groups.
     """
@@ -88,7 +89,7 @@ def compare(
     task
         Name of the task. Tasks are not pooled, since their metrics have different scales.
     rng
-        Generator that shuffles labels for permutation tests.
+        Generator of the sign flips.
 
     Raises
     ------
@@ -103,29 +104,31 @@ def compare(
         raise InputError(
             "table", "hold two methods or two groups", "one of each", "there is nothing to compare"
         )
-    wanted = [((0,), False)] * (level_count > 1) + [((), True)] * (group_count > 1)
-    wanted += [((0,), True)] * (level_count > 1 and group_count > 1)
-    tests = tuple(
-        stratum_test(cells, within, between=between, rng=rng) for within, between in wanted
-    )
-    pairs: tuple[HypothesisTest, ...] = ()
+    tests = []
+    pairs: list[HypothesisTest] = []
     sizes: tuple[Effect, ...] = ()
     if level_count > 1:
         names = cells.factors[0][1]
-        pairs += tukey_levels(cells.values, names, cells.groups, metric=metric)
+        test, signs = stratum_test(cells, (0,), between=False, rng=rng)
+        tests.append(test)
+        pairs += _pairs(signs, tukey_levels(cells.values, names, cells.groups, metric=metric))
         sizes += _sizes(cells.values.T, names, paired=True)
     if group_count > 1:
         samples = [cells.values[cells.groups == group].mean(axis=1) for group in range(group_count)]
-        pairs += tukey_groups(samples, cells.group_names, metric=metric)
+        test, signs = stratum_test(cells, (), between=True, rng=rng)
+        tests.append(test)
+        pairs += _pairs(signs, tukey_groups(samples, cells.group_names, metric=metric))
         sizes += _sizes(samples, cells.group_names, paired=False)
-    return MetricComparison(metric, task, cells, tests, pairs, sizes)
+    if level_count > 1 and group_count > 1:
+        tests.append(stratum_test(cells, (0,), between=True, rng=rng)[0])
+    return MetricComparison(metric, task, cells, tuple(tests), tuple(pairs), sizes)
 
 
 def across_tasks(table: TrialTable, metric: str, *, rng: np.random.Generator) -> MixedModel:
-    """Fit the mixed model over all tasks.
+    """Test a metric over all tasks, by sign flips and by the mixed model.
 
-    Each test is listed with the exact test of its stratum and with tests of fewer assumptions. A
-    question whose stratum holds no variation keeps only the model's test.
+    The returned model has the tests by sign flips, each with the model's test as another one. A
+    question whose stratum holds no variation keeps the model's test, with a note.
     """
     mixed = mixed_model(table, metric)
     within = [name for name in ("task", "method") if len(np.unique(getattr(table, name))) > 1]
@@ -135,18 +138,19 @@ def across_tasks(table: TrialTable, metric: str, *, rng: np.random.Generator) ->
         asked = each.question.removeprefix(f"{metric}: ").split(" x ")
         chosen = tuple(index for index, (name, _) in enumerate(cells.factors) if name in asked)
         try:
-            exact = stratum_test(cells, chosen, between="group" in asked, rng=rng)
-            others = (replace(exact, assumptions=(), alternatives=()), *exact.alternatives)
+            test, _ = stratum_test(cells, chosen, between="group" in asked, rng=rng)
         except InputError:
-            others = ()
-        tests.append(replace(each, alternatives=others))
+            note = f"{each.question} is tested by the mixed model, as its stratum has no variation."
+            tests.append(replace(each, note=note))
+            continue
+        tests.append(replace(test, question=each.question, alternatives=(each, *test.alternatives)))
     return replace(mixed, tests=tuple(tests))
 
 
 def stratum_test(
     cells: Cells, within: tuple[int, ...], *, between: bool, rng: np.random.Generator
-) -> HypothesisTest:
-    """Test one effect exactly, with its checks and tests with fewer assumptions.
+) -> tuple[HypothesisTest, SignTest]:
+    """Test one effect by sign flips, with F as another test.
 
     Parameters
     ----------
@@ -157,7 +161,12 @@ def stratum_test(
     between
         True if the effect involves the group.
     rng
-        Generator that shuffles labels.
+        Generator of the sign flips.
+
+    Returns
+    -------
+    tuple of HypothesisTest and SignTest
+        The test for the report, and its pairs.
     """
     values = cells.values
     groups = cells.groups
@@ -167,7 +176,6 @@ def stratum_test(
     )
     question = f"{cells.metric}: {name}"
     found = strata(values, groups, sizes, within, between=between)
-    scores = scores_of(values, sizes, within)
     if float(found.error_square) <= (ROUNDING * float(np.abs(values).max())) ** 2:
         raise InputError(
             cells.metric,
@@ -175,34 +183,8 @@ def stratum_test(
             f"no variation other than {name}",
             "print its values, which need no test",
         )
-    residuals = scores - group_means(scores, groups)[groups]
-    assumptions: list[Assumption] = []
-    # Anderson and Darling's test needs eight values
-    if residuals.size >= 8:
-        assumptions.append(normal_residuals(residuals))
-    shuffled_F, shuffled = permutation(values, groups, sizes, within, between=between, rng=rng)
-    others = [HypothesisTest("permutation", question, "F", shuffled_F, (), shuffled)]
-    # one contrast is spherical by itself
-    if scores.shape[1] > 1:
-        epsilon = float(found.epsilon)
-        p = mauchly(scores, groups)
-        # NaN, where users are too few for the test, counts as not shown.
-        finding = f"Mauchly {format_p(p)}, epsilon {epsilon:.2f}"
-        assumptions.append(Assumption("sphericity", bool(p >= ALPHA), finding))
-        degrees = tuple(epsilon * each for each in found.degrees)
-        others.append(
-            HypothesisTest(
-                "Greenhouse-Geisser",
-                question,
-                "F",
-                float(found.F),
-                degrees,
-                float(found.corrected_p),
-            )
-        )
-    # about the median, two values of a group always have the same distance
-    if between and min(np.bincount(groups)) > 2:
-        assumptions.append(_equal_variances(scores, groups))
+    scores = pair_scores(values, sizes, within)
+    signs = sign_test(scores, groups, between=between, rng=rng)
     notes = (
         [f"{len(cells.dropped)} users without a whole set of trials are left out."]
         if cells.dropped
@@ -211,19 +193,143 @@ def stratum_test(
     notes += (
         ["Means of users rest on unequal numbers of trials."] if np.ptp(cells.counts) > 0 else []
     )
-    effect = partial_eta_squared(float(found.F), *found.degrees)
-    return HypothesisTest(
-        "analysis of strata",
+    test = HypothesisTest(
+        "sign flips",
         question,
-        "F",
-        float(found.F),
-        found.degrees,
-        float(found.p),
-        effect,
-        tuple(assumptions),
-        tuple(others),
+        "largest t",
+        signs.statistic,
+        (),
+        signs.p,
+        partial_eta_squared(float(found.F), *found.degrees),
+        _symmetry(scores, groups),
+        _f_tests(cells, within, between=between, question=question),
         " ".join(notes),
     )
+    return test, signs
+
+
+def _symmetry(scores: Array, groups: Ints) -> tuple[Assumption, ...]:
+    """Check the assumption of sign flips, if there are enough users."""
+    # D'Agostino's test needs eight values
+    if len(scores) < 8:
+        return ()
+    return (symmetric_residuals(scores - group_means(scores, groups)[groups]),)
+
+
+def _f_tests(
+    cells: Cells, within: tuple[int, ...], *, between: bool, question: str
+) -> tuple[HypothesisTest, ...]:
+    """Return the F test of an effect with its assumptions, and the one corrected for sphericity."""
+    found = strata(cells.values, cells.groups, cells.sizes, within, between=between)
+    scores = scores_of(cells.values, cells.sizes, within)
+    groups = cells.groups
+    statistic = float(found.F)
+    residuals = scores - group_means(scores, groups)[groups]
+    assumptions: list[Assumption] = []
+    others = []
+    # Anderson and Darling's test needs eight values
+    if residuals.size >= 8:
+        assumptions.append(normal_residuals(residuals))
+    # one contrast is spherical by itself
+    if scores.shape[1] > 1:
+        epsilon = float(found.epsilon)
+        p = mauchly(scores, groups)
+        # NaN, where users are too few for the test, counts as not shown.
+        finding = f"Mauchly {format_p(p)}, epsilon {epsilon:.2f}"
+        assumptions.append(Assumption("sphericity", bool(p >= ALPHA), finding))
+        degrees = tuple(epsilon * each for each in found.degrees)
+        p = float(found.corrected_p)
+        others.append(HypothesisTest("Greenhouse-Geisser", question, "F", statistic, degrees, p))
+    # about the median, two values of a group always have the same distance
+    if between and min(np.bincount(groups)) > 2:
+        assumptions.append(_equal_variances(scores, groups))
+    test = HypothesisTest(
+        "F of strata",
+        question,
+        "F",
+        statistic,
+        found.degrees,
+        float(found.p),
+        assumptions=tuple(assumptions),
+    )
+    return (test, *others)
+
+
+def manova(
+    table: TrialTable,
+    metrics: Sequence[str],
+    *,
+    factor: str,
+    rng: np.random.Generator,
+) -> HypothesisTest:
+    """Compare groups or methods on several metrics at once, by sign flips and by MANOVA.
+
+    The unit is the user. Groups are compared by users' means over their trials, and methods by
+    users' differences between methods. The rows of the analysis are therefore independent, although
+    every user has trials under every method. Sign flips turn all metrics of a user together and
+    take the largest t over all of them.
+
+    Parameters
+    ----------
+    table
+        Trials, of one task or of several (a user's means then go over all).
+    metrics
+        Two metrics or more.
+    factor
+        Compared factor, "group" or "method".
+    rng
+        Generator of the sign flips.
+
+    Raises
+    ------
+    InputError
+        If there are too few users for the metrics, or one metric is a multiple of another.
+    """
+    cells = [table.cells(metric) for metric in metrics]
+    groups = cells[0].groups
+    between = factor == "group"
+    chosen = () if between else (0,)
+    question = f"{', '.join(metrics)}: {factor}"
+    contrasts = [scores_of(each.values, each.sizes, chosen) for each in cells]
+    paper = multivariate(
+        np.concatenate(contrasts, axis=-1), groups, between=between, question=question
+    )
+    pairs = [pair_scores(each.values, each.sizes, chosen) for each in cells]
+    scores = np.concatenate(pairs, axis=-1)
+    signs = sign_test(scores, groups, between=between, rng=rng)
+    return HypothesisTest(
+        "sign flips",
+        question,
+        "largest t",
+        signs.statistic,
+        (),
+        signs.p,
+        assumptions=_symmetry(scores, groups),
+        alternatives=(paper,),
+    )
+
+
+def _pairs(signs: SignTest, tukey: Sequence[HypothesisTest]) -> list[HypothesisTest]:
+    """Return the test of each pair by sign flips, with Tukey's as another test."""
+    found = []
+    for index, other in enumerate(tukey):
+        difference = float(signs.differences[index])
+        error = float(signs.errors[index])
+        reach = signs.critical * error
+        effect = Effect("difference", difference, difference - reach, difference + reach)
+        found.append(
+            HypothesisTest(
+                "sign flips",
+                other.question,
+                "t",
+                difference / error,
+                (),
+                float(signs.pair_p[index]),
+                effect,
+                alternatives=(other,),
+            )
+        )
+    return found
 
 
 def _sizes(

@@ -1,5 +1,5 @@
 """Result of a hypothesis test: effect sizes with exact intervals, assumptions and their checks,
-alternatives.
+other tests of the same question.
 """
 
 from dataclasses import dataclass
@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 from scipy.special import nctdtrinc
-from scipy.stats import chi2, kurtosis, ncf, norm, shapiro, skew
+from scipy.stats import chi2, kurtosis, ncf, norm, shapiro, skew, skewtest
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
     "normal_residuals",
     "partial_eta_squared",
     "require_statsmodels",
+    "symmetric_residuals",
 ]
 
 ALPHA = 0.05
@@ -88,7 +90,7 @@ class HypothesisTest:
     assumptions
         Assumptions of the test.
     alternatives
-        Tests of the same question with fewer assumptions.
+        Other tests of the same question, which do not decide, such as those of the paper.
     note
         Further information for the reader. May be empty.
     """
@@ -112,7 +114,7 @@ class HypothesisTest:
     @property
     def found(self) -> bool:
         """True if the test rejects at :data:`ALPHA`."""
-        return self.p < ALPHA
+        return self.p <= ALPHA
 
     @property
     def figures(self) -> str:
@@ -253,6 +255,26 @@ def normal_residuals(residuals: ArrayLike, *, name: str = "normal residuals") ->
             f"{tests_text}, skewness {float(skew(values)):.2f}, excess kurtosis "
             f"{float(kurtosis(values)):.2f}"
         ),
+    )
+
+
+def symmetric_residuals(residuals: Array) -> Assumption:
+    """Check symmetry as an assumption by D'Agostino's (1970) test of skewness.
+
+    The smallest p over the columns is corrected by Bonferroni's factor.
+
+    Parameters
+    ----------
+    residuals
+        Shape (users, columns), 8 users or more, columns not all constant.
+    """
+    columns = residuals[:, np.ptp(residuals, axis=0) > 0.0]
+    p = min(1.0, columns.shape[1] * float(np.min(skewtest(columns, axis=0).pvalue)))
+    largest = float(np.abs(skew(columns, axis=0)).max())
+    return Assumption(
+        "symmetric residuals",
+        p >= ALPHA,
+        f"D'Agostino {format_p(p)}, largest skewness {largest:.2f}",
     )
 
 

@@ -1,8 +1,5 @@
-"""Tests of a design with groups of users and factors within users: exact ones, and ones with
-fewer assumptions.
-"""
+"""F tests of a design with groups of users and factors within users, for one metric or several."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
 
@@ -18,20 +15,15 @@ from tissue.evaluation.statistics.hypothesis_test import (
     format_p,
     mardia,
 )
-from tissue.evaluation.statistics.trials import TrialTable
 
 __all__ = [
     "Pillai",
     "Strata",
     "group_means",
-    "manova",
     "mauchly",
     "multivariate",
-    "permutation",
     "pillai",
     "scores_of",
-    "shuffled_p",
-    "shuffled_users",
     "strata",
 ]
 
@@ -236,108 +228,14 @@ def pillai(scores: Array, groups: Ints, *, between: bool) -> Pillai:
     )
 
 
-def shuffled_users(values: Array, count: int, rng: np.random.Generator) -> Array:
-    """Return values with the users in random order, shape (count, users, ...)."""
-    return values[rng.permuted(np.tile(np.arange(len(values)), (count, 1)), axis=1)]
-
-
-def shuffled_p(measured: float, shuffled: Array) -> float:
-    """Return the share of figures that reach the measured one (Edgington 1995).
-
-    The figures are the shuffled ones and the measured one.
-    """
-    # equal figures count as reached although their sums are rounded
-    return (1 + int((shuffled >= measured * (1.0 - 1e-12)).sum())) / (len(shuffled) + 1)
-
-
-def permutation(
-    values: Array,
-    groups: Ints,
-    sizes: tuple[int, ...],
-    chosen: tuple[int, ...],
-    *,
-    between: bool,
-    rng: np.random.Generator,
-    count: int = 4999,
-) -> tuple[float, float]:
-    """Compare the F of :func:`strata` with the F of shuffled labels.
-
-    For an effect of groups, users are shuffled over groups. For an effect within users, the levels
-    of the chosen factors are shuffled within each user. Both tests are exact if the labels have no
-    effect (Edgington 1995). Returned are F and its p-value. With 4999 shuffles and the measured F,
-    a p of 0.05 has a standard error of 0.003.
-    """
-    centred = values
-    if chosen and between:
-        # Only the effect's own scores are shuffled, so that effects of the group alone do not
-        # enter.
-        basis = scores_of(np.eye(int(np.prod(sizes))), sizes, chosen)
-        centred = values @ basis @ basis.T
-    measured = float(strata(centred, groups, sizes, chosen, between=between).F)
-    if between:
-        shuffled = shuffled_users(centred, count, rng)
-    else:
-        by_level = values.reshape(len(values), *sizes)
-        moved = np.moveaxis(by_level, [1 + each for each in chosen], range(1, 1 + len(chosen)))
-        flat = moved.reshape(len(values), int(np.prod([sizes[each] for each in chosen])), -1)
-        order = rng.permuted(np.tile(np.arange(flat.shape[1]), (count, len(values), 1)), axis=2)
-        taken = np.take_along_axis(flat[None], order[..., None], axis=2).reshape(
-            count, *moved.shape
-        )
-        shuffled = np.moveaxis(taken, range(2, 2 + len(chosen)), [2 + each for each in chosen])
-        shuffled = shuffled.reshape(count, *values.shape)
-    others = strata(shuffled, groups, sizes, chosen, between=between).F
-    return measured, shuffled_p(measured, others)
-
-
-def manova(
-    table: TrialTable,
-    metrics: Sequence[str],
-    *,
-    factor: str,
-    rng: np.random.Generator,
-) -> HypothesisTest:
-    """Compare groups or methods on several metrics at once.
-
-    The unit is the user. Groups are compared by users' means over their trials, and methods by
-    users' differences between methods. The rows of the analysis are therefore independent, although
-    every user has trials under every method.
-
-    Parameters
-    ----------
-    table
-        Trials, of one task or of several (a user's means then go over all).
-    metrics
-        Two metrics or more.
-    factor
-        Compared factor, "group" or "method".
-    rng
-        Generator that shuffles labels for the additional permutation test.
-
-    Raises
-    ------
-    InputError
-        If there are too few users for the metrics, or one metric is a multiple of another.
-    """
-    cells = [table.cells(metric) for metric in metrics]
-    chosen = (0,) if factor == "method" else ()
-    scores = np.concatenate([scores_of(each.values, each.sizes, chosen) for each in cells], axis=-1)
-    question = f"{', '.join(metrics)}: {factor}"
-    return multivariate(
-        scores, cells[0].groups, between=factor == "group", question=question, rng=rng
-    )
-
-
 def multivariate(
     scores: Array,
     groups: Ints,
     *,
     between: bool,
     question: str,
-    rng: np.random.Generator,
-    permutations: int = 1999,
 ) -> HypothesisTest:
-    """Run a multivariate analysis of variance, with checks and a permutation test.
+    """Run a multivariate analysis of variance, with checks.
 
     Parameters
     ----------
@@ -350,14 +248,16 @@ def multivariate(
         zero.
     question
         Question of the test, for the sentence.
-    permutations
-        Number of shuffles. With 1999, a p of 0.05 has a standard error of 0.005.
 
     Returns
     -------
     HypothesisTest
-        Pillai's trace, the most robust of the four statistics (Olson 1974), with a permutation test
-        as alternative.
+        Pillai's trace, the most robust of the four statistics (Olson 1974).
+
+    Raises
+    ------
+    InputError
+        If there are too few users for the columns, or one column is a multiple of another.
     """
     counts = np.bincount(groups)
     width = scores.shape[1]
@@ -378,15 +278,8 @@ def multivariate(
             question,
             "drop a metric that repeats another",
         )
-    # Groups are shuffled among users; differences within users have their signs turned.
-    if between:
-        shuffled = shuffled_users(scaled, permutations, rng)
-    else:
-        shuffled = scaled * rng.choice([-1.0, 1.0], (permutations, len(groups), 1))
     found = pillai(scaled, groups, between=between)
     trace = float(found.trace)
-    p = shuffled_p(trace, pillai(shuffled, groups, between=between).trace)
-    permuted = HypothesisTest("permutation of Pillai's trace", question, "V", trace, (), p)
     assumptions = [mardia(residuals)]
     if len(counts) > 1:
         assumptions.append(_equal_covariances(scaled, groups))
@@ -398,7 +291,6 @@ def multivariate(
         found.degrees,
         float(found.p),
         assumptions=tuple(assumptions),
-        alternatives=(permuted,),
     )
 
 

@@ -60,7 +60,7 @@ class Task:
     changes
         Changes of the scene, by dotted key: force only, and short enough for thousands of trials.
     specimens
-        Specimens, one chosen at random for each trial. The first two are to be discriminated.
+        Specimens, of which each person gets all in turn. The first two are to be discriminated.
     extremes
         Specimens softer and harder than all others, for the sensitivity. Empty for a case study.
     wanted_mm
@@ -186,7 +186,8 @@ TASKS = {
             "duration_s": None,
         },
         specimens=({},),
-        most=17,
+        # two for each person; 60 in all, where the paper has 50
+        most=2 * USERS,
     ),
     "drilling": Task(
         title="drilling of a molar at 400,000 rpm, carious or sound",
@@ -198,7 +199,7 @@ TASKS = {
     ),
 }
 """Tasks by name. Specimens differ by 30 % in stiffness, bone by 10 % in density. Reaming stops at
-51 trials, the published number being 50."""
+60 trials, two of each person."""
 METHODS: dict[str, Mapping[str, object]] = {
     "penalty": {"renderer": "penalty"},
     "energy": {"renderer": "passivity"},
@@ -277,6 +278,15 @@ class TrialKey:
     def user(self) -> int:
         """Number of the person within the group."""
         return self.trial % USERS
+
+    @property
+    def specimen(self) -> int:
+        """Number of the specimen in its task.
+
+        Specimens are crossed with people: a person gets them in turn, and people begin with
+        different ones.
+        """
+        return (self.trial // USERS + self.user) % len(TASKS[self.task].specimens)
 
     @property
     def name(self) -> str:

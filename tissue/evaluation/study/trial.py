@@ -198,8 +198,9 @@ def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
     )
     truth, known = _calibrated(key, person)
     write_observer(known, observer)
-    specimen = int(rng.integers(len(task.specimens)))
-    met = task.specimens[specimen] if variant.extreme is None else task.extremes[variant.extreme]
+    met = (
+        task.specimens[key.specimen] if variant.extreme is None else task.extremes[variant.extreme]
+    )
     scene = changed(load_scene(task.scene), {**task.changes, **met})
     assert isinstance(scene.motion, PathMotion)
     per_trial = {
@@ -223,7 +224,7 @@ def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
     common_N_m = min(floor(_stiffness_N_m(each)) for each in scenes.values())
     for name, scene in scenes.items():
         scenes[name] = changed(scene, {**per_trial, "coupling.stiffness_N_m": common_N_m})
-    return TrialScene(scenes, specimen, truth, pace)
+    return TrialScene(scenes, key.specimen, truth, pace)
 
 
 # the size bounds the memory; a scene that was dropped is computed again, with the same result
