@@ -7,7 +7,8 @@ with an omega.x at 0.7 of the pace, and with an Inverse3 at 1.4 of the pace. Pri
 probability that the score of a person of the better group exceeds that of the next group (area
 under the curve, 0.5 for chance): with the Touch alone, with its first half alone, and over all
 devices and paces. The same is printed for the other measures of an assessment, over all devices and
-paces. With --sticks, the areas of the score follow for other speeds at which friction is viscous.
+paces. Runs without a score, whose device moves too slowly, are counted. With --sticks, the areas of
+the score follow for other speeds at which friction is viscous.
 """
 
 import argparse
@@ -111,11 +112,14 @@ def recorded(name: str, people: int, folder: Path, pool: ProcessPoolExecutor) ->
 
 
 def score(run: dict[str, np.ndarray], device: str, *, share: float = 1.0) -> float:
-    """Return the score of the first part of a run."""
+    """Return the score of the first part of a run, NaN without one."""
     rows = slice(round(share * len(run["device"])))
     position_m = 1e-3 * run["device"][rows].astype(float)
     force_N = run["device_force"][rows].astype(float)
-    return steadiness(position_m, force_N, device_parameters(device)).score
+    try:
+        return steadiness(position_m, force_N, device_parameters(device)).score
+    except InputError:
+        return float("nan")
 
 
 def others(run: dict[str, np.ndarray], reference: dict[str, np.ndarray]) -> tuple[float, ...]:
@@ -137,9 +141,12 @@ def area(better: np.ndarray, worse: np.ndarray) -> float:
 
 
 def areas(values: dict[str, np.ndarray]) -> str:
-    """Return the areas between neighbouring groups as text."""
+    """Return the areas between neighbouring groups as text, of the runs that have a value."""
+    held = {group: each[~np.isnan(each)] for group, each in values.items()}
+    if not all(map(len, held.values())):
+        return "-"
     pairs = zip(ORDER[1:], ORDER[:-1], strict=True)
-    return " ".join(f"{area(values[better], values[worse]):.2f}" for better, worse in pairs)
+    return " ".join(f"{area(held[better], held[worse]):.2f}" for better, worse in pairs)
 
 
 def of_group(runs: Runs, devices: tuple[str, ...], value) -> dict[str, np.ndarray]:
@@ -179,7 +186,8 @@ def main() -> None:
                     areas(of_group(runs, first, score)),
                     areas(half),
                     areas(scores),
-                    " ".join(f"{scores[group].mean():.0f}" for group in ORDER),
+                    str(sum(int(np.isnan(each).sum()) for each in scores.values())),
+                    " ".join(f"{np.nanmean([*scores[group], np.nan]):.0f}" for group in ORDER),
                     *(
                         areas({group: each[:, column] for group, each in measured.items()})
                         for column in range(len(OTHERS))
@@ -194,7 +202,7 @@ def main() -> None:
                 engine.STICKS_M_S = kept
                 varied.append(line)
             print(f"{name} is done", flush=True)
-    head = ("scene", "one device", "half the time", "all", "mean scores", *OTHERS)
+    head = ("scene", "one device", "half the time", "all", "no score", "mean scores", *OTHERS)
     print(f"\n{given.people} persons a group; intermediate over novice, expert over intermediate")
     print(table(rows, head))
     if varied:

@@ -112,10 +112,14 @@ class Person:
 
 @dataclass(frozen=True)
 class Ranking:
-    """Trainees in the order of their mean score, the best first."""
+    """Trainees in the order of their mean score, the best first.
+
+    `left_out` has a sentence for each run without a score.
+    """
 
     scene: str
     people: tuple[Person, ...]
+    left_out: tuple[str, ...] = ()
 
 
 def is_run(folder: Path) -> bool:
@@ -139,35 +143,42 @@ def rank(folder: Path, reference: AssessedRun, load: Callable[[Path], AssessedRu
     Raises
     ------
     InputError
-        If a folder holds no run, a run is of another task than the reference, or a run has no
+        If a folder holds no run, a run is of another task than the reference, or no run has a
         score.
     """
     people = []
+    left_out = []
     for person in _folders(folder):
         runs = [person] if is_run(person) else [each for each in _folders(person) if is_run(each)]
         if not runs:
             raise InputError(
                 "folder", "hold a run or runs for each trainee", f"none in {person}", "remove it"
             )
-        attempts = [_attempt(load(run), reference, run) for run in runs]
-        people.append(Person(person.name, tuple(attempts)))
+        attempts = []
+        for run in runs:
+            found = _assessed(load(run), reference, run)
+            if found.steadiness is None:
+                left_out.append(f"{run} has {found.notes[-1]}")
+            else:
+                attempts.append(Attempt(run.name, found, found.steadiness))
+        if attempts:
+            people.append(Person(person.name, tuple(attempts)))
+    if not people and left_out:
+        raise InputError(left_out[0])
     if not people:
         raise InputError(
             "folder", "hold folders of trainees", f"none in {folder}", "name the folder above them"
         )
     people.sort(key=lambda person: -person.mean)
-    return Ranking(str(reference.summary.get("scene")), tuple(people))
+    return Ranking(str(reference.summary.get("scene")), tuple(people), tuple(left_out))
 
 
-def _attempt(run: AssessedRun, reference: AssessedRun, folder: Path) -> Attempt:
-    """Assess one run."""
+def _assessed(run: AssessedRun, reference: AssessedRun, folder: Path) -> Assessment:
+    """Assess one run; a refusal names its folder."""
     try:
-        found = assess(run, reference)
+        return assess(run, reference)
     except InputError as refusal:
         raise InputError(f"{folder}: {refusal}") from refusal
-    if found.steadiness is None:
-        raise InputError(f"{folder} has {found.notes[-1]}")
-    return Attempt(folder.name, found, found.steadiness)
 
 
 def ranking_lines(found: Ranking) -> list[str]:
@@ -186,7 +197,7 @@ def ranking_lines(found: Ranking) -> list[str]:
         if (gain := person.gain) is not None:
             line += f", {gain[0]:+.1f} an attempt ({gain[1]:+.1f} to {gain[2]:+.1f})"
         lines.append(line)
-    return lines
+    return lines + [f"left out: {each}" for each in found.left_out]
 
 
 def require_ranking_folder(folder: Path, *, overwrite: bool) -> None:

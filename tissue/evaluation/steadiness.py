@@ -1,7 +1,7 @@
 """Steadiness of a hand: tremor of its intended motion, from position and force of the device."""
 
 from dataclasses import dataclass
-from math import exp, log, sqrt
+from math import exp, log, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,8 @@ The mean would be set by the few windows of a blow, the median by those in which
 PAD_S = 0.5
 """Time by which the ends are continued, for the filters."""
 LEAST_WINDOWS = 4
+PATH_HZ = 4.0
+"""Cut-off of the motion along the path, below the band of tremor."""
 DRAWS = 1000
 """Draws of windows with replacement, for the interval."""
 TYPICAL = "intermediate"
@@ -87,7 +89,8 @@ def steadiness(
     Raises
     ------
     InputError
-        If the run is too short.
+        If the run is too short, or the device moved so slowly that its friction hides the tremor:
+        slower than the tremor of a novice, so that it stops and reverses in every period.
     """
     ticks = round(WINDOW_S / TICK_S)
     count = len(position_m) // ticks
@@ -98,6 +101,7 @@ def steadiness(
             f"{len(position_m) * TICK_S:g}",
             "record a longer one",
         )
+    _require_motion(position_m, hand_parameters(NOVICE, constants))
     grip = hand_parameters(TYPICAL, constants)
     trembles = 1e3 * hand_motion_m(position_m, force_N, device, grip, band_Hz=BAND_HZ)
     tick = (trembles**2).sum(axis=1)
@@ -147,21 +151,10 @@ def hand_motion_m(
     band_Hz
         Ends of the band, at half of the amplitude.
     """
-    pad = round(PAD_S / TICK_S)
-
-    def spectrum(values: Array) -> Spectrum:
-        ends = np.pad(values, ((pad, pad), (0, 0)), mode="edge")
-        return np.fft.rfft(ends, axis=0)
-
-    def signal(values: Spectrum) -> Array:
-        whole: Array = np.fft.irfft(values, count, axis=0)
-        return whole[pad : count - pad]
-
-    count = len(position_m) + 2 * pad
-    frequency = np.fft.rfftfreq(count, TICK_S)[:, None]
+    frequency = _frequencies_Hz(len(position_m))
     s = 2j * np.pi * frequency
-    place = spectrum(position_m - position_m[0])
-    velocity = signal(s * place / (1.0 + (frequency / SMOOTH_HZ) ** 4))
+    place = _spectrum(position_m - position_m[0])
+    velocity = _signal(s * place / (1.0 + (frequency / SMOOTH_HZ) ** 4), len(position_m))
     speed = np.linalg.norm(velocity, axis=1, keepdims=True)
     friction_N = device.friction_N * velocity / np.hypot(speed, STICKS_M_S)
     pulls = (
@@ -169,8 +162,44 @@ def hand_motion_m(
         + grip.damping_N_s_m * s
     )
     moves = (device.mass_kg + grip.mass_kg) * s**2 + device.damping_N_s_m * s
-    intended = place * (1.0 + moves / pulls) - spectrum(force_N - friction_N) / pulls
+    intended = place * (1.0 + moves / pulls) - _spectrum(force_N - friction_N) / pulls
     low, high = band_Hz
     with np.errstate(divide="ignore"):
         away = (frequency**2 - low * high) / (frequency * (high - low))
-    return signal(intended / (1.0 + away**4))
+    return _signal(intended / (1.0 + away**4), len(position_m))
+
+
+def _require_motion(position_m: Array, novice: HandParameters) -> None:
+    """Check that a device moves faster than a tremor for a quarter of the time."""
+    frequency = _frequencies_Hz(len(position_m))
+    place = _spectrum(position_m - position_m[0])
+    along = 2j * np.pi * frequency * place / (1.0 + (frequency / PATH_HZ) ** 4)
+    speeds = np.linalg.norm(_signal(along, len(position_m)), axis=1)
+    speed_mm_s = 1e3 * float(np.quantile(speeds, QUANTILE))
+    least_mm_s = 2e3 * pi * novice.tremor_Hz * novice.tremor_m
+    if speed_mm_s < least_mm_s:
+        raise InputError(
+            "run",
+            f"move the device at {least_mm_s:.1f} mm/s or more for a quarter of the time",
+            f"{speed_mm_s:.1f}",
+            "the friction of a slower device hides the tremor of the hand",
+        )
+
+
+def _frequencies_Hz(ticks: int) -> Array:
+    """Return the frequencies of a spectrum of `_spectrum` [Hz], shape (frequencies, 1)."""
+    found: Array = np.fft.rfftfreq(ticks + 2 * round(PAD_S / TICK_S), TICK_S)[:, None]
+    return found
+
+
+def _spectrum(values: Array) -> Spectrum:
+    """Return the spectrum of rows of ticks, whose ends are continued."""
+    pad = round(PAD_S / TICK_S)
+    return np.fft.rfft(np.pad(values, ((pad, pad), (0, 0)), mode="edge"), axis=0)
+
+
+def _signal(spectrum: Spectrum, ticks: int) -> Array:
+    """Return the rows of ticks of a spectrum, without the continued ends."""
+    pad = round(PAD_S / TICK_S)
+    whole: Array = np.fft.irfft(spectrum, ticks + 2 * pad, axis=0)
+    return whole[pad : pad + ticks]
