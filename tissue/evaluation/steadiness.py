@@ -188,8 +188,8 @@ def _require_motion(position_m: Array, novice: HandParameters) -> None:
 
 def _frequencies_Hz(ticks: int) -> Array:
     """Return the frequencies of a spectrum of `_spectrum` [Hz], shape (frequencies, 1)."""
-    found: Array = np.fft.rfftfreq(ticks + 2 * round(PAD_S / TICK_S), TICK_S)[:, None]
-    return found
+    found = np.fft.rfftfreq(ticks + 2 * round(PAD_S / TICK_S), TICK_S)[:, None]
+    return np.asarray(found, dtype=np.float64)
 
 
 def _spectrum(values: Array) -> Spectrum:
