@@ -125,7 +125,15 @@ def test_the_summary_states_the_expected_sensitivity():
         ("glenoid", {"voxels.spacing_mm": 0.5, "motion.feed_mm_s": 2.0, "duration_s": 1.2}),
         ("needle", {"anatomy.interval_ms": 0.0}),
         ("incision", {"anatomy.interval_ms": 0.0}),
-        ("liver-press", {"organ.order": 1, "anatomy.edge_mm": 30.0, "anatomy.touch_edge_mm": 8.0}),
+        (
+            "liver-press",
+            {
+                "organ.law": "linear",
+                "organ.order": 1,
+                "anatomy.edge_mm": 30.0,
+                "anatomy.touch_edge_mm": 8.0,
+            },
+        ),
     ],
 )
 def test_the_estimate_is_the_force_of_the_run(name, changes):
