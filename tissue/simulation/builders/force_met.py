@@ -298,8 +298,8 @@ def pressed(scene: Scene) -> Met:
     """Return the force of a probe on a half space at the script's depth below the origin.
 
     It uses Hertz's law for a ball and Boussinesq's for the flat end of a cylinder. The modulus is
-    the one of the stiffest tissue on the script, without a nodule. A law of the organ is left out: the
-    exponential law of `liver-press` has 1.3 times the force. A probe of another shape gives 0.
+    the one of the stiffest tissue on the script, without a nodule. A law of the organ is left out:
+    the exponential law of `liver-press` has 1.3 times the force. A probe of another shape gives 0.
     """
     organ = scene.organ
     tool = scene.tool
