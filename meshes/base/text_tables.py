@@ -3,6 +3,7 @@
 import difflib
 import json
 import math
+import re
 import tomllib
 import unicodedata
 from collections.abc import Iterable, Mapping
@@ -13,6 +14,7 @@ from meshes.base.errors import InputError
 
 __all__ = [
     "DEEPEST",
+    "natural_order",
     "nearest",
     "number_in",
     "number_or_nan",
@@ -101,6 +103,15 @@ def require_shallow(value: object) -> None:
         if not level:
             return
     raise RecursionError
+
+
+def natural_order(name: str) -> list[tuple[int, str]]:
+    """Return a key that sorts names by the numbers in them: ``run2`` before ``run10``."""
+    # Texts get -1, numbers their value.
+    return [
+        (int(part), "") if part.isascii() and part.isdigit() else (-1, part)
+        for part in re.split(r"(\d+)", name)
+    ]
 
 
 def number_in(text: str) -> float:

@@ -13,6 +13,7 @@ import numpy as np
 from meshes.base.arrays import Numbers
 from meshes.base.errors import InputError, by, is_folder, require_file
 from meshes.base.file_limits import require_memory
+from meshes.base.text_tables import natural_order
 from meshes.images.frame import StoredImage
 
 __all__ = ["read_tiff_slices", "tiff_slices"]
@@ -92,7 +93,7 @@ def tiff_slices(path: Path) -> list[Path]:
     else:
         require_file(path, "an image")
         return [path] if path.suffix.lower() in SUFFIXES else []
-    found.sort(key=_natural)
+    found.sort(key=lambda file: (natural_order(file.stem), file.name))
     _require_numbered(found, path)
     return found
 
@@ -147,15 +148,6 @@ def read_tiff_slices(
             f"The grey values of {where} are stored inverted (MinIsWhite): they are inverted back."
         )
     return StoredImage(values, (spacing_mm,) * 3, np.eye(3), np.zeros(3), tuple(notes))
-
-
-def _natural(file: Path) -> list[tuple[int, str]]:
-    """Return a key that sorts names by the numbers in them."""
-    parts = re.split(r"(\d+)", file.stem)
-    # Texts get -1, numbers their value; the whole name with -2 decides between 1 and 01.
-    return [
-        (int(part), "") if part.isascii() and part.isdigit() else (-1, part) for part in parts
-    ] + [(-2, file.name)]
 
 
 def _require_numbered(files: Sequence[Path], path: Path) -> None:

@@ -1,4 +1,4 @@
-"""How well the score of an assessment orders simulated hands, on any device and at any pace.
+"""Order of simulated hands by the score of an assessment, on any device and at any pace.
 
 Run: python tests/bench/bench_assessment.py --out DIR [--people N] [--sticks] [SCENE ...]
 
@@ -124,7 +124,8 @@ def score(run: dict[str, np.ndarray], device: str, *, share: float = 1.0) -> flo
 
 def others(run: dict[str, np.ndarray], reference: dict[str, np.ndarray]) -> tuple[float, ...]:
     """Return the negative of the measures of `OTHERS`, of which less is better."""
-    path, model = run["tool"].astype(float), reference["tool"].astype(float)
+    path = run["tool"].astype(float)
+    model = reference["tool"].astype(float)
     rows = aligned_rows(path, model)
     speed = np.linalg.norm(np.diff(path, axis=0), axis=1) / TICK_S
     return (
@@ -171,7 +172,8 @@ def main() -> None:
     given.out.mkdir(parents=True, exist_ok=True)
     print(machine())
     devices = tuple(device for device, _ in CONDITIONS)
-    rows, varied = [], []
+    rows = []
+    varied = []
     with ProcessPoolExecutor(2) as pool:
         for name in given.scenes:
             runs = recorded(name, given.people, given.out, pool)

@@ -127,8 +127,7 @@ class Assessment:
     Attributes
     ----------
     steadiness
-        Tremor and score of the trainee's hand; None if the run has no known device or is too short,
-        which a note then states.
+        Tremor and score of the trainee's hand. None without a score.
     figures
         Numbers by name, units in the names. Numbers that both runs have are given as {"trainee":
         ..., "reference": ...}.
@@ -143,6 +142,8 @@ class Assessment:
         depth along the reference tool's axis from its first contact [mm].
     notes
         Differences between the two runs that limit the meaning of the figures, a sentence each.
+    unscored
+        Reason why the run has no score; empty with a score.
     """
 
     steadiness: Steadiness | None
@@ -154,6 +155,7 @@ class Assessment:
     force: Quantity
     depth: Quantity
     notes: tuple[str, ...] = ()
+    unscored: str = ""
 
 
 def assess(
@@ -233,30 +235,43 @@ def assess(
         "least_distance_mm": _least_distances(trainee.summary, reference.summary),
         "complete": {"trainee": trainee.complete, "reference": reference.complete},
     }
-    known = {each["what"] for each in reference.summary.get("events", ())}
-    events = [
-        (each["time_s"], each["what"])
-        for each in trainee.summary.get("events", ())
-        if each["what"] not in known
-    ]
     breaches = sorted(
         (each for one in quantities for each in one.breaches(time)), key=lambda each: each.start_s
     )
-    notes = list(_scene_notes(trainee.scene, reference.scene))
+    hand, unscored = _steadiness(trainee, mine)
+    return Assessment(
+        hand,
+        figures,
+        tuple(breaches),
+        _new_events(trainee.summary, reference.summary),
+        time,
+        *quantities,
+        tuple(_notes(trainee, reference)),
+        unscored,
+    )
+
+
+def _new_events(mine: Summary, theirs: Summary) -> tuple[tuple[float, str], ...]:
+    """Return time [s] and sentence of the events that only the trainee's run has."""
+    known = {each["what"] for each in theirs.get("events", ())}
+    return tuple(
+        (each["time_s"], each["what"])
+        for each in mine.get("events", ())
+        if each["what"] not in known
+    )
+
+
+def _notes(trainee: AssessedRun, reference: AssessedRun) -> Iterator[str]:
+    """Yield sentences on differences of the scenes, and on paths that were not finished."""
+    yield from _scene_notes(trainee.scene, reference.scene)
     for who, run in (("trainee", trainee), ("reference", reference)):
         if note := path_note(run.summary):
-            notes.append(f"the path of the {who} is {note}")
-    hand, reason = _steadiness(trainee, mine)
-    if hand is None:
-        notes.append(f"no score: {reason}")
-    return Assessment(
-        hand, figures, tuple(breaches), tuple(events), time, *quantities, tuple(notes)
-    )
+            yield f"the path of the {who} is {note}"
 
 
 def _trace(run: AssessedRun, name: str) -> Table:
     """Return the trace of a run, long enough to compare."""
-    # the change of acceleration and the spectrum of the speed need several ticks
+    # a path needs several ticks
     if run.trace is None or len(run.trace.rows) < 10:
         got = run.path or "a run"
         raise InputError(

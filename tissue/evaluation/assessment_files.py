@@ -37,7 +37,7 @@ def assessment_lines(found: Assessment) -> list[str]:
     hand = found.steadiness
     more = len(found.breaches) - MOST_BREACHES
     return [
-        *([] if hand is None else [_score_line(hand)]),
+        f"no score: {found.unscored}" if hand is None else _score_line(hand),
         (
             f"path: {apart['mean']:.2f} mm off on average, {apart['worst']:.2f} at "
             f"{apart['worst_at_s']:.3f} s"
@@ -88,6 +88,7 @@ def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> lis
     """
     data = {
         "steadiness": None if found.steadiness is None else asdict(found.steadiness),
+        "unscored": found.unscored,
         **found.figures,
         "limits": {
             "force_N": found.force.limit,

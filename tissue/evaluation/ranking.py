@@ -1,7 +1,6 @@
 """Ranking of trainees by the score of their runs against one reference, with learning curves."""
 
 import csv
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,8 +9,10 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
+from meshes.base.text_tables import natural_order
 from meshes.base.whole_file import whole_file
 from tissue.evaluation.assessment import AssessedRun, Assessment, assess
+from tissue.evaluation.statistics.intervals import mean_interval
 from tissue.evaluation.steadiness import Steadiness
 from tissue.show.figures.figure import figure, save
 from tissue.system.owned_folder import OwnedFolder, require_folder
@@ -44,9 +45,9 @@ COLUMNS = (
 )
 LEAST_ATTEMPTS = 3
 """Number of attempts from which their spread gives the interval."""
-LEVEL = 0.95
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 INCH_PER_ROW = 0.32
+"""Height of a trainee in the picture."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,12 @@ class Attempt:
 
     name: str
     found: Assessment
-    steadiness: Steadiness
+
+    @property
+    def steadiness(self) -> Steadiness:
+        """Tremor and score; only runs with a score are attempts."""
+        assert self.found.steadiness is not None, self.name
+        return self.found.steadiness
 
 
 @dataclass(frozen=True)
@@ -84,8 +90,8 @@ class Person:
         """
         count = len(self.attempts)
         if count >= LEAST_ATTEMPTS:
-            half = _t(count - 1) * float(self.scores.std(ddof=1)) / np.sqrt(count)
-            return self.mean - half, self.mean + half
+            found = mean_interval(self.scores)
+            return found.low, found.high
         each = [one.steadiness for one in self.attempts]
         below = np.array([one.score - one.low for one in each])
         above = np.array([one.high - one.score for one in each])
@@ -100,14 +106,14 @@ class Person:
 
         The change is the slope of a straight line. None for fewer than three attempts.
         """
+        from scipy.stats import linregress, t
+
         count = len(self.attempts)
         if count < LEAST_ATTEMPTS:
             return None
-        order = np.arange(count) - 0.5 * (count - 1)
-        slope = float(order @ self.scores / (order @ order))
-        rest = self.scores - self.mean - slope * order
-        half = _t(count - 2) * float(np.sqrt(rest @ rest / (count - 2) / (order @ order)))
-        return slope, slope - half, slope + half
+        line = linregress(np.arange(count), self.scores)
+        half = float(t.ppf(0.975, count - 2) * line.stderr)
+        return float(line.slope), float(line.slope) - half, float(line.slope) + half
 
 
 @dataclass(frozen=True)
@@ -158,9 +164,9 @@ def rank(folder: Path, reference: AssessedRun, load: Callable[[Path], AssessedRu
         for run in runs:
             found = _assessed(load(run), reference, run)
             if found.steadiness is None:
-                left_out.append(f"{run} has {found.notes[-1]}")
+                left_out.append(f"{run} has no score: {found.unscored}")
             else:
-                attempts.append(Attempt(run.name, found, found.steadiness))
+                attempts.append(Attempt(run.name, found))
         if attempts:
             people.append(Person(person.name, tuple(attempts)))
     if not people and left_out:
@@ -229,14 +235,9 @@ def _rows(found: Ranking) -> list[tuple[object, ...]]:
             place,
             person.name,
             attempt.name,
-            *(
-                round(value, 2)
-                for value in (
-                    attempt.steadiness.score,
-                    attempt.steadiness.low,
-                    attempt.steadiness.high,
-                )
-            ),
+            round(attempt.steadiness.score, 2),
+            round(attempt.steadiness.low, 2),
+            round(attempt.steadiness.high, 2),
             round(attempt.steadiness.tremor_mm, 4),
             round(attempt.found.figures["deviation_mm"]["mean"], 4),
             round(attempt.found.figures["overshoot_mm"], 4),
@@ -285,17 +286,5 @@ def _folders(folder: Path) -> list[Path]:
     """Return the folders in a folder, in the order of their names with numbers as numbers."""
     if not folder.is_dir():
         raise InputError("folder", "exist", folder, "name the folder of the trainees")
-
-    def key(path: Path) -> list[tuple[bool, int, str]]:
-        parts = re.split(r"(\d+)", path.name)
-        return [(each.isdigit(), int(each) if each.isdigit() else 0, each) for each in parts]
-
     found = (each for each in folder.iterdir() if each.is_dir() and not each.name.startswith("."))
-    return sorted(found, key=key)
-
-
-def _t(freedom: int) -> float:
-    """Return the quantile of Student's t for a two-sided interval."""
-    from scipy.stats import t
-
-    return float(t.ppf(0.5 + 0.5 * LEVEL, freedom))
+    return sorted(found, key=lambda each: natural_order(each.name))

@@ -1,7 +1,7 @@
 """Steadiness of a hand: tremor of its intended motion, from position and force of the device."""
 
 from dataclasses import dataclass
-from math import exp, log, pi, sqrt
+from math import log, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +40,9 @@ LEAST_WINDOWS = 4
 PATH_HZ = 4.0
 """Cut-off of the motion along the path, below the band of tremor."""
 DRAWS = 1000
-"""Draws of windows with replacement, for the interval."""
+"""Draws of the noise in all windows, for the interval."""
+LEAST_MM = 1e-4
+"""Smallest tremor of a score [mm], far below that of a hand. Without tremor a score is infinite."""
 TYPICAL = "intermediate"
 """Hand whose grip is assumed: one person's grip is not known."""
 NOVICE, EXPERT = "novice", "expert"
@@ -116,13 +118,12 @@ def steadiness(
     low, high = tremor * np.quantile(tremors, (0.025, 0.975)) / np.median(tremors)
 
     def score(size: float) -> float:
-        """Return the place of a tremor between those of a novice and an expert [%]."""
+        """Return the score of a tremor [mm]."""
         worst, best = (
             sqrt(3.0) * 1e3 * hand_parameters(group, constants).tremor_m
             for group in (NOVICE, EXPERT)
         )
-        # A recorded path without any tremor would have an infinite score.
-        return 100.0 * log(worst / max(size, exp(-10.0) * worst)) / log(worst / best)
+        return 100.0 * log(worst / max(size, LEAST_MM)) / log(worst / best)
 
     return Steadiness(tremor, score(tremor), score(float(high)), score(float(low)))
 

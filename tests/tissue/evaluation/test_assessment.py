@@ -178,5 +178,18 @@ def test_runs_of_two_tasks_are_not_assessed(tmp_path, change):
         of_scene(saved(tmp_path / "o", reach(1.0)), hand="novice", device="touch", seed=3),
         reference,
     )
+    assert found.notes == ()
     # The trace of this run was made without the columns of a device.
-    assert found.notes == ("no score: the run has no device whose constants are known",)
+    assert found.steadiness is None and "no device whose constants are known" in found.unscored
+
+
+def test_least_distances_to_structures_of_both_runs_are_listed(tmp_path):
+    runs = []
+    for name, distances in (("t", {"canal": 0.4, "root": 3.0}), ("r", {"canal": 1.5})):
+        run = saved(tmp_path / name, reach(1.0))
+        clear = {key: {"least_distance_mm": value} for key, value in distances.items()}
+        run.summary["keep_clear"] = clear
+        runs.append(run)
+    found = assess(*runs)
+    assert found.figures["least_distance_mm"] == {"canal": {"trainee": 0.4, "reference": 1.5}}
+    assert "least distance to canal: 0.40 mm against 1.50" in assessment_lines(found)

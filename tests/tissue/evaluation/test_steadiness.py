@@ -24,13 +24,18 @@ def shaken(size_m, frequency_Hz=10.0):
     return np.column_stack([wave, 0.01 * np.sin(np.pi * time_s), np.zeros(4000)])
 
 
-def test_a_shaken_device_without_force_has_the_tremor_of_the_closed_form():
+def forces_at_10_Hz():
+    """Complex force per motion at 10 Hz: of the grip, and to move hand and device [N/m]."""
     grip = hand_parameters("intermediate")
     s = 2j * np.pi * 10.0
-    mass = grip.mass_kg + DEVICE.mass_kg
     pulls = grip.stiffness_N_m * (1.0 + grip.reflex_share * np.exp(-s * grip.reflex_s))
-    pulls += grip.damping_N_s_m * s
-    ratio = abs(1.0 + (mass * s**2 + DEVICE.damping_N_s_m * s) / pulls)
+    moves = (grip.mass_kg + DEVICE.mass_kg) * s**2 + DEVICE.damping_N_s_m * s
+    return pulls + grip.damping_N_s_m * s, moves
+
+
+def test_a_shaken_device_without_force_has_the_tremor_of_the_closed_form():
+    pulls, moves = forces_at_10_Hz()
+    ratio = abs(1.0 + moves / pulls)
     # Of the band around the geometric mean of its ends, 10 Hz lies 0.1 % below the middle.
     found = steadiness(shaken(1e-4), FREE, DEVICE)
     assert found.tremor_mm == pytest.approx(0.1 * ratio / np.sqrt(2.0), rel=0.01)
@@ -54,21 +59,32 @@ def test_tremor_does_not_depend_on_the_frame():
     one = steadiness(position, force, real)
     other = steadiness(position @ turned + 0.3, force @ turned, real)
     assert other.tremor_mm == pytest.approx(one.tremor_mm, rel=1e-9)
+    mirror = np.array([1.0, -1.0, 1.0])
+    mirrored = steadiness(position * mirror, force * mirror, real)
+    assert mirrored.tremor_mm == pytest.approx(one.tremor_mm, rel=1e-9)
     moved = position + 1e-9 * rng.normal(size=position.shape)
     assert steadiness(moved, force, real).tremor_mm == pytest.approx(one.tremor_mm, rel=1e-3)
 
 
+def test_a_hand_without_tremor_scores_far_above_an_expert_even_with_encoder_steps():
+    """The floor of the score: a smooth path, read in steps of a Touch and of a finer device."""
+    time_s = TICK_S * np.arange(4000)
+    path = 0.02 * np.column_stack([np.sin(np.pi * time_s), np.cos(2.0 * time_s), 0.5 * time_s])
+    exact = steadiness(path, FREE, DEVICE).tremor_mm
+    assert exact < 0.003
+    for step_m, floor_mm in ((5.5e-5, 0.012), (1e-5, 0.004)):
+        steps = step_m * np.round(path / step_m)
+        assert steadiness(steps, FREE, DEVICE).tremor_mm < floor_mm
+
+
 def test_a_force_of_the_motor_is_no_intended_motion():
     """A hand that holds still while its device is shaken by a known force has no tremor."""
-    grip = hand_parameters("intermediate")
-    s = 2j * np.pi * 10.0
-    mass = grip.mass_kg + DEVICE.mass_kg
-    pulls = grip.stiffness_N_m * (1.0 + grip.reflex_share * np.exp(-s * grip.reflex_s))
-    pulls += grip.damping_N_s_m * s
-    moved = 1e-4 * np.exp(s * TICK_S * np.arange(4000))
-    force = (pulls + mass * s**2 + DEVICE.damping_N_s_m * s) * moved
+    pulls, moves = forces_at_10_Hz()
+    moved = 1e-4 * np.exp(2j * np.pi * 10.0 * TICK_S * np.arange(4000))
+    force = (pulls + moves) * moved
     along = np.array([1.0, 0.0, 0.0])
     position, force = (each.real[:, None] * along for each in (moved, force))
+    grip = hand_parameters("intermediate")
     rest = hand_motion_m(position, force, DEVICE, grip, band_Hz=(8.0, 12.0))
     assert np.abs(rest[1000:-1000]).max() < 2e-3 * 1e-4
 
