@@ -67,14 +67,14 @@ def test_tremor_does_not_depend_on_the_frame():
 
 
 def test_a_hand_without_tremor_scores_far_above_an_expert_even_with_encoder_steps():
-    """The floor of the score: a smooth path, read in steps of a Touch and of a finer device."""
+    """Tremor of a smooth path, read in steps of a Touch and of a finer device."""
     time_s = TICK_S * np.arange(4000)
     path = 0.02 * np.column_stack([np.sin(np.pi * time_s), np.cos(2.0 * time_s), 0.5 * time_s])
     exact = steadiness(path, FREE, DEVICE).tremor_mm
     assert exact < 0.003
-    for step_m, floor_mm in ((5.5e-5, 0.012), (1e-5, 0.004)):
+    for step_m, limit_mm in ((5.5e-5, 0.012), (1e-5, 0.004)):
         steps = step_m * np.round(path / step_m)
-        assert steadiness(steps, FREE, DEVICE).tremor_mm < floor_mm
+        assert steadiness(steps, FREE, DEVICE).tremor_mm < limit_mm
 
 
 def test_a_force_of_the_motor_is_no_intended_motion():
