@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, counted
 from meshes.base.text_tables import natural_order
 from meshes.base.whole_file import whole_file
 from tissue.evaluation.assessment import AssessedRun, Assessment, assess
@@ -189,16 +189,15 @@ def _assessed(run: AssessedRun, reference: AssessedRun, folder: Path) -> Assessm
 
 def ranking_lines(found: Ranking) -> list[str]:
     """Return the ranking in words."""
-    lines = [
-        f"{found.scene}: {len(found.people)} trainees, {sum(len(p.attempts) for p in found.people)}"
-        " runs; a novice has a score of 0, an expert 100"
-    ]
+    people = counted(len(found.people), "trainee")
+    runs = counted(sum(len(person.attempts) for person in found.people), "run")
+    lines = [f"{found.scene}: {people}, {runs}; a novice has a score of 0, an expert 100"]
     for place, person in enumerate(found.people, 1):
         low, high = person.interval
         count = len(person.attempts)
         line = (
             f"{place}. {person.name}: {person.mean:.0f} (95 %: {low:.0f} to {high:.0f}), "
-            f"{count} attempt{'s' if count > 1 else ''}"
+            f"{counted(count, 'attempt')}"
         )
         if (gain := person.gain) is not None:
             line += f", {gain[0]:+.1f} an attempt ({gain[1]:+.1f} to {gain[2]:+.1f})"
