@@ -1,17 +1,23 @@
 """False alarms and found effects of the tests of a study, over simulated studies.
 
-Run: `python tests/bench/bench_null.py [--quick] [--only deciding | mixed | regression | index]`.
+Run: `python tests/bench/bench_null.py [--quick] [--only PART]`, where PART is deciding, mixed,
+regression, index or redrawn.
 
-A study has three groups of ten people under five methods. `deciding` tests 4,000 studies of each world
-by sign flips, which decide, and by F, Greenhouse and Geisser's correction, Tukey and MANOVA. The worlds
-differ in the spreads of methods and groups. `T2` has the means, spreads and correlation of the force
-errors of 30 trials of T2, with one trial or ten of each person. The planted effect is one standard
-deviation: of the difference between methods 3 and 4, or of people's means. In T2, methods 3 and 4 are
-the ones with look-ahead and with perception.
+A study has three groups of ten people under five methods. `deciding` tests 4,000 studies of each
+world by sign flips, which decide, and by F, Greenhouse and Geisser's correction, Tukey and MANOVA.
+The worlds differ in the spreads of methods and groups. `T2` has the means, spreads and correlation
+of the force errors of 30 trials of T2, with one trial or ten of each person. The planted effect is
+one standard deviation: of the difference between methods 3 and 4, or of people's means. In T2,
+methods 3 and 4 are the ones with look-ahead and with perception.
+
+`redrawn` compares the rates of a report with known ones. It draws 25 normal studies with equal
+spreads, in which every test has 5 % of false alarms. It prints the mean and the range over studies
+of the estimates with redrawn people, with noise (as in the report) and without.
 
 The other three parts measure the paper's Bayesian regression and composite index over 2,000 studies
-without an effect, and its mixed model over 200, as a fit takes 1 to 2 s. An index rejects if the interval of any method excludes zero, a
-regression if the interval of a slope does. Printed with each rate: its binomial standard error.
+without an effect, and its mixed model over 200, as a fit takes 1 to 2 s. An index rejects if the
+interval of any method excludes zero, a regression if the interval of a slope does. Printed with
+each rate: its binomial standard error.
 """
 
 import argparse
@@ -20,11 +26,18 @@ from collections.abc import Callable
 import numpy as np
 from harness import machine, table
 
-from tissue.evaluation.statistics.error_rates import QUESTIONS, Power, joint_rates, rejection_rates
-from tissue.evaluation.statistics.hpi import composite_index
+from tissue.evaluation.statistics.error_rates import (
+    POPULATIONS,
+    QUESTIONS,
+    Power,
+    joint_rates,
+    redrawn_power,
+    rejection_rates,
+)
+from tissue.evaluation.statistics.hpi import composite_index, drawn_users
 from tissue.evaluation.statistics.hypothesis_test import ALPHA
 from tissue.evaluation.statistics.mixed import mixed_model, regression
-from tissue.evaluation.statistics.strata import strata
+from tissue.evaluation.statistics.strata import group_means, strata
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.plan import DIRECTIONS, METHODS
 
@@ -134,7 +147,31 @@ def deciding(rng: np.random.Generator, count: int) -> list[tuple[str, ...]]:
     return rows
 
 
-def trials_of(rng: np.random.Generator, names: list[str], trials: int, spreads) -> TrialTable:
+def redrawn(rng: np.random.Generator, count: int) -> list[tuple[str, ...]]:
+    """Estimated rates of false alarms with people redrawn from one study, over studies."""
+    estimates: dict[tuple[str, ...], list[float]] = {}
+    for _ in range(count):
+        cells = trials_of(rng, ["error"], 2, np.ones(5)).cells("error")
+        residuals = cells.values - group_means(cells.values, cells.groups)[cells.groups]
+        # a drawn residual has the variance (n - 1) / n of the unbiased one
+        residuals *= (PEOPLE / (PEOPLE - 1.0)) ** 0.5
+        null = residuals[drawn_users(cells.groups, POPULATIONS, rng)]
+        for kind, rates in (
+            ("redrawn with noise", redrawn_power([cells], rng=rng)),
+            ("redrawn without noise", rejection_rates(null, null, GROUPS, rng=rng)),
+        ):
+            for each in rates:
+                label = (kind, each.question, each.test)
+                estimates.setdefault(label, []).append(100.0 * each.false_alarms.value)
+    return [
+        (*label, f"{np.mean(found):.1f} ({min(found):.1f} to {max(found):.1f})", "")
+        for label, found in estimates.items()
+    ]
+
+
+def trials_of(
+    rng: np.random.Generator, names: list[str], trials: int, spreads: np.ndarray
+) -> TrialTable:
     """Trials of one task without an effect: people, people by method, and trials vary."""
     shape = (len(GROUPS), trials, len(METHODS))
     person, trial, method = (each.ravel() for each in np.indices(shape))
@@ -214,6 +251,7 @@ PARTS = {
     "mixed": (mixed, 200),
     "regression": (slopes, 2000),
     "index": (index, 2000),
+    "redrawn": (redrawn, 25),
 }
 """Parts with their numbers of studies."""
 
@@ -229,7 +267,7 @@ def main() -> None:
     print(machine())
     for name, (measure, count) in PARTS.items():
         if given.only in (None, name):
-            studies = count // 100 if given.quick else count
+            studies = max(1, count // 100) if given.quick else count
             rows = measure(np.random.default_rng([given.seed, list(PARTS).index(name)]), studies)
             print(f"\n{name}: {studies} studies, false alarms and found effects at 5 %, %")
             print(table(rows, ("world", "question", "test", "false alarms", "found")), flush=True)

@@ -32,6 +32,11 @@ def test_a_session_ends_with_observer_trials_and_picture(command, here):
     truth, _ = simulated_observer("simulated:4")
     found = read_observer(here / "sub" / "one.json")
     assert found.trials == 144
+    # terminal and file give the same numbers
+    plain = json.loads((here / "sub" / "one.json").read_text("utf-8"))
+    assert f"threshold at {plain['threshold_at_N']:g} N {plain['threshold_N']:.3f} N" in out
+    assert f"Weber fraction {100 * plain['weber_fraction']:.1f} %" in out
+    assert f"exponent {plain['exponent']:.2f}" in out
     # four standard deviations of this one session's own posterior
     assert abs(np.log(found.kappa / truth.kappa[0])) < 4.0 * found.covariance[2, 2] ** 0.5
     assert abs(found.beta - truth.beta[0]) < 4.0 * found.covariance[1, 1] ** 0.5

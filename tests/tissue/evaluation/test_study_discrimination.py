@@ -14,7 +14,7 @@ from tissue.evaluation.calibration.observers import (
 )
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.discrimination import Felt, FeltPair, changes_of, sides, specimens
-from tissue.evaluation.study.trial import intensity_ratios
+from tissue.evaluation.study.trial_metrics import intensity_ratios
 from tissue.haptics.loop.filters import ForceRange
 from tissue.perception.observer import Observer, reference_observer
 

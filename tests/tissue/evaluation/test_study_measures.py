@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tissue import load_scene
-from tissue.evaluation.study import trial as measures
+from tissue.evaluation.study import trial_metrics as measures
 from tissue.perception.observer import reference_observer
 from tissue.scene.load import changed
 

@@ -11,14 +11,13 @@ import pytest
 
 from meshes.base.errors import InputError
 from tissue.evaluation.statistics.error_rates import QUESTIONS
+from tissue.evaluation.statistics.planned_power import planned_people, planned_power
 from tissue.evaluation.statistics.sign_flips import pair_scores, sign_test_p
 from tissue.evaluation.study import tested
 from tissue.evaluation.study.folder import StudyFolder
 from tissue.evaluation.study.plan import Plan, TrialKey
 from tissue.evaluation.study.registration import (
     content_sha256,
-    planned_people,
-    planned_power,
     planned_tests,
 )
 from tissue.evaluation.study.report import registration_section

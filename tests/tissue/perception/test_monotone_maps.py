@@ -44,14 +44,16 @@ def d_prime(from_N, to_N, made, scatter_N=0.0):
 def test_the_number_of_noticeable_differences_follows_from_the_end_points(name):
     """The sum over the range is ln((F2 + F0) / (F1 + F0)) / kappa for every map, by hand."""
     count = d_prime(0.0, LIMIT_N, MAPS[name]) / D_PRIME_75
-    assert count == pytest.approx(np.log(1.0 + LIMIT_N / OFFSET_N) / KAPPA, rel=0.01)
+    # 1,500 steps in place of the integral: up to 0.34 %
+    assert count == pytest.approx(np.log(1.0 + LIMIT_N / OFFSET_N) / KAPPA, rel=0.005)
 
 
 @pytest.mark.parametrize("name", list(MAPS)[1:])
 def test_a_gain_in_one_band_is_paid_in_another(name):
     changes = [d_prime(*band, MAPS[name]) - d_prime(*band, MAPS["unchanged"]) for band in BANDS_N]
     assert max(changes) > 1.0 and min(changes) < -1.0
-    assert sum(changes) == pytest.approx(0.0, abs=0.5)
+    # the steps in place of the integral: up to 0.02
+    assert sum(changes) == pytest.approx(0.0, abs=0.05)
 
 
 def test_a_deadband_counts_the_same_number_of_changes():
@@ -64,13 +66,15 @@ def test_a_deadband_counts_the_same_number_of_changes():
         counts.append(held_back(vectors, law)[1].sum())
     expected = np.log(1.0 + LIMIT_N / OFFSET_N) / np.log(1.0 + KAPPA)
     assert np.ptp(counts) <= 1
-    assert abs(counts[0] - expected) < 3.0
+    # a count is a whole number
+    assert abs(counts[0] - expected) < 1.0
 
 
 def test_a_map_that_widens_the_range_adds_differences():
     """Twice the force gives ln((2 F + F0) / F0) / kappa differences."""
     count = d_prime(0.0, LIMIT_N, lambda force: 2.0 * force) / D_PRIME_75
-    assert count == pytest.approx(np.log(1.0 + 2.0 * LIMIT_N / OFFSET_N) / KAPPA, rel=0.01)
+    # the steps in place of the integral: 0.30 %
+    assert count == pytest.approx(np.log(1.0 + 2.0 * LIMIT_N / OFFSET_N) / KAPPA, rel=0.005)
 
 
 def test_scatter_of_the_force_passes_through_a_map():
@@ -108,5 +112,6 @@ def test_an_exponent_of_1_2_gains_where_forces_are_strong(softer, stiffer, kept,
         ]
         return 100.0 * (sensitivity(people, *mapped).mean() / plain - 1.0)
 
+    # docs/paper.md gives whole percents
     assert change(LIMIT_N) == pytest.approx(kept, abs=0.5)
     assert change(1.0) == pytest.approx(lifted, abs=0.5)

@@ -22,6 +22,7 @@ from tissue.perception.adaptive import (
     comparisons,
     fit_magnitudes,
 )
+from tissue.perception.laws import Weber
 from tissue.perception.observer import REPORTED_N, Observer
 
 __all__ = ["Comparison", "Magnitude", "Plan", "Session", "TrialLog", "log_path", "read_log"]
@@ -197,16 +198,19 @@ class Session:
         )
 
     def lines(self) -> list[str]:
-        """Return the present estimates as sentences."""
-        # the median and the ends of the 95 % interval
-        low, middle, high = (
-            float(q[0]) for q in self.threshold.weber_quantiles(np.array([0.025, 0.5, 0.975]))
-        )
-        at, _ = self.threshold.threshold_N(REPORTED_N)
+        """Return the present estimates as sentences.
+
+        The numbers agree with those of the observer's file.
+        """
+        # the ends of the 95 % interval
+        low, high = self.threshold.weber_quantiles(np.array([0.025, 0.975]))[:, 0]
+        weber, _ = self.threshold.weber()
+        law = Weber(kappa=float(weber[0]), offset=float(self.threshold.offset_N()[0]))
         notes = [
-            f"Weber fraction {100 * middle:.1f} % (95 % within {100 * low:.1f} to "
+            f"Weber fraction {100 * law.kappa:.1f} % (95 % within {100 * low:.1f} to "
             f"{100 * high:.1f} %), "
-            f"threshold at {REPORTED_N:g} N {at[0]:.3f} N, after {len(self.asked)} comparisons"
+            f"threshold at {REPORTED_N:g} N {law.threshold(REPORTED_N):.3f} N, "
+            f"after {len(self.asked)} comparisons"
         ]
         if self.given:
             # the median and the ends of the 95 % interval

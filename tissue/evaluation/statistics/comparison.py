@@ -26,6 +26,7 @@ from tissue.evaluation.statistics.hypothesis_test import (
 from tissue.evaluation.statistics.mixed import MixedModel, mixed_model
 from tissue.evaluation.statistics.sign_flips import SignTest, pair_scores, sign_test
 from tissue.evaluation.statistics.strata import (
+    Strata,
     group_means,
     mauchly,
     multivariate,
@@ -175,8 +176,8 @@ def stratum_test(
         (["group"] if between else []) + [cells.factors[index][0] for index in within]
     )
     question = f"{cells.metric}: {name}"
-    found = strata(values, groups, sizes, within, between=between)
-    if float(found.error_square) <= (ROUNDING * float(np.abs(values).max())) ** 2:
+    exact = strata(values, groups, sizes, within, between=between)
+    if float(exact.error_square) <= (ROUNDING * float(np.abs(values).max())) ** 2:
         raise InputError(
             cells.metric,
             "vary among users to be tested",
@@ -185,14 +186,11 @@ def stratum_test(
         )
     scores = pair_scores(values, sizes, within)
     signs = sign_test(scores, groups, between=between, rng=rng)
-    notes = (
-        [f"{len(cells.dropped)} users without a whole set of trials are left out."]
-        if cells.dropped
-        else []
-    )
-    notes += (
-        ["Means of users rest on unequal numbers of trials."] if np.ptp(cells.counts) > 0 else []
-    )
+    notes = []
+    if cells.dropped:
+        notes.append(f"{len(cells.dropped)} users without a whole set of trials are left out.")
+    if np.ptp(cells.counts) > 0:
+        notes.append("Means of users rest on unequal numbers of trials.")
     test = HypothesisTest(
         "sign flips",
         question,
@@ -200,9 +198,9 @@ def stratum_test(
         signs.statistic,
         (),
         signs.p,
-        partial_eta_squared(float(found.F), *found.degrees),
+        partial_eta_squared(float(exact.F), *exact.degrees),
         _symmetry(scores, groups),
-        _f_tests(cells, within, between=between, question=question),
+        _f_tests(exact, scores_of(values, sizes, within), groups, between, question),
         " ".join(notes),
     )
     return test, signs
@@ -217,13 +215,13 @@ def _symmetry(scores: Array, groups: Ints) -> tuple[Assumption, ...]:
 
 
 def _f_tests(
-    cells: Cells, within: tuple[int, ...], *, between: bool, question: str
+    exact: Strata, scores: Array, groups: Ints, between: bool, question: str
 ) -> tuple[HypothesisTest, ...]:
-    """Return the F test of an effect with its assumptions, and the one corrected for sphericity."""
-    found = strata(cells.values, cells.groups, cells.sizes, within, between=between)
-    scores = scores_of(cells.values, cells.sizes, within)
-    groups = cells.groups
-    statistic = float(found.F)
+    """Return the F test of an effect with its assumptions, and the one corrected for sphericity.
+
+    The scores on orthonormal contrasts have shape (users, contrasts).
+    """
+    statistic = float(exact.F)
     residuals = scores - group_means(scores, groups)[groups]
     assumptions: list[Assumption] = []
     others = []
@@ -232,13 +230,13 @@ def _f_tests(
         assumptions.append(normal_residuals(residuals))
     # one contrast is spherical by itself
     if scores.shape[1] > 1:
-        epsilon = float(found.epsilon)
+        epsilon = float(exact.epsilon)
         p = mauchly(scores, groups)
         # NaN, where users are too few for the test, counts as not shown.
         finding = f"Mauchly {format_p(p)}, epsilon {epsilon:.2f}"
         assumptions.append(Assumption("sphericity", bool(p >= ALPHA), finding))
-        degrees = tuple(epsilon * each for each in found.degrees)
-        p = float(found.corrected_p)
+        degrees = tuple(epsilon * each for each in exact.degrees)
+        p = float(exact.corrected_p)
         others.append(HypothesisTest("Greenhouse-Geisser", question, "F", statistic, degrees, p))
     # about the median, two values of a group always have the same distance
     if between and min(np.bincount(groups)) > 2:
@@ -248,8 +246,8 @@ def _f_tests(
         question,
         "F",
         statistic,
-        found.degrees,
-        float(found.p),
+        exact.degrees,
+        float(exact.p),
         assumptions=tuple(assumptions),
     )
     return (test, *others)

@@ -1,6 +1,6 @@
 """Rejection rates of the tests of a study, with and without an effect."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations
@@ -12,7 +12,7 @@ from scipy.stats import binomtest, studentized_range
 from meshes.base.arrays import Array, Ints
 from tissue.evaluation.statistics.hypothesis_test import ALPHA, LEVEL, Effect
 from tissue.evaluation.statistics.sign_flips import pair_scores, sign_test_p
-from tissue.evaluation.statistics.strata import group_means, pillai, scores_of, strata
+from tissue.evaluation.statistics.strata import Strata, group_means, pillai, scores_of, strata
 from tissue.evaluation.statistics.trials import Cells
 
 __all__ = ["QUESTIONS", "Power", "joint_rates", "redrawn_power", "rejection_rates"]
@@ -68,9 +68,13 @@ def redrawn_power(
     The null hypothesis is made true by subtracting the means of each group and method. Users are
     drawn from a smoothed distribution of the residuals (Silverman and Young 1987): a drawn user is
     one of the group, plus normal noise of the group's covariance. Without the noise, ten users
-    repeat so often that sign flips seem to raise too many false alarms. In 25 normal studies with a
-    true rate of 4.5 to 5.3 %, the estimate is 4.9 to 5.8 %, and without the noise 5.4 to 10.2 %. F
-    is estimated as 7 % where it holds 5 %, since the covariance of ten users is never spherical.
+    repeat so often that sign flips seem to raise too many false alarms.
+
+    In 25 normal studies with a true rate of 5 %, the mean estimate of sign flips is 5.1 to 5.4 % by
+    question (single studies 3.7 to 6.4 %), and without the noise 5.6 to 7.8 % (up to 10.8 %). The
+    estimate of F is too high, since the covariance of ten users is never spherical. Its mean is
+    5.5 % for groups, 5.9 % for methods and 7.1 % for both (up to 8.4 %). ``python
+    tests/bench/bench_null.py --only redrawn`` measures these rates.
 
     Power refers to an effect of the measured size, which includes the error of the measurement. The
     power is too high if the true effect is zero or small.
@@ -160,29 +164,31 @@ def rejection_rates(
         Questions to answer, if the design can answer them.
     """
     found: list[Power] = []
-    sizes = (null.shape[-1],)
-    for question, (chosen, between) in _asked(questions, null.shape[-1], groups):
-
-        def by_signs(values: Array) -> Rejects:
-            scores = pair_scores(values, sizes, chosen)  # noqa: B023 called here
-            return sign_test_p(scores, groups, between=between, rng=rng) <= ALPHA  # noqa: B023
-
-        def by_f(values: Array) -> Rejects:
-            return strata(values, groups, sizes, chosen, between=between).p <= ALPHA  # noqa: B023
-
-        def by_corrected_f(values: Array) -> Rejects:
-            exact = strata(values, groups, sizes, chosen, between=between)  # noqa: B023
-            return exact.corrected_p <= ALPHA
-
-        tests: dict[str, Callable[[Array], Rejects]] = {"sign flips": by_signs, "F of strata": by_f}
-        if chosen:
-            tests["Greenhouse-Geisser"] = by_corrected_f
-        if question == "method":
-            tests["Tukey HSD within users"] = lambda values: _tukey_levels(values, groups)
-        if question == "group":
-            tests["Tukey HSD"] = lambda values: _tukey_groups(values.mean(axis=-1), groups)
-        found += _rates(question, tests, null, planted, groups)
+    for question in _answerable(questions, null.shape[-1], groups):
+        plain = _rejections(null, groups, question, rng)
+        found += _rates(question, plain, _rejections(planted, groups, question, rng), groups)
     return tuple(found)
+
+
+def _rejections(
+    values: Array, groups: Ints, question: str, rng: np.random.Generator
+) -> dict[str, Rejects]:
+    """Return the populations in which each test of one metric rejects, by the name of the test."""
+    chosen, between = QUESTIONS[question]
+    sizes = (values.shape[-1],)
+    scores = pair_scores(values, sizes, chosen)
+    exact = strata(values, groups, sizes, chosen, between=between)
+    found = {
+        "sign flips": sign_test_p(scores, groups, between=between, rng=rng) <= ALPHA,
+        "F of strata": exact.p <= ALPHA,
+    }
+    if chosen:
+        found["Greenhouse-Geisser"] = exact.corrected_p <= ALPHA
+    if question == "method":
+        found["Tukey HSD within users"] = _tukey_levels(values, groups, exact)
+    if question == "group":
+        found["Tukey HSD"] = _tukey_groups(values.mean(axis=-1), groups)
+    return found
 
 
 def joint_rates(
@@ -208,37 +214,54 @@ def joint_rates(
         Questions to answer, if the design can answer them.
     """
     found: list[Power] = []
-    metrics, users, methods = null.shape[1:]
-    for question, (chosen, between) in _asked(questions, methods, groups):
-        width = metrics * (methods - 1 if chosen else 1)
-
-        def by_signs(values: Array) -> Rejects:
-            scores = _joined(pair_scores(values, (methods,), chosen))  # noqa: B023 called here
-            return sign_test_p(scores, groups, between=between, rng=rng) <= ALPHA  # noqa: B023
-
-        def by_pillai(values: Array) -> Rejects:
-            scores = _joined(scores_of(values, (methods,), chosen))  # noqa: B023
-            return pillai(scores, groups, between=between).p <= ALPHA  # noqa: B023
-
-        tests: dict[str, Callable[[Array], Rejects]] = {"sign flips": by_signs}
-        contrasts = _joined(scores_of(null[0], (methods,), chosen))
-        residuals = contrasts - group_means(contrasts, groups)[groups]
-        # Pillai's trace needs users enough, and no metric that repeats another
-        if np.linalg.matrix_rank(residuals) == width < users - int(groups.max()) - 1:
-            tests["MANOVA, Pillai's trace"] = by_pillai
-        found += _rates(f"{question}, {metrics} metrics", tests, null, planted, groups)
+    metrics, _, methods = null.shape[1:]
+    for question in _answerable(questions, methods, groups):
+        by_pillai = _pillai_applies(null[0], groups, question)
+        plain = _joint_rejections(null, groups, question, rng, by_pillai=by_pillai)
+        found += _rates(
+            f"{question}, {metrics} metrics",
+            plain,
+            _joint_rejections(planted, groups, question, rng, by_pillai=by_pillai),
+            groups,
+        )
     return tuple(found)
 
 
-def _asked(
-    questions: Sequence[str], methods: int, groups: Ints
-) -> list[tuple[str, tuple[tuple[int, ...], bool]]]:
+def _joint_rejections(
+    values: Array, groups: Ints, question: str, rng: np.random.Generator, *, by_pillai: bool
+) -> dict[str, Rejects]:
+    """Return the populations in which each test of several metrics rejects, by its name."""
+    chosen, between = QUESTIONS[question]
+    sizes = (values.shape[-1],)
+    scores = _joined(pair_scores(values, sizes, chosen))
+    found = {"sign flips": sign_test_p(scores, groups, between=between, rng=rng) <= ALPHA}
+    if by_pillai:
+        contrasts = _joined(scores_of(values, sizes, chosen))
+        found["MANOVA, Pillai's trace"] = pillai(contrasts, groups, between=between).p <= ALPHA
+    return found
+
+
+def _pillai_applies(values: Array, groups: Ints, question: str) -> bool:
+    """Return whether there are enough users for Pillai's trace, and no metric repeats another.
+
+    The values of one population have shape (metrics, users, methods).
+    """
+    chosen, _ = QUESTIONS[question]
+    scores = _joined(scores_of(values, (values.shape[-1],), chosen))
+    users, width = scores.shape
+    residuals = scores - group_means(scores, groups)[groups]
+    return bool(np.linalg.matrix_rank(residuals) == width < users - int(groups.max()) - 1)
+
+
+def _answerable(questions: Sequence[str], methods: int, groups: Ints) -> list[str]:
     """Return the questions that a design with these methods and groups can answer."""
     found = []
     for question in questions:
         chosen, between = QUESTIONS[question]
-        if not (between and groups.max() == 0) and not (chosen and methods < 2):
-            found.append((question, (chosen, between)))
+        lacks_groups = between and groups.max() == 0
+        lacks_methods = bool(chosen) and methods < 2
+        if not lacks_groups and not lacks_methods:
+            found.append(question)
     return found
 
 
@@ -255,27 +278,25 @@ def _joined(scores: Array) -> Array:
 
 
 def _rates(
-    question: str,
-    tests: Mapping[str, Callable[[Array], Rejects]],
-    null: Array,
-    planted: Array,
-    groups: Ints,
+    question: str, null: Mapping[str, Rejects], planted: Mapping[str, Rejects], groups: Ints
 ) -> list[Power]:
-    """Return the rates of each test of one question."""
+    """Return the rates of each test of one question from its rejections."""
     users = int(np.bincount(groups).min())
     return [
-        Power(question, name, users, len(null), _share(rejects(null)), _share(rejects(planted)))
-        for name, rejects in tests.items()
+        Power(question, name, users, len(alarms), _share(alarms), _share(planted[name]))
+        for name, alarms in null.items()
     ]
 
 
-def _tukey_levels(values: Array, groups: Ints) -> Rejects:
-    """Return whether Tukey's test within users finds any pair of levels, shape (populations,)."""
-    found = strata(values, groups, (values.shape[-1],), (0,), between=False)
+def _tukey_levels(values: Array, groups: Ints, exact: Strata) -> Rejects:
+    """Return whether Tukey's test within users finds any pair of levels, shape (populations,).
+
+    `exact` is the F test of the levels.
+    """
     counts = np.bincount(groups)
     means = group_means(values, groups).mean(axis=-2)
-    error = np.sqrt(found.error_square * (1.0 / counts).sum() / len(counts) ** 2)
-    critical = _critical_range(values.shape[-1], found.degrees[1])
+    error = np.sqrt(exact.error_square * (1.0 / counts).sum() / len(counts) ** 2)
+    critical = _critical_range(values.shape[-1], exact.degrees[1])
     return np.asarray(np.ptp(means, axis=-1) >= critical * error)
 
 

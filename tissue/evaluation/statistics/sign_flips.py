@@ -5,19 +5,18 @@ F and shuffled labels, they allow methods and groups that differ in spread.
 """
 
 from dataclasses import dataclass
-from functools import reduce
 from itertools import combinations
 
 import numpy as np
 
 from meshes.base.arrays import Array, Ints
 from tissue.evaluation.statistics.hypothesis_test import ALPHA
-from tissue.evaluation.statistics.strata import group_means
+from tissue.evaluation.statistics.strata import effect_scores, group_means
 
 __all__ = [
     "SignTest",
     "flipped_p",
-    "largest_t",
+    "largest_squared_t",
     "pair_differences",
     "pair_scores",
     "sign_test",
@@ -82,27 +81,16 @@ def pair_differences(count: int) -> Array:
 def pair_scores(values: Array, sizes: tuple[int, ...], chosen: tuple[int, ...]) -> Array:
     """Compute the differences of every user between all pairs of levels of one effect.
 
-    Parameters
-    ----------
-    values
-        Cell means, shape (..., users, levels). The number of levels is the product of `sizes`, with
-        the last factor fastest.
-    sizes
-        Levels of each factor.
-    chosen
-        Factors in the effect. An interaction gives differences of differences. Empty for a user's
-        mean.
-
-    Returns
-    -------
-    Array
-        Shape (..., users, pairs).
+    Parameters and shapes are those of :func:`effect_scores`. An interaction gives differences of
+    differences. Without chosen factors, the score is a user's mean.
     """
-    parts = [
-        pair_differences(size) if index in chosen else np.full((1, size), 1.0 / size)
-        for index, size in enumerate(sizes)
-    ]
-    return values @ reduce(np.kron, parts).T
+    return effect_scores(
+        values,
+        sizes,
+        chosen,
+        contrasts=pair_differences,
+        mean_weight=lambda size: 1.0 / size,
+    )
 
 
 def _compared(means: Array, variances: Array, *, between: bool) -> tuple[Array, Array]:
@@ -123,7 +111,7 @@ def _compared(means: Array, variances: Array, *, between: bool) -> tuple[Array, 
     return (pairs @ means).reshape(shape), (np.abs(pairs) @ variances).reshape(shape)
 
 
-def largest_t(means: Array, variances: Array, *, between: bool) -> Array:
+def largest_squared_t(means: Array, variances: Array, *, between: bool) -> Array:
     """Return the largest squared t over all pairs, shape (...).
 
     Parameters
@@ -237,7 +225,7 @@ def sign_test(
     largest = []
     for start in range(0, flips, block):
         signs = _signs(min(block, flips - start), len(groups), rng)
-        largest.append(largest_t(*_moments(held, groups, signs), between=between))
+        largest.append(largest_squared_t(*_moments(held, groups, signs), between=between))
     flipped = np.concatenate(largest)
     ordered = np.sort(flipped)
     # the flips that reach it and the measured statistic are 5 % of all
@@ -282,8 +270,8 @@ def sign_test_p(
     found = []
     for start in range(0, len(scores), block):
         chosen = slice(start, start + block)
-        measured = largest_t(*_moments(scores[chosen], groups, ones), between=between)[..., 0]
+        measured = largest_squared_t(*_moments(scores[chosen], groups, ones), between=between)
         signs = _signs(flips, len(groups), rng)
-        flipped = largest_t(*_moments(held[chosen], groups, signs), between=between)
-        found.append(flipped_p(measured, flipped))
+        flipped = largest_squared_t(*_moments(held[chosen], groups, signs), between=between)
+        found.append(flipped_p(measured[..., 0], flipped))
     return np.concatenate(found)

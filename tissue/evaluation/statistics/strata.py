@@ -1,5 +1,6 @@
 """F tests of a design with groups of users and factors within users, for one metric or several."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import reduce
 
@@ -19,6 +20,7 @@ from tissue.evaluation.statistics.hypothesis_test import (
 __all__ = [
     "Pillai",
     "Strata",
+    "effect_scores",
     "group_means",
     "mauchly",
     "multivariate",
@@ -35,11 +37,11 @@ class Strata:
     Attributes
     ----------
     F, p
-        Statistic and its chance where there is no effect, shape of the populations.
+        Statistic and its p value, shape of the populations.
     error_square
-        Mean square below the bar.
+        Mean square in the denominator of F.
     degrees
-        Degrees of freedom of both.
+        Degrees of freedom of numerator and denominator.
     epsilon, corrected_p
         Greenhouse and Geisser's (1959) measure of sphericity, 1 where it holds, and p with degrees
         scaled by it.
@@ -62,8 +64,15 @@ def group_means(values: Array, groups: Ints) -> Array:
     return (member / member.sum(axis=1, keepdims=True)) @ values
 
 
-def scores_of(values: Array, sizes: tuple[int, ...], chosen: tuple[int, ...]) -> Array:
-    """Compute the scores of every user on orthonormal contrasts of one effect within users.
+def effect_scores(
+    values: Array,
+    sizes: tuple[int, ...],
+    chosen: tuple[int, ...],
+    *,
+    contrasts: Callable[[int], Array],
+    mean_weight: Callable[[int], float],
+) -> Array:
+    """Compute the scores of every user on contrasts of one effect within users.
 
     Parameters
     ----------
@@ -73,19 +82,39 @@ def scores_of(values: Array, sizes: tuple[int, ...], chosen: tuple[int, ...]) ->
     sizes
         Levels of each factor.
     chosen
-        Factors in the effect. Empty for a user's mean (times the root of the number of levels).
+        Factors in the effect.
+    contrasts
+        Weights of the contrasts of a factor in the effect, shape (contrasts, levels), from its
+        number of levels.
+    mean_weight
+        Weight of each level of a factor outside of the effect, from its number of levels.
 
     Returns
     -------
     Array
         Shape (..., users, contrasts).
     """
-    # a factor outside of the effect contributes its mean, by weights of unit length
     parts = [
-        helmert(size) if index in chosen else np.full((1, size), size**-0.5)
+        contrasts(size) if index in chosen else np.full((1, size), mean_weight(size))
         for index, size in enumerate(sizes)
     ]
     return values @ reduce(np.kron, parts).T
+
+
+def scores_of(values: Array, sizes: tuple[int, ...], chosen: tuple[int, ...]) -> Array:
+    """Compute the scores of every user on orthonormal contrasts of one effect within users.
+
+    Parameters and shapes are those of :func:`effect_scores`. Without chosen factors, the score is a
+    user's mean times the root of the number of levels.
+    """
+    return effect_scores(
+        values,
+        sizes,
+        chosen,
+        contrasts=helmert,
+        # of unit length, as the contrasts
+        mean_weight=lambda size: size**-0.5,
+    )
 
 
 def strata(
@@ -180,7 +209,7 @@ class Pillai:
     Attributes
     ----------
     trace, F, p
-        Trace, statistic and its chance where there is no effect, shape of the populations.
+        Trace, statistic and its p value, shape of the populations.
     degrees
         Degrees of freedom of F.
     """

@@ -254,7 +254,8 @@ def _travels(shared: TrialTable) -> tuple[str, str, bytes]:
     # an infinite end leaves the axes; 5 % of space behind the largest finite one
     axes.set_xlim(0.0, 1.05 * max((each for each in ends if isfinite(each)), default=1.0))
     axes.set_xlabel("travel after the puncture / mm, median over people with its 95 % interval")
-    best, worst = (medians.index(choose(medians)) for choose in (min, max))
+    best = medians.index(min(medians))
+    worst = medians.index(max(medians))
     headline = (
         "The median over people of the needle's travel after the puncture is "
         f"{_travel_text(medians[best])} ({methods[best]}) to {_travel_text(medians[worst])} "

@@ -144,13 +144,12 @@ def changes_of(observers: SimulatedObservers, plain: FeltPair, other: FeltPair) 
     from scipy.stats import t
 
     def change(one: FeltPair, two: FeltPair) -> Array:
-        (d, right), (new_d, new_right) = (
-            [each.mean() for each in pair.felt_by(observers)] for pair in (one, two)
-        )
+        """Return the changes of d', of d' in percent and of right answers, shape (3,)."""
+        d, right = (each.mean() for each in one.felt_by(observers))
+        new_d, new_right = (each.mean() for each in two.felt_by(observers))
         # a d' of 0 has no ratio; below `LEAST_D` the caller gives none either
-        return np.array(
-            [new_d - d, 100.0 * (new_d / d - 1.0) if d else 0.0, 100.0 * (new_right - right)]
-        )
+        percent = 100.0 * (new_d / d - 1.0) if d else 0.0
+        return np.array([new_d - d, percent, 100.0 * (new_right - right)])
 
     who = np.arange(len(plain.less.means_N))
     value = change(plain, other)

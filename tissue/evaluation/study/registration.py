@@ -6,18 +6,23 @@ import json
 from collections.abc import Mapping
 from functools import lru_cache
 from hashlib import sha256
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tomli_w
 
-from meshes.base.arrays import Array
-from meshes.base.errors import InputError, require_range
+from meshes.base.errors import InputError
 from meshes.base.whole_file import claim, package_version, whole_file
 from tissue.evaluation.statistics.hypothesis_test import ALPHA
-from tissue.evaluation.statistics.sign_flips import largest_t, pair_differences
+from tissue.evaluation.statistics.planned_power import (
+    EFFECT,
+    POPULATIONS,
+    POWER,
+    effect_names,
+    planned_people,
+    planned_power,
+)
 from tissue.evaluation.study.plan import (
     COMPARED,
     DIRECTIONS,
@@ -35,8 +40,6 @@ __all__ = [
     "content_sha256",
     "file_sha256",
     "plan_text",
-    "planned_people",
-    "planned_power",
     "planned_tests",
     "register",
     "registered",
@@ -48,24 +51,6 @@ PLAN_FILE = "plan.toml"
 Registration = dict[str, str | int]
 """One registered plan: ``file``, ``sha256`` and ``trials_before``, the number of trials that
 were there before it.
-"""
-EFFECT = 1.0
-"""Effect of interest in standard deviations.
-
-The standard deviation is that of the differences within people between two methods, or of people of
-one group. The value is chosen in the range 0.5 to 2 as the smallest relevant effect. The paper's
-force errors of penalty and Koopman differ by 2.8 to 2.9 standard deviations (its table of force
-errors, root mean square of both columns' spreads).
-"""
-POWER = 0.8
-"""Power for which the number of people is planned (Cohen 1988, section 2.4)."""
-MOST_PEOPLE = 200
-"""Largest number of people per group that is considered. No registered effect needs as many."""
-POPULATIONS = 20_000
-"""Simulated studies for a power.
-
-At 5 % of one of 54 tests, 19 of them reach the critical value. Its uncertainty changes a power of
-0.8 by 0.02 (standard deviation of 12 repetitions), and 35 planned people by up to 2.
 """
 STREAM = 2000
 """Key of the generator of planned powers. Trials and people have keys below 1001."""
@@ -213,7 +198,7 @@ def planned_tests(plan: Plan) -> list[str]:
         found += [
             f"{task} {metric}: {effect}"
             for metric in COMPARED
-            for effect in _effects(["group"] * groups + ["method"] * methods)
+            for effect in effect_names(["group"] * groups + ["method"] * methods)
         ]
         together = ", ".join(COMPARED)
         found += [
@@ -224,7 +209,7 @@ def planned_tests(plan: Plan) -> list[str]:
     found += [
         f"all {metric}: {effect}"
         for metric in COMPARED
-        for effect in _effects(factors)
+        for effect in effect_names(factors)
         if plan.compared
     ]
     return found
@@ -238,14 +223,6 @@ def plan_text(plan: Plan) -> str:
     keys = list(plan.all_trials())
     people = min(plan.trials, USERS)
     alpha = ALPHA / max(1, len(tests))
-    design = (len(plan.groups), len(plan.methods))
-    powers: dict[str, dict[str, float] | dict[str, int]] = {}
-    for name, level in {"corrected": alpha, "uncorrected": ALPHA}.items() if tests else ():
-        rng = np.random.default_rng(np.random.SeedSequence(plan.seed, spawn_key=(STREAM,)))
-        powers[name] = _rounded(planned_power(people, *design, alpha=level, rng=rng))
-        # a test decides after correction
-        if name == "corrected":
-            powers["people_per_group"] = planned_people(*design, alpha=level, rng=rng)
     table = {
         "tissue": package_version(),
         "design": {
@@ -302,171 +279,33 @@ def plan_text(plan: Plan) -> str:
             "method": f"{POPULATIONS} simulated studies with normal values and equal spreads, for "
             "the deciding test of one metric on one task; people_per_group is the smallest number "
             f"with a power of {POWER} after correction",
-            **powers,
+            **(_powers(plan, people, alpha) if tests else {}),
         },
     }
     return HEAD + tomli_w.dumps(table)
 
 
-def _effects(factors: list[str]) -> list[str]:
-    """Return the main effects and interactions of factors."""
-    return [
-        " x ".join(chosen)
-        for count in range(1, len(factors) + 1)
-        for chosen in combinations(factors, count)
-    ]
+def _powers(plan: Plan, people: int, alpha: float) -> dict[str, dict[str, float] | dict[str, int]]:
+    """Return the powers with and without correction, and the people that a power of 0.8 needs.
+
+    `alpha` is the share of false alarms of one test after correction.
+    """
+    design = (len(plan.groups), len(plan.methods))
+    rng = _stream(plan)
+    return {
+        "corrected": _rounded(planned_power(people, *design, alpha=alpha, rng=rng)),
+        # a test decides after correction
+        "people_per_group": planned_people(*design, alpha=alpha, rng=rng),
+        "uncorrected": _rounded(planned_power(people, *design, alpha=ALPHA, rng=_stream(plan))),
+    }
+
+
+def _stream(plan: Plan) -> np.random.Generator:
+    """Return the generator of planned powers."""
+    return np.random.default_rng(np.random.SeedSequence(plan.seed, spawn_key=(STREAM,)))
 
 
 def _rounded(power: dict[str, float]) -> dict[str, float]:
     # to one per cent, the noise of the simulation; machines that round differently write the
     # same text
     return {name: round(value, 2) for name, value in power.items()}
-
-
-def planned_power(
-    people: int,
-    groups: int,
-    methods: int,
-    *,
-    alpha: float,
-    rng: np.random.Generator,
-    effect: float = EFFECT,
-) -> dict[str, float]:
-    """Return the power of each deciding test of one metric on one task for an effect of interest.
-
-    One method, or one group, or one method in one group, differs by ``effect`` from all others,
-    which are equal. The unit of the effect is the standard deviation of differences within people
-    between two methods, or of people's means in a group. Values are normal with equal spreads.
-
-    The power is the share of simulated studies whose largest t exceeds the critical value. The
-    critical value is the quantile 1 - alpha of simulated studies without an effect. Sign flips
-    would need 20 / alpha flips for each study. At 5 % they find 0.01 to 0.02 fewer effects.
-
-    Parameters
-    ----------
-    people
-        People in a group. The effect is on means over a person's trials, so the number of trials
-        does not count.
-    groups, methods
-        Numbers of both.
-    alpha
-        Share of false alarms of one test, after correction.
-    rng
-        Generator of the simulated studies.
-    effect
-        Effect in standard deviations.
-
-    Returns
-    -------
-    dict[str, float]
-        Power by test, without tests that need more people, groups or methods.
-
-    Raises
-    ------
-    InputError
-        If alpha or the effect is out of range.
-    """
-    # the critical value rests on alpha * POPULATIONS studies
-    require_range("alpha", alpha, 5.0 / POPULATIONS, 1.0, "use 0.05")
-    # beyond this range a typing error: to show 0.01 takes more than 100 000 people
-    require_range("effect", effect, 0.01, 10.0, "use 1")
-    # no variation between people
-    if people < 2:
-        return {}
-    return {
-        test: _simulated_power(test, people, groups, methods, alpha=alpha, rng=rng, effect=effect)
-        for test in _effects(["group"] * (groups > 1) + ["method"] * (methods > 1))
-    }
-
-
-def planned_people(
-    groups: int,
-    methods: int,
-    *,
-    alpha: float,
-    rng: np.random.Generator,
-    effect: float = EFFECT,
-) -> dict[str, int]:
-    """Return the smallest number of people per group with a power of 0.8, by test.
-
-    Parameters
-    ----------
-    groups, methods, alpha, rng, effect
-        As in :func:`planned_power`.
-
-    Returns
-    -------
-    dict[str, int]
-        A test that needs more than 200 people per group is left out.
-    """
-    found = {}
-    for test in _effects(["group"] * (groups > 1) + ["method"] * (methods > 1)):
-        low, high = 1, MOST_PEOPLE + 1
-        while high - low > 1:
-            middle = (low + high) // 2
-            power = _simulated_power(
-                test, middle, groups, methods, alpha=alpha, rng=rng, effect=effect
-            )
-            if power >= POWER:
-                high = middle
-            else:
-                low = middle
-        if high <= MOST_PEOPLE:
-            found[test] = high
-    return found
-
-
-def _simulated_power(
-    test: str,
-    people: int,
-    groups: int,
-    methods: int,
-    *,
-    alpha: float,
-    rng: np.random.Generator,
-    effect: float,
-) -> float:
-    """Return the share of simulated studies in which one test finds the effect."""
-    between = "group" in test
-    # a person's mean is one value of unit variance
-    levels = methods if "method" in test else 1
-    pairs = pair_differences(levels) if levels > 1 else np.ones((1, 1))
-    shift = np.zeros((groups, levels))
-    # one standard deviation of differences is sqrt(2) of a value's
-    size = effect * (2.0**0.5 if levels > 1 else 1.0)
-    shift[0 if between else slice(None), 0] = size
-    # means and variances of normal values are independent
-    means = rng.standard_normal((POPULATIONS, groups, levels)) / people**0.5 @ pairs.T
-    factors = _wishart_factors((POPULATIONS, groups), levels, people - 1, rng)
-    variances = ((pairs @ factors) ** 2).sum(axis=-1) / ((people - 1) * people)
-    plain = largest_t(means, variances, between=between)
-    planted = largest_t(means + shift @ pairs.T, variances, between=between)
-    return float(np.mean(planted > np.quantile(plain, 1.0 - alpha)))
-
-
-def _wishart_factors(
-    shape: tuple[int, ...], levels: int, degrees: int, rng: np.random.Generator
-) -> Array:
-    """Draw matrices whose products with their transposes are sums of squares of normal residuals.
-
-    Parameters
-    ----------
-    shape
-        Shape of the draws.
-    levels
-        Number of independent values of unit variance.
-    degrees
-        Degrees of freedom.
-
-    Returns
-    -------
-    Array
-        Shape (*shape, levels, columns).
-    """
-    if degrees < levels:
-        return rng.standard_normal((*shape, levels, degrees))
-    # Bartlett (1933): normal below the diagonal, roots of chi squared on it
-    factors = np.tril(rng.standard_normal((*shape, levels, levels)), -1)
-    for level in range(levels):
-        factors[..., level, level] = rng.chisquare(degrees - level, shape) ** 0.5
-    return factors
