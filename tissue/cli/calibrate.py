@@ -32,6 +32,7 @@ def calibrate(
     population: Path | None = None,
     out: Path | None = None,
     device: str | None = None,
+    address: str | None = None,
     trials: MaybeWhole = None,
     numbers: MaybeWhole = None,
     seed: Whole = 0,
@@ -56,9 +57,10 @@ def calibrate(
         File to write; default observer.json, or population.json. Trials and picture are written
         next to it.
     device
-        Device that plays forces to a person, default mouse: mouse (bars show the forces), or
-        simulated: touch, omni, six-dof, haply, forcedimension, sigma-7, openhaptics, network,
-        recorded.
+        Device that plays forces to a person: a real one, such as haply, network or one that a
+        package offers; or mouse (default), touch, omni or six-dof, for which bars show the forces.
+    address
+        Address of a real device, as in a scene's hardware.address; default the usual one.
     trials
         Comparisons of two forces; default 120.
     numbers
@@ -80,6 +82,7 @@ def calibrate(
             "with --population, which fits sessions that are over",
             "remove it",
             device=device,
+            address=address,
             trials=trials,
             numbers=numbers,
         )
@@ -98,14 +101,14 @@ def calibrate(
     device = device or "mouse"
     target = out or Path("observer.json")
     name = observer or f"person on {device}"
-    answer, limit_N = questioner(observer, device, seed=seed, read=input, show=console.print)
-    plan = Plan(
-        seed=seed,
-        trials=TRIALS if trials is None else trials,
-        numbers=NUMBERS if numbers is None else numbers,
-        force_limit_N=limit_N,
-    )
-    with OutputLock(target, folder=False):
+    asking = questioner(observer, device, address=address or "", read=input, show=console.print)
+    with OutputLock(target, folder=False), asking as (answer, limit_N):
+        plan = Plan(
+            seed=seed,
+            trials=TRIALS if trials is None else trials,
+            numbers=NUMBERS if numbers is None else numbers,
+            force_limit_N=limit_N,
+        )
         _session(target, name, plan, answer, live=not ask, overwrite=overwrite)
 
 

@@ -8,7 +8,7 @@ import pytest
 from calibration_sessions import answered
 
 from meshes.base.errors import InputError
-from tissue.evaluation.calibration.answers import questioner, simulated_observer
+from tissue.evaluation.calibration.answers import simulated_answers, simulated_observer
 from tissue.evaluation.calibration.session import Plan, TrialLog, read_log
 from tissue.perception.observer import read_observer
 
@@ -19,7 +19,7 @@ SHORT = Plan(trials=20, numbers=6)
 def log(tmp_path):
     """A complete log."""
     path = tmp_path / "a.trials.jsonl"
-    answered(SHORT, questioner("simulated:1", "mouse", seed=0, read=input, show=print)[0], path)
+    answered(SHORT, simulated_answers(*simulated_observer("simulated:1")), path)
     return path
 
 
@@ -57,7 +57,7 @@ def test_a_session_ends_with_observer_trials_and_picture(command, here):
 def test_a_session_goes_on_at_any_trial(tmp_path, log):
     """Cut after every line, and within one, the session ends with the same bits."""
     answers, whole = (
-        questioner("simulated:1", "mouse", seed=0, read=input, show=print)[0],
+        simulated_answers(*simulated_observer("simulated:1")),
         log.read_bytes(),
     )
     _, straight = read_log(log)

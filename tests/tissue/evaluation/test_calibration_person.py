@@ -1,16 +1,19 @@
 """A person who is calibrated: intervals that are played, and answers that are typed."""
 
 import io
+import json
 
 import numpy as np
 import pytest
+from haply_service import HaplyService
 
 from tissue.evaluation.calibration.answers import Person, StoppedError, play
 from tissue.evaluation.calibration.session import Comparison, Magnitude
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.recorded import MouseDevice
-from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.perception.observer import read_observer
+
+LIMITS = device_parameters("touch")
 
 
 class Recorder(MouseDevice):
@@ -39,9 +42,9 @@ def person(words, device=None):
 
     return Person(
         device or Recorder(),
+        limits=LIMITS,
         read=read,
         show=shown.append,
-        bars_N=3.3,
         clock=lambda: now[0],
         wait=wait,
     ), shown
@@ -66,21 +69,6 @@ def test_a_person_feels_both_intervals_and_is_asked_until_the_answer_is_possible
             person(words)[0].answer(asked)
 
 
-def test_a_simulated_device_plays_in_its_own_time():
-    """A clock that has run for a day is not simulated from its start."""
-    device = SimulatedDevice(device_parameters("six-dof"))
-    now, words = [86_400.0], iter(["1"])
-
-    def wait(seconds):
-        now[0] += seconds
-
-    who = Person(
-        device, read=lambda: next(words), show=lambda _: None, clock=lambda: now[0], wait=wait
-    )
-    assert who.answer(Comparison(1.0, 0.5, greater=2)) == 1
-    assert device.read(3.0).time_s < 4.0 and device.translation.position[2] < 0.0
-
-
 def test_an_interrupted_interval_leaves_no_force():
     device = Recorder()
 
@@ -89,8 +77,9 @@ def test_an_interrupted_interval_leaves_no_force():
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        play(device, 2.0, clock=lambda: 1e-3 * len(device.played), wait=wait)
-    assert (device.played[-1] == 0.0).all() and np.linalg.norm(device.played[-2]) > 1.0
+        play(device, 2.0, limits=LIMITS, clock=lambda: 1e-3 * len(device.played), wait=wait)
+    assert (device.played[-1] == 0.0).all() and np.linalg.norm(device.played[149]) > 1.0
+    assert not any(force.any() for force in device.played[150:])
 
 
 def test_a_person_at_the_keyboard_may_stop_and_go_on(command, here, monkeypatch):
@@ -98,7 +87,7 @@ def test_a_person_at_the_keyboard_may_stop_and_go_on(command, here, monkeypatch)
 
     Answers come from standard input; its end stops the session, and the same command continues.
     """
-    monkeypatch.setitem(play.__kwdefaults__, "length_s", 0.01)
+    monkeypatch.setattr("tissue.evaluation.calibration.answers.LENGTH_S", 0.01)
     monkeypatch.setattr("tissue.evaluation.calibration.answers.PAUSE_S", 0.0)
 
     def go(*words):
@@ -111,3 +100,45 @@ def test_a_person_at_the_keyboard_may_stop_and_go_on(command, here, monkeypatch)
     code, _, error = go("1", "1", "5", "much", "10")
     assert code == 0 and "continuing at trial 3" in error
     assert read_observer(here / "observer.json").trials == 6
+
+
+def test_a_real_device_pushes_down_in_the_intervals_alone(command, here, monkeypatch):
+    monkeypatch.setitem(play.__kwdefaults__, "length_s", 0.3)
+    monkeypatch.setattr("tissue.evaluation.calibration.answers.PAUSE_S", 0.05)
+    monkeypatch.setattr("sys.stdin", io.StringIO("1\n2\n5\n"))
+    with HaplyService() as service:
+        code, out, error = command(
+            *("calibrate", "--ask", "--device", "haply", "--address", service.url),
+            *("--trials", "2", "--numbers", "1", "--out", "felt.json"),
+        )
+        assert code == 0 and error.startswith("note: fewer than two forces") and "█" not in out
+        assert "pushes down with at most 10 N" in out
+        forces = np.array([force for _, _, force in service.commands])
+    assert (forces[:, :2] == 0.0).all() and (forces[:, 2] <= 0.0).all()
+    assert not forces[-1].any()
+    # five intervals, each from zero to its force and back
+    pushing = forces[:, 2] < -0.02
+    assert np.count_nonzero(np.diff(pushing.astype(int)) == 1) == 5
+    with (here / "felt.trials.jsonl").open() as log:
+        asked = [json.loads(line) for line in log][1:]
+    most = max(max(each.get("force_N", 0.0), each.get("base_N", 0.0)) for each in asked)
+    assert -forces[:, 2].min() >= 0.9 * most > 0.0
+
+
+def test_a_device_without_valid_samples_ends_the_session(command, here, monkeypatch):
+    """No force is played on it, and an answer would be about nothing."""
+    monkeypatch.setattr("sys.stdin", io.StringIO("1\n2\n5\n"))
+    monkeypatch.setitem(play.__kwdefaults__, "length_s", 0.3)
+    with HaplyService() as service:
+        service.dropped = 1.0
+        code, _, error = command(
+            *("calibrate", "--ask", "--device", "haply", "--address", service.url)
+        )
+    assert code == 2 and error.count("\n") == 1, error
+    assert not any(any(force) for _, _, force in service.commands)
+
+
+def test_an_address_without_a_real_device_is_refused(command):
+    for device in ("touch", "mouse"):
+        code, _, error = command("calibrate", "--ask", "--device", device, "--address", "COM3")
+        assert code == 2 and "--address" in error

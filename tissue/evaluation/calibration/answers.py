@@ -2,7 +2,8 @@
 device.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from math import cos, inf, pi
 from pathlib import Path
 from time import perf_counter, sleep
@@ -21,11 +22,18 @@ from tissue.evaluation.calibration.session import (
     log_path,
     read_log,
 )
-from tissue.haptics.device.device import Device, device_parameters
-from tissue.haptics.device.recorded import MouseDevice
-from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.device.device import (
+    Device,
+    DeviceError,
+    DeviceParameters,
+    device_parameters,
+)
+from tissue.haptics.device.safe_device import SafeDevice, run_held
+from tissue.haptics.device.sample_guard import guard_of
 from tissue.models.tissue_model import TICK_S
+from tissue.scene.coupling import Hardware
 from tissue.scene.registry import DEVICES, GROUPS
+from tissue.simulation.builders.parts import new_device
 
 __all__ = [
     "Answer",
@@ -51,6 +59,8 @@ PAUSE_S = 0.4
 The constant force lasts 0.6 s, six times the 0.1 s over which a person averages a force
 (`integration_s` in perception.toml). A force without soft ends would be felt as a tap.
 """
+MOST_INVALID = 0.1
+"""Largest share of invalid samples in an interval: its force has faded for less than a ramp."""
 
 
 class StoppedError(Exception):
@@ -58,22 +68,27 @@ class StoppedError(Exception):
 
 
 def play(
-    device: Device,
+    device: Device | SafeDevice,
     force_N: float,
     *,
+    limits: DeviceParameters,
     length_s: float = LENGTH_S,
     tick_s: float = TICK_S,
-    clock: Callable[[], float],
+    clock: Callable[[], float] = perf_counter,
     wait: Callable[[float], None] = sleep,
 ) -> None:
     """Apply a force for a limited time with soft edges, and always end with zero force.
 
+    Without valid samples the force fades, as in a run.
+
     Parameters
     ----------
     device
-        Device that applies the force.
+        Device that applies the force, or a `SafeDevice` that holds one.
     force_N
         Force [N].
+    limits
+        Limits of the device.
     length_s
         Duration [s].
     tick_s
@@ -81,55 +96,68 @@ def play(
     clock, wait
         Function that returns the time since the device was started [s], and function that lets time
         pass.
+
+    Raises
+    ------
+    DeviceError
+        If the device fails, or a tenth of its samples or more are not valid.
     """
-    began = clock()
-    still = np.zeros(3)
-    try:
+    held = SafeDevice(device, tick_s=tick_s)
+    guard = guard_of(held.device, limits, sample_s=max(1.0 / limits.rate_Hz, tick_s))
+
+    def push() -> None:
+        began = clock()
+        ticks = 0
         while (at := clock() - began) < length_s:
             edge = min(at, length_s - at, RAMP_S) / RAMP_S
-            # a device without a sample may be lost: it gets no force
-            if device.read(began + at) is not None:
-                device.command(force_N * 0.5 * (1.0 - cos(pi * edge)) * DIRECTION, still)
-            else:
-                device.command(still, still)
+            wanted = force_N * 0.5 * (1.0 - cos(pi * edge)) * DIRECTION
+            sample = guard.validate_sample(held.read(began + at), began + at)
+            held.play(*guard.limit_force(None if sample is None else wanted))
+            ticks += 1
             wait(tick_s)
-    finally:
-        device.command(still, still)
+        if guard.bad_ticks > MOST_INVALID * ticks:
+            raise DeviceError(
+                "the device",
+                "give valid samples while it plays a force",
+                f"{guard.events[0][1]} in {guard.bad_ticks} of {ticks} ticks",
+                "check it by tissue devices --test; the same command continues the session",
+            )
+
+    run_held(push, held)
 
 
 class Person:
-    """Person at a keyboard with a device.
+    """Person at a keyboard, with a device or in front of bars on the screen.
 
     Parameters
     ----------
     device
-        Device that applies the forces.
+        Device that applies the forces, or a `SafeDevice` that holds one; None for bars.
+    limits
+        Limits of the device. A bar is as long as its force relative to the largest one.
     read
         Function that returns the next typed line without its end. It raises EOFError at the end of
         the input.
     show
         Function that shows a line to the person.
-    bars_N
-        Largest force of bars that represent forces, for devices that cannot push. None for devices
-        that can push.
     clock, wait
         Function that returns the time from any start [s], and function that lets time pass.
     """
 
     def __init__(
         self,
-        device: Device,
+        device: Device | SafeDevice | None,
         *,
+        limits: DeviceParameters,
         read: Callable[[], str],
         show: Callable[[str], None],
-        bars_N: float | None = None,
         clock: Callable[[], float] = perf_counter,
         wait: Callable[[float], None] = sleep,
     ) -> None:
         self._device = device
+        self._limits = limits
         self._read = read
         self._show = show
-        self._bars_N = bars_N
         self._wait = wait
         start = clock()
         self._clock = lambda: clock() - start
@@ -175,15 +203,17 @@ class Person:
 
     def _present(self, forces_N: tuple[float, ...]) -> None:
         for index, force in enumerate(forces_N, start=1):
-            # a device that can push needs no bar; 60 characters fit into a line of a terminal
-            bar = (
-                ""
-                if self._bars_N is None
-                else "  " + "█" * max(round(60.0 * force / self._bars_N), 1)
-            )
-            self._show(f"interval {index}{bar}")
-            play(self._device, force, clock=self._clock, wait=self._wait)
+            if self._device is None:
+                self._show(f"interval {index}  {'█' * self._length(force)}")
+                self._wait(LENGTH_S)
+            else:
+                self._show(f"interval {index}")
+                play(self._device, force, limits=self._limits, clock=self._clock, wait=self._wait)
             self._wait(PAUSE_S)
+
+    def _length(self, force_N: float) -> int:
+        """Return the length of a bar in characters; 60 fit into a line of a terminal."""
+        return max(round(60.0 * force_N / self._limits.force_limit_N), 1)
 
 
 def simulated_observer(spec: str) -> tuple[SimulatedObservers, int]:
@@ -232,34 +262,50 @@ def simulated_answers(people: SimulatedObservers, seed: int) -> Answer:
     return answer
 
 
+@contextmanager
 def questioner(
     observer: str | None,
     device: str,
     *,
-    seed: int,
+    address: str = "",
     read: Callable[[], str],
     show: Callable[[str], None],
-) -> tuple[Answer, float]:
-    """Return a source of answers and the largest force of the device [N].
+) -> Iterator[tuple[Answer, float]]:
+    """Yield a source of answers and the largest force of the device [N].
 
-    The answers are given by a simulated observer or by a person.
+    The answers are given by a simulated observer or by a person. A real device is open inside the
+    block, and pushes only while an interval is played.
 
     Raises
     ------
     InputError
-        If observer or device is unknown.
+        If observer or device is unknown, or an address is given for a device that is not real.
     """
-    if device not in ("mouse", *DEVICES):
+    if device != "mouse" and device not in DEVICES:
         raise InputError("device", f"be one of mouse, {', '.join(DEVICES)}", device, "use mouse")
     # a mouse has no force limit; its bars represent forces of a Touch
     limits = device_parameters("touch" if device == "mouse" else device)
+    opened = None
+    if observer is None and device != "mouse":
+        opened = new_device(device, Hardware(address=address, ramp_ms=0.0), start_m=(0.0, 0.0, 0.0))
+    if address and opened is None:
+        raise InputError(
+            "--address", "be given for a real device alone", address, "set --device, such as haply"
+        )
     if observer is not None:
         people, observer_seed = simulated_observer(observer)
-        return simulated_answers(people, observer_seed), limits.force_limit_N
-    plays: Device = MouseDevice() if device == "mouse" else SimulatedDevice(limits)
-    show("bars represent forces, as no force can be felt here: what is calibrated is the eye")
-    person = Person(plays, read=read, show=show, bars_N=limits.force_limit_N)
-    return lambda asked, _: person.answer(asked), limits.force_limit_N
+        yield simulated_answers(people, observer_seed), limits.force_limit_N
+        return
+    if opened is None:
+        show("bars represent forces, as no force can be felt here: what is calibrated is the eye")
+        person = Person(None, limits=limits, read=read, show=show)
+        yield lambda asked, _: person.answer(asked), limits.force_limit_N
+        return
+    limits = getattr(opened, "limits", limits)
+    with SafeDevice(opened) as held:
+        show(f"hold the handle loosely: it pushes down with at most {limits.force_limit_N:g} N")
+        person = Person(held, limits=limits, read=read, show=show)
+        yield lambda asked, _: person.answer(asked), limits.force_limit_N
 
 
 def begin(out: Path, observer: str, plan: Plan, *, overwrite: bool) -> TrialLog:

@@ -21,8 +21,10 @@ from tissue.haptics.device.safe_device import SafeDevice
 from tissue.models.keep_clear import KeepClear
 from tissue.models.tissue_model import TICK_S, HasFields, TissueModel
 from tissue.motion.motion import FollowPath, Motion
+from tissue.motion.quaternion import Triple
 from tissue.motion.replay import RECORDINGS, SHAFT_TO_X, read_replay
 from tissue.motion.thrust import PushAlongAxis
+from tissue.scene.coupling import Hardware
 from tissue.scene.registry import DEVICES, MOTIONS
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion, ReplayMotion, ThrustMotion
@@ -344,17 +346,28 @@ def opened_device(scene: Scene) -> Device | None:
     """
     if not opens_device(scene):
         return None
-    entry = DEVICES[scene.held.kind]
     x, y, z = motion_of(scene, step_s=TICK_S).sweep_m()[0].tolist()
+    return new_device(scene.held.kind, scene.held.hardware, start_m=(x, y, z))
+
+
+def new_device(kind: str, hardware: Hardware, *, start_m: Triple) -> Device | None:
+    """Return a new real device whose first pose is placed at ``start_m``; None if it is simulated.
+
+    Raises
+    ------
+    InputError
+        If the object made has no `read` or `command` method.
+    """
+    entry = DEVICES[kind]
     if entry.has_adapter:
         from tissue.haptics.real.adapter import adapter_class
         from tissue.haptics.real.mapped import MappedDevice
 
-        hardware = scene.held.hardware
-        return MappedDevice(adapter_class(scene.held.kind)(hardware), hardware, start_m=(x, y, z))
-    assert entry.make is not None
-    device: Device = entry.make((x, y, z))
-    require_device(device, scene.held.kind)
+        return MappedDevice(adapter_class(kind)(hardware), hardware, start_m=start_m)
+    if entry.make is None:
+        return None
+    device: Device = entry.make(start_m)
+    require_device(device, kind)
     return device
 
 
