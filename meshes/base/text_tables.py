@@ -1,5 +1,6 @@
 """Text from files: TOML and JSON that are not nested too deeply, numbers, and text for display."""
 
+import codecs
 import difflib
 import json
 import math
@@ -19,6 +20,7 @@ __all__ = [
     "number_in",
     "number_or_nan",
     "read_json",
+    "read_text",
     "read_toml",
     "require_distinct_columns",
     "require_shallow",
@@ -32,6 +34,21 @@ LONGEST_NUMBER = 308
 """Most digits of a whole number; a longer one fits no float."""
 DEEPEST = 50
 """Largest number of tables and lists within each other; scenes have at most 5."""
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a file in UTF-8, or in UTF-16 with a byte order mark.
+
+    Windows PowerShell 5.1 writes UTF-16 where output is redirected into a file.
+
+    Raises
+    ------
+    UnicodeDecodeError
+        If the file is in another encoding.
+    """
+    content = path.read_bytes()
+    is_utf16 = content[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+    return content.decode("utf-16" if is_utf16 else "utf-8-sig").replace("\r\n", "\n")
 
 
 def read_toml(text: str) -> dict[str, Any]:

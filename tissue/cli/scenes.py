@@ -9,13 +9,17 @@ from tissue.cli.terminal import Flag, console, left_out
 __all__ = ["scenes", "schema"]
 
 
-def scenes(name: str | None = None, /) -> None:
+def scenes(name: str | None = None, /, *, out: Path | None = None, overwrite: Flag = False) -> None:
     """List the named scenes, or print one as TOML, ready to copy and edit.
 
     Parameters
     ----------
     name
         Scene to print.
+    out
+        File for the scene instead of printing it.
+    overwrite
+        Replace an existing file.
     """
     from rich.markup import escape
 
@@ -23,8 +27,9 @@ def scenes(name: str | None = None, /) -> None:
     from tissue.scene.texts import scene_for_editors
 
     if name is not None:
-        sys.stdout.write(scene_for_editors(name))
+        _print_or_write(scene_for_editors(name), out, overwrite=overwrite)
         return
+    left_out("without a scene", "name a scene first", out=out, overwrite=overwrite)
     for each in scene_names():
         try:
             description = load_scene(each).description
@@ -43,14 +48,20 @@ def schema(*, out: Path | None = None, overwrite: Flag = False) -> None:
     overwrite
         Replace an existing file.
     """
-    from meshes.base.whole_file import require_new_file, whole_file
     from tissue.scene.texts import schema_text
 
+    _print_or_write(schema_text(), out, overwrite=overwrite)
+
+
+def _print_or_write(text: str, out: Path | None, *, overwrite: bool) -> None:
+    """Print a text, or write it to a file (UTF-8)."""
+    from meshes.base.whole_file import require_new_file, whole_file
+
     if out is None:
-        left_out("where the schema is printed", "give --out or leave it out", overwrite=overwrite)
-        sys.stdout.write(schema_text())
+        left_out("where the text is printed", "give --out or leave it out", overwrite=overwrite)
+        sys.stdout.write(text)
         return
     require_new_file(out, overwrite=overwrite)
     with whole_file(out) as temporary:
-        temporary.write_text(schema_text(), "utf-8")
+        temporary.write_text(text, "utf-8")
     console.print(f"wrote {out}")

@@ -15,7 +15,7 @@ from pydantic import BaseModel, Field, FiniteFloat, StringConstraints, Validatio
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.file_limits import require_regular
-from meshes.base.text_tables import read_toml
+from meshes.base.text_tables import read_text, read_toml
 from tissue.materials.constants import (
     CUT_AS,
     Constant,
@@ -70,7 +70,7 @@ class Materials:
         """
         path = require_regular(Path(file))
         try:
-            text = path.read_text("utf-8")
+            text = read_text(path)
         except (OSError, ValueError):
             raise InputError(
                 "materials", "be a TOML file that exists", path, "check the path"

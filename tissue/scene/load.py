@@ -14,7 +14,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from meshes.base.errors import InputError, is_file
-from meshes.base.text_tables import DEEPEST, nearest, read_toml, require_shallow, shown
+from meshes.base.text_tables import DEEPEST, nearest, read_text, read_toml, require_shallow, shown
 from meshes.base.whole_file import package_version, require_version
 from tissue.scene.messages import error_of, idle_keys
 from tissue.scene.part import is_file_key
@@ -408,7 +408,7 @@ def _read(path: Path) -> str:
             "scene", "be an existing file", path, "check the path or list `tissue scenes`"
         )
     try:
-        return path.read_text("utf-8")
+        return read_text(path)
     except UnicodeDecodeError:
         raise InputError(
             "scene", "be TOML in UTF-8", f"other bytes in {path}", "save it as text"

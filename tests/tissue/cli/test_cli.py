@@ -147,6 +147,17 @@ def test_a_run_prints_its_figures_and_where_they_are(command, here):
     assert "Warp" not in output
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_a_scene_is_written_to_a_file_and_read_in_the_encodings_of_editors(command, here, encoding):
+    assert command("scenes", "wall", "--out", "mine.toml")[0] == 0
+    code, _, error = command("scenes", "wall", "--out", "mine.toml")
+    assert code == 2 and "--overwrite" in error
+    assert command("scenes", "--out", "all.toml")[0] == 2
+    text = (here / "mine.toml").read_text("utf-8")
+    (here / "mine.toml").write_text(text, encoding)
+    assert tissue.load_scene(here / "mine.toml") == tissue.load_scene("wall")
+
+
 def test_scenes_are_listed_and_printed(command, here):
     code, output, _ = command("scenes")
     assert code == 0
