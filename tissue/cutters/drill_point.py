@@ -19,7 +19,6 @@ from dataclasses import dataclass
 from math import atan, cos, pi, radians, sin, tan
 
 import numpy as np
-from scipy.optimize import brentq
 
 from meshes.base.arrays import Array
 
@@ -89,6 +88,8 @@ class DrillPoint:
     @property
     def indentation(self) -> float:
         """Thrust on the chisel edge over the thrust on an edge with the reference rake."""
+        from scipy.optimize import brentq
+
         wedge = atan(tan(0.5 * self.point_angle_rad) * sin(CHISEL_ANGLE))
         # The angle of the fan lies between 0, for a thin blade, and pi / 2, for a flat punch.
         fan = brentq(lambda s: cos(2.0 * wedge - s) - cos(s) / (1.0 + sin(s)), 0.0, 0.5 * pi)

@@ -9,7 +9,6 @@ from typing import ClassVar, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import erf, erfc, erfinv, ndtr, ndtri
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
@@ -363,6 +362,8 @@ class Prior:
             return np.zeros(x.shape)
         share = (self._to_y(x) - self._knots[1]) / self._span
         if self.is_one_sided:
+            from scipy.special import erf, erfc, ndtri
+
             w = W_95 * np.maximum(share, 0.0)
             with np.errstate(divide="ignore"):
                 # erf rounds to 1 for large w, erfc for small w.
@@ -466,6 +467,8 @@ def _absolute(z: Array) -> Array:
 
     The function increases with z and starts from zero.
     """
+    from scipy.special import erfinv, ndtr, ndtri
+
     # Both forms are equal; each keeps the digits of one tail.
     upper = -ndtri(0.5 * ndtr(-np.maximum(z, 0.0)))
     return np.where(z > 0.0, upper, np.sqrt(2.0) * erfinv(ndtr(np.minimum(z, 0.0))))

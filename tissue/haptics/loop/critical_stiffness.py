@@ -10,7 +10,6 @@ from math import floor, inf, log10, pi
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq
 
 from meshes.base.errors import require_positive, require_range
 from tissue.haptics.loop.filters import low_pass_gain
@@ -153,6 +152,8 @@ def _critical_N_m(loop: WallLoop) -> float:
 
     The choice of a stiffness and its verdict then need one search.
     """
+    from scipy.optimize import brentq
+
     low = 0.0
     high = SOFTEST_N_M
     while _beyond(high, loop) < 0.0:

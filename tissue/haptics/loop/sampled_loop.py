@@ -7,7 +7,6 @@ from math import ceil, exp, inf, pi
 
 import numpy as np
 from scipy.linalg import expm
-from scipy.signal import lfilter
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
@@ -374,6 +373,8 @@ def motor_force_N(loop: WallLoop, force_N: Array) -> Array:
         One force per tick before the low-pass [N], shape (n, 3). Before the first force, it is
         zero.
     """
+    from scipy.signal import lfilter
+
     gain = low_pass_gain(loop.filter_s, loop.tick_s)
     delay = loop.delay_s / loop.tick_s
     # 1e-9: a delay of whole ticks that is rounded down stays whole.
