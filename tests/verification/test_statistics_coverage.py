@@ -75,7 +75,7 @@ def test_interval_of_partial_eta_squared_covers():
 def test_intervals_of_the_mixed_model_cover():
     """The closed form of the interval covers in 10,000 populations."""
     pytest.importorskip(
-        "statsmodels", reason="statsmodels is not installed: pip install 'tissue-sim[study]'"
+        "statsmodels", reason="statsmodels is not installed: pip install statsmodels"
     )
     rng = np.random.default_rng(11)
     planted = np.array([-0.3, 0.0, 0.1, 0.2])

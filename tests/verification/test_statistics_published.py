@@ -20,9 +20,7 @@ from tissue.evaluation.statistics.strata import (
 )
 from tissue.evaluation.statistics.trials import TrialTable
 
-pytest.importorskip(
-    "statsmodels", reason="statsmodels is not installed: pip install 'tissue-sim[study]'"
-)
+pytest.importorskip("statsmodels", reason="statsmodels is not installed: pip install statsmodels")
 MACHINES = np.array(
     [
         [[52.0, 52.8, 53.1], [62.1, 62.6, 64.0], [67.5, 67.2, 66.9]],

@@ -11,6 +11,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from meshes.base.errors import InputError
+from meshes.base.extras import install_command
 
 if TYPE_CHECKING:
     from tissue.environments.drilling import Drilling
@@ -36,7 +37,7 @@ def register_environments() -> None:
         from gymnasium.envs.registration import register, registry
     except ImportError:
         raise InputError(
-            "gymnasium", "be installed for environments", "none", "pip install 'tissue-sim[rl]'"
+            "gymnasium", "be installed for environments", "none", install_command("rl")
         ) from None
     for name, place in IDS.items():
         if name not in registry:

@@ -12,6 +12,7 @@ import numpy as np
 
 from meshes.base.arrays import Bytes
 from meshes.base.errors import InputError
+from meshes.base.extras import install_command
 from meshes.base.whole_file import whole_file
 from tissue.simulation.bone_surface import HALF
 from tissue.system.offscreen import display_problem
@@ -122,7 +123,7 @@ def show_folder(
             "trame",
             "be installed to turn a picture in a notebook",
             "none",
-            "pip install 'tissue-sim[notebook]'",
+            install_command("notebook"),
         )
     with TemporaryDirectory(prefix="tissue-") as place:
         file = screenshot or Path(place) / "shown.png"

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
+from meshes.base.extras import install_command
 from tissue.objects.html import scrolled, table_html
 from tissue.simulation.saved_fields import field_label
 from tissue.simulation.trace import NO_LAYER, Table
@@ -123,9 +124,7 @@ def needed(name: str, *, extra: str) -> Any:
         # It is installed, but a package that it imports is missing: another fault, shown as it is.
         if missing.name is None or missing.name.split(".")[0] != name.split(".")[0]:
             raise
-        raise InputError(
-            name, "be installed for this", "none", f"pip install 'tissue-sim[{extra}]'"
-        ) from None
+        raise InputError(name, "be installed for this", "none", install_command(extra)) from None
 
 
 def _attributes(column: str) -> dict[str, str]:

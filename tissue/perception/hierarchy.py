@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
+from meshes.base.extras import install_command
 from tissue.perception.laws import D_PRIME_75
 
 if TYPE_CHECKING:
@@ -175,7 +176,7 @@ def fit_hierarchy(
         from numpyro.infer import MCMC, NUTS
     except ImportError:
         raise InputError(
-            "population", "be fitted by numpyro", "none", "pip install 'tissue-sim[perception]'"
+            "population", "be fitted by numpyro", "none", install_command("perception")
         ) from None
     # NumPyro's default acceptance, 0.8, leaves the effective sample size at 362, below ESS.
     run = MCMC(

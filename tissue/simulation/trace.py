@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
+from meshes.base.extras import install_command
 from meshes.base.file_limits import require_regular
 from meshes.base.text_tables import number_in, require_distinct_columns
 from meshes.base.whole_file import claim, whole_file
@@ -246,7 +247,7 @@ def check_format(kind: str) -> None:
             f"format {kind}",
             "have its writer installed",
             f"no {writer}",
-            f"pip install 'tissue-sim[{extra}]'",
+            install_command(extra),
         )
 
 

@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from meshes.base.errors import InputError
+from meshes.base.extras import install_command
 from meshes.base.progress import Progress
 from meshes.base.whole_file import package_version
 from tissue.system.child import CHECK_S, ONE_THREAD, HangDetector, end_with
@@ -177,7 +178,7 @@ def _dask(scheduler: str, patience_s: float) -> Iterator[Executor]:
             "scheduler",
             "have dask.distributed",
             "none installed",
-            "pip install 'tissue-sim[cluster]'",
+            install_command("cluster"),
         ) from None
     if SCHEMES[kind] == "tls":
         _require_certificates(scheduler)

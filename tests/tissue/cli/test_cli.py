@@ -12,6 +12,7 @@ import pytest
 from coarse_run import COARSE
 
 import tissue
+from meshes.base.extras import install_command
 from tissue.scene.load import scene_names
 
 
@@ -127,9 +128,9 @@ def test_a_bad_command_line_is_refused_in_one_sentence(refused, here, arguments,
 def test_a_format_without_its_extra_names_what_to_install(refused, here, monkeypatch, kind, writer):
     monkeypatch.setitem(sys.modules, writer, None)
     assert refused("run", "milling", "--format", kind) == (
-        f"format {kind} must have its writer installed, got no {writer}: pip install "
-        f"'tissue-sim[{kind}]'"
+        f"format {kind} must have its writer installed, got no {writer}: {install_command(kind)}"
     )
+    assert install_command(kind).startswith(f'pip install "{writer}>=')
 
 
 def test_a_run_prints_its_figures_and_where_they_are(command, here):

@@ -50,10 +50,7 @@ def test_without_devices_each_kind_has_a_sentence(command, alone):
         "network",
         "recorded",
     ]
-    assert (
-        "pip install 'tissue-sim[forcedimension]'" in out
-        and "pip install 'tissue-sim[openhaptics]'" in out
-    )
+    assert "pip install forcedimension-core" in out and "pip install pyOpenHaptics" in out
     assert all(": " in line and ", got " in line for line in lines[1:])
 
 

@@ -63,7 +63,7 @@ def test_a_killed_worker_is_replaced(tmp_path, alone):
 def test_dask_gives_the_same_table(tmp_path, alone):
     """Dask gives the same table, although one of three workers is killed in mid-study."""
     pytest.importorskip(
-        "distributed", reason="distributed is not installed: pip install 'tissue-sim[cluster]'"
+        "distributed", reason="distributed is not installed: pip install distributed"
     )
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))

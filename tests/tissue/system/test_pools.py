@@ -15,7 +15,7 @@ from tissue.system.workers import executor
 def dask_config():
     """Dask's configuration, without certificates of this machine."""
     pytest.importorskip(
-        "distributed", reason="distributed is not installed: pip install 'tissue-sim[cluster]'"
+        "distributed", reason="distributed is not installed: pip install distributed"
     )
     import dask.config
 

@@ -12,6 +12,7 @@ from scipy.stats import chi2, kurtosis, ncf, norm, shapiro, skew, skewtest
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
+from meshes.base.extras import install_command
 
 __all__ = [
     "ALPHA",
@@ -140,7 +141,7 @@ def require_statsmodels() -> None:
             "statistics of a study",
             "have statsmodels installed",
             "none",
-            "pip install 'tissue-sim[study]'",
+            install_command("study"),
         ) from None
 
 

@@ -31,7 +31,7 @@ Two calls in each tick take 50 ms, after which the force of a silent device is r
 """
 MISSING = (
     "must be installed for a device of Force Dimension, got none: pip install "
-    "'tissue-sim[forcedimension]' with Python "
+    "forcedimension-core with Python "
     "3.11 or 3.12, and the SDK of forcedimension.com"
 )
 _OPEN: Counter[int] = Counter()

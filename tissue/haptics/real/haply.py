@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
+from meshes.base.extras import install_command
 from tissue.haptics.device.device import DeviceError
 from tissue.haptics.real.adapter import FoundDevice, HardwareAdapter, HardwareSample
 from tissue.haptics.real.haply_frames import (
@@ -284,7 +285,7 @@ class _Session:
                 "websockets",
                 "be installed for device = haply",
                 "none",
-                "pip install 'tissue-sim[haply]'",
+                install_command("haply"),
             ) from None
         self.state = ServiceState(self._device_id)
         try:

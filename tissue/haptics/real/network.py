@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
+from meshes.base.extras import install_command
 from tissue.haptics.real.adapter import FoundDevice, HardwareAdapter, HardwareSample, checked_url
 from tissue.haptics.real.network_session import NO_WRENCH, NetworkSession
 
@@ -160,7 +161,7 @@ class WebTransport:
                 "websockets",
                 "be installed for a device at ws://",
                 "none",
-                "pip install 'tissue-sim[network]', or use udp://",
+                f"{install_command('network')}, or use udp://",
             ) from None
         self._session = session
         self._waiting = deque[tuple[Hashable, bytes]](maxlen=MOST_WAITING)

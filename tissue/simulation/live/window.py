@@ -14,6 +14,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
+from meshes.base.extras import install_command
 from tissue.haptics.device.recorded import MouseDevice
 from tissue.motion.quaternion import Quaternion, Triple
 from tissue.scene.scene import Scene
@@ -357,9 +358,7 @@ def require_web() -> None:
         If aiohttp is missing.
     """
     if find_spec("aiohttp") is None:
-        raise InputError(
-            "--web", "have aiohttp to serve its page", "none", "pip install 'tissue-sim[web]'"
-        )
+        raise InputError("--web", "have aiohttp to serve its page", "none", install_command("web"))
 
 
 def _new_folder() -> Path:

@@ -1,0 +1,20 @@
+"""Commands that install optional packages."""
+
+import re
+from importlib.metadata import PackageNotFoundError, requires
+
+__all__ = ["install_command"]
+
+
+def install_command(extra: str) -> str:
+    """Return the pip command for the packages of an extra.
+
+    It names the packages themselves, so that it works for a checkout and for a released version.
+    """
+    try:
+        listed = requires("tissue-sim") or []
+    except PackageNotFoundError:
+        listed = []
+    mark = re.compile(rf"extra == ['\"]{re.escape(extra)}['\"]")
+    found = [each.partition(";")[0].strip() for each in listed if mark.search(each)]
+    return " ".join(["pip install", *(f'"{each}"' for each in found or [f"tissue-sim[{extra}]"])])
