@@ -2,6 +2,7 @@
 
 import errno
 import os
+import re
 import sys
 import warnings
 from collections.abc import Iterator
@@ -166,7 +167,7 @@ def main() -> NoReturn:
     try:
         with terminated_as_exception(), _plain_warnings():
             try:
-                app(sys.argv[1:], exit_on_error=False, print_error=False)
+                app(arguments(sys.argv[1:]), exit_on_error=False, print_error=False)
             finally:
                 # Only the help of a command names parts. Asking the packages takes time.
                 if len(sys.argv) > 2 and sys.argv[-1] in ("--help", "-h"):
@@ -210,6 +211,23 @@ def main() -> NoReturn:
         # 130: 128 plus the number of SIGINT, as shells expect it.
         sys.exit(stopped.exit_code if isinstance(stopped, Terminated) else 130)
     sys.exit(0)
+
+
+NEGATIVE_LIST = re.compile(r"-[\d.][\d.e+-]*(,\s*[\d.e+-]+)+", re.IGNORECASE)
+
+
+def arguments(words: list[str]) -> list[str]:
+    """Return the words of a command line, with a list such as -8,-13,0 joined to its option.
+
+    On its own, a word that begins with a minus would be taken for an option.
+    """
+    found: list[str] = []
+    for word in words:
+        if found and found[-1].startswith("--") and NEGATIVE_LIST.fullmatch(word):
+            found[-1] += f"={word}"
+        else:
+            found.append(word)
+    return found
 
 
 @contextmanager

@@ -13,6 +13,7 @@ from coarse_run import COARSE
 
 import tissue
 from meshes.base.extras import install_command
+from tissue.cli.main import arguments
 from tissue.scene.load import scene_names
 
 
@@ -180,3 +181,15 @@ def test_the_command_line_starts_without_numpy():
     code = "import sys, tissue.cli.main; print('numpy' in sys.modules)"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout == "False\n"
+
+
+def test_a_list_that_begins_with_a_minus_is_the_value_of_its_option():
+    given = ["import", "ct", "--site", "-8,-13,0", "--crop", "-1e1,.5,-3,4,5,6", "--out", "-x,y"]
+    assert arguments(given) == [
+        "import",
+        "ct",
+        "--site=-8,-13,0",
+        "--crop=-1e1,.5,-3,4,5,6",
+        "--out",
+        "-x,y",
+    ]
