@@ -43,7 +43,13 @@ extensions = [
     "package_tables",
     "scene_keys",
 ]
-exclude_patterns = ["_build", "_gallery_header.rst", "gallery/**/*.md5", "gallery/**/*.ipynb"]
+exclude_patterns = [
+    "README.md",
+    "_build",
+    "_gallery_header.rst",
+    "gallery/**/*.md5",
+    "gallery/**/*.ipynb",
+]
 templates_path = ["_templates"]
 suppress_warnings = ["config.cache"]  # the gallery's order is a class, which no cache holds
 

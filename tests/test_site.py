@@ -31,6 +31,10 @@ tables, links, page_code = (
 )
 
 
+def test_the_page_of_scene_keys_is_up_to_date():
+    assert tables.PAGE.read_text("utf-8") == tables.page(), "python docs/_ext/scene_tables.py"
+
+
 def keys_of(defs, name, entry):
     """Yield table, kind and name of every key under an entry of the schema.
 

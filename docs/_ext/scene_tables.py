@@ -1,17 +1,25 @@
-"""Rows for the page of scene keys, from the JSON schema of scenes and the tables of tools.
+"""Page of the scene keys, from the JSON schema of scenes.
 
-The module does not need Sphinx.
+Run: python docs/_ext/scene_tables.py
+
+It writes the tables of docs/scene_keys.md, after the mark in that file. A test fails if they are
+not up to date.
 """
 
 import json
 import re
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from tissue.scene.texts import schema_text
 
-__all__ = ["Group", "Key", "Part", "parts", "unit_of"]
+__all__ = ["PAGE", "Group", "Key", "Part", "anchors", "page", "parts", "unit_of"]
 
+PAGE = Path(__file__).resolve().parents[1] / "scene_keys.md"
+MARK = "<!-- Tables by docs/_ext/scene_tables.py -->\n"
+"""Line of the page after which the tables begin."""
+HEAD = "| key | unit | takes | default | what |\n|---|---|---|---|---|\n"
 Schema = dict[str, Any]
 UNITS = {
     **{each: each for each in ("N", "kN", "kPa", "kg", "mm", "m", "ms", "rad", "rpm", "s")},
@@ -196,3 +204,59 @@ def _shown(value: object) -> str:
     if value is None or value == "":
         return ""
     return f"`{json.dumps(value)}`" if isinstance(value, bool | list) else f"`{value}`"
+
+
+def anchors() -> set[str]:
+    """Return the names of all keys with their table, each the anchor of a row."""
+    return {_anchor(part, key) for part in parts() if part.name for key in _keys(part)}
+
+
+def page() -> str:
+    """Return the whole page, with the text before the mark as it is."""
+    text = PAGE.read_text("utf-8").partition(MARK)[0]
+    return text + MARK + "".join(_section(part) for part in parts())
+
+
+def _section(part: Part) -> str:
+    """Return the heading, the text and the tables of a part."""
+    name = part.name or "top"
+    title = f"`[{part.name}]`" if part.name else "Top of the file"
+    text = f"\n## {title}\n\n{_plain(part.text)}\n"
+    if part.kinds:
+        kinds = ", ".join(f"`{kind}`" for kind in part.kinds)
+        text += f'\n<span id="{name}.kind"></span>`kind` is one of {kinds}.\n'
+    seen: set[str] = set()
+    for group in part.groups:
+        if len(part.groups) > 1:
+            text += "\n### " + ", ".join(f"`{kind}`" for kind in group.kinds) + "\n"
+            text += f"\n{_plain(group.text)}\n" if group.text else ""
+        text += "\n" + HEAD + "".join(_row(part, key, seen) for key in group.keys)
+    return text
+
+
+def _row(part: Part, key: Key, seen: set[str]) -> str:
+    """Return a row; the first of its name carries the anchor."""
+    anchor = _anchor(part, key)
+    mark = "" if anchor in seen else f'<span id="{anchor}"></span>'
+    seen.add(anchor)
+    cells = (f"{mark}`{key.name}`", key.unit, key.takes, key.default, key.text)
+    return "| " + " | ".join(_plain(cell).replace("|", "\\|") for cell in cells) + " |\n"
+
+
+def _plain(text: str) -> str:
+    """Return a docstring's text as one line of Markdown."""
+    return " ".join(text.replace("``", "`").split())
+
+
+def _keys(part: Part) -> Iterator[Key]:
+    """Yield the keys of all groups of a part."""
+    for group in part.groups:
+        yield from group.keys
+
+
+def _anchor(part: Part, key: Key) -> str:
+    return f"{part.name}.{key.name}" if part.name else key.name
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), "utf-8")
