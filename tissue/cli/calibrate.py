@@ -57,8 +57,9 @@ def calibrate(
         File to write; default observer.json, or population.json. Trials and picture are written
         next to it.
     device
-        Device that plays forces to a person: a real one, such as haply, network or one that a
-        package offers; or mouse (default), touch, omni or six-dof, for which bars show the forces.
+        Device that plays forces to a person: a real one (haply, forcedimension, sigma-7,
+        openhaptics, network, recorded, or one of a package), or bars on the screen as large as the
+        forces of mouse (default), touch, omni or six-dof.
     address
         Address of a real device, as in a scene's hardware.address; default the usual one.
     trials
