@@ -187,7 +187,7 @@ def decoded_text(path: Path, what: str) -> str:
         return content.decode("cp1252", "replace")
 
 
-def read_table(path: Path, what: str) -> TextTable:
+def read_table(path: Path, what: str, *, may_be_cut: bool = False) -> TextTable:
     """Read a table of text, without any text before it.
 
     Parameters
@@ -196,6 +196,8 @@ def read_table(path: Path, what: str) -> TextTable:
         File.
     what
         Name of the file in errors.
+    may_be_cut
+        Whether the last line may be incomplete, as of a logger that was stopped. It is left out.
 
     Raises
     ------
@@ -222,8 +224,7 @@ def read_table(path: Path, what: str) -> TextTable:
     places = [at for at in range(start, len(lines)) if lines[at].strip()]
     if blank := len(lines) - start - len(places):
         notes.append(f"{counted(blank, 'blank line')} between the rows")
-    # a logger that was stopped may leave an incomplete last line
-    if len(cells[places[-1]]) < width:
+    if may_be_cut and len(cells[places[-1]]) < width:
         places.pop()
         notes.append("the last line, which is cut short, is left out")
     for at in places:

@@ -67,7 +67,7 @@ class LogColumns:
 
 def _text(path: Path) -> LogColumns:
     """Return the columns of a table of text."""
-    table = read_table(path, "measured")
+    table = read_table(path, "measured", may_be_cut=True)
     rates = [found for line in table.above if (found := _RATE.search(line))]
     rate_Hz = number_in(rates[0][1].replace(",", ".")) if len(rates) == 1 else None
     return LogColumns(table.names, table.numbers, table.notes, rate_Hz)
