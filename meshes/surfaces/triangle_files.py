@@ -159,7 +159,7 @@ def _read_stl(file: Path, notes: list[str]) -> _Stored:
         # Binary files may begin with the word "solid" too. UTF-16 has zeros between letters.
         words = (head + stored.read(_SEARCHED)).replace(b"\0", b"").lower()
         is_text = b"facet" in words or b"endsolid" in words
-        if is_text and payload != count * _RECORD.itemsize:
+        if is_text and (count == 0 or payload != count * _RECORD.itemsize):
             return _read_text_stl(file)
         if count > whole or not whole:
             got = f"{count} triangles in its header and {whole} of them in {file.name}"
