@@ -15,6 +15,7 @@ __all__ = [
     "FORCES",
     "QUANTITIES",
     "ROTATION_VECTOR",
+    "TIMES",
     "from_first",
     "parsed",
     "quantities",
