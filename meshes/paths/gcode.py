@@ -227,7 +227,8 @@ class Program:
         unknown = [letter for letter in "XYZ" if letter not in self._place]
         if unknown and motion != "G0":
             raise self._refused(
-                f"cuts before {', '.join(unknown)} is known", "State X, Y and Z before the first cut"
+                f"cuts before {', '.join(unknown)} is known",
+                "State X, Y and Z before the first cut",
             )
         if unknown:
             return

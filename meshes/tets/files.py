@@ -89,8 +89,8 @@ def read_tets(
 ) -> TetFile:
     """Read a tetrahedral mesh, or read a closed surface and fill it with tetrahedra.
 
-    Gmsh text of versions 1 and 2 (``.msh``) is read here, other Gmsh files by meshio, and everything
-    else by pyvista. Cells other than tetrahedra are
+    Gmsh text of versions 1 and 2 (``.msh``) is read here, other Gmsh files by meshio, and all else
+    by pyvista. Cells other than tetrahedra are
     left out next to tetrahedra. An array of integers over the cells that is named as parts usually
     are (``gmsh:physical``, ``part``, ``region``, ...) gives the parts; of ``part``, texts in the
     field ``part_names`` are their names, counted from 0.

@@ -163,6 +163,8 @@ def test_binary_gmsh_files_are_read(tmp_path: Path, version: str) -> None:
 
 def test_a_gmsh_file_of_implausible_size_asks_for_its_unit(tmp_path: Path) -> None:
     file = tmp_path / "organ.msh"
-    file.write_text(FORM + NODES.replace("100", "7") + "$Elements\n1\n1 4 0 1 2 3 4\n$EndElements\n")
+    file.write_text(
+        FORM + NODES.replace("100", "7") + "$Elements\n1\n1 4 0 1 2 3 4\n$EndElements\n"
+    )
     with pytest.raises(InputError, match="whose box of 7 x 7 x 7 is an organ neither"):
         read_tets(file)

@@ -89,9 +89,7 @@ def test_a_fit_of_keys_of_the_scene_alone_is_saved(tmp_path):
     """The file of constants is then empty, and the keys stand in the report."""
     forward = coarse_slot()
     keys = ("organ.friction", "organ.young_kPa", "organ.exponent", "organ.share")
-    renamed = [
-        replace(one, name=key) for one, key in zip(forward.parameters, keys, strict=True)
-    ]
+    renamed = [replace(one, name=key) for one, key in zip(forward.parameters, keys, strict=True)]
     fit = fitted(tmp_path, forward=replace(forward, parameters=tuple(renamed)))
     assert tuple(fit.scene_keys) == keys and fit.of_material == ()
     write_fit(fit, tmp_path / "fit", overwrite=False)

@@ -65,6 +65,16 @@ def test_modulus_and_friction_come_back(log, tmp_path):
     assert "modulus_kPa" in text and "friction" not in text
 
 
+@pytest.mark.slow
+def test_forces_in_kilonewtons_that_are_read_in_newtons_are_named(log, tmp_path):
+    """The modulus is then a thousand times too small, which no mesh is fine enough for."""
+    table = np.loadtxt(log, delimiter=",", skiprows=1)
+    write_log(tmp_path / "kN.csv", table[:, 0], table[:, 1:4], 1e-3 * table[:, 4:])
+    scene = tissue.load_scene("palpation", SCENE)
+    with pytest.raises(tissue.InputError, match=r"modulus_kPa = .* times below its range.* in kN"):
+        tissue.fit(scene, tmp_path / "kN.csv", cores=1)
+
+
 def test_a_log_that_never_touches_is_refused(tmp_path):
     times = np.arange(0.0, 1.0, 1e-3)
     forces = np.random.default_rng(0).standard_normal((1000, 3))

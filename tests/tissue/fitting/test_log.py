@@ -97,7 +97,10 @@ def test_blank_lines_are_skipped_counted_and_lines_keep_their_numbers(table, tmp
 
 def texts(table, time):
     """Return the table as CSV with other times, which are given as texts."""
-    rows = [",".join([each, *map(repr, row[1:])]) for each, row in zip(time, table.rows.tolist())]
+    rows = [
+        ",".join([each, *map(repr, row[1:])])
+        for each, row in zip(time, table.rows.tolist(), strict=True)
+    ]
     return "\n".join(rows)
 
 
@@ -258,7 +261,7 @@ def test_objects_of_matlab_are_named(tmp_path):
     opaque[0] = (b"log", b"MCOS", b"timetable", np.zeros(1))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("scipy.io.loadmat", lambda *_, **__: {"None": MatlabOpaque(opaque)})
-        with pytest.raises(InputError, match="the MATLAB object of class timetable in a.mat"):
+        with pytest.raises(InputError, match=r"the MATLAB object of class timetable in a\.mat"):
             mat_columns(tmp_path / "a.mat")
     h5py = pytest.importorskip("h5py")
     with h5py.File(tmp_path / "b.mat", "w", userblock_size=512) as file:
@@ -267,7 +270,7 @@ def test_objects_of_matlab_are_named(tmp_path):
         file["log"].attrs["MATLAB_object_decode"] = np.int32(3)
     with (tmp_path / "b.mat").open("r+b") as file:
         file.write(b"MATLAB 7.3 MAT-file")
-    with pytest.raises(InputError, match="class timetable in b.mat: write it in MATLAB as CSV"):
+    with pytest.raises(InputError, match=r"timetable in b\.mat: write it in MATLAB as CSV"):
         read_log(tmp_path / "b.mat")
 
 

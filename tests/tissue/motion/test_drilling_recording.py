@@ -120,9 +120,11 @@ def test_the_layout_of_2022_to_2025_is_read(tmp_path):
         count = len(held.times_s)
         file["data/time"] = EPOCH_S + held.times_s
         pose = source[f"{POSES}/mastoidectomy_drill_pose/pose"][()]
-        file["data/pose_mastoidectomy_drill"] = pose[np.unique(
-            source[f"{POSES}/mastoidectomy_drill_pose/time_stamp"][()], return_index=True
-        )[1]]
+        file["data/pose_mastoidectomy_drill"] = pose[
+            np.unique(
+                source[f"{POSES}/mastoidectomy_drill_pose/time_stamp"][()], return_index=True
+            )[1]
+        ]
         file["data/pose_main_camera"] = np.tile([0, 0, 0, *CAMERA.as_quat()], (count, 1))
         # its recorder stores whole numbers for an object at rest
         file["data/pose_mastoidectomy_volume"] = np.tile([0, 0, 0, 0, 0, 0, 1], (count, 1))
