@@ -93,10 +93,11 @@ class TextTable:
         cells = [row[column].strip() for row in self.rows]
         if cells and ":" in cells[0]:
             return self._seconds(name, cells)
+        is_plain = self.marks == (".", "")
         found = np.empty(len(cells))
         for row, cell in enumerate(cells):
             try:
-                found[row] = number_in(self._plain(cell)) if cell else np.nan
+                found[row] = self._number(cell, is_plain=is_plain) if cell else np.nan
             except ValueError:
                 raise self._bad(name, cell, row) from None
         return found
@@ -118,15 +119,17 @@ class TextTable:
             raise InputError(self.what, "hold finite numbers", text, "fix that line")
         return found
 
-    def _plain(self, cell: str) -> str:
-        """Return a number with a decimal point and without marks of thousands."""
+    def _number(self, cell: str, *, is_plain: bool) -> float:
+        """Return the number in a cell."""
+        if is_plain and cell.isascii() and " " not in cell and "'" not in cell:
+            return number_in(cell)
         decimal, thousands = self.marks
         if thousands:
             cell = cell.replace(thousands, "")
         if decimal == ",":
             cell = cell.replace(",", ".")
         # a space stays if it does not separate thousands
-        return cell if cell.isalnum() else _BETWEEN_DIGITS.sub("", cell)
+        return number_in(_BETWEEN_DIGITS.sub("", cell))
 
     def _seconds(self, name: str, cells: list[str]) -> Array:
         """Return dates or times of day as seconds."""

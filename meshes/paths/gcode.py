@@ -70,7 +70,7 @@ _MEANING = {
     "G65": "a macro",
 }
 """Meaning of common words that are refused."""
-_PLANES = {"G17": "XYZ", "G18": "ZXY", "G19": "YZX"}
+_PLANES = {"G17": ("X", "Y", "Z"), "G18": ("Z", "X", "Y"), "G19": ("Y", "Z", "X")}
 """Axes of an arc by its plane: two in the plane, and the axis of a helix."""
 _OFFSETS = {"X": "I", "Y": "J", "Z": "K"}
 

@@ -201,7 +201,8 @@ def read_toolpath(path: str | Path, coordinates: str) -> Toolpath:
     require_file(file, "a path")
     suffix = file.suffix.lower()
     if suffix in (".json", ".fcsv"):
-        return Toolpath(read_curve(file))
+        note = "the control points of the curve are joined by straight lines"
+        return Toolpath(read_curve(file), notes=(note,))
     readers = {**dict.fromkeys(TABLES, _read_table), **dict.fromkeys(GCODE, _read_gcode)}
     if suffix not in readers:
         raise InputError(

@@ -165,7 +165,7 @@ def _factor(name: str, measure: str, column: str, unit: str) -> tuple[float, str
 def _clock(column: str, times: Array) -> tuple[float, str]:
     """Return the factor to seconds of times without a unit, and a remark, which may be empty.
 
-    Times since 1970 tell their unit by their size, since a log was made after 1973.
+    The size of times since 1970 gives their unit, since a log was made after 1973.
     """
     middle = float(np.nanmedian(times)) if len(times) else 0.0
     for unit in ("ns", "us", "ms"):
@@ -210,7 +210,7 @@ def from_first(values: dict[str, Array], notes: list[str]) -> None:
 
 
 def suggested(missing: Sequence[str], names: Sequence[str]) -> str:
-    """Return flags that name the columns of missing quantities, as far as headers tell them."""
+    """Return flags that name the columns of missing quantities, as far as headers show them."""
     flags = []
     for name in missing:
         found = [each for each in names if _is_like(name, each)]

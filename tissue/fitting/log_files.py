@@ -223,9 +223,7 @@ def _module(name: str, extra: str) -> Any:
 
 
 READERS: dict[str, Callable[[Path], LogColumns]] = {
-    ".csv": _text,
-    ".txt": _text,
-    ".tsv": _text,
+    **dict.fromkeys((".csv", ".txt", ".tsv", ".dat", ".asc", ".lvm"), _text),
     ".parquet": _parquet,
     ".npz": lambda path: _held(read_npz(path)),
     ".mat": _mat,
