@@ -33,7 +33,7 @@ _WIDEST_RAD = 0.25 * pi
 """Widest angle of a line that replaces part of an arc; only arcs of less than 0.13 mm reach it."""
 _INCH_MM = 25.4
 _WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))")
-_COMMENT = re.compile(r"\([^()]*\)|;.*")
+_COMMENT = re.compile(r"\([^()]*(?:\)|$)|;.*")
 _MODES = {
     **dict.fromkeys(("G0", "G1", "G2", "G3"), "motion"),
     **dict.fromkeys(("G17", "G18", "G19"), "plane"),
@@ -47,12 +47,13 @@ _STILL = (
     *_WORK_OFFSETS,
     *(f"G{n}" for n in ("4", "40", "43", "49", "61", "61.1", "64", "80", "92.1", "92.2")),
     *("G94", "G98", "G99"),
-    *(f"M{n}" for n in (0, 1, 3, 4, 5, 6, 7, 8, 9, 19, 41, 42, 48, 49)),
 )
-"""Words that do not move the tool.
+"""Words G that do not move the tool.
 
 G43 refers the program to the tip, as a path does. G80 ends cycles, which are refused.
 """
+_SUBPROGRAMS = ("M97", "M98", "M99")
+"""Words M that move the tool. Other words M switch spindle, coolant and the like."""
 _STILL_LETTERS = "STHDON"
 _HOME = ("G28", "G30", "G53")
 """Moves to places of the machine, which are unknown in the frame of the program."""
@@ -66,7 +67,7 @@ _MEANING = {
     **{f"G{n}": "another feed mode" for n in (93, 95)},
     **{f"G{n}": "a spline" for n in (5, 5.1, 5.2)},
     **{f"G{n}": "scaling or rotation" for n in (16, 50, 51, 68)},
-    **{f"M{n}": "a subprogram" for n in (97, 98, 99)},
+    **dict.fromkeys(_SUBPROGRAMS, "a subprogram"),
     "G65": "a macro",
 }
 """Meaning of common words that are refused."""
@@ -126,7 +127,11 @@ class Program:
     def read(self, line: str, number: int) -> bool:
         """Execute one line. Return False at the end of the program."""
         self._line = number
-        text = _COMMENT.sub("", line.upper()).strip().removeprefix("/")
+        text, count = _COMMENT.subn("", line.upper())
+        # brackets within brackets
+        while count:
+            text, count = _COMMENT.subn("", text)
+        text = text.strip().removeprefix("/")
         if not text or text.startswith("%"):
             return True
         if rest := _WORD.sub("", text).split():
@@ -183,7 +188,7 @@ class Program:
         for code in codes:
             if code in _MODES:
                 self._modes[_MODES[code]] = code
-            elif code in (*_STILL, *_END):
+            elif code in _STILL or (code[0] == "M" and code not in _SUBPROGRAMS):
                 self._left_out.add(code)
             elif code not in _HOME:
                 meaning = f" ({_MEANING[code]})" if code in _MEANING else ""

@@ -96,7 +96,7 @@ def kept_corners(corners: ArrayLike, within: float) -> Ints:
     return np.array(sorted(kept), dtype=np.int64)
 
 
-GCODE = (".gcode", ".nc", ".ngc", ".tap", ".cnc")
+GCODE = (".gcode", ".nc", ".ngc", ".tap", ".cnc", ".gc", ".mpf")
 TABLES = (".csv", ".txt", ".tsv")
 _PLACE = ("x_mm", "y_mm", "z_mm")
 _FEED = "feed_mm_s"

@@ -168,7 +168,7 @@ def _checked(
         remedy = f"name its columns, {suggested(missing, names)}"
         if "time_s" in missing:
             remedy += ", or give the rate of its samples in place of times, --column time_s=500:Hz"
-        if set(missing) & set(TIPS):
+        if set(missing) & set(TIPS) and "=0'" not in remedy:
             remedy += ", and a constant where the tool does not move, --column tool_x_mm=0"
         raise refuse(f"hold {', '.join(missing)}", ", ".join(names[:40]), remedy)
     _merge(taken, notes)

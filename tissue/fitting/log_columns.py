@@ -211,10 +211,14 @@ def from_first(values: dict[str, Array], notes: list[str]) -> None:
 
 def suggested(missing: Sequence[str], names: Sequence[str]) -> str:
     """Return flags that name the columns of missing quantities, as far as headers show them."""
+    found = {name: [each for each in names if _is_like(name, each)] for name in missing}
+    depths = [each for each in names if unit_of(each, "length")]
+    if set(TIPS) <= set(missing) and len(depths) == 1 and not found[TIPS[0]]:
+        # a testing machine of one axis, whose depth grows downward
+        found |= dict(zip(TIPS, (["0"], ["0"], [f"-{depths[0]}"]), strict=True))
     flags = []
-    for name in missing:
-        found = [each for each in names if _is_like(name, each)]
-        column = found[0] if len(found) == 1 else "COLUMN[:UNIT]"
+    for name, columns in found.items():
+        column = columns[0] if len(columns) == 1 else "COLUMN[:UNIT]"
         flags.append(f"--column '{name}={column}'")
     return " ".join(flags)
 

@@ -123,7 +123,7 @@ def test_bad_paths_are_refused_by_name_and_line(tmp_path, name, text, sentence):
 
 
 PROGRAM = """%
-O1000 (a part)
+O1000 (a part (of steel))
 N10 T1 M6
 N20 G0 G90 G40 G21 G17 G94 G80
 N30 G54 X0 Y0 S500 M3

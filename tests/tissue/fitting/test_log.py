@@ -255,6 +255,19 @@ def test_missing_columns_are_suggested_by_their_headers(table, tmp_path):
     assert read_log(tmp_path / "log.csv", flags).loads == pytest.approx(table.rows[:, 4:])
 
 
+def test_a_machine_of_one_axis_gets_its_depth_as_the_height_of_the_tool(table, tmp_path):
+    names = ("Time (s)", "Pd (µm)", "Fn (µN)")
+    rows = table.rows[:, [0, 3, 6]] * [1.0, 1e3, 1e6]
+    write_table(Table(names, rows), tmp_path / "log.csv")
+    with pytest.raises(InputError, match=r"'tool_z_mm=-Pd \(µm\)'") as caught:
+        read_log(tmp_path / "log.csv")
+    flags = re.findall(r"--column '(tool[^']*)'", str(caught.value))
+    log = read_log(tmp_path / "log.csv", [*flags, "force_z_N=Fn (µN)"])
+    assert log.tips_m[:, 2] == pytest.approx(-1e-3 * table.rows[:, 3])
+    assert not log.tips_m[:, :2].any()
+    assert log.loads[:, 0] == pytest.approx(table.rows[:, 6])
+
+
 def test_objects_of_matlab_are_named(tmp_path):
     """An object of a class, which SciPy returns as opaque data, and one of MATLAB 7.3."""
     opaque = np.zeros(1, dtype=[("s0", "O"), ("s1", "O"), ("s2", "O"), ("arr", "O")])
