@@ -331,18 +331,22 @@ def _marks(rows: list[list[str]], delimiter: str, path: Path, what: str) -> tupl
     commas = [cell for cell in map(str.strip, cells) if _NUMBER.fullmatch(cell)]
     if not commas:
         return ".", ""
-    both = {max("." + ",", key=cell.rfind) for cell in commas if "," in cell and "." in cell}
-    several = {mark for cell in commas for mark in ".," if cell.count(mark) > 1}
-    if both or several:
-        # the mark that comes last is the decimal one, and one that comes twice is of thousands
-        decimals = both | {"," if mark == "." else "." for mark in several}
-        if len(decimals) == 1:
-            decimal = decimals.pop()
-            return decimal, "," if decimal == "." else "."
+    # the mark that comes last is the decimal one, and one that comes twice is of thousands
+    decimals = set[str]()
+    for cell in commas:
+        if "," in cell and "." in cell:
+            decimals.add("," if cell.rfind(",") > cell.rfind(".") else ".")
+        elif cell.count(",") > 1:
+            decimals.add(".")
+        elif cell.count(".") > 1:
+            decimals.add(",")
+    if len(decimals) == 2:
         raise InputError(
             f"{what}: {path.name} has numbers with a decimal comma and with a decimal point. "
             "Export it with one of them."
         )
+    if decimals:
+        return (".", ",") if "." in decimals else (",", ".")
     grouped = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}")
     points = [cell for row in rows for cell in map(str.strip, row) if "." in cell]
     points = [cell for cell in points if _NUMBER.fullmatch(cell)]

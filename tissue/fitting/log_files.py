@@ -33,9 +33,10 @@ __all__ = [
 _RATE = re.compile(r"(?:rate|frequency)\W*(\d+(?:[.,]\d+)?)\W*Hz", re.IGNORECASE)
 """Rate of samples in the text above a table, such as "Acquisition rate : 10.0 [Hz]"."""
 _RATE_NAME = re.compile(
-    r"(?:.*/)?(?:fs|f_s|sr|(?:sampl\w*_?)?(?:rate|freq|frequency))(?:_?hz)?", re.IGNORECASE
+    r"(?:.*/)?(?:fs|f_s|sr|(?:sampl\w*[_ ]?)?(?:rate|freq|frequency))[_ ]?[\[(]?(?:hz)?[\])]?",
+    re.IGNORECASE,
 )
-"""Names of a single number that is the rate of samples, such as sample_rate or fs."""
+"""Names of the rate of samples, such as sample_rate, fs and "Rate [Hz]"."""
 TIPS = ("tool_x_mm", "tool_y_mm", "tool_z_mm")
 QUATERNION = ("tool_qx", "tool_qy", "tool_qz", "tool_qw")
 CHANNELS = ("force_x_N", "force_y_N", "force_z_N", "torque_x_Nm", "torque_y_Nm", "torque_z_Nm")
@@ -70,7 +71,21 @@ def _text(path: Path) -> LogColumns:
     table = read_table(path, "measured", may_be_cut=True)
     rates = [found for line in table.above if (found := _RATE.search(line))]
     rate_Hz = number_in(rates[0][1].replace(",", ".")) if len(rates) == 1 else None
+    rate_Hz = rate_Hz or _rate_Hz(table.names, table.numbers)
     return LogColumns(table.names, table.numbers, table.notes, rate_Hz)
+
+
+def _rate_Hz(names: tuple[str, ...], numbers: Callable[[str], NDArray[Any]]) -> float | None:
+    """Return the rate in a column that has the name of a rate and one value [Hz], else None."""
+    named = [name for name in names if _RATE_NAME.fullmatch(name)]
+    if len(named) != 1:
+        return None
+    try:
+        values = np.unique(numbers(named[0]))
+    except InputError:  # a column of text
+        return None
+    is_rate = len(values) == 1 and values.dtype.kind in "fiu" and values[0] > 0.0
+    return float(values[0]) if is_rate else None
 
 
 def read_columns(path: Path) -> LogColumns:
@@ -104,11 +119,6 @@ def read_columns(path: Path) -> LogColumns:
 def _held(columns: Mapping[str, Any]) -> LogColumns:
     """Return columns of arrays. A matrix gives no columns."""
     flat = {name: np.squeeze(np.asarray(values)) for name, values in columns.items()}
-    rates = [
-        float(values)
-        for name, values in flat.items()
-        if values.ndim == 0 and values.dtype.kind in "fiu" and _RATE_NAME.fullmatch(name)
-    ]
 
     def numbers(name: str) -> Array:
         values = flat[name]
@@ -121,7 +131,7 @@ def _held(columns: Mapping[str, Any]) -> LogColumns:
             )
         return values.astype(np.float64)
 
-    return LogColumns(tuple(flat), numbers, rate_Hz=rates[0] if len(rates) == 1 else None)
+    return LogColumns(tuple(flat), numbers, rate_Hz=_rate_Hz(tuple(flat), flat.__getitem__))
 
 
 def _isolated(parser: str, path: Path) -> LogColumns:

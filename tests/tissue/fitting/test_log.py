@@ -172,11 +172,14 @@ def test_a_rate_in_place_of_times(table, tmp_path, columns, head):
     assert "the times follow from the rate of 100 Hz" in log.notes
 
 
-@pytest.mark.parametrize("name", ["fs", "sample_rate", "samplingFrequency", "rate_Hz"])
+@pytest.mark.parametrize("name", ["fs", "sample_rate", "samplingFrequency", "rate_Hz", "Rate [Hz]"])
 def test_a_number_named_as_a_rate_is_the_rate(table, tmp_path, name):
     columns = dict(zip(NAMES[1:], table.rows.T[1:], strict=True))
     np.savez(tmp_path / "log.npz", **columns, **{name: 100.0})
     assert read_log(tmp_path / "log.npz").times_s == pytest.approx(TIMES_S)
+    columns[name] = np.full(len(TIMES_S), 100)
+    write_table(Table(tuple(columns), np.column_stack([*columns.values()])), tmp_path / "log.csv")
+    assert read_log(tmp_path / "log.csv").times_s == pytest.approx(TIMES_S)
 
 
 GERMAN = "Messung 12\nZeit;Weg X;Weg Y;Weg Z;Kraft Z\n[ms];[um];[um];[um];[mN]\n"
