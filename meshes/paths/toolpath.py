@@ -1,16 +1,12 @@
 """Path of a tool from a file, in the frame of a patient, and its depth below a bone's surface.
 
-A path is a CSV table, a curve of 3D Slicer, or G-code. Of G-code (RS-274) the straight moves of a
-three-axis tool are read: G0 (rapid), G1 (at the feed F), G20 and G21 (inches, mm), G90 and G91
-(absolute, relative), X, Y, Z, F [units a minute], line numbers N, comments in brackets and after a
-semicolon, and lines of %. Everything else is refused, because skipping it would change the path.
+A path is a CSV table, a curve of 3D Slicer, or G-code (see `meshes.paths.gcode`).
 
 A path becomes the table of poses that a replayed motion reads. The table holds times, tips and
 orientations in the site's frame.
 """
 
 import csv
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,8 +16,11 @@ from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, require_file, require_positive
-from meshes.base.text_tables import number_or_nan, require_distinct_columns
+from meshes.base.tables import read_table
+from meshes.base.text_tables import require_distinct_columns
+from meshes.base.units import UNITS, column_of, name_of, unit_of
 from meshes.base.whole_file import whole_file
+from meshes.paths.gcode import read_gcode
 from meshes.surfaces.markups import TO_LPS, read_curve
 from meshes.surfaces.site import Site
 from meshes.surfaces.surface import Surface
@@ -97,15 +96,13 @@ def kept_corners(corners: ArrayLike, within: float) -> Ints:
     return np.array(sorted(kept), dtype=np.int64)
 
 
-GCODE = (".gcode", ".nc", ".ngc", ".tap", ".cnc")
+GCODE = (".gcode", ".nc", ".ngc", ".tap", ".cnc", ".gc", ".mpf")
+TABLES = (".csv", ".txt", ".tsv")
 _PLACE = ("x_mm", "y_mm", "z_mm")
 _FEED = "feed_mm_s"
 _AXIS = ("axis_x", "axis_y", "axis_z")
-_WORD = re.compile(r"([A-Za-z])\s*([-+]?(?:\d+\.?\d*|\.\d+))")
-_COMMENT = re.compile(r"\([^()]*\)|;.*")
-# G-code: G0 rapid, G1 feed, G20 inches, G21 mm, G90 absolute, G91 relative
-_MODES = {0.0: "motion", 1.0: "motion", 20.0: "unit", 21.0: "unit", 90.0: "reach", 91.0: "reach"}
-_INCH_MM = 25.4
+_COLUMNS = {**dict.fromkeys(_PLACE, "length"), _FEED: "speed", **dict.fromkeys(_AXIS, "number")}
+"""Columns of a table, and the key of `UNITS` of each."""
 
 _STEP_MM = 0.5
 """Distance of points at which the depth is evaluated; in between it is at most 0.25 mm larger."""
@@ -127,11 +124,14 @@ class Toolpath:
     axes
         Unit vectors from the tip towards the shaft at each point, LPS, shape (n, 3); None where the
         file states no axes.
+    notes
+        Findings and assumptions, in sentences.
     """
 
     points_mm: Array
     feeds_mm_s: Array | None = None
     axes: Array | None = None
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,8 +181,9 @@ def read_toolpath(path: str | Path, coordinates: str) -> Toolpath:
     Parameters
     ----------
     path
-        CSV with the columns x_mm, y_mm, z_mm and, optionally, feed_mm_s and axis_x, axis_y, axis_z;
-        a curve as ``.mrk.json`` or points as ``.fcsv``; or G-code.
+        Table of text (.csv, .txt, .tsv) with the columns x_mm, y_mm, z_mm and, optionally,
+        feed_mm_s and axis_x, axis_y, axis_z, or with other units in the header, such as "X [m]"; a
+        curve as ``.mrk.json`` or points as ``.fcsv``; or G-code.
     coordinates
         ``LPS`` or ``RAS``: the frame of the numbers in CSV and G-code. Markups state their own.
 
@@ -200,43 +201,69 @@ def read_toolpath(path: str | Path, coordinates: str) -> Toolpath:
     require_file(file, "a path")
     suffix = file.suffix.lower()
     if suffix in (".json", ".fcsv"):
-        return Toolpath(read_curve(file))
-    readers = {".csv": _read_table, **dict.fromkeys(GCODE, _read_gcode)}
+        note = "the control points of the curve are joined by straight lines"
+        return Toolpath(read_curve(file), notes=(note,))
+    readers = {**dict.fromkeys(TABLES, _read_table), **dict.fromkeys(GCODE, _read_gcode)}
     if suffix not in readers:
         raise InputError(
             "path",
-            f"be a .csv, .mrk.json, .fcsv or G-code file ({', '.join(GCODE)})",
+            f"be a {', '.join(TABLES)}, .mrk.json, .fcsv or G-code file ({', '.join(GCODE)})",
             file,
             "rename it",
         )
-    try:
-        read = readers[suffix](file)
-    except (UnicodeDecodeError, csv.Error):
-        raise InputError(
-            "path", "be a CSV table or G-code", f"other data in {file}", "export it as text"
-        ) from None
+    read = readers[suffix](file)
     if len(read.points_mm) < 2:
         raise InputError(
             "path", "have at least two points", f"{len(read.points_mm)} in {file}", "add some"
         )
     frame = TO_LPS[coordinates]
-    return Toolpath(
-        read.points_mm * frame, read.feeds_mm_s, None if read.axes is None else read.axes * frame
-    )
+    axes = None if read.axes is None else read.axes * frame
+    return Toolpath(read.points_mm * frame, read.feeds_mm_s, axes, read.notes)
 
 
 def _read_table(file: Path) -> Toolpath:
-    """Read a CSV file, in its frame."""
-    with file.open(newline="", encoding="utf-8-sig") as opened:
-        reader = csv.DictReader(opened, skipinitialspace=True)
-        names = tuple(name.strip() for name in reader.fieldnames or ())
-        reader.fieldnames = names
-        require_distinct_columns(names, "path", file)
-        _check_columns(names, file)
-        rows = [
-            [_number(row[name], name, reader.line_num, file) for name in names] for row in reader
-        ]
-    column = dict(zip(names, np.array(rows).reshape(-1, len(names)).T, strict=True))
+    """Read a table of text, in its frame."""
+    table = read_table(file, "path")
+    require_distinct_columns(table.names, "path", file)
+    notes = [*table.notes]
+    column: dict[str, Array] = {}
+    used = set[str]()
+    for name, measure in _COLUMNS.items():
+        header = column_of(name, measure, table.names)
+        if header is None and name in _PLACE:
+            bare = [each for each in table.names if name_of(each, "length") == name[0]]
+            header = bare[0] if len(bare) == 1 else None
+        if header is None:
+            continue
+        used.add(header)
+        column[name] = table.finite(header)
+        unit = unit_of(header, measure)
+        if measure != "number":
+            # lengths are wanted in mm, and speeds in mm/s
+            column[name] = column[name] * (1e3 * UNITS[measure][unit] if unit else 1.0)
+        if measure == "length" and unit != "mm":
+            notes.append(f"{header} is read in {unit or 'mm, since its header names no unit'}")
+    _check_columns(column, table.names, file)
+    if left := [each for each in table.names if each not in used]:
+        notes.append(f"columns without a use: {', '.join(left[:12])}")
+    points = np.column_stack([column[name] for name in _PLACE])
+    return Toolpath(points, _feeds(column, file), _axes(column, file), tuple(notes))
+
+
+def _check_columns(column: dict[str, Array], names: tuple[str, ...], file: Path) -> None:
+    """Raise for missing columns."""
+    needed = (*_PLACE, *_AXIS) if any(name in column for name in _AXIS) else _PLACE
+    if missing := [name for name in needed if name not in column]:
+        raise InputError(
+            "path",
+            f"have the columns {', '.join(missing)}",
+            f"{', '.join(names[:40])} in {file}",
+            "rename its columns; a unit may be another, such as x_m or X [in]",
+        )
+
+
+def _feeds(column: dict[str, Array], file: Path) -> Array | None:
+    """Return the speeds [mm/s], shape (n,); None for a table without speeds."""
     feeds = column.get(_FEED)
     if feeds is not None and (feeds[1:] <= 0.0).any():
         row = 1 + int(np.argmax(feeds[1:] <= 0.0))
@@ -246,118 +273,30 @@ def _read_table(file: Path) -> Toolpath:
             f"{feeds[row]:g} at point {row + 1} of {file}",
             "use for example 2",
         )
-    axes = None
-    if _AXIS[0] in column:
-        axes = np.column_stack([column[name] for name in _AXIS])
-        length = np.linalg.norm(axes, axis=1)
-        # Such an axis is zero in a file of six decimals, and its direction would be rounding.
-        if (length < 1e-6).any():
-            raise InputError(
-                "axis",
-                "not be zero",
-                f"it at point {int(np.argmin(length)) + 1} of {file}",
-                "fix it",
-            )
-        axes = axes / length[:, None]
-    return Toolpath(np.column_stack([column[name] for name in _PLACE]), feeds, axes)
+    return feeds
 
 
-def _check_columns(names: tuple[str, ...], file: Path) -> None:
-    """Raise for missing and unknown columns."""
-    needed = (*_PLACE, *_AXIS) if any(name in names for name in _AXIS) else _PLACE
-    if not set(needed) <= set(names) <= {*_PLACE, _FEED, *_AXIS}:
+def _axes(column: dict[str, Array], file: Path) -> Array | None:
+    """Return the unit vectors along the tool, shape (n, 3); None for a table without axes."""
+    if _AXIS[0] not in column:
+        return None
+    axes = np.column_stack([column[name] for name in _AXIS])
+    length = np.linalg.norm(axes, axis=1)
+    # Such an axis is zero in a file of six decimals, and its direction would be rounding.
+    if (length < 1e-6).any():
         raise InputError(
-            "path",
-            f"have the columns {', '.join(needed)}, and no others but {_FEED} and the axis",
-            f"{', '.join(names)} in {file}",
-            "add or rename columns",
+            "axis",
+            "not be zero",
+            f"it at point {int(np.argmin(length)) + 1} of {file}",
+            "fix it",
         )
-
-
-def _number(text: str | None, name: str, line: int, file: Path) -> float:
-    value = number_or_nan(text)
-    if not np.isfinite(value):
-        got = f"{text or 'nothing'} for {name} in line {line} of {file}"
-        raise InputError("path", "hold finite numbers", got, "fix it")
-    return value
+    return np.asarray(axes / length[:, None])
 
 
 def _read_gcode(file: Path) -> Toolpath:
     """Read G-code, in the frame of the file."""
-    machine = _Machine(file)
-    for number, line in enumerate(file.read_text("utf-8").splitlines(), start=1):
-        machine.read(line, number)
-    return Toolpath(np.array(machine.points).reshape(-1, 3), np.array(machine.feeds))
-
-
-class _Machine:
-    """State of a controller between lines."""
-
-    def __init__(self, file: Path) -> None:
-        self._file = file
-        self.points: list[list[float]] = []
-        self.feeds: list[float] = []
-        # Before any G word: no motion, because controllers differ in their default; mm and
-        # absolute.
-        self._modes = {"motion": -1.0, "unit": 21.0, "reach": 90.0}
-        self._place: dict[str, float] = {}
-        self._feed_mm_s = 0.0
-
-    def read(self, line: str, number: int) -> None:
-        """Execute one line."""
-        text = _COMMENT.sub("", line).strip()
-        if not text or text == "%":
-            return
-        rest = _WORD.sub("", text).strip()
-        if rest:
-            raise self._refused(f"words of a letter and a number, got {rest.split()[0]}", number)
-        target: dict[str, float] = {}
-        feed: float | None = None
-        for letter, digits in _WORD.findall(text.upper()):
-            value = float(digits)
-            if letter == "G" and value in _MODES:
-                self._modes[_MODES[value]] = value
-            elif letter in "XYZ":
-                if letter in target:
-                    raise self._refused(f"one {letter} a line, got two", number)
-                target[letter] = value
-            elif letter == "F":
-                feed = value
-            # N is the number of the line.
-            elif letter != "N":
-                raise self._refused(
-                    f"only G0, G1, G20, G21, G90, G91, X, Y, Z and F, got {letter}{value:g}", number
-                )
-        unit = _INCH_MM if self._modes["unit"] == 20.0 else 1.0
-        if feed is not None:
-            if feed <= 0.0:
-                raise self._refused(f"a positive F, got F{feed:g}", number)
-            self._feed_mm_s = feed * unit / 60.0
-        if target:
-            self._move({letter: unit * value for letter, value in target.items()}, number)
-
-    def _move(self, target_mm: dict[str, float], number: int) -> None:
-        """Move along the axes that a line names."""
-        if self._modes["motion"] < 0.0:
-            raise self._refused("G0 or G1 before the first move, got none", number)
-        rapid = self._modes["motion"] == 0.0
-        if not rapid and self._feed_mm_s == 0.0:
-            raise self._refused("F before the first G1, got none", number)
-        if self._modes["reach"] == 91.0:
-            if not target_mm.keys() <= self._place.keys():
-                raise self._refused("a first point in G90 before G91, got none", number)
-            target_mm = {letter: self._place[letter] + step for letter, step in target_mm.items()}
-        self._place |= target_mm
-        missing = [letter for letter in "XYZ" if letter not in self._place]
-        if missing:
-            raise self._refused(
-                f"X, Y and Z in the first move, got none of {', '.join(missing)}", number
-            )
-        self.points.append([self._place[letter] for letter in "XYZ"])
-        self.feeds.append(float("nan") if rapid else self._feed_mm_s)
-
-    def _refused(self, wanted: str, line: int) -> InputError:
-        return InputError(f"path must hold {wanted} in line {line} of {self._file}: fix that line")
+    points, feeds, notes = read_gcode(file)
+    return Toolpath(points, feeds, notes=notes)
 
 
 POSE_COLUMNS = ("tool_x_mm", "tool_y_mm", "tool_z_mm", "tool_qx", "tool_qy", "tool_qz", "tool_qw")

@@ -62,7 +62,7 @@ def read_markups(path: str | Path) -> tuple[Markup, ...]:
     file = Path(path)
     require_file(file, "markups")
     try:
-        text = file.read_text("utf-8")
+        text = file.read_text("utf-8-sig")
         if file.suffix.lower() == ".fcsv":
             return (_point_list(text, file),)
         if not file.name.lower().endswith(".json"):

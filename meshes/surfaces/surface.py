@@ -3,7 +3,7 @@
 A surface that encloses no solid is refused.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -41,8 +41,12 @@ _LARGEST_MM = 1000.0
 """Limits of the longest side with a given scale: from a chip of bone to two femurs."""
 _UNITS = (("millimetres", 1.0, 5.0, 700.0), ("metres", 1000.0, 0.005, 0.7))
 """Units that are guessed: name, length [mm], and longest side of a bone in them, 5 to 700 mm."""
-_CENTIMETRES = (6.0, 60.0)
-"""Longest sides that may also be centimetres: a bone is then 60 to 600 mm long."""
+_OTHER_UNITS = (("centimetres", 10.0), ("inches", 25.4))
+"""Units that are likelier than millimetres for a small surface: name, length [mm]."""
+_USUAL_BONE_MM = (60.0, 600.0)
+"""Longest side of a bone that is often scanned; in another unit it may be this long."""
+_RESOLVED_MM = 0.01
+"""Largest rounding of coordinates without a warning [mm]: a tenth of the finest voxels in use."""
 _TYPICAL_BONE_MM = 140.0
 """Longest side that a suggested scale makes: about that of a scapula."""
 
@@ -132,8 +136,9 @@ def read_surface(
         made to enclose a solid of 1 mm to 1 m.
     """
     file = Path(path)
-    vertices, faces = read_triangles(file)
-    return surface_from_triangles(
+    notes: list[str] = []
+    vertices, faces = read_triangles(file, notes)
+    surface = surface_from_triangles(
         vertices,
         faces,
         source=file.name,
@@ -141,6 +146,8 @@ def read_surface(
         cut_off=cut_off,
         every_piece=every_piece,
     )
+    repairs = (*notes, *surface.report.repairs)
+    return replace(surface, report=replace(surface.report, repairs=repairs))
 
 
 def surface_from_triangles(
@@ -186,7 +193,7 @@ def surface_from_triangles(
     _require_thickness(used, longest, source)
     scale, guess = _unit(longest, scale_mm, source)
     longest *= 1e-3 * scale
-    repairs = []
+    repairs = _rounding(used, scale)
     before = len(vertices)
     vertices, faces = merge_vertices(1e-3 * scale * vertices, faces, _MERGE_TOLERANCE * longest)
     if before > len(vertices):
@@ -250,6 +257,19 @@ def _require_thickness(points: Array, longest: float, source: str) -> None:
         )
 
 
+def _rounding(points: Array, scale_mm: float) -> list[str]:
+    """Return a sentence on points in single precision far from the origin, if they are."""
+    farthest = float(np.abs(points).max())
+    rounding_mm = scale_mm * float(np.spacing(np.float32(farthest)))
+    is_single = np.array_equal(points.astype(np.float32), points)
+    if not is_single or rounding_mm <= _RESOLVED_MM:
+        return []
+    return [
+        f"The surface lies {1e-3 * scale_mm * farthest:.3g} m from the origin, where single "
+        f"precision rounds to {rounding_mm:.2g} mm: move it to the origin before the export."
+    ]
+
+
 def _unit(longest: float, scale_mm: float | None, source: str) -> tuple[float, str]:
     """Return millimetres per file unit and how they were found, from the longest side in units.
 
@@ -276,18 +296,21 @@ def _unit(longest: float, scale_mm: float | None, source: str) -> tuple[float, s
             )
         size = f"{longest * scale:.4g} mm"
         return scale, f"{scale:g} mm per unit, as given: the longest side is {size}"
+    others = [
+        f"in {unit} it would be {factor * longest:.3g} mm, scale_mm = {factor:g}"
+        for unit, factor in _OTHER_UNITS
+        if _USUAL_BONE_MM[0] <= factor * longest <= _USUAL_BONE_MM[1]
+    ]
     if not plain:
         raise InputError(
             "anatomy.scale_mm",
             "be given where the unit is not plain",
             f"none for {source}, whose longest side {longest:.3g} is neither millimetres nor "
             "metres of a bone",
-            f"use millimetres per unit, for example {suggestion:g}",
+            "; ".join([f"use millimetres per unit, for example {suggestion:g}", *others]),
         )
     name, scale = plain[0]
     guess = f"{name}, since the longest side {longest:.3g} would be {longest * scale:.3g} mm"
-    if name == "millimetres" and _CENTIMETRES[0] <= longest <= _CENTIMETRES[1]:
-        guess += (
-            f" (in centimetres it would be {10 * longest:.3g} mm: set anatomy.scale_mm to be sure)"
-        )
+    if name == "millimetres" and longest < _USUAL_BONE_MM[0] and others:
+        guess += f" ({'; '.join(others)}: set anatomy.scale_mm to be sure)"
     return scale, guess

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from meshes.base.arrays import Array, Ints, Triangles
 from meshes.base.errors import DamagedFileError, InputError, require_file
 from meshes.base.isolated_parser import Answer, parse_isolated
+from meshes.base.tables import decoded_text
 from meshes.base.text_tables import number_in, whole_number_in
 
 __all__ = [
@@ -43,8 +44,15 @@ _IGNORED = re.compile(
 _FURTHER = re.compile(r"/\S*")
 
 
-def read_triangles(file: Path) -> Triangles:
+def read_triangles(file: Path, notes: list[str] | None = None) -> Triangles:
     """Read vertices, shape (n, 3), and triangles, shape (m, 3), as a file stores them, in its unit.
+
+    Parameters
+    ----------
+    file
+        The file; its suffix names the format.
+    notes
+        List to which a sentence is appended for each doubt about the file.
 
     Raises
     ------
@@ -60,37 +68,62 @@ def read_triangles(file: Path) -> Triangles:
             "convert it, or read a volume with read_image",
         )
     require_file(file, "a surface")
-    vertices, faces = (np.asarray(array) for array in _stored(file))
-    require_triangles(vertices, faces, file.name)
+    kind = file.suffix.lower()[1:].upper()
+    read = {"STL": _read_stl, "OBJ": _read_obj, "PLY": _read_ply}.get(kind, _read_by_vtk)
+    try:
+        vertices, faces = read(file, [] if notes is None else notes)
+        require_triangles(vertices, faces, file.name)
+    except InputError:
+        _require_points(file)
+        raise
     return vertices.astype(np.float64, copy=False), faces.astype(np.int64, copy=False)
 
 
-def _stored(file: Path) -> tuple[NDArray[np.number], NDArray[np.number]]:
-    kind = file.suffix.lower()[1:].upper()
-    if kind in ("VTK", "VTP"):
-        _, arrays = parse_isolated(
-            "meshes.surfaces.triangle_files:vtk_triangles",
-            file,
-            what=f"{kind} surface",
-            remedy="export it again",
-        )
-        return arrays["points"], arrays["triangles"]
-    if kind == "OBJ":
-        return _read_obj(file)
-    if kind == "STL" and (binary := _read_binary_stl(file)) is not None:
-        return binary
-    if kind == "PLY":
-        _require_whole_ply(file)
-    try:
-        import trimesh
+_Stored = tuple[NDArray[np.number], NDArray[np.number]]
+_COMMAS = re.compile(rb"\d,\d+(?:[eE][+-]?\d+)?[ \t]+[+-]?\d+,\d")
+"""Two numbers with decimal commas."""
+_SEARCHED = 100_000
+"""Bytes at the start of an unreadable file in which decimal commas are searched for."""
 
-        # A PLY file may name a missing texture, for which trimesh would print a traceback.
-        options: dict[str, Any] = {"skip_materials": True} if kind == "PLY" else {}
-        mesh: Any = trimesh.load(file, force="mesh", process=False, **options)
-        return mesh.vertices, mesh.faces
-    except Exception as problem:  # the readers raise many kinds, none documented
-        got = f"{file.name} (it is damaged or cut off)"
-        raise _refusal(f"be a readable {kind} surface", got) from problem
+
+def _require_points(file: Path) -> None:
+    """Name decimal commas as the reason why a file cannot be read."""
+    with file.open("rb") as stored:
+        if found := _COMMAS.search(stored.read(_SEARCHED)):
+            raise InputError(
+                f"file: {file.name} has decimal commas, such as {found[0].decode('latin-1')!r}. "
+                "Export it with decimal points."
+            )
+
+
+def _read_by_vtk(file: Path, notes: list[str]) -> _Stored:
+    """Read a surface in a separate process."""
+    _, arrays = parse_isolated(
+        "meshes.surfaces.triangle_files:vtk_triangles",
+        file,
+        what=f"{file.suffix[1:].upper()} surface",
+        remedy="export it again",
+    )
+    return arrays["points"], arrays["triangles"]
+
+
+def _read_ply(file: Path, notes: list[str]) -> _Stored:
+    """Read a PLY file.
+
+    trimesh refuses files with further bytes after the triangles, which VTK reads.
+    """
+    import trimesh
+
+    try:
+        if _is_whole_ply(file):
+            # A PLY file may name a missing texture, for which trimesh would print a traceback.
+            mesh: Any = trimesh.load(file, force="mesh", process=False, skip_materials=True)
+            return np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    except Exception:  # the reader raises many kinds, none documented
+        pass
+    found = _read_by_vtk(file, notes)
+    notes.append(f"{file.name} has another length than its header states.")
+    return found
 
 
 def _refusal(wanted: str, got: str) -> InputError:
@@ -115,25 +148,55 @@ def require_triangles(vertices: NDArray[np.number], faces: NDArray[np.number], s
         )
 
 
-def _read_binary_stl(file: Path) -> tuple[Array, Ints] | None:
-    """Return corners, shape (3 m, 3), and triangles, shape (m, 3), of a file; None for text."""
-    size = file.stat().st_size
+def _read_stl(file: Path, notes: list[str]) -> _Stored:
+    """Read an STL file, binary or text."""
+    payload = max(file.stat().st_size - _HEADER, 0)
     with file.open("rb") as stored:
         head = stored.read(_HEADER)
         # The number of triangles follows 80 bytes of text.
         count = int.from_bytes(head[80:], "little")
-        if count == 0 or size != _HEADER + count * _RECORD.itemsize:
-            if b"\0" not in head:  # text holds none; a count below 16 million does
-                return None
-            payload = max(size - _HEADER, 0) // _RECORD.itemsize
-            got = f"{count} triangles in its header and {payload} of them in {file.name}"
+        whole = payload // _RECORD.itemsize
+        # Binary files may begin with the word "solid" too. UTF-16 has zeros between letters.
+        words = (head + stored.read(_SEARCHED)).replace(b"\0", b"").lower()
+        is_text = b"facet" in words or b"endsolid" in words
+        if is_text and (count == 0 or payload != count * _RECORD.itemsize):
+            return _read_text_stl(file)
+        if count > whole or not whole:
+            got = f"{count} triangles in its header and {whole} of them in {file.name}"
             raise _refusal("be a whole STL surface", got)
+        # Programs that write while they compute leave a count of 0, or a count of an earlier state.
+        if count < whole and payload == whole * _RECORD.itemsize:
+            notes.append(f"Read {whole} triangles of {file.name}, whose header states {count}.")
+            count = whole
+        elif payload != count * _RECORD.itemsize:
+            further = payload - count * _RECORD.itemsize
+            notes.append(f"Left out {further} bytes after the triangles of {file.name}.")
+        stored.seek(_HEADER)
         records = np.fromfile(stored, dtype=_RECORD, count=count)
     return records["corners"].reshape(-1, 3).astype(np.float64), np.arange(3 * count).reshape(-1, 3)
 
 
-def _require_whole_ply(file: Path) -> None:
-    """Refuse a PLY file in text whose length differs from its header.
+_CORNER = re.compile(r"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
+
+
+def _read_text_stl(file: Path) -> _Stored:
+    """Read the triangles of all solids of an STL file in text."""
+    text = decoded_text(file, "file")
+    try:
+        corners = np.array([[number_in(each) for each in row] for row in _CORNER.findall(text)])
+    except ValueError as problem:
+        raise _refusal("be a readable STL surface", f"{problem} in {file.name}") from None
+    words = text.lower()
+    facets = words.count("endfacet")
+    if len(corners) != 3 * facets or "endsolid" not in words:
+        end = "an" if "endsolid" in words else "no"
+        got = f"{len(corners)} corners of {facets} triangles and {end} endsolid in {file.name}"
+        raise _refusal("be a whole STL surface", got)
+    return corners.reshape(-1, 3), np.arange(len(corners)).reshape(-1, 3)
+
+
+def _is_whole_ply(file: Path) -> bool:
+    """Return False for a PLY file in text whose length differs from its header.
 
     Binary files are checked as they are read.
     """
@@ -142,33 +205,32 @@ def _require_whole_ply(file: Path) -> None:
             line.split() for line in takewhile(lambda line: line.strip() != b"end_header", stored)
         ]
         if not any(line[:2] == [b"format", b"ascii"] for line in head):
-            return
+            return True
         found = sum(bool(line.strip()) for line in stored)
     counts = [line[2:3] for line in head if line[:1] == [b"element"]]
     stated = [int(count[0]) if count and count[0].isdigit() else -1 for count in counts]
-    if min(stated, default=-1) < 0 or sum(stated) != found:
-        got = f"counts of {stated} in the header and {found} lines after it in {file.name}"
-        raise _refusal("be a readable PLY surface", got)
+    return min(stated, default=-1) >= 0 and sum(stated) == found
 
 
-def _read_obj(file: Path) -> tuple[Array, Ints]:
+def _read_obj(file: Path, notes: list[str]) -> tuple[Array, Ints]:
     """Read vertices, shape (n, 3), and triangles, shape (m, 3), of an OBJ file.
 
     Polygons become fans about their first corner.
     """
-    lines = (
-        file.read_bytes().decode("latin-1").replace("\\\r\n", " ").replace("\\\n", " ").splitlines()
-    )
+    text = decoded_text(file, "file")
+    lines = text.replace("\\\r\n", " ").replace("\\\n", " ").splitlines()
     vertices: list[list[float]] = []
     polygons: list[list[int]] = []
     for number, line in enumerate(lines, 1):
-        keyword, _, rest = line.strip().partition("#")[0].strip().partition(" ")
+        words = line.partition("#")[0].split(maxsplit=1)
+        keyword = words[0].lower() if words else ""
+        rest = words[1] if len(words) > 1 else ""
         try:
             if keyword == "v":
                 vertices.append(_vertex(rest))
             elif keyword == "f":
                 polygons.append(_polygon(rest, len(vertices)))
-            elif keyword and not _IGNORED.fullmatch(keyword.partition("\t")[0]):
+            elif keyword and not _IGNORED.fullmatch(keyword):
                 raise ValueError("begins with no keyword of the format")
         except ValueError as problem:
             got = f"line {number} of {file.name}, which {problem}"

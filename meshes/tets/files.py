@@ -1,7 +1,9 @@
 """A soft organ from a file or object: tetrahedra as stored, or a surface filled with them."""
 
 from collections.abc import Mapping
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +16,7 @@ from meshes.base.isolated_parser import parse_isolated
 from meshes.base.progress import Progress, silent
 from meshes.surfaces.surface import Surface, surface_from_triangles
 from meshes.surfaces.triangle_files import mesh_arrays
-from meshes.tets.msh import MOST_PARTS, StoredMesh, part_name, read_msh
+from meshes.tets.msh import MOST_PARTS, StoredMesh, is_old_text, part_name, read_msh
 from meshes.tets.tetrahedra import TetMesh
 from meshes.tets.tetrahedralise import tetrahedralise
 
@@ -51,6 +53,7 @@ _SIZES_MM = (1.5, 1500.0)
 
 Below it a size in metres is likelier, above it one in micrometres.
 """
+_STRAIGHT = "Took the corners of quadratic tetrahedra: their edges became straight."
 _NO_FACES = np.zeros((0, 3), dtype=np.int64)
 
 
@@ -86,8 +89,8 @@ def read_tets(
 ) -> TetFile:
     """Read a tetrahedral mesh, or read a closed surface and fill it with tetrahedra.
 
-    Gmsh text of versions 1 and 2 (``.msh``) is read here, everything else by pyvista, which reads
-    VTK files itself and further formats where meshio is installed. Cells other than tetrahedra are
+    Gmsh text of versions 1 and 2 (``.msh``) is read here, other Gmsh files by meshio, and all else
+    by pyvista. Cells other than tetrahedra are
     left out next to tetrahedra. An array of integers over the cells that is named as parts usually
     are (``gmsh:physical``, ``part``, ``region``, ...) gives the parts; of ``part``, texts in the
     field ``part_names`` are their names, counted from 0.
@@ -132,7 +135,7 @@ def _read_stored(file: Path) -> StoredMesh:
     """Read the content of a mesh file, in its units and with its node numbers."""
     require_file(file, "a mesh")
     if file.suffix.lower() == ".msh":
-        found = read_msh(file)
+        found = read_msh(file) if is_old_text(file) else _read_by_meshio(file)
     else:
         facts, arrays = parse_isolated(
             "meshes.surfaces.triangle_files:vtk_mesh",
@@ -145,6 +148,31 @@ def _read_stored(file: Path) -> StoredMesh:
         got = f"none in {file.name}"
         raise InputError("file", "hold tetrahedra or triangles", got, "mesh the solid first")
     return found
+
+
+def _read_by_meshio(file: Path) -> StoredMesh:
+    """Read a Gmsh file of version 4 or in binary form."""
+    try:
+        from meshio.gmsh import read
+    except ImportError:
+        raise InputError(
+            f"file: {file.name} is a Gmsh file of version 4 or binary, which meshio reads, but "
+            "meshio is not installed. Run pip install 'tissue-sim[gmsh]', or save the file with "
+            "gmsh -format msh22."
+        ) from None
+    # meshio prints warnings, such as missing physical groups
+    with redirect_stdout(StringIO()), redirect_stderr(StringIO()):
+        try:
+            return _of_blocks(read(file))
+        except (InputError, MemoryError):
+            raise
+        except Exception as problem:  # meshio raises many kinds for a damaged file
+            raise InputError(
+                "file",
+                "hold whole sections of nodes and elements",
+                f"a broken one in {file.name}",
+                "export it again",
+            ) from problem
 
 
 def _unit(size: Array, unit_mm: float | None, name: str) -> tuple[float, str]:
@@ -291,7 +319,7 @@ def _of_arrays(
     if facts.get("others"):
         notes.append(f"Left out {facts['others']} cells that are not tetrahedra.")
     if facts.get("quadratic"):
-        notes.append("Took the corners of quadratic tetrahedra: their edges became straight.")
+        notes.append(_STRAIGHT)
     points = arrays["points"].astype(np.float64)
     return StoredMesh(points, tets, arrays.get("triangles", _NO_FACES), part, names, tuple(notes))
 
@@ -304,6 +332,8 @@ def _of_blocks(mesh: Any) -> StoredMesh:
     chosen = [k for k, block in enumerate(mesh.cells) if block.type in ("tetra", "tetra10")]
     tets = [np.asarray(mesh.cells[k].data)[:, :4] for k in chosen]
     cells = np.concatenate([np.zeros((0, 4)), *tets]).astype(np.int64)
+    surfaces = [np.asarray(block.data)[:, :3] for block in mesh.cells if block.type == "triangle"]
+    faces = np.concatenate([_NO_FACES, *surfaces]).astype(np.int64)
     data = {
         name: np.concatenate([np.asarray(rows[k]) for k in chosen])
         for name, rows in (mesh.cell_data if chosen else {}).items()
@@ -315,7 +345,12 @@ def _of_blocks(mesh: Any) -> StoredMesh:
         if int(row[1]) == 3
     }
     part, names = _parts(data, len(cells), solids)
-    return StoredMesh(np.asarray(mesh.points, dtype=np.float64), cells, _NO_FACES, part, names)
+    left = sum(len(block.data) for block in mesh.cells) - len(cells)
+    notes = [f"Left out {left} elements that are not tetrahedra."] if left and len(cells) else []
+    if any(mesh.cells[k].type == "tetra10" for k in chosen):
+        notes.append(_STRAIGHT)
+    points = np.asarray(mesh.points, dtype=np.float64)
+    return StoredMesh(points, cells, faces, part, names, tuple(notes))
 
 
 def _parts(

@@ -1,6 +1,6 @@
 """Meshes as files hold them, and Gmsh files of versions 1 and 2 in text.
 
-The available libraries do not read these, or only with an additional library.
+Libraries do not read version 1. meshio reads version 4 and binary files, see `meshes.tets.files`.
 """
 
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ from meshes.base.text_tables import number_in, visible, whole_number_in
 from meshes.tets.quality import describe, repair_tets
 from meshes.tets.tetrahedra import TetMesh
 
-__all__ = ["MOST_PARTS", "StoredMesh", "part_name", "read_msh"]
+__all__ = ["MOST_PARTS", "StoredMesh", "is_old_text", "part_name", "read_msh"]
 
 _TRIANGLE = 2
 _TETRAHEDRON = 4
@@ -108,6 +108,14 @@ def read_msh(file: Path) -> StoredMesh:
     notes = (f"Left out {left} elements that are not tetrahedra.",) if left and len(tets) else ()
     tets, triangles = (_numbered(each, numbers, file) for each in (tets, triangles))
     return StoredMesh(points, tets, triangles, part, names, notes)
+
+
+def is_old_text(file: Path) -> bool:
+    """Return whether `read_msh` reads a file, by its first lines."""
+    with file.open("rb") as stored:
+        first, second = (stored.readline(_LONGEST_NAME).split() for _ in range(2))
+    is_newer = len(second) > 1 and (second[0][:1] != b"2" or second[1] != b"0")
+    return not (first == [b"$MeshFormat"] and is_newer)
 
 
 def _version(lines: list[str], file: Path) -> int:

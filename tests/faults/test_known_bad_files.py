@@ -1,6 +1,7 @@
 """Files that are known to be bad: each is refused in one sentence, none is read in silence."""
 
 import json
+import re
 
 import fuzz_sources
 import numpy as np
@@ -53,8 +54,9 @@ BAD_TEXT = [
     ("tets", "twice.msh", MSH.replace("\n2 40.0 0.0 0.0", "\n1 40.0 0.0 0.0"), "whole sections"),
     ("tets", "count.msh", MSH.replace("$Elements\n6", "$Elements\n9"), "whole sections"),
     ("tets", "names.msh", MSH.replace('"nodule"', '"liver"'), "names that differ"),
-    ("tets", "binary.msh", MSH.replace("2.2 0 8", "2.2 1 8"), "text of version 1 or 2"),
-    ("tets", "new.msh", MSH.replace("2.2 0 8", "4.1 0 8"), "text of version 1 or 2"),
+    ("tets", "binary.msh", MSH.replace("2.2 0 8", "2.2 1 8"), "whole sections|not installed"),
+    ("tets", "new.msh", MSH.replace("2.2 0 8", "4.1 0 8"), "whole sections|not installed"),
+    ("tets", "text.msh", "a mesh", "text of version 1 or 2"),
     (
         "scene",
         "newer.toml",
@@ -63,8 +65,8 @@ BAD_TEXT = [
     ),
     ("scene", "none.toml", "format = 'x'\nname = 'x'\n", "must state the version"),
     ("scene", "number.toml", "name = 3\n", "name must"),
-    ("poses", "text.csv", POSES.replace("1,0,0,0,", "1,0,up,0,"), "finite numbers"),
-    ("poses", "short.csv", POSES.replace("1,0,0,0,0,0,0,1", "1,0,0"), "finite numbers"),
+    ("poses", "text.csv", POSES.replace("1,0,0,0,", "1,0,up,0,"), "must hold numbers, got 'up'"),
+    ("poses", "short.csv", POSES.replace("1,0,0,0,0,0,0,1", "1,0,0"), "8 values a line, got 3"),
     ("poses", "back.csv", POSES.replace("\n1,", "\n-1,"), "increasing time_s"),
     ("observer", "list.json", "[]", "file of an observer"),
     ("observer", "cut.json", '{"format": "tissue obs', "must be a file of an observer"),
@@ -86,7 +88,7 @@ def refused(reader, path):
 )
 def test_a_bad_text_file_is_refused(tmp_path, reader, name, text, sentence):
     (tmp_path / name).write_text(text)
-    assert sentence in refused(reader, tmp_path / name)
+    assert re.search(sentence, refused(reader, tmp_path / name))
 
 
 @pytest.fixture(scope="module")

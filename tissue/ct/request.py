@@ -442,7 +442,7 @@ def import_path(request: ImportRequest, at: Placed | None, surface: Surface) -> 
             "path",
             "enter the bone",
             f"{name}, which stays {-depth.deepest_mm:.3g} mm outside",
-            "check its frame by --coordinates LPS or RAS",
+            "check its unit, and its frame by --coordinates LPS or RAS",
         )
     table = to_replay(
         path, at.site, feed_mm_s=request.feed_mm_s or FEED_MM_S, clearance_mm=CLEARANCE_MM
@@ -454,4 +454,5 @@ def import_path(request: ImportRequest, at: Placed | None, surface: Surface) -> 
         f"{depth.deepest_mm:.3g} mm under the surface and {depth.share_inside:.0%} of it in "
         "the bone"
     )
+    sentence = "; ".join([sentence, *path.notes])
     return ImportedPath(table, depth, sentence)

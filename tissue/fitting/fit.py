@@ -39,6 +39,8 @@ FAR_TIMES = 10.0
 It is needed because some priors have a heavy tail towards zero. `FAR` is the limit in standard
 deviations of a prior; 0.3 % of constants lie beyond it by chance.
 """
+UNIT_TIMES = 100.0
+"""Ratio to the end of a cited range that suggests a wrong unit, whose factors are 1000."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +83,24 @@ class ConstantFit:
             or self.value < self.prior.low / FAR_TIMES
         )
         return abs(self.z[1]) > FAR or is_outside
+
+
+def _far_sentence(each: ConstantFit) -> str:
+    """Return a sentence on a constant far outside its cited range."""
+    side = "below" if each.z[1] < 0.0 else "above"
+    ratio = each.value / each.prior.high
+    if side == "below":
+        ratio = each.prior.low / max(each.value, 1e-300)
+    times = f"{ratio:.3g} times " if np.isfinite(ratio) and ratio >= FAR_TIMES else ""
+    cause = ""
+    if times and ratio >= UNIT_TIMES:
+        read = "kN" if side == "below" else "mN"
+        cause = f", as with forces in {read} that are read in N"
+    return (
+        f"{each.name} = {each.value:.3g} is {times}{side} its range of {each.prior.low:g} to "
+        f"{each.prior.high:g} ({abs(each.z[1]):.1f} standard deviations of the prior) and does not "
+        f"count as determined{cause}. Check the units and signs of the log, the scene and the tool"
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,15 +178,7 @@ class SceneFit:
                 f"{1e3 * OFFSET_S:g} ms that are expected. No constant counts as determined. "
                 "Check the times of poses and forces, and the place where the tool touches"
             )
-        for each in self.constants:
-            if each.is_far:
-                side = "below" if each.z[1] < 0.0 else "above"
-                found.append(
-                    f"{each.name} = {each.value:.3g} is {side} its range of {each.prior.low:g} "
-                    f"to {each.prior.high:g} ({abs(each.z[1]):.1f} standard deviations of the "
-                    "prior) and does not count as determined. Check the units and signs of the "
-                    "log, the scene and the tool"
-                )
+        found += [_far_sentence(each) for each in self.constants if each.is_far]
         return tuple(found)
 
     @property
@@ -319,7 +331,25 @@ def fit_scene(
         whole, *parts = (maximum_posterior(each, problem.measured) for each in problem.finer)
         posterior = posterior.with_mesh(whole, parts, problem.mesh_factor)
     found = identified(posterior)
-    if found.is_empty and not identified(of_this_mesh).is_empty:
+    notes = (*log.notes, *problem.notes)
+
+    def fit_of(posterior: Posterior, found: Identified, gains: Sequence[Gain]) -> SceneFit:
+        return SceneFit(
+            scene.name,
+            log.path,
+            posterior,
+            found,
+            tuple(gains),
+            problem.block_s,
+            notes,
+            problem.fixed,
+        )
+
+    rough = identified(of_this_mesh)
+    if found.is_empty and not rough.is_empty:
+        # loads in a wrong unit leave constants so far from their ranges that no mesh is fine enough
+        if doubts := fit_of(of_this_mesh, rough, ()).doubts:
+            raise InputError(f"measured: {'. '.join(doubts)}.")
         raise InputError(
             "anatomy.touch_edge_mm",
             "be fine enough to determine a constant",
@@ -341,7 +371,4 @@ def fit_scene(
     report("what to measure next", 0.9)
     material = [at for at, name in enumerate(posterior.names) if not name.startswith(NUISANCES)]
     gains = expected_information(posterior, problem.candidates(), among=material)
-    notes = (*log.notes, *problem.notes)
-    return SceneFit(
-        scene.name, log.path, posterior, found, tuple(gains), problem.block_s, notes, problem.fixed
-    )
+    return fit_of(posterior, found, gains)

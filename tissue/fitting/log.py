@@ -1,6 +1,5 @@
 """A measured log of poses and loads, and the map of its columns to quantities."""
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +9,14 @@ from scipy.spatial.transform import Rotation
 
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, counted
+from tissue.fitting.log_columns import (
+    FORCES,
+    ROTATION_VECTOR,
+    from_first,
+    parsed,
+    quantities,
+    suggested,
+)
 from tissue.fitting.log_files import CHANNELS, QUATERNION, TIPS, LogColumns, read_columns
 from tissue.fitting.problem import SD_PER_MAD, MeasuredLoads, block_averages, block_ticks
 from tissue.models.tissue_model import TICK_S
@@ -19,36 +26,6 @@ from tissue.simulation.builders.parts import motion_of
 __all__ = ["MeasuredLog", "log_of", "read_log"]
 
 
-UNITS: dict[str, dict[str, float]] = {
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
-    "length": {"m": 1.0, "mm": 1e-3, "um": 1e-6},
-    "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "gf": 9.80665e-3, "lbf": 4.4482216152605},
-    "torque": {"Nm": 1.0, "Nmm": 1e-3, "mNm": 1e-3},
-    "angle": {"rad": 1.0, "deg": 0.017453292519943295},
-    "number": {},
-}
-"""Factors to SI by quantity.
-
-The factors of gf and lbf are from BIPM and NIST SP 811 and are exact.
-"""
-ROTATION_VECTOR = tuple(f"tool_r{c}_rad" for c in "xyz")
-FORCES = CHANNELS[:3]
-TORQUES = CHANNELS[3:]
-QUANTITIES: dict[str, str] = {
-    **dict.fromkeys(("time_s", "load_time_s"), "time"),
-    **dict.fromkeys(TIPS, "length"),
-    **dict.fromkeys(QUATERNION, "number"),
-    **dict.fromkeys(ROTATION_VECTOR, "angle"),
-    **dict.fromkeys(FORCES, "force"),
-    **dict.fromkeys(TORQUES, "torque"),
-}
-"""Key of `UNITS` of each quantity that a fit of a cut can use.
-
-Poses are poses of the tool's tip in the scene's frame, as in a replayed motion. ``tool_r*_rad`` is
-a rotation vector that replaces a quaternion. Forces and torques act on the tool, in the scene's
-frame, torques about the tip. ``load_time_s`` is the clock of forces and torques if it differs from
-the clock of the poses.
-"""
 LARGEST = {"N": 1e5, "Nm": 1e4}
 """Loads beyond which a log is in another unit [N, N m]. No instrument exerts 100 kN."""
 FARTHEST_M = 10.0
@@ -58,6 +35,11 @@ The position is then in another unit or damaged, and carving along such a jump w
 """
 GAP = 5.0
 """Time between two samples, in medians, that is a gap. A few lost samples are not reported."""
+SHORTEST_PATH_M = 5e-5
+"""Length of a path below which the unit of its positions is asked for [m].
+
+A path of 50 mm in metres has it when it is read in millimetres.
+"""
 SHORTEST_S = 0.5
 """Shortest log whose noise can be estimated [s].
 
@@ -141,7 +123,7 @@ def read_log(path: Path, columns: Sequence[str] = ()) -> MeasuredLog:
 
 def log_of(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> MeasuredLog:
     """Return the log in the columns of a file, see `read_log`."""
-    asked = _parsed(columns)
+    asked = parsed(columns)
     notes = list(found.notes)
     if "model_force_x_N" in found.names:
         for name in CHANNELS:
@@ -149,101 +131,23 @@ def log_of(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> Measur
             if f"model_{name}" in found.names:
                 asked.setdefault(name, f"model_{name}")
         notes.append("forces are those of the model (model_force), before low-pass and device")
-    return _checked(path, _quantities(found, asked, notes), found.names, notes)
+    values = quantities(found, asked, notes)
+    from_first(values, notes)
+    if not any(name in asked and ":" in asked[name] for name in TIPS):
+        _require_motion(path, values, asked)
+    return _checked(path, values, found.names, notes)
 
 
-def _parsed(texts: Sequence[str]) -> dict[str, str]:
-    """Return the column, with sign and unit, that each flag ``NAME=COLUMN`` gives a quantity."""
-    asked: dict[str, str] = {}
-    for text in texts:
-        name, _, column = (part.strip() for part in text.partition("="))
-        if name not in QUANTITIES or name in asked or not column.removeprefix("-"):
-            raise InputError(
-                "column",
-                "be NAME=COLUMN or NAME=COLUMN:UNIT, each name once",
-                f"{text!r}",
-                f"write for example force_x_N=Fx, with a name of {', '.join(QUANTITIES)}",
-            )
-        asked[name] = column
-    return asked
-
-
-def _quantities(found: LogColumns, asked: Mapping[str, str], notes: list[str]) -> dict[str, Array]:
-    """Return the available quantities in SI by name, and note the columns without a use."""
-    values: dict[str, Array] = {}
-    used = set[str]()
-    for name in QUANTITIES:
-        if name in asked or name in found.names:
-            column, factor, remark = _column(name, asked.get(name, name), found.names)
-            if remark:
-                notes.append(remark)
-            values[name] = factor * found.numbers(column)
-            used.add(column)
-    # the trace of a run has many columns: the note names the first 12
-    if left := [name for name in found.names if name not in used]:
-        notes.append(f"not used: {', '.join(left[:12])}{' and others' if len(left) > 12 else ''}")
-    return values
-
-
-def _column(name: str, asked: str, known: Sequence[str]) -> tuple[str, float, str]:
-    """Return the column of a quantity, the factor of its values to SI with the sign, and a remark.
-
-    The remark may be empty.
-    """
-    for sign, text in ((1.0, asked), (-1.0, asked.removeprefix("-"))):
-        column, unit = (text, "") if text in known else _split(text)
-        if column in known:
-            factor, remark = _factor(name, asked, column, unit)
-            return column, sign * factor, remark
-    raise InputError(
-        "column",
-        f"map {name} to a column of the log",
-        _split(asked)[0].removeprefix("-"),
-        # a table of a simulator may have hundreds of columns
-        f"choose one of {', '.join(sorted(known)[:60])}",
-    )
-
-
-def _factor(name: str, asked: str, column: str, unit: str) -> tuple[float, str]:
-    """Return the factor to SI of a column with a given unit, or with the unit of the name.
-
-    The second value is a remark if the column's header has another unit than the given one.
-    """
-    measure = QUANTITIES[name]
-    factors = UNITS[measure]
-    # components of a quaternion have no unit
-    if not factors and not unit:
-        return 1.0, ""
-    default = name.rpartition("_")[2]
-    taken = _plain(unit) or default
-    if taken not in factors:
+def _require_motion(path: Path, values: Mapping[str, Array], asked: Mapping[str, str]) -> None:
+    """Refuse positions that look like metres under a name in millimetres."""
+    spans = [float(np.ptp(values[name])) for name in TIPS if len(values.get(name, ()))]
+    span_m = max(spans, default=0.0)
+    if 0.0 < span_m < SHORTEST_PATH_M:
+        flags = " ".join(f"--column '{name}={asked.get(name, name)}:m'" for name in TIPS)
         raise InputError(
-            "column", f"give {name} a unit of {measure}", unit, f"use one of {', '.join(factors)}"
+            f"measured: the tool in {path.name} moves only {1e3 * span_m:.2g} mm in all, so its "
+            f"positions may be in metres. Give their unit, {flags}, or :mm if they are in mm."
         )
-    # a header such as "Load (N)", "Load [N]" or "load_N" states a unit
-    stated = re.search(r"[\[(]([^\])]+)[\])]\s*$|_([A-Za-zµ]+)$", column)
-    header = _plain(stated[1] or stated[2]) if stated else taken
-    if header not in factors or header == taken:
-        return factors[taken], ""
-    if not unit:
-        raise InputError(
-            "column",
-            f"state the unit where the header of {column} has {header} and {name} has {default}",
-            "none",
-            f"write {name}={asked}:{header}",
-        )
-    return factors[taken], f"{column} is read in {taken}, as asked; its header has {header}"
-
-
-def _split(text: str) -> tuple[str, str]:
-    """Split ``COLUMN:UNIT`` into column and unit."""
-    column, found, unit = text.rpartition(":")
-    return (column.strip(), unit.strip()) if found and column else (text, "")
-
-
-def _plain(unit: str) -> str:
-    """Return a unit in the spelling of `UNITS`: N m, N*m and N·m become Nm."""
-    return re.sub(r"[\s*·.]", "", unit).replace("µ", "u").replace("μ", "u")
 
 
 def _checked(
@@ -258,11 +162,16 @@ def _checked(
     if not taken.keys() & set(FORCES):  # one axis of a sensor is enough
         wanted += FORCES
     if missing := [name for name in wanted if name not in taken]:
-        raise refuse(
-            f"hold {', '.join(missing)}",
-            ", ".join(names[:40]),
-            f"name the log's own columns by --column {missing[0]}=COLUMN[:UNIT]",
-        )
+        if FORCES[0] in missing:
+            likely = [name for name in FORCES if "COLUMN" not in suggested([name], names)]
+            missing = [name for name in missing if name not in FORCES] + (likely or [FORCES[2]])
+        remedy = f"name its columns, {suggested(missing, names)}"
+        if "time_s" in missing:
+            remedy += ", or give the rate of its samples in place of times, --column time_s=500:Hz"
+        if set(missing) & set(TIPS) and "=0'" not in remedy:
+            remedy += ", and a constant where the tool does not move, --column tool_x_mm=0"
+        raise refuse(f"hold {', '.join(missing)}", ", ".join(names[:40]), remedy)
+    _merge(taken, notes)
     clocks = {name: taken[name] for name in ("time_s", "load_time_s") if name in taken}
     for name, times_s in clocks.items():
         steps = np.diff(times_s)
@@ -313,6 +222,27 @@ def _checked(
     notes += pose_notes(times_s, tips_m, float(np.median(np.diff(load_times_s))))
     turns = _turns(taken, path)
     return MeasuredLog(path, times_s, tips_m, turns, load_times_s, loads, channels, tuple(notes))
+
+
+def _merge(taken: dict[str, Array], notes: list[str]) -> None:
+    """Average the samples of equal times, in place; of orientations the first is kept."""
+    of_loads = "load_time_s" if "load_time_s" in taken else "time_s"
+    clocks: dict[str, list[str]] = {"time_s": [], of_loads: []}
+    for name in taken:
+        clocks[of_loads if name in (*CHANNELS, of_loads) else "time_s"].append(name)
+    for clock, names in clocks.items():
+        times_s = taken.get(clock, np.zeros(0))
+        starts = np.flatnonzero(np.diff(times_s, prepend=-np.inf) != 0.0)
+        equal = len(times_s) - len(starts)
+        if not equal or any(len(taken[name]) != len(times_s) for name in names):
+            continue
+        counts = np.diff(np.append(starts, len(times_s)))
+        for name in names:
+            if name in (*TIPS, *CHANNELS):
+                taken[name] = np.add.reduceat(taken[name], starts) / counts
+            else:
+                taken[name] = taken[name][starts]
+        notes.append(f"{counted(equal, 'sample')} with the time of the one before are averaged")
 
 
 def _turns(taken: Mapping[str, Array], path: Path) -> Array | None:

@@ -2,12 +2,9 @@
 volumetric_drilling.
 """
 
-import csv
 import re
-from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Array, Numbers
-from meshes.base.errors import DamagedFileError, InputError, counted, is_file
+from meshes.base.errors import DamagedFileError, InputError, is_file
 from meshes.base.file_limits import read_npz, require_memory
 from meshes.base.isolated_parser import Answer, parse_isolated
+from meshes.base.tables import read_table
 from meshes.base.text_tables import number_in
-from tissue.motion.replay import read_drilling
+from tissue.motion.replay import poses_group, read_drilling
 
 __all__ = [
     "CHANNELS",
@@ -32,18 +30,13 @@ __all__ = [
 ]
 
 
-_DELIMITERS = (",", ";", "\t", " ")
-_LOOKED_AT = 50
-"""Number of lines at the end of a file that determine the form of a data line.
-
-Lines at the start may be text of the instrument. The last line may be cut short.
-"""
-_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
-_AGAIN = "fix that line or export the log again"
-
-
-DRILLING = ("physics_data", "high_frequency_poses")
-"""Groups that identify a recording of volumetric_drilling."""
+_RATE = re.compile(r"(?:rate|frequency)\W*(\d+(?:[.,]\d+)?)\W*Hz", re.IGNORECASE)
+"""Rate of samples in the text above a table, such as "Acquisition rate : 10.0 [Hz]"."""
+_RATE_NAME = re.compile(
+    r"(?:.*/)?(?:fs|f_s|sr|(?:sampl\w*[_ ]?)?(?:rate|freq|frequency))[_ ]?[\[(]?(?:hz)?[\])]?",
+    re.IGNORECASE,
+)
+"""Names of the rate of samples, such as sample_rate, fs and "Rate [Hz]"."""
 TIPS = ("tool_x_mm", "tool_y_mm", "tool_z_mm")
 QUATERNION = ("tool_qx", "tool_qy", "tool_qz", "tool_qw")
 CHANNELS = ("force_x_N", "force_y_N", "force_z_N", "torque_x_Nm", "torque_y_Nm", "torque_z_Nm")
@@ -63,156 +56,36 @@ class LogColumns:
         the column holds no numbers.
     notes
         Remarks on the columns, in words.
+    rate_Hz
+        Rate of the samples that the text above the columns states [Hz], or None.
     """
 
     names: tuple[str, ...]
     numbers: Callable[[str], Array]
     notes: tuple[str, ...] = ()
+    rate_Hz: float | None = None
 
 
 def _text(path: Path) -> LogColumns:
-    """Return the columns of a table of text, without any text before it.
-
-    Columns without a header line have numbers from 1 as names.
-    """
-    lines = _decoded(path).splitlines()
-    while lines and not lines[-1].strip():
-        lines.pop()
-    delimiter, width = _form(lines[-_LOOKED_AT:], path)
-    cells = [_cells(line, delimiter) for line in lines]
-    start = next(i for i, row in enumerate(cells) if len(row) == width and _is_data(row))
-    header, above, has_units = _header(cells[:start], width)
-    names = header or tuple(map(str, range(1, width + 1)))
-    notes = []
-    if above and header:
-        notes.append(f"{counted(above, 'line')} before the header line {above + 1}")
-    if has_units:
-        notes.append(f"the units of line {start}")
-    places = [at for at in range(start, len(lines)) if lines[at].strip()]
-    if blank := len(lines) - start - len(places):
-        notes.append(f"{counted(blank, 'blank line')} between the rows")
-    # a logger that was stopped may leave an incomplete last line
-    if len(cells[places[-1]]) < width:
-        places.pop()
-        notes.append("the last line, which is cut short, is left out")
-    for at in places:
-        if len(cells[at]) != width:
-            found = f"{len(cells[at])} in line {at + 1} of {path.name}"
-            raise InputError("log", f"hold {width} values a line", found, _AGAIN)
-
-    def numbers(name: str) -> Array:
-        if names.count(name) != 1:
-            raise InputError(
-                "column",
-                "name one column of the log",
-                f"{name}, which is there twice",
-                "rename one",
-            )
-        column = names.index(name)
-        found = np.empty(len(places))
-        for row, at in enumerate(places):
-            cell = cells[at][column].strip()
-            try:
-                found[row] = number_in(cell.replace(",", ".")) if cell else np.nan
-            except ValueError:
-                # a cell of a damaged file may be long
-                text = f"{cell[:40]!r} for {name} in line {at + 1}"
-                raise InputError("log", "hold numbers", text, _AGAIN) from None
-        return found
-
-    return LogColumns(names, numbers, tuple(notes))
+    """Return the columns of a table of text."""
+    table = read_table(path, "measured", may_be_cut=True)
+    rates = [found for line in table.above if (found := _RATE.search(line))]
+    rate_Hz = number_in(rates[0][1].replace(",", ".")) if len(rates) == 1 else None
+    rate_Hz = rate_Hz or _rate_Hz(table.names, table.numbers)
+    return LogColumns(table.names, table.numbers, table.notes, rate_Hz)
 
 
-def _decoded(path: Path) -> str:
-    """Return the text of a file, decoded as UTF-8, UTF-16 or Windows-1252.
-
-    A file that is not UTF-8 is read as UTF-16 if it begins like UTF-16, otherwise as Windows-1252.
-    """
-    content = path.read_bytes()
-    # the byte order mark of UTF-16
-    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        return content.decode("utf-16", "replace")
-    # text in other encodings has no zero bytes; the start of a binary file has some
-    if b"\0" in content[:4096]:
-        raise InputError(
-            "log", "be a table of text", f"other data in {path.name}", "export it as CSV"
-        )
+def _rate_Hz(names: tuple[str, ...], numbers: Callable[[str], NDArray[Any]]) -> float | None:
+    """Return the rate in a column that has the name of a rate and one value [Hz], else None."""
+    named = [name for name in names if _RATE_NAME.fullmatch(name)]
+    if len(named) != 1:
+        return None
     try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return content.decode("cp1252", "replace")
-
-
-def _form(lines: list[str], path: Path) -> tuple[str, int]:
-    """Return the delimiter and the number of cells of the lines that hold data.
-
-    The delimiter that yields the most numbers is chosen.
-    """
-    best = 0
-    form = (",", 0)
-    for delimiter in _DELIMITERS:
-        rows = [row for row in (_cells(line, delimiter) for line in lines) if _is_data(row)]
-        widths = Counter(len(row) for row in rows if len(row) > 1)
-        if not widths:
-            continue
-        width = widths.most_common(1)[0][0]
-        # numbers minus other cells, so that a wrong delimiter that cuts numbers apart loses
-        score = sum(2 * _count(row) - len(row) for row in rows if len(row) == width)
-        if score > best:
-            best = score
-            form = (delimiter, width)
-    if not form[1]:
-        raise InputError(
-            "log",
-            "hold a table with at least two columns of numbers",
-            f"none in {path.name}",
-            "export it as CSV",
-        )
-    return form
-
-
-def _cells(line: str, delimiter: str) -> list[str]:
-    """Return the cells of a line. An empty cell after the last delimiter is dropped."""
-    # columns aligned by several spaces
-    if delimiter == " ":
-        return line.split()
-    row = next(csv.reader(StringIO(line), delimiter=delimiter), [])
-    return row[:-1] if len(row) > 1 and not row[-1].strip() and _count(row) == len(row) - 1 else row
-
-
-def _count(row: list[str]) -> int:
-    return sum(_NUMBER.fullmatch(cell.strip()) is not None for cell in row)
-
-
-def _is_data(row: list[str]) -> bool:
-    """Return whether at least half of the non-empty cells hold numbers."""
-    filled = sum(bool(cell.strip()) for cell in row)
-    return filled > 0 and 2 * _count(row) >= filled
-
-
-def _header(above: list[list[str]], width: int) -> tuple[tuple[str, ...], int, bool]:
-    """Return the column names, the number of lines before them, and a flag.
-
-    The flag is set if a line of units stands between the names and the data.
-    """
-    at = len(above) - 1
-    while at >= 0 and not any(cell.strip() for cell in above[at]):
-        at -= 1
-    if at < 0 or len(above[at]) != width:
-        return (), 0, False
-    names = [cell.strip().removeprefix("#").strip() for cell in above[at]]
-    # a unit has at most six characters, such as mm/min; longer cells are names
-    units = [re.fullmatch(r"[\[(]?([A-Za-zµ°%/*· -]{0,6})[\])]?", name) for name in names]
-    if at > 0 and len(above[at - 1]) == width and all(units):
-        first = [cell.strip().removeprefix("#").strip() for cell in above[at - 1]]
-        if not _count(first):
-            stated = [unit[1].strip() if unit else "" for unit in units]
-            joined = [
-                f"{name} ({unit})" if unit else name
-                for name, unit in zip(first, stated, strict=True)
-            ]
-            return tuple(joined), at - 1, True
-    return tuple(names), at, False
+        values = np.unique(numbers(named[0]))
+    except InputError:  # a column of text
+        return None
+    is_rate = len(values) == 1 and values.dtype.kind in "fiu" and values[0] > 0.0
+    return float(values[0]) if is_rate else None
 
 
 def read_columns(path: Path) -> LogColumns:
@@ -258,7 +131,7 @@ def _held(columns: Mapping[str, Any]) -> LogColumns:
             )
         return values.astype(np.float64)
 
-    return LogColumns(tuple(flat), numbers)
+    return LogColumns(tuple(flat), numbers, rate_Hz=_rate_Hz(tuple(flat), flat.__getitem__))
 
 
 def _isolated(parser: str, path: Path) -> LogColumns:
@@ -287,13 +160,17 @@ def _mat(path: Path) -> LogColumns:
 def _h5(path: Path) -> LogColumns:
     h5py = _module("h5py", "h5")
     with h5py.File(path, "r") as file:
-        # groups that only recordings of volumetric_drilling have
-        if any(name in file for name in DRILLING):
+        if poses_group(file) or "physics_data" in file:
             return _drilling(path)
         sets: dict[str, Any] = {}
         file.visititems(
             lambda name, each: sets.update({name: each}) if isinstance(each, h5py.Dataset) else None
         )
+        for each in sets.values():
+            # set by MATLAB 7.3 on objects, whose data lie in a subsystem that is not documented
+            if "MATLAB_object_decode" in each.attrs:
+                kind = each.attrs.get("MATLAB_class", b"unknown")
+                raise _matlab_object(path, kind.decode() if isinstance(kind, bytes) else str(kind))
         count = sum(each.size or 0 for each in sets.values())
         require_memory(
             sum(each.nbytes for each in sets.values() if each.size),
@@ -316,7 +193,7 @@ def _structs(path: Path) -> LogColumns:
         field if fields.count(field) == 1 else name: name
         for field, name in zip(fields, whole, strict=True)
     }
-    return LogColumns(tuple(places), lambda name: found.numbers(places[name]), found.notes)
+    return replace(found, names=tuple(places), numbers=lambda name: found.numbers(places[name]))
 
 
 def _drilling(path: Path) -> LogColumns:
@@ -356,9 +233,7 @@ def _module(name: str, extra: str) -> Any:
 
 
 READERS: dict[str, Callable[[Path], LogColumns]] = {
-    ".csv": _text,
-    ".txt": _text,
-    ".tsv": _text,
+    **dict.fromkeys((".csv", ".txt", ".tsv", ".dat", ".asc", ".lvm"), _text),
     ".parquet": _parquet,
     ".npz": lambda path: _held(read_npz(path)),
     ".mat": _mat,
@@ -406,12 +281,17 @@ def mat_columns(file: Path) -> Answer:
     empty matrix, so that its name is known.
     """
     from scipy.io import loadmat
+    from scipy.io.matlab import MatlabObject, MatlabOpaque
 
     columns: dict[str, Numbers] = {}
     for name, value in loadmat(file, squeeze_me=True).items():
         # SciPy's own entries, such as __header__
         if name.startswith("__"):
             continue
+        if isinstance(value, MatlabOpaque | MatlabObject):
+            kind = value["s2"].item() if isinstance(value, MatlabOpaque) else value.classname
+            kind = kind.decode() if isinstance(kind, bytes) else str(kind)
+            raise _matlab_object(file, kind)
         held = {name: value}
         fields = getattr(getattr(value, "dtype", None), "names", None)
         # one struct of columns; an array of structs is not a column
@@ -423,6 +303,16 @@ def mat_columns(file: Path) -> Answer:
     return {}, columns
 
 
+def _matlab_object(path: Path, kind: str) -> InputError:
+    """Return the error for a file with an object of a MATLAB class, such as timetable."""
+    return InputError(
+        "measured",
+        "hold arrays or structs of numbers",
+        f"the MATLAB object of class {kind} in {path.name}",
+        "write it in MATLAB as CSV, writetimetable(x, 'log.csv') or writetable(x, 'log.csv')",
+    )
+
+
 def _require_new(name: str, columns: Mapping[str, object]) -> None:
     """Refuse a file with two columns of the same name."""
     if name in columns:
@@ -430,5 +320,7 @@ def _require_new(name: str, columns: Mapping[str, object]) -> None:
 
 
 def _numeric(values: NDArray[Any]) -> Numbers:
-    """Return an array of numbers as it is, and an empty matrix for anything else."""
+    """Return numbers as they are, dates as seconds from 1970, else an empty matrix."""
+    if values.dtype.kind == "M":
+        return values.astype("datetime64[ns]").astype(np.int64) * 1e-9
     return values if values.dtype.kind in "fiu" else np.zeros((0, 0))

@@ -9,6 +9,8 @@ from scipy.interpolate import PchipInterpolator
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
+from meshes.base.units import column_of, name_of, unit_of
+from tissue.fitting.log_columns import TIMES, parsed, quantity
 from tissue.fitting.log_files import LogColumns
 
 __all__ = ["ProbeTable", "is_probe_table", "read_probes"]
@@ -17,6 +19,10 @@ __all__ = ["ProbeTable", "is_probe_table", "read_probes"]
 DEPTH = "depth_mm"
 FORCE = "force_N"
 PROBE = "probe"
+MEASURES = {DEPTH: "length", FORCE: "force", PROBE: "number"}
+"""Key of `meshes.base.units.UNITS` of each column."""
+USUAL = {DEPTH: ("indentation", "displacement", "penetration"), FORCE: ("load", "fn"), PROBE: ()}
+"""Usual names of a column in small letters, which count if the header has a unit."""
 FEWEST_PROBES = 3
 """Smallest number of presses: the scatter between presses sets the intervals."""
 FEWEST_STEPS = 4
@@ -50,8 +56,20 @@ class ProbeTable:
 def is_probe_table(names: Sequence[str], columns: Sequence[str]) -> bool:
     """Return whether columns are those of presses: a depth, and no times of a log."""
     asked = {each.partition("=")[0].strip() for each in columns}
-    known = {*names, *asked}
-    return "time_s" not in known and DEPTH in known
+    if "time_s" in asked or any(name_of(each, "time") in TIMES for each in names):
+        return False
+    return DEPTH in asked or _column(DEPTH, names) is not None
+
+
+def _column(name: str, names: Sequence[str]) -> str | None:
+    """Return the column of a quantity by its name, in any unit, or by a usual name with a unit."""
+    measure = MEASURES[name]
+    found = column_of(name, measure, names)
+    if found is None:
+        likely = [each for each in names if name_of(each, measure) in USUAL[name]]
+        likely = [each for each in likely if unit_of(each, measure)]
+        found = likely[0] if len(likely) == 1 else None
+    return found
 
 
 def read_probes(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> ProbeTable:
@@ -65,7 +83,7 @@ def read_probes(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> P
         Its columns: ``depth_mm``, ``force_N``, and ``probe`` with the number of the press. Without
         ``probe``, a press begins where the depth falls.
     columns
-        ``NAME=COLUMN`` for a column with another name.
+        ``NAME=COLUMN`` or ``NAME=COLUMN:UNIT`` for a column with another name or unit.
 
     Raises
     ------
@@ -76,26 +94,23 @@ def read_probes(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> P
     def refuse(requirement: str, value: str, remedy: str) -> InputError:
         return InputError("measured", requirement, f"{value} in {path.name}", remedy)
 
-    asked = {DEPTH: DEPTH, FORCE: FORCE, PROBE: PROBE}
-    for text in columns:
-        name, _, column = (part.strip() for part in text.partition("="))
-        if name not in asked or column not in found.names:
-            raise InputError(
-                "column",
-                f"be NAME=COLUMN with a name of {', '.join(asked)} and a column of the table",
-                text,
-                f"choose among the columns {', '.join(found.names[:20])}",
+    asked = parsed(columns, tuple(MEASURES))
+    notes = [*found.notes]
+    values: dict[str, Array] = {}
+    for name, measure in MEASURES.items():
+        column = asked.get(name) or _column(name, found.names)
+        if column is not None:
+            _, numbers = quantity(name, measure, column, found, notes)
+            values |= {} if numbers is None else {name: numbers}
+    for name in (DEPTH, FORCE):
+        if name not in values:
+            raise refuse(
+                f"hold {name}", ", ".join(found.names[:12]), f"use --column {name}=COLUMN[:UNIT]"
             )
-        asked[name] = column
-    if asked[FORCE] not in found.names:
-        raise refuse(
-            f"hold {FORCE} with {DEPTH}", ", ".join(found.names[:12]), f"use --column {FORCE}=NAME"
-        )
-    depths = 1e-3 * found.numbers(asked[DEPTH])
-    forces = found.numbers(asked[FORCE])
-    if asked[PROBE] in found.names:
-        number = found.numbers(asked[PROBE])
-        starts = np.flatnonzero(np.diff(number, prepend=np.nan) != 0.0)
+    depths = values[DEPTH]
+    forces = values[FORCE]
+    if PROBE in values:
+        starts = np.flatnonzero(np.diff(values[PROBE], prepend=np.nan) != 0.0)
     else:
         starts = np.flatnonzero(np.diff(depths, prepend=np.inf) < 0.0)
     presses = []
@@ -104,7 +119,7 @@ def read_probes(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> P
         order = known[np.argsort(depths[known], kind="stable")]
         depth, first = np.unique(depths[order], return_index=True)
         presses.append((depth, forces[order][first]))
-    return _at_common_depths(path, presses, found.notes)
+    return _at_common_depths(path, presses, tuple(notes))
 
 
 def _at_common_depths(

@@ -1,8 +1,6 @@
 """Recorded motion: replay of a table of poses or of a recording of volumetric_drilling."""
 
-import csv
 from dataclasses import dataclass
-from math import isfinite, nan
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +10,9 @@ from scipy.spatial.transform import Rotation, Slerp
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, is_file, names_of_caller
 from meshes.base.file_limits import read_npz, require_memory, require_regular
-from meshes.base.text_tables import number_in, require_distinct_columns
+from meshes.base.tables import read_table
+from meshes.base.text_tables import require_distinct_columns
+from meshes.base.units import UNITS, column_of, unit_of
 from meshes.base.whole_file import whole_file
 from meshes.paths.toolpath import POSE_COLUMNS
 from meshes.voxels.volume import VoxelVolume
@@ -27,6 +27,7 @@ __all__ = [
     "DrillingRecording",
     "GivenPoses",
     "ReplayPoses",
+    "poses_group",
     "poses_of_trace",
     "read_drilling",
     "read_poses",
@@ -40,7 +41,11 @@ POSES = "physics_data/continuous_data/high_frequency_poses"
 EVENTS = "physics_data/intermittent_data"
 """HDF5 group of intermittent events: removed voxels, burr changes and forces."""
 OLD_POSES = "high_frequency_poses"
-"""Group of the poses in files of the older layout, whose event groups also lie at the root."""
+OLDEST_POSES = "data"
+"""Groups of the poses in files of older layouts, whose event groups lie at the root.
+
+Recordings of 2022 to 2025 have ``data/time`` and ``data/pose_OBJECT``, one clock for all objects.
+"""
 SHAFT_TO_X = Rotation.from_quat([0.5, 0.5, 0.5, 0.5])
 """Rotation from our tool frame to the recorded drill frame.
 
@@ -140,11 +145,22 @@ def read_drilling(path: Path, *, what: str) -> DrillingRecording:
         ) from None
 
 
+def poses_group(file: Any) -> str | None:
+    """Return the group of the poses of a drill in an HDF5 file, None in any other file."""
+    for group in (POSES, OLD_POSES):
+        if group in file:
+            return group
+    # many programs have a group of this name
+    if OLDEST_POSES in file and any("drill" in name for name in file[OLDEST_POSES]):
+        return OLDEST_POSES
+    return None
+
+
 def _drilling(file: Any, where: _File) -> DrillingRecording:
     """Return the content of an open recording."""
-    old = POSES not in file and OLD_POSES in file
-    poses, events = (OLD_POSES, "") if old else (POSES, EVENTS + "/")
-    if poses not in file:
+    poses = poses_group(file)
+    events = EVENTS + "/" if poses == POSES else ""
+    if poses is None:
         raise where.error(
             "be a recording of volumetric_drilling", f"no {POSES}", "give a CSV such as trace.csv"
         )
@@ -206,7 +222,14 @@ def _samples(file: Any, group: str, name: str, width: int, where: _File) -> tupl
     import h5py
 
     found = []
-    for each in (f"{group}/time_stamp", f"{group}/{name}"):
+    # a pose of 2022 to 2025 is a dataset next to the times of all poses
+    is_bare = isinstance(file.get(group), h5py.Dataset)
+    pair = (
+        (f"{group.rpartition('/')[0]}/time", group)
+        if is_bare
+        else (f"{group}/time_stamp", f"{group}/{name}")
+    )
+    for each in pair:
         dataset = file.get(each)
         if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind not in "fiu":
             raise where.error(f"hold numbers as {each}", "none", "record it again")
@@ -373,45 +396,28 @@ def read_replay(path: Path, *, step_s: float) -> ReplayPoses:
 
 
 def _table(where: _File) -> Array:
-    """Return times [s], tips [m] and quaternions of a CSV table, shape (n, 8)."""
-    columns = ("time_s", *POSE_COLUMNS)
-    rows = []
-    try:
-        with where.path.open(newline="", encoding="utf-8") as file:
-            reader = csv.DictReader(file)
-            names = reader.fieldnames or []
-            require_distinct_columns(names, where.what, where.path)
-            if missing := [name for name in columns if name not in names]:
-                raise where.error(f"have the columns {', '.join(missing)}", "none", "add them")
-            for row in reader:
-                rows.append([_number(row, name, reader.line_num, where) for name in columns])
-    except (UnicodeDecodeError, csv.Error):
-        raise where.error("be a CSV table", "other data", "export it as text") from None
-    if len(rows) < 2:
-        raise where.error("hold at least two poses", len(rows), "record more")
-    poses = np.array(rows)
-    back = np.flatnonzero(np.diff(poses[:, 0]) <= 0.0)
+    """Return times [s], tips [m] and quaternions of a table of text, shape (n, 8)."""
+    table = read_table(where.path, where.what)
+    require_distinct_columns(table.names, where.what, where.path)
+    columns = []
+    for name in ("time_s", *POSE_COLUMNS):
+        measure = "time" if name == "time_s" else "length" if name in POSE_COLUMNS[:3] else "number"
+        header = column_of(name, measure, table.names)
+        if header is None:
+            raise where.error(f"have the column {name}", ", ".join(table.names[:40]), "add it")
+        factor = UNITS[measure].get(unit_of(header, measure), 1.0)
+        columns.append(factor * table.finite(header))
+    poses = np.column_stack(columns)
+    if len(poses) < 2:
+        raise where.error("hold at least two poses", len(poses), "record more")
+    # of samples of equal times the first is kept, as of a recording
+    poses = poses[np.diff(poses[:, 0], prepend=-np.inf) != 0.0]
+    back = np.flatnonzero(np.diff(poses[:, 0]) < 0.0)
     if back.size:
         before, after = poses[back[0] : back[0] + 2, 0]
         raise where.error("have increasing time_s", f"{after:g} after {before:g}", "sort its rows")
     where.require_unit(poses[:, 4:])
-    poses[:, 1:4] *= 1e-3
     return poses
-
-
-def _number(row: dict[str, str], name: str, line: int, where: _File) -> float:
-    """Return the number of a row in a column."""
-    try:
-        value = number_in(row[name])
-    except (TypeError, ValueError):
-        value = nan
-    if not isfinite(value):
-        raise where.error(
-            "hold finite numbers",
-            f"{row[name] or 'nothing'} for {name} in line {line}",
-            "fix that line",
-        )
-    return value
 
 
 COLUMNS = 7

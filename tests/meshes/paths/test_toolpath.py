@@ -10,7 +10,15 @@ import pytest
 import trimesh
 
 from meshes.base.errors import InputError
-from meshes.paths.toolpath import Toolpath, depth_along, read_toolpath, to_replay
+from meshes.paths.gcode import ARC_ERROR_MM
+from meshes.paths.toolpath import (
+    Toolpath,
+    arc_length,
+    depth_along,
+    points_along,
+    read_toolpath,
+    to_replay,
+)
 from meshes.surfaces.site import Site
 from meshes.surfaces.surface import surface_from_triangles
 from tissue.motion.replay import read_replay
@@ -71,19 +79,27 @@ def test_gcode_keeps_modes_units_and_feeds(tmp_path):
 @pytest.mark.parametrize(
     ("name", "text", "sentence"),
     [
-        ("a.nc", "G0 X0 Y0 Z0\nG2 X1 I1", "got G2 in line 2 of"),
-        ("a.nc", "G0 X0 Y0 Z0\nM3 S1000", "got M3 in line 2 of"),
-        ("a.nc", "G0 X0 Y0 Z0 A90", "got A90 in line 1 of"),
-        ("a.nc", "G0 X0 Y0 Z0\n#1=5", "got #1=5? in line 2|a letter and a number.*line 2"),
-        ("a.nc", "X0 Y0 Z0", "G0 or G1 before the first move, got none in line 1"),
-        ("a.nc", "G1 X0 Y0 Z0", "F before the first G1, got none in line 1"),
-        ("a.nc", "G0 X0 Y0", "X, Y and Z in the first move, got none of Z in line 1"),
-        ("a.nc", "G91 G0 X0 Y0 Z0", "a first point in G90 before G91"),
-        ("a.nc", "G0 X0 Y0 Z0 F0", "a positive F, got F0 in line 1"),
-        ("a.nc", "G0 X0 X1 Y0 Z0", "one X a line, got two in line 1"),
+        ("a.nc", "G0 X0 Y0 Z0 A90", "line 1 of .* has A90, but only the axes"),
+        ("a.nc", "G0 X0 Y0 Z0\n#1=5", "line 2 of .* has #=?.*, which is not a letter"),
+        ("a.nc", "X0 Y0 Z0", "line 1 of .* moves without G0, G1, G2 or G3"),
+        ("a.nc", "G1 X0 Y0 Z0", "line 1 of .* cuts before any feed F"),
+        ("a.nc", "G0 X0 Y0", "never states X, Y and Z"),
+        ("a.nc", "G0 X0 Y0\nG1 X1 F60", "line 2 of .* cuts before Z is known"),
+        ("a.nc", "G91 G0 X0 Y0 Z0", "line 1 of .* moves X by a distance from an unknown place"),
+        ("a.nc", "G0 X0 Y0 Z0 F0", "line 1 of .* has a feed F that is not positive"),
+        ("a.nc", "G0 X0 X1 Y0 Z0", "line 1 of .* has two words X"),
+        ("a.nc", "G0 G1 X0 Y0 Z0", "line 1 of .* has two words of one group"),
+        ("a.nc", "G0 X0 Y0 Z5\nG98 G81 Z-3 R1 F60", r"line 2 of .* has G81 \(a canned cycle\)"),
+        ("a.nc", "G41 D1", r"has G41 \(cutter compensation\)"),
+        ("a.nc", "G92 X0", r"has G92 \(a shift of the origin\)"),
+        ("a.nc", "M98 P100", r"has M98 \(a subprogram\)"),
+        ("a.nc", "G54\nG55", "uses the work offset G55 after G54"),
+        ("a.nc", "G0 X0 Y0 Z0\nG2 X1 F9", "has an arc without its centre. Give I and J"),
+        ("a.nc", "G0 X0 Y0 Z0\nG2 X1 I2 F9", "radii of 2 mm at its start and 1 mm at its end"),
+        ("a.nc", "G0 X0 Y0 Z0\nG2 R1 F9", "radius 1 mm between points 0 mm apart"),
+        ("a.nc", "G0 X0 Y0 Z0\nG2 X2 I1 P3 F9", "an arc of several turns"),
         ("a.nc", "G0 X0 Y0 Z0", "at least two points, got 1"),
-        ("a.csv", "x_mm,y_mm\n1,2", "the columns .*z_mm.*, got x_mm, y_mm"),
-        ("a.csv", "x_mm,y_mm,z_mm,force_N\n1,2,3,4", "no others but .*force_N"),
+        ("a.csv", "x_mm,y_mm\n1,2", "the columns z_mm, got x_mm, y_mm"),
         ("a.csv", "x_mm,y_mm,z_mm,axis_x\n1,2,3,4", "the columns .*axis_y, axis_z"),
         ("a.csv", "x_mm,y_mm,z_mm\n1,2,3\n1,2,", "got nothing for z_mm in line 3"),
         ("a.csv", "x_mm,y_mm,z_mm\n1,2,3\n1,inf,3", "got inf for y_mm in line 3"),
@@ -104,6 +120,94 @@ def test_gcode_keeps_modes_units_and_feeds(tmp_path):
 def test_bad_paths_are_refused_by_name_and_line(tmp_path, name, text, sentence):
     with pytest.raises(InputError, match=sentence):
         read_toolpath(written(tmp_path, name, text), "LPS")
+
+
+PROGRAM = """%
+O1000 (a part (of steel))
+N10 T1 M6
+N20 G0 G90 G40 G21 G17 G94 G80
+N30 G54 X0 Y0 S500 M3
+N40 G43 Z5 H1 M8
+N50 G1 Z-1 F120
+N60 G3 X10 Y10 I0 J10
+N70 G4 P0.5
+N80 G2 X12 Y12 R2
+N90 G0 Z5
+N100 G91 G28 Z0
+N110 M30
+N120 X99
+%
+"""
+
+
+def test_a_program_of_a_cam_system_is_read_with_notes(tmp_path):
+    """Words without motion are noted, and moves to the machine's home and after the end left out.
+
+    The first arc is a quarter about (0, 10), whose lines lie within the stated distance.
+    """
+    path = read_toolpath(written(tmp_path, "a.nc", PROGRAM), "LPS")
+    ends = [[0, 0, 5], [0, 0, -1], [10, 10, -1], [12, 12, -1], [12, 12, 5]]
+    for end in ends:
+        assert np.linalg.norm(path.points_mm - end, axis=1).min() < 1e-12
+    assert path.points_mm[[0, -1]] == pytest.approx(np.array(ends)[[0, -1]])
+    first = path.points_mm[1 : 1 + np.flatnonzero((path.points_mm == ends[2]).all(axis=1))[0]]
+    radius = np.hypot(first[:, 0], first[:, 1] - 10.0)
+    middle = 0.5 * (first[1:] + first[:-1])
+    assert radius == pytest.approx(10.0, abs=1e-12)
+    sagitta = 10.0 - np.hypot(middle[:, 0], middle[:, 1] - 10.0)
+    assert 0.5 * ARC_ERROR_MM < sagitta.max() <= ARC_ERROR_MM
+    still, home, arcs = path.notes
+    assert all(word in still for word in ("G40", "G43", "G54", "M30", "M6", "N", "O", "S", "T"))
+    assert home.endswith("a place of the machine: G28") and arcs == "2 arcs as lines within 0.01 mm"
+
+
+@pytest.mark.parametrize(
+    ("line", "middle", "end"),
+    [
+        ("G17 G2 X2 Y0 I1 J0", [1, 1, 0], [2, 0, 0]),
+        ("G17 G3 X2 Y0 I1", [1, -1, 0], [2, 0, 0]),
+        ("G17 G3 X2 R-1", [1, -1, 0], [2, 0, 0]),
+        ("G17 G2 X1 Y1 R-1", [-(0.5**0.5), 1 + 0.5**0.5, 0], [1, 1, 0]),
+        ("G90.1 G17 G2 X2 I1 J0", [1, 1, 0], [2, 0, 0]),
+        ("G17 G2 X2 Z3 I1", [1, 1, 1.5], [2, 0, 3]),
+        ("G17 G2 I1 Z1", [2, 0, 0.5], [0, 0, 1]),
+        ("G18 G2 Z2 K1", [1, 0, 1], [0, 0, 2]),
+        ("G19 G2 Y2 J1", [0, 1, 1], [0, 2, 0]),
+        ("G91 G17 G2 X2 I1", [1, 1, 0], [2, 0, 0]),
+        ("G20 G2 X0.2 I0.1", [2.54, 2.54, 0], [5.08, 0, 0]),
+    ],
+)
+def test_arcs_in_all_planes_forms_and_units(tmp_path, line, middle, end):
+    """Half, three-quarter and full circles, clockwise as seen from the end of the third axis."""
+    text = f"G21 G0 X0 Y0 Z0\nF60 {line}"
+    points = read_toolpath(written(tmp_path, "a.ngc", text), "LPS").points_mm
+    assert points[-1] == pytest.approx(end, abs=1e-12)
+    assert points_along(points, 0.5 * arc_length(points)[-1])[0] == pytest.approx(middle, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "X [m];Y [m];Z [m]\n0,001;0;0,005\n0,002;0,001;-0,0025\n",
+        "\ufeffNr\tx_in\ty_in\tz_in\n1\t0.0393700787\t0\t0.1968503937\n"
+        "2\t0.0787401575\t0.0393700787\t-0.0984251969\n",
+        "plan 7\nx,y,z\nmm,mm,mm\n1,0,5\n2,1,-2.5\n",
+        "x,y,z\n1,0,5\n2,1,-2.5\n",
+    ],
+)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "utf-16-le"])
+def test_tables_in_other_units_separators_and_encodings(tmp_path, text, encoding):
+    file = tmp_path / "a.csv"
+    file.write_text(text, encoding)
+    path = read_toolpath(file, "LPS")
+    assert path.points_mm == pytest.approx(np.array([[1, 0, 5], [2, 1, -2.5]]), abs=1e-8)
+    assert path.notes
+
+
+def test_feeds_in_other_units(tmp_path):
+    text = "x_mm,y_mm,z_mm,feed [mm/min]\n0,0,0,60\n1,0,0,120\n"
+    path = read_toolpath(written(tmp_path, "a.csv", text), "LPS")
+    assert path.feeds_mm_s == pytest.approx(np.array([1.0, 2.0]))
 
 
 def test_a_replay_goes_at_the_feed_in_the_frame_of_the_site(tmp_path):

@@ -112,5 +112,117 @@ def test_real_scapulae(anatomy):
     assert open_one.scale_mm == 1000 and open_one.repairs[-1].startswith("Closed 7 holes along ")
     scaled = read_surface(anatomy / "scapula" / "openforge_scapula_left.stl", scale_mm=50).report
     assert scaled.volume_mm3 == pytest.approx(0.4155 * 50**3, rel=1e-3)
-    with pytest.raises(InputError, match=r"^anatomy\.scale_mm must be given .* for example 50$"):
+    with pytest.raises(InputError, match=r"^anatomy\.scale_mm must be given .* for example 50;"):
         read_surface(anatomy / "scapula" / "openforge_scapula_left.stl")
+
+
+BOX = trimesh.creation.box((30.0, 20.0, 10.0))
+
+
+def text_stl(meshes, form="{:.6e}"):
+    """STL in text with a solid for each mesh."""
+    lines = []
+    for mesh in meshes:
+        lines.append("solid part")
+        for triangle in mesh.triangles:
+            corners = [" ".join(form.format(x) for x in corner) for corner in triangle]
+            lines += [" facet normal 0 0 0", "  outer loop"]
+            lines += [f"   vertex {corner}" for corner in corners]
+            lines += ["  endloop", " endfacet"]
+        lines.append("endsolid part")
+    return "\n".join(lines) + "\n"
+
+
+def binary_stl(count=None, head=b"exported", further=b""):
+    """Binary STL of the box whose header states a number of triangles."""
+    record = np.zeros(12, dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("a", "<u2")])
+    record["corners"] = BOX.triangles
+    stated = 12 if count is None else count
+    return head.ljust(80) + stated.to_bytes(4, "little") + record.tobytes() + further
+
+
+def ply(kind, further=b"", comma=False):
+    """PLY of the box."""
+    content = BOX.export(file_type="ply", encoding=kind)
+    if comma:
+        head, _, body = content.partition(b"end_header\n")
+        content = head + b"end_header\n" + body.replace(b".", b",")
+    return content + further
+
+
+def obj():
+    return BOX.export(file_type="obj", include_normals=False).replace("v ", "v  ")
+
+
+MOVED = BOX.copy().apply_translation((50.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "volume", "note"),
+    [
+        ("a.stl", text_stl([BOX, MOVED]), 12000.0, ""),
+        ("a.stl", text_stl([BOX]).upper().replace(" ", "\t"), 6000.0, ""),
+        ("a.stl", text_stl([BOX]).replace("\n", "\r"), 6000.0, ""),
+        ("a.stl", text_stl([BOX]).encode("utf-16"), 6000.0, ""),
+        ("a.stl", text_stl([BOX]) + "\nexported by hand\n", 6000.0, ""),
+        ("a.stl", binary_stl(head=b"solid bone"), 6000.0, ""),
+        ("a.stl", binary_stl(head=b"solid", further=b"end"), 6000.0, "Left out 3 bytes"),
+        ("a.stl", binary_stl(0), 6000.0, "Read 12 triangles of a.stl, whose header states 0"),
+        ("a.stl", binary_stl(5), 6000.0, "Read 12 triangles of a.stl, whose header states 5"),
+        ("a.ply", ply("binary", b"\0\0"), 6000.0, "another length than its header"),
+        ("a.ply", ply("ascii", b"exported by hand\n"), 6000.0, "another length than its header"),
+        ("a.obj", obj().replace(" ", "\t"), 6000.0, ""),
+        ("a.obj", obj().upper().encode("utf-8-sig"), 6000.0, ""),
+        ("a.obj", obj().encode("utf-16"), 6000.0, ""),
+    ],
+)
+def test_files_of_careless_programs_are_read(tmp_path, name, content, volume, note):
+    path = tmp_path / name
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    report = read_surface(path).report
+    assert report.volume_mm3 == pytest.approx(volume, rel=1e-6)
+    assert any(note in each for each in (*report.repairs, ""))
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "expected"),
+    [
+        ("a.stl", text_stl([BOX]).replace(".", ","), "has decimal commas, such as"),
+        ("a.obj", obj().replace(".", ","), "has decimal commas, such as"),
+        ("a.ply", ply("ascii", comma=True), "has decimal commas, such as"),
+        ("a.stl", text_stl([BOX])[:-300], "and no endsolid"),
+        ("a.stl", "solid Empty\nendsolid Empty", "must hold triangles, got 0 vertices"),
+        ("a.stl", binary_stl(13), "13 triangles in its header and 12 of them"),
+        ("a.ply", ply("binary")[:-20], "be a readable PLY surface"),
+    ],
+)
+def test_files_that_cannot_be_read_are_refused_with_the_reason(tmp_path, name, content, expected):
+    path = tmp_path / name
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    with pytest.raises(InputError, match=expected):
+        read_surface(path)
+
+
+def test_a_texture_that_is_not_there_is_no_matter(tmp_path, capfd, caplog):
+    head, _, rest = ply("ascii").partition(b"\n")
+    path = tmp_path / "a.ply"
+    path.write_bytes(head + b"\ncomment TextureFile gone.jpg\n" + rest)
+    assert read_surface(path).report.volume_mm3 == pytest.approx(6000.0)
+    assert capfd.readouterr() == ("", "") and not caplog.records
+
+
+def test_single_precision_far_from_the_origin_is_noted(write):
+    """Vertices at 2.5 km are rounded to 0.25 mm in an STL file; an OBJ file keeps their digits."""
+    far = bone().apply_translation((1e6, 2.5e6, 3e5))
+    single, digits = (read_surface(write(far, name)).report for name in ("a.stl", "a.obj"))
+    assert "single precision rounds to 0.25 mm" in single.repairs[0]
+    assert single.volume_mm3 == pytest.approx(bone().volume, rel=2e-3)
+    assert digits.volume_mm3 == pytest.approx(bone().volume, rel=1e-5)
+    assert not any("single precision" in each for each in digits.repairs)
+
+
+def test_inches_are_suggested_for_a_femur_of_sixteen_units(write):
+    guess = read_surface(write(bone((15.7, 7.9, 7.9)))).report.unit_guess
+    assert "in inches it would be 399 mm, scale_mm = 25.4" in guess
+    with pytest.raises(InputError, match=r"; in inches it would be 76.2 mm, scale_mm = 25.4"):
+        read_surface(write(bone((3.0, 2.0, 2.0))))

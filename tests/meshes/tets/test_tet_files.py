@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import pyvista
 
+from meshes.base.errors import InputError
 from meshes.tets.files import read_tets
 from meshes.tets.msh import read_msh
 from meshes.tets.structured import box
@@ -91,3 +92,79 @@ def test_physical_groups_of_gmsh_give_the_parts_and_their_names(tmp_path: Path) 
     assert found.mesh.part_names == ("liver tissue", "part 8")
     assert "Left out 1 elements that are not tetrahedra." in found.sentences
     assert read_msh(file).names == {5: "liver tissue"}
+
+
+GMSH_4 = """$MeshFormat
+4.1 0 8
+$EndMeshFormat
+$PhysicalNames
+2
+2 6 "capsule"
+3 5 "liver tissue"
+$EndPhysicalNames
+$Entities
+0 0 1 2
+1 0 0 0 100 100 0 1 6 0
+1 0 0 0 100 100 100 1 5 0
+2 0 0 0 100 100 100 1 8 0
+$EndEntities
+$Nodes
+1 5 10 50
+3 1 0 5
+10
+20
+30
+40
+50
+0 0 0
+100 0 0
+0 100 0
+0 0 100
+100 100 100
+$EndNodes
+$Elements
+3 3 1 3
+2 1 2 1
+1 10 20 30
+3 1 4 1
+2 10 20 30 40
+3 2 4 1
+3 20 30 40 50
+$EndElements
+"""
+"""Two tetrahedra in two groups and a triangle."""
+
+
+def test_a_gmsh_file_of_version_4_has_the_same_parts(tmp_path: Path, capfd) -> None:
+    pytest.importorskip("meshio")
+    file = tmp_path / "organ.msh"
+    file.write_text(GMSH_4)
+    found = read_tets(file)
+    assert found.mesh.volumes_m3.sum() == pytest.approx(0.5e-3, rel=1e-12)
+    assert found.mesh.part_names == ("liver tissue", "part 8")
+    assert "Left out 1 elements that are not tetrahedra." in found.sentences
+    file.write_text(GMSH_4[:-60])
+    with pytest.raises(InputError, match="whole sections"):
+        read_tets(file)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("version", ["2.2", "4.1"])
+def test_binary_gmsh_files_are_read(tmp_path: Path, version: str) -> None:
+    meshio = pytest.importorskip("meshio")
+    grid = grid_of()
+    cells = [("tetra", grid.cells_dict[10])]
+    meshio.gmsh.write(
+        tmp_path / "organ.msh", meshio.Mesh(grid.points, cells), fmt_version=version, binary=True
+    )
+    found = read_tets(tmp_path / "organ.msh")
+    assert found.mesh.volumes_m3.sum() == pytest.approx(1e-3, rel=1e-9)
+
+
+def test_a_gmsh_file_of_implausible_size_asks_for_its_unit(tmp_path: Path) -> None:
+    file = tmp_path / "organ.msh"
+    file.write_text(
+        FORM + NODES.replace("100", "7") + "$Elements\n1\n1 4 0 1 2 3 4\n$EndElements\n"
+    )
+    with pytest.raises(InputError, match="whose box of 7 x 7 x 7 is an organ neither"):
+        read_tets(file)

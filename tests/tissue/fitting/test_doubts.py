@@ -83,3 +83,16 @@ def test_clocks_that_contradict_their_prior_determine_nothing(tmp_path):
     assert fit.offset_sd == pytest.approx(7.5, abs=0.1)
     assert set(states(fit).values()) == {"doubtful"}
     assert "150 ms after the poses, 7.5 standard deviations" in verdicts(fit)[0]
+
+
+def test_a_fit_of_keys_of_the_scene_alone_is_saved(tmp_path):
+    """The file of constants is then empty, and the keys stand in the report."""
+    forward = coarse_slot()
+    keys = ("organ.friction", "organ.young_kPa", "organ.exponent", "organ.share")
+    renamed = [replace(one, name=key) for one, key in zip(forward.parameters, keys, strict=True)]
+    fit = fitted(tmp_path, forward=replace(forward, parameters=tuple(renamed)))
+    assert tuple(fit.scene_keys) == keys and fit.of_material == ()
+    write_fit(fit, tmp_path / "fit", overwrite=False)
+    assert tomllib.loads((tmp_path / "fit" / "fitted.toml").read_text("utf-8")) == {}
+    numbers = json.loads((tmp_path / "fit" / "fit.json").read_text("utf-8"))
+    assert [one["name"] for one in numbers["constants"]] == list(keys)

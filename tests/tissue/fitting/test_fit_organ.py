@@ -3,6 +3,8 @@
 Modulus and friction of a slab are recovered from a run with noise, bias and delay.
 """
 
+import re
+
 import numpy as np
 import pytest
 
@@ -63,6 +65,19 @@ def test_modulus_and_friction_come_back(log, tmp_path):
     fit.save(tmp_path / "fit")
     text = (tmp_path / "fit" / "fitted.toml").read_text("utf-8")
     assert "modulus_kPa" in text and "friction" not in text
+
+
+@pytest.mark.slow
+def test_forces_in_kilonewtons_that_are_read_in_newtons_are_named(log, tmp_path):
+    """The modulus is then a thousand times too small, for which a mesh may not be fine enough."""
+    table = np.loadtxt(log, delimiter=",", skiprows=1)
+    write_log(tmp_path / "kN.csv", table[:, 0], table[:, 1:4], 1e-3 * table[:, 4:])
+    scene = tissue.load_scene("palpation", SCENE)
+    try:
+        stated = " ".join(tissue.fit(scene, tmp_path / "kN.csv", cores=1).fitted.doubts)
+    except tissue.InputError as error:
+        stated = str(error)
+    assert re.search(r"modulus_kPa = \S+ is \d+ times below its range .* in kN that are", stated)
 
 
 def test_a_log_that_never_touches_is_refused(tmp_path):

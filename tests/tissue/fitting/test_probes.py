@@ -74,9 +74,34 @@ def test_a_short_press_is_left_out(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("head", "columns"),
+    [
+        ("Press;Depth [µm];Force [mN]", ("probe=Press",)),
+        ("probe;Indentation (um);Load (mN)", ()),
+        ("probe;z;F", ("depth_mm=-z:um", "force_N=F:mN")),
+    ],
+)
+def test_presses_in_other_units_and_names(tmp_path, head, columns):
+    forces = presses(1e-4 * (1e3 * DEPTHS_M) ** 1.5, 1e3, 5, seed=1)
+    path = tmp_path / "presses.csv"
+    sign = -1.0 if "z" in head else 1.0
+    rows = [
+        f"{at};{sign * 1e6 * depth:.6g};{1e3 * force:.9g}".replace(".", ",")
+        for at, press in enumerate(forces)
+        for depth, force in zip(DEPTHS_M, press, strict=True)
+    ]
+    path.write_text("\n".join([head, *rows]), "utf-8")
+    found = read_columns(path)
+    assert is_probe_table(found.names, columns)
+    table = read_probes(path, found, columns)
+    assert table.depths_m == pytest.approx(DEPTHS_M, abs=1e-9)
+    assert table.forces_N == pytest.approx(forces, rel=1e-6)
+
+
+@pytest.mark.parametrize(
     ("text", "columns", "sentence"),
     [
-        ("depth_mm,load\n0,1\n1,2\n", (), "force_N with depth_mm"),
+        ("depth_mm,load\n0,1\n1,2\n", (), "hold force_N, got depth_mm, load"),
         ("depth_mm,force_N\n0,0\n1,1\n2,2\n3,3\n", (), f"hold {FEWEST_PROBES} presses or more"),
         ("depth_mm,force_N\n0,0\n1,1\n", ("load=force_N",), "column"),
     ],

@@ -110,6 +110,45 @@ def test_the_older_layout_is_read(tmp_path):
     assert read_log(old).loads.shape == (101, 3)
 
 
+def test_the_layout_of_2022_to_2025_is_read(tmp_path):
+    """Its poses are datasets in the group data, on one clock, and its events lie at the root."""
+    new = recorded(tmp_path / "new.hdf5")
+    held = read_drilling(new, what="motion.file")
+    with h5py.File(new) as source, h5py.File(tmp_path / "log.hdf5", "w") as file:
+        for name in ("drill_force_feedback", "burr_change"):
+            source.copy(f"{EVENTS}/{name}", file)
+        count = len(held.times_s)
+        file["data/time"] = EPOCH_S + held.times_s
+        pose = source[f"{POSES}/mastoidectomy_drill_pose/pose"][()]
+        file["data/pose_mastoidectomy_drill"] = pose[
+            np.unique(
+                source[f"{POSES}/mastoidectomy_drill_pose/time_stamp"][()], return_index=True
+            )[1]
+        ]
+        file["data/pose_main_camera"] = np.tile([0, 0, 0, *CAMERA.as_quat()], (count, 1))
+        # its recorder stores whole numbers for an object at rest
+        file["data/pose_mastoidectomy_volume"] = np.tile([0, 0, 0, 0, 0, 0, 1], (count, 1))
+        file["data/l_img"] = np.zeros((3, 2, 2))
+    other = read_drilling(tmp_path / "log.hdf5", what="motion.file")
+    np.testing.assert_allclose(other.tips_m, held.tips_m, atol=1e-15)
+    np.testing.assert_allclose(other.loads, held.loads, atol=1e-12)
+    assert other.notes == held.notes
+    log = read_log(tmp_path / "log.hdf5")
+    assert log.loads.shape == (101, 3) and "camera" in " ".join(log.notes)
+    assert len(read_replay(tmp_path / "log.hdf5", step_s=1e-3).sweep_m()) == 1001
+
+
+def test_another_file_with_a_group_named_data_is_no_recording(tmp_path):
+    columns = ("time_s", "tool_x_mm", "tool_y_mm", "tool_z_mm", "force_z_N")
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        for name in columns:
+            file[f"data/{name}"] = np.arange(1000.0)
+    with pytest.raises(InputError, match="be a recording of volumetric_drilling"):
+        read_replay(tmp_path / "log.h5", step_s=1e-3)
+    flags = [f"{name}=data/{name}" for name in columns]
+    assert len(read_log(tmp_path / "log.h5", flags).times_s) == 1000
+
+
 def spoil(name, values):
     """Replace a dataset, or remove it."""
 

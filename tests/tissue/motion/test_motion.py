@@ -169,6 +169,20 @@ def test_a_table_reads_in_its_units_whatever_the_order_of_columns_and_the_first_
     np.testing.assert_allclose(speeds[1:], 2e-3, rtol=1e-9)
 
 
+def test_a_table_in_other_units_and_with_equal_times_is_read(tmp_path):
+    """A semicolon between columns, decimal commas, metres, milliseconds, and a repeated sample."""
+    (tmp_path / "poses.csv").write_text(
+        "Time [ms];tool_x [m];tool_y [m];tool_z [m];tool_qx;tool_qy;tool_qz;tool_qw\n"
+        "0,0;0,001;0,002;0,003;0;0;0;1\n0,0;0,001;0,002;0,003;0;0;0;1\n"
+        "500,0;0,002;0,002;0,003;0;0;0;1\n",
+        "utf-16",
+    )
+    motion = read_replay(tmp_path / "poses.csv", step_s=STEP_S)
+    tips, _, _, speeds = ticks(motion, 501)
+    np.testing.assert_allclose(tips[[0, 500]], [[1e-3, 2e-3, 3e-3], [2e-3, 2e-3, 3e-3]])
+    np.testing.assert_allclose(speeds[1:], 2e-3, rtol=1e-9)
+
+
 def test_a_path_of_one_point_is_refused():
     with pytest.raises(InputError, match="must hold two different points, got only one"):
         FollowPath(np.zeros((3, 3)), feed_m_s=1.0, axis=Z)

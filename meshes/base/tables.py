@@ -1,0 +1,385 @@
+"""Tables of text as programs and instruments export them.
+
+The encoding, the separator, the decimal mark and the header line are found from the content.
+Dates and times of day are read as seconds.
+"""
+
+import csv
+import re
+from collections import Counter
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError, counted
+from meshes.base.text_tables import number_in
+
+__all__ = ["TextTable", "decoded_text", "read_table"]
+
+_DELIMITERS = (",", ";", "\t", " ")
+_LOOKED_AT = 50
+"""Number of lines at the end of a file that determine the form of a data line.
+
+Lines at the start may be text of the instrument. The last line may be cut short.
+"""
+_SPACES = "'’\u00a0\u202f"
+"""Marks between groups of three digits, next to point, comma and space."""
+_NUMBER = re.compile(
+    rf"[+-]?(\d{{1,3}}([.,{_SPACES} ]\d{{3}})+([.,]\d*)?|\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?"
+    r"|[+-]?(nan|inf)",
+    re.IGNORECASE,
+)
+_BETWEEN_DIGITS = re.compile(rf"(?<=\d)[{_SPACES} ](?=\d{{3}})")
+_TIME_OF_DAY = re.compile(
+    r"(?:\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[ T]+)?"
+    r"(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d+)?)\s*([AaPp][Mm])?"
+)
+"""Time of day, possibly after a date whose order of day and month is unknown."""
+_DAY_S = 86400.0
+_AGAIN = "fix that line or export the file again"
+
+
+@dataclass(frozen=True, eq=False)
+class TextTable:
+    """Table of text.
+
+    Attributes
+    ----------
+    path
+        File.
+    what
+        Name of the file in errors.
+    names
+        Header of each column; without a header line its number, from 1.
+    rows
+        Cells of each row.
+    lines
+        Number of each row's line in the file.
+    above
+        Lines of text before the header.
+    marks
+        Decimal mark and mark of thousands; the second may be empty.
+    notes
+        Findings, in sentences.
+    """
+
+    path: Path
+    what: str
+    names: tuple[str, ...]
+    rows: list[list[str]]
+    lines: list[int]
+    above: tuple[str, ...]
+    marks: tuple[str, str]
+    notes: tuple[str, ...]
+
+    def numbers(self, name: str) -> Array:
+        """Return the numbers of a column, shape (n,), NaN for empty cells.
+
+        Dates with times are seconds from 1970 in UTC, and times of day are seconds from midnight.
+
+        Raises
+        ------
+        InputError
+            If two columns have the name, or a cell holds no number.
+        """
+        if self.names.count(name) != 1:
+            problem = f"{self.names.count(name)} columns named {name} in {self.path.name}"
+            raise InputError(self.what, "name one column", problem, "rename one")
+        column = self.names.index(name)
+        cells = [row[column].strip() for row in self.rows]
+        if cells and ":" in cells[0]:
+            return self._seconds(name, cells)
+        is_plain = self.marks == (".", "")
+        found = np.empty(len(cells))
+        for row, cell in enumerate(cells):
+            try:
+                found[row] = self._number(cell, is_plain=is_plain) if cell else np.nan
+            except ValueError:
+                raise self._bad(name, cell, row) from None
+        return found
+
+    def finite(self, name: str) -> Array:
+        """Return the numbers of a column without empty cells; see `numbers`.
+
+        Raises
+        ------
+        InputError
+            If a cell is empty or not finite.
+        """
+        found = self.numbers(name)
+        wrong = np.flatnonzero(~np.isfinite(found))
+        if len(wrong):
+            row = int(wrong[0])
+            cell = self.rows[row][self.names.index(name)].strip() or "nothing"
+            text = f"{cell[:40]} for {name} in line {self.lines[row]} of {self.path}"
+            raise InputError(self.what, "hold finite numbers", text, "fix that line")
+        return found
+
+    def _number(self, cell: str, *, is_plain: bool) -> float:
+        """Return the number in a cell."""
+        if is_plain and cell.isascii() and " " not in cell and "'" not in cell:
+            return number_in(cell)
+        decimal, thousands = self.marks
+        if thousands:
+            cell = cell.replace(thousands, "")
+        if decimal == ",":
+            cell = cell.replace(",", ".")
+        # a space stays if it does not separate thousands
+        return number_in(_BETWEEN_DIGITS.sub("", cell))
+
+    def _seconds(self, name: str, cells: list[str]) -> Array:
+        """Return dates or times of day as seconds."""
+        found = np.empty(len(cells))
+        for row, cell in enumerate(cells):
+            try:
+                found[row] = _date_s(cell)
+            except ValueError:
+                raise self._bad(name, cell, row) from None
+        # a time of day begins again at midnight
+        if not (found > _DAY_S).any():
+            found += _DAY_S * np.cumsum(np.diff(found, prepend=found[0]) < -0.5 * _DAY_S)
+        return found
+
+    def _bad(self, name: str, cell: str, row: int) -> InputError:
+        # a cell of a damaged file may be long
+        text = f"{cell[:40]!r} for {name} in line {self.lines[row]} of {self.path.name}"
+        return InputError(self.what, "hold numbers", text, _AGAIN)
+
+
+def _date_s(text: str) -> float:
+    """Return seconds from 1970 of a date with a time, or from midnight of a time of day."""
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        found = _TIME_OF_DAY.fullmatch(text)
+        if not found:
+            raise
+        hours = int(found[1])
+        if found[4]:
+            hours = hours % 12 + (12 if found[4].upper() == "PM" else 0)
+        return 3600.0 * hours + 60.0 * int(found[2]) + float(found[3].replace(",", "."))
+    # without a time zone all times are of one zone, so UTC gives the same differences
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+
+
+def decoded_text(path: Path, what: str) -> str:
+    """Return the text of a file, decoded as UTF-8, UTF-16 or Windows-1252.
+
+    Raises
+    ------
+    InputError
+        If the file holds other data.
+    """
+    content = path.read_bytes()
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):  # the byte order mark of UTF-16
+        return content.decode("utf-16", "replace")
+    # text in ASCII letters as UTF-16 has a zero in every second byte
+    for start, encoding in ((1, "utf-16-le"), (0, "utf-16-be")):
+        if content[start:4096:2].count(0) > 0.9 * len(content[start:4096:2]) > 1.0:
+            return content.decode(encoding, "replace")
+    # text in other encodings has no zero bytes; the start of a binary file has some
+    if b"\0" in content[:4096]:
+        raise InputError(what, "be text", f"other data in {path.name}", "export it as CSV")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return content.decode("cp1252", "replace")
+
+
+def read_table(path: Path, what: str, *, may_be_cut: bool = False) -> TextTable:
+    """Read a table of text, without any text before it.
+
+    Parameters
+    ----------
+    path
+        File.
+    what
+        Name of the file in errors.
+    may_be_cut
+        Whether the last line may be incomplete, as of a logger that was stopped. It is left out.
+
+    Raises
+    ------
+    InputError
+        If the file holds no table, or a row has another number of cells.
+    """
+    lines = decoded_text(path, what).splitlines()
+    while lines and not lines[-1].strip():
+        lines.pop()
+    delimiter, width = _form(lines[-_LOOKED_AT:], path, what)
+    cells = [_cells(line, delimiter) for line in lines]
+    if not any(row[-1].strip() for row in cells if len(row) == width):
+        # every line ends with a separator
+        cells = [row[:-1] if len(row) == width else row for row in cells]
+        width -= 1
+    start = next(i for i, row in enumerate(cells) if len(row) == width and _is_data(row))
+    _require_points(cells[:start], cells[start:], delimiter, path, what)
+    header, above, has_units = _header(cells[:start], width)
+    notes = []
+    if above and header:
+        notes.append(f"{counted(above, 'line')} before the header line {above + 1}")
+    if has_units:
+        notes.append(f"the units of line {start}")
+    places = [at for at in range(start, len(lines)) if lines[at].strip()]
+    if blank := len(lines) - start - len(places):
+        notes.append(f"{counted(blank, 'blank line')} between the rows")
+    if may_be_cut and len(cells[places[-1]]) < width:
+        places.pop()
+        notes.append("the last line, which is cut short, is left out")
+    for at in places:
+        if len(cells[at]) != width:
+            found = f"{len(cells[at])} in line {at + 1} of {path.name}"
+            raise InputError(what, f"hold {width} values a line", found, _AGAIN)
+    rows = [cells[at] for at in places]
+    marks = _marks(rows, delimiter, path, what)
+    if marks[1]:
+        notes.append(f"numbers have the decimal mark {marks[0]!r} and thousands {marks[1]!r}")
+    return TextTable(
+        path,
+        what,
+        header or tuple(map(str, range(1, width + 1))),
+        rows,
+        [at + 1 for at in places],
+        tuple(lines[:above]),
+        marks,
+        tuple(notes),
+    )
+
+
+def _form(lines: list[str], path: Path, what: str) -> tuple[str, int]:
+    """Return the delimiter and the number of cells of the lines that hold data.
+
+    The delimiter that yields the most numbers is chosen.
+    """
+    best = 0
+    form = (",", 0)
+    for delimiter in _DELIMITERS:
+        rows = [row for row in (_cells(line, delimiter) for line in lines) if _is_data(row)]
+        widths = Counter(len(row) for row in rows if len(row) > 1)
+        if not widths:
+            continue
+        width = widths.most_common(1)[0][0]
+        # numbers minus other cells, so that a wrong delimiter that cuts numbers apart loses
+        score = sum(2 * _count(row) - len(row) for row in rows if len(row) == width)
+        if score > best:
+            best = score
+            form = (delimiter, width)
+    if not form[1]:
+        raise InputError(
+            what,
+            "hold a table with at least two columns of numbers",
+            f"none in {path.name}",
+            "export it as CSV",
+        )
+    return form
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    """Return the cells of a line."""
+    # columns aligned by several spaces
+    if delimiter == " ":
+        return line.split()
+    return next(csv.reader(StringIO(line), delimiter=delimiter, skipinitialspace=True), [])
+
+
+def _count(row: list[str]) -> int:
+    """Return the number of cells that hold numbers, dates or times."""
+    return sum(_is_number(cell.strip()) for cell in row)
+
+
+def _is_number(cell: str) -> bool:
+    if ":" not in cell:
+        return _NUMBER.fullmatch(cell) is not None
+    try:
+        _date_s(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _is_data(row: list[str]) -> bool:
+    """Return whether at least half of the non-empty cells hold numbers."""
+    filled = sum(bool(cell.strip()) for cell in row)
+    return filled > 0 and 2 * _count(row) >= filled
+
+
+def _require_points(
+    above: list[list[str]], rows: list[list[str]], delimiter: str, path: Path, what: str
+) -> None:
+    """Refuse decimal commas in a table whose separator is the comma.
+
+    Rows then have more cells than the header, and no cell has a decimal point.
+    """
+    header = next((row for row in reversed(above) if len(row) > 1), [])
+    if delimiter != "," or not header or _count(header):
+        return
+    filled = [row for row in rows if row]
+    if all(len(row) > len(header) for row in filled) and not any("." in "".join(r) for r in filled):
+        raise InputError(
+            f"{what}: {path.name} has decimal commas, and commas between its columns. Export it "
+            "with decimal points, or with semicolons between the columns."
+        )
+
+
+def _marks(rows: list[list[str]], delimiter: str, path: Path, what: str) -> tuple[str, str]:
+    """Return the decimal mark of the numbers and their mark of thousands, which may be empty."""
+    cells = [cell for row in rows for cell in row if "," in cell or cell.count(".") > 1]
+    commas = [cell for cell in map(str.strip, cells) if _NUMBER.fullmatch(cell)]
+    if not commas:
+        return ".", ""
+    # the mark that comes last is the decimal one, and one that comes twice is of thousands
+    decimals = set[str]()
+    for cell in commas:
+        if "," in cell and "." in cell:
+            decimals.add("," if cell.rfind(",") > cell.rfind(".") else ".")
+        elif cell.count(",") > 1:
+            decimals.add(".")
+        elif cell.count(".") > 1:
+            decimals.add(",")
+    if len(decimals) == 2:
+        raise InputError(
+            f"{what}: {path.name} has numbers with a decimal comma and with a decimal point. "
+            "Export it with one of them."
+        )
+    if decimals:
+        return (".", ",") if "." in decimals else (",", ".")
+    grouped = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}")
+    points = [cell for row in rows for cell in map(str.strip, row) if "." in cell]
+    points = [cell for cell in points if _NUMBER.fullmatch(cell)]
+    if all(grouped.fullmatch(cell) for cell in commas) and (points or delimiter == ","):
+        return ".", ","
+    if points and not all(grouped.fullmatch(cell) for cell in points):
+        raise InputError(
+            f"{what}: {path.name} has both {commas[0]!r} and {points[0]!r}. Export all of its "
+            "numbers with decimal points."
+        )
+    return ",", "." if points else ""
+
+
+def _header(above: list[list[str]], width: int) -> tuple[tuple[str, ...], int, bool]:
+    """Return the column names, the number of lines before them, and a flag.
+
+    The flag is set if a line of units stands between the names and the data.
+    """
+    at = len(above) - 1
+    while at >= 0 and not any(cell.strip() for cell in above[at]):
+        at -= 1
+    if at < 0 or len(above[at]) != width:
+        return (), 0, False
+    names = [cell.strip().lstrip("#%").strip() for cell in above[at]]
+    # a unit has at most six characters, such as mm/min; longer cells are names
+    units = [re.fullmatch(r"[\[(]?([A-Za-zµ°%/*· -]{0,6})[\])]?", name) for name in names]
+    if at > 0 and len(above[at - 1]) == width and all(units):
+        first = [cell.strip().lstrip("#%").strip() for cell in above[at - 1]]
+        if not _count(first):
+            stated = [unit[1].strip() if unit else "" for unit in units]
+            joined = [
+                f"{name} ({unit})" if unit else name
+                for name, unit in zip(first, stated, strict=True)
+            ]
+            return tuple(joined), at - 1, True
+    return tuple(names), at, False

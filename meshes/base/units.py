@@ -1,0 +1,95 @@
+"""Units of measured quantities, and the names and units in the headers of tables."""
+
+import re
+from collections.abc import Sequence
+
+__all__ = ["UNITS", "column_of", "name_of", "plain_unit", "unit_of"]
+
+UNITS: dict[str, dict[str, float]] = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
+    "length": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "cm": 1e-2, "in": 0.0254},
+    "speed": {
+        "m/s": 1.0,
+        "mm/s": 1e-3,
+        "um/s": 1e-6,
+        "m/min": 1.0 / 60.0,
+        "mm/min": 1e-3 / 60.0,
+        "in/min": 0.0254 / 60.0,
+    },
+    "force": {
+        "N": 1.0,
+        "mN": 1e-3,
+        "uN": 1e-6,
+        "kN": 1e3,
+        "gf": 9.80665e-3,
+        "kgf": 9.80665,
+        "lbf": 4.4482216152605,
+    },
+    "torque": {"Nm": 1.0, "Ncm": 1e-2, "Nmm": 1e-3, "mNm": 1e-3, "uNm": 1e-6},
+    "angle": {"rad": 1.0, "deg": 0.017453292519943295},
+    "number": {},
+}
+"""Factors to SI by quantity.
+
+The factors of gf, kgf and lbf are from BIPM and NIST SP 811 and are exact.
+"""
+_SPELLINGS = {
+    "sec": "s",
+    "seconds": "s",
+    "msec": "ms",
+    "usec": "us",
+    "mum": "um",
+    "inch": "in",
+    "inches": "in",
+    "mm_s": "mm/s",
+    "mm_min": "mm/min",
+    "mms-1": "mm/s",
+}
+"""Other spellings of units."""
+_IN_BRACKETS = re.compile(r"[\[(]\s*([^\])]*?)\s*[\])]\s*$")
+_AT_END = re.compile(r"(?:_|\s*[/,]\s*|\s+in\s+)(mm_min|mm_s|[A-Za-zµμ]+(?:/[a-z]+)?)\s*$")
+"""Units in headers: "Load (N)", "Load [N]", "load_N", "t/ms", "t, s" and "Load in N"."""
+
+
+def plain_unit(text: str) -> str:
+    """Return a unit in the spelling of `UNITS`: N m, N*m and N·m become Nm, µm becomes um."""
+    unit = re.sub(r"[\s*·.]", "", text).replace("µ", "u").replace("μ", "u")
+    return _SPELLINGS.get(unit, unit)
+
+
+def _parts(header: str, quantity: str) -> tuple[str, str]:
+    """Return the name in a header and its unit, which is empty if it is none of a quantity."""
+    for pattern in (_IN_BRACKETS, _AT_END):
+        found = pattern.search(header)
+        if found and plain_unit(found[1]) in UNITS[quantity]:
+            return header[: found.start()], plain_unit(found[1])
+    return header, ""
+
+
+def unit_of(header: str, quantity: str) -> str:
+    """Return the unit that a header states, if it is one of a quantity, else an empty text."""
+    return _parts(header, quantity)[1]
+
+
+def name_of(header: str, quantity: str) -> str:
+    """Return the name in a header without unit, in small letters: "Tool X [mm]" is "tool_x"."""
+    return re.sub(r"[^a-z0-9]+", "_", _parts(header, quantity)[0].lower()).strip("_")
+
+
+def column_of(wanted: str, quantity: str, headers: Sequence[str]) -> str | None:
+    """Return the header of a quantity, in any unit: "tool_x [um]" for the wanted "tool_x_mm".
+
+    Returns
+    -------
+    The wanted header itself where it exists, else the only header with its name and with a unit of
+    the quantity, else None.
+    """
+    if wanted in headers:
+        return wanted
+    name = name_of(wanted, quantity)
+    found = [
+        each
+        for each in headers
+        if name_of(each, quantity) == name and (unit_of(each, quantity) or not UNITS[quantity])
+    ]
+    return found[0] if len(found) == 1 else None

@@ -1,0 +1,347 @@
+"""G-code (RS-274) of three-axis mills as points and feeds.
+
+Straight moves (G0, G1) and arcs (G2, G3) are read in all planes, units and distance modes. Words
+that do not move the tool, such as spindle, coolant and tool numbers, are left out and noted. Words
+that would move the tool elsewhere, such as drilling cycles and cutter compensation, are refused by
+name.
+"""
+
+import re
+from dataclasses import dataclass, field
+from math import acos, atan2, ceil, cos, hypot, isclose, nan, pi, sin, sqrt
+from pathlib import Path
+
+import numpy as np
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError, counted
+from meshes.base.tables import decoded_text
+
+__all__ = ["ARC_ERROR_MM", "Program", "read_gcode"]
+
+ARC_ERROR_MM = 0.01
+"""Largest distance of an arc from the lines that replace it [mm].
+
+It is a tenth of the finest voxels in use, 0.1 mm.
+"""
+_RADIUS_MM = 0.1
+"""Largest difference of an arc's radius at its start and at its end [mm].
+
+TwinCAT 3 NC I corrects differences up to 0.1 mm by default (centerpointCorrectionLimitSet).
+"""
+_WIDEST_RAD = 0.25 * pi
+"""Widest angle of a line that replaces part of an arc; only arcs of less than 0.13 mm reach it."""
+_INCH_MM = 25.4
+_WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))")
+_COMMENT = re.compile(r"\([^()]*(?:\)|$)|;.*")
+_MODES = {
+    **dict.fromkeys(("G0", "G1", "G2", "G3"), "motion"),
+    **dict.fromkeys(("G17", "G18", "G19"), "plane"),
+    **dict.fromkeys(("G20", "G21"), "unit"),
+    **dict.fromkeys(("G90", "G91"), "distance"),
+    **dict.fromkeys(("G90.1", "G91.1"), "centre"),
+}
+"""Words that are read, by their group."""
+_WORK_OFFSETS = ("G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3")
+_STILL = (
+    *_WORK_OFFSETS,
+    *(f"G{n}" for n in ("4", "40", "43", "49", "61", "61.1", "64", "80", "92.1", "92.2")),
+    *("G94", "G98", "G99"),
+)
+"""Words G that do not move the tool.
+
+G43 refers the program to the tip, as a path does. G80 ends cycles, which are refused.
+"""
+_SUBPROGRAMS = ("M97", "M98", "M99")
+"""Words M that move the tool. Other words M switch spindle, coolant and the like."""
+_STILL_LETTERS = "STHDON"
+_HOME = ("G28", "G30", "G53")
+"""Moves to places of the machine, which are unknown in the frame of the program."""
+_END = ("M2", "M30")
+_PARAMETERS = {"G4": "PXU", "G64": "PQ"}
+"""Letters that belong to a word without motion."""
+_MEANING = {
+    **{f"G{n}": "a canned cycle" for n in (73, 74, 76, *range(81, 90))},
+    **{f"G{n}": "cutter compensation" for n in (41, 42)},
+    **{f"G{n}": "a shift of the origin" for n in (10, 52, 92)},
+    **{f"G{n}": "another feed mode" for n in (93, 95)},
+    **{f"G{n}": "a spline" for n in (5, 5.1, 5.2)},
+    **{f"G{n}": "scaling or rotation" for n in (16, 50, 51, 68)},
+    **dict.fromkeys(_SUBPROGRAMS, "a subprogram"),
+    "G65": "a macro",
+}
+"""Meaning of common words that are refused."""
+_PLANES = {"G17": ("X", "Y", "Z"), "G18": ("Z", "X", "Y"), "G19": ("Y", "Z", "X")}
+"""Axes of an arc by its plane: two in the plane, and the axis of a helix."""
+_OFFSETS = {"X": "I", "Y": "J", "Z": "K"}
+
+
+@dataclass(eq=False)
+class Program:
+    """Points of a program and the state of the controller between its lines.
+
+    Attributes
+    ----------
+    file
+        File, for messages.
+    points_mm
+        Points in the order of the program, in its frame [mm].
+    feeds_mm_s
+        Speed to each point [mm/s], NaN for rapid moves.
+    """
+
+    file: Path
+    points_mm: list[list[float]] = field(default_factory=list)
+    feeds_mm_s: list[float] = field(default_factory=list)
+    _modes: dict[str, str] = field(
+        # no motion before the first motion word, because the defaults of controllers differ
+        default_factory=lambda: {
+            "motion": "",
+            "plane": "G17",
+            "unit": "G21",
+            "distance": "G90",
+            "centre": "G91.1",
+        }
+    )
+    _place: dict[str, float] = field(default_factory=dict)
+    _feed_mm_s: float = 0.0
+    _left_out: set[str] = field(default_factory=set)
+    _homes: set[str] = field(default_factory=set)
+    _offset: str = ""
+    _arcs: int = 0
+    _line: int = 0
+
+    def notes(self) -> tuple[str, ...]:
+        """Return sentences on words that were left out, and on arcs."""
+        found = []
+        if self._left_out:
+            words = sorted(self._left_out, key=lambda word: (word[0], float(word[1:] or 0)))
+            found.append(f"left out, since they do not move the tool: {', '.join(words)}")
+        if self._homes:
+            homes = ", ".join(sorted(self._homes))
+            found.append(f"left out, since they move to a place of the machine: {homes}")
+        if self._arcs:
+            found.append(f"{counted(self._arcs, 'arc')} as lines within {ARC_ERROR_MM:g} mm")
+        return tuple(found)
+
+    def read(self, line: str, number: int) -> bool:
+        """Execute one line. Return False at the end of the program."""
+        self._line = number
+        text, count = _COMMENT.subn("", line.upper())
+        # brackets within brackets
+        while count:
+            text, count = _COMMENT.subn("", text)
+        text = text.strip().removeprefix("/")
+        if not text or text.startswith("%"):
+            return True
+        if rest := _WORD.sub("", text).split():
+            raise self._refused(
+                f"has {rest[0][:20]}, which is not a letter with a number",
+                "Export the program without parameters, expressions and macros",
+            )
+        words = [(letter, float(digits)) for letter, digits in _WORD.findall(text)]
+        codes = [f"{letter}{value:g}" for letter, value in words if letter in "GM"]
+        self._take(codes)
+        numbers = self._numbers(words)
+        for code in codes:
+            for letter in _PARAMETERS.get(code, ""):
+                numbers.pop(letter, None)
+        if "F" in numbers:
+            self._feed_mm_s = self._mm(numbers.pop("F")) / 60.0
+            if self._feed_mm_s <= 0.0:
+                raise self._refused("has a feed F that is not positive", "Correct the feed")
+        if homes := set(codes) & set(_HOME):
+            self._homes |= homes
+            # the program does not state where these axes are after such a move
+            for letter in [each for each in "XYZ" if each in numbers] or "XYZ":
+                self._place.pop(letter, None)
+        elif numbers:
+            self._move(numbers)
+        return not set(codes) & set(_END)
+
+    def _numbers(self, words: list[tuple[str, float]]) -> dict[str, float]:
+        """Return the numbers of a line by letter, without words that do not move the tool."""
+        numbers: dict[str, float] = {}
+        for letter, value in words:
+            if letter in "GM":
+                continue
+            if letter in _STILL_LETTERS:
+                self._left_out.add(letter)
+                continue
+            if letter in numbers:
+                raise self._refused(f"has two words {letter}", "Remove one of them")
+            if letter not in "XYZIJKRFPQU":
+                raise self._refused(
+                    f"has {letter}{value:g}, but only the axes X, Y and Z are read",
+                    "Export a program for three axes",
+                )
+            numbers[letter] = value
+        return numbers
+
+    def _take(self, codes: list[str]) -> None:
+        """Take over the words G and M of a line."""
+        groups = [_MODES[code] for code in codes if code in _MODES]
+        if len(set(groups)) < len(groups):
+            raise self._refused(
+                f"has two words of one group in {' '.join(codes)}", "Remove one of them"
+            )
+        for code in codes:
+            if code in _MODES:
+                self._modes[_MODES[code]] = code
+            elif code in _STILL or (code[0] == "M" and code not in _SUBPROGRAMS):
+                self._left_out.add(code)
+            elif code not in _HOME:
+                meaning = f" ({_MEANING[code]})" if code in _MEANING else ""
+                raise self._refused(
+                    f"has {code}{meaning}, which is not supported",
+                    "Export the program with plain moves G0, G1, G2 and G3",
+                )
+            if code in _WORK_OFFSETS:
+                if self._offset not in ("", code):
+                    raise self._refused(
+                        f"uses the work offset {code} after {self._offset}",
+                        "Export the operations of each offset as a program of its own",
+                    )
+                self._offset = code
+
+    def _mm(self, value: float) -> float:
+        return value * (_INCH_MM if self._modes["unit"] == "G20" else 1.0)
+
+    def _move(self, numbers: dict[str, float]) -> None:
+        """Move to the place that a line states."""
+        motion = self._modes["motion"]
+        named = {letter: self._mm(numbers[letter]) for letter in "XYZ" if letter in numbers}
+        is_arc = motion in ("G2", "G3")
+        if extra := set(numbers) - set("XYZIJKRP" if is_arc else "XYZ"):
+            raise self._refused(
+                f"has {', '.join(sorted(extra))}, which has no meaning there", "Correct the line"
+            )
+        if not motion:
+            raise self._refused("moves without G0, G1, G2 or G3", "Add one of them")
+        if motion != "G0" and self._feed_mm_s == 0.0:
+            raise self._refused("cuts before any feed F", "Add for example F120, in mm/min")
+        if self._modes["distance"] == "G91":
+            if missing := [letter for letter in named if letter not in self._place]:
+                raise self._refused(
+                    f"moves {missing[0]} by a distance from an unknown place",
+                    "State the first point in absolute numbers, G90",
+                )
+            named = {letter: self._place[letter] + step for letter, step in named.items()}
+        start = dict(self._place)
+        self._place |= named
+        unknown = [letter for letter in "XYZ" if letter not in self._place]
+        if unknown and motion != "G0":
+            raise self._refused(
+                f"cuts before {', '.join(unknown)} is known",
+                "State X, Y and Z before the first cut",
+            )
+        if unknown:
+            return
+        if is_arc:
+            self._arc(start, numbers)
+        else:
+            self._add([self._place[letter] for letter in "XYZ"])
+
+    def _add(self, point_mm: list[float]) -> None:
+        self.points_mm.append(point_mm)
+        self.feeds_mm_s.append(nan if self._modes["motion"] == "G0" else self._feed_mm_s)
+
+    def _arc(self, start: dict[str, float], numbers: dict[str, float]) -> None:
+        """Add the points of an arc or a helix."""
+        if set(start) != set("XYZ"):
+            raise self._refused("has an arc from an unknown place", "Start it at a known point")
+        if numbers.get("P", 1.0) != 1.0:
+            raise self._refused("has an arc of several turns (P)", "Write one line per turn")
+        first, second, along = _PLANES[self._modes["plane"]]
+        begin = start[first], start[second]
+        end = self._place[first], self._place[second]
+        sense = 1.0 if self._modes["motion"] == "G3" else -1.0
+        centre = self._centre(begin, end, sense, numbers)
+        from_r = hypot(begin[0] - centre[0], begin[1] - centre[1])
+        to_r = hypot(end[0] - centre[0], end[1] - centre[1])
+        if min(from_r, to_r) <= 0.0 or abs(from_r - to_r) > _RADIUS_MM:
+            raise self._refused(
+                f"has an arc with radii of {from_r:.4g} mm at its start and {to_r:.4g} mm at its "
+                "end",
+                "Check I, J and K, and whether they are absolute (G90.1)",
+            )
+        angle = atan2(begin[1] - centre[1], begin[0] - centre[0])
+        turn = sense * (atan2(end[1] - centre[1], end[0] - centre[0]) - angle) % (2.0 * pi)
+        # equal ends are a full circle
+        is_closed = all(isclose(a, b, abs_tol=1e-9) for a, b in zip(begin, end, strict=True))
+        if is_closed or turn == 0.0:
+            turn = 2.0 * pi
+        widest = 2.0 * acos(max(1.0 - ARC_ERROR_MM / max(from_r, to_r), 0.0))
+        count = ceil(turn / min(widest, _WIDEST_RAD))
+        for part in (np.arange(1, count + 1) / count).tolist():
+            radius = from_r + part * (to_r - from_r)
+            at = angle + sense * part * turn
+            place = {
+                first: centre[0] + radius * cos(at),
+                second: centre[1] + radius * sin(at),
+                along: start[along] + part * (self._place[along] - start[along]),
+            }
+            if part == 1.0:
+                place = self._place
+            self._add([place[letter] for letter in "XYZ"])
+        self._arcs += 1
+
+    def _centre(
+        self,
+        begin: tuple[float, float],
+        end: tuple[float, float],
+        sense: float,
+        numbers: dict[str, float],
+    ) -> tuple[float, float]:
+        """Return the centre of an arc in its plane [mm]."""
+        first, second, _ = _PLANES[self._modes["plane"]]
+        letters = _OFFSETS[first], _OFFSETS[second]
+        given = [letter in numbers for letter in letters]
+        if "R" not in numbers:
+            is_absolute = self._modes["centre"] == "G90.1"
+            if not any(given) or (is_absolute and not all(given)):
+                raise self._refused(
+                    "has an arc without its centre",
+                    f"Give {' and '.join(letters)}, or the radius R",
+                )
+            base = (0.0, 0.0) if is_absolute else begin
+            x, y = (self._mm(numbers.get(letter, 0.0)) for letter in letters)
+            return base[0] + x, base[1] + y
+        radius = self._mm(numbers["R"])
+        chord = hypot(end[0] - begin[0], end[1] - begin[1])
+        if chord == 0.0 or chord > 2.0 * (abs(radius) + _RADIUS_MM):
+            raise self._refused(
+                f"has an arc of radius {abs(radius):.4g} mm between points {chord:.4g} mm apart",
+                f"Give its centre by {' and '.join(letters)}",
+            )
+        # the centre lies on the left of the chord for a short arc with G3; R < 0 is the long arc
+        away = sqrt(max(radius**2 - 0.25 * chord**2, 0.0)) * sense * (1.0 if radius > 0.0 else -1.0)
+        return (
+            0.5 * (begin[0] + end[0]) - away * (end[1] - begin[1]) / chord,
+            0.5 * (begin[1] + end[1]) + away * (end[0] - begin[0]) / chord,
+        )
+
+    def _refused(self, problem: str, remedy: str) -> InputError:
+        return InputError(f"path: line {self._line} of {self.file} {problem}. {remedy}.")
+
+
+def read_gcode(file: Path) -> tuple[Array, Array, tuple[str, ...]]:
+    """Read G-code, in the frame of the file.
+
+    Returns
+    -------
+    Points [mm], shape (n, 3), the speed to each of them [mm/s], NaN for rapid moves, and notes.
+
+    Raises
+    ------
+    InputError
+        If a word is not supported, or a line is incomplete.
+    """
+    program = Program(file)
+    for number, line in enumerate(decoded_text(file, "path").splitlines(), start=1):
+        if not program.read(line, number):
+            break
+    if not program.points_mm:
+        raise InputError(f"path: {file} never states X, Y and Z. Add a first move with all three.")
+    points = np.array(program.points_mm, dtype=np.float64).reshape(-1, 3)
+    return points, np.array(program.feeds_mm_s), program.notes()
