@@ -24,7 +24,7 @@ from kernels.contact_state import (
     Lists,
     Points,
 )
-from kernels.launcher import SplitLaunch
+from kernels.launcher import SplitLaunch, recorded
 from kernels.mirror import Mirror, put
 from kernels.near_compliance import gather_all_again, new_patch
 from kernels.shell_projection import link_points, project_shell
@@ -338,7 +338,7 @@ class SurfaceContact:
         )
         """Result of the last solve, the object that every solve returns."""
 
-    def _recorded(self) -> list[Callable[[], None]]:
+    def _recorded(self) -> list[Callable[[], object]]:
         """Record the launches of a tick, in their order, with the present compliance scale."""
         device = self._device
         probe = self.probe
@@ -350,8 +350,8 @@ class SurfaceContact:
         pose = self._pose.device
         results = self._results.device
 
-        def record(kernel: wp.Kernel, inputs: list[object]) -> Callable[[], None]:
-            return wp.launch(kernel, dim=1, inputs=inputs, device=device, record_cmd=True).launch
+        def record(kernel: wp.Kernel, inputs: list[object]) -> Callable[[], object]:
+            return recorded(kernel, dim=1, inputs=inputs, device=device)
 
         stages = [
             record(
