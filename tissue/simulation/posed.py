@@ -1,6 +1,7 @@
 """Session in which a caller gives the pose of a tool and receives the wrench of a tissue."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -176,7 +177,10 @@ class PosedSession:
         parts.cutter = None
         self.loop = engine.Loop(parts, ticks=rows, output=Output(low_pass_ms=0.0))
         self._names = (type(parts.tissue).__name__, *parts.tissue.layer_names)
-        self._untouched = self.loop.state()
+        self._untouched: State | None = None
+        # A tissue without snapshots can still be moved through.
+        with suppress(InputError):
+            self._untouched = self.loop.state()
         self.loop.place()
 
     @property
@@ -211,6 +215,9 @@ class PosedSession:
 
     def reset(self, pose: ArrayLike | None = None) -> None:
         """Restore the tissue as it was made, and put the tool at its start or at a pose."""
+        if self._untouched is None:
+            self.loop.state()  # raises why
+            raise InputError("reset", "have a state to return to", "none", "make a new loop")
         self.loop.restore(self._untouched)
         tip_m, rotation = self._start
         if pose is not None:

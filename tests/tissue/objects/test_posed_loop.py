@@ -138,6 +138,17 @@ def test_an_organ_is_pressed_and_reset():
     np.testing.assert_array_equal(moved(loop, down), first)
 
 
+def test_an_organ_with_a_law_is_pressed_but_has_no_snapshots():
+    organ = tissue.Organ.block(
+        (40, 40, 20), edge_mm=10, modulus_kPa=10.0, poisson_ratio=0.45, law="neo-hookean"
+    )
+    loop = tissue.Loop(organ, tissue.ball(diameter_mm=20), start_mm=(0, 0, 1), reach_mm=3)
+    assert moved(loop, along([[0, 0, 1], [0, 0, -2]], 50))[-1, 2] > 0.05
+    for call in (loop.snapshot, loop.reset):
+        with pytest.raises(ValueError, match="linear"):
+            call()
+
+
 @pytest.mark.parametrize(
     "call",
     [
