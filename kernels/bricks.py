@@ -16,6 +16,8 @@ __all__ = [
     "BRICK",
     "BRICK_VOXELS",
     "FULL",
+    "LOST",
+    "REACHED",
     "Cell",
     "Corners",
     "Plane",
@@ -40,6 +42,8 @@ corner8i = wp.types.vector(length=8, dtype=wp.int32)
 corner8f = wp.types.vector(length=8, dtype=wp.float32)
 FULL = 65535
 """Stored value of a voxel that is wholly filled."""
+LOST, REACHED = 1, 2
+"""Flags of a brick: it has lost material; a tool has reached it, so that it may have changed."""
 
 
 @wp.func

@@ -22,7 +22,7 @@ same integers on any number of threads.
 
 import warp as wp
 
-from kernels.bricks import cube_behind_plane, layer_of, plane_of
+from kernels.bricks import LOST, REACHED, cube_behind_plane, layer_of, plane_of
 from kernels.revolution import EDGE_BEND, Nearest, Revolution, nearest_on, offset_from
 
 __all__ = [
@@ -88,7 +88,7 @@ def carve(
     older_out: wp.array2d(dtype=wp.uint16),  # distance to older cuts
     # [brick], one bit a block of 2 x 2 x 2 voxels that may hold material
     alive_out: wp.array(dtype=wp.uint64),
-    touched_out: wp.array(dtype=wp.uint8),  # [brick], set to 1 where this launch removed something
+    touched_out: wp.array(dtype=wp.uint8),  # [brick], flags LOST and REACHED are added
     removed_out: wp.array2d(dtype=wp.int64),  # [worker, layer], stored steps removed by this launch
 ):
     """Carve the planned groups.
@@ -178,6 +178,7 @@ def carve_brick(
     far = nearest_on(tool, centre, axis)
     if far.distance > BRICK_REACH:
         return
+    touched_out[row] = touched_out[row] | wp.uint8(REACHED)
     step = offset_from(pose, 1 + group, bx * 8 + 4, by * 8 + 4, bz * 8 + 4) - centre
     moved = wp.length(step)
     kink = 1.0 / tool.cells_per_voxel  # next to a kink a slope is taken across a cell of the table
@@ -256,7 +257,7 @@ def carve_brick(
     if alive != before:
         alive_out[row] = alive
     if booked_by(removed_out, worker) != booked:
-        touched_out[row] = wp.uint8(1)
+        touched_out[row] = touched_out[row] | wp.uint8(LOST)
 
 
 @wp.func

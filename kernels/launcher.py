@@ -15,6 +15,7 @@ calibration before the first launch. It is measured again while the launches run
 then less and less often.
 """
 
+import ctypes
 import hashlib
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -37,6 +38,7 @@ __all__ = [
     "SplitLaunch",
     "calibrate",
     "launch_counts",
+    "recorded",
     "run_split",
 ]
 
@@ -231,6 +233,46 @@ def _gain(threads: int) -> float:
     return calibrate(_pool(threads), threads + 1)
 
 
+def recorded(
+    kernel: wp.Kernel,
+    *,
+    dim: int | tuple[int, ...],
+    inputs: Sequence[object],
+    outputs: Sequence[object] = (),
+    device: str,
+) -> Callable[[], object]:
+    """Record a launch and return a function that runs it.
+
+    On a CPU the function calls the compiled kernel with arguments that are packed once. Warp's
+    own `Launch.launch` packs them in every call, which takes 5 us for six arguments and 0.6 us
+    here.
+    """
+    command: wp.Launch = wp.launch(
+        kernel,
+        dim=dim,
+        inputs=list(inputs),
+        outputs=list(outputs),
+        device=device,
+        record_cmd=True,
+    )
+    if not command.device.is_cpu or command.block_dim != 1:
+        return command.launch
+    bounds, *values = command.params
+    labels = [argument.label for argument in command.kernel.adj.args]
+    names = [(label, type(value)) for label, value in zip(labels, values, strict=True)]
+    packed = type("Arguments", (ctypes.Structure,), {"_fields_": names})(*values)
+    run = command.hooks.forward
+    size = ctypes.byref(bounds)
+    arguments = ctypes.byref(packed)
+
+    def launch() -> None:
+        """Run the kernel; the recorded command keeps its arrays alive."""
+        assert command is not None
+        run(size, arguments)
+
+    return launch
+
+
 class SplitLaunch:
     """A kernel launch recorded once, whole and in parts, and run many times.
 
@@ -271,15 +313,8 @@ class SplitLaunch:
             """Run the launch of the threads from ``first`` up to ``last``."""
             arguments = list(inputs)
             arguments[place : place + 1] = [first]
-            command: wp.Launch = wp.launch(
-                kernel,
-                dim=(last - first, *across),
-                inputs=arguments,
-                outputs=list(outputs),
-                device=device,
-                record_cmd=True,
-            )
-            return command.launch
+            dims = (last - first, *across)
+            return recorded(kernel, dim=dims, inputs=arguments, outputs=outputs, device=device)
 
         self._whole = record(0, along)
         self._work_s = FIRST_S

@@ -19,6 +19,7 @@ COMMON = {
     "gymnasium",
     "math",
     "matplotlib",
+    "mujoco",
     "numpy",
     "pandas",
     "pathlib",

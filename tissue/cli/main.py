@@ -31,6 +31,7 @@ from tissue.cli.import_ import import_
 from tissue.cli.run import run
 from tissue.cli.saved_runs import assess, compare, report, view
 from tissue.cli.scenes import scenes, schema
+from tissue.cli.serve import serve
 from tissue.cli.stability import stability
 from tissue.cli.study import study
 from tissue.cli.sweep import sweep
@@ -53,6 +54,7 @@ COMMANDS = (
     compare,
     stability,
     devices,
+    serve,
     calibrate,
     assess,
     train,

@@ -112,6 +112,7 @@ class Drilling(ContactEnvironment):
     usual_force_limit_N = 2.0
     thrust_N = 3.0
     balances = True
+    episode = ("_speed", "_deepest_m", "_before", "_thrust", "_top_m", "_searches", "_search")
 
     def __init__(self, *, materials: str | PathLike[str] | None = None, **options: Any) -> None:
         super().__init__(**options)

@@ -4,6 +4,7 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from math import sqrt
 from os import PathLike
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -18,6 +19,7 @@ from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.materials.scene_constants import Materials
 from tissue.models.bone.bricks import voxels_of
+from tissue.models.state import State, copied, put_back
 from tissue.models.tissue_model import TICK_S, Response, TissueModel, ToolMotion
 from tissue.motion.motion import Motion
 from tissue.scene.used_constants import used_of_cutting
@@ -74,16 +76,15 @@ class RestorableBone:
         # parallel, so each uses one core.
         bone = VoxelBone(volume, given.coefficients(layers, {}, bone="bone"))
         self.model = bone.model(cutter, shell_spacing_m=shell_spacing_m, cores=1)
-        self._uncut = self.model.carver.state()
+        self._uncut = self.model.state()
+        self._filled = self.model.store.remaining.numpy().copy()
         self._material = self.model.store.material.numpy()
         self._layer = self._material & LAYER_BITS
 
     def restore(self, density_kg_m3: Mapping[str, float]) -> None:
         """Restore the uncut bone, and set another density of some layers [kg/m3]."""
         store = self.model.store
-        self.model.carver.restore(self._uncut)
-        self.model.removed_steps[:] = 0
-        store.touched.zero_()
+        self.model.restore(self._uncut)
         density = self._material >> 16
         for name, value in density_kg_m3.items():
             density[self._layer == store.grid.layer_names.index(name)] = round(value)
@@ -100,7 +101,7 @@ class RestorableBone:
         """
         store = self.model.store
         # Remaining bone is stored in 16 bits, 65,535 for a full voxel.
-        full = self._uncut.bricks["remaining"].numpy() == np.iinfo(np.uint16).max
+        full = self._filled == np.iinfo(np.uint16).max
         chosen = full & (self._layer == store.grid.layer_names.index(layer))
         places, _ = voxels_of(store.places, np.arange(len(chosen)), chosen.astype(np.int64))
         return np.flatnonzero(chosen), store.grid.origin_m + store.grid.spacing_m * (places + 0.5)
@@ -224,6 +225,10 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
     """
     usual_duration_s: ClassVar[float]
     usual_force_limit_N: ClassVar[float]
+    episode: ClassVar[tuple[str, ...]] = ()
+    """Names of further attributes that `reset` or a step writes."""
+    solve_ticks: ClassVar[int] = 1
+    """Ticks of motion between two solves of the tissue within a step."""
 
     def __init__(
         self,
@@ -263,6 +268,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         self._done_steps = 0
         self.score = 0.0
         self._loads = np.zeros(6)
+        self._wrench = np.zeros(6)
         self._command = np.zeros(self.action_count)
         self.drawn: dict[str, float] = {}
         """Random draws of the present episode."""
@@ -302,6 +308,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         self._done_steps = 0
         self.score = 0.0
         self._loads[:] = 0.0
+        self._wrench = np.zeros(6)
         self._prepare()
         self.stepper.place()
         return self._observe(), {"drawn": dict(self.drawn), "score": 0.0, **self._facts()}
@@ -310,20 +317,24 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         """Advance by `ticks` ticks."""
         self._require_episode("step")
         command = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
-        before = self._potential()
+        start = self._potential()
         peak = 0.0
         excess = 0.0
         self._loads[:] = 0.0
-        for _ in range(self.ticks):
-            wrench = self._tick(command)
-            self._loads += wrench
-            force = float(np.sqrt(wrench[:3].dot(wrench[:3])))
-            peak = max(peak, force)
-            excess += max(force / self.force_limit_N - 1.0, 0.0)
+        for done in range(0, self.ticks, self.solve_ticks):
+            count = min(self.solve_ticks, self.ticks - done)
+            before = self._wrench
+            self._wrench = wrench = self._tick(command, count).copy()
+            # Sum over the ticks in between, with loads that change linearly from solve to solve.
+            mean = (0.5 - 0.5 / count) * before + (0.5 + 0.5 / count) * wrench
+            self._loads += count * mean
+            first = before + (wrench - before) / count
+            peak = max(peak, _force(first), _force(wrench))
+            excess += count * max(_force(mean) / self.force_limit_N - 1.0, 0.0)
         self._loads /= self.ticks
         self._done_steps += 1
         after = self._potential()
-        terms = {name: after[name] - before[name] for name in after}
+        terms = {name: after[name] - start[name] for name in after}
         terms["force"] = -FORCE_WEIGHT * excess / (self._steps * self.ticks)
         terms["time"] = -TIME_WEIGHT / self._steps
         reward = float(sum(terms.values()))
@@ -337,6 +348,31 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         }
         truncated = not terminated and self._done_steps >= self._steps
         return self._observe(), reward, terminated, truncated, info | self._facts()
+
+    def snapshot(self) -> State:
+        """Return a copy of the state, which can be pickled and restored in an equal environment.
+
+        It holds the tissue, the tool, the episode and the random generator.
+        """
+        self._require_episode("snapshot")
+        return {
+            "own": copied(self, self._kept),
+            "stepper": self.stepper.state(),
+            "random": self.np_random.bit_generator.state,
+        }
+
+    def restore(self, snapshot: State) -> None:
+        """Return to a snapshot of this environment, or of one with equal arguments."""
+        self.drawn = dict(snapshot["own"]["drawn"])
+        self._prepare()
+        put_back(self, snapshot["own"])
+        self.stepper.restore(snapshot["stepper"])
+        self.np_random.bit_generator.state = snapshot["random"]
+
+    @property
+    def _kept(self) -> tuple[str, ...]:
+        """Attributes of an episode: those that `reset` or a step writes."""
+        return ("drawn", "score", "_done_steps", "_loads", "_wrench", "_command", *self.episode)
 
     @property
     def time_left(self) -> float:
@@ -399,10 +435,11 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
     def _prepare(self) -> None:
         """Restore the tissue and apply the values drawn for the episode."""
 
-    def _tick(self, command: Array) -> Array:
-        """Advance by a tick; return force [N] and torque [N m] on the tool, shape (6,)."""
+    def _tick(self, command: Array, count: int = 1) -> Array:
+        """Advance by ticks; return force [N] and torque [N m] on the tool, shape (6,)."""
         self._command = command
-        self.stepper.step(0)  # no motion of an environment depends on the time
+        # No motion of an environment depends on the time.
+        self.stepper.step(0, step_s=count * TICK_S)
         return self._felt(self.stepper.response)
 
     def _felt(self, response: Response) -> Array:
@@ -428,3 +465,8 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
     @abstractmethod
     def _draw(self, figure: "Figure") -> None:
         """Draw the present state."""
+
+
+def _force(wrench: Array) -> float:
+    """Return the size of the force of a wrench [N]."""
+    return sqrt(wrench[:3].dot(wrench[:3]))

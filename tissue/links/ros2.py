@@ -12,7 +12,7 @@ from typing import Any
 from meshes.base.arrays import Array
 from tissue.links.publishing import RunPublisher, publish
 
-__all__ = ["Ros2Publisher"]
+__all__ = ["DEPTH", "FRAME", "NAMESPACE", "Ros2Publisher", "fill"]
 
 
 NAMESPACE = "tissue"
@@ -110,11 +110,11 @@ class Ros2Publisher(RunPublisher):
         scales = (1e-3, 1e-3, 1.0)  # lengths of a row are in mm
         for (first, second), places, scale in zip(parts, self._rows, scales, strict=True):
             values = row[places]
-            _fill(first, "xyz", (scale * values[:3]).tolist())
+            fill(first, "xyz", (scale * values[:3]).tolist())
             # an orientation has 4 values, an angular velocity and a torque have 3
-            _fill(second, "xyzw"[: len(values) - 3], values[3:].tolist())
+            fill(second, "xyzw"[: len(values) - 3], values[3:].tolist())
         for publisher, message in zip(self._publishers, (pose, twist, wrench), strict=True):
-            _fill(message.header, header, header.values())
+            fill(message.header, header, header.values())
             publisher.publish(message)
         self._arrays["frames"][0] += 1
 
@@ -128,7 +128,7 @@ class Ros2Publisher(RunPublisher):
             self._states.publish(message)
 
 
-def _fill(message: Any, names: Any, values: Any) -> None:
+def fill(message: Any, names: Any, values: Any) -> None:
     """Set fields of a message."""
     for name, value in zip(names, values, strict=True):
         setattr(message, name, value)

@@ -119,6 +119,9 @@ class HereditaryIntegral:
         If the step is not positive and finite.
     """
 
+    STATE = ("_terms", "history")
+    """Attributes that later steps depend on."""
+
     def __init__(self, spectrum: Spectrum, shape: tuple[int, ...], *, step_s: float) -> None:
         ratio = (
             require_positive("step_s", step_s, "use the length of a tick, 0.001") / spectrum.time_s

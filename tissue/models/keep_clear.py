@@ -20,6 +20,7 @@ from meshes.base.arrays import Array, Floats, Ints
 from meshes.surfaces.box_tree import BoxTree, box_tree, cut_long
 from tissue.cutters.body import MEDIAL_TOLERANCE_M, medial_axis, outline_table
 from tissue.cutters.profile import Profile
+from tissue.models.state import State, copied, put_back
 from tissue.models.tissue_model import TICK_S, ToolMotion
 
 __all__ = ["Distance", "KeepClear", "Structure"]
@@ -131,6 +132,14 @@ class KeepClear:
             if not placed:
                 self._follow(self._breaches[number], distance_m)
         self._tick += 0 if placed else 1
+
+    def state(self) -> State:
+        """Copy the state that later ticks depend on."""
+        return copied(self, ("measures", "_breaches", "_tick"))
+
+    def restore(self, state: State) -> None:
+        """Return to a copied state."""
+        put_back(self, state)
 
     @property
     def _now_s(self) -> float:

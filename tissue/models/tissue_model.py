@@ -9,6 +9,7 @@ import numpy as np
 from meshes.base.arrays import Array, Bytes
 from meshes.base.errors import InputError, require_positive
 from tissue.fem.fields import FieldSeries
+from tissue.models.state import State
 
 __all__ = [
     "SLOW",
@@ -18,6 +19,7 @@ __all__ = [
     "HasFields",
     "HasHeat",
     "HasNotices",
+    "HasState",
     "HasSummary",
     "HasVoxels",
     "MayLag",
@@ -189,6 +191,18 @@ class HasNotices(Protocol):
 
 
 @runtime_checkable
+class HasState(Protocol):
+    """Tissue whose state can be copied, sent to another process and restored."""
+
+    def state(self) -> State:
+        """Return a copy of the state that later ticks depend on; it can be pickled."""
+        ...
+
+    def restore(self, state: State) -> None:
+        """Return to a copied state, of this tissue or of an equal one."""
+
+
+@runtime_checkable
 class HasSummary(Protocol):
     """Tissue that adds its own figures to the summary of a run."""
 
@@ -279,6 +293,13 @@ class FreeSpace:
         """Return zero force."""
         return self._response
 
+    def state(self) -> State:
+        """Return an empty state."""
+        return {}
+
+    def restore(self, state: State) -> None:
+        """Do nothing: free space has no state."""
+
 
 class WallModel:
     """Linear unilateral spring along z over the plane z = 0: F = k depth, without friction.
@@ -345,6 +366,13 @@ class WallModel:
         response.engaged_m2[0] = pi * depth * max(2.0 * self._radius - depth, 0.0)
         response.measures[0] = 1e3 * depth
         return response
+
+    def state(self) -> State:
+        """Return an empty state."""
+        return {}
+
+    def restore(self, state: State) -> None:
+        """Do nothing: a spring has no internal state."""
 
     def _depth_m(self, motion: ToolMotion) -> float:
         """Return the depth of the ball's lowest point below the plane [m]; negative above it."""

@@ -1,14 +1,10 @@
-"""Loop of a user's device with bone or an organ: tick by tick, or for some seconds."""
+"""Loop of a tool and a tissue: stepped with poses by a program, or moved by a haptic device."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import ExitStack
-from copy import deepcopy
-from dataclasses import fields
-from functools import partial
-from os import PathLike
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, Self, Unpack, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,43 +12,41 @@ from numpy.typing import ArrayLike
 from meshes.base.arrays import Array
 from meshes.base.errors import (
     InputError,
-    by,
     names_of_caller,
     require_direction,
     require_positive,
     require_range,
     require_vector,
 )
-from meshes.base.text_tables import unknown_name
-from tissue.cutters import Cutter, ball_burr
-from tissue.haptics.device.device import Device, DeviceParameters, device_parameters
+from tissue.cutters import Cutter
+from tissue.haptics.device.device import Device
 from tissue.haptics.device.safe_device import run_held
-from tissue.haptics.hand_motion import Script
+from tissue.haptics.hand_motion import HandMotion, Script
 from tissue.materials.scene_constants import Materials
 from tissue.models.bone.model import BoneModel
-from tissue.models.tissue_model import TICK_S, TissueModel
-from tissue.motion.motion import StaysAt
+from tissue.models.tissue_model import TICK_S, ToolMotion
+from tissue.models.tooth.model import ToothModel
+from tissue.motion.motion import StaysAt, frame_along
 from tissue.objects.bone import Bone
 from tissue.objects.cut import saved_table
 from tissue.objects.cutting import Structures, clearance_of, warn_of
+from tissue.objects.loop_settings import ARGUMENTS, LoopOptions, constants_note, settings_of
+from tissue.objects.loop_start import fitted, leave_out, region, start_above
 from tissue.objects.organ import Organ
 from tissue.objects.press import organ_around
 from tissue.objects.simulate import TickRow
-from tissue.objects.tools import PressingTool, ball
+from tissue.objects.tools import PressingTool
 from tissue.objects.trace import Trace
-from tissue.prediction.guard import GuardedMaker, Observes
-from tissue.scene.coupling import Coupling
-from tissue.scene.coupling import Device as StatedDevice
-from tissue.scene.registry import PREDICTORS
-from tissue.scene.scene import Output
-from tissue.scene.used_constants import used_of_device
+from tissue.scene.load import load_scene
+from tissue.scene.scene import Scene
 from tissue.simulation import loop as engine
-from tissue.simulation.builders.arguments import given_note, require_known, stated
+from tissue.simulation.builders.arguments import require_known
 from tissue.simulation.builders.force_met import Met, Series, scale_for, slot_force_N
 from tissue.simulation.builders.hand import device_motion
-from tissue.simulation.builders.loop import LoopSettings, sampled
-from tissue.simulation.builders.parts import Parts, require_device, require_stated_rate
+from tissue.simulation.builders.loop import LoopSettings
+from tissue.simulation.builders.parts import Parts, require_device
 from tissue.simulation.observer import WallClock
+from tissue.simulation.posed import PosedSession, Snapshot, posed_parts
 from tissue.simulation.trace import Table
 
 if TYPE_CHECKING:
@@ -68,44 +62,26 @@ LONGEST_S = 3600.0
 
 An hour of 60 columns takes 1.7 GB.
 """
-CLEARANCE_MM = 2.0
-"""Default height of the tool above the surface at the start [mm]."""
-ARGUMENTS = {
-    **{f"coupling.{key}": key for key in Coupling.model_fields},
-    "output.low_pass_ms": "low_pass_ms",
-    "prediction": "predictor",
-    "kind": "limits",
-}
-"""Arguments of `Loop` by the keys of a scene that errors name."""
-
-
-class LoopOptions(TypedDict, total=False):
-    """Options of the part between device and tool; see `Loop`."""
-
-    limits: str | DeviceParameters | Mapping[str, float]
-    predictor: str | Observes | None
-    predictor_file: str | Path | None
-    hand: str
-    materials: str | PathLike[str] | Materials | None
-    renderer: str
-    stiffness_N_m: float | None
-    force_scale: float | None
-    motion_scale: float
-    delay_ms: int
-    low_pass_ms: float
-    allow_unstable: bool
+REACH_MM = 5.0
+SCENE_REACH_MM = 2.0
+"""Default reach around a tool, and around the path of a scene, which is prepared anyway [mm]."""
+MOST_TICKS = 1000
+"""Largest number of ticks in a step: a rate of 1 Hz."""
 
 
 class Loop:
-    """Loop of a haptic device, a tool and a tissue, in ticks of 1 ms.
+    """Loop of a tool and a tissue in ticks of 1 ms.
 
-    In every tick the device is read, the tool follows it through a spring, and the tissue responds.
-    The force is commanded after prediction, low-pass and the device's limits. The spring is judged
-    for stability before the first tick.
+    Without a device a program moves the tool: ``wrench = loop.step(pose)`` moves it to a pose and
+    returns force and torque on it. The tool follows its pose exactly. `reset`, `snapshot` and
+    `restore` return the loop to an earlier state. After a restore it gives bit for bit the same
+    forces.
 
-    Use it as ``with Loop(...) as loop: row = loop.step()``, or ``loop.run(10.0)``, which opens and
-    closes the device itself. The last command to the device is zero, whatever ends the block or the
-    run.
+    With a device, ``with Loop(...) as loop: row = loop.step()`` or ``loop.run(10.0)``. In every
+    tick the device is read, the tool follows it through a spring, and the tissue responds. The
+    force is commanded after prediction, low-pass and the device's limits. The spring is judged for
+    stability before the first tick. The last command to the device is zero, whatever ends the block
+    or the run.
 
     Attributes
     ----------
@@ -117,15 +93,17 @@ class Loop:
 
     def __init__(
         self,
-        tissue: Bone | Organ,
+        tissue: Bone | Organ | Scene | str,
         tool: Cutter | PressingTool | None = None,
         *,
-        device: Device,
+        device: Device | None = None,
         start_mm: ArrayLike | None = None,
-        axis: ArrayLike = (0.0, 0.0, 1.0),
-        reach_mm: float = 5.0,
+        axis: ArrayLike | None = None,
+        reach_mm: float | None = None,
         longest_s: float = 600.0,
         keep_clear: Structures | None = None,
+        step_ms: int = 1,
+        cores: int | None = None,
         **options: Unpack[LoopOptions],
     ) -> None:
         """Judge the loop and build it.
@@ -133,28 +111,37 @@ class Loop:
         Parameters
         ----------
         tissue
-            Bone or organ that the tool meets.
+            Bone or organ that the tool meets; or a scene or its name, which brings its own tool,
+            start and structures to keep clear of.
         tool
             Cutter for bone, default a ball burr of 4 mm with 6 flutes at 20,000 revolutions a
             minute; pressing tool for an organ, default a ball of 10 mm.
         device
             Object with ``read(time_s)``, which returns a `tissue.Sample` in metres or None, and
-            ``command(force_N, torque_Nm)``. A context manager is entered and exited.
+            ``command(force_N, torque_Nm)``. A context manager is entered and exited. None for a
+            tool that `step` moves.
         start_mm
-            Position of the tip when the device is at its own origin [mm]; default 2 mm above the
-            middle of the tissue.
+            Position of the tip at the start, where a device is at its own origin [mm]; default 2 mm
+            above the middle of the tissue.
         axis
-            Direction of the tool from tip to shank; the device's axes are the axes of the tissue.
+            Direction of the tool from tip to shank, default z; the device's axes are the axes of
+            the tissue.
         reach_mm
             Distance around the tool within which bone is prepared, or from the start within which
-            an organ may be touched [mm]. More bone is made when half of the distance is used up;
-            that tick takes longer.
+            an organ may be touched [mm]; default 5. More bone is made when half of the distance is
+            used up; that tick takes longer. For a scene it is the distance to the sides of its
+            path, default 2, and nothing more is made.
         longest_s, keep_clear
-            Time for which rows are allocated [s]; structures that a cutter must not touch, as for
-            `tissue.Bone.cut`.
+            Time for which rows of the trace are allocated [s]; structures that a cutter must not
+            touch, as for `tissue.Bone.cut`. Without a device the newest rows replace the oldest.
+        step_ms
+            Duration of a step without a device [ms], 1 to 1000. The tool moves in a straight line
+            through its ticks. Along a curved path this shortens its way, see the guide.
+        cores
+            Processor cores for a scene; default all. The result does not depend on it.
         limits
             Name of a known device, `tissue.DeviceParameters`, or a mapping of these numbers;
-            default touch.
+            default touch. This and the following options need a device.
         predictor, predictor_file
             Prediction of the force over the latency: a name, or an object with ``observe`` and
             ``predict``. A trained predictor also needs the file that `tissue train` wrote.
@@ -183,52 +170,108 @@ class Loop:
             If an argument cannot be used, or the coupling is unstable and that is not allowed.
         """
         require_known(options, LoopOptions, of="Loop")
+        if isinstance(tissue, str):
+            tissue = load_scene(tissue)
+        if not isinstance(tissue, Bone | Organ | Scene):
+            raise InputError(
+                "tissue",
+                "be a Bone, an Organ, a scene or its name",
+                type(tissue).__name__,
+                "make one of these",
+            )
+        longest = require_range("longest_s", longest_s, TICK_S, LONGEST_S, "use 600")
+        self._most = round(longest / TICK_S)
+        ticks = require_range("step_ms", step_ms, 1, MOST_TICKS, "use 1")
+        if ticks != round(ticks):
+            raise InputError("step_ms", "be a whole number of ticks of 1 ms", step_ms, "use 1")
+        usual_mm = SCENE_REACH_MM if isinstance(tissue, Scene) else REACH_MM
+        least_mm = 0.0 if isinstance(tissue, Scene) else 0.5
+        reach = usual_mm if reach_mm is None else reach_mm
+        reach_m = 1e-3 * require_range("reach_mm", reach, least_mm, 100.0, f"use {usual_mm:g}")
+        self._closing = ExitStack()
+        self._warned = 0
+        self._device: HandMotion | None = None
+        self._session: PosedSession | None = None
+        self._organ: LiverModel | None = None
+        self._keep_ready: Callable[[Array], None] | None = None
+        self.notes: dict[str, str] = {}
+        if isinstance(tissue, Scene):
+            given = {"tool": tool, "device": device, "start_mm": start_mm, "axis": axis}
+            leave_out(given | {"keep_clear": keep_clear} | options, "with a scene")
+            parts, prepared = posed_parts(tissue, reach_m=reach_m, cores=cores)
+            placed = ToolMotion()
+            parts.motion.begin(placed)
+            start = placed.tip_m, placed.rotation
+            self._session = PosedSession(
+                parts, start, ticks=round(ticks), rows=self._most, region=prepared
+            )
+            self._loop = self._session.loop
+            self.notes |= parts.notes
+        else:
+            along = require_direction(
+                "axis", np.asarray((0.0, 0.0, 1.0) if axis is None else axis, dtype=np.float64)
+            )
+            above = start_above(tissue, along) if start_mm is None else start_mm
+            start_m = 1e-3 * require_vector("start_mm", np.asarray(above, dtype=np.float64))
+            fitting = fitted(tissue, tool, keep_clear)
+            if device is None:
+                leave_out(options, "without a device")
+            elif ticks != 1:
+                raise InputError("step_ms", "be 1 with a device", step_ms, "leave it out")
+            else:
+                self._loop_settings = self._held(tissue, fitting, device, start_m, along, options)
+            # A refused coupling leaves the bone as it was: the tissue is prepared after it.
+            parts = self._prepared(tissue, fitting, start_m, along, reach_m, keep_clear)
+            self.notes = dict(tissue.notes) | self.notes
+            if self._device is None:
+                turn = frame_along((float(along[0]), float(along[1]), float(along[2])))
+                self._session = PosedSession(
+                    parts,
+                    (start_m, turn),
+                    ticks=round(ticks),
+                    rows=self._most,
+                    keep_ready=self._keep_ready,
+                    region=region(start_m, turn, reach_m) if self._organ else None,
+                )
+                self._loop = self._session.loop
+            else:
+                parts.motion = self._device
+                output = self._loop_settings.output
+                self._loop = engine.Loop(parts, ticks=self._most, output=output)
+                self._loop.place()
+        model = self._loop.parts.tissue
+        milling = model.milling if isinstance(model, ToothModel) else model
+        self._limits = milling.limits if isinstance(milling, BoneModel) else None
+        self._row = TickRow(self._loop.trace.columns)
+        self._row.values_of_tick = self._loop.trace.rows[0]
+
+    def _held(
+        self,
+        tissue: Bone | Organ,
+        tool: Cutter | PressingTool,
+        device: Device,
+        start_m: Array,
+        along: Array,
+        options: LoopOptions,
+    ) -> LoopSettings:
+        """Judge the coupling of a device, keep its motion, and return the settings."""
         if isinstance(device, type):
             name = device.__name__
             raise InputError("device", "be an object", f"the class {name}", f"give {name}()")
         require_device(device)
-        if not isinstance(tissue, Bone | Organ):
-            raise InputError(
-                "tissue", "be a Bone or an Organ", type(tissue).__name__, "make one of these"
-            )
-        along = require_direction("axis", np.asarray(axis, dtype=np.float64))
-        start = _start_above(tissue, along) if start_mm is None else start_mm
-        start_m = 1e-3 * require_vector("start_mm", np.asarray(start, dtype=np.float64))
-        reach_m = 1e-3 * require_range("reach_mm", reach_mm, 0.5, 100.0, "use 5")
-        longest = require_range("longest_s", longest_s, TICK_S, LONGEST_S, "use 600")
-        self._most = round(longest / TICK_S)
         constants = Materials.of(options.get("materials"))
         with names_of_caller(ARGUMENTS):
-            settings = _settings(device, options, constants, cuts=isinstance(tissue, Bone))
+            settings = settings_of(device, options, constants, cuts=isinstance(tissue, Bone))
         scale = options.get("force_scale")
         scale_note = ""
-        cutter: Cutter | None = None
-        probe: PressingTool | None = None
-        if isinstance(tissue, Bone):
-            # Sizes of a burr and of a fingertip's ball, for a first try without a tool.
-            burr = tool or ball_burr(diameter_mm=4, flutes=6, spin_rpm=20_000)
-            tissue.require_cutter(burr)
-            assert isinstance(burr, Cutter)
-            cutter = burr
-            if scale is None:
-                usual_N = slot_force_N(tissue.voxel_bone, cutter)
-                series = Series.of(settings.limits, settings.constants)
-                scale = scale_for(Met(usual_N), settings.limits, series)
-                scale_note = (
-                    f", chosen for the {usual_N:.3g} N of a slot a quarter of the cutter deep at "
-                    "2 mm/s"
-                )
-        else:
-            if keep_clear:
-                raise InputError(
-                    "keep_clear", "be left out for an organ", "structures", "use it in bone"
-                )
-            pressing = tool or ball(diameter_mm=10)
-            if not isinstance(pressing, PressingTool):
-                raise InputError(
-                    "tool", "press an organ", type(tool).__name__, "make one by tissue.ball"
-                )
-            probe = pressing
+        if isinstance(tissue, Bone) and scale is None:
+            assert isinstance(tool, Cutter)
+            usual_N = slot_force_N(tissue.voxel_bone, tool)
+            series = Series.of(settings.limits, settings.constants)
+            scale = scale_for(Met(usual_N), settings.limits, series)
+            scale_note = (
+                f", chosen for the {usual_N:.3g} N of a slot a quarter of the cutter deep at 2 mm/s"
+            )
         x, y, z = along.tolist()
         script = Script(
             motion=StaysAt(start_m, (x, y, z)),
@@ -236,7 +279,7 @@ class Loop:
             device_origin_m=start_m,
         )
         with names_of_caller(ARGUMENTS):
-            self._motion, found = device_motion(
+            self._device, found = device_motion(
                 settings,
                 script,
                 lambda held, stiffness: device,
@@ -248,41 +291,48 @@ class Loop:
                 rng=np.random.default_rng(0),
                 allow_unstable=options.get("allow_unstable", False),
             )
-        # A refused coupling leaves the bone as it was: the tissue is prepared after the judgement.
-        clear = None
-        model: TissueModel
-        self._organ: LiverModel | None = None
-        if isinstance(tissue, Bone):
-            assert cutter is not None
-            model, self._keep_ready = tissue.voxel_bone.around(
-                cutter, start_m, along, reach_m=reach_m
-            )
-            clear = clearance_of(keep_clear, cutter)
-        else:
-            assert probe is not None
-            self._organ = organ_around(tissue.soft, probe, start_m, along, reach_m=reach_m)
-            # The caller's own clock may not wait for a solve of a law; see `run`.
-            self._organ.waits = False
-            model = self._organ
-            self._keep_ready = lambda tip_m: None
-        self.notes = dict(tissue.notes) | _constants_note(constants, tissue, options)
+        self.notes = constants_note(constants, tissue, options)
         self.notes["coupling"] = "; ".join(found)
-        self._closing = ExitStack()
-        self._warned = 0
-        parts = Parts(self._motion, model, cutter=cutter, keep_clear=clear)
-        self._loop = engine.Loop(parts, ticks=self._most, output=settings.output)
-        self._limits = model.limits if isinstance(model, BoneModel) else None
-        self._loop.place()
-        self._row = TickRow(self._loop.trace.columns)
+        return settings
+
+    def _prepared(
+        self,
+        tissue: Bone | Organ,
+        tool: Cutter | PressingTool,
+        start_m: Array,
+        along: Array,
+        reach_m: float,
+        keep_clear: Structures | None,
+    ) -> Parts:
+        """Return the tissue under the tool; its motion is set by the caller."""
+        x, y, z = along.tolist()
+        motion = StaysAt(start_m, (x, y, z))
+        if isinstance(tissue, Bone):
+            assert isinstance(tool, Cutter)
+            model, self._keep_ready = tissue.voxel_bone.around(
+                tool, start_m, along, reach_m=reach_m
+            )
+            return Parts(motion, model, cutter=tool, keep_clear=clearance_of(keep_clear, tool))
+        assert isinstance(tool, PressingTool)
+        self._organ = organ_around(tissue.soft, tool, start_m, along, reach_m=reach_m)
+        # The caller's own clock may not wait for a solve of a law; see `run`.
+        self._organ.waits = self._device is None
+        return Parts(motion, self._organ)
 
     @property
     def ticks(self) -> int:
         """Number of ticks that have run."""
         return self._loop.ticks
 
+    @property
+    def row(self) -> TickRow:
+        """Row of the trace of the last tick by column; the next tick overwrites it."""
+        return self._row
+
     def __enter__(self) -> Self:
-        self._motion.held.in_process = True
-        self._closing.enter_context(self._motion.held)
+        if self._device is not None:
+            self._device.held.in_process = True
+            self._closing.enter_context(self._device.held)
         return self
 
     def __exit__(
@@ -293,16 +343,49 @@ class Loop:
     ) -> None:
         self._closing.__exit__(kind, error, trace)
 
-    def step(self) -> TickRow:
-        """Run a tick; return its row of the trace by column, the same object in every tick.
+    @overload
+    def step(self) -> TickRow: ...
+    @overload
+    def step(self, pose: ArrayLike, velocity: ArrayLike | None = None) -> Array: ...
+    def step(
+        self, pose: ArrayLike | None = None, velocity: ArrayLike | None = None
+    ) -> TickRow | Array:
+        """Run a step with a pose, or a tick with a device.
+
+        Parameters
+        ----------
+        pose
+            Pose of the tool at the end of the step, in the frame of the tissue: tip [mm], shape
+            (3,), which keeps the orientation; tip and quaternion (x, y, z, w), shape (7,); or a
+            matrix, shape (4, 4), with z from tip to shank. With a device it is left out.
+        velocity
+            Velocity of the tip [mm/s], shape (3,), or with the angular velocity [rad/s], shape
+            (6,). Default the change of the pose over the step. The cutting force depends on it, and
+            is zero for a tool at rest.
+
+        Returns
+        -------
+        TickRow or array
+            With a pose, the wrench at the end of the step, shape (6,): force on the tool [N] and
+            torque about its tip [N m], in the frame of the tissue. With a device, the row of the
+            trace, the same object in every tick.
 
         Raises
         ------
         InputError
-            If the device is not held, or all rows are full. If the device fails, the error is a
-            `DeviceError`.
+            If the pose cannot be used, the device is not held, or all rows are full. If the device
+            fails, the error is a `DeviceError`.
         """
-        if not self._motion.held.entered:
+        if self._session is not None:
+            if pose is None:
+                raise InputError("pose", "be given without a device", "none", "give a pose")
+            wrench = self._session.step(pose, velocity)
+            self._show()
+            return wrench
+        assert self._device is not None
+        if pose is not None or velocity is not None:
+            raise InputError("pose", "be left out with a device", "a pose", "remove it")
+        if not self._device.held.entered:
             raise InputError(
                 "loop", "hold its device to step", "one that is not", "use it in `with loop:`"
             )
@@ -313,13 +396,64 @@ class Loop:
                 f"{TICK_S * self._most:g} s that have run",
                 "make the loop with more",
             )
-        self._keep_ready(self._motion.tool.tip_m)
+        if self._keep_ready is not None:
+            self._keep_ready(self._device.tool.tip_m)
         self._loop.wait()
-        self._row.values_of_tick = self._loop.trace.rows[self._loop.step()]
+        self._loop.step()
+        self._show()
+        return self._row
+
+    def _show(self) -> None:
+        """Show the last row of the trace, and warn of limits that were passed."""
+        self._row.values_of_tick = self._loop.trace.rows[(self.ticks - 1) % self._most]
         if self._limits is not None and len(self._limits.passed) > self._warned:
             warn_of(list(self._limits.passed.values())[self._warned :])
             self._warned = len(self._limits.passed)
-        return self._row
+
+    def reset(self, pose: ArrayLike | None = None) -> None:
+        """Restore the tissue as it was when the loop was made, and set the time to 0.
+
+        Parameters
+        ----------
+        pose
+            Pose of the tool, as for `step`; default the start.
+
+        Raises
+        ------
+        InputError
+            If a device moves the tool, or the pose lies inside a soft tissue.
+        """
+        self._posed("reset").reset(pose)
+        self._row.values_of_tick = self._loop.trace.rows[0]
+
+    def snapshot(self) -> Snapshot:
+        """Return a copy of the state, which can be pickled and restored in an equal loop.
+
+        Raises
+        ------
+        InputError
+            If a device moves the tool, or the tissue has a hyperelastic law.
+        """
+        return self._posed("snapshot").snapshot()
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Return to a snapshot of this loop, or of one that was made from equal arguments.
+
+        Rows of the trace before the snapshot are those of this loop.
+
+        Raises
+        ------
+        InputError
+            If the snapshot is of another tissue, or needs bone that is not made here.
+        """
+        self._posed("restore").restore(snapshot)
+        self._row.values_of_tick = self._loop.trace.rows[max(self.ticks - 1, 0) % self._most]
+
+    def _posed(self, method: str) -> PosedSession:
+        """Return the session of a loop without a device."""
+        if self._session is None:
+            raise InputError(method, "be used without a device", "one", "leave device out")
+        return self._session
 
     def run(
         self,
@@ -342,13 +476,14 @@ class Loop:
         on_tick
             Called after every tick with its number and its row; the run ends if it returns False.
         """
+        device = self._device
+        if device is None:
+            raise InputError("run", "have a device", "none", "move the tool by step(pose)")
         count = round(require_range("seconds", seconds, TICK_S, LONGEST_S, "use 10") / TICK_S)
         clock = WallClock(TICK_S) if real_time else None
         if self._organ is not None:
             self._organ.waits = not real_time
-        self._motion.held.in_process = not real_time or bool(
-            getattr(self._motion.device, "in_process", False)
-        )
+        device.held.in_process = not real_time or bool(getattr(device.device, "in_process", False))
 
         def go_through() -> None:
             """Run the ticks."""
@@ -360,22 +495,27 @@ class Loop:
                     return
 
         with engine.undisturbed():
-            if self._motion.held.entered:
+            if device.held.entered:
                 go_through()
             else:
-                run_held(go_through, self._motion.held)
+                run_held(go_through, device.held)
         return self
 
     @property
     def trace(self) -> Trace:
         """Trace of the ticks so far, one row each: ``loop.trace["device_force_z_N"]``."""
         whole = self._loop.trace
-        return Trace(Table(whole.columns, whole.rows[: self.ticks], whole.layer_names))
+        rows = whole.rows[: self.ticks]
+        if self.ticks > self._most:
+            rows = np.roll(rows, -(self.ticks % self._most), axis=0)
+        return Trace(Table(whole.columns, rows, whole.layer_names))
 
     @property
     def events(self) -> list[tuple[float, str]]:
         """Events: time [s] and a sentence each."""
-        return sorted(self._loop.events + self._motion.happened(), key=lambda event: event[0])
+        return sorted(
+            self._loop.events + self._loop.parts.motion.happened(), key=lambda event: event[0]
+        )
 
     @property
     def tick_us(self) -> Any:
@@ -395,110 +535,6 @@ class Loop:
 
     def __repr__(self) -> str:
         return (
-            f"Loop({type(self._motion.device).__name__}, {self.ticks} ticks; "
-            f"{self.notes['coupling']})"
+            f"Loop({type(self._loop.parts.tissue).__name__}, {self.ticks} ticks; "
+            f"{self.notes.get('coupling', 'moved by step')})"
         )
-
-
-def _start_above(tissue: Bone | Organ, axis: Array) -> Array:
-    """Return a tip above the middle of a bone or an organ, along the tool's axis [mm]."""
-    surface = tissue.surface()
-    low, high = np.array(surface.bounds).reshape(3, 2).T
-    middle = 0.5 * (low + high)
-    size = float(np.linalg.norm(high - low))
-    found, _ = surface.ray_trace(middle + size * axis, middle - size * axis, first_point=True)
-    if np.size(found) == 0:
-        raise InputError(
-            "start_mm",
-            f"be given where nothing lies under the middle {by(middle, '.4g')} mm",
-            "none",
-            "give a place above the surface",
-        )
-    return np.asarray(found, dtype=np.float64).reshape(-1, 3)[0] + CLEARANCE_MM * axis
-
-
-def _settings(
-    device: Device, options: LoopOptions, constants: Materials, *, cuts: bool
-) -> LoopSettings:
-    """Return the settings between a device and a tool, from a caller's options."""
-    given = options.get("limits", "touch")
-    limits = sampled(_limits(given, constants))
-    require_stated_rate(device, limits, remedy="give this rate_Hz by limits")
-    predictor = options.get("predictor")
-    file = options.get("predictor_file")
-    name = predictor if isinstance(predictor, str) else None
-    own_predictor = None
-    if isinstance(predictor, type):
-        kind = predictor.__name__
-        raise InputError("predictor", "be an object", f"the class {kind}", f"give {kind}()")
-    if file is not None and name is None:
-        raise InputError(
-            "predictor_file", "come with a predictor's name", repr(predictor), "name one"
-        )
-    if predictor is not None and name is None:
-        guarded = GuardedMaker(type(predictor).__name__, lambda: deepcopy(predictor))
-        own_predictor = partial(guarded, None, limits.force_limit_N)
-    coupling = {key: options.get(key) for key in ("stiffness_N_m", "motion_scale", "delay_ms")}
-    is_trained = name is not None and name in PREDICTORS and PREDICTORS[name].trained
-    if is_trained:
-        if file is None:
-            raise InputError(
-                "predictor_file",
-                f"be given for the predictor {name}",
-                "nothing",
-                "give the file that `tissue train SCENE --out FILE` wrote",
-            )
-        coupling["predictor_file"] = str(file)
-    held = {
-        # Numbers without a name: the name is not used.
-        "kind": given if isinstance(given, str) else "touch",
-        "hand": options.get("hand"),
-        "renderer": options.get("renderer"),
-        "prediction": name,
-        "coupling": stated(Coupling, coupling),
-    }
-    return LoopSettings(
-        stated(StatedDevice, held),
-        stated(Output, {"low_pass_ms": options.get("low_pass_ms")}),
-        type(device).__name__,
-        limits,
-        constants,
-        "cuts" if cuts else "presses",
-        own_predictor=own_predictor,
-    )
-
-
-def _limits(
-    given: str | DeviceParameters | Mapping[str, float], constants: Materials
-) -> DeviceParameters:
-    """Return the parameters of a device from its name, themselves or a mapping."""
-    if isinstance(given, str):
-        return device_parameters(given, constants)
-    if isinstance(given, Mapping):
-        known = [each.name for each in fields(DeviceParameters)]
-        if unknown := [name for name in given if name not in known]:
-            raise InputError(unknown_name("limits", known, str(unknown[0])))
-        try:
-            return DeviceParameters(**given)
-        except TypeError:
-            raise InputError(
-                "limits", "give mass_kg and damping_N_s_m", "neither or one", "add both"
-            ) from None
-    if isinstance(given, DeviceParameters):
-        return given
-    raise InputError(
-        "limits",
-        "be a device's name, tissue.DeviceParameters or a mapping of its numbers",
-        type(given).__name__,
-        "give one of these",
-    )
-
-
-def _constants_note(given: Materials, tissue: Bone | Organ, options: LoopOptions) -> dict[str, str]:
-    """Return a note on the constants of a named device and of the hand that come from a file."""
-    limits = options.get("limits", "touch")
-    layers = tissue.layer_names if isinstance(tissue, Bone) else ()
-    kind = limits if isinstance(limits, str) else None
-    used = used_of_device(given, kind, options.get("hand", "expert"))
-    found = given_note(given, used, layers=layers, by="loop")
-    return {f"{name} of device and hand": note for name, note in found.items()}

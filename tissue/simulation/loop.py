@@ -2,25 +2,23 @@
 
 import gc
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from math import exp
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 
-from kernels.cores import core_count
-from kernels.launcher import launch_counts
 from meshes.base.arrays import Array
+from meshes.base.errors import InputError
 from tissue.haptics.loop.vibration import Vibration
+from tissue.models.state import State, copied, put_back
 from tissue.models.tissue_model import (
     TICK_S,
     Finishes,
     HasNotices,
+    HasState,
     Response,
-    SchedulesBackground,
     StartsBackground,
     TissueModel,
     ToolMotion,
@@ -33,20 +31,13 @@ from tissue.simulation.builders.parts import Parts
 from tissue.simulation.trace import LEAST_LOAD, TIMING_COLUMNS, Table, TraceLayout, load_columns
 from tissue.system.blas_threads import one_blas_thread
 
-__all__ = ["Loop", "MachineGaps", "PoseLog", "Stepper", "spin", "undisturbed"]
+__all__ = ["Loop", "PoseLog", "Stepper", "undisturbed"]
 
 
 SWITCH_S = 5e-5
 """Longest time for which a background thread may keep the interpreter from the ticks [s].
 
 It is a twentieth of a tick; Python's default of 5 ms is five ticks.
-"""
-SPUN_S = 0.3
-SPUN_SHARE = 0.1
-"""Time for which the clock is polled before and after the ticks [s], and its largest share.
-
-The share is relative to the simulated time. Both are chosen, so that a short run does not take much
-longer by it.
 """
 
 
@@ -141,15 +132,15 @@ class Stepper:
         if self._waits is not None:
             self._waits.wait_for_background(index * TICK_S)
 
-    def step(self, index: int) -> None:
-        """Move the tool and evaluate the tissue.
+    def step(self, index: int, *, step_s: float = TICK_S) -> None:
+        """Move the tool and evaluate the tissue after a time [s].
 
         Between the ticks of a slow model only the motion advances.
         """
         motion = self._motion
         tissue = self._tissue
         tool = self.tool
-        motion.advance(index * TICK_S, TICK_S, self.response, tool)
+        motion.advance(index * TICK_S, step_s, self.response, tool)
         self.moved_s = self.searched_s = self.removed_s = perf_counter()
         if index % motion.model_ticks != 0:
             return
@@ -169,6 +160,27 @@ class Stepper:
                 self._cut(index)
                 response = tissue.respond(tool)
         self.response = response
+
+    def state(self) -> State:
+        """Copy the state of tool, response and tissue; the motion keeps its own.
+
+        Raises
+        ------
+        InputError
+            If the tissue cannot copy its state.
+        """
+        tissue = self._tissue
+        if not isinstance(tissue, HasState):
+            raise InputError(
+                "tissue", "copy its state", f"{type(tissue).__name__} without it", "add state()"
+            )
+        return {"own": copied(self, ("tool", "response")), "tissue": tissue.state()}
+
+    def restore(self, state: State) -> None:
+        """Return to a copied state."""
+        assert isinstance(self._tissue, HasState)
+        self._tissue.restore(state["tissue"])
+        put_back(self, state["own"])
 
     def start_background(self, index: int) -> None:
         """Start the background work that follows a tick."""
@@ -228,7 +240,7 @@ class Loop:
     events
         Events that the tissue has reported: time [s] and a sentence each.
     ticks
-        Number of ticks that have run.
+        Number of ticks that have run. A tick beyond the allocated rows replaces the oldest one.
     """
 
     def __init__(
@@ -312,12 +324,13 @@ class Loop:
         if self._vibration is not None:
             factor += self._vibration.factor(index)
         np.multiply(self._filtered, factor, out=self._commanded)
-        self._record(self.trace.rows[index], index, response)
+        row = index % len(self.trace.rows)
+        self._record(self.trace.rows[row], index, response)
         recorded = perf_counter()
         stepper.start_background(index)
         end = perf_counter()
         # Stages overlap with the search of a balance, which counts as force.
-        self.timing.rows[index, : len(TIMING_COLUMNS)] = (
+        self.timing.rows[row, : len(TIMING_COLUMNS)] = (
             (end - start) * 1e6,
             (stepper.moved_s - start) * 1e6,
             (stepper.removed_s - stepper.searched_s) * 1e6,
@@ -327,7 +340,36 @@ class Loop:
         )
         self._take_notices(index * TICK_S)
         self.ticks = index + 1
-        return index
+        return row
+
+    @property
+    def tool(self) -> ToolMotion:
+        """Present pose of the tool."""
+        return self._stepper.tool
+
+    @property
+    def response(self) -> Response:
+        """Response of the tissue in the last tick."""
+        return self._stepper.response
+
+    def state(self) -> State:
+        """Copy the state that later ticks depend on; the tables are not part of it."""
+        clear = self.parts.keep_clear
+        return {
+            "own": copied(self, ("ticks", "events", "_filtered", "_commanded")),
+            "stepper": self._stepper.state(),
+            "keep_clear": None if clear is None else clear.state(),
+        }
+
+    def restore(self, state: State) -> None:
+        """Return to a copied state."""
+        put_back(self, state["own"])
+        self._stepper.restore(state["stepper"])
+        if self.parts.keep_clear is not None:
+            self.parts.keep_clear.restore(state["keep_clear"])
+        if self.ticks > 0:
+            last = self.ticks - 1
+            self._record(self.trace.rows[last % len(self.trace.rows)], last, self.response)
 
     def _record(self, row: Array, index: int, response: Response) -> None:
         """Write one row of the trace, in the units of its columns."""
@@ -375,124 +417,3 @@ class Loop:
         for notices in self._notices:
             while notices:
                 self.events.append((time_s, notices.pop(0)))
-
-
-LEAST_GAP_S = 2e-4
-"""Shortest interval between two clock readings that counts as a gap [s]; a reading takes 0.1 us."""
-
-
-@dataclass(frozen=True)
-class MachineGaps:
-    """Scheduling gaps measured by a spinning clock.
-
-    Attributes
-    ----------
-    spun_s
-        Measurement time [s].
-    gaps_s
-        Gaps of at least `LEAST_GAP_S` [s].
-    """
-
-    spun_s: float = 0.0
-    gaps_s: tuple[float, ...] = ()
-
-    def __add__(self, other: "MachineGaps") -> "MachineGaps":
-        return MachineGaps(self.spun_s + other.spun_s, self.gaps_s + other.gaps_s)
-
-    def expected(self, seconds: float) -> float:
-        """Return the expected number of gaps in a given time [s]."""
-        return len(self.gaps_s) / self.spun_s * seconds if self.spun_s > 0.0 else 0.0
-
-    @property
-    def lost_share(self) -> float:
-        """Share of the measurement time lost in gaps."""
-        return sum(self.gaps_s) / self.spun_s if self.spun_s > 0.0 else 0.0
-
-    @property
-    def longest_s(self) -> float:
-        """Longest gap [s]; 0 without gaps."""
-        return max(self.gaps_s, default=0.0)
-
-
-def spin(seconds: float, *, now: Callable[[], float] = perf_counter) -> MachineGaps:
-    """Read the clock repeatedly for some seconds and return the gaps.
-
-    Parameters
-    ----------
-    seconds
-        Measurement time [s].
-    now
-        Clock [s].
-    """
-    gaps = []
-    start = last = now()
-    while last - start < seconds:
-        this = now()
-        if this - last >= LEAST_GAP_S:
-            gaps.append(this - last)
-        last = this
-    return MachineGaps(last - start, tuple(gaps))
-
-
-def spin_time_s(simulated_s: float) -> float:
-    """Return the time to poll the clock before and after the ticks of a run [s]."""
-    return min(SPUN_S, SPUN_SHARE * simulated_s)
-
-
-class Scheduling:
-    """Scheduling choices of one run, made just before its ticks begin.
-
-    Parameters
-    ----------
-    tissue
-        Tissue that is simulated.
-    cores
-        Processor cores available to the run; None for all.
-    spin_s
-        Time to poll the clock now, and again after the ticks have ended [s]; 0 to skip this.
-    """
-
-    def __init__(self, tissue: TissueModel, *, cores: int | None, spin_s: float) -> None:
-        self._cores = cores or core_count()
-        self._spin_s = spin_s
-        self._background = tissue.scheduling if isinstance(tissue, SchedulesBackground) else ""
-        self.gaps = spin(spin_s) if spin_s > 0.0 else MachineGaps()
-        self._before = self._after = launch_counts()
-
-    def end(self) -> None:
-        """Record the launch counts at the end of the ticks."""
-        self._after = launch_counts()
-
-    def look_again(self) -> None:
-        """Poll the clock again, after background work has ended."""
-        if self._spin_s > 0.0:
-            self.gaps += spin(self._spin_s)
-
-    def summary(self, *, ticks_s: float) -> dict[str, Any]:
-        """Return entries of the run's summary.
-
-        Parameters
-        ----------
-        ticks_s
-            Time in which a gap of the machine can delay a tick [s].
-        """
-        before = self._before
-        after = self._after
-        chosen = {
-            "cores": self._cores,
-            "large_launches": after.large - before.large,
-            "split_launches": after.split - before.split,
-        }
-        found: dict[str, Any] = {
-            "scheduling": chosen | ({"background": self._background} if self._background else {})
-        }
-        if self.gaps.spun_s > 0.0:
-            found["machine_gaps"] = {
-                "least_us": 1e6 * LEAST_GAP_S,
-                "spun_s": self.gaps.spun_s,
-                "count": len(self.gaps.gaps_s),
-                "longest_us": 1e6 * self.gaps.longest_s,
-                "lost_share": self.gaps.lost_share,
-                "expected_in_ticks": self.gaps.expected(ticks_s),
-            }
-        return found

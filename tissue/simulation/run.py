@@ -22,7 +22,6 @@ from tissue.scene.tool import Tool
 from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.builders.parts import Parts
 from tissue.simulation.findings import BreakThrough
-from tissue.simulation.loop import Scheduling
 from tissue.simulation.run_folder import (
     FORMAT,
     RunFolder,
@@ -32,6 +31,7 @@ from tissue.simulation.run_folder import (
     copy_run,
     picture_format,
 )
+from tissue.simulation.scheduling import Scheduling
 from tissue.simulation.trace import Table, check_format, read_table
 
 if TYPE_CHECKING:

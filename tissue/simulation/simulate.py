@@ -23,9 +23,10 @@ from tissue.scene.scene import Scene
 from tissue.simulation.builders.arguments import note_own_constants
 from tissue.simulation.builders.parts import Parts, TissueBuilder, motion_of, require_stated_rate
 from tissue.simulation.findings import break_throughs, shortfalls
-from tissue.simulation.loop import Loop, Scheduling, spin_time_s, undisturbed
+from tissue.simulation.loop import Loop, undisturbed
 from tissue.simulation.run import Run
 from tissue.simulation.run_folder import RunFolder
+from tissue.simulation.scheduling import Scheduling, spin_time_s
 from tissue.simulation.trace import Table
 
 __all__ = ["TICK_S", "RunObserver", "RunSettings", "build", "builder_of", "simulate", "tick_count"]

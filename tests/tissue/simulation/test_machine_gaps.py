@@ -4,7 +4,7 @@ from itertools import accumulate, chain, repeat
 
 import pytest
 
-from tissue.simulation.loop import LEAST_GAP_S, spin
+from tissue.simulation.scheduling import LEAST_GAP_S, spin
 
 LOOK_S = 1e-5
 

@@ -12,8 +12,8 @@ import pytest
 from coarse_run import COARSE
 
 from tissue import InputError, load_scene
-from tissue.simulation.loop import spin_time_s
 from tissue.simulation.run_folder import RunFolder, SavedRun
+from tissue.simulation.scheduling import spin_time_s
 
 MAIN = [sys.executable, "-c", "from tissue.cli.main import main; main()"]
 """Most of a killed run's wall time that may be missing from its trace."""

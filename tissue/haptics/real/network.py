@@ -4,6 +4,7 @@ The packets are defined in `tissue.haptics.real.network_session`.
 """
 
 import asyncio
+import select
 import socket
 import threading
 from collections import deque
@@ -57,6 +58,8 @@ HANDSHAKE_S = 2.0
 
 A program that only connects would otherwise hold a connection for as long as it likes.
 """
+WAIT_S = 2e-4
+"""Interval between two checks for a message of a WebSocket [s]: a fifth of a tick."""
 MOST_WAITING = 2
 """Largest number of packets that wait for the thread; a further wrench replaces the oldest.
 
@@ -114,6 +117,10 @@ class UdpTransport:
                 raise
             if (reply := self._session.receive(data, sender)) is not None:
                 self.send(sender, reply)
+
+    def wait(self, seconds: float) -> None:
+        """Wait for a packet, for at most some seconds."""
+        select.select([self._socket], [], [], seconds)
 
     def send(self, peer: Hashable, data: bytes) -> None:
         """Send a packet, and drop it if the system does not accept it at once.
@@ -184,6 +191,10 @@ class WebTransport:
 
     def read(self) -> None:
         """Do nothing: the thread passes packets to the session."""
+
+    def wait(self, seconds: float) -> None:
+        """Wait for a part of the time: the thread passes packets on as they come."""
+        sleep(min(seconds, WAIT_S))
 
     def send(self, peer: Hashable, data: bytes) -> None:
         """Queue a packet for the thread, in place of an older one that waits."""
@@ -409,6 +420,17 @@ class NetworkAdapter(HardwareAdapter):
             return None
         transport.read()
         return self.session.take()
+
+    def wait(self, seconds: float) -> None:
+        """Wait for a packet, for at most some seconds."""
+        if self._transport is not None:
+            self._transport.wait(seconds)
+
+    def refuse(self, sentence: str) -> None:
+        """Refuse the device with a sentence, and free its place for the next one."""
+        sending = self.session.refused(sentence)
+        if self._transport is not None and sending is not None:
+            self._transport.send(*sending)
 
     def push(self, force_N: Array, torque_Nm: Array) -> None:
         """Send a force and a torque; the device plays them until the next packet, or for 50 ms."""

@@ -158,6 +158,8 @@ KEPT = 1024
 
 It is a power of two, so that the places stay consecutive when the sequence numbers restart.
 """
+MOST_WORDS = 400
+"""Largest length of the sentence of a refusal [bytes]."""
 BUSY = (
     "one device must be used at a time, got a second: end the first, or wait half a second after "
     "it has stopped"
@@ -236,6 +238,17 @@ class NetworkSession:
                 return None
             peer = self.peer
             data = self._packet(Kind.BYE)
+            self._forget()
+            return peer, data
+
+    def refused(self, sentence: str) -> tuple[Hashable, bytes] | None:
+        """Return the receiver and a refusal, and free the device; None without a device."""
+        with self._lock:
+            if self.peer is None:
+                return None
+            peer = self.peer
+            payload = sentence.encode()[:MOST_WORDS]
+            data = packed(Kind.REFUSED, 0, echo=self._seen, time_s=0.0, payload=payload)
             self._forget()
             return peer, data
 

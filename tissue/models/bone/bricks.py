@@ -8,13 +8,14 @@ import warp as wp
 from numpy.typing import NDArray
 
 from kernels.bone_lookup import BEYOND, SURFACE_STEPS
-from kernels.bricks import BRICK, BRICK_VOXELS, FULL, sample
+from kernels.bricks import BRICK, BRICK_VOXELS, FULL, LOST, REACHED, sample
 from kernels.mirror import put
 from meshes.base.arrays import Array, Bytes, Flags, Ints, Singles
+from meshes.base.errors import InputError
 from meshes.voxels.distances import OUTSIDE, near_the_surface
 from meshes.voxels.volume import VoxelVolume
 
-__all__ = ["BYTES_PER_VOXEL", "BrickGrid", "BrickStore", "voxels_of"]
+__all__ = ["BYTES_PER_VOXEL", "BrickGrid", "BrickState", "BrickStore", "voxels_of"]
 
 
 BYTES_PER_VOXEL = 14
@@ -26,6 +27,8 @@ NEVER_SWEPT = 65535
 """Stored distance of a voxel that the tool has never reached."""
 STEPS = FULL // 255
 """Stored steps per step of the volume's 8-bit fraction."""
+CHANGED = ("remaining", "swept", "middle", "older", "alive")
+"""Arrays of the brick store that carving changes and depends on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +51,25 @@ class BrickGrid:
     spacing_m: float
     counts: tuple[int, ...]
     layer_names: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class BrickState:
+    """Copy of the bricks that tools have reached since `BrickStore.keep_base`.
+
+    Attributes
+    ----------
+    places
+        Grid position of each of these bricks, shape (n, 3).
+    rows
+        Their rows of the arrays that carving changes, by name.
+    flags
+        Their flags, see `BrickStore.touched`.
+    """
+
+    places: Ints
+    rows: dict[str, NDArray[Any]]
+    flags: Bytes
 
 
 class BrickStore:
@@ -92,7 +114,8 @@ class BrickStore:
         One bit for each block of 2 x 2 x 2 voxels that may hold bone or lies within two voxels of
         it, uint64, shape (capacity,).
     touched
-        1 for each brick that lost material since `take_touched`, uint8, shape (capacity,).
+        Flags of each brick, uint8, shape (capacity,): `kernels.bricks.LOST` if it lost material
+        since `take_touched`, and `kernels.bricks.REACHED` if a tool came near since `keep_base`.
     places
         Grid position of each stored brick, shape (bricks, 3).
     """
@@ -111,6 +134,7 @@ class BrickStore:
         self.material: Any = wp.empty((0, BRICK_VOXELS), wp.uint32, device)
         self.alive: Any = wp.empty(0, wp.uint64, device)
         self.touched: Any = wp.empty(0, wp.uint8, device)
+        self._base: dict[str, NDArray[Any]] | None = None
 
     @classmethod
     def from_volume(cls, volume: VoxelVolume, *, device: str) -> "BrickStore":
@@ -180,6 +204,10 @@ class BrickStore:
             "touched": np.zeros(len(alive), np.uint8),
         }
         grown = self._append(rows)
+        if self._base is not None:
+            self._base = {
+                name: np.concatenate([old, rows[name]]) for name, old in self._base.items()
+            }
         self.places = np.concatenate([self.places, places + np.array(at)])
         brick_of = self.brick_of.numpy()
         brick_of[tuple(self.places[first:].T)] = np.arange(first, len(self.places), dtype=np.int32)
@@ -217,13 +245,73 @@ class BrickStore:
 
         The cost is proportional to the number of these bricks, so that a tick can afford it.
         """
-        rows = np.flatnonzero(self.touched.numpy()[: len(self.places)])
-        # On a CPU `numpy` returns a view, from a GPU a copy.
-        if self.touched.device.is_cpu:
-            self.touched.numpy()[rows] = 0
-        else:
-            self.touched.zero_()
+        flags = self.touched.numpy()
+        rows = np.flatnonzero(flags[: len(self.places)] & LOST)
+        flags[rows] &= REACHED
+        self._send("touched", flags)
         return rows, self.remaining.numpy()[rows]
+
+    def _send(self, name: str, host: NDArray[Any]) -> None:
+        """Send an array that was changed on the host; on a CPU both share their memory."""
+        array = getattr(self, name)
+        if not array.device.is_cpu:
+            array.assign(host)
+
+    def forget_base(self) -> None:
+        """Let the next `state` begin from the bricks of that time."""
+        self._base = None
+
+    def keep_base(self) -> None:
+        """Take the present bricks as the base that states are differences from."""
+        count = len(self.places)
+        self._base = {name: getattr(self, name).numpy()[:count].copy() for name in CHANGED}
+        self._send("touched", self._without_reached())
+
+    def _without_reached(self) -> Bytes:
+        """Return the flags after `kernels.bricks.REACHED` was removed from all of them."""
+        flags: Bytes = self.touched.numpy()
+        flags &= LOST
+        return flags
+
+    def state(self) -> BrickState:
+        """Copy the bricks that tools have reached since the base was kept.
+
+        The first call keeps the base. The cost is proportional to the number of these bricks.
+        """
+        if self._base is None:
+            self.keep_base()
+        flags = self.touched.numpy()[: len(self.places)]
+        rows = np.flatnonzero(flags & REACHED)
+        changed = {name: getattr(self, name).numpy()[rows] for name in CHANGED}
+        return BrickState(self.places[rows], changed, flags[rows])
+
+    def restore(self, state: BrickState) -> None:
+        """Return to a copied state.
+
+        Raises
+        ------
+        InputError
+            If the state has bricks that are not made here.
+        """
+        assert self._base is not None, "a state was copied before"
+        rows = self.brick_of.numpy()[tuple(state.places.T)]
+        if (rows < 0).any():
+            raise InputError(
+                "snapshot",
+                "lie within the bone that is made here",
+                f"one that needs {int((rows < 0).sum())} more bricks of voxels",
+                "use a larger reach_mm in both loops",
+            )
+        flags = self.touched.numpy()
+        before = np.flatnonzero(flags[: len(self.places)] & REACHED)
+        for name, changed in state.rows.items():
+            host = getattr(self, name).numpy()
+            host[before] = self._base[name][before]
+            host[rows] = changed
+            self._send(name, host)
+        flags[before] &= LOST
+        flags[rows] |= state.flags
+        self._send("touched", flags)
 
     def sample(self, points_m: Array) -> Singles:
         """Return the filled fraction at points [m], shape (n, 3), trilinear between voxel centres.

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from kernels.bricks import BRICK
+from kernels.bricks import BRICK, LOST
 from meshes.base.arrays import Array, Bytes, Flags, Ints
 from meshes.base.errors import InputError
 from meshes.shapes.anatomy import Anatomy
@@ -131,7 +131,8 @@ class BricksOnDemand:
         The parts are boxes that share one layer of voxels, so that a surface between voxel centres
         continues from one part to the next.
         """
-        at = self.store.places[np.flatnonzero(self.store.touched.numpy()[: len(self.store.places)])]
+        lost = self.store.touched.numpy()[: len(self.store.places)] & LOST
+        at = self.store.places[np.flatnonzero(lost)]
         wanted = np.zeros_like(self._made)
         # The surface may continue into the patch of a neighbouring brick.
         for shift in np.ndindex(3, 3, 3):

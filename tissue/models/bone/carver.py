@@ -34,7 +34,7 @@ from meshes.base.arrays import Array, Bytes, Ints
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter, DistanceTable
 from tissue.cutters.profile import Profile
-from tissue.models.bone.bricks import BrickStore, voxels_of
+from tissue.models.bone.bricks import BrickState, BrickStore, voxels_of
 from tissue.models.tissue_model import ToolMotion
 
 __all__ = ["Carver", "CarverState", "CarvingReplay", "Removal"]
@@ -73,8 +73,6 @@ TURN = 0.9
 
 After a change of direction, bone in front of the tool may have been cut before.
 """
-CHANGED = ("remaining", "swept", "middle", "older", "alive")
-"""Arrays of the brick store that carving changes and depends on."""
 WORKERS_CPU = 32
 WORKERS_GPU = 2048
 """Number of workers that share a carving launch; chosen."""
@@ -87,22 +85,25 @@ class CarverState:
     Attributes
     ----------
     bricks
-        Device arrays of the brick store, by name.
+        Bricks that the tool has reached.
     poses
         Present pose, pose at the last visit of every group of bricks, pose at which the cuts in it
         last became older cuts, and the motion before that, shape (1 + 3 groups, 6).
     marks
-        Travel since the cuts in each group of bricks became older cuts, negative [voxel], shape
-        (groups,).
+        Travel of the tool at the time the cuts in each group of bricks last became older cuts
+        [voxel], shape (groups,).
+    travelled
+        Travel of the tool so far [voxel].
     turned
         True for each group whose last motion was a change of direction, shape (groups,).
     counts
         Next group, number of visits due, number of groups not yet visited at the present pose.
     """
 
-    bricks: dict[str, Any]
+    bricks: BrickState
     poses: Array
     marks: Array
+    travelled: float
     turned: NDArray[np.bool_]
     counts: tuple[int, float, int]
 
@@ -146,6 +147,7 @@ class Carver:
         grid = store.grid
         layers = len(grid.layer_names)
         spacing = grid.spacing_m
+        store.forget_base()
         self.store = store
         self.removed_steps = np.zeros(layers, np.int64)
         self.changes = 0
@@ -276,9 +278,10 @@ class Carver:
     def state(self) -> CarverState:
         """Copy the state between two motions."""
         return CarverState(
-            {name: wp.clone(getattr(self.store, name)) for name in CHANGED},
+            self.store.state(),
             np.vstack([self._pose.host, self._motions]),
-            self._marks - self._travelled,
+            self._marks.copy(),
+            self._travelled,
             self._turned.copy(),
             (self._next_group, self._debt, self._behind),
         )
@@ -286,11 +289,11 @@ class Carver:
     def restore(self, state: CarverState) -> None:
         """Return to a copied state; the counted removal stays."""
         self.changes += 1
-        for name, values in state.bricks.items():
-            wp.copy(getattr(self.store, name), values)
+        self.store.restore(state.bricks)
         self._pose.host[:] = state.poses[: 1 + 2 * PHASES]
         self._motions[:] = state.poses[1 + 2 * PHASES :]
-        self._marks[:] = self._travelled + state.marks
+        self._marks[:] = state.marks
+        self._travelled = state.travelled
         self._turned[:] = state.turned
         self._next_group, self._debt, self._behind = state.counts
 

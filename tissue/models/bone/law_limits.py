@@ -37,6 +37,9 @@ class LawLimits:
         Largest feed per tooth in bone so far [m].
     """
 
+    STATE = ("passed", "thickest_m")
+    """Attributes that later ticks depend on."""
+
     def __init__(self, cutter: Cutter, smooth: SmoothSurface | None) -> None:
         self._cutter = cutter
         self._smooth = smooth

@@ -19,6 +19,7 @@ from tissue.models.bone.elements import CREEP_M_S, CuttingForces, elements_of
 from tissue.models.bone.law_limits import LawLimits
 from tissue.models.bone.recent_poses import RecentPoses
 from tissue.models.bone.smooth_surface import SmoothSurface
+from tissue.models.state import State, copied, put_back
 from tissue.models.tissue_model import Response, ToolMotion
 
 __all__ = ["BoneModel", "Removal"]
@@ -164,6 +165,24 @@ class BoneModel:
         """
         self.carver.advance(motion)
         self._recent.add(motion)
+
+    def state(self) -> State:
+        """Copy the state that later ticks depend on."""
+        return {
+            "carver": self.carver.state(),
+            "removed_steps": self.removed_steps.copy(),
+            "recent": copied(self._recent, RecentPoses.STATE),
+            "limits": copied(self.limits, LawLimits.STATE),
+        }
+
+    def restore(self, state: State) -> None:
+        """Return to a copied state."""
+        self._found = None
+        self._summed = b""
+        self.carver.restore(state["carver"])
+        self.removed_steps[:] = state["removed_steps"]
+        put_back(self._recent, state["recent"])
+        put_back(self.limits, state["limits"])
 
     def take(self, motion: ToolMotion) -> None:
         """Write a pose and motion to `motion_rows`."""

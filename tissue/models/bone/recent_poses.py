@@ -47,6 +47,9 @@ class RecentPoses:
         True if the tool has turned since `place`, other than about its axis.
     """
 
+    STATE = ("_poses", "_rings", "turns")
+    """Attributes that later ticks depend on."""
+
     def __init__(self, lever_m: float, *, device: str) -> None:
         # tip [m] and axis of each pose
         self._poses = np.zeros((KEPT_POSES, 6))

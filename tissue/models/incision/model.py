@@ -10,6 +10,7 @@ from tissue.models.incision.cut import Cut
 from tissue.models.incision.fields import IncisionFields
 from tissue.models.incision.parameters import Blade, IncisedTissue
 from tissue.models.needle.parameters import LEAST_COSINE
+from tissue.models.state import State, copied, put_back
 from tissue.models.tissue_model import Response, ToolMotion
 
 __all__ = ["IncisionModel"]
@@ -114,6 +115,14 @@ class IncisionModel:
         cut.advance(along, depth)
         if cut.deepest_m(cut.place_m[1]) <= 0.0 and below <= 0.0:
             self._in = None
+
+    def state(self) -> State:
+        """Copy the state that later ticks depend on."""
+        return copied(self, ("cuts", "_in"))
+
+    def restore(self, state: State) -> None:
+        """Return to a copied state."""
+        put_back(self, state)
 
     def respond(self, motion: ToolMotion) -> Response:
         """Return the force on the blade."""

@@ -8,6 +8,7 @@ from meshes.base.errors import InputError, require_positive
 from tissue.fem.fields import FieldSeries
 from tissue.models.needle.fields import NeedleFields
 from tissue.models.needle.parameters import LEAST_COSINE, NeedleTissue, positive_root
+from tissue.models.state import State, copied, put_back
 from tissue.models.tissue_model import Response, ToolMotion
 
 __all__ = ["Insertion", "NeedleModel"]
@@ -322,6 +323,14 @@ class NeedleModel:
             punctured += 1
         if inside and insertion.inserted_m == 0.0:
             self.notices.append("the needle has left the organ")
+
+    def state(self) -> State:
+        """Copy the state that later ticks depend on."""
+        return copied(self, ("insertion", "_entry_m"))
+
+    def restore(self, state: State) -> None:
+        """Return to a copied state."""
+        put_back(self, state)
 
     def respond(self, motion: ToolMotion) -> Response:
         """Return the force on the needle along its axis."""

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
 from math import isfinite
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -23,7 +24,7 @@ from kernels.contact_state import (
     Lists,
     Points,
 )
-from kernels.launcher import SplitLaunch
+from kernels.launcher import SplitLaunch, recorded
 from kernels.mirror import Mirror, put
 from kernels.near_compliance import gather_all_again, new_patch
 from kernels.shell_projection import link_points, project_shell
@@ -32,6 +33,7 @@ from meshes.base.arrays import Array, Int32s, Ints
 from meshes.base.errors import InputError, require_positive, require_range
 from tissue.fem.solvers.held_body import components_of
 from tissue.models.organ.probe import ProbeShape, ShellProbe
+from tissue.models.state import State
 
 __all__ = [
     "ContactOutcome",
@@ -240,6 +242,13 @@ class ContactResult:
         return moved.reshape(-1, 3)
 
 
+STATE_ARRAYS = {
+    "body": ("force", "free", "last_free"),
+    "points": ("force",),
+    "lists": ("count", "working", "working_mark"),
+    "patch": ("count", "node", "slot", "near_mark", "loaded_mark", "moved"),
+}
+"""Device arrays that later solves depend on, by their part of the contact."""
 OUTCOMES = tuple(ContactOutcome)
 """Outcomes in the order of the kernel's states."""
 START_M = 1e-6
@@ -329,7 +338,7 @@ class SurfaceContact:
         )
         """Result of the last solve, the object that every solve returns."""
 
-    def _recorded(self) -> list[Callable[[], None]]:
+    def _recorded(self) -> list[Callable[[], object]]:
         """Record the launches of a tick, in their order, with the present compliance scale."""
         device = self._device
         probe = self.probe
@@ -341,8 +350,8 @@ class SurfaceContact:
         pose = self._pose.device
         results = self._results.device
 
-        def record(kernel: wp.Kernel, inputs: list[object]) -> Callable[[], None]:
-            return wp.launch(kernel, dim=1, inputs=inputs, device=device, record_cmd=True).launch
+        def record(kernel: wp.Kernel, inputs: list[object]) -> Callable[[], object]:
+            return recorded(kernel, dim=1, inputs=inputs, device=device)
 
         stages = [
             record(
@@ -403,6 +412,40 @@ class SurfaceContact:
         self._patch.moved.zero_()
         self._placed = False
         self._read(np.zeros(RESULTS))
+
+    def state(self) -> State:
+        """Copy the state that later solves depend on.
+
+        Rows of the compliance are not part of it, because they are gathered again.
+        """
+        arrays = {f"{part}.{name}": array.numpy().copy() for part, name, array in self._arrays()}
+        return {
+            "arrays": arrays,
+            "pose": self._pose.host.copy(),
+            "results": self._results.host.copy(),
+            "placed": self._placed,
+            "shifted": self._shifted,
+        }
+
+    def restore(self, state: State) -> None:
+        """Return to a copied state."""
+        for part, name, array in self._arrays():
+            array.assign(state["arrays"][f"{part}.{name}"])
+        gather_all_again(self._patch)
+        self._pose.host[:] = state["pose"]
+        self._results.host[:] = state["results"]
+        self._results.push()
+        self._placed = state["placed"]
+        self._shifted = state["shifted"]
+        self._read(self._results.host)
+
+    def _arrays(self) -> list[tuple[str, str, Any]]:
+        """Return the device arrays of the state: part, name and array."""
+        return [
+            (part, name, getattr(getattr(self, f"_{part}"), name))
+            for part, names in STATE_ARRAYS.items()
+            for name in names
+        ]
 
     def scale_compliance(self, factor: float) -> None:
         """Multiply the compliance by a factor.

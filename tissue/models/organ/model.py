@@ -42,6 +42,7 @@ from math import inf
 import numpy as np
 
 from meshes.base.arrays import Array
+from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from tissue.fem.fields import FieldSeries
 from tissue.materials.prony import HereditaryIntegral
@@ -51,6 +52,7 @@ from tissue.models.organ.fields import OrganFields
 from tissue.models.organ.law import LawOffset, TickState
 from tissue.models.organ.probe import SphereProbe
 from tissue.models.organ.soft_organ import SoftOrgan, ToolPath
+from tissue.models.state import State, copied, put_back
 from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 from tissue.system.blas_threads import one_blas_thread
 
@@ -64,6 +66,8 @@ tests/bench/chart_liver.py`.
 """
 SETTLED = 1e-3
 """Change of the force from solve to solve at which contact and law count as settled, relative."""
+STATE = ("_ticks", "_unsettled", "_limits", "_touched_m", "_travel_m", "_tip_m", "_offset_m")
+"""Attributes that later ticks depend on, for a linear law."""
 LOOK_EVERY = 20
 """Ticks between two searches for nodes whose compliance will be needed; chosen with `LOOK_M`."""
 LOOK_M = 5e-3
@@ -238,6 +242,39 @@ class LiverModel:
         if result.outcome is not ContactOutcome.CONVERGED and not self._unsettled:
             self._unsettled = True
             self.notices.append(f"the contact did not settle: {result.outcome.value}")
+
+    def state(self) -> State:
+        """Copy the state that later ticks depend on.
+
+        Raises
+        ------
+        InputError
+            If the law is hyperelastic, whose solver holds factors that cannot be copied.
+        """
+        if self._law is not None:
+            raise InputError(
+                "organ.law", "be linear for a copy of its state", "hyperelastic", "use linear"
+            )
+        creep = [copied(each, HereditaryIntegral.STATE) for each in self._integrals()]
+        crept = self._crept_N.copy()
+        return {
+            "own": copied(self, STATE),
+            "contact": self.contact.state(),
+            "creep": creep,
+            "crept_N": crept,
+        }
+
+    def restore(self, state: State) -> None:
+        """Return to a copied state."""
+        put_back(self, state["own"])
+        self.contact.restore(state["contact"])
+        self._crept_N[:] = state["crept_N"]
+        for each, kept in zip(self._integrals(), state["creep"], strict=True):
+            put_back(each, kept)
+
+    def _integrals(self) -> tuple[HereditaryIntegral, ...]:
+        """Return the integrals of a tissue that creeps."""
+        return () if self._creep is None else (self._creep, self._forces)
 
     def respond(self, motion: ToolMotion) -> Response:
         """Return force and torque on the probe."""

@@ -9,9 +9,11 @@ from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror, put
 from kernels.structure_distance import clearance
 from meshes.base.arrays import Array, Bytes, Flags, Ints, Singles
+from meshes.base.errors import InputError
 from tissue.fem.fields import FieldSeries
 from tissue.models.bone.model import BoneModel
 from tissue.models.heat.cutting_heat import CuttingHeat
+from tissue.models.state import State, copied, put_back
 from tissue.models.tissue_model import SLOW, Response, ToolMotion
 from tissue.models.tooth.stress_process import Drilled, StressSolver
 from tissue.system.child import HelperLostError
@@ -161,6 +163,25 @@ class ToothModel:
         if self.heat is not None:
             response.measures[-1] = self._pulp_rise_K
         return response
+
+    def state(self) -> State:
+        """Copy the state that later ticks depend on.
+
+        Raises
+        ------
+        InputError
+            If stress or heat is computed, whose state lies in another process or on a grid.
+        """
+        if self.stress is not None or self.heat is not None:
+            raise InputError(
+                "scene", "have no stress and no heat", "one of them", "leave out both to copy it"
+            )
+        return {"milling": self.milling.state(), "pulp": copied(self, ("_least_m",))}
+
+    def restore(self, state: State) -> None:
+        """Return to a copied state."""
+        self.milling.restore(state["milling"])
+        put_back(self, state["pulp"])
 
     @property
     def scheduling(self) -> str:

@@ -1,0 +1,174 @@
+"""A loop that a program moves: forces of the scene, snapshots bit for bit, steps of several ticks."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+import tissue
+from tissue.models.organ.model import LiverModel
+
+COARSE = {
+    "milling": {"voxels.spacing_mm": 0.3},
+    "molar": {"voxels.spacing_mm": 0.1, "stress.cell_mm": 0.4},
+    "palpation": {"anatomy.edge_mm": 8.0, "anatomy.touch_edge_mm": 8.0},
+}
+PATHS = {
+    "milling": [[-3, 0, 1.5], [-3, 0, -1], [0, 0, -1.2]],
+    "needle": [[0, 0, 5], [0, 0, -45], [0, 0, 5]],
+    "palpation": [[-30, 0, 2], [-30, 0, -3], [-20, 0, -3]],
+    "molar": [[0, 0, 0.6], [0, 0, -0.8], [0.2, 0, -0.8]],
+    "incision": [[0, 0, 1], [0, 0, -8], [10, 0, -8]],
+}
+
+
+def along(points, count):
+    """Tips on straight lines between points [mm], shape (count (points - 1), 3)."""
+    share = np.arange(1, count + 1)[:, None] / count
+    lines = zip(np.array(points[:-1], float), np.array(points[1:], float), strict=True)
+    return np.concatenate([start + share * (end - start) for start, end in lines])
+
+
+def made(name, **options):
+    scene = tissue.load_scene(name, COARSE.get(name, {}))
+    return tissue.Loop(scene, **({"reach_mm": 0.0} | options))
+
+
+def moved(loop, tips):
+    return np.array([loop.step(tip) for tip in tips])
+
+
+@pytest.mark.parametrize("name", PATHS)
+def test_a_restored_loop_continues_bit_for_bit(name):
+    loop = made(name)
+    tips = along(PATHS[name], 100)
+    loop.reset(PATHS[name][0])
+    before = moved(loop, tips[:120])
+    snapshot = loop.snapshot()
+    sent = pickle.dumps(snapshot)
+    after = moved(loop, tips[120:])
+    assert np.abs(after).max() > 0.01
+    last = dict(loop.row)
+    loop.restore(snapshot)
+    assert loop.ticks == 120 and snapshot.time_s == pytest.approx(0.12)
+    np.testing.assert_array_equal(moved(loop, tips[120:]), after)
+    assert dict(loop.row) == last
+    other = made(name)
+    other.restore(pickle.loads(sent))
+    np.testing.assert_array_equal(moved(other, tips[120:]), after)
+    loop.reset(PATHS[name][0])
+    assert loop.ticks == 0
+    np.testing.assert_array_equal(moved(loop, tips), np.concatenate([before, after]))
+
+
+def test_the_forces_are_those_of_a_run_of_the_scene():
+    scene = tissue.load_scene("needle", {"duration_s": 2.0})
+    trace = tissue.simulate(scene).trace
+    loop = tissue.Loop(scene)
+    wrenches = moved(loop, trace.vectors("tool", "mm"))
+    names = [f"model_force_{c}_N" for c in "xyz"]
+    wanted = np.array([trace[name] for name in names]).T
+    assert np.abs(wanted).max() > 1.0
+    # The first tick of a run rests at its start, and positions of a trace are rounded to mm.
+    np.testing.assert_allclose(wrenches[:, :3], wanted, atol=1e-9 * np.abs(wanted).max())
+
+
+def test_bone_that_was_made_later_is_restored_too():
+    loop = tissue.Loop(
+        tissue.Bone.block((12, 8, 5), spacing_mm=0.25), start_mm=(-4, 0, 1), reach_mm=1
+    )
+    tips = along([[-4, 0, 1], [-4, 0, -0.8], [3, 0, -0.8]], 250)
+    first = moved(loop, tips)
+    cut = loop.row["removed_mm3"]
+    assert cut > 1.0
+    loop.reset()
+    assert loop.row["removed_mm3"] == 0.0
+    np.testing.assert_array_equal(moved(loop, tips), first)
+    assert loop.row["removed_mm3"] == cut
+
+
+def test_a_step_of_several_ticks_ends_where_its_ticks_would():
+    tips = along(PATHS["needle"], 400)
+    every, fourth = made("needle"), made("needle", step_ms=4)
+    np.testing.assert_allclose(
+        moved(fourth, tips[3::4]), moved(every, tips)[3::4], rtol=1e-9, atol=1e-9
+    )
+    assert every.ticks == fourth.ticks == 800
+
+
+def test_a_velocity_of_its_own_scales_a_cutting_force():
+    loop = tissue.Loop(tissue.Bone.block((12, 8, 5), spacing_mm=0.25), start_mm=(-4, 0, 1))
+    moved(loop, along([[-4, 0, 1], [-4, 0, -0.8]], 200))
+    tip = [-3.99, 0.0, -0.8]
+    snapshot = loop.snapshot()
+    wrenches = []
+    for speed in (None, 10.0, 20.0, 0.0):
+        loop.restore(snapshot)
+        wrenches.append(loop.step(tip, None if speed is None else [speed, 0, 0]))
+    np.testing.assert_allclose(wrenches[0], wrenches[1], rtol=1e-6)
+    assert wrenches[2][0] < 1.05 * wrenches[1][0] < 0.0 and not wrenches[3].any()
+
+
+def test_a_turn_about_the_tip_gives_a_wrench_and_ends_at_the_pose():
+    loop = tissue.Loop(
+        tissue.Bone.block((12, 8, 5), spacing_mm=0.25), start_mm=(0, 0, 1), step_ms=5
+    )
+    moved(loop, along([[0, 0, 1], [0, 0, -0.8]], 40))
+    half = np.radians(0.5 * np.arange(1, 11))
+    for angle in half:
+        wrench = loop.step([0, 0, -0.8, np.sin(angle / 2), 0, 0, np.cos(angle / 2)])
+    assert np.abs(wrench[:3]).max() > 0.01
+    assert loop.row["tool_qx"] == pytest.approx(np.sin(half[-1] / 2), abs=1e-12)
+    assert loop.row["angular_velocity_x_rad_s"] == pytest.approx(np.radians(0.5) / 0.005, rel=1e-6)
+
+
+def test_a_tool_that_leaves_the_prepared_region_is_reported():
+    loop = made("needle")
+    moved(loop, along([[0, 0, 5], [0, 0, -5], [0, 0, 5], [1, 0, 5]], 20))
+    assert any("left the region" in what for _, what in loop.events)
+
+
+def test_an_organ_is_pressed_and_reset():
+    organ = tissue.Organ.block((60, 60, 30), edge_mm=8, modulus_kPa=10.0, poisson_ratio=0.45)
+    loop = tissue.Loop(organ, tissue.ball(diameter_mm=20), start_mm=(0, 0, 1), reach_mm=4)
+    down = along([[0, 0, 1], [0, 0, -2]], 50)
+    first = moved(loop, down)
+    assert isinstance(loop._loop.parts.tissue, LiverModel) and first[-1, 2] > 0.05
+    loop.reset()
+    np.testing.assert_array_equal(moved(loop, down), first)
+
+
+def test_an_organ_with_a_law_is_pressed_but_has_no_snapshots():
+    organ = tissue.Organ.block(
+        (40, 40, 20), edge_mm=10, modulus_kPa=10.0, poisson_ratio=0.45, law="neo-hookean"
+    )
+    loop = tissue.Loop(organ, tissue.ball(diameter_mm=20), start_mm=(0, 0, 1), reach_mm=3)
+    assert moved(loop, along([[0, 0, 1], [0, 0, -2]], 50))[-1, 2] > 0.05
+    for call in (loop.snapshot, loop.reset):
+        with pytest.raises(ValueError, match="linear"):
+            call()
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda loop: loop.step([0, 0]),
+        lambda loop: loop.step([0, 0, np.nan]),
+        lambda loop: loop.step([0, 0, 5, 0, 0, 0, 0]),
+        lambda loop: loop.step([0, 0, 5, 1, 0, 0, 0]),
+        lambda loop: loop.step([0, 0, 5000]),
+        lambda loop: loop.step(np.diag([2.0, 2.0, 2.0, 1.0])),
+        lambda loop: loop.step([0, 0, 5], [1, 2]),
+        lambda loop: loop.step(),
+        lambda loop: loop.run(1.0),
+        lambda loop: loop.restore(made("wall").snapshot()),
+        lambda loop: tissue.Loop("needle", tool=tissue.ball(diameter_mm=5)),
+        lambda loop: tissue.Loop("needle", step_ms=0),
+        lambda loop: tissue.Loop("needle", step_ms=1.5),
+        lambda loop: tissue.Loop("needle", hand="expert"),
+        lambda loop: tissue.Loop(3),
+    ],
+)
+def test_what_cannot_be_used_is_refused(call):
+    with pytest.raises(ValueError):
+        call(made("needle"))

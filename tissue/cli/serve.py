@@ -1,0 +1,63 @@
+"""``tissue serve``."""
+
+from tissue.cli.terminal import Flag, Overrides, console, problems
+
+__all__ = ["serve"]
+
+
+def serve(
+    scene: str,
+    /,
+    *,
+    set_: Overrides = (),
+    address: str | None = None,
+    ros2: Flag = False,
+    step_ms: int | None = None,
+    reach_mm: float | None = None,
+) -> None:
+    """Answer the poses of another program with the wrench of a scene's tissue.
+
+    Any robot simulator or game engine can so feel the tissue: it sends the pose of the tool and
+    receives force and torque on it. Each pose is one step of simulated time. Ctrl-C ends the
+    server. Not for clinical use.
+
+    Parameters
+    ----------
+    scene
+        Name of a built-in scene or a TOML file.
+    set_
+        KEY=VALUE, replaces an entry of the scene; may be repeated.
+    address
+        udp://HOST:PORT or ws://HOST:PORT; default udp://127.0.0.1:24930.
+    ros2
+        Serve the ROS 2 topic /tissue/servo_cp instead of an address.
+    step_ms
+        Simulated time of a step, in whole milliseconds; default 1.
+    reach_mm
+        Distance to the sides of the scene's path within which the tissue is prepared; default 2.
+    """
+    from tissue.cli.terminal import left_out
+    from tissue.links.pose_server import serve_network, serve_ros2
+    from tissue.objects.loop import Loop
+    from tissue.scene.coupling import Hardware
+    from tissue.scene.load import load_scene, parse_overrides
+
+    if ros2:
+        left_out("with --ros2", "remove it", address=address)
+    with problems.status(f"building {scene}"):
+        loop = Loop(
+            load_scene(scene, parse_overrides(set_)), step_ms=step_ms or 1, reach_mm=reach_mm
+        )
+    for about, note in loop.notes.items():
+        console.print(f"{about}: {note}", markup=False)
+
+    def opened(place: str) -> None:
+        console.print(f"awaiting poses at {place}; Ctrl-C ends", markup=False)
+
+    try:
+        if ros2:
+            serve_ros2(loop, opened=opened)
+        else:
+            serve_network(loop, Hardware(address=address or ""), opened=opened)
+    except KeyboardInterrupt:
+        console.print(f"served {loop.ticks} ms of simulated time since the last start")

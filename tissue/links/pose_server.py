@@ -1,0 +1,146 @@
+"""Server that answers the poses of another program with wrenches, over the network or ROS 2."""
+
+from collections.abc import Callable
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from tissue.haptics.real.network import NetworkAdapter
+from tissue.links.ros2 import DEPTH, FRAME, NAMESPACE, fill
+
+if TYPE_CHECKING:
+    from tissue.scene.coupling import Hardware
+
+__all__ = ["PosedLoop", "serve_network", "serve_ros2"]
+
+LOOK_S = 0.05
+"""Longest time between two checks whether the server has to end [s]; a pose ends the wait."""
+
+
+class PosedLoop(Protocol):
+    """Loop that a caller moves, such as `tissue.Loop` without a device."""
+
+    def step(self, pose: ArrayLike, /) -> Array:
+        """Move the tool to a pose [mm]; return force [N] and torque [N m], shape (6,)."""
+
+    def reset(self, pose: ArrayLike, /) -> None:
+        """Restore the uncut tissue and put the tool at a pose."""
+
+
+def serve_network(
+    loop: PosedLoop,
+    hardware: "Hardware",
+    *,
+    opened: Callable[[str], object],
+    ends: Callable[[], bool] = lambda: False,
+) -> int:
+    """Answer every pose of a client with a wrench; return the number of answers.
+
+    Each accepted ``hello`` begins with the uncut tissue at the client's first pose. A later pose is
+    a step of the loop. A client whose pose cannot be used is refused with a sentence.
+
+    Parameters
+    ----------
+    loop
+        Loop to step.
+    hardware
+        Its address is ``udp://HOST:PORT`` or ``ws://HOST:PORT``.
+    opened
+        Called with the address once the server listens.
+    ends
+        Returns True when the server has to end.
+    """
+    answers = 0
+    greeted = 0
+    with NetworkAdapter(hardware) as adapter:
+        opened(adapter.address)
+        while not ends():
+            adapter.wait(LOOK_S)
+            sample = adapter.poll()
+            if sample is None:
+                continue
+            pose = np.array([*sample.position_m, *sample.quaternion])
+            pose[:3] *= 1e3
+            hellos = adapter.session.counts["hellos"]
+            try:
+                if hellos != greeted:
+                    loop.reset(pose)
+                    greeted = hellos
+                    wrench = np.zeros(6)
+                else:
+                    wrench = loop.step(pose)
+            except InputError as error:
+                adapter.refuse(str(error))
+                continue
+            adapter.push(wrench[:3], wrench[3:])
+            answers += 1
+    return answers
+
+
+def serve_ros2(
+    loop: PosedLoop, *, opened: Callable[[str], object], ends: Callable[[], bool] = lambda: False
+) -> int:
+    """Answer every message on ``servo_cp`` with ``measured_cp`` and ``measured_cf``.
+
+    The first pose begins with the uncut tissue. Names and units are those of CRTK: m, N and N m, in
+    the frame of the scene. Returns the number of answers. A pose that cannot be used is logged as
+    an error of the node, and not answered.
+
+    Raises
+    ------
+    InputError
+        If the Python packages of ROS 2 are missing.
+    """
+    try:
+        rclpy: Any = import_module("rclpy")
+        geometry: Any = import_module("geometry_msgs.msg")
+        signals: Any = import_module("rclpy.signals").SignalHandlerOptions
+    except ImportError as missing:
+        raise InputError(
+            "--ros2", "have the packages of ROS 2", str(missing), "source its setup.bash"
+        ) from None
+    rclpy.init(args=[], signal_handler_options=signals.NO)
+    node = rclpy.create_node("tissue", namespace=NAMESPACE)
+    places = node.create_publisher(geometry.PoseStamped, "measured_cp", DEPTH)
+    forces = node.create_publisher(geometry.WrenchStamped, "measured_cf", DEPTH)
+    answers = 0
+
+    def answer(message: Any) -> None:
+        """Step the loop to a pose and publish the result."""
+        nonlocal answers
+        at = message.pose.position
+        turn = message.pose.orientation
+        pose = [1e3 * at.x, 1e3 * at.y, 1e3 * at.z, turn.x, turn.y, turn.z, turn.w]
+        try:
+            if answers == 0:
+                loop.reset(pose)
+                wrench = np.zeros(6)
+            else:
+                wrench = loop.step(pose)
+        except InputError as error:
+            node.get_logger().error(str(error))
+            return
+        answers += 1
+        stamp = node.get_clock().now().to_msg()
+        place = geometry.PoseStamped(pose=message.pose)
+        force = geometry.WrenchStamped()
+        fill(force.wrench.force, "xyz", wrench[:3].tolist())
+        fill(force.wrench.torque, "xyz", wrench[3:].tolist())
+        for publisher, filled in ((places, place), (forces, force)):
+            fill(filled.header, ("frame_id", "stamp"), (FRAME, stamp))
+            publisher.publish(filled)
+
+    # A queue of one: a pose that comes during a step replaces the one that waits.
+    node.create_subscription(geometry.PoseStamped, "servo_cp", answer, 1)
+    try:
+        opened(f"/{NAMESPACE}/servo_cp")
+        while not ends():
+            rclpy.spin_once(node, timeout_sec=LOOK_S)
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+    return answers

@@ -1,0 +1,207 @@
+"""Motion of a tool whose poses a caller gives step by step."""
+
+from math import atan2, inf, sqrt
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from tissue.models.tissue_model import TICK_S, Response, ToolMotion
+from tissue.motion.motion import Motion, matrix_of
+
+__all__ = ["PosedTool", "pose_in", "rotation_by", "rotation_vector"]
+
+FASTEST_M_S = 10.0
+"""Largest speed of a tool [m/s]; a faster one means a wrong unit of the pose.
+
+The carving visits the whole swept region, so that a single wrong number would take minutes.
+"""
+OFF_ROTATION = 1e-4
+"""Largest deviation of a matrix from a rotation: matrices in single precision or of five digits."""
+RESTS = 1e-9
+"""Speed below which a tool rests [m/s, rad/s]: above the rounding of positions over a tick."""
+
+
+def pose_in(pose: ArrayLike, rotation: Array) -> tuple[Array, Array]:
+    """Return the tip [m], shape (3,), and the rotation, shape (3, 3), of a pose.
+
+    Parameters
+    ----------
+    pose
+        Tip [mm], shape (3,); tip and quaternion (x, y, z, w), shape (7,); or a matrix from the
+        tool's frame to the tissue's [mm], shape (4, 4).
+    rotation
+        Rotation of a pose without one.
+
+    Raises
+    ------
+    InputError
+        If the pose has another shape, is not finite, or holds no rotation.
+    """
+    values = np.asarray(pose, dtype=np.float64)
+    if values.shape not in ((3,), (7,), (4, 4)):
+        raise InputError(
+            "pose",
+            "be a tip [mm] of shape (3,), tip and quaternion (7,) or a matrix (4, 4)",
+            f"shape {values.shape}",
+            "give one pose",
+        )
+    if not np.isfinite(values).all():
+        raise InputError("pose", "be finite", values.tolist(), "stop the tool")
+    if values.shape == (3,):
+        return 1e-3 * values, rotation
+    if values.shape == (7,):
+        length = float(np.linalg.norm(values[3:]))
+        # A vector of rounding errors has no orientation. Any other length is normalised.
+        if length < 1e-6:
+            raise InputError("pose", "hold a unit quaternion", "a zero one", "use 0, 0, 0, 1")
+        return 1e-3 * values[:3], matrix_of(values[3:] / length)
+    turn = values[:3, :3]
+    error = float(np.abs(turn @ turn.T - np.eye(3)).max())
+    if error > OFF_ROTATION or np.linalg.det(turn) < 0.0:
+        raise InputError(
+            "pose",
+            "hold a rotation without scale or mirroring",
+            f"a matrix off by {error:.2g}",
+            "normalise it",
+        )
+    return 1e-3 * values[:3, 3], turn
+
+
+def rotation_vector(rotation: Array) -> Array:
+    """Return the rotation vector of a rotation by less than 180 degrees [rad], shape (3,)."""
+    skew = 0.5 * (rotation - rotation.T)
+    vector = np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
+    sine = sqrt(vector.dot(vector))
+    if sine == 0.0:
+        return vector
+    angle = atan2(sine, 0.5 * (float(np.trace(rotation)) - 1.0))
+    return vector * (angle / sine)
+
+
+def rotation_by(vector: Array) -> Array:
+    """Return the rotation matrix of a rotation vector [rad], shape (3, 3)."""
+    angle = sqrt(vector.dot(vector))
+    if angle == 0.0:
+        return np.eye(3)
+    half = np.sin(0.5 * angle) / angle
+    return matrix_of(np.array([*(half * vector), np.cos(0.5 * angle)]))
+
+
+class PosedTool(Motion):
+    """Motion of a tool to given poses, in equal parts over the ticks of a step.
+
+    Parameters
+    ----------
+    tip_m, rotation
+        Pose at the start: position of the tip [m], and rotation from tool to world.
+    """
+
+    duration_s = inf
+
+    def __init__(self, tip_m: Array, rotation: Array) -> None:
+        self.put(tip_m, rotation)
+
+    def put(self, tip_m: Array, rotation: Array) -> None:
+        """Set the pose at which `begin` puts the tool."""
+        self._tip = np.array(tip_m)
+        self._rotation = np.array(rotation)
+        self._left = 0
+        self._turn = np.zeros(3)
+        self._velocity = np.zeros((2, 3))
+
+    def sweep_m(self) -> Array:
+        """Return the present aim [m]."""
+        return self._tip[None]
+
+    def rotations(self) -> Array:
+        """Return the present orientation."""
+        return self._rotation[None]
+
+    def begin(self, motion: ToolMotion) -> None:
+        """Write the start, at rest."""
+        motion.tip_m[:] = self._tip
+        motion.rotation[:] = self._rotation
+        motion.heading[:] = 0.0
+        motion.speed_m_s = 0.0
+
+    def aim(
+        self,
+        motion: ToolMotion,
+        tip_m: Array,
+        rotation: Array,
+        *,
+        velocity: Array | None,
+        ticks: int,
+    ) -> None:
+        """Set the pose at the end of the next ticks.
+
+        Parameters
+        ----------
+        motion
+            Present pose of the tool.
+        tip_m, rotation
+            Pose at the end.
+        velocity
+            Velocity of the tip [m/s] and angular velocity [rad/s] in these ticks, shape (2, 3);
+            None for the change of the pose over their time.
+        ticks
+            Number of ticks.
+
+        Raises
+        ------
+        InputError
+            If the tool would move faster than 10 m/s or turn by more than 90 degrees.
+        """
+        step_s = ticks * TICK_S
+        moved = tip_m - motion.tip_m
+        length = sqrt(moved.dot(moved))
+        if length > FASTEST_M_S * step_s:
+            raise InputError(
+                "pose",
+                f"change by at most {1e3 * FASTEST_M_S * step_s:g} mm in {1e3 * step_s:g} ms",
+                f"{1e3 * length:.4g} mm",
+                "give millimetres, or put the tool elsewhere by reset(pose)",
+            )
+        self._turn = np.zeros(3)
+        if rotation is not motion.rotation:
+            between = rotation @ motion.rotation.T
+            if np.trace(between) < 1.0:
+                raise InputError(
+                    "pose",
+                    "turn by at most 90 degrees in a step",
+                    f"{np.degrees(np.arccos(0.5 * (np.trace(between) - 1.0))):.0f} degrees",
+                    "turn it in more steps",
+                )
+            self._turn = rotation_vector(between)
+        self._tip = tip_m
+        self._rotation = np.array(rotation)
+        self._left = ticks
+        if velocity is None:
+            velocity = np.array([moved, self._turn]) / step_s
+        self._velocity = velocity
+
+    def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
+        """Move the tool by a tick; after the last tick of a step it rests."""
+        if self._left == 0:
+            motion.speed_m_s = 0.0
+            return
+        if self._left == 1:
+            motion.tip_m[:] = self._tip
+            motion.rotation[:] = self._rotation
+        else:
+            motion.tip_m += (self._tip - motion.tip_m) / self._left
+            if self._turn.any():
+                done = self._turn / self._left
+                motion.rotation[:] = rotation_by(done) @ motion.rotation
+                self._turn = self._turn - done
+        self._left -= 1
+        moved, turned = self._velocity
+        speed = sqrt(moved.dot(moved))
+        # A tool that only turns gets 1 m/s: its angular velocity is then the second heading.
+        if speed <= RESTS:
+            speed = 1.0 if sqrt(turned.dot(turned)) > RESTS else 0.0
+        motion.speed_m_s = speed
+        if speed > 0.0:
+            np.divide(self._velocity, speed, out=motion.heading)

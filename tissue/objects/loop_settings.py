@@ -1,0 +1,139 @@
+"""Settings of the part between a device and a tool, from the options of `tissue.Loop`."""
+
+from collections.abc import Mapping
+from copy import deepcopy
+from dataclasses import fields
+from functools import partial
+from os import PathLike
+from pathlib import Path
+from typing import TypedDict
+
+from meshes.base.errors import InputError
+from meshes.base.text_tables import unknown_name
+from tissue.haptics.device.device import Device, DeviceParameters, device_parameters
+from tissue.materials.scene_constants import Materials
+from tissue.objects.bone import Bone
+from tissue.objects.organ import Organ
+from tissue.prediction.guard import GuardedMaker, Observes
+from tissue.scene.coupling import Coupling
+from tissue.scene.coupling import Device as StatedDevice
+from tissue.scene.registry import PREDICTORS
+from tissue.scene.scene import Output
+from tissue.scene.used_constants import used_of_device
+from tissue.simulation.builders.arguments import given_note, stated
+from tissue.simulation.builders.loop import LoopSettings, sampled
+from tissue.simulation.builders.parts import require_stated_rate
+
+__all__ = ["ARGUMENTS", "LoopOptions", "constants_note", "settings_of"]
+
+ARGUMENTS = {
+    **{f"coupling.{key}": key for key in Coupling.model_fields},
+    "output.low_pass_ms": "low_pass_ms",
+    "prediction": "predictor",
+    "kind": "limits",
+}
+"""Arguments of `Loop` by the keys of a scene that errors name."""
+
+
+class LoopOptions(TypedDict, total=False):
+    """Options of the part between device and tool; see `Loop`."""
+
+    limits: str | DeviceParameters | Mapping[str, float]
+    predictor: str | Observes | None
+    predictor_file: str | Path | None
+    hand: str
+    materials: str | PathLike[str] | Materials | None
+    renderer: str
+    stiffness_N_m: float | None
+    force_scale: float | None
+    motion_scale: float
+    delay_ms: int
+    low_pass_ms: float
+    allow_unstable: bool
+
+
+def settings_of(
+    device: Device, options: LoopOptions, constants: Materials, *, cuts: bool
+) -> LoopSettings:
+    """Return the settings between a device and a tool, from a caller's options."""
+    given = options.get("limits", "touch")
+    limits = sampled(_limits(given, constants))
+    require_stated_rate(device, limits, remedy="give this rate_Hz by limits")
+    predictor = options.get("predictor")
+    file = options.get("predictor_file")
+    name = predictor if isinstance(predictor, str) else None
+    own_predictor = None
+    if isinstance(predictor, type):
+        kind = predictor.__name__
+        raise InputError("predictor", "be an object", f"the class {kind}", f"give {kind}()")
+    if file is not None and name is None:
+        raise InputError(
+            "predictor_file", "come with a predictor's name", repr(predictor), "name one"
+        )
+    if predictor is not None and name is None:
+        guarded = GuardedMaker(type(predictor).__name__, lambda: deepcopy(predictor))
+        own_predictor = partial(guarded, None, limits.force_limit_N)
+    coupling = {key: options.get(key) for key in ("stiffness_N_m", "motion_scale", "delay_ms")}
+    is_trained = name is not None and name in PREDICTORS and PREDICTORS[name].trained
+    if is_trained:
+        if file is None:
+            raise InputError(
+                "predictor_file",
+                f"be given for the predictor {name}",
+                "nothing",
+                "give the file that `tissue train SCENE --out FILE` wrote",
+            )
+        coupling["predictor_file"] = str(file)
+    held = {
+        # Numbers without a name: the name is not used.
+        "kind": given if isinstance(given, str) else "touch",
+        "hand": options.get("hand"),
+        "renderer": options.get("renderer"),
+        "prediction": name,
+        "coupling": stated(Coupling, coupling),
+    }
+    return LoopSettings(
+        stated(StatedDevice, held),
+        stated(Output, {"low_pass_ms": options.get("low_pass_ms")}),
+        type(device).__name__,
+        limits,
+        constants,
+        "cuts" if cuts else "presses",
+        own_predictor=own_predictor,
+    )
+
+
+def _limits(
+    given: str | DeviceParameters | Mapping[str, float], constants: Materials
+) -> DeviceParameters:
+    """Return the parameters of a device from its name, themselves or a mapping."""
+    if isinstance(given, str):
+        return device_parameters(given, constants)
+    if isinstance(given, Mapping):
+        known = [each.name for each in fields(DeviceParameters)]
+        if unknown := [name for name in given if name not in known]:
+            raise InputError(unknown_name("limits", known, str(unknown[0])))
+        try:
+            return DeviceParameters(**given)
+        except TypeError:
+            raise InputError(
+                "limits", "give mass_kg and damping_N_s_m", "neither or one", "add both"
+            ) from None
+    if isinstance(given, DeviceParameters):
+        return given
+    raise InputError(
+        "limits",
+        "be a device's name, tissue.DeviceParameters or a mapping of its numbers",
+        type(given).__name__,
+        "give one of these",
+    )
+
+
+def constants_note(given: Materials, tissue: Bone | Organ, options: LoopOptions) -> dict[str, str]:
+    """Return a note on the constants of a named device and of the hand that come from a file."""
+    limits = options.get("limits", "touch")
+    layers = tissue.layer_names if isinstance(tissue, Bone) else ()
+    kind = limits if isinstance(limits, str) else None
+    used = used_of_device(given, kind, options.get("hand", "expert"))
+    found = given_note(given, used, layers=layers, by="loop")
+    return {f"{name} of device and hand": note for name, note in found.items()}

@@ -1,0 +1,276 @@
+"""Session in which a caller gives the pose of a tool and receives the wrench of a tissue."""
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from tissue.models.state import State
+from tissue.models.tissue_model import TICK_S, ToolMotion
+from tissue.motion.motion import Motion
+from tissue.motion.posed import PosedTool, pose_in
+from tissue.scene.scene import Output, Scene
+from tissue.simulation import loop as engine
+from tissue.simulation.builders.parts import Parts, motion_of
+from tissue.simulation.simulate import builder_of
+
+__all__ = ["PosedSession", "Region", "Snapshot", "posed_parts"]
+
+ACROSS = 5
+"""Number of copies of a scene's path across the tool's axis, in each direction; chosen."""
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """State of a session, which can be pickled and restored in an equal session.
+
+    Attributes
+    ----------
+    time_s
+        Simulated time [s].
+    tissue
+        Class and layers of the tissue, which have to agree.
+    state
+        State of tool, tissue and structures to keep clear of.
+    """
+
+    time_s: float
+    tissue: tuple[str, ...]
+    state: State = field(repr=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """Region in which the tissue is prepared: a box along the axes of the tool at the start.
+
+    Attributes
+    ----------
+    rotation
+        Axes of the tool at the start, shape (3, 3).
+    low_m, high_m
+        Corners of the box of the tip along these axes [m], shape (3,) each. It is open upwards.
+    """
+
+    rotation: Array
+    low_m: Array
+    high_m: Array
+
+    @classmethod
+    def of(cls, motion: Motion) -> "Region":
+        """Return the region of the tips of a motion."""
+        rotation = motion.rotations()[0].copy()
+        tips = motion.sweep_m() @ rotation
+        high = tips.max(axis=0)
+        high[2] = np.inf
+        # 1e-9 m: rounding of a tip on the border.
+        return cls(rotation, tips.min(axis=0) - 1e-9, high + 1e-9)
+
+    def holds(self, tip_m: Array) -> bool:
+        """Return whether a tip lies in the region."""
+        place = tip_m @ self.rotation
+        return bool((place >= self.low_m).all() and (place <= self.high_m).all())
+
+
+class _Widened(Motion):
+    """Motion of a scene with copies of its path around it, for which the tissue is prepared."""
+
+    def __init__(self, motion: Motion, reach_m: float) -> None:
+        self.duration_s = motion.duration_s
+        self.balances = motion.balances
+        path = motion.sweep_m()
+        turns = motion.rotations()
+        side = np.linspace(-reach_m, reach_m, ACROSS) if reach_m > 0.0 else np.zeros(1)
+        x, y = (each.ravel() for each in np.meshgrid(side, side))
+        # The path itself comes first: a tissue is checked at its start.
+        order = np.argsort(np.hypot(x, y), kind="stable")
+        shifts = np.column_stack([x, y, np.zeros(len(x))])[order] @ turns[0].T
+        self._path = np.concatenate([path + shift for shift in shifts])
+        self._turns = np.concatenate([turns] * len(shifts))
+        self._motion = motion
+
+    def sweep_m(self) -> Array:
+        """Return the corners of all copies [m]."""
+        return self._path
+
+    def rotations(self) -> Array:
+        """Return the orientation at each corner."""
+        return self._turns
+
+    def begin(self, motion: ToolMotion) -> None:
+        """Write the start of the scene's motion."""
+        self._motion.begin(motion)
+
+
+def posed_parts(scene: Scene, *, reach_m: float, cores: int | None) -> tuple[Parts, Region]:
+    """Build a scene for a tool whose pose the caller gives.
+
+    The anatomy is prepared along the path of the scene and within a reach around it [m]. Frames,
+    stress and heat are left out, because they do not change the force.
+
+    Raises
+    ------
+    InputError
+        As for `tissue.simulation.simulate.build`.
+    """
+    left_out = {"device": None, "stress": None, "heat": False, "fidelity": None}
+    scene = scene.model_copy(update=left_out)
+    for name in ("anatomy", "organ"):
+        part = getattr(scene, name)
+        if "interval_ms" in type(part).model_fields:
+            still = part.model_copy(update={"interval_ms": 0.0})
+            scene = scene.model_copy(update={name: still})
+    motion = _Widened(motion_of(scene, step_s=TICK_S), reach_m)
+    parts = builder_of(scene.anatomy.kind)(
+        scene, motion, step_s=TICK_S, compute="cpu", cores=cores, report=lambda what, share: None
+    )
+    parts.notes["reach"] = (
+        f"the tissue is prepared along the path of the scene and {1e3 * reach_m:g} mm to its sides"
+    )
+    return parts, Region.of(motion)
+
+
+class PosedSession:
+    """Tissue under a tool whose pose a caller gives, in steps of whole ticks.
+
+    Parameters
+    ----------
+    parts
+        Tissue, and structures to keep clear of; the motion is replaced.
+    start
+        Tip [m] and rotation at the start.
+    ticks
+        Ticks of 1 ms in a step.
+    rows
+        Number of ticks that the trace keeps.
+    keep_ready
+        Called with the tip [m] before every tick, to prepare more tissue.
+    region
+        Region in which the tissue is prepared; None for no limit.
+
+    Attributes
+    ----------
+    loop
+        Loop with the trace.
+    """
+
+    def __init__(
+        self,
+        parts: Parts,
+        start: tuple[Array, Array],
+        *,
+        ticks: int,
+        rows: int,
+        keep_ready: Callable[[Array], None] | None = None,
+        region: Region | None = None,
+    ) -> None:
+        self._ticks = ticks
+        self._keep_ready = keep_ready
+        self._region = region
+        self._left_region = False
+        self._tool = parts.motion = PosedTool(*start)
+        self._start = start
+        # Without a cutter there is no log of poses, which a session of any length would fill.
+        parts.cutter = None
+        self.loop = engine.Loop(parts, ticks=rows, output=Output(low_pass_ms=0.0))
+        self._names = (type(parts.tissue).__name__, *parts.tissue.layer_names)
+        self._untouched: State | None = None
+        # A tissue without snapshots can still be moved through.
+        with suppress(InputError):
+            self._untouched = self.loop.state()
+        self.loop.place()
+
+    @property
+    def step_s(self) -> float:
+        """Duration of a step [s]."""
+        return self._ticks * TICK_S
+
+    def step(self, pose: ArrayLike, velocity: ArrayLike | None = None) -> Array:
+        """Move the tool to a pose in a step; return force [N] and torque [N m] on it, shape (6,).
+
+        Parameters
+        ----------
+        pose
+            As for `tissue.motion.posed.pose_in`; without a rotation the tool keeps its own.
+        velocity
+            Velocity of the tip [mm/s], shape (3,), or with the angular velocity [rad/s], shape
+            (6,). None for the change of the pose over the step.
+        """
+        loop = self.loop
+        present = loop.tool
+        tip_m, rotation = pose_in(pose, present.rotation)
+        known = None if velocity is None else _velocity(velocity)
+        self._tool.aim(present, tip_m, rotation, velocity=known, ticks=self._ticks)
+        for _ in range(self._ticks):
+            if self._keep_ready is not None:
+                self._keep_ready(loop.tool.tip_m)
+            loop.wait()
+            loop.step()
+        if self._region is not None and not self._left_region:
+            self._watch(self._region)
+        return loop.response.wrench.copy()
+
+    def reset(self, pose: ArrayLike | None = None) -> None:
+        """Restore the tissue as it was made, and put the tool at its start or at a pose."""
+        if self._untouched is None:
+            self.loop.state()  # raises why
+            raise InputError("reset", "have a state to return to", "none", "make a new loop")
+        self.loop.restore(self._untouched)
+        tip_m, rotation = self._start
+        if pose is not None:
+            tip_m, rotation = pose_in(pose, rotation)
+        self._tool.put(tip_m, rotation)
+        self._left_region = False
+        if self._keep_ready is not None:
+            self._keep_ready(tip_m)
+        self.loop.place()
+
+    def snapshot(self) -> Snapshot:
+        """Copy the state."""
+        return Snapshot(self.loop.ticks * TICK_S, self._names, self.loop.state())
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Return to a copied state.
+
+        Raises
+        ------
+        InputError
+            If the snapshot is of another tissue.
+        """
+        if snapshot.tissue != self._names:
+            raise InputError(
+                "snapshot",
+                f"be of {', '.join(self._names)}",
+                ", ".join(snapshot.tissue),
+                "make both loops from equal arguments",
+            )
+        self.loop.restore(snapshot.state)
+        self._tool.put(self.loop.tool.tip_m, self.loop.tool.rotation)
+
+    def _watch(self, region: Region) -> None:
+        """Report a tool that leaves the prepared region."""
+        if not region.holds(self.loop.tool.tip_m):
+            self._left_region = True
+            time_s = self.loop.ticks * TICK_S
+            what = "the tool left the region in which the tissue is prepared: use a larger reach_mm"
+            self.loop.events.append((time_s, what))
+
+
+def _velocity(velocity: ArrayLike) -> Array:
+    """Return the velocity [m/s] and the angular velocity [rad/s], shape (2, 3)."""
+    values = np.asarray(velocity, dtype=np.float64)
+    if values.shape not in ((3,), (6,)) or not np.isfinite(values).all():
+        raise InputError(
+            "velocity",
+            "be finite, of shape (3,) [mm/s] or (6,) with the angular velocity [rad/s]",
+            f"shape {values.shape}",
+            "leave it out to use the change of the pose",
+        )
+    found = np.zeros((2, 3))
+    found[0] = 1e-3 * values[:3]
+    if len(values) == 6:
+        found[1] = values[3:]
+    return found

@@ -1,0 +1,139 @@
+"""Scheduling of a run: gaps of the machine's clock, cores and launches."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any
+
+from kernels.cores import core_count
+from kernels.launcher import launch_counts
+from tissue.models.tissue_model import SchedulesBackground, TissueModel
+
+__all__ = ["MachineGaps", "Scheduling", "spin", "spin_time_s"]
+
+SPUN_S = 0.3
+SPUN_SHARE = 0.1
+"""Time for which the clock is polled before and after the ticks [s], and its largest share.
+
+The share is relative to the simulated time. Both are chosen, so that a short run does not take much
+longer by it.
+"""
+LEAST_GAP_S = 2e-4
+"""Shortest interval between two clock readings that counts as a gap [s]; a reading takes 0.1 us."""
+
+
+@dataclass(frozen=True)
+class MachineGaps:
+    """Scheduling gaps measured by a spinning clock.
+
+    Attributes
+    ----------
+    spun_s
+        Measurement time [s].
+    gaps_s
+        Gaps of at least `LEAST_GAP_S` [s].
+    """
+
+    spun_s: float = 0.0
+    gaps_s: tuple[float, ...] = ()
+
+    def __add__(self, other: "MachineGaps") -> "MachineGaps":
+        return MachineGaps(self.spun_s + other.spun_s, self.gaps_s + other.gaps_s)
+
+    def expected(self, seconds: float) -> float:
+        """Return the expected number of gaps in a given time [s]."""
+        return len(self.gaps_s) / self.spun_s * seconds if self.spun_s > 0.0 else 0.0
+
+    @property
+    def lost_share(self) -> float:
+        """Share of the measurement time lost in gaps."""
+        return sum(self.gaps_s) / self.spun_s if self.spun_s > 0.0 else 0.0
+
+    @property
+    def longest_s(self) -> float:
+        """Longest gap [s]; 0 without gaps."""
+        return max(self.gaps_s, default=0.0)
+
+
+def spin(seconds: float, *, now: Callable[[], float] = perf_counter) -> MachineGaps:
+    """Read the clock repeatedly for some seconds and return the gaps.
+
+    Parameters
+    ----------
+    seconds
+        Measurement time [s].
+    now
+        Clock [s].
+    """
+    gaps = []
+    start = last = now()
+    while last - start < seconds:
+        this = now()
+        if this - last >= LEAST_GAP_S:
+            gaps.append(this - last)
+        last = this
+    return MachineGaps(last - start, tuple(gaps))
+
+
+def spin_time_s(simulated_s: float) -> float:
+    """Return the time to poll the clock before and after the ticks of a run [s]."""
+    return min(SPUN_S, SPUN_SHARE * simulated_s)
+
+
+class Scheduling:
+    """Scheduling choices of one run, made just before its ticks begin.
+
+    Parameters
+    ----------
+    tissue
+        Tissue that is simulated.
+    cores
+        Processor cores available to the run; None for all.
+    spin_s
+        Time to poll the clock now, and again after the ticks have ended [s]; 0 to skip this.
+    """
+
+    def __init__(self, tissue: TissueModel, *, cores: int | None, spin_s: float) -> None:
+        self._cores = cores or core_count()
+        self._spin_s = spin_s
+        self._background = tissue.scheduling if isinstance(tissue, SchedulesBackground) else ""
+        self.gaps = spin(spin_s) if spin_s > 0.0 else MachineGaps()
+        self._before = self._after = launch_counts()
+
+    def end(self) -> None:
+        """Record the launch counts at the end of the ticks."""
+        self._after = launch_counts()
+
+    def look_again(self) -> None:
+        """Poll the clock again, after background work has ended."""
+        if self._spin_s > 0.0:
+            self.gaps += spin(self._spin_s)
+
+    def summary(self, *, ticks_s: float) -> dict[str, Any]:
+        """Return entries of the run's summary.
+
+        Parameters
+        ----------
+        ticks_s
+            Time in which a gap of the machine can delay a tick [s].
+        """
+        before = self._before
+        after = self._after
+        chosen = {
+            "cores": self._cores,
+            "large_launches": after.large - before.large,
+            "split_launches": after.split - before.split,
+        }
+        found: dict[str, Any] = {
+            "scheduling": chosen | ({"background": self._background} if self._background else {})
+        }
+        if self.gaps.spun_s > 0.0:
+            found["machine_gaps"] = {
+                "least_us": 1e6 * LEAST_GAP_S,
+                "spun_s": self.gaps.spun_s,
+                "count": len(self.gaps.gaps_s),
+                "longest_us": 1e6 * self.gaps.longest_s,
+                "lost_share": self.gaps.lost_share,
+                "expected_in_ticks": self.gaps.expected(ticks_s),
+            }
+        return found
