@@ -63,6 +63,7 @@ STARTED: dict[str, str] = {
     "bench_prediction": "wall --hands 2 --moved 0 --out {out}",
     "bench_probes": "--splits 2 --laws linear",
     "bench_reference": "milling voxels.spacing_mm=0.8 duration_s=0.05",
+    "bench_study": "--trials 1 --tasks T2",
     "bench_tooth": "--quick",
     "bench_velocity": "wall",
     "chart_liver": "--quick",
