@@ -64,6 +64,7 @@ STARTED: dict[str, str] = {
     "bench_probes": "--splits 2 --laws linear",
     "bench_reference": "milling voxels.spacing_mm=0.8 duration_s=0.05",
     "bench_session": "--part server",
+    "bench_study": "--trials 1 --tasks T2",
     "bench_tooth": "--quick",
     "bench_velocity": "wall",
     "chart_liver": "--quick",

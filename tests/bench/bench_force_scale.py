@@ -41,7 +41,7 @@ SCALES = {
     "T2": (0.003, 0.01, 0.02, 0.03, 0.05, 0.1, 0.3, 1.0),
     "T3": (0.01, 0.02, 0.04, 0.08, 0.16),
 }
-RATIO = {"T1": 0.7, "T2": 0.7, "T3": 0.9}
+RATIO = {"T1": 0.7, "T2": 0.7, "T3": 0.6}
 """Stiffness of the softer specimen over that of the middle one."""
 
 

@@ -1,5 +1,6 @@
 """``tissue study plan``, ``tissue study run`` and ``tissue study report``."""
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,7 +11,7 @@ from tissue.cli.terminal import Flag, MaybeWhole, Whole, console, left_out, prob
 from tissue.system.progress import progress
 
 if TYPE_CHECKING:
-    from tissue.evaluation.study.plan import Plan
+    from tissue.evaluation.study.plan import Plan, TrialKey
 
 __all__ = ["study"]
 
@@ -19,6 +20,8 @@ study = App(
     name="study",
     help="Compare methods of rendering force over many trials, and report what they show.",
 )
+LINES_S = 60.0
+"""Time between two lines of progress without a terminal [s]: a study runs for an hour."""
 Names = Annotated[tuple[str, ...], Parameter(negative="", consume_multiple=True)]
 
 
@@ -34,7 +37,8 @@ class PlanOptions:
     tasks
         Some of T1 (palpation), T2 (wall), T3 (milling), needle, reaming, drilling; default all.
     methods
-        Some of penalty, energy, koopman, koopman-look-ahead, koopman-perception; default all.
+        Some of penalty, energy, koopman, koopman-look-ahead, koopman-online, koopman-perception;
+        default all. Any other registered predictor is a method by its name.
     groups
         Some of novice, intermediate, expert; default all.
     sensitivity
@@ -122,7 +126,10 @@ def run(
     wanted = list(plan.all_trials())
     if there := sum(map(StudyFolder(out).has, wanted)):
         problems.print(f"{there} of {len(wanted)} trials are there, missing ones are run")
-    with progress() as bar:
+    missing = [key for key in wanted if not StudyFolder(out).has(key)]
+    if missing and scheduler is None:
+        problems.print(_expected(plan, missing, workers))
+    with progress(quiet_s=LINES_S) as bar:
 
         def report(doing: str, share: float) -> None:
             """Move the bar, and print messages from before the first trial."""
@@ -145,6 +152,19 @@ def run(
             f"{task}: {took[len(took) // 2]:.1f} s a trial of {len(plan.methods)} methods"
         )
     console.print(f"next: tissue study report {out}")
+
+
+def _expected(plan: "Plan", keys: list["TrialKey"], workers: int | None) -> str:
+    """Return the expected time of trials on this machine as a sentence."""
+    from tissue.evaluation.study.duration import duration_text, expected_s, probe_s
+
+    cores = os.cpu_count() or 1
+    count = workers or cores
+    seconds = expected_s(plan, keys, workers=count, cores=cores, probed_s=probe_s())
+    return (
+        f"{len(keys)} trials will take about {duration_text(seconds)} on {count} "
+        f"worker{'s' * (count > 1)}, judged by a short simulation"
+    )
 
 
 @study.command(name="plan")

@@ -47,8 +47,13 @@ def reporting(wanted: Bar) -> Iterator[Progress]:
 
 
 @contextmanager
-def progress() -> Iterator[Progress]:
+def progress(*, quiet_s: float = QUIET_S) -> Iterator[Progress]:
     """Show the progress of a command: a bar, or a line at intervals without a terminal.
+
+    Parameters
+    ----------
+    quiet_s
+        Time between two lines without a terminal [s].
 
     Yields
     ------
@@ -58,7 +63,7 @@ def progress() -> Iterator[Progress]:
 
     def print_sometimes(doing: str, share: float) -> None:
         nonlocal printed_s
-        if perf_counter() - printed_s >= QUIET_S:
+        if perf_counter() - printed_s >= quiet_s:
             printed_s = perf_counter()
             print(f"{visible(doing)}, {100.0 * share:.0f} %", file=sys.stderr, flush=True)
 

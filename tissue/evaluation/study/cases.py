@@ -21,8 +21,8 @@ from tissue.evaluation.study.folder import StudyFolder
 from tissue.evaluation.study.plan import TASKS
 from tissue.evaluation.study.section import (
     CASES,
-    COLOURS,
     Section,
+    colours_of,
     drawing,
     image,
     methods_of,
@@ -232,6 +232,7 @@ def _travels(shared: TrialTable) -> tuple[str, str, bytes]:
     ends = []
     methods = methods_of(shared)
     # 0.4 inches a line, 1.4 for axis and label
+    colours = colours_of(methods)
     figure, (axes,) = drawing(9.0, 0.4 * len(methods) + 1.4)
     for line, method in enumerate(methods):
         middle, low, high = median_interval(travel_by_people(shared, method))
@@ -245,10 +246,10 @@ def _travels(shared: TrialTable) -> tuple[str, str, bytes]:
         )
         # too few people for an interval: only the point
         if low > -inf:
-            axes.plot([low, high], [line, line], color=COLOURS[method])
+            axes.plot([low, high], [line, line], color=colours[method])
             ends.append(high)
         ends.append(middle)
-        axes.plot(middle, line, "o", color=COLOURS[method], mec="black")
+        axes.plot(middle, line, "o", color=colours[method], mec="black")
     axes.set_yticks(range(len(methods)), methods)
     axes.invert_yaxis()
     # an infinite end leaves the axes; 5 % of space behind the largest finite one

@@ -22,6 +22,7 @@ from meshes.base.text_tables import read_json
 from meshes.base.whole_file import claim, package_version, require_version, whole_file
 from tissue.evaluation.charts.settings import code_sha256
 from tissue.evaluation.statistics.trials import TrialTable
+from tissue.evaluation.study.duration import Remaining
 from tissue.evaluation.study.plan import TASKS, Plan, TrialKey
 from tissue.evaluation.study.registration import (
     PLAN_FILE,
@@ -405,6 +406,8 @@ def _run_trials(
         folder.write(trial)
         waiting.pop(trial.key, None)
 
+    remaining = Remaining(plan, waiting)
+
     def report_share(doing: str) -> None:
         report(doing, 1.0 - len(waiting) / len(keys))
 
@@ -420,7 +423,10 @@ def _run_trials(
                 for trials in _results(pool, plan, wanted, running, most, report_share):
                     for trial in trials:
                         keep(trial)
-                    report_share(f"trial {len(keys) - len(waiting)} of {len(keys)}")
+                    left = remaining.text(waiting)
+                    report_share(
+                        f"trial {len(keys) - len(waiting)} of {len(keys)}{', ' * bool(left)}{left}"
+                    )
         except LOST as error:
             if not connected:
                 raise InputError(

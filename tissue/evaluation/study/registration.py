@@ -27,11 +27,11 @@ from tissue.evaluation.study.plan import (
     COMPARED,
     DIRECTIONS,
     LATENCY_MS,
-    METHODS,
     PERSONAL,
     TASKS,
     USERS,
     Plan,
+    method_settings,
 )
 
 __all__ = [
@@ -229,7 +229,9 @@ def plan_text(plan: Plan) -> str:
             "tasks": {task: TASKS[task].title for task in plan.tasks},
             "groups": list(plan.groups),
             "methods": {
-                method: ", ".join(f"{name} = {value}" for name, value in METHODS[method].items())
+                method: ", ".join(
+                    f"{name} = {value}" for name, value in method_settings(method).items()
+                )
                 + ", perception = the person's own" * (method in PERSONAL)
                 for method in plan.methods
             },

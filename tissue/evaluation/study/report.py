@@ -23,7 +23,14 @@ from tissue.evaluation.study.fidelity import (
     task_section,
 )
 from tissue.evaluation.study.folder import StudyFolder
-from tissue.evaluation.study.plan import LATENCY_MS, METHODS, PERSONAL, TASKS, USERS, Plan
+from tissue.evaluation.study.plan import (
+    LATENCY_MS,
+    PERSONAL,
+    TASKS,
+    USERS,
+    Plan,
+    method_settings,
+)
 from tissue.evaluation.study.registration import file_sha256
 from tissue.evaluation.study.section import CHOSEN_AFTER, SOURCE, Section
 from tissue.evaluation.study.tested import statistics_sections
@@ -374,7 +381,7 @@ def _parameters(plan: Plan) -> Section:
     rows = [("study", *map(str, each)) for each in STUDY]
     for method in plan.methods:
         personal = {"perception": "the person's own"} if method in PERSONAL else {}
-        for name, value in {**METHODS[method], **personal}.items():
+        for name, value in {**method_settings(method), **personal}.items():
             rows.append((f"method {method}", name, str(value), "", "", "definition"))
     tables = [("devices", "touch"), ("hands", "any"), *(("hands", group) for group in plan.groups)]
     tables += [("perception", "force"), *(("observers", group) for group in plan.groups)]

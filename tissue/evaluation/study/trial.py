@@ -18,7 +18,6 @@ from tissue.evaluation.charts.settings import finest
 from tissue.evaluation.statistics import metrics
 from tissue.evaluation.study.plan import (
     LATENCY_MS,
-    METHODS,
     PERSONAL,
     REFERENCE,
     TASKS,
@@ -26,6 +25,7 @@ from tissue.evaluation.study.plan import (
     Plan,
     TrialKey,
     Variant,
+    method_settings,
 )
 from tissue.evaluation.study.puncture import RATE_N_S, pierce
 from tissue.evaluation.study.trial_metrics import measured
@@ -48,6 +48,7 @@ __all__ = [
     "TrialScene",
     "error_sentence",
     "failures_of",
+    "methods_of_trial",
     "run_trial",
     "trial_scene",
     "trial_seed",
@@ -130,7 +131,7 @@ def run_trial(plan: Plan, key: TrialKey) -> Trial:
     rows: list[Row] = []
     trial: TrialScene | None = None
     with tempfile.TemporaryDirectory() as folder:
-        for method in _methods(plan, key):
+        for method in methods_of_trial(plan, key):
             try:
                 trial = trial or trial_scene(plan, key, Path(folder) / f"{method}.json")
                 rows.append({"method": method, **_metrics(trial, method, key)})
@@ -195,13 +196,14 @@ def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
         **variant.changes,
     }
     scene = changed(scene, by_hand)
-    felt = {
-        name: {"perception": f"observer:{observer}"} if name in PERSONAL else {} for name in METHODS
+    felt = {name: {"perception": f"observer:{observer}"} for name in PERSONAL}
+    scenes = {
+        name: changed(scene, {**method_settings(name), **felt.get(name, {})})
+        for name in plan.methods
     }
-    scenes = {name: changed(scene, {**method, **felt[name]}) for name, method in METHODS.items()}
     # one stiffness for all methods, so that only the method differs; the smallest is stable under
     # each
-    common_N_m = min(floor(_stiffness_N_m(each)) for each in scenes.values())
+    common_N_m = min(map(_stiffness_N_m, scenes.values()))
     for name, scene in scenes.items():
         scenes[name] = changed(scene, {**per_trial, "coupling.stiffness_N_m": common_N_m})
     return TrialScene(scenes, key.specimen, truth, pace)
@@ -224,14 +226,13 @@ def _all_specimens(task: str) -> list[Scene]:
     return [changed(load_scene(usual.scene), {**usual.changes, **each}) for each in usual.specimens]
 
 
-# the size bounds the memory; a scene that was dropped is computed again, with the same result
-@lru_cache(maxsize=64)
-def _stiffness_N_m(scene: Scene) -> float:
-    """Return the chosen stiffness of a scene [N/m].
+def _stiffness_N_m(scene: Scene) -> int:
+    """Return the chosen stiffness of a scene, rounded down [N/m].
 
-    It does not depend on seed and pace, so that few values are computed.
+    The search for the critical stiffness is cached and does not depend on specimen, seed, pace and
+    person. The person's map only divides its result.
     """
-    return judged_loop(loop_settings(scene), step_s=TICK_S).stiffness_N_m
+    return floor(judged_loop(loop_settings(scene), step_s=TICK_S).stiffness_N_m)
 
 
 def _calibrated(key: TrialKey, rng: np.random.Generator) -> tuple[Observer, Observer]:
@@ -256,7 +257,7 @@ def _calibrated(key: TrialKey, rng: np.random.Generator) -> tuple[Observer, Obse
     return truth, Observer(name=name, mean=mean, covariance=covariance, trials=NUMBERS)
 
 
-def _methods(plan: Plan, key: TrialKey) -> tuple[str, ...]:
+def methods_of_trial(plan: Plan, key: TrialKey) -> tuple[str, ...]:
     """Return the methods of a trial.
 
     Variants are run only for the headline, and the reference variant under one method.

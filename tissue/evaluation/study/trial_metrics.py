@@ -20,7 +20,7 @@ from tissue.simulation.simulate import TICK_S
 __all__ = ["intensity_ratios", "measured", "path_distances_mm"]
 
 ARRIVED_MM = 2.0
-"""Distance from the path's end within which a task counts as done.
+"""Distance of the device from the path's end within which a task counts as done.
 
 A trembling hand does not hold the end itself.
 """
@@ -64,7 +64,8 @@ def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict
     velocity = trace.vectors("velocity", "mm_s")
     tip = trace.vectors("tool", "mm")
     assert isinstance(run.scene.motion, PathMotion)
-    done = np.linalg.norm(tip - np.array(run.scene.motion.points_mm[-1]), axis=1) < ARRIVED_MM
+    arrived_mm = ARRIVED_MM * run.scene.held.coupling.motion_scale
+    done = np.linalg.norm(tip - np.array(run.scene.motion.points_mm[-1]), axis=1) < arrived_mm
     # a path may end where it begins: the tool must have left the end before
     took = metrics.completion_time_s(trace["time_s"], done & (np.cumsum(~done) > 0))
     error = metrics.force_error(played, ideal)

@@ -86,8 +86,8 @@ class Forecast:
         return ages if self.taps[:, :, :2].any() else 0, ages
 
 
-_forecasts: Kept["Forecast"] = Kept(64)
-"""Cache of 64 forecasts: a study runs the same few methods in tens of trials."""
+_forecasts: Kept["Forecast"] = Kept(256)
+"""Cache of forecasts: a study has some ten for each task and each changed latency or device."""
 OUT = np.array([0.0, 0.0, 1.0])
 """Direction out of the tissue during a probe."""
 

@@ -72,7 +72,7 @@ It is well below the 70 % from which the range of the device compresses forces.
 USUAL_N_M = 1000.0
 """Stiffness about which a predictor is linearised, typical of a desktop device [N/m].
 
-It is used where neither scene nor device states a stiffness.
+It is used for a device without a stiffness limit.
 """
 
 
@@ -376,7 +376,9 @@ def _forecasts(settings: LoopSettings) -> list[Forecast | None]:
     if settings.is_slow:
         raise _too_slow(settings, "a prediction", "prediction = none")
     limit = limits.stiffness_limit_N_m
-    stiffness = chosen.stiffness_N_m or (limit if isfinite(limit) else USUAL_N_M)
+    # The responses scale with the stiffness of the probe (`Forecast.stiffness_N_m`). Without the
+    # stiffness of the scene, all stiffnesses share one forecast and one critical stiffness.
+    stiffness = limit if isfinite(limit) else USUAL_N_M
     return [
         forecast_of(
             each,

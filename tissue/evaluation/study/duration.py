@@ -1,0 +1,107 @@
+"""Estimate of the time that the trials of a study take, before and while they run."""
+
+from collections.abc import Callable, Iterable
+from time import perf_counter
+
+from tissue.evaluation.study.plan import REFERENCE, Plan, TrialKey
+from tissue.evaluation.study.trial import methods_of_trial
+from tissue.scene.load import changed, load_scene
+from tissue.simulation.simulate import simulate
+
+__all__ = ["COSTS", "Remaining", "duration_text", "expected_s", "probe_s"]
+
+COSTS = {"T1": 9.0, "T2": 4.0, "T3": 9.0, "needle": 9.0, "reaming": 9.0, "drilling": 9.0}
+"""Time of one method of a trial over the time of `probe_s`, by task.
+
+Measured by ``python tests/bench/bench_study.py --costs``.
+"""
+REFERENCE_COST = 10.0
+"""Time of a reference trial over that of a usual trial of one method.
+
+Measured by ``python tests/bench/bench_study.py --costs``.
+"""
+SHARING = 0.85
+"""Speed of a worker among as many workers as cores, over its speed alone.
+
+Measured by ``python tests/bench/bench_study.py`` with two workers on two cores.
+"""
+PROBE_S = 0.5
+"""Simulated time of the probe [s]."""
+TRUSTED = 0.03
+"""Share of the work from which the measured pace replaces the estimate.
+
+Below, the first trials of each worker dominate. They also load the code.
+"""
+
+
+def probe_s(clock: Callable[[], float] = perf_counter) -> float:
+    """Return the time of a short simulation on this machine [s], the unit of `COSTS`."""
+    scene = changed(
+        load_scene("wall"), {"device.renderer": "penalty", "coupling.stiffness_N_m": 200.0}
+    )
+    # The first run loads the code.
+    simulate(scene.model_copy(update={"duration_s": 0.05}), cores=1)
+    begun_s = clock()
+    simulate(scene.model_copy(update={"duration_s": PROBE_S}), cores=1)
+    return clock() - begun_s
+
+
+def cost(plan: Plan, keys: Iterable[TrialKey]) -> float:
+    """Return the time of trials over that of `probe_s`."""
+    total = 0.0
+    for key in keys:
+        each = COSTS[key.task] * len(methods_of_trial(plan, key))
+        total += each * (REFERENCE_COST if key.variant == REFERENCE else 1.0)
+    return total
+
+
+def expected_s(
+    plan: Plan, keys: Iterable[TrialKey], *, workers: int, cores: int, probed_s: float
+) -> float:
+    """Return the expected time of trials [s].
+
+    Parameters
+    ----------
+    plan, keys
+        Plan, and its trials that are to be run.
+    workers, cores
+        Numbers of processes and of cores that they share.
+    probed_s
+        Time of `probe_s` [s].
+    """
+    speed = min(workers, cores)
+    if workers >= cores and cores > 1:
+        speed = SHARING * speed
+    return probed_s * cost(plan, keys) / speed
+
+
+class Remaining:
+    """Remaining time of a run of trials, from the pace so far.
+
+    Parameters
+    ----------
+    plan, keys
+        Plan, and its trials that are to be run.
+    """
+
+    def __init__(self, plan: Plan, keys: Iterable[TrialKey]) -> None:
+        self._plan = plan
+        self._total = cost(plan, keys)
+        self._begun_s = perf_counter()
+
+    def text(self, waiting: Iterable[TrialKey]) -> str:
+        """Return the remaining time as text for the trials that wait, empty if it is not known."""
+        left = cost(self._plan, waiting)
+        done = self._total - left
+        if not done > TRUSTED * self._total:
+            return ""
+        return f"{duration_text((perf_counter() - self._begun_s) * left / done)} left"
+
+
+def duration_text(seconds: float) -> str:
+    """Return a time in words, such as ``25 min``."""
+    minutes = seconds / 60.0
+    if minutes < 1.0:
+        return "less than 1 min"
+    # From 100 min, hours with one decimal are easier to read.
+    return f"{minutes:.0f} min" if minutes < 100.0 else f"{minutes / 60.0:.1f} h"
