@@ -13,12 +13,14 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, by, is_file, is_folder, require_positive
+from meshes.base.file_limits import require_regular
 from meshes.base.isolated_parser import Answer, parse_isolated
 from meshes.images.data import first_bytes, is_gzip, read_voxels, scaled
 from meshes.images.dicom import read_dicom
+from meshes.images.dicom_files import is_dicom
 from meshes.images.frame import Image, StoredImage, along_lps
 from meshes.images.text_headers import read_metaimage, read_nrrd
-from meshes.images.tiff import read_tiff_slices, tiff_slices
+from meshes.images.tiff import SUFFIXES, read_tiff_slices, tiff_slices
 
 __all__ = ["Image", "read_image", "read_nifti", "require_image_name", "vtk_voxels"]
 
@@ -323,7 +325,7 @@ def read_image(
 
 def _stored(path: Path, series: int | None) -> StoredImage:
     """Return the image of a file or DICOM folder, as stored."""
-    if is_folder(path):
+    if is_folder(path) or _is_dicom_file(path):
         return read_dicom(path, series=series)
     if series is not None:
         raise InputError(
@@ -333,6 +335,14 @@ def _stored(path: Path, series: int | None) -> StoredImage:
     return next(read for suffix, read in _READERS.items() if path.name.lower().endswith(suffix))(
         path
     )
+
+
+def _is_dicom_file(path: Path) -> bool:
+    """Return whether a file is the index of a DICOM folder, or starts as DICOM does."""
+    if path.name.lower().endswith((*_READERS, *SUFFIXES)):
+        return False
+    require_regular(path)
+    return path.name.upper() == "DICOMDIR" or is_dicom(path)
 
 
 def require_image_name(path: Path) -> None:
@@ -345,6 +355,6 @@ def require_image_name(path: Path) -> None:
     InputError
         If the name does not fit; the message lists the formats.
     """
-    known = (*_READERS, ".tif", ".tiff")
-    if is_file(path) and not path.name.lower().endswith(known):
+    known = path.name.lower().endswith((*_READERS, *SUFFIXES))
+    if is_file(path) and not known and not _is_dicom_file(path):
         raise InputError("file", "be an image volume of a known format", path.name, _REMEDY)
