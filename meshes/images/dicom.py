@@ -26,7 +26,7 @@ from meshes.images.dicom_files import (
 )
 from meshes.images.frame import StoredImage
 
-__all__ = ["Slice", "read_dicom", "slice_of", "stacked", "stored_pixels"]
+__all__ = ["Slice", "normal_of", "read_dicom", "slice_of", "stacked", "stored_pixels"]
 
 _INVERTED = "MONOCHROME1"
 """Photometric interpretation whose low values are displayed as white."""
@@ -179,8 +179,8 @@ def _series_number(frame: Frame) -> str:
     return str(number) if abs(number) < 1_000_000 else "?"
 
 
-def slice_of(frame: Frame) -> Slice:
-    """Return a slice of checked place and size.
+def slice_of(frame: Frame, *, labels: bool = False) -> Slice:
+    """Return a slice of checked place and size; those of labels may have a colour table.
 
     Raises
     ------
@@ -188,7 +188,8 @@ def slice_of(frame: Frame) -> Slice:
         If a number is missing, or the pixels are no grey values.
     """
     header = frame.header
-    if header["PhotometricInterpretation"] not in _GREY or header["SamplesPerPixel"] != 1:
+    is_grey = header["PhotometricInterpretation"] in _GREY or labels
+    if not is_grey or header["SamplesPerPixel"] != 1:
         raise InputError(
             "a DICOM slice",
             "hold grey values (MONOCHROME2 or MONOCHROME1)",
@@ -255,7 +256,7 @@ def stacked(slices: Sequence[Slice], source: str) -> tuple[list[Slice], Array, l
             "a DICOM folder", "hold two slices or more", f"one in {source}", "give the whole series"
         )
     first = slices[0]
-    normal = _normal(first)
+    normal = normal_of(first)
     for other in slices[1:]:
         turned = max(np.abs(first.row - other.row).max(), np.abs(first.column - other.column).max())
         pixels_differ = not np.allclose(other.pixel_mm, first.pixel_mm, rtol=_UNIT)
@@ -323,7 +324,7 @@ def _line(places: Array) -> tuple[Array, Array]:
     return places.mean(axis=0) + at[0] * step, step
 
 
-def _normal(first: Slice) -> Array:
+def normal_of(first: Slice) -> Array:
     """Return the unit normal of a slice with valid directions."""
     lengths = np.linalg.norm([first.row, first.column], axis=1)
     if np.abs(lengths - 1.0).max() > _UNIT or abs(float(first.row @ first.column)) > _UNIT:

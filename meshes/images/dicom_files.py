@@ -19,7 +19,16 @@ import numpy as np
 from meshes.base.errors import InputError, counted, is_folder
 from meshes.base.file_limits import memory_limit_bytes, require_memory
 
-__all__ = ["Frame", "damaged", "dicom_files", "frames_of", "is_dicom", "read_dataset", "refused"]
+__all__ = [
+    "Frame",
+    "damaged",
+    "dicom_files",
+    "frames_in",
+    "frames_of",
+    "is_dicom",
+    "read_dataset",
+    "refused",
+]
 
 Header = Mapping[str, Any]
 """Elements of a frame by name; None where the file does not state one."""
@@ -62,6 +71,7 @@ _READ = (
     "PixelPaddingRangeLimit",
     "RescaleIntercept",
     "RescaleSlope",
+    "ReferencedSegmentNumber",
 )
 _SHARED = "SharedFunctionalGroupsSequence"
 _EACH = "PerFrameFunctionalGroupsSequence"
@@ -201,7 +211,7 @@ def frames_of(files: Sequence[tuple[Path, str]], source: str) -> tuple[list[Fram
         if modality in _OTHER_OBJECTS:
             objects.append(modality)
             continue
-        for frame in _frames(file, dataset, place):
+        for frame in frames_in(file, dataset, place):
             header = frame.header
             keys = ("SeriesInstanceUID", "SeriesNumber", "SOPInstanceUID", "ImagePositionPatient")
             identity = (*(str(header[key]) for key in keys), frame.number)
@@ -223,9 +233,9 @@ def frames_of(files: Sequence[tuple[Path, str]], source: str) -> tuple[list[Fram
     return list(frames.values()), notes
 
 
-def read_dataset(file: Path, place: str) -> Any:
+def read_dataset(file: Path, place: str, further: Sequence[str] = ()) -> Any:
     """Return the elements `_READ` of a file, its functional groups and its pixels, as pydicom has
-    them.
+    them, and further elements by name.
 
     Raises
     ------
@@ -234,7 +244,7 @@ def read_dataset(file: Path, place: str) -> Any:
     """
     import pydicom
 
-    tags = [*_READ, _SHARED, _EACH, "PixelData"]
+    tags = [*_READ, *further, _SHARED, _EACH, "PixelData"]
     try:
         with warnings.catch_warnings():  # the warnings quote header content
             warnings.simplefilter("ignore")
@@ -247,7 +257,7 @@ def read_dataset(file: Path, place: str) -> Any:
         raise damaged(place) from problem
 
 
-def _frames(file: Path, dataset: Any, place: str) -> list[Frame]:
+def frames_in(file: Path, dataset: Any, place: str) -> list[Frame]:
     """Return the frames of a file; the pixels are checked for their length."""
     try:
         with warnings.catch_warnings():
@@ -283,7 +293,8 @@ def _flat(items: Sequence[Any] | None) -> dict[str, Any]:
 def _require_pixels(dataset: Any, header: Header, frames: int, place: str) -> None:
     """Raise for pixels of another length than the header states."""
     keys = ("Rows", "Columns", "SamplesPerPixel", "BitsAllocated")
-    needed = int(np.prod([int(header[key]) for key in keys], dtype=object)) * frames // 8
+    # Values of one bit are packed over the ends of rows and frames.
+    needed = -(-int(np.prod([int(header[key]) for key in keys], dtype=object)) * frames // 8)
     pixels = dataset.get_item("PixelData")
     in_parts = getattr(pixels, "length", None) == _UNDEFINED_LENGTH or getattr(
         pixels, "is_undefined_length", False

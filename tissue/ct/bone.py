@@ -169,7 +169,7 @@ def _source(request: ImportRequest, progress: Progress) -> tuple[_Source, list[s
     if box is not None:
         with names_of_caller({"crop": "crop_mm"}):
             image = cropped(image, box)
-        labels = labels and Labels(cropped(labels.image, box), labels.names)
+        labels = labels and replace(labels, image=cropped(labels.image, box))
     return _Source(image, labels, found, histogram, law), sentences
 
 

@@ -233,7 +233,9 @@ class ImportRequest:
         """Read the labels, on the voxels of an image where it is given."""
         assert self.labels is not None
         with names_of_caller({"file": "labels", "names": "label_names"}):
-            labels = read_labels(self.labels, names=self.label_names, spacing_mm=self.spacing_mm)
+            labels = read_labels(
+                self.labels, names=self.label_names, spacing_mm=self.spacing_mm, image=image
+            )
             return labels if image is None else on_grid_of(labels, image)
 
 

@@ -466,8 +466,8 @@ def _image_source(
     TIFF slices state no spacing: `spacing_mm` is then the spacing of their voxels.
     """
     from meshes.images.bone_image import image_volume
+    from meshes.images.planes import plane_files
     from meshes.images.reading import read_image
-    from meshes.images.tiff import tiff_slices
 
     remarks: list[str] = []
     names = {
@@ -477,7 +477,7 @@ def _image_source(
     }
     with names_of_caller(names):
         found = image_volume(
-            read_image(path, spacing_mm=spacing_mm if tiff_slices(path) else None),
+            read_image(path, spacing_mm=spacing_mm if plane_files(path) else None),
             threshold=threshold,
             density_kg_m3=density_kg_m3,
             resample_mm=spacing_mm,
