@@ -138,13 +138,3 @@ def test_outlines_across_the_planes_are_refused(tmp_path):
     path = write_structures(tmp_path / "rs.dcm", tilted)
     with pytest.raises(InputError, match="lie in planes across the patient's long axis"):
         read_labels(path, image=image(tmp_path))
-
-
-def test_the_files_that_pydicom_carries_are_read(tmp_path):
-    """A segmentation of dcmqi, 3 planes of one segment, of which pydicom keeps the first."""
-    from pydicom.data import get_testdata_file
-
-    labels = read_labels(get_testdata_file("liver_1frame.dcm", download=False))
-    assert list(labels.names.values()) == ["Liver"]
-    assert labels.image.spacing_mm[:2] == pytest.approx((0.810547, 0.810547))
-    assert labels.mask("Liver").any()
