@@ -110,7 +110,7 @@ class Segmentation:
 
     def planes(self) -> Iterator[tuple[int, int, Flags]]:
         """Yield number of the segment, plane and mask, shape (columns, rows), of each frame."""
-        from pydicom.pixels import iter_pixels
+        from pydicom.pixels.utils import iter_pixels
 
         kind = str(self.object.dataset.get("SegmentationType", "BINARY"))
         full = int(self.object.dataset.get("MaximumFractionalValue") or 255)
@@ -177,7 +177,7 @@ def read_segmentation(found: LabelObject) -> Segmentation:
 
 def _segments(found: LabelObject) -> list[Segment]:
     """Return the segments of a file, with the side that their type states."""
-    segments = []
+    segments: list[Segment] = []
     for each in found.dataset.get("SegmentSequence") or ():
         number = int(each.get("SegmentNumber", len(segments) + 1))
         name = str(each.get("SegmentLabel") or "").strip() or f"label {number}"
@@ -262,7 +262,9 @@ def drawn(outlines: Outlines, image: Image) -> Iterator[tuple[int, int, Flags]]:
     """
     spacing = np.array(image.spacing_mm)
     origin = np.array(image.origin_mm)
-    centres = origin[2] + spacing[2] * np.arange(image.values.shape[2])
+    columns, rows, planes_of_image = image.values.shape
+    shape = columns, rows
+    centres = origin[2] + spacing[2] * np.arange(planes_of_image)
     for number, polygons in outlines.polygons.items():
         heights = np.array([each[:, 2].mean() for each in polygons])
         planes, member = np.unique(np.round(heights / _FLAT_MM), return_inverse=True)
@@ -273,9 +275,9 @@ def drawn(outlines: Outlines, image: Image) -> Iterator[tuple[int, int, Flags]]:
             nearest = int(np.abs(places - centre).argmin())
             if abs(places[nearest] - centre) > reach:
                 continue
-            inside = np.zeros(image.values.shape[:2], dtype=bool)
-            for index in np.flatnonzero(member == nearest):
-                inside ^= _within(polygons[index][:, :2], origin[:2], spacing[:2], inside.shape)
+            inside = np.zeros(shape, dtype=bool)
+            for index in np.flatnonzero(member == nearest).tolist():
+                inside ^= _within(polygons[index][:, :2], origin[:2], spacing[:2], shape)
             if inside.any():
                 yield number, k, inside
 

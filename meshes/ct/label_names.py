@@ -144,7 +144,7 @@ def slicer_segments(path: Path) -> list[Segment]:
     fields, _ = header_lines(path, ":", "")
     is_layered = fields.get("dimension") == "4"
     indices = (re.fullmatch(r"segment(\d+)_name", key) for key in fields)
-    found = []
+    found: list[Segment] = []
     for index in sorted(int(each[1]) for each in indices if each):
         # NRRD separates such keys by :=, so that = is left.
         keys = ("name", "labelvalue", "layer", "tags")

@@ -30,7 +30,7 @@ from meshes.ct.label_names import (
 )
 from meshes.images.frame import Image, StoredImage, along_lps
 from meshes.images.planes import plane_files
-from meshes.images.reading import IMAGE_SUFFIXES, read_image, stored_image
+from meshes.images.reading import IMAGE_SUFFIXES, Spacing, read_image, stored_image
 
 __all__ = ["Labels", "header_names", "on_grid_of", "read_labels"]
 
@@ -40,6 +40,8 @@ _ROUNDED = 0.01
 """Largest distance of a label from a whole number: programs store labels as scaled floats."""
 _SAME_PLACE = 1e-2
 """Largest distance between grids that count as equal [voxel]."""
+_LOST = 0.05
+"""Share of labels outside an image that is reported; other voxels change a volume by less."""
 _SHOWN_NAMES = 12
 """Names that an error message lists."""
 
@@ -112,7 +114,7 @@ def read_labels(
     path: str | Path,
     *,
     names: str | Path | None = None,
-    spacing_mm: float | None = None,
+    spacing_mm: Spacing | None = None,
     image: Image | None = None,
 ) -> Labels:
     """Read a label volume, or a folder of masks with one mask per label, and the label names.
@@ -127,7 +129,7 @@ def read_labels(
         One of `meshes.ct.label_names.label_sets`, or a TOML file of a table ``[labels]`` that gives
         each name its number; None: the names in the file's own header, else ``label 1`` and so on.
     spacing_mm
-        Distance between neighbours [mm] of a file that does not state it.
+        Distance between neighbours [mm] of a file that does not state it, one number or three.
     image
         The CT of the labels. The outlines of a structure set are drawn on its voxels.
 
@@ -168,7 +170,7 @@ def read_labels(
     return replace(labels, image=replace(labels.image, notes=notes))
 
 
-def _of_volume(path: Path, spacing_mm: float | None) -> Labels:
+def _of_volume(path: Path, spacing_mm: Spacing | None) -> Labels:
     """Read a label volume, of one layer or of several that overlap."""
     stored = stored_image(path, spacing_mm=spacing_mm, labels=True)
     if stored.values.ndim == 4:
@@ -297,6 +299,10 @@ def on_grid_of(labels: Labels, image: Image) -> Labels:
         "each voxel of "
         f"{other.source} takes the nearest label."
     )
+    before = np.count_nonzero(one.values) * float(np.prod(one.spacing_mm))
+    left = np.count_nonzero(values) * float(np.prod(other.spacing_mm))
+    if left < (1.0 - _LOST) * before:
+        note += f" {1.0 - left / before:.0%} of its labels lie outside."
     held = set(_different(values).tolist())
     held = held.union(*(each for number, each in labels.overlaps.items() if number in held))
     names = {number: name for number, name in labels.names.items() if number in held}

@@ -292,7 +292,7 @@ def _picture_planes(file: Path) -> _Planes:
         if values is None:
             values = np.asarray(picture.crop((0, 0, 1, 1)))
         photometric = {"P": _PALETTE}.get(picture.mode, 1 if values.ndim == 2 else 2)
-        samples = 1 if values.ndim == 2 else values.shape[2]
+        samples = 1 if values.ndim == 2 else int(values.shape[-1])
         shape = (1, picture.height, picture.width, samples)
     bits = 8 * values.dtype.itemsize
     return _Planes(shape, "YX" if samples == 1 else "YXS", photometric, bits, values.dtype, 0)
