@@ -13,7 +13,7 @@ from meshes.base.errors import InputError, by, is_file, is_folder
 from meshes.base.file_limits import require_memory, require_regular
 from meshes.ct.label_names import Segment, side_of
 from meshes.images.dicom import Slice, normal_of, slice_of
-from meshes.images.dicom_files import damaged, frames_in, is_dicom, read_dataset
+from meshes.images.dicom_files import damaged, files_in, frames_in, is_dicom, read_dataset
 from meshes.images.frame import Image, StoredImage
 
 __all__ = [
@@ -27,6 +27,8 @@ __all__ = [
 ]
 
 _KINDS = ("SEG", "RTSTRUCT")
+_VOLUMES = (".nii", ".nii.gz", ".nrrd", ".mha", ".mhd", ".raw", ".tif", ".tiff", ".bmp")
+"""Endings of files that are no DICOM and need not be opened."""
 _SEGMENT_TAGS = ("SegmentSequence", "SegmentationType", "MaximumFractionalValue")
 _OUTLINE_TAGS = ("StructureSetROISequence", "ROIContourSequence")
 _CLOSED = ("CLOSED_PLANAR", "CLOSEDPLANAR_XOR", "INTERPOLATED_PLANAR")
@@ -47,21 +49,34 @@ class LabelObject:
 
 
 def label_object(path: Path) -> LabelObject | None:
-    """Return the DICOM object of labels in a file, or in a folder that holds no other file.
+    """Return the DICOM object of labels in a file, or the only one in a folder.
 
     The result is None for all other files and folders.
+
+    Raises
+    ------
+    InputError
+        If a folder holds several.
     """
+    files = [path]
     if is_folder(path):
-        files = [file for file in path.iterdir() if not file.name.startswith(".")]
-        return label_object(files[0]) if len(files) == 1 and is_file(files[0]) else None
-    if not is_file(path):
-        return None
-    require_regular(path)
-    if not is_dicom(path):
-        return None
-    dataset = read_dataset(path, path.name, (*_SEGMENT_TAGS, *_OUTLINE_TAGS))
-    modality = str(dataset.get("Modality", ""))
-    return LabelObject(modality, path, path.name, dataset) if modality in _KINDS else None
+        files = [file for file in files_in(path) if not file.name.lower().endswith(_VOLUMES)]
+    found = []
+    for file in files:
+        if not is_file(file) or not is_dicom(require_regular(file)):
+            continue
+        dataset = read_dataset(file, path.name, (*_SEGMENT_TAGS, *_OUTLINE_TAGS))
+        modality = str(dataset.get("Modality", ""))
+        if modality in _KINDS:
+            found.append(LabelObject(modality, file, path.name, dataset))
+    if len(found) > 1:
+        raise InputError(
+            "labels",
+            "be one DICOM object",
+            f"{len(found)} in {path.name}",
+            "give the file of one segmentation or structure set",
+        )
+    return found[0] if found else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -145,7 +145,7 @@ def dicom_files(path: Path) -> tuple[list[tuple[Path, str]], list[str]]:
     if not is_folder(path) and path.name.upper() != "DICOMDIR":
         return [(path, path.name)], []
     folder = path if is_folder(path) else path.parent
-    files = _candidates(folder)
+    files = files_in(folder)
     places = [
         f"file {number} of {len(files)} in the order of names in {folder.name}"
         for number in range(1, len(files) + 1)
@@ -171,8 +171,8 @@ def dicom_files(path: Path) -> tuple[list[tuple[Path, str]], list[str]]:
     return found, notes if others else []
 
 
-def _candidates(folder: Path) -> list[Path]:
-    """Return the files in a folder, sorted, except those of clearly another kind."""
+def files_in(folder: Path) -> list[Path]:
+    """Return the files in a folder and its folders, sorted, that may be DICOM by their names."""
     found = []
     for within, folders, names in os.walk(folder):
         folders[:] = sorted(each for each in folders if not each.startswith("."))

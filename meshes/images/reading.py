@@ -34,7 +34,7 @@ __all__ = [
     "vtk_voxels",
 ]
 
-Spacing = float | Sequence[float]
+Spacing = float | Sequence[float] | Array
 """Distance between neighbours [mm], in all directions or along each axis."""
 
 Header = Any
@@ -371,7 +371,7 @@ def stored_image(
 
 def _given_spacing(spacing_mm: Spacing) -> tuple[float, float, float]:
     """Return a spacing along each axis."""
-    each = spacing_mm if isinstance(spacing_mm, Sequence) else (spacing_mm,) * 3
+    each = list(spacing_mm) if np.ndim(spacing_mm) else [spacing_mm] * 3  # type: ignore[arg-type]
     if len(each) != 3:
         raise InputError(
             "anatomy.spacing_mm", "be one number or three", each, "give 0.5 or 0.5,0.5,1"

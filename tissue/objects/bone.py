@@ -1,6 +1,6 @@
 """Bone object: made from a file, a block, an array or an image, cut by tools, and shown."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
@@ -479,10 +479,10 @@ def _image_source(
         "anatomy.spacing_mm": "spacing_mm",
         "resample_mm": "spacing_mm",
     }
-    edge_mm = None if isinstance(spacing_mm, Sequence) else spacing_mm
-    stated = edge_mm is None or bool(plane_files(path))
+    edge_mm = None if np.ndim(spacing_mm) else spacing_mm
+    is_stated = edge_mm is None or bool(plane_files(path))
     with names_of_caller(names):
-        image = read_image(path, spacing_mm=spacing_mm if stated else None)
+        image = read_image(path, spacing_mm=spacing_mm if is_stated else None)
         found = image_volume(
             image,
             threshold=threshold,
