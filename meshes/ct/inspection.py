@@ -331,9 +331,7 @@ def bone_label_note(image: Image, mask: Flags, name: str) -> str:
     if share < _NO_BONE:
         raise InputError("region", "be a label on bone", f"{name} with {found}", _CAUSES)
     if share < _LITTLE_BONE:
-        return (
-            f"warning: most of label {name} is not bone, {found}. If that is not marrow, {_CAUSES}."
-        )
+        return f"warning: most of {name} is not bone, {found}. If that is not marrow, {_CAUSES}."
     return ""
 
 
@@ -346,7 +344,4 @@ def soft_label_note(image: Image, mask: Flags, name: str) -> str:
     middle = float(np.median(image.values[mask]))
     if low <= middle <= high:
         return ""
-    return (
-        f"warning: label {name} does not lie on soft tissue, its median is {middle:.0f} HU: "
-        f"{_CAUSES}."
-    )
+    return f"warning: {name} does not lie on soft tissue, its median is {middle:.0f} HU: {_CAUSES}."

@@ -25,7 +25,7 @@ __all__ = [
     "slicer_segments",
 ]
 
-MOST_LABELS = 65535
+MOST_LABELS = 2**31 - 1
 """Largest number of a label."""
 _HEADER_BYTES = 1 << 20
 """Bytes of a NIfTI file that are searched for a table of labels: 4 kB for each of 255 names."""

@@ -230,7 +230,7 @@ class Overlay:
         if len(labels) == 1:
             return labels[0]
         if labels not in self._of:
-            if self._next > MOST_LABELS:
+            if self._next > np.iinfo(self.values.dtype).max:
                 raise InputError("labels", "overlap in few ways", "too many", "give fewer segments")
             self._of[labels] = self._next
             self._members[self._next] = labels
@@ -389,11 +389,12 @@ def _whole(values: Numbers, source: str) -> tuple[NDArray[np.integer], list[str]
             "give the segmentation, not the image or a map of probabilities",
         )
     notes = [f"The labels of {source} are up to {away:.2g} off whole numbers: they are rounded."]
-    kind = np.uint8 if high <= 255 else np.uint16
-    return whole.astype(kind), notes if away > 0.0 else []
+    return whole.astype(np.min_scalar_type(round(high))), notes if away > 0.0 else []
 
 
 def _different(values: Numbers) -> NDArray[np.integer]:
-    """Return the different whole numbers from 0 to 65535 in an array."""
-    counts = np.bincount(values.ravel(order="K").astype(np.uint16))
-    return np.flatnonzero(counts)
+    """Return the different whole numbers, 0 or more, in an array."""
+    if values.max() > np.iinfo(np.uint16).max:
+        return np.unique(values)
+    # Counting is ten times faster than sorting.
+    return np.flatnonzero(np.bincount(values.ravel(order="K").astype(np.uint16)))

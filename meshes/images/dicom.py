@@ -158,7 +158,9 @@ def _of_one_series(
             "a DICOM folder",
             "hold one series",
             f"{len(counts)} in {source} ({listed})",
-            "give each a folder of its own, or let `tissue import --series NUMBER` take one",
+            "take one by `tissue import --series NUMBER`"
+            if len({number for _, number in wanted}) > 1
+            else "give the folder or the file of one of them",
         )
     notes = []
     if series is None and len(counts) > 1:
@@ -253,7 +255,10 @@ def stacked(slices: Sequence[Slice], source: str) -> tuple[list[Slice], Array, l
     """
     if len(slices) < 2:
         raise InputError(
-            "a DICOM folder", "hold two slices or more", f"one in {source}", "give the whole series"
+            "a DICOM folder",
+            "hold two slices or more",
+            f"one in {source}",
+            "give the folder of the series",
         )
     first = slices[0]
     normal = normal_of(first)

@@ -55,7 +55,7 @@ def test_a_table_of_ones_own_names_the_numbers(tmp_path):
     for text, part in (
         ("[labels]\ncortical = 2\n", "must name every label"),
         ("[labels]\na = 2\nb = 2\n", "a number of its own"),
-        ("[labels]\na = 0\n", "from 1 to 65535"),
+        ("[labels]\na = 0\n", "from 1 to 2147483647"),
         ("[other]\na = 1\n", "one table [labels]"),
         ("labels", "readable TOML"),
     ):
