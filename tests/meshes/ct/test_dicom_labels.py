@@ -61,7 +61,7 @@ def test_frames_without_a_voxel_may_be_left_out_between_others(tmp_path):
     assert np.array_equal(labels.mask("bone"), parts[0][:, :, 2:9])
 
 
-def test_segments_of_one_name_are_told_apart_by_their_side(tmp_path):
+def test_segments_of_one_name_are_named_by_their_side(tmp_path):
     path = tmp_path / "seg.dcm"
     parts = masks()
     parts[1] &= ~parts[0]

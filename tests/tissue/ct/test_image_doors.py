@@ -96,7 +96,7 @@ def test_planes_take_their_spacing_at_every_door(tmp_path, command):
         tissue.Bone.from_image(tmp_path / "png", threshold=100)
 
 
-def test_a_bone_at_the_edge_of_an_image_is_said_to_be_cut_off(tmp_path):
+def test_the_notes_of_a_bone_state_where_the_image_cuts_it_off(tmp_path):
     image = ball(half_mm=14.0)
     axes = np.diag(image.spacing_mm)
     write_nrrd(tmp_path / "whole.nrrd", image.values, axes, image.origin_mm)
@@ -112,7 +112,7 @@ def test_a_bone_at_the_edge_of_an_image_is_said_to_be_cut_off(tmp_path):
 @pytest.mark.parametrize(
     ("axis", "words"), [(0, "left to right"), (1, "front to back"), (2, "head to feet")]
 )
-def test_a_flipped_label_is_told_by_its_axis(axis, words):
+def test_a_flipped_label_is_named_by_its_axis(axis, words):
     image = ball(centre_mm=np.array([7.0, 7.0, 7.0]))
     mask = ball_mask(image, centre_mm=np.array([7.0, 7.0, 7.0]))
     note = bone_label_note(image, np.flip(mask, axis), "humerus")
