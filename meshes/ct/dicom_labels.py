@@ -13,7 +13,14 @@ from meshes.base.errors import InputError, by, is_file, is_folder
 from meshes.base.file_limits import require_memory, require_regular
 from meshes.ct.label_names import Segment, side_of
 from meshes.images.dicom import Slice, normal_of, slice_of
-from meshes.images.dicom_files import damaged, files_in, frames_in, is_dicom, read_dataset
+from meshes.images.dicom_files import (
+    damaged,
+    files_in,
+    frames_in,
+    is_dicom,
+    modality_of,
+    read_dataset,
+)
 from meshes.images.frame import Image, StoredImage
 
 __all__ = [
@@ -66,7 +73,7 @@ def label_object(path: Path) -> LabelObject | None:
         if not is_file(file) or not is_dicom(require_regular(file)):
             continue
         dataset = read_dataset(file, path.name, (*_SEGMENT_TAGS, *_OUTLINE_TAGS))
-        modality = str(dataset.get("Modality", ""))
+        modality = modality_of(dataset, path.name)
         if modality in _KINDS:
             found.append(LabelObject(modality, file, path.name, dataset))
     if len(found) > 1:
@@ -193,10 +200,13 @@ def read_segmentation(found: LabelObject) -> Segmentation:
 def _segments(found: LabelObject) -> list[Segment]:
     """Return the segments of a file, with the side that their type states."""
     segments: list[Segment] = []
-    for each in found.dataset.get("SegmentSequence") or ():
-        number = int(each.get("SegmentNumber", len(segments) + 1))
-        name = str(each.get("SegmentLabel") or "").strip() or f"label {number}"
-        segments.append(Segment(number, name, _side(each)))
+    try:
+        for each in found.dataset.get("SegmentSequence") or ():
+            number = int(each.get("SegmentNumber", len(segments) + 1))
+            name = str(each.get("SegmentLabel") or "").strip() or f"label {number}"
+            segments.append(Segment(number, name, _side(each)))
+    except Exception as problem:  # damaged headers raise many kinds
+        raise damaged(found.source) from problem
     return segments
 
 
@@ -242,19 +252,12 @@ def read_outlines(found: LabelObject) -> Outlines:
     InputError
         If it is damaged, or an outline does not lie in a plane across z.
     """
-    rois = found.dataset.get("StructureSetROISequence") or ()
-    names = {int(each.ROINumber): str(each.get("ROIName", "")).strip() for each in rois}
-    polygons: dict[int, list[Array]] = {}
-    for roi in found.dataset.get("ROIContourSequence") or ():
-        for contour in roi.get("ContourSequence") or ():
-            if str(contour.get("ContourGeometricType", "")).upper() not in _CLOSED:
-                continue
-            try:
-                points = np.array(contour.ContourData, dtype=np.float64).reshape(-1, 3)
-            except (TypeError, ValueError, AttributeError) as problem:
-                raise damaged(found.source) from problem
-            if len(points) > 2:
-                polygons.setdefault(int(roi.ReferencedROINumber), []).append(points)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            names, polygons = _structures(found.dataset)
+    except Exception as problem:  # damaged headers raise many kinds
+        raise damaged(found.source) from problem
     if any(np.ptp(each[:, 2]) > _FLAT_MM for held in polygons.values() for each in held):
         raise InputError(
             "outlines",
@@ -266,6 +269,21 @@ def read_outlines(found: LabelObject) -> Outlines:
         Segment(number, names.get(number) or f"label {number}") for number in sorted(polygons)
     ]
     return Outlines(found.source, segments, polygons)
+
+
+def _structures(dataset: Any) -> tuple[dict[int, str], dict[int, list[Array]]]:
+    """Return names and closed outlines of the structures of a set, by their numbers."""
+    rois = dataset.get("StructureSetROISequence") or ()
+    names = {int(each.ROINumber): str(each.get("ROIName", "")).strip() for each in rois}
+    polygons: dict[int, list[Array]] = {}
+    for roi in dataset.get("ROIContourSequence") or ():
+        for contour in roi.get("ContourSequence") or ():
+            if str(contour.get("ContourGeometricType", "")).upper() not in _CLOSED:
+                continue
+            points = np.array(contour.ContourData, dtype=np.float64).reshape(-1, 3)
+            if len(points) > 2 and np.isfinite(points).all():
+                polygons.setdefault(int(roi.ReferencedROINumber), []).append(points)
+    return names, polygons
 
 
 def drawn(outlines: Outlines, image: Image) -> Iterator[tuple[int, int, Flags]]:

@@ -26,6 +26,7 @@ __all__ = [
     "frames_in",
     "frames_of",
     "is_dicom",
+    "modality_of",
     "read_dataset",
     "refused",
 ]
@@ -207,7 +208,7 @@ def frames_of(files: Sequence[tuple[Path, str]], source: str) -> tuple[list[Fram
     localisers = copies = 0
     for file, place in files:
         dataset = read_dataset(file, place)
-        modality = str(dataset.get("Modality", ""))
+        modality = modality_of(dataset, place)
         if modality in _OTHER_OBJECTS:
             objects.append(modality)
             continue
@@ -254,6 +255,14 @@ def read_dataset(file: Path, place: str, further: Sequence[str] = ()) -> Any:
     except InputError:
         raise
     except Exception as problem:  # damaged headers raise many kinds
+        raise damaged(place) from problem
+
+
+def modality_of(dataset: Any, place: str) -> str:
+    """Return the kind of an object, such as CT or SEG."""
+    try:
+        return str(dataset.get("Modality", ""))
+    except Exception as problem:  # pydicom converts an element at its first use
         raise damaged(place) from problem
 
 

@@ -282,8 +282,8 @@ def _distinct(codes: Numbers) -> tuple[Numbers, Numbers, Numbers]:
         index = np.zeros(len(counts), dtype=np.int32)
         index[found] = np.arange(len(found))
         return found, index[codes.astype(np.int64)], counts[found]
-    found, index, counts = np.unique(codes, return_inverse=True, return_counts=True)
-    return found, index.reshape(codes.shape), counts
+    different, at, sizes = np.unique(codes, return_inverse=True, return_counts=True)
+    return different, at.reshape(codes.shape), sizes
 
 
 def _planes(file: Path) -> _Planes:

@@ -371,7 +371,8 @@ def stored_image(
 
 def _given_spacing(spacing_mm: Spacing) -> tuple[float, float, float]:
     """Return a spacing along each axis."""
-    each = list(spacing_mm) if np.ndim(spacing_mm) else [spacing_mm] * 3  # type: ignore[arg-type]
+    is_one = isinstance(spacing_mm, int | float | np.number)
+    each: list[Any] = [spacing_mm] * 3 if is_one else list(spacing_mm)  # type: ignore[arg-type]
     if len(each) != 3:
         raise InputError(
             "anatomy.spacing_mm", "be one number or three", each, "give 0.5 or 0.5,0.5,1"

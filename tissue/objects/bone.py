@@ -479,7 +479,7 @@ def _image_source(
         "anatomy.spacing_mm": "spacing_mm",
         "resample_mm": "spacing_mm",
     }
-    edge_mm = None if np.ndim(spacing_mm) else spacing_mm
+    edge_mm = float(spacing_mm) if isinstance(spacing_mm, int | float | np.number) else None
     is_stated = edge_mm is None or bool(plane_files(path))
     with names_of_caller(names):
         image = read_image(path, spacing_mm=spacing_mm if is_stated else None)
