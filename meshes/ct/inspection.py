@@ -30,8 +30,8 @@ METAL_HU = 3000
 
 Enamel, the densest tissue, reaches about 2800 HU at 120 kV (from memory, confidence M).
 """
-_COARSE_MM = 5.0
-"""Distance of slices from which they are reported as coarse: more than a cortex is thick."""
+_COARSE_MM = 3.0
+"""Distance of slices from which they are reported as coarse: more than most cortices are thick."""
 _LEAST_METAL = 8
 """Fewer voxels above `METAL_HU` are noise."""
 _LEAST_SHARE = 1e-3
@@ -63,11 +63,13 @@ It covers the rounding of sums over up to 1e9 voxels.
 """
 _NO_BONE = 0.1
 _LITTLE_BONE = 0.5
+_ALL_BONE = 0.8
 """Shares of a bone's label above the threshold of bone.
 
 The cortex alone is more than a tenth of any bone. Where marrow is the larger part of the label, as
 in the humeral head of an old person, more than half may lie below.
 """
+_FLIPS = ("left to right", "front to back", "head to feet")
 _SOFT_ORGAN_HU = (-200.0, 300.0)
 """Range of the median of a soft organ in any CT, contrast agent included [HU]."""
 _CAUSES = (
@@ -135,6 +137,8 @@ class Inspection:
         soft tissue. It excludes noise that neighbours share.
     metal_mm3, metal_mm
         Volume above 3000 HU [mm3] and its centre [mm, LPS]; None without metal.
+    padding
+        Share of voxels of the lowest value where it lies below air; 0 without such voxels.
     """
 
     source: str
@@ -148,6 +152,7 @@ class Inspection:
     noise: float | None
     metal_mm3: float
     metal_mm: tuple[float, float, float] | None
+    padding: float = 0.0
 
     def sentences(self) -> list[str]:
         """Describe the image for users."""
@@ -168,6 +173,11 @@ class Inspection:
                 f"voxels up to {max(self.spacing_mm):.4g} mm apart are coarse: the bone "
                 "between them is interpolated, "
                 "and thin parts are lost"
+            )
+        if self.padding:
+            found.append(
+                f"padding: {self.padding:.1%} of the voxels have the value {self.lowest:g}, below "
+                "air; they count as air"
             )
         if self.noise is not None:
             found.append(
@@ -224,7 +234,15 @@ def inspect(image: Image) -> Inspection:
         _noise(values) if hounsfield else None,
         metal_mm3,
         metal_mm,
+        _padding(values) if hounsfield else 0.0,
     )
+
+
+def _padding(values: Numbers) -> float:
+    """Return the share of voxels of the lowest value if it is below air and not of noise alone."""
+    lowest = values.min()
+    share = np.count_nonzero(values == lowest) / values.size
+    return share if lowest < AIR_HU[0] and share > _LEAST_SHARE else 0.0
 
 
 def _noise(values: Numbers) -> float | None:
@@ -298,18 +316,22 @@ def bone_label_note(image: Image, mask: Flags, name: str) -> str:
     InputError
         If less than a tenth of the label is above 150 HU: it does not lie on bone.
     """
-    values = image.values[mask]
-    share = float(np.count_nonzero(values > LOWEST_HU) / len(values))
+    bone = image.values > LOWEST_HU
+    share = float(bone[mask].mean())
     found = (
         f"{share:.0%} of its voxels above {LOWEST_HU:g} HU in {image.source}, median "
-        f"{np.median(values):.0f} HU"
+        f"{np.median(image.values[mask]):.0f} HU"
     )
+    if share < _LITTLE_BONE:
+        flipped = [float(bone[np.flip(mask, axis)].mean()) for axis in range(3)]
+        axis = int(np.argmax(flipped))
+        # A flip is named where it explains the label: nearly all of it then lies on bone.
+        if flipped[axis] > max(_ALL_BONE, 2.0 * share):
+            found += f" ({flipped[axis]:.0%} if it were flipped {_FLIPS[axis]})"
     if share < _NO_BONE:
         raise InputError("region", "be a label on bone", f"{name} with {found}", _CAUSES)
     if share < _LITTLE_BONE:
-        return (
-            f"warning: most of label {name} is not bone, {found}. If that is not marrow, {_CAUSES}."
-        )
+        return f"warning: most of {name} is not bone, {found}. If that is not marrow, {_CAUSES}."
     return ""
 
 
@@ -322,7 +344,4 @@ def soft_label_note(image: Image, mask: Flags, name: str) -> str:
     middle = float(np.median(image.values[mask]))
     if low <= middle <= high:
         return ""
-    return (
-        f"warning: label {name} does not lie on soft tissue, its median is {middle:.0f} HU: "
-        f"{_CAUSES}."
-    )
+    return f"warning: {name} does not lie on soft tissue, its median is {middle:.0f} HU: {_CAUSES}."

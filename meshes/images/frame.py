@@ -7,7 +7,8 @@ the head, in mm.
 """
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from itertools import permutations
 from typing import TypeVar
 
@@ -73,7 +74,7 @@ class StoredImage:
     Attributes
     ----------
     values
-        Shape (ni, nj, nk).
+        Shape (ni, nj, nk), or (layers, ni, nj, nk) for label volumes that overlap.
     spacing_mm
         Distance between neighbours along each axis of the array [mm], as the header states it,
         unchecked.
@@ -84,6 +85,8 @@ class StoredImage:
         Centre of voxel (0, 0, 0) [mm, LPS], shape (3,).
     notes
         Assumptions, a sentence each.
+    names
+        Names of the values where they are labels and the reader found names.
     """
 
     values: Numbers
@@ -91,6 +94,7 @@ class StoredImage:
     directions: Array
     origin_mm: Array
     notes: tuple[str, ...] = ()
+    names: Mapping[int, str] = field(default_factory=dict)
 
 
 def along_lps(stored: StoredImage, source: str, *, labels: bool = False) -> Image:

@@ -4,6 +4,7 @@ The header of a NIfTI image is read by nibabel. Every number that places or scal
 checked or applied.
 """
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -13,15 +14,28 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, by, is_file, is_folder, require_positive
+from meshes.base.file_limits import require_regular
 from meshes.base.isolated_parser import Answer, parse_isolated
 from meshes.images.data import first_bytes, is_gzip, read_voxels, scaled
 from meshes.images.dicom import read_dicom
+from meshes.images.dicom_files import is_dicom
 from meshes.images.frame import Image, StoredImage, along_lps
+from meshes.images.planes import PLANE_SUFFIXES, plane_files, read_planes
 from meshes.images.text_headers import read_metaimage, read_nrrd
-from meshes.images.tiff import read_tiff_slices, tiff_slices
 
-__all__ = ["Image", "read_image", "read_nifti", "require_image_name", "vtk_voxels"]
+__all__ = [
+    "IMAGE_SUFFIXES",
+    "Image",
+    "Spacing",
+    "read_image",
+    "read_nifti",
+    "require_image_name",
+    "stored_image",
+    "vtk_voxels",
+]
 
+Spacing = float | Sequence[float] | Array
+"""Distance between neighbours [mm], in all directions or along each axis."""
 
 Header = Any
 """A header of nibabel, a mapping of its fields."""
@@ -152,10 +166,14 @@ def _affine(header: Header, path: Path, notes: list[str]) -> Array:
         )
         return np.diag([*(spacing * _TO_LPS), 1.0])
     sform: Array = np.asarray(header.get_sform(), dtype=np.float64)
+    if not np.isfinite(sform).all():
+        raise _fault(path, "sform", "be finite", "other numbers")
     stated = np.linalg.norm(sform[:3, :3], axis=0)
     if not np.allclose(stated, spacing, rtol=_AGREE, atol=0.0):
-        found = f"{by(spacing)} and {by(stated)}"
-        raise _fault(path, "pixdim and sform", "state the same spacing", found)
+        notes.append(
+            f"{path.name} states voxels of {by(spacing, '.4g')} in pixdim and of "
+            f"{by(stated, '.4g')} in the sform: the sform is taken."
+        )
     if qform is not None:
         corner = np.array([*(int(n) for n in header["dim"][1:4]), 0.0])
         apart = np.abs((sform - qform) @ corner)[:3].max() + np.abs(sform - qform)[:3, 3].max()
@@ -232,16 +250,20 @@ _READERS = {
     ".mha": read_metaimage,
     ".vti": read_vtk_image,
 }
+IMAGE_SUFFIXES = (".nii.gz", *(each for each in _READERS if each != ".nii.gz"))
+"""Endings of image volumes, the longest first."""
 _REMEDY = (
-    "use a .nii.gz, .nrrd, .mhd or .vti image, a DICOM folder, or a folder or pattern of TIFF "
-    "slices"
+    "use a .nii.gz, .nrrd, .mhd or .vti image, a DICOM folder, or a folder or pattern of TIFF, "
+    "PNG or BMP slices"
 )
+_SHORTEST_MM = 0.5
+"""Length of an image below which its header may be in metres: a bone of 0.5 m has 0.5 then."""
 
 
 def read_image(
     path: str | Path,
     *,
-    spacing_mm: float | None = None,
+    spacing_mm: Spacing | None = None,
     labels: bool = False,
     series: int | None = None,
 ) -> Image:
@@ -254,11 +276,12 @@ def read_image(
     Parameters
     ----------
     path
-        Image file; folder with a DICOM series or TIFF slices; or a pattern of TIFF slices
-        (`slices/*.tif`). TIFF slices count upward in z in the order of the numbers in their names.
+        Image file; folder with a DICOM series, its DICOMDIR, or a file of many frames; folder with
+        TIFF, PNG or BMP slices, or a pattern of them (`slices/*.tif`). Such slices count upward in
+        z in the order of the numbers in their names.
     spacing_mm
-        Distance between neighbours [mm] in all directions; None: read from the file. TIFF files
-        state no distance.
+        Distance between neighbours [mm], one number or one along each axis of the array; None: read
+        from the file. Slices in TIFF, PNG and BMP state no distance.
     labels
         Whether the values are labels, which are not interpolated.
     series
@@ -270,24 +293,42 @@ def read_image(
         If the file is missing, empty, cut off, not readable, not an image of one number a voxel, or
         states values that cannot be applied.
     """
-    given = (
-        None
-        if spacing_mm is None
-        else require_positive("anatomy.spacing_mm", spacing_mm, "use the scanner's value")
-    )
     path = Path(path)
-    slices = tiff_slices(path)
+    stored = stored_image(path, spacing_mm=spacing_mm, labels=labels, series=series)
+    if stored.values.ndim != 3:
+        raise InputError(
+            "file",
+            "hold one number per voxel",
+            f"an array of shape {stored.values.shape} in {path.name}",
+            _REMEDY,
+        )
+    return along_lps(stored, path.name, labels=labels)
+
+
+def stored_image(
+    path: Path,
+    *,
+    spacing_mm: Spacing | None = None,
+    labels: bool = False,
+    series: int | None = None,
+) -> StoredImage:
+    """Read an image volume along the axes of its file; see `read_image`.
+
+    Label volumes that overlap have a further first axis.
+    """
+    given = None if spacing_mm is None else _given_spacing(spacing_mm)
+    planes = plane_files(path)
     source = path.name
-    if slices and given is None:
+    if planes and given is None:
         raise InputError(
             "anatomy.spacing_mm",
-            "be given for TIFF slices, which do not hold it",
+            "be given for TIFF, PNG or BMP slices, which do not hold it",
             f"none for {source}",
             "use the scanner's value, for example 0.0195",
         )
     stored = (
-        read_tiff_slices(slices, given, labels=labels)
-        if slices and given is not None
+        read_planes(planes, given, labels=labels)
+        if planes and given is not None
         else _stored(path, series)
     )
     if given is None and stored.spacing_mm == (1.0, 1.0, 1.0):
@@ -296,14 +337,14 @@ def read_image(
             "anatomy.spacing_mm to be sure."
         )
         stored = replace(stored, notes=(*stored.notes, note))
-    elif given is not None and stored.spacing_mm != (given,) * 3:
+    elif given is not None and stored.spacing_mm != given:
+        used = f"{given[0]:g}" if len(set(given)) == 1 else by(given)
         note = (
-            f"The spacing in {source} is {by(stored.spacing_mm)} mm; {given:g} mm is used, as "
-            "given."
+            f"The spacing in {source} is {by(stored.spacing_mm)} mm; {used} mm is used, as given."
         )
-        stored = replace(stored, spacing_mm=(given,) * 3, notes=(*stored.notes, note))
+        stored = replace(stored, spacing_mm=given, notes=(*stored.notes, note))
     values = stored.values
-    if values.ndim != 3 or values.size == 0 or not np.issubdtype(values.dtype, np.number):
+    if values.size == 0 or not np.issubdtype(values.dtype, np.number):
         raise InputError(
             "file",
             "hold one number per voxel",
@@ -318,12 +359,33 @@ def read_image(
             f"{count} of {values.size} that are not in {source}",
             "mask them first",
         )
-    return along_lps(stored, source, labels=labels)
+    longest = max(np.multiply(values.shape[-3:], stored.spacing_mm))
+    if longest < _SHORTEST_MM and given is None:
+        note = (
+            f"{source} is {longest:.3g} mm long in all, as if its header were in metres: give the "
+            "spacing in mm if so."
+        )
+        stored = replace(stored, notes=(*stored.notes, note))
+    return stored
+
+
+def _given_spacing(spacing_mm: Spacing) -> tuple[float, float, float]:
+    """Return a spacing along each axis."""
+    is_one = isinstance(spacing_mm, int | float | np.number)
+    each: list[Any] = [spacing_mm] * 3 if is_one else list(spacing_mm)  # type: ignore[arg-type]
+    if len(each) != 3:
+        raise InputError(
+            "anatomy.spacing_mm", "be one number or three", each, "give 0.5 or 0.5,0.5,1"
+        )
+    x, y, z = (
+        require_positive("anatomy.spacing_mm", number, "use the scanner's value") for number in each
+    )
+    return x, y, z
 
 
 def _stored(path: Path, series: int | None) -> StoredImage:
     """Return the image of a file or DICOM folder, as stored."""
-    if is_folder(path):
+    if is_folder(path) or _is_dicom_file(path):
         return read_dicom(path, series=series)
     if series is not None:
         raise InputError(
@@ -333,6 +395,14 @@ def _stored(path: Path, series: int | None) -> StoredImage:
     return next(read for suffix, read in _READERS.items() if path.name.lower().endswith(suffix))(
         path
     )
+
+
+def _is_dicom_file(path: Path) -> bool:
+    """Return whether a file is the index of a DICOM folder, or starts as DICOM does."""
+    if path.name.lower().endswith((*_READERS, *PLANE_SUFFIXES)):
+        return False
+    require_regular(path)
+    return path.name.upper() == "DICOMDIR" or is_dicom(path)
 
 
 def require_image_name(path: Path) -> None:
@@ -345,6 +415,6 @@ def require_image_name(path: Path) -> None:
     InputError
         If the name does not fit; the message lists the formats.
     """
-    known = (*_READERS, ".tif", ".tiff")
-    if is_file(path) and not path.name.lower().endswith(known):
+    known = path.name.lower().endswith((*_READERS, *PLANE_SUFFIXES))
+    if is_file(path) and not known and not _is_dicom_file(path):
         raise InputError("file", "be an image volume of a known format", path.name, _REMEDY)

@@ -129,7 +129,7 @@ def _voxels(
 ) -> Numbers:
     """Read the voxels; they end the file if -1 bytes are skipped."""
     kind = np.dtype(dtype)
-    count = (int(shape[0]), int(shape[1]), int(shape[2]))
+    count = tuple(int(size) for size in shape)
     # Both formats write -1 if the voxels are the last bytes of the file.
     if skip == -1:
         start = max(data.stat().st_size - kind.itemsize * prod(count), 0)
@@ -252,12 +252,15 @@ _IN_SPACE = ("domain", "space", "none", "???")
 _SCALED = ("old min", "oldmin", "old max", "oldmax")
 _SKIPPED_LINES = ("line skip", "lineskip")
 _AXIS_MINS = ("axis mins", "axismins")
+_BY_AXIS = ("sizes", "kinds", "space directions", "spacings", "units")
+"""Keys that hold a word for each axis."""
 
 
 def read_nrrd(path: Path) -> StoredImage:
     """Read a `.nrrd` or `.nhdr` image of one number a voxel on three axes in space.
 
-    Its voxels lie in one file, raw or as gzip.
+    Its voxels lie in one file, raw or as gzip. A further axis of layers, as 3D Slicer writes for
+    segments that overlap, becomes the first axis of the values.
 
     Raises
     ------
@@ -267,6 +270,7 @@ def read_nrrd(path: Path) -> StoredImage:
     fields, start = header_lines(path, ":", "")
     if not fields.get("first", "").startswith("NRRD"):
         raise _fault(path, "file", "be a NRRD image", "a file that does not start as one does")
+    layers, fields = _without_layers(fields)
     kinds = fields.get("kinds", "").lower()
     if fields.get("dimension") != "3" or any(kind not in _IN_SPACE for kind in kinds.split()):
         found = f"dimension {fields.get('dimension')!r} and kinds {_short(kinds)!r}"
@@ -306,7 +310,25 @@ def read_nrrd(path: Path) -> StoredImage:
     x, y, z = lengths.tolist()
     with np.errstate(divide="ignore", invalid="ignore"):
         directions = steps / lengths
-    return StoredImage(_nrrd_voxels(fields, path, start), (x, y, z), directions, origin, notes)
+    values = _nrrd_voxels(fields, layers, path, start)
+    return StoredImage(values, (x, y, z), directions, origin, notes)
+
+
+def _without_layers(fields: dict[str, str]) -> tuple[tuple[int, str] | None, dict[str, str]]:
+    """Return axis and size of the layers of a NRRD image, and the fields of its axes in space."""
+    kinds = fields.get("kinds", "").lower().split()
+    if fields.get("dimension") != "4" or kinds.count("list") != 1:
+        return None, fields
+    axis = kinds.index("list")
+    size = ""
+    kept = {**fields, "dimension": "3"}
+    for key in _BY_AXIS:
+        words = fields.get(key, "").split()
+        if len(words) == 4:
+            removed = words.pop(axis)
+            kept[key] = " ".join(words)
+            size = removed if key == "sizes" else size
+    return (axis, size), kept
 
 
 def _require_axes(fields: Fields, space: str, path: Path) -> None:
@@ -321,8 +343,8 @@ def _require_axes(fields: Fields, space: str, path: Path) -> None:
         raise _fault(path, "space", f"be stated with {in_space}", "none")
 
 
-def _nrrd_voxels(fields: Fields, path: Path, start: int) -> Numbers:
-    """Read the voxels of a NRRD image."""
+def _nrrd_voxels(fields: Fields, layers: tuple[int, str] | None, path: Path, start: int) -> Numbers:
+    """Read the voxels of a NRRD image, with its layers as the first axis."""
     size = numbers(fields, "sizes", path, positive=True) or []
     kind = _NRRD_TYPES.get(fields.get("type", "").lower().removeprefix("signed "))
     if len(size) != 3 or any(n != int(n) for n in size) or kind is None:
@@ -340,4 +362,12 @@ def _nrrd_voxels(fields: Fields, path: Path, start: int) -> Numbers:
     if endian not in ("little", "big") and not kind.endswith("1"):
         raise _fault(path, "endian", "be little or big", _short(endian) or "none")
     order = ">" if endian == "big" else "<"
-    return _voxels(data, order + kind, size, start, skip=skip, compressed=encoding != "raw")
+    compressed = encoding != "raw"
+    if layers is None:
+        return _voxels(data, order + kind, size, start, skip=skip, compressed=compressed)
+    axis, count = layers
+    if not count.isdigit() or not int(count):
+        raise _fault(path, "sizes", "count the layers", _short(count) or "nothing")
+    size.insert(axis, float(count))
+    values = _voxels(data, order + kind, size, start, skip=skip, compressed=compressed)
+    return np.moveaxis(values, axis, 0)

@@ -132,13 +132,9 @@ BAD = {
         lambda f: nifti(f, code=0, pixdim=(1, 1.8e19, 0.5, 2)),
         r"spacing must be in \[1e-05, 1",
     ),
-    "nifti sform against pixdim": (
-        lambda f: nifti(f, pixdim=(1, 1.6, 0.5, 2)),
-        "pixdim and sform in the header must state",
-    ),
     "nifti sform nan": (
         lambda f: nifti(f, sform=np.full((3, 4), np.nan)),
-        "pixdim and sform in the header must state",
+        "sform in the header must be finite",
     ),
     "nifti slope infinite": (
         lambda f: nifti(f, slope=np.inf),
@@ -407,7 +403,7 @@ BAD = {
     ),
     "one slice": (lambda f: dicom(f, values=VALUES[:, :, :1]), "two slices or more"),
     # others
-    "folder": (lambda f: f, "without DICOM files or TIFF slices"),
+    "folder": (lambda f: f, "without DICOM files, TIFF or PNG slices"),
     "unknown": (lambda f: text(f, "image.jpg"), "must be an image volume of a known format"),
 }
 
@@ -438,5 +434,5 @@ def test_tiff_slices_that_are_cut_are_refused(tmp_path):
             check_contrast=False,
         )
     cut(tmp_path / "1.tif", 0.3)
-    with pytest.raises(InputError, match=r"file must be a readable TIFF slice, got 1.tif"):
+    with pytest.raises(InputError, match=r"file must be a readable slice, got 1.tif"):
         read_image(tmp_path, spacing_mm=0.02)

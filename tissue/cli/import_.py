@@ -21,10 +21,10 @@ class ImageOptions:
     Attributes
     ----------
     labels
-        Label volume, or folder of masks, of the same CT.
+        Label volume, folder of masks, or DICOM SEG or RTSTRUCT, of the same CT.
     label_names
-        totalsegmentator, dentalsegmentator, verse, or a TOML file that names the numbers; default
-        the file's own names.
+        totalsegmentator, dentalsegmentator, verse, toothfairy, or a TOML file that names the
+        numbers; default the file's own names.
     region
         Label that is the bone or soft organ, such as scapula_left.
     crop
@@ -34,7 +34,7 @@ class ImageOptions:
     series
         Number of the series in a folder that holds several.
     spacing_mm
-        Distance between voxels of files that do not state it.
+        S or X,Y,Z: distance between voxels of files that do not state it, such as TIFF slices.
     density
         internal, a named law, or line:SLOPE,OFFSET; default internal where the image allows it.
     """
@@ -45,7 +45,7 @@ class ImageOptions:
     crop: str | None = None
     threshold: float | None = None
     series: MaybeWhole = None
-    spacing_mm: float | None = None
+    spacing_mm: str | None = None
     density: str = "auto"
 
 
@@ -100,7 +100,7 @@ def import_(
     Parameters
     ----------
     source
-        DICOM folder, .nii.gz, .nrrd, .mha or .vti image.
+        DICOM folder, .nii.gz, .nrrd, .mha or .vti image, or folder of TIFF or PNG slices.
     out
         Folder to write, with scene.toml in it.
     max_memory_GB
@@ -143,6 +143,11 @@ def _arguments(options: dict[str, Any]) -> dict[str, Any]:
         given["site"] = _numbers("site", given["site"], 3, "X,Y,Z")
     if given["normal"] is not None:
         given["normal"] = _numbers("normal", given["normal"], 3, "X,Y,Z")
+    spacing = given["spacing_mm"]
+    if spacing is not None:
+        count = 3 if "," in spacing else 1
+        numbers = _numbers("spacing_mm", spacing, count, "S or X,Y,Z")
+        given["spacing_mm"] = numbers if count == 3 else numbers[0]
     given["parts"] = dict(map(_part, given.pop("part")))
     return given
 
@@ -164,6 +169,9 @@ def _numbers(name: str, text: str, count: int, form: str) -> tuple[float, ...]:
         found = ()
     if len(found) != count:
         raise InputError(
-            name, f"be {count} numbers, {form}", text, "write them with commas and no spaces"
+            name,
+            "be a number" if count == 1 else f"be {count} numbers, {form}",
+            text,
+            "write numbers with commas between them and no spaces",
         )
     return found

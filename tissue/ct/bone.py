@@ -169,7 +169,7 @@ def _source(request: ImportRequest, progress: Progress) -> tuple[_Source, list[s
     if box is not None:
         with names_of_caller({"crop": "crop_mm"}):
             image = cropped(image, box)
-        labels = labels and Labels(cropped(labels.image, box), labels.names)
+        labels = labels and replace(labels, image=cropped(labels.image, box))
     return _Source(image, labels, found, histogram, law), sentences
 
 
@@ -221,7 +221,7 @@ def _bone(request: ImportRequest, source: _Source) -> tuple[BoneOfImage, float |
         sentences += [note] if note else []
     bone = by_label(source.image, mask)
     sentences.append(
-        f"bone: label {request.region}, its steps smoothed; volume "
+        f"bone: {request.region} of the labels, its steps smoothed; volume "
         f"{bone.volume_mm3 / bone.label_mm3 - 1.0:+.1%} against {1e-3 * bone.label_mm3:.4g} ml of "
         "the label"
     )

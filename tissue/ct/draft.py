@@ -117,7 +117,14 @@ def write_density(density: Image, path: Path, *, law: str) -> None:
 
 
 def write_labels(labels: Labels, path: Path) -> None:
-    """Write labels with their names as 3D Slicer reads them (`.seg.nrrd`)."""
+    """Write labels with their names as 3D Slicer reads them (`.seg.nrrd`).
+
+    A voxel of several labels takes the smallest of them, which is drawn over the others.
+    """
+    if labels.overlaps:
+        names = dict.fromkeys(labels.names.values())
+        sizes = {each: int(np.count_nonzero(labels.mask(each))) for each in names}
+        labels = labels.only(sorted(names, key=lambda each: -sizes[each]))
     size = labels.image.values.shape
     extent = f"0 {size[0] - 1} 0 {size[1] - 1} 0 {size[2] - 1}"
     about = {

@@ -54,7 +54,8 @@ def import_ct(
     Parameters
     ----------
     source
-        DICOM folder or image file (``.nii.gz``, ``.nrrd``, ``.mha``, ``.vti``).
+        DICOM folder or file, image file (``.nii.gz``, ``.nrrd``, ``.mha``, ``.vti``), or folder of
+        TIFF, PNG or BMP slices.
     out
         Folder to write; ``scene.toml`` in it can be loaded and simulated.
     max_memory_GB
@@ -71,10 +72,12 @@ def import_ct(
     Other Parameters
     ----------------
     labels : str or Path
-        Label volume of the same CT, or folder of masks, one per label.
+        Labels of the same CT: a label volume, a folder of masks, one per label, TIFF, PNG or BMP
+        slices, or a DICOM segmentation (SEG) or structure set (RTSTRUCT).
     label_names : str
-        ``totalsegmentator``, ``dentalsegmentator``, ``verse``, or a TOML file whose table
-        ``[labels]`` gives each name its number. Default: the names in the file's header.
+        ``totalsegmentator``, ``dentalsegmentator``, ``verse`` or another of
+        `meshes.ct.label_names.label_sets`, or a TOML file whose table ``[labels]`` gives each name
+        its number. Default: the names in the file's header.
     region : str
         Label that is the bone or the organ.
     crop_mm : pair of points
@@ -84,8 +87,9 @@ def import_ct(
         histogram.
     series : int
         Number of the series in a folder with several series.
-    spacing_mm : float
-        Distance between neighbours [mm], for files without this information, such as TIFF slices.
+    spacing_mm : float or three floats
+        Distance between neighbours [mm], in all directions or along each axis, for files without
+        this information, such as TIFF and PNG slices.
     density : str
         ``internal``, a named law, or ``line:SLOPE,OFFSET``, see
         `meshes.ct.calibration.density_law`; default: internal if the image allows it.

@@ -117,16 +117,8 @@ def _tooth(labels: Labels) -> Labels:
                 f"{labels.image.source}: name them by "
                 "--label-names FILE, of the names " + ", ".join(TOOTH_LAYERS)
             )
-    chosen = _only(labels, layers)
+    chosen = labels.only(layers.values())
     return replace(chosen, image=part_of(chosen.image, box_of(chosen.image.values > 0, MARGIN)))
-
-
-def _only(labels: Labels, kept: dict[int, str]) -> Labels:
-    """Return some of the labels."""
-    values = np.where(np.isin(labels.image.values, list(kept)), labels.image.values, 0).astype(
-        np.uint8
-    )
-    return Labels(replace(labels.image, values=values), kept)
 
 
 def _site(tooth: Labels, *, at_lesion: bool) -> tuple[Array, str]:
@@ -211,9 +203,7 @@ def organ_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
 
     files: dict[str, Writer] = {
         "organ.vtu": partial(write_organ, mesh),
-        "labels.seg.nrrd": partial(
-            write_labels, _only(labels, {labels.number(each): each for each in names})
-        ),
+        "labels.seg.nrrd": partial(write_labels, labels.only(names)),
         "slices.png": draw,
     }
     return Draft(toml(_organ_scene(request, name, image.source)), record, files, sentences)

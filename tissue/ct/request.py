@@ -24,7 +24,7 @@ from meshes.base.text_tables import nearest
 from meshes.ct.extraction import Box, kept_label
 from meshes.ct.labels import Labels, on_grid_of, read_labels
 from meshes.images.frame import Image
-from meshes.images.reading import read_image
+from meshes.images.reading import Spacing, read_image
 from meshes.paths.toolpath import PathDepth, ReplayTable, depth_along, read_toolpath, to_replay
 from meshes.surfaces.landmarks import find_site
 from meshes.surfaces.markups import TO_LPS, read_site
@@ -83,7 +83,7 @@ class ImportRequest:
     crop_mm: Box | None = None
     threshold: float | None = None
     series: int | None = None
-    spacing_mm: float | None = None
+    spacing_mm: Spacing | None = None
     density: str = "auto"
     site: str | Point | None = None
     normal: Point | None = None
@@ -233,7 +233,9 @@ class ImportRequest:
         """Read the labels, on the voxels of an image where it is given."""
         assert self.labels is not None
         with names_of_caller({"file": "labels", "names": "label_names"}):
-            labels = read_labels(self.labels, names=self.label_names, spacing_mm=self.spacing_mm)
+            labels = read_labels(
+                self.labels, names=self.label_names, spacing_mm=self.spacing_mm, image=image
+            )
             return labels if image is None else on_grid_of(labels, image)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, by, names_of_caller, require_range
+from meshes.base.errors import InputError, by, counted, names_of_caller, require_range
 from meshes.base.file_limits import memory_limit
 from meshes.shapes.anatomy import Anatomy, cortical_block
 from meshes.voxels.volume import VoxelVolume, density_volume
@@ -35,6 +35,8 @@ from tissue.simulation.builders.cutting import VoxelBone, element_spacing_m
 
 if TYPE_CHECKING:
     import pyvista
+
+    from meshes.images.reading import Spacing
 
 __all__ = ["Bone"]
 
@@ -241,7 +243,7 @@ class Bone:
         *,
         threshold: float,
         density_kg_m3: float = 1800.0,
-        spacing_mm: float | None = None,
+        spacing_mm: "Spacing | None" = None,
         max_memory_GB: float | None = None,
         **options: Unpack[BoneOptions],
     ) -> "Bone":
@@ -252,14 +254,16 @@ class Bone:
         Parameters
         ----------
         file
-            Image (.nii .nii.gz .nrrd .mhd .mha .vti), or folder with a DICOM series or TIFF slices.
+            Image (.nii .nii.gz .nrrd .mhd .mha .vti), or folder with a DICOM series or with TIFF,
+            PNG or BMP slices.
         threshold
             Grey value above which a voxel is bone: about 200 HU of a CT.
         density_kg_m3
             Apparent density of the bone, 50 to 20000 kg/m3.
         spacing_mm
-            Edge of a voxel [mm] to resample to; default the finest spacing of the file. For TIFF
-            slices it is the spacing of their voxels.
+            Edge of a voxel [mm] to resample to; default the finest spacing of the file. For TIFF,
+            PNG and BMP slices it is the spacing of their voxels. Three numbers are the spacing of
+            any file along each of its axes, instead of the one it states.
         max_memory_GB
             Memory that the image may take [GB]; default half of the free memory.
         options
@@ -459,15 +463,15 @@ def _surface_source(
 
 
 def _image_source(
-    path: Path, *, threshold: float, density_kg_m3: float, spacing_mm: float | None
+    path: Path, *, threshold: float, density_kg_m3: float, spacing_mm: "Spacing | None"
 ) -> BoneSource:
     """Read an image volume, see `tissue.objects.bone.Bone.from_image`.
 
-    TIFF slices state no spacing: `spacing_mm` is then the spacing of their voxels.
+    Slices state no spacing: `spacing_mm` is then the spacing of their voxels.
     """
-    from meshes.images.bone_image import image_volume
+    from meshes.images.bone_image import image_cuts, image_volume
+    from meshes.images.planes import plane_files
     from meshes.images.reading import read_image
-    from meshes.images.tiff import tiff_slices
 
     remarks: list[str] = []
     names = {
@@ -475,14 +479,20 @@ def _image_source(
         "anatomy.spacing_mm": "spacing_mm",
         "resample_mm": "spacing_mm",
     }
+    edge_mm = float(spacing_mm) if isinstance(spacing_mm, int | float | np.number) else None
+    is_stated = edge_mm is None or bool(plane_files(path))
     with names_of_caller(names):
+        image = read_image(path, spacing_mm=spacing_mm if is_stated else None)
         found = image_volume(
-            read_image(path, spacing_mm=spacing_mm if tiff_slices(path) else None),
+            image,
             threshold=threshold,
             density_kg_m3=density_kg_m3,
-            resample_mm=spacing_mm,
+            resample_mm=edge_mm,
             remark=remarks.append,
         )
+    if cuts := image_cuts(image, threshold=threshold):
+        places = counted(len(cuts), "place")
+        remarks.append(f"The bone is cut off at {places} by the edge of the image.")
     assert found.placement is not None
     volume = replace(
         found, origin_m=found.origin_m + 1e-3 * found.placement.origin_mm, placement=None

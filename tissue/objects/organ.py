@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     import pyvista
 
     from meshes.ct.labels import Labels
+    from meshes.images.reading import Spacing
     from tissue.materials.scene_constants import Materials
     from tissue.models.organ.soft_organ import SoftOrgan
     from tissue.simulation.builders.organ_made import MadeOrgan, OrganOptions
@@ -181,6 +182,7 @@ class Organ:
         modulus_kPa: float,
         poisson_ratio: float,
         names: str | Path | None = None,
+        spacing_mm: Spacing | None = None,
         edge_mm: float | None = None,
         progress: Progress = silent,
         **options: Unpack[OrganOptions],
@@ -196,7 +198,8 @@ class Organ:
         Parameters
         ----------
         labels
-            Label image (.seg.nrrd .nrrd .nii.gz), a folder of masks, or labels already read.
+            Label image (.seg.nrrd .nrrd .nii.gz), a DICOM segmentation, a folder of masks or of
+            slices, or labels already read.
         organ
             Name or number of the organ's label.
         modulus_kPa, poisson_ratio, options
@@ -206,6 +209,8 @@ class Organ:
         names
             Names of the labels for a file without names: ``totalsegmentator``, ``verse``, or a TOML
             file.
+        spacing_mm
+            Distance between voxels [mm] of a file that does not state it, one number or three.
         edge_mm
             Edge of the tetrahedra [mm]; default a fourteenth of the longest side.
         progress
@@ -216,14 +221,17 @@ class Organ:
         InputError
             If there is no such label, or a part lies apart from the organ or is too small.
         """
+        from meshes.ct.labels import Labels, read_labels
         from tissue.simulation.builders.organ_made import StatedOrgan, of_labels
 
         stated = StatedOrgan.of(modulus_kPa, poisson_ratio, options)
-        return cls(
-            of_labels(
-                labels, stated, organ=str(organ), names=names, edge_mm=edge_mm, report=progress
+        with names_of_caller({"path": "labels", "anatomy.spacing_mm": "spacing_mm"}):
+            known = (
+                labels
+                if isinstance(labels, Labels)
+                else read_labels(labels, names=names, spacing_mm=spacing_mm)
             )
-        )
+        return cls(of_labels(known, stated, organ=str(organ), edge_mm=edge_mm, report=progress))
 
     @classmethod
     def block(

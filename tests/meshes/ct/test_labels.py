@@ -5,9 +5,11 @@ from dataclasses import replace
 import nibabel
 import numpy as np
 import pytest
+from image_writers import nrrd_header
 from named_labels import write_named_labels
 
 from meshes.base.errors import InputError
+from meshes.ct.label_names import label_sets
 from meshes.ct.labels import on_grid_of, read_labels
 from meshes.images.reading import read_image
 
@@ -53,7 +55,7 @@ def test_a_table_of_ones_own_names_the_numbers(tmp_path):
     for text, part in (
         ("[labels]\ncortical = 2\n", "must name every label"),
         ("[labels]\na = 2\nb = 2\n", "a number of its own"),
-        ("[labels]\na = 0\n", "from 1 to 255"),
+        ("[labels]\na = 0\n", "from 1 to 2147483647"),
         ("[other]\na = 1\n", "one table [labels]"),
         ("labels", "readable TOML"),
     ):
@@ -87,6 +89,115 @@ def test_labels_of_one_name_are_taken_as_one_with_a_note(tmp_path):
     masks = read_labels(folder)
     assert masks.image.notes[-1].startswith("masks has 2 labels named femur (1, 2)")
     assert masks.mask("femur").sum() == 13
+
+
+def layered(path, layers, names, *, with_numbers=True):
+    """Write layers, shape (n, nx, ny, nz), as 3D Slicer writes segments that overlap."""
+    axes = np.diag([2.0, 1.0, 1.5])
+    lines = {
+        "dimension": "4",
+        "sizes": " ".join(map(str, layers.shape)),
+        "kinds": "list domain domain domain",
+        "space directions": "none (2,0,0) (0,1,0) (0,0,1.5)",
+    }
+    header = nrrd_header(layers, axes, (0.0, 0.0, 0.0)).splitlines()
+    header = [
+        f"{key}: {lines[key]}" if (key := line.partition(":")[0]) in lines else line
+        for line in header
+    ]
+    for index, (layer, value, name, side) in enumerate(names):
+        header.append(f"Segment{index}_Name:={name}")
+        tags = f"TerminologyEntry:list~SCT^1^Structure~SCT^2^Bone~SCT^3^{side}~codes~^^~^^|"
+        header.append(f"Segment{index}_Tags:={tags}")
+        if with_numbers:
+            header += [f"Segment{index}_Layer:={layer}", f"Segment{index}_LabelValue:={value}"]
+    path.write_bytes("\n".join([*header, "", ""]).encode() + layers.tobytes(order="F"))
+    return path
+
+
+def two_layers():
+    layers = np.zeros((2, 6, 5, 4), dtype=np.uint8)
+    layers[0] = volume()
+    layers[1, 2:5, 2, 2] = 2
+    return layers
+
+
+NAMES = [(0, 2, "femur", "Left"), (0, 7, "femur", "Right"), (1, 2, "canal", "")]
+
+
+def test_segments_of_several_layers_overlap(tmp_path):
+    labels = read_labels(layered(tmp_path / "a.seg.nrrd", two_layers(), NAMES))
+    assert labels.names == {1: "femur_left", 2: "femur_right", 3: "canal"}
+    for name, mask in (
+        ("femur_left", volume() == 2),
+        ("femur_right", volume() == 7),
+        ("canal", two_layers()[1] == 2),
+    ):
+        assert np.array_equal(labels.mask(name), mask)
+    assert "2 voxels of a.seg.nrrd lie in several labels" in labels.image.notes[-1]
+
+
+def test_each_layer_of_slicer_4_is_a_segment(tmp_path):
+    layers = np.stack([volume() == 2, two_layers()[1] == 2]).astype(np.uint8)
+    path = layered(
+        tmp_path / "a.seg.nrrd", layers, [(0, 1, "a", ""), (1, 1, "b", "")], with_numbers=False
+    )
+    labels = read_labels(path)
+    assert labels.mask("a").sum() == 12 and labels.mask("b").sum() == 3
+
+
+@pytest.mark.parametrize(
+    ("kind", "scale", "numbers"),
+    [
+        (np.int32, 500, {1000, 3500}),
+        (np.float32, 0.9995, {2, 7}),
+        (np.float64, 1, {2, 7}),
+        (np.int16, 1, {2, 7}),
+    ],
+)
+def test_numbers_above_255_and_whole_numbers_as_floats(tmp_path, kind, scale, numbers):
+    values = (volume().astype(float) * scale).astype(kind)
+    labels = read_labels(write_nifti(tmp_path / "a.nii.gz", values))
+    assert set(labels.names) == numbers
+    assert labels.mask(str(max(numbers))).sum() == 1
+    rounded = any("are rounded" in note for note in labels.image.notes)
+    assert rounded == (scale == 0.9995)
+
+
+@pytest.mark.parametrize("values", [volume() * 0.4, volume() - 1.0, np.arange(6 * 25 * 20)])
+def test_images_and_probabilities_are_no_labels(tmp_path, values):
+    values = np.asarray(values, dtype=np.float32).reshape(-1, 5, 4)
+    with pytest.raises(InputError, match="not the image or a map of probabilities"):
+        read_labels(write_nifti(tmp_path / "a.nii.gz", values))
+
+
+def test_single_teeth_have_the_numbers_of_their_place(tmp_path):
+    values = np.zeros((6, 5, 4), dtype=np.uint8)
+    values[1], values[3], values[5] = 46, 146, 4
+    labels = read_labels(write_nifti(tmp_path / "a.nii.gz", values), names="toothfairy")
+    assert labels.names == {
+        4: "right_inferior_alveolar_canal",
+        46: "lower_right_first_molar_fdi46",
+        146: "lower_right_first_molar_pulp_fdi146",
+    }
+    for names in label_sets().values():
+        assert len(set(names.values())) == len(names)
+    assert label_sets()["totalsegmentator"][69] == "humerus_left"
+    assert label_sets()["verse"][20] == "vertebrae_L1"
+
+
+def test_masks_that_overlap_keep_their_voxels(tmp_path):
+    for name, layer in zip("ab", two_layers() > 0, strict=True):
+        write_nifti(tmp_path / f"{name}.nii.gz", layer.astype(np.uint8))
+    (tmp_path / "preview.png").write_bytes(b"")
+    labels = read_labels(tmp_path)
+    assert [int(labels.mask(name).sum()) for name in "ab"] == [13, 3]
+
+
+def test_labels_outside_the_image_are_reported(tmp_path):
+    labels = read_labels(write_nifti(tmp_path / "a.nii.gz", volume()))
+    image = replace(labels.image, values=labels.image.values[:, :2])
+    assert "of its labels lie outside" in on_grid_of(labels, image).image.notes[-1]
 
 
 def test_labels_of_another_grid_go_to_the_nearest_voxels(tmp_path):

@@ -290,3 +290,27 @@ def test_nrrd_directions_in_a_space_without_a_name_are_read_with_a_note(tmp_path
     found = read_image(path)
     assert found.spacing_mm == pytest.approx(SPACING) and found.origin_mm == pytest.approx(ORIGIN)
     assert "states no frame of a patient" in found.notes[0]
+
+
+@pytest.mark.parametrize("pixdim", [(1.0, 1.0, 1.0), (2.0, 2.0, 5.0)])
+def test_a_stale_pixdim_next_to_an_sform_is_noted(tmp_path, pixdim):
+    axes = np.diag(SPACING)
+    image_writers.write_nifti(tmp_path / "s.nii", VALUES, axes, ORIGIN, pixdim=(1.0, *pixdim))
+    found = read_image(tmp_path / "s.nii")
+    assert found.spacing_mm == pytest.approx(SPACING) and np.array_equal(found.values, VALUES)
+    assert "the sform is taken" in found.notes[0]
+
+
+def test_a_header_in_metres_without_a_unit_is_noted(tmp_path):
+    axes = np.diag(SPACING)
+    image_writers.write_nrrd(tmp_path / "m.nrrd", VALUES, 1e-3 * axes, 1e-3 * ORIGIN)
+    assert "as if its header were in metres" in read_image(tmp_path / "m.nrrd").notes[-1]
+    image_writers.write_nrrd(
+        tmp_path / "u.nrrd", VALUES, 1e-3 * axes, 1e-3 * ORIGIN, space_units='"m" "m" "m"'
+    )
+    found = read_image(tmp_path / "u.nrrd")
+    assert found.spacing_mm == pytest.approx(SPACING) and found.notes == ()
+    given = read_image(tmp_path / "m.nrrd", spacing_mm=SPACING)
+    assert given.spacing_mm == pytest.approx(SPACING) and not any(
+        "metres" in note for note in given.notes
+    )

@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 import numpy as np
@@ -24,6 +23,7 @@ from tissue.simulation.builders.arguments import require_known, stated, surface_
 from tissue.simulation.builders.organ_given import Hold, SoftMaterial, hold_of
 
 if TYPE_CHECKING:
+    from meshes.ct.labels import Labels
     from tissue.models.organ.soft_organ import SoftOrgan
 
 __all__ = ["MadeOrgan", "OrganOptions", "StatedOrgan", "made_of", "of_labels", "of_surface"]
@@ -322,11 +322,10 @@ def of_surface(
 
 
 def of_labels(
-    labels: object,
+    labels: "Labels",
     stated: StatedOrgan,
     *,
     organ: str,
-    names: str | Path | None,
     edge_mm: float | None,
     report: Progress,
 ) -> MadeOrgan:
@@ -337,19 +336,14 @@ def of_labels(
     InputError
         If there is no such label, a part does not lie at the organ, or a value is out of its range.
     """
-    from meshes.ct.labels import Labels, read_labels
     from meshes.organs.from_labels import labelled_organ
 
-    with names_of_caller({"path": "labels"}):
-        known = (
-            labels if isinstance(labels, Labels) else read_labels(Path(str(labels)), names=names)
-        )
-    organ = known.names[known.number(organ)]
+    organ = labels.names[labels.number(organ)]
     given = stated.material.parts.items()
-    parts = {known.names[known.number(str(name))]: modulus for name, modulus in given}
+    parts = {labels.names[labels.number(str(name))]: modulus for name, modulus in given}
     stated = replace(stated, material=replace(stated.material, parts=parts))
     stated.material.moduli_kPa((organ, *parts))
-    found = labelled_organ(known, organ, [name for name in parts if name != organ])
+    found = labelled_organ(labels, organ, [name for name in parts if name != organ])
     mesh, notes = found.mesh(edge_mm, report=report)
     return made_of(mesh, notes, stated, surface=found.surface)
 

@@ -1,0 +1,323 @@
+"""DICOM objects that hold labels: segmentations (SEG) and structure sets (RTSTRUCT)."""
+
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from meshes.base.arrays import Array, Flags
+from meshes.base.errors import InputError, by, is_file, is_folder
+from meshes.base.file_limits import require_memory, require_regular
+from meshes.ct.label_names import Segment, side_of
+from meshes.images.dicom import Slice, normal_of, slice_of
+from meshes.images.dicom_files import (
+    damaged,
+    files_in,
+    frames_in,
+    is_dicom,
+    modality_of,
+    read_dataset,
+)
+from meshes.images.frame import Image, StoredImage
+
+__all__ = [
+    "LabelObject",
+    "Outlines",
+    "Segmentation",
+    "drawn",
+    "label_object",
+    "read_outlines",
+    "read_segmentation",
+]
+
+_KINDS = ("SEG", "RTSTRUCT")
+_VOLUMES = (".nii", ".nii.gz", ".nrrd", ".mha", ".mhd", ".raw", ".tif", ".tiff", ".bmp")
+"""Endings of files that are no DICOM and need not be opened."""
+_SEGMENT_TAGS = ("SegmentSequence", "SegmentationType", "MaximumFractionalValue")
+_OUTLINE_TAGS = ("StructureSetROISequence", "ROIContourSequence")
+_CLOSED = ("CLOSED_PLANAR", "CLOSEDPLANAR_XOR", "INTERPOLATED_PLANAR")
+_OFF_GRID = 0.05
+"""Largest distance of a frame from an even stack [spacing]; headers round positions."""
+_FLAT_MM = 0.05
+"""Largest extent of an outline along z; files round coordinates."""
+
+
+@dataclass(frozen=True, eq=False)
+class LabelObject:
+    """A DICOM file that holds labels: its kind, SEG or RTSTRUCT, its name, and its dataset."""
+
+    kind: str
+    file: Path
+    source: str
+    dataset: Any
+
+
+def label_object(path: Path) -> LabelObject | None:
+    """Return the DICOM object of labels in a file, or the only one in a folder.
+
+    The result is None for all other files and folders.
+
+    Raises
+    ------
+    InputError
+        If a folder holds several.
+    """
+    files = [path]
+    if is_folder(path):
+        files = [file for file in files_in(path) if not file.name.lower().endswith(_VOLUMES)]
+    found = []
+    for file in files:
+        if not is_file(file) or not is_dicom(require_regular(file)):
+            continue
+        dataset = read_dataset(file, path.name, (*_SEGMENT_TAGS, *_OUTLINE_TAGS))
+        modality = modality_of(dataset, path.name)
+        if modality in _KINDS:
+            found.append(LabelObject(modality, file, path.name, dataset))
+    if len(found) > 1:
+        raise InputError(
+            "labels",
+            "be one DICOM object",
+            f"{len(found)} in {path.name}",
+            "give the file of one segmentation or structure set",
+        )
+    return found[0] if found else None
+
+
+@dataclass(frozen=True, eq=False)
+class Segmentation:
+    """Frames of a segmentation, each a plane of one segment, or of all for a label map.
+
+    Attributes
+    ----------
+    object
+        File, with its segments in `segments`.
+    frames
+        Places of the frames.
+    planes_at
+        Index of each frame along the normal.
+    frame, step
+        First plane, and the vector to the next one [mm, LPS].
+    """
+
+    object: LabelObject
+    segments: list[Segment]
+    frames: list[Slice]
+    planes_at: list[int]
+    step: Array
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Columns, rows and planes."""
+        return (*self.frames[0].size, max(self.planes_at) + 1)
+
+    @property
+    def numbers(self) -> list[int]:
+        """Numbers of the segments."""
+        return [each.number for each in self.segments]
+
+    def stored(self) -> StoredImage:
+        """Return the grid of the segmentation, without values."""
+        first = self.frames[int(np.argmin(self.planes_at))]
+        spacing = float(np.linalg.norm(self.step))
+        directions = np.column_stack([first.row, first.column, self.step / spacing])
+        notes = []
+        if self.object.dataset.get("SegmentationType") == "FRACTIONAL":
+            notes.append(f"{self.object.source} holds fractions: half of a voxel or more counts.")
+        empty = np.zeros((0, 0, 0), dtype=np.uint8)
+        grid = (*first.pixel_mm, spacing)
+        return StoredImage(empty, grid, directions, first.position_mm, tuple(notes))
+
+    def planes(self) -> Iterator[tuple[int, int, Flags]]:
+        """Yield number of the segment, plane and mask, shape (columns, rows), of each frame."""
+        from pydicom.pixels.utils import iter_pixels
+
+        kind = str(self.object.dataset.get("SegmentationType", "BINARY"))
+        full = int(self.object.dataset.get("MaximumFractionalValue") or 255)
+        least = 0.5 * full if kind == "FRACTIONAL" else 0.5
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                pixels = iter_pixels(self.object.file, raw=True)
+                for each, plane, values in zip(self.frames, self.planes_at, pixels, strict=True):
+                    if kind == "LABELMAP":
+                        for number in np.unique(values[values > 0]).tolist():
+                            yield number, plane, number == values.T
+                        continue
+                    number = int(each.frame.header["ReferencedSegmentNumber"])
+                    yield number, plane, least <= values.T
+        except InputError:
+            raise
+        except Exception as problem:  # damaged pixels raise many kinds
+            raise damaged(self.object.source) from problem
+
+
+def read_segmentation(found: LabelObject) -> Segmentation:
+    """Read segments and places of a segmentation.
+
+    Frames without a voxel are usually left out, so the planes need not follow each other.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, or its frames are no part of an even stack.
+    """
+    frames = [
+        slice_of(frame, labels=True) for frame in frames_in(found.file, found.dataset, found.source)
+    ]
+    first = frames[0]
+    normal = normal_of(first)
+    heights = np.array([each.position_mm @ normal for each in frames])
+    places = np.unique(np.round(heights, 3))
+    gaps = np.diff(places)
+    stated = first.frame.header
+    gap = float(gaps.min()) if len(gaps) else float(stated["SliceThickness"] or 1.0)
+    # Segments in every second plane alone would seem to lie twice as far apart.
+    if stated["SpacingBetweenSlices"] and 0.0 < abs(stated["SpacingBetweenSlices"]) < gap:
+        gap = abs(float(stated["SpacingBetweenSlices"]))
+    at = (heights - places[0]) / gap
+    even = np.abs(at - np.rint(at)).max() <= _OFF_GRID
+    alike = all(
+        each.size == first.size
+        and np.allclose([each.row, each.column], [first.row, first.column], atol=1e-4)
+        for each in frames
+    )
+    if not even or not alike:
+        raise InputError(
+            "a DICOM segmentation",
+            "have its frames in one even stack",
+            f"others in {found.source}",
+            "export it again, or as .seg.nrrd",
+        )
+    planes = np.rint(at).astype(int).tolist()
+    needed = 2 * int(np.prod(first.size, dtype=object)) * (max(planes) + 1)
+    require_memory(needed, found.source, f"{by((*first.size, max(planes) + 1))} voxels")
+    return Segmentation(found, _segments(found), frames, planes, gap * normal)
+
+
+def _segments(found: LabelObject) -> list[Segment]:
+    """Return the segments of a file, with the side that their type states."""
+    segments: list[Segment] = []
+    try:
+        for each in found.dataset.get("SegmentSequence") or ():
+            number = int(each.get("SegmentNumber", len(segments) + 1))
+            name = str(each.get("SegmentLabel") or "").strip() or f"label {number}"
+            segments.append(Segment(number, name, _side(each)))
+    except Exception as problem:  # damaged headers raise many kinds
+        raise damaged(found.source) from problem
+    return segments
+
+
+def _side(segment: Any) -> str:
+    """Return the side of a segment, from the modifier of its type or its region."""
+    for key in ("SegmentedPropertyTypeCodeSequence", "AnatomicRegionSequence"):
+        for code in segment.get(key) or ():
+            modifiers = (
+                code.get("SegmentedPropertyTypeModifierCodeSequence")
+                or code.get("AnatomicRegionModifierSequence")
+                or ()
+            )
+            for modifier in modifiers:
+                if side := side_of(str(modifier.get("CodeMeaning", ""))):
+                    return side
+    return ""
+
+
+@dataclass(frozen=True, eq=False)
+class Outlines:
+    """Closed outlines of a structure set.
+
+    Attributes
+    ----------
+    source
+        File name.
+    segments
+        Structures that have outlines.
+    polygons
+        Points [mm, LPS] of each outline, shape (n, 3), by the number of the structure.
+    """
+
+    source: str
+    segments: list[Segment]
+    polygons: Mapping[int, Sequence[Array]]
+
+
+def read_outlines(found: LabelObject) -> Outlines:
+    """Read the closed outlines of a structure set; points and open lines are left out.
+
+    Raises
+    ------
+    InputError
+        If it is damaged, or an outline does not lie in a plane across z.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            names, polygons = _structures(found.dataset)
+    except Exception as problem:  # damaged headers raise many kinds
+        raise damaged(found.source) from problem
+    if any(np.ptp(each[:, 2]) > _FLAT_MM for held in polygons.values() for each in held):
+        raise InputError(
+            "outlines",
+            "lie in planes across the patient's long axis",
+            f"others in {found.source}",
+            "export them as a segmentation (SEG or .seg.nrrd)",
+        )
+    segments = [
+        Segment(number, names.get(number) or f"label {number}") for number in sorted(polygons)
+    ]
+    return Outlines(found.source, segments, polygons)
+
+
+def _structures(dataset: Any) -> tuple[dict[int, str], dict[int, list[Array]]]:
+    """Return names and closed outlines of the structures of a set, by their numbers."""
+    rois = dataset.get("StructureSetROISequence") or ()
+    names = {int(each.ROINumber): str(each.get("ROIName", "")).strip() for each in rois}
+    polygons: dict[int, list[Array]] = {}
+    for roi in dataset.get("ROIContourSequence") or ():
+        for contour in roi.get("ContourSequence") or ():
+            if str(contour.get("ContourGeometricType", "")).upper() not in _CLOSED:
+                continue
+            points = np.array(contour.ContourData, dtype=np.float64).reshape(-1, 3)
+            if len(points) > 2 and np.isfinite(points).all():
+                polygons.setdefault(int(roi.ReferencedROINumber), []).append(points)
+    return names, polygons
+
+
+def drawn(outlines: Outlines, image: Image) -> Iterator[tuple[int, int, Flags]]:
+    """Yield number of the structure, plane and mask, shape (nx, ny), on the voxels of an image.
+
+    A voxel belongs to a structure if its centre lies within an odd number of its outlines, so that
+    an outline within another one is a hole. A plane of the image takes the outlines of the nearest
+    plane up to half of their distance away.
+    """
+    spacing = np.array(image.spacing_mm)
+    origin = np.array(image.origin_mm)
+    columns, rows, planes_of_image = image.values.shape
+    shape = columns, rows
+    centres = origin[2] + spacing[2] * np.arange(planes_of_image)
+    for number, polygons in outlines.polygons.items():
+        heights = np.array([each[:, 2].mean() for each in polygons])
+        planes, member = np.unique(np.round(heights / _FLAT_MM), return_inverse=True)
+        places = planes * _FLAT_MM
+        gap = float(np.median(np.diff(places))) if len(places) > 1 else float(spacing[2])
+        reach = 0.5 * max(gap, float(spacing[2])) + _FLAT_MM
+        for k, centre in enumerate(centres):
+            nearest = int(np.abs(places - centre).argmin())
+            if abs(places[nearest] - centre) > reach:
+                continue
+            inside = np.zeros(shape, dtype=bool)
+            for index in np.flatnonzero(member == nearest).tolist():
+                inside ^= _within(polygons[index][:, :2], origin[:2], spacing[:2], shape)
+            if inside.any():
+                yield number, k, inside
+
+
+def _within(points: Array, origin: Array, spacing: Array, shape: tuple[int, int]) -> Flags:
+    """Return the voxels of a plane whose centres lie in a polygon of points [mm], shape (n, 2)."""
+    from skimage.draw import polygon2mask
+
+    inside: Flags = polygon2mask(shape, (points - origin) / spacing)
+    return inside

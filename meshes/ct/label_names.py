@@ -1,0 +1,184 @@
+"""Names of labels: of known programs, of a table of the user, and of the headers of files."""
+
+import re
+import tomllib
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+
+from meshes.base.errors import InputError, require_file
+from meshes.base.text_tables import read_toml
+from meshes.images.data import first_bytes
+from meshes.images.text_headers import header_lines
+
+__all__ = [
+    "MOST_LABELS",
+    "Segment",
+    "apart",
+    "given_names",
+    "header_names",
+    "label_sets",
+    "shared_names",
+    "slicer_segments",
+]
+
+MOST_LABELS = 2**31 - 1
+"""Largest number of a label."""
+_HEADER_BYTES = 1 << 20
+"""Bytes of a NIfTI file that are searched for a table of labels: 4 kB for each of 255 names."""
+_XML_NAME = re.compile(r'<Label Key="(\d+)"[^>]*>\s*<!\[CDATA\[(.*?)\]\]>', re.DOTALL)
+"""Line of the label table in an extension of a NIfTI header (Caret, TotalSegmentator)."""
+_SIDES = ("left", "right")
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A structure of a segmentation.
+
+    Attributes
+    ----------
+    number, name
+        Number of its label, and its name.
+    side
+        ``left``, ``right`` or empty, as the file states it next to the name.
+    layer, value
+        Layer of a file of several overlapping ones, and its value there.
+    """
+
+    number: int
+    name: str
+    side: str = ""
+    layer: int = 0
+    value: int = 1
+
+
+def apart(segments: Sequence[Segment]) -> dict[int, str]:
+    """Return the names of segments by number.
+
+    Segments of one name take their side as an ending, where the file states it.
+    """
+    counts = Counter(each.name for each in segments)
+    return {
+        each.number: f"{each.name}_{each.side}"
+        if counts[each.name] > 1 and each.side
+        else each.name
+        for each in segments
+    }
+
+
+def side_of(text: str) -> str:
+    """Return ``left`` or ``right`` where a modifier is one of them, else an empty text."""
+    word = text.strip().lower()
+    return word if word in _SIDES else ""
+
+
+@cache
+def label_sets() -> dict[str, dict[int, str]]:
+    """Return the names of labels by number, by the program that writes them."""
+    table = tomllib.loads(files("meshes.ct").joinpath("label_sets.toml").read_text("utf-8"))
+    return {
+        name: dict(zip(entry.get("numbers", range(1, 256)), entry["names"], strict=False))
+        for name, entry in table.items()
+    }
+
+
+def given_names(names: str | Path) -> Mapping[int, str]:
+    """Return the names by number of a known program or of a TOML file.
+
+    Raises
+    ------
+    InputError
+        If it is neither, or a number is not usable.
+    """
+    if str(names) in label_sets():
+        return label_sets()[str(names)]
+    file = Path(names)
+    if file.suffix != ".toml":
+        raise InputError(
+            "names",
+            f"be one of {', '.join(label_sets())} or a TOML file",
+            names,
+            "write [labels] with a line such as cortical = 1",
+        )
+    require_file(file, "names of labels")
+    try:
+        table = read_toml(file.read_text("utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
+        raise InputError(
+            "names", "be readable TOML", f"{file.name} which is not", str(problem)
+        ) from problem
+    labels = table.get("labels")
+    if not isinstance(labels, dict):
+        labels = {}
+    numbers = list(labels.values())
+    whole = all(type(number) is int and 1 <= number <= MOST_LABELS for number in numbers)
+    if set(table) != {"labels"} or not whole or not 0 < len(numbers) == len(set(numbers)):
+        raise InputError(
+            "names",
+            f"be in one table [labels], each with a number of its own from 1 to {MOST_LABELS}",
+            f"{numbers or ', '.join(table) or 'nothing'} in {file.name}",
+            "write [labels] with a line such as cortical = 1",
+        )
+    return {number: name for name, number in labels.items()}
+
+
+def header_names(path: Path) -> dict[int, str]:
+    """Return the names that an image's own header gives its labels."""
+    name = path.name.lower()
+    if name.endswith((".nii", ".nii.gz")):
+        text = first_bytes(path, _HEADER_BYTES).decode("latin-1")
+        return {int(number): label.strip() for number, label in _XML_NAME.findall(text)}
+    return apart(slicer_segments(path))
+
+
+def slicer_segments(path: Path) -> list[Segment]:
+    """Return the segments that 3D Slicer lists in the header of a NRRD file.
+
+    Files of several layers may use a value in each of them. Their segments are numbered from 1.
+    """
+    if not path.name.lower().endswith((".nrrd", ".nhdr")):
+        return []
+    fields, _ = header_lines(path, ":", "")
+    is_layered = fields.get("dimension") == "4"
+    indices = (re.fullmatch(r"segment(\d+)_name", key) for key in fields)
+    found: list[Segment] = []
+    for index in sorted(int(each[1]) for each in indices if each):
+        # NRRD separates such keys by :=, so that = is left.
+        keys = ("name", "labelvalue", "layer", "tags")
+        name, value, layer, tags = (
+            fields.get(f"segment{index}_{key}", "").lstrip("=").strip() for key in keys
+        )
+        # Slicer 4 wrote a layer for each segment, without the numbers of layer and label.
+        if is_layered:
+            at = int(layer) if layer.isdigit() else index
+            label = int(value) if value.isdigit() else 1
+            found.append(Segment(len(found) + 1, name, _slicer_side(tags), at, label))
+        elif value.isdigit():
+            found.append(Segment(int(value), name, _slicer_side(tags), 0, int(value)))
+    return found
+
+
+def _slicer_side(tags: str) -> str:
+    """Return the side in the terminology of a segment of 3D Slicer.
+
+    Its parts are separated by ~. The first are the name of a list, category, type and modifier.
+    """
+    entry = re.search(r"TerminologyEntry:([^|]*)", tags)
+    parts = entry[1].split("~") if entry else []
+    return side_of(parts[3].rpartition("^")[2]) if len(parts) > 3 else ""
+
+
+def shared_names(names: Mapping[int, str], source: str) -> list[str]:
+    """Return a note on each name that several labels have."""
+    numbers: dict[str, list[int]] = {}
+    for number, name in names.items():
+        numbers.setdefault(name, []).append(number)
+    return [
+        f"{source} has {len(each)} labels named {name} ({', '.join(map(str, each))}): "
+        "they are taken as one."
+        for name, each in numbers.items()
+        if len(each) > 1
+    ]

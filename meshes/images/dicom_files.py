@@ -1,0 +1,341 @@
+"""DICOM files of a folder and the headers of their frames.
+
+No data that identify a patient leave this module. Of the headers only `_READ` is read: kind, size,
+place, scale and series. A message counts files in the order of their names instead of naming them,
+because exporters write names, dates and identifiers into file names. The folder's name is the
+user's.
+"""
+
+import os
+import warnings
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from meshes.base.errors import InputError, counted, is_folder
+from meshes.base.file_limits import memory_limit_bytes, require_memory
+
+__all__ = [
+    "Frame",
+    "damaged",
+    "dicom_files",
+    "frames_in",
+    "frames_of",
+    "is_dicom",
+    "modality_of",
+    "read_dataset",
+    "refused",
+]
+
+Header = Mapping[str, Any]
+"""Elements of a frame by name; None where the file does not state one."""
+_NOT_SLICES = (
+    ".txt",
+    ".xml",
+    ".json",
+    ".csv",
+    ".md",
+    ".htm",
+    ".html",
+    ".pdf",
+    ".jpg",
+    ".jpeg",
+    ".png",
+    ".ini",
+    ".inf",
+)
+_READ = (
+    "SOPInstanceUID",
+    "Modality",
+    "ImageType",
+    "SeriesInstanceUID",
+    "SeriesNumber",
+    "NumberOfFrames",
+    "SamplesPerPixel",
+    "PhotometricInterpretation",
+    "Rows",
+    "Columns",
+    "BitsAllocated",
+    "BitsStored",
+    "PixelRepresentation",
+    "ImagePositionPatient",
+    "ImageOrientationPatient",
+    "PixelSpacing",
+    "SliceThickness",
+    "SpacingBetweenSlices",
+    "GantryDetectorTilt",
+    "PixelPaddingValue",
+    "PixelPaddingRangeLimit",
+    "RescaleIntercept",
+    "RescaleSlope",
+    "ReferencedSegmentNumber",
+)
+_SHARED = "SharedFunctionalGroupsSequence"
+_EACH = "PerFrameFunctionalGroupsSequence"
+"""Sequences of a multi-frame file: elements of all frames, and an item for each frame."""
+_MAGIC = b"DICM"
+_PREAMBLE = 128
+"""Free bytes at the start of a file, before `_MAGIC` (DICOM PS3.10, 7.1)."""
+_FIRST_ELEMENTS = tuple(
+    bytes((group, 0, element, 0)) for group in (2, 8) for element in (0, 1, 2, 5, 8, 0x16)
+)
+"""Tags that a file without a preamble starts with, little endian: groups 0002 and 0008."""
+_GROUP_LENGTH_BYTES = 12
+"""Element that states the length of the group after it: tag 4, type 2, length 2, value 4 bytes."""
+_PIECE = 1 << 20
+"""Bytes inflated at once, so that a bomb of zeros is noticed at the memory limit."""
+_UNDEFINED_LENGTH = 0xFFFFFFFF
+"""Stated length of pixels that are compressed in parts (DICOM PS3.5, A.4)."""
+_MOST_FILES = 50_000
+"""Files that are looked at: more are not the export of one examination."""
+_OTHER_OBJECTS = ("SEG", "RTSTRUCT", "RTPLAN", "RTDOSE", "SR", "PR", "KO", "REG", "DOC")
+"""Modalities of objects that exporters put next to an image, and that hold no grey values."""
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A frame of a file, which most files hold one of.
+
+    Attributes
+    ----------
+    file, number
+        File, and index of the frame in it.
+    header
+        Elements `_READ` by name.
+    place
+        Name of the file in a message.
+    """
+
+    file: Path
+    number: int
+    header: Header
+    place: str
+
+
+def refused(what: str, requirement: str, found: str) -> InputError:
+    """Return the error of a series that has to be exported again."""
+    return InputError(what, requirement, found, "export the series again")
+
+
+def damaged(place: str) -> InputError:
+    """Return the error of a file that cannot be decoded."""
+    return refused("a DICOM slice", "be whole and readable", f"a damaged one, {place}")
+
+
+def is_dicom(file: Path) -> bool:
+    """Return whether a file starts as DICOM does, with a preamble or without."""
+    with file.open("rb") as stream:
+        head = stream.read(_PREAMBLE + len(_MAGIC))
+    return head[_PREAMBLE:] == _MAGIC or head.startswith(_FIRST_ELEMENTS)
+
+
+def dicom_files(path: Path) -> tuple[list[tuple[Path, str]], list[str]]:
+    """Return the DICOM files of a path with their names in messages, and notes.
+
+    The path is a folder, which is searched with all folders in it, its DICOMDIR, or one file.
+
+    Raises
+    ------
+    InputError
+        If there are none, or a file among them is of another kind but named like them.
+    """
+    if not is_folder(path) and path.name.upper() != "DICOMDIR":
+        return [(path, path.name)], []
+    folder = path if is_folder(path) else path.parent
+    files = files_in(folder)
+    places = [
+        f"file {number} of {len(files)} in the order of names in {folder.name}"
+        for number in range(1, len(files) + 1)
+    ]
+    kinds = [is_dicom(file) for file in files]
+    found = [(file, place) for file, place, kind in zip(files, places, kinds, strict=True) if kind]
+    named = {(file.parent, file.suffix.lower()) for file, _ in found if file.suffix}
+    for file, place, kind in zip(files, places, kinds, strict=True):
+        # a slice that was overwritten or left empty must not be dropped in silence
+        if not kind and (file.parent, file.suffix.lower()) in named:
+            raise InputError(
+                "a DICOM folder", "hold DICOM files only", f"another kind as {place}", "take it out"
+            )
+    if not found:
+        raise InputError(
+            "file",
+            "hold images",
+            f"the folder {folder.name} without DICOM files, TIFF or PNG slices",
+            "give the folder that holds the slices",
+        )
+    others = len(files) - len(found)
+    notes = [f"Left out {counted(others, 'file')} of {folder.name} of another kind than DICOM."]
+    return found, notes if others else []
+
+
+def files_in(folder: Path) -> list[Path]:
+    """Return the files in a folder and its folders, sorted, that may be DICOM by their names."""
+    found = []
+    for within, folders, names in os.walk(folder):
+        folders[:] = sorted(each for each in folders if not each.startswith("."))
+        for name in sorted(names):
+            file = Path(within) / name
+            known = file.suffix.lower() in _NOT_SLICES or name.startswith(".")
+            if not known and name.upper() != "DICOMDIR" and file.is_file():
+                found.append(file)
+        if len(found) > _MOST_FILES:
+            raise InputError(
+                "a DICOM folder",
+                f"hold at most {_MOST_FILES} files",
+                f"more in {folder.name}",
+                "give the folder of one examination",
+            )
+    return found
+
+
+def frames_of(files: Sequence[tuple[Path, str]], source: str) -> tuple[list[Frame], list[str]]:
+    """Return the frames of grey values in DICOM files, and notes on what is left out.
+
+    Segmentations, plans and reports are left out, and so are localisers and files that are there
+    twice.
+
+    Raises
+    ------
+    InputError
+        If no frame is left, or a file is damaged.
+    """
+    frames: dict[tuple[object, ...], Frame] = {}
+    objects: list[str] = []
+    localisers = copies = 0
+    for file, place in files:
+        dataset = read_dataset(file, place)
+        modality = modality_of(dataset, place)
+        if modality in _OTHER_OBJECTS:
+            objects.append(modality)
+            continue
+        for frame in frames_in(file, dataset, place):
+            header = frame.header
+            keys = ("SeriesInstanceUID", "SeriesNumber", "SOPInstanceUID", "ImagePositionPatient")
+            identity = (*(str(header[key]) for key in keys), frame.number)
+            if "LOCALIZER" in (header["ImageType"] or ()):
+                localisers += 1
+            elif header["SOPInstanceUID"] and identity in frames:
+                copies += 1
+            else:
+                frames[identity] = frame
+    notes = []
+    if localisers:
+        notes.append(f"Left out {counted(localisers, 'localiser')} of {source}.")
+    if copies:
+        notes.append(f"Left out {counted(copies, 'duplicate')} of slices of {source}.")
+    if not frames:
+        held = ", ".join(sorted(set(objects))) or "localisers"
+        remedy = "give SEG and RTSTRUCT as labels, next to the folder of the CT"
+        raise InputError("a DICOM folder", "hold slices", f"{held} alone in {source}", remedy)
+    return list(frames.values()), notes
+
+
+def read_dataset(file: Path, place: str, further: Sequence[str] = ()) -> Any:
+    """Return the elements `_READ` of a file, its functional groups and its pixels, as pydicom has
+    them, and further elements by name.
+
+    Raises
+    ------
+    InputError
+        If the header is damaged.
+    """
+    import pydicom
+
+    tags = [*_READ, *further, _SHARED, _EACH, "PixelData"]
+    try:
+        with warnings.catch_warnings():  # the warnings quote header content
+            warnings.simplefilter("ignore")
+            _require_inflated(file)
+            # `force` reads a file without a preamble.
+            return pydicom.dcmread(file, specific_tags=tags, force=True)
+    except InputError:
+        raise
+    except Exception as problem:  # damaged headers raise many kinds
+        raise damaged(place) from problem
+
+
+def modality_of(dataset: Any, place: str) -> str:
+    """Return the kind of an object, such as CT or SEG."""
+    try:
+        return str(dataset.get("Modality", ""))
+    except Exception as problem:  # pydicom converts an element at its first use
+        raise damaged(place) from problem
+
+
+def frames_in(file: Path, dataset: Any, place: str) -> list[Frame]:
+    """Return the frames of a file; the pixels are checked for their length."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            whole = {key: dataset.get(key) for key in _READ}
+            shared = _flat(dataset.get(_SHARED))
+            each = [_flat([item]) for item in dataset.get(_EACH) or ()]
+            count = int(whole["NumberOfFrames"] or 1)
+            _require_pixels(dataset, whole, count, place)
+    except InputError:
+        raise
+    except Exception as problem:
+        raise damaged(place) from problem
+    if each and len(each) != count:
+        raise damaged(place)
+    return [
+        Frame(file, number, {**whole, **shared, **(each[number] if each else {})}, place)
+        for number in range(count)
+    ]
+
+
+def _flat(items: Sequence[Any] | None) -> dict[str, Any]:
+    """Return the elements `_READ` in the functional groups of a frame, or of all frames."""
+    found = {}
+    for item in items or ():
+        for element in item:
+            if element.VR == "SQ" and element.value:
+                group = element.value[0]
+                found.update({key: group.get(key) for key in _READ if key in group})
+    return found
+
+
+def _require_pixels(dataset: Any, header: Header, frames: int, place: str) -> None:
+    """Raise for pixels of another length than the header states."""
+    keys = ("Rows", "Columns", "SamplesPerPixel", "BitsAllocated")
+    # Values of one bit are packed over the ends of rows and frames.
+    needed = -(-int(np.prod([int(header[key]) for key in keys], dtype=object)) * frames // 8)
+    pixels = dataset.get_item("PixelData")
+    in_parts = getattr(pixels, "length", None) == _UNDEFINED_LENGTH or getattr(
+        pixels, "is_undefined_length", False
+    )
+    found = len(pixels.value)
+    syntax = dataset.file_meta.get("TransferSyntaxUID")
+    # Compressed pixels always come in parts, others never do.
+    if (syntax is not None and syntax.is_compressed) != in_parts:
+        raise damaged(place)
+    # DICOM pads every element to an even number of bytes.
+    if not in_parts and found != needed + needed % 2:
+        requirement = f"hold the {needed} bytes of pixels that its header states"
+        raise refused("a DICOM slice", requirement, f"{found} in {place}")
+
+
+def _require_inflated(file: Path) -> None:
+    """Refuse a deflated file that inflates beyond the memory limit: pydicom inflates it at once."""
+    import pydicom
+
+    with file.open("rb") as stream:
+        # Without the mark behind a preamble there is no group that could state deflation.
+        if stream.read(_PREAMBLE + len(_MAGIC))[_PREAMBLE:] != _MAGIC:
+            return
+    meta = pydicom.filereader.read_file_meta_info(file)
+    if meta.get("TransferSyntaxUID") != pydicom.uid.DeflatedExplicitVRLittleEndian:
+        return
+    start = _PREAMBLE + len(_MAGIC) + _GROUP_LENGTH_BYTES + int(meta.FileMetaInformationGroupLength)
+    limit = memory_limit_bytes()
+    found = 0
+    inflate = zlib.decompressobj(-zlib.MAX_WBITS)
+    packed = file.read_bytes()[start:]
+    while packed and not inflate.eof and found <= limit:
+        found += len(inflate.decompress(packed, _PIECE))
+        packed = inflate.unconsumed_tail
+    require_memory(found, file.parent.name, "a deflated slice")

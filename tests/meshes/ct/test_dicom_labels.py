@@ -1,0 +1,140 @@
+"""DICOM segmentations and structure sets as labels, against the masks that they were written from."""
+
+import numpy as np
+import pytest
+from dicom_writers import write_segmentation, write_structures
+from image_writers import write_dicom
+
+from meshes.base.errors import InputError
+from meshes.ct.labels import on_grid_of, read_labels
+from meshes.images.reading import read_image
+
+SHAPE, SPACING, ORIGIN = (16, 14, 12), (0.8, 0.5, 2.0), (-12.0, 7.0, 31.0)
+
+
+def masks():
+    """A bone and a canal in it, shape (2, nx, ny, nz)."""
+    found = np.zeros((2, *SHAPE), dtype=bool)
+    found[0, 2:12, 3:11, 2:9] = True
+    found[1, 5:8, 5:9, 3:11] = True
+    return found
+
+
+def written(tmp_path, **options):
+    path = tmp_path / "seg.dcm"
+    return write_segmentation(path, masks(), SPACING, ORIGIN, names=["bone", "canal"], **options)
+
+
+@pytest.mark.parametrize("options", [{}, {"empty": True}, {"kind": "FRACTIONAL"}])
+def test_segments_that_overlap_keep_their_voxels(tmp_path, options):
+    labels = read_labels(written(tmp_path, **options))
+    ct = tmp_path / "ct"
+    write_dicom(ct, np.zeros(SHAPE, np.uint16), np.diag(SPACING), ORIGIN)
+    placed = on_grid_of(labels, read_image(ct))
+    for name, mask in zip(("bone", "canal"), masks(), strict=True):
+        assert np.array_equal(placed.mask(name), mask)
+    assert any("lie in several labels, and count for each" in each for each in labels.image.notes)
+    assert placed.only(["bone", "canal"]).mask("bone").sum() == (masks()[0] & ~masks()[1]).sum()
+    fractions = any("half of a voxel" in each for each in labels.image.notes)
+    assert fractions == (options.get("kind") == "FRACTIONAL")
+
+
+def test_a_label_map_holds_all_segments_in_a_frame(tmp_path):
+    apart = masks()
+    apart[0] &= ~apart[1]
+    bone, canal = apart
+    path = tmp_path / "seg.dcm"
+    write_segmentation(
+        path, (bone + 2 * canal)[None], SPACING, ORIGIN, names=["bone", "canal"], kind="LABELMAP"
+    )
+    labels = read_labels(path)
+    assert labels.mask("bone").sum() == bone.sum() and labels.mask("canal").sum() == canal.sum()
+    assert labels.image.origin_mm == pytest.approx((-12.0, 7.0, 35.0))
+
+
+def test_frames_without_a_voxel_may_be_left_out_between_others(tmp_path):
+    parts = masks()[:1]
+    parts[:, :, :, 4:7] = False
+    path = write_segmentation(tmp_path / "s.dcm", parts, SPACING, ORIGIN, names=["bone"])
+    labels = read_labels(path)
+    assert labels.image.spacing_mm == pytest.approx(SPACING)
+    assert np.array_equal(labels.mask("bone"), parts[0][:, :, 2:9])
+
+
+def test_segments_of_one_name_are_named_by_their_side(tmp_path):
+    path = tmp_path / "seg.dcm"
+    parts = masks()
+    parts[1] &= ~parts[0]
+    write_segmentation(
+        path, parts, SPACING, ORIGIN, names=["femur", "femur"], sides=["Left", "Right"]
+    )
+    assert set(read_labels(path).names.values()) == {"femur_left", "femur_right"}
+
+
+def test_a_folder_with_one_segmentation_is_that_segmentation(tmp_path):
+    (tmp_path / "seg").mkdir()
+    written(tmp_path / "seg")
+    assert set(read_labels(tmp_path / "seg").names.values()) == {"bone", "canal"}
+
+
+def test_frames_off_an_even_stack_are_refused(tmp_path):
+    import pydicom
+
+    path = written(tmp_path)
+    dataset = pydicom.dcmread(path)
+    frame = dataset.PerFrameFunctionalGroupsSequence[3]
+    frame.PlanePositionSequence[0].ImagePositionPatient = [-12, 7, 35.7]
+    dataset.save_as(path)
+    with pytest.raises(InputError, match="have its frames in one even stack"):
+        read_labels(path)
+
+
+def box(low, high, z):
+    """A rectangle between two corners [mm, LPS], shape (4, 3)."""
+    (a, b), (c, d) = low, high
+    return np.array([(a, b, z), (c, b, z), (c, d, z), (a, d, z)])
+
+
+def outlines(step=2.0):
+    """A prism of 16 x 12 mm with a hole of 4 x 4 mm, in planes from z = 35 to 45 mm."""
+    heights = np.arange(35.0, 45.1, step)
+    whole = [box((-20.0, -10.0), (-4.0, 2.0), z) for z in heights]
+    holes = [box((-14.0, -6.0), (-10.0, -2.0), z) for z in heights]
+    return {"bone": whole + holes, "marrow": holes, "empty": []}
+
+
+def image(tmp_path, spacing=(0.5, 0.5, 1.0)):
+    """A CT around the prism; voxel centres lie a quarter of a voxel off the outlines."""
+    axes = np.diag(spacing)
+    write_dicom(tmp_path / "ct", np.zeros((60, 50, 30), np.uint16), axes, (-25.12, -15.12, 30.0))
+    return read_image(tmp_path / "ct")
+
+
+@pytest.mark.parametrize("step", [1.0, 2.0, 5.0])
+def test_outlines_are_drawn_on_the_voxels_of_the_ct(tmp_path, step):
+    ct = image(tmp_path)
+    labels = read_labels(write_structures(tmp_path / "rs.dcm", outlines(step)), image=ct)
+    assert set(labels.names.values()) == {"bone", "marrow"}
+    assert labels.image.values.shape == ct.values.shape and on_grid_of(labels, ct) is labels
+    voxel_mm3 = 0.5 * 0.5 * 1.0
+    planes = np.flatnonzero(labels.mask("bone").any(axis=(0, 1)))
+    area = voxel_mm3 * labels.mask("bone")[:, :, planes].sum() / len(planes)
+    assert area == pytest.approx(16 * 12 - 4 * 4)
+    assert voxel_mm3 * labels.mask("marrow").sum() == pytest.approx(16 * len(planes))
+    assert (planes[0], planes[-1]) == (5 - int(step // 2), 15 + int(step // 2))
+    assert np.diff(planes).max() == 1
+
+
+def test_outlines_need_their_ct(tmp_path):
+    path = write_structures(tmp_path / "rs.dcm", outlines())
+    with pytest.raises(InputError, match="give the CT that they were drawn on too"):
+        read_labels(path)
+
+
+def test_outlines_across_the_planes_are_refused(tmp_path):
+    tilted = {
+        "bone": [each @ np.array([[1, 0, 0], [0, 0, 1], [0, 1, 0]]) for each in outlines()["bone"]]
+    }
+    path = write_structures(tmp_path / "rs.dcm", tilted)
+    with pytest.raises(InputError, match="lie in planes across the patient's long axis"):
+        read_labels(path, image=image(tmp_path))
