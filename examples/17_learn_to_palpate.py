@@ -4,7 +4,7 @@ Learn to palpate
 
 The cross-entropy method finds four numbers of a policy of `tissue/Palpation-v0`. They are the depth
 of the press, the distance from the start, the speed of sliding around, and the radial range of
-motion around the place with the largest force. Needs ``pip install 'tissue-sim[rl]'``.
+motion around the place with the largest force. Needs ``pip install ".[rl]"``.
 """
 
 from pathlib import Path

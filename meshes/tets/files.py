@@ -157,7 +157,7 @@ def _read_by_meshio(file: Path) -> StoredMesh:
     except ImportError:
         raise InputError(
             f"file: {file.name} is a Gmsh file of version 4 or binary, which meshio reads, but "
-            "meshio is not installed. Run pip install 'tissue-sim[gmsh]', or save the file with "
+            "meshio is not installed. Run pip install meshio, or save the file with "
             "gmsh -format msh22."
         ) from None
     # meshio prints warnings, such as missing physical groups

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from meshes.base.arrays import Array, Numbers
 from meshes.base.errors import DamagedFileError, InputError, is_file
+from meshes.base.extras import install_command
 from meshes.base.file_limits import read_npz, require_memory
 from meshes.base.isolated_parser import Answer, parse_isolated
 from meshes.base.tables import read_table
@@ -228,7 +229,7 @@ def _module(name: str, extra: str) -> Any:
             "measured",
             "have what reads it installed",
             f"no {name}",
-            f"pip install 'tissue-sim[{extra}]'",
+            install_command(extra),
         ) from None
 
 

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, is_file, names_of_caller
+from meshes.base.extras import install_command
 from meshes.base.file_limits import read_npz, require_memory, require_regular
 from meshes.base.tables import read_table
 from meshes.base.text_tables import require_distinct_columns
@@ -128,7 +129,7 @@ def read_drilling(path: Path, *, what: str) -> DrillingRecording:
         import h5py
     except ImportError:
         raise InputError(
-            what, "have what reads it installed", "no h5py", "pip install 'tissue-sim[h5]'"
+            what, "have what reads it installed", "no h5py", install_command("h5")
         ) from None
     require_regular(path)
     try:
