@@ -44,6 +44,9 @@ _SPELLINGS = {
     "mm_s": "mm/s",
     "mm_min": "mm/min",
     "mms-1": "mm/s",
+    "N-m": "Nm",
+    "N-mm": "Nmm",
+    "°": "deg",
 }
 """Other spellings of units."""
 _IN_BRACKETS = re.compile(r"[\[(]\s*([^\])]*?)\s*[\])]\s*$")

@@ -98,7 +98,7 @@ class Program:
         default_factory=lambda: {
             "motion": "",
             "plane": "G17",
-            "unit": "G21",
+            "unit": "",
             "distance": "G90",
             "centre": "G91.1",
         }
@@ -114,6 +114,8 @@ class Program:
     def notes(self) -> tuple[str, ...]:
         """Return sentences on words that were left out, and on arcs."""
         found = []
+        if not self._modes["unit"]:
+            found.append("the program has neither G20 nor G21, so lengths are read in mm")
         if self._left_out:
             words = sorted(self._left_out, key=lambda word: (word[0], float(word[1:] or 0)))
             found.append(f"left out, since they do not move the tool: {', '.join(words)}")

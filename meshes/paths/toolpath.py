@@ -7,6 +7,7 @@ orientations in the site's frame.
 """
 
 import csv
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, require_file, require_positive
-from meshes.base.tables import read_table
+from meshes.base.tables import decoded_text, read_table
 from meshes.base.text_tables import require_distinct_columns
 from meshes.base.units import UNITS, column_of, name_of, unit_of
 from meshes.base.whole_file import whole_file
@@ -97,6 +98,8 @@ def kept_corners(corners: ArrayLike, within: float) -> Ints:
 
 
 GCODE = (".gcode", ".nc", ".ngc", ".tap", ".cnc", ".gc", ".mpf")
+_PROGRAM = re.compile(r"^\s*(N\d+\s*)?G0?\d\b", re.IGNORECASE | re.MULTILINE)
+"""Line of G-code in a file whose suffix is also of tables."""
 TABLES = (".csv", ".txt", ".tsv")
 _PLACE = ("x_mm", "y_mm", "z_mm")
 _FEED = "feed_mm_s"
@@ -211,7 +214,8 @@ def read_toolpath(path: str | Path, coordinates: str) -> Toolpath:
             file,
             "rename it",
         )
-    read = readers[suffix](file)
+    is_program = suffix == ".txt" and _PROGRAM.search(decoded_text(file, "path"))
+    read = _read_gcode(file) if is_program else readers[suffix](file)
     if len(read.points_mm) < 2:
         raise InputError(
             "path", "have at least two points", f"{len(read.points_mm)} in {file}", "add some"

@@ -109,6 +109,10 @@ def quantity(
     """
     if asked is None:
         asked = column_of(name, measure, found.names)
+    if asked is None:
+        # HDF5 files have columns in groups
+        grouped = [each for each in found.names if each.endswith(f"/{name}")]
+        asked = grouped[0] if len(grouped) == 1 else None
     if asked is None and name == "time_s":
         times = [each for each in found.names if name_of(each, "time") in TIMES]
         asked = times[0] if len(times) == 1 else None

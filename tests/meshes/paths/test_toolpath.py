@@ -67,6 +67,8 @@ def test_feeds_and_axes_of_a_table(tmp_path):
 
 
 def test_gcode_keeps_modes_units_and_feeds(tmp_path):
+    plain = read_toolpath(written(tmp_path, "b.ngc", "G0 X0 Y0 Z0\nX1"), "LPS")
+    assert plain.notes == ("the program has neither G20 nor G21, so lengths are read in mm",)
     lines = "G20 G0 X1 Y0 Z0\nG1 Z-.1 F6\ng91 g21\nX2\nZ-1 F60\nG90 G0 Z20"
     path = read_toolpath(written(tmp_path, "a.ngc", lines), "LPS")
     expected = [[25.4, 0, 0], [25.4, 0, -2.54], [27.4, 0, -2.54], [27.4, 0, -3.54], [27.4, 0, 20]]
@@ -156,6 +158,8 @@ def test_a_program_of_a_cam_system_is_read_with_notes(tmp_path):
     assert radius == pytest.approx(10.0, abs=1e-12)
     sagitta = 10.0 - np.hypot(middle[:, 0], middle[:, 1] - 10.0)
     assert 0.5 * ARC_ERROR_MM < sagitta.max() <= ARC_ERROR_MM
+    same = read_toolpath(written(tmp_path, "a.txt", PROGRAM), "LPS")
+    assert (same.points_mm == path.points_mm).all()
     still, home, arcs = path.notes
     assert all(word in still for word in ("G40", "G43", "G54", "M30", "M6", "N", "O", "S", "T"))
     assert home.endswith("a place of the machine: G28") and arcs == "2 arcs as lines within 0.01 mm"
