@@ -66,15 +66,15 @@ class Arm:
         self.data: Any = mujoco.MjData(self.model)
         self.tip = self.data.site("tip")
         self.drill = self.model.body("drill").id
-        self._jacobian = np.zeros((6, self.model.nv))
-        self._yields = np.zeros((6, self.model.nv))
+        self.columns = np.zeros((6, self.model.nv))
+        self.yields = np.zeros((6, self.model.nv))
 
     def place(self, tip_m: Floats, turn: Floats) -> None:
         """Find joint angles for a pose, by damped Newton steps from a bent arm."""
         self.data.qpos[:] = [0.0, 0.2, 1.4, 0.0, 1.5, 0.0]
         for _ in range(200):
             mujoco.mj_forward(self.model, self.data)
-            error = self._error(tip_m, turn)
+            error = self.error(tip_m, turn)
             jacobian = self.jacobian()
             normal = jacobian @ jacobian.T + 1e-6 * np.eye(6)
             self.data.qpos += jacobian.T @ np.linalg.solve(normal, np.clip(error, -0.1, 0.1))
@@ -83,11 +83,12 @@ class Arm:
     def jacobian(self) -> Floats:
         """Jacobian of the tip: velocity and angular velocity by joint, shape (6, 6)."""
         mujoco.mj_jacSite(
-            self.model, self.data, self._jacobian[:3], self._jacobian[3:], self.tip.id
+            self.model, self.data, self.columns[:3], self.columns[3:], self.tip.id
         )
-        return self._jacobian
+        return self.columns
 
-    def _error(self, tip_m: Floats, turn: Floats) -> Floats:
+    def error(self, tip_m: Floats, turn: Floats) -> Floats:
+        """Distance [m] and small rotation [rad] from the tip to a pose, shape (6,)."""
         now = self.tip.xmat.reshape(3, 3)
         about = 0.5 * sum(np.cross(now[:, axis], turn[:, axis]) for axis in range(3))
         return np.concatenate([tip_m - self.tip.xpos, about])
@@ -96,11 +97,11 @@ class Arm:
         """Hold the tip at a moving pose under the wrench of the bone, for 1 ms."""
         data = self.data
         jacobian = self.jacobian()
-        mujoco.mj_solveM(self.model, data, self._yields, jacobian)
-        at_tip = np.linalg.inv(jacobian @ self._yields.T)
+        mujoco.mj_solveM(self.model, data, self.yields, jacobian)
+        at_tip = np.linalg.inv(jacobian @ self.yields.T)
         rate = np.concatenate([velocity, np.zeros(3)]) - jacobian @ data.qvel
         stiffness = self.stiffness_per_kg
-        wanted = stiffness * self._error(tip_m, turn) + 2.0 * np.sqrt(stiffness) * rate
+        wanted = stiffness * self.error(tip_m, turn) + 2.0 * np.sqrt(stiffness) * rate
         data.qfrc_applied[:] = data.qfrc_bias + jacobian.T @ (at_tip @ wanted - wrench)
         # MuJoCo takes the force at the centre of mass of the body.
         arm_m = self.tip.xpos - data.xipos[self.drill]

@@ -62,15 +62,15 @@ class Scara:
         self.data: Any = mujoco.MjData(self.model)
         self.tip = self.data.site("tip")
         self.finger = self.model.body("finger").id
-        self._torque = np.zeros(3)
+        self.torque = np.zeros(3)
 
     def step(self, joints: Floats, rates: Floats, wrench: Floats) -> None:
         """Follow joint positions and rates under the wrench of the tissue, for 2 ms."""
         data = self.data
         damping = 2.0 * NATURAL_RAD_S * (rates - data.qvel)
         wanted = NATURAL_RAD_S**2 * (joints - data.qpos) + damping
-        mujoco.mj_mulM(self.model, data, self._torque, wanted)
-        data.qfrc_applied[:] = self._torque + data.qfrc_bias
+        mujoco.mj_mulM(self.model, data, self.torque, wanted)
+        data.qfrc_applied[:] = self.torque + data.qfrc_bias
         data.qfrc_applied[2] -= wrench[2]
         # MuJoCo takes the force at the centre of mass of the body.
         arm_m = self.tip.xpos - data.xipos[self.finger]
@@ -94,7 +94,7 @@ scene = tissue.load_scene("palpation", {"organ.young_end_kPa": 5.0})
 loop = tissue.Loop(scene, step_ms=2)
 robot = Scara()
 robot.data.qpos[:2] = angles(SLAB_M[0] + FROM_M, 0.0)
-# 2 mm above the surface: without the slide the tip is 112 mm above the floor.
+# 2 mm above the surface: without the slide the tip is at a height of 112 mm.
 height_m = robot.data.qpos[2] = SLAB_M[2] + 0.002 - 0.112
 mujoco.mj_forward(robot.model, robot.data)
 loop.reset(1e3 * (robot.tip.xpos - SLAB_M))

@@ -68,7 +68,7 @@ static int ask(uint8_t kind, const void *payload, uint16_t length, uint8_t wante
       exit(1);
     }
     seen = number;
-    /* The echo tells which packet an answer belongs to. */
+    /* The echo is the number of the packet that an answer belongs to. */
     if (data[5] == wanted && echo == sent && got - HEADER - CHECK == (ssize_t)size) {
       memcpy(answer, data + HEADER, size);
       return 1;

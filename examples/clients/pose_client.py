@@ -56,7 +56,7 @@ class PoseClient:
             if answer == REFUSED:
                 raise SystemExit(body[24:].decode())
             self.seen = number
-            # The echo tells which packet an answer belongs to.
+            # The echo is the number of the packet that an answer belongs to.
             if answer == wanted and echo == self.sent:
                 return body[24:]
 

@@ -136,7 +136,7 @@ class Loop:
             touch, as for `tissue.Bone.cut`. Without a device the newest rows replace the oldest.
         step_ms
             Duration of a step without a device [ms], 1 to 1000. The tool moves in a straight line
-            through its ticks. Along a curved path this shortens its way, see the guide.
+            through its ticks. Along a curved path this shortens its path, see the guide.
         cores
             Processor cores for a scene; default all. The result does not depend on it.
         limits
