@@ -80,6 +80,7 @@ def print_costs(tasks: Sequence[str]) -> None:
             reference = f"{finest_s / method_s:.1f}"
         unit_s = 0.5 * (unit_s + probe_s(process_time))
         rows.append((task, f"{method_s:.2f}", f"{method_s / unit_s:.1f}", reference))
+        print(*rows[-1], flush=True)
     print(table(rows, ("task", "one method / s", "over the probe", "reference trial, ratio")))
 
 

@@ -191,7 +191,7 @@ def register_plan(*, options: PlanOptions = PlanOptions(), out: Path | None = No
 
 
 @study.command
-def report(folder: Path, /) -> None:
+def report(folder: Path, /, *, exploratory: Path | None = None) -> None:
     """Write tables, figures and their interpretation into a study's folder.
 
     The paper's figures are shown for comparison.
@@ -201,10 +201,13 @@ def report(folder: Path, /) -> None:
     folder
         Folder that `tissue study run` wrote; an unfinished study is reported up to its present
         state.
+    exploratory
+        Folder of an older study. Its figures are printed next to those of the study and labelled
+        exploratory.
     """
     with progress() as report:
         from tissue.evaluation.study.report import write_report
 
-        written, sentences = write_report(folder, report=report)
+        written, sentences = write_report(folder, exploratory=exploratory, report=report)
     console.print(*sentences, sep="\n")
     console.print(f"open {written}")
