@@ -12,7 +12,6 @@ from meshes.base.arrays import Array, Flags, Numbers
 from meshes.base.errors import InputError, by, is_file, is_folder
 from meshes.base.file_limits import require_memory, require_regular
 from meshes.ct.label_names import Segment, side_of
-from meshes.images.dicom import Slice, normal_of, slice_of
 from meshes.images.dicom_files import (
     damaged,
     files_in,
@@ -21,6 +20,7 @@ from meshes.images.dicom_files import (
     modality_of,
     read_dataset,
 )
+from meshes.images.dicom_slices import Slice, normal_of, slice_of
 from meshes.images.frame import Image, StoredImage
 
 __all__ = [
