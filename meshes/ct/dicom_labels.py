@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from meshes.base.arrays import Array, Flags
+from meshes.base.arrays import Array, Flags, Numbers
 from meshes.base.errors import InputError, by, is_file, is_folder
 from meshes.base.file_limits import require_memory, require_regular
 from meshes.ct.label_names import Segment, side_of
-from meshes.images.dicom import Slice, normal_of, slice_of
 from meshes.images.dicom_files import (
     damaged,
     files_in,
@@ -21,6 +20,7 @@ from meshes.images.dicom_files import (
     modality_of,
     read_dataset,
 )
+from meshes.images.dicom_slices import Slice, normal_of, slice_of
 from meshes.images.frame import Image, StoredImage
 
 __all__ = [
@@ -132,15 +132,13 @@ class Segmentation:
 
     def planes(self) -> Iterator[tuple[int, int, Flags]]:
         """Yield number of the segment, plane and mask, shape (columns, rows), of each frame."""
-        from pydicom.pixels.utils import iter_pixels
-
         kind = str(self.object.dataset.get("SegmentationType", "BINARY"))
         full = int(self.object.dataset.get("MaximumFractionalValue") or 255)
         least = 0.5 * full if kind == "FRACTIONAL" else 0.5
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                pixels = iter_pixels(self.object.file, raw=True)
+                pixels = self._pixels()
                 for each, plane, values in zip(self.frames, self.planes_at, pixels, strict=True):
                     if kind == "LABELMAP":
                         for number in np.unique(values[values > 0]).tolist():
@@ -152,6 +150,23 @@ class Segmentation:
             raise
         except Exception as problem:  # damaged pixels raise many kinds
             raise damaged(self.object.source) from problem
+
+    def _pixels(self) -> Iterator[Numbers]:
+        """Yield the values of each frame, shape (rows, columns)."""
+        from pydicom.pixels.utils import iter_pixels
+
+        header = self.frames[0].frame.header
+        is_compressed = self.object.dataset.file_meta.TransferSyntaxUID.is_compressed
+        if int(header["BitsAllocated"]) > 1 or is_compressed:
+            yield from iter_pixels(self.object.file, raw=True)
+            return
+        # Frames of packed bits may begin within a byte, for which pydicom 3.0 raises.
+        size = self.frames[0].size
+        packed = np.frombuffer(self.object.dataset.PixelData, dtype=np.uint8)
+        for start in range(0, len(self.frames) * size[0] * size[1], size[0] * size[1]):
+            end = start + size[0] * size[1]
+            bits = np.unpackbits(packed[start // 8 : -(-end // 8)], bitorder="little")
+            yield bits[start % 8 :][: end - start].reshape(size[::-1])
 
 
 def read_segmentation(found: LabelObject) -> Segmentation:

@@ -1,9 +1,10 @@
-"""Stacks of planes, TIFF, PNG or BMP: selection and order of the files, and their grey values."""
+"""Stacks of planes, TIFF, PNG, BMP or JPEG: order of the files, and their grey values."""
 
 import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,8 @@ from meshes.images.frame import StoredImage
 
 __all__ = ["PLANE_SUFFIXES", "plane_files", "read_planes"]
 
-PLANE_SUFFIXES = (".tif", ".tiff", ".png", ".bmp")
+PLANE_SUFFIXES = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
+_LOSSY = (".jpg", ".jpeg")
 _VOLUMES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd", ".vti", ".dcm")
 """Endings of volumes, next to which a plane is a preview."""
 _STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"\x89PNG")
@@ -31,6 +33,20 @@ _UNCOMPRESSED = 1
 """Codes of the tags PhotometricInterpretation and Compression (TIFF 6.0)."""
 _GREY = (0.2126, 0.7152, 0.0722)
 """Parts of red, green and blue in the brightness of a colour (ITU-R BT.709)."""
+_MODES = {
+    "1": ("u1", 1),
+    "L": ("u1", 1),
+    "P": ("u1", 1),
+    "I;16": ("u2", 1),
+    "I;16B": ("u2", 1),
+    "I": ("i4", 1),
+    "F": ("f4", 1),
+    "LA": ("u1", 2),
+    "RGB": ("u1", 3),
+    "RGBA": ("u1", 4),
+}
+"""Type and number of the samples of a pixel by Pillow's modes."""
+_EXPORT = "export it as grey values"
 _MOST_COLOURS = 1000
 """Colours that count as labels: shades and pictures have more."""
 
@@ -82,7 +98,11 @@ def plane_files(path: Path) -> list[Path]:
         If the path does not exist, a file is named unlike the others, or a slice number is missing.
     """
     if any(mark in path.name for mark in _PATTERN_MARKS) and not path.exists():
-        found = [file for file in path.parent.glob(path.name) if file.is_file()]
+        inside = path.parent.iterdir() if path.parent.is_dir() else ()
+        pattern = path.name.lower()
+        found = [
+            file for file in inside if fnmatchcase(file.name.lower(), pattern) and file.is_file()
+        ]
         if not found:
             raise InputError(
                 "file",
@@ -106,8 +126,14 @@ def plane_files(path: Path) -> list[Path]:
 
 
 def _in_folder(folder: Path) -> list[Path]:
-    """Return the planes of a folder, of the kind that most of its planes have."""
-    files = [file for file in folder.iterdir() if file.is_file() and not file.name.startswith(".")]
+    """Return the planes of a folder, of the kind that most of its planes have.
+
+    A folder that holds one folder and nothing else stands for that folder.
+    """
+    held = [each for each in folder.iterdir() if not each.name.startswith(".")]
+    if len(held) == 1 and held[0].is_dir() and not held[0].is_symlink():
+        return _in_folder(held[0])
+    files = [file for file in held if file.is_file()]
     kinds = {file: _kind(file) for file in files}
     counts = Counter(kind for kind in kinds.values() if kind)
     if not counts or any(file.name.lower().endswith(_VOLUMES) for file in files):
@@ -122,7 +148,7 @@ def _kind(file: Path) -> str:
     """Return the kind of a plane, and an empty text for other files."""
     suffix = file.suffix.lower()
     if suffix in PLANE_SUFFIXES:
-        return suffix[:4]
+        return suffix[:3]
     if suffix and not suffix[1:].isdigit():
         return ""
     with file.open("rb") as stream:
@@ -174,6 +200,10 @@ def read_planes(
     names: dict[int, str] = {}
     if sum(other.reduced for other in planes):
         notes.append(f"Reduced pictures (thumbnails) in the files of {where} are left out.")
+    if files[0].suffix.lower() in _LOSSY:
+        notes.append(
+            f"JPEG changes the values of {where} near edges: export PNG or TIFF if you can."
+        )
     if first.shape[3] > 1:
         grey, names, note = _without_colour(values, where, labels=labels)
         notes.append(note)
@@ -299,18 +329,20 @@ def _planes(file: Path) -> _Planes:
 
 
 def _picture_planes(file: Path) -> _Planes:
-    """Read the header of a PNG or BMP file."""
+    """Read the header of a PNG, BMP or JPEG file."""
     from PIL import Image
 
     with Image.open(file) as picture:
-        values = np.zeros((1, 1), dtype=np.uint8) if picture.mode == "1" else None
-        if values is None:
-            values = np.asarray(picture.crop((0, 0, 1, 1)))
-        photometric = {"P": _PALETTE}.get(picture.mode, 1 if values.ndim == 2 else 2)
-        samples = 1 if values.ndim == 2 else int(values.shape[-1])
+        kind, samples = _MODES.get(picture.mode, ("", 0))
+        if not samples:
+            raise InputError(
+                "a slice", "hold grey values or colours", f"{picture.mode} in {file.name}", _EXPORT
+            )
         shape = (1, picture.height, picture.width, samples)
-    bits = 8 * values.dtype.itemsize
-    return _Planes(shape, "YX" if samples == 1 else "YXS", photometric, bits, values.dtype, 0)
+        photometric = _PALETTE if picture.mode == "P" else 1
+    dtype = np.dtype(kind)
+    axes = "YX" if samples == 1 else "YXS"
+    return _Planes(shape, axes, photometric, 8 * dtype.itemsize, dtype, 0)
 
 
 def _tiff_planes(file: Path) -> _Planes:
@@ -347,7 +379,7 @@ def _tiff_planes(file: Path) -> _Planes:
             "a TIFF slice",
             "hold one stack of grey values",
             f"other content in {file.name}",
-            "export it as grey values",
+            _EXPORT,
         )
     stacked = [int(count) for count in axes.values() if count > 1]
     if len(stacked) > 1:
@@ -386,7 +418,7 @@ def _array(file: Path) -> Numbers:
     import tifffile
     from PIL import Image
 
-    if file.suffix.lower() not in (".png", ".bmp"):
+    if file.suffix.lower() not in (".png", ".bmp", *_LOSSY):
         try:
             return np.asarray(tifffile.TiffFile(file).series[0].asarray())
         except tifffile.TiffFileError:

@@ -322,7 +322,7 @@ def stored_image(
     if planes and given is None:
         raise InputError(
             "anatomy.spacing_mm",
-            "be given for TIFF, PNG or BMP slices, which do not hold it",
+            "be given for slices, whose files do not hold it",
             f"none for {source}",
             "use the scanner's value, for example 0.0195",
         )

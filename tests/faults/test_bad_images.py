@@ -404,7 +404,7 @@ BAD = {
     "one slice": (lambda f: dicom(f, values=VALUES[:, :, :1]), "two slices or more"),
     # others
     "folder": (lambda f: f, "without DICOM files, TIFF or PNG slices"),
-    "unknown": (lambda f: text(f, "image.jpg"), "must be an image volume of a known format"),
+    "unknown": (lambda f: text(f, "image.gif"), "must be an image volume of a known format"),
 }
 
 

@@ -27,6 +27,7 @@ QUICK |= {
     "tets apart": 0,
     "run apart": 0,
     "image": 2,
+    "labels": 4,
     "image apart": 0,
 }
 QUICK |= {"log": 3, "log apart": 0, "toolpath": 3}

@@ -181,6 +181,12 @@ def zeros_dicom(path):
     )
 
 
+def zeros_png(path):
+    from PIL import Image
+
+    Image.fromarray(np.zeros((4000, 4000), dtype=np.uint8)).save(path)
+
+
 BOMBS = {
     "a.nii.gz": ("image", zeros_nifti),
     "b.nrrd": ("image", zeros_nrrd),
@@ -188,6 +194,7 @@ BOMBS = {
     "d.h5": ("log", zeros_h5),
     "e.parquet": ("log", zeros_parquet),
     "dicom": ("image", zeros_dicom),
+    "f.png": ("image", zeros_png),
 }
 
 
@@ -206,7 +213,7 @@ def test_a_file_that_inflates_beyond_the_limit_is_refused(tmp_path, limited, nam
 
 
 SUFFIXES = {
-    "image": ("a.nrrd", "a.nhdr", "a.nii", "a.nii.gz", "a.mha", "a.vti", "a.tif"),
+    "image": ("a.nrrd", "a.nhdr", "a.nii", "a.nii.gz", "a.mha", "a.vti", "a.tif", "a.png"),
     "labels": ("a.nrrd", "a.nii.gz"),
     "surface": ("a.stl", "a.ply", "a.obj", "a.vtp"),
     "tets": ("a.msh", "a.vtu"),

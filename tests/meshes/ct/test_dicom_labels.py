@@ -39,6 +39,14 @@ def test_segments_that_overlap_keep_their_voxels(tmp_path, options):
     assert fractions == (options.get("kind") == "FRACTIONAL")
 
 
+def test_frames_may_begin_within_a_byte(tmp_path):
+    parts = masks()[:, :11, :7]  # 77 pixels in a plane
+    path = write_segmentation(tmp_path / "s.dcm", parts, SPACING, ORIGIN, names=["bone", "canal"])
+    labels = read_labels(path)
+    for name, mask in zip(("bone", "canal"), parts, strict=True):
+        assert np.array_equal(labels.mask(name), mask[:, :, 2:11])
+
+
 def test_a_label_map_holds_all_segments_in_a_frame(tmp_path):
     apart = masks()
     apart[0] &= ~apart[1]

@@ -148,6 +148,13 @@ def test_frames_without_places_follow_the_first(tmp_path):
     assert "2 mm apart along their normal" in note
 
 
+@pytest.mark.parametrize(("thickness", "count"), [(2.0, 0), (2.5, 0), (5.0, 1)])
+def test_slices_thicker_than_their_distance_are_noted(tmp_path, thickness, count):
+    file = write_enhanced(tmp_path / "e.dcm", ball_HU(), SPACING, ORIGIN, thickness=thickness)
+    notes = require_ball(file)
+    assert [f"{thickness:g} mm thick and 2 mm apart" in note for note in notes] == [True] * count
+
+
 def test_phases_at_one_place_are_refused(tmp_path):
     values = np.concatenate([ball_HU(), ball_HU()], axis=2)
     file = write_enhanced(tmp_path / "4d.dcm", values, (0.8, 0.5, 0.0), ORIGIN)

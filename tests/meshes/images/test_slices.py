@@ -137,6 +137,23 @@ def test_forms_of_tiff_are_read(tmp_path, options, name):
     assert np.array_equal(found.values, steps().T)
 
 
+def test_a_pattern_fits_letters_of_either_case(tmp_path):
+    (tmp_path / "a").mkdir()
+    written(tmp_path / "a", steps(), "s{}.TIF")
+    found = read_image(tmp_path / "a" / "*.tif", spacing_mm=SPACING_MM)
+    assert np.array_equal(found.values, steps().T)
+    within = read_image(tmp_path, spacing_mm=SPACING_MM)  # the only folder in it
+    assert np.array_equal(within.values, steps().T)
+
+
+def test_jpeg_slices_are_read_with_a_note(tmp_path):
+    for k, plane in enumerate(steps()):
+        Image.fromarray((plane > 0).astype(np.uint8) * 200).save(tmp_path / f"s{k}.jpg", quality=95)
+    found = read_image(tmp_path, spacing_mm=SPACING_MM)
+    assert np.abs(found.values.astype(int) - 200 * (steps().T > 0)).mean() < 4.0
+    assert "JPEG changes the values" in found.notes[0]
+
+
 def test_tiff_compressed_by_lzw_is_read(tmp_path):
     for k, plane in enumerate(steps()):
         Image.fromarray(plane).save(tmp_path / f"s{k}.tif", compression="tiff_lzw")

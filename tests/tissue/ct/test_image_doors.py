@@ -92,7 +92,9 @@ def test_planes_take_their_spacing_at_every_door(tmp_path, command):
     assert code == 0, error
     found = float(out.split("bone of ")[1].split(" ml")[0])
     assert found == pytest.approx(millilitres, rel=0.02)
-    with pytest.raises(InputError, match="spacing_mm must be given for TIFF, PNG or BMP slices"):
+    with pytest.raises(
+        InputError, match="spacing_mm must be given for slices, whose files do not hold it"
+    ):
         tissue.Bone.from_image(tmp_path / "png", threshold=100)
 
 

@@ -1,0 +1,263 @@
+"""Places of DICOM slices, and their order as an even stack."""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from meshes.images.dicom_files import Frame, refused
+
+__all__ = ["INVERTED", "Slice", "normal_of", "number_in", "slice_of", "stacked"]
+
+INVERTED = "MONOCHROME1"
+"""Photometric interpretation whose low values are displayed as white."""
+_GREY = ("MONOCHROME2", INVERTED)
+_PARALLEL = 1e-4
+"""Largest difference of direction cosines of parallel slices: 0.05 mm over 500 mm."""
+_UNIT = 1e-3
+"""Tolerance of unit vectors, right angles and, relative, of pixel spacings; headers round them."""
+_UNEVEN = 0.05
+"""Largest distance of a slice from its place in an even stack, in spacings."""
+_ROUNDED = 0.75
+"""Likewise, in units of the last decimal that the positions are written with.
+
+Rounding moves a slice by half a unit, and the line through all slices by less than a quarter.
+"""
+_COARSEST_MM = 0.1
+"""Largest such unit: coarser positions are whole numbers of mm because the slices lie there."""
+_MISSING = 0.4
+"""Largest such distance in spacings for any rounding: a missing slice moves others by half."""
+_TILT_DEG = 0.5
+"""Difference of the stated tilt of the gantry from that of the positions; headers round both."""
+_SHEAR_DEG = 0.05
+"""Shear from which a note states it: 0.3 mm over 300 mm; less is rounding of positions."""
+
+
+@dataclass(frozen=True, eq=False)
+class Slice:
+    """A frame with its place and scale.
+
+    Attributes
+    ----------
+    frame
+        File and header.
+    position_mm
+        Centre of the first pixel [mm, LPS], shape (3,).
+    row, column
+        Directions of growing column and row number, unit vectors [LPS].
+    pixel_mm, size
+        Distance [mm] and number of pixels along `row` and `column`.
+    slope, intercept
+        Scale of the stored values.
+    rounding_mm
+        Unit of the last decimal of the position [mm].
+    """
+
+    frame: Frame
+    position_mm: Array
+    row: Array
+    column: Array
+    pixel_mm: tuple[float, float]
+    size: tuple[int, int]
+    slope: float
+    intercept: float
+    rounding_mm: float
+
+
+def slice_of(frame: Frame, *, labels: bool = False) -> Slice:
+    """Return a slice of checked place and size; those of labels may have a colour table.
+
+    Raises
+    ------
+    InputError
+        If a number is missing, or the pixels are no grey values.
+    """
+    header = frame.header
+    is_grey = header["PhotometricInterpretation"] in _GREY or labels
+    if not is_grey or header["SamplesPerPixel"] != 1:
+        raise InputError(
+            "a DICOM slice",
+            "hold grey values (MONOCHROME2 or MONOCHROME1)",
+            f"other values in {frame.place}",
+            "take it out, or export grey values",
+        )
+    both = _numbers(frame, "ImageOrientationPatient", 6)
+    down, along = _numbers(frame, "PixelSpacing", 2).tolist()
+    position = _numbers(frame, "ImagePositionPatient", 3)
+    slope = number_in(frame, "RescaleSlope", 1.0)
+    if slope == 0.0:
+        raise refused("RescaleSlope", "differ from 0", f"it in {frame.place}")
+    return Slice(
+        frame,
+        position_mm=position,
+        row=both[:3],
+        column=both[3:],
+        pixel_mm=(along, down),
+        size=(int(header["Columns"]), int(header["Rows"])),
+        slope=slope,
+        intercept=number_in(frame, "RescaleIntercept", 0.0),
+        rounding_mm=min(_last_decimal(each) for each in header["ImagePositionPatient"]),
+    )
+
+
+def _last_decimal(number: object) -> float:
+    """Return the unit of the last decimal that a number is written with."""
+    text = str(getattr(number, "original_string", number)).strip().lower()
+    mantissa, _, exponent = text.partition("e")
+    decimals = len(mantissa.partition(".")[2]) - int(exponent or 0)
+    return min(float(10.0**-decimals), _COARSEST_MM)
+
+
+def _numbers(frame: Frame, key: str, count: int) -> Array:
+    """Return the finite numbers of an element."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found = np.atleast_1d(np.array(frame.header[key], dtype=np.float64))
+    except (TypeError, ValueError, OverflowError):
+        found = np.empty(0)
+    if found.shape != (count,) or not np.isfinite(found).all():
+        noun = "number" if count == 1 else "numbers"
+        raise refused(key, f"be {count} finite {noun}", f"none or others in {frame.place}")
+    return found
+
+
+def number_in(frame: Frame, key: str, absent: float) -> float:
+    """Return one number of an element, or a default if it is absent or empty."""
+    missing = frame.header[key] in (None, "")
+    return absent if missing else float(_numbers(frame, key, 1)[0])
+
+
+def stacked(slices: Sequence[Slice], source: str) -> tuple[list[Slice], Array, list[str]]:
+    """Return slices in their order along the normal, the step between them [mm, LPS], and notes.
+
+    Raises
+    ------
+    InputError
+        If they are no even stack.
+    """
+    if len(slices) < 2:
+        raise InputError(
+            "a DICOM folder",
+            "hold two slices or more",
+            f"one in {source}",
+            "give the folder of the series",
+        )
+    first = slices[0]
+    normal = normal_of(first)
+    for other in slices[1:]:
+        turned = max(np.abs(first.row - other.row).max(), np.abs(first.column - other.column).max())
+        pixels_differ = not np.allclose(other.pixel_mm, first.pixel_mm, rtol=_UNIT)
+        if other.size != first.size or pixels_differ or turned > _PARALLEL:
+            raise InputError(
+                "slices",
+                "have one size, pixel spacing and orientation",
+                f"another in {other.frame.place}",
+                "take localisers and reformatted images out of the folder",
+            )
+    if all(np.array_equal(each.position_mm, first.position_mm) for each in slices):
+        return _unplaced(slices, normal, source)
+    ordered = sorted(slices, key=lambda each: float(each.position_mm @ normal))
+    places = np.array([each.position_mm for each in ordered])
+    rounding = min(each.rounding_mm for each in slices)
+    _require_even(places @ normal, rounding, source)
+    start, step = _line(places)
+    gap = float(step @ normal)
+    strays = np.abs(places - start - np.arange(len(ordered))[:, None] * step).max()
+    if strays > max(_UNEVEN * gap, _ROUNDED * rounding):
+        raise InputError(
+            "slices",
+            "lie on one line",
+            f"positions that stray {strays:.3g} mm from it in {source}",
+            "export one reconstruction",
+        )
+    tilts = [number_in(each.frame, "GantryDetectorTilt", 0.0) for each in slices]
+    tilt_deg = max(tilts, key=abs)
+    shear_deg = float(np.degrees(np.arctan2(np.linalg.norm(step - gap * normal), gap)))
+    if abs(tilt_deg) > _TILT_DEG and abs(abs(tilt_deg) - shear_deg) > _TILT_DEG:
+        raise InputError(
+            "positions",
+            "show the tilt of the gantry",
+            f"{tilt_deg:g} degrees stated and {shear_deg:.2g} shown in {source}",
+            "export the series resampled to straight slices",
+        )
+    notes = []
+    if shear_deg > _SHEAR_DEG:
+        notes.append(
+            f"The slices of {source} are sheared by {shear_deg:.3g} degrees, as a tilted gantry "
+            "leaves them."
+        )
+    return ordered, step, notes
+
+
+def _unplaced(
+    slices: Sequence[Slice], normal: Array, source: str
+) -> tuple[list[Slice], Array, list[str]]:
+    """Return the frames of one file that states the place of the first alone, with a note."""
+    frame = slices[0].frame
+    gap = number_in(frame, "SpacingBetweenSlices", number_in(frame, "SliceThickness", 0.0))
+    if len({each.frame.file for each in slices}) > 1 or not gap > 0.0:
+        _require_even(np.zeros(len(slices)), 0.0, source)
+    note = (
+        f"{source} states the place of its first frame alone: the others follow it {gap:g} mm "
+        "apart along their normal."
+    )
+    return list(slices), gap * normal, [note]
+
+
+def _line(places: Array) -> tuple[Array, Array]:
+    """Return start and step of the even row of points nearest to points, by least squares."""
+    at = np.arange(len(places)) - 0.5 * (len(places) - 1)
+    step = at @ places / (at @ at)
+    return places.mean(axis=0) + at[0] * step, step
+
+
+def normal_of(first: Slice) -> Array:
+    """Return the unit normal of a slice with valid directions."""
+    lengths = np.linalg.norm([first.row, first.column], axis=1)
+    if np.abs(lengths - 1.0).max() > _UNIT or abs(float(first.row @ first.column)) > _UNIT:
+        requirement = "be two unit vectors at a right angle"
+        what = "the orientation of a DICOM slice"
+        raise refused(what, requirement, f"other in {first.frame.place}")
+    normal: Array = np.cross(first.row, first.column)
+    return normal / np.linalg.norm(normal)
+
+
+def _require_even(heights: Array, rounding: float, source: str) -> None:
+    """Refuse slices in one place, missing ones, and uneven spacing beyond rounding."""
+    gaps = np.diff(heights)
+    usual = float(gaps.min())
+    widest = float(gaps.max())
+    # 1e-6 mm: the median is 0 if most slices lie in one place.
+    if usual <= _UNEVEN * max(float(np.median(gaps)), 1e-6):
+        raise InputError(
+            "slices",
+            "each lie in a place of their own",
+            f"two at one place in {source}",
+            "leave one phase, echo or reconstruction in the folder",
+        )
+    start, step = _line(heights[:, None])
+    away = np.abs(heights - start - np.arange(len(heights)) * step).max()
+    even = min(max(_UNEVEN, _ROUNDED * rounding / step[0]), _MISSING)
+    if away <= even * step[0]:
+        return
+    single = float(np.percentile(gaps, 50.0, method="lower"))
+    times = gaps / single
+    # Rounding moves both ends of a gap by half a unit.
+    if (np.abs(times - np.rint(times)) * single <= _UNEVEN * widest + rounding).all():
+        missing = int(np.rint(times).sum()) - len(gaps)
+        raise InputError(
+            "slices",
+            "follow each other without a gap",
+            f"{widest:.4g} mm where others are {usual:.4g} mm apart in {source}, {missing} missing",
+            "export the whole series",
+        )
+    raise InputError(
+        "slices",
+        "be evenly spaced",
+        f"distances of {usual:.4g} to {widest:.4g} mm in {source}",
+        "resample the series, or export the part that is even",
+    )
