@@ -10,11 +10,12 @@ from tissue.simulation.simulate import simulate
 
 __all__ = ["COSTS", "Remaining", "duration_text", "expected_s", "probe_s"]
 
-COSTS = {"T1": 10.0, "T2": 5.1, "T3": 22.0, "needle": 7.6, "reaming": 15.0, "drilling": 12.0}
+COSTS = {"T1": 10.0, "T2": 5.1, "T3": 22.0, "needle": 7.6, "reaming": 18.0, "drilling": 12.0}
 """Processor time of one method of a trial over that of `probe_s`, by task.
 
 Measured by ``python tests/bench/bench_study.py --costs`` with one trial of six methods. On a busy
-machine, the probe varied from 0.25 to 0.48 s.
+machine, the probe varied from 0.25 to 0.48 s. Reaming is 1.49 times drilling, as their processor
+times in docs/performance.md.
 """
 REFERENCE_COST = 3.2
 """Time of a reference trial over that of a usual trial of one method.
