@@ -35,7 +35,7 @@ def fit(
     scene
         Name of a scene or a TOML file, with the tissue and the tool of the measurement.
     measured
-        Log of poses and forces: .csv, .parquet, .h5, .mat or .npz, also a run's own trace. Or a
+        Log of poses and forces: text, .parquet, .h5, .mat or .npz, also a run's own trace. Or a
         table of a drill's thrust_N and torque_Nmm by feed_mm_min and spin_rpm: the fit then reports
         which cutting laws it rejects. Or presses of a ball on a slab: depth_mm, force_N, probe.
     out
@@ -44,8 +44,8 @@ def fit(
         Constants to find, separated by commas: cutting.trabecular, cutting.edge, or full names;
         default the usual ones.
     column
-        NAME=COLUMN[:UNIT], if the log has another name or unit, such as force_x_N=-Fx:mN; may be
-        repeated.
+        NAME=COLUMN[:UNIT], if the log has another name or unit, such as force_x_N=-Fx:mN, or
+        NAME=NUMBER for a constant, or time_s=RATE:Hz; may be repeated.
     set_
         KEY=VALUE, replaces an entry of the scene; may be repeated.
     cores

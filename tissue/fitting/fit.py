@@ -332,43 +332,41 @@ def fit_scene(
         posterior = posterior.with_mesh(whole, parts, problem.mesh_factor)
     found = identified(posterior)
     notes = (*log.notes, *problem.notes)
-
-    def fit_of(posterior: Posterior, found: Identified, gains: Sequence[Gain]) -> SceneFit:
-        return SceneFit(
-            scene.name,
-            log.path,
-            posterior,
-            found,
-            tuple(gains),
-            problem.block_s,
-            notes,
-            problem.fixed,
-        )
-
-    rough = identified(of_this_mesh)
-    if found.is_empty and not rough.is_empty:
+    fit = SceneFit(
+        scene.name, log.path, posterior, found, (), problem.block_s, notes, problem.fixed
+    )
+    if found.is_empty:
+        rough = identified(of_this_mesh)
         # loads in a wrong unit leave constants so far from their ranges that no mesh is fine enough
-        if doubts := fit_of(of_this_mesh, rough, ()).doubts:
+        if doubts := replace(fit, posterior=of_this_mesh, identified=rough).doubts:
             raise InputError(f"measured: {'. '.join(doubts)}.")
-        raise InputError(
+        raise _determines_nothing(posterior, log, is_mesh=not rough.is_empty)
+    # between the search, which begins at 0.8, and the end
+    report("what to measure next", 0.9)
+    material = [at for at, name in enumerate(posterior.names) if not name.startswith(NUISANCES)]
+    gains = expected_information(posterior, problem.candidates(), among=material)
+    return replace(fit, gains=tuple(gains))
+
+
+def _determines_nothing(posterior: Posterior, log: MeasuredLog, *, is_mesh: bool) -> InputError:
+    """Return the error for a log that leaves all constants at their ranges.
+
+    With `is_mesh`, the reason is the error of the mesh.
+    """
+    if is_mesh:
+        return InputError(
             "anatomy.touch_edge_mm",
             "be fine enough to determine a constant",
             "a mesh whose error leaves all of the scene's constants at their ranges",
             "give a shorter one",
         )
-    if found.is_empty:
-        forces = [at for at, name in enumerate(log.channels) if name.startswith("force_")]
-        largest = float(np.abs(posterior.simulated - posterior.nuisances.bias)[:, forces].max())
-        raise InputError(
-            "measured",
-            "determine a constant",
-            f"a log with a force of {largest:.2g} N at most and noise of "
-            f"{posterior.nuisances.scale[forces].max():.2g} N, which leaves all of the scene's "
-            "constants at their ranges",
-            "give one of a deeper or faster cut, and check that the scene is what was cut",
-        )
-    # between the search, which begins at 0.8, and the end
-    report("what to measure next", 0.9)
-    material = [at for at, name in enumerate(posterior.names) if not name.startswith(NUISANCES)]
-    gains = expected_information(posterior, problem.candidates(), among=material)
-    return fit_of(posterior, found, gains)
+    forces = [at for at, name in enumerate(log.channels) if name.startswith("force_")]
+    largest = float(np.abs(posterior.simulated - posterior.nuisances.bias)[:, forces].max())
+    return InputError(
+        "measured",
+        "determine a constant",
+        f"a log with a force of {largest:.2g} N at most and noise of "
+        f"{posterior.nuisances.scale[forces].max():.2g} N, which leaves all of the scene's "
+        "constants at their ranges",
+        "give one of a deeper or faster cut, and check that the scene is what was cut",
+    )

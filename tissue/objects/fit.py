@@ -127,7 +127,8 @@ def fit(
         Constants to find, such as ``cutting.trabecular`` or ``cutting.edge``; by default the usual
         ones.
     columns
-        Columns of a log with other names or units: ``{"force_x_N": "-Fx:mN"}``.
+        Columns of a log with other names or units: ``{"force_x_N": "-Fx:mN"}``; a number is a
+        constant, and ``{"time_s": "500:Hz"}`` a rate in place of times.
     cores
         Processor cores to use; default all.
     max_memory_GB
