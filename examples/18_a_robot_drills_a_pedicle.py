@@ -82,9 +82,7 @@ class Arm:
 
     def jacobian(self) -> Floats:
         """Jacobian of the tip: velocity and angular velocity by joint, shape (6, 6)."""
-        mujoco.mj_jacSite(
-            self.model, self.data, self.columns[:3], self.columns[3:], self.tip.id
-        )
+        mujoco.mj_jacSite(self.model, self.data, self.columns[:3], self.columns[3:], self.tip.id)
         return self.columns
 
     def error(self, tip_m: Floats, turn: Floats) -> Floats:
@@ -213,7 +211,8 @@ assert 5.8 < planned[:, 3].min() < 6.5
 assert 0.95 < aimed[:, 3].min() <= CLEAR_MM and 12.0 < aimed[-1, 2] < 14.0
 
 figure = plt.figure(figsize=(10, 6.4), layout="constrained")
-left, right = figure.subfigures(1, 2, width_ratios=[1, 2])
+halves: Any = figure.subfigures(1, 2, width_ratios=[1, 2])
+left, right = halves
 side = left.subplots()
 side.plot(shape[:-1, 0], shape[:-1, 2], "-o", color="0.3", linewidth=5, markersize=9)
 side.plot(shape[-2:, 0], shape[-2:, 2], color="#D55E00", linewidth=2, label="drill")

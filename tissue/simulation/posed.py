@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.models.state import State
-from tissue.models.tissue_model import TICK_S, ToolMotion
+from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 from tissue.motion.motion import Motion
 from tissue.motion.posed import PosedTool, pose_in
 from tissue.scene.scene import Output, Scene
@@ -103,6 +103,9 @@ class _Widened(Motion):
     def begin(self, motion: ToolMotion) -> None:
         """Write the start of the scene's motion."""
         self._motion.begin(motion)
+
+    def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
+        """Leave the tool at its start: this motion only prepares the tissue."""
 
 
 def posed_parts(scene: Scene, *, reach_m: float, cores: int | None) -> tuple[Parts, Region]:

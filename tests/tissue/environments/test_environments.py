@@ -1,5 +1,6 @@
 """Environments for learning: contract, seeds, scores of known policies, vectors, pictures."""
 
+import pickle
 import subprocess
 import sys
 import warnings
@@ -45,6 +46,30 @@ def test_the_same_seed_and_actions_give_the_same_episode_bit_for_bit(env):
 
     first, other, again = run(5), run(6), run(5)
     assert np.array_equal(first, again) and not np.array_equal(first, other)
+
+
+def test_a_restored_episode_continues_bit_for_bit(env):
+    inner = env.unwrapped
+    env.action_space.seed(4)
+    actions = [env.action_space.sample() for _ in range(30)]
+    for action in actions:
+        action[-1] = abs(action[-1]) if env.spec.id == "tissue/Drilling-v0" else -abs(action[-1])
+
+    def run(some):
+        found = []
+        for action in some:
+            observation, reward, *_, info = inner.step(action)
+            found.append([*observation, reward, info["score"], info["peak_force_N"]])
+        return np.array(found)
+
+    inner.reset(seed=8)
+    run(actions[:15])
+    sent = pickle.dumps(inner.snapshot())
+    after = run(actions[15:])
+    drawn = inner.reset()[1]["drawn"]
+    inner.restore(pickle.loads(sent))
+    assert np.array_equal(run(actions[15:]), after)
+    assert inner.reset()[1]["drawn"] == drawn
 
 
 def test_a_reward_is_the_sum_of_its_terms_and_doing_nothing_scores_what_is_documented(env):
