@@ -319,7 +319,7 @@ def test_a_header_in_metres_without_a_unit_is_noted(tmp_path):
 
 @pytest.mark.parametrize("labels", [False, True])
 def test_voxels_that_are_not_a_number_are_outside_of_the_scan(tmp_path, labels):
-    values = np.where(VALUES > VALUES.min(), VALUES, np.nan).astype(np.float32)
+    values = np.where(VALUES.min() < VALUES, VALUES, np.nan).astype(np.float32)
     image_writers.write_nifti(tmp_path / "n.nii", values, np.diag(SPACING), ORIGIN)
     found = read_image(tmp_path / "n.nii", labels=labels)
     lowest = 0 if labels else np.nanmin(values)
