@@ -352,13 +352,7 @@ def stored_image(
             _REMEDY,
         )
     if np.issubdtype(values.dtype, np.floating) and not np.isfinite(values).all():
-        count = int((~np.isfinite(values)).sum())
-        raise InputError(
-            "voxels",
-            "be finite",
-            f"{count} of {values.size} that are not in {source}",
-            "mask them first",
-        )
+        stored = _without_nan(stored, source, labels)
     longest = max(np.multiply(values.shape[-3:], stored.spacing_mm))
     if longest < _SHORTEST_MM and given is None:
         note = (
@@ -367,6 +361,27 @@ def stored_image(
         )
         stored = replace(stored, notes=(*stored.notes, note))
     return stored
+
+
+def _without_nan(stored: StoredImage, source: str, labels: bool) -> StoredImage:
+    """Return an image without NaN, with which programs mark voxels outside of the scan.
+
+    They take the lowest value, and no label.
+    """
+    values = stored.values
+    missing = np.isnan(values)
+    if missing.all() or not np.isfinite(values[~missing]).all():
+        count = int((~np.isfinite(values)).sum())
+        raise InputError(
+            "voxels",
+            "be finite",
+            f"{count} of {values.size} that are not in {source}",
+            "mask them first",
+        )
+    filled = np.where(missing, 0 if labels else values[~missing].min(), values)
+    what = "have no label" if labels else "take the lowest value"
+    note = f"{missing.mean():.1%} of the voxels of {source} are not a number: they {what}."
+    return replace(stored, values=filled.astype(values.dtype), notes=(*stored.notes, note))
 
 
 def _given_spacing(spacing_mm: Spacing) -> tuple[float, float, float]:

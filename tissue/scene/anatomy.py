@@ -75,7 +75,7 @@ class Placed(Drilled):
     """Bone from a file, moved and rotated to its working face."""
 
     file: FileName = Field(examples=["scapula.stl"])
-    """Surface (.stl .obj .ply .vtk .vtp), image volume, or folder of TIFF slices."""
+    """Surface (.stl .obj .ply .vtk .vtp), image volume, or folder of TIFF or PNG slices."""
     centre_mm: Vector | None = Field(None, examples=[(0.0, 0.0, 0.0)])
     """Centre of the working face in the file's frame [mm]. Without it, the face of a glenoid is
     searched for.
@@ -102,7 +102,7 @@ class Image(Part):
     """Image volume in which the voxels above a threshold are bone."""
 
     spacing_mm: float | None = Field(None, gt=0, le=10, examples=[0.0195])
-    """Voxel edge for an image that does not state one, such as TIFF slices."""
+    """Voxel edge for an image that does not state one, such as TIFF or PNG slices."""
     threshold: float | None = Field(None, ge=-1e9, le=1e9, examples=[200.0])
     """Image value above which a voxel is bone."""
 
@@ -316,7 +316,7 @@ class MolarLabels(ToothSite):
     file: FileName = Field(examples=["labels.nii.gz"])
     """Label volume of the layers."""
     spacing_mm: float | None = Field(None, gt=0, le=10, examples=[0.0195])
-    """Voxel edge for a volume that does not state one, such as TIFF slices."""
+    """Voxel edge for a volume that does not state one, such as TIFF or PNG slices."""
 
 
 class VertebraAnatomy(Drilled):

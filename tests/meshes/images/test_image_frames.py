@@ -10,6 +10,7 @@ import image_writers
 import numpy as np
 import pytest
 
+from meshes.base.errors import InputError
 from meshes.images.reading import read_image
 
 SHAPE, SPACING, ORIGIN = (5, 4, 3), np.array([0.5, 0.75, 2.0]), np.array([-30.0, 12.0, 101.0])
@@ -314,3 +315,17 @@ def test_a_header_in_metres_without_a_unit_is_noted(tmp_path):
     assert given.spacing_mm == pytest.approx(SPACING) and not any(
         "metres" in note for note in given.notes
     )
+
+
+@pytest.mark.parametrize("labels", [False, True])
+def test_voxels_that_are_not_a_number_are_outside_of_the_scan(tmp_path, labels):
+    values = np.where(VALUES.min() < VALUES, VALUES, np.nan).astype(np.float32)
+    image_writers.write_nifti(tmp_path / "n.nii", values, np.diag(SPACING), ORIGIN)
+    found = read_image(tmp_path / "n.nii", labels=labels)
+    lowest = 0 if labels else np.nanmin(values)
+    assert np.array_equal(found.values, np.where(np.isnan(values), lowest, values))
+    assert "of the voxels of n.nii are not a number" in found.notes[0]
+    values[0] = np.inf
+    image_writers.write_nifti(tmp_path / "i.nii", values, np.diag(SPACING), ORIGIN)
+    with pytest.raises(InputError, match="voxels must be finite"):
+        read_image(tmp_path / "i.nii", labels=labels)

@@ -10,6 +10,7 @@ from PIL import Image
 import tissue
 from meshes.base.errors import InputError
 from meshes.ct.inspection import bone_label_note, inspect
+from meshes.ct.labels import read_labels
 
 OPTIONS = {"density": "line:1.0,500.0", "pictures": False}
 
@@ -136,3 +137,24 @@ def test_padding_below_air_is_stated(tmp_path):
 def test_slices_of_three_millimetres_are_coarse(gap, is_coarse):
     found = inspect(ball((1.0, 1.0, gap))).sentences()
     assert any("are coarse" in each for each in found) == is_coarse
+
+
+def test_an_import_of_labels_that_overlap_keeps_them(tmp_path):
+    """The smaller label is drawn over the larger one in the labels that are written."""
+    image = ball((1.0, 1.0, 1.5))
+    bone, core = ball_mask(image), ball_mask(image, radius_mm=6.0)
+    labels = write_segmentation(
+        tmp_path / "labels.dcm",
+        np.stack([core, bone]),
+        image.spacing_mm,
+        image.origin_mm,
+        names=["core", "humerus"],
+    )
+    made = tissue.import_ct(
+        series(tmp_path, image), tmp_path / "out", labels=labels, region="humerus", **OPTIONS
+    )
+    millilitres = 1e-3 * bone.sum() * np.prod(image.spacing_mm)
+    assert any(f"against {millilitres:.4g} ml of the label" in each for each in made.sentences)
+    kept = read_labels(made.folder / "labels.seg.nrrd")
+    assert kept.mask("core").sum() == core.sum()
+    assert kept.mask("humerus").sum() == (bone & ~core).sum()
