@@ -104,7 +104,8 @@ class BoneOfImage:
         from scipy.ndimage import binary_dilation, distance_transform_edt
 
         share = self._share()
-        inside = share > 0.0
+        # A lone voxel just above the level holds no sampled point of bone.
+        inside = (share > 0.0) | (self.field > self.level)
         # Two voxels of soft tissue: one alone may be a mixture with bone.
         around = binary_dilation(inside, iterations=2) & ~inside
         values = self.image.values.astype(np.float32)
@@ -114,7 +115,7 @@ class BoneOfImage:
         found = np.zeros(values.shape, dtype=np.float32)
         found[known] = law(values[known])
         away, nearest = distance_transform_edt(~known, return_indices=True)
-        near = ~known & (away <= BEYOND_VOXELS)
+        near = ~known & ((away <= BEYOND_VOXELS) | inside)
         found[near] = found[tuple(axis[near] for axis in nearest)]
         whole = np.rint(found).astype(np.uint16)
         return replace(self.image, values=whole, notes=())

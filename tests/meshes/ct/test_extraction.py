@@ -1,5 +1,7 @@
 """A bone out of a CT, held to a ball that is known exactly."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from ct_ball import CENTRE_MM, DENSE_HU, RADIUS_MM, SHELL_MM, SPARSE_HU, ball, ball_mask
@@ -66,6 +68,18 @@ def test_density_holds_up_to_the_surface(spacing_mm, labelled):
 def cropping(image, part):
     first = np.rint((np.array(part.origin_mm) - image.origin_mm) / image.spacing_mm).astype(int)
     return tuple(slice(a, a + n) for a, n in zip(first, part.values.shape, strict=True))
+
+
+@pytest.mark.parametrize("spike_HU", [900, 1400, 2000])
+def test_no_voxel_of_bone_is_without_density(spike_HU):
+    """A spike of one voxel holds less than half bone, far from voxels that hold more."""
+    image = ball()
+    values = image.values.copy()
+    middle = values.shape[0] // 2
+    values[middle, middle, middle + 10 :] = spike_HU
+    bone = by_threshold(replace(image, values=values), 250.0)
+    density = bone.density(lambda grey: (grey + 1100.0).astype(np.float32))
+    assert density.values[bone.field > bone.level].min() > 0
 
 
 def test_marrow_is_part_of_the_bone_even_where_the_image_cuts_it():
