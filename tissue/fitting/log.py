@@ -110,7 +110,8 @@ def read_log(path: Path, columns: Sequence[str] = ()) -> MeasuredLog:
         device, ``model_force`` is used.
     columns
         ``NAME=COLUMN``, ``NAME=COLUMN:UNIT`` or ``NAME=-COLUMN:UNIT`` for quantities with another
-        name. A minus reverses the sign. Without a unit the column is in the unit of the name.
+        name. A minus reverses the sign. Without a unit the column is in the unit of its header, or
+        of the name. ``NAME=NUMBER`` is a constant, ``time_s=RATE:Hz`` a rate in place of times.
 
     Raises
     ------
