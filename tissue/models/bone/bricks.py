@@ -304,9 +304,10 @@ class BrickStore:
             )
         flags = self.touched.numpy()
         before = np.flatnonzero(flags[: len(self.places)] & REACHED)
+        reset = np.setdiff1d(before, rows, assume_unique=True)
         for name, changed in state.rows.items():
             host = getattr(self, name).numpy()
-            host[before] = self._base[name][before]
+            host[reset] = self._base[name][reset]
             host[rows] = changed
             self._send(name, host)
         flags[before] &= LOST
