@@ -1,6 +1,5 @@
 """``tissue study plan``, ``tissue study run`` and ``tissue study report``."""
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,7 +10,7 @@ from tissue.cli.terminal import Flag, MaybeWhole, Whole, console, left_out, prob
 from tissue.system.progress import progress
 
 if TYPE_CHECKING:
-    from tissue.evaluation.study.plan import Plan, TrialKey
+    from tissue.evaluation.study.plan import Plan
 
 __all__ = ["study"]
 
@@ -126,9 +125,6 @@ def run(
     wanted = list(plan.all_trials())
     if there := sum(map(StudyFolder(out).has, wanted)):
         problems.print(f"{there} of {len(wanted)} trials are there, missing ones are run")
-    missing = [key for key in wanted if not StudyFolder(out).has(key)]
-    if missing and scheduler is None:
-        problems.print(_expected(plan, missing, workers))
     with progress(quiet_s=LINES_S) as bar:
 
         def report(doing: str, share: float) -> None:
@@ -152,19 +148,6 @@ def run(
             f"{task}: {took[len(took) // 2]:.1f} s a trial of {len(plan.methods)} methods"
         )
     console.print(f"next: tissue study report {out}")
-
-
-def _expected(plan: "Plan", keys: list["TrialKey"], workers: int | None) -> str:
-    """Return the expected time of trials on this machine as a sentence."""
-    from tissue.evaluation.study.duration import duration_text, expected_s, probe_s
-
-    cores = os.cpu_count() or 1
-    count = workers or cores
-    seconds = expected_s(plan, keys, workers=count, cores=cores, probed_s=probe_s())
-    return (
-        f"{len(keys)} trials will take about {duration_text(seconds)} on {count} "
-        f"worker{'s' * (count > 1)}, judged by a short simulation"
-    )
 
 
 @study.command(name="plan")

@@ -396,17 +396,23 @@ def read_replay(path: Path, *, step_s: float) -> ReplayPoses:
         return ReplayPoses(poses[:, 0], poses[:, 1:4], poses[:, 4:], step_s=step_s)
 
 
+MEASURES = ("time", *["length"] * 3, *["number"] * 4)
+"""Quantities of the columns of a table of poses."""
+
+
 def _table(where: _File) -> Array:
     """Return times [s], tips [m] and quaternions of a table of text, shape (n, 8)."""
     table = read_table(where.path, where.what)
     require_distinct_columns(table.names, where.what, where.path)
+    measures = dict(zip(("time_s", *POSE_COLUMNS), MEASURES, strict=True))
+    headers = {name: column_of(name, each, table.names) for name, each in measures.items()}
+    if missing := [name for name, header in headers.items() if header is None]:
+        given = ", ".join(table.names[:40])
+        raise where.error(f"have the columns {', '.join(missing)}", given, "add them")
     columns = []
-    for name in ("time_s", *POSE_COLUMNS):
-        measure = "time" if name == "time_s" else "length" if name in POSE_COLUMNS[:3] else "number"
-        header = column_of(name, measure, table.names)
-        if header is None:
-            raise where.error(f"have the column {name}", ", ".join(table.names[:40]), "add it")
-        factor = UNITS[measure].get(unit_of(header, measure), 1.0)
+    for name, header in headers.items():
+        assert header is not None
+        factor = UNITS[measures[name]].get(unit_of(header, measures[name]), 1.0)
         columns.append(factor * table.finite(header))
     poses = np.column_stack(columns)
     if len(poses) < 2:

@@ -46,7 +46,7 @@ from tissue.scene.load import scene_names
             ("ruin", "milling"),
             (
                 "command must be one of run, import, scenes, view, report, fit, sweep, compare, "
-                "stability, devices, calibrate, assess, train, chart, study, schema, got ruin "
+                "stability, devices, serve, calibrate, assess, train, chart, study, schema, got ruin "
                 "(did you mean run?): see `tissue --help`"
             ),
         ),

@@ -1,14 +1,16 @@
 """Estimate of the time that the trials of a study take, before and while they run."""
 
-from collections.abc import Callable, Iterable
+import os
+from collections.abc import Callable, Collection, Iterable
 from time import perf_counter
 
+from meshes.base.errors import counted
 from tissue.evaluation.study.plan import REFERENCE, Plan, TrialKey
 from tissue.evaluation.study.trial import methods_of_trial
 from tissue.scene.load import changed, load_scene
 from tissue.simulation.simulate import simulate
 
-__all__ = ["COSTS", "Remaining", "duration_text", "expected_s", "probe_s"]
+__all__ = ["COSTS", "Remaining", "duration_text", "expected_s", "expected_text", "probe_s"]
 
 COSTS = {"T1": 10.0, "T2": 5.1, "T3": 22.0, "needle": 7.6, "reaming": 18.0, "drilling": 12.0}
 """Processor time of one method of a trial over that of `probe_s`, by task.
@@ -90,6 +92,16 @@ class Remaining:
         if not done > TRUSTED * self._total:
             return ""
         return f"{duration_text((perf_counter() - self._begun_s) * left / done)} left"
+
+
+def expected_text(plan: Plan, keys: Collection[TrialKey], *, workers: int) -> str:
+    """Return the expected time of trials on this machine as a sentence."""
+    cores = os.cpu_count() or 1
+    seconds = expected_s(plan, keys, workers=workers, cores=cores, probed_s=probe_s())
+    return (
+        f"{counted(len(keys), 'trial')} will take about {duration_text(seconds)} on "
+        f"{counted(workers, 'worker')}, judged by a short simulation"
+    )
 
 
 def duration_text(seconds: float) -> str:

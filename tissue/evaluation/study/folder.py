@@ -22,7 +22,7 @@ from meshes.base.text_tables import read_json
 from meshes.base.whole_file import claim, package_version, require_version, whole_file
 from tissue.evaluation.charts.settings import code_sha256
 from tissue.evaluation.statistics.trials import TrialTable
-from tissue.evaluation.study.duration import Remaining
+from tissue.evaluation.study.duration import Remaining, expected_text
 from tissue.evaluation.study.plan import TASKS, Plan, TrialKey
 from tissue.evaluation.study.registration import (
     PLAN_FILE,
@@ -386,6 +386,10 @@ def run_study(
             report(sentence, 0.0)
         if retry:
             folder.forget_failures()
+        missing = [key for key in plan.all_trials() if not folder.has(key)]
+        # a scheduler's workers are other machines
+        if missing and scheduler is None and report is not silent:
+            report(expected_text(plan, missing, workers=count), 0.0)
         _run_trials(plan, folder, count, scheduler, report)
         folder.write_tables()
     return folder
