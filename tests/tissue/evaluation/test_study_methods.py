@@ -11,6 +11,7 @@ from tissue.evaluation.study.plan import METHODS, TASKS, Plan, TrialKey, method_
 from tissue.evaluation.study.registration import plan_text
 from tissue.evaluation.study.section import COLOURS, colours_of
 from tissue.evaluation.study.trial import run_trial, trial_scene
+from tissue.scene.registry import PREDICTORS
 
 
 class Fading:
@@ -27,20 +28,29 @@ class Fading:
         return self.force_N
 
 
-def test_a_registered_predictor_is_a_method_of_the_registered_plan():
+@pytest.fixture
+def fading():
+    """A registered predictor, until the test ends."""
+    register.predictor("fading", Fading)
+    yield "fading"
+    PREDICTORS.remove("fading")
+
+
+def test_a_method_is_a_predictor_that_is_registered():
     with pytest.raises(InputError, match=r"methods must be one of penalty, .* got fading"):
         Plan(methods=("penalty", "fading"))
-    register.predictor("fading", Fading)
-    plan = Plan(methods=("penalty", "fading"))
+
+
+def test_a_registered_predictor_is_a_method_of_the_registered_plan(fading):
+    plan = Plan(methods=("penalty", fading))
     assert method_settings("fading") == {"renderer": "proxy", "prediction": "fading"}
     assert 'fading = "renderer = proxy, prediction = fading"' in plan_text(plan)
     assert plan_text(plan) != plan_text(Plan(methods=("penalty", "kalman")))
 
 
 @pytest.mark.slow
-def test_a_registered_predictor_runs_in_a_trial():
-    register.predictor("fading", Fading)
-    trial = run_trial(Plan(methods=("penalty", "fading")), TrialKey("T2", "expert", 0))
+def test_a_registered_predictor_runs_in_a_trial(fading):
+    trial = run_trial(Plan(methods=("penalty", fading)), TrialKey("T2", "expert", 0))
     assert not trial.failed
     assert set(trial.values("force_error")) == {"penalty", "fading"}
 
