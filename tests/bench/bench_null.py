@@ -43,6 +43,8 @@ from tissue.evaluation.study.plan import DIRECTIONS, METHODS
 
 PEOPLE = 10
 GROUPS = np.repeat([0, 1, 2], PEOPLE)
+NAMES = tuple(METHODS)[:5]
+"""Names of the five methods of the simulated studies."""
 METHOD_SPREADS = np.array([1.0, 2.0, 0.3, 0.15, 0.3])
 GROUP_SPREADS = np.array([2.0, 1.0, 0.5])[GROUPS][:, None]
 T2_MEANS = np.array([0.083, 0.013, 0.006, 0.013, 0.038])
@@ -173,12 +175,12 @@ def trials_of(
     rng: np.random.Generator, names: list[str], trials: int, spreads: np.ndarray
 ) -> TrialTable:
     """Trials of one task without an effect: people, people by method, and trials vary."""
-    shape = (len(GROUPS), trials, len(METHODS))
+    shape = (len(GROUPS), trials, len(NAMES))
     person, trial, method = (each.ravel() for each in np.indices(shape))
     metrics = {}
     for name in names:
         user = rng.standard_normal((len(GROUPS), 1, 1))
-        taste = 0.5 * rng.standard_normal((len(GROUPS), 1, len(METHODS))) * spreads
+        taste = 0.5 * rng.standard_normal((len(GROUPS), 1, len(NAMES))) * spreads
         rest = rng.standard_normal(shape) * spreads
         metrics[name] = (user + taste + rest).ravel()
     return TrialTable(
@@ -186,7 +188,7 @@ def trials_of(
         group=np.array(["expert", "intermediate", "novice"])[GROUPS[person]],
         user=(person % PEOPLE).astype(str),
         trial=trial,
-        method=np.array(list(METHODS))[method],
+        method=np.array(NAMES)[method],
         seed=np.zeros(person.shape, dtype=np.int64),
         failure=np.full(person.shape, ""),
         metrics=metrics,
