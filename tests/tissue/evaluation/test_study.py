@@ -204,7 +204,7 @@ def test_a_trial_alone_is_the_trial_of_its_study_and_fails_alone(monkeypatch):
     assert one.rows == other.rows and "failure" not in one.rows[0]
     assert one.rows[0]["force_error"] > 0.0 and one.seed == trial_seed(plan, key)
     broken = {"penalty": {"renderer": "nothing"}, "koopman": METHODS["koopman"]}
-    monkeypatch.setattr("tissue.evaluation.study.trial.METHODS", dict(METHODS) | broken)
+    monkeypatch.setattr("tissue.evaluation.study.plan.METHODS", dict(METHODS) | broken)
     failed = run_trial(replace(plan, methods=("penalty", "koopman")), key)
     assert all(
         row["failure"].startswith("InputError: device.renderer must be one of")

@@ -91,6 +91,7 @@ def study(tmp_path_factory):
 
 @pytest.mark.slow
 def test_the_report_finds_what_was_planted(study):
+    study.write_tables()
     page, message = write_report(study.path, exploratory=study.path)
     text = page.read_text("utf-8")
     assert "Older study, exploratory" in text
