@@ -106,6 +106,7 @@ def play(
     guard = guard_of(held.device, limits, sample_s=max(1.0 / limits.rate_Hz, tick_s))
 
     def push() -> None:
+        """Command the force tick by tick."""
         began = clock()
         ticks = 0
         while (at := clock() - began) < length_s:
@@ -250,6 +251,7 @@ def simulated_answers(people: SimulatedObservers, seed: int) -> Answer:
     """
 
     def answer(asked: Comparison | Magnitude, trial: int) -> float:
+        """Answer a trial of that number."""
         # 2 distinguishes this stream from the streams of `Session.ask` (0) and of other users of
         # the seed
         rng = np.random.default_rng([seed, 2, trial])
