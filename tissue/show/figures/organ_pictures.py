@@ -274,8 +274,13 @@ def draw_held(series: FieldSeries, path: Path, *, title: str) -> str | None:
     def annotate(shaded: Shaded) -> None:
         from matplotlib.patches import Patch
 
-        named = (("held", HELD), ("may be touched", TOUCHABLE), ("free", FREE))
-        handles = [Patch(facecolor=colour, edgecolor="0.4", label=name) for name, colour in named]
+        named = {"held": HELD, "may be touched": TOUCHABLE, "free": FREE}
+        # tissue that a blade cuts has no nodes that may be touched
+        if not len(series.node_sets.get("touchable", ())):
+            del named["may be touched"]
+        handles = [
+            Patch(facecolor=colour, edgecolor="0.4", label=name) for name, colour in named.items()
+        ]
         shaded.chart.legend(handles=handles, loc="lower center", ncols=3, frameon=False)
 
     title = f"{title}: what holds the organ"
