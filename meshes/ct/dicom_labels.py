@@ -20,7 +20,7 @@ from meshes.images.dicom_files import (
     modality_of,
     read_dataset,
 )
-from meshes.images.dicom_slices import Slice, normal_of, slice_of
+from meshes.images.dicom_slices import Slice, even_row, fit_together, normal_of, slice_of
 from meshes.images.frame import Image, StoredImage
 
 __all__ = [
@@ -40,7 +40,10 @@ _SEGMENT_TAGS = ("SegmentSequence", "SegmentationType", "MaximumFractionalValue"
 _OUTLINE_TAGS = ("StructureSetROISequence", "ROIContourSequence")
 _CLOSED = ("CLOSED_PLANAR", "CLOSEDPLANAR_XOR", "INTERPOLATED_PLANAR")
 _OFF_GRID = 0.05
-"""Largest distance of a frame from an even stack [spacing]; headers round positions."""
+"""Largest distance of a frame from its place in an even stack, along the normal in plane distances
+and across it in pixels; headers round positions."""
+_OFF_STATED = 0.01
+"""Largest relative difference of the distance of planes from the stated one: 2/3 mm as 0.67 mm."""
 _FLAT_MM = 0.05
 """Largest extent of an outline along z; files round coordinates."""
 
@@ -93,13 +96,15 @@ class Segmentation:
     Attributes
     ----------
     object
-        File, with its segments in `segments`.
+        File.
+    segments
+        Segments that the file lists.
     frames
         Places of the frames.
     planes_at
         Index of each frame along the normal.
-    frame, step
-        First plane, and the vector to the next one [mm, LPS].
+    step
+        Vector from a plane to the next one [mm, LPS].
     """
 
     object: LabelObject
@@ -183,33 +188,49 @@ def read_segmentation(found: LabelObject) -> Segmentation:
         slice_of(frame, labels=True) for frame in frames_in(found.file, found.dataset, found.source)
     ]
     first = frames[0]
-    normal = normal_of(first)
-    heights = np.array([each.position_mm @ normal for each in frames])
-    places = np.unique(np.round(heights, 3))
-    gaps = np.diff(places)
-    stated = first.frame.header
-    gap = float(gaps.min()) if len(gaps) else float(stated["SliceThickness"] or 1.0)
-    # Segments in every second plane alone would seem to lie twice as far apart.
-    if stated["SpacingBetweenSlices"] and 0.0 < abs(stated["SpacingBetweenSlices"]) < gap:
-        gap = abs(float(stated["SpacingBetweenSlices"]))
-    at = (heights - places[0]) / gap
-    even = np.abs(at - np.rint(at)).max() <= _OFF_GRID
-    alike = all(
-        each.size == first.size
-        and np.allclose([each.row, each.column], [first.row, first.column], atol=1e-4)
-        for each in frames
-    )
-    if not even or not alike:
+    planes, step = _even_planes(frames)
+    if step is None or not all(fit_together(first, each) for each in frames):
         raise InputError(
             "a DICOM segmentation",
             "have its frames in one even stack",
             f"others in {found.source}",
             "export it again, or as .seg.nrrd",
         )
-    planes = np.rint(at).astype(int).tolist()
     needed = 2 * int(np.prod(first.size, dtype=object)) * (max(planes) + 1)
     require_memory(needed, found.source, f"{by((*first.size, max(planes) + 1))} voxels")
-    return Segmentation(found, _segments(found), frames, planes, gap * normal)
+    return Segmentation(found, _segments(found), frames, planes, step)
+
+
+def _even_planes(frames: Sequence[Slice]) -> tuple[list[int], Array | None]:
+    """Return the index of the plane of each frame, and the step between planes [mm, LPS].
+
+    The step is None if the frames do not lie in evenly spaced planes. It need not be normal to the
+    planes: a segmentation of a CT with a tilted gantry is sheared as the CT is.
+    """
+    normal = normal_of(frames[0])
+    stated = frames[0].frame.header
+    positions = np.array([each.position_mm for each in frames])
+    heights, plane_of = np.unique(np.round(positions @ normal, 3), return_inverse=True)
+    if len(heights) == 1:
+        return [0] * len(frames), float(stated["SliceThickness"] or 1.0) * normal
+    gaps = np.diff(heights)
+    gap = float(gaps.min())
+    # Segments in every second plane alone would seem to lie twice as far apart.
+    between = abs(float(stated["SpacingBetweenSlices"] or 0.0))
+    if 0.0 < between < gap:
+        gap = between
+    # Each gap is rounded alone, because the error of a rounded distance adds up over many planes.
+    index_of = np.concatenate([[0], np.cumsum(np.rint(gaps / gap).astype(int))])
+    planes = index_of[plane_of]
+    start, step = even_row(positions, planes)
+    away = positions - start - planes[:, None] * step
+    along = away @ normal
+    across = np.abs(away - along[:, None] * normal).max()
+    rounding = min(each.rounding_mm for each in frames)
+    is_even = np.abs(along).max() <= _OFF_GRID * gap
+    is_as_stated = abs(float(step @ normal) / gap - 1.0) <= _OFF_STATED
+    is_in_line = across <= max(_OFF_GRID * min(frames[0].pixel_mm), rounding)
+    return planes.tolist(), step if is_even and is_as_stated and is_in_line else None
 
 
 def _segments(found: LabelObject) -> list[Segment]:

@@ -57,7 +57,8 @@ class Labels:
     names
         Name of each label that the volume holds, by its number.
     overlaps
-        Numbers of the image that stand for voxels of several labels, with those labels.
+        Labels of each number that stands for several of them. For example, ``{9: (1, 4)}`` means
+        that a voxel of value 9 belongs to the labels 1 and 4.
     """
 
     image: Image
@@ -131,7 +132,8 @@ def read_labels(
     spacing_mm
         Distance between neighbours [mm] of a file that does not state it, one number or three.
     image
-        The CT of the labels. The outlines of a structure set are drawn on its voxels.
+        The CT of the labels. The outlines of a structure set are drawn on its voxels, and oblique
+        labels are resampled at its voxel centres.
 
     Raises
     ------
@@ -155,7 +157,7 @@ def read_labels(
                 "remove it",
             )
         return _of_masks(path)
-    labels = _of_volume(path, spacing_mm)
+    labels = _of_volume(path, spacing_mm, image)
     if names is not None:
         stated = given_names(names)
         if unknown := [number for number in labels.names if number not in stated]:
@@ -170,11 +172,11 @@ def read_labels(
     return replace(labels, image=replace(labels.image, notes=notes))
 
 
-def _of_volume(path: Path, spacing_mm: Spacing | None) -> Labels:
+def _of_volume(path: Path, spacing_mm: Spacing | None, image: Image | None) -> Labels:
     """Read a label volume, of one layer or of several that overlap."""
     stored = stored_image(path, spacing_mm=spacing_mm, labels=True)
     if stored.values.ndim == 4:
-        return _of_layers(stored, path)
+        return _of_layers(stored, path, image)
     values, notes = _whole(stored.values, path.name)
     held = [int(number) for number in _different(values) if number]
     if not held:
@@ -184,17 +186,17 @@ def _of_volume(path: Path, spacing_mm: Spacing | None) -> Labels:
     placed = replace(stored, values=values, notes=(*stored.notes, *notes))
     stated = {**stored.names, **header_names(path)}
     names = {number: stated.get(number, f"label {number}") for number in held}
-    return Labels(along_lps(placed, path.name, labels=True), names)
+    return Labels(along_lps(placed, path.name, labels=True, lattice=image), names)
 
 
-def _of_layers(stored: StoredImage, path: Path) -> Labels:
+def _of_layers(stored: StoredImage, path: Path, image: Image | None) -> Labels:
     """Return the segments of a file of several layers; layers without names are refused."""
     segments = slicer_segments(path)
     overlay = Overlay(stored.values.shape[1:], [each.number for each in segments])
     for each in segments:
         if each.layer < len(stored.values):
             overlay.add(each.number, stored.values[each.layer] == each.value)
-    return overlay.labels(stored, segments, path.name)
+    return overlay.labels(stored, segments, path.name, image)
 
 
 class Overlay:
@@ -238,9 +240,15 @@ class Overlay:
         return self._of[labels]
 
     def labels(
-        self, stored: StoredImage | Image, segments: Iterable[Segment], source: str
+        self,
+        stored: StoredImage | Image,
+        segments: Iterable[Segment],
+        source: str,
+        lattice: Image | None = None,
     ) -> Labels:
         """Return the labels in the frame of an image, with a note on overlaps.
+
+        See `meshes.images.frame.along_lps` for `lattice`.
 
         Raises
         ------
@@ -262,14 +270,17 @@ class Overlay:
             notes.append(f"{count} voxels of {source} lie in several labels, and count for each.")
         notes += shared_names(names, source)
         placed = replace(stored, values=self.values, notes=tuple(notes))
-        image = placed if isinstance(placed, Image) else along_lps(placed, source, labels=True)
-        return Labels(image, names, overlaps)
+        if isinstance(placed, StoredImage):
+            placed = along_lps(placed, source, labels=True, lattice=lattice)
+        return Labels(placed, names, overlaps)
 
 
 def on_grid_of(labels: Labels, image: Image) -> Labels:
     """Return labels on the voxels of another image.
 
-    They are unchanged where the grids agree, else the nearest labels, with a note.
+    Labels on the same grid are returned unchanged. Labels whose voxel centres coincide with those
+    of the image are cropped or padded. For other labels, each voxel of the image takes the nearest
+    label, with a note.
     """
     from scipy.ndimage import affine_transform
 
@@ -277,15 +288,17 @@ def on_grid_of(labels: Labels, image: Image) -> Labels:
     other = image
     scale = np.array(other.spacing_mm) / one.spacing_mm
     shift = (np.array(other.origin_mm) - one.origin_mm) / one.spacing_mm
+    whole_shift = np.rint(shift)
     # An error of the spacing adds up over the grid.
-    if (
-        one.values.shape == other.values.shape
-        and np.abs(shift).max() < _SAME_PLACE
+    is_same_lattice = (
+        np.abs(shift - whole_shift).max() < _SAME_PLACE
         and (np.abs(scale - 1.0) * one.values.shape).max() < _SAME_PLACE
-    ):
+    )
+    if is_same_lattice and not whole_shift.any() and one.values.shape == other.values.shape:
         return labels
+    # Beyond the outermost voxel centres a label reaches to the face of its voxel.
     values = affine_transform(
-        one.values, scale, shift, other.values.shape, order=0, mode="constant", cval=0
+        one.values, scale, shift, other.values.shape, order=0, mode="grid-constant", cval=0
     )
     if one.values.any() and not values.any():
         raise InputError(
@@ -294,19 +307,21 @@ def on_grid_of(labels: Labels, image: Image) -> Labels:
             f"{one.source} outside {other.source}",
             "give those of this image",
         )
-    note = (
-        f"{one.source} has {by(one.values.shape)} voxels of {by(one.spacing_mm, '.4g')} mm: "
-        "each voxel of "
-        f"{other.source} takes the nearest label."
-    )
+    notes = []
+    if not is_same_lattice:
+        notes.append(
+            f"{one.source} has {by(one.values.shape)} voxels of {by(one.spacing_mm, '.4g')} mm: "
+            f"each voxel of {other.source} takes the nearest label."
+        )
     before = np.count_nonzero(one.values) * float(np.prod(one.spacing_mm))
     left = np.count_nonzero(values) * float(np.prod(other.spacing_mm))
     if left < (1.0 - _LOST) * before:
-        note += f" {1.0 - left / before:.0%} of its labels lie outside."
+        lost = 1.0 - left / before
+        notes.append(f"{lost:.0%} of the labels of {one.source} lie outside {other.source}.")
     held = set(_different(values).tolist())
     held = held.union(*(each for number, each in labels.overlaps.items() if number in held))
     names = {number: name for number, name in labels.names.items() if number in held}
-    placed = replace(other, values=values, source=one.source, notes=(*one.notes, note))
+    placed = replace(other, values=values, source=one.source, notes=(*one.notes, *notes))
     return Labels(placed, names, labels.overlaps)
 
 
@@ -317,7 +332,7 @@ def _of_object(found: LabelObject, image: Image | None) -> Labels:
         overlay = Overlay(segmentation.shape, segmentation.numbers)
         for number, plane, inside in segmentation.planes():
             overlay.add(number, inside, plane)
-        return overlay.labels(segmentation.stored(), segmentation.segments, found.source)
+        return overlay.labels(segmentation.stored(), segmentation.segments, found.source, image)
     if image is None:
         raise InputError(
             "labels",

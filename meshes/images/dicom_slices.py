@@ -5,12 +5,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.images.dicom_files import Frame, refused
 
-__all__ = ["INVERTED", "Slice", "normal_of", "number_in", "slice_of", "stacked"]
+__all__ = [
+    "INVERTED",
+    "Slice",
+    "even_row",
+    "fit_together",
+    "normal_of",
+    "number_in",
+    "slice_of",
+    "stacked",
+]
 
 INVERTED = "MONOCHROME1"
 """Photometric interpretation whose low values are displayed as white."""
@@ -149,9 +159,7 @@ def stacked(slices: Sequence[Slice], source: str) -> tuple[list[Slice], Array, l
     first = slices[0]
     normal = normal_of(first)
     for other in slices[1:]:
-        turned = max(np.abs(first.row - other.row).max(), np.abs(first.column - other.column).max())
-        pixels_differ = not np.allclose(other.pixel_mm, first.pixel_mm, rtol=_UNIT)
-        if other.size != first.size or pixels_differ or turned > _PARALLEL:
+        if not fit_together(first, other):
             raise InputError(
                 "slices",
                 "have one size, pixel spacing and orientation",
@@ -164,7 +172,7 @@ def stacked(slices: Sequence[Slice], source: str) -> tuple[list[Slice], Array, l
     places = np.array([each.position_mm for each in ordered])
     rounding = min(each.rounding_mm for each in slices)
     _require_even(places @ normal, rounding, source)
-    start, step = _line(places)
+    start, step = even_row(places, np.arange(len(places)))
     gap = float(step @ normal)
     strays = np.abs(places - start - np.arange(len(ordered))[:, None] * step).max()
     if strays > max(_UNEVEN * gap, _ROUNDED * rounding):
@@ -208,11 +216,22 @@ def _unplaced(
     return list(slices), gap * normal, [note]
 
 
-def _line(places: Array) -> tuple[Array, Array]:
-    """Return start and step of the even row of points nearest to points, by least squares."""
-    at = np.arange(len(places)) - 0.5 * (len(places) - 1)
-    step = at @ places / (at @ at)
-    return places.mean(axis=0) + at[0] * step, step
+def fit_together(one: Slice, other: Slice) -> bool:
+    """Return whether two slices have the same size, pixel spacing and orientation."""
+    turned = max(np.abs(one.row - other.row).max(), np.abs(one.column - other.column).max())
+    pixels_agree = np.allclose(other.pixel_mm, one.pixel_mm, rtol=_UNIT)
+    return other.size == one.size and pixels_agree and bool(turned <= _PARALLEL)
+
+
+def even_row(points: Array, indices: NDArray[np.integer]) -> tuple[Array, Array]:
+    """Fit an evenly spaced row to points, shape (n, k), by least squares.
+
+    Point i is fitted by ``start + indices[i] * step``. At least two indices must differ.
+    """
+    middle = indices.mean()
+    away = indices - middle
+    step = away @ points / (away @ away)
+    return points.mean(axis=0) - middle * step, step
 
 
 def normal_of(first: Slice) -> Array:
@@ -239,7 +258,7 @@ def _require_even(heights: Array, rounding: float, source: str) -> None:
             f"two at one place in {source}",
             "leave one phase, echo or reconstruction in the folder",
         )
-    start, step = _line(heights[:, None])
+    start, step = even_row(heights[:, None], np.arange(len(heights)))
     away = np.abs(heights - start - np.arange(len(heights)) * step).max()
     even = min(max(_UNEVEN, _ROUNDED * rounding / step[0]), _MISSING)
     if away <= even * step[0]:
