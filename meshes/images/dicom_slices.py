@@ -32,18 +32,19 @@ _UNIT = 1e-3
 _UNEVEN = 0.05
 """Largest distance of a slice from its place in an even stack, in spacings."""
 _ROUNDED = 0.75
-"""Likewise, in units of the last decimal that the positions are written with.
+"""Largest distance of a slice from its place in an even stack, in units of the last decimal.
 
 Rounding moves a slice by half a unit, and the line through all slices by less than a quarter.
 """
 _COARSEST_MM = 0.1
-"""Largest such unit: coarser positions are whole numbers of mm because the slices lie there."""
+"""Largest unit of the last decimal. Positions in whole millimetres usually are exact."""
 _MISSING = 0.4
-"""Largest such distance in spacings for any rounding: a missing slice moves others by half."""
+"""Largest tolerance of positions for any rounding, in spacings: a missing slice moves others by
+half a spacing."""
 _TILT_DEG = 0.5
 """Difference of the stated tilt of the gantry from that of the positions; headers round both."""
 _SHEAR_DEG = 0.05
-"""Shear from which a note states it: 0.3 mm over 300 mm; less is rounding of positions."""
+"""Shear above which a note states it: 0.3 mm over 300 mm; less is rounding of positions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,12 +79,14 @@ class Slice:
 
 
 def slice_of(frame: Frame, *, labels: bool = False) -> Slice:
-    """Return a slice of checked place and size; those of labels may have a colour table.
+    """Check the position, size and scale of a frame and return it as a slice.
+
+    Labels may have a colour table.
 
     Raises
     ------
     InputError
-        If a number is missing, or the pixels are no grey values.
+        If a number is missing, or the pixels are not grey values.
     """
     header = frame.header
     is_grey = header["PhotometricInterpretation"] in _GREY or labels
@@ -147,7 +150,7 @@ def stacked(slices: Sequence[Slice], source: str) -> tuple[list[Slice], Array, l
     Raises
     ------
     InputError
-        If they are no even stack.
+        If the slices are not alike or not evenly spaced.
     """
     if len(slices) < 2:
         raise InputError(
@@ -204,7 +207,10 @@ def stacked(slices: Sequence[Slice], source: str) -> tuple[list[Slice], Array, l
 def _unplaced(
     slices: Sequence[Slice], normal: Array, source: str
 ) -> tuple[list[Slice], Array, list[str]]:
-    """Return the frames of one file that states the place of the first alone, with a note."""
+    """Stack the frames of one file that states the position of the first frame only.
+
+    Return the frames, the step between them [mm, LPS], and a note.
+    """
     frame = slices[0].frame
     gap = number_in(frame, "SpacingBetweenSlices", number_in(frame, "SliceThickness", 0.0))
     if len({each.frame.file for each in slices}) > 1 or not gap > 0.0:
@@ -246,7 +252,7 @@ def normal_of(first: Slice) -> Array:
 
 
 def _require_even(heights: Array, rounding: float, source: str) -> None:
-    """Refuse slices in one place, missing ones, and uneven spacing beyond rounding."""
+    """Raise for slices at one position, missing slices, and uneven spacing beyond rounding."""
     gaps = np.diff(heights)
     usual = float(gaps.min())
     widest = float(gaps.max())
