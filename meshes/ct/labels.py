@@ -29,7 +29,7 @@ from meshes.ct.label_names import (
     slicer_segments,
 )
 from meshes.images.frame import Image, StoredImage, along_lps
-from meshes.images.planes import plane_files
+from meshes.images.plane_files import plane_files
 from meshes.images.reading import IMAGE_SUFFIXES, Spacing, read_image, stored_image
 
 __all__ = ["Labels", "header_names", "on_grid_of", "read_labels"]

@@ -20,7 +20,8 @@ from meshes.images.data import first_bytes, is_gzip, read_voxels, scaled
 from meshes.images.dicom import read_dicom
 from meshes.images.dicom_files import is_dicom
 from meshes.images.frame import Image, StoredImage, along_lps
-from meshes.images.planes import PLANE_SUFFIXES, plane_files, read_planes
+from meshes.images.plane_files import PLANE_SUFFIXES, plane_files
+from meshes.images.planes import read_planes
 from meshes.images.text_headers import read_metaimage, read_nrrd
 
 __all__ = [
