@@ -91,7 +91,9 @@ def label_object(path: Path) -> LabelObject | None:
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
-    """Frames of a segmentation, each a plane of one segment, or of all for a label map.
+    """Frames of a segmentation.
+
+    Each frame is a plane of one segment. In a label map, it is a plane of all segments.
 
     Attributes
     ----------
@@ -136,7 +138,7 @@ class Segmentation:
         return StoredImage(empty, grid, directions, first.position_mm, tuple(notes))
 
     def planes(self) -> Iterator[tuple[int, int, Flags]]:
-        """Yield number of the segment, plane and mask, shape (columns, rows), of each frame."""
+        """Yield the segment number, the plane and the mask, shape (columns, rows), of a frame."""
         kind = str(self.object.dataset.get("SegmentationType", "BINARY"))
         full = int(self.object.dataset.get("MaximumFractionalValue") or 255)
         least = 0.5 * full if kind == "FRACTIONAL" else 0.5
@@ -175,14 +177,14 @@ class Segmentation:
 
 
 def read_segmentation(found: LabelObject) -> Segmentation:
-    """Read segments and places of a segmentation.
+    """Read the segments of a segmentation and the positions of its frames.
 
-    Frames without a voxel are usually left out, so the planes need not follow each other.
+    Files usually omit frames without a voxel, so planes may be missing.
 
     Raises
     ------
     InputError
-        If the file is damaged, or its frames are no part of an even stack.
+        If the file is damaged, or if its frames do not lie in evenly spaced planes.
     """
     frames = [
         slice_of(frame, labels=True) for frame in frames_in(found.file, found.dataset, found.source)
@@ -247,7 +249,7 @@ def _segments(found: LabelObject) -> list[Segment]:
 
 
 def _side(segment: Any) -> str:
-    """Return the side of a segment, from the modifier of its type or its region."""
+    """Return the side of a segment from the modifier of its type or of its region."""
     for key in ("SegmentedPropertyTypeCodeSequence", "AnatomicRegionSequence"):
         for code in segment.get(key) or ():
             modifiers = (
@@ -281,12 +283,12 @@ class Outlines:
 
 
 def read_outlines(found: LabelObject) -> Outlines:
-    """Read the closed outlines of a structure set; points and open lines are left out.
+    """Read the closed outlines of a structure set. Points and open lines are omitted.
 
     Raises
     ------
     InputError
-        If it is damaged, or an outline does not lie in a plane across z.
+        If the file is damaged, or if an outline does not lie in a plane normal to z.
     """
     try:
         with warnings.catch_warnings():
@@ -323,11 +325,11 @@ def _structures(dataset: Any) -> tuple[dict[int, str], dict[int, list[Array]]]:
 
 
 def drawn(outlines: Outlines, image: Image) -> Iterator[tuple[int, int, Flags]]:
-    """Yield number of the structure, plane and mask, shape (nx, ny), on the voxels of an image.
+    """Yield the number of a structure, a plane of an image, and its mask, shape (nx, ny).
 
-    A voxel belongs to a structure if its centre lies within an odd number of its outlines, so that
-    an outline within another one is a hole. A plane of the image takes the outlines of the nearest
-    plane up to half of their distance away.
+    A voxel belongs to a structure if its centre lies within an odd number of its outlines. An
+    outline within another outline is therefore a hole. A plane of the image takes the outlines of
+    the nearest plane that has outlines, if it lies within half of the distance of such planes.
     """
     spacing = np.array(image.spacing_mm)
     origin = np.array(image.origin_mm)

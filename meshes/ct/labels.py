@@ -1,6 +1,6 @@
 """Label volumes with the names of their labels.
 
-Labels come as one volume, as layers that overlap, as one mask per file, or as DICOM objects.
+The labels of a file are one volume, several layers that overlap, masks, or a DICOM object.
 """
 
 from collections.abc import Iterable, Mapping
@@ -101,7 +101,7 @@ class Labels:
         return found
 
     def only(self, names: Iterable[str]) -> "Labels":
-        """Return some of the labels, by name; a voxel of several takes the last of them."""
+        """Return the labels of given names. A voxel of several labels takes the last one."""
         values = np.zeros_like(self.image.values)
         kept = {}
         for name in names:
@@ -118,17 +118,18 @@ def read_labels(
     spacing_mm: Spacing | None = None,
     image: Image | None = None,
 ) -> Labels:
-    """Read a label volume, or a folder of masks with one mask per label, and the label names.
+    """Read the labels of a file or folder, with their names.
 
     Parameters
     ----------
     path
-        Image whose values are labels, names in its header or given (`.seg.nrrd` of 3D Slicer,
-        `.nii.gz`); TIFF or PNG slices; a folder of masks, one a file, each named as its label; or a
-        DICOM segmentation or structure set.
+        Image whose values are labels (`.seg.nrrd` of 3D Slicer, `.nii.gz`), TIFF or PNG slices, a
+        DICOM segmentation or structure set, or a folder of masks. Each mask is a file with the
+        name of its label.
     names
-        One of `meshes.ct.label_names.label_sets`, or a TOML file of a table ``[labels]`` that gives
-        each name its number; None: the names in the file's own header, else ``label 1`` and so on.
+        One of `meshes.ct.label_names.label_sets`, or a TOML file whose table ``[labels]`` gives
+        each name its number. None: the names in the file's own header, or ``label 1`` and so on if
+        it states none.
     spacing_mm
         Distance between neighbours [mm] of a file that does not state it, one number or three.
     image
@@ -138,8 +139,8 @@ def read_labels(
     Raises
     ------
     InputError
-        If a file cannot be used, values are not labels, masks lie on different grids, or a name has
-        no number.
+        If a file cannot be read, if values are not labels, if masks lie on different grids, or if
+        a label has no name.
     """
     path = Path(path)
     found = label_object(path)
@@ -173,7 +174,7 @@ def read_labels(
 
 
 def _of_volume(path: Path, spacing_mm: Spacing | None, image: Image | None) -> Labels:
-    """Read a label volume, of one layer or of several that overlap."""
+    """Read a label volume of one layer, or of several layers that overlap."""
     stored = stored_image(path, spacing_mm=spacing_mm, labels=True)
     if stored.values.ndim == 4:
         return _of_layers(stored, path, image)
@@ -190,7 +191,7 @@ def _of_volume(path: Path, spacing_mm: Spacing | None, image: Image | None) -> L
 
 
 def _of_layers(stored: StoredImage, path: Path, image: Image | None) -> Labels:
-    """Return the segments of a file of several layers; layers without names are refused."""
+    """Return the segments of a file of several layers. Raise for layers without names."""
     segments = slicer_segments(path)
     overlay = Overlay(stored.values.shape[1:], [each.number for each in segments])
     for each in segments:
@@ -200,9 +201,9 @@ def _of_layers(stored: StoredImage, path: Path, image: Image | None) -> Labels:
 
 
 class Overlay:
-    """Label volume that is built up from masks, which may overlap.
+    """Label volume that is built from masks, which may overlap.
 
-    A voxel of several labels takes a number that stands for all of them.
+    Each combination of labels that occurs in a voxel has a number of its own.
 
     Parameters
     ----------
@@ -219,7 +220,7 @@ class Overlay:
         self._members: dict[int, tuple[int, ...]] = {}
 
     def add(self, number: int, inside: Flags, plane: int | None = None) -> None:
-        """Mark the voxels of a mask, or of a mask of the plane of a number along the last axis."""
+        """Add a mask to a label. If `plane` is given, the mask is that plane of the last axis."""
         values = self.values if plane is None else self.values[..., plane]
         held = values[inside]
         for before in np.unique(held).tolist():
@@ -228,7 +229,7 @@ class Overlay:
         values[inside] = held
 
     def _number(self, labels: tuple[int, ...]) -> int:
-        """Return the number that stands for labels."""
+        """Return the number of a combination of labels."""
         if len(labels) == 1:
             return labels[0]
         if labels not in self._of:
@@ -388,7 +389,7 @@ def _of_masks(folder: Path) -> Labels:
 
 
 def _whole(values: Numbers, source: str) -> tuple[NDArray[np.integer], list[str]]:
-    """Return the values as whole numbers, and a note where they were rounded."""
+    """Return the values as whole numbers, and a note if they were rounded."""
     low = float(values.min())
     high = float(values.max())
     whole = values
