@@ -20,7 +20,7 @@ from meshes.images.dicom_files import (
     modality_of,
     read_dataset,
 )
-from meshes.images.dicom_slices import Slice, normal_of, slice_of
+from meshes.images.dicom_slices import Slice, even_row, fit_together, normal_of, slice_of
 from meshes.images.frame import Image, StoredImage
 
 __all__ = [
@@ -40,7 +40,10 @@ _SEGMENT_TAGS = ("SegmentSequence", "SegmentationType", "MaximumFractionalValue"
 _OUTLINE_TAGS = ("StructureSetROISequence", "ROIContourSequence")
 _CLOSED = ("CLOSED_PLANAR", "CLOSEDPLANAR_XOR", "INTERPOLATED_PLANAR")
 _OFF_GRID = 0.05
-"""Largest distance of a frame from an even stack [spacing]; headers round positions."""
+"""Largest distance of a frame from its place in an even stack, along the normal in plane distances
+and across it in pixels; headers round positions."""
+_OFF_STATED = 0.01
+"""Largest relative difference of the distance of planes from the stated one: 2/3 mm as 0.67 mm."""
 _FLAT_MM = 0.05
 """Largest extent of an outline along z; files round coordinates."""
 
@@ -88,18 +91,22 @@ def label_object(path: Path) -> LabelObject | None:
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
-    """Frames of a segmentation, each a plane of one segment, or of all for a label map.
+    """Frames of a segmentation.
+
+    Each frame is a plane of one segment. In a label map, it is a plane of all segments.
 
     Attributes
     ----------
     object
-        File, with its segments in `segments`.
+        File.
+    segments
+        Segments that the file lists.
     frames
         Places of the frames.
     planes_at
         Index of each frame along the normal.
-    frame, step
-        First plane, and the vector to the next one [mm, LPS].
+    step
+        Vector from a plane to the next one [mm, LPS].
     """
 
     object: LabelObject
@@ -131,7 +138,7 @@ class Segmentation:
         return StoredImage(empty, grid, directions, first.position_mm, tuple(notes))
 
     def planes(self) -> Iterator[tuple[int, int, Flags]]:
-        """Yield number of the segment, plane and mask, shape (columns, rows), of each frame."""
+        """Yield the segment number, the plane and the mask, shape (columns, rows), of a frame."""
         kind = str(self.object.dataset.get("SegmentationType", "BINARY"))
         full = int(self.object.dataset.get("MaximumFractionalValue") or 255)
         least = 0.5 * full if kind == "FRACTIONAL" else 0.5
@@ -170,46 +177,62 @@ class Segmentation:
 
 
 def read_segmentation(found: LabelObject) -> Segmentation:
-    """Read segments and places of a segmentation.
+    """Read the segments of a segmentation and the positions of its frames.
 
-    Frames without a voxel are usually left out, so the planes need not follow each other.
+    Files usually omit frames without a voxel, so planes may be missing.
 
     Raises
     ------
     InputError
-        If the file is damaged, or its frames are no part of an even stack.
+        If the file is damaged, or if its frames do not lie in evenly spaced planes.
     """
     frames = [
         slice_of(frame, labels=True) for frame in frames_in(found.file, found.dataset, found.source)
     ]
     first = frames[0]
-    normal = normal_of(first)
-    heights = np.array([each.position_mm @ normal for each in frames])
-    places = np.unique(np.round(heights, 3))
-    gaps = np.diff(places)
-    stated = first.frame.header
-    gap = float(gaps.min()) if len(gaps) else float(stated["SliceThickness"] or 1.0)
-    # Segments in every second plane alone would seem to lie twice as far apart.
-    if stated["SpacingBetweenSlices"] and 0.0 < abs(stated["SpacingBetweenSlices"]) < gap:
-        gap = abs(float(stated["SpacingBetweenSlices"]))
-    at = (heights - places[0]) / gap
-    even = np.abs(at - np.rint(at)).max() <= _OFF_GRID
-    alike = all(
-        each.size == first.size
-        and np.allclose([each.row, each.column], [first.row, first.column], atol=1e-4)
-        for each in frames
-    )
-    if not even or not alike:
+    planes, step = _even_planes(frames)
+    if step is None or not all(fit_together(first, each) for each in frames):
         raise InputError(
             "a DICOM segmentation",
             "have its frames in one even stack",
             f"others in {found.source}",
             "export it again, or as .seg.nrrd",
         )
-    planes = np.rint(at).astype(int).tolist()
     needed = 2 * int(np.prod(first.size, dtype=object)) * (max(planes) + 1)
     require_memory(needed, found.source, f"{by((*first.size, max(planes) + 1))} voxels")
-    return Segmentation(found, _segments(found), frames, planes, gap * normal)
+    return Segmentation(found, _segments(found), frames, planes, step)
+
+
+def _even_planes(frames: Sequence[Slice]) -> tuple[list[int], Array | None]:
+    """Return the index of the plane of each frame, and the step between planes [mm, LPS].
+
+    The step is None if the frames do not lie in evenly spaced planes. It need not be normal to the
+    planes: a segmentation of a CT with a tilted gantry is sheared as the CT is.
+    """
+    normal = normal_of(frames[0])
+    stated = frames[0].frame.header
+    positions = np.array([each.position_mm for each in frames])
+    heights, plane_of = np.unique(np.round(positions @ normal, 3), return_inverse=True)
+    if len(heights) == 1:
+        return [0] * len(frames), float(stated["SliceThickness"] or 1.0) * normal
+    gaps = np.diff(heights)
+    gap = float(gaps.min())
+    # Segments in every second plane alone would seem to lie twice as far apart.
+    between = abs(float(stated["SpacingBetweenSlices"] or 0.0))
+    if 0.0 < between < gap:
+        gap = between
+    # Each gap is rounded alone, because the error of a rounded distance adds up over many planes.
+    index_of = np.concatenate([[0], np.cumsum(np.rint(gaps / gap).astype(int))])
+    planes = index_of[plane_of]
+    start, step = even_row(positions, planes)
+    away = positions - start - planes[:, None] * step
+    along = away @ normal
+    across = np.abs(away - along[:, None] * normal).max()
+    rounding = min(each.rounding_mm for each in frames)
+    is_even = np.abs(along).max() <= _OFF_GRID * gap
+    is_as_stated = abs(float(step @ normal) / gap - 1.0) <= _OFF_STATED
+    is_in_line = across <= max(_OFF_GRID * min(frames[0].pixel_mm), rounding)
+    return planes.tolist(), step if is_even and is_as_stated and is_in_line else None
 
 
 def _segments(found: LabelObject) -> list[Segment]:
@@ -226,7 +249,7 @@ def _segments(found: LabelObject) -> list[Segment]:
 
 
 def _side(segment: Any) -> str:
-    """Return the side of a segment, from the modifier of its type or its region."""
+    """Return the side of a segment from the modifier of its type or of its region."""
     for key in ("SegmentedPropertyTypeCodeSequence", "AnatomicRegionSequence"):
         for code in segment.get(key) or ():
             modifiers = (
@@ -260,12 +283,12 @@ class Outlines:
 
 
 def read_outlines(found: LabelObject) -> Outlines:
-    """Read the closed outlines of a structure set; points and open lines are left out.
+    """Read the closed outlines of a structure set. Points and open lines are omitted.
 
     Raises
     ------
     InputError
-        If it is damaged, or an outline does not lie in a plane across z.
+        If the file is damaged, or if an outline does not lie in a plane normal to z.
     """
     try:
         with warnings.catch_warnings():
@@ -302,11 +325,11 @@ def _structures(dataset: Any) -> tuple[dict[int, str], dict[int, list[Array]]]:
 
 
 def drawn(outlines: Outlines, image: Image) -> Iterator[tuple[int, int, Flags]]:
-    """Yield number of the structure, plane and mask, shape (nx, ny), on the voxels of an image.
+    """Yield the number of a structure, a plane of an image, and its mask, shape (nx, ny).
 
-    A voxel belongs to a structure if its centre lies within an odd number of its outlines, so that
-    an outline within another one is a hole. A plane of the image takes the outlines of the nearest
-    plane up to half of their distance away.
+    A voxel belongs to a structure if its centre lies within an odd number of its outlines. An
+    outline within another outline is therefore a hole. A plane of the image takes the outlines of
+    the nearest plane that has outlines, if it lies within half of the distance of such planes.
     """
     spacing = np.array(image.spacing_mm)
     origin = np.array(image.origin_mm)

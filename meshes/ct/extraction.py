@@ -104,7 +104,7 @@ class BoneOfImage:
         from scipy.ndimage import binary_dilation, distance_transform_edt
 
         share = self._share()
-        # A lone voxel just above the level holds no sampled point of bone.
+        # The samples of `_share` may miss a single voxel just above the level.
         inside = (share > 0.0) | (self.field > self.level)
         # Two voxels of soft tissue: one alone may be a mixture with bone.
         around = binary_dilation(inside, iterations=2) & ~inside

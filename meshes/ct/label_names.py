@@ -1,4 +1,4 @@
-"""Names of labels: of known programs, of a table of the user, and of the headers of files."""
+"""Names of labels from known programs, from the user's table, and from the headers of files."""
 
 import re
 import tomllib
@@ -58,7 +58,7 @@ class Segment:
 def apart(segments: Sequence[Segment]) -> dict[int, str]:
     """Return the names of segments by number.
 
-    Segments of one name take their side as an ending, where the file states it.
+    If several segments have the same name, the side that the file states is appended.
     """
     counts = Counter(each.name for each in segments)
     return {
@@ -70,14 +70,14 @@ def apart(segments: Sequence[Segment]) -> dict[int, str]:
 
 
 def side_of(text: str) -> str:
-    """Return ``left`` or ``right`` where a modifier is one of them, else an empty text."""
+    """Return ``left`` or ``right`` if a modifier is one of them, else an empty string."""
     word = text.strip().lower()
     return word if word in _SIDES else ""
 
 
 @cache
 def label_sets() -> dict[str, dict[int, str]]:
-    """Return the names of labels by number, by the program that writes them."""
+    """Return a table of label names by number for each known program."""
     table = tomllib.loads(files("meshes.ct").joinpath("label_sets.toml").read_text("utf-8"))
     return {
         name: dict(zip(entry.get("numbers", range(1, 256)), entry["names"], strict=False))
@@ -86,12 +86,12 @@ def label_sets() -> dict[str, dict[int, str]]:
 
 
 def given_names(names: str | Path) -> Mapping[int, str]:
-    """Return the names by number of a known program or of a TOML file.
+    """Return the label names of a known program or of a TOML file, by number.
 
     Raises
     ------
     InputError
-        If it is neither, or a number is not usable.
+        If `names` is neither, or if a number is not valid.
     """
     if str(names) in label_sets():
         return label_sets()[str(names)]
@@ -126,7 +126,7 @@ def given_names(names: str | Path) -> Mapping[int, str]:
 
 
 def header_names(path: Path) -> dict[int, str]:
-    """Return the names that an image's own header gives its labels."""
+    """Return the names of the labels that the header of an image states, by number."""
     name = path.name.lower()
     if name.endswith((".nii", ".nii.gz")):
         text = first_bytes(path, _HEADER_BYTES).decode("latin-1")
@@ -137,7 +137,7 @@ def header_names(path: Path) -> dict[int, str]:
 def slicer_segments(path: Path) -> list[Segment]:
     """Return the segments that 3D Slicer lists in the header of a NRRD file.
 
-    Files of several layers may use a value in each of them. Their segments are numbered from 1.
+    In files of several layers, segments may share a value. They are therefore numbered from 1.
     """
     if not path.name.lower().endswith((".nrrd", ".nhdr")):
         return []
@@ -172,7 +172,7 @@ def _slicer_side(tags: str) -> str:
 
 
 def shared_names(names: Mapping[int, str], source: str) -> list[str]:
-    """Return a note on each name that several labels have."""
+    """Return a note on each name that is shared by several labels."""
     numbers: dict[str, list[int]] = {}
     for number, name in names.items():
         numbers.setdefault(name, []).append(number)

@@ -1,6 +1,6 @@
 """Label volumes with the names of their labels.
 
-Labels come as one volume, as layers that overlap, as one mask per file, or as DICOM objects.
+The labels of a file are one volume, several layers that overlap, masks, or a DICOM object.
 """
 
 from collections.abc import Iterable, Mapping
@@ -29,7 +29,7 @@ from meshes.ct.label_names import (
     slicer_segments,
 )
 from meshes.images.frame import Image, StoredImage, along_lps
-from meshes.images.planes import plane_files
+from meshes.images.plane_files import plane_files
 from meshes.images.reading import IMAGE_SUFFIXES, Spacing, read_image, stored_image
 
 __all__ = ["Labels", "header_names", "on_grid_of", "read_labels"]
@@ -57,7 +57,8 @@ class Labels:
     names
         Name of each label that the volume holds, by its number.
     overlaps
-        Numbers of the image that stand for voxels of several labels, with those labels.
+        Labels of each number that stands for several of them. For example, ``{9: (1, 4)}`` means
+        that a voxel of value 9 belongs to the labels 1 and 4.
     """
 
     image: Image
@@ -100,7 +101,7 @@ class Labels:
         return found
 
     def only(self, names: Iterable[str]) -> "Labels":
-        """Return some of the labels, by name; a voxel of several takes the last of them."""
+        """Return the labels of given names. A voxel of several labels takes the last one."""
         values = np.zeros_like(self.image.values)
         kept = {}
         for name in names:
@@ -117,27 +118,29 @@ def read_labels(
     spacing_mm: Spacing | None = None,
     image: Image | None = None,
 ) -> Labels:
-    """Read a label volume, or a folder of masks with one mask per label, and the label names.
+    """Read the labels of a file or folder, with their names.
 
     Parameters
     ----------
     path
-        Image whose values are labels, names in its header or given (`.seg.nrrd` of 3D Slicer,
-        `.nii.gz`); TIFF or PNG slices; a folder of masks, one a file, each named as its label; or a
-        DICOM segmentation or structure set.
+        Image whose values are labels (`.seg.nrrd` of 3D Slicer, `.nii.gz`), TIFF or PNG slices, a
+        DICOM segmentation or structure set, or a folder of masks. Each mask is a file with the
+        name of its label.
     names
-        One of `meshes.ct.label_names.label_sets`, or a TOML file of a table ``[labels]`` that gives
-        each name its number; None: the names in the file's own header, else ``label 1`` and so on.
+        One of `meshes.ct.label_names.label_sets`, or a TOML file whose table ``[labels]`` gives
+        each name its number. None: the names in the file's own header, or ``label 1`` and so on if
+        it states none.
     spacing_mm
         Distance between neighbours [mm] of a file that does not state it, one number or three.
     image
-        The CT of the labels. The outlines of a structure set are drawn on its voxels.
+        The CT of the labels. The outlines of a structure set are drawn on its voxels, and oblique
+        labels are resampled at its voxel centres.
 
     Raises
     ------
     InputError
-        If a file cannot be used, values are not labels, masks lie on different grids, or a name has
-        no number.
+        If a file cannot be read, if values are not labels, if masks lie on different grids, or if
+        a label has no name.
     """
     path = Path(path)
     found = label_object(path)
@@ -155,7 +158,7 @@ def read_labels(
                 "remove it",
             )
         return _of_masks(path)
-    labels = _of_volume(path, spacing_mm)
+    labels = _of_volume(path, spacing_mm, image)
     if names is not None:
         stated = given_names(names)
         if unknown := [number for number in labels.names if number not in stated]:
@@ -170,11 +173,11 @@ def read_labels(
     return replace(labels, image=replace(labels.image, notes=notes))
 
 
-def _of_volume(path: Path, spacing_mm: Spacing | None) -> Labels:
-    """Read a label volume, of one layer or of several that overlap."""
+def _of_volume(path: Path, spacing_mm: Spacing | None, image: Image | None) -> Labels:
+    """Read a label volume of one layer, or of several layers that overlap."""
     stored = stored_image(path, spacing_mm=spacing_mm, labels=True)
     if stored.values.ndim == 4:
-        return _of_layers(stored, path)
+        return _of_layers(stored, path, image)
     values, notes = _whole(stored.values, path.name)
     held = [int(number) for number in _different(values) if number]
     if not held:
@@ -184,23 +187,23 @@ def _of_volume(path: Path, spacing_mm: Spacing | None) -> Labels:
     placed = replace(stored, values=values, notes=(*stored.notes, *notes))
     stated = {**stored.names, **header_names(path)}
     names = {number: stated.get(number, f"label {number}") for number in held}
-    return Labels(along_lps(placed, path.name, labels=True), names)
+    return Labels(along_lps(placed, path.name, labels=True, lattice=image), names)
 
 
-def _of_layers(stored: StoredImage, path: Path) -> Labels:
-    """Return the segments of a file of several layers; layers without names are refused."""
+def _of_layers(stored: StoredImage, path: Path, image: Image | None) -> Labels:
+    """Return the segments of a file of several layers. Raise for layers without names."""
     segments = slicer_segments(path)
     overlay = Overlay(stored.values.shape[1:], [each.number for each in segments])
     for each in segments:
         if each.layer < len(stored.values):
             overlay.add(each.number, stored.values[each.layer] == each.value)
-    return overlay.labels(stored, segments, path.name)
+    return overlay.labels(stored, segments, path.name, image)
 
 
 class Overlay:
-    """Label volume that is built up from masks, which may overlap.
+    """Label volume that is built from masks, which may overlap.
 
-    A voxel of several labels takes a number that stands for all of them.
+    Each combination of labels that occurs in a voxel has a number of its own.
 
     Parameters
     ----------
@@ -217,7 +220,7 @@ class Overlay:
         self._members: dict[int, tuple[int, ...]] = {}
 
     def add(self, number: int, inside: Flags, plane: int | None = None) -> None:
-        """Mark the voxels of a mask, or of a mask of the plane of a number along the last axis."""
+        """Add a mask to a label. If `plane` is given, the mask is that plane of the last axis."""
         values = self.values if plane is None else self.values[..., plane]
         held = values[inside]
         for before in np.unique(held).tolist():
@@ -226,7 +229,7 @@ class Overlay:
         values[inside] = held
 
     def _number(self, labels: tuple[int, ...]) -> int:
-        """Return the number that stands for labels."""
+        """Return the number of a combination of labels."""
         if len(labels) == 1:
             return labels[0]
         if labels not in self._of:
@@ -238,9 +241,15 @@ class Overlay:
         return self._of[labels]
 
     def labels(
-        self, stored: StoredImage | Image, segments: Iterable[Segment], source: str
+        self,
+        stored: StoredImage | Image,
+        segments: Iterable[Segment],
+        source: str,
+        lattice: Image | None = None,
     ) -> Labels:
         """Return the labels in the frame of an image, with a note on overlaps.
+
+        See `meshes.images.frame.along_lps` for `lattice`.
 
         Raises
         ------
@@ -262,14 +271,17 @@ class Overlay:
             notes.append(f"{count} voxels of {source} lie in several labels, and count for each.")
         notes += shared_names(names, source)
         placed = replace(stored, values=self.values, notes=tuple(notes))
-        image = placed if isinstance(placed, Image) else along_lps(placed, source, labels=True)
-        return Labels(image, names, overlaps)
+        if isinstance(placed, StoredImage):
+            placed = along_lps(placed, source, labels=True, lattice=lattice)
+        return Labels(placed, names, overlaps)
 
 
 def on_grid_of(labels: Labels, image: Image) -> Labels:
     """Return labels on the voxels of another image.
 
-    They are unchanged where the grids agree, else the nearest labels, with a note.
+    Labels on the same grid are returned unchanged. Labels whose voxel centres coincide with those
+    of the image are cropped or padded. For other labels, each voxel of the image takes the nearest
+    label, with a note.
     """
     from scipy.ndimage import affine_transform
 
@@ -277,15 +289,17 @@ def on_grid_of(labels: Labels, image: Image) -> Labels:
     other = image
     scale = np.array(other.spacing_mm) / one.spacing_mm
     shift = (np.array(other.origin_mm) - one.origin_mm) / one.spacing_mm
+    whole_shift = np.rint(shift)
     # An error of the spacing adds up over the grid.
-    if (
-        one.values.shape == other.values.shape
-        and np.abs(shift).max() < _SAME_PLACE
+    is_same_lattice = (
+        np.abs(shift - whole_shift).max() < _SAME_PLACE
         and (np.abs(scale - 1.0) * one.values.shape).max() < _SAME_PLACE
-    ):
+    )
+    if is_same_lattice and not whole_shift.any() and one.values.shape == other.values.shape:
         return labels
+    # Beyond the outermost voxel centres a label reaches to the face of its voxel.
     values = affine_transform(
-        one.values, scale, shift, other.values.shape, order=0, mode="constant", cval=0
+        one.values, scale, shift, other.values.shape, order=0, mode="grid-constant", cval=0
     )
     if one.values.any() and not values.any():
         raise InputError(
@@ -294,19 +308,21 @@ def on_grid_of(labels: Labels, image: Image) -> Labels:
             f"{one.source} outside {other.source}",
             "give those of this image",
         )
-    note = (
-        f"{one.source} has {by(one.values.shape)} voxels of {by(one.spacing_mm, '.4g')} mm: "
-        "each voxel of "
-        f"{other.source} takes the nearest label."
-    )
+    notes = []
+    if not is_same_lattice:
+        notes.append(
+            f"{one.source} has {by(one.values.shape)} voxels of {by(one.spacing_mm, '.4g')} mm: "
+            f"each voxel of {other.source} takes the nearest label."
+        )
     before = np.count_nonzero(one.values) * float(np.prod(one.spacing_mm))
     left = np.count_nonzero(values) * float(np.prod(other.spacing_mm))
     if left < (1.0 - _LOST) * before:
-        note += f" {1.0 - left / before:.0%} of its labels lie outside."
+        lost = 1.0 - left / before
+        notes.append(f"{lost:.0%} of the labels of {one.source} lie outside {other.source}.")
     held = set(_different(values).tolist())
     held = held.union(*(each for number, each in labels.overlaps.items() if number in held))
     names = {number: name for number, name in labels.names.items() if number in held}
-    placed = replace(other, values=values, source=one.source, notes=(*one.notes, note))
+    placed = replace(other, values=values, source=one.source, notes=(*one.notes, *notes))
     return Labels(placed, names, labels.overlaps)
 
 
@@ -317,7 +333,7 @@ def _of_object(found: LabelObject, image: Image | None) -> Labels:
         overlay = Overlay(segmentation.shape, segmentation.numbers)
         for number, plane, inside in segmentation.planes():
             overlay.add(number, inside, plane)
-        return overlay.labels(segmentation.stored(), segmentation.segments, found.source)
+        return overlay.labels(segmentation.stored(), segmentation.segments, found.source, image)
     if image is None:
         raise InputError(
             "labels",
@@ -373,7 +389,7 @@ def _of_masks(folder: Path) -> Labels:
 
 
 def _whole(values: Numbers, source: str) -> tuple[NDArray[np.integer], list[str]]:
-    """Return the values as whole numbers, and a note where they were rounded."""
+    """Return the values as whole numbers, and a note if they were rounded."""
     low = float(values.min())
     high = float(values.max())
     whole = values

@@ -1,24 +1,26 @@
 """DICOM series as one image.
 
-Slices, one or many a file, are sorted by place into an even stack, which may be sheared only by the
-tilt of the gantry that the slices state. Uncompressed pixels are read by pydicom, others by GDCM.
-Headers and the rules of privacy are in `meshes.images.dicom_files`.
+A file holds one slice or many. The slices are sorted by position and must be evenly spaced. The
+stack may be sheared, as a tilted gantry leaves it. Uncompressed pixels are read by pydicom, others
+by GDCM. Headers and the rules of privacy are in `meshes.images.dicom_files`.
 """
 
 import warnings
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from meshes.base.arrays import Numbers
-from meshes.base.errors import InputError, by, counted
+from meshes.base.errors import InputError, by
 from meshes.base.file_limits import require_memory
 from meshes.images.dicom_files import (
     Frame,
     damaged,
     dicom_files,
+    frames_in,
     frames_of,
     read_dataset,
     refused,
@@ -37,7 +39,7 @@ _AIR_HU = (-1100.0, -900.0)
 
 
 def read_dicom(path: Path, *, series: int | None = None) -> StoredImage:
-    """Read the only series of a folder and the folders in it, or the series of a given number.
+    """Read the only series of a folder and its subfolders, or the series of a given number.
 
     The path may also be the folder's DICOMDIR or a file of many frames. Each slice has its own
     slope and intercept. Voxels of the padding value take the lowest other value of their slice.
@@ -45,8 +47,8 @@ def read_dicom(path: Path, *, series: int | None = None) -> StoredImage:
     Raises
     ------
     InputError
-        If the folder holds no series or several, a file is damaged, or the slices are no even stack
-        of grey images.
+        If the folder holds no series or several, if a file is damaged, or if the slices are not
+        evenly spaced grey images.
     """
     files, notes = dicom_files(path)
     source = path.parent.name if path.name.upper() == "DICOMDIR" else path.name
@@ -103,7 +105,7 @@ def _of_one_series(
     Series of one slice, such as a scout or a dose report, are left out next to one stack. Series
     are distinguished by identifier and number, but named by number and slices alone.
     """
-    names = [(str(frame.header["SeriesInstanceUID"]), _seriesnumber_in(frame)) for frame in frames]
+    names = [(str(frame.header["SeriesInstanceUID"]), _series_number(frame)) for frame in frames]
     counts = Counter(names)
     listed = ", ".join(f"number {name} of {n} slices" for (_, name), n in sorted(counts.items()))
     stacks = {name for name, count in counts.items() if count > 1} or set(names)
@@ -121,12 +123,11 @@ def _of_one_series(
         )
     notes = []
     if series is None and len(counts) > 1:
-        single = counted(len(counts) - 1, "series of one slice")
-        notes.append(f"Left out {single.removesuffix('s')} in {source}.")
+        notes.append(f"Left out {len(counts) - 1} series of one slice in {source}.")
     return [frame for frame, name in zip(frames, names, strict=True) if name in wanted], notes
 
 
-def _seriesnumber_in(frame: Frame) -> str:
+def _series_number(frame: Frame) -> str:
     """Return the number of a series.
 
     Only a short whole number may pass from a header into a message.
@@ -169,7 +170,7 @@ def _decoded(first: Slice) -> Numbers:
     dataset = read_dataset(frame.file, frame.place)
     syntax = dataset.file_meta.get("TransferSyntaxUID")
     if syntax is not None and syntax.is_compressed:
-        return _decompressed(first)
+        return _decompressed(first, dataset)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -185,11 +186,11 @@ def _decoded(first: Slice) -> Numbers:
     return pixels.reshape(-1, *pixels.shape[-2:])
 
 
-def _decompressed(first: Slice) -> Numbers:
-    """Return the stored values of a compressed file by GDCM.
+def _decompressed(first: Slice, dataset: Any) -> Numbers:
+    """Decode a compressed file by GDCM and return its stored values.
 
-    GDCM applies slope and intercept of the first frame to all frames, and inverts MONOCHROME1
-    before. Both are undone.
+    GDCM inverts MONOCHROME1, then applies slope and intercept of the first frame to all frames.
+    This function undoes both.
     """
     import SimpleITK
 
@@ -201,8 +202,7 @@ def _decompressed(first: Slice) -> Numbers:
         values = SimpleITK.GetArrayFromImage(image)
     except (RuntimeError, MemoryError) as problem:
         raise damaged(frame.place) from problem
-    ours = next(each for each in frames_of([(frame.file, frame.place)], "")[0] if not each.number)
-    scale = slice_of(ours)
+    scale = slice_of(frames_in(frame.file, dataset, frame.place)[0])
     stored = np.rint((values - scale.intercept) / scale.slope).astype(np.int32)
     if frame.header["PhotometricInterpretation"] == INVERTED:
         stored = _ends(first) - stored
@@ -239,11 +239,11 @@ def _scaled(stored: Numbers, slices: Sequence[Slice]) -> tuple[Numbers, int]:
 
 
 def _upright(stored: Numbers, slices: Sequence[Slice], source: str) -> tuple[Numbers, str]:
-    """Return stored values of MONOCHROME1 whose rescale leads to bone above air, and a note.
+    """Return values of MONOCHROME1 that the rescale converts to grey values, and a note.
 
-    The rescale leads to Hounsfield units for any display (DICOM PS3.3, C.11.1), so it decides if it
-    puts air at -1000. Values that were inverted without a change of the rescale are recognised by
-    their air.
+    The rescale converts stored values to Hounsfield units, however they are displayed (DICOM PS3.3,
+    C.11.1). Some programs invert the values and keep the rescale. The values are inverted back if
+    more voxels then have the value of air.
     """
     ends = np.array([_ends(each) for each in slices], dtype=np.int32)
     inverted = ends[:, None, None] - stored.astype(np.int32)
@@ -258,7 +258,8 @@ def _upright(stored: Numbers, slices: Sequence[Slice], source: str) -> tuple[Num
         return count
 
     has_slope = slices[0].frame.header["RescaleSlope"] not in (None, "")
-    as_stated, as_inverted = air(stored), air(inverted)
+    as_stated = air(stored)
+    as_inverted = air(inverted)
     if has_slope and (
         as_stated > as_inverted or (as_stated == as_inverted and slices[0].slope < 0.0)
     ):

@@ -23,6 +23,7 @@ __all__ = [
     "Frame",
     "damaged",
     "dicom_files",
+    "files_in",
     "frames_in",
     "frames_of",
     "is_dicom",
@@ -98,7 +99,7 @@ _OTHER_OBJECTS = ("SEG", "RTSTRUCT", "RTPLAN", "RTDOSE", "SR", "PR", "KO", "REG"
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A frame of a file, which most files hold one of.
+    """A frame of a file. Most files hold one frame.
 
     Attributes
     ----------
@@ -134,14 +135,15 @@ def is_dicom(file: Path) -> bool:
 
 
 def dicom_files(path: Path) -> tuple[list[tuple[Path, str]], list[str]]:
-    """Return the DICOM files of a path with their names in messages, and notes.
+    """Return the DICOM files of a path, each with its name for messages, and notes.
 
-    The path is a folder, which is searched with all folders in it, its DICOMDIR, or one file.
+    The path is a folder, its DICOMDIR, or one file. Subfolders are searched too.
 
     Raises
     ------
     InputError
-        If there are none, or a file among them is of another kind but named like them.
+        If there are no DICOM files, or if a file has the ending of the DICOM files next to it but
+        another content.
     """
     if not is_folder(path) and path.name.upper() != "DICOMDIR":
         return [(path, path.name)], []
@@ -173,7 +175,13 @@ def dicom_files(path: Path) -> tuple[list[tuple[Path, str]], list[str]]:
 
 
 def files_in(folder: Path) -> list[Path]:
-    """Return the files in a folder and its folders, sorted, that may be DICOM by their names."""
+    """Return the files of a folder and its subfolders whose names may be those of DICOM, sorted.
+
+    Raises
+    ------
+    InputError
+        If there are more than 50,000.
+    """
     found = []
     for within, folders, names in os.walk(folder):
         folders[:] = sorted(each for each in folders if not each.startswith("."))
@@ -193,10 +201,9 @@ def files_in(folder: Path) -> list[Path]:
 
 
 def frames_of(files: Sequence[tuple[Path, str]], source: str) -> tuple[list[Frame], list[str]]:
-    """Return the frames of grey values in DICOM files, and notes on what is left out.
+    """Return the frames of grey values in DICOM files, and notes on the files that are left out.
 
-    Segmentations, plans and reports are left out, and so are localisers and files that are there
-    twice.
+    Segmentations, plans, reports, localisers and duplicates are left out.
 
     Raises
     ------
@@ -235,8 +242,10 @@ def frames_of(files: Sequence[tuple[Path, str]], source: str) -> tuple[list[Fram
 
 
 def read_dataset(file: Path, place: str, further: Sequence[str] = ()) -> Any:
-    """Return the elements `_READ` of a file, its functional groups and its pixels, as pydicom has
-    them, and further elements by name.
+    """Read a file by pydicom.
+
+    The dataset holds the elements `_READ`, the functional groups, the pixels, and further elements
+    by name.
 
     Raises
     ------
@@ -267,7 +276,7 @@ def modality_of(dataset: Any, place: str) -> str:
 
 
 def frames_in(file: Path, dataset: Any, place: str) -> list[Frame]:
-    """Return the frames of a file; the pixels are checked for their length."""
+    """Return the frames of a file after a check of the length of its pixels."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

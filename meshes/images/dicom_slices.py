@@ -5,12 +5,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.images.dicom_files import Frame, refused
 
-__all__ = ["INVERTED", "Slice", "normal_of", "number_in", "slice_of", "stacked"]
+__all__ = [
+    "INVERTED",
+    "Slice",
+    "even_row",
+    "fit_together",
+    "normal_of",
+    "number_in",
+    "slice_of",
+    "stacked",
+]
 
 INVERTED = "MONOCHROME1"
 """Photometric interpretation whose low values are displayed as white."""
@@ -22,18 +32,19 @@ _UNIT = 1e-3
 _UNEVEN = 0.05
 """Largest distance of a slice from its place in an even stack, in spacings."""
 _ROUNDED = 0.75
-"""Likewise, in units of the last decimal that the positions are written with.
+"""Largest distance of a slice from its place in an even stack, in units of the last decimal.
 
 Rounding moves a slice by half a unit, and the line through all slices by less than a quarter.
 """
 _COARSEST_MM = 0.1
-"""Largest such unit: coarser positions are whole numbers of mm because the slices lie there."""
+"""Largest unit of the last decimal. Positions in whole millimetres usually are exact."""
 _MISSING = 0.4
-"""Largest such distance in spacings for any rounding: a missing slice moves others by half."""
+"""Largest tolerance of positions for any rounding, in spacings: a missing slice moves others by
+half a spacing."""
 _TILT_DEG = 0.5
 """Difference of the stated tilt of the gantry from that of the positions; headers round both."""
 _SHEAR_DEG = 0.05
-"""Shear from which a note states it: 0.3 mm over 300 mm; less is rounding of positions."""
+"""Shear above which a note states it: 0.3 mm over 300 mm; less is rounding of positions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,12 +79,14 @@ class Slice:
 
 
 def slice_of(frame: Frame, *, labels: bool = False) -> Slice:
-    """Return a slice of checked place and size; those of labels may have a colour table.
+    """Check the position, size and scale of a frame and return it as a slice.
+
+    Labels may have a colour table.
 
     Raises
     ------
     InputError
-        If a number is missing, or the pixels are no grey values.
+        If a number is missing, or the pixels are not grey values.
     """
     header = frame.header
     is_grey = header["PhotometricInterpretation"] in _GREY or labels
@@ -137,7 +150,7 @@ def stacked(slices: Sequence[Slice], source: str) -> tuple[list[Slice], Array, l
     Raises
     ------
     InputError
-        If they are no even stack.
+        If the slices are not alike or not evenly spaced.
     """
     if len(slices) < 2:
         raise InputError(
@@ -149,9 +162,7 @@ def stacked(slices: Sequence[Slice], source: str) -> tuple[list[Slice], Array, l
     first = slices[0]
     normal = normal_of(first)
     for other in slices[1:]:
-        turned = max(np.abs(first.row - other.row).max(), np.abs(first.column - other.column).max())
-        pixels_differ = not np.allclose(other.pixel_mm, first.pixel_mm, rtol=_UNIT)
-        if other.size != first.size or pixels_differ or turned > _PARALLEL:
+        if not fit_together(first, other):
             raise InputError(
                 "slices",
                 "have one size, pixel spacing and orientation",
@@ -164,7 +175,7 @@ def stacked(slices: Sequence[Slice], source: str) -> tuple[list[Slice], Array, l
     places = np.array([each.position_mm for each in ordered])
     rounding = min(each.rounding_mm for each in slices)
     _require_even(places @ normal, rounding, source)
-    start, step = _line(places)
+    start, step = even_row(places, np.arange(len(places)))
     gap = float(step @ normal)
     strays = np.abs(places - start - np.arange(len(ordered))[:, None] * step).max()
     if strays > max(_UNEVEN * gap, _ROUNDED * rounding):
@@ -196,7 +207,10 @@ def stacked(slices: Sequence[Slice], source: str) -> tuple[list[Slice], Array, l
 def _unplaced(
     slices: Sequence[Slice], normal: Array, source: str
 ) -> tuple[list[Slice], Array, list[str]]:
-    """Return the frames of one file that states the place of the first alone, with a note."""
+    """Stack the frames of one file that states the position of the first frame only.
+
+    Return the frames, the step between them [mm, LPS], and a note.
+    """
     frame = slices[0].frame
     gap = number_in(frame, "SpacingBetweenSlices", number_in(frame, "SliceThickness", 0.0))
     if len({each.frame.file for each in slices}) > 1 or not gap > 0.0:
@@ -208,11 +222,22 @@ def _unplaced(
     return list(slices), gap * normal, [note]
 
 
-def _line(places: Array) -> tuple[Array, Array]:
-    """Return start and step of the even row of points nearest to points, by least squares."""
-    at = np.arange(len(places)) - 0.5 * (len(places) - 1)
-    step = at @ places / (at @ at)
-    return places.mean(axis=0) + at[0] * step, step
+def fit_together(one: Slice, other: Slice) -> bool:
+    """Return whether two slices have the same size, pixel spacing and orientation."""
+    turned = max(np.abs(one.row - other.row).max(), np.abs(one.column - other.column).max())
+    pixels_agree = np.allclose(other.pixel_mm, one.pixel_mm, rtol=_UNIT)
+    return other.size == one.size and pixels_agree and bool(turned <= _PARALLEL)
+
+
+def even_row(points: Array, indices: NDArray[np.integer]) -> tuple[Array, Array]:
+    """Fit an evenly spaced row to points, shape (n, k), by least squares.
+
+    Point i is fitted by ``start + indices[i] * step``. At least two indices must differ.
+    """
+    middle = indices.mean()
+    away = indices - middle
+    step = away @ points / (away @ away)
+    return points.mean(axis=0) - middle * step, step
 
 
 def normal_of(first: Slice) -> Array:
@@ -227,7 +252,7 @@ def normal_of(first: Slice) -> Array:
 
 
 def _require_even(heights: Array, rounding: float, source: str) -> None:
-    """Refuse slices in one place, missing ones, and uneven spacing beyond rounding."""
+    """Raise for slices at one position, missing slices, and uneven spacing beyond rounding."""
     gaps = np.diff(heights)
     usual = float(gaps.min())
     widest = float(gaps.max())
@@ -239,7 +264,7 @@ def _require_even(heights: Array, rounding: float, source: str) -> None:
             f"two at one place in {source}",
             "leave one phase, echo or reconstruction in the folder",
         )
-    start, step = _line(heights[:, None])
+    start, step = even_row(heights[:, None], np.arange(len(heights)))
     away = np.abs(heights - start - np.arange(len(heights)) * step).max()
     even = min(max(_UNEVEN, _ROUNDED * rounding / step[0]), _MISSING)
     if away <= even * step[0]:

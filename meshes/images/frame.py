@@ -97,12 +97,16 @@ class StoredImage:
     names: Mapping[int, str] = field(default_factory=dict)
 
 
-def along_lps(stored: StoredImage, source: str, *, labels: bool = False) -> Image:
+def along_lps(
+    stored: StoredImage, source: str, *, labels: bool = False, lattice: Image | None = None
+) -> Image:
     """Turn an image into the axes of LPS.
 
     If the axes are those of LPS in any order and direction, the array is transposed and flipped
     without interpolation. Other images are resampled, grey values by cubic splines and labels to
     the nearest, with a note. Voxels outside the stored image take its lowest value (labels: 0).
+    Labels that are resampled at the voxel centres of another image, `lattice`, fit that image
+    without a second resampling. The lattice is continued as far as the labels reach.
 
     Raises
     ------
@@ -116,7 +120,7 @@ def along_lps(stored: StoredImage, source: str, *, labels: bool = False) -> Imag
     values = np.transpose(stored.values, order)
     away = np.abs(turned - np.diag(np.diag(turned))) @ np.array(values.shape)
     if (away > _FARTHEST_VOXELS * np.abs(np.diag(turned))).any():
-        return _resampled(stored, source, labels)
+        return _resampled(stored, source, labels, lattice)
     steps = np.diag(turned)
     origin = stored.origin_mm + np.where(steps < 0.0, steps * (np.array(values.shape) - 1), 0.0)
     values = np.flip(values, tuple(np.flatnonzero(steps < 0.0).tolist()))
@@ -131,21 +135,24 @@ def _nearest_axes(directions: Array) -> tuple[int, ...]:
     )
 
 
-def _resampled(stored: StoredImage, source: str, labels: bool) -> Image:
+def _resampled(stored: StoredImage, source: str, labels: bool, lattice: Image | None) -> Image:
     """Resample an image on a grid along LPS that spans it.
 
-    The grid has the spacing of the image along each direction.
+    The grid has the spacing of the image along each direction, or is a part of a lattice.
     """
     steps = stored.directions * stored.spacing_mm
     inverse = np.linalg.inv(steps)
     spacing = 1.0 / np.linalg.norm(inverse, axis=0)
-    shape = np.array(stored.values.shape)
-    corners = np.stack(np.meshgrid(*[(0, n - 1) for n in shape], indexing="ij"), axis=-1).reshape(
-        -1, 3
-    )
+    # Voxels reach half of their size beyond their centres.
+    beyond = 0.0 if lattice is None else 0.5
+    ends = [(-beyond, n - 1 + beyond) for n in stored.values.shape]
+    corners = np.stack(np.meshgrid(*ends, indexing="ij"), axis=-1).reshape(-1, 3)
     points = corners @ steps.T + stored.origin_mm
     low = points.min(axis=0)
     high = points.max(axis=0)
+    if lattice is not None:
+        spacing = np.array(lattice.spacing_mm)
+        low = lattice.origin_mm + spacing * np.floor((low - lattice.origin_mm) / spacing)
     # 1e-6 avoids a further voxel if the quotient is rounded to just above a whole number.
     count = np.ceil((high - low) / spacing - 1e-6).astype(int) + 1
     if math.prod(count.tolist()) > _MOST_VOXELS:
@@ -157,7 +164,7 @@ def _resampled(stored: StoredImage, source: str, labels: bool) -> Image:
         )
     at = inverse * spacing, inverse @ (low - stored.origin_mm), tuple(count.tolist())
     values = (
-        _sampled(stored.values, *at, order=0)
+        _sampled(stored.values, *at, order=0, mode="grid-constant")
         if labels
         else _interpolated(stored.values.astype(np.float32), *at)
     )
@@ -189,7 +196,7 @@ def _interpolated(
         around = neighbours(values, size=2, origin=-1)
         limit(
             splined,
-            _sampled(around, matrix, offset - 0.5, shape, order=0, outside=None),
+            _sampled(around, matrix, offset - 0.5, shape, order=0, mode="nearest"),
             out=splined,
             where=within,
         )
@@ -203,11 +210,13 @@ def _sampled(
     shape: tuple[int, ...],
     *,
     order: int,
-    outside: float | None = 0.0,
+    mode: str = "constant",
+    outside: float = 0.0,
 ) -> NDArray[Kind]:
     """Sample values at the points `matrix @ index + offset`.
 
-    Outside the array, the value is a given number, or (None) the nearest voxel's.
+    The value `outside` counts beyond the outermost voxel centres in the mode ``constant``, and
+    beyond the outermost voxel faces in ``grid-constant``. The mode ``nearest`` does not use it.
     """
     from scipy.ndimage import affine_transform
 
@@ -217,8 +226,8 @@ def _sampled(
         offset,
         shape,
         order=order,
-        mode="nearest" if outside is None else "constant",
-        cval=outside or 0.0,
+        mode=mode,
+        cval=outside,
         prefilter=False,
     )
     return sampled

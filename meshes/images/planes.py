@@ -1,10 +1,7 @@
-"""Stacks of planes, TIFF, PNG, BMP or JPEG: order of the files, and their grey values."""
+"""Grey values or labels of planes from TIFF, PNG, BMP or JPEG files."""
 
-import re
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -12,27 +9,20 @@ from typing import Any
 import numpy as np
 
 from meshes.base.arrays import Numbers
-from meshes.base.errors import InputError, by, is_folder, require_file
+from meshes.base.errors import InputError, by
 from meshes.base.file_limits import require_memory
-from meshes.base.text_tables import natural_order
-from meshes.images.dicom_files import is_dicom
 from meshes.images.frame import StoredImage
+from meshes.images.plane_files import TIFF_STARTS
 
-__all__ = ["PLANE_SUFFIXES", "plane_files", "read_planes"]
+__all__ = ["read_planes"]
 
-PLANE_SUFFIXES = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
 _LOSSY = (".jpg", ".jpeg")
-_VOLUMES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd", ".vti", ".dcm")
-"""Endings of volumes, next to which a plane is a preview."""
-_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"\x89PNG")
-"""First bytes of TIFF in both byte orders, of BigTIFF in both, and of PNG."""
-_PATTERN_MARKS = "*?["
 _MIN_IS_WHITE = 0
 _PALETTE = 3
 _UNCOMPRESSED = 1
 """Codes of the tags PhotometricInterpretation and Compression (TIFF 6.0)."""
 _GREY = (0.2126, 0.7152, 0.0722)
-"""Parts of red, green and blue in the brightness of a colour (ITU-R BT.709)."""
+"""Weights of red, green and blue in the brightness of a colour (ITU-R BT.709)."""
 _MODES = {
     "1": ("u1", 1),
     "L": ("u1", 1),
@@ -45,10 +35,10 @@ _MODES = {
     "RGB": ("u1", 3),
     "RGBA": ("u1", 4),
 }
-"""Type and number of the samples of a pixel by Pillow's modes."""
+"""Type and number of the samples of a pixel, by the mode in Pillow."""
 _EXPORT = "export it as grey values"
 _MOST_COLOURS = 1000
-"""Colours that count as labels: shades and pictures have more."""
+"""Largest number of colours that are taken as labels. Photographs and shaded pictures hold more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,115 +70,23 @@ class _Planes:
     reduced: int
 
 
-def plane_files(path: Path) -> list[Path]:
-    """Return the files of a stack of planes, in the order of their slices.
-
-    The list is empty for other images, and for folders that hold DICOM files or volumes.
-
-    Files are ordered by the numbers in their names: ``slice_2`` comes before ``slice_10``.
-
-    Parameters
-    ----------
-    path
-        File, folder, or pattern of files such as ``slices/*.tif``.
-
-    Raises
-    ------
-    InputError
-        If the path does not exist, a file is named unlike the others, or a slice number is missing.
-    """
-    if any(mark in path.name for mark in _PATTERN_MARKS) and not path.exists():
-        inside = path.parent.iterdir() if path.parent.is_dir() else ()
-        pattern = path.name.lower()
-        found = [
-            file for file in inside if fnmatchcase(file.name.lower(), pattern) and file.is_file()
-        ]
-        if not found:
-            raise InputError(
-                "file",
-                "exist",
-                f"{path}, which matches nothing",
-                "check the folder and the pattern",
-            )
-        other = next((file for file in found if not _kind(file)), None)
-        if other is not None:
-            raise InputError(
-                "a pattern", "match slices of one kind only", other.name, "write for example *.tif"
-            )
-    elif is_folder(path):
-        found = _in_folder(path)
-    else:
-        require_file(path, "an image")
-        return [path] if path.suffix.lower() in PLANE_SUFFIXES else []
-    found.sort(key=lambda file: (natural_order(file.stem), file.name))
-    _require_numbered(found, path)
-    return found
-
-
-def _in_folder(folder: Path) -> list[Path]:
-    """Return the planes of a folder, of the kind that most of its planes have.
-
-    A folder that holds one folder and nothing else stands for that folder.
-    """
-    held = [each for each in folder.iterdir() if not each.name.startswith(".")]
-    if len(held) == 1 and held[0].is_dir() and not held[0].is_symlink():
-        return _in_folder(held[0])
-    files = [file for file in held if file.is_file()]
-    kinds = {file: _kind(file) for file in files}
-    counts = Counter(kind for kind in kinds.values() if kind)
-    if not counts or any(file.name.lower().endswith(_VOLUMES) for file in files):
-        return []
-    if any(not kind and is_dicom(file) for file, kind in kinds.items()):
-        return []
-    usual = counts.most_common(1)[0][0]
-    return [file for file, kind in kinds.items() if kind == usual]
-
-
-def _kind(file: Path) -> str:
-    """Return the kind of a plane, and an empty text for other files."""
-    suffix = file.suffix.lower()
-    if suffix in PLANE_SUFFIXES:
-        return suffix[:3]
-    if suffix and not suffix[1:].isdigit():
-        return ""
-    with file.open("rb") as stream:
-        is_plane = stream.read(4).startswith(_STARTS)
-    # DICOM may start like TIFF, in its preamble.
-    return "no ending" if is_plane and not is_dicom(file) else ""
-
-
 def read_planes(
     files: Sequence[Path], spacing_mm: tuple[float, float, float], *, labels: bool = False
 ) -> StoredImage:
     """Read planes in the given order, with the axes columns, rows and slices.
 
-    Values that are stored inverted (MinIsWhite) are inverted back. Colours become grey values, or,
-    as labels, a number for each colour. Each change is noted.
+    Values that are stored inverted (MinIsWhite) are inverted back. Colours become grey values. If
+    the planes hold labels, each colour becomes a number instead. Each change is noted.
 
     Raises
     ------
     InputError
-        If a file is damaged, differs in size or type from the others, or all exceed the memory
-        limit.
+        If a file is damaged, if it differs in size or type from the others, or if the stack exceeds
+        the memory limit.
     """
     planes = [_planes(file) for file in files]
+    _require_alike(files, planes)
     first = planes[0]
-    for file, other in zip(files, planes, strict=True):
-        if other.shape[1:3] != first.shape[1:3]:
-            raise InputError(
-                "slices",
-                "all have the same size",
-                f"{by(other.shape[2:0:-1])} in {file.name} after {by(first.shape[2:0:-1])}",
-                "keep other images out of the folder",
-            )
-        kinds = {(each.photometric, each.shape[3], each.dtype) for each in (other, first)}
-        if len(kinds) > 1:
-            raise InputError(
-                "slices",
-                "all have the same type of values",
-                f"another in {file.name} than in {files[0].name}",
-                "export all slices in one way",
-            )
     count = sum(other.shape[0] for other in planes)
     where = files[0].name if len(files) == 1 else files[0].parent.name
     needed = count * prod(first.shape[1:]) * first.dtype.itemsize
@@ -221,12 +119,34 @@ def read_planes(
     return StoredImage(grey.T, spacing_mm, np.eye(3), np.zeros(3), tuple(notes), names)
 
 
+def _require_alike(files: Sequence[Path], planes: Sequence[_Planes]) -> None:
+    """Raise for a file whose planes differ in size or type from those of the first file."""
+    first = planes[0]
+    for file, other in zip(files, planes, strict=True):
+        if other.shape[1:3] != first.shape[1:3]:
+            raise InputError(
+                "slices",
+                "all have the same size",
+                f"{by(other.shape[2:0:-1])} in {file.name} after {by(first.shape[2:0:-1])}",
+                "keep other images out of the folder",
+            )
+        kinds = {(each.photometric, each.shape[3], each.dtype) for each in (other, first)}
+        if len(kinds) > 1:
+            raise InputError(
+                "slices",
+                "all have the same type of values",
+                f"another in {file.name} than in {files[0].name}",
+                "export all slices in one way",
+            )
+
+
 def _without_colour(
     values: Numbers, where: str, *, labels: bool
 ) -> tuple[Numbers, dict[int, str], str]:
-    """Return one value a pixel, the names of colours that are labels, and a note.
+    """Return one value per pixel, the names of the labels, and a note.
 
-    The last of two or four samples is opacity. Pixels without opacity are black.
+    Only labels have names, one for each colour. The last of two or four samples is opacity. Pixels
+    without opacity are black.
     """
     samples = values.shape[-1]
     if samples in (2, 4):
@@ -242,7 +162,7 @@ def _without_colour(
         return grey, {}, note
     shifts = np.array([1 << 2 * 8 * values.itemsize, 1 << 8 * values.itemsize, 1], dtype=np.uint64)
     found, codes, counts = _distinct(values.astype(np.uint64) @ shifts)
-    # The largest label comes first. Black is no label, whether there is any or not.
+    # The most frequent colour has the number 1. Black is the background.
     order = [at for at in np.argsort(-counts, kind="stable").tolist() if found[at]]
     if len(order) > _MOST_COLOURS:
         raise InputError(
@@ -262,47 +182,6 @@ def _without_colour(
     return numbers[codes], names, note
 
 
-def _require_numbered(files: Sequence[Path], path: Path) -> None:
-    """Refuse a file with an unusual name, a missing number, and a number that occurs twice."""
-    if len(files) < 2:
-        return
-    texts = [re.sub(r"\d+", "#", file.stem) for file in files]
-    usual, count = Counter(texts).most_common(1)[0]
-    if "#" not in usual or 2 * count <= len(files):
-        return  # the names do not count the slices
-    other = next((file for file, text in zip(files, texts, strict=True) if text != usual), None)
-    if other is not None:
-        raise InputError(
-            "slices",
-            "be named alike",
-            f"{other.name} among names such as {files[texts.index(usual)].name} in {path.name}",
-            "move it out of the folder, or give a pattern that leaves it out",
-        )
-    numbers = np.array([re.findall(r"\d+", file.stem) for file in files]).astype(object)
-    varying = [
-        column for column in numbers.T if len({int(number) for number in column.tolist()}) > 1
-    ]
-    if len(varying) > 1:
-        return  # it is unknown which of the numbers counts the slices
-    steps = np.diff([int(number) for number in varying[0]]) if varying else np.zeros(1, np.int64)
-    if not steps.all():
-        raise InputError(
-            "slices",
-            "have numbers that differ",
-            f"that of {files[int(np.argmin(steps)) + 1].name} twice in {path.name}",
-            "remove one",
-        )
-    wide = int(np.argmax(steps))
-    if steps[wide] > steps.min():
-        missing = int(steps.sum() // steps.min()) - len(steps)
-        raise InputError(
-            "slice numbers",
-            "follow each other",
-            f"{files[wide + 1].name} after {files[wide].name} in {path.name}, {missing} missing",
-            "export the whole stack",
-        )
-
-
 def _distinct(codes: Numbers) -> tuple[Numbers, Numbers, Numbers]:
     """Return distinct numbers, the index of each element among them, and their counts."""
     if codes.max() < 1 << 24:
@@ -320,7 +199,7 @@ def _planes(file: Path) -> _Planes:
     """Read the header of a file."""
     try:
         with file.open("rb") as stream:
-            is_tiff = stream.read(4).startswith(_STARTS[:4])
+            is_tiff = stream.read(4).startswith(TIFF_STARTS)
         return _tiff_planes(file) if is_tiff else _picture_planes(file)
     except InputError:
         raise
@@ -401,7 +280,7 @@ def _decoded(file: Path, planes: _Planes) -> Numbers:
     """Return the values of a file, shape (planes, rows, columns, samples)."""
     try:
         values = _array(file)
-        # The axes of planes come first, and those of samples last.
+        # The axes of planes come first, and that of samples last.
         order = sorted(range(len(planes.axes)), key=lambda at: "QYXS".index(planes.axes[at]))
         if values.ndim == len(order):
             values = values.transpose(order)

@@ -20,7 +20,8 @@ from meshes.images.data import first_bytes, is_gzip, read_voxels, scaled
 from meshes.images.dicom import read_dicom
 from meshes.images.dicom_files import is_dicom
 from meshes.images.frame import Image, StoredImage, along_lps
-from meshes.images.planes import PLANE_SUFFIXES, plane_files, read_planes
+from meshes.images.plane_files import PLANE_SUFFIXES, plane_files
+from meshes.images.planes import read_planes
 from meshes.images.text_headers import read_metaimage, read_nrrd
 
 __all__ = [
@@ -257,7 +258,7 @@ _REMEDY = (
     "PNG or BMP slices"
 )
 _SHORTEST_MM = 0.5
-"""Length of an image below which its header may be in metres: a bone of 0.5 m has 0.5 then."""
+"""Length below which a header may be in metres: a bone of 0.5 m then has a length of 0.5 mm."""
 
 
 def read_image(
@@ -276,12 +277,12 @@ def read_image(
     Parameters
     ----------
     path
-        Image file; folder with a DICOM series, its DICOMDIR, or a file of many frames; folder with
-        TIFF, PNG or BMP slices, or a pattern of them (`slices/*.tif`). Such slices count upward in
-        z in the order of the numbers in their names.
+        Image file, folder with a DICOM series, its DICOMDIR, DICOM file of many frames, folder
+        with TIFF, PNG or BMP slices, or pattern of such slices (`slices/*.tif`). Slices are stacked
+        along +z in the order of the numbers in their names.
     spacing_mm
-        Distance between neighbours [mm], one number or one along each axis of the array; None: read
-        from the file. Slices in TIFF, PNG and BMP state no distance.
+        Distance between neighbours [mm], one number or one along each axis of the array. None: the
+        distance that the file states. TIFF, PNG and BMP slices state no distance.
     labels
         Whether the values are labels, which are not interpolated.
     series
@@ -312,9 +313,9 @@ def stored_image(
     labels: bool = False,
     series: int | None = None,
 ) -> StoredImage:
-    """Read an image volume along the axes of its file; see `read_image`.
+    """Read an image volume along the axes of its file, see `read_image`.
 
-    Label volumes that overlap have a further first axis.
+    Files of several label layers have the layers as a further first axis.
     """
     given = None if spacing_mm is None else _given_spacing(spacing_mm)
     planes = plane_files(path)
@@ -364,9 +365,9 @@ def stored_image(
 
 
 def _without_nan(stored: StoredImage, source: str, labels: bool) -> StoredImage:
-    """Return an image without NaN, with which programs mark voxels outside of the scan.
+    """Replace NaN, which marks voxels outside of the scan.
 
-    They take the lowest value, and no label.
+    Grey values become the lowest value of the image, and labels become 0.
     """
     values = stored.values
     missing = np.isnan(values)

@@ -253,7 +253,7 @@ _SCALED = ("old min", "oldmin", "old max", "oldmax")
 _SKIPPED_LINES = ("line skip", "lineskip")
 _AXIS_MINS = ("axis mins", "axismins")
 _BY_AXIS = ("sizes", "kinds", "space directions", "spacings", "units")
-"""Keys that hold a word for each axis."""
+"""Keys with one value per axis."""
 
 
 def read_nrrd(path: Path) -> StoredImage:
@@ -315,20 +315,19 @@ def read_nrrd(path: Path) -> StoredImage:
 
 
 def _without_layers(fields: dict[str, str]) -> tuple[tuple[int, str] | None, dict[str, str]]:
-    """Return axis and size of the layers of a NRRD image, and the fields of its axes in space."""
+    """Return the axis and the size of the layers of a NRRD image, and the fields without it."""
     kinds = fields.get("kinds", "").lower().split()
     if fields.get("dimension") != "4" or kinds.count("list") != 1:
         return None, fields
     axis = kinds.index("list")
-    size = ""
+    removed = {}
     kept = {**fields, "dimension": "3"}
     for key in _BY_AXIS:
         words = fields.get(key, "").split()
         if len(words) == 4:
-            removed = words.pop(axis)
+            removed[key] = words.pop(axis)
             kept[key] = " ".join(words)
-            size = removed if key == "sizes" else size
-    return (axis, size), kept
+    return (axis, removed.get("sizes", "")), kept
 
 
 def _require_axes(fields: Fields, space: str, path: Path) -> None:

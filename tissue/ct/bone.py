@@ -361,7 +361,8 @@ def _pictures(
     high = tuple((high_mm + SHOWN_MM).tolist())
     around = cropped(source.image, (low, high))
 
-    def slices(file: Path) -> None:
+    def draw_slices(file: Path) -> None:
+        """Draw slices of the CT with the outlines of the bone and of its surroundings."""
         depth = replace(bone.image, values=bone.field - np.float32(bone.level))
         outlines = {"bone": depth}
         for name, structure in clear.items():
@@ -371,7 +372,8 @@ def _pictures(
         around_site = marks if centre_mm is not None else replace(marks, centre_mm=middle_mm)
         draw_ct_slices(around, file, outlines, around_site, title=title)
 
-    def histogram(file: Path) -> None:
+    def draw_histogram(file: Path) -> None:
+        """Draw the histograms of the image and of the bone."""
         law = source.law
         draw_ct_histogram(
             source.histogram.values,
@@ -384,8 +386,8 @@ def _pictures(
         )
 
     pictures: dict[str, Writer] = {
-        "slices.png": slices,
-        "histogram.png": histogram,
+        "slices.png": draw_slices,
+        "histogram.png": draw_histogram,
         "bone.png": lambda file: draw_ct_bone(surface, file, marks, density=density, title=title),
     }
     # the path is seen along the site's normal

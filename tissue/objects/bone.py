@@ -470,7 +470,7 @@ def _image_source(
     Slices state no spacing: `spacing_mm` is then the spacing of their voxels.
     """
     from meshes.images.bone_image import image_cuts, image_volume
-    from meshes.images.planes import plane_files
+    from meshes.images.plane_files import plane_files
     from meshes.images.reading import read_image
 
     remarks: list[str] = []

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from dicom_writers import write_segmentation, write_structures
-from image_writers import write_dicom
+from image_writers import write_dicom, write_nrrd
 
 from meshes.base.errors import InputError
 from meshes.ct.labels import on_grid_of, read_labels
@@ -85,16 +85,74 @@ def test_a_folder_with_one_segmentation_is_that_segmentation(tmp_path):
     assert set(read_labels(tmp_path / "seg").names.values()) == {"bone", "canal"}
 
 
-def test_frames_off_an_even_stack_are_refused(tmp_path):
+@pytest.mark.parametrize("position", [[-12, 7, 35.7], [-12, 7.5, 41]])
+def test_frames_off_an_even_stack_are_refused(tmp_path, position):
     import pydicom
 
     path = written(tmp_path)
     dataset = pydicom.dcmread(path)
     frame = dataset.PerFrameFunctionalGroupsSequence[3]
-    frame.PlanePositionSequence[0].ImagePositionPatient = [-12, 7, 35.7]
+    frame.PlanePositionSequence[0].ImagePositionPatient = position
     dataset.save_as(path)
     with pytest.raises(InputError, match="have its frames in one even stack"):
         read_labels(path)
+
+
+MIRRORED = np.diag([-1.0, 1.0, 1.0])
+SAGITTAL = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+OBLIQUE = np.array([[0.96, -0.28, 0.0], [0.168, 0.576, -0.8], [0.224, 0.768, 0.6]])
+TILTED = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.28], [0.0, 0.0, 0.96]])
+"""Directions of the axes [LPS]. Those of a tilted gantry are not at right angles."""
+
+
+def ct_and_segmentation(tmp_path, directions):
+    """Write the masks of `masks` as a CT, as a label volume, and as a segmentation."""
+    parts = masks()
+    parts[0] &= ~parts[1]
+    axes = directions * SPACING
+    numbers = (parts[0] + 2 * parts[1]).astype(np.uint8)
+    stored = 100 + 1000 * numbers.astype(np.uint16)
+    write_dicom(tmp_path / "ct", stored, axes, ORIGIN)
+    write_nrrd(tmp_path / "labels.nrrd", numbers, axes, ORIGIN)
+    seg = tmp_path / "seg.dcm"
+    names = ["bone", "canal"]
+    write_segmentation(seg, parts, SPACING, ORIGIN, names=names, directions=directions)
+    ct = read_image(tmp_path / "ct")
+    return ct, read_labels(tmp_path / "labels.nrrd", image=ct), read_labels(seg, image=ct)
+
+
+@pytest.mark.parametrize("directions", [MIRRORED, -MIRRORED, -np.eye(3), SAGITTAL])
+def test_a_turned_or_mirrored_segmentation_lies_on_its_ct(tmp_path, directions):
+    ct, _, segments = ct_and_segmentation(tmp_path, directions)
+    placed = on_grid_of(segments, ct)
+    grey = ct.values - ct.values.min()
+    assert np.array_equal(placed.mask("bone"), grey == 1000)
+    assert np.array_equal(placed.mask("canal"), grey == 2000)
+
+
+@pytest.mark.parametrize("directions", [OBLIQUE, TILTED])
+def test_a_segmentation_of_an_oblique_ct_equals_the_label_volume(tmp_path, directions):
+    """Both files are resampled once, at the voxel centres of the CT.
+
+    The NRRD file states the directions of all three axes, so it holds no normal to derive.
+    """
+    ct, volume, segments = ct_and_segmentation(tmp_path, directions)
+    placed_volume = on_grid_of(volume, ct)
+    placed = on_grid_of(segments, ct)
+    assert np.array_equal(placed.mask("bone"), placed_volume.mask("1"))
+    assert np.array_equal(placed.mask("canal"), placed_volume.mask("2"))
+
+
+@pytest.mark.parametrize(("gap", "count"), [(1 / 3, 120), (2 / 3, 200), (0.625, 300)])
+def test_many_planes_at_a_distance_that_decimals_round_are_even(tmp_path, gap, count):
+    mask = np.zeros((8, 7, count), dtype=bool)
+    mask[2:5, 2:6, :] = True
+    path = tmp_path / "seg.dcm"
+    write_segmentation(path, mask[None], (1.0, 1.0, gap), (3.0, 4.0, -57.3), names=["bone"])
+    labels = read_labels(path)
+    # Positions are written with 6 digits, to 1e-4 mm here.
+    assert labels.image.spacing_mm[2] == pytest.approx(gap, abs=1e-4)
+    assert np.array_equal(labels.mask("bone"), mask)
 
 
 def box(low, high, z):

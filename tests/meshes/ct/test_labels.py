@@ -197,7 +197,7 @@ def test_masks_that_overlap_keep_their_voxels(tmp_path):
 def test_labels_outside_the_image_are_reported(tmp_path):
     labels = read_labels(write_nifti(tmp_path / "a.nii.gz", volume()))
     image = replace(labels.image, values=labels.image.values[:, :2])
-    assert "of its labels lie outside" in on_grid_of(labels, image).image.notes[-1]
+    assert "of the labels of a.nii.gz lie outside" in on_grid_of(labels, image).image.notes[-1]
 
 
 def test_labels_of_another_grid_go_to_the_nearest_voxels(tmp_path):

@@ -104,10 +104,8 @@ def test_the_notes_of_a_bone_state_where_the_image_cuts_it_off(tmp_path):
     axes = np.diag(image.spacing_mm)
     write_nrrd(tmp_path / "whole.nrrd", image.values, axes, image.origin_mm)
     write_nrrd(tmp_path / "half.nrrd", image.values[:, :, :14], axes, image.origin_mm)
-    assert "image" not in tissue.Bone.from_image(tmp_path / "whole.nrrd", threshold=475).notes or (
-        "cut off"
-        not in tissue.Bone.from_image(tmp_path / "whole.nrrd", threshold=475).notes["image"]
-    )
+    whole = tissue.Bone.from_image(tmp_path / "whole.nrrd", threshold=475)
+    assert "cut off" not in whole.notes.get("image", "")
     half = tissue.Bone.from_image(tmp_path / "half.nrrd", threshold=475)
     assert "cut off at 1 place by the edge of the image" in half.notes["image"]
 
