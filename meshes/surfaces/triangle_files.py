@@ -108,22 +108,33 @@ def _read_by_vtk(file: Path, notes: list[str]) -> _Stored:
 
 
 def _read_ply(file: Path, notes: list[str]) -> _Stored:
-    """Read a PLY file.
+    """Read a PLY file, by trimesh if it can.
 
-    trimesh refuses files with further bytes after the triangles, which VTK reads.
+    VTK also reads binary files with polygons of different sizes, and files with further bytes after
+    the triangles. It keeps coordinates in single precision only.
     """
+    if not _is_whole_ply(file):
+        reason = f"{file.name} has another length than its header states."
+    else:
+        try:
+            return _ply_by_trimesh(file)
+        except MemoryError:
+            raise
+        except Exception as problem:  # the reader raises many kinds, none documented
+            reason = f"trimesh does not read {file.name}: {problem or type(problem).__name__}"
+            reason = f"{reason.rstrip('.!')}."
+    found = _read_by_vtk(file, notes)
+    notes.append(f"{reason} VTK read it, with coordinates in single precision.")
+    return found
+
+
+def _ply_by_trimesh(file: Path) -> _Stored:
+    """Read a PLY file with trimesh."""
     import trimesh
 
-    try:
-        if _is_whole_ply(file):
-            # A PLY file may name a missing texture, for which trimesh would print a traceback.
-            mesh: Any = trimesh.load(file, force="mesh", process=False, skip_materials=True)
-            return np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    except Exception:  # the reader raises many kinds, none documented
-        pass
-    found = _read_by_vtk(file, notes)
-    notes.append(f"{file.name} has another length than its header states.")
-    return found
+    # A PLY file may name a missing texture, for which trimesh would print a traceback.
+    mesh: Any = trimesh.load(file, force="mesh", process=False, skip_materials=True)
+    return np.asarray(mesh.vertices), np.asarray(mesh.faces)
 
 
 def _refusal(wanted: str, got: str) -> InputError:
