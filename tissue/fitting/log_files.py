@@ -18,7 +18,7 @@ from meshes.base.file_limits import read_npz, require_memory
 from meshes.base.isolated_parser import Answer, parse_isolated
 from meshes.base.tables import read_table
 from meshes.base.text_tables import number_in
-from tissue.motion.replay import poses_group, read_drilling
+from tissue.motion.drilling_recording import poses_group, read_drilling
 
 __all__ = [
     "CHANNELS",
