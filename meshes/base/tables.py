@@ -166,8 +166,17 @@ def _date_s(text: str) -> float:
     return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
-def decoded_text(path: Path, what: str) -> str:
+def decoded_text(path: Path, what: str, *, remedy: str = "export it as CSV") -> str:
     """Return the text of a file, decoded as UTF-8, UTF-16 or Windows-1252.
+
+    Parameters
+    ----------
+    path
+        File.
+    what
+        Name of the file in errors.
+    remedy
+        Advice for a file that is not text.
 
     Raises
     ------
@@ -183,7 +192,7 @@ def decoded_text(path: Path, what: str) -> str:
             return content.decode(encoding, "replace")
     # text in other encodings has no zero bytes; the start of a binary file has some
     if b"\0" in content[:4096]:
-        raise InputError(what, "be text", f"other data in {path.name}", "export it as CSV")
+        raise InputError(what, "be text", f"other data in {path.name}", remedy)
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
