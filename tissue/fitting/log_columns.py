@@ -75,9 +75,9 @@ def quantities(found: LogColumns, asked: Mapping[str, str], notes: list[str]) ->
         if fixed is not None:
             constants[name] = fixed
             continue
-        column, values_or_none = quantity(name, measure, asked.get(name), found, notes)
-        if values_or_none is not None:
-            values[name] = values_or_none
+        column, numbers = quantity(name, measure, asked.get(name), found, notes)
+        if numbers is not None:
+            values[name] = numbers
             used.add(column)
     rate_Hz = constants.pop("time_s", found.rate_Hz)
     if "time_s" not in values and rate_Hz and TIPS[2] in values:
@@ -120,9 +120,10 @@ def quantity(
         return "", None
     column, sign, unit = _column(name, asked, found.names)
     values = sign * found.numbers(column)
-    factor, remark = _factor(name, measure, column, unit)
     if measure == "time" and not unit and not unit_of(column, "time"):
         factor, remark = _clock(column, values)
+    else:
+        factor, remark = _factor(name, measure, column, unit)
     if remark:
         notes.append(remark)
     return column, factor * values
@@ -219,7 +220,8 @@ def suggested(missing: Sequence[str], names: Sequence[str]) -> str:
     depths = [each for each in names if unit_of(each, "length")]
     if set(TIPS) <= set(missing) and len(depths) == 1 and not found[TIPS[0]]:
         # a testing machine of one axis, whose depth grows downward
-        found |= dict(zip(TIPS, (["0"], ["0"], [f"-{depths[0]}"]), strict=True))
+        heights = (["0"], ["0"], [f"-{depths[0]}"])
+        found |= dict(zip(TIPS, heights, strict=True))
     flags = []
     for name, columns in found.items():
         column = columns[0] if len(columns) == 1 else "COLUMN[:UNIT]"
