@@ -182,7 +182,7 @@ class Program:
         return numbers
 
     def _take(self, codes: list[str]) -> None:
-        """Take over the words G and M of a line."""
+        """Apply the words G and M of a line to the state."""
         groups = [_MODES[code] for code in codes if code in _MODES]
         if len(set(groups)) < len(groups):
             raise self._refused(

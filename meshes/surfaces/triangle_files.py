@@ -63,7 +63,7 @@ def read_triangles(file: Path, notes: list[str] | None = None) -> Triangles:
         vertices, faces = read(file, [] if notes is None else notes)
         require_triangles(vertices, faces, file.name)
     except InputError:
-        _require_points(file)
+        _require_decimal_points(file)
         raise
     return vertices.astype(np.float64, copy=False), faces.astype(np.int64, copy=False)
 
@@ -75,8 +75,8 @@ _SEARCHED = 100_000
 """Bytes at the start of an unreadable file in which decimal commas are searched for."""
 
 
-def _require_points(file: Path) -> None:
-    """Name decimal commas as the reason why a file cannot be read."""
+def _require_decimal_points(file: Path) -> None:
+    """Raise an error that names decimal commas, if a file has them."""
     with file.open("rb") as stored:
         if found := _COMMAS.search(stored.read(_SEARCHED)):
             raise InputError(

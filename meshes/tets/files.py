@@ -339,12 +339,11 @@ def _of_blocks(mesh: Any) -> StoredMesh:
         name: np.concatenate([np.asarray(rows[k]) for k in chosen])
         for name, rows in (mesh.cell_data if chosen else {}).items()
     }
-    solids = {
-        int(row[0]): name
-        for name, row in (getattr(mesh, "field_data", None) or {}).items()
+    solids: dict[int, str] = {}
+    for name, row in (getattr(mesh, "field_data", None) or {}).items():
         # Gmsh names groups of any dimension by one number each.
-        if int(row[1]) == 3
-    }
+        if int(row[1]) == 3:
+            solids[int(row[0])] = part_name(name, solids, "physical volumes of the mesh")
     part, names = _parts(data, len(cells), solids)
     left = sum(len(block.data) for block in mesh.cells) - len(cells)
     notes = [f"Left out {left} elements that are not tetrahedra."] if left and len(cells) else []

@@ -185,7 +185,7 @@ def _of_kind(elements: list[tuple[int, int, list[int]]], kind: int, corners: int
 
 
 def _numbered(cells: Ints, numbers: Ints, file: Path) -> Ints:
-    """Return cells with the places of their nodes in place of the nodes' numbers."""
+    """Return cells with node indices in place of the node numbers of the file."""
     order = np.argsort(numbers)
     found = order[np.minimum(np.searchsorted(numbers, cells, sorter=order), len(numbers) - 1)]
     unknown = cells[numbers[found] != cells]

@@ -46,7 +46,9 @@ TIMES = ("t", "time", "timestamp", "time_stamp", "elapsed", "elapsed_time", "zei
 EPOCH_S = 1e8
 """Times beyond it count from 1970 [s]. No log lasts three years."""
 OF_FORCE = ("f", "force", "load", "kraft", "wrench")
+"""Words in the header of a force, before its axis."""
 NOT_OF_PLACE = (*OF_FORCE, "torque", "moment", "velocity", "vel", "acc", "orientation", "q")
+"""Words in the headers of other quantities with an axis, which are not positions."""
 
 
 def parsed(texts: Sequence[str], names: Sequence[str] = tuple(QUANTITIES)) -> dict[str, str]:
@@ -66,7 +68,7 @@ def parsed(texts: Sequence[str], names: Sequence[str] = tuple(QUANTITIES)) -> di
 
 
 def quantities(found: LogColumns, asked: Mapping[str, str], notes: list[str]) -> dict[str, Array]:
-    """Return the available quantities in SI by name, and note the columns without a use."""
+    """Return the available quantities in SI by name, and note the unused columns."""
     values: dict[str, Array] = {}
     constants: dict[str, float] = {}
     used = set[str]()
@@ -204,7 +206,7 @@ def _split(text: str) -> tuple[str, str]:
 
 
 def from_first(values: dict[str, Array], notes: list[str]) -> None:
-    """Count times since 1970 from the first of all times."""
+    """Subtract the first time from times since 1970, in place."""
     clocks = [name for name in ("time_s", "load_time_s") if len(values.get(name, ()))]
     start_s = min((float(values[name][0]) for name in clocks), default=0.0)
     if start_s > EPOCH_S:
@@ -230,7 +232,7 @@ def suggested(missing: Sequence[str], names: Sequence[str]) -> str:
 
 
 def _is_like(name: str, header: str) -> bool:
-    """Return whether a header may be the header of a quantity along an axis, such as "Fx [mN]"."""
+    """Return whether a header, such as "Fx [mN]", may name a quantity along an axis."""
     measure = QUANTITIES[name]
     if measure not in ("length", "force"):
         return measure == "time" and bool(unit_of(header, "time"))
